@@ -9,6 +9,23 @@ const lpvg_ecu_config_t& config = bench_config;
 
 }  // namespace
 
+TEST_CASE("engaged the ECU demands what the controller does at the measured speed", "[unit][ecu]") {
+    Bench bench;
+    bench.speed = GENERATE(9.0F, 12.0F, 20.0F);
+    bench.run_until_engaged();
+    lpvg_control_t twin = bench.ecu.control;
+    for (int i = 0; i < 50; ++i) {
+        bench.step();
+        lpvg_real_t m[LPVG_NM];
+        m[0] = bench.ecu.signals.reference;
+        std::memcpy(&m[1], bench.ecu.signals.y, sizeof bench.ecu.signals.y);
+        REQUIRE(static_cast<double>(bench.ecu.signals.speed) == Approx(static_cast<double>(bench.speed)).epsilon(1e-3));
+        REQUIRE(lpvg_control_step(&twin, bench.ecu.signals.speed, m, true) == lpvg_status_ok);
+        REQUIRE(twin.u[0] == bench.ecu.control.u[0]);
+    }
+    CHECK(std::abs(twin.u[0]) > lpvg_real_t(0.01));
+}
+
 TEST_CASE("nothing is demanded before every needed message is live, then the loop engages", "[unit][ecu][REQ-ECU-1]") {
     Bench bench;
     bench.run(to_live - 1);

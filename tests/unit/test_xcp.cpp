@@ -227,6 +227,9 @@ TEST_CASE("wrong parameters have their error and move nothing", "[unit][xcp][REQ
     CHECK(slave.ask({0xF5, 0}) == out_of_range);
     CHECK(slave.xcp.errors == UINT32_MAX);
     CHECK(slave.xcp.commands == UINT32_MAX);
+    slave.xcp.errors = 0U;
+    CHECK(slave.ask({0xF5, 1}) == Bytes{0xFF, 0x41});
+    CHECK(slave.xcp.commands == UINT32_MAX);
 }
 
 TEST_CASE("what is not for the slave is not answered, and wrong arguments are refused", "[unit][xcp][REQ-XCP-3]") {
@@ -408,6 +411,7 @@ TEST_CASE("the largest list is sent whole, and nothing larger is allocated", "[u
     }
     REQUIRE(slave.mode(1U) == done);
     REQUIRE(slave.on(0xDE, {}, 1U) == Bytes{0xFF, 0});
+    CHECK(lpvg_xcp_event(&slave.xcp, 0, slave.made, 7U) == 0U);
     REQUIRE(slave.event() == 8U);
     for (uint8_t odt = 0U; odt < 8U; ++odt) {
         Bytes wanted = {odt};
