@@ -171,9 +171,8 @@ TEST_CASE("a value that the algorithm does not allow is refused", "[unit][coeff]
     });
     spoilt("a direction too long", [](lpvg_coeff_reals_t& r) { r.energy_direction[0][0] = Real(-1.5); });
     if (LPVG_NY > 1) {
-        spoilt("a sum too long, no part of it above 1", [](lpvg_coeff_reals_t& r) {
-            std::fill(std::begin(r.energy_direction[0]), std::end(r.energy_direction[0]), Real(0.75));
-        });
+        spoilt("a sum too long, no part of it above 1",
+               [](lpvg_coeff_reals_t& r) { std::fill(std::begin(r.energy_direction[0]), std::end(r.energy_direction[0]), Real(0.75)); });
     }
     for (const Real end : {Real(0.9999), Real(1.0001)}) {
         spoilt("a direction at the end of what rounding excuses", [end](lpvg_coeff_reals_t& r) {
