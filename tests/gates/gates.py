@@ -55,7 +55,6 @@ import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 
 from misra_cpp import misra_cpp_findings
@@ -1122,6 +1121,13 @@ def self_test(gate: str, source: Path, scratch: Path) -> list[str]:
     return missed
 
 
+TABLES: dict[str, Callable[[Path, Path], list[str]]] = {
+    "mutation": lambda source, scratch: listed_table(source, scratch, sorted(with_code(source))),
+    "python_mutation": python_listed_table,
+}
+"""Gate -> its table by the lists, of a source and a scratch folder."""
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -1133,16 +1139,14 @@ def main() -> int:
     parser.add_argument(
         "--table",
         action="store_true",
-        help="mutation, python_mutation: print the table of the lists, run nothing",
+        help=f"{', '.join(TABLES)}: print the table of the lists, run nothing",
     )
     a = parser.parse_args()
     source, scratch = a.source.resolve(), a.scratch.resolve()
-    if a.table and a.gate != "mutation":
-        parser.error(f"--table is the mutation gate's, not that of {a.gate}")
+    if a.table and a.gate not in TABLES:
+        parser.error(f"--table is that of {', '.join(TABLES)}, not of {a.gate}")
     if a.table:
-        python = a.gate == "python_mutation"
-        rows = python_listed_table if python else partial(listed_table, names=sorted(with_code(source)))
-        print("\n".join(rows(source, scratch)))
+        print("\n".join(TABLES[a.gate](source, scratch)))
         return 0
     if a.self_test:
         findings = self_test(a.gate, source, scratch)
