@@ -18,13 +18,13 @@ import numpy as np
 from lpvguard.can.catalogue import BusSignal, Catalogue, Message, load_catalogue
 from lpvguard.can.codegen import HEADER, SOURCE, codec_files
 from lpvguard.can.dbc import dbc_text
+from lpvguard.can.logs import EXTENDED
 from made import ROOT
 
 CATALOGUE = load_catalogue()
 GENERATED = [m for m in CATALOGUE.messages if m.codec == "generated"]
 STRICT = ["-std=c99", "-pedantic", "-O2", "-Wall", "-Wextra", "-Wconversion", "-Wdouble-promotion", "-Werror"]
 OK, BAD_ARGUMENT, BAD_SAMPLE = 0, 1, 9
-EXTENDED = 0x80000000
 TOP = {2: (1, 2, 3), 4: (0xD, 0xE, 0xF), 8: (0xFA, 0xFE, 0xFF), 16: (0xFAFF, 0xFE00, 0xFF00)}
 """By a signal's bits: the largest raw value that is data, the least of an error, the least of what is absent
 (SAE J1939-71, table 1)."""
@@ -183,8 +183,8 @@ def used_bits(m: Message) -> np.ndarray:
 
 
 @cache
-def random_frames(message: str, n: int) -> tuple[np.ndarray, list[list[int]]]:
-    """Frames (n, 8) of any bytes, and the raw values that cantools reads in each."""
+def random_frames(message: str, n: int) -> tuple[np.ndarray, np.ndarray]:
+    """Frames (n, 8) of any bytes, and the raw values (n, n_signals) that cantools reads in each."""
     data = np.random.default_rng(20261121).integers(0, 256, (n, 8), np.uint8)
     order = [s.name for s in CATALOGUE.message(message).signals]
     reference, whole = database().get_message_by_name(message), data.tobytes()
@@ -193,7 +193,7 @@ def random_frames(message: str, n: int) -> tuple[np.ndarray, list[list[int]]]:
         for i in range(n)
         for found in [reference.decode(whole[8 * i : 8 * i + 8], decode_choices=False, scaling=False)]
     ]
-    return data, raw
+    return data, np.array(raw, np.uint16)
 
 
 def check_frames(codec: ctypes.CDLL, m: Message, n: int) -> None:
@@ -201,7 +201,7 @@ def check_frames(codec: ctypes.CDLL, m: Message, n: int) -> None:
     data, want = random_frames(m.name, n)
     raw = np.empty((n, len(m.signals)), np.uint16)
     getattr(codec, f"loop_{m.name}_unpack")(pointer(data), ctypes.c_long(n), pointer(raw))
-    assert raw.tolist() == want
+    assert np.array_equal(raw, want)
     back = np.zeros_like(data)
     getattr(codec, f"loop_{m.name}_pack")(pointer(raw), ctypes.c_long(n), pointer(back))
     used = used_bits(m)

@@ -11,6 +11,7 @@ import faulthandler
 import os
 import random
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -79,10 +80,10 @@ def checks_of(function: str) -> Iterator[Check]:
             for s in m.signals:
                 if not messages or function.startswith(f"lpvg_can_{m.name.lower()}_{s.name}_"):
                     for check in (check_codes, check_rounding, check_every_raw_value):
-                        yield lambda codec, check=check, m=m, s=s: check(codec, m, s)
+                        yield partial(check, m=m, s=s)
     for m in messages:
-        yield lambda codec, m=m: check_refusals(codec, m)
-        yield lambda codec, m=m: check_frames(codec, m, N_FRAMES)
+        yield partial(check_refusals, m=m)
+        yield partial(check_frames, m=m, n=N_FRAMES)
 
 
 def survives(codec: ctypes.CDLL, mutant: Mutant) -> bool:

@@ -27,12 +27,12 @@ from compiled_codec import (
     check_refusals,
     check_rounding,
     compiled,
+    database,
     decode,
     encode,
     physical_values,
     written,
 )
-from compiled_codec import database as our_database
 from lpvguard.base.errors import InputError
 from lpvguard.can.catalogue import load_catalogue
 from lpvguard.can.codegen import SOURCE, codec_files
@@ -45,11 +45,6 @@ FRAMES = 1_000_000
 
 
 @pytest.fixture(scope="session")
-def database():
-    return our_database()
-
-
-@pytest.fixture(scope="session")
 def codec(tmp_path_factory):
     return compiled(tmp_path_factory.mktemp("codec"))
 
@@ -58,9 +53,9 @@ def codec(tmp_path_factory):
 
 
 @pytest.mark.parametrize("m, s", SIGNALS)
-def test_every_raw_value_decodes_as_cantools_says_and_comes_back(m, s, codec, database):
+def test_every_raw_value_decodes_as_cantools_says_and_comes_back(m, s, codec):
     check_every_raw_value(codec, m, s)
-    reference = database.get_message_by_name(m.name).get_signal_by_name(s.name)
+    reference = database().get_message_by_name(m.name).get_signal_by_name(s.name)
     back = [reference.conversion.scaled_to_raw(float(v)) for v in physical_values(m.name, s.name)]
     assert back == list(range(1 << s.length)), "cantools itself comes back"
 
@@ -140,9 +135,9 @@ def test_dbc_opens_in_canmatrix_as_j1939():
     }
 
 
-def test_dbc_in_cantools_carries_group_spn_and_cycle(database):
+def test_dbc_in_cantools_carries_group_spn_and_cycle():
     for m in CATALOGUE.messages:
-        reference = database.get_message_by_name(m.name)
+        reference = database().get_message_by_name(m.name)
         assert (reference.frame_id, reference.is_extended_frame, reference.length) == (m.id, True, 8)
         assert (reference.protocol, reference.cycle_time) == ("j1939", m.period_ms)
         assert reference.dbc.attributes["PGN"].value == m.pgn
@@ -201,7 +196,7 @@ def test_zero_yaw_rate_is_not_on_the_grid(codec):
     assert raw[0] == 32113 and math.isclose(decode(codec, m, s, raw)[0][0], 4.4e-5, rel_tol=0.02)
 
 
-def test_dm1_of_the_core_reads_as_the_dbc_says(codec, database):
+def test_dm1_of_the_core_reads_as_the_dbc_says(codec):
     class Dtc(ctypes.Structure):
         _fields_ = [("spn", ctypes.c_uint32), ("fmi", ctypes.c_uint8), ("occurrence", ctypes.c_uint8)]
 
@@ -216,7 +211,7 @@ def test_dm1_of_the_core_reads_as_the_dbc_says(codec, database):
         == 0
     )
     assert frame.id & 0x1FFFFFFF == CATALOGUE.message("DM1").id
-    got = database.get_message_by_name("DM1").decode(bytes(frame.data), decode_choices=False)
+    got = database().get_message_by_name("DM1").decode(bytes(frame.data), decode_choices=False)
     assert got == {
         "protect_lamp": 0,
         "amber_warning_lamp": 1,
