@@ -33,6 +33,7 @@ from lpvguard.identify.model_error import (
     prediction_error_filter,
     uncertainty_bound,
 )
+from lpvguard.identify.bounds import nominal_error
 from lpvguard.identify.over_drives import OverDrives
 from lpvguard.identify.passes import DriveReader
 from lpvguard.identify.run import _quiet, identify
@@ -110,7 +111,8 @@ class Toy:
         self.grid = ErrorGrid.of(self.project, self.estimator)
 
     def sums(self, drive: Drive) -> Sums:
-        return drive_sums(self.grid, self.model, self.estimator, 0.01, drive)
+        found = nominal_error(drive, self.model)
+        return drive_sums(self.grid, self.model, self.estimator, 0.01, drive, *found)
 
     def drive(self, seed, v, u, deltas, disturbance, name="drive") -> Drive:
         """y = yhat + delta yhat + w of white noise, by output; ``v``, ``u`` (N,) or numbers."""

@@ -14,7 +14,7 @@ from .passes import DriveReader
 
 
 class DriveSet:
-    """The drives of a folder, read when asked for and not kept."""
+    """The drives of a folder, read when asked for."""
 
     def __init__(self, project: Project, model: NominalModel, experiments: list[Experiment]):
         self.reader = DriveReader(project, model)

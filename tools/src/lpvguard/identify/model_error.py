@@ -36,7 +36,6 @@ from ..drives.frames import Estimator
 from ..drives.tables import Drive, Experiment
 from ..vehicle.nominal import NominalModel, evaluate
 from ..vehicle.project import Project
-from .bounds import nominal_error
 from .passes import DriveReader
 
 PERIODS = (4, 8, 16, 32)
@@ -181,11 +180,16 @@ def prediction_error_filter(x: np.ndarray) -> np.ndarray:
 
 
 def drive_sums(
-    grid: ErrorGrid, model: NominalModel, estimator: Estimator, excited_std: float, drive: Drive
+    grid: ErrorGrid,
+    model: NominalModel,
+    estimator: Estimator,
+    excited_std: float,
+    drive: Drive,
+    e: np.ndarray,
+    yhat: np.ndarray,
 ) -> Sums:
-    """The sums of one drive, over frames in which the first input's rms is above ``excited_std`` [its
-    unit]."""
-    e, yhat = nominal_error(drive, model)
+    """The sums of one drive, over frames in which the first input's rms is above ``excited_std`` [its unit];
+    e, yhat (N, n_y)."""
     out = Sums.none(grid, model.n_y)
     settled = estimator.settled(drive.v)
     if settled.sum() < 2 * AR_ORDER:
@@ -254,9 +258,8 @@ def _add(
 
 def model_error_pass(reader: DriveReader, grid: ErrorGrid, experiment: Experiment) -> Sums:
     """The sums of one drive, read by a worker."""
-    drive, _, _ = reader.read(experiment)
     excited_std = reader.project.frame_test.excited_std
-    return drive_sums(grid, reader.model, reader.estimator, excited_std, drive)
+    return drive_sums(grid, reader.model, reader.estimator, excited_std, *reader.read(experiment))
 
 
 @dataclass(frozen=True)

@@ -36,17 +36,41 @@ from .visibility import Excitation
 
 LARGEST_SPECTRA, DRAWN_SPECTRA = 250, 750
 """Frames a bin in spectra.npz: those of largest |E|, and a draw by hash among all."""
+KEPT_BYTES = 256 << 20
+"""Samples that a reader keeps: an identification passes over its drives a dozen times."""
 
 
 class DriveReader:
-    """Reads drives and takes their frames; what is sent to a worker."""
+    """Reads drives and takes their frames; what is sent to a worker.
+
+    The drives read first are kept, up to KEPT_BYTES, and their arrays cannot be written. A worker begins with
+    none.
+    """
 
     def __init__(self, project: Project, model: NominalModel):
         self.project, self.model, self.estimator = project, model, Estimator.of(project, model)
+        self._kept: dict[Experiment, tuple[Drive, np.ndarray, np.ndarray]] = {}
+        self._room = KEPT_BYTES
         _ = model.table  # made here once, not by every worker
+
+    def __getstate__(self) -> dict:
+        return self.__dict__ | {"_kept": {}, "_room": 0}
 
     def read(self, experiment: Experiment) -> tuple[Drive, np.ndarray, np.ndarray]:
         """The drive, its nominal error e and nominal output yhat (N, n_y)."""
+        if experiment in self._kept:
+            return self._kept[experiment]
+        found = drive, e, yhat = self._read(experiment)
+        arrays = [e, yhat, *(x for x in vars(drive).values() if isinstance(x, np.ndarray))]
+        for array in arrays:
+            array.flags.writeable = False
+        size = sum(array.nbytes for array in arrays)
+        if size <= self._room:
+            self._kept[experiment] = found
+            self._room -= size
+        return found
+
+    def _read(self, experiment: Experiment) -> tuple[Drive, np.ndarray, np.ndarray]:
         drive = read_drive(experiment.path, self.project)
         e, yhat = nominal_error(drive, self.model)
         require_units(experiment.path, drive, yhat, self.estimator.settled(drive.v))
@@ -256,12 +280,13 @@ def _first_samples(reader: DriveReader, name: str, samples: int, cuts: int) -> l
 def energy_pass(reader: DriveReader, test: EnergyTest, cuts: int, experiment: Experiment) -> Part:
     """What a drive asks of sigma: whole, from rest; with its first samples cut, from what Delta may
     remember."""
-    drive, _, _ = reader.read(experiment)
+    drive, e, yhat = reader.read(experiment)
 
     def parts() -> Iterator[Part]:
-        for cut in _first_samples(reader, experiment.name, len(drive.t), cuts):
+        yield test.at_rest().needs(e, yhat, drive.v)
+        for cut in _first_samples(reader, experiment.name, len(drive.t), cuts)[1:]:
             rest = drive.from_sample(cut)
-            yield (test if cut else test.at_rest()).needs(*nominal_error(rest, reader.model), rest.v)
+            yield test.needs(*nominal_error(rest, reader.model), rest.v)
 
     return fold(parts())
 
