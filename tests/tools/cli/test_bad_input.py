@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import shutil
+import subprocess
+import sys
 
 import numpy as np
 import pytest
 
 from drive_table import table
 from lpvguard.base import artefacts
+from lpvguard.can.dbc import dbc_text
 from lpvguard.drives.tables import list_experiments
 
 ANOTHER_CORE = pytest.mark.slow("3 s: a core compiled with it")
@@ -136,6 +139,20 @@ def test_an_index_with_a_byte_order_mark_is_read(tmp_path):
     table(tmp_path)
     (tmp_path / "experiments.csv").write_text("experiment,split\nrun,train\n", encoding="utf-8-sig")
     assert [e.name for e in list_experiments(tmp_path)] == ["run"]
+
+
+def test_what_the_system_refuses_is_named(lpvguard, tmp_path):
+    done = lpvguard("dbc", "-o", "a" * 300, cwd=tmp_path)
+    assert done.returncode == 2 and f"{'a' * 300}: cannot be used (File name too long)" in done.stderr
+
+
+@pytest.mark.parametrize("closed", [">&-", "2>&-", "<&- >&- 2>&-"])
+def test_a_command_needs_no_standard_stream(closed, tmp_path):
+    """Nor does what it prints go into a file that takes the number of a closed one."""
+    words = ["dbc", "-o", tmp_path / "out.dbc"]
+    script = f'exec "$0" -m lpvguard.cli "$@" {closed}'
+    done = subprocess.run(["sh", "-c", script, sys.executable, *words], capture_output=True, check=False)
+    assert done.returncode == 0 and (tmp_path / "out.dbc").read_text() == dbc_text(), done.stderr
 
 
 def test_identify_leaves_nothing_behind_when_a_drive_is_bad(lpvguard, synthetic, tmp_path):
