@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import sys
+
 import numpy as np
 import pytest
 
@@ -199,6 +202,15 @@ def test_a_folder_is_its_logs_without_the_index(tmp_path, lpvguard):
     (tmp_path / "empty").mkdir()
     refused = lpvguard("new", "mine", tmp_path / "empty", "-o", tmp_path / "other")
     assert refused.returncode == 2 and "holds no log" in refused.stderr
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="names are Unicode there")
+def test_a_log_whose_name_is_no_utf8_is_named(tmp_path, lpvguard):
+    (tmp_path / "logs").mkdir()
+    log = write_logs(tmp_path / "logs")[0].rename(tmp_path / "logs" / os.fsdecode(b"f\xe4hrt.csv"))
+    for given in (log.parent, log):
+        done = lpvguard("new", "mine", given, "-o", tmp_path / "out")
+        assert done.returncode == 2 and r"f\xe4hrt.csv': the name is no UTF-8" in done.stderr
 
 
 def test_the_command_says_what_to_do_next(tmp_path, lpvguard):

@@ -21,7 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..base import native
+from ..base import artefacts, native
 from ..base.errors import InputError
 
 EXTENDED = 0x80000000
@@ -152,6 +152,8 @@ def logs_among(paths: list[Path]) -> list[Path]:
         found += logs if path.is_dir() else [path] if path.name != INDEX else []
     if not found:
         raise InputError(", ".join(map(str, paths)), "", "is the index of a folder and no drive", "a drive")
+    for path in found:
+        artefacts.require_unicode(path)
     return found
 
 
