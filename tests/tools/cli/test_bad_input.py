@@ -104,6 +104,7 @@ def test_a_readable_drive_is_still_answered_beside_an_unreadable_one(lpvguard, t
         (["replay", "--vehicle", "g80", "x.csv", "--coefficients", "nowhere"], "nowhere"),
         (["identify", "--vehicle", "g80", "nowhere", "-o", "out"], "no such folder"),
         (["export", "--vehicle", "g80", "nowhere", "-o", "out"], "MANIFEST.json"),
+        (["generate", "--vehicle", "g80", "--seed", "-1", "-o", "out"], "--seed"),
     ],
 )
 def test_bad_arguments_end_with_status_2_and_leave_nothing_behind(arguments, says, lpvguard, tmp_path):
