@@ -5,10 +5,12 @@ from __future__ import annotations
 import ctypes
 import shutil
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 import pytest
 
 from lpvguard.base import native
+from lpvguard.base.errors import InputError
 
 pytestmark = pytest.mark.skipif(native.kernels("s1") is None, reason="no C compiler on this machine")
 
@@ -89,3 +91,16 @@ def test_missing_sources_bad_code_and_unsafe_flags_are_refused_with_the_reason(t
     monkeypatch.delenv("CC", raising=False)
     with pytest.raises(native.NativeError, match="no C compiler"):
         native.compile_shared([source(tmp_path, "int f;\n", "g.c")])
+
+
+def test_a_cache_that_cannot_be_written_is_named(tmp_path, monkeypatch):
+    (tmp_path / "file").touch()
+    monkeypatch.setenv("LPVGUARD_CACHE", str(tmp_path / "file" / "cache"))
+    one = source(tmp_path, "int one(void) { return 1; }\n")
+    with pytest.raises(
+        InputError, match=r"file/cache: cannot be written \(Not a directory\).*LPVGUARD_CACHE"
+    ):
+        native.compile_shared([one])
+    assert native._load_kernel.__wrapped__("candump") is None
+    with pytest.raises(InputError, match="/proc: cannot be written"):  # there, and nothing can be made in it
+        native._compile_to(Path("/proc/one.so"), "cc", (), [], [one])

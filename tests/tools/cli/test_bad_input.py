@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import shutil
+import subprocess
+import sys
 
 import numpy as np
 import pytest
 
 from drive_table import table
 from lpvguard.base import artefacts
+from lpvguard.can.dbc import dbc_text
+from lpvguard.drives.tables import list_experiments
 
 ANOTHER_CORE = pytest.mark.slow("3 s: a core compiled with it")
 
@@ -100,12 +104,56 @@ def test_a_readable_drive_is_still_answered_beside_an_unreadable_one(lpvguard, t
         (["replay", "--vehicle", "g80", "x.csv", "--coefficients", "nowhere"], "nowhere"),
         (["identify", "--vehicle", "g80", "nowhere", "-o", "out"], "no such folder"),
         (["export", "--vehicle", "g80", "nowhere", "-o", "out"], "MANIFEST.json"),
+        (["generate", "--vehicle", "g80", "--seed", "-1", "-o", "out"], "--seed"),
     ],
 )
 def test_bad_arguments_end_with_status_2_and_leave_nothing_behind(arguments, says, lpvguard, tmp_path):
     done = lpvguard(*arguments, cwd=tmp_path)
     assert done.returncode == 2 and says in done.stderr and "Traceback" not in done.stderr
     assert not list(tmp_path.iterdir())
+
+
+INDICES = {
+    "no UTF-8": ("experiment,split\nfährt,train\n".encode("latin-1"), "experiments.csv: cannot be read"),
+    "NUL": (b"experiment,split\nru\0n,train\n", "experiments.csv: line 2: no table"),
+    "a cell of 200 kB": (
+        b"experiment,split\n" + bytes(200_000).replace(b"\0", b"x"),
+        "cannot be read (field",
+    ),
+    "divided by ;": (b"experiment;split\nrun;train\n", "header: column experiment is missing, there is"),
+    "empty": (b"", "header: column experiment is missing"),
+}
+
+
+@pytest.mark.parametrize("case", INDICES)
+def test_an_index_that_is_none_is_refused_by_place(case, lpvguard, tmp_path):
+    drives = tmp_path / "drives"
+    drives.mkdir()
+    table(drives)
+    text, says = INDICES[case]
+    (drives / "experiments.csv").write_bytes(text)
+    done = lpvguard("identify", "--vehicle", "g80", drives, "-o", tmp_path / "id")
+    assert done.returncode == 2 and says in done.stderr and "Traceback" not in done.stderr, done.stderr
+
+
+def test_an_index_with_a_byte_order_mark_is_read(tmp_path):
+    table(tmp_path)
+    (tmp_path / "experiments.csv").write_text("experiment,split\nrun,train\n", encoding="utf-8-sig")
+    assert [e.name for e in list_experiments(tmp_path)] == ["run"]
+
+
+def test_what_the_system_refuses_is_named(lpvguard, tmp_path):
+    done = lpvguard("dbc", "-o", "a" * 300, cwd=tmp_path)
+    assert done.returncode == 2 and f"{'a' * 300}: cannot be used (File name too long)" in done.stderr
+
+
+@pytest.mark.parametrize("closed", [">&-", "2>&-", "<&- >&- 2>&-"])
+def test_a_command_needs_no_standard_stream(closed, tmp_path):
+    """Nor does what it prints go into a file that takes the number of a closed one."""
+    words = ["dbc", "-o", tmp_path / "out.dbc"]
+    script = f'exec "$0" -m lpvguard.cli "$@" {closed}'
+    done = subprocess.run(["sh", "-c", script, sys.executable, *words], capture_output=True, check=False)
+    assert done.returncode == 0 and (tmp_path / "out.dbc").read_text() == dbc_text(), done.stderr
 
 
 def test_identify_leaves_nothing_behind_when_a_drive_is_bad(lpvguard, synthetic, tmp_path):

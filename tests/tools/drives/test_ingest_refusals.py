@@ -8,6 +8,8 @@ from types import SimpleNamespace
 
 import cantools
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pa_parquet
 import pytest
 
 from lpvguard.base import native
@@ -319,10 +321,11 @@ def test_a_map_that_does_not_fit_is_refused_by_name(old, new, what, car, tmp_pat
         ("drive.mf4", "not mf4", "cannot be read"),
         ("drive.csv", "a,b\n1,2\n", "no time column"),
         ("drive.csv", "t,x\n0,1\n1,2\n", "no column ANGLE"),
+        ("drive.csv", "t,ANGLE\n0,1\n1e12,2\n", r"line 3, column t: a time of 1e\+12 s"),
         ("drive.parquet", "not parquet", "cannot be parsed"),
         ("drive.log", "(1.0) can0 123#0000000000000000\n", "columns|nothing remains"),
     ],
-    ids=range(11),
+    ids=range(12),
 )
 def test_a_log_that_cannot_be_used_is_refused_by_name(name, content, what, car, tmp_path):
     log = tmp_path / name
@@ -331,6 +334,23 @@ def test_a_log_that_cannot_be_used_is_refused_by_name(name, content, what, car, 
     with pytest.raises(InputError, match=what) as error:
         run(car, tmp_path / "out", log)
     assert name in str(error.value)
+
+
+@pytest.mark.parametrize(
+    "column, value, what",
+    [
+        ("timestamp", np.inf, "time inf s"),
+        ("timestamp", 1e12, "time 1000000000000.0 s"),
+        ("arbitration_id", 1 << 40, "too many bits"),
+        ("data", bytes(65), "65 bytes of data"),
+    ],
+)
+def test_a_raw_table_is_refused_by_the_row_that_is_no_frame(column, value, what, tmp_path):
+    columns = {"timestamp": [0.0, 1.0], "arbitration_id": [0x123, 0x123], "data": [b"\0", b"\1"]}
+    columns[column][1] = value
+    pa_parquet.write_table(pa.table(columns), tmp_path / "raw.parquet")
+    with pytest.raises(InputError, match=rf"raw.parquet: row 2: no frame \(.*{what}"):
+        read_log(tmp_path / "raw.parquet")
 
 
 def test_two_logs_of_one_name_are_refused(car, tmp_path):

@@ -188,6 +188,7 @@ def test_bad_input_is_one_error_and_leaves_the_state(lpvguard, synthetic, tables
     assert "terms.alpha" in refused(*with_state, "--alpha", "0.01")
     assert "column day" in refused(*with_state, "--order", "day")
     assert "judged_s: 0" in refused("--judged-s", "0", *calibrated)
+    assert "judged_s: inf" in refused("--judged-s", "inf", *calibrated)
     assert "no recording calibrates" in refused("--judged-s", "500", *calibrated)
     assert "lies inside" in refused(*calibrated, "--state", str(folder / "state.json"))
     table = folder / "synthetic_05.csv"

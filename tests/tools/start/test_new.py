@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import os
+import sys
+
 import numpy as np
 import pytest
 
 from known_car import KnownCar
 from lpvguard.base.errors import InputError
+from lpvguard.drives.ingest import ingest
 from lpvguard.drives.tables import list_experiments, read_drive
 from lpvguard.start.run import new
 from lpvguard.start.signals import ranked
@@ -103,6 +107,84 @@ def test_what_cannot_be_is_refused_by_name(tmp_path):
         new("mine", logs, tmp_path / "other", model="truck")
 
 
+def test_a_vehicles_name_is_checked_before_anything_is_read(tmp_path):
+    for name in ("my car", 'a"b', "../x", "Überauto", ""):
+        with pytest.raises(InputError, match=r"NAME: .*lower case letters, digits and _"):
+            new(name, [tmp_path / "none.csv"], tmp_path / "out")
+
+
+TIMES = {
+    "milliseconds": (lambda t: 1000 * t, "time of speed: the median step is 20 s"),
+    "whole seconds": (np.floor, "time of speed: the median step is 0 s"),
+    "the last sample first": (lambda t: -t, "time of speed: the median step is -0.02 s"),
+    "a jump of 30,000 years": (lambda t: t + 1e12 * (t > 130), "line 1504, column time: a time of 1e.12 s"),
+}
+
+
+@pytest.mark.parametrize("name", TIMES)
+def test_times_that_are_none_are_named_with_their_step_or_line(tmp_path, name):
+    as_written, says = TIMES[name]
+    logs = write_logs(tmp_path)
+    for log in logs:
+        samples = np.genfromtxt(log, delimiter=",", skip_header=2)
+        samples[:, 0] = as_written(samples[:, 0])
+        header = "time,speed,steering_angle,yaw_rate,counter"
+        np.savetxt(log, samples, "%.9g", ",", header=f"# written by a logger\n{header}", comments="")
+    with pytest.raises(InputError, match=says):
+        new("mine", logs, tmp_path / "out", wheelbase_m=2.8)
+    assert not (tmp_path / "out").exists()
+
+
+def test_where_no_log_becomes_a_drive_the_first_reason_is_told(tmp_path):
+    logs = write_logs(tmp_path, n=1)
+    lines = logs[0].read_text().splitlines()
+    for k, line in enumerate(lines[2:], start=2):  # a speed in the first half, a yaw rate in the second
+        cells = line.split(",")
+        cells[1 if k > 1500 else 3] = ""
+        lines[k] = ",".join(cells)
+    logs[0].write_text("\n".join(lines) + "\n")
+    with pytest.raises(InputError, match=r"no drive remains of the logs \(.*log_0.csv: nothing remains: "):
+        new("mine", logs, tmp_path / "out")
+
+
+def test_one_impossible_value_moves_no_proposal(tmp_path):
+    logs = write_logs(tmp_path)
+    usual = new("mine", logs, tmp_path / "usual", wheelbase_m=2.8)
+    lines = logs[0].read_text().splitlines()
+    cells = lines[500].split(",")
+    cells[1] = "1e308"
+    lines[500] = ",".join(cells)
+    logs[0].write_text("\n".join(lines) + "\n")
+    made = new("mine", logs, tmp_path / "out", wheelbase_m=2.8)
+    assert made.proposals == usual.proposals and made.project == usual.project
+
+
+def test_signals_may_be_called_anything(tmp_path):
+    names = ("time", 'vehicle speed "gps"', "Steering-Angle \\ #1", 'yaw rate = "z"')
+    logs = write_logs(tmp_path, names=[n.replace('"', '""').join('""') for n in names])
+    made = new("mine", logs, tmp_path / "out", wheelbase_m=2.8)
+    assert [p.name for p in made.proposals.values()] == [*names[1:]]
+    again = ingest(logs, dbc=None, signals_map=tmp_path / "out" / "signals.toml", out=tmp_path / "again")
+    assert again["log_0"]["drives"][0]["rows"] == 3000
+    assert load_project(tmp_path / "out" / "mine.toml").signals == made.project.signals
+
+
+def test_logs_may_be_called_anything(tmp_path):
+    logs = [
+        log.rename(tmp_path / name)
+        for log, name in zip(write_logs(tmp_path), ('a "wet", one.csv', "a\nb.csv"), strict=True)
+    ]
+    new("mine", logs, tmp_path / "out", wheelbase_m=2.8)
+    found = list_experiments(tmp_path / "out" / "drives")
+    assert sorted((e.name, e.recording) for e in found) == sorted((log.stem, log.stem) for log in logs)
+
+
+def test_a_signal_that_stands_still_is_told_apart_from_none(tmp_path):
+    logs = write_logs(tmp_path, scale=(0.0, 1.0, 1.0))
+    with pytest.raises(InputError, match="--speed: speed never moves"):
+        new("mine", logs, tmp_path / "out", wheelbase_m=2.8)
+
+
 def test_the_database_of_another_bus_is_named(tmp_path):
     log = tmp_path / "log.log"
     log.write_text("".join(f"({k / 100:.6f}) can0 123#0011223344556677\n" for k in range(100)))
@@ -120,6 +202,15 @@ def test_a_folder_is_its_logs_without_the_index(tmp_path, lpvguard):
     (tmp_path / "empty").mkdir()
     refused = lpvguard("new", "mine", tmp_path / "empty", "-o", tmp_path / "other")
     assert refused.returncode == 2 and "holds no log" in refused.stderr
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="names are Unicode there")
+def test_a_log_whose_name_is_no_utf8_is_named(tmp_path, lpvguard):
+    (tmp_path / "logs").mkdir()
+    log = write_logs(tmp_path / "logs")[0].rename(tmp_path / "logs" / os.fsdecode(b"f\xe4hrt.csv"))
+    for given in (log.parent, log):
+        done = lpvguard("new", "mine", given, "-o", tmp_path / "out")
+        assert done.returncode == 2 and r"f\xe4hrt.csv': the name is no UTF-8" in done.stderr
 
 
 def test_the_command_says_what_to_do_next(tmp_path, lpvguard):

@@ -313,6 +313,14 @@ def _same(a: Path, b: Path) -> bool:
         return False
 
 
+def require_unicode(path: Path) -> None:
+    """InputError for a path that is no UTF-8: manifests, tables and pages could not name it."""
+    try:
+        str(path.absolute()).encode()
+    except UnicodeEncodeError:
+        raise InputError(repr(os.fsencode(path)), "", "the name is no UTF-8", "another name") from None
+
+
 def require_apart(outputs: Iterable[Path], inputs: Iterable[Path]) -> None:
     """InputError when an output is an input, lies inside one or above one; links of both sorts followed."""
     places = [(out, _place(out)) for out in outputs]

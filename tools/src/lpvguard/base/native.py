@@ -19,9 +19,11 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
+from .errors import InputError
 from .system import locked_file
 
 REPRODUCIBLE_FLAGS = ("-O3", "-ffp-contract=off", "-fno-math-errno")
@@ -39,15 +41,26 @@ class NativeError(RuntimeError):
 
 
 def cache_dir() -> Path:
-    """Folder of compiled libraries; made on demand."""
+    """Folder of compiled libraries; made on demand. InputError where it cannot be."""
     explicit = os.environ.get("LPVGUARD_CACHE")
     base = (
         Path(explicit)
         if explicit
         else Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "lpvguard"
     )
-    base.mkdir(parents=True, exist_ok=True)
+    with _usable(base):
+        base.mkdir(parents=True, exist_ok=True)
     return base
+
+
+@contextmanager
+def _usable(folder: Path) -> Iterator[None]:
+    """InputError where the cache cannot be written."""
+    try:
+        yield
+    except OSError as error:
+        what = f"cannot be written ({error.strerror}), and compiled code belongs there"
+        raise InputError(folder, "", what, "a folder for it in LPVGUARD_CACHE") from None
 
 
 def native_enabled() -> bool:
@@ -164,7 +177,9 @@ def _compile(
     target = cache_dir() / f"{name}-{_digest(paths, flags, includes, compiler)}{suffix}"
     if target.is_file():
         return target
-    with locked_file(Path(f"{target}.lock")):  # of processes that start together one compiles
+    with ExitStack() as held:
+        with _usable(target.parent):  # of processes that start together one compiles
+            held.enter_context(locked_file(Path(f"{target}.lock")))
         return target if target.is_file() else _compile_to(target, compiler, flags, includes, paths)
 
 
@@ -173,7 +188,8 @@ def _compile_to(
 ) -> Path:
     """Compile to ``target``, whole or not at all. Raises NativeError with the compiler's complaint."""
     name, suffix = target.stem, target.suffix
-    handle, temporary = tempfile.mkstemp(suffix=suffix, prefix=f".{name}-", dir=target.parent)
+    with _usable(target.parent):
+        handle, temporary = tempfile.mkstemp(suffix=suffix, prefix=f".{name}-", dir=target.parent)
     os.close(handle)
     command = [compiler, *flags, *(f"-I{p}" for p in includes), *map(str, paths), "-o", temporary]
     try:
@@ -205,13 +221,13 @@ def _load_kernel(name: str) -> ctypes.CDLL | None:
     flags = ("-std=c11", "-Wall", "-Wextra", "-march=native", *REPRODUCIBLE_FLAGS, _KERNEL_LEVEL[name])
     try:
         return ctypes.CDLL(str(compile_shared([source], flags=flags, name=f"lpvguard_{name}")))
-    except NativeError:
+    except (NativeError, InputError, OSError):  # OSError: no library may be loaded from the cache's disk
         return None
 
 
 def kernels(name: str) -> ctypes.CDLL | None:
-    """The package's own compiled kernel of that name in ``_native``; None without a compiler, or when
-    switched off.
+    """The package's own compiled kernel of that name in ``_native``; None without a compiler or a cache, or
+    when switched off.
 
     Callers then use numpy, or for candump plain Python.
     """

@@ -98,6 +98,21 @@ def locked_file(path: Path) -> Iterator[IO[str]]:
         yield stream
 
 
+def open_standard_streams() -> None:
+    """Give whoever was started without standard input, output or error an empty one.
+
+    A file that is opened later would take the number of the missing stream, and what a compiler prints would
+    go into it.
+    """
+    for number, name in enumerate(("stdin", "stdout", "stderr")):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.set_inheritable(os.open(os.devnull, os.O_RDWR), True)  # the lowest free number: this one
+        if getattr(sys, name) is None:
+            setattr(sys, name, os.fdopen(number, "w" if number else "r", closefd=False))
+
+
 @contextmanager
 def undisturbed() -> Iterator[None]:
     """Put off the signals that end a program until the block is through.

@@ -18,15 +18,11 @@ import re
 import zlib
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..base import native
+from ..base import artefacts, native
 from ..base.errors import InputError
-
-if TYPE_CHECKING:
-    import can
 
 EXTENDED = 0x80000000
 """Flag in ``Frames.id``: 29-bit identifier."""
@@ -156,6 +152,8 @@ def logs_among(paths: list[Path]) -> list[Path]:
         found += logs if path.is_dir() else [path] if path.name != INDEX else []
     if not found:
         raise InputError(", ".join(map(str, paths)), "", "is the index of a folder and no drive", "a drive")
+    for path in found:
+        artefacts.require_unicode(path)
     return found
 
 
@@ -344,7 +342,9 @@ def _read_python_can(path: Path) -> Frames:
                 elif message.is_remote_frame:
                     left_out["remote frames"] += 1
                 else:
-                    rows.append(_row(message))
+                    identifier, extended = message.arbitration_id, message.is_extended_id
+                    data = bytes(message.data)
+                    rows.append(_row(message.timestamp, identifier, extended, message.channel, data))
     except Exception as error:  # each reader of python-can has exceptions of its own
         raise InputError(
             path,
@@ -355,17 +355,17 @@ def _read_python_can(path: Path) -> Frames:
     return _from_rows(rows, {kind: n for kind, n in left_out.items() if n})
 
 
-def _row(message: can.Message) -> tuple[int, int, str, bytes]:
+def _row(
+    t_s: float, identifier: int, extended: bool, channel: object, data: bytes
+) -> tuple[int, int, str, bytes]:
     """Time [ns], identifier with its flag, channel and data; ValueError for what no frame has."""
-    if not 0 <= message.arbitration_id < (1 << 29 if message.is_extended_id else 1 << 11):
-        raise ValueError(f"identifier {message.arbitration_id:#x} has too many bits")
-    if not abs(message.timestamp) <= _LATEST_S:
-        raise ValueError(f"time {message.timestamp} s")
-    if len(message.data) > _FD_BYTES:
-        raise ValueError(f"{len(message.data)} bytes of data")
-    flag = EXTENDED if message.is_extended_id else 0
-    t_ns = round(message.timestamp * 1e9)
-    return t_ns, message.arbitration_id | flag, str(message.channel), bytes(message.data)
+    if not 0 <= identifier < (1 << 29 if extended else 1 << 11):
+        raise ValueError(f"identifier {identifier:#x} has too many bits")
+    if not abs(t_s) <= _LATEST_S:
+        raise ValueError(f"time {t_s} s")
+    if len(data) > _FD_BYTES:
+        raise ValueError(f"{len(data)} bytes of data")
+    return round(t_s * 1e9), identifier | (EXTENDED if extended else 0), str(channel), data
 
 
 def _from_rows(rows: list[tuple[int, int, str, bytes]], left_out: dict[str, int]) -> Frames:
@@ -421,12 +421,13 @@ def _read_table(path: Path, suffix: str, time_column: str | None) -> Frames | Ta
             f"no time column{f' {time}' if time else ''}",
             f"one of t, time, timestamp in s (or `time` in the signal map); there are {', '.join(names)}",
         )
-    t_ns = np.rint(_numbers(path, table, time) * 1e9)
-    bad = np.flatnonzero(~np.isfinite(t_ns))
+    t_s = _numbers(path, table, time)
+    bad = np.flatnonzero(~(np.abs(t_s) <= _LATEST_S))
     if len(bad):
-        line = f"line {bad[0] + 2 + skipped}, column {time}"
-        raise InputError(path, line, "no time", "a time in s in every line")
-    t_ns = t_ns.astype(np.int64)
+        line, t = f"line {bad[0] + 2 + skipped}, column {time}", t_s[bad[0]]
+        what = "no time" if np.isnan(t) else f"a time of {t:g} s"
+        raise InputError(path, line, what, f"a time in s in every line, at most {_LATEST_S:g}")
+    t_ns = np.rint(t_s * 1e9).astype(np.int64)
     return Table(
         {c: Series(t_ns, _numbers(path, table, c)) for c in names if c != time and _numeric(table, c)}
     )
@@ -466,9 +467,7 @@ def _raw_table(path: Path, table) -> Frames:
                 identifier = int(identifier, 16)
             payload = bytes.fromhex(data) if isinstance(data, str) else bytes(data)
             wide = identifier > 0x7FF if extended is None else bool(extended)
-            rows.append(
-                (round(float(t) * 1e9), identifier | (EXTENDED if wide else 0), str(channel), payload)
-            )
+            rows.append(_row(float(t), identifier, wide, channel, payload))
         except (TypeError, ValueError) as error:
             raise InputError(
                 path,
@@ -516,7 +515,7 @@ def _mf4_frames(mdf, places: list[tuple[int, int]]) -> Frames:
         payload = np.asarray(whole.samples[names["DataBytes"]], np.uint8)
         identifier = np.asarray(part("ID", 0), np.int64)
         extended = np.where(part("IDE", 0) != 0, True, identifier > 0x7FF)
-        t.append(np.rint(whole.timestamps * 1e9).astype(np.int64))
+        t.append(_mf4_time(whole.timestamps))
         id_.append((identifier & 0x1FFFFFFF | np.where(extended, EXTENDED, 0)).astype(np.uint32))
         channel.append(np.asarray(part("BusChannel", 0), np.uint8))
         length.append(np.asarray(part("DataLength", payload.shape[1]), np.uint8))
@@ -539,6 +538,14 @@ def _mf4_frames(mdf, places: list[tuple[int, int]]) -> Frames:
     )
 
 
+def _mf4_time(t_s: np.ndarray) -> np.ndarray:
+    """Times (N,) in ns of times in s; ValueError for one that is none."""
+    bad = t_s[~(np.abs(t_s) <= _LATEST_S)]
+    if len(bad):
+        raise ValueError(f"time {bad[0]} s")
+    return np.rint(t_s * 1e9).astype(np.int64)
+
+
 def _mf4_signals(mdf) -> Table:
     series: dict[str, Series] = {}
     for group, content in enumerate(mdf.groups):
@@ -552,6 +559,6 @@ def _mf4_signals(mdf) -> Table:
                     value[np.asarray(signal.invalidation_bits, bool)] = np.nan
                 series.setdefault(
                     channel.name,
-                    Series(np.rint(signal.timestamps * 1e9).astype(np.int64), value, signal.unit or ""),
+                    Series(_mf4_time(signal.timestamps), value, signal.unit or ""),
                 )
     return Table(series)

@@ -15,7 +15,7 @@ from typing import Any
 from typer.completion import completion_init  # type: ignore[attr-defined]  # Typer states no exports
 
 from ..base.errors import InputError
-from ..base.system import ENDING_SIGNALS
+from ..base.system import ENDING_SIGNALS, open_standard_streams
 from . import (  # noqa: F401 - each adds its verb, in the order of --help
     a2l,
     bench,
@@ -72,8 +72,19 @@ def _end(number: int, _: Any) -> None:
     sys.exit(128 + number)
 
 
+def _refused(error: OSError) -> InputError:
+    """What the operating system refuses, as an error of the file that it names."""
+    what = error.strerror or str(error)
+    if error.errno == errno.ENOSPC:
+        scratch = "standard output or a scratch file"
+        return InputError(scratch, "", f"cannot be written ({what})", "room on the disk")
+    place = os.fsdecode(error.filename) if isinstance(error.filename, (str, bytes)) else "a file"
+    return InputError(place, "", f"cannot be used ({what})", "a file or folder that the system lets be used")
+
+
 def main() -> None:
     """Entry point of the console script."""
+    open_standard_streams()
     for number in ENDING_SIGNALS:
         if signal.getsignal(number) == signal.SIG_DFL:  # nohup ignores SIGHUP
             signal.signal(number, _end)
@@ -90,10 +101,7 @@ def main() -> None:
         sys.exit(2)
     except OSError as error:
         if not isinstance(error, BrokenPipeError):
-            if error.errno != errno.ENOSPC:
-                raise
-            what = f"cannot be written ({error.strerror})"
-            complain(InputError("standard output or a scratch file", "", what, "room on the disk"))
+            complain(_refused(error))
         # What is left for standard output would fail once more at the end.
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
         sys.exit(2)

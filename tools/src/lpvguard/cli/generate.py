@@ -13,7 +13,7 @@ from .shared import Out, Vehicle, app, console, progress_bar, project_of
 def generate(
     vehicle: Vehicle,
     out: Out,
-    seed: Annotated[int | None, typer.Option(help="Seed (default: the project file's).")] = None,
+    seed: Annotated[int | None, typer.Option(min=0, help="Seed (default: the project file's).")] = None,
 ) -> None:
     """Write seeded synthetic drives of a vehicle: tables and experiments.csv."""
     from ..loop.generate import generate as run

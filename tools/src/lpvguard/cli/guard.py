@@ -71,6 +71,8 @@ def _guarded(name: str, command: Callable[..., Any]) -> Callable[..., Any]:
         folders, files, inputs = _named(name, given)
         kind = f"bench {given['name']}" if name == "bench" else name
         with ExitStack() as held:
+            for path in (*folders, *files, *inputs):
+                artefacts.require_unicode(path)
             for path in inputs:
                 artefacts.recover(path)
             if folders or files:

@@ -47,7 +47,7 @@ app = Application(
     "Exit status 0, 1 (a finding), 2 (bad input).",
 )
 # Away from a terminal nothing is known of the reader's width: keep rows whole.
-console = Console(stderr=True, width=None if sys.stderr.isatty() else 160, soft_wrap=True)
+console = Console(stderr=True, width=None if sys.stderr and sys.stderr.isatty() else 160, soft_wrap=True)
 
 Vehicle = Annotated[
     str, typer.Option("--vehicle", help="Shipped vehicle, or path to a project file (*.toml).")

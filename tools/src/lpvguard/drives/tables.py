@@ -12,6 +12,7 @@ tables by ``lpvguard ingest``.
 from __future__ import annotations
 
 import csv
+import io
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -108,8 +109,7 @@ def set_aside(folder: Path) -> dict[str, str]:
 def index_column(folder: Path, column: str) -> dict[str, str]:
     """The text of a column of experiments.csv, by drive. InputError where a drive has none."""
     index = folder / EXPERIMENTS
-    with index.open(newline="", encoding="utf-8") as stream:
-        found = {row["experiment"]: row.get(column) or "" for row in csv.DictReader(stream)}
+    found = {row["experiment"]: row.get(column) or "" for row in _rows(index)}
     lacking = next((name for name, text in found.items() if not text), None)
     if lacking is not None:
         raise InputError(index, f"column {column}", f"{lacking} has none", "a value for every drive")
@@ -123,11 +123,9 @@ def _listed(folder: Path) -> tuple[list[Experiment], dict[str, str]]:
         raise InputError(folder, "", "no such folder", f"a folder of drives with {EXPERIMENTS}")
     if not index.is_file():
         raise InputError(index, "", "missing", "a CSV with the columns experiment, split (and driver)")
-    with index.open(newline="", encoding="utf-8") as stream:
-        rows = list(csv.DictReader(stream))
     experiments: list[Experiment] = []
     aside: dict[str, str] = {}
-    for line, row in enumerate(rows, start=2):
+    for line, row in enumerate(_rows(index), start=2):
         for column in ("experiment", "split"):
             if not row.get(column):
                 raise InputError(index, f"line {line}, column {column}", "missing or empty", "a value")
@@ -150,6 +148,22 @@ def _listed(folder: Path) -> tuple[list[Experiment], dict[str, str]]:
     return experiments, aside
 
 
+def _rows(index: Path) -> list[dict[str, str]]:
+    """The lines of an experiments.csv by its header; InputError where it cannot be read, or names no
+    drives."""
+    expected = "a CSV in UTF-8 with the columns experiment and split"
+    try:
+        with index.open(newline="", encoding="utf-8-sig") as stream:
+            table = csv.DictReader(stream)
+            columns, rows = table.fieldnames or [], list(table)
+    except (OSError, ValueError, csv.Error) as error:
+        raise InputError(index, "", f"cannot be read ({error})", expected) from None
+    for column in ("experiment", "split"):
+        if column not in columns:
+            raise InputError(index, "header", f"column {column} is missing, there is {columns}", expected)
+    return rows
+
+
 def _in_use(row: dict[str, str], index: Path, line: int) -> bool:
     """Whether a line of the index says that its drive counts. InputError where it says it otherwise than with
     yes or no, or no without a reason."""
@@ -166,8 +180,9 @@ def _in_use(row: dict[str, str], index: Path, line: int) -> bool:
 def index_text(rows: Iterable[tuple[str, str, str]], third: str = "recording") -> str:
     """An experiments.csv of drives: name, split and ``third``, by default the recording that each is a piece
     of."""
-    lines = [f"experiment,split,{third}", *(",".join(row) for row in rows)]
-    return "\n".join(lines) + "\n"
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows([("experiment", "split", third), *rows])
+    return text.getvalue()
 
 
 def bound_setting(project: Project, experiments: list[Experiment], folder: Path) -> list[Experiment]:

@@ -12,6 +12,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from ..base import artefacts
 from ..base.errors import InputError
 from ..base.parallel import Map
@@ -30,8 +32,8 @@ CALIBRATED = "calibrated"
 def terms_of(replayer: Replayer, judged_s: float | None, alpha: float | None, eta: float | None) -> Terms:
     """With what is taken where None is stated. InputError for a length that is no time."""
     length = JUDGED_S if judged_s is None else judged_s
-    if not length >= replayer.project.Ts_s:
-        raise InputError("fleet", "judged_s", f"{length:g}", f"{replayer.project.Ts_s:g} s at least")
+    if not replayer.project.Ts_s <= length < np.inf:
+        raise InputError("fleet", "judged_s", f"{length:g}", f"{replayer.project.Ts_s:g} s at least, finite")
     return Terms(
         replayer.project.name,
         str(artefacts.read_manifest(replayer.core.folder, "vehicle")["seal"]),

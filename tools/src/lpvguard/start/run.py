@@ -10,11 +10,13 @@ Writes a folder with
 
 from __future__ import annotations
 
+import re
 import tomllib
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import tomlkit
 
 from ..base import artefacts
 from ..base.errors import InputError
@@ -26,13 +28,15 @@ from ..drives.signal_map import SignalMap
 from ..drives.tables import Drive, index_text, read_drive
 from ..drives.units import unit_factor
 from ..vehicle.nominal import NominalModel
-from ..vehicle.project import EvaluationSettings, Project, parse_project
+from ..vehicle.project import NAME, EvaluationSettings, Project, parse_project
 from .signals import ROLES, SI, Proposal, Recording, proposed, rolled_length
 from .templates import TEMPLATES, Scale
 
 COLUMNS = {"speed": "v", "input": "delta", "output": "r"}
-SPIKE = 2.0
-"""So many times the largest, but for a thousandth of the samples, is no measurement."""
+SPIKE, USUAL = 2.0, 0.999
+"""So many times the largest of this share of the samples is no measurement."""
+LONGEST_STEP_S = 0.5
+"""Samples further apart are a gap, as `ingest` takes it, and not driving at a slow rate."""
 RATES_HZ = (1000.0, 500.0, 200.0, 100.0, 50.0, 40.0, 25.0, 20.0, 10.0, 5.0)
 """Rates of a grid: the largest that the slowest signal reaches."""
 JUDGED = 0.3
@@ -65,6 +69,8 @@ def new(
 ) -> NewProject:
     """Look at the logs and write the folder ``out``. InputError where no signal fits a role, or no drive
     remains."""
+    if not re.fullmatch(NAME, name):
+        raise InputError("new", "NAME", repr(name), "lower case letters, digits and _, a letter first")
     if model not in TEMPLATES:
         raise InputError("new", "--model", model, f"one of {', '.join(TEMPLATES)}")
     if wheelbase_m is None and model == "bicycle":
@@ -92,6 +98,9 @@ def new(
                 names |= {Path(d["file"]).stem: stem(path) for d in report["drives"]}
             except InputError as error:
                 left_out[stem(path)] = str(error)
+        if not names:
+            reason = next(iter(left_out.values()))
+            raise InputError("new", "LOG", f"no drive remains of the logs ({reason})", "logs of driving")
         project, text, notes = _project(
             name, model, (proposals, limits), folder / "drives", list(names), Ts, wheelbase_m
         )
@@ -154,14 +163,28 @@ def _recording(name: str, table: Table) -> Recording:
     moving = {n: s for n, s in table.series.items() if len(s.t_ns) > 10}
     if not moving:
         raise InputError(name, "", "no signal with more than ten samples", "a log of driving")
-    longest = max(moving.values(), key=lambda s: len(s.t_ns))
+    fastest, longest = max(moving.items(), key=lambda item: len(item[1].t_ns))
+    step = float(np.median(np.diff(longest.t_ns))) * 1e-9
+    if not 0.0 < step <= LONGEST_STEP_S:
+        expected = f"times in s that grow by at most {LONGEST_STEP_S:g} s from sample to sample"
+        raise InputError(name, f"time of {fastest}", f"the median step is {step:g} s", expected)
     t = (longest.t_ns - longest.t_ns[0]) * 1e-9
     values = {
         n: np.interp(longest.t_ns, s.t_ns[ok], s.value[ok])
         for n, s in moving.items()
-        if (ok := np.isfinite(s.value)).any()
+        if (ok := _measured(s.value)).any()
     }
     return Recording(name, t, values, {n: s.unit for n, s in moving.items()})
+
+
+def _measured(value: np.ndarray) -> np.ndarray:
+    """(N,) bool: where a signal has a value that is no spike."""
+    finite = np.isfinite(value)
+    return (
+        finite & (np.abs(value) <= SPIKE * np.quantile(np.abs(value[finite]), USUAL))
+        if finite.any()
+        else finite
+    )
 
 
 def _sample_time(recordings: list[Recording]) -> float:
@@ -170,9 +193,9 @@ def _sample_time(recordings: list[Recording]) -> float:
 
 
 def _limits(role: str, proposal: Proposal, recordings: list[Recording]) -> tuple[float, float]:
-    """Range of what is possible, in SI: beyond SPIKE times all but a thousandth of the samples is a spike."""
+    """Range of what is possible, in SI: beyond it a sample is a spike."""
     size = np.abs(np.concatenate([r.values[proposal.name] for r in recordings]))
-    largest = SPIKE * float(np.quantile(size, 0.999)) * abs(proposal.factor)
+    largest = SPIKE * float(np.quantile(size, USUAL)) * abs(proposal.factor)
     largest = float(f"{largest * (unit_factor(proposal.unit, SI[role]) or 1.0):.3g}")
     return (-0.5 * largest if role == "speed" else -largest, largest)
 
@@ -186,16 +209,26 @@ def _signal_map(proposals: dict[str, Proposal], limits: dict[str, tuple[float, f
     for role in ROLES:
         p = proposals[role]
         message, _, signal = p.name.rpartition(".")
-        lines += ["", *(f"# {sentence}" for sentence in p.why), f"[columns.{COLUMNS[role]}]"]
+        lines += ["", *(_comment(sentence) for sentence in p.why), f"[columns.{COLUMNS[role]}]"]
         lines += [
             f'unit = "{SI[role]}"',
-            *([f'message = "{message}"'] if message else []),
-            f'signal = "{signal}"',
+            *([f"message = {_quoted(message)}"] if message else []),
+            f"signal = {_quoted(signal)}",
         ]
-        lines += [f'source_unit = "{p.unit}"', f"factor = {p.factor!r}"]
+        lines += [f"source_unit = {_quoted(p.unit)}", f"factor = {p.factor!r}"]
         lines += [f"min = {limits[role][0]:g}      # samples beyond are spikes, and left out"]
         lines += [f"max = {limits[role][1]:g}"]
     return "\n".join(lines) + "\n"
+
+
+def _quoted(text: str) -> str:
+    """A string of a TOML file, whatever the log calls its signals."""
+    return tomlkit.item(text).as_string()
+
+
+def _comment(text: str) -> str:
+    """A comment of a TOML file: one line, and without control characters."""
+    return "# " + "".join(c if c.isprintable() else " " for c in text)
 
 
 # ------------------------------------------------------------------------------------------- the project file
@@ -235,8 +268,6 @@ def _project(
     wheelbase_m: float | None,
 ) -> tuple[Project, str, list[str]]:
     """The project, its text, and notes; frames are tried until enough of the drives counts."""
-    if not names:
-        raise InputError("new", "LOG", "no drive remains of the logs", "logs with speed, input and output")
     drives = _read(folder, names, Ts)
     v = np.concatenate([d.v for d in drives])
     top = float(np.quantile(v, 0.99))
@@ -348,7 +379,7 @@ def _text(
         p, (least, largest) = proposals[role], limits[role]
         lines += [
             "",
-            f"# {p.name} in {p.unit}, factor {p.factor:.6g}: {'; '.join(p.why)}.",
+            _comment(f"{p.name} in {p.unit}, factor {p.factor:.6g}: {'; '.join(p.why)}."),
             "[[signals]]",
             f'name = "{signal}"',
             f'role = "{kind}"',

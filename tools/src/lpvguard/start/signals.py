@@ -71,7 +71,7 @@ def ranked(role: str, names: Iterable[str]) -> list[str]:
     """Names that may have the role, the likeliest first."""
     scores = {}
     for name in names:
-        low = name.rsplit(".", 1)[-1].lower()
+        low = re.sub(r"[\s-]+", "_", name.rsplit(".", 1)[-1].lower())
         certain, likely = (re.search(pattern, low) for pattern in WORDS[role])
         if certain or likely:
             scores[name] = (2 if certain else 1) - (1.5 if re.search(NOT[role], low) else 0)
@@ -115,9 +115,9 @@ def _named(
     moving = [n for n in common if any(np.ptp(r.values[n]) > 0 for r in recordings)]
     found = ranked(role, moving)
     if not found:
-        raise InputError(
-            "new", option, f"no name looks like the {role}", f"{option} NAME, one of {', '.join(common)}"
-        )
+        still = ranked(role, common)
+        what = f"{still[0]} never moves" if still else f"no name looks like the {role}"
+        raise InputError("new", option, what, f"{option} NAME, one of {', '.join(moving or common)}")
     others = f"; others: {', '.join(found[1:4])}" if found[1:] else ""
     return found[0], [f"by its name{others}"]
 

@@ -18,6 +18,8 @@ from ..base.documents import Positive, StrictModel, checked, read_toml
 from ..base.errors import InputError
 
 Fraction = Annotated[float, Field(gt=0, lt=1)]
+NAME = r"^[a-z][a-z0-9_]*$"
+"""What a vehicle's or a signal's name may be: identifiers in C are made of it."""
 
 
 class CanPlace(StrictModel):
@@ -93,7 +95,7 @@ class Signal(StrictModel):
     missing. ``resolution``, ``noise``: the step of an output's sensor and its white noise's standard
     deviation, in ``unit``; None: as the bound-setting drives show them (THEORY 7.13)."""
 
-    name: Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$")]
+    name: Annotated[str, Field(pattern=NAME)]
     role: Literal["scheduling", "input", "output", "gate"]
     column: str
     unit: str
@@ -414,7 +416,7 @@ class Project(StrictModel):
     """A vehicle's project file."""
 
     schema_: Literal[1] = Field(alias="schema")
-    name: Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$")]
+    name: Annotated[str, Field(pattern=NAME)]
     title: str
     Ts_s: Positive
     seed: Annotated[int, Field(ge=0)]
