@@ -20,7 +20,11 @@ def stated_seconds(reason: str) -> float:
 
 def dearest_file_first(items: list[pytest.Item], of_fixtures: Iterable[str]) -> list[pytest.Item]:
     """Tests by file, as workers take them, the dearest file first, so that no worker is left with a long one
-    at the end; the order within a file stays. Reasons ``of_fixtures`` count once a file."""
+    at the end; the order within a file stays. Reasons ``of_fixtures`` count once a file.
+
+    The second file is the dearest that needs none of the first one's fixtures: a worker that took another
+    would wait until they are made.
+    """
     shared = set(of_fixtures)
     cost: dict[Path, float] = {}
     fixtures: dict[Path, set[str]] = {}
@@ -31,4 +35,8 @@ def dearest_file_first(items: list[pytest.Item], of_fixtures: Iterable[str]) -> 
         fixtures.setdefault(item.path, set()).update(reasons & shared)
     for path, reasons in fixtures.items():
         cost[path] += sum(map(stated_seconds, reasons))
-    return sorted(items, key=lambda item: -cost[item.path])
+    files = sorted(cost, key=lambda path: -cost[path])
+    if apart := [path for path in files[1:] if not fixtures[path] & fixtures[files[0]]]:
+        files.remove(apart[0])
+        files.insert(1, apart[0])
+    return sorted(items, key=lambda item: files.index(item.path))

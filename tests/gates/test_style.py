@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -15,6 +16,11 @@ C_FOLDERS = ("lib/include", "lib/src", "firmware_sim", "tests", "tools/src/lpvgu
 RUFF = (sys.executable, "-m", "ruff")
 CHECK = (*RUFF, "check", "--config", "pyproject.toml")
 FORMAT = (*RUFF, "format", "--check", "--config", "pyproject.toml")
+ANOTHER_FULL = re.compile(
+    r"""["']LPVGUARD_FULL["'] (not )?in os\.environ|environ\[["']LPVGUARD_FULL|"""
+    r"""(getenv|environ\.get)\(["']LPVGUARD_FULL["'][^)]*\)(?! [!=]= ["']1["'])"""
+)
+"""Asks whether LPVGUARD_FULL is set, or for its value, but not whether it is 1."""
 PLANTED = {CHECK: "import os\n", FORMAT: "x = {  'a':1 }\n"}
 
 
@@ -54,6 +60,28 @@ def test_a_planted_breach_is_found(command, tmp_path):
     path = tmp_path / "planted.py"
     path.write_text(PLANTED[command])
     assert run(*command, path).returncode == 1
+
+
+def test_the_long_forms_run_where_the_variable_is_1_alone():
+    """tools/test sets it to 0 or 1: where a test asks whether it is set, the long form runs always."""
+    python = [path for path in (ROOT / "tests").rglob("*.py") if path != Path(__file__).resolve()]
+    asking = [path for path in python if ANOTHER_FULL.search(path.read_text())]
+    assert len(python) > 100 and asking == []
+
+
+@pytest.mark.parametrize(
+    ("text", "another"),
+    [
+        ('os.environ.get("LPVGUARD_FULL") == "1"', False),
+        ('os.environ.get("LPVGUARD_FULL") != "1"', False),
+        ('os.environ.get("LPVGUARD_FULL")', True),
+        ('os.getenv("LPVGUARD_FULL", "")', True),
+        ('"LPVGUARD_FULL" not in os.environ', True),
+        ('os.environ["LPVGUARD_FULL"] == "1"', True),
+    ],
+)
+def test_another_question_is_found(text, another):
+    assert bool(ANOTHER_FULL.search(text)) == another
 
 
 def test_c_and_cpp_are_formatted():

@@ -42,6 +42,14 @@ def test_a_shared_fixture_counts_once_a_file():
     assert names(of_fixture, ("p", [("59 s: its own",)])) == "f0 f1 f2 p0"
 
 
+def test_the_second_file_does_not_wait_for_what_the_first_one_makes():
+    makes, waits = ("m", [(FIXTURE, "9 s: more")]), ("w", [(FIXTURE,)])
+    own, quick = ("o", [("5 s: its own",)]), ("q", [()])
+    assert names(waits, quick, own, makes) == "m0 o0 w0 q0"
+    assert names(waits, makes) == "m0 w0"
+    assert names() == ""
+
+
 @pytest.mark.parametrize(
     ("reason", "seconds"),
     [
