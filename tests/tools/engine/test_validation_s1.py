@@ -4,6 +4,7 @@ against numpy."""
 from __future__ import annotations
 
 from decimal import Decimal, getcontext
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -257,17 +258,33 @@ def test_margin_matches_a_conic_solver(engine, n_y):
         assert float(s1.margin(e, z, w_delta, w_w)) == pytest.approx(reference, rel=1e-6)
 
 
-def test_margin_on_three_active_discs_has_full_accuracy(engine):
-    # delta and three residuals chosen, all four levels equal to t by construction.
-    rng = np.random.default_rng(9)
-    for _ in range(50):
-        t, angle = rng.uniform(0.5, 2.0), rng.uniform(0, 2 * np.pi)
-        # Directions of the three pulls at 120 degrees: the common point is the optimum.
-        pulls = np.exp(1j * (angle + 2 * np.pi * np.arange(3) / 3))
-        z, w_w, w_delta = gauss(rng, 2), rng.uniform(0.1, 1.0, 2), rng.uniform(0.1, 1.0)
-        delta = -pulls[0] * t * w_delta
-        e = delta * z + pulls[1:] * z / np.abs(z) * t * w_w
-        assert float(s1.margin(e, z, w_delta, w_w)) == pytest.approx(t, rel=1e-12)
+@pytest.mark.parametrize(
+    ("angles", "accuracy"),
+    [
+        (lambda small: [0.0 * small, 2 * np.pi / 3 + 0 * small, 4 * np.pi / 3 + 0 * small], 1e-12),
+        (lambda small: [0.0 * small, 1.3 + small, np.pi + small], 1e-12),
+        (lambda small: [0.0 * small, np.pi - small, np.pi + small**2], 2e-10),
+    ],
+    ids=["apart", "two_opposite", "nearly_a_pair"],
+)
+def test_margin_on_three_active_discs_has_full_accuracy(engine, angles, accuracy):
+    """delta and the residuals chosen so that all three discs meet in delta at the level t.
+
+    Pulls that no half-plane holds make that point the optimum. Nearly a pair, the level of the triple is the
+    root of a quadratic near its double root.
+    """
+    rng, n = np.random.default_rng(9), 4000
+    t, scale = rng.uniform(0.5, 2.0, n), 10.0 ** rng.uniform(-2, 2, n)
+    turned = np.array(angles(10.0 ** rng.uniform(-6, -0.6, n))).T + rng.uniform(0, 2 * np.pi, (n, 1))
+    pulls = np.exp(1j * rng.permuted(turned, axis=1))
+    z, w_w, w_delta = (
+        gauss(rng, n, 2),
+        scale[:, None] * rng.uniform(0.1, 1.0, (n, 2)),
+        scale * rng.uniform(0.1, 1, n),
+    )
+    delta = -pulls[:, 0] * t * w_delta
+    e = delta[:, None] * z + pulls[:, 1:] * z / np.abs(z) * t[:, None] * w_w
+    np.testing.assert_allclose(s1.margin(e, z, w_delta[:, None], w_w), t, rtol=accuracy)
 
 
 def test_margin_of_dense_degenerate_cases_is_bracketed(engine):
@@ -308,6 +325,45 @@ def test_with_a_delta_an_output_the_margin_is_the_worst_of_the_outputs_alone(n_y
     assert np.isnan(s1.margin(e, z, w_delta, w_w)[3])
 
 
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+@pytest.mark.parametrize("separate", [False, True])
+@pytest.mark.parametrize("place", range(4))
+def test_one_number_that_is_not_finite_leaves_no_margin_of_its_point_alone(engine, bad, separate, place):
+    arguments = [np.ones((9, 3)) for _ in range(4)]
+    if not separate:
+        arguments[2] = np.ones((9, 1))
+    arguments[place][4, -1] = bad
+    found = s1.margin(*arguments)
+    assert np.isnan(found).tolist() == [k == 4 for k in range(9)]
+    np.testing.assert_allclose(np.delete(found, 4), 0.5)
+
+
+def test_each_argument_of_the_margin_may_lead_the_shape(engine):
+    e, z, w_delta, w_w = (
+        np.array([3.0, 1j]),
+        np.ones(2),
+        np.array([[0.5], [1.0]]),
+        np.array([[2.0, 1.0], [1.0, 2.0]]),
+    )
+    alone = [float(s1.margin(e, z, w_delta[k], w_w[k])) for k in range(2)]
+    assert s1.margin(e, z, w_delta, w_w).tolist() == pytest.approx(alone, rel=1e-14)
+    both = s1.margin(e, z, np.array([0.5, 1.0]), w_w)
+    assert both.tolist() == pytest.approx([3.0 / 2.5, 3.0 / 1.5])
+    assert s1.margin(e, z, np.ones(1), np.ones(2)).shape == ()
+    # One output whose Z is 0: its disturbance alone.
+    assert s1.margin([3.0], [0.0], 1.0, [2.0]) == 1.5
+
+
+def test_the_compiled_margin_is_asked_about_no_more_outputs_than_it_holds(monkeypatch):
+    asked = []
+    kernels = SimpleNamespace(lpvg_margin=lambda points, n, *_: asked.append(n.value))
+    monkeypatch.setattr(s1.native, "kernels", lambda name: kernels)
+    monkeypatch.setattr(s1, "_margin_numpy", lambda *arguments: np.array([7.0]))
+    for n in (2, 64, 65):
+        found = s1.margin(np.ones(n), np.ones(n), 1.0, np.ones(n))
+    assert asked == [2, 64] and found == 7.0
+
+
 def test_both_engines_agree(monkeypatch):
     if native.kernels("s1") is None:
         pytest.skip("no C compiler: nothing to compare with")
@@ -340,9 +396,10 @@ def test_both_engines_agree(monkeypatch):
         (lambda: s1.solve(np.ones(1), 1.0, 1.0), "shapes"),
         (lambda: s1.solve(np.ones(0), np.ones(0), 1.0), "shapes"),
         (lambda: s1.margin(np.ones(2), np.ones(2), 1.0, 1.0), "W_w"),
+        (lambda: s1.margin(1.0, 1.0, 1.0, 1.0), "shapes"),
         (lambda: s1.solve(np.ones(2), np.ones(2), -1.0), "gamma_w"),
         (lambda: s1.margin(np.ones(2), np.ones(2), 1.0, np.ones(3)), "W_w"),
-        (lambda: s1.margin(np.ones(2), np.ones(2), 1.0, np.array([1.0, 0.0])), "W_w"),
+        (lambda: s1.margin(np.ones(2), np.ones(2), 1.0, np.array([2.0, 0.0])), "W_w"),
         (lambda: s1.margin(np.ones(2), np.ones(2), -1.0, np.ones(2)), "W_delta"),
         (lambda: s1.margin(np.ones(2), np.ones(2), [1.0, -1.0], np.ones(2)), "W_delta"),
         (lambda: s1.margin(np.ones(2), np.ones(2), np.ones(3), np.ones(2)), "W_delta"),
