@@ -187,7 +187,7 @@ def test_the_least_disturbance_is_feasible_where_e_is_orthogonal_to_z(engine):
 
 
 def test_the_least_squares_scalar_is_the_projection():
-    assert s1.least_squares_delta([5.0, 2.0], [0.0, 1.0]) == 2.0
+    assert s1.least_squares_delta([5, 2], [0, 1]) == 2.0
     assert s1.least_squares_delta([3j, 4.0], [1.0, 1.0]) == 2.0 + 1.5j
     e, z = np.array([[1j, 1.0], [2.0, 3.0]]), np.array([[2.0, 2j], [0.0, 0.0]])
     assert s1.least_squares_delta(e, z).tolist() == [0.0, 0.0]
@@ -235,9 +235,18 @@ def test_a_tradeoff_whose_disc_is_one_point_takes_it():
 
 def test_the_tradeoff_loses_no_digits_where_it_stops_just_short_of_no_delta():
     """Where w is free the answer is that of S1, here a billionth of the disc's radius of 1000."""
-    e, z = np.array([600.0, 800j]), np.array([0.6, 0.8j])
-    gamma = 1000.0 * (1 - 2.0**-30)
-    assert s1.tradeoff(e, z, gamma, 1.0, np.zeros(2)).delta == pytest.approx(1000.0 * 2.0**-30, rel=1e-12)
+    e, z, gamma = np.array([600.0, 800j]), np.array([0.6, 0.8j]), 1000.0 * (1 - 1.1e-9)
+    found = s1.tradeoff(e, z, gamma, 1.0, np.zeros(2))
+    exact = s1.solve(e, z, gamma)
+    assert exact.nu == pytest.approx(1.1e-6, rel=1e-6)
+    assert found.delta == pytest.approx(exact.delta, rel=1e-12) and found.nu == pytest.approx(
+        exact.nu, rel=1e-12
+    )
+
+
+def test_the_tradeoff_within_the_tolerance_of_the_edge_is_least_squares():
+    found = s1.tradeoff(np.array([1.0, 1.0]), np.array([1.0, 0.0]), 1 - 5e-13, 1.0, np.zeros(2))
+    assert found.delta == found.nu == found.cost == 1.0
 
 
 def test_tradeoff_below_b1_is_infinite():

@@ -125,7 +125,7 @@ def _s1_numpy(e: np.ndarray, z: np.ndarray, gamma: np.ndarray):
         b1 = np.where(no_z, np.sqrt(ee[0]), np.sqrt(d2[0] / zz[0]))
         ze = ze_re[0] + 1j * ze_im[0]
         # Within the tolerance of the edge delta is delta0; ee_g / |ze| holds what gamma_w^2 lies below B1^2.
-        nu = np.where(room > 0.0, ee_g / (abs(ze) + np.sqrt(np.maximum(room, 0.0))), abs(ze) / zz[0])
+        nu = np.where(room > 0.0, ee_g / (abs(ze) + np.sqrt(room)), abs(ze) / zz[0])
         nu = np.where((ee_g <= 0.0) | no_z, 0.0, nu)
         nu = np.where(infeasible, np.inf, nu)
         delta = np.where((nu > 0.0) & ~infeasible & (ze != 0.0), nu * (ze / abs(ze)), 0.0)
