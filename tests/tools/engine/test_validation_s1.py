@@ -4,6 +4,7 @@ against numpy."""
 from __future__ import annotations
 
 from decimal import Decimal, getcontext
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -116,6 +117,85 @@ def test_silent_bins_and_non_finite_bins(engine):
     assert not broken.feasible[0] and np.isnan(broken.b1[2])
 
 
+@pytest.mark.parametrize("bad", [np.nan, np.inf, 1j * np.inf])
+@pytest.mark.parametrize("place", ["e", "z", "gamma"])
+@pytest.mark.filterwarnings("ignore:invalid value:RuntimeWarning")
+def test_one_number_that_is_not_finite_leaves_no_result_of_its_point_alone(engine, bad, place):
+    e, z, gamma = np.full((3, 2), 1.0 + 2.0j), np.full((3, 2), 1.0 + 0j), np.full(3, 2.5)
+    z[:, 1] = 0.5j
+    whole = s1.solve(e, z, gamma)
+    if place == "gamma":
+        gamma[1] = abs(bad)
+    else:
+        {"e": e, "z": z}[place][1, 1] = bad
+    broken = s1.solve(e, z, gamma)
+    for name in ("b1", "nu", "delta"):
+        found = getattr(broken, name)
+        assert np.isnan(found).tolist() == [False, True, False], name
+        assert found[0] == found[2] == getattr(whole, name)[0] != 0.0
+    assert broken.feasible.tolist() == [True, False, True]
+    assert np.isnan(broken.w).all(axis=1).tolist() == [False, True, False]
+
+
+@pytest.mark.parametrize("turn", [1, -1, 1j, -1j])
+@pytest.mark.parametrize("which", ["e", "z"])
+def test_a_single_part_of_either_sign_sets_the_scale(engine, turn, which):
+    """One number of E (or of Z) far out of range in one part, the other part 0."""
+    for size in (1e-200, 1e200):
+        k, m = (size, 1.0) if which == "e" else (1.0, size)
+        e, z = np.array([0.5 * turn * k]), np.array([0.25 * turn * m])
+        found = s1.solve(e, z, 0.0)
+        assert found.nu == pytest.approx(2.0 * k / m, rel=1e-14) and found.feasible
+        assert found.delta == pytest.approx(2.0 * k / m, rel=1e-14)
+        assert found.b1 == 0.0 and np.abs(found.w) <= 1e-15 * k
+
+
+def test_zeros_leave_nothing_to_explain(engine):
+    """E = 0 needs no delta and no w; with no w allowed a delta that fits exactly is feasible."""
+    for z in ([0.0, 0.0], [1.0, 2.0]):
+        found = s1.solve(np.zeros(2), np.array(z), 0.0)
+        assert found.feasible and found.nu == found.b1 == found.delta == 0.0
+    found = s1.solve(np.array([2.0, 4j]), np.array([1.0, 2j]), 0.0)
+    assert found.feasible and found.nu == 2.0 and found.delta == 2.0 and found.b1 == 0.0
+    only_w = s1.solve(np.array([1.0, 0.0]), np.array([0.0, 1.0]), 1.0)
+    assert only_w.feasible and only_w.nu == only_w.delta == 0.0
+
+
+def test_the_tolerance_of_the_edge_is_relative(engine):
+    """gamma_w^2 may lie below |E|^2, and below B1^2, by 2e-12 of itself."""
+    for size in (0.51, 0.98):
+        e = np.array([size, 0.0])
+        for z in ([0.0, 0.0], [0.0, 1.0]):
+            for below, feasible in ((2e-12, False), (5e-13, True)):
+                found = s1.solve(e, np.array(z), size * (1 - below))
+                assert found.feasible == feasible, (size, z, below)
+                assert found.nu == (0.0 if feasible else np.inf)
+
+
+def test_the_least_disturbance_is_feasible_where_e_is_orthogonal_to_z(engine):
+    """There |E|^2 - gamma^2 is rounding, and so is the product that it was divided by: delta is delta0."""
+    rng = np.random.default_rng(12)
+    for slant in (0.0, 1e-14, 1e-9):
+        e, z = np.zeros((400, 2), complex), np.zeros((400, 2), complex)
+        e[:, 0], z[:, 1] = gauss(rng, 400), gauss(rng, 400)
+        z[:, 0] = slant * z[:, 1]
+        found = s1.solve(e, z, s1.solve(e, z, 0.0).b1)
+        delta0 = slant * np.abs(e[:, 0] / z[:, 1]) / (1 + slant**2)
+        assert found.feasible.all()
+        assert (found.nu <= delta0 * (1 + 1e-12)).all()
+        np.testing.assert_allclose(np.abs(found.delta), found.nu, rtol=1e-12)
+
+
+def test_the_least_squares_scalar_is_the_projection():
+    assert s1.least_squares_delta([5, 2], [0, 1]) == 2.0
+    assert s1.least_squares_delta([3j, 4.0], [1.0, 1.0]) == 2.0 + 1.5j
+    e, z = np.array([[1j, 1.0], [2.0, 3.0]]), np.array([[2.0, 2j], [0.0, 0.0]])
+    assert s1.least_squares_delta(e, z).tolist() == [0.0, 0.0]
+    assert s1.least_squares_delta([1e300], [1e-5j]) == pytest.approx(-1e305j)
+    small = s1.least_squares_delta([2e-300, 0.0], [1e-300, 1e-300])
+    assert small == pytest.approx(1.0, rel=1e-14)
+
+
 def test_gamma_equal_to_b1_is_feasible(engine):
     rng = np.random.default_rng(5)
     e, z = gauss(rng, 500, 2), gauss(rng, 500, 2)
@@ -142,6 +222,33 @@ def test_tradeoff_matches_a_conic_solver(n_y):
         assert np.linalg.norm(r.w) <= gamma * (1 + 1e-9)
 
 
+def test_a_tradeoff_without_a_price_costs_nothing():
+    free = s1.tradeoff(np.array([1.0, 1j]), np.array([1.0, 1.0]), 1.2, 0.0, np.zeros(2))
+    assert free.cost == 0.0 and np.linalg.norm(free.w) <= 1.2 * (1 + 1e-12)
+    assert free.nu == np.abs(free.delta) > 0.1 and free.delta.imag != 0.0
+
+
+def test_a_tradeoff_whose_disc_is_one_point_takes_it():
+    only = s1.tradeoff(np.array([1.0]), np.array([2.0]), 0.0, 0.0, np.ones(1))
+    assert only.delta == only.nu == 0.5 and only.cost == 0.0
+
+
+def test_the_tradeoff_loses_no_digits_where_it_stops_just_short_of_no_delta():
+    """Where w is free the answer is that of S1, here a billionth of the disc's radius of 1000."""
+    e, z, gamma = np.array([600.0, 800j]), np.array([0.6, 0.8j]), 1000.0 * (1 - 1.1e-9)
+    found = s1.tradeoff(e, z, gamma, 1.0, np.zeros(2))
+    exact = s1.solve(e, z, gamma)
+    assert exact.nu == pytest.approx(1.1e-6, rel=1e-6)
+    assert found.delta == pytest.approx(exact.delta, rel=1e-12) and found.nu == pytest.approx(
+        exact.nu, rel=1e-12
+    )
+
+
+def test_the_tradeoff_within_the_tolerance_of_the_edge_is_least_squares():
+    found = s1.tradeoff(np.array([1.0, 1.0]), np.array([1.0, 0.0]), 1 - 5e-13, 1.0, np.zeros(2))
+    assert found.delta == found.nu == found.cost == 1.0
+
+
 def test_tradeoff_below_b1_is_infinite():
     assert s1.tradeoff(np.array([1, 1j]), np.array([1, 1]), 1e-3, 1.0, np.ones(2)).cost == np.inf
 
@@ -160,17 +267,33 @@ def test_margin_matches_a_conic_solver(engine, n_y):
         assert float(s1.margin(e, z, w_delta, w_w)) == pytest.approx(reference, rel=1e-6)
 
 
-def test_margin_on_three_active_discs_has_full_accuracy(engine):
-    # delta and three residuals chosen, all four levels equal to t by construction.
-    rng = np.random.default_rng(9)
-    for _ in range(50):
-        t, angle = rng.uniform(0.5, 2.0), rng.uniform(0, 2 * np.pi)
-        # Directions of the three pulls at 120 degrees: the common point is the optimum.
-        pulls = np.exp(1j * (angle + 2 * np.pi * np.arange(3) / 3))
-        z, w_w, w_delta = gauss(rng, 2), rng.uniform(0.1, 1.0, 2), rng.uniform(0.1, 1.0)
-        delta = -pulls[0] * t * w_delta
-        e = delta * z + pulls[1:] * z / np.abs(z) * t * w_w
-        assert float(s1.margin(e, z, w_delta, w_w)) == pytest.approx(t, rel=1e-12)
+@pytest.mark.parametrize(
+    ("angles", "accuracy"),
+    [
+        (lambda small: [0.0 * small, 2 * np.pi / 3 + 0 * small, 4 * np.pi / 3 + 0 * small], 1e-12),
+        (lambda small: [0.0 * small, 1.3 + small, np.pi + small], 1e-12),
+        (lambda small: [0.0 * small, np.pi - small, np.pi + small**2], 2e-10),
+    ],
+    ids=["apart", "two_opposite", "nearly_a_pair"],
+)
+def test_margin_on_three_active_discs_has_full_accuracy(engine, angles, accuracy):
+    """delta and the residuals chosen so that all three discs meet in delta at the level t.
+
+    Pulls that no half-plane holds make that point the optimum. Nearly a pair, the level of the triple is the
+    root of a quadratic near its double root.
+    """
+    rng, n = np.random.default_rng(9), 4000
+    t, scale = rng.uniform(0.5, 2.0, n), 10.0 ** rng.uniform(-2, 2, n)
+    turned = np.array(angles(10.0 ** rng.uniform(-6, -0.6, n))).T + rng.uniform(0, 2 * np.pi, (n, 1))
+    pulls = np.exp(1j * rng.permuted(turned, axis=1))
+    z, w_w, w_delta = (
+        gauss(rng, n, 2),
+        scale[:, None] * rng.uniform(0.1, 1.0, (n, 2)),
+        scale * rng.uniform(0.1, 1, n),
+    )
+    delta = -pulls[:, 0] * t * w_delta
+    e = delta[:, None] * z + pulls[:, 1:] * z / np.abs(z) * t[:, None] * w_w
+    np.testing.assert_allclose(s1.margin(e, z, w_delta[:, None], w_w), t, rtol=accuracy)
 
 
 def test_margin_of_dense_degenerate_cases_is_bracketed(engine):
@@ -211,6 +334,45 @@ def test_with_a_delta_an_output_the_margin_is_the_worst_of_the_outputs_alone(n_y
     assert np.isnan(s1.margin(e, z, w_delta, w_w)[3])
 
 
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+@pytest.mark.parametrize("separate", [False, True])
+@pytest.mark.parametrize("place", range(4))
+def test_one_number_that_is_not_finite_leaves_no_margin_of_its_point_alone(engine, bad, separate, place):
+    arguments = [np.ones((9, 3)) for _ in range(4)]
+    if not separate:
+        arguments[2] = np.ones((9, 1))
+    arguments[place][4, -1] = bad
+    found = s1.margin(*arguments)
+    assert np.isnan(found).tolist() == [k == 4 for k in range(9)]
+    np.testing.assert_allclose(np.delete(found, 4), 0.5)
+
+
+def test_each_argument_of_the_margin_may_lead_the_shape(engine):
+    e, z, w_delta, w_w = (
+        np.array([3.0, 1j]),
+        np.ones(2),
+        np.array([[0.5], [1.0]]),
+        np.array([[2.0, 1.0], [1.0, 2.0]]),
+    )
+    alone = [float(s1.margin(e, z, w_delta[k], w_w[k])) for k in range(2)]
+    assert s1.margin(e, z, w_delta, w_w).tolist() == pytest.approx(alone, rel=1e-14)
+    both = s1.margin(e, z, np.array([0.5, 1.0]), w_w)
+    assert both.tolist() == pytest.approx([3.0 / 2.5, 3.0 / 1.5])
+    assert s1.margin(e, z, np.ones(1), np.ones(2)).shape == ()
+    # One output whose Z is 0: its disturbance alone.
+    assert s1.margin([3.0], [0.0], 1.0, [2.0]) == 1.5
+
+
+def test_the_compiled_margin_is_asked_about_no_more_outputs_than_it_holds(monkeypatch):
+    asked = []
+    kernels = SimpleNamespace(lpvg_margin=lambda points, n, *_: asked.append(n.value))
+    monkeypatch.setattr(s1.native, "kernels", lambda name: kernels)
+    monkeypatch.setattr(s1, "_margin_numpy", lambda *arguments: np.array([7.0]))
+    for n in (2, 64, 65):
+        found = s1.margin(np.ones(n), np.ones(n), 1.0, np.ones(n))
+    assert asked == [2, 64] and found == 7.0
+
+
 def test_both_engines_agree(monkeypatch):
     if native.kernels("s1") is None:
         pytest.skip("no C compiler: nothing to compare with")
@@ -239,9 +401,14 @@ def test_both_engines_agree(monkeypatch):
     [
         (lambda: s1.solve(np.ones(2), np.ones(3), 1.0), "shapes"),
         (lambda: s1.solve(np.ones((4, 2)), np.ones((3, 2)), 1.0), "broadcast"),
+        (lambda: s1.solve(1.0, np.ones(1), 1.0), "shapes"),
+        (lambda: s1.solve(np.ones(1), 1.0, 1.0), "shapes"),
+        (lambda: s1.solve(np.ones(0), np.ones(0), 1.0), "shapes"),
+        (lambda: s1.margin(np.ones(2), np.ones(2), 1.0, 1.0), "W_w"),
+        (lambda: s1.margin(1.0, 1.0, 1.0, 1.0), "shapes"),
         (lambda: s1.solve(np.ones(2), np.ones(2), -1.0), "gamma_w"),
         (lambda: s1.margin(np.ones(2), np.ones(2), 1.0, np.ones(3)), "W_w"),
-        (lambda: s1.margin(np.ones(2), np.ones(2), 1.0, np.array([1.0, 0.0])), "W_w"),
+        (lambda: s1.margin(np.ones(2), np.ones(2), 1.0, np.array([2.0, 0.0])), "W_w"),
         (lambda: s1.margin(np.ones(2), np.ones(2), -1.0, np.ones(2)), "W_delta"),
         (lambda: s1.margin(np.ones(2), np.ones(2), [1.0, -1.0], np.ones(2)), "W_delta"),
         (lambda: s1.margin(np.ones(2), np.ones(2), np.ones(3), np.ones(2)), "W_delta"),

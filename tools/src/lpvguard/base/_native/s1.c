@@ -60,16 +60,14 @@ static const double tiny = 1e-250, huge_ = 1e250; /* outside, squares of squares
 /* The result from sums that are exact to the last bit: ee_g = |E|^2 - gamma^2, room = gamma^2 |Z|^2 - d2. */
 static s1_result finish(double ee_g, double room, double room_scale, double d2, double zz, cpx ze) {
     s1_result r = {sqrt(d2 / zz), 0.0, {0.0, 0.0}};
-    if (room < 0.0) {
-        if (room < -2e-12 * room_scale) {
-            r.nu = INFINITY;
-            return r;
-        }
-        room = 0.0;                              /* gamma is B1 rounded: the edge itself is feasible */
+    if (room < -2e-12 * room_scale) {
+        r.nu = INFINITY;
+        return r;
     }
     if (ee_g <= 0.0) return r;
-    const double aze = cabs_(ze), denom = aze + sqrt(room);
-    r.nu = ee_g / denom;
+    const double aze = cabs_(ze);
+    /* Within the tolerance of the edge delta is delta0; ee_g / aze holds what gamma^2 lies below B1^2. */
+    r.nu = room > 0.0 ? ee_g / (aze + sqrt(room)) : aze / zz;
     r.delta = aze > 0.0 ? scale(ze, r.nu / aze) : (cpx){0.0, 0.0};
     return r;
 }
