@@ -15,7 +15,7 @@ from lpvguard.drives.frames import Estimator
 from lpvguard.drives.tables import Drive, list_experiments
 from lpvguard.engine.validation import s1
 from lpvguard.identify import model_error
-from lpvguard.identify.bounds import FrameSet, fold, remainder
+from lpvguard.identify.bounds import FrameSet, fold, nominal_error, remainder
 from lpvguard.identify.chosen import Chosen
 from lpvguard.identify.model_error import (
     BIASED,
@@ -33,7 +33,6 @@ from lpvguard.identify.model_error import (
     prediction_error_filter,
     uncertainty_bound,
 )
-from lpvguard.identify.bounds import nominal_error
 from lpvguard.identify.over_drives import OverDrives
 from lpvguard.identify.passes import DriveReader
 from lpvguard.identify.run import _quiet, identify

@@ -19,9 +19,9 @@ Writes a folder with
     project.json      the project file as it was
     MANIFEST.json     inputs, drives, estimator, and the seal of all of it (base/artefacts.py)
 
-Every pass is one map over the drives (base/parallel.py) whose results are joined as they come: but for the
-samples of KEPT_BYTES (passes.py) memory does not grow with the number of drives, and neither the number of workers nor the order of the drives changes a
-bit of the bounds.
+Every pass is one map over the drives (base/parallel.py) whose results are joined as they come. Memory does
+not grow with the number of drives, but for the samples that are kept (KEPT_BYTES of passes.py). Neither the
+number of workers nor the order of the drives changes a bit of the bounds.
 """
 
 from __future__ import annotations
