@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import scipy.linalg as sl
-from scipy.optimize import minimize_scalar
+from scipy.optimize import minimize, minimize_scalar
 
 from lpvguard.engine.synthesis import barrier as barrier_method
 from lpvguard.engine.synthesis import lpv_certificate as lpv
@@ -352,6 +352,33 @@ def test_a_point_with_every_matrix_positive_is_found_from_any_start_or_none_is()
         assert P is not None and np.linalg.eigvalsh(easy.F(P)[0])[0] > 0
     # F[1, 1] = 1 - P / largest and F[0, 0] = P (1 - 1 / (4 largest)) - 0.09: no P for a small ``largest``.
     assert barrier_method.feasible(barrier(0.2), np.array([[[0.1]]]), np.eye(2)) is None
+
+
+def test_newtons_method_ends_where_the_priced_barrier_is_least():
+    """Two inequalities of a scalar P and one y: the minimiser by another method, with a price and without."""
+    rows = ([0.5, 1.0], [0.3, 0.0]), ([0.2, 0.4], [0.1, 0.2])
+    parts = [(np.array([M]), np.array([N])) for M, N in rows]
+    phi, after = np.array([[1.0, 0.5], [1.0, -0.5]]), np.array([[1.0, 0.4], [1.0, -0.6]])
+    one, unit, slope = barrier_method.Barrier(parts, phi, after), np.eye(2)[None, None], np.array([30.0])
+
+    def value(x, price):
+        F = one.F(x[:2].reshape(2, 1, 1)) + x[2] * np.eye(2)
+        least = np.linalg.eigvalsh(F).min()
+        return np.inf if least <= 0 else price @ x[:2] + slope[0] * x[2] - np.linalg.slogdet(F)[1].sum()
+
+    ends = []
+    for cost in (0.0, 2.0):
+        price = one.price(np.array([[cost]]))
+        np.testing.assert_allclose(price, cost * phi.sum(axis=0))
+        P, y = np.array([[[0.5]], [[0.0]]]), np.array([1.0])
+        for _ in range(40):
+            P, y, decrement = barrier_method.newton_step(one, P, y, unit, slope, price)
+        assert 0 <= decrement < 1e-12
+        options = {"xatol": 1e-9, "fatol": 1e-13, "maxiter": 4000}
+        least = minimize(value, [0.5, 0.0, 1.0], (price,), method="Nelder-Mead", options=options)
+        np.testing.assert_allclose(np.append(P.ravel(), y), least.x, atol=1e-5)
+        ends.append(P[0, 0, 0])
+    assert ends[1] < 0.95 * ends[0]
 
 
 def test_the_barriers_matrices_are_those_of_their_vector_and_its_gradient_that_of_the_trace():

@@ -54,6 +54,14 @@ class Barrier:
         G = np.einsum("ik,iab->kab", self.phi, S[:, :n, :n]) - np.einsum(
             "ik,iab->kab", self.next, self.M @ S @ np.swapaxes(self.M, 1, 2)
         )
+        return self._vector(G)
+
+    def price(self, cost: np.ndarray) -> np.ndarray:
+        """Gradient (size,) of sum_i tr(cost sum_k phi_ik P_k) by P's vector; cost (n, n) symmetric."""
+        return self._vector(np.einsum("ik,ab->kab", self.phi, cost))
+
+    def _vector(self, G: np.ndarray) -> np.ndarray:
+        """The derivative by P's vector of what has the symmetric derivative G (terms, n, n) by P."""
         return (G[:, self.upper[0], self.upper[1]] * self.twice).ravel()
 
     def hessian(self, S: np.ndarray) -> np.ndarray:
@@ -81,17 +89,21 @@ class Barrier:
         return H
 
 
-def feasible(barrier: Barrier, P: np.ndarray, unit: np.ndarray) -> np.ndarray | None:
+def feasible(
+    barrier: Barrier, P: np.ndarray, unit: np.ndarray, cost: np.ndarray | None = None
+) -> np.ndarray | None:
     """P with every F_i > 0, from any P: Newton's method on tau t - sum_i log det(F_i + t unit), until t <
     -``WANTED``; what was reached with t < 0, or None, when ``NEWTON_STEPS`` do not get there. ``unit`` (N, N)
-    > 0: what F is measured in."""
+    > 0: what F is measured in. ``cost`` (n, n) >= 0: adds sum_i tr(cost sum_k phi_ik P_k). Without it P grows
+    where it loses nothing, since that raises log det F."""
     size = len(barrier.M) * len(unit)
     L = np.linalg.inv(np.linalg.cholesky(unit))
     t = np.array([1.05 * max(-np.linalg.eigvalsh(L @ barrier.F(P) @ L.T).min(), 1e-3)])
     tau, found = 2.0 * size, None
+    price = barrier.price(np.zeros_like(P[0]) if cost is None else cost)
     for _ in range(NEWTON_STEPS):
         try:
-            P, t, decrement = newton_step(barrier, P, t, unit[None, None], np.array([tau]))
+            P, t, decrement = newton_step(barrier, P, t, unit[None, None], np.array([tau]), price)
         except np.linalg.LinAlgError:
             return found
         if t[0] < 0:
@@ -104,16 +116,21 @@ def feasible(barrier: Barrier, P: np.ndarray, unit: np.ndarray) -> np.ndarray | 
 
 
 def newton_step(
-    barrier: Barrier, P: np.ndarray, y: np.ndarray, directions: np.ndarray, slope: np.ndarray
+    barrier: Barrier,
+    P: np.ndarray,
+    y: np.ndarray,
+    directions: np.ndarray,
+    slope: np.ndarray,
+    price: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, float]:
-    """P, y after a step of Newton's method on ``slope`` (k,) y - sum_i log det(F_i(P) + sum_j y_j
-    directions_ji), and the decrement; ``directions`` (k, count or 1, N, N). LinAlgError where rounding is
-    larger than what is left."""
+    """P, y after a step of Newton's method on ``price`` (size,) p + ``slope`` (k,) y - sum_i log det(F_i(P) +
+    sum_j y_j directions_ji), p the vector of P, and the decrement; ``directions`` (k, count or 1, N, N).
+    LinAlgError where rounding is larger than what is left."""
     F = barrier.F(P) + np.tensordot(y, directions, 1)
     L = np.linalg.inv(np.linalg.cholesky(F))
     S = np.swapaxes(L, 1, 2) @ L
     crossed = [S @ direction @ S for direction in directions]
-    g = -barrier.adjoint(S)
+    g = price - barrier.adjoint(S)
     g_y = slope - np.array([np.sum(S * direction) for direction in directions])
     h = np.stack([barrier.adjoint(cross) for cross in crossed], axis=1)
     h_y = np.array([[np.sum(cross * direction) for direction in directions] for cross in crossed])
@@ -128,7 +145,7 @@ def newton_step(
     d_P = barrier.matrices(d_p)
     d_F = barrier.F(d_P, constant=False) + np.tensordot(d_y, directions, 1)
     curve = np.linalg.eigvalsh(L @ d_F @ np.swapaxes(L, 1, 2))
-    length = line_search(curve.ravel(), float(slope @ d_y))
+    length = line_search(curve.ravel(), float(price @ d_p + slope @ d_y))
     return P + length * d_P, y + length * d_y, float(-(g @ d_p + g_y @ d_y))
 
 
