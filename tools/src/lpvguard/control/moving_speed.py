@@ -6,7 +6,9 @@ performance has one rate, and the level at which it holds there (engine/synthesi
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +17,7 @@ from ..base.errors import InputError
 from ..base.progress import Progress
 from ..base.sampling import evenly
 from ..core.scheduled import Scheduled
-from ..engine.synthesis.dk import Scaling
+from ..engine.synthesis.dk import Scaling, certify
 from ..engine.synthesis.interconnection import GeneralisedPlant
 from ..engine.synthesis.least_level import find_level, tuned, weighed
 from ..engine.synthesis.lpv_certificate import (
@@ -71,15 +73,29 @@ def moving_certificates(
         stable = find(families["stability"], lambda text: progress(f"stability: {text}"))
         found["stability"] = None if stable is None else Moving(stable, scaling)
     progress("performance: scaling")
-    nodes = schedule.speeds[evenly(len(schedule.speeds), TUNING_SPEEDS)]
-    plants = {float(v): frozen_plant(stored, float(v)) for v in nodes}
-    loops = [lft(plant.system, schedule.at(v)) for v, plant in plants.items()]
-    delta = _delta(plants[float(nodes[0])])
-    own = tuned(loops, delta, scaling)
-    performance = scaled_families(stored, schedule, own)["performance"]
-    level = find_level(performance, delta, PERFORMANCE_RATE, lambda text: progress(f"performance: {text}"))
-    found["performance"] = None if level is None else Moving(level, own)
+    delta = _delta(frozen_plant(stored, float(schedule.speeds[0])))
+    own: dict[float, Scaling] = {}
+
+    def family_at(level: float) -> Family:
+        own[level] = tuned_over(schedule, partial(frozen_plant, stored), scaling, level)
+        return scaled_families(stored, schedule, own[level])["performance"]
+
+    level = find_level(family_at, delta, PERFORMANCE_RATE, lambda text: progress(f"performance: {text}"))
+    found["performance"] = None if level is None else Moving(level, own[level.level])
     return found
+
+
+def tuned_over(
+    schedule: Scheduled, plant_of: Callable[[float], GeneralisedPlant], scaling: Scaling, level: float = 1.0
+) -> Scaling:
+    """D with the least frozen gain at ``level`` for the controller as it is; plant_of(v): the generalised
+    plant at v [m/s]."""
+    nodes = schedule.speeds[evenly(len(schedule.speeds), TUNING_SPEEDS)]
+    plants = {float(v): plant_of(float(v)) for v in nodes}
+    loops = [lft(plant.system, schedule.at(v)) for v, plant in plants.items()]
+    # The common D can lie where no single parameter improves it; those of the single speeds lead out.
+    starts = [scaling, *(certify(plant, schedule.at(v), scaling).scaling for v, plant in plants.items())]
+    return tuned(loops, _delta(plants[float(nodes[0])]), level, starts)
 
 
 def _delta(plant: GeneralisedPlant) -> tuple[int, int]:

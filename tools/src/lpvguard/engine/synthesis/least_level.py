@@ -11,14 +11,14 @@ beta. g is the gain of the scaling D, whose shape is given (``tuned``: the best 
 
 ``find_level`` looks for P0 + v P1 + P2 / v on a grid of speeds, by the barrier method. From the frozen
 solutions a moving speed is out of reach: their P follows the speed wherever little is lost. So the search
-begins at rate 0, and the rate doubles step by step, each from the P before. Speeds between the grid's at
+begins at rate 0, and the rate doubles step by step, each from the P before. P has a cost besides, ``COST``. Speeds between the grid's at
 which the inequality fails join it. What is claimed is proved by ``prove`` for all speeds.
 """
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -39,14 +39,17 @@ from lpvguard.engine.synthesis.norms import hinf_norm
 from lpvguard.engine.synthesis.statespace import StateSpace
 from lpvguard.engine.synthesis.storage_grid import StorageGrid, refined, unmoved
 
-FIRST_LEVEL, WIDEST_LEVEL = 2.5, 10.0
-"""Levels tried: the first, doubled while the frozen gain is above ``ROOMY``."""
+LEVELS = (1.0, 2.5, 5.0, 10.0)
+"""Levels tried, the wanted one first, until one is proved."""
 ROOMY = 0.9
 """Largest frozen gain from which a moving speed is searched for."""
 GAIN_SPEEDS = 4
 """Nodes, ends included, at which D's gain is chosen."""
 RATE_STEPS = 6
 """Rates up to the wanted one, each twice the one before, after rate 0."""
+COST = 1e-4
+"""Cost of P in the search, over the frozen solutions' mean: it weighs against log det F from about 1e4 times
+that mean on, and what P gains beyond is lost between the speeds."""
 GRID_SHARE = 0.8
 """Of the rate that P bears on the grid, to be proved between its speeds."""
 ROUNDS = 6
@@ -76,16 +79,19 @@ def weighed(family: Family, delta: tuple[int, int], level: float, gain: float) -
     return replace(family, at=at)
 
 
-def tuned(loops: list[StateSpace], delta: tuple[int, int], start: Scaling) -> Scaling:
-    """D with the least frozen gain at ``FIRST_LEVEL`` over ``loops``, discrete and unscaled, by a pattern
-    search from ``start``; every block of Delta is one row eta and one column xi, else D stays."""
-    if delta != (len(start.log_parameters),) * 2:
-        return start
+def tuned(
+    loops: list[StateSpace], delta: tuple[int, int], level: float, starts: Sequence[Scaling]
+) -> Scaling:
+    """D with the least frozen gain at ``level`` over ``loops``, discrete and unscaled, by a pattern search
+    from the best of ``starts``, which are of one degree. Every block of Delta is one row eta and one column
+    xi, else D is the first."""
+    if delta != (len(starts[0].log_parameters),) * 2:
+        return starts[0]
     n = delta[0]
     fastest = np.pi / loops[0].dt * (1 - 1e-9)
     omega = np.concatenate([[0.0], np.geomspace(SLOWEST, fastest, TUNING_POINTS)])
     M = np.array([G.response(omega) for G in loops])
-    M[:, :, n:] /= FIRST_LEVEL
+    M[:, :, n:] /= level
 
     def worst(log_parameters: np.ndarray) -> float:
         d = np.exp(Scaling(log_parameters).log_magnitude(omega)).T
@@ -93,7 +99,8 @@ def tuned(loops: list[StateSpace], delta: tuple[int, int], start: Scaling) -> Sc
         rows[:, :n], columns[:, :n] = d, 1 / d
         return float(np.linalg.norm(rows[:, :, None] * M * columns[:, None, :], 2, axis=(2, 3)).max())
 
-    best, (step, last) = start.log_parameters.copy(), TUNING_STEPS
+    best = min((start.log_parameters.copy() for start in starts), key=worst)
+    step, last = TUNING_STEPS
     least = worst(best)
     while step >= last:
         improved = False
@@ -108,14 +115,32 @@ def tuned(loops: list[StateSpace], delta: tuple[int, int], start: Scaling) -> Sc
 
 
 def find_level(
-    family: Family, delta: tuple[int, int], rate: float, progress: Callable[[str], None] = lambda _: None
+    family_at: Callable[[float], Family],
+    delta: tuple[int, int],
+    rate: float,
+    progress: Callable[[str], None] = lambda _: None,
 ) -> LpvCertificate | None:
-    """A storage function proved for |dv/dt| <= ``rate`` [m/s^2], at the least level tried at which the frozen
-    gain leaves room; None where none is found. ``delta`` as of ``weighed``."""
-    start = _start(family, delta)
-    if start is None:
+    """A storage function proved for |dv/dt| <= ``rate`` [m/s^2], at the first of ``LEVELS`` for which one is
+    found; None where there is none. family_at(level): the loop under the D that suits the level; ``delta`` as
+    of ``weighed``."""
+    for level in LEVELS:
+
+        def tell(text: str, level: float = level) -> None:
+            progress(f"level {level:g}, {text}")
+
+        found = _at_level(family_at(level), delta, rate, level, tell)
+        if found is not None:
+            return found
+    return None
+
+
+def _at_level(
+    family: Family, delta: tuple[int, int], rate: float, level: float, progress: Callable[[str], None]
+) -> LpvCertificate | None:
+    """The storage function of one level; None where the frozen gain leaves no room, or none is found."""
+    gain, frozen_gain = _least_gain(family, delta, level)
+    if frozen_gain > ROOMY:
         return None
-    level, gain = start
     wide = weighed(family, delta, level, gain)
     first = frozen_at(wide, family.nodes)
     if first is None:
@@ -123,10 +148,11 @@ def find_level(
     basis, parts, frozen = first
     search = StorageGrid.of(wide.loop, wide.Ts, family.nodes, basis, parts)
     P, unit = search.fitted(frozen), unmoved(parts).F(frozen).mean(axis=0)
+    cost = COST * np.linalg.inv(frozen.mean(axis=0))
     on_grid = rate / GRID_SHARE
     for part in (0.0, *np.exp2(np.arange(RATE_STEPS) - RATE_STEPS + 1.0)):
         progress(f"storage function for |dv/dt| up to {part * on_grid:.3g} m/s2, {len(basis)} states")
-        found = feasible(search.barrier(part * on_grid), P, unit)
+        found = feasible(search.barrier(part * on_grid), P, unit, cost)
         if found is None:
             return None
         P = found
@@ -142,35 +168,24 @@ def find_level(
             return None
         search = search.joined_by(joined)
         progress(f"storage function at {len(search.grid)} speeds")
-        found = feasible(search.barrier(on_grid), P, unit)
+        found = feasible(search.barrier(on_grid), P, unit, cost)
         if found is None:
             return None
         P = found
     return None
 
 
-def _start(family: Family, delta: tuple[int, int]) -> tuple[float, float] | None:
-    """Level and gain of D with which the frozen gain is at most ``ROOMY`` at some of the nodes; None where
-    there is no such level."""
+def _least_gain(family: Family, delta: tuple[int, int], level: float) -> tuple[float, float]:
+    """D's gain with the least frozen gain of the loop at some of the nodes, and that."""
     some = family.nodes[evenly(len(family.nodes), GAIN_SPEEDS)]
 
-    def worst(level: float, gain: float) -> float:
-        one = weighed(family, delta, level, gain)
+    def worst(log_gain: float) -> float:
+        one = weighed(family, delta, level, np.exp(log_gain))
         return max(hinf_norm(one.loop(float(v)), rtol=1e-3).upper for v in some)
 
-    level = FIRST_LEVEL
-    while level <= WIDEST_LEVEL:
-        if delta[0]:
-            found = minimize_scalar(
-                lambda log, level=level: worst(level, np.exp(log)),
-                bounds=(-FARTHEST_GAIN, FARTHEST_GAIN),
-                method="bounded",
-                options={"xatol": 0.02},
-            )
-            gain, frozen = float(np.exp(found.x)), float(found.fun)
-        else:
-            gain, frozen = 1.0, worst(level, 1.0)
-        if frozen <= ROOMY:
-            return level, gain
-        level *= 2
-    return None
+    if not delta[0]:
+        return 1.0, worst(0.0)
+    found = minimize_scalar(
+        worst, bounds=(-FARTHEST_GAIN, FARTHEST_GAIN), method="bounded", options={"xatol": 0.02}
+    )
+    return float(np.exp(found.x)), float(found.fun)
