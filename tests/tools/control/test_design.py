@@ -19,6 +19,9 @@ from lpvguard.control.stored_frames import StoredFrames
 from lpvguard.core.control_coefficients import load_controller
 from lpvguard.core.scheduled import Scheduled
 from lpvguard.engine.synthesis import interconnection as fig1
+from lpvguard.engine.synthesis.dk import certify
+from lpvguard.engine.synthesis.norms import hinf_norm
+from lpvguard.engine.synthesis.scheduling import closed_scaled
 from lpvguard.engine.synthesis.statespace import StateSpace, lft
 from lpvguard.identify import run as identification
 from lpvguard.identify.export import export_vehicle
@@ -189,6 +192,32 @@ def test_a_faster_rate_in_controller_json_is_refused(finer, moving, tmp_path):
         (tmp_path / "controller.json").write_text(artefacts.to_json(artefacts.sealed(altered)))
         with pytest.raises(InputError, match=rf"moving_speed\.{claim}"):
             stage.verify(tmp_path / "controller.json", finer)
+
+
+@pytest.mark.slow("30 s: two designs for frozen speeds")
+def test_a_synthesis_factor_changes_the_controller_and_not_what_is_certified(stored):
+    """The controller is that of A_t and A_u times the factor; its mu is of A_t and A_u themselves, under a D
+    that suits these."""
+    one = with_settings(stored, A_t=40.0, synthesis_factor=1.5, nodes=4, order_loss=0.05)
+    asked = one.project.design.for_synthesis
+    other = with_settings(one, A_t=asked.A_t, A_u=asked.A_u, synthesis_factor=1.0)
+    assert (asked.A_t, asked.A_u) == (60.0, 1.5 * one.project.design.A_u)
+    found, hard = (stage._designed(x, x.project.design, None, lambda _: None) for x in (one, other))
+    for name in ("speeds", "a", "B", "L", "u_max"):
+        np.testing.assert_array_equal(getattr(found.schedule, name), getattr(hard.schedule, name))
+    for (v, proved), (_, harder) in zip(found.certificates, hard.certificates, strict=True):
+        again = certify(frozen_plant(one, v), found.schedule.at(v), found.scaling)
+        assert proved.upper == pytest.approx(again.upper, rel=1e-9) and proved.upper < harder.upper
+    assert found.off_grid[1].upper < hard.off_grid[1].upper
+
+    def worst(scaling):
+        loops = [
+            closed_scaled(frozen_plant(one, float(v)), found.schedule.at(float(v)), scaling)
+            for v in found.schedule.speeds
+        ]
+        return max(hinf_norm(G, rtol=1e-4).upper for G in loops)
+
+    assert worst(found.scaling) < worst(hard.scaling)
 
 
 def test_the_largest_A_t_is_bracketed_below_the_dc_floors_limit(stored, monkeypatch):

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -42,7 +43,7 @@ from ..vehicle.project import DesignSettings
 from .beside import NOTHING, Beside, beside, require_beside
 from .designed import stated_scaling
 from .input_limit import input_limit
-from .moving_speed import Moving, moving_certificates, moving_to_dict, require_moving
+from .moving_speed import Moving, moving_certificates, moving_to_dict, require_moving, tuned_over
 from .plants import design_settings, fig1_weights, plant_at, vehicle_at
 from .schedule import FrozenLoop, fit
 
@@ -155,7 +156,8 @@ def _designed(
     stored: StoredIdentification, settings: DesignSettings, scaling: Scaling | None, progress: Progress
 ) -> Design:
     """The design for ``settings``; ``scaling``: where the search for the common scaling starts."""
-    model, weights = NominalModel(stored.project), fig1_weights(stored, settings)
+    model, asked = NominalModel(stored.project), settings.for_synthesis
+    weights = fig1_weights(stored, asked)
     speeds = np.linspace(*model.speed_range, settings.nodes)
     plants = [plant_at(stored, model, weights, v, True, settings.structure) for v in speeds]
     before, fitting, proving = parts(progress, *FROZEN_SHARES)
@@ -177,7 +179,7 @@ def _designed(
     full_order = _sound_order(at_order, rank, plants, scaling, level)
     check = np.linspace(speeds[0], speeds[-1], 2 * len(speeds) - 1)
 
-    def loop_at(v: float) -> fig1.GeneralisedPlant:
+    def loop_at(v: float, weights: fig1.PlantWeights = weights) -> fig1.GeneralisedPlant:
         return plant_at(stored, model, weights, v, False, settings.structure)
 
     loops = {float(v): loop_at(v) for v in check}
@@ -204,12 +206,17 @@ def _designed(
             "no set of common poles stabilises every speed",
             "more nodes, or a lower A_t",
         )
+    stated_at = loop_at
+    if asked != settings:
+        stated_at = partial(loop_at, weights=fig1_weights(stored, settings))
+        loops = {v: stated_at(v) for v in loops}
+        scaling = tuned_over(found, stated_at, scaling)
     return Design(
         found,
         scaling,
         _certificates(found, loops, scaling, proving),
         full_order,
-        _off_grid(found, scaling, loop_at, stored.project.seed),
+        _off_grid(found, scaling, stated_at, stored.project.seed),
     )
 
 
