@@ -274,8 +274,8 @@ def test_memory_does_not_grow_with_the_number_of_drives(tmp_path):
 
 
 def test_a_reader_keeps_as_many_drives_as_have_room(tmp_path, monkeypatch):
-    fleet.write_fleet(tmp_path, 3)
-    project, drives = fleet.vehicle(), list_experiments(tmp_path)
+    fleet.write_fleet(tmp_path / "drives", 3)
+    project, drives = fleet.vehicle(), list_experiments(tmp_path / "drives")
     reader, files = passes.DriveReader(project, NominalModel(project)), []
     monkeypatch.setattr(
         passes, "read_drive", lambda path, of: files.append(path.stem) or read_drive(path, of)
