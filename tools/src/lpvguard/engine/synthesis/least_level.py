@@ -11,8 +11,9 @@ beta. g is the gain of the scaling D, whose shape is given (``tuned``: the best 
 
 ``find_level`` looks for P0 + v P1 + P2 / v on a grid of speeds, by the barrier method. From the frozen
 solutions a moving speed is out of reach: their P follows the speed wherever little is lost. So the search
-begins at rate 0, and the rate doubles step by step, each from the P before. P has a cost besides, ``COST``. Speeds between the grid's at
-which the inequality fails join it. What is claimed is proved by ``prove`` for all speeds.
+begins at rate 0, and the rate doubles step by step, each from the P before. P has a cost besides, ``COST``.
+Speeds between the grid's at which the inequality fails join it. What is claimed is proved by ``prove`` for
+all speeds.
 """
 
 from __future__ import annotations
