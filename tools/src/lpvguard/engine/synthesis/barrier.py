@@ -123,9 +123,11 @@ def newton_step(
     slope: np.ndarray,
     price: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, float]:
-    """P, y after a step of Newton's method on ``price`` (size,) p + ``slope`` (k,) y - sum_i log det(F_i(P) +
-    sum_j y_j directions_ji), p the vector of P, and the decrement; ``directions`` (k, count or 1, N, N).
-    LinAlgError where rounding is larger than what is left."""
+    """P, y after a step of Newton's method, and its decrement.
+
+    The objective is ``price`` (size,) p + ``slope`` (k,) y - sum_i log det(F_i(P) + sum_j y_j
+    directions_ji), where p is the vector of P; ``directions`` (k, count or 1, N, N). LinAlgError where
+    rounding is larger than what is left."""
     F = barrier.F(P) + np.tensordot(y, directions, 1)
     L = np.linalg.inv(np.linalg.cholesky(F))
     S = np.swapaxes(L, 1, 2) @ L

@@ -83,9 +83,9 @@ def weighed(family: Family, delta: tuple[int, int], level: float, gain: float) -
 def tuned(
     loops: list[StateSpace], delta: tuple[int, int], level: float, starts: Sequence[Scaling]
 ) -> Scaling:
-    """D with the least frozen gain at ``level`` over ``loops``, discrete and unscaled, by a pattern search
-    from the best of ``starts``, which are of one degree. Every block of Delta is one row eta and one column
-    xi, else D is the first."""
+    """D with the least frozen gain at ``level`` over ``loops``, which are discrete and unscaled. A pattern
+    search begins at the best of ``starts``, which are of one degree. Every block of Delta is one row eta and
+    one column xi, else D is the first."""
     if delta != (len(starts[0].log_parameters),) * 2:
         return starts[0]
     n = delta[0]
