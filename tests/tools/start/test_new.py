@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -83,13 +84,18 @@ def test_names_are_ranked_by_what_they_say():
     assert ranked("output", names) == ["yaw_rate"]
 
 
+def write_speed(log: Path, value: str) -> None:
+    """Write ``value`` as the speed of one sample."""
+    lines = log.read_text().splitlines()
+    cells = lines[500].split(",")
+    cells[1] = value
+    lines[500] = ",".join(cells)
+    log.write_text("\n".join(lines) + "\n")
+
+
 def test_a_spike_is_a_missing_sample_and_not_a_refused_table(tmp_path):
     logs = write_logs(tmp_path)
-    lines = logs[0].read_text().splitlines()
-    cells = lines[500].split(",")
-    cells[1] = "-80.0"
-    lines[500] = ",".join(cells)
-    logs[0].write_text("\n".join(lines) + "\n")
+    write_speed(logs[0], "-80.0")
     made = new("mine", logs, tmp_path / "out", wheelbase_m=2.8)
     drive = read_drive(tmp_path / "out" / "drives" / "log_0.csv", made.project)
     assert drive.v.min() > 4.0 and len(drive.t) == 3000
@@ -150,11 +156,7 @@ def test_where_no_log_becomes_a_drive_the_first_reason_is_told(tmp_path):
 def test_one_impossible_value_moves_no_proposal(tmp_path):
     logs = write_logs(tmp_path)
     usual = new("mine", logs, tmp_path / "usual", wheelbase_m=2.8)
-    lines = logs[0].read_text().splitlines()
-    cells = lines[500].split(",")
-    cells[1] = "1e308"
-    lines[500] = ",".join(cells)
-    logs[0].write_text("\n".join(lines) + "\n")
+    write_speed(logs[0], "1e308")
     made = new("mine", logs, tmp_path / "out", wheelbase_m=2.8)
     assert made.proposals == usual.proposals and made.project == usual.project
 
