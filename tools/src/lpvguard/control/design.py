@@ -43,7 +43,7 @@ from ..vehicle.project import DesignSettings
 from .beside import NOTHING, Beside, beside, require_beside
 from .designed import stated_scaling
 from .input_limit import input_limit
-from .moving_speed import Moving, moving_certificates, moving_to_dict, require_moving, tuned_over
+from .moving_speed import Moving, moving_certificates, moving_to_dict, require_moving, tuning
 from .plants import design_settings, fig1_weights, plant_at, vehicle_at
 from .schedule import FrozenLoop, fit
 
@@ -210,7 +210,7 @@ def _designed(
     if asked != settings:
         stated_at = partial(loop_at, weights=fig1_weights(stored, settings))
         loops = {v: stated_at(v) for v in loops}
-        scaling = tuned_over(found, stated_at, scaling)
+        scaling = tuning(found, stated_at, scaling)(1.0)
     return Design(
         found,
         scaling,

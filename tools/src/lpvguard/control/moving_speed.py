@@ -74,10 +74,11 @@ def moving_certificates(
         found["stability"] = None if stable is None else Moving(stable, scaling)
     progress("performance: scaling")
     delta = _delta(frozen_plant(stored, float(schedule.speeds[0])))
+    tuned_at = tuning(schedule, partial(frozen_plant, stored), scaling)
     own: dict[float, Scaling] = {}
 
     def family_at(level: float) -> Family:
-        own[level] = tuned_over(schedule, partial(frozen_plant, stored), scaling, level)
+        own[level] = tuned_at(level)
         return scaled_families(stored, schedule, own[level])["performance"]
 
     level = find_level(family_at, delta, PERFORMANCE_RATE, lambda text: progress(f"performance: {text}"))
@@ -85,17 +86,18 @@ def moving_certificates(
     return found
 
 
-def tuned_over(
-    schedule: Scheduled, plant_of: Callable[[float], GeneralisedPlant], scaling: Scaling, level: float = 1.0
-) -> Scaling:
-    """D with the least frozen gain at ``level`` for the controller as it is; plant_of(v): the generalised
-    plant at v [m/s]."""
+def tuning(
+    schedule: Scheduled, plant_of: Callable[[float], GeneralisedPlant], scaling: Scaling
+) -> Callable[[float], Scaling]:
+    """The D with the least frozen gain for the controller as it is, by the level; plant_of(v): the
+    generalised plant at v [m/s]; ``scaling``: where the search begins."""
     nodes = schedule.speeds[evenly(len(schedule.speeds), TUNING_SPEEDS)]
     plants = {float(v): plant_of(float(v)) for v in nodes}
     loops = [lft(plant.system, schedule.at(v)) for v, plant in plants.items()]
     # The common D can lie where no single parameter improves it; those of the single speeds lead out.
     starts = [scaling, *(certify(plant, schedule.at(v), scaling).scaling for v, plant in plants.items())]
-    return tuned(loops, _delta(plants[float(nodes[0])]), level, starts)
+    delta = _delta(plants[float(nodes[0])])
+    return lambda level: tuned(loops, delta, level, starts)
 
 
 def _delta(plant: GeneralisedPlant) -> tuple[int, int]:
