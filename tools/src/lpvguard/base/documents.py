@@ -14,6 +14,7 @@ from .errors import InputError
 
 Model = TypeVar("Model", bound=BaseModel)
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+Fraction = Annotated[float, Field(gt=0, lt=1)]
 """A finite number above zero."""
 
 

@@ -38,8 +38,8 @@ from ..engine.synthesis.statespace import StateSpace, series
 from ..identify.model_error import last_telling
 from ..identify.premise import premise, require_premise
 from ..identify.run import StoredIdentification
+from ..vehicle.design_settings import DesignSettings
 from ..vehicle.nominal import NominalModel
-from ..vehicle.project import DesignSettings
 from .beside import NOTHING, Beside, beside, require_beside
 from .designed import stated_scaling
 from .input_limit import input_limit
@@ -170,11 +170,8 @@ def _designed(
     scaling, level = common_scaling([plants[k] for k in some], scaling)
     before(Counted("controllers over speed", 2, 4))
     # Never more than half of what is left below 1.
-    level = (
-        min(level * (1 + settings.backoff), 0.5 * (1 + level))
-        if level < 1
-        else level * (1 + settings.backoff)
-    )
+    backed_off = level * (1 + settings.backoff)
+    level = min(backed_off, 0.5 * (1 + level)) if level < 1 else backed_off
     at_order, rank = common_family(plants, scaling, level)
     full_order = _sound_order(at_order, rank, plants, scaling, level)
     check = np.linspace(speeds[0], speeds[-1], 2 * len(speeds) - 1)
@@ -188,17 +185,13 @@ def _designed(
         FrozenLoop(_with_delay(K), loops[float(v)], vehicle_at(model, v))
         for v, K in zip(speeds, at_order(full_order), strict=False)
     ]
-    best, found, found_pairs = None, None, 0
-    for pairs in range(FEWEST_PAIRS, MOST_PAIRS // model.n_u + 1):
-        fitting(Counted(f"{pairs} pairs of poles", pairs**3, (MOST_PAIRS // model.n_u + 1) ** 3))
-        schedule = fit(frozen, speeds, scaling, pairs, u_max)
-        if not all(schedule.injection_radius(v) < 1 for v in loops):
-            continue
-        worst = _worst_level(schedule, loops, scaling, np.inf if best is None else best)
-        if worst < np.inf and (best is None or worst < best * (1 - settings.order_loss)):
-            best, found, found_pairs = worst, schedule, pairs
-        elif found is not None and pairs >= found_pairs + PATIENCE:
-            break
+    found = _with_fewest_poles(
+        partial(fit, frozen, speeds, scaling, u_max=u_max),
+        MOST_PAIRS // model.n_u,
+        partial(_worst_level, loops=loops, scaling=scaling),
+        settings.order_loss,
+        fitting,
+    )
     if found is None:
         raise InputError(
             stored.folder,
@@ -218,6 +211,28 @@ def _designed(
         full_order,
         _off_grid(found, scaling, stated_at, stored.project.seed),
     )
+
+
+def _with_fewest_poles(
+    schedule_with: Callable[[int], Scheduled],
+    most: int,
+    worst_level: Callable[[Scheduled, float], float],
+    order_loss: float,
+    progress: Progress,
+) -> Scheduled | None:
+    """The schedule of the fewest pairs of common poles, at most ``most``, beyond which more of them lower the
+    worst level by less than ``order_loss`` of it; None where no number of pairs stabilises every speed.
+    ``worst_level``: of a schedule, inf where it exceeds the level given."""
+    best, found, found_pairs = np.inf, None, 0
+    for pairs in range(FEWEST_PAIRS, most + 1):
+        progress(Counted(f"{pairs} pairs of poles", pairs**3, (most + 1) ** 3))
+        schedule = schedule_with(pairs)
+        worst = worst_level(schedule, best)
+        if worst < np.inf and (found is None or worst < best * (1 - order_loss)):
+            best, found, found_pairs = worst, schedule, pairs
+        elif found is not None and pairs >= found_pairs + PATIENCE:
+            break
+    return found
 
 
 def _sound_order(
@@ -246,10 +261,12 @@ def _sound_order(
 
 
 def _worst_level(
-    schedule: Scheduled, loops: dict[float, fig1.GeneralisedPlant], scaling: Scaling, limit: float
+    schedule: Scheduled, limit: float, loops: dict[float, fig1.GeneralisedPlant], scaling: Scaling
 ) -> float:
-    """Largest norm of the scaled closed loops; inf when one is unstable, or as soon as one lies above
-    ``limit``."""
+    """Largest norm of the scaled closed loops; inf when one or a limited demand's injection is unstable, or
+    as soon as one lies above ``limit``."""
+    if not all(schedule.injection_radius(v) < 1 for v in loops):
+        return np.inf
     worst = 0.0
     for v, plant in loops.items():
         worst = max(worst, hinf_norm(closed_scaled(plant, schedule.at(v), scaling), rtol=1e-3).upper)

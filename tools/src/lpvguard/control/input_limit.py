@@ -17,8 +17,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..vehicle.design_settings import DesignSettings
 from ..vehicle.nominal import NominalModel
-from ..vehicle.project import DesignSettings
 
 POINTS = 1024
 """Of a cell between two nodes, at which the line is compared with the rule."""

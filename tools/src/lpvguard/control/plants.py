@@ -16,8 +16,8 @@ from ..engine.synthesis import interconnection as fig1
 from ..engine.synthesis.statespace import StateSpace, append, gain, series, zero_order_hold
 from ..identify.run import StoredIdentification
 from ..identify.weights import FittedWeight
+from ..vehicle.design_settings import DesignSettings
 from ..vehicle.nominal import NominalModel
-from ..vehicle.project import DesignSettings
 from .stored_frames import SplitWeights, StoredFrames
 
 LARGEST_WINDOW_ERROR = 0.1

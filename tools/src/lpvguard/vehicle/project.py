@@ -14,10 +14,10 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
-from ..base.documents import Positive, StrictModel, checked, read_toml
+from ..base.documents import Fraction, Positive, StrictModel, checked, read_toml
 from ..base.errors import InputError
+from .design_settings import DesignSettings
 
-Fraction = Annotated[float, Field(gt=0, lt=1)]
 NAME = r"^[a-z][a-z0-9_]*$"
 """What a vehicle's or a signal's name may be: identifiers in C are made of it."""
 
@@ -368,57 +368,6 @@ class AdviceSettings(StrictModel):
         """The advice on a cause that an output has; None without any."""
         text = getattr(self, cause, None)
         return text.get(output) if isinstance(text, dict) else text
-
-
-class DesignSettings(StrictModel):
-    """Step 8: objectives of Fig. 1 and the scheduled controller. W_t, W_u: gain A_t, A_u and the paper's
-    break frequencies.
-
-    Weights are gain * prod(s/zero + 1) / prod(s/pole + 1), rad/s. ``nodes``: scheduling speeds of the
-    controller, uniform over the model's range. ``synthesis_factor``: the controller is synthesised for A_t
-    and A_u times this, and certified for A_t and A_u; more than 1 can leave room for a moving speed.
-    ``table``: the objectives [A_t, A_u] of Table II; ``lambda_s`` [s^2]: weight of the state uncertainty
-    beside the input's in (8), Lambda_nu = diag(1, lambda_s), for its K_is. ``input_max`` [input unit] and
-    ``input_rate_max_per_s`` limit the demand; ``lateral_acceleration_max_mps2``, where given, limits it
-    further over speed: the nominal model's steady yaw rate, the first output, times the speed stays within it
-    (control/input_limit.py).
-    ``amplitudes``: edges of the classes of the demand's amplitude [unit of the input], at which `bench
-    robust` measures; None: its own.
-    """
-
-    structure: Literal["K_inf", "K_i", "K_is", "K_o"] = "K_i"
-    A_t: Positive
-    A_u: Positive
-    W_t_zeros: list[Positive] = Field(default=[10.0])
-    W_t_poles: list[Positive] = Field(default=[0.02])
-    W_u_zeros: list[Positive] = Field(default=[0.02, 0.02])
-    W_u_poles: list[Positive] = Field(default=[50.0, 50.0])
-    W_R_num: list[float] = Field(default=[9.0])
-    W_R_den: list[float] = Field(default=[1.0, 5.4, 9.0])
-    design_speed_mps: Positive = 17.0
-    nodes: Annotated[int, Field(ge=2, le=64)] = 8
-    synthesis_factor: Annotated[float, Field(ge=1.0, le=100.0)] = 1.0
-    backoff: Fraction = 0.05
-    order_loss: Fraction = 0.005
-    table: list[Annotated[list[Positive], Field(min_length=2, max_length=2)]] | None = None
-    lambda_s: Positive = 1.0
-    amplitudes: Annotated[list[Positive], Field(min_length=1)] | None = None
-    input_max: list[Positive]
-    lateral_acceleration_max_mps2: Positive | None = None
-    input_rate_max_per_s: list[Positive]
-
-    @property
-    def for_synthesis(self) -> DesignSettings:
-        """With the A_t and A_u that the controller is synthesised for."""
-        factor = self.synthesis_factor
-        return self.model_copy(update={"A_t": self.A_t * factor, "A_u": self.A_u * factor})
-
-    @property
-    def objectives(self) -> list[tuple[float, float]]:
-        """(A_t, A_u) of Table II's columns: the table's, or as in the paper A_t with A_u, 75/95 of A_t, and a
-        tenth of A_u."""
-        own = [[self.A_t, self.A_u], [self.A_t * 75 / 95, self.A_u], [self.A_t, self.A_u / 10]]
-        return [(A_t, A_u) for A_t, A_u in (self.table or own)]
 
 
 class Project(StrictModel):
