@@ -462,6 +462,7 @@ def test_solve_names_the_bad_field(change, where):
         "n_measurement": 1,
         "dt": 0,
     }
-    assert solve_hinf(problem)["gamma"] > 0
+    # 1 without a controller; -1 / (s + 3) cancels the disturbance, and rounding may leave nothing.
+    assert 0 <= solve_hinf(problem)["gamma"] < 1
     with pytest.raises(SynthesisError, match=where):
         solve_hinf(problem | change)
