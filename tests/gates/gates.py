@@ -24,8 +24,9 @@ each found.
     big_endian   acceptance of coefficients, and CAN, pass their unit tests on a big-endian processor
                  (PowerPC, emulated)
     sanitize     the unit tests run clean under the address and undefined-behaviour sanitizers
-    coverage     lines and branches that the unit tests miss in a file of lib/src are as many as coverage.json
-                 says (a file that it does not name: none), no more, no less
+    coverage     lines and branches that the unit tests, but for the cases tagged [hour] and [many], miss in a
+                 file of lib/src are as many as coverage.json says (a file that it does not name: none), no
+                 more, no less
     mcdc         in the unit tests every condition of a decision of ecu, can and monitor shows its independent
                  effect (MC/DC, by clang)
     mutation     the tests notice every small change of lib/src (mutation.py, mutation_run.py): of the files
