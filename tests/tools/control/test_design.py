@@ -11,7 +11,7 @@ import pytest
 from lpvguard.base import artefacts
 from lpvguard.base.errors import InputError
 from lpvguard.control import design as stage
-from lpvguard.control import moving_speed
+from lpvguard.control import moving_speed, plants
 from lpvguard.control.plants import fig1_weights, frozen_plant
 from lpvguard.control.robust_run import CompiledController, run
 from lpvguard.control.schedule import FrozenLoop, fit
@@ -223,6 +223,28 @@ def test_K_is_takes_the_states_own_bound_in_1_per_s(common):
         seen = np.isfinite(nu)
         assert (np.abs(system.response(omega)[seen, 0, 0]) >= nu[seen] * (1 - 1e-6)).all()
     assert not np.allclose(weights.W_delta_s.response(omega), weights.W_delta_i.response(omega), rtol=0.1)
+
+
+def test_the_states_uncertainty_is_searched_once(common, monkeypatch):
+    """For an identification and a lambda_s, whoever asks; anew for a changed copy."""
+    asked = []
+
+    class Frames:
+        def __init__(self, stored):
+            asked.append(stored)
+
+        def explain_with_state(self, gamma_w, lambda_s):
+            return lambda_s
+
+        def weights(self, split):
+            return split
+
+    monkeypatch.setattr(plants, "StoredFrames", Frames)
+    one, settings = with_exact_frames(common), common.project.design
+    of = [settings.model_copy(update={"lambda_s": x}) for x in (0.5, 0.5, 2.0, 0.5)]
+    assert [plants.state_uncertainty(one, s) for s in of] == [0.5, 0.5, 2.0, 0.5] and len(asked) == 2
+    other = with_exact_frames(one)
+    assert plants.state_uncertainty(other, of[0]) == 0.5 and len(asked) == 3 and asked[-1] is other
 
 
 @pytest.mark.parametrize("factor", [0.1, 60.0])
