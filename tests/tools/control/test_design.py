@@ -26,10 +26,9 @@ from lpvguard.loop.sim import Simulator, load_scenario
 from lpvguard.vehicle.nominal import NominalModel
 
 
-@pytest.fixture(scope="module")
-def stored(few_truck_identified):
-    """The truck identified on few drives, with as few nodes as leave mu near 1 between them."""
-    return with_settings(identification.load(few_truck_identified), nodes=6)
+@pytest.fixture
+def stored(six_node_truck):
+    return six_node_truck
 
 
 @pytest.fixture(scope="module")
@@ -38,17 +37,10 @@ def common(few_truck_common_identified):
     return identification.load(few_truck_common_identified)
 
 
-def saved(result, stored, tmp_path_factory):
-    """A design and its controller.json."""
-    folder = tmp_path_factory.mktemp("design") / "design"
-    stage.save(result, stored, folder)
-    return result, folder / "controller.json"
-
-
-@pytest.fixture(scope="module")
-def designed(stored, tmp_path_factory):
+@pytest.fixture
+def designed(few_truck_designed):
     """For frozen speeds."""
-    return saved(stage.design(stored, moving_speed=False), stored, tmp_path_factory)
+    return few_truck_designed
 
 
 @pytest.fixture(scope="module")
@@ -59,10 +51,14 @@ def finer(few_truck_identified):
 
 @pytest.fixture(scope="module")
 def moving(finer, tmp_path_factory):
-    """For a moving speed, too; the search for performance takes minutes and has tests of its own."""
+    """A design for a moving speed, too, and its controller.json; the search for performance takes minutes and
+    has tests of its own."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(moving_speed, "find_level", lambda *_: None)
-        return saved(stage.design(finer), finer, tmp_path_factory)
+        result = stage.design(finer)
+    folder = tmp_path_factory.mktemp("design") / "design"
+    stage.save(result, finer, folder)
+    return result, folder / "controller.json"
 
 
 def with_settings(stored, **changes):
