@@ -4,18 +4,22 @@ if(NOT Catch2_FOUND)
   find_package(Catch2 3 REQUIRED)
 endif()
 
-# main() of every test program, compiled once. Catch2 itself is not what optimisation, sanitizers and counters are for; with them it
-# takes longer to compile than all the rest.
-add_library(lpvg_catch_main OBJECT "${CMAKE_CURRENT_LIST_DIR}/unit/catch_main.cpp")
-target_link_libraries(lpvg_catch_main PUBLIC Catch2::Catch2)
-target_compile_features(lpvg_catch_main PUBLIC cxx_std_17)
-target_compile_options(lpvg_catch_main PRIVATE -O0 $<$<BOOL:${LPVG_SANITIZE}>:-fno-sanitize=all>
-  $<$<BOOL:${LPVG_COVERAGE}>:-fno-profile-arcs;-fno-test-coverage>)
+# main() of every test program, compiled once; the gates give their builds that of the build that they run in. Catch2 itself is not what
+# optimisation and sanitizers are for; with them it takes longer to compile than all the rest.
+set(LPVG_CATCH_MAIN "" CACHE FILEPATH "main() of the test programs as an object of this machine; empty: it is compiled")
+set(lpvg_catch_main "${LPVG_CATCH_MAIN}")
+if(NOT lpvg_catch_main)
+  add_library(lpvg_catch_main OBJECT "${CMAKE_CURRENT_LIST_DIR}/unit/catch_main.cpp")
+  target_link_libraries(lpvg_catch_main PUBLIC Catch2::Catch2)
+  target_compile_features(lpvg_catch_main PUBLIC cxx_std_17)
+  target_compile_options(lpvg_catch_main PRIVATE -O0 $<$<BOOL:${LPVG_SANITIZE}>:-fno-sanitize=all>)
+  set(lpvg_catch_main $<TARGET_OBJECTS:lpvg_catch_main>)
+endif()
 
 # lpvg_catch: what a test program links. It is not optimised, because what it tests is compiled apart; one that
 # holds what it tests has the property lpvg_optimised.
 add_library(lpvg_catch INTERFACE)
-target_sources(lpvg_catch INTERFACE $<TARGET_OBJECTS:lpvg_catch_main>)
+target_sources(lpvg_catch INTERFACE ${lpvg_catch_main})
 target_link_libraries(lpvg_catch INTERFACE Catch2::Catch2)
 target_compile_features(lpvg_catch INTERFACE cxx_std_17)
 target_compile_options(lpvg_catch INTERFACE $<$<NOT:$<BOOL:$<TARGET_PROPERTY:lpvg_optimised>>>:-O0>)

@@ -5,16 +5,22 @@ from __future__ import annotations
 
 import io
 import os
+import pickle
+import shutil
 import signal
 import subprocess
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from lpvguard import cli
-from lpvguard.core.compiled import Core
+from lpvguard.base import artefacts
+from lpvguard.control.design import Design, design
+from lpvguard.control.design import save as save_design
+from lpvguard.core.compiled import Core, shipped_vehicle
 from lpvguard.evaluate import baseline_study
 from lpvguard.evaluate.baselines import Baseline
 from lpvguard.identify import run as stage
@@ -40,7 +46,8 @@ FEW_DRIVES = {
 
 SLOW_FIXTURES = {
     "few_truck_identified": "60 s: a truck identified on few drives",
-    "few_truck_common_identified": "60 s: a truck identified on few drives",
+    "few_truck_common_identified": "60 s: a truck identified on few drives, with one Delta",
+    "few_truck_designed": "60 s: a design",
     "truck_identified": "over 60 s: the truck identified as shipped",
     "measured_identified": "10 s: the measured drives identified",
 }
@@ -226,6 +233,45 @@ def few_truck_drives(truck, made) -> Path:
 def few_truck_identified(truck, few_truck_drives, made) -> Path:
     """Identification folder of the few drives."""
     return made.folder("few_truck_identified", lambda folder: identify_into(folder, truck, few_truck_drives))
+
+
+@pytest.fixture(scope="session")
+def six_node_truck(few_truck_identified) -> stage.StoredIdentification:
+    """The truck identified on few drives, with as few nodes as leave mu near 1 between them."""
+    stored = stage.load(few_truck_identified)
+    settings = stored.project.design.model_copy(update={"nodes": 6})
+    return replace(stored, project=stored.project.model_copy(update={"design": settings}))
+
+
+@pytest.fixture(scope="session")
+def few_truck_designed(six_node_truck, made) -> tuple[Design, Path]:
+    """Its controller for frozen speeds, and the controller.json of it."""
+
+    def make(folder: Path) -> None:
+        result = design(six_node_truck, moving_speed=False)
+        folder.mkdir()
+        save_design(result, six_node_truck, folder / "design")
+        (folder / "design.pickle").write_bytes(pickle.dumps(result))
+
+    folder = made.folder("few_truck_designed", make)
+    return pickle.loads((folder / "design.pickle").read_bytes()), folder / "design" / "controller.json"
+
+
+@pytest.fixture(scope="session")
+def truck_within_shipped_bounds(few_truck_identified, made) -> Path:
+    """Identification folder of the few drives whose W_w and W_delta are the shipped truck's, so that the
+    shipped controller's certificate is about it; that `identify` makes those of the drives as shipped:
+    tests/tools/replay/test_chain.py."""
+
+    def make(folder: Path) -> None:
+        shipped = artefacts.read_manifest(shipped_vehicle("truck"), "vehicle")
+        shutil.copytree(few_truck_identified, folder)
+        weights = artefacts.read_json(folder / "weights.json")
+        weights |= shipped["weights"] | {"inflation": shipped["final_inflation"]}
+        (folder / "weights.json").write_text(artefacts.to_json(weights))
+        artefacts.seal(folder)
+
+    return made.folder("truck_within_shipped_bounds", make)
 
 
 @pytest.fixture(scope="session")

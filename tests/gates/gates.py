@@ -24,8 +24,9 @@ each found.
     big_endian   acceptance of coefficients, and CAN, pass their unit tests on a big-endian processor
                  (PowerPC, emulated)
     sanitize     the unit tests run clean under the address and undefined-behaviour sanitizers
-    coverage     lines and branches that the unit tests miss in a file of lib/src are as many as coverage.json
-                 says (a file that it does not name: none), no more, no less
+    coverage     lines and branches that the unit tests, but for the cases tagged [hour] and [many], miss in a
+                 file of lib/src are as many as coverage.json says (a file that it does not name: none), no
+                 more, no less
     mcdc         in the unit tests every condition of a decision of ecu, can and monitor shows its independent
                  effect (MC/DC, by clang)
     mutation     the tests notice every small change of lib/src (mutation.py, mutation_run.py): of the files
@@ -74,6 +75,8 @@ WARNINGS = [
 ]
 IMPORTS_ALLOWED = re.compile(r"mem(cpy|set|move|cmp)|(sqrt|fabs)f?")
 FULL = os.environ.get("LPVGUARD_FULL") == "1"
+CATCH_MAIN = os.environ.get("LPVG_CATCH_MAIN", "")
+"""main() of the test programs as the build has it that runs the gates (tests/catch.cmake)."""
 LEAST_COVERAGE = {"lines": 1.0, "branches": 0.98}  # whatever coverage.json says
 
 
@@ -467,8 +470,10 @@ def options(tree: Path, scratch: Path, only: str = "") -> list[str]:
 
 def configure(tree: Path, folder: Path, preset: str, *settings: str) -> list[str]:
     """With further ``settings``."""
-    python = f"-DPython3_EXECUTABLE={sys.executable}"
-    return failed("configure", "cmake", "--preset", preset, "-B", folder, python, *settings, cwd=tree)
+    known = [f"-DPython3_EXECUTABLE={sys.executable}"]
+    if CATCH_MAIN and preset != "big-endian":
+        known.append(f"-DLPVG_CATCH_MAIN={CATCH_MAIN}")
+    return failed("configure", "cmake", "--preset", preset, "-B", folder, *known, *settings, cwd=tree)
 
 
 def built_and_run(folder: Path, *only: str, env: dict[str, str] | None = None) -> list[str]:
@@ -482,8 +487,10 @@ def built_and_run(folder: Path, *only: str, env: dict[str, str] | None = None) -
     )
 
 
-def unit_tests(tree: Path, folder: Path, preset: str, *only: str) -> list[str]:
-    return configure(tree, folder, preset) or built_and_run(folder, *filter(None, only))
+def unit_tests(
+    tree: Path, folder: Path, preset: str, *only: str, settings: tuple[str, ...] = ()
+) -> list[str]:
+    return configure(tree, folder, preset, *settings) or built_and_run(folder, *filter(None, only))
 
 
 def double(tree: Path, scratch: Path, only: str = "") -> list[str]:
@@ -498,8 +505,18 @@ def big_endian(tree: Path, scratch: Path, only: str = "") -> list[str]:
     return unit_tests(tree, scratch / "build", "big-endian", *wanted)
 
 
+SANITIZERS = "-fsanitize=address,undefined"
+
+
 def sanitize(tree: Path, scratch: Path, only: str = "") -> list[str]:
-    return unit_tests(tree, scratch / "build", "sanitize", only)
+    """By clang, with which compiling takes less, or by gcc where clang has no sanitizers."""
+    scratch.mkdir(parents=True, exist_ok=True)
+    (scratch / "empty.cpp").write_text("int main() {}\n")
+    link = (SANITIZERS, scratch / "empty.cpp", "-o", scratch / "empty")
+    compiler = "clang" if shutil.which("clang++") and not run("clang++", *link)[0] else "gcc"
+    c, cxx = COMPILERS[compiler]
+    settings = (f"-DCMAKE_C_COMPILER={c}", f"-DCMAKE_CXX_COMPILER={cxx}")
+    return unit_tests(tree, scratch / compiler, "sanitize", only, settings=settings)
 
 
 def coverage_of(tree: Path, build: Path) -> dict[str, dict[str, dict]]:

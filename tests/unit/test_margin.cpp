@@ -298,7 +298,7 @@ TEST_CASE("the margin is the minimum, for 1 to 4 outputs", "[unit][margin][REQ-M
 }
 
 // 10^5 problems a size; with LPVGUARD_FULL=1 10^6.
-TEST_CASE("float never exceeds the margin and comes within 1e-6 of it", "[unit][margin][REQ-MON-3]") {
+TEST_CASE("float never exceeds the margin and comes within 1e-6 of it", "[unit][margin][many][REQ-MON-3]") {
     const auto n_y = GENERATE(std::size_t{1}, std::size_t{2}, std::size_t{3}, std::size_t{4});
     const int count = long_form() ? 1000000 : 100000;
     Random random(29U + static_cast<unsigned>(n_y));

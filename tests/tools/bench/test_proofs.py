@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -12,22 +11,16 @@ import pytest
 from lpvguard.base.errors import InputError
 from lpvguard.bench import proofs
 from lpvguard.bench._trials import Trial, Trials, _turned
-from lpvguard.control import design, violations
+from lpvguard.control import violations
 from lpvguard.engine.synthesis.varying import History
-from lpvguard.identify import run as identification
 
 SAMPLES = 300
 
 
-@pytest.fixture(scope="module")
-def designed(few_truck_identified, tmp_path_factory):
+@pytest.fixture
+def designed(six_node_truck, few_truck_designed):
     """The truck on few drives, six nodes, and what its controller.json states."""
-    stored = identification.load(few_truck_identified)
-    settings = stored.project.design.model_copy(update={"nodes": 6})
-    stored = replace(stored, project=stored.project.model_copy(update={"design": settings}))
-    folder = tmp_path_factory.mktemp("proofs") / "design"
-    design.save(design.design(stored, moving_speed=False), stored, folder)
-    return stored, (folder / "controller.json").read_text(encoding="utf-8")
+    return six_node_truck, few_truck_designed[1].read_text(encoding="utf-8")
 
 
 def stated_by(designed) -> tuple:
@@ -37,7 +30,6 @@ def stated_by(designed) -> tuple:
     return designed[0], document
 
 
-@pytest.mark.slow("60 s: a design")
 def test_no_drawn_loop_is_above_what_is_proved_and_a_bolder_claim_is_refuted(designed):
     stored, document = stated_by(designed)
     names = [name for name, _, _ in Trials(stored, document, SAMPLES, 1).claims()]
@@ -61,7 +53,6 @@ def test_no_drawn_loop_is_above_what_is_proved_and_a_bolder_claim_is_refuted(des
     assert refuted == [names[1], names[2], names[4], names[5], names[6]]
 
 
-@pytest.mark.slow("uses the same design")
 def test_performance_at_a_moving_speed_is_drawn_where_it_is_claimed(designed):
     stored, document = stated_by(designed)
     document["certificates"]["moving_speed"]["performance"] |= {"rate_mps2": 0.5, "level": 1.0}

@@ -11,7 +11,7 @@ import pytest
 from lpvguard.base import artefacts
 from lpvguard.base.errors import InputError
 from lpvguard.control import design as stage
-from lpvguard.control import moving_speed
+from lpvguard.control import moving_speed, plants
 from lpvguard.control.plants import fig1_weights, frozen_plant
 from lpvguard.control.robust_run import CompiledController, run
 from lpvguard.control.schedule import FrozenLoop, fit
@@ -29,10 +29,9 @@ from lpvguard.loop.sim import Simulator, load_scenario
 from lpvguard.vehicle.nominal import NominalModel
 
 
-@pytest.fixture(scope="module")
-def stored(few_truck_identified):
-    """The truck identified on few drives, with as few nodes as leave mu near 1 between them."""
-    return with_settings(identification.load(few_truck_identified), nodes=6)
+@pytest.fixture
+def stored(six_node_truck):
+    return six_node_truck
 
 
 @pytest.fixture(scope="module")
@@ -41,17 +40,10 @@ def common(few_truck_common_identified):
     return identification.load(few_truck_common_identified)
 
 
-def saved(result, stored, tmp_path_factory):
-    """A design and its controller.json."""
-    folder = tmp_path_factory.mktemp("design") / "design"
-    stage.save(result, stored, folder)
-    return result, folder / "controller.json"
-
-
-@pytest.fixture(scope="module")
-def designed(stored, tmp_path_factory):
+@pytest.fixture
+def designed(few_truck_designed):
     """For frozen speeds."""
-    return saved(stage.design(stored, moving_speed=False), stored, tmp_path_factory)
+    return few_truck_designed
 
 
 @pytest.fixture(scope="module")
@@ -62,10 +54,14 @@ def finer(few_truck_identified):
 
 @pytest.fixture(scope="module")
 def moving(finer, tmp_path_factory):
-    """For a moving speed, too; the search for performance takes minutes and has tests of its own."""
+    """A design for a moving speed, too, and its controller.json; the search for performance takes minutes and
+    has tests of its own."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(moving_speed, "find_level", lambda *_: None)
-        return saved(stage.design(finer), finer, tmp_path_factory)
+        result = stage.design(finer)
+    folder = tmp_path_factory.mktemp("design") / "design"
+    stage.save(result, finer, folder)
+    return result, folder / "controller.json"
 
 
 def with_settings(stored, **changes):
@@ -252,6 +248,28 @@ def test_K_is_takes_the_states_own_bound_in_1_per_s(common):
         seen = np.isfinite(nu)
         assert (np.abs(system.response(omega)[seen, 0, 0]) >= nu[seen] * (1 - 1e-6)).all()
     assert not np.allclose(weights.W_delta_s.response(omega), weights.W_delta_i.response(omega), rtol=0.1)
+
+
+def test_the_states_uncertainty_is_searched_once(common, monkeypatch):
+    """For an identification and a lambda_s, whoever asks; anew for a changed copy."""
+    asked = []
+
+    class Frames:
+        def __init__(self, stored):
+            asked.append(stored)
+
+        def explain_with_state(self, gamma_w, lambda_s):
+            return lambda_s
+
+        def weights(self, split):
+            return split
+
+    monkeypatch.setattr(plants, "StoredFrames", Frames)
+    one, settings = with_exact_frames(common), common.project.design
+    of = [settings.model_copy(update={"lambda_s": x}) for x in (0.5, 0.5, 2.0, 0.5)]
+    assert [plants.state_uncertainty(one, s) for s in of] == [0.5, 0.5, 2.0, 0.5] and len(asked) == 2
+    other = with_exact_frames(one)
+    assert plants.state_uncertainty(other, of[0]) == 0.5 and len(asked) == 3 and asked[-1] is other
 
 
 @pytest.mark.parametrize("factor", [0.1, 60.0])

@@ -217,11 +217,7 @@ def test_the_sentence_is_honest_when_nothing_reaches_one(problem, monkeypatch):
     hard = problem.stored.project.model_copy(
         update={"design": problem.settings.model_copy(update={"A_t": 400.0})}
     )
-    found = tradeoff.search(
-        FrozenProblem(
-            identification.StoredIdentification(**{**vars(problem.stored), "project": hard}), problem.frames
-        )
-    )
+    found = tradeoff.search(FrozenProblem(replace(problem.stored, project=hard), problem.frames))
     assert (
         found.best.level >= 1
         and "No candidate reaches mu < 1" in found.sentence
@@ -243,4 +239,4 @@ def test_commands_name_what_is_missing(lpvguard, few_truck_common_identified, tm
         np.savez(old / "spectra.npz", **{k: spectra[k] for k in spectra if k != "speed"})
     stored = identification.load(few_truck_common_identified)
     with pytest.raises(InputError, match="identify` again"):
-        StoredFrames(identification.StoredIdentification(**{**vars(stored), "folder": old}))
+        StoredFrames(replace(stored, folder=old))

@@ -39,7 +39,8 @@ def weight_system(weight: FittedWeight, inflation: float) -> StateSpace:
 
 
 def state_uncertainty(stored: StoredIdentification, settings: DesignSettings) -> SplitWeights:
-    """Class S2's weights at the identified gamma_w: W_delta_i dimensionless, W_delta_s in 1/s.
+    """Class S2's weights at the identified gamma_w: W_delta_i dimensionless, W_delta_s in 1/s; searched once
+    for each lambda_s.
 
     xi_s adds to the state's derivative. It is found by inverting dynamics, which windows only approximate:
     InputError where the frames cannot tell it.
@@ -56,8 +57,12 @@ def state_uncertainty(stored: StoredIdentification, settings: DesignSettings) ->
             f"K_i, or frames whose error is at most {LARGEST_WINDOW_ERROR:.0%}: "
             'the plain DFT, frames.estimator = "dft"',
         )
-    frames = StoredFrames(stored)
-    return frames.weights(frames.explain_with_state(stored.bounds["gamma_w"], settings.lambda_s))
+    key = "state_uncertainty", settings.lambda_s
+    if key not in stored.found:
+        frames = StoredFrames(stored)
+        split = frames.explain_with_state(stored.bounds["gamma_w"], settings.lambda_s)
+        stored.found[key] = frames.weights(split)
+    return stored.found[key]
 
 
 def fig1_weights(stored: StoredIdentification, settings: DesignSettings) -> fig1.PlantWeights:

@@ -27,7 +27,7 @@ number of workers nor the order of the drives changes a bit of the bounds.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, TypeVar
@@ -255,7 +255,10 @@ def save(result: Identification, drives: DriveSet, target: Path) -> None:
 
 @dataclass(frozen=True)
 class StoredIdentification:
-    """An identification folder read back: what export, evaluate and report need."""
+    """An identification folder read back: what export, evaluate and report need.
+
+    ``found``: what was computed of it, by key; a changed copy begins with nothing.
+    """
 
     folder: Path
     manifest: dict
@@ -270,6 +273,7 @@ class StoredIdentification:
     front: dict[str, np.ndarray]
     visibility: dict
     model_error: ModelError
+    found: dict[Any, Any] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     @cached_property
     def coefficients(self) -> Coefficients:
