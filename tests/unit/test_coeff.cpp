@@ -161,8 +161,11 @@ TEST_CASE("a value that the algorithm does not allow is refused", "[unit][coeff]
         }
     });
     if (LPVG_NDELTA > 1) {
-        spoilt("a sum of outputs that have no common Delta",
-               [](lpvg_coeff_reals_t& r) { r.energy_direction[0][0] = r.energy_direction[0][LPVG_NY - 1] = Real(0.5); });
+        spoilt("a sum of outputs that have no common Delta", [](lpvg_coeff_reals_t& r) {
+            for (Real& part : r.energy_direction[0]) {
+                part = Real(1) / LPVG_NY;
+            }
+        });
     }
     spoilt("a direction too short", [](lpvg_coeff_reals_t& r) {
         for (Real& a : r.energy_direction[LPVG_NDIRECTIONS - 1]) {
