@@ -419,7 +419,7 @@ def _lock(target: Path, work: Path) -> int:
         except FileNotFoundError:
             continue  # its holder has just removed it
         if handle is None:
-            raise InputError(target, "-o", "is held by another run that writes there", "one run at a time")
+            raise InputError(target, "", "is held by another run that writes there", "one run at a time")
         return handle
 
 
