@@ -382,6 +382,19 @@ def test_compiled_recursion_has_the_bits_of_numpy(n, monkeypatch):
     np.testing.assert_array_equal(recursion(Ad, forced, x), compiled)
 
 
+@pytest.mark.parametrize("vehicle", ["g80", "truck"])
+def test_compiled_nominal_model_has_the_bits_of_numpy(vehicle, monkeypatch):
+    model = NominalModel(load_project(vehicle))
+    random, (low, high) = np.random.default_rng(0), model.speed_range
+    v = np.linspace(low - 1, high + 1, 400)
+    u = random.standard_normal((400, model.n_u))
+    if native.kernels("recursion") is None:
+        pytest.skip("no compiler")
+    compiled = model.simulate(v, u, np.ones(model.n_y))
+    monkeypatch.setenv("LPVGUARD_NO_NATIVE", "1")
+    np.testing.assert_array_equal(model.simulate(v, u, np.ones(model.n_y)), compiled)
+
+
 @pytest.mark.parametrize("n_y", [1, 2])
 def test_front_is_the_largest_exact_nu_of_all_frames(n_y, g80, g80_model):
     random = np.random.default_rng(n_y)
