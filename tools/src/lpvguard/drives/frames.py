@@ -20,19 +20,26 @@ no settling.
 
 from __future__ import annotations
 
+import ctypes
 import json
 import zlib
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Literal
 
 import numpy as np
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 from scipy.signal import oaconvolve
 
+from ..base import native
 from ..base.errors import InputError
 from ..base.layout import constant
 from ..vehicle.nominal import NominalModel
 from ..vehicle.project import FrameSettings, Project
+
+
+def _pointer(array: np.ndarray) -> ctypes.c_void_p:
+    return array.ctypes.data_as(ctypes.c_void_p)
 
 
 def not_for_the_core(project: Project) -> InputError:
@@ -202,5 +209,26 @@ class Estimator:
         """Frames of bin k of the signals x (N, m) at the given start samples: (len(starts), m) complex."""
         if not len(starts):
             return np.zeros((0, x.shape[1]), complex)
+        if self.window == "hann" and (lib := native.kernels("hann")):
+            return self._slid(lib, np.ascontiguousarray(x, float), k, starts)
         kernel = self.kernel(k)[::-1, None]
         return oaconvolve(x, kernel, mode="valid", axes=0)[starts]
+
+    def _slid(self, lib: ctypes.CDLL, x: np.ndarray, k: int, starts: np.ndarray) -> np.ndarray:
+        """`transform` by sliding sums, over each stretch of starts that follow one another closely."""
+        N, m = int(self.length[k]), x.shape[1]
+        lines = np.outer(np.arange(N), int(self.cycles[k]) + np.arange(-1, 2)) % N
+        turn = np.exp(-2j * np.pi * lines / N)
+        scale = (2.0 if self.cycles[k] else 1.0) / (0.5 * N)
+        found = np.empty((len(starts), m), complex)
+        ends = np.flatnonzero(np.diff(starts) > N) + 1
+        for first, end in pairwise([0, *ends.tolist(), len(starts)]):
+            low, high = int(starts[first]), int(starts[end - 1]) + 1
+            whole = end - first == high - low
+            out = found[first:end] if whole else np.empty((high - low, m), complex)
+            pointers = (_pointer(a) for a in (x[low:], turn))
+            sizes = (ctypes.c_ssize_t(size) for size in (high - low, m, N))
+            lib.lpvg_hann(*sizes, *pointers, ctypes.c_double(scale), _pointer(out))
+            if not whole:
+                found[first:end] = out[starts[first:end] - low]
+        return found
