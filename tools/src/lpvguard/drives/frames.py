@@ -192,6 +192,19 @@ class Estimator:
 
     def counted(self, v: np.ndarray, k: int) -> np.ndarray:
         """(N - N_k + 1,) True for the start samples whose frame of bin k counts."""
+        return self._counted(v, *self._sums(v), k)
+
+    def stretches(self, v: np.ndarray) -> list[np.ndarray]:
+        """Per bin: first start and the one after the last (R, 2) of every run of frames that count."""
+        sums = self._sums(v)
+        counted = (self._counted(v, *sums, k) for k in range(self.n_bins))
+        return [np.flatnonzero(np.diff(np.r_[0, c.astype(np.int8), 0])).reshape(-1, 2) for c in counted]
+
+    def _sums(self, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Sums (N + 1,) of the speed and of the settled samples before each."""
+        return np.concatenate([[0.0], np.cumsum(v)]), np.concatenate([[0], np.cumsum(self.settled(v))])
+
+    def _counted(self, v: np.ndarray, total: np.ndarray, whole: np.ndarray, k: int) -> np.ndarray:
         N = int(self.length[k])
         if len(v) < N:
             return np.zeros(0, bool)
@@ -199,9 +212,7 @@ class Estimator:
         origin = -(N // 2)  # makes the filters look ahead: element i covers samples i .. i + N - 1
         low = minimum_filter1d(v, N, origin=origin)[:starts]
         high = maximum_filter1d(v, N, origin=origin)[:starts]
-        total = np.concatenate([[0.0], np.cumsum(v)])
         mean = (total[N:] - total[:-N]) / N
-        whole = np.concatenate([[0], np.cumsum(self.settled(v))])
         steady = (low >= (1 - self.speed_tolerance) * mean) & (high <= (1 + self.speed_tolerance) * mean)
         return steady & (whole[N:] - whole[:-N] == N)
 
