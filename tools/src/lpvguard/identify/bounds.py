@@ -310,7 +310,7 @@ def front(E: np.ndarray, Z: np.ndarray, gamma_w: np.ndarray) -> np.ndarray:
     firsts = np.arange(0, len(E), FRONT_BLOCK)
     size, z, b1, centre = (np.maximum.reduceat(x, firsts) for x in found)
     least_z = np.minimum.reduceat(np.where(found.z > 0, found.z, np.inf), firsts)
-    first = s1.Least(*(x[firsts] for x in found))
+    first = s1.LeastSquares(*(x[firsts] for x in found))
     for i in np.flatnonzero(~np.isnan(gamma_w)):
         gamma = gamma_w[i]
         low, _ = _about(first, gamma)
@@ -319,7 +319,7 @@ def front(E: np.ndarray, Z: np.ndarray, gamma_w: np.ndarray) -> np.ndarray:
         open_blocks = np.flatnonzero((size > gamma) & (z > 0) & (high >= low.max()))
         inside = (firsts[open_blocks, None] + np.arange(FRONT_BLOCK)).ravel()
         inside = inside[inside < len(E)]
-        at = s1.Least(*(x[inside] for x in found))
+        at = s1.LeastSquares(*(x[inside] for x in found))
         low, high = _about(at, gamma)
         largest = inside[(at.e > gamma) & (at.z > 0) & (high >= low.max(initial=-np.inf))]
         out[i] = s1.solve(E[largest], Z[largest], gamma).nu.max(initial=0.0)
@@ -331,13 +331,13 @@ def _slack(centre: np.ndarray, z: np.ndarray, gamma: float) -> np.ndarray:
     return 1e-6 * (centre + gamma / z)
 
 
-def _about(found: s1.Least, gamma: float) -> tuple[np.ndarray, np.ndarray]:
+def _about(found: s1.LeastSquares, gamma: float) -> tuple[np.ndarray, np.ndarray]:
     """Bounds (F,) of nu of frames, where it is not 0; -inf where it is."""
     with np.errstate(divide="ignore", invalid="ignore"):
         about = found.delta - np.sqrt(np.maximum(gamma**2 - found.b1**2, 0.0)) / found.z
         slack = _slack(found.delta, found.z, gamma)
     needing = (found.e > gamma) & (found.z > 0)
-    return tuple(np.where(needing, x, -np.inf) for x in (about - slack, about + slack))
+    return np.where(needing, about - slack, -np.inf), np.where(needing, about + slack, -np.inf)
 
 
 def reduce_uncertainty(

@@ -121,7 +121,9 @@ def windows_of(
         f @ f.swapaxes(2, 3),
         (f @ x[..., None])[..., 0],
         (x**2).sum(axis=2),
-        *((signal[index] ** 2).mean(axis=1) for signal in (noise, change, whole_change)),
+        (noise[index] ** 2).mean(axis=1),
+        (change[index] ** 2).mean(axis=1),
+        (whole_change[index] ** 2).mean(axis=1),
         np.ones(x.shape[:2]),
     )
     left = x - (windows.theta[..., None, :] @ f)[..., 0, :]
@@ -328,8 +330,8 @@ def _needed(
     covariance = np.empty_like(errors)
     for first, end in pairwise(np.cumsum([0, *windows])):
         own = slice(first, end)
-        others = [x if len(windows) == 1 else np.delete(x, own, axis=0) for x in (theta, errors)]
-        covariance[own] = _spread(*others, spread) + errors[own]
+        rest, their = (x if len(windows) == 1 else np.delete(x, own, axis=0) for x in (theta, errors))
+        covariance[own] = _spread(rest, their, spread) + errors[own]
     information = np.linalg.inv(covariance)
     alone = (information @ theta[..., None])[..., 0]
     estimates = np.abs(alone) / np.sqrt(np.einsum("wjii->wji", information))

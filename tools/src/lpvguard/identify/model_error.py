@@ -274,7 +274,11 @@ def _add(
         RR = np.abs(R) ** 2 if instrument else ZZ
         out.fourth[place] += (RR**2).sum(axis=1)
         out.ee[place] += EE.sum(axis=1)
-        moments = [((out.ree,), RR * EE), ((out.rze,), RR * ZE), ((out.rzz,), RR * ZZ)]
+        moments: list[tuple[tuple[np.ndarray, ...], np.ndarray]] = [
+            ((out.ree,), RR * EE),
+            ((out.rze,), RR * ZE),
+            ((out.rzz,), RR * ZZ),
+        ]
         if instrument:
             RE, RZ = R.conj() * E, R.conj() * Z
             moments += [((out.ze,), ZE), ((out.re,), RE), ((out.zz,), ZZ), ((out.rr,), RR), ((out.rz,), RZ)]

@@ -203,7 +203,7 @@ def solve(e, z, gamma_w) -> S1Result:
     )
 
 
-class Least(NamedTuple):
+class LeastSquares(NamedTuple):
     """Per point, in the leading shape of E: |E|, |Z|, the smallest disturbance B1, and |delta0|."""
 
     e: np.ndarray
@@ -218,7 +218,7 @@ def _size(x: np.ndarray) -> np.ndarray:
     return np.linalg.norm(unit, axis=-1) * scale
 
 
-def least(e, z) -> Least:
+def least(e, z) -> LeastSquares:
     """Sizes of E and Z (..., n_y), and of what the least-squares scalar leaves and is; B1 and delta0 as
     `solve` and `least_squares_delta` have them. NaN where an input is not finite."""
     shape, e, z = _points("S1", e, z)
@@ -232,7 +232,7 @@ def least(e, z) -> Least:
     else:
         out = np.empty((len(e), 4))
         lib.lpvg_least(*map(ctypes.c_ssize_t, e.shape), *map(_pointer, (e, z, out)))
-    return Least(*np.moveaxis(out.reshape(*shape, 4), -1, 0))
+    return LeastSquares(*np.moveaxis(out.reshape(*shape, 4), -1, 0))
 
 
 def least_squares_delta(e, z) -> np.ndarray:
