@@ -1,7 +1,8 @@
-"""The upper bound of μ to its infimum, by the method of centres.
+"""The upper bound of μ to its infimum.
 
 It is the least β with  Mᴴ D_L M + j (G M − Mᴴ G) ≼ β² D_R  (Fan, Tits & Doyle 1991), a generalised eigenvalue
-problem (Boyd & El Ghaoui 1993).
+problem. The method of centres solves it (Boyd & El Ghaoui 1993). With full blocks it is the least singular
+value of a scaled M, and where that is simple Newton's method finds it sooner.
 """
 
 from __future__ import annotations
