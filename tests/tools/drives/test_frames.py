@@ -9,6 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from lpvguard.base import native
 from lpvguard.base.errors import InputError
 from lpvguard.base.layout import constant
 from lpvguard.drives.frames import Estimator, require_core, settled
@@ -41,6 +42,24 @@ def test_transform_is_the_defining_sum(estimator):
         rotation = np.exp(-2j * np.pi * estimator.cycles[k] * np.arange(N) / N)
         direct = [[scale * np.sum(w * rotation * x[s : s + N, j]) for j in range(2)] for s in starts]
         np.testing.assert_allclose(estimator.transform(x, k, starts), direct, atol=1e-13)
+
+
+@pytest.mark.parametrize("signals", [1, 4, 7])
+def test_sliding_sums_are_the_convolution_on_long_drives_with_gaps(estimator, signals, monkeypatch):
+    """A thousand times longer than a frame, with offsets: what rounding gathers must not show."""
+    random = np.random.default_rng(signals)
+    k, samples = estimator.n_bins - 1, 60_000
+    N = int(estimator.length[k])
+    x = 10 + np.cumsum(random.standard_normal((samples, signals)), axis=0)
+    starts = np.arange(samples - N + 1)
+    kept = np.concatenate([starts[:1], starts[3 * N : 3 * N + 2], starts[9 * N :: 3]])
+    if native.kernels("hann") is None:
+        pytest.skip("no compiler")
+    slid, all_slid = estimator.transform(x, k, kept), estimator.transform(x, k, starts)
+    monkeypatch.setenv("LPVGUARD_NO_NATIVE", "1")
+    convolved = estimator.transform(x, k, starts)
+    np.testing.assert_allclose(all_slid, convolved, rtol=0, atol=1e-13 * np.abs(x).max())
+    np.testing.assert_allclose(slid, convolved[kept], rtol=0, atol=1e-13 * np.abs(x).max())
 
 
 def brute_counted(estimator, v, k):

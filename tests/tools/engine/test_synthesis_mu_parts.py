@@ -10,7 +10,7 @@ from scipy.optimize import minimize
 
 from lpvguard.engine.blocks import Block
 from lpvguard.engine.synthesis import mu_interval as interval
-from lpvguard.engine.synthesis import mu_upper, norms
+from lpvguard.engine.synthesis import mu_lower, mu_upper, norms
 from lpvguard.engine.synthesis.errors import SynthesisError
 from lpvguard.engine.synthesis.statespace import StateSpace, to_discrete
 from lpvguard.engine.synthesis.structure import Structure
@@ -79,7 +79,8 @@ def test_the_rounding_of_a_gain_bounds_what_entries_of_A_do_to_it(omega):
     """Eight units in the last place of every entry, of first order; so it is linear in their size."""
     G = system(2)
     size, random = 1e-6, np.random.default_rng(1)
-    bound = norms._rounding(G, omega) / (8 * norms.EPS) * size
+    values, by_rounding = norms._sizes(G, np.array([omega, np.inf]))
+    bound = by_rounding[0] / (8 * norms.EPS) * size
     inverse = np.linalg.inv(1j * omega * np.eye(3) - G.A)
     seen = 0.0
     for _ in range(300):
@@ -87,10 +88,9 @@ def test_the_rounding_of_a_gain_bounds_what_entries_of_A_do_to_it(omega):
         moved = G.C @ np.linalg.inv(1j * omega * np.eye(3) - G.A - E) @ G.B - G.C @ inverse @ G.B
         seen = max(seen, np.linalg.norm(moved))
     assert 0.2 * bound < seen <= 1.001 * bound
-    assert norms._rounding(G, np.inf) == 0.0
-    lifted = norms._lifted(G, np.array([omega, np.inf]))
-    assert lifted == np.linalg.norm(G.response([omega])[0], 2) + norms._rounding(G, omega)
-    assert norms._lifted(G, np.array([np.inf])) == 0.0
+    assert by_rounding[1] == 0.0
+    want = np.linalg.norm(G.response([omega, np.inf]), 2, axis=(1, 2))
+    np.testing.assert_allclose(values, want, rtol=1e-14)
 
 
 def test_the_bracket_is_the_level_and_the_rounding_and_exact_without_input_or_output():
@@ -114,11 +114,11 @@ def test_the_norm_does_not_settle_for_a_level_below_the_peak(monkeypatch):
         at = np.linalg.norm(G.response([found.peak_frequency])[0], 2)
         assert at == pytest.approx(found.lower, rel=1e-9)
     monkeypatch.setattr(norms, "_crossings", lambda H, level: np.array([1.0]))
-    levels = iter(np.arange(1.0, 1000.0))
+    levels = iter(np.arange(1000.0, 2000.0))
     monkeypatch.setattr(norms, "_largest", lambda H, omega: (next(levels), 1.0))
     with pytest.raises(ArithmeticError, match="60 steps"):
         norms.hinf_norm(G)
-    assert next(levels) == 62.0, "the start and 60 levels"
+    assert next(levels) == 1060.0, "60 levels"
 
 
 # ---------------------------------------------------------------- the upper bound of mu
@@ -152,6 +152,57 @@ def test_the_scalings_prove_the_bound_and_no_smaller_one(blocks, seed):
 
         best = minimize(scaled, [0.0], method="Nelder-Mead", options={"xatol": 1e-9, "fatol": 1e-12}).fun
         assert upper == pytest.approx(best, rel=1e-6)
+
+
+FOUR = tuple(Block("full", 1, 1) for _ in range(4))
+
+
+@pytest.mark.parametrize("blocks", [FULL, (*FULL, Block("full", 1, 1)), FOUR], ids=["two", "three", "four"])
+@pytest.mark.parametrize("seed", range(4))
+def test_newtons_method_finds_what_the_method_of_centres_finds(blocks, seed, monkeypatch):
+    structure, M = Structure(blocks), 10.0 ** (3 * seed - 4) * matrix(blocks, seed)
+    found = mu_upper.simple_infimum(M, structure, 1e-8)
+    assert found is not None
+    monkeypatch.setattr(mu_upper, "simple_infimum", lambda *_: None)
+    upper, infimum, *_ = mu_upper.upper_bound(M, structure, 1e-7)
+    assert found[0] == pytest.approx(upper, rel=1e-6) and found[1] <= found[0] * (1 + 1e-15)
+    assert found[1] == pytest.approx(found[0], rel=1e-8) and infimum <= found[0] * (1 + 1e-9)
+    left, right = found[2:4]
+    assert np.linalg.norm(left @ M @ np.linalg.inv(right), 2) <= found[0] * (1 + 1e-14)
+    # At a simple largest singular value the bound is attained.
+    value, delta = mu_lower._attained(M, structure)
+    assert value == pytest.approx(found[0], rel=1e-8)
+    assert np.linalg.svd(np.eye(len(M)) - M @ delta)[1][-1] < 1e-9
+    assert np.linalg.norm(delta, 2) == pytest.approx(1 / value, rel=1e-8)
+
+
+def test_newtons_method_leaves_a_double_singular_value_and_other_blocks_alone():
+    """For M = I every scaling of four blocks has the same singular values. Where a block has no effect, the
+    infimum is not attained."""
+    structure = Structure(FULL)
+    assert mu_upper.simple_infimum(matrix(MIXED, 0), Structure(MIXED), 1e-6) is None
+    M = matrix(FULL, 1)
+    M[:, :2] = 0.0
+    upper, infimum, *_ = mu_upper.upper_bound(M, structure, 1e-6)
+    assert upper == pytest.approx(np.linalg.norm(M[1:, 2], 2), rel=1e-3) and infimum <= upper
+    assert mu_upper.upper_bound(np.eye(4), Structure(FOUR), 1e-6)[0] == pytest.approx(1, rel=1e-6)
+
+
+def test_the_derivatives_of_the_largest_singular_value_are_those_of_differences():
+    structure, M, x = Structure(FULL), matrix(FULL, 2), np.array([0.3, -0.2])
+    rows, cols = [b.cols for b in FULL], [b.rows for b in FULL]
+    member = np.array([[1, 0, 0, -1, -1, 0], [0, 1, 1, 0, 0, -1]], float)
+
+    def at(x):
+        return mu_upper._newton_model(M, x, rows, cols, member)
+
+    assert structure.n_rows == 3
+    step = 1e-5 * np.eye(2)
+    value, slope, curvature, low = at(x)
+    differences = [[(at(x + h)[k] - at(x - h)[k]) / 2e-5 for h in step] for k in (0, 1)]
+    np.testing.assert_allclose(slope, differences[0], rtol=1e-6)
+    np.testing.assert_allclose(curvature, differences[1], rtol=1e-6)
+    assert low <= mu_upper.upper_bound(M, structure, 1e-9)[0] <= value
 
 
 def test_a_bound_does_not_depend_on_the_units_of_its_blocks():

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from lpvguard.engine.synthesis.interconnection import rational, zeros_poles
-from lpvguard.engine.synthesis.norms import _crossings, _lifted, _rounding, axis_frequencies, hinf_norm
+from lpvguard.engine.synthesis.norms import _crossings, _sizes, axis_frequencies, hinf_norm
 from lpvguard.engine.synthesis.statespace import EPS, StateSpace, append, gain, series, to_discrete
 
 
@@ -187,6 +187,10 @@ def test_near_the_axis_is_a_thousandth_of_an_eigenvalue_and_what_rounding_of_a_m
         assert axis_frequencies(np.array([[sign * 1.001 * limit]]), scale).size == 0
 
 
+def _rounding(G: StateSpace, omega: float) -> float:
+    return float(_sizes(G, np.array([omega]))[1][0])
+
+
 def test_rounding_of_a_moves_the_response_entry_by_entry():
     rng = np.random.default_rng(8)
     G, omega = random_system(rng, 3, 2, 2), 0.7
@@ -203,14 +207,14 @@ def test_rounding_of_a_moves_the_response_entry_by_entry():
     assert _rounding(one, 1.0) == pytest.approx(8 * 2.0**-52 * 5 * 3 * 2 / 5, rel=1e-9, abs=0.0)
 
 
-def test_the_lifted_response_is_the_largest_at_finite_frequencies_with_its_rounding():
+def test_a_norm_reaches_over_the_rounding_of_a_pole_that_large_entries_hide():
     slow = 1e-12  # DC is 1, and a rounding of A by 8 units moves it by 8 EPS of itself
     G = append(
         StateSpace([[-slow]], [[slow]], [[1.0]], [[0.0]]), StateSpace([[-1.0]], [[1.0]], [[0.5]], [[0.0]])
     )
     dense = G.transformed(np.array([[1.0, 0.6], [0.4, 1.0]]))
-    omegas = np.array([np.inf, 2.0, 0.0, 0.0])
-    want = max(largest_at(dense, w)[0] + _rounding(dense, w) for w in (0.0, 2.0))
-    assert _lifted(dense, omegas) == pytest.approx(want, rel=1e-6)
-    assert _lifted(dense, omegas) > 1 + 1e-4
-    assert _lifted(dense, np.array([np.inf])) == 0.0
+    values, moved = _sizes(dense, np.array([np.inf, 2.0, 0.0]))
+    assert values[1:] == pytest.approx([largest_at(dense, w)[0] for w in (2.0, 0.0)], rel=1e-6)
+    assert values[2] + moved[2] > 1 + 1e-4
+    assert (values[0], moved[0]) == (0.0, 0.0)
+    assert hinf_norm(dense).upper >= (values[2] + moved[2]) * (1 - 1e-2)

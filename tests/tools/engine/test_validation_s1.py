@@ -417,3 +417,31 @@ def test_both_engines_agree(monkeypatch):
 def test_bad_arguments_are_named(call, word):
     with pytest.raises(InputError, match=word):
         call()
+
+
+@pytest.mark.parametrize("native_kernel", [True, False])
+@pytest.mark.parametrize("n_y", [1, 2, 3])
+def test_least_has_the_sizes_and_what_solve_and_the_least_squares_scalar_say(n_y, native_kernel, monkeypatch):
+    """Random points, and such as cancel: parallel, orthogonal, zero, and decades away from 1."""
+    if not native_kernel:
+        monkeypatch.setenv("LPVGUARD_NO_NATIVE", "1")
+    elif native.kernels("s1") is None:
+        pytest.skip("no compiler")
+    random = np.random.default_rng(n_y)
+    e, z = (random.standard_normal((40, n_y)) + 1j * random.standard_normal((40, n_y)) for _ in range(2))
+    e[:5], z[5:10], e[10:15] = (2 + 1j) * z[:5], 0.0, 0.0
+    e[15:20] *= 1e-200
+    z[20:25] *= 1e180
+    if n_y > 1:
+        e[25:30, 0], e[25:30, 1] = z[25:30, 1].conj(), -z[25:30, 0].conj()
+    found = s1.least(e, z)
+    scale = np.abs(e).max(axis=1) + (np.abs(e).max(axis=1) == 0)
+    np.testing.assert_allclose(found.e, np.linalg.norm(e / scale[:, None], axis=1) * scale, rtol=1e-13)
+    np.testing.assert_allclose(found.b1, s1.solve(e, z, found.e).b1, rtol=1e-12)
+    np.testing.assert_allclose(
+        found.delta, np.abs(s1.least_squares_delta(e, z)), rtol=1e-12, atol=1e-15 * found.delta.max()
+    )
+    assert (found.z[5:10] == 0).all() and (found.delta[5:10] == 0).all()
+    assert found.z[20] == pytest.approx(1e180 * np.linalg.norm(z[20] / 1e180), rel=1e-13)
+    e[0, 0], z[1, 0] = np.nan, np.inf
+    assert np.isnan(np.array(s1.least(e[:2], z[:2]))).all()

@@ -281,7 +281,8 @@ def test_a_reader_keeps_as_many_drives_as_have_room(tmp_path, monkeypatch):
         passes, "read_drive", lambda path, of: files.append(path.stem) or read_drive(path, of)
     )
     drive, e, yhat = reader.read(drives[0])
-    size = sum(x.nbytes for x in (drive.t, drive.v, drive.u, drive.y, e, yhat))
+    size = sum(x.nbytes for x in (drive.t, drive.v, drive.u, drive.y, yhat))
+    np.testing.assert_array_equal(e, drive.y - yhat)
     monkeypatch.setattr(passes, "KEPT_BYTES", int(2.5 * size))
     reader, files[:] = passes.DriveReader(project, reader.model), []
     for drive in (*drives, *drives):
@@ -382,11 +383,27 @@ def test_compiled_recursion_has_the_bits_of_numpy(n, monkeypatch):
     np.testing.assert_array_equal(recursion(Ad, forced, x), compiled)
 
 
+@pytest.mark.parametrize("vehicle", ["g80", "truck"])
+def test_compiled_nominal_model_has_the_bits_of_numpy(vehicle, monkeypatch):
+    model = NominalModel(load_project(vehicle))
+    random, (low, high) = np.random.default_rng(0), model.speed_range
+    v = np.linspace(low - 1, high + 1, 400)
+    u = random.standard_normal((400, model.n_u))
+    if native.kernels("recursion") is None:
+        pytest.skip("no compiler")
+    compiled = model.simulate(v, u, np.ones(model.n_y))
+    monkeypatch.setenv("LPVGUARD_NO_NATIVE", "1")
+    np.testing.assert_array_equal(model.simulate(v, u, np.ones(model.n_y)), compiled)
+
+
+@pytest.mark.parametrize("alike", [False, True])
 @pytest.mark.parametrize("n_y", [1, 2])
-def test_front_is_the_largest_exact_nu_of_all_frames(n_y, g80, g80_model):
+def test_front_is_the_largest_exact_nu_of_all_frames(n_y, alike, g80, g80_model):
     random = np.random.default_rng(n_y)
     E, Z = (random.standard_normal((500, n_y)) + 1j * random.standard_normal((500, n_y)) for _ in range(2))
     E *= random.uniform(0, 1, (500, 1))
+    if alike:  # neighbours, as frames one sample apart are: whole blocks of them are passed over
+        E, Z = (np.cumsum(x, axis=0) for x in (E, Z))
     size = np.linalg.norm(E, axis=1)
     estimator = replace(Estimator.of(g80, g80_model), length=np.array([100, 100]), cycles=np.array([0, 3]))
     B1, B2 = np.full(2, s1.solve(E, Z, size).b1.max()), np.full(2, size.max())

@@ -206,6 +206,7 @@ def _compile_to(
 _KERNEL_LEVEL = {
     "lyapunov_barrier": "-O3",
     "s1": "-O3",
+    "hann": "-O3",
     "s2": "-O2",
     "ray": "-O2",
     "candump": "-O2",

@@ -20,19 +20,26 @@ no settling.
 
 from __future__ import annotations
 
+import ctypes
 import json
 import zlib
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Literal
 
 import numpy as np
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 from scipy.signal import oaconvolve
 
+from ..base import native
 from ..base.errors import InputError
 from ..base.layout import constant
 from ..vehicle.nominal import NominalModel
 from ..vehicle.project import FrameSettings, Project
+
+
+def _pointer(array: np.ndarray) -> ctypes.c_void_p:
+    return array.ctypes.data_as(ctypes.c_void_p)
 
 
 def not_for_the_core(project: Project) -> InputError:
@@ -185,6 +192,19 @@ class Estimator:
 
     def counted(self, v: np.ndarray, k: int) -> np.ndarray:
         """(N - N_k + 1,) True for the start samples whose frame of bin k counts."""
+        return self._counted(v, *self._sums(v), k)
+
+    def stretches(self, v: np.ndarray) -> list[np.ndarray]:
+        """Per bin: first start and the one after the last (R, 2) of every run of frames that count."""
+        sums = self._sums(v)
+        counted = (self._counted(v, *sums, k) for k in range(self.n_bins))
+        return [np.flatnonzero(np.diff(np.r_[0, c.astype(np.int8), 0])).reshape(-1, 2) for c in counted]
+
+    def _sums(self, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Sums (N + 1,) of the speed and of the settled samples before each."""
+        return np.concatenate([[0.0], np.cumsum(v)]), np.concatenate([[0], np.cumsum(self.settled(v))])
+
+    def _counted(self, v: np.ndarray, total: np.ndarray, whole: np.ndarray, k: int) -> np.ndarray:
         N = int(self.length[k])
         if len(v) < N:
             return np.zeros(0, bool)
@@ -192,9 +212,7 @@ class Estimator:
         origin = -(N // 2)  # makes the filters look ahead: element i covers samples i .. i + N - 1
         low = minimum_filter1d(v, N, origin=origin)[:starts]
         high = maximum_filter1d(v, N, origin=origin)[:starts]
-        total = np.concatenate([[0.0], np.cumsum(v)])
         mean = (total[N:] - total[:-N]) / N
-        whole = np.concatenate([[0], np.cumsum(self.settled(v))])
         steady = (low >= (1 - self.speed_tolerance) * mean) & (high <= (1 + self.speed_tolerance) * mean)
         return steady & (whole[N:] - whole[:-N] == N)
 
@@ -202,5 +220,26 @@ class Estimator:
         """Frames of bin k of the signals x (N, m) at the given start samples: (len(starts), m) complex."""
         if not len(starts):
             return np.zeros((0, x.shape[1]), complex)
+        if self.window == "hann" and (lib := native.kernels("hann")):
+            return self._slid(lib, np.ascontiguousarray(x, float), k, starts)
         kernel = self.kernel(k)[::-1, None]
         return oaconvolve(x, kernel, mode="valid", axes=0)[starts]
+
+    def _slid(self, lib: ctypes.CDLL, x: np.ndarray, k: int, starts: np.ndarray) -> np.ndarray:
+        """`transform` by sliding sums, over each stretch of starts that follow one another closely."""
+        N, m = int(self.length[k]), x.shape[1]
+        lines = np.outer(np.arange(N), int(self.cycles[k]) + np.arange(-1, 2)) % N
+        turn = np.exp(-2j * np.pi * lines / N)
+        scale = (2.0 if self.cycles[k] else 1.0) / (0.5 * N)
+        found = np.empty((len(starts), m), complex)
+        ends = np.flatnonzero(np.diff(starts) > N) + 1
+        for first, end in pairwise([0, *ends.tolist(), len(starts)]):
+            low, high = int(starts[first]), int(starts[end - 1]) + 1
+            whole = end - first == high - low
+            out = found[first:end] if whole else np.empty((high - low, m), complex)
+            pointers = (_pointer(a) for a in (x[low:], turn))
+            sizes = (ctypes.c_ssize_t(size) for size in (high - low, m, N))
+            lib.lpvg_hann(*sizes, *pointers, ctypes.c_double(scale), _pointer(out))
+            if not whole:
+                found[first:end] = out[starts[first:end] - low]
+        return found

@@ -20,6 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from functools import cached_property, reduce
 
 import numpy as np
 
@@ -36,6 +37,10 @@ FRONT_POINTS = 25
 uniform."""
 
 
+FRONT_BLOCK = 64
+"""Frames one after another that the search for the front bounds together."""
+
+
 @dataclass(frozen=True)
 class FrameSet:
     """Counted frames of one drive in one bin: E, Z (F, n_y) complex, starts (F,) first samples;
@@ -46,6 +51,11 @@ class FrameSet:
     Z: np.ndarray
     starts: np.ndarray
     experiment: str = ""
+
+    @cached_property
+    def sizes(self) -> tuple[np.ndarray, np.ndarray]:
+        """|E_j| and |Z_j| (F, n_y)."""
+        return np.abs(self.E), np.abs(self.Z)
 
     def require(
         self, good: np.ndarray, estimator: Estimator, what: Callable[[int], str], expected: str
@@ -71,11 +81,17 @@ def nominal_error(drive: Drive, model: NominalModel) -> tuple[np.ndarray, np.nda
 
 
 def counted_frames(
-    drive: Drive, e: np.ndarray, yhat: np.ndarray, model: NominalModel, estimator: Estimator
+    drive: Drive,
+    e: np.ndarray,
+    yhat: np.ndarray,
+    model: NominalModel,
+    estimator: Estimator,
+    stretches: list[np.ndarray] | None = None,
 ) -> Iterator[FrameSet]:
     """Counted frames of a drive, one set per bin; e, yhat (N, n_y) in output units, e = y - yhat.
 
-    Frames start at every sample that counts. The plain DFT has one frame: the first that counts.
+    Frames start at every sample that counts, in rising order; ``stretches``: the runs of these starts, where
+    they are known. The plain DFT has one frame: the first that counts.
     """
     if estimator.window == "rectangular":
         starts = np.flatnonzero(estimator.counted(drive.v, 0))[:1]
@@ -86,8 +102,8 @@ def counted_frames(
         return
     both = np.hstack([e, yhat])
     n_y = e.shape[1]
-    for k in range(estimator.n_bins):
-        starts = np.flatnonzero(estimator.counted(drive.v, k))
+    for k, runs in enumerate(estimator.stretches(drive.v) if stretches is None else stretches):
+        starts = np.concatenate([np.zeros(0, int), *(np.arange(*run) for run in runs)])
         spectra = estimator.transform(both, k, starts)
         yield FrameSet(k, spectra[:, :n_y], spectra[:, n_y:], starts, drive.name)
 
@@ -166,15 +182,19 @@ FIRST, REST = "_first", "_rest"
 
 
 def _decided(key: str, values: np.ndarray, s: FrameSet, estimator: Estimator, out: Part) -> None:
-    """Writes the largest of ``values`` (F, m) of the frames ``s`` into the part, and what Deciders ask
-    for."""
+    """Writes the largest of ``values`` (F, m) >= 0 of the frames ``s``, their starts rising, into the part,
+    and what Deciders ask for."""
     if not len(values):
         return
     columns = np.arange(values.shape[1])
     k = values.argmax(axis=0)
-    apart = np.abs(s.starts[:, None] - s.starts[k]) >= estimator.length[s.bin]
     out[key][s.bin], out[key + FIRST][s.bin] = values[k, columns], s.starts[k]
-    out[key + REST][s.bin] = np.where(apart, values, 0.0).max(axis=0)
+    before = np.searchsorted(s.starts, s.starts[k] - estimator.length[s.bin], side="right")
+    after = np.searchsorted(s.starts, s.starts[k] + estimator.length[s.bin])
+    out[key + REST][s.bin] = [
+        max(values[:b, j].max(initial=0.0), values[a:, j].max(initial=0.0))
+        for j, (b, a) in enumerate(zip(before, after, strict=True))
+    ]
 
 
 def _undecided(key: str, shape: tuple[int, int]) -> Part:
@@ -186,7 +206,10 @@ def _undecided(key: str, shape: tuple[int, int]) -> Part:
 
 
 def _maximum(values: np.ndarray) -> np.ndarray | float:
-    return values.max(axis=0) if len(values) else np.nan
+    """Largest over the first axis; column by column, sixty times as fast as numpy's for a few columns."""
+    if not len(values):
+        return np.nan
+    return values.max() if values.ndim == 1 else np.array([column.max() for column in values.T])
 
 
 def reduce_disturbance(
@@ -204,13 +227,10 @@ def reduce_disturbance(
     }
     out |= {key: np.full((K, n_y), np.nan) for key in ("E", "Y")}
     for s in sets:
-        finite = np.all(np.isfinite(s.E) & np.isfinite(s.Z), axis=1)
-        s.require(finite, estimator, lambda _: "E or Z is not finite", "finite spectra")
+        size, z, b1, delta = s1.least(s.E, s.Z)
+        s.require(np.isfinite(size), estimator, lambda _: "E or Z is not finite", "finite spectra")
         out["frames"][s.bin] = len(s.E)
-        size = np.linalg.norm(s.E, axis=1)
-        z = np.linalg.norm(s.Z, axis=1)
-        b1 = s1.solve(s.E, s.Z, size).b1
-        excess = np.maximum(0.0, np.abs(s1.least_squares_delta(s.E, s.Z)) - nu_ceiling[s.bin])
+        excess = np.maximum(0.0, delta - nu_ceiling[s.bin])
         rule = size if estimator.cycles[s.bin] == 0 else np.hypot(b1, z * excess)
         for key, values in (
             ("excitation", z),
@@ -233,10 +253,11 @@ def explain(
     Raises InputError for a frame that is not finite, or whose B1 is above gamma_w: nothing in class S1
     explains it. In class S1_diagonal gamma_w bounds each |w_j|, and what Z_j = 0 leaves above it is refused.
     """
-    if structure == "S1_diagonal":
-        return _explain_each(s, estimator, gamma_w)
     if structure == "S0" or estimator.cycles[s.bin] == 0:
-        return np.zeros(len(s.E)), s.E
+        return np.zeros(s.E.shape if structure == "S1_diagonal" else len(s.E)), s.E
+    if structure == "S1_diagonal":
+        (nu, excess), size = _needed_each(s, estimator, gamma_w), s.sizes[0]
+        return nu, s.E * np.divide(size - excess, size, out=np.zeros(size.shape), where=size > 0)
     gamma = gamma_w[s.bin]
     result = s1.solve(s.E, s.Z, gamma)
     s.require(
@@ -248,20 +269,19 @@ def explain(
     return result.nu, result.w
 
 
-def _explain_each(s: FrameSet, estimator: Estimator, gamma_w: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """`explain` of class S1_diagonal: every output by itself, E_j = delta_j Z_j + w_j, |w_j| <= gamma_w."""
-    if estimator.cycles[s.bin] == 0:
-        return np.zeros(s.E.shape), s.E
-    size, gain = np.abs(s.E), np.abs(s.Z)
+def _needed_each(s: FrameSet, estimator: Estimator, gamma_w: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Class S1_diagonal, every output by itself: least |delta_j| (F, n_y) with E_j = delta_j Z_j + w_j, |w_j|
+    <= gamma_w, and what |E_j| has above gamma_w."""
+    size, gain = s.sizes
     excess = np.maximum(0.0, size - gamma_w[s.bin])
     nu = np.divide(excess, gain, out=np.where(excess > 0, np.inf, 0.0), where=gain > 0)
     s.require(
-        np.isfinite(nu).all(axis=1),
+        np.isfinite(reduce(np.maximum, nu.T)),
         estimator,
         lambda i: f"|E| = {size[i].max():.6g} beside Z = 0, or not finite",
         "finite spectra and |E_j| <= gamma_w where Z_j = 0",
     )
-    return nu, s.E * np.divide(size - excess, size, out=np.zeros(size.shape), where=size > 0)
+    return nu, excess
 
 
 def front_grid(B1: np.ndarray, B2: np.ndarray, estimator: Estimator, structure: str) -> np.ndarray:
@@ -278,22 +298,44 @@ def front(E: np.ndarray, Z: np.ndarray, gamma_w: np.ndarray) -> np.ndarray:
     NaN for NaN.
 
     nu = |delta0| - sqrt(gamma_w^2 - B1^2) / |Z| with its rounding error tells which frames can be the
-    largest; only those are solved without cancellation.
+    largest; only those are solved without cancellation. Frames that follow one another are alike: the largest
+    |delta0|, B1 and |Z| of FRONT_BLOCK frames bound their nu, and most blocks stay below a first frame's.
     """
-    size = np.linalg.norm(E, axis=1)
-    b1, z = s1.solve(E, Z, size).b1, np.linalg.norm(Z, axis=1)
-    centre = np.abs(s1.least_squares_delta(E, Z))
     out = np.full(len(gamma_w), np.nan)
-    for i, gamma in enumerate(gamma_w):
-        needing = np.flatnonzero((size > gamma) & (z > 0))
-        if np.isnan(gamma) or not len(needing):
-            out[i] = np.nan if np.isnan(gamma) or not len(E) else 0.0
-            continue
-        about = centre[needing] - np.sqrt(np.maximum(gamma**2 - b1[needing] ** 2, 0.0)) / z[needing]
-        slack = 1e-6 * (centre[needing] + gamma / z[needing])  # sqrt loses half the digits near B1
-        largest = needing[about + slack >= (about - slack).max()]
-        out[i] = s1.solve(E[largest], Z[largest], gamma).nu.max()
+    if not len(E) or np.isnan(gamma_w).all():
+        return out
+    found = s1.least(E, Z)
+    firsts = np.arange(0, len(E), FRONT_BLOCK)
+    size, z, b1, centre = (np.maximum.reduceat(x, firsts) for x in found)
+    least_z = np.minimum.reduceat(np.where(found.z > 0, found.z, np.inf), firsts)
+    first = s1.LeastSquares(*(x[firsts] for x in found))
+    for i in np.flatnonzero(~np.isnan(gamma_w)):
+        gamma = gamma_w[i]
+        low, _ = _about(first, gamma)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            high = centre - np.sqrt(np.maximum(gamma**2 - b1**2, 0.0)) / z + _slack(centre, least_z, gamma)
+        open_blocks = np.flatnonzero((size > gamma) & (z > 0) & (high >= low.max()))
+        inside = (firsts[open_blocks, None] + np.arange(FRONT_BLOCK)).ravel()
+        inside = inside[inside < len(E)]
+        at = s1.LeastSquares(*(x[inside] for x in found))
+        low, high = _about(at, gamma)
+        largest = inside[(at.e > gamma) & (at.z > 0) & (high >= low.max(initial=-np.inf))]
+        out[i] = s1.solve(E[largest], Z[largest], gamma).nu.max(initial=0.0)
     return out
+
+
+def _slack(centre: np.ndarray, z: np.ndarray, gamma: float) -> np.ndarray:
+    """How far off |delta0| - sqrt(gamma_w^2 - B1^2) / |Z| may be: the root loses half the digits near B1."""
+    return 1e-6 * (centre + gamma / z)
+
+
+def _about(found: s1.LeastSquares, gamma: float) -> tuple[np.ndarray, np.ndarray]:
+    """Bounds (F,) of nu of frames, where it is not 0; -inf where it is."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        about = found.delta - np.sqrt(np.maximum(gamma**2 - found.b1**2, 0.0)) / found.z
+        slack = _slack(found.delta, found.z, gamma)
+    needing = (found.e > gamma) & (found.z > 0)
+    return np.where(needing, about - slack, -np.inf), np.where(needing, about + slack, -np.inf)
 
 
 def reduce_uncertainty(
@@ -308,7 +350,10 @@ def reduce_uncertainty(
     out = _undecided("nu", (estimator.n_bins, n_y if structure == "S1_diagonal" else 1))
     out["front"] = np.full(grid.shape, np.nan)
     for s in sets:
-        nu, _ = explain(s, estimator, gamma_w, structure)
+        if structure == "S1_diagonal" and estimator.cycles[s.bin] > 0:
+            nu = _needed_each(s, estimator, gamma_w)[0]
+        else:
+            nu = explain(s, estimator, gamma_w, structure)[0]
         _decided("nu", nu.reshape(len(nu), out["nu"].shape[1]), s, estimator, out)
         out["front"][s.bin] = front(s.E, s.Z, grid[s.bin])
     return out
@@ -331,13 +376,21 @@ def remainder(s: FrameSet, estimator: Estimator, W_delta: np.ndarray, structure:
     return s.E - share * delta * s.Z
 
 
+def remainder_sizes(s: FrameSet, estimator: Estimator, W_delta: np.ndarray, structure: str) -> np.ndarray:
+    """|w_j| (F, n_y) of `remainder`."""
+    if structure != "S1_diagonal" or estimator.cycles[s.bin] == 0:
+        return np.abs(remainder(s, estimator, W_delta, structure))
+    size, gain = s.sizes
+    return np.maximum(0.0, size - W_delta[s.bin] * gain)
+
+
 def reduce_remainder(
     sets: Iterable[FrameSet], estimator: Estimator, W_delta: np.ndarray, n_y: int, structure: str
 ) -> Part:
     """Step 6: largest |w_j| (K, n_y) that no |delta| <= W_delta (K, n_delta) explains."""
     out = _undecided("B_w", (estimator.n_bins, n_y))
     for s in sets:
-        _decided("B_w", np.abs(remainder(s, estimator, W_delta, structure)), s, estimator, out)
+        _decided("B_w", remainder_sizes(s, estimator, W_delta, structure), s, estimator, out)
     return out
 
 
@@ -348,7 +401,7 @@ def reduce_covering(
     jointly."""
     scale = np.full(estimator.n_bins, np.nan)
     for s in sets:
-        w = remainder(s, estimator, W_delta, structure)
-        relative = np.divide(np.abs(w), B_w[s.bin], out=np.zeros(w.shape), where=B_w[s.bin] > 0)
-        scale[s.bin] = _maximum(np.linalg.norm(relative, axis=1))
+        w = remainder_sizes(s, estimator, W_delta, structure)
+        relative = np.divide(w, B_w[s.bin], out=np.zeros(w.shape), where=B_w[s.bin] > 0)
+        scale[s.bin] = np.sqrt(_maximum(np.einsum("fj,fj->f", relative, relative)))
     return {"scale": scale}

@@ -12,10 +12,12 @@ errors. Both are enlarged until 95 % of a drive's windows lie within the 95 % re
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
+from scipy.fft import irfft, next_fast_len, rfft
 from scipy.stats import chi2, t
 
 from ..base.errors import InputError
@@ -109,24 +111,23 @@ def windows_of(
     length = round(WINDOW_S / (BLOCK * estimator.Ts))
     starts = range(0, max(len(taken) - length // 2, 0), length // 2)
     found = [taken[s : s + length] for s in starts if s == 0 or s + length <= len(taken)]
-    n_y = e.shape[1]
-    rows: list[Windows] = [_empty(n_y)]
+    if not found:
+        return _empty(e.shape[1])
+    index = np.stack(found)  # a shorter one is alone
+    f, x = phi[index].transpose(0, 2, 3, 1), mean_e[index].swapaxes(1, 2)
     whole_change = change + np.diff(mean_e, axis=0, prepend=mean_e[:1])
-    for index in found:
-        f, x = phi[index], mean_e[index]
-        one = Windows(
-            np.array([float(len(index))]),
-            np.einsum("mji,mjk->jik", f, f)[None],
-            np.einsum("mji,mj->ji", f, x)[None],
-            (x**2).sum(axis=0)[None],
-            (noise[index] ** 2).mean(axis=0)[None],
-            (change[index] ** 2).mean(axis=0)[None],
-            (whole_change[index] ** 2).mean(axis=0)[None],
-            np.ones((1, n_y)),
-        )
-        left = x - np.einsum("mji,ji->mj", f, one.theta[0])
-        rows.append(Windows(**{**vars(one), "correlated": _correlated(left)[None]}))
-    return Windows.joined(rows)
+    windows = Windows(
+        np.full(len(index), float(index.shape[1])),
+        f @ f.swapaxes(2, 3),
+        (f @ x[..., None])[..., 0],
+        (x**2).sum(axis=2),
+        (noise[index] ** 2).mean(axis=1),
+        (change[index] ** 2).mean(axis=1),
+        (whole_change[index] ** 2).mean(axis=1),
+        np.ones(x.shape[:2]),
+    )
+    left = x - (windows.theta[..., None, :] @ f)[..., 0, :]
+    return replace(windows, correlated=_correlated(left))
 
 
 def _empty(n_y: int) -> Windows:
@@ -135,37 +136,59 @@ def _empty(n_y: int) -> Windows:
 
 
 def _correlated(left: np.ndarray) -> np.ndarray:
-    """1 + 2 sum of the correlations of a residue (M, n_y) up to the first that is not positive, (n_y,)."""
-    found = np.ones(left.shape[1])
-    for j, r in enumerate(left.T):
-        total = float(r @ r)
-        for lag in range(1, len(r) // 2):
-            share = float(r[lag:] @ r[:-lag]) / total if total > 0 else 0.0
-            if share <= 0:
-                break
-            found[j] += 2 * share
-    return found
+    """1 + 2 sum of correlations of residues (W, n_y, M) up to the first that is not positive, (W, n_y)."""
+    blocks = left.shape[-1]
+    padded = next_fast_len(2 * blocks, real=True)
+    sums = irfft(np.abs(rfft(left, padded)) ** 2, padded)[..., : max(1, blocks // 2)]
+    total = (left**2).sum(axis=-1, keepdims=True)
+    share = np.divide(sums, total, out=np.zeros_like(sums), where=total > 0)[..., 1:]
+    return 1 + 2 * (share * np.logical_and.accumulate(share > 0, axis=-1)).sum(axis=-1)
 
 
 def _spread(theta: np.ndarray, errors: np.ndarray, start: np.ndarray | None = None) -> np.ndarray:
     """Second moments (n_y, 4, 4) of a random theta about 0, of estimates (W, n_y, 4) with ``errors`` (W, n_y,
-    4, 4), by expectation and maximisation; ``start`` (n_y, 4, 4): those of nearly the same windows."""
-    moments = np.einsum("wji,wjk->jik", theta, theta) / len(theta)
-    scale = np.sqrt(np.einsum("jii->ji", moments)) + 1e-12
+    4, 4), by expectation and maximisation; ``start`` (n_y, 4, 4): those of nearly the same windows.
+
+    With S_w = found + errors_w and u_w = S_w^-1 theta_w a step adds found (mean of u u' - S^-1) found."""
+    theta = np.ascontiguousarray(np.moveaxis(theta, 0, -1))
+    errors = np.ascontiguousarray(errors.transpose(2, 3, 1, 0))
+    windows = theta.shape[-1]
+    scale = np.sqrt((theta**2).mean(axis=-1)) + 1e-12
     found = np.stack([np.diag(s**2) for s in scale])
     least = 1e-6 * found
     if start is not None:
         found = start
     for _ in range(STEPS if start is None else FEWER_STEPS):
-        gain = found @ np.linalg.inv(found + errors)
-        mean = np.einsum("wjik,wjk->wji", gain, theta)
-        left = found - gain @ found
-        found = (np.einsum("wji,wjk->jik", mean, mean) + left.sum(axis=0)) / len(theta) + least
+        factor = _inverse_factor(np.moveaxis(found, 0, -1)[..., None] + errors)
+        white = [sum(m * t for m, t in zip(row, theta.swapaxes(0, 1), strict=False)) for row in factor]
+        u = [sum(factor[i][k] * white[i] for i in range(k, PARTS)) for k in range(PARTS)]
+        surplus = np.empty_like(found)
+        for k, m in zip(*np.tril_indices(PARTS), strict=True):
+            inverse = sum(_products(factor[i][k], factor[i][m]) for i in range(k, PARTS))
+            surplus[:, k, m] = surplus[:, m, k] = _products(u[k], u[m]) - inverse
+        found = found + found @ surplus @ found / windows + least
     return (found + found.swapaxes(1, 2)) / 2
 
 
-def _squares(theta: np.ndarray, covariance: np.ndarray) -> np.ndarray:
-    return np.einsum("wji,wji->wj", theta, np.linalg.solve(covariance, theta[..., None])[..., 0])
+def _products(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Sums (n_y,) of a b over windows, a and b (n_y, W)."""
+    return np.einsum("jw,jw->j", a, b)
+
+
+def _inverse_factor(S: np.ndarray) -> list[list[np.ndarray]]:
+    """Rows of the lower triangle M with M' M = S^-1 of positive definite S (4, 4, ...): its Cholesky factor's
+    inverse."""
+    L: dict[tuple[int, int], np.ndarray] = {}
+    M: list[list[np.ndarray]] = []
+    for i in range(PARTS):
+        for k in range(i + 1):
+            rest = S[i, k]
+            for m in range(k):
+                rest = rest - L[i, m] * L[k, m]
+            L[i, k] = rest * M[k][k] if k < i else 1 / np.sqrt(rest)
+        row = [-L[i, i] * sum(L[i, m] * M[m][k] for m in range(k, i)) for k in range(i)]
+        M.append([*row, L[i, i]])
+    return M
 
 
 @dataclass(frozen=True)
@@ -205,7 +228,7 @@ class DiagnosisScales:
         correlated = every.correlated.mean(axis=0)
         theta, errors = every.theta, every.errors(correlated)
         spread = _spread(theta, errors)
-        enlarged, interval = _needed(drives, correlated, spread)
+        enlarged, interval = _needed([len(w.n) for w in drives], theta, errors, spread)
         y_square = every.gram[..., 0, 0] / every.n[:, None] * unit[:, 0] ** 2
         share = np.maximum((every.residue * y_square).sum(0) / (y_square**2).sum(0), 1e-6)
         constant = (every.residue - share * y_square).max(axis=0)
@@ -295,25 +318,25 @@ class DiagnosisTable(Sealed):
 
 
 def _needed(
-    drives: Sequence[Windows], correlated: np.ndarray, spread: np.ndarray
+    windows: Sequence[int], theta: np.ndarray, errors: np.ndarray, spread: np.ndarray
 ) -> tuple[np.ndarray, float]:
     """Factor (n_y,) on the covariances, 1 or more, with which COVERED of the windows lie within the region
     that the other drives make; with one drive its own. Half width of an interval, in standard deviations.
 
     The latter is Student's t with as many degrees of freedom as drives, since about 0 each gives the spread
     one. It is more where COVERED of the windows' gains, delays or biases ask for it, all else being free.
+    ``windows``: how many each drive has, one drive after the other in ``theta`` and ``errors``.
     """
-    squares, estimates = [], []
-    for k, w in enumerate(drives):
-        rest = Windows.joined([d for i, d in enumerate(drives) if i != k or len(drives) == 1])
-        covariance = _spread(rest.theta, rest.errors(correlated), spread) + w.errors(correlated)
-        squares.append(_squares(w.theta, covariance))
-        information = np.linalg.inv(covariance)
-        alone = np.einsum("wjik,wjk->wji", information, w.theta)
-        estimates.append(np.abs(alone) / np.sqrt(np.einsum("wjii->wji", information)))
-    enlarged = np.maximum(
-        1.0, np.quantile(np.concatenate(squares), COVERED, axis=0) / chi2.ppf(COVERED, PARTS)
-    )
-    sizes = np.concatenate(estimates)[..., : PARTS - 1] / np.sqrt(enlarged)[:, None]
-    usual = float(t.ppf((1 + COVERED) / 2, len(drives)))
+    covariance = np.empty_like(errors)
+    for first, end in pairwise(np.cumsum([0, *windows])):
+        own = slice(first, end)
+        rest, their = (x if len(windows) == 1 else np.delete(x, own, axis=0) for x in (theta, errors))
+        covariance[own] = _spread(rest, their, spread) + errors[own]
+    information = np.linalg.inv(covariance)
+    alone = (information @ theta[..., None])[..., 0]
+    estimates = np.abs(alone) / np.sqrt(np.einsum("wjii->wji", information))
+    squares = np.einsum("wji,wji->wj", theta, alone)
+    enlarged = np.maximum(1.0, np.quantile(squares, COVERED, axis=0) / chi2.ppf(COVERED, PARTS))
+    sizes = estimates[..., : PARTS - 1] / np.sqrt(enlarged)[:, None]
+    usual = float(t.ppf((1 + COVERED) / 2, len(windows)))
     return enlarged, max(usual, float(np.quantile(sizes, COVERED, axis=0).max()))

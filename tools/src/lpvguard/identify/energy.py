@@ -261,20 +261,30 @@ class EnergyTest:
     ) -> Iterator[tuple[int, int, np.ndarray, np.ndarray]]:
         """Per stretch in speed range and band: first judged sample, band, left and right matrices of products
         (n, n_y, n_y)."""
+        for first, band, *sides in self._sides(e, yhat, v):
+            starts = np.zeros_like(self.start[band]), self.start[band]
+            left, right = (
+                self._sums(band, x[:, None] * x, np.diag(start))
+                for x, start in zip(sides, starts, strict=True)
+            )
+            yield first, band, np.moveaxis(left, -1, 0), np.moveaxis(right[..., self.settle :], -1, 0)
+
+    def _sides(
+        self, e: np.ndarray, yhat: np.ndarray, v: np.ndarray
+    ) -> Iterator[tuple[int, int, np.ndarray, np.ndarray]]:
+        """Per stretch in speed range and band: first judged sample, band, F e from there on (n_y, n), and F
+        W_delta yhat from ``settle`` samples before."""
         inside = (v >= self.speed_range[0]) & (v <= self.speed_range[1])
         for first, end in np.flatnonzero(np.diff(np.r_[0, inside.astype(np.int8), 0])).reshape(-1, 2):
             if end - first <= self.settle:
                 continue
-            explained = self.weighted(yhat[first:end])
+            error, explained, nominal = (
+                np.ascontiguousarray(x.T)
+                for x in (e[first:end], self.weighted(yhat[first:end]), yhat[first:end])
+            )
             for band, F in enumerate(self.F):
-                allowed = explained if band < len(self.F) - 1 else self.above * yhat[first:end]
-                left, right = sosfilt(F, e[first:end], axis=0), sosfilt(F, allowed, axis=0)
-                yield (
-                    first + self.settle,
-                    band,
-                    self._sums(band, left[self.settle :], np.zeros_like(self.start[band])),
-                    self._sums(band, right, self.start[band])[self.settle :],
-                )
+                allowed = explained if band < len(self.F) - 1 else self.above[:, None] * nominal
+                yield first + self.settle, band, sosfilt(F, error)[:, self.settle :], sosfilt(F, allowed)
 
     def weighted(self, yhat: np.ndarray) -> np.ndarray:
         """W_delta yhat_j (N, n_y) of the nominal output (N, n_y), from rest: each by the W_delta of its
@@ -283,10 +293,10 @@ class EnergyTest:
             return sosfilt(self.W[0], yhat, axis=0)
         return np.column_stack([sosfilt(W, column) for W, column in zip(self.W, yhat.T, strict=True)])
 
-    def _sums(self, band: int, x: np.ndarray, start: np.ndarray) -> np.ndarray:
-        products = x[:, :, None] * x[:, None, :]
+    def _sums(self, band: int, products: np.ndarray, start: np.ndarray) -> np.ndarray:
+        """Forgetting sums over the last axis, of what ``start`` was before it."""
         kept = np.exp(-2 * self.Ts / self.memories_s[band])
-        return lfilter([1.0], [1.0, -kept], products, axis=0, zi=kept * np.diag(start)[None])[0]
+        return lfilter([1.0], [1.0, -kept], products, zi=kept * start[..., None])[0]
 
     def ratios(self, e: np.ndarray, yhat: np.ndarray, v: np.ndarray) -> Iterator[tuple[int, int, np.ndarray]]:
         """Per stretch in speed range and band: first judged sample, band, left side over right (n, D) in
@@ -301,18 +311,32 @@ class EnergyTest:
         out = {key: np.full(self.sigma.shape, np.nan) for key in ("sigma", "error", "bound")} | {
             "joint": np.full(len(self.F), np.nan)
         }
-        single = np.eye(self.sigma.shape[1])
-        for _, band, left, right in self.norms(e, yhat, v):
-            error, bound = _norm_in(left, single), _norm_in(right, single)
-            a = self.directions / self.sigma[band]
-            for key, value in (
-                ("sigma", (error - bound).max(axis=0)),
-                ("error", error.max(axis=0)),
-                ("bound", bound.max(axis=0)),
-                ("joint", (_norm_in(left, a) - _norm_in(right, a)).max()),
-            ):
+        for _, band, *sides in self._sides(e, yhat, v):
+            found = self._needs_in(band, *sides)
+            for key, value in found.items():
                 out[key][band] = np.fmax(out[key][band], value)
         return out
+
+    def _needs_in(self, band: int, left: np.ndarray, right: np.ndarray) -> dict[str, np.ndarray]:
+        """`needs` of a stretch in one band, from its `_sides`."""
+        size, rest, start = self.settle, np.zeros_like(self.start[band]), self.start[band]
+        single = len(self.W) > 1  # every direction is one output
+        if single:
+            left, right = self._sums(band, left**2, rest), self._sums(band, right**2, start)[:, size:]
+            diagonals = left, right
+        else:
+            left = self._sums(band, left[:, None] * left, np.diag(rest))
+            right = self._sums(band, right[:, None] * right, np.diag(start))[..., size:]
+            diagonals = tuple(np.einsum("jjn->jn", x) for x in (left, right))
+        error, bound = (np.sqrt(np.maximum(x, 0.0)) for x in diagonals)
+        needed = {"sigma": (error - bound).max(axis=1)}
+        if single:
+            joint = (needed["sigma"] / self.sigma[band]).max()
+        else:
+            a = self.directions / self.sigma[band]
+            error_in, bound_in = (_norm_in(np.moveaxis(x, -1, 0), a) for x in (left, right))
+            joint = (error_in - bound_in).max()
+        return needed | {"error": error.max(axis=1), "bound": bound.max(axis=1), "joint": joint}
 
     def with_sigma(self, needs: dict[str, np.ndarray], floor: np.ndarray | float = 0.0) -> EnergyTest:
         """sigma per band and output from ``needs`` over all identification drives, at least ``floor`` (B,

@@ -23,11 +23,11 @@ does not depend on the order in which a folder lists them.
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from functools import cached_property
 from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 from scipy.linalg import solve_toeplitz
 from scipy.signal import lfilter
 
@@ -112,6 +112,20 @@ class ErrorGrid:
     def cells(self) -> tuple[int, int]:
         """Numbers of speed cells and of amplitude classes."""
         return len(self.speed_edges) - 1, len(self.amplitude_edges) + 1
+
+    @cached_property
+    def _kernels(self) -> dict[tuple[float, int], np.ndarray]:
+        return {}
+
+    def kernel(self, omega: float, half: int) -> np.ndarray:
+        """Hann window times exponential at ``omega`` [rad/s], (half, 4): real and imaginary part of the first
+        half, and of the second. Every drive has the same; they are made once."""
+        if (omega, half) not in self._kernels:
+            n = np.arange(2 * half)
+            window = 0.5 - 0.5 * np.cos(2 * np.pi * n / len(n))
+            parts = (window * np.exp(-1j * omega * self.Ts * n)).reshape(2, -1)
+            self._kernels[omega, half] = np.stack([x for k in parts for x in (k.real, k.imag)], axis=1)
+        return self._kernels[omega, half]
 
     def relative(self, v: np.ndarray) -> np.ndarray:
         """s, in the shape of the speeds v [m/s]."""
@@ -198,35 +212,44 @@ def drive_sums(
     for j in range(model.n_y):
         whiten = prediction_error_filter(yhat[settled, j])
         filters.append(whiten)
-        outside = yhat[:, j] if drive.instrument is None else drive.instrument
-        signals.append([lfilter(whiten, [1.0], x) for x in (e[:, j], yhat[:, j], outside)])
-    stacked = np.array(signals).reshape(3 * model.n_y, -1)
+        outside = [] if drive.instrument is None else [drive.instrument]
+        signals += [lfilter(whiten, [1.0], x) for x in (e[:, j], yhat[:, j], *outside)]
+    stacked = np.array(signals)
+    each = len(stacked) // model.n_y
     power = np.r_[0.0, np.cumsum((drive.u[:, 0] - model.input_offset[0]) ** 2)]
     total, whole = (np.r_[0.0, np.cumsum(x)] for x in (drive.v, settled))
     for g, omega in enumerate(grid.omega):
+        whitened = np.repeat(np.abs(np.array(filters) @ np.exp(-1j * omega * grid.Ts * lags)), each)
         for p, periods in enumerate(PERIODS):
-            length = 2 * round(periods * np.pi / omega / grid.Ts)
+            half = round(periods * np.pi / omega / grid.Ts)
+            length, halves = 2 * half, len(drive.t) // half
             if length > len(drive.t):
                 break
-            starts = np.arange(0, len(drive.t) - length + 1, length // 2)
-            starts = starts[whole[starts + length] - whole[starts] == length]
+            starts = half * np.arange(halves - 1)
             speed = (total[starts + length] - total[starts]) / length
-            windows = sliding_window_view(drive.v, length)[starts]
+            parts = drive.v[: halves * half].reshape(halves, half)
+            low, high = parts.min(axis=1), parts.max(axis=1)
             tolerance = estimator.speed_tolerance * speed
-            good = (windows.max(axis=1, initial=0) - speed <= tolerance) & (
-                speed - windows.min(axis=1, initial=np.inf) <= tolerance
-            )
+            good = whole[starts + length] - whole[starts] == length
+            good &= np.maximum(high[1:], high[:-1]) - speed <= tolerance
+            good &= speed - np.minimum(low[1:], low[:-1]) <= tolerance
             amplitude = np.sqrt(2 * (power[starts + length] - power[starts]) / length)
             good &= amplitude > np.sqrt(2) * excited_std
-            starts, speed, amplitude = starts[good], speed[good], amplitude[good]
-            if not len(starts):
+            if not good.any():
                 continue
-            n = np.arange(length)
-            kernel = (0.5 - 0.5 * np.cos(2 * np.pi * n / length)) * np.exp(-1j * omega * grid.Ts * n)
-            frames = sliding_window_view(stacked, length, axis=1)[:, starts] @ kernel
-            frames /= np.repeat(np.abs(np.array(filters) @ np.exp(-1j * omega * grid.Ts * lags)), 3)[:, None]
-            _add(out, grid, (g, p), frames.reshape(model.n_y, 3, -1), speed, amplitude)
+            frames = (
+                _by_halves(stacked[:, : halves * half], grid.kernel(omega, half))[:, good] / whitened[:, None]
+            )
+            _add(out, grid, (g, p), frames.reshape(model.n_y, each, -1), speed[good], amplitude[good])
     return out
+
+
+def _by_halves(signals: np.ndarray, kernel: np.ndarray) -> np.ndarray:
+    """Frames (m, N / h - 1) of signals (m, N) at every h-th start, by their ``kernel`` (h, 4).
+
+    Each half frame is the second half of one frame and the first of the next: it is taken once for both."""
+    sums = signals.reshape(len(signals), -1, len(kernel)) @ kernel
+    return np.ascontiguousarray(sums[:, :-1, :2] + sums[:, 1:, 2:]).view(complex)[..., 0]
 
 
 def _add(
@@ -237,23 +260,34 @@ def _add(
     speed: np.ndarray,
     amplitude: np.ndarray,
 ) -> None:
-    """Add frames (n_y, 3, F) of E, Z, R at speeds (F,) and amplitudes (F,) to the cells of ``out``."""
+    """Add frames (n_y, 3, F) of E, Z, R at speeds (F,) and amplitudes (F,) to the cells of ``out``; (n_y, 2,
+    F) of E and Z where Z is R."""
+    instrument = frames.shape[1] == 3
     cell = np.clip(np.searchsorted(grid.speed_edges, speed, "right") - 1, 0, grid.cells[0] - 1)
     kind = np.searchsorted(grid.amplitude_edges, amplitude, "right")
     for c, a in sorted(set(zip(cell.tolist(), kind.tolist(), strict=True))):
         inside = (cell == c) & (kind == a)
-        E, Z, R = np.moveaxis(frames[:, :, inside], 1, 0)
+        E, Z, R = np.moveaxis(frames[:, :, inside], 1, 0)[[0, 1, -1]]
         power = (grid.relative(speed[inside])[None] ** np.arange(5)[:, None]).T
         place = (*at, slice(None), c, a)
-        EE, ZZ, RR, ZE = np.abs(E) ** 2, np.abs(Z) ** 2, np.abs(R) ** 2, Z.conj() * E
+        EE, ZZ, ZE = np.abs(E) ** 2, np.abs(Z) ** 2, Z.conj() * E
+        RR = np.abs(R) ** 2 if instrument else ZZ
         out.fourth[place] += (RR**2).sum(axis=1)
         out.ee[place] += EE.sum(axis=1)
-        moments = (
-            (out.ze, ZE), (out.re, R.conj() * E), (out.zz, ZZ), (out.rr, RR), (out.rz, R.conj() * Z),
-            (out.ree, RR * EE), (out.rze, RR * ZE), (out.rzz, RR * ZZ),
-        )  # fmt: skip
-        for field, product in moments:
-            field[place] += product @ power[:, : field.shape[-1]]
+        moments: list[tuple[tuple[np.ndarray, ...], np.ndarray]] = [
+            ((out.ree,), RR * EE),
+            ((out.rze,), RR * ZE),
+            ((out.rzz,), RR * ZZ),
+        ]
+        if instrument:
+            RE, RZ = R.conj() * E, R.conj() * Z
+            moments += [((out.ze,), ZE), ((out.re,), RE), ((out.zz,), ZZ), ((out.rr,), RR), ((out.rz,), RZ)]
+        else:
+            moments += [((out.ze, out.re), ZE), ((out.zz, out.rr, out.rz), ZZ)]
+        for targets, product in moments:
+            total = product @ power[:, : targets[0].shape[-1]]
+            for target in targets:
+                target[place] += total
 
 
 def model_error_pass(reader: DriveReader, grid: ErrorGrid, experiment: Experiment) -> Sums:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import zlib
 from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -36,8 +37,23 @@ from .visibility import Excitation
 
 LARGEST_SPECTRA, DRAWN_SPECTRA = 250, 750
 """Frames a bin in spectra.npz: those of largest |E|, and a draw by hash among all."""
-KEPT_BYTES = 256 << 20
+KEPT_BYTES = 384 << 20
 """Samples that a reader keeps: an identification passes over its drives a dozen times."""
+
+
+@dataclass
+class _Held:
+    """A drive with its nominal output yhat (N, n_y); its error is a difference away. ``stretches``: runs of
+    its counted frames, once they are asked for. ``kept``: by the reader."""
+
+    drive: Drive
+    yhat: np.ndarray
+    stretches: list[np.ndarray] | None = None
+    kept: bool = False
+
+    def found(self) -> tuple[Drive, np.ndarray, np.ndarray]:
+        """The drive, e and yhat."""
+        return self.drive, self.drive.y - self.yhat, self.yhat
 
 
 class DriveReader:
@@ -49,7 +65,7 @@ class DriveReader:
 
     def __init__(self, project: Project, model: NominalModel):
         self.project, self.model, self.estimator = project, model, Estimator.of(project, model)
-        self._kept: dict[Experiment, tuple[Drive, np.ndarray, np.ndarray]] = {}
+        self._kept: dict[Experiment, _Held] = {}
         self._room = KEPT_BYTES
         _ = model.table  # made here once, not by every worker
 
@@ -58,27 +74,37 @@ class DriveReader:
 
     def read(self, experiment: Experiment) -> tuple[Drive, np.ndarray, np.ndarray]:
         """The drive, its nominal error e and nominal output yhat (N, n_y)."""
+        return self._held(experiment).found()
+
+    def frames(self, experiment: Experiment) -> Iterator[FrameSet]:
+        """The counted frames of a drive, bin by bin."""
+        return self._frames(self._held(experiment))
+
+    def seen(self, experiment: Experiment) -> tuple[Drive, np.ndarray, np.ndarray, Iterator[FrameSet]]:
+        """What `read` and `frames` give, of one reading."""
+        held = self._held(experiment)
+        return *held.found(), self._frames(held)
+
+    def _held(self, experiment: Experiment) -> _Held:
         if experiment in self._kept:
             return self._kept[experiment]
-        found = drive, e, yhat = self._read(experiment)
-        arrays = [e, yhat, *(x for x in vars(drive).values() if isinstance(x, np.ndarray))]
+        drive = read_drive(experiment.path, self.project)
+        held = _Held(drive, nominal_error(drive, self.model)[1])
+        require_units(experiment.path, drive, held.yhat, self.estimator.settled(drive.v))
+        arrays = [held.yhat, *(x for x in vars(drive).values() if isinstance(x, np.ndarray))]
         for array in arrays:
             array.flags.writeable = False
         size = sum(array.nbytes for array in arrays)
         if size <= self._room:
-            self._kept[experiment] = found
+            self._kept[experiment], held.kept = held, True
             self._room -= size
-        return found
+        return held
 
-    def _read(self, experiment: Experiment) -> tuple[Drive, np.ndarray, np.ndarray]:
-        drive = read_drive(experiment.path, self.project)
-        e, yhat = nominal_error(drive, self.model)
-        require_units(experiment.path, drive, yhat, self.estimator.settled(drive.v))
-        return drive, e, yhat
-
-    def frames(self, experiment: Experiment) -> Iterator[FrameSet]:
-        """The counted frames of a drive, bin by bin."""
-        return counted_frames(*self.read(experiment), self.model, self.estimator)
+    def _frames(self, held: _Held) -> Iterator[FrameSet]:
+        if held.stretches is None and self.estimator.window == "hann":
+            held.stretches = self.estimator.stretches(held.drive.v)
+            self._room -= sum(runs.nbytes for runs in held.stretches)
+        return counted_frames(*held.found(), self.model, self.estimator, held.stretches)
 
     def why_without_frames(self) -> str:
         """Why a drive has no counted frame."""
@@ -92,8 +118,9 @@ class DriveReader:
         )
 
 
-def _spectra_rows(s: FrameSet, name: str, v: np.ndarray, estimator: Estimator) -> Rows:
-    """The frames that the core would see, as rows of a sample; ``v`` (N,): the drive's speed."""
+def _spectra_rows(s: FrameSet, name: str, way: np.ndarray, estimator: Estimator) -> Rows:
+    """The frames that the core would see, as rows of a sample; ``way`` (N + 1,): sums of the drive's
+    speed."""
     on_grid = (
         s.starts % estimator.hop[s.bin] == 0 if estimator.window == "hann" else np.ones(len(s.starts), bool)
     )
@@ -104,7 +131,7 @@ def _spectra_rows(s: FrameSet, name: str, v: np.ndarray, estimator: Estimator) -
         "hash": row_hash(name, group, start),
         "weakness": -np.linalg.norm(E, axis=1),
         "start": start,
-        "speed": np.array([v[a : a + estimator.length[s.bin]].mean() for a in start], float),
+        "speed": (way[start + estimator.length[s.bin]] - way[start]) / estimator.length[s.bin],
         "drive": np.full(len(start), name, dtype=object),
         "E": E,
         "Z": Z,
@@ -148,11 +175,12 @@ def first_pass(
     ``nu_ceiling`` (K,): the ceiling on the uncertainty bound in every bin, 0 at DC.
     """
     rows: list[Rows] = []
-    drive, e, yhat = reader.read(experiment)
+    drive, e, _, frames = reader.seen(experiment)
+    way = np.concatenate([[0.0], np.cumsum(drive.v)])
 
     def watched() -> Iterator[FrameSet]:
-        for s in counted_frames(drive, e, yhat, reader.model, reader.estimator):
-            rows.append(_spectra_rows(s, experiment.name, drive.v, reader.estimator))
+        for s in frames:
+            rows.append(_spectra_rows(s, experiment.name, way, reader.estimator))
             yield s
 
     part = reduce_disturbance(watched(), reader.estimator, nu_ceiling, reader.project.n_y)
@@ -217,9 +245,9 @@ def judge(
     """Judge a drive, whole and (for ``worst``) from ``cuts`` random first samples, by the compiled core;
     without one (plain DFT) by the exact margin under W_delta (K, n_delta), B_w (K, n_y)."""
     speed_range, name = reader.estimator.speed_range, experiment.name
-    drive, e, yhat = reader.read(experiment)
+    drive, _, _, frames = reader.seen(experiment)
     if core is None:
-        sets = list(counted_frames(drive, e, yhat, reader.model, reader.estimator))
+        sets = list(frames)
         bin_of, start = (
             np.concatenate(a)
             for a in zip(*((np.full(len(s.E), s.bin), s.starts) for s in sets), strict=False)

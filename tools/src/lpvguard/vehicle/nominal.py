@@ -144,13 +144,18 @@ class SpeedTable:
 
     def at(self, v: np.ndarray) -> np.ndarray:
         """Entries (m, n_entries) at speeds v (m,), clamped to the range."""
-        low, high = self.speed_range
-        position = (np.clip(v, low, high) - low) / (high - low) * len(self.cell)
+        position = self.position(v)
         cell = np.minimum(position.astype(int), len(self.cell) - 1)
+        p = (position - cell)[:, None]
+        c = np.moveaxis(self.cell[cell], -1, 0)
         out = np.repeat(self.base[None], len(position), axis=0)
-        powers = np.vander(position - cell, 4, increasing=True)
-        out[:, self.varying] = np.einsum("mvi,mi->mv", self.cell[cell], powers)
+        out[:, self.varying] = c[0] + p * (c[1] + p * (c[2] + p * c[3]))
         return out
+
+    def position(self, v: np.ndarray) -> np.ndarray:
+        """Place (m,) of speeds v (m,), clamped to the range, in cells from its low end."""
+        low, high = self.speed_range
+        return (np.clip(v, low, high) - low) / (high - low) * len(self.cell)
 
 
 def tabulate(
@@ -196,16 +201,25 @@ def recursion(Ad: np.ndarray, forced: np.ndarray, x_first: np.ndarray) -> np.nda
         lib.lpvg_recursion(
             ctypes.c_ssize_t(samples),
             ctypes.c_ssize_t(n),
-            *(a.ctypes.data_as(ctypes.c_void_p) for a in (Ad, forced, x, states)),
+            *map(_pointer, (Ad, forced, x, states)),
         )
         return states
     for k in range(samples):
         states[k] = x
-        product = Ad[k, :, 0] * x[0]
-        for j in range(1, n):
-            product += Ad[k, :, j] * x[j]
-        x = product + forced[k]
+        x = _product(Ad[k : k + 1], x[None])[0] + forced[k]
     return states
+
+
+def _product(M: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """M x (m, n) of M (m, n, k), x (m, k), summed from the first column on."""
+    out = M[:, :, 0] * x[:, :1]
+    for j in range(1, x.shape[1]):
+        out += M[:, :, j] * x[:, j : j + 1]
+    return out
+
+
+def _pointer(array: np.ndarray) -> ctypes.c_void_p:
+    return array.ctypes.data_as(ctypes.c_void_p)
 
 
 def entries_at(
@@ -388,6 +402,25 @@ class NominalModel:
         """
         return RunningModel(self, y_first).run(v, u)
 
+    def states(self, v: np.ndarray, older: np.ndarray, newer: np.ndarray, first: np.ndarray) -> np.ndarray:
+        """States (N + 1, n) along speeds v (N,) from ``first`` (n,), under the `acting_inputs` (N, n_u) each,
+        by the speed table. Compiled where possible; the numpy version gives the same bits."""
+        table = self.table
+        if lib := native.kernels("recursion"):
+            states = np.empty((len(v) + 1, self.n))
+            states[0] = first
+            sizes = (len(v), self.n, self.n_u, len(table.cell), len(table.varying))
+            index = np.asarray(table.varying, np.intp)
+            reals = [np.ascontiguousarray(a, float) for a in (table.cell, table.position(v), older, newer)]
+            lib.lpvg_scheduled(
+                *map(ctypes.c_ssize_t, sizes), *map(_pointer, (index, *reals, table.base.copy(), states))
+            )
+            return states
+        Ad, B_old, B_new = self.split(table.at(v))
+        forced = _product(B_old, older) + _product(B_new, newer)
+        x = recursion(Ad, forced, first)
+        return np.vstack([x, _product(Ad[-1:], x[-1:]) + forced[-1:]])
+
     @cached_property
     def table(self) -> SpeedTable:
         """The entries over speed that identification and the core run on."""
@@ -429,11 +462,8 @@ class RunningModel:
         model, u = self._model, np.asarray(u, float)
         if not len(u):
             return np.empty((0, len(model.C)))
-        Ad, B_old, B_new = model.split(model.table.at(v))
-        older, newer = model.acting_inputs(u, self._before)
-        forced = np.einsum("kij,kj->ki", B_old, older) + np.einsum("kij,kj->ki", B_new, newer)
-        x = recursion(Ad, forced, self._x)
-        self._x = Ad[-1] @ x[-1] + forced[-1]
+        x = model.states(np.asarray(v, float), *model.acting_inputs(u, self._before), self._x)
+        self._x = x[-1]
         earlier = np.repeat(u[:1], model.delay + 1, axis=0) if self._before is None else self._before
         self._before = np.vstack([earlier, u])[-(model.delay + 1) :]
-        return x @ model.C.T + model.output_offset
+        return x[:-1] @ model.C.T + model.output_offset

@@ -72,59 +72,87 @@ static s1_result finish(double ee_g, double room, double room_scale, double d2, 
     return r;
 }
 
-/* Any scaling, any cancellation: power-of-two scaling, then double-double sums. */
-static s1_result s1_careful(ptrdiff_t n, const cpx* e, const cpx* z, double gamma) {
-    double big_e = gamma, big_z = 0.0, sum = 0.0 * gamma;
+/* Sums of one point to the last bit, of E / 2^ke and Z / 2^kz. */
+typedef struct {
+    int ke, kz;
+    dd ee, zz, d2, ze_re, ze_im;
+} s1_sums;
+
+static s1_sums sums_with_care(ptrdiff_t n, const cpx* e, const cpx* z, double big_e, double big_z) {
+    s1_sums s = {0};
+    if (big_e > 0.0) frexp(big_e, &s.ke);
+    if (big_z > 0.0) frexp(big_z, &s.kz);
     for (ptrdiff_t i = 0; i < n; i++) {
-        big_e = fmax(big_e, fmax(fabs(e[i].re), fabs(e[i].im)));
-        big_z = fmax(big_z, fmax(fabs(z[i].re), fabs(z[i].im)));
-        sum += (e[i].re + e[i].im) * 0.0 + (z[i].re + z[i].im) * 0.0;
-    }
-    if (!isfinite(sum)) return (s1_result){NAN, NAN, {NAN, NAN}};
-    if (big_e == 0.0) return (s1_result){0.0, 0.0, {0.0, 0.0}};
-    int ke, kz = 0;
-    frexp(big_e, &ke);
-    if (big_z > 0.0) frexp(big_z, &kz);
-    const double g = ldexp(gamma, -ke);
-    const dd gg = dd_prod(g, g);
-    dd ee = {0.0, 0.0}, zz = ee, d2 = ee, ze_re = ee, ze_im = ee;
-    for (ptrdiff_t i = 0; i < n; i++) {
-        const cpx ei = {ldexp(e[i].re, -ke), ldexp(e[i].im, -ke)}, zi = {ldexp(z[i].re, -kz), ldexp(z[i].im, -kz)};
-        ee = dd_add(ee, dd_abs2(ei));
-        zz = dd_add(zz, dd_abs2(zi));
-        ze_re = dd_add(ze_re, dd_add(dd_prod(zi.re, ei.re), dd_prod(zi.im, ei.im)));
-        ze_im = dd_add(ze_im, dd_add(dd_prod(zi.re, ei.im), dd_prod(-zi.im, ei.re)));
+        const cpx ei = {ldexp(e[i].re, -s.ke), ldexp(e[i].im, -s.ke)}, zi = {ldexp(z[i].re, -s.kz), ldexp(z[i].im, -s.kz)};
+        s.ee = dd_add(s.ee, dd_abs2(ei));
+        s.zz = dd_add(s.zz, dd_abs2(zi));
+        s.ze_re = dd_add(s.ze_re, dd_add(dd_prod(zi.re, ei.re), dd_prod(zi.im, ei.im)));
+        s.ze_im = dd_add(s.ze_im, dd_add(dd_prod(zi.re, ei.im), dd_prod(-zi.im, ei.re)));
         for (ptrdiff_t j = 0; j < i; j++) {
-            const cpx ej = {ldexp(e[j].re, -ke), ldexp(e[j].im, -ke)}, zj = {ldexp(z[j].re, -kz), ldexp(z[j].im, -kz)};
+            const cpx ej = {ldexp(e[j].re, -s.ke), ldexp(e[j].im, -s.ke)}, zj = {ldexp(z[j].re, -s.kz), ldexp(z[j].im, -s.kz)};
             dd c[2];
             dd_cross(ei, zj, ej, zi, c);
-            d2 = dd_add(d2, dd_add(dd_mul(c[0], c[0]), dd_mul(c[1], c[1])));
+            s.d2 = dd_add(s.d2, dd_add(dd_mul(c[0], c[0]), dd_mul(c[1], c[1])));
         }
     }
-    const double ee_g = dd_add(ee, dd_neg(gg)).hi;
-    s1_result r;
-    if (zz.hi == 0.0) {
-        r = (s1_result){sqrt(ee.hi), ee_g <= 2e-12 * gg.hi ? 0.0 : INFINITY, {0.0, 0.0}};
-    } else {
-        const dd room_scale = dd_mul(gg, zz);
-        r = finish(ee_g, dd_add(room_scale, dd_neg(d2)).hi, room_scale.hi, d2.hi, zz.hi, (cpx){ze_re.hi, ze_im.hi});
+    return s;
+}
+
+/* Largest parts of E and Z; false where one is not finite. */
+static int largest_parts(ptrdiff_t n, const cpx* e, const cpx* z, double* big_e, double* big_z) {
+    double sum = 0.0;
+    for (ptrdiff_t i = 0; i < n; i++) {
+        *big_e = fmax(*big_e, fmax(fabs(e[i].re), fabs(e[i].im)));
+        *big_z = fmax(*big_z, fmax(fabs(z[i].re), fabs(z[i].im)));
+        sum += (e[i].re + e[i].im) * 0.0 + (z[i].re + z[i].im) * 0.0;
     }
-    r.b1 = ldexp(r.b1, ke);
-    r.nu = ldexp(r.nu, ke - kz);
-    r.delta = (cpx){ldexp(r.delta.re, ke - kz), ldexp(r.delta.im, ke - kz)};
+    return isfinite(sum);
+}
+
+/* Any scaling, any cancellation: power-of-two scaling, then double-double sums. */
+static s1_result s1_careful(ptrdiff_t n, const cpx* e, const cpx* z, double gamma) {
+    double big_e = gamma, big_z = 0.0;
+    if (!largest_parts(n, e, z, &big_e, &big_z) || !isfinite(gamma)) return (s1_result){NAN, NAN, {NAN, NAN}};
+    if (big_e == 0.0) return (s1_result){0.0, 0.0, {0.0, 0.0}};
+    const s1_sums s = sums_with_care(n, e, z, big_e, big_z);
+    const double g = ldexp(gamma, -s.ke);
+    const dd gg = dd_prod(g, g);
+    const double ee_g = dd_add(s.ee, dd_neg(gg)).hi;
+    s1_result r;
+    if (s.zz.hi == 0.0) {
+        r = (s1_result){sqrt(s.ee.hi), ee_g <= 2e-12 * gg.hi ? 0.0 : INFINITY, {0.0, 0.0}};
+    } else {
+        const dd room_scale = dd_mul(gg, s.zz);
+        r = finish(ee_g, dd_add(room_scale, dd_neg(s.d2)).hi, room_scale.hi, s.d2.hi, s.zz.hi, (cpx){s.ze_re.hi, s.ze_im.hi});
+    }
+    r.b1 = ldexp(r.b1, s.ke);
+    r.nu = ldexp(r.nu, s.ke - s.kz);
+    r.delta = (cpx){ldexp(r.delta.re, s.ke - s.kz), ldexp(r.delta.im, s.ke - s.kz)};
     return r;
+}
+
+/* |E|, |Z|, B1 and |delta0| of one point; NaN where it is not finite. */
+static void least_careful(ptrdiff_t n, const cpx* e, const cpx* z, double* out) {
+    double big_e = 0.0, big_z = 0.0;
+    const int finite = largest_parts(n, e, z, &big_e, &big_z);
+    const s1_sums s = sums_with_care(n, e, z, finite ? big_e : 1.0, finite ? big_z : 1.0);
+    const int none = s.zz.hi == 0.0;
+    out[0] = finite ? ldexp(sqrt(s.ee.hi), s.ke) : NAN;
+    out[1] = finite ? ldexp(sqrt(s.zz.hi), s.kz) : NAN;
+    out[2] = none || !finite ? out[0] : ldexp(sqrt(s.d2.hi / s.zz.hi), s.ke);
+    out[3] = !finite ? NAN : none ? 0.0 : ldexp(cabs_((cpx){s.ze_re.hi, s.ze_im.hi}) / s.zz.hi, s.ke - s.kz);
 }
 
 /* LANES points at a time: the plain formulas in loops that the compiler turns into vector code; the points of the
  * group for which they would lose digits (or that are not finite) are then done again with care. */
 #define LANES 8
 
-static inline void s1_group(ptrdiff_t n, int live, const cpx* restrict e, const cpx* restrict z, const double* restrict gamma,
-                            double* restrict b1, double* restrict nu, cpx* restrict delta, cpx* restrict w) {
-    double ee[LANES] = {0}, zz[LANES] = {0}, d2[LANES] = {0}, zr[LANES] = {0}, zi[LANES] = {0}, gg[LANES] = {0};
-    double out_b[LANES], out_n[LANES], out_s[LANES];
-    int safe[LANES];
-    for (int l = 0; l < live; l++) gg[l] = gamma[l] * gamma[l];
+/* |E|^2, |Z|^2, sum_{i<j} |E_i Z_j - E_j Z_i|^2 and Z^H E of `live` points. */
+typedef struct {
+    double ee[LANES], zz[LANES], d2[LANES], zr[LANES], zi[LANES];
+} group_sums;
+
+static inline void sums_of_group(ptrdiff_t n, int live, const cpx* restrict e, const cpx* restrict z, group_sums* restrict s) {
     for (ptrdiff_t i = 0; i < n; i++) {
         double er[LANES] = {0}, ei[LANES] = {0}, ar[LANES] = {0}, ai[LANES] = {0};
         for (int l = 0; l < live; l++) {
@@ -134,10 +162,10 @@ static inline void s1_group(ptrdiff_t n, int live, const cpx* restrict e, const 
             ai[l] = z[l * n + i].im;
         }
         for (int l = 0; l < LANES; l++) {
-            ee[l] += er[l] * er[l] + ei[l] * ei[l];
-            zz[l] += ar[l] * ar[l] + ai[l] * ai[l];
-            zr[l] += ar[l] * er[l] + ai[l] * ei[l];
-            zi[l] += ar[l] * ei[l] - ai[l] * er[l];
+            s->ee[l] += er[l] * er[l] + ei[l] * ei[l];
+            s->zz[l] += ar[l] * ar[l] + ai[l] * ai[l];
+            s->zr[l] += ar[l] * er[l] + ai[l] * ei[l];
+            s->zi[l] += ar[l] * ei[l] - ai[l] * er[l];
         }
         for (ptrdiff_t j = 0; j < i; j++) {
             double fr[LANES] = {0}, fi[LANES] = {0}, br[LANES] = {0}, bi[LANES] = {0};
@@ -150,10 +178,20 @@ static inline void s1_group(ptrdiff_t n, int live, const cpx* restrict e, const 
             for (int l = 0; l < LANES; l++) {
                 const double re = (er[l] * br[l] - ei[l] * bi[l]) - (fr[l] * ar[l] - fi[l] * ai[l]);
                 const double im = (er[l] * bi[l] + ei[l] * br[l]) - (fr[l] * ai[l] + fi[l] * ar[l]);
-                d2[l] += re * re + im * im;
+                s->d2[l] += re * re + im * im;
             }
         }
     }
+}
+
+static inline void s1_group(ptrdiff_t n, int live, const cpx* restrict e, const cpx* restrict z, const double* restrict gamma,
+                            double* restrict b1, double* restrict nu, cpx* restrict delta, cpx* restrict w) {
+    group_sums s = {{0}, {0}, {0}, {0}, {0}};
+    double gg[LANES] = {0}, out_b[LANES], out_n[LANES], out_s[LANES];
+    int safe[LANES];
+    for (int l = 0; l < live; l++) gg[l] = gamma[l] * gamma[l];
+    sums_of_group(n, live, e, z, &s);
+    const double *ee = s.ee, *zz = s.zz, *d2 = s.d2, *zr = s.zr, *zi = s.zi;
     for (int l = 0; l < LANES; l++) {
         const double ez = ee[l] * zz[l], gz = gg[l] * zz[l], room = gz - d2[l], ee_g = ee[l] - gg[l];
         const double ze2 = zr[l] * zr[l] + zi[l] * zi[l], aze = sqrt(ze2);
@@ -193,6 +231,35 @@ void lpvg_s1(ptrdiff_t points, ptrdiff_t n, const cpx* e, const cpx* z, const do
         const int live = (int)(points - p < LANES ? points - p : LANES);
         s1_group(n, live, e + p * n, z + p * n, gamma + p, b1 + p, nu + p, delta + p, w + p * n);
     }
+}
+
+static inline void least_group(ptrdiff_t n, int live, const cpx* restrict e, const cpx* restrict z, double* restrict out) {
+    group_sums s = {{0}, {0}, {0}, {0}, {0}};
+    double found[4][LANES];
+    int safe[LANES];
+    sums_of_group(n, live, e, z, &s);
+    for (int l = 0; l < LANES; l++) {
+        const double ez = s.ee[l] * s.zz[l], ze2 = s.zr[l] * s.zr[l] + s.zi[l] * s.zi[l];
+        safe[l] = (ez > tiny) & (ez < huge_) & (s.zz[l] > tiny) & (s.zz[l] < huge_) & ((n == 1) | (s.d2[l] > edge2 * ez)) & (ze2 > edge2 * ez);
+        found[0][l] = sqrt(s.ee[l]);
+        found[1][l] = sqrt(s.zz[l]);
+        found[2][l] = sqrt(s.d2[l] / s.zz[l]);
+        found[3][l] = sqrt(ze2) / s.zz[l];
+    }
+    for (int l = 0; l < live; l++) {
+        for (int k = 0; k < 4; k++) out[4 * l + k] = found[k][l];
+        if (!safe[l]) least_careful(n, e + l * n, z + l * n, out + 4 * l);
+    }
+}
+
+/* |E|, |Z|, B1 and |delta0| of every point: out (points, 4). */
+void lpvg_least(ptrdiff_t points, ptrdiff_t n, const cpx* e, const cpx* z, double* out);
+
+void lpvg_least(ptrdiff_t points, ptrdiff_t n, const cpx* e, const cpx* z, double* out) {
+    ptrdiff_t p = 0;
+    if (n == 2)
+        for (; p + LANES <= points; p += LANES) least_group(2, LANES, e + 2 * p, z + 2 * p, out + 4 * p);
+    for (; p < points; p += LANES) least_group(n, (int)(points - p < LANES ? points - p : LANES), e + p * n, z + p * n, out + 4 * p);
 }
 
 /* ---- margin: weighted 1-centre of discs |E_k - delta Z_k| <= t B_k; disc 0 is |delta| <= t W (E = 0, Z = 1). ---- */

@@ -4,11 +4,11 @@ checked.
 μ(M) = 1 / min{ max_i σ̄(Δ_i) : det(I − M Δ) = 0 } over Δ = diag(Δ_1, Δ_2, ...). Δ is (Σ rows) × (Σ cols) and
 M (Σ cols) × (Σ rows) of the blocks: full complex, or δ I with δ complex or real.
 
-Upper bound: the least β with  Mᴴ D_L M + j (G M − Mᴴ G) ≼ β² D_R  (Fan, Tits & Doyle 1991). The method of
-centres solves this generalised eigenvalue problem (Boyd & El Ghaoui 1993). The multipliers of each centre
-bound the infimum from below, so the returned number is within ``rtol`` of it. It is exact for up to three
-full complex blocks. Lower bound: the mixed power iteration (Young & Doyle 1990) from many starts at once. The
-Δ it ends with is scaled so that I − M Δ is singular, and that is verified.
+Upper bound: the least β with  Mᴴ D_L M + j (G M − Mᴴ G) ≼ β² D_R  (Fan, Tits & Doyle 1991), found by
+Newton's method where full blocks leave the largest singular value simple, else by the method of centres.
+Both bound the infimum from below, so the returned number is within ``rtol`` of it. It is exact for up to
+three full complex blocks. Lower bound: the Δ of that singular value, else the mixed power iteration (Young &
+Doyle 1990) from many starts at once. Δ is scaled so that I − M Δ is singular, and that is verified.
 """
 
 from __future__ import annotations

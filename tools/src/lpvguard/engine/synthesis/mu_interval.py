@@ -14,9 +14,10 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy.linalg as sl
 
 from lpvguard.engine.blocks import Block
 from lpvguard.engine.synthesis.errors import SynthesisError
@@ -32,6 +33,8 @@ SHORT = 0.999
 MOST_CELLS = 3000
 POINT_RTOL = 1e-4
 """Of the bound at one frequency."""
+CLEARLY = 0.95
+"""Of the largest bound: below it a cell is wide with any scalings, and those at hand will do."""
 
 
 @dataclass(frozen=True)
@@ -76,7 +79,10 @@ def mu_interval(
         right = right @ right.conj().T
         return PointBound(value, left @ left.conj().T, np.zeros_like(right), right, skew)
 
-    return cover("mu_interval", loop, structure, low, high, rtol, at)
+    def held(M: np.ndarray, point: PointBound) -> float:
+        return float(np.sqrt(max(sl.eigvalsh(quadratic(M, point), point.scaled)[-1], 0.0)))
+
+    return cover("mu_interval", loop, structure, low, high, rtol, at, held)
 
 
 def cover(
@@ -87,16 +93,16 @@ def cover(
     high: float,
     rtol: float,
     at: Callable[[np.ndarray, float], PointBound],
+    held: Callable[[np.ndarray, PointBound], float],
 ) -> IntervalBound:
     """The interval covered by cells. ``at``: M (Σcols, Σrows) complex and the largest bound so far to the
-    bound at that frequency. ``name``: who asks, in errors; else as in ``mu_interval``."""
-    shape = (structure.n_rows, structure.n_cols)
-    if loop.D.shape != shape:
-        raise SynthesisError(
-            name, "loop", f"{loop.D.shape} system", f"{shape}, the sums of the blocks' sides"
-        )
-    if not loop.stability_margin() > 0:
-        raise SynthesisError(name, "loop", "not stable", "a stable loop")
+    bound at that frequency; ``held``: M and a bound elsewhere to what its scalings prove at M (inf: nothing).
+    ``name``: who asks, in errors; else as in ``mu_interval``.
+
+    The search begins where the scalings of one frequency prove the least of all poles' frequencies, near the
+    peak. Where a neighbour's scalings prove clearly less than the largest bound, none are searched for.
+    """
+    _require_loop(name, loop, structure)
     last = np.pi / loop.dt if loop.dt else np.inf
     if not 0 <= low < high <= last * (1 + 4 * EPS):
         raise SynthesisError(name, "low, high", f"{low:g}, {high:g}", f"0 <= low < high <= {last:g} rad/s")
@@ -110,17 +116,23 @@ def cover(
     def unwarped(omega: float) -> float:
         return float(2 / loop.dt * np.arctan(0.5 * omega * loop.dt)) if loop.dt else omega
 
-    todo = [(warped(low), warped(high))]
+    first, last_warped = warped(low), warped(high)
     size = float(np.abs(G.poles()).max()) if G.order else 1.0
+    todo: list[tuple[float, float, PointBound | None]] = [(first, last_warped, None)]
+    start = _likely_peak(G, at, held, first, last_warped, size)
     level, largest, where, cells = 0.0, -1.0, 0.0, 0
     while todo:
-        a, b = todo.pop()
+        a, b, known = todo.pop()
         if cells == MOST_CELLS:
             raise SynthesisError(
                 name, f"{unwarped(a):g} rad/s", f"{cells} cells do not cover it", "a smoother loop"
             )
-        centre = _centre(a, b, size)
-        point = at(G.response([centre])[0], max(largest, 0.0))
+        centre = start if known is None else _centre(a, b, size)
+        M = G.response([centre])[0]
+        if known is not None and (value := held(M, known)) <= CLEARLY * largest:
+            point = replace(known, value=value)
+        else:
+            point = at(M, max(largest, 0.0))
         if point.value > largest:
             largest, where = point.value, centre
         if np.isinf(largest):
@@ -129,10 +141,47 @@ def cover(
         left, right = _cell(G, point, level, centre, a, b)
         cells += 1
         if left > a:
-            todo.append((a, left))
+            todo.append((a, left, point))
         if right < b:
-            todo.append((right, b))
+            todo.append((right, b, point))
     return IntervalBound(float(level), float(largest), unwarped(where), cells)
+
+
+def _require_loop(name: str, loop: StateSpace, structure: Structure) -> None:
+    shape = (structure.n_rows, structure.n_cols)
+    if loop.D.shape != shape:
+        raise SynthesisError(
+            name, "loop", f"{loop.D.shape} system", f"{shape}, the sums of the blocks' sides"
+        )
+    if not loop.stability_margin() > 0:
+        raise SynthesisError(name, "loop", "not stable", "a stable loop")
+
+
+def _likely_peak(
+    G: StateSpace,
+    at: Callable[[np.ndarray, float], PointBound],
+    held: Callable[[np.ndarray, PointBound], float],
+    a: float,
+    b: float,
+    size: float,
+) -> float:
+    """Of the middle of [a, b] and the frequencies of poles in it, that at which the scalings of the middle
+    prove the least."""
+    middle = _centre(a, b, size)
+    omega = np.abs(G.poles())
+    omega = np.unique(np.r_[middle, omega[(omega > a) & (omega < b)]])
+    if len(omega) == 1:
+        return middle
+    point = at(G.response([middle])[0], 0.0)
+    if np.isinf(point.value):
+        return middle
+    return float(omega[np.argmax([held(M, point) for M in G.response(omega)])])
+
+
+def quadratic(M: np.ndarray, point: PointBound) -> np.ndarray:
+    """Mᴴ left M + j (skew M − Mᴴ skewᴴ), Hermitian to the last bit."""
+    N = M.conj().T @ point.left @ M + 1j * (point.skew @ M - M.conj().T @ point.skew.conj().T)
+    return 0.5 * (N + N.conj().T)
 
 
 def _centre(a: float, b: float, size: float) -> float:

@@ -1,6 +1,7 @@
 """The lower bound of μ: a Δ with I − M Δ singular, searched from many starts at once, and checked.
 
-The mixed power iteration (Young & Doyle 1990) finds candidates. A local ascent improves the best of them
+Where the upper bound is attained at a simple singular value, its vectors give Δ. Else the mixed power
+iteration (Young & Doyle 1990) finds candidates. A local ascent improves the best of them
 where blocks are complex or mixed.
 """
 
@@ -12,8 +13,12 @@ import numpy as np
 import scipy.linalg as sl
 
 from lpvguard.engine.blocks import Block
+from lpvguard.engine.synthesis.mu_upper import simple_infimum
 from lpvguard.engine.synthesis.structure import Structure
 
+ATTAINED_RTOL = 1e-10
+"""Of an upper bound that is attained."""
+TINY = 1e-300
 Parts = list[np.ndarray | complex]
 """A Δ of unit size block by block: a matrix of a full block, the number of a repeated one."""
 _Found = tuple[float, np.ndarray, Parts]
@@ -34,6 +39,8 @@ def lower_bound(
     The factors of the upper bound's scalings commute with Δ, so the iteration runs on the scaled,
     well-balanced matrix.
     """
+    if (attained := _attained(M, structure)) is not None:
+        return attained
     N = left.conj().T @ M @ np.linalg.inv(right.conj().T)
     scaled = N / np.linalg.norm(N, 2)
     candidates = _power_iteration(scaled, structure, starts, steps)
@@ -58,6 +65,24 @@ def lower_bound(
             if value > found[0][0] and _is_singular(M, delta):
                 found.insert(0, (value, delta, parts))
     return found[0][:2] if found else (0.0, None)
+
+
+def _attained(M: np.ndarray, structure: Structure) -> tuple[float, np.ndarray] | None:
+    """The upper bound attained, where full blocks leave its largest singular value simple; else None: the
+    blocks of the singular vectors u, v are then as long in u as in v, and Δ_i takes u_i to v_i."""
+    if not M.any() or (found := simple_infimum(M, structure, ATTAINED_RTOL)) is None:
+        return None
+    upper, _, left, right, _ = found
+    u, _, v = np.linalg.svd(left @ M @ np.linalg.inv(right))
+    u, v = u[:, 0], v[0].conj()
+    parts: Parts = [
+        np.outer(v[c], u[r].conj()) / max(np.linalg.norm(v[c]) * np.linalg.norm(u[r]), TINY)
+        for r, c in zip(structure.row, structure.col, strict=True)
+    ]
+    value, delta = _make_singular(M, structure, parts)
+    if delta is None or value < upper * (1 - 10 * ATTAINED_RTOL) or not _is_singular(M, delta):
+        return None
+    return value, delta
 
 
 def _distinct(found: list[_Found]) -> list[_Found]:
@@ -192,12 +217,11 @@ def _power_iteration(N: np.ndarray, structure: Structure, starts: int, steps: in
     w = b.copy()
     q = np.where(np.arange(count) % 2, rng.uniform(-1, 1, (len(structure.blocks), count)), 1.0)
     z = np.zeros((N.shape[0], count), complex)
-    tiny = 1e-300
     for _ in range(steps):
         a = _unit(N @ b)
         for k, (block, r, c) in enumerate(zip(structure.blocks, structure.row, structure.col, strict=True)):
             if block.kind == "full":
-                z[r] = a[r] * (np.linalg.norm(w[c], axis=0) / (np.linalg.norm(a[r], axis=0) + tiny))
+                z[r] = a[r] * (np.linalg.norm(w[c], axis=0) / (np.linalg.norm(a[r], axis=0) + TINY))
             else:
                 z[r] = w[c] * _factor(block, a[r], w[c], b[c], q, k)
         w = _unit(N.conj().T @ z)
@@ -205,7 +229,7 @@ def _power_iteration(N: np.ndarray, structure: Structure, starts: int, steps: in
         b = np.empty_like(b)
         for k, (block, r, c) in enumerate(zip(structure.blocks, structure.row, structure.col, strict=True)):
             if block.kind == "full":
-                b[c] = w[c] * (np.linalg.norm(a[r], axis=0) / (np.linalg.norm(w[c], axis=0) + tiny))
+                b[c] = w[c] * (np.linalg.norm(a[r], axis=0) / (np.linalg.norm(w[c], axis=0) + TINY))
             else:
                 b[c] = a[r] * np.conj(_factor(block, a[r], w[c], before[c], q, k))
         if np.abs(b - before).max() < 1e-13:
@@ -216,7 +240,7 @@ def _power_iteration(N: np.ndarray, structure: Structure, starts: int, steps: in
         for k, (block, r, c) in enumerate(zip(structure.blocks, structure.row, structure.col, strict=True)):
             u, v = w[c, s], a[r, s]
             if block.kind == "full":
-                parts.append(np.outer(u, v.conj()) / max(np.linalg.norm(u) * np.linalg.norm(v), tiny))
+                parts.append(np.outer(u, v.conj()) / max(np.linalg.norm(u) * np.linalg.norm(v), TINY))
             elif block.kind == "repeated_complex":
                 inner = np.vdot(v, u)
                 parts.append(inner / abs(inner) if abs(inner) > 0 else 1.0 + 0j)

@@ -47,19 +47,26 @@ def hinf_norm(G: StateSpace, rtol: float = 1e-6) -> NormBracket:
 
     poles = H.poles()
     start = np.concatenate([[0.0, np.inf], np.abs(poles), np.abs(poles.imag)])
-    lower, peak = _largest(H, start)
+    omega = np.unique(start)
+    values, moved = _sizes(H, omega)
+    k = int(np.argmax(values))
+    lower, peak = float(values[k]), float(omega[k])
     if not (np.any(H.B) and np.any(H.C)):
         return NormBracket(lower, lower, warp(peak))
-    lifted = _lifted(H, start)
+    lifted = float((values + moved)[np.isfinite(omega)].max())
+
+    def rounding(omega: float) -> float:
+        return float(_sizes(H, np.array([omega]))[1][0])
+
     for _ in range(60):
         level = max(lower * (1 + rtol), SMALLEST)
         candidates = _crossings(H, level)
         if candidates.size == 0:
-            return NormBracket(lower, max(level + _rounding(H, peak), lifted), warp(peak))
+            return NormBracket(lower, max(level + rounding(peak), lifted), warp(peak))
         value, where = _largest(H, candidates)
         if value <= level:
             peak = where if value > lower else peak
-            return NormBracket(max(lower, value), max(level + _rounding(H, peak), lifted), warp(peak))
+            return NormBracket(max(lower, value), max(level + rounding(peak), lifted), warp(peak))
         lower, peak = value, where
     raise ArithmeticError("the level test of the H-infinity norm did not settle in 60 steps")
 
@@ -72,24 +79,23 @@ def _largest(H: StateSpace, omega) -> tuple[float, float]:
     return float(values[k]), float(omega[k])
 
 
-def _lifted(H: StateSpace, omega) -> float:
-    """max over ``omega`` of σ̄(H(jω)) plus its rounding: a slow pole that A's large entries hide shows at its
-    own frequency."""
-    omega = np.unique(omega[np.isfinite(omega)])
-    values = np.linalg.norm(H.response(omega), 2, axis=(1, 2))
-    return float(max((value + _rounding(H, w) for w, value in zip(omega, values, strict=True)), default=0.0))
+def _sizes(H: StateSpace, omega: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """σ̄(H(jω)) at each of ``omega`` (k,), and how much rounding of the entries of A, by a few units in the
+    last place each, moves it: an error of first order, entry by entry, so that the units of the states do not
+    matter.
 
-
-def _rounding(H: StateSpace, omega: float) -> float:
-    """How much rounding of the entries of A, by a few units in the last place each, moves σ̄(H(jω)): an error
-    of first order, entry by entry, so that the units of the states do not matter.
-
-    Far below any rtol unless the loop is nearly unstable or its signals are many decades apart.
+    Far below any rtol unless the loop is nearly unstable or its signals are many decades apart. A slow pole
+    that A's large entries hide shows at its own frequency.
     """
-    if np.isinf(omega):
-        return 0.0
-    inverse = np.linalg.inv(1j * omega * np.eye(H.order) - H.A)
-    return float(8 * EPS * np.linalg.norm(np.abs(H.C @ inverse) @ np.abs(H.A) @ np.abs(inverse @ H.B)))
+    response = np.broadcast_to(H.D.astype(complex), (len(omega), *H.D.shape)).copy()
+    moved, finite = np.zeros(len(omega)), np.isfinite(omega)
+    pencil = 1j * omega[finite, None, None] * np.eye(H.order) - H.A
+    right = np.linalg.solve(pencil, np.broadcast_to(H.B, (len(pencil), *H.B.shape)))
+    left = np.linalg.solve(pencil.swapaxes(1, 2), np.broadcast_to(H.C.T, (len(pencil), *H.C.T.shape)))
+    response[finite] += H.C @ right
+    entries = np.abs(left).swapaxes(1, 2) @ np.abs(H.A) @ np.abs(right)
+    moved[finite] = 8 * EPS * np.linalg.norm(entries, axis=(1, 2))
+    return np.linalg.norm(response, 2, axis=(1, 2)), moved
 
 
 def _crossings(H: StateSpace, level: float) -> np.ndarray:

@@ -12,11 +12,12 @@ cells of mu_interval.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from lpvguard.engine.blocks import Block
-from lpvguard.engine.synthesis.mu_interval import POINT_RTOL, IntervalBound, PointBound, cover
+from lpvguard.engine.synthesis.mu_interval import POINT_RTOL, IntervalBound, PointBound, cover, quadratic
 from lpvguard.engine.synthesis.mu_upper import upper_bound
 from lpvguard.engine.synthesis.statespace import StateSpace
 from lpvguard.engine.synthesis.structure import Structure
@@ -63,7 +64,10 @@ def worst_gain(
             return PointBound(np.inf, np.zeros((structure.n_rows,) * 2), zero, zero, zero)
         return best
 
-    return cover("worst_gain", loop, structure, low, high, rtol, at)
+    def held(M: np.ndarray, point: PointBound) -> float:
+        return _gain(M, point, cols)
+
+    return cover("worst_gain", loop, structure, low, high, rtol, at, held)
 
 
 def _bound(M: np.ndarray, structure: Structure, rows: int, cols: int, gamma: float) -> PointBound | None:
@@ -76,16 +80,22 @@ def _bound(M: np.ndarray, structure: Structure, rows: int, cols: int, gamma: flo
     to_one = gamma**2 / float(right[-1, -1].real)
     left, right, skew = left * to_one, right * to_one, skew * to_one
     left[rows:, rows:] = np.eye(len(left) - rows)
-    N = M.conj().T @ left @ M + 1j * (skew @ M - M.conj().T @ skew.conj().T)
-    N = 0.5 * (N + N.conj().T)
-    slack = right[:cols, :cols] - N[:cols, :cols]
-    try:
-        factor = np.linalg.cholesky(slack)
-    except np.linalg.LinAlgError:
-        return None
-    half = np.linalg.solve(factor, N[:cols, cols:])
-    value = float(np.linalg.eigvalsh(N[cols:, cols:] + half.conj().T @ half)[-1])
     fixed, per_level = np.zeros_like(right), np.zeros_like(right)
     fixed[:cols, :cols] = right[:cols, :cols]
     per_level[cols:, cols:] = np.eye(len(right) - cols)
-    return PointBound(float(np.sqrt(max(value, 0.0))), left, fixed, per_level, skew)
+    point = PointBound(0.0, left, fixed, per_level, skew)
+    value = _gain(M, point, cols)
+    return replace(point, value=value) if np.isfinite(value) else None
+
+
+def _gain(M: np.ndarray, point: PointBound, cols: int) -> float:
+    """The least γ for these scalings, inf where they bound no gain."""
+    N = quadratic(M, point)
+    slack = point.fixed[:cols, :cols] - N[:cols, :cols]
+    try:
+        factor = np.linalg.cholesky(slack)
+    except np.linalg.LinAlgError:
+        return np.inf
+    half = np.linalg.solve(factor, N[:cols, cols:])
+    value = float(np.linalg.eigvalsh(N[cols:, cols:] + half.conj().T @ half)[-1])
+    return float(np.sqrt(max(value, 0.0)))

@@ -19,6 +19,7 @@ from __future__ import annotations
 import ctypes
 from dataclasses import dataclass
 from itertools import combinations
+from typing import NamedTuple
 
 import numpy as np
 
@@ -200,6 +201,38 @@ def solve(e, z, gamma_w) -> S1Result:
         delta.reshape(shape),
         w.reshape(*shape, n),
     )
+
+
+class LeastSquares(NamedTuple):
+    """Per point, in the leading shape of E: |E|, |Z|, the smallest disturbance B1, and |delta0|."""
+
+    e: np.ndarray
+    z: np.ndarray
+    b1: np.ndarray
+    delta: np.ndarray
+
+
+def _size(x: np.ndarray) -> np.ndarray:
+    scale = np.max(np.abs(x), axis=-1, initial=0.0)
+    unit = np.divide(x, scale[:, None], out=np.zeros_like(x), where=scale[:, None] > 0)
+    return np.linalg.norm(unit, axis=-1) * scale
+
+
+def least(e, z) -> LeastSquares:
+    """Sizes of E and Z (..., n_y), and of what the least-squares scalar leaves and is; B1 and delta0 as
+    `solve` and `least_squares_delta` have them. NaN where an input is not finite."""
+    shape, e, z = _points("S1", e, z)
+    lib = native.kernels("s1")
+    if lib is None:
+        with np.errstate(invalid="ignore"):
+            size_e, size_z = map(_size, (e, z))
+            columns = [size_e, size_z, _s1_numpy(e, z, size_e)[0], np.abs(least_squares_delta(e, z))]
+        out = np.stack(columns, axis=-1)
+        out[~np.isfinite(e + z).all(axis=-1)] = np.nan
+    else:
+        out = np.empty((len(e), 4))
+        lib.lpvg_least(*map(ctypes.c_ssize_t, e.shape), *map(_pointer, (e, z, out)))
+    return LeastSquares(*np.moveaxis(out.reshape(*shape, 4), -1, 0))
 
 
 def least_squares_delta(e, z) -> np.ndarray:
