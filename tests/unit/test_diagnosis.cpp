@@ -457,6 +457,8 @@ TEST_CASE("the first cell after a diagnosis is that of its own blocks", "[unit][
     f.noise = 0.0;
     f.run(block_s * 83.0, before);  // ten cells, and three blocks of the next
     REQUIRE(f.diagnosis.cells == 10U);
+    REQUIRE(f.diagnosis.cell_good == 3U);
+    f.diagnosis.cell_good = 1U;  // as after a gap
     f.alarms = true;
     f.run(block_s * (8.0 + LPVG_DIAGNOSIS_DELAYS), before);
     REQUIRE(f.done());

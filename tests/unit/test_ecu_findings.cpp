@@ -90,6 +90,29 @@ TEST_CASE("every finding has the failure mode of its cause, and the count of occ
         CHECK(findings.code[i].fmi == modes[i]);
         CHECK(findings.code[i].occurrence == 17U);
     }
+    ecu.report.verdict = lpvg_verdict_degraded;
+    for (lpvg_can_watch_t& watch : ecu.supervisor.watch) {
+        watch.state = lpvg_can_state_off;
+    }
+    const lpvg_j1939_findings_t more = findings_of(ecu);
+    REQUIRE(more.n_codes == modes.size() + lpvg_bus.n_needed);
+    for (uint8_t i = 0U; i < more.n_codes; ++i) {
+        CAPTURE(i);
+        CHECK(more.code[i].occurrence == 17U);
+    }
+}
+
+TEST_CASE("the freeze frame has the caller's time, behind a jump too", "[unit][ecu][REQ-J1939-10]") {
+    Bench bench;
+    bench.run_until_engaged();
+    bench.clock_off_us = 3'000'000;
+    for (uint32_t i = 0U; i < LPVG_ECU_RESYNC_CALLS; ++i) {
+        bench.step_at(bench.k * tick_us);
+        ++bench.k;
+    }
+    REQUIRE(bench.status == lpvg_status_ok);
+    REQUIRE(bench.ecu.core_us != bench.ecu.now_us);
+    CHECK(findings_of(bench.ecu).freeze.t_us == bench.now_us + bench.clock_off_us);
 }
 
 TEST_CASE("an alarm's code has the failure mode of the cause that was found", "[unit][ecu][REQ-J1939-13]") {

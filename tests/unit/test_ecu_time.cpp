@@ -251,16 +251,39 @@ TEST_CASE("calls that agree with nothing stay refused, and their count does not 
 }
 
 TEST_CASE("frames stamped before the ECU's time begins count as of its beginning", "[unit][ecu][REQ-ECU-5]") {
+    const int first = GENERATE(0, 1);  // of the steps, that has frames
     Bench bench;
+    bench.send_vdc2 = false;
+    bench.run(first);
+    bench.send_vdc2 = true;
     bench.filter = [](std::vector<lpvg_can_frame_t> frames) {
         for (lpvg_can_frame_t& frame : frames) {
-            frame.t_us -= 1'000;
+            frame.t_us = -1'000;
         }
         return frames;
     };
     bench.step();
     CHECK(bench.ecu.supervisor.watch[LPVG_CAN_VDC2_INDEX].has_arrival != 0U);
     CHECK(bench.ecu.supervisor.watch[LPVG_CAN_VDC2_INDEX].t_arrival_us == 0);
+}
+
+TEST_CASE("a frame whose time stamp cannot be carries no clock away, behind a jump too", "[unit][ecu][REQ-ECU-5]") {
+    Bench bench = engaged_bench();
+    bench.clock_off_us = 3'000'000;
+    for (int64_t i = 1; i <= LPVG_ECU_RESYNC_CALLS; ++i) {
+        bench.step_at(bench.k * tick_us);
+        ++bench.k;
+    }
+    REQUIRE(bench.status == lpvg_status_ok);
+    bench.filter = [](std::vector<lpvg_can_frame_t> frames) {
+        for (lpvg_can_frame_t& frame : frames) {
+            frame.t_us = std::numeric_limits<int64_t>::min();
+        }
+        return frames;
+    };
+    bench.step();
+    CHECK(bench.ecu.supervisor.now_us == bench.ecu.core_us);
+    CHECK(bench.ecu.supervisor.count[lpvg_can_event_backwards] > 0U);
 }
 
 TEST_CASE("refused calls are in step half to one and a half periods after each other", "[unit][ecu][REQ-ECU-9]") {

@@ -594,6 +594,14 @@ TEST_CASE("beyond the range the margin errs high only", "[unit][margin][subnorma
     CHECK(error.below <= float_below);
 }
 
+TEST_CASE("a margin within the range of float is found though |E| / B squared is not", "[unit][margin][REQ-MON-4]") {
+    const lpvg::Complex2<float> E[1] = {{2e19F, 0.0F}}, Z[1] = {{1e3F, 0.0F}};
+    const float one = 1.0F;
+    const float t = lpvg::CommonMargin<float, 1>(E, Z, &one, &one)();
+    CHECK(t >= 2e19F / 1001.0F);
+    CHECK(t <= 2.0001e19F / 1001.0F);
+}
+
 TEST_CASE("a nominal output that fades out cannot hide an error", "[unit][margin][REQ-MON-4]") {
     for (double size = 1e-5; size > 1e-45; size *= 0.1) {
         CAPTURE(size);

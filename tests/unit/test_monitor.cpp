@@ -379,7 +379,8 @@ TEST_CASE("one sample beyond the speed tolerance spoils every frame that holds i
     REQUIRE((drive.speed > lpvg_coeff.reals.speed_min && drive.speed < lpvg_coeff.reals.speed_max));
     drive.run(1U);
     const int64_t moved = drive.now();
-    drive.speed = cruise();
+    // Between that sample and those before it, so that neither extreme is the newest.
+    drive.speed = cruise() * static_cast<Real>(1.0 + 0.05 * side * static_cast<double>(lpvg_coeff.reals.speed_tolerance));
     std::size_t holding = 0, wrong = 0;
     drive.run(2U * longest(), [&](const lpvg_frame_t& frame) {
         const int64_t first = frame.t_end_us - period_us() * (words().frame_length[frame.bin] - 1);
