@@ -265,10 +265,12 @@ def _add(
     instrument = frames.shape[1] == 3
     cell = np.clip(np.searchsorted(grid.speed_edges, speed, "right") - 1, 0, grid.cells[0] - 1)
     kind = np.searchsorted(grid.amplitude_edges, amplitude, "right")
-    for c, a in sorted(set(zip(cell.tolist(), kind.tolist(), strict=True))):
-        inside = (cell == c) & (kind == a)
+    powers, place_of = np.vander(grid.relative(speed), 5, increasing=True), cell * grid.cells[1] + kind
+    for k in np.unique(place_of):
+        c, a = divmod(int(k), grid.cells[1])
+        inside = place_of == k
         E, Z, R = np.moveaxis(frames[:, :, inside], 1, 0)[[0, 1, -1]]
-        power = (grid.relative(speed[inside])[None] ** np.arange(5)[:, None]).T
+        power = powers[inside]
         place = (*at, slice(None), c, a)
         EE, ZZ, ZE = np.abs(E) ** 2, np.abs(Z) ** 2, Z.conj() * E
         RR = np.abs(R) ** 2 if instrument else ZZ

@@ -81,7 +81,7 @@ class DriveReader:
         return self._frames(self._held(experiment))
 
     def seen(self, experiment: Experiment) -> tuple[Drive, np.ndarray, np.ndarray, Iterator[FrameSet]]:
-        """What `read` and `frames` give, of one reading."""
+        """The drive, e and yhat (N, n_y) and the counted frames, of one reading."""
         held = self._held(experiment)
         return *held.found(), self._frames(held)
 

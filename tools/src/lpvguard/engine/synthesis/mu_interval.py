@@ -179,7 +179,7 @@ def _likely_peak(
 
 
 def quadratic(M: np.ndarray, point: PointBound) -> np.ndarray:
-    """Mᴴ left M + j (skew M − Mᴴ skewᴴ), Hermitian to the last bit."""
+    """Mᴴ left M + j (skew M − Mᴴ skewᴴ) (Σrows, Σrows) of M (Σcols, Σrows), Hermitian to the last bit."""
     N = M.conj().T @ point.left @ M + 1j * (point.skew @ M - M.conj().T @ point.skew.conj().T)
     return 0.5 * (N + N.conj().T)
 

@@ -80,8 +80,9 @@ def upper_bound(
 def simple_infimum(
     M: np.ndarray, structure: Structure, rtol: float, d: np.ndarray | None = None
 ) -> tuple[float, float, np.ndarray, np.ndarray, np.ndarray] | None:
-    """`upper_bound` where all blocks are full and the largest singular value is simple at the infimum, as it
-    is for up to three blocks but for special M; else None. ``d`` (blocks,): start scales.
+    """`upper_bound` of M (Σcols, Σrows) where all blocks are full and the largest singular value is simple at
+    the infimum; else None. It is simple for up to three blocks, but for special M. ``d`` (blocks,): start
+    scales.
 
     σ̄(D_L^½ M D_R^-½) is convex in the logarithms x of the blocks' scales d (Sezginer & Overton 1990), and
     where it is simple Newton's method finds its minimum. With z = D_R^-½ v, v the right singular vector, no
