@@ -32,12 +32,17 @@ def test_a_sinusoid_in_the_bin_reads_its_amplitude_and_others_do_not_see_dc(esti
         np.testing.assert_allclose(np.abs(X[:, 1]), 5.0 if k == 0 else 0.0, atol=1e-9)
 
 
-def test_transform_is_the_defining_sum(estimator):
+@pytest.mark.parametrize("compiled", [True, False])
+@pytest.mark.parametrize("window", ["hann", "rectangular"])
+def test_transform_is_the_defining_sum(estimator, window, compiled, monkeypatch):
+    if not compiled:
+        monkeypatch.setenv("LPVGUARD_NO_NATIVE", "1")
+    estimator = replace(estimator, window=window)
     x = np.random.default_rng(3).standard_normal((2000, 2))
     for k in (0, 4, estimator.n_bins - 1):
         N = estimator.length[k]
         starts = np.array([0, 5, 2000 - N])
-        w = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(N) / N)
+        w = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(N) / N) if window == "hann" else np.ones(N)
         scale = (2 if estimator.cycles[k] else 1) / w.sum()
         rotation = np.exp(-2j * np.pi * estimator.cycles[k] * np.arange(N) / N)
         direct = [[scale * np.sum(w * rotation * x[s : s + N, j]) for j in range(2)] for s in starts]
@@ -60,6 +65,42 @@ def test_sliding_sums_are_the_convolution_on_long_drives_with_gaps(estimator, si
     convolved = estimator.transform(x, k, starts)
     np.testing.assert_allclose(all_slid, convolved, rtol=0, atol=1e-13 * np.abs(x).max())
     np.testing.assert_allclose(slid, convolved[kept], rtol=0, atol=1e-13 * np.abs(x).max())
+
+
+def test_a_sum_slides_over_starts_a_frame_apart_and_begins_anew_beyond(estimator):
+    """Starts in single file, one frame apart, and one sample more."""
+    for k in (0, 4, estimator.n_bins - 1):
+        N = int(estimator.length[k])
+        x = np.random.default_rng(5).standard_normal((8 * N, 3))
+        starts = np.cumsum([7, 1, 1, N, N + 1, 1, 2 * N, N - 1, 3])
+        every = estimator.transform(x, k, np.arange(len(x) - N + 1))
+        np.testing.assert_allclose(estimator.transform(x, k, starts), every[starts], rtol=0, atol=1e-13)
+
+
+@pytest.mark.parametrize("ends", ["both", "first", "last", "none"])
+def test_stretches_are_the_runs_of_starts_that_count(estimator, ends):
+    v = np.full(3000, 10.0)
+    v[1200:1300] = 40.0  # out of the range of every vehicle
+    v[2100] = 12.0
+    if ends in ("none", "last"):
+        v[: estimator.settle + 1] = 0.0
+    if ends in ("none", "first"):
+        v[-1] = 0.0
+    found = estimator.stretches(v)
+    assert len(found) == estimator.n_bins
+    for k, runs in enumerate(found):
+        counted = estimator.counted(v, k)
+        starts = np.concatenate([np.zeros(0, int), *(np.arange(first, end) for first, end in runs)])
+        np.testing.assert_array_equal(starts, np.flatnonzero(counted))
+        assert (runs[1:, 0] > runs[:-1, 1]).all(), "no run could be one with the next"
+        assert runs.shape[1] == 2 and (runs[:, 0] < runs[:, 1]).all()
+
+
+def test_a_drive_where_every_start_counts_is_one_stretch(estimator):
+    estimator = replace(estimator, settle=0)
+    N = int(estimator.length[-1])
+    [*_, runs] = estimator.stretches(np.full(N + 4, 10.0))
+    assert runs.tolist() == [[0, 5]]
 
 
 def brute_counted(estimator, v, k):

@@ -24,7 +24,6 @@ import ctypes
 import json
 import zlib
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Literal
 
 import numpy as np
@@ -230,16 +229,12 @@ class Estimator:
         N, m = int(self.length[k]), x.shape[1]
         lines = np.outer(np.arange(N), int(self.cycles[k]) + np.arange(-1, 2)) % N
         turn = np.exp(-2j * np.pi * lines / N)
-        scale = (2.0 if self.cycles[k] else 1.0) / (0.5 * N)
-        found = np.empty((len(starts), m), complex)
-        ends = np.flatnonzero(np.diff(starts) > N) + 1
-        for first, end in pairwise([0, *ends.tolist(), len(starts)]):
-            low, high = int(starts[first]), int(starts[end - 1]) + 1
-            whole = end - first == high - low
-            out = found[first:end] if whole else np.empty((high - low, m), complex)
-            pointers = (_pointer(a) for a in (x[low:], turn))
-            sizes = (ctypes.c_ssize_t(size) for size in (high - low, m, N))
-            lib.lpvg_hann(*sizes, *pointers, ctypes.c_double(scale), _pointer(out))
-            if not whole:
-                found[first:end] = out[starts[first:end] - low]
-        return found
+        scale = ctypes.c_double((2.0 if self.cycles[k] else 1.0) / (0.5 * N))
+        found = []
+        for near in np.split(starts, np.flatnonzero(np.diff(starts) > N) + 1):
+            first = int(near[0])
+            every = np.empty((int(near[-1]) - first + 1, m), complex)
+            sizes = (ctypes.c_ssize_t(size) for size in (len(every), m, N))
+            lib.lpvg_hann(*sizes, _pointer(x[first:]), _pointer(turn), scale, _pointer(every))
+            found.append(every[near - first])
+        return np.concatenate(found)
