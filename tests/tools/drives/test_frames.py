@@ -32,7 +32,9 @@ def test_a_sinusoid_in_the_bin_reads_its_amplitude_and_others_do_not_see_dc(esti
         np.testing.assert_allclose(np.abs(X[:, 1]), 5.0 if k == 0 else 0.0, atol=1e-9)
 
 
-def test_transform_is_the_defining_sum(estimator):
+@pytest.mark.parametrize("compiled", [True, False])
+def test_transform_is_the_defining_sum(estimator, compiled, monkeypatch):
+    monkeypatch.setenv("LPVGUARD_NO_NATIVE", "0" if compiled else "1")
     x = np.random.default_rng(3).standard_normal((2000, 2))
     for k in (0, 4, estimator.n_bins - 1):
         N = estimator.length[k]
@@ -60,6 +62,16 @@ def test_sliding_sums_are_the_convolution_on_long_drives_with_gaps(estimator, si
     convolved = estimator.transform(x, k, starts)
     np.testing.assert_allclose(all_slid, convolved, rtol=0, atol=1e-13 * np.abs(x).max())
     np.testing.assert_allclose(slid, convolved[kept], rtol=0, atol=1e-13 * np.abs(x).max())
+
+
+def test_stretches_are_the_runs_of_the_frames_that_count(estimator):
+    low, high = estimator.speed_range
+    v = np.full(6000, 0.5 * (low + high))
+    v[2500:2600] = high + 5.0
+    for k, runs in enumerate(estimator.stretches(v)):
+        starts = np.concatenate([np.zeros(0, int), *(np.arange(*run) for run in runs)])
+        np.testing.assert_array_equal(starts, np.flatnonzero(estimator.counted(v, k)))
+        assert runs.shape == (2, 2)
 
 
 def brute_counted(estimator, v, k):
