@@ -24,8 +24,7 @@ static inline void hann(ptrdiff_t frames, ptrdiff_t m, int live, ptrdiff_t lengt
     const double half = 0.5 * scale, quarter = 0.25 * scale;
     for (ptrdiff_t i = 0, n = 0; i < frames; i++) {
         const double* restrict t = turn + 6 * n;
-        const double ar = quarter * t[0], ai = quarter * t[1], br = half * t[2], bi = half * t[3], cr = quarter * t[4],
-                     ci = quarter * t[5];
+        const double ar = quarter * t[0], ai = quarter * t[1], br = half * t[2], bi = half * t[3], cr = quarter * t[4], ci = quarter * t[5];
         double re[LANES], im[LANES];
         for (int l = 0; l < LANES; l++) {
             re[l] = (br * sum[2][l] + bi * sum[3][l]) - (ar * sum[0][l] + ai * sum[1][l]) - (cr * sum[4][l] + ci * sum[5][l]);

@@ -240,7 +240,8 @@ static inline void least_group(ptrdiff_t n, int live, const cpx* restrict e, con
     sums_of_group(n, live, e, z, &s);
     for (int l = 0; l < LANES; l++) {
         const double ez = s.ee[l] * s.zz[l], ze2 = s.zr[l] * s.zr[l] + s.zi[l] * s.zi[l];
-        safe[l] = (ez > tiny) & (ez < huge_) & (s.zz[l] > tiny) & (s.zz[l] < huge_) & ((n == 1) | (s.d2[l] > edge2 * ez)) & (ze2 > edge2 * ez);
+        safe[l] =
+            (ez > tiny) & (ez < huge_) & (s.zz[l] > tiny) & (s.zz[l] < huge_) & ((n == 1) | (s.d2[l] > edge2 * ez)) & (ze2 > edge2 * ez);
         found[0][l] = sqrt(s.ee[l]);
         found[1][l] = sqrt(s.zz[l]);
         found[2][l] = sqrt(s.d2[l] / s.zz[l]);
