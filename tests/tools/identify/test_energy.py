@@ -343,6 +343,44 @@ def test_opposite_errors_under_one_nominal_output_are_caught_by_the_joint_form_o
     assert found == {("joint", 1.0): 0, ("joint", -1.0): 1, ("separate", 1.0): 0, ("separate", -1.0): 0}
 
 
+@pytest.mark.parametrize("structure", ["S1", "S1_diagonal"])
+def test_what_a_drive_asks_of_sigma_is_the_most_that_its_norms_do(structure):
+    document = load_project("truck").model_dump(by_alias=True)
+    document["design"], document["bounds"]["structure"] = None, structure
+    project = parse_project(document, structure)
+    weights = [Weight([0.5, 0.2], [1.0, 1.0]), Weight([0.9, 0.5, 0.1], [1.0, 1.4, 1.0])][: project.n_delta]
+    estimator = Estimator.of(project, NominalModel(project))
+    test = EnergyTest.design(project, estimator, weights, [1.0, 2.0], np.full((2, project.n_delta), 0.1), 1.0)
+    random = np.random.default_rng(7)
+    test = replace(
+        test,
+        sigma=random.uniform(0.5, 2.0, test.sigma.shape),
+        start=random.uniform(0.0, 0.1, test.start.shape),
+    )
+    e, yhat = np.cumsum(random.standard_normal((2, 9000, 2)), axis=1) / 50
+    v = np.full(len(e), 15.0)
+    v[4000] = 0.0  # two stretches
+
+    def size(G, a):
+        return np.sqrt(np.maximum(np.einsum("i,nij,j->n", a, G, a), 0.0))
+
+    wanted: dict[str, np.ndarray] = {
+        key: np.full(shape, -np.inf)
+        for key, shape in [("sigma", (3, 2)), ("error", (3, 2)), ("bound", (3, 2)), ("joint", 3)]
+    }
+    for _, band, left, right in test.norms(e, yhat, v):
+        for j, a in enumerate(np.eye(2)):
+            error, bound = size(left, a), size(right, a)
+            for key, value in (("sigma", error - bound), ("error", error), ("bound", bound)):
+                wanted[key][band, j] = max(wanted[key][band, j], value.max())
+        for a in test.directions / test.sigma[band]:
+            wanted["joint"][band] = max(wanted["joint"][band], (size(left, a) - size(right, a)).max())
+    found = test.needs(e, yhat, v)
+    assert found.keys() == wanted.keys()
+    for key, value in wanted.items():
+        np.testing.assert_allclose(found[key], value, rtol=1e-6, atol=1e-9)
+
+
 # ------------------------------------------------------------------------------------------ a Delta an output
 
 
