@@ -195,13 +195,13 @@ def test_a_faster_rate_in_controller_json_is_refused(finer, moving, tmp_path):
 
 
 @pytest.mark.slow("30 s: two designs for frozen speeds")
-def test_a_synthesis_factor_changes_the_controller_and_not_what_is_certified(stored):
-    """The controller is that of A_t and A_u times the factor; its mu is of A_t and A_u themselves, under a D
-    that suits these."""
-    one = with_settings(stored, A_t=40.0, synthesis_factor=1.5, nodes=4, order_loss=0.05)
+def test_synthesis_for_other_objectives_changes_the_controller_and_not_what_is_certified(stored):
+    """The controller is that of the A_t and A_u that are synthesised for; its mu is of A_t and A_u
+    themselves, under a D that suits these."""
+    one = with_settings(stored, A_t=40.0, synthesised_for=[60.0, 1.5e-6], nodes=4, order_loss=0.05)
     asked = one.project.design.for_synthesis
-    other = with_settings(one, A_t=asked.A_t, A_u=asked.A_u, synthesis_factor=1.0)
-    assert (asked.A_t, asked.A_u) == (60.0, 1.5 * one.project.design.A_u)
+    other = with_settings(one, A_t=asked.A_t, A_u=asked.A_u, synthesised_for=None)
+    assert (asked.A_t, asked.A_u) == (60.0, 1.5e-6) and one.project.design.A_t == 40.0
     found, hard = (stage._designed(x, x.project.design, None, lambda _: None) for x in (one, other))
     for name in ("speeds", "a", "B", "L", "u_max"):
         np.testing.assert_array_equal(getattr(found.schedule, name), getattr(hard.schedule, name))
