@@ -69,8 +69,9 @@ def moving(finer, tmp_path_factory):
 
 
 def with_settings(stored, **changes):
-    """The same identification with other objectives."""
-    settings = stored.project.design.model_copy(update=changes)
+    """The same identification with other objectives, which are synthesised for unless others are given."""
+    own = {"synthesised_for": None} if "A_t" in changes else {}
+    settings = stored.project.design.model_copy(update=own | changes)
     return replace(stored, project=stored.project.model_copy(update={"design": settings}))
 
 
@@ -181,6 +182,26 @@ def test_a_claim_of_a_moving_speed_that_is_not_proved_is_refused(finer, moving, 
     else:
         said["basis"] = said["basis"][:-1]
     assert not moving_speed._holds(finer, schedule, claim, said)
+
+
+def test_a_storage_function_at_knots_of_its_own_is_proved_anew_and_none_over_other_speeds(finer, moving):
+    """The same storage function, stated by its values at the knots between which it is linear."""
+    result, _ = moving
+    one = result.moving["stability"]
+    at_knots = replace(one, lpv=replace(one.lpv, own_knots=True, P=None))
+    said = json.loads(artefacts.to_json(moving_speed._moving("stability", at_knots)))
+    assert len(said["P"]) == len(said["knots_mps"]) == len(one.lpv.storage.knots)
+    assert moving_speed._holds(finer, result.schedule, "stability", said)
+    knots = said["knots_mps"]
+    for wrong in (
+        {"knots_mps": knots[1:]},
+        {"knots_mps": knots[1:], "P": said["P"][1:]},
+        {"knots_mps": [*knots[:-1], knots[-1] + 1.0]},
+        {"knots_mps": [knots[0], knots[2], knots[1], *knots[3:]]},
+        {"knots_mps": [], "P": []},
+        {"knots_mps": None},
+    ):
+        assert not moving_speed._holds(finer, result.schedule, "stability", {**said, **wrong})
 
 
 def test_a_faster_rate_in_controller_json_is_refused(finer, moving, tmp_path):

@@ -51,7 +51,7 @@ RATE_STEPS = 6
 COST = 1e-4
 """Cost of P in the search, over the frozen solutions' mean: it weighs against log det F from about 1e4 times
 that mean on, and what P gains beyond is lost between the speeds."""
-GRID_SHARE = 0.96
+GRID_SHARE = 0.98
 """Of the rate that P bears at its knots, to be proved between them."""
 ROUNDS = 6
 """Proofs tried; after each one that fails speeds become knots."""
