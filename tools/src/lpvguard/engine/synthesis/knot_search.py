@@ -29,7 +29,7 @@ STEPS = 30
 """Of Newton's method, after which a rate counts as not found."""
 NEAR, CENTRING_STEPS = 200.0, 4
 """Decrement at which P is near enough to the centre, and the most steps to it once F > 0."""
-ADDITIONS = (1e-13, 1e-11, 1e-9)
+ADDITIONS = (1e-13, 1e-11, 1e-9, 1e-7)
 """Tried additions to the Hessian's unit diagonal: what rounding asks for."""
 
 
@@ -220,15 +220,22 @@ def found_at(grid: KnotGrid, start: Point, rate: float, unit: np.ndarray) -> Poi
     barrier = grid.barrier(rate)
     gain = grid.gain_direction()[None] if grid.delta[0] else np.zeros((0, *barrier.constant.shape))
     price = barrier.price(grid.cost)
-    point = _feasible(barrier, start, _units(grid.F(start, 0.0), unit), gain, price)
+    point = _feasible(barrier, start, _units(grid.F(start, 0.0), barrier.segment, unit), gain, price)
     return None if point is None else _centred(barrier, point, gain, price)
 
 
-def _units(F: np.ndarray, unit: np.ndarray) -> np.ndarray:
-    """F (count, N, N) where it is positive; elsewhere the mean of those, or ``unit`` where there is none."""
+def _units(F: np.ndarray, segment: np.ndarray, unit: np.ndarray) -> np.ndarray:
+    """F (count, N, N) where it is positive; elsewhere the mean of those of the nearest segment that has any,
+    or ``unit`` where there is none. Their scale is what F can have there: in another one hardly anything
+    would be lacking, and a step would see nothing."""
     positive = np.linalg.eigvalsh(F)[:, 0] > 0
-    other = F[positive].mean(axis=0) if positive.any() else unit
-    return np.where(positive[:, None, None], F, other)
+    if not positive.any():
+        return np.broadcast_to(unit, F.shape)
+    out = F.copy()
+    for i in np.flatnonzero(~positive):
+        distance = np.where(positive, np.abs(segment - segment[i]), np.inf)
+        out[i] = F[distance == distance.min()].mean(axis=0)
+    return out
 
 
 def _feasible(
