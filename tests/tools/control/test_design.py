@@ -65,8 +65,9 @@ def moving(finer, tmp_path_factory):
 
 
 def with_settings(stored, **changes):
-    """The same identification with other objectives."""
-    settings = stored.project.design.model_copy(update=changes)
+    """The same identification with other objectives, which are synthesised for unless others are given."""
+    own = {"synthesised_for": None} if "A_t" in changes else {}
+    settings = stored.project.design.model_copy(update=own | changes)
     return replace(stored, project=stored.project.model_copy(update={"design": settings}))
 
 
@@ -179,6 +180,26 @@ def test_a_claim_of_a_moving_speed_that_is_not_proved_is_refused(finer, moving, 
     assert not moving_speed._holds(finer, schedule, claim, said)
 
 
+def test_a_storage_function_at_knots_of_its_own_is_proved_anew_and_none_over_other_speeds(finer, moving):
+    """The same storage function, stated by its values at the knots between which it is linear."""
+    result, _ = moving
+    one = result.moving["stability"]
+    at_knots = replace(one, lpv=replace(one.lpv, own_knots=True, P=None))
+    said = json.loads(artefacts.to_json(moving_speed._moving("stability", at_knots)))
+    assert len(said["P"]) == len(said["knots_mps"]) == len(one.lpv.storage.knots)
+    assert moving_speed._holds(finer, result.schedule, "stability", said)
+    knots = said["knots_mps"]
+    for wrong in (
+        {"knots_mps": knots[1:]},
+        {"knots_mps": knots[1:], "P": said["P"][1:]},
+        {"knots_mps": [*knots[:-1], knots[-1] + 1.0]},
+        {"knots_mps": [knots[0], knots[2], knots[1], *knots[3:]]},
+        {"knots_mps": [], "P": []},
+        {"knots_mps": None},
+    ):
+        assert not moving_speed._holds(finer, result.schedule, "stability", {**said, **wrong})
+
+
 def test_a_faster_rate_in_controller_json_is_refused(finer, moving, tmp_path):
     document = json.loads(moving[1].read_text())
     for claim in moving_speed.CLAIMS:
@@ -191,13 +212,13 @@ def test_a_faster_rate_in_controller_json_is_refused(finer, moving, tmp_path):
 
 
 @pytest.mark.slow("30 s: two designs for frozen speeds")
-def test_a_synthesis_factor_changes_the_controller_and_not_what_is_certified(stored):
-    """The controller is that of A_t and A_u times the factor; its mu is of A_t and A_u themselves, under a D
-    that suits these."""
-    one = with_settings(stored, A_t=40.0, synthesis_factor=1.5, nodes=4, order_loss=0.05)
+def test_synthesis_for_other_objectives_changes_the_controller_and_not_what_is_certified(stored):
+    """The controller is that of the A_t and A_u that are synthesised for; its mu is of A_t and A_u
+    themselves, under a D that suits these."""
+    one = with_settings(stored, A_t=40.0, synthesised_for=[60.0, 1.5e-6], nodes=4, order_loss=0.05)
     asked = one.project.design.for_synthesis
-    other = with_settings(one, A_t=asked.A_t, A_u=asked.A_u, synthesis_factor=1.0)
-    assert (asked.A_t, asked.A_u) == (60.0, 1.5 * one.project.design.A_u)
+    other = with_settings(one, A_t=asked.A_t, A_u=asked.A_u, synthesised_for=None)
+    assert (asked.A_t, asked.A_u) == (60.0, 1.5e-6) and one.project.design.A_t == 40.0
     found, hard = (stage._designed(x, x.project.design, None, lambda _: None) for x in (one, other))
     for name in ("speeds", "a", "B", "L", "u_max"):
         np.testing.assert_array_equal(getattr(found.schedule, name), getattr(hard.schedule, name))

@@ -78,7 +78,8 @@ def test_a_level_at_a_moving_speed_is_above_the_frozen_one_and_proved_anew(movin
     assert found.level > max(frozen_level(one, v) for v in (1.0, 2.0, 3.0))
     assert found.rate == RATE and found.proof.margin > 0
     again = least_level.weighed(one, DELTA, found.level, found.gain)
-    storage = lpv.polynomial_storage(again, found.storage.basis, found.P)
+    storage = found.storage
+    assert found.own_knots and found.P is None and not storage.adjoint
     assert lpv.prove(again, storage, RATE) is not None
     assert lpv.prove(replace(again, Ts=20 * TS), storage, RATE) is None
     assert lpv.prove(least_level.weighed(one, DELTA, 0.5 * found.level, found.gain), storage, RATE) is None
@@ -147,17 +148,21 @@ def test_a_level_whose_storage_function_is_not_proved_is_left_for_the_next(monke
 def test_p_costs_more_the_further_it_is_from_the_frozen_solutions(monkeypatch):
     """Every search gets COST over their mean, in the coordinates in which it searches."""
     one, given, frozen = family(turn=0.2), [], []
-    search, solved = least_level.feasible, least_level.frozen_at
+    search, solved = least_level.found_at, least_level.frozen_at
 
     def told(family, speeds):
         frozen.append(solved(family, speeds))
         return frozen[-1]
 
-    monkeypatch.setattr(least_level, "feasible", lambda *asked: given.append(asked[3]) or search(*asked))
+    monkeypatch.setattr(least_level, "found_at", lambda *asked: given.append(asked) or search(*asked))
     monkeypatch.setattr(least_level, "frozen_at", told)
     assert least_level.find_level(lambda _: one, DELTA, RATE) is not None
-    mean = frozen[-1][2].mean(axis=0)
-    np.testing.assert_allclose(given[-1] @ mean, least_level.COST * np.eye(2), atol=1e-9)
+    last = [asked for asked in given if asked[2] == 0.0][-1]
+    basis, _, P = frozen[-1]
+    for grid, *_ in given[given.index(last) :]:
+        moved = np.linalg.solve(basis, grid.basis)
+        mean = moved.T @ P.mean(axis=0) @ moved
+        np.testing.assert_allclose(grid.cost @ mean, least_level.COST * np.eye(2), atol=1e-9)
     assert len(given) > least_level.RATE_STEPS
 
 

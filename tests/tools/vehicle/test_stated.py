@@ -31,7 +31,7 @@ def changed(path: str, value: object) -> dict:
     return settings
 
 
-@pytest.mark.parametrize(("path", "value"), [("title", "Another"), ("design.synthesis_factor", None)])
+@pytest.mark.parametrize(("path", "value"), [("title", "Another"), ("design.backoff", None)])
 def test_a_title_counts_for_nothing_and_what_is_missing_for_its_default(path, value):
     require_settings(changed(path, value), "a folder", load_project("truck"), "truck")
 
@@ -39,8 +39,8 @@ def test_a_title_counts_for_nothing_and_what_is_missing_for_its_default(path, va
 @pytest.mark.parametrize(
     ("path", "value", "old", "new"),
     [
-        ("design.synthesis_factor", 2.0, "2.0", "1.0"),
-        ("design.A_t", 90.0, "90.0", "100.0"),
+        ("design.backoff", 0.1, "0.1", "0.05"),
+        ("design.order_loss", 0.5, "0.5", "0.001"),
         ("Ts_s", None, "null", "0.01"),  # a setting without a default: no project of today
         ("no_more", 3, "3", "null"),  # one that there is no more
     ],
@@ -56,10 +56,10 @@ def test_the_first_other_setting_is_named_with_both_values(path, value, old, new
 
 def test_a_missing_setting_is_not_taken_for_a_value_that_is_no_default():
     project = load_project("truck")
-    design = project.design.model_copy(update={"synthesis_factor": 2.0})
-    with pytest.raises(InputError, match=r"design.synthesis_factor: 1.0 in a folder, 2.0 in truck"):
+    design = project.design.model_copy(update={"backoff": 0.1})
+    with pytest.raises(InputError, match=r"design.backoff: 0.05 in a folder, 0.1 in truck"):
         require_settings(
-            changed("design.synthesis_factor", None),
+            changed("design.backoff", None),
             "a folder",
             project.model_copy(update={"design": design}),
             "truck",

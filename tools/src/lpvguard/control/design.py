@@ -332,7 +332,9 @@ def largest_A_t(stored: StoredIdentification, progress: Progress = lambda _: Non
         steps += 1
 
         try:
-            one = _designed(stored, settings.model_copy(update={"A_t": trial}), scaling, tell)
+            one = _designed(
+                stored, settings.model_copy(update={"A_t": trial, "synthesised_for": None}), scaling, tell
+            )
             worst, scaling = one.worst, one.scaling
         except (InputError, SynthesisError):
             worst = np.inf

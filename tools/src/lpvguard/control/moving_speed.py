@@ -23,6 +23,7 @@ from ..engine.synthesis.least_level import find_level, tuned, weighed
 from ..engine.synthesis.lpv_certificate import (
     Family,
     LpvCertificate,
+    Storage,
     find,
     polynomial_storage,
     prove,
@@ -172,14 +173,25 @@ def _holds(stored: StoredIdentification, schedule: Scheduled, claim: str, said: 
         return False
     family, delta = families[claim], _delta(frozen_plant(stored, float(schedule.speeds[0])))
     family = replace(weighed(family, delta, said["level"], said["gain"]), adjoint=said["adjoint"])
+    storage = _storage(family, said)
+    return storage is not None and prove(family, storage, said["rate_mps2"]) is not None
+
+
+def _storage(family: Family, said: dict) -> Storage | None:
+    """The storage function that controller.json holds; None where it is none of this loop over its range."""
     if said["P"] is None:
-        storage = riccati_storage(family)
-        return storage is not None and prove(family, storage, said["rate_mps2"]) is not None
-    n = family.at(float(family.nodes[0])).order
-    if [np.size(said["basis"]), *map(np.size, said["P"])] != [n * n, *[n * (n + 1) // 2] * 3]:
-        return False
+        return riccati_storage(family)
+    n, knots = family.at(float(family.nodes[0])).order, said["knots_mps"]
+    terms = 3 if knots is None else np.size(knots)
+    if [np.size(said["basis"]), *map(np.size, said["P"])] != [n * n, *[n * (n + 1) // 2] * terms]:
+        return None
     basis, P = _square(said["basis"]), np.array([_symmetric(P) for P in said["P"]])
-    return prove(family, polynomial_storage(family, basis, P), said["rate_mps2"]) is not None
+    if knots is None:
+        return polynomial_storage(family, basis, P)
+    v = np.array(knots, float)
+    if terms < 2 or not (np.diff(v) > 0).all() or [v[0], v[-1]] != family.nodes[[0, -1]].tolist():
+        return None
+    return Storage(basis, v, P, family.adjoint)
 
 
 def moving_to_dict(found: dict[str, Moving | None]) -> dict:
@@ -195,13 +207,14 @@ def _moving(claim: str, found: Moving | None) -> dict:
             "rate_mps2": None,
         }
     lpv = found.lpv
-    upper = np.triu_indices(len(lpv.storage.basis))
+    P, upper = lpv.storage.P if lpv.own_knots else lpv.P, np.triu_indices(len(lpv.storage.basis))
     return {
         "claim": f"at every speed of the range and |dv/dt| up to rate_mps2 {MOVING_CLAIMS[claim]}; nominal "
         "model, weights, fixed D(s), controller, without the states that the claim does not concern",
-        "test": "discrete bounded-real inequality, x = basis x~, P(v) = P0 + v P1 + P2 / v (P null: strict "
-        "Riccati solutions), linear between knots, by eigenvalues at the ends of cells that cover the range, "
-        "a bound of what it loses between them subtracted",
+        "test": "discrete bounded-real inequality, x = basis x~, P(v) linear between its values P at "
+        "knots_mps (null: between those of P0 + v P1 + P2 / v at finer knots; P null: of strict Riccati "
+        "solutions), by eigenvalues at the ends of cells that cover the range, a bound of what it loses "
+        "between them subtracted",
         "rate_mps2": lpv.rate,
         "level": lpv.level,
         "gain": lpv.gain,
@@ -211,8 +224,9 @@ def _moving(claim: str, found: Moving | None) -> dict:
         "states": len(lpv.storage.basis),
         "cells": lpv.proof.cells,
         "margin": lpv.proof.margin,
-        "basis": None if lpv.P is None else lpv.storage.basis.ravel(),
-        "P": None if lpv.P is None else [P[upper] for P in lpv.P],
+        "basis": None if P is None else lpv.storage.basis.ravel(),
+        "knots_mps": lpv.storage.knots if lpv.own_knots else None,
+        "P": None if P is None else [one[upper] for one in P],
     }
 
 

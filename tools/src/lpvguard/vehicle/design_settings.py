@@ -14,9 +14,9 @@ class DesignSettings(StrictModel):
     break frequencies.
 
     Weights are gain * prod(s/zero + 1) / prod(s/pole + 1), rad/s. ``nodes``: scheduling speeds of the
-    controller, uniform over the model's range. ``synthesis_factor``: the controller is synthesised for A_t
-    and A_u times this, and certified for A_t and A_u; more than 1 can leave room for a moving speed.
-    ``table``: the objectives [A_t, A_u] of Table II; ``lambda_s`` [s^2]: weight of the state uncertainty
+    controller, uniform over the model's range. ``synthesised_for`` [A_t, A_u]: what the controller is
+    synthesised for where that is not what it is certified for; a higher A_t can leave room for a moving
+    speed. ``table``: the objectives [A_t, A_u] of Table II; ``lambda_s`` [s^2]: weight of the state uncertainty
     beside the input's in (8), Lambda_nu = diag(1, lambda_s), for its K_is. ``input_max`` [input unit] and
     ``input_rate_max_per_s`` limit the demand; ``lateral_acceleration_max_mps2``, where given, limits it
     further over speed: the nominal model's steady yaw rate, the first output, times the speed stays within it
@@ -36,7 +36,7 @@ class DesignSettings(StrictModel):
     W_R_den: list[float] = Field(default=[1.0, 5.4, 9.0])
     design_speed_mps: Positive = 17.0
     nodes: Annotated[int, Field(ge=2, le=64)] = 8
-    synthesis_factor: Annotated[float, Field(ge=1.0, le=100.0)] = 1.0
+    synthesised_for: Annotated[list[Positive], Field(min_length=2, max_length=2)] | None = None
     backoff: Fraction = 0.05
     order_loss: Fraction = 0.005
     table: list[Annotated[list[Positive], Field(min_length=2, max_length=2)]] | None = None
@@ -49,8 +49,8 @@ class DesignSettings(StrictModel):
     @property
     def for_synthesis(self) -> DesignSettings:
         """With the A_t and A_u that the controller is synthesised for."""
-        factor = self.synthesis_factor
-        return self.model_copy(update={"A_t": self.A_t * factor, "A_u": self.A_u * factor})
+        A_t, A_u = self.synthesised_for or (self.A_t, self.A_u)
+        return self.model_copy(update={"A_t": A_t, "A_u": A_u})
 
     @property
     def objectives(self) -> list[tuple[float, float]]:

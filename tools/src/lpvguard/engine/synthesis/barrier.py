@@ -88,19 +88,24 @@ class Barrier:
             H -= np.kron(np.outer(phi, nxt), product(ck.T)) + np.kron(np.outer(nxt, phi), product(ck))
         return H
 
+    def solved(self, S: np.ndarray, right: np.ndarray) -> np.ndarray:
+        """Hessian^-1 right, at S_i = F_i^-1; right (size, k)."""
+        H = self.hessian(S)
+        scale = 1 / np.sqrt(np.diagonal(H))
+        H *= scale
+        H *= scale[:, None]
+        return sl.cho_solve(factored(H), right * scale[:, None], check_finite=False) * scale[:, None]
 
-def feasible(
-    barrier: Barrier, P: np.ndarray, unit: np.ndarray, cost: np.ndarray | None = None
-) -> np.ndarray | None:
+
+def feasible(barrier: Barrier, P: np.ndarray, unit: np.ndarray) -> np.ndarray | None:
     """P with every F_i > 0, from any P: Newton's method on tau t - sum_i log det(F_i + t unit), until t <
     -``WANTED``; what was reached with t < 0, or None, when ``NEWTON_STEPS`` do not get there. ``unit`` (N, N)
-    > 0: what F is measured in. ``cost`` (n, n) >= 0: adds sum_i tr(cost sum_k phi_ik P_k). Without it P grows
-    where it loses nothing, since that raises log det F."""
+    > 0: what F is measured in."""
     size = len(barrier.M) * len(unit)
     L = np.linalg.inv(np.linalg.cholesky(unit))
     t = np.array([1.05 * max(-np.linalg.eigvalsh(L @ barrier.F(P) @ L.T).min(), 1e-3)])
     tau, found = 2.0 * size, None
-    price = barrier.price(np.zeros_like(P[0]) if cost is None else cost)
+    price = np.zeros(P.shape[0] * len(barrier.twice))
     for _ in range(NEWTON_STEPS):
         try:
             P, t, decrement = newton_step(barrier, P, t, unit[None, None], np.array([tau]), price)
@@ -133,15 +138,12 @@ def newton_step(
     S = np.swapaxes(L, 1, 2) @ L
     crossed = [S @ direction @ S for direction in directions]
     g = price - barrier.adjoint(S)
-    g_y = slope - np.array([np.sum(S * direction) for direction in directions])
-    h = np.stack([barrier.adjoint(cross) for cross in crossed], axis=1)
+    k = len(y)
+    g_y = slope - np.array([np.sum(S * direction) for direction in directions]).reshape(k)
+    h = np.array([barrier.adjoint(cross) for cross in crossed]).reshape(k, len(g)).T
     h_y = np.array([[np.sum(cross * direction) for direction in directions] for cross in crossed])
-    H = barrier.hessian(S)
-    scale = 1 / np.sqrt(np.diagonal(H))
-    H *= scale
-    H *= scale[:, None]
-    right = np.column_stack([g, h]) * scale[:, None]
-    solved = sl.cho_solve(factored(H), right, check_finite=False) * scale[:, None]
+    h_y = h_y.reshape(k, k)
+    solved = barrier.solved(S, np.column_stack([g, h]))
     d_y = -np.linalg.solve(h_y - h.T @ solved[:, 1:], g_y - h.T @ solved[:, 0])
     d_p = -solved[:, 0] - solved[:, 1:] @ d_y
     d_P = barrier.matrices(d_p)

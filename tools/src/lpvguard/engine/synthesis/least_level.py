@@ -9,11 +9,11 @@ for all v in the range and |v+ - v| <= rate Ts. Then every LTI Delta within the 
 z below beta, from rest: beta = 1 is robust performance, and beta is robust performance with z weighed by 1 /
 beta. g is the gain of the scaling D, whose shape is given (``tuned``: the best at frozen speeds).
 
-``find_level`` looks for P0 + v P1 + P2 / v on a grid of speeds, by the barrier method. From the frozen
-solutions a moving speed is out of reach: their P follows the speed wherever little is lost. So the search
-begins at rate 0, and the rate doubles step by step, each from the P before. P has a cost besides, ``COST``.
-Speeds between the grid's at which the inequality fails join it. What is claimed is proved by ``prove`` for
-all speeds.
+``find_level`` looks for a P that is linear between knots, first the controller's nodes, and for g, by the
+barrier method (knot_search.py). From the frozen solutions a moving speed is out of reach: their P follows the
+speed wherever little is lost. So the search begins at rate 0 with P0 + v P1 + P2 / v near them, and the rate
+doubles step by step, each from the P before. P has a cost besides, ``COST``. Speeds between the knots at
+which the inequality fails become knots. What is claimed is proved by ``prove`` for all speeds.
 """
 
 from __future__ import annotations
@@ -26,19 +26,19 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from lpvguard.base.sampling import evenly
-from lpvguard.engine.synthesis.barrier import feasible
 from lpvguard.engine.synthesis.dk import Scaling
+from lpvguard.engine.synthesis.knot_search import KnotGrid, Point, found_at
 from lpvguard.engine.synthesis.lpv_certificate import (
     KNOTS,
     Family,
     LpvCertificate,
+    Storage,
     frozen_at,
-    polynomial_storage,
     prove,
 )
 from lpvguard.engine.synthesis.norms import hinf_norm
 from lpvguard.engine.synthesis.statespace import StateSpace
-from lpvguard.engine.synthesis.storage_grid import StorageGrid, refined, unmoved
+from lpvguard.engine.synthesis.storage_grid import StorageGrid, refined, terms, unmoved
 
 LEVELS = (1.0, 2.5, 5.0, 10.0)
 """Levels tried, the wanted one first, until one is proved."""
@@ -51,10 +51,10 @@ RATE_STEPS = 6
 COST = 1e-4
 """Cost of P in the search, over the frozen solutions' mean: it weighs against log det F from about 1e4 times
 that mean on, and what P gains beyond is lost between the speeds."""
-GRID_SHARE = 0.8
-"""Of the rate that P bears on the grid, to be proved between its speeds."""
+GRID_SHARE = 0.98
+"""Of the rate that P bears at its knots, to be proved between them."""
 ROUNDS = 6
-"""Proofs tried; after each one that fails speeds join the grid."""
+"""Proofs tried; after each one that fails speeds become knots."""
 TUNING_STEPS = (0.3, 0.04)
 """First and last step of the search for D's shape, in the logarithms of its parameters."""
 SLOWEST, TUNING_POINTS = 1e-4, 220
@@ -147,32 +147,34 @@ def _at_level(
     if first is None:
         return None
     basis, parts, frozen = first
-    search = StorageGrid.of(wide.loop, wide.Ts, family.nodes, basis, parts)
-    P, unit = search.fitted(frozen), unmoved(parts).F(frozen).mean(axis=0)
+    functions = StorageGrid.of(wide.Ts, family.nodes, basis, parts)
+    smooth = np.tensordot(terms(family.nodes) @ functions.units.T, functions.fitted(frozen), 1)
+    point, unit = Point(smooth), unmoved(parts).F(frozen).mean(axis=0)
     cost = COST * np.linalg.inv(frozen.mean(axis=0))
+    grid = KnotGrid(wide.loop, wide.Ts, family.nodes, family.nodes, basis, delta, cost)
     on_grid = rate / GRID_SHARE
     for part in (0.0, *np.exp2(np.arange(RATE_STEPS) - RATE_STEPS + 1.0)):
         progress(f"storage function for |dv/dt| up to {part * on_grid:.3g} m/s2, {len(basis)} states")
-        found = feasible(search.barrier(part * on_grid), P, unit, cost)
+        found = found_at(grid, point, part * on_grid, unit)
         if found is None:
             return None
-        P = found
+        grid, point = grid.evened(found)
     for _ in range(ROUNDS):
         progress("proof between the speeds")
-        coefficients = search.coefficients(P)
-        storage = polynomial_storage(wide, basis, coefficients)
-        proof = prove(wide, storage, rate)
+        best = gain * float(np.sqrt(1 + point.excess))
+        storage = Storage(grid.basis, grid.knots, point.P, wide.adjoint)
+        proof = prove(weighed(family, delta, level, best), storage, rate)
         if proof is not None:
-            return LpvCertificate(rate, storage, coefficients, proof, None, level, gain)
-        joined = search.violated(P, on_grid, refined(family.nodes, KNOTS))
+            return LpvCertificate(rate, storage, None, proof, None, level, best, own_knots=True)
+        joined = grid.violated(point, on_grid, refined(family.nodes, KNOTS))
         if not len(joined):
             return None
-        search = search.joined_by(joined)
-        progress(f"storage function at {len(search.grid)} speeds")
-        found = feasible(search.barrier(on_grid), P, unit, cost)
+        grid, point = grid.joined_by(point, joined)
+        progress(f"storage function with {len(grid.knots)} knots")
+        found = found_at(grid, point, on_grid, unit)
         if found is None:
             return None
-        P = found
+        grid, point = grid.evened(found)
     return None
 
 

@@ -175,9 +175,10 @@ class Proof:
 @dataclass(frozen=True)
 class LpvCertificate:
     """``P`` (3, n, n): P0, P1, P2 in the coordinates ``storage.basis``; None: Riccati solutions, which
-    ``riccati_storage`` makes anew. Gain below 1 for |dv/dt| <= rate [m/s^2]. not_found: the least rate tried
-    for which no storage function was found (None: the largest tried was proved); it may exist all the same.
-    level, gain: those that the loop is weighed with (least_level.py)."""
+    ``riccati_storage`` makes anew, or with ``own_knots`` P at the storage's knots. Gain below 1 for |dv/dt|
+    <= rate [m/s^2]. not_found: the least rate tried for which no storage function was found (None: the
+    largest tried was proved); it may exist all the same. level, gain: those that the loop is weighed with
+    (least_level.py)."""
 
     rate: float
     storage: Storage
@@ -186,6 +187,7 @@ class LpvCertificate:
     not_found: float | None
     level: float = 1.0
     gain: float = 1.0
+    own_knots: bool = False
 
 
 def prove(family: Family, storage: Storage, rate: float) -> Proof | None:
@@ -393,7 +395,7 @@ def _on_grid(
     if start is None:
         return False, None
     basis, parts, frozen = start
-    search = StorageGrid.of(family.loop, family.Ts, grid, basis, parts)
+    search = StorageGrid.of(family.Ts, grid, basis, parts)
     P, unit = search.fitted(frozen), unmoved(parts).F(frozen).mean(axis=0)
     stored: list[tuple[float, np.ndarray]] = []
     failed: float | None = None

@@ -1,10 +1,8 @@
-"""Storage functions P0 + v P1 + P2 / v at the speeds of a grid, for the search (lpv_certificate.py and
-least_level.py)."""
+"""Storage functions P0 + v P1 + P2 / v at the speeds of a grid, for the search (lpv_certificate.py)."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -42,11 +40,10 @@ def unmoved(parts: list[tuple[np.ndarray, np.ndarray]]) -> Barrier:
 
 @dataclass(frozen=True)
 class StorageGrid:
-    """Speeds ``grid`` (k,) [m/s] of the loops ``loop_at`` a speed, sampled at Ts [s]; parts: [A B] and [C D]
+    """Speeds ``grid`` (k,) [m/s] of a loop sampled at Ts [s]; parts: [A B] and [C D]
     at every one in the coordinates ``basis`` (n, n). units (3, 3): the terms of P by which it is searched,
     of like size, from 1, v and 1 / v."""
 
-    loop_at: Callable[[float], StateSpace]
     Ts: float
     grid: np.ndarray
     basis: np.ndarray
@@ -56,7 +53,6 @@ class StorageGrid:
     @classmethod
     def of(
         cls,
-        loop_at: Callable[[float], StateSpace],
         Ts: float,
         grid: np.ndarray,
         basis: np.ndarray,
@@ -65,7 +61,7 @@ class StorageGrid:
         """With the units that suit ``grid``."""
         mean, spread = float(grid.mean()), float(np.ptp(grid))
         units = np.array([[1.0, 0, 0], [-mean / spread, 1 / spread, 0], [-1, 0, mean]])
-        return cls(loop_at, Ts, grid, basis, parts, units)
+        return cls(Ts, grid, basis, parts, units)
 
     def fitted(self, values: np.ndarray) -> np.ndarray:
         """The terms (3, n, n) nearest to ``values`` (k, n, n)."""
@@ -83,21 +79,3 @@ class StorageGrid:
         change = slopes(self.grid) @ self.units.T * (rate * self.Ts)
         after = now + np.stack([change, -change], axis=1).reshape(-1, 3)
         return Barrier([part for part in self.parts for _ in (0, 1)], now, after)
-
-    def violated(self, P: np.ndarray, rate: float, speeds: np.ndarray) -> np.ndarray:
-        """Of ``speeds`` (m,) the worst in every interval of the grid in which F is not positive."""
-        F = self._at(speeds).barrier(rate).F(P)
-        least = np.linalg.eigvalsh(F)[:, 0].reshape(-1, 2).min(axis=1)
-        inside = np.searchsorted(self.grid, speeds, side="right")
-        worst = [
-            min(np.flatnonzero(inside == k), key=least.__getitem__) for k in np.unique(inside[least <= 0])
-        ]
-        return np.setdiff1d(speeds[worst], self.grid) if worst else np.zeros(0)
-
-    def joined_by(self, speeds: np.ndarray) -> StorageGrid:
-        """With ``speeds`` (m,) in the grid and the same units."""
-        return self._at(np.union1d(self.grid, speeds))
-
-    def _at(self, speeds: np.ndarray) -> StorageGrid:
-        parts = [parts_in(self.loop_at(float(v)), self.basis) for v in speeds]
-        return replace(self, grid=speeds, parts=parts)

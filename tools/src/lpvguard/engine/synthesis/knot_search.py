@@ -1,0 +1,278 @@
+"""Storage functions that are linear between knots, and D's gain, for the search in least_level.py.
+
+P(v) has a value of its own at every knot. An inequality at one speed then concerns the two knots around it,
+so that the Hessian is block tridiagonal and a step costs little more than one for a few functions of speed.
+
+What F is measured in decides how far Newton's method has to go. F(P) at rate 0 is positive for the P of the
+rate before, and at f times that rate F(P) + (f - 1) F_0(P) > 0: from there a doubling takes a few steps.
+Steps to the centre follow, else P lies where hardly any direction is left to the next rate.
+"""
+
+from __future__ import annotations
+
+import copy
+import itertools
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+import scipy.linalg as sl
+
+from lpvguard.engine.synthesis.barrier import Barrier, newton_step
+from lpvguard.engine.synthesis.statespace import StateSpace
+from lpvguard.engine.synthesis.storage_grid import parts_in
+
+FIRST_WEIGHT, NEXT_FACTOR = 10.0, 5.0
+"""Weight of what F lacks over the number of its rows: at first, and its factor once near the centre."""
+STEPS = 30
+"""Of Newton's method, after which a rate counts as not found."""
+NEAR, CENTRING_STEPS = 200.0, 4
+"""Decrement at which P is near enough to the centre, and the most steps to it once F > 0."""
+ADDITIONS = (1e-13, 1e-11, 1e-9, 1e-7)
+"""Tried additions to the Hessian's unit diagonal: what rounding asks for."""
+
+
+class KnotBarrier(Barrier):
+    """A barrier of which every inequality concerns two neighbouring terms: ``segment`` (count,), the first of
+    them."""
+
+    def __init__(
+        self,
+        parts: list[tuple[np.ndarray, np.ndarray]],
+        phi: np.ndarray,
+        next_: np.ndarray,
+        segment: np.ndarray,
+    ):
+        super().__init__(parts, phi, next_)
+        self.segment = segment
+
+    def solved(self, S: np.ndarray, right: np.ndarray) -> np.ndarray:
+        """Hessian^-1 right, at S_i = F_i^-1; right (size, k)."""
+        diagonal, beside = self._blocks(S)
+        scale = [1 / np.sqrt(np.diagonal(block)) for block in diagonal]
+        for block, one in zip(diagonal, scale, strict=True):
+            block *= one * one[:, None]
+        for block, (one, two) in zip(beside, itertools.pairwise(scale), strict=True):
+            block *= one * two[:, None]
+        flat = np.concatenate(scale)[:, None]
+        return solved_blocks(diagonal, beside, right * flat) * flat
+
+    def _blocks(self, S: np.ndarray) -> tuple[list[np.ndarray], list[np.ndarray]]:
+        """The Hessian's blocks: those on the diagonal, of which the lower triangles count, and those below
+        it."""
+        size, terms = len(self.twice), self.phi.shape[1]
+        diagonal = [np.zeros((size, size)) for _ in range(terms)]
+        beside = []
+        for k in range(terms - 1):
+            here = np.flatnonzero(self.segment == k)
+            pair = copy.copy(self)
+            pair.M = self.M[here]
+            pair.phi, pair.next = (np.ascontiguousarray(f[here, k : k + 2]) for f in (self.phi, self.next))
+            H = pair.hessian(S[here])
+            diagonal[k] += H[:size, :size]
+            diagonal[k + 1] += H[size:, size:]
+            beside.append(H[size:, :size].copy())
+        return diagonal, beside
+
+
+def solved_blocks(diagonal: list[np.ndarray], beside: list[np.ndarray], right: np.ndarray) -> np.ndarray:
+    """H^-1 right, right (size, k); H positive definite and block tridiagonal with unit diagonal: lower
+    triangles of ``diagonal``, and ``beside`` below them. LinAlgError where no addition is enough."""
+    for extra in ADDITIONS:
+        try:
+            factors = _factored_blocks(diagonal, beside, extra)
+        except np.linalg.LinAlgError:
+            continue
+        return _substituted(*factors, right)
+    raise np.linalg.LinAlgError("not positive definite")
+
+
+def _factored_blocks(
+    diagonal: list[np.ndarray], beside: list[np.ndarray], extra: float
+) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    """The block Cholesky factor of H + extra I: blocks on the diagonal, lower triangular, and below it."""
+    factors: list[np.ndarray] = []
+    below: list[np.ndarray] = []
+    for k, block in enumerate(diagonal):
+        rest = block.copy()
+        np.fill_diagonal(rest, 1 + extra)
+        if k:
+            below.append(sl.solve_triangular(factors[-1], beside[k - 1].T, lower=True, check_finite=False).T)
+            rest -= below[-1] @ below[-1].T
+        factors.append(sl.cholesky(rest, lower=True, overwrite_a=True, check_finite=False))
+    return factors, below
+
+
+def _substituted(factors: list[np.ndarray], below: list[np.ndarray], right: np.ndarray) -> np.ndarray:
+    """The solution by the blocks of a factor, forwards and back."""
+    x = np.split(right, len(factors))
+    for k, factor in enumerate(factors):
+        rest = x[k] - below[k - 1] @ x[k - 1] if k else x[k]
+        x[k] = sl.solve_triangular(factor, rest, lower=True, check_finite=False)
+    for k in range(len(factors) - 1, -1, -1):
+        rest = x[k] - below[k].T @ x[k + 1] if k + 1 < len(factors) else x[k]
+        x[k] = sl.solve_triangular(factors[k], rest, lower=True, trans="T", check_finite=False)
+    return np.concatenate(x)
+
+
+@dataclass(frozen=True)
+class Point:
+    """P (K, n, n) at the knots; excess: the square of D's gain over that of the loop as it is given, less
+    1."""
+
+    P: np.ndarray
+    excess: float = 0.0
+
+
+@dataclass(frozen=True)
+class KnotGrid:
+    """Inequalities at ``speeds`` (k,) [m/s] for P between ``knots`` (K,), of the loops ``loop_at`` a speed,
+    sampled at Ts [s], in the coordinates ``basis`` (n, n). delta: how many outputs and how many inputs, of
+    the first, are Delta's. cost (n, n): of P in these coordinates."""
+
+    loop_at: Callable[[float], StateSpace]
+    Ts: float
+    knots: np.ndarray
+    speeds: np.ndarray
+    basis: np.ndarray
+    delta: tuple[int, int]
+    cost: np.ndarray
+
+    @cached_property
+    def _parts(self) -> list[tuple[np.ndarray, np.ndarray]]:
+        return [parts_in(self.loop_at(float(v)), self.basis) for v in self.speeds]
+
+    @cached_property
+    def _rows(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Of every inequality its speed's index, the segment of P's slope and the slope's sign: a knot has
+        the segments on either side, and a speed rises and falls."""
+        inside = (self.knots[:-1] <= self.speeds[:, None]) & (self.speeds[:, None] <= self.knots[1:])
+        speed, segment = np.nonzero(inside)
+        return np.repeat(speed, 2), np.repeat(segment, 2), np.tile([1.0, -1.0], len(speed))
+
+    def barrier(self, rate: float) -> KnotBarrier:
+        """F at every speed and for every slope beside it, for speeds that rise and that fall by ``rate``
+        [m/s^2]."""
+        speed, segment, sign = self._rows
+        width = np.diff(self.knots)[segment]
+        share = (self.speeds[speed] - self.knots[segment]) / width
+        now, after = (
+            _between(segment, s, len(self.knots)) for s in (share, share + sign * rate * self.Ts / width)
+        )
+        return KnotBarrier([self._parts[i] for i in speed], now, after, segment)
+
+    def gain_direction(self) -> np.ndarray:
+        """What F gains where the square of D's gain grows by 1, (count, N, N)."""
+        n, (n_eta, n_xi) = len(self.basis), self.delta
+        N = np.array([N for _, N in self._parts])
+        X = -np.swapaxes(N[:, :n_eta], 1, 2) @ N[:, :n_eta]
+        X[:, n : n + n_xi, n : n + n_xi] += np.eye(n_xi)
+        return X[self._rows[0]]
+
+    def F(self, point: Point, rate: float) -> np.ndarray:
+        """F of every inequality, (count, N, N)."""
+        return self.barrier(rate).F(point.P) + point.excess * self.gain_direction()
+
+    def violated(self, point: Point, rate: float, speeds: np.ndarray) -> np.ndarray:
+        """Of ``speeds`` (m,) the worst in every segment in which F is not positive, knots left out."""
+        other = replace(self, speeds=np.setdiff1d(speeds, self.knots))
+        least = np.full(len(other.speeds), np.inf)
+        np.minimum.at(least, other._rows[0], np.linalg.eigvalsh(other.F(point, rate))[:, 0])
+        segment = np.searchsorted(self.knots, other.speeds)
+        worst = [
+            min(np.flatnonzero(segment == k), key=least.__getitem__) for k in np.unique(segment[least <= 0])
+        ]
+        return other.speeds[worst] if worst else np.zeros(0)
+
+    def joined_by(self, point: Point, speeds: np.ndarray) -> tuple[KnotGrid, Point]:
+        """With ``speeds`` (m,) as knots besides."""
+        knots = np.union1d(self.knots, speeds)
+        k = np.clip(np.searchsorted(self.knots, knots) - 1, 0, len(self.knots) - 2)
+        share = (knots - self.knots[k]) / np.diff(self.knots)[k]
+        P = np.tensordot(_between(k, share, len(self.knots)), point.P, 1)
+        return replace(self, knots=knots, speeds=knots), replace(point, P=P)
+
+    def evened(self, point: Point) -> tuple[KnotGrid, Point]:
+        """The same in coordinates in which the mean of P is diagonal and what it dissipates is even; as they
+        stand where it does not dissipate. The Hessian's rounding is least in them."""
+        n = len(self.basis)
+        F = self.F(point, 0.0).mean(axis=0)[:n, :n]
+        if not np.linalg.eigvalsh(F)[0] > 0:
+            return self, point
+        T = sl.eigh(point.P.mean(axis=0), F)[1]
+        inverse = np.linalg.inv(T)
+        grid = replace(self, basis=self.basis @ T, cost=inverse @ self.cost @ inverse.T)
+        return grid, replace(point, P=T.T @ point.P @ T)
+
+
+def _between(segment: np.ndarray, share: np.ndarray, knots: int) -> np.ndarray:
+    """Weights (count, knots) of the terms at ``share`` of the way through ``segment``."""
+    out = np.zeros((len(segment), knots))
+    out[np.arange(len(out)), segment] = 1 - share
+    out[np.arange(len(out)), segment + 1] = share
+    return out
+
+
+def found_at(grid: KnotGrid, start: Point, rate: float, unit: np.ndarray) -> Point | None:
+    """A point with F > 0 for ``rate`` [m/s^2], near the centre of all such points; None where none is found.
+    ``unit`` (N, N) > 0: what F is measured in where it is positive nowhere at ``start`` at rate 0."""
+    barrier = grid.barrier(rate)
+    gain = grid.gain_direction()[None] if grid.delta[0] else np.zeros((0, *barrier.constant.shape))
+    price = barrier.price(grid.cost)
+    point = _feasible(barrier, start, _units(grid.F(start, 0.0), barrier.segment, unit), gain, price)
+    return None if point is None else _centred(barrier, point, gain, price)
+
+
+def _units(F: np.ndarray, segment: np.ndarray, unit: np.ndarray) -> np.ndarray:
+    """F (count, N, N) where it is positive; elsewhere the mean of those of the nearest segment that has any,
+    or ``unit`` where there is none. Their scale is what F can have there: in another one hardly anything
+    would be lacking, and a step would see nothing."""
+    positive = np.linalg.eigvalsh(F)[:, 0] > 0
+    if not positive.any():
+        return np.broadcast_to(unit, F.shape)
+    out = F.copy()
+    for i in np.flatnonzero(~positive):
+        distance = np.where(positive, np.abs(segment - segment[i]), np.inf)
+        out[i] = F[distance == distance.min()].mean(axis=0)
+    return out
+
+
+def _feasible(
+    barrier: KnotBarrier, start: Point, units: np.ndarray, gain: np.ndarray, price: np.ndarray
+) -> Point | None:
+    """Newton's method on weight t - sum_i log det(F_i + t units_i) until t < 0."""
+    P, size = start.P, len(units) * units.shape[-1]
+    L = np.linalg.inv(np.linalg.cholesky(units))
+    excess = np.full(len(gain), start.excess)
+    F = barrier.F(P) + np.tensordot(excess, gain, 1)
+    t = -float(np.linalg.eigvalsh(L @ F @ np.swapaxes(L, 1, 2)).min())
+    if t < 0:
+        return start
+    y, weight = np.array([1.05 * t + 1e-3, *excess]), FIRST_WEIGHT * size
+    directions = np.concatenate([units[None], gain])
+    for _ in range(STEPS):
+        slope = np.zeros(len(y))
+        slope[0] = weight
+        try:
+            P, y, decrement = newton_step(barrier, P, y, directions, slope, price)
+        except np.linalg.LinAlgError:
+            return None
+        if y[0] < 0:
+            return Point(P, float(y[1:].sum()))
+        if decrement < NEAR:
+            weight *= NEXT_FACTOR
+    return None
+
+
+def _centred(barrier: KnotBarrier, point: Point, gain: np.ndarray, price: np.ndarray) -> Point:
+    """Nearer to the centre, by a few steps."""
+    P, y = point.P, np.full(len(gain), point.excess)
+    for _ in range(CENTRING_STEPS):
+        try:
+            P, y, decrement = newton_step(barrier, P, y, gain, np.zeros(len(y)), price)
+        except np.linalg.LinAlgError:
+            break
+        if decrement < NEAR:
+            break
+    return Point(P, float(y.sum()))
