@@ -31,7 +31,7 @@ def changed(path: str, value: object) -> dict:
     return settings
 
 
-@pytest.mark.parametrize(("path", "value"), [("title", "Another"), ("design.backoff", None)])
+@pytest.mark.parametrize(("path", "value"), [("title", "Another"), ("design.lambda_s", None)])
 def test_a_title_counts_for_nothing_and_what_is_missing_for_its_default(path, value):
     require_settings(changed(path, value), "a folder", load_project("truck"), "truck")
 
@@ -39,7 +39,7 @@ def test_a_title_counts_for_nothing_and_what_is_missing_for_its_default(path, va
 @pytest.mark.parametrize(
     ("path", "value", "old", "new"),
     [
-        ("design.backoff", 0.1, "0.1", "0.05"),
+        ("design.lambda_s", 0.1, "0.1", "1.0"),
         ("design.order_loss", 0.5, "0.5", "0.001"),
         ("Ts_s", None, "null", "0.01"),  # a setting without a default: no project of today
         ("no_more", 3, "3", "null"),  # one that there is no more
@@ -56,10 +56,10 @@ def test_the_first_other_setting_is_named_with_both_values(path, value, old, new
 
 def test_a_missing_setting_is_not_taken_for_a_value_that_is_no_default():
     project = load_project("truck")
-    design = project.design.model_copy(update={"backoff": 0.1})
-    with pytest.raises(InputError, match=r"design.backoff: 0.05 in a folder, 0.1 in truck"):
+    design = project.design.model_copy(update={"lambda_s": 0.1})
+    with pytest.raises(InputError, match=r"design.lambda_s: 1.0 in a folder, 0.1 in truck"):
         require_settings(
-            changed("design.backoff", None),
+            changed("design.lambda_s", None),
             "a folder",
             project.model_copy(update={"design": design}),
             "truck",

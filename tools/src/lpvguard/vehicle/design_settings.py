@@ -16,11 +16,11 @@ class DesignSettings(StrictModel):
     Weights are gain * prod(s/zero + 1) / prod(s/pole + 1), rad/s. ``nodes``: scheduling speeds of the
     controller, uniform over the model's range. ``synthesised_for`` [A_t, A_u]: what the controller is
     synthesised for where that is not what it is certified for; a higher A_t can leave room for a moving
-    speed. ``table``: the objectives [A_t, A_u] of Table II; ``lambda_s`` [s^2]: weight of the state uncertainty
-    beside the input's in (8), Lambda_nu = diag(1, lambda_s), for its K_is. ``input_max`` [input unit] and
-    ``input_rate_max_per_s`` limit the demand; ``lateral_acceleration_max_mps2``, where given, limits it
-    further over speed: the nominal model's steady yaw rate, the first output, times the speed stays within it
-    (control/input_limit.py).
+    speed. ``table``: the objectives [A_t, A_u] of Table II; ``lambda_s`` [s^2]: weight of the state
+    uncertainty beside the input's in (8), Lambda_nu = diag(1, lambda_s), for its K_is. ``input_max`` [input
+    unit] and ``input_rate_max_per_s`` limit the demand; ``lateral_acceleration_max_mps2``, where given,
+    limits it further over speed: the nominal model's steady yaw rate, the first output, times the speed stays
+    within it (control/input_limit.py).
     ``amplitudes``: edges of the classes of the demand's amplitude [unit of the input], at which `bench
     robust` measures; None: its own.
     """
