@@ -68,7 +68,7 @@ def test_terms_and_their_slopes():
     )
 
 
-def test_a_storage_is_linear_between_its_knots_and_knows_the_slopes_nearby():
+def test_a_storage_is_linear_between_its_knots():
     random = np.random.default_rng(1)
     knots = np.array([1.0, 1.5, 3.0, 4.0])
     storage = lpv.Storage(np.eye(2), knots, np.array([spd(random, 2) for _ in knots]))
@@ -81,13 +81,50 @@ def test_a_storage_is_linear_between_its_knots_and_knows_the_slopes_nearby():
     np.testing.assert_allclose(storage.at(4.5), storage.P[3] + 0.5 * storage.slopes[2])
     np.testing.assert_allclose(storage.at(0.5), storage.P[0] - 0.5 * storage.slopes[0])
 
-    def near(low, high, step):
-        found = storage.slopes_near(low, high, step)
-        return [k for k in range(3) if any((found == storage.slopes[k]).all(axis=(1, 2)))]
 
-    assert near(1.6, 2.9, 0.05) == [1] and near(1.6, 2.9, 0.2) == [0, 1, 2]
-    assert near(1.6, 2.9, 0.1) == [1], "a knot that the speed just reaches opens no segment"
-    assert near(1.0, 1.2, 0.0) == [0] and near(3.5, 4.0, 0.6) == [1, 2]
+def uneven() -> lpv.Storage:
+    """P(v) of one number that bends at 1.5 and 3."""
+    P = np.array([2.0, 5.0, 1.0, 4.0])[:, None, None]
+    return lpv.Storage(np.eye(1), np.array([1.0, 1.5, 3.0, 4.0]), P)
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "step", "pairs"),
+    [
+        (1.75, 2.0, 0.125, {(4.0, 10 / 3), (14 / 3, 4.0)}),  # within a segment: 2 / 0.75 down for 1 m/s up
+        (1.5, 1.625, 0.125, {(14 / 3, 13 / 3), (5.0, 5.0), (4.25, 5.0)}),  # below, from 1.5 on: 6 for 1 m/s
+        (1.5, 1.75, 0.125, {(14 / 3, 4.0), (5 + 1 / 3, 13 / 3 + 1 / 3), (4.25, 13 / 3 - 0.75)}),
+        (2.75, 3.0, 0.25, {(1.0, 1.0), (1.0, 1.75), (7 / 3, 5 / 3)}),
+        (1.75, 2.0, 2.0, {(5.0, 5.0), (1.0, 1.0), (3.25, 4.0), (-5.5, -4.0)}),
+    ],
+)
+def test_p_after_a_step_lies_on_these_chords(low, high, step, pairs):
+    """By hand: what v + step reaches, and the knots on the way; by slopes where a knot is reached by some."""
+    found = uneven().afterwards(low, high, step)
+    assert {tuple(round(float(x[0, 0]), 9) for x in pair) for pair in found} == {
+        tuple(round(x, 9) for x in pair) for pair in pairs
+    }
+
+
+def test_no_step_leaves_the_chords():
+    """P(v+) of random steps from random cells is between the least and the largest chord at v."""
+    storage, random = uneven(), np.random.default_rng(8)
+    for _ in range(300):
+        k = random.integers(3)
+        low, high = np.sort(random.uniform(storage.knots[k], storage.knots[k + 1], 2))
+        step = random.uniform(0.0, 0.8)
+        pairs = np.array(storage.afterwards(low, high, step))[:, :, 0, 0]
+        for v, share in ((low, 0.0), (0.3 * high + 0.7 * low, 0.3), (high, 1.0)):
+            chords = (1 - share) * pairs[:, 0] + share * pairs[:, 1]
+            for u in np.clip(random.uniform(v - step, v + step, 9), 1.0, 4.0):
+                assert chords.min() - 1e-12 <= storage.at(u)[0, 0] <= chords.max() + 1e-12
+
+
+def test_a_cell_is_cut_where_speeds_begin_to_reach_across_a_knot():
+    storage = uneven()
+    assert storage.cut(1.5, 3.0, 0.25) in (1.75, 2.75) and storage.cut(1.5, 1.75, 0.25) == 1.625
+    assert storage.cut(1.0, 1.5, 0.125) == 1.375
+    assert storage.cut(3.5, 4.0, 0.125) == 3.75, "no speed lies beyond the last knot"
 
 
 def test_a_polynomial_storage_has_its_values_at_knots_that_refine_the_nodes():

@@ -17,15 +17,15 @@ Either is taken piecewise linear between ``KNOTS`` knots in every interval of th
 ``prove`` decides on all speeds. Cells cover the range, and F is tested at a cell's ends. A matrix bounds what
 F may lose between them:
 
-- P is affine in a cell. P(v+) - P(v) is v+ - v times a mean of the slopes of the segments that v and v+ lie
-  in; each slope is tested.
-- F is concave along the chord between the ends but for the product of dP and dM (M = [A B]). A bound of that
-  product is subtracted.
+- P is affine in a cell, and P(v+) is a mean of matrices that are: ``Storage.afterwards``. Each is tested.
+- F is concave along the chord between the ends but for the product of dP, of P(v+), and dM (M = [A B]). A
+  bound of that product is subtracted.
 - [M; N] (N = [C D]) leaves its chord in the vehicle's rows only (of the adjoint: columns): all else is
   affine between two nodes of the controller. How far it does follows from bounds on the derivatives of the
   vehicle's zero-order hold over the cell (``NominalModel.hold_bounds``).
 
-A cell that fails is cut in two, down to ``SMALLEST_CELL``. Every test is by eigenvalues with a reserve for
+A cell that fails is cut in two, down to ``SMALLEST_CELL``; near a knot where speeds begin to reach across it,
+for the parts have fewer slopes to bear. Every test is by eigenvalues with a reserve for
 rounding.
 """
 
@@ -46,6 +46,8 @@ from lpvguard.engine.synthesis.storage_grid import StorageGrid, parts_in, refine
 
 SMALLEST_CELL = 1e-3
 """Width in m/s below which a cell that fails is a failure."""
+INSIDE = 4
+"""Units in the last place by which a speed lies inside a cell: rounding moves a bend by less."""
 FIRST_CELLS = 2
 """Cells that the interval between two knots is cut into at first."""
 MOST_CELLS = 1000
@@ -149,7 +151,14 @@ class Storage:
 
     def at(self, v: float) -> np.ndarray:
         """P(v)."""
-        k = int(np.clip(np.searchsorted(self.knots, v) - 1, 0, len(self.knots) - 2))
+        return self._continued(self._segment(v), v)
+
+    def _segment(self, v: float) -> int:
+        """That in which v lies; beyond the last knots the outermost."""
+        return int(np.clip(np.searchsorted(self.knots, v) - 1, 0, len(self.knots) - 2))
+
+    def _continued(self, k: int, v: float) -> np.ndarray:
+        """P at v as segment k has it."""
         share = (v - self.knots[k]) / (self.knots[k + 1] - self.knots[k])
         return (1 - share) * self.P[k] + share * self.P[k + 1]
 
@@ -158,9 +167,34 @@ class Storage:
         """dP/dv in every segment, (K - 1, n, n)."""
         return np.diff(self.P, axis=0) / np.diff(self.knots)[:, None, None]
 
-    def slopes_near(self, low: float, high: float, step: float) -> np.ndarray:
-        """Those of the segments that speeds within ``step`` of low..high lie in."""
-        return self.slopes[(self.knots[:-1] < high + step) & (self.knots[1:] > low - step)]
+    def afterwards(self, low: float, high: float, step: float) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Pairs of matrices at ``low`` and ``high``, of one segment. For every v between and |v+ - v| <=
+        ``step``, P(v+) is a mean of what lies on the pairs' chords at v.
+
+        Where v + step lies in one segment for all v, or v - step, the chords are P there and P at the knots
+        on the way. Elsewhere they are P(v) and a step along the slope of every segment on the way.
+        """
+        reserve = INSIDE * np.spacing(high)
+        own = self._segment(0.5 * (low + high))
+        pairs = []
+        for sign in (1, -1):
+            reached = [self._segment(v + sign * step) for v in (low + reserve, high - reserve)]
+            far = reached[sign > 0]
+            if reached[0] == reached[1]:
+                pairs += [(self.P[k + (sign < 0)],) * 2 for k in range(far, own, -sign)]
+                pairs.append((self._continued(far, low + sign * step), self._continued(far, high + sign * step)))
+            else:
+                moves = [sign * step * self.slopes[k] for k in range(own, far + sign, sign)]
+                pairs += [(self.at(low) + move, self.at(high) + move) for move in moves]
+        return pairs
+
+    def cut(self, low: float, high: float, step: float) -> float:
+        """Where to cut low..high: at the speed nearest to the middle from which a knot is ``step`` away, if
+        there is one inside, else in the middle."""
+        bends = np.concatenate([self.knots[1:-1] - step, self.knots[1:-1] + step])
+        middle, reserve = 0.5 * (low + high), INSIDE * np.spacing(high)
+        bends = bends[(bends > low + reserve) & (bends < high - reserve)]
+        return float(min(bends, key=lambda v: abs(v - middle), default=middle))
 
 
 @dataclass(frozen=True)
@@ -210,13 +244,11 @@ def prove(family: Family, storage: Storage, rate: float) -> Proof | None:
     while todo:
         low, high = todo.pop()
         slack = _cell_slack(family, storage, end(low), end(high), rate)
-        if slack == -np.inf:
-            return None
         if slack is None:
             if high - low < SMALLEST_CELL or cells + len(todo) > MOST_CELLS:
                 return None
-            middle = 0.5 * (low + high)
-            todo += [(low, middle), (middle, high)]
+            between = storage.cut(low, high, rate * family.Ts)
+            todo += [(low, between), (between, high)]
         else:
             cells, margin = cells + 1, min(margin, slack / scale)
     return Proof(cells, margin)
@@ -255,13 +287,13 @@ def _share(
 
 
 def _cell_slack(family: Family, storage: Storage, one: _End, two: _End, rate: float) -> float | None:
-    """Least eigenvalue of F less remainder at a cell's ends; None when one is not positive, -inf when F is
-    not, which no smaller cell mends."""
-    n, step, width = len(storage.basis), rate * family.Ts, two.v - one.v
+    """Least eigenvalue of F less remainder at a cell's ends; None when one is not positive, or P(v+) is
+    not."""
+    n, width = len(storage.basis), two.v - one.v
     first, second = family.hold_bounds(one.v, two.v)
     S = (one.S, two.S)
     E = np.eye(n, one.S.shape[1])
-    dM, dP = two.S[:n] - one.S[:n], _absolute(two.P - one.P)
+    dM = two.S[:n] - one.S[:n]
     # Xi leaves its chord, times what varies beside it, R, by (rho1 R + rho2 dR) with |rho1| <= width^2/8
     # |Xi''|, |rho2| <= width/4 |Xi'|.
     bound = np.hstack([width**2 / 8 * second] * 2 + [width / 4 * first])
@@ -270,17 +302,14 @@ def _cell_slack(family: Family, storage: Storage, one: _End, two: _End, rate: fl
         bound, left = bound.T, np.hstack([left, two.left, two.left - left])
     else:
         right = np.vstack([right, two.right, two.right - right])
-    product = dM.T @ dP @ dM, sum(s[:n].T @ dP @ s[:n] for s in S)
     slacks = []
-    for change in (
-        sign * step * slope for slope in storage.slopes_near(one.v, two.v, step) for sign in (1.0, -1.0)
-    ):
-        Q = [sl.block_diag(end.P + change, np.eye(len(end.S) - n)) for end in (one, two)]
-        F = [_dissipation(end, q, E) for end, q in zip((one, two), Q, strict=False)]
-        if not all(_positive(f) for f in F):
-            return -np.inf
-        inverse = np.linalg.inv(sum(F))
-        remainder = 0.25 * _weighed(*product, inverse)
+    for after in storage.afterwards(one.v, two.v, rate * family.Ts):
+        Q = [sl.block_diag(P, np.eye(len(one.S) - n)) for P in after]
+        F = [_dissipation(end, q, E) for end, q in zip((one, two), Q, strict=True)]
+        if not all(map(_positive, (*after, *F))):
+            return None
+        inverse, dP = np.linalg.inv(sum(F)), _absolute(after[1] - after[0])
+        remainder = 0.25 * _weighed(dM.T @ dP @ dM, sum(s[:n].T @ dP @ s[:n] for s in S), inverse)
         reached = [s.T @ q @ left for s in S for q in Q]
         remainder += _crossed(reached, bound, right, inverse)
         pressed = bound.T @ sum(np.abs(left.T @ q @ left) for q in Q) @ bound
