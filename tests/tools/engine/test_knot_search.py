@@ -98,7 +98,7 @@ def test_nothing_is_found_where_there_is_nothing(grid):
     assert knot_search.found_at(other, Point(np.tile(np.eye(2), (4, 1, 1))), 0.3, np.eye(4)) is None
 
 
-def test_the_worst_speed_of_every_segment_joins_as_a_knot(grid):
+def test_the_worst_speed_of_every_segment_is_asked_besides(grid):
     speeds = np.linspace(1.0, 3.0, 41)
     low = replace(point(grid), P=0.05 * point(grid).P)
     joined = grid.violated(low, 0.3, speeds)
@@ -110,13 +110,10 @@ def test_the_worst_speed_of_every_segment_joins_as_a_knot(grid):
             u: np.linalg.eigvalsh(replace(grid, speeds=np.array([u])).F(low, 0.3))[:, 0].min() for u in inside
         }
         assert min(least, key=least.__getitem__) == v
-    wider, same = grid.joined_by(low, joined)
-    assert len(wider.knots) == 7 and np.array_equal(wider.knots, wider.speeds)
-    at = dict(zip(wider.knots, same.P, strict=True))
-    for v, P in zip(grid.knots, low.P, strict=True):
-        np.testing.assert_array_equal(at[v], P)
-    share = (joined[1] - 1.5) / 1.0
-    np.testing.assert_allclose(at[joined[1]], (1 - share) * low.P[1] + share * low.P[2])
+    wider = grid.asked_at(joined)
+    assert wider.knots is grid.knots and wider.speeds.tolist() == sorted({*grid.speeds, *joined})
+    assert len(wider.F(low, 0.3)) == len(grid.F(low, 0.3)) + 2 * len(joined)
+    assert not set(wider.violated(low, 0.3, speeds)) & set(joined)
 
 
 def test_no_speed_joins_where_none_is_violated(grid):
@@ -128,6 +125,7 @@ def test_no_speed_joins_where_none_is_violated(grid):
         replace(grid, loop_at=quiet), Point(np.tile(np.eye(2), (4, 1, 1))), 0.3, np.eye(4)
     )
     assert len(replace(grid, loop_at=quiet).violated(found, 0.3, np.linspace(1.0, 3.0, 41))) == 0
+    assert len(grid.violated(point(grid), 0.3, grid.speeds)) == 0, "nothing is left to ask"
 
 
 def test_even_coordinates_change_nothing_but_the_coordinates(grid):

@@ -175,23 +175,23 @@ class KnotGrid:
         return self.barrier(rate).F(point.P) + point.excess * self.gain_direction()
 
     def violated(self, point: Point, rate: float, speeds: np.ndarray) -> np.ndarray:
-        """Of ``speeds`` (m,) the worst in every segment in which F is not positive, knots left out."""
-        other = replace(self, speeds=np.setdiff1d(speeds, self.knots))
-        least = np.full(len(other.speeds), np.inf)
+        """Of ``speeds`` (m,) the worst in every segment in which F is not positive; those that the grid asks
+        are left out."""
+        others = np.setdiff1d(speeds, self.speeds)
+        if not len(others):
+            return others
+        other = replace(self, speeds=others)
+        least = np.full(len(others), np.inf)
         np.minimum.at(least, other._rows[0], np.linalg.eigvalsh(other.F(point, rate))[:, 0])
-        segment = np.searchsorted(self.knots, other.speeds)
+        segment = np.searchsorted(self.knots, others)
         worst = [
             min(np.flatnonzero(segment == k), key=least.__getitem__) for k in np.unique(segment[least <= 0])
         ]
-        return other.speeds[worst] if worst else np.zeros(0)
+        return others[np.array(worst, int)]
 
-    def joined_by(self, point: Point, speeds: np.ndarray) -> tuple[KnotGrid, Point]:
-        """With ``speeds`` (m,) as knots besides."""
-        knots = np.union1d(self.knots, speeds)
-        k = np.clip(np.searchsorted(self.knots, knots) - 1, 0, len(self.knots) - 2)
-        share = (knots - self.knots[k]) / np.diff(self.knots)[k]
-        P = np.tensordot(_between(k, share, len(self.knots)), point.P, 1)
-        return replace(self, knots=knots, speeds=knots), replace(point, P=P)
+    def asked_at(self, speeds: np.ndarray) -> KnotGrid:
+        """With inequalities at ``speeds`` (m,) besides."""
+        return replace(self, speeds=np.union1d(self.speeds, speeds))
 
     def evened(self, point: Point) -> tuple[KnotGrid, Point]:
         """The same in coordinates in which the mean of P is diagonal and what it dissipates is even; as they
