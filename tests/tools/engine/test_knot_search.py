@@ -116,6 +116,15 @@ def test_the_worst_speed_of_every_segment_is_asked_besides(grid):
     assert not set(wider.violated(low, 0.3, speeds)) & set(joined)
 
 
+def test_more_knots_change_nothing(grid):
+    low = point(grid)
+    wider, same = grid.bent_at(low, np.array([1.0, 1.5, 1.75, 2.5, 2.75, 3.0]))
+    np.testing.assert_array_equal(same.P[[0, 1, 3, 5]], low.P)
+    np.testing.assert_allclose(same.P[[2, 4]], [0.75 * low.P[1] + 0.25 * low.P[2], low.P[2:].mean(axis=0)])
+    assert wider.speeds is grid.speeds and same.excess == low.excess
+    np.testing.assert_allclose(wider.F(same, 0.3), grid.F(low, 0.3), atol=1e-12)
+
+
 def test_no_speed_joins_where_none_is_violated(grid):
     def quiet(v):
         G = loop_at(v)

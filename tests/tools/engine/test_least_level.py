@@ -10,6 +10,7 @@ from scipy.optimize import minimize_scalar
 from lpvguard.engine.synthesis import least_level
 from lpvguard.engine.synthesis import lpv_certificate as lpv
 from lpvguard.engine.synthesis.dk import Scaling
+from lpvguard.engine.synthesis.knot_search import KnotGrid
 from lpvguard.engine.synthesis.norms import hinf_norm
 from lpvguard.engine.synthesis.statespace import StateSpace
 from oscillator import Oscillator
@@ -164,6 +165,30 @@ def test_p_costs_more_the_further_it_is_from_the_frozen_solutions(monkeypatch):
         mean = moved.T @ P.mean(axis=0) @ moved
         np.testing.assert_allclose(grid.cost @ mean, least_level.COST * np.eye(2), atol=1e-9)
     assert len(given) > least_level.RATE_STEPS
+
+
+def test_knots_join_half_way_between_the_nodes_and_every_quarter_is_asked(monkeypatch):
+    """Up to a quarter of the rate the nodes are knots enough; after a proof that fails more is asked."""
+    one, given, proofs = family(turn=0.2), [], []
+    search, proved = least_level.found_at, least_level.prove
+
+    def none_at_first(*asked):
+        proofs.append(asked)
+        return proved(*asked) if len(proofs) > 1 else None
+
+    monkeypatch.setattr(least_level, "found_at", lambda *asked: given.append(asked) or search(*asked))
+    monkeypatch.setattr(least_level, "prove", none_at_first)
+    monkeypatch.setattr(least_level, "LEVELS", (2.5,))
+    monkeypatch.setattr(KnotGrid, "violated", lambda *_: np.array([1.01]))
+    assert least_level.find_level(lambda _: one, DELTA, RATE).level == 2.5
+    rates = np.array([rate for _, _, rate, _ in given])
+    np.testing.assert_allclose(
+        rates * least_level.GRID_SHARE / RATE, [0, *2.0 ** np.arange(-5, 1), 1.0], rtol=1e-12
+    )
+    coarse, fine = one.nodes.tolist(), np.linspace(1.0, 3.0, 9).tolist()
+    assert [grid.knots.tolist() for grid, *_ in given] == [coarse] * 5 + [fine] * 3
+    asked = np.linspace(1.0, 3.0, 33).tolist()
+    assert [grid.speeds.tolist() for grid, *_ in given] == [asked] * 7 + [sorted([*asked, 1.01])]
 
 
 def test_d_is_tuned_from_the_best_start():

@@ -341,6 +341,19 @@ def test_a_storage_that_rises_with_speed_is_proved_up_to_the_rate_that_it_bears(
     assert (lpv.prove(one, storage, share * low) is not None) == (share < 1)
 
 
+@pytest.mark.parametrize(("beyond", "holds"), [(0.53, True), (0.6, False)])
+def test_a_slope_that_no_speed_of_a_cell_reaches_is_not_asked_of_it(beyond, holds):
+    """At one speed P(v+) has to be below (P - 0.16) / (P + 0.09): 0.576 at the knot, where P is 0.5. The
+    slope after it for a whole step, to 0.56, is too much at 1.5 m/s, which is 5 steps away. What is reached
+    from the knot is what P rises to, and that alone decides."""
+    knots = np.array([1.0, 2.0, 2.05, 3.0])
+    storage = lpv.Storage(np.eye(1), knots, np.array([0.63, 0.5, beyond, beyond])[:, None, None])
+    step = 0.1
+    slope = (0.53 - 0.5) / 0.05
+    assert storage.at(1.5)[0, 0] + slope * step > (0.565 - 0.16) / (0.565 + 0.09)
+    assert (lpv.prove(scalar(0.5, 0.4), storage, step / TS) is not None) == holds
+
+
 def roomy() -> tuple[lpv.Family, lpv.Storage]:
     """A loop and a storage function, one segment long, for which F is far from 0; in skew coordinates."""
     basis, turn = np.array([[2.0, 0.5], [0.0, 1.0]]), np.array([[1.0, 0.2], [0.2, -0.5]])

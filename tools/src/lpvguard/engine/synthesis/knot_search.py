@@ -193,6 +193,13 @@ class KnotGrid:
         """With inequalities at ``speeds`` (m,) besides."""
         return replace(self, speeds=np.union1d(self.speeds, speeds))
 
+    def bent_at(self, point: Point, knots: np.ndarray) -> tuple[KnotGrid, Point]:
+        """The same P between ``knots`` (m,), which hold the grid's own."""
+        k = np.clip(np.searchsorted(self.knots, knots) - 1, 0, len(self.knots) - 2)
+        share = (knots - self.knots[k]) / np.diff(self.knots)[k]
+        P = np.tensordot(_between(k, share, len(self.knots)), point.P, 1)
+        return replace(self, knots=knots), replace(point, P=P)
+
     def evened(self, point: Point) -> tuple[KnotGrid, Point]:
         """The same in coordinates in which the mean of P is diagonal and what it dissipates is even; as they
         stand where it does not dissipate. The Hessian's rounding is least in them."""

@@ -29,7 +29,6 @@ from lpvguard.base.sampling import evenly
 from lpvguard.engine.synthesis.dk import Scaling
 from lpvguard.engine.synthesis.knot_search import KnotGrid, Point, found_at
 from lpvguard.engine.synthesis.lpv_certificate import (
-    KNOTS,
     Family,
     LpvCertificate,
     Storage,
@@ -52,9 +51,11 @@ COST = 1e-4
 """Cost of P in the search, over the frozen solutions' mean: it weighs against log det F from about 1e4 times
 that mean on, and what P gains beyond is lost between the speeds."""
 KNOT_PARTS, SPEED_PARTS = 2, 4
-"""Segments of P in every interval between nodes, and parts of a segment between the speeds asked. With knots
-at the nodes alone there is no P for the truck's rate; what a step costs grows with the knots."""
-GRID_SHARE = 0.9
+"""Segments of P in every interval between nodes, and parts of a segment between the speeds asked: with knots
+at the nodes alone there is no P for the truck's rate."""
+COARSE_SHARE = 0.25
+"""Of the rate, up to which the nodes are knots enough; a step costs by the number of knots."""
+GRID_SHARE = 0.95
 """Of the rate that P bears at the speeds asked, to be proved between them."""
 ROUNDS = 6
 """Proofs tried; after each one that fails more speeds are asked."""
@@ -152,13 +153,15 @@ def _at_level(
     basis, parts, frozen = first
     functions = StorageGrid.of(wide.Ts, family.nodes, basis, parts)
     knots = refined(family.nodes, KNOT_PARTS)
-    smooth = np.tensordot(terms(knots) @ functions.units.T, functions.fitted(frozen), 1)
+    smooth = np.tensordot(terms(family.nodes) @ functions.units.T, functions.fitted(frozen), 1)
     point, unit = Point(smooth), unmoved(parts).F(frozen).mean(axis=0)
     cost = COST * np.linalg.inv(frozen.mean(axis=0))
-    grid = KnotGrid(wide.loop, wide.Ts, knots, refined(knots, SPEED_PARTS), basis, delta, cost)
+    grid = KnotGrid(wide.loop, wide.Ts, family.nodes, refined(knots, SPEED_PARTS), basis, delta, cost)
     on_grid = rate / GRID_SHARE
     for part in (0.0, *np.exp2(np.arange(RATE_STEPS) - RATE_STEPS + 1.0)):
         progress(f"storage function for |dv/dt| up to {part * on_grid:.3g} m/s2, {len(basis)} states")
+        if part > COARSE_SHARE:
+            grid, point = grid.bent_at(point, knots)
         found = found_at(grid, point, part * on_grid, unit)
         if found is None:
             return None
@@ -170,7 +173,7 @@ def _at_level(
         proof = prove(weighed(family, delta, level, best), storage, rate)
         if proof is not None:
             return LpvCertificate(rate, storage, None, proof, None, level, best, own_knots=True)
-        joined = grid.violated(point, on_grid, refined(family.nodes, KNOTS))
+        joined = grid.violated(point, on_grid, refined(grid.speeds, 4))
         if not len(joined):
             return None
         grid = grid.asked_at(joined)
