@@ -10,10 +10,11 @@ z below beta, from rest: beta = 1 is robust performance, and beta is robust perf
 beta. g is the gain of the scaling D, whose shape is given (``tuned``: the best at frozen speeds).
 
 ``find_level`` looks for a P that is linear between knots, and for g, by the barrier method (knot_search.py).
-It asks the inequality at speeds between the knots as well: at the knots alone it would hold nowhere else. From the frozen solutions a moving speed is out of reach: their P follows the
-speed wherever little is lost. So the search begins at rate 0 with P0 + v P1 + P2 / v near them, and the rate
-doubles step by step, each from the P before. P has a cost besides, ``COST``. Where a proof fails, speeds at
-which the inequality does are asked too. What is claimed is proved by ``prove`` for all speeds.
+It asks the inequality at speeds between the knots as well, since from knots alone it would hold nowhere else.
+From the frozen solutions a moving speed is out of reach: their P follows the speed wherever little is lost.
+So the search begins at rate 0 with P0 + v P1 + P2 / v near them, and the rate doubles step by step, each from
+the P before. P has a cost besides, ``COST``. Where a proof fails, more speeds at which the inequality does
+are asked. What is claimed is proved by ``prove`` for all speeds.
 """
 
 from __future__ import annotations

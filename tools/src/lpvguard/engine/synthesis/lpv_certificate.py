@@ -181,8 +181,10 @@ class Storage:
             reached = [self._segment(v + sign * step) for v in (low + reserve, high - reserve)]
             far = reached[sign > 0]
             if reached[0] == reached[1]:
-                pairs += [(self.P[k + (sign < 0)],) * 2 for k in range(far, own, -sign)]
-                pairs.append((self._continued(far, low + sign * step), self._continued(far, high + sign * step)))
+                first, last = min(own, far), max(own, far)
+                pairs += [(P, P) for P in self.P[first + 1 : last + 1]]
+                ends = [self._continued(far, v + sign * step) for v in (low, high)]
+                pairs.append((ends[0], ends[1]))
             else:
                 moves = [sign * step * self.slopes[k] for k in range(own, far + sign, sign)]
                 pairs += [(self.at(low) + move, self.at(high) + move) for move in moves]
