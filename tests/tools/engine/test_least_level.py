@@ -167,9 +167,9 @@ def test_p_costs_more_the_further_it_is_from_the_frozen_solutions(monkeypatch):
     assert len(given) > least_level.RATE_STEPS
 
 
-def test_knots_join_half_way_between_the_nodes_and_every_quarter_is_asked(monkeypatch):
+def test_knots_join_half_way_between_the_nodes_and_every_quarter_is_asked(moving, monkeypatch):
     """Up to a quarter of the rate the nodes are knots enough; after a proof that fails more is asked."""
-    one, given, proofs = family(turn=0.2), [], []
+    (one, found), given, proofs = moving, [], []
     search, proved = least_level.found_at, least_level.prove
 
     def none_at_first(*asked):
@@ -178,9 +178,9 @@ def test_knots_join_half_way_between_the_nodes_and_every_quarter_is_asked(monkey
 
     monkeypatch.setattr(least_level, "found_at", lambda *asked: given.append(asked) or search(*asked))
     monkeypatch.setattr(least_level, "prove", none_at_first)
-    monkeypatch.setattr(least_level, "LEVELS", (2.5,))
+    monkeypatch.setattr(least_level, "LEVELS", (found.level,))
     monkeypatch.setattr(KnotGrid, "violated", lambda *_: np.array([1.01]))
-    assert least_level.find_level(lambda _: one, DELTA, RATE).level == 2.5
+    assert least_level.find_level(lambda _: one, DELTA, RATE).level == found.level
     rates = np.array([rate for _, _, rate, _ in given])
     np.testing.assert_allclose(
         rates * least_level.GRID_SHARE / RATE, [0, *2.0 ** np.arange(-5, 1), 1.0], rtol=1e-12
