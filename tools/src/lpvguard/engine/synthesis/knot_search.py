@@ -127,9 +127,10 @@ class Point:
 
 @dataclass(frozen=True)
 class KnotGrid:
-    """Inequalities at ``speeds`` (k,) [m/s] for P between ``knots`` (K,), of the loops ``loop_at`` a speed,
-    sampled at Ts [s], in the coordinates ``basis`` (n, n). delta: how many outputs and how many inputs, of
-    the first, are Delta's. cost (n, n): of P in these coordinates."""
+    """Inequalities at ``speeds`` (k,) [m/s] for P between ``knots`` (K,).
+
+    loop_at(v): the loop at a speed, sampled at Ts [s]. basis (n, n): the coordinates. delta: how many outputs
+    and how many inputs, of the first, are Delta's. cost (n, n): of P in these coordinates."""
 
     loop_at: Callable[[float], StateSpace]
     Ts: float

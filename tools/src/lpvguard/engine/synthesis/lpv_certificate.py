@@ -191,8 +191,8 @@ class Storage:
         return pairs
 
     def cut(self, low: float, high: float, step: float) -> float:
-        """Where to cut low..high: at the speed nearest to the middle from which a knot is ``step`` away, if
-        there is one inside, else in the middle."""
+        """Where to cut low..high: in the middle, or at a speed inside from which a knot is ``step`` away, the
+        nearest to the middle."""
         bends = np.concatenate([self.knots[1:-1] - step, self.knots[1:-1] + step])
         middle, reserve = 0.5 * (low + high), INSIDE * np.spacing(high)
         bends = bends[(bends > low + reserve) & (bends < high - reserve)]
