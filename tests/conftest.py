@@ -6,7 +6,6 @@ from __future__ import annotations
 import io
 import os
 import pickle
-import shutil
 import signal
 import subprocess
 import sys
@@ -17,10 +16,9 @@ from pathlib import Path
 import pytest
 
 from lpvguard import cli
-from lpvguard.base import artefacts
 from lpvguard.control.design import Design, design
 from lpvguard.control.design import save as save_design
-from lpvguard.core.compiled import Core, shipped_vehicle
+from lpvguard.core.compiled import Core
 from lpvguard.evaluate import baseline_study
 from lpvguard.evaluate.baselines import Baseline
 from lpvguard.identify import run as stage
@@ -255,23 +253,6 @@ def few_truck_designed(six_node_truck, made) -> tuple[Design, Path]:
 
     folder = made.folder("few_truck_designed", make)
     return pickle.loads((folder / "design.pickle").read_bytes()), folder / "design" / "controller.json"
-
-
-@pytest.fixture(scope="session")
-def truck_within_shipped_bounds(few_truck_identified, made) -> Path:
-    """Identification folder of the few drives whose W_w and W_delta are the shipped truck's, so that the
-    shipped controller's certificate is about it; that `identify` makes those of the drives as shipped:
-    tests/tools/replay/test_chain.py."""
-
-    def make(folder: Path) -> None:
-        shipped = artefacts.read_manifest(shipped_vehicle("truck"), "vehicle")
-        shutil.copytree(few_truck_identified, folder)
-        weights = artefacts.read_json(folder / "weights.json")
-        weights |= shipped["weights"] | {"inflation": shipped["final_inflation"]}
-        (folder / "weights.json").write_text(artefacts.to_json(weights))
-        artefacts.seal(folder)
-
-    return made.folder("truck_within_shipped_bounds", make)
 
 
 @pytest.fixture(scope="session")

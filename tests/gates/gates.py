@@ -23,7 +23,8 @@ each found.
     double       the unit tests pass with double as number type (a third of them; all with LPVGUARD_FULL=1)
     big_endian   acceptance of coefficients, and CAN, pass their unit tests on a big-endian processor
                  (PowerPC, emulated)
-    sanitize     the unit tests run clean under the address and undefined-behaviour sanitizers
+    sanitize     the unit tests, but for the cases tagged [many], run clean under the address and
+                 undefined-behaviour sanitizers
     coverage     lines and branches that the unit tests, but for the cases tagged [hour] and [many], miss in a
                  file of lib/src are as many as coverage.json says (a file that it does not name: none), no
                  more, no less

@@ -43,10 +43,10 @@ ENDING_SPNS = {520204, 520205}
 
 
 @pytest.fixture(scope="module")
-def stored(truck, few_truck_drives, truck_within_shipped_bounds):
-    """The truck within its bounds as shipped, and the few drives that it was identified on."""
-    return identify.load(truck_within_shipped_bounds), identify.DriveSet(
-        truck, NominalModel(truck), list_experiments(few_truck_drives)
+def stored(truck, truck_drives, truck_identified):
+    """The truck identified as it is shipped, and its drives."""
+    return identify.load(truck_identified), identify.DriveSet(
+        truck, NominalModel(truck), list_experiments(truck_drives)
     )
 
 
@@ -355,12 +355,12 @@ def small(monkeypatch):
 
 @pytest.fixture
 def few_to_choose_by(stored):
-    """The truck with one drive of each driver that baselines are chosen by: how a campaign goes on, and where
+    """The truck with an eighth of the drives that baselines are chosen by: how a campaign goes on, and where
     its workers are, does not ask which baselines it has."""
     found, drives = stored
     used = found.manifest["drives"]
     return replace(
-        found, manifest=found.manifest | {"drives": used | {"bounds": used["bounds"][::4]}}
+        found, manifest=found.manifest | {"drives": used | {"bounds": used["bounds"][::8]}}
     ), drives
 
 
@@ -461,15 +461,17 @@ def test_a_campaign_that_was_stopped_goes_on_and_ends_the_same(
 
 
 def test_a_falsified_certificate_fails_the_command_and_is_named(
-    small, truck_folder, truck_within_shipped_bounds, few_truck_drives, lpvguard, monkeypatch, tmp_path
+    small, stored, truck_folder, truck_identified, truck_drives, lpvguard, monkeypatch, tmp_path
 ):
     """Planted: brakes of five times the gain, which the measurement takes for a truck within the bounds."""
     monkeypatch.setattr(trucks, "draw_variation", lambda seed, candidate: FIVEFOLD)
     within = trucks.Distance(0.9, "yaw_rate", 1.0, 15.0, 0.25, 1.0)
     monkeypatch.setattr(trucks.CertifiedSet, "distance", lambda self, tables: within)
     out = tmp_path / "campaign"
-    words = ("campaign", truck_within_shipped_bounds, few_truck_drives, "--coefficients", truck_folder)
-    done = lpvguard(*words, "-o", out, "--hours", 0.1, "--repeats", 1, "--seed", 3)
+    done = lpvguard(
+        *("campaign", truck_identified, truck_drives, "-o", out, "--coefficients", truck_folder),
+        *("--hours", 0.1, "--repeats", 1, "--seed", 3),
+    )
     assert done.returncode == 1
     told = json.loads((out / "summary.json").read_text())
     rows = pq.read_table(out / "runs.parquet").to_pylist()

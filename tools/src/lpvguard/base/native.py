@@ -22,9 +22,13 @@ import tempfile
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from .errors import InputError
 from .system import locked_file
+
+if TYPE_CHECKING:
+    import numpy as np
 
 REPRODUCIBLE_FLAGS = ("-O3", "-ffp-contract=off", "-fno-math-errno")
 """Contraction off: the same source gives the same bits whether or not the target has FMA. Never
@@ -224,6 +228,11 @@ def _load_kernel(name: str) -> ctypes.CDLL | None:
         return ctypes.CDLL(str(compile_shared([source], flags=flags, name=f"lpvguard_{name}")))
     except (NativeError, InputError, OSError):  # OSError: no library may be loaded from the cache's disk
         return None
+
+
+def pointer(array: np.ndarray) -> ctypes.c_void_p:
+    """To the first number of a C-ordered array (N,) of any number of axes, which the caller keeps alive."""
+    return array.ctypes.data_as(ctypes.c_void_p)
 
 
 def kernels(name: str) -> ctypes.CDLL | None:

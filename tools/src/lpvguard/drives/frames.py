@@ -33,12 +33,9 @@ from scipy.signal import oaconvolve
 from ..base import native
 from ..base.errors import InputError
 from ..base.layout import constant
+from ..base.runs import runs
 from ..vehicle.nominal import NominalModel
 from ..vehicle.project import FrameSettings, Project
-
-
-def _pointer(array: np.ndarray) -> ctypes.c_void_p:
-    return array.ctypes.data_as(ctypes.c_void_p)
 
 
 def not_for_the_core(project: Project) -> InputError:
@@ -196,8 +193,7 @@ class Estimator:
     def stretches(self, v: np.ndarray) -> list[np.ndarray]:
         """Per bin: first start and the one after the last (R, 2) of every run of frames that count."""
         sums = self._sums(v)
-        counted = (self._counted(v, *sums, k) for k in range(self.n_bins))
-        return [np.flatnonzero(np.diff(np.r_[0, c.astype(np.int8), 0])).reshape(-1, 2) for c in counted]
+        return [runs(self._counted(v, *sums, k)) for k in range(self.n_bins)]
 
     def _sums(self, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Sums (N + 1,) of the speed and of the settled samples before each."""
@@ -235,6 +231,8 @@ class Estimator:
             first = int(near[0])
             every = np.empty((int(near[-1]) - first + 1, m), complex)
             sizes = (ctypes.c_ssize_t(size) for size in (len(every), m, N))
-            lib.lpvg_hann(*sizes, _pointer(x[first:]), _pointer(turn), scale, _pointer(every))
+            lib.lpvg_hann(
+                *sizes, native.pointer(x[first:]), native.pointer(turn), scale, native.pointer(every)
+            )
             found.append(every[near - first])
         return np.concatenate(found)

@@ -43,6 +43,7 @@ import numpy as np
 from scipy.linalg import solve_discrete_are, solve_discrete_lyapunov
 from scipy.signal import lfilter
 
+from ..base.runs import runs
 from ..drives.frames import Estimator
 from ..vehicle.nominal import NominalModel, recursion
 
@@ -236,7 +237,7 @@ class _Along:
         self.usable = bank.estimator.settled(v)
         index = np.arange(1, len(v) + 1)
         self.run = (index - np.maximum.accumulate(np.where(self.usable, 0, index)))[first:]
-        self.edges = np.flatnonzero(np.diff(np.r_[0, self.usable.astype(np.int8), 0])).reshape(-1, 2)
+        self.edges = runs(self.usable)
         self._shared: dict[tuple, Any] = {}
 
     def rms(self, b: Baseline) -> np.ndarray:

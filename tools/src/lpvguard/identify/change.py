@@ -24,6 +24,7 @@ from scipy.signal import lfilter
 
 from ..base.errors import InputError
 from ..base.layout import CONSTANTS
+from ..base.runs import runs
 from ..drives.frames import Estimator
 from ..vehicle.project import Project
 from .calibration import Calibration, Recordings, calibrate
@@ -59,7 +60,7 @@ class Blocks:
         ends = np.arange(FIRST_BLOCK_END + BLOCK, len(e), BLOCK)
         at = ends[:, None] + np.arange(1 - BLOCK, 1)
         whole = usable[at].all(axis=1)
-        for first, end in np.flatnonzero(np.diff(np.r_[0, whole.astype(np.int8), 0])).reshape(-1, 2):
+        for first, end in runs(whole):
             mean_e, mean = (x[at[first:end]].mean(axis=1) for x in (e, yhat))
             phi = np.stack([mean[1:], -np.diff(mean, axis=0), np.ones_like(mean[1:])], axis=-1)
             yield cls(ends[first:end][1:], mean_e[1:], phi)

@@ -35,6 +35,7 @@ import numpy as np
 from scipy.signal import bilinear_zpk, lfilter, sosfilt, zpk2sos
 
 from ..base.errors import InputError
+from ..base.runs import runs
 from ..core.compiled import band_names
 from ..drives.frames import Estimator
 from ..engine.overbound.certificate import verify_overbound
@@ -262,12 +263,13 @@ class EnergyTest:
         """Per stretch in speed range and band: first judged sample, band, left and right matrices of products
         (n, n_y, n_y)."""
         for first, band, *sides in self._sides(e, yhat, v):
-            starts = np.zeros_like(self.start[band]), self.start[band]
-            left, right = (
-                self._sums(band, x[:, None] * x, np.diag(start))
-                for x, start in zip(sides, starts, strict=True)
-            )
-            yield first, band, np.moveaxis(left, -1, 0), np.moveaxis(right[..., self.settle :], -1, 0)
+            yield first, band, *self._matrices(band, *sides)
+
+    def _matrices(self, band: int, left: np.ndarray, right: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Left and right matrices of products (n, n_y, n_y) of a stretch in one band, from its `_sides`."""
+        of_left = self._sums(band, left[:, None] * left, np.diag(np.zeros_like(self.start[band])))
+        of_right = self._sums(band, right[:, None] * right, np.diag(self.start[band]))[..., self.settle :]
+        return np.moveaxis(of_left, -1, 0), np.moveaxis(of_right, -1, 0)
 
     def _sides(
         self, e: np.ndarray, yhat: np.ndarray, v: np.ndarray
@@ -275,7 +277,7 @@ class EnergyTest:
         """Per stretch in speed range and band: first judged sample, band, F e from there on (n_y, n), and F
         W_delta yhat from ``settle`` samples before."""
         inside = (v >= self.speed_range[0]) & (v <= self.speed_range[1])
-        for first, end in np.flatnonzero(np.diff(np.r_[0, inside.astype(np.int8), 0])).reshape(-1, 2):
+        for first, end in runs(inside):
             if end - first <= self.settle:
                 continue
             error, explained, nominal = (
@@ -319,22 +321,21 @@ class EnergyTest:
 
     def _needs_in(self, band: int, left: np.ndarray, right: np.ndarray) -> dict[str, np.ndarray]:
         """`needs` of a stretch in one band, from its `_sides`."""
-        size, rest, start = self.settle, np.zeros_like(self.start[band]), self.start[band]
+        start = self.start[band]
         single = len(self.W) > 1  # every direction is one output
         if single:
-            left, right = self._sums(band, left**2, rest), self._sums(band, right**2, start)[:, size:]
-            diagonals = left, right
+            left, right = self._sums(band, left**2, np.zeros_like(start)), self._sums(band, right**2, start)
+            diagonals = left, right[:, self.settle :]
         else:
-            left = self._sums(band, left[:, None] * left, np.diag(rest))
-            right = self._sums(band, right[:, None] * right, np.diag(start))[..., size:]
-            diagonals = tuple(np.einsum("jjn->jn", x) for x in (left, right))
+            left, right = self._matrices(band, left, right)
+            diagonals = tuple(np.einsum("njj->jn", x) for x in (left, right))
         error, bound = (np.sqrt(np.maximum(x, 0.0)) for x in diagonals)
         needed = {"sigma": (error - bound).max(axis=1)}
         if single:
             joint = (needed["sigma"] / self.sigma[band]).max()
         else:
             a = self.directions / self.sigma[band]
-            error_in, bound_in = (_norm_in(np.moveaxis(x, -1, 0), a) for x in (left, right))
+            error_in, bound_in = (_norm_in(x, a) for x in (left, right))
             joint = (error_in - bound_in).max()
         return needed | {"error": error.max(axis=1), "bound": bound.max(axis=1), "joint": joint}
 

@@ -44,12 +44,11 @@ KEPT_BYTES = 384 << 20
 @dataclass
 class _Held:
     """A drive with its nominal output yhat (N, n_y); its error is a difference away. ``stretches``: runs of
-    its counted frames, once they are asked for. ``kept``: by the reader."""
+    its counted frames, once they are asked for."""
 
     drive: Drive
     yhat: np.ndarray
     stretches: list[np.ndarray] | None = None
-    kept: bool = False
 
     def found(self) -> tuple[Drive, np.ndarray, np.ndarray]:
         """The drive, e and yhat."""
@@ -96,7 +95,7 @@ class DriveReader:
             array.flags.writeable = False
         size = sum(array.nbytes for array in arrays)
         if size <= self._room:
-            self._kept[experiment], held.kept = held, True
+            self._kept[experiment] = held
             self._room -= size
         return held
 

@@ -39,6 +39,7 @@ from types import MappingProxyType
 
 import numpy as np
 
+from ..base.runs import runs
 from ..can.bus import OVERRIDE, REFERENCE
 from ..can.catalogue import BusSignal, Message, load_catalogue
 from ..can.codegen import ANY_PRIORITY, GAP_FRACTION
@@ -274,5 +275,4 @@ class Reactions:
 
 def _stretches(where: np.ndarray) -> list[tuple[int, int]]:
     """[begin, end) of the runs of True."""
-    edges = np.flatnonzero(np.diff(np.r_[0, where.astype(np.int8), 0])).reshape(-1, 2)
-    return [(int(a), int(b)) for a, b in edges]
+    return [(int(a), int(b)) for a, b in runs(where)]

@@ -29,6 +29,7 @@ import numpy as np
 
 from ..base import native
 from ..base.errors import InputError
+from ..base.runs import runs
 from ..can.bus import REFERENCE, take_case
 from ..can.catalogue import BusSignal, Catalogue, Message, load_catalogue
 from ..can.codegen import ANY_PRIORITY, SOURCE, codec_files, messages_in_order
@@ -205,7 +206,7 @@ class Receiver:
     def _gaps(self, t: np.ndarray, live: np.ndarray, present: np.ndarray) -> list[dict[str, Any]]:
         """Stretches without a sample: from the first tick without one to the tick that has one again (or the
         end)."""
-        edges = np.flatnonzero(np.diff(np.r_[0, (~present).astype(np.int8), 0])).reshape(-1, 2)
+        edges = runs(~present)
         return [
             {
                 "from_s": round(float(t[a]), 6),

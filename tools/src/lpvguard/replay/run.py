@@ -13,6 +13,7 @@ import numpy as np
 import pyarrow as pa
 
 from ..base.errors import InputError
+from ..base.runs import runs
 from ..can.logs import Frames, is_raw_table, read_log, stem
 from ..can.play import frames_of_drive, values_of_drive
 from ..core.compiled import CAUSES, CHANGE_PARTS, REASONS, STATUSES, VERDICTS, Core, Run, band_names
@@ -92,8 +93,7 @@ class Replay:
     @property
     def judged_intervals(self) -> list[list[float]]:
         """Joined spans [t0, t1] of counted frames [s]."""
-        edges = np.flatnonzero(np.diff(np.r_[0, self.judged.astype(np.int8), 0]))
-        return [[float(a) * self.Ts, float(b) * self.Ts] for a, b in edges.reshape(-1, 2)]
+        return [[float(a) * self.Ts, float(b) * self.Ts] for a, b in runs(self.judged)]
 
     @property
     def judged_s(self) -> float:

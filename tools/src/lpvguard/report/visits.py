@@ -6,6 +6,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from ..base.runs import runs
+
 
 @dataclass(frozen=True)
 class Longest:
@@ -39,7 +41,7 @@ class Visits:
 
 def longest_run(mask: np.ndarray) -> slice:
     """The longest run of True in ``mask`` (N,); an empty slice when there is none."""
-    edges = np.flatnonzero(np.diff(np.r_[0, mask.astype(np.int8), 0])).reshape(-1, 2)
+    edges = runs(mask)
     if not len(edges):
         return slice(0, 0)
     a, b = edges[np.argmax(edges[:, 1] - edges[:, 0])]

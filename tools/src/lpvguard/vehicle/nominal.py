@@ -201,7 +201,7 @@ def recursion(Ad: np.ndarray, forced: np.ndarray, x_first: np.ndarray) -> np.nda
         lib.lpvg_recursion(
             ctypes.c_ssize_t(samples),
             ctypes.c_ssize_t(n),
-            *map(_pointer, (Ad, forced, x, states)),
+            *map(native.pointer, (Ad, forced, x, states)),
         )
         return states
     for k in range(samples):
@@ -216,10 +216,6 @@ def _product(M: np.ndarray, x: np.ndarray) -> np.ndarray:
     for j in range(1, x.shape[1]):
         out += M[:, :, j] * x[:, j : j + 1]
     return out
-
-
-def _pointer(array: np.ndarray) -> ctypes.c_void_p:
-    return array.ctypes.data_as(ctypes.c_void_p)
 
 
 def entries_at(
@@ -413,7 +409,8 @@ class NominalModel:
             index = np.asarray(table.varying, np.intp)
             reals = [np.ascontiguousarray(a, float) for a in (table.cell, table.position(v), older, newer)]
             lib.lpvg_scheduled(
-                *map(ctypes.c_ssize_t, sizes), *map(_pointer, (index, *reals, table.base.copy(), states))
+                *map(ctypes.c_ssize_t, sizes),
+                *map(native.pointer, (index, *reals, table.base.copy(), states)),
             )
             return states
         Ad, B_old, B_new = self.split(table.at(v))

@@ -136,10 +136,6 @@ def _s1_numpy(e: np.ndarray, z: np.ndarray, gamma: np.ndarray):
     return np.ldexp(b1, ke) + nan, np.ldexp(nu, scale) + nan, delta + nan
 
 
-def _pointer(array: np.ndarray) -> ctypes.c_void_p:
-    return array.ctypes.data_as(ctypes.c_void_p)
-
-
 def _points(source: str, e, z, *extra: tuple[str, object, bool]):
     """Broadcast to (points, n_y) complex and (points[, n_y]) real contiguous arrays; returns them and the
     shape."""
@@ -192,7 +188,7 @@ def solve(e, z, gamma_w) -> S1Result:
             np.empty_like(e),
         )
         size = ctypes.c_ssize_t
-        lib.lpvg_s1(size(points), size(n), *map(_pointer, (e, z, gamma, b1, nu, delta, w)))
+        lib.lpvg_s1(size(points), size(n), *map(native.pointer, (e, z, gamma, b1, nu, delta, w)))
     feasible = np.isfinite(nu)
     return S1Result(
         b1.reshape(shape),
@@ -231,7 +227,7 @@ def least(e, z) -> LeastSquares:
         out[~np.isfinite(e + z).all(axis=-1)] = np.nan
     else:
         out = np.empty((len(e), 4))
-        lib.lpvg_least(*map(ctypes.c_ssize_t, e.shape), *map(_pointer, (e, z, out)))
+        lib.lpvg_least(*map(ctypes.c_ssize_t, e.shape), *map(native.pointer, (e, z, out)))
     return LeastSquares(*np.moveaxis(out.reshape(*shape, 4), -1, 0))
 
 
@@ -408,5 +404,5 @@ def margin(e, z, w_delta, w_w) -> np.ndarray:
         return _margin_numpy(e, z, w_delta, w_w).reshape(shape)
     t = np.empty(points)
     size = ctypes.c_ssize_t
-    lib.lpvg_margin(size(points), size(n), *map(_pointer, (e, z, w_delta, w_w, t)))
+    lib.lpvg_margin(size(points), size(n), *map(native.pointer, (e, z, w_delta, w_w, t)))
     return t.reshape(shape)
