@@ -4,7 +4,9 @@ does.
 The first table: loops drawn within what each certificate allows, each with the input that drives it furthest
 (bench/_trials.py). Of every proof it shows the worst found over what is proved. None may be above 1. The
 second: the least |dv/dt| at which a search finds a gain above 1, or growth, with an admissible Delta
-(control/violations.py), beside the proved rate. A row that is not found proves nothing.
+(control/violations.py), beside the proved rate. A row that is not found proves nothing. Between them stands
+the largest mu at a frozen speed over the optimum there: the price of a controller that is scheduled, or
+synthesised for other objectives.
 """
 
 from __future__ import annotations
@@ -16,6 +18,7 @@ from pathlib import Path
 
 from ..base.errors import InputError
 from ..control import designed
+from ..control.design import frozen_optimum
 from ..control.violations import Found, Search, fastest_growth, least_violating
 from ..identify import run as identify
 from . import parser, show
@@ -39,6 +42,16 @@ class ClaimRow:
     worst: float
     where: str
     above: int
+
+
+@dataclass(frozen=True)
+class FrozenMu:
+    """The largest proved ``mu`` at a frozen speed, at ``v_mps``, and the ``optimum`` of a controller for that
+    speed alone."""
+
+    mu: float
+    v_mps: float
+    optimum: float
 
 
 @dataclass(frozen=True)
@@ -78,7 +91,8 @@ def main(argv: list[str]) -> None:
     trials = Trials(stored, document, given.samples, given.seed)
     claims = claim_rows(trials, given.loops)
     rates = [] if given.no_search else rate_rows(trials)
-    show("\n".join(lines(claims, rates)), as_dict(claims, rates), given.json_out)
+    frozen = frozen_mu(stored, document["certificates"])
+    show("\n".join(lines(claims, frozen, rates)), as_dict(claims, frozen, rates), given.json_out)
 
 
 def _count(text: str) -> int:
@@ -101,6 +115,12 @@ def claim_rows(trials: Trials, loops: int) -> list[ClaimRow]:
 def _row(name: str, rate: float | None, found: list[Trial]) -> ClaimRow:
     worst = max(found, key=lambda one: (one.grows, one.share))
     return ClaimRow(name, rate, len(found), worst.share, worst.where, sum(one.above for one in found))
+
+
+def frozen_mu(stored: identify.StoredIdentification, certificates: dict) -> FrozenMu:
+    """The largest mu of ``certificates`` over frozen speeds, beside the optimum at that speed."""
+    worst = max((*certificates["speeds"], certificates["off_grid"]), key=lambda row: row["mu_upper"])
+    return FrozenMu(worst["mu_upper"], worst["v_mps"], frozen_optimum(stored, worst["v_mps"]))
 
 
 def rate_rows(trials: Trials) -> list[RateRow]:
@@ -128,8 +148,8 @@ def rate_rows(trials: Trials) -> list[RateRow]:
     return rows
 
 
-def lines(claims: list[ClaimRow], rates: list[RateRow]) -> Iterator[str]:
-    """Both tables in text."""
+def lines(claims: list[ClaimRow], frozen: FrozenMu, rates: list[RateRow]) -> Iterator[str]:
+    """Both tables in text, and the line between them."""
     yield f"{'proof':30}{'m/s2':>7}{'loops':>7}{'worst':>8}{'above':>7}  where the worst was found"
     for row in claims:
         rate = "-" if row.rate_mps2 is None else f"{row.rate_mps2:.3g}"
@@ -139,6 +159,10 @@ def lines(claims: list[ClaimRow], rates: list[RateRow]) -> Iterator[str]:
     yield f"{above} of {loops} loops are above what is proved"
     if far:
         yield f"further than {1 - NEAR:.0%} from the bound: {'; '.join(far)}"
+    yield (
+        f"frozen speed: mu at most {frozen.mu:.4f}, at {frozen.v_mps:.4g} m/s; optimum there "
+        f"{frozen.optimum:.4f}, mu is {frozen.mu / frozen.optimum - 1:.1%} above it"
+    )
     if rates:
         yield ""
         yield f"{'claim':14}{'proved m/s2':>12}{'violated m/s2':>15}{'none found at':>15}{'ratio':>8}"
@@ -154,11 +178,12 @@ def lines(claims: list[ClaimRow], rates: list[RateRow]) -> Iterator[str]:
             )
 
 
-def as_dict(claims: list[ClaimRow], rates: list[RateRow]) -> dict:
+def as_dict(claims: list[ClaimRow], frozen: FrozenMu, rates: list[RateRow]) -> dict:
     """The numbers for ``--json``."""
     return {
         "claims": [asdict(row) for row in claims],
         "above": sum(row.above for row in claims),
+        "frozen_mu": asdict(frozen),
         "rates": [asdict(row) | {"ratio": row.ratio} for row in rates],
         "wanted_ratio": WANTED,
     }

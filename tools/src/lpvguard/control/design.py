@@ -117,6 +117,15 @@ def design(
     )
 
 
+def frozen_optimum(stored: StoredIdentification, v: float) -> float:
+    """The least bound of mu that D-K iteration finds at one frozen speed v [m/s], for A_t and A_u as they are
+    certified and whatever the controller was synthesised for: under one D and without common poles."""
+    settings = design_settings(stored)
+    weights = fig1_weights(stored, settings)
+    plant = plant_at(stored, NominalModel(stored.project), weights, v, True, settings.structure)
+    return common_scaling([plant], dk_synthesis(plant).performance.scaling)[1]
+
+
 def crossover(schedule: Scheduled, model: NominalModel) -> float:
     """Highest frequency [rad/s] at which the loop gain |sum_j K_j P_j| is 1, over the nodes; 0 where it is
     nowhere."""

@@ -56,7 +56,7 @@ KNOT_PARTS, SPEED_PARTS = 2, 4
 at the nodes alone there is no P for the truck's rate."""
 COARSE_SHARE = 0.25
 """Of the rate, up to which the nodes are knots enough; a step costs by the number of knots."""
-GRID_SHARE = 0.95
+GRID_SHARE = 0.99
 """Of the rate that P bears at the speeds asked, to be proved between them."""
 ROUNDS = 6
 """Proofs tried; after each one that fails more speeds are asked."""
