@@ -59,13 +59,10 @@ def test_the_block_solver_agrees_with_the_dense_one(grid):
     grid = replace(grid, speeds=np.array([1.0, 1.5, 1.75, 2.5, 3.0]))
     blocks = grid.barrier(0.7)
     assert type(blocks) is KnotBarrier
-    dense = Barrier(
-        [(M, N) for M, N in zip(blocks.M, np.zeros((len(blocks.M), 2, 4)), strict=True)],
-        blocks.phi,
-        blocks.next,
-    )
+    M, N = blocks.D + np.eye(2, 4), np.zeros((2, 4))
+    dense = Barrier([(one, N) for one in M], blocks.next + blocks.moved, blocks.next)
     random = np.random.default_rng(3)
-    X = random.standard_normal((len(blocks.M), 4, 4))
+    X = random.standard_normal((len(M), 4, 4))
     S, right = X @ np.swapaxes(X, 1, 2) + np.eye(4), random.standard_normal((12, 3))
     np.testing.assert_allclose(blocks.solved(S, right), dense.solved(S, right), rtol=1e-9, atol=1e-12)
 
@@ -76,7 +73,7 @@ def test_a_matrix_that_no_addition_makes_positive_is_refused():
 
 
 def test_what_is_found_is_positive_for_either_slope_and_near_the_centre(grid):
-    found = knot_search.found_at(grid, Point(np.tile(np.eye(2), (4, 1, 1))), 0.3, np.eye(4))
+    grid, found = knot_search.found_at(grid, Point(np.tile(np.eye(2), (4, 1, 1))), 0.3, np.eye(4))
     least = np.linalg.eigvalsh(grid.F(found, 0.3))[:, 0]
     assert least.min() > 0 and len(least) == 12
     barrier, gain = grid.barrier(0.3), grid.gain_direction()[None]
@@ -96,6 +93,24 @@ def test_nothing_is_found_where_there_is_nothing(grid):
 
     other = replace(grid, loop_at=loud)
     assert knot_search.found_at(other, Point(np.tile(np.eye(2), (4, 1, 1))), 0.3, np.eye(4)) is None
+
+
+def test_the_search_begins_again_where_it_stopped_short(grid, monkeypatch):
+    """With one step a try it needs several, each from the point and in the coordinates of the one before."""
+    start, tried, nearest = Point(np.tile(np.eye(2), (4, 1, 1))), [], knot_search._nearest
+
+    def told(barrier, point, *rest):
+        tried.append((point, *nearest(barrier, point, *rest)))
+        return tried[-1][1:]
+
+    monkeypatch.setattr(knot_search, "_nearest", told)
+    monkeypatch.setattr(knot_search, "STEPS", 1)
+    monkeypatch.setattr(knot_search, "TRIES", 40)
+    other, found = knot_search.found_at(grid, start, 0.3, np.eye(4))
+    assert len(tried) > 1 and tried[0][0] is start and tried[-1][2] < 0 <= tried[-2][2]
+    assert np.linalg.eigvalsh(other.F(found, 0.3))[:, 0].min() > 0
+    monkeypatch.setattr(knot_search, "TRIES", len(tried) - 1)
+    assert knot_search.found_at(grid, start, 0.3, np.eye(4)) is None
 
 
 def test_the_worst_speed_of_every_segment_is_asked_besides(grid):
@@ -130,15 +145,15 @@ def test_no_speed_joins_where_none_is_violated(grid):
         G = loop_at(v)
         return replace(G, C=0.1 * G.C)
 
-    found = knot_search.found_at(
+    quieter, found = knot_search.found_at(
         replace(grid, loop_at=quiet), Point(np.tile(np.eye(2), (4, 1, 1))), 0.3, np.eye(4)
     )
-    assert len(replace(grid, loop_at=quiet).violated(found, 0.3, np.linspace(1.0, 3.0, 41))) == 0
+    assert len(quieter.violated(found, 0.3, np.linspace(1.0, 3.0, 41))) == 0
     assert len(grid.violated(point(grid), 0.3, grid.speeds)) == 0, "nothing is left to ask"
 
 
 def test_even_coordinates_change_nothing_but_the_coordinates(grid):
-    one = knot_search.found_at(grid, Point(np.tile(np.eye(2), (4, 1, 1))), 0.3, np.eye(4))
+    one = point(grid)
     other, moved = grid.evened(one)
     mean = other.F(moved, 0.0).mean(axis=0)[:2, :2]
     np.testing.assert_allclose(mean, np.eye(2), atol=1e-9)

@@ -22,13 +22,15 @@ class Barrier:
     derivatives of its log det.
 
     parts: (M, N) per i; phi, next (count, terms); P (terms, n, n) symmetric, as a vector its upper triangles
-    row by row.
+    row by row. M is near E where sampling is fast. So all is said by D = M - E and by phi - next: products of
+    M would leave of slow states, whose P is large, nothing but rounding.
     """
 
     def __init__(self, parts: list[tuple[np.ndarray, np.ndarray]], phi: np.ndarray, next_: np.ndarray):
-        self.M, N = (np.array([part[k] for part in parts]) for k in (0, 1))
-        self.n, width = self.M.shape[1:]
-        self.phi, self.next = np.ascontiguousarray(phi), np.ascontiguousarray(next_)
+        M, N = (np.array([part[k] for part in parts]) for k in (0, 1))
+        self.n, width = M.shape[1:]
+        self.D = M - np.eye(self.n, width)
+        self.next, self.moved = np.ascontiguousarray(next_), np.ascontiguousarray(phi - next_)
         self.constant = -np.swapaxes(N, 1, 2) @ N
         self.constant[:, self.n :, self.n :] += np.eye(width - self.n)
         self.upper = np.triu_indices(self.n)
@@ -36,13 +38,17 @@ class Barrier:
 
     def F(self, P: np.ndarray, constant: bool = True) -> np.ndarray:
         """Every F_i(P), (count, N, N); P (terms, n, n). Without ``constant`` its part that is linear in P."""
-        out = -np.swapaxes(self.M, 1, 2) @ np.tensordot(self.next, P, 1) @ self.M
-        out[:, : self.n, : self.n] += np.tensordot(self.phi, P, 1)
+        n, after = self.n, np.tensordot(self.next, P, 1)
+        over = np.swapaxes(after @ self.D, 1, 2)  # D' P, by which P beside E' P E shrinks
+        out = -over @ self.D
+        out[:, :, :n] -= over
+        out[:, :n] -= np.swapaxes(over, 1, 2)
+        out[:, :n, :n] += np.tensordot(self.moved, P, 1)
         return out + self.constant if constant else out
 
     def matrices(self, p: np.ndarray) -> np.ndarray:
         """P (terms, n, n) from its vector (terms n (n + 1) / 2,)."""
-        p = p.reshape(self.phi.shape[1], -1)
+        p = p.reshape(self.next.shape[1], -1)
         P = np.zeros((len(p), self.n, self.n))
         P[:, self.upper[0], self.upper[1]] = p
         P[:, self.upper[1], self.upper[0]] = p
@@ -50,15 +56,15 @@ class Barrier:
 
     def adjoint(self, S: np.ndarray) -> np.ndarray:
         """Gradient (size,) of sum_i tr(S_i F_i(P)) by P's vector; S (count, N, N) symmetric."""
-        n = self.n
-        G = np.einsum("ik,iab->kab", self.phi, S[:, :n, :n]) - np.einsum(
-            "ik,iab->kab", self.next, self.M @ S @ np.swapaxes(self.M, 1, 2)
+        x, y, z = self._sides(S)
+        G = np.einsum("ik,iab->kab", self.moved, x) - np.einsum(
+            "ik,iab->kab", self.next, y + np.swapaxes(y, 1, 2) + z
         )
         return self._vector(G)
 
     def price(self, cost: np.ndarray) -> np.ndarray:
         """Gradient (size,) of sum_i tr(cost sum_k phi_ik P_k) by P's vector; cost (n, n) symmetric."""
-        return self._vector(np.einsum("ik,ab->kab", self.phi, cost))
+        return self._vector(np.einsum("ik,ab->kab", self.next + self.moved, cost))
 
     def _vector(self, G: np.ndarray) -> np.ndarray:
         """The derivative by P's vector of what has the symmetric derivative G (terms, n, n) by P."""
@@ -66,27 +72,43 @@ class Barrier:
 
     def hessian(self, S: np.ndarray) -> np.ndarray:
         """Hessian (size, size) of -sum_i log det F_i at S_i = F_i^-1, (count, N, N): its lower triangle."""
-        n = self.n
-        parts = S[:, :n, :n], self.M @ S @ np.swapaxes(self.M, 1, 2), self.M @ S[:, :, :n]
-        a, b, c = (np.ascontiguousarray(x) for x in parts)
-        size = self.phi.shape[1] * len(self.twice)
+        x, y, z = self._sides(S)
+        transposed = np.swapaxes(y, 1, 2)
+        both, half = x + y + transposed + 0.5 * z, x + 0.5 * y
+        given = [
+            np.ascontiguousarray(m)
+            for m in (x, y, transposed, z, both, half, np.swapaxes(half, 1, 2), self.moved, self.next)
+        ]
+        terms = self.next.shape[1]
+        size = terms * len(self.twice)
         H = np.zeros((size, size))
         if lib := native.kernels("lyapunov_barrier"):
             lib.lpvg_lyapunov_hessian(
-                *(ctypes.c_ssize_t(x) for x in (n, len(S), self.phi.shape[1])),
-                *(x.ctypes.data_as(ctypes.c_void_p) for x in (a, b, c, self.phi, self.next, H)),
+                *(ctypes.c_ssize_t(count) for count in (self.n, len(S), terms)),
+                *map(native.pointer, (*given, H)),
             )
             return H
         i, j = self.upper
-        weight = 0.5 * np.outer(self.twice, self.twice)
+        weight = 0.25 * np.outer(self.twice, self.twice)
 
-        def product(x: np.ndarray) -> np.ndarray:
-            return weight * (x[np.ix_(i, i)] * x[np.ix_(j, j)] + x[np.ix_(i, j)] * x[np.ix_(j, i)])
+        def product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+            """Of tr(Q a R b) by symmetric Q and R."""
+            b = b.T
+            straight = a[np.ix_(i, i)] * b[np.ix_(j, j)] + a[np.ix_(j, j)] * b[np.ix_(i, i)]
+            return weight * (straight + a[np.ix_(i, j)] * b[np.ix_(j, i)] + a[np.ix_(j, i)] * b[np.ix_(i, j)])
 
-        for ak, bk, ck, phi, nxt in zip(a, b, c, self.phi, self.next, strict=False):
-            H += np.kron(np.outer(phi, phi), product(ak)) + np.kron(np.outer(nxt, nxt), product(bk))
-            H -= np.kron(np.outer(phi, nxt), product(ck.T)) + np.kron(np.outer(nxt, phi), product(ck))
+        for X, Y, Yt, Z, T, R, Rt, moved, after in zip(*given, strict=True):
+            crossed = np.kron(np.outer(moved, after), product(Rt, Y) + product(Yt, R))
+            H += np.kron(np.outer(moved, moved), product(X, X)) - crossed - crossed.T
+            H += np.kron(
+                np.outer(after, after), product(Y, Y) + product(Yt, Yt) + product(T, Z) + product(Z, T)
+            )
         return H
+
+    def _sides(self, S: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """E S E', D S E' and D S D', each (count, n, n)."""
+        over = self.D @ S
+        return S[:, : self.n, : self.n], over[:, :, : self.n], over @ np.swapaxes(self.D, 1, 2)
 
     def solved(self, S: np.ndarray, right: np.ndarray) -> np.ndarray:
         """Hessian^-1 right, at S_i = F_i^-1; right (size, k)."""
@@ -101,7 +123,7 @@ def feasible(barrier: Barrier, P: np.ndarray, unit: np.ndarray) -> np.ndarray | 
     """P with every F_i > 0, from any P: Newton's method on tau t - sum_i log det(F_i + t unit), until t <
     -``WANTED``; what was reached with t < 0, or None, when ``NEWTON_STEPS`` do not get there. ``unit`` (N, N)
     > 0: what F is measured in."""
-    size = len(barrier.M) * len(unit)
+    size = len(barrier.constant) * len(unit)
     L = np.linalg.inv(np.linalg.cholesky(unit))
     t = np.array([1.05 * max(-np.linalg.eigvalsh(L @ barrier.F(P) @ L.T).min(), 1e-3)])
     tau, found = 2.0 * size, None

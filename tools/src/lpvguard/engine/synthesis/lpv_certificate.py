@@ -461,10 +461,9 @@ def _riccati(family: Family) -> LpvCertificate | None:
 def _rate_at_knots(family: Family, storage: Storage) -> float:
     """The largest rate for which F > 0 at the knots."""
     parts = [parts_in(family.loop(v), storage.basis) for v in storage.knots]
-    barrier = unmoved(parts)
     largest = np.inf
-    for k, F in enumerate(barrier.F(storage.P)):
-        L = np.linalg.inv(np.linalg.cholesky(F)) @ barrier.M[k].T
+    for k, ((M, _), F) in enumerate(zip(parts, unmoved(parts).F(storage.P), strict=True)):
+        L = np.linalg.inv(np.linalg.cholesky(F)) @ M.T
         for slope in storage.slopes[max(k - 1, 0) : k + 1]:
             largest = min(largest, 1 / (family.Ts * np.abs(np.linalg.eigvalsh(L @ slope @ L.T)).max()))
     return float(largest)
