@@ -73,7 +73,7 @@ def test_a_matrix_that_no_addition_makes_positive_is_refused():
 
 
 def test_what_is_found_is_positive_for_either_slope_and_near_the_centre(grid):
-    grid, found = knot_search.found_at(grid, Point(np.tile(np.eye(2), (4, 1, 1))), 0.3, np.eye(4))
+    found = knot_search.found_at(grid, Point(np.tile(np.eye(2), (4, 1, 1))), 0.3, np.eye(4))
     least = np.linalg.eigvalsh(grid.F(found, 0.3))[:, 0]
     assert least.min() > 0 and len(least) == 12
     barrier, gain = grid.barrier(0.3), grid.gain_direction()[None]
@@ -84,33 +84,32 @@ def test_what_is_found_is_positive_for_either_slope_and_near_the_centre(grid):
     assert decrement < knot_search.NEAR
 
 
-def test_nothing_is_found_where_there_is_nothing(grid):
-    """z ten times as large: the gain alone exceeds 1."""
+def test_a_rate_out_of_reach_is_given_up_near_the_centre(grid, monkeypatch):
+    """F lacks as much at the centre of every weight, so that no step is spent on larger ones."""
 
     def loud(v):
         G = loop_at(v)
         return replace(G, C=10 * G.C)
 
+    steps, newton_step = [], knot_search.newton_step
+
+    def told(barrier, P, y, directions, slope, price):
+        steps.append(
+            (
+                slope[0] / (len(directions[0]) * directions.shape[-1]),
+                newton_step(barrier, P, y, directions, slope, price),
+            )
+        )
+        return steps[-1][1]
+
+    monkeypatch.setattr(knot_search, "newton_step", told)
     other = replace(grid, loop_at=loud)
     assert knot_search.found_at(other, Point(np.tile(np.eye(2), (4, 1, 1))), 0.3, np.eye(4)) is None
-
-
-def test_the_search_begins_again_where_it_stopped_short(grid, monkeypatch):
-    """With one step a try it needs several, each from the point and in the coordinates of the one before."""
-    start, tried, nearest = Point(np.tile(np.eye(2), (4, 1, 1))), [], knot_search._nearest
-
-    def told(barrier, point, *rest):
-        tried.append((point, *nearest(barrier, point, *rest)))
-        return tried[-1][1:]
-
-    monkeypatch.setattr(knot_search, "_nearest", told)
-    monkeypatch.setattr(knot_search, "STEPS", 1)
-    monkeypatch.setattr(knot_search, "TRIES", 40)
-    other, found = knot_search.found_at(grid, start, 0.3, np.eye(4))
-    assert len(tried) > 1 and tried[0][0] is start and tried[-1][2] < 0 <= tried[-2][2]
-    assert np.linalg.eigvalsh(other.F(found, 0.3))[:, 0].min() > 0
-    monkeypatch.setattr(knot_search, "TRIES", len(tried) - 1)
-    assert knot_search.found_at(grid, start, 0.3, np.eye(4)) is None
+    weight, (_, y, decrement) = steps[-1]
+    assert (
+        weight == knot_search.FIRST_WEIGHT and decrement < knot_search.NEAR and len(steps) < knot_search.STEPS
+    )
+    assert y[0] > knot_search.OUT_OF_REACH / weight
 
 
 def test_the_worst_speed_of_every_segment_is_asked_besides(grid):
@@ -145,9 +144,8 @@ def test_no_speed_joins_where_none_is_violated(grid):
         G = loop_at(v)
         return replace(G, C=0.1 * G.C)
 
-    quieter, found = knot_search.found_at(
-        replace(grid, loop_at=quiet), Point(np.tile(np.eye(2), (4, 1, 1))), 0.3, np.eye(4)
-    )
+    quieter = replace(grid, loop_at=quiet)
+    found = knot_search.found_at(quieter, Point(np.tile(np.eye(2), (4, 1, 1))), 0.3, np.eye(4))
     assert len(quieter.violated(found, 0.3, np.linspace(1.0, 3.0, 41))) == 0
     assert len(grid.violated(point(grid), 0.3, grid.speeds)) == 0, "nothing is left to ask"
 

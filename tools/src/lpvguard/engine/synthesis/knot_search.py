@@ -23,11 +23,13 @@ from lpvguard.engine.synthesis.barrier import Barrier, newton_step
 from lpvguard.engine.synthesis.statespace import StateSpace
 from lpvguard.engine.synthesis.storage_grid import parts_in
 
-FIRST_WEIGHT, NEXT_FACTOR, LAST_WEIGHT = 10.0, 5.0, 250.0
-"""Weight of what F lacks over the number of its rows: at first, its factor once near the centre, and the
-last."""
-STEPS, TRIES = 30, 3
-"""Of Newton's method, and how often it begins; then a rate counts as not found."""
+FIRST_WEIGHT, NEXT_FACTOR = 10.0, 5.0
+"""Weight of what F lacks over the number of its rows: at first, and its factor once near the centre."""
+STEPS = 60
+"""Of Newton's method, after which a rate counts as not found."""
+OUT_OF_REACH = 2.0
+"""Over the weight, what F lacks near the centre from which on more weight is of no use: at the centre the
+least lies within one over the weight."""
 NEAR, CENTRING_STEPS = 200.0, 4
 """Decrement at which P is near enough to the centre, and the most steps to it once F > 0."""
 ADDITIONS = (1e-13, 1e-11, 1e-9, 1e-7)
@@ -225,23 +227,14 @@ def _between(segment: np.ndarray, share: np.ndarray, knots: int) -> np.ndarray:
     return out
 
 
-def found_at(grid: KnotGrid, start: Point, rate: float, unit: np.ndarray) -> tuple[KnotGrid, Point] | None:
-    """The grid in even coordinates and a point with F > 0 for ``rate`` [m/s^2], near the centre of all such
-    points; None where none is found. ``unit`` (N, N) > 0: what F is measured in where it is positive nowhere
-    at ``start`` at rate 0.
-
-    Rounding can stop Newton's method short of the least F. From where it stops it begins again, in the
-    coordinates and the units that suit this point."""
-    for _ in range(TRIES):
-        barrier = grid.barrier(rate)
-        gain = grid.gain_direction()[None] if grid.delta[0] else np.zeros((0, *barrier.constant.shape))
-        price = barrier.price(grid.cost)
-        units = _units(grid.F(start, 0.0), barrier.segment, unit)
-        point, lacking = _nearest(barrier, start, units, gain, price)
-        if lacking < 0:
-            return grid.evened(_centred(barrier, point, gain, price))
-        grid, start = grid.evened(point)
-    return None
+def found_at(grid: KnotGrid, start: Point, rate: float, unit: np.ndarray) -> Point | None:
+    """A point with F > 0 for ``rate`` [m/s^2], near the centre of all such points; None where none is found.
+    ``unit`` (N, N) > 0: what F is measured in where it is positive nowhere at ``start`` at rate 0."""
+    barrier = grid.barrier(rate)
+    gain = grid.gain_direction()[None] if grid.delta[0] else np.zeros((0, *barrier.constant.shape))
+    price = barrier.price(grid.cost)
+    point = _feasible(barrier, start, _units(grid.F(start, 0.0), barrier.segment, unit), gain, price)
+    return None if point is None else _centred(barrier, point, gain, price)
 
 
 def _units(F: np.ndarray, segment: np.ndarray, unit: np.ndarray) -> np.ndarray:
@@ -258,18 +251,17 @@ def _units(F: np.ndarray, segment: np.ndarray, unit: np.ndarray) -> np.ndarray:
     return out
 
 
-def _nearest(
+def _feasible(
     barrier: KnotBarrier, start: Point, units: np.ndarray, gain: np.ndarray, price: np.ndarray
-) -> tuple[Point, float]:
-    """Newton's method on weight t - sum_i log det(F_i + t units_i) until t < 0, or to the centre for the last
-    weight; the point, and t."""
+) -> Point | None:
+    """Newton's method on weight t - sum_i log det(F_i + t units_i) until t < 0; None where it stays above."""
     P, size = start.P, len(units) * units.shape[-1]
     L = np.linalg.inv(np.linalg.cholesky(units))
     excess = np.full(len(gain), start.excess)
     F = barrier.F(P) + np.tensordot(excess, gain, 1)
     t = -float(np.linalg.eigvalsh(L @ F @ np.swapaxes(L, 1, 2)).min())
     if t < 0:
-        return start, t
+        return start
     y, weight = np.array([1.05 * t + 1e-3, *excess]), FIRST_WEIGHT
     directions = np.concatenate([units[None], gain])
     for _ in range(STEPS):
@@ -278,14 +270,14 @@ def _nearest(
         try:
             P, y, decrement = newton_step(barrier, P, y, directions, slope, price)
         except np.linalg.LinAlgError:
-            break
+            return None
         if y[0] < 0:
-            break
+            return Point(P, float(y[1:].sum()))
         if decrement < NEAR:
-            if weight >= LAST_WEIGHT:
-                break
+            if y[0] > OUT_OF_REACH / weight:
+                return None
             weight *= NEXT_FACTOR
-    return Point(P, float(y[1:].sum())), float(y[0])
+    return None
 
 
 def _centred(barrier: KnotBarrier, point: Point, gain: np.ndarray, price: np.ndarray) -> Point:

@@ -166,7 +166,7 @@ def _at_level(
         found = found_at(grid, point, part * on_grid, unit)
         if found is None:
             return None
-        grid, point = found
+        grid, point = grid.evened(found)
     for _ in range(ROUNDS):
         progress("proof between the speeds")
         best = gain * float(np.sqrt(1 + point.excess))
@@ -182,7 +182,7 @@ def _at_level(
         found = found_at(grid, point, on_grid, unit)
         if found is None:
             return None
-        grid, point = found
+        grid, point = grid.evened(found)
     return None
 
 
