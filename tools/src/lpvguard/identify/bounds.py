@@ -385,23 +385,41 @@ def remainder_sizes(s: FrameSet, estimator: Estimator, W_delta: np.ndarray, stru
 
 
 def reduce_remainder(
-    sets: Iterable[FrameSet], estimator: Estimator, W_delta: np.ndarray, n_y: int, structure: str
-) -> Part:
-    """Step 6: largest |w_j| (K, n_y) that no |delta| <= W_delta (K, n_delta) explains."""
-    out = _undecided("B_w", (estimator.n_bins, n_y))
+    sets: Iterable[FrameSet],
+    estimator: Estimator,
+    W_delta: np.ndarray,
+    n_y: int,
+    structure: str,
+    joint: bool = False,
+) -> tuple[Part, list[np.ndarray]]:
+    """Step 6: largest |w_j| (K, n_y) that no |delta| <= W_delta (K, n_delta) explains; with ``joint`` the
+    `undominated` ones of every bin, for `covering`."""
+    out, fronts = _undecided("B_w", (estimator.n_bins, n_y)), [np.zeros((0, n_y))] * estimator.n_bins
     for s in sets:
-        _decided("B_w", remainder_sizes(s, estimator, W_delta, structure), s, estimator, out)
-    return out
+        sizes = remainder_sizes(s, estimator, W_delta, structure)
+        _decided("B_w", sizes, s, estimator, out)
+        if joint:
+            fronts[s.bin] = undominated(sizes)
+    return out, fronts
 
 
-def reduce_covering(
-    sets: Iterable[FrameSet], estimator: Estimator, W_delta: np.ndarray, B_w: np.ndarray, structure: str
-) -> Part:
-    """Largest sqrt(sum_j |w_j / B_w,j|^2): the factor with which B_w (K, n_y) covers every frame's w
-    jointly."""
-    scale = np.full(estimator.n_bins, np.nan)
-    for s in sets:
-        w = remainder_sizes(s, estimator, W_delta, structure)
-        relative = np.divide(w, B_w[s.bin], out=np.zeros(w.shape), where=B_w[s.bin] > 0)
-        scale[s.bin] = np.sqrt(_maximum(np.einsum("fj,fj->f", relative, relative)))
-    return {"scale": scale}
+def undominated(sizes: np.ndarray) -> np.ndarray:
+    """Those of ``sizes`` (F, m) >= 0 that no other one is at least as large as in every column, each once:
+    any sum that rises with every column is largest among them."""
+    found = [np.zeros((0, sizes.shape[1]))]
+    share = 1 / np.maximum(sizes.max(axis=0, initial=0.0), np.finfo(float).tiny)
+    while len(sizes):
+        largest = sizes[(sizes @ share).argmax()]
+        found.append(largest[None])
+        sizes = sizes[reduce(np.logical_or, (sizes > largest).T)]
+    return np.concatenate(found)
+
+
+def covering(fronts: list[np.ndarray], B_w: np.ndarray) -> np.ndarray:
+    """(K,) largest sqrt(sum_j |w_j / B_w,j|^2), the factor with which B_w (K, n_y) covers every frame's w
+    jointly; of the `undominated` |w_j| of every bin. NaN: no frame."""
+    scale = np.full(len(fronts), np.nan)
+    for k, (w, bound) in enumerate(zip(fronts, B_w, strict=True)):
+        relative = np.divide(w, bound, out=np.zeros(w.shape), where=bound > 0)
+        scale[k] = np.sqrt(_maximum(np.einsum("fj,fj->f", relative, relative)))
+    return scale
