@@ -301,36 +301,58 @@ def front(E: np.ndarray, Z: np.ndarray, gamma_w: np.ndarray) -> np.ndarray:
     largest; only those are solved without cancellation. Frames that follow one another are alike: the largest
     |delta0|, B1 and |Z| of FRONT_BLOCK frames bound their nu, and most blocks stay below a first frame's.
     """
-    out = np.full(len(gamma_w), np.nan)
-    if not len(E) or np.isnan(gamma_w).all():
+    out, asked = np.full(len(gamma_w), np.nan), np.flatnonzero(~np.isnan(gamma_w))
+    if not len(E) or not len(asked):
         return out
-    found = s1.least(E, Z)
+    found, gamma = s1.least(E, Z), gamma_w[asked]
     firsts = np.arange(0, len(E), FRONT_BLOCK)
     size, z, b1, centre = (np.maximum.reduceat(x, firsts) for x in found)
     least_z = np.minimum.reduceat(np.where(found.z > 0, found.z, np.inf), firsts)
-    first = s1.LeastSquares(*(x[firsts] for x in found))
-    for i in np.flatnonzero(~np.isnan(gamma_w)):
-        gamma = gamma_w[i]
-        low, _ = _about(first, gamma)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            high = centre - np.sqrt(np.maximum(gamma**2 - b1**2, 0.0)) / z + _slack(centre, least_z, gamma)
-        open_blocks = np.flatnonzero((size > gamma) & (z > 0) & (high >= low.max()))
-        inside = (firsts[open_blocks, None] + np.arange(FRONT_BLOCK)).ravel()
-        inside = inside[inside < len(E)]
-        at = s1.LeastSquares(*(x[inside] for x in found))
-        low, high = _about(at, gamma)
-        largest = inside[(at.e > gamma) & (at.z > 0) & (high >= low.max(initial=-np.inf))]
-        out[i] = s1.solve(E[largest], Z[largest], gamma).nu.max(initial=0.0)
+    low, _ = _about(s1.LeastSquares(*(x[firsts] for x in found)), gamma[:, None])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        room = np.sqrt(np.maximum(gamma[:, None] ** 2 - b1**2, 0.0))
+        high = centre - room / z + _slack(centre, least_z, gamma[:, None])
+    open_blocks = (size > gamma[:, None]) & (z > 0) & (high >= low.max(axis=1, keepdims=True))
+    # So many gamma_w at once that their open blocks hold about as many frames as there are.
+    turns = np.cumsum(open_blocks.sum(axis=1)) // len(firsts)
+    for turn in np.unique(turns):
+        some = np.flatnonzero(turns == turn)
+        out[asked[some]] = _front_within(E, Z, found, gamma[some], open_blocks[some], firsts)
     return out
 
 
-def _slack(centre: np.ndarray, z: np.ndarray, gamma: float) -> np.ndarray:
+def _front_within(
+    E: np.ndarray,
+    Z: np.ndarray,
+    found: s1.LeastSquares,
+    gamma_w: np.ndarray,
+    open_blocks: np.ndarray,
+    firsts: np.ndarray,
+) -> np.ndarray:
+    """The front (P,) at ``gamma_w`` (P,) by the frames of its open blocks (P, blocks); 0 where none is."""
+    of, block = np.nonzero(open_blocks)
+    inside = (firsts[block, None] + np.arange(FRONT_BLOCK)).ravel()
+    of = np.repeat(of, FRONT_BLOCK)[inside < len(E)]
+    inside = inside[inside < len(E)]
+    at, gamma = s1.LeastSquares(*(x[inside] for x in found)), gamma_w[of]
+    low, high = _about(at, gamma)
+    worst = np.full(len(gamma_w), -np.inf)
+    np.maximum.at(worst, of, low)
+    largest = (at.e > gamma) & (at.z > 0) & (high >= worst[of])
+    inside, of = inside[largest], of[largest]
+    out = np.zeros(len(gamma_w))
+    np.maximum.at(out, of, s1.solve(E[inside], Z[inside], gamma[largest]).nu)
+    return out
+
+
+def _slack(centre: np.ndarray, z: np.ndarray, gamma: np.ndarray) -> np.ndarray:
     """How far off |delta0| - sqrt(gamma_w^2 - B1^2) / |Z| may be: the root loses half the digits near B1."""
     return 1e-6 * (centre + gamma / z)
 
 
-def _about(found: s1.LeastSquares, gamma: float) -> tuple[np.ndarray, np.ndarray]:
-    """Bounds (F,) of nu of frames, where it is not 0; -inf where it is."""
+def _about(found: s1.LeastSquares, gamma: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Bounds of nu of frames (F,), where it is not 0, in the shape that they make with gamma; -inf where it
+    is."""
     with np.errstate(divide="ignore", invalid="ignore"):
         about = found.delta - np.sqrt(np.maximum(gamma**2 - found.b1**2, 0.0)) / found.z
         slack = _slack(found.delta, found.z, gamma)
