@@ -37,6 +37,8 @@ FRONT_POINTS = 25
 uniform."""
 
 
+FIRST_LARGEST = 8
+"""Largest sums that thin out pairs of sizes before the rest is sorted."""
 FRONT_BLOCK = 64
 """Frames one after another that the search for the front bounds together."""
 
@@ -430,10 +432,14 @@ def undominated(sizes: np.ndarray) -> np.ndarray:
     any sum that rises with every column is largest among them."""
     found = [np.zeros((0, sizes.shape[1]))]
     share = 1 / np.maximum(sizes.max(axis=0, initial=0.0), np.finfo(float).tiny)
-    while len(sizes):
+    while len(sizes) and (sizes.shape[1] != 2 or len(found) <= FIRST_LARGEST):
         largest = sizes[(sizes @ share).argmax()]
         found.append(largest[None])
         sizes = sizes[reduce(np.logical_or, (sizes > largest).T)]
+    if len(sizes):  # two columns: by the first one falling, each new maximum of the second
+        sizes = sizes[np.lexsort(-sizes.T[::-1])]
+        before = np.maximum.accumulate(np.append(-1.0, sizes[:-1, 1]))
+        found.append(sizes[sizes[:, 1] > before])
     return np.concatenate(found)
 
 
