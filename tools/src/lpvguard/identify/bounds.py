@@ -219,15 +219,13 @@ def reduce_disturbance(
 ) -> Part:
     """Steps 2-4 before smoothing. ``nu_ceiling`` (K,), 0 at DC.
 
-    ``E`` and ``Y`` (K, n_y) are the largest |E_j| and |Y_j| = |E_j + Z_j|: |E_j| of zero-input drives bounds
-    the sensors' noise (W_n), of all others the disturbance of class S0; |Y_j| of the yaw rate bounds the
-    commands that such drives contain (W_C; paper, section V).
+    ``E`` (K, n_y) is the largest |E_j|: of zero-input drives it bounds the sensors' noise (W_n), of all
+    others the disturbance of class S0. ``Y`` (K,) is the largest |E + Z| of the first output, the yaw rate:
+    it bounds the commands that such drives contain (W_C; paper, section V).
     """
     K = estimator.n_bins
-    out = {key: np.full(K, np.nan) for key in ("excitation", "B1", "B2", "gamma_rule")} | {
-        "frames": np.zeros(K, int)
-    }
-    out |= {key: np.full((K, n_y), np.nan) for key in ("E", "Y")}
+    out = {key: np.full(K, np.nan) for key in ("excitation", "B1", "B2", "gamma_rule", "Y")}
+    out |= {"frames": np.zeros(K, int), "E": np.full((K, n_y), np.nan)}
     for s in sets:
         size, z, b1, delta = s1.least(s.E, s.Z)
         s.require(np.isfinite(size), estimator, lambda _: "E or Z is not finite", "finite spectra")
@@ -240,7 +238,7 @@ def reduce_disturbance(
             ("B2", size),
             ("gamma_rule", rule),
             ("E", np.abs(s.E)),
-            ("Y", np.abs(s.E + s.Z)),
+            ("Y", np.abs(s.E[:, 0] + s.Z[:, 0])),
         ):
             out[key][s.bin] = _maximum(values)
     return out
