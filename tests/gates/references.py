@@ -94,7 +94,7 @@ def files_of(tree: Path) -> dict[str, Path]:
 
 @cache
 def matches(pattern: re.Pattern[str], text: str) -> tuple[re.Match[str], ...]:
-    """All of a pattern in a text, looked for once: the self-test reads the tree again for each planted bug."""
+    """All of a pattern in a text, looked for once: the self-test reads the tree again for each bug."""
     return tuple(pattern.finditer(text))
 
 

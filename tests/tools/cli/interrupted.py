@@ -8,9 +8,9 @@ old result or the new one.
     interrupted.py kills SEED COUNT
         COUNT kills at random instants of the time in which the commands write, SIGTERM and SIGKILL in turn
 
-The commands run in forked copies of one process that has all imports, and Typer's commands. What they compute is replaced here by
-small results of one of two variants; what they write goes the way it always goes. Prints JSON: runs, those
-that were torn and why, and where the kills fell.
+The commands run in forked copies of one process that has all imports, and Typer's commands. What they
+compute is replaced here by small results of one of two variants; what they write goes the way it always
+goes. Prints JSON: runs, those that were torn and why, and where the kills fell.
 """
 
 from __future__ import annotations
