@@ -11,9 +11,11 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import pytest
+import typer.main
 
 from lpvguard import cli
 from lpvguard.control.design import Design, design
@@ -274,11 +276,16 @@ def few_truck_common_identified(common_truck, few_truck_drives, made) -> Path:
     )
 
 
+COMMAND_OF = cache(typer.main.get_command)
+"""Typer makes its commands from the functions anew at each call, which takes as long as most of them run."""
+
+
 @pytest.fixture
 def lpvguard(monkeypatch):
     """Run the command line; returns the completed process. Without options, or with ``cwd`` alone, it runs in
     this process, which spares the imports; with other options of subprocess.run in a process of its own."""
     monkeypatch.setattr(signal, "signal", lambda *_: None)
+    monkeypatch.setattr(typer.main, "get_command", COMMAND_OF)
 
     def run(*arguments: object, cwd: Path | None = None, **options) -> subprocess.CompletedProcess:
         words = [*map(str, arguments)]

@@ -212,6 +212,9 @@ def find_sites(tree: Path, work: Path, build: Path, files: Iterable[str]) -> dic
         library = re.search(r"lpvguard_(\w+)\.dir", words[words.index("-o") + 1])
         if Path(words[-1]).name not in wanted or library is None or library[1] not in SEEN_BY:
             continue
+        # Without the header that is compiled ahead: it is the copy's.
+        ahead = {i + k for i, word in enumerate(words) if word == "-Xclang" for k in (0, 1)}
+        words = [word for i, word in enumerate(words) if i not in ahead]
         words = [*words[: words.index("-o")], words[-1]]
         for path, sites in dumped(words, build, texts).items():
             if paths[path] in several:

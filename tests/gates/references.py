@@ -93,6 +93,18 @@ def files_of(tree: Path) -> dict[str, Path]:
 
 
 @cache
+def matches(pattern: re.Pattern[str], text: str) -> tuple[re.Match[str], ...]:
+    """All of a pattern in a text, looked for once: the self-test reads the tree again for each bug."""
+    return tuple(pattern.finditer(text))
+
+
+@cache
+def statements(text: str) -> list[ast.stmt]:
+    """Of a Python source."""
+    return ast.parse(text).body
+
+
+@cache
 def unwrapped(text: str) -> str:
     """``text`` in one line of the same length, without what a comment's lines begin with."""
     return re.sub(r"\n[ \t]*(?:///?<?|#+|\*)?[ \t]*", lambda m: " " * len(m[0]), text)
@@ -142,7 +154,7 @@ def defines(path: Path, symbol: str) -> bool:
     if symbol.startswith("REQ-"):
         return f"[{symbol}]" in text or f'requirement("{symbol}")' in text
     if path.suffix == ".py":
-        body = ast.parse(text).body
+        body = statements(text)
         for name in symbol.split("."):
             inner = [n for n in body if name in _names(n)]
             if not inner:
@@ -265,7 +277,7 @@ def references(tree: Path, scratch: Path) -> list[str]:
 
         line = unwrapped(text)
         _citations(line, where, name, theory, stated, found)
-        for m in TEXT_NAME.finditer(line):
+        for m in matches(TEXT_NAME, line):
             folder, _, text_name = m[1].rpartition("/")
             found.see(
                 m[1] in endings
@@ -275,15 +287,15 @@ def references(tree: Path, scratch: Path) -> list[str]:
                 f"{m[1]} is no text of the repository",
             )
         read = prose(path, text)
-        for m in PLACE.finditer(read):
+        for m in matches(PLACE, read):
             found.see(
                 m[1] in files and defines(files[m[1]], m[2]),
                 where(m.start()),
                 f"{m[1]} does not define {m[2]}" if m[1] in files else f"no file {m[1]}",
             )
-        for m in TREE_PATH.finditer(read):
+        for m in matches(TREE_PATH, read):
             found.see(m[1] in files or m[1] in folders, where(m.start()), f"no file or folder {m[1]}")
-        for m in SOURCE_NAME.finditer(read):
+        for m in matches(SOURCE_NAME, read):
             if re.match(r"[A-Z_]+[./]", m[1]):
                 continue
             found.see(
@@ -291,7 +303,7 @@ def references(tree: Path, scratch: Path) -> list[str]:
                 where(m.start()),
                 f"no file {m[1]}",
             )
-        for m in LINK.finditer(text) if path.suffix == ".md" else ():
+        for m in matches(LINK, text) if path.suffix == ".md" else ():
             target = os.path.normpath(Path(name).parent / m[1]) if m[1] else name
             found.see(
                 target in files or target in folders or target == ".",
@@ -310,7 +322,7 @@ def references(tree: Path, scratch: Path) -> list[str]:
 
 def _citations(line: str, where, name: str, theory: Theory, stated: set[str], found: Found) -> None:
     """Citations of THEORY, the paper, requirements and sections of other works in ``line``, a whole file."""
-    for m in re.finditer(r"\bTHEORY\b(?!\.md|\"|`)", line):
+    for m in matches(re.compile(r"\bTHEORY\b(?!\.md|\"|`)"), line):
         cited = re.match(r"\s+(\d+(?:\.\d+)?(?:(?:,| and)\s+\d+\.\d+)*)|\s+\(T\d+\)", line[m.end() :])
         numbers = re.findall(r"\d+(?:\.\d+)?", cited[1]) if cited and cited[1] else []
         found.see(
@@ -318,20 +330,20 @@ def _citations(line: str, where, name: str, theory: Theory, stated: set[str], fo
             where(m.start()),
             f"THEORY has no section {', '.join(numbers) or line[m.end() : m.end() + 12].strip()}",
         )
-    for m in re.finditer(r"\(T(\d+)\)", line):
+    for m in matches(re.compile(r"\(T(\d+)\)"), line):
         found.see(m[1] in theory.equations, where(m.start()), f"THEORY has no equation (T{m[1]})")
     for what, (pattern, known) in PAPER.items():
-        for m in pattern.finditer(line):
+        for m in matches(pattern, line):
             for number in filter(None, m.groups()):
                 found.see(number in known, where(m.start()), f"the paper has no {what} {number}")
-    for m in re.finditer(r"\bREQ-[A-Z][A-Z0-9]*-\d+\b", line):
+    for m in matches(re.compile(r"\bREQ-[A-Z][A-Z0-9]*-\d+\b"), line):
         found.see(m[0] in stated, where(m.start()), f"{m[0]} is no requirement")
-    for m in re.finditer(r"\b[Ss]ection (\d+(?:\.\d+)*)", line):
+    for m in matches(re.compile(r"\b[Ss]ection (\d+(?:\.\d+)*)"), line):
         own = name == THEORY and m[1] in theory.sections
         found.see(
             own or WORK.search(line[max(0, m.start() - 120) : m.start()]) is not None,
             where(m.start()),
             f"section {m[1]} of no work that is named",
         )
-    for m in re.finditer(r"\bDESIGN (?:\d|asks|says)", line):
+    for m in matches(re.compile(r"\bDESIGN (?:\d|asks|says)"), line):
         found.see(False, where(m.start()), "DESIGN is no text of the repository")

@@ -7,17 +7,12 @@
 #include <vector>
 
 #include "diagnosis_table.hpp"
-#include <Eigen/Cholesky>
-#include <Eigen/Eigenvalues>
+#include "four.hpp"
 
 namespace {
 
-using Vector = Eigen::Matrix<double, 4, 1>;
-using Matrix = Eigen::Matrix<double, 4, 4>;
+using four::dot, four::inverse, four::Matrix, four::outer, four::plus, four::product, four::Vector;
 constexpr int delays = LPVG_DIAGNOSIS_DELAYS, ring = LPVG_DIAGNOSIS_CELLS;
-
-// Eigen's own for four by four, by cofactors, loses what is left of a record without excitation.
-Matrix inverse(const Matrix& A) { return A.ldlt().solve(Matrix::Identity()); }
 
 struct Block {
     double e[ny], yhat[ny], rough[ny];
@@ -46,18 +41,18 @@ class Reckoning {
 public:
     Reckoning(const std::vector<Block>& drive, const std::vector<std::size_t>& counted, std::size_t j, const lpvg_diagnosis_table_t& table)
         : drive_(drive), counted_(counted), j_(j), words_(table.words), r_(table.reals), n_(static_cast<double>(counted.size())) {
+        Matrix gram{};
         for (const std::size_t k : counted_) {
-            gram_ += phi(k) * phi(k).transpose();
+            gram = plus(gram, outer(phi(k)));
         }
-        excited = gram_(0, 0) / n_;
-        gram_ += 1e-5 * n_ * Matrix::Identity();
-        inverse_ = inverse(gram_);
+        for (std::size_t i = 0; i < four::n; ++i) {
+            gram[i][i] += 1e-5 * n_;
+        }
+        inverse_ = inverse(gram);
         theta_ = fitted(0.0);
-        const Vector sizes = Eigen::SelfAdjointEigenSolver<Matrix>(gram_).eigenvalues();
-        determined_ = sizes.minCoeff() > 2e-6 * sizes.maxCoeff();
+        const auto [smallest, largest] = four::extremes(gram);
+        determined_ = smallest > 2e-6 * largest;
     }
-
-    double excited = 0.0;  // mean square of yhat over its size
 
     // Where single precision cannot tell the regressors apart the core says `other`: as close as can be.
     Expected found() {
@@ -74,7 +69,7 @@ public:
         for (std::size_t i = 0; i < cells.size(); ++i) {
             const double length = words_.cell_blocks, e = cells[i].first / length, yhat = cells[i].second / length;
             const double change = i + 1U < cells.size() ? (yhat - cells[i + 1U].second / length) / length : 0.0;
-            const double explained = theta_.dot(regressors(yhat, change));
+            const double explained = dot(theta_, regressors(yhat, change));
             sum += e * e - (e - explained) * (e - explained);
             if (decisions.less(largest, sum)) {
                 largest = sum;
@@ -93,7 +88,7 @@ private:
     const lpvg_diagnosis_words_t& words_;
     const lpvg_diagnosis_reals_t& r_;
     double n_;
-    Matrix gram_ = Matrix::Zero(), inverse_;
+    Matrix inverse_;
     Vector theta_;
     bool determined_ = true;
     Decisions decisions_;
@@ -114,22 +109,22 @@ private:
         return yhat(k) - (1.0 - share) * at(whole) - (share > 0.0 ? share * at(whole + 1.0) : 0.0);
     }
     Vector fitted(double late) const {
-        Vector b = Vector::Zero();
+        Vector b{};
         for (const std::size_t k : counted_) {
-            b += phi(k) * (e(k) + moved(k, late));
+            b = plus(b, phi(k), e(k) + moved(k, late));
         }
-        return inverse_ * b;
+        return product(inverse_, b);
     }
     // Sum of squares that the fit to a record leaves of which the delay is taken out.
     double left(double late) const {
-        Vector b = Vector::Zero();
+        Vector b{};
         double square = 0.0;
         for (const std::size_t k : counted_) {
             const double x = e(k) + moved(k, late);
-            b += phi(k) * x;
+            b = plus(b, phi(k), x);
             square += x * x;
         }
-        return square - b.dot(inverse_ * b);
+        return square - dot(b, product(inverse_, b));
     }
     template <class F>
     double mean(F f) const {
@@ -146,18 +141,19 @@ private:
         bool outside;
     };
 
-    Hypothesis along(const Matrix& C, lpvg_cause_t what, int i) {
+    Hypothesis along(const Matrix& C, lpvg_cause_t what, std::size_t i) {
         const Matrix weight = inverse(C);
-        const double information = weight(i, i), value = weight.row(i).dot(theta_) / information;
-        const Vector rest = theta_ - value * Vector::Unit(i);
+        const double information = weight[i][i], value = dot(weight[i], theta_) / information;
+        Vector rest = theta_;
+        rest[i] -= value;
         const double deviation = 1.0 / std::sqrt(information);
         const bool outside = decisions_.less(static_cast<double>(r_.interval) * deviation, std::abs(value));
-        return {what, value, deviation, rest.dot(weight * rest), std::max(left(0.0), 0.0), 1.0, outside};
+        return {what, value, deviation, dot(rest, product(weight, rest)), std::max(left(0.0), 0.0), 1.0, outside};
     }
 
     Hypothesis delayed(const Matrix& C, double white) {
         const Matrix weight = inverse(C);
-        const auto strange = [&](double late) { return fitted(late).dot(weight * fitted(late)); };
+        const auto strange = [&](double late) { return dot(fitted(late), product(weight, fitted(late))); };
         const auto misfit = [&](double late) { return strange(late) + left(late) / white; };
         double best = -delays, smallest = misfit(-delays), deviation = 0.0;
         const double step_s = static_cast<double>(r_.block_s) * words_.stride;
@@ -172,7 +168,7 @@ private:
                 deviation = step_s / std::sqrt(curved);
             }
         }
-        deviation = std::max(deviation, static_cast<double>(r_.unit[j_][1]) * static_cast<double>(r_.block_s) / std::sqrt(weight(1, 1)));
+        deviation = std::max(deviation, static_cast<double>(r_.unit[j_][1]) * static_cast<double>(r_.block_s) / std::sqrt(weight[1][1]));
         const double value = step_s * best;
         const bool outside = decisions_.less(static_cast<double>(r_.interval) * deviation, std::abs(value));
         const bool inside = decisions_.less(std::abs(best), 0.999 * delays);
@@ -198,14 +194,14 @@ private:
         least = std::max(least, 0.01 * static_cast<double>(r_.residue[j_][0]) * n_);
         const double white = static_cast<double>(r_.correlated[j_]) * least / n_;
         Matrix spread;
-        for (int i = 0, at = 0; i < 4; ++i) {
-            for (int k = i; k < 4; ++k, ++at) {
-                spread(i, k) = spread(k, i) = r_.spread[j_][at];
+        for (std::size_t i = 0, at = 0; i < four::n; ++i) {
+            for (std::size_t k = i; k < four::n; ++k, ++at) {
+                spread[i][k] = spread[k][i] = r_.spread[j_][at];
             }
         }
-        const Matrix noise = white * inverse_, healthy = spread + noise;
+        const Matrix noise = plus(Matrix{}, inverse_, white), healthy = plus(spread, noise);
         const double g = 1.0 + unit * along(healthy, lpvg_cause_gain, 0).value;
-        Hypothesis all[3] = {along(g * g * spread + noise, lpvg_cause_gain, 0), delayed(healthy, white),
+        Hypothesis all[3] = {along(plus(noise, spread, g * g), lpvg_cause_gain, 0), delayed(healthy, white),
                              along(healthy, lpvg_cause_bias, 2)};
         all[0].value = 1.0 + unit * all[0].value;
         all[0].deviation *= unit;
@@ -215,7 +211,7 @@ private:
             return newest.settled ? newest.rough[j_] : 0.0;
         });
         if (decisions_.less(static_cast<double>(r_.rough[j_]) * all[0].scale, rough)) {
-            if (!decisions_.less(r_.fits, theta_.dot(inverse(healthy) * theta_))) {
+            if (!decisions_.less(r_.fits, dot(theta_, product(inverse(healthy), theta_)))) {
                 expected.cause = lpvg_cause_noise;
                 expected.value = std::sqrt(rough);
                 expected.deviation = 1e-2 * expected.value;
@@ -255,17 +251,16 @@ lpvg_diagnosis_table_t random_table(std::mt19937& random) {
         t.words.cell_blocks = 1U + one_of(random, 7U);
         for (std::size_t j = 0; j < ny; ++j) {
             const double unit[2] = {between(random, 0.3, 3.0), between(random, 1.0, 20.0)};
-            Matrix half = Matrix::Zero();
-            for (int i = 0; i < 4; ++i) {
-                half(i, i) = between(random, 0.005, 0.03);
-                for (int k = 0; k < i; ++k) {
-                    half(i, k) = between(random, -0.01, 0.01);
+            Matrix half{};
+            for (std::size_t i = 0; i < four::n; ++i) {
+                half[i][i] = between(random, 0.005, 0.03);
+                for (std::size_t k = 0; k < i; ++k) {
+                    half[i][k] = between(random, -0.01, 0.01);
                 }
             }
-            const Matrix spread = half * half.transpose();
-            for (int i = 0, at = 0; i < 4; ++i) {
-                for (int k = i; k < 4; ++k, ++at) {
-                    t.reals.spread[j][at] = real(spread(i, k));
+            for (std::size_t i = 0, at = 0; i < four::n; ++i) {
+                for (std::size_t k = i; k < four::n; ++k, ++at) {
+                    t.reals.spread[j][at] = real(dot(half[i], half[k]));
                 }
             }
             t.reals.unit[j][0] = real(unit[0]);
@@ -437,7 +432,7 @@ private:
             settled(newest - reach - 1)) {
             counted_.push_back(static_cast<std::size_t>(newest - reach));
             for (std::size_t j = 0; j < ny && counted_.size() >= table_.words.blocks; ++j) {
-                judges = judges || Reckoning(drive_, counted_, j, table_).excited >= static_cast<double>(table_.reals.excited);
+                judges = judges || excitation(j) >= static_cast<double>(table_.reals.excited);
             }
         }
         int calls = 1;
@@ -457,6 +452,16 @@ private:
             diagnosing_ = false;
             fill_from_ = break_ = blocks();
         }
+    }
+
+    // Mean square of yhat over its size, of the blocks that count.
+    double excitation(std::size_t j) const {
+        double sum = 0.0;
+        for (const std::size_t k : counted_) {
+            const double p = drive_[k].yhat[j] * static_cast<double>(table_.reals.unit[j][0]);
+            sum += p * p;
+        }
+        return sum / static_cast<double>(counted_.size());
     }
 
     void judge() {

@@ -8,9 +8,9 @@ old result or the new one.
     interrupted.py kills SEED COUNT
         COUNT kills at random instants of the time in which the commands write, SIGTERM and SIGKILL in turn
 
-The commands run in forked copies of one process that has all imports. What they compute is replaced here by
-small results of one of two variants; what they write goes the way it always goes. Prints JSON: runs, those
-that were torn and why, and where the kills fell.
+The commands run in forked copies of one process that has all imports, and Typer's commands. What they
+compute is replaced here by small results of one of two variants; what they write goes the way it always
+goes. Prints JSON: runs, those that were torn and why, and where the kills fell.
 """
 
 from __future__ import annotations
@@ -26,8 +26,11 @@ import sys
 import tempfile
 import time
 from collections import Counter
+from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
+
+import typer.main
 
 import lpvguard.bench
 import lpvguard.can.dbc
@@ -97,7 +100,10 @@ def commands(variant: str) -> dict[str, tuple[list[str], str]]:
             ["evaluate", "--vehicle", "g80", "idn", "drives", "--json", "out/evaluation.json"],
             "out/evaluation.json",
         ),
-        "campaign": (["campaign", "idn", "drives", "-o", "out/campaign", "--seed", "1"], "out/campaign"),
+        "campaign": (
+            ["campaign", "idn", "drives", "-o", "out/campaign", "--seed", "1", "--coefficients", "vehicle"],
+            "out/campaign",
+        ),
         "report": (
             ["report", "idn", "drives", "--vehicle", "g80", "-o", "out/report.html"],
             "out/report.html",
@@ -118,9 +124,8 @@ def folder_of(kind: str, files: dict[str, str], vehicle: str = "g80"):
         with artefacts.new_folder(target, kind, vehicle) as folder:
             for name in files:
                 (folder / name).parent.mkdir(exist_ok=True)
-            artefacts.write_files(
-                folder, files | {artefacts.MANIFEST: artefacts.manifest(kind, vehicle=vehicle)}
-            )
+            text = artefacts.manifest(kind, vehicle=vehicle, project={})
+            artefacts.write_files(folder, files | {artefacts.MANIFEST: text})
 
     return write
 
@@ -274,6 +279,7 @@ def inputs(root: Path) -> None:
     for folder in ("idn", "drives"):
         (root / folder).mkdir()
         (root / folder / "mine.txt").write_text("an input")
+    folder_of("vehicle", {"lpvguard_coeff.c": "an input"})(root / "vehicle")
     tool = root / "plant_tool"
     tool.write_text('#!/bin/sh\nfor i in 1 2 3 4 5 6 7 8; do echo "$i,$i" >> "$3" || exit 3; done\n')
     tool.chmod(0o755)
@@ -526,6 +532,8 @@ def at_random_instants(base: Path, seed: int, count: int) -> dict:
 
 if __name__ == "__main__":
     what, *rest = sys.argv[1:]
+    typer.main.get_command = cache(typer.main.get_command)
+    typer.main.get_command(cli.app)
     with tempfile.TemporaryDirectory() as scratch:
         base = Path(scratch).resolve()
         result = (

@@ -120,9 +120,10 @@ def test_routh_on_the_border(coefficients, stable):
 
 @pytest.mark.parametrize("degree", [3, 4, 6])
 def test_bernstein_coefficients_make_the_polynomial_and_bound_its_monomials(degree):
-    polynomial = np.array([2.0, -3.0, 0.5, 1.5])
+    polynomial = np.pad([2.0, -3.0, 0.5, 1.5], (0, degree - 3))
     lo, hi = np.array([0.0, 0.5, 2.0]), np.array([1.0, 3.0, 2.25])
-    coefficients, sizes = proof._bernstein(polynomial, lo, hi, degree)
+    powers = proof._bernstein(lo, hi, degree)
+    coefficients, sizes = (np.tensordot(c, powers, 1) for c in (polynomial, np.abs(polynomial)))
     t = np.linspace(0, 1, 7)
     basis = [math.comb(degree, k) * t**k * (1 - t) ** (degree - k) for k in range(degree + 1)]
     for i in range(3):

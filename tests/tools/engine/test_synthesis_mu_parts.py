@@ -170,7 +170,7 @@ def test_newtons_method_finds_what_the_method_of_centres_finds(blocks, seed, mon
     left, right = found[2:4]
     assert np.linalg.norm(left @ M @ np.linalg.inv(right), 2) <= found[0] * (1 + 1e-14)
     # At a simple largest singular value the bound is attained.
-    value, delta = mu_lower._attained(M, structure)
+    value, delta = mu_lower._attained(M, structure, left)
     assert value == pytest.approx(found[0], rel=1e-8)
     assert np.linalg.svd(np.eye(len(M)) - M @ delta)[1][-1] < 1e-9
     assert np.linalg.norm(delta, 2) == pytest.approx(1 / value, rel=1e-8)

@@ -30,7 +30,7 @@ def remainders(estimator: Estimator, sizes: list[float], starts: list[int]) -> d
     """The part of a drive whose frames of RARE leave these sizes."""
     E = np.array(sizes, complex)[:, None]
     frames = FrameSet(RARE, E, np.zeros_like(E), np.array(starts))
-    return reduce_remainder([frames], estimator, np.zeros((estimator.n_bins, 1)), 1, "S1")
+    return reduce_remainder([frames], estimator, np.zeros((estimator.n_bins, 1)), 1, "S1")[0]
 
 
 def test_the_frame_that_decides_a_bound_is_known_and_what_the_bound_is_without_it(g80):

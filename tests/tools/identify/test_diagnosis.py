@@ -17,6 +17,7 @@ from lpvguard.core.seal import coefficient_source
 from lpvguard.drives.faults import Fault, inject
 from lpvguard.drives.frames import Estimator
 from lpvguard.drives.tables import Drive
+from lpvguard.identify import diagnosis
 from lpvguard.identify.diagnosis import PARTS, DiagnosisScales, windows_of
 from lpvguard.vehicle.nominal import NominalModel
 
@@ -71,6 +72,21 @@ def test_the_spread_is_that_of_healthy_drives(g80):
     assert 1.0 <= scales.enlarged[0] < 2.5
     with pytest.raises(InputError, match="window"):
         DiagnosisScales.of(g80, 1 / UNIT, [])
+
+
+@pytest.mark.parametrize("windows", [1, 8, 83])
+def test_the_kernel_of_the_spread_sums_what_the_inverses_say(windows, monkeypatch):
+    """Windows fill their lanes, leave some empty, or are fewer than lanes are."""
+    random = np.random.default_rng(windows)
+    theta, root = random.standard_normal((2, PARTS, windows)), random.standard_normal((windows, 2, PARTS, 6))
+    errors, found = root @ root.swapaxes(2, 3), np.stack([np.diag([1.0, 2.0, 0.1, 3.0]) + 0.05] * 2)
+    inverse = np.linalg.inv(found + errors)
+    u = (inverse @ theta.transpose(2, 0, 1)[..., None])[..., 0]
+    wanted = (u[..., None] * u[..., None, :] - inverse).sum(axis=0)
+    turned = np.ascontiguousarray(errors.transpose(2, 3, 1, 0))
+    for without in ("", "1"):
+        monkeypatch.setenv("LPVGUARD_NO_NATIVE", without)
+        assert diagnosis._surplus(theta, turned, found) == pytest.approx(wanted, rel=1e-10)
 
 
 def test_what_no_record_names_is_what_healthy_vehicles_differ_by(g80):

@@ -1,14 +1,23 @@
-"""The report of a vehicle with one and with two outputs, made once."""
+"""The report of a vehicle with one and with two outputs, made once a run: a session's fixture is made anew
+whenever another number of outputs is asked for, in each file of tests."""
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
+import report_case
 from report_case import Case, vehicle, write_drives
 
 from lpvguard.core.compiled import Core
+from lpvguard.drives.tables import list_experiments
 from lpvguard.identify import run as stage
 from lpvguard.identify.export import export_vehicle
 from lpvguard.replay.run import Replayer
+from lpvguard.vehicle.nominal import NominalModel
+from made import digest_of
+
+RECIPE = digest_of(Path(report_case.__file__))[:16]
 
 
 @pytest.fixture(
@@ -16,18 +25,29 @@ from lpvguard.replay.run import Replayer
     params=[pytest.param(1, marks=pytest.mark.slow("5 s: its pages")), 2],
     ids=["one output", "two outputs"],
 )
-def case(request, tmp_path_factory) -> Case:
-    folder = tmp_path_factory.mktemp("report")
+def case(request, made) -> Case:
     project = vehicle(request.param)
-    write_drives(project, folder / "drives")
-    result, drives = stage.identify(project, folder / "drives")
-    stage.save(result, drives, folder / "identified")
-    stored = stage.load(folder / "identified")
-    export_vehicle(stored, folder / project.name)
+
+    def make(folder: Path) -> None:
+        folder.mkdir()
+        write_drives(project, folder / "drives")
+        result, drives = stage.identify(project, folder / "drives")
+        stage.save(result, drives, folder / "identified")
+        export_vehicle(stage.load(folder / "identified"), folder / "vehicle")
+
+    folder = made.folder(f"report_{request.param}_{RECIPE}", make)
+    drives = stage.DriveSet(project, NominalModel(project), list_experiments(folder / "drives"))
     # A threshold of its own: calibrated on "weak" itself nothing would alarm.
-    return Case(stored, drives, Replayer(project, Core(folder / project.name), threshold=1.5))
+    replayer = Replayer(project, Core(folder / "vehicle"), threshold=1.5)
+    return Case(stage.load(folder / "identified"), drives, replayer)
 
 
 @pytest.fixture(scope="session")
-def page(case, tmp_path_factory) -> str:
-    return case.page(tmp_path_factory.mktemp("page") / "report.html").decode()
+def page(case, made) -> str:
+    def make(folder: Path) -> None:
+        folder.mkdir()
+        case.page(folder / "report.html")
+
+    return (made.folder(f"page_{case.stored.project.name}_{RECIPE}", make) / "report.html").read_text(
+        encoding="utf-8"
+    )

@@ -211,6 +211,7 @@ _KERNEL_LEVEL = {
     "lyapunov_barrier": "-O3",
     "s1": "-O3",
     "hann": "-O3",
+    "spread": "-O3",
     "s2": "-O2",
     "ray": "-O2",
     "candump": "-O2",

@@ -234,5 +234,5 @@ class Estimator:
             lib.lpvg_hann(
                 *sizes, native.pointer(x[first:]), native.pointer(turn), scale, native.pointer(every)
             )
-            found.append(every[near - first])
-        return np.concatenate(found)
+            found.append(every if len(every) == len(near) else every[near - first])
+        return found[0] if len(found) == 1 else np.concatenate(found)

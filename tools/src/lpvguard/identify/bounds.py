@@ -37,6 +37,8 @@ FRONT_POINTS = 25
 uniform."""
 
 
+FIRST_LARGEST = 8
+"""Largest sums that thin out pairs of sizes before the rest is sorted."""
 FRONT_BLOCK = 64
 """Frames one after another that the search for the front bounds together."""
 
@@ -217,15 +219,13 @@ def reduce_disturbance(
 ) -> Part:
     """Steps 2-4 before smoothing. ``nu_ceiling`` (K,), 0 at DC.
 
-    ``E`` and ``Y`` (K, n_y) are the largest |E_j| and |Y_j| = |E_j + Z_j|: |E_j| of zero-input drives bounds
-    the sensors' noise (W_n), of all others the disturbance of class S0; |Y_j| of the yaw rate bounds the
-    commands that such drives contain (W_C; paper, section V).
+    ``E`` (K, n_y) is the largest |E_j|: of zero-input drives it bounds the sensors' noise (W_n), of all
+    others the disturbance of class S0. ``Y`` (K,) is the largest |E + Z| of the first output, the yaw rate:
+    it bounds the commands that such drives contain (W_C; paper, section V).
     """
     K = estimator.n_bins
-    out = {key: np.full(K, np.nan) for key in ("excitation", "B1", "B2", "gamma_rule")} | {
-        "frames": np.zeros(K, int)
-    }
-    out |= {key: np.full((K, n_y), np.nan) for key in ("E", "Y")}
+    out = {key: np.full(K, np.nan) for key in ("excitation", "B1", "B2", "gamma_rule", "Y")}
+    out |= {"frames": np.zeros(K, int), "E": np.full((K, n_y), np.nan)}
     for s in sets:
         size, z, b1, delta = s1.least(s.E, s.Z)
         s.require(np.isfinite(size), estimator, lambda _: "E or Z is not finite", "finite spectra")
@@ -238,7 +238,7 @@ def reduce_disturbance(
             ("B2", size),
             ("gamma_rule", rule),
             ("E", np.abs(s.E)),
-            ("Y", np.abs(s.E + s.Z)),
+            ("Y", np.abs(s.E[:, 0] + s.Z[:, 0])),
         ):
             out[key][s.bin] = _maximum(values)
     return out
@@ -301,36 +301,58 @@ def front(E: np.ndarray, Z: np.ndarray, gamma_w: np.ndarray) -> np.ndarray:
     largest; only those are solved without cancellation. Frames that follow one another are alike: the largest
     |delta0|, B1 and |Z| of FRONT_BLOCK frames bound their nu, and most blocks stay below a first frame's.
     """
-    out = np.full(len(gamma_w), np.nan)
-    if not len(E) or np.isnan(gamma_w).all():
+    out, asked = np.full(len(gamma_w), np.nan), np.flatnonzero(~np.isnan(gamma_w))
+    if not len(E) or not len(asked):
         return out
-    found = s1.least(E, Z)
+    found, gamma = s1.least(E, Z), gamma_w[asked]
     firsts = np.arange(0, len(E), FRONT_BLOCK)
     size, z, b1, centre = (np.maximum.reduceat(x, firsts) for x in found)
     least_z = np.minimum.reduceat(np.where(found.z > 0, found.z, np.inf), firsts)
-    first = s1.LeastSquares(*(x[firsts] for x in found))
-    for i in np.flatnonzero(~np.isnan(gamma_w)):
-        gamma = gamma_w[i]
-        low, _ = _about(first, gamma)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            high = centre - np.sqrt(np.maximum(gamma**2 - b1**2, 0.0)) / z + _slack(centre, least_z, gamma)
-        open_blocks = np.flatnonzero((size > gamma) & (z > 0) & (high >= low.max()))
-        inside = (firsts[open_blocks, None] + np.arange(FRONT_BLOCK)).ravel()
-        inside = inside[inside < len(E)]
-        at = s1.LeastSquares(*(x[inside] for x in found))
-        low, high = _about(at, gamma)
-        largest = inside[(at.e > gamma) & (at.z > 0) & (high >= low.max(initial=-np.inf))]
-        out[i] = s1.solve(E[largest], Z[largest], gamma).nu.max(initial=0.0)
+    low, _ = _about(s1.LeastSquares(*(x[firsts] for x in found)), gamma[:, None])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        room = np.sqrt(np.maximum(gamma[:, None] ** 2 - b1**2, 0.0))
+        high = centre - room / z + _slack(centre, least_z, gamma[:, None])
+    open_blocks = (size > gamma[:, None]) & (z > 0) & (high >= low.max(axis=1, keepdims=True))
+    # So many gamma_w at once that their open blocks hold about as many frames as there are.
+    turns = np.cumsum(open_blocks.sum(axis=1)) // len(firsts)
+    for turn in np.unique(turns):
+        some = np.flatnonzero(turns == turn)
+        out[asked[some]] = _front_within(E, Z, found, gamma[some], open_blocks[some], firsts)
     return out
 
 
-def _slack(centre: np.ndarray, z: np.ndarray, gamma: float) -> np.ndarray:
+def _front_within(
+    E: np.ndarray,
+    Z: np.ndarray,
+    found: s1.LeastSquares,
+    gamma_w: np.ndarray,
+    open_blocks: np.ndarray,
+    firsts: np.ndarray,
+) -> np.ndarray:
+    """The front (P,) at ``gamma_w`` (P,) by the frames of its open blocks (P, blocks); 0 where none is."""
+    of, block = np.nonzero(open_blocks)
+    inside = (firsts[block, None] + np.arange(FRONT_BLOCK)).ravel()
+    of = np.repeat(of, FRONT_BLOCK)[inside < len(E)]
+    inside = inside[inside < len(E)]
+    at, gamma = s1.LeastSquares(*(x[inside] for x in found)), gamma_w[of]
+    low, high = _about(at, gamma)
+    worst = np.full(len(gamma_w), -np.inf)
+    np.maximum.at(worst, of, low)
+    largest = (at.e > gamma) & (at.z > 0) & (high >= worst[of])
+    inside, of = inside[largest], of[largest]
+    out = np.zeros(len(gamma_w))
+    np.maximum.at(out, of, s1.solve(E[inside], Z[inside], gamma[largest]).nu)
+    return out
+
+
+def _slack(centre: np.ndarray, z: np.ndarray, gamma: np.ndarray) -> np.ndarray:
     """How far off |delta0| - sqrt(gamma_w^2 - B1^2) / |Z| may be: the root loses half the digits near B1."""
     return 1e-6 * (centre + gamma / z)
 
 
-def _about(found: s1.LeastSquares, gamma: float) -> tuple[np.ndarray, np.ndarray]:
-    """Bounds (F,) of nu of frames, where it is not 0; -inf where it is."""
+def _about(found: s1.LeastSquares, gamma: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Bounds of nu of frames (F,), where it is not 0, in the shape that they make with gamma; -inf where it
+    is."""
     with np.errstate(divide="ignore", invalid="ignore"):
         about = found.delta - np.sqrt(np.maximum(gamma**2 - found.b1**2, 0.0)) / found.z
         slack = _slack(found.delta, found.z, gamma)
@@ -385,23 +407,45 @@ def remainder_sizes(s: FrameSet, estimator: Estimator, W_delta: np.ndarray, stru
 
 
 def reduce_remainder(
-    sets: Iterable[FrameSet], estimator: Estimator, W_delta: np.ndarray, n_y: int, structure: str
-) -> Part:
-    """Step 6: largest |w_j| (K, n_y) that no |delta| <= W_delta (K, n_delta) explains."""
-    out = _undecided("B_w", (estimator.n_bins, n_y))
+    sets: Iterable[FrameSet],
+    estimator: Estimator,
+    W_delta: np.ndarray,
+    n_y: int,
+    structure: str,
+    joint: bool = False,
+) -> tuple[Part, list[np.ndarray]]:
+    """Step 6: largest |w_j| (K, n_y) that no |delta| <= W_delta (K, n_delta) explains; with ``joint`` the
+    `undominated` ones of every bin, for `covering`."""
+    out, fronts = _undecided("B_w", (estimator.n_bins, n_y)), [np.zeros((0, n_y))] * estimator.n_bins
     for s in sets:
-        _decided("B_w", remainder_sizes(s, estimator, W_delta, structure), s, estimator, out)
-    return out
+        sizes = remainder_sizes(s, estimator, W_delta, structure)
+        _decided("B_w", sizes, s, estimator, out)
+        if joint:
+            fronts[s.bin] = undominated(sizes)
+    return out, fronts
 
 
-def reduce_covering(
-    sets: Iterable[FrameSet], estimator: Estimator, W_delta: np.ndarray, B_w: np.ndarray, structure: str
-) -> Part:
-    """Largest sqrt(sum_j |w_j / B_w,j|^2): the factor with which B_w (K, n_y) covers every frame's w
-    jointly."""
-    scale = np.full(estimator.n_bins, np.nan)
-    for s in sets:
-        w = remainder_sizes(s, estimator, W_delta, structure)
-        relative = np.divide(w, B_w[s.bin], out=np.zeros(w.shape), where=B_w[s.bin] > 0)
-        scale[s.bin] = np.sqrt(_maximum(np.einsum("fj,fj->f", relative, relative)))
-    return {"scale": scale}
+def undominated(sizes: np.ndarray) -> np.ndarray:
+    """Those of ``sizes`` (F, m) >= 0 that no other one reaches in every column, each once. A sum that rises
+    with every column is largest among them."""
+    found = [np.zeros((0, sizes.shape[1]))]
+    share = 1 / np.maximum(sizes.max(axis=0, initial=0.0), np.finfo(float).tiny)
+    while len(sizes) and (sizes.shape[1] != 2 or len(found) <= FIRST_LARGEST):
+        largest = sizes[(sizes @ share).argmax()]
+        found.append(largest[None])
+        sizes = sizes[reduce(np.logical_or, (sizes > largest).T)]
+    if len(sizes):  # two columns: by the first one falling, each new maximum of the second
+        sizes = sizes[np.lexsort(-sizes.T[::-1])]
+        before = np.maximum.accumulate(np.append(-1.0, sizes[:-1, 1]))
+        found.append(sizes[sizes[:, 1] > before])
+    return np.concatenate(found)
+
+
+def covering(fronts: list[np.ndarray], B_w: np.ndarray) -> np.ndarray:
+    """(K,) largest sqrt(sum_j |w_j / B_w,j|^2), the factor with which B_w (K, n_y) covers every frame's w
+    jointly; of the `undominated` |w_j| of every bin. NaN: no frame."""
+    scale = np.full(len(fronts), np.nan)
+    for k, (w, bound) in enumerate(zip(fronts, B_w, strict=True)):
+        relative = np.divide(w, bound, out=np.zeros(w.shape), where=bound > 0)
+        scale[k] = np.sqrt(_maximum(np.einsum("fj,fj->f", relative, relative)))
+    return scale

@@ -231,6 +231,11 @@ class EnergyTest:
         return self.memory_s * np.array([*[1.0] * len(self.band_hz), self.band_hz[0] / self.band_hz[-1]])
 
     @property
+    def single(self) -> bool:
+        """Whether every direction is one output, as where each has its own Delta."""
+        return len(self.W) > 1
+
+    @property
     def bands(self) -> tuple[str, ...]:
         """Names of the bands."""
         return band_names(len(self.band_hz) + 1)
@@ -322,8 +327,7 @@ class EnergyTest:
     def _needs_in(self, band: int, left: np.ndarray, right: np.ndarray) -> dict[str, np.ndarray]:
         """`needs` of a stretch in one band, from its `_sides`."""
         start = self.start[band]
-        single = len(self.W) > 1  # every direction is one output
-        if single:
+        if self.single:
             left, right = self._sums(band, left**2, np.zeros_like(start)), self._sums(band, right**2, start)
             diagonals = left, right[:, self.settle :]
         else:
@@ -331,7 +335,7 @@ class EnergyTest:
             diagonals = tuple(np.einsum("njj->jn", x) for x in (left, right))
         error, bound = (np.sqrt(np.maximum(x, 0.0)) for x in diagonals)
         needed = {"sigma": (error - bound).max(axis=1)}
-        if single:
+        if self.single:
             joint = (needed["sigma"] / self.sigma[band]).max()
         else:
             a = self.directions / self.sigma[band]
@@ -357,8 +361,9 @@ class EnergyTest:
         return replace(self, sigma=sigma, start=sigma.shape[1] / len(self.W) * needs["bound"] ** 2)
 
     def with_joint(self, needs: dict[str, np.ndarray]) -> EnergyTest:
-        """sigma raised until the fan of directions holds too; ``needs`` met with sigma per output."""
-        joint = np.maximum(1.0, needs["joint"])
+        """sigma raised until the fan of directions holds too; ``needs`` met with sigma per output, NaN where
+        nothing is asked."""
+        joint = np.fmax(1.0, needs["joint"])
         return replace(self, sigma=self.sigma * joint[:, None], joint=joint)
 
     def calibrated(self, scores: dict[str, float], alpha: float, recordings: Recordings) -> EnergyTest:

@@ -22,9 +22,10 @@ does not depend on the order in which a folder lists them.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, fields
 from functools import cached_property
-from itertools import pairwise
+from itertools import accumulate, pairwise, zip_longest
 from typing import NamedTuple
 
 import numpy as np
@@ -64,6 +65,10 @@ LACK_OF_FIT = 1e-3
 ENDS = np.sqrt(3)
 """Standard deviations from the mean to the ends of speeds that are spread evenly: where the line is read."""
 TINY = 1e-300
+NEARLY_SINGULAR = 1e-6
+"""Determinant of a matrix over the sum of its squared entries: below it the inverse loses half the digits."""
+POWERS = 5
+"""Of s that sums over frames are weighted with, from 0 on."""
 BIASED = (
     "delta_c is the least-squares estimate from the nominal output; a driver who steers against disturbances "
     "biases it, and no column was named that excites from outside"
@@ -172,6 +177,31 @@ class Sums(NamedTuple):
             rzz=np.zeros((*shape, 5)),
         )
 
+    @classmethod
+    def of_moments(cls, moments: np.ndarray) -> Sums:
+        """Of sums (..., m, POWERS) of products times powers of s: |E|^2, conj(Z) E by its parts, |Z|^2, and
+        |R|^2 times each; then, where R is not Z, conj(R) E, |R|^2, conj(R) Z and |R|^4."""
+
+        def real(row: int, powers: int) -> np.ndarray:
+            return moments[..., row, :powers].copy()
+
+        def both(row: int, powers: int) -> np.ndarray:
+            return real(row, powers) + 1j * real(row + 1, powers)
+
+        alone = moments.shape[-2] == 8
+        return cls(
+            fourth=real(7 if alone else 13, 1)[..., 0],
+            ee=real(0, 1)[..., 0],
+            ze=both(1, 2),
+            re=both(1 if alone else 8, 2),
+            zz=real(3, 3),
+            rr=real(3 if alone else 10, 3),
+            rz=real(3, 3).astype(complex) if alone else both(11, 3),
+            ree=real(4, 3),
+            rze=both(5, 4),
+            rzz=real(7, 5),
+        )
+
     @property
     def independent(self) -> np.ndarray:
         """Independent frames that the estimate rests on, (sum |R|^2)^2 / sum |R|^4 of those that overlap."""
@@ -204,10 +234,11 @@ def drive_sums(
 ) -> Sums:
     """The sums of one drive, over frames in which the first input's rms is above ``excited_std`` [its unit];
     e, yhat (N, n_y)."""
-    out = Sums.none(grid, model.n_y)
     settled = estimator.settled(drive.v)
     if settled.sum() < 2 * AR_ORDER:
-        return out
+        return Sums.none(grid, model.n_y)
+    rows = 8 if drive.instrument is None else 14
+    moments = np.zeros((len(grid.omega), len(PERIODS), model.n_y, *grid.cells, rows, POWERS))
     signals, filters, lags = [], [], np.arange(AR_ORDER + 1)
     for j in range(model.n_y):
         whiten = prediction_error_filter(yhat[settled, j])
@@ -225,23 +256,23 @@ def drive_sums(
             length, halves = 2 * half, len(drive.t) // half
             if length > len(drive.t):
                 break
-            starts = half * np.arange(halves - 1)
-            speed = (total[starts + length] - total[starts]) / length
-            parts = drive.v[: halves * half].reshape(halves, half)
-            low, high = parts.min(axis=1), parts.max(axis=1)
+            each_half = half * np.arange(halves)
+            low, high = (x.reduceat(drive.v[: halves * half], each_half) for x in (np.minimum, np.maximum))
+            driven, inside, square = (x[: halves * half + 1 : half] for x in (total, whole, power))
+            speed = (driven[2:] - driven[:-2]) / length
             tolerance = estimator.speed_tolerance * speed
-            good = whole[starts + length] - whole[starts] == length
+            good = inside[2:] - inside[:-2] == length
             good &= np.maximum(high[1:], high[:-1]) - speed <= tolerance
             good &= speed - np.minimum(low[1:], low[:-1]) <= tolerance
-            amplitude = np.sqrt(2 * (power[starts + length] - power[starts]) / length)
+            amplitude = np.sqrt(2 * (square[2:] - square[:-2]) / length)
             good &= amplitude > np.sqrt(2) * excited_std
             if not good.any():
                 continue
             frames = (
                 _by_halves(stacked[:, : halves * half], grid.kernel(omega, half))[:, good] / whitened[:, None]
             )
-            _add(out, grid, (g, p), frames.reshape(model.n_y, each, -1), speed[good], amplitude[good])
-    return out
+            _add(moments, grid, (g, p), frames.reshape(model.n_y, each, -1), speed[good], amplitude[good])
+    return Sums.of_moments(moments)
 
 
 def _by_halves(signals: np.ndarray, kernel: np.ndarray) -> np.ndarray:
@@ -253,43 +284,36 @@ def _by_halves(signals: np.ndarray, kernel: np.ndarray) -> np.ndarray:
 
 
 def _add(
-    out: Sums,
+    moments: np.ndarray,
     grid: ErrorGrid,
     at: tuple[int, int],
     frames: np.ndarray,
     speed: np.ndarray,
     amplitude: np.ndarray,
 ) -> None:
-    """Add frames (n_y, 3, F) of E, Z, R at speeds (F,) and amplitudes (F,) to the cells of ``out``; (n_y, 2,
-    F) of E and Z where Z is R."""
-    instrument = frames.shape[1] == 3
+    """Add frames (n_y, 3, F) of E, Z, R at speeds (F,) and amplitudes (F,) to the cells of ``moments``;
+    (n_y, 2, F) of E and Z where Z is R."""
     cell = np.clip(np.searchsorted(grid.speed_edges, speed, "right") - 1, 0, grid.cells[0] - 1)
-    kind = np.searchsorted(grid.amplitude_edges, amplitude, "right")
-    powers, place_of = np.vander(grid.relative(speed), 5, increasing=True), cell * grid.cells[1] + kind
-    for k in np.unique(place_of):
-        c, a = divmod(int(k), grid.cells[1])
-        inside = place_of == k
-        E, Z, R = np.moveaxis(frames[:, :, inside], 1, 0)[[0, 1, -1]]
-        power = powers[inside]
-        place = (*at, slice(None), c, a)
-        EE, ZZ, ZE = np.abs(E) ** 2, np.abs(Z) ** 2, Z.conj() * E
-        RR = np.abs(R) ** 2 if instrument else ZZ
-        out.fourth[place] += (RR**2).sum(axis=1)
-        out.ee[place] += EE.sum(axis=1)
-        moments: list[tuple[tuple[np.ndarray, ...], np.ndarray]] = [
-            ((out.ree,), RR * EE),
-            ((out.rze,), RR * ZE),
-            ((out.rzz,), RR * ZZ),
-        ]
-        if instrument:
-            RE, RZ = R.conj() * E, R.conj() * Z
-            moments += [((out.ze,), ZE), ((out.re,), RE), ((out.zz,), ZZ), ((out.rr,), RR), ((out.rz,), RZ)]
-        else:
-            moments += [((out.ze, out.re), ZE), ((out.zz, out.rr, out.rz), ZZ)]
-        for targets, product in moments:
-            total = product @ power[:, : targets[0].shape[-1]]
-            for target in targets:
-                target[place] += total
+    places = cell * grid.cells[1] + np.searchsorted(grid.amplitude_edges, amplitude, "right")
+    order = np.argsort(places, kind="stable")
+    places, s = places[order], grid.relative(speed[order])
+    products, powers = _products(frames[:, :, order]), np.vander(s, POWERS, increasing=True)
+    edges = np.flatnonzero(np.r_[True, places[1:] != places[:-1], True])
+    for first, end in pairwise(edges):
+        c, a = divmod(int(places[first]), grid.cells[1])
+        moments[(*at, slice(None), c, a)] += products[..., first:end] @ powers[first:end]
+
+
+def _products(frames: np.ndarray) -> np.ndarray:
+    """(n_y, m, F) of frames (n_y, 3 or 2, F): as ``Sums.of_moments`` reads them."""
+    E, Z, R = np.moveaxis(frames, 1, 0)[[0, 1, -1]]
+    EE, ZZ, ZE = np.abs(E) ** 2, np.abs(Z) ** 2, Z.conj() * E
+    RR = ZZ if frames.shape[1] == 2 else np.abs(R) ** 2
+    rows = [EE, ZE.real, ZE.imag, ZZ, RR * EE, RR * ZE.real, RR * ZE.imag, RR * ZZ]
+    if frames.shape[1] == 3:
+        RE, RZ = R.conj() * E, R.conj() * Z
+        rows += [RE.real, RE.imag, RR, RZ.real, RZ.imag, RR**2]
+    return np.stack(rows, axis=1)
 
 
 def model_error_pass(reader: DriveReader, grid: ErrorGrid, experiment: Experiment) -> Sums:
@@ -468,7 +492,7 @@ def _fitted(s: Sums) -> _Lines:
     RZ, ZZ = matrix(s.rz), matrix(s.zz)
     RZ[empty] = np.eye(2)
     scale = np.abs(RZ[..., 0, 0])[..., None, None]
-    inverse = np.linalg.pinv(RZ / scale, rcond=1e-12) / scale
+    inverse = _inverse(RZ / scale) / scale
     keep = np.stack([np.ones_like(sloped), sloped], axis=-1)
     theta = (inverse @ (s.re * keep)[..., None])[..., 0] * keep
     explained = np.einsum("...i,...ij,...j->...", theta.conj(), ZZ, theta).real
@@ -479,6 +503,18 @@ def _fitted(s: Sums) -> _Lines:
     covariance = covariance * keep[..., None] * keep[..., None, :]
     theta[empty], covariance[empty] = np.nan, np.nan
     return _Lines(theta, covariance, mean, spread, n, residue / np.maximum(s.ee, TINY))
+
+
+def _inverse(M: np.ndarray) -> np.ndarray:
+    """Inverses of M (..., 2, 2), of nearly singular ones the pseudo-inverse."""
+    det = M[..., 0, 0] * M[..., 1, 1] - M[..., 0, 1] * M[..., 1, 0]
+    near = np.abs(det) <= NEARLY_SINGULAR * (np.abs(M) ** 2).sum(axis=(-2, -1))
+    out = np.empty_like(M)
+    out[..., 0, 0], out[..., 1, 1] = M[..., 1, 1], M[..., 0, 0]
+    out[..., 0, 1], out[..., 1, 0] = -M[..., 0, 1], -M[..., 1, 0]
+    out /= np.where(near, 1.0, det)[..., None, None]
+    out[near] = np.linalg.pinv(M[near], rcond=1e-12)
+    return out
 
 
 def _scatter(s: Sums, theta: np.ndarray) -> np.ndarray:
@@ -496,21 +532,23 @@ def _scatter(s: Sums, theta: np.ndarray) -> np.ndarray:
     return moments[..., np.add.outer(np.arange(2), np.arange(2))]
 
 
-def _joined(second: np.ndarray, fourth: np.ndarray) -> list[tuple[int, int]]:
-    """Neighbours (first, last + 1) joined until each has FEWEST_FRAMES, or one is left; ``second`` and
-    ``fourth`` (K,): their sums of |R|^2 and |R|^4.
+def _joined(second: np.ndarray, fourth: np.ndarray) -> np.ndarray:
+    """Group (N, K), from 0 on, of each of K neighbours, joined until each group has FEWEST_FRAMES, or one is
+    left; ``second`` and ``fourth`` (N, K): their sums of |R|^2 and |R|^4.
 
     The one with the fewest frames is joined first, with that of its neighbours that has fewer."""
-    parts = [(k, k + 1) for k in range(len(second))]
-    while len(parts) > 1:
-        n = [INDEPENDENT * second[a:b].sum() ** 2 / max(fourth[a:b].sum(), TINY) for a, b in parts]
-        k = int(np.argmin(n))
-        if n[k] >= FEWEST_FRAMES:
-            break
-        left = k > 0 and (k == len(parts) - 1 or n[k - 1] <= n[k + 1])
-        i = k - 1 if left else k
-        parts[i : i + 2] = [(parts[i][0], parts[i + 1][1])]
-    return parts
+    every = np.arange(second.shape[1])
+    groups = np.broadcast_to(every, second.shape)
+    for _ in every[1:]:
+        inside = groups[:, None] == every[:, None]
+        sums = [np.where(inside, x[:, None], 0.0).sum(axis=2) for x in (second, fourth)]
+        n = np.where(inside.any(axis=2), INDEPENDENT * sums[0] ** 2 / np.maximum(sums[1], TINY), np.inf)
+        k = n.argmin(axis=1)[:, None]
+        beside = np.pad(n, ((0, 0), (1, 1)), constant_values=np.inf)
+        left, right = (np.take_along_axis(beside, k + i, 1) for i in (0, 2))
+        short = (np.take_along_axis(n, k, 1) < FEWEST_FRAMES) & (groups.max(axis=1, keepdims=True) > 0)
+        groups = groups - (short & (groups > np.where(left <= right, k - 1, k)))
+    return groups
 
 
 def _shared(s: Sums, cells: int) -> Sums:
@@ -527,14 +565,14 @@ def _shared(s: Sums, cells: int) -> Sums:
 def _classes_joined(s: Sums) -> Sums:
     """The sums with every amplitude class's replaced by those of the classes that it is joined with, where
     its drives alone have fewer than FEWEST_FRAMES."""
-    out = Sums(*(f.copy() for f in s))
-    for at in np.ndindex(*s.ee.shape[:3]):
-        for first, last in _joined(s.rr[(*at, ..., 0)].sum(axis=0), s.fourth[at].sum(axis=0)):
-            if last - first > 1:
-                inside = (*at, slice(None), slice(first, last))
-                for field in out:
-                    field[inside] = field[inside].sum(axis=1, keepdims=True)
-    return out
+    second, fourth = (x.sum(axis=3) for x in (s.rr[..., 0], s.fourth))
+    groups = _joined(*(x.reshape(-1, x.shape[-1]) for x in (second, fourth))).reshape(second.shape)
+    same = (groups[..., :, None] == groups[..., None, :]).astype(float)[..., None, :, :]
+
+    def one(field: np.ndarray) -> np.ndarray:
+        return (same @ field.reshape(*s.ee.shape, -1)).reshape(field.shape)
+
+    return Sums(*map(one, s))
 
 
 def _pools(sums: Sums) -> list[_Lines]:
@@ -631,8 +669,8 @@ class ModelError:
         """From the sums of folds of drives, at least one that sets the bounds."""
         estimate = ErrorEstimate.of(_total(setting), grid)
         left_out = []
-        for k, own in enumerate(setting if len(setting) > 1 else []):
-            others = ErrorEstimate.of(_total(setting[:k] + setting[k + 1 :]), grid)
+        for own, rest in _each_and_others(setting):
+            others = ErrorEstimate.of(rest, grid)
             asked = uncertainty_bound(project, grid, others)
             lower = ErrorEstimate.of(own, grid).lower.max(axis=(2, 3))
             left_out.append(float((asked / np.maximum(lower, TINY)).min(where=lower > 0, initial=np.inf)))
@@ -681,6 +719,16 @@ class ModelError:
         judging = None if data["judging"] is None else ErrorEstimate.from_dict(data["judging"])
         ratios = [np.inf if r is None else r for r in data["left_out"]["ratios"]]
         return cls(grid, setting, uncertainty_bound(project, grid, setting), judging, ratios)
+
+
+def _each_and_others(folds: list[Sums]) -> Iterator[tuple[Sums, Sums]]:
+    """Every fold with the sum of all others; none where there is but one."""
+    after = list(accumulate(folds[:0:-1], Sums.plus))[::-1]
+    before: Sums | None = None
+    for own, later in zip_longest(folds[: len(folds) if after else 0], after):
+        others = [part for part in (before, later) if part is not None]
+        yield own, _total(others)
+        before = own if before is None else before.plus(own)
 
 
 def _total(folds: list[Sums]) -> Sums:

@@ -19,7 +19,7 @@ from ..core.compiled import Core
 from ..drives.tables import (
     Experiment,
 )
-from .bounds import Bounds, Deciders, Part, fold, front_grid
+from .bounds import Bounds, Deciders, Part, covering, fold, front_grid, undominated
 from .calibration import Calibration, Peak, Recordings, calibrate, require_calibration
 from .change import ChangeTest
 from .chosen import Chosen
@@ -32,7 +32,6 @@ from .passes import (
     Judged,
     change_met_pass,
     change_products_pass,
-    covering_pass,
     diagnosis_pass,
     energy_pass,
     first_pass,
@@ -190,11 +189,19 @@ class OverDrives:
         B_w,j."""
         project, estimator = self.reader.project, self.reader.estimator
         size = np.column_stack([w.magnitude(estimator.omega) for w in W_delta])
-        parts = self.over("bounds", partial(remainder_pass, self.reader, size), setting)
-        B_w = fold(self._deciders("B_w", project.n_y, setting, parts))["B_w"]
-        if project.bounds.disturbance_set == "covering" and project.n_y > 1:
-            task = partial(covering_pass, self.reader, size, B_w)
-            B_w = B_w * np.fmax(1.0, fold(self.over("bounds", task, setting))["scale"])[:, None]
+        joint = project.bounds.disturbance_set == "covering" and project.n_y > 1
+        fronts = [np.zeros((0, project.n_y))] * estimator.n_bins
+
+        def parts() -> Iterator[Part]:
+            task = partial(remainder_pass, self.reader, size, joint)
+            for part, of_drive in self.over("bounds", task, setting):
+                for k, new in enumerate(of_drive):
+                    fronts[k] = undominated(np.concatenate([fronts[k], new]))
+                yield part
+
+        B_w = fold(self._deciders("B_w", project.n_y, setting, parts()))["B_w"]
+        if joint:
+            B_w = B_w * np.fmax(1.0, covering(fronts, B_w))[:, None]
         resolution = Resolution.of(project, self._seen)
         floor = resolution.floor(estimator)
         return Bounds(

@@ -23,7 +23,6 @@ from .bounds import (
     counted_frames,
     fold,
     nominal_error,
-    reduce_covering,
     reduce_disturbance,
     reduce_remainder,
     reduce_uncertainty,
@@ -200,21 +199,17 @@ def uncertainty_pass(
     )
 
 
-def remainder_pass(reader: DriveReader, W_delta: np.ndarray, experiment: Experiment) -> Part:
-    """Step 6: |w_j| of the drive that no |delta| <= W_delta (K, n_delta) explains."""
+def remainder_pass(
+    reader: DriveReader, W_delta: np.ndarray, joint: bool, experiment: Experiment
+) -> tuple[Part, list[np.ndarray]]:
+    """Step 6: |w_j| of the drive that no |delta| <= W_delta (K, n_delta) explains, as `reduce_remainder`."""
     return reduce_remainder(
         reader.frames(experiment),
         reader.estimator,
         W_delta,
         reader.project.n_y,
         reader.project.bounds.structure,
-    )
-
-
-def covering_pass(reader: DriveReader, W_delta: np.ndarray, B_w: np.ndarray, experiment: Experiment) -> Part:
-    """The factor on B_w (K, n_y) with which the drive's disturbances lie in a covering set."""
-    return reduce_covering(
-        reader.frames(experiment), reader.estimator, W_delta, B_w, reader.project.bounds.structure
+        joint,
     )
 
 
@@ -306,11 +301,13 @@ def _first_samples(reader: DriveReader, name: str, samples: int, cuts: int) -> l
 
 def energy_pass(reader: DriveReader, test: EnergyTest, cuts: int, experiment: Experiment) -> Part:
     """What a drive asks of sigma: whole, from rest; with its first samples cut, from what Delta may
-    remember."""
+    remember. With ``cuts`` it is whole only where there are directions of several outputs: sigma covers a
+    single output's."""
     drive, e, yhat = reader.read(experiment)
 
     def parts() -> Iterator[Part]:
-        yield test.at_rest().needs(e, yhat, drive.v)
+        if not cuts or not test.single:
+            yield test.at_rest().needs(e, yhat, drive.v)
         for cut in _first_samples(reader, experiment.name, len(drive.t), cuts)[1:]:
             rest = drive.from_sample(cut)
             yield test.needs(*nominal_error(rest, reader.model), rest.v)

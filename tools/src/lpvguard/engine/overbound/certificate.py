@@ -21,6 +21,7 @@ import math
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from fractions import Fraction
+from functools import cache
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -127,29 +128,30 @@ def squared(coefficients: np.ndarray, unit: float) -> np.ndarray:
     return np.array([float(v) for v in square])
 
 
-def _bernstein(
-    polynomial: np.ndarray, lo: np.ndarray, hi: np.ndarray, degree: int
-) -> tuple[np.ndarray, np.ndarray]:
-    """Bernstein coefficients (M, degree+1) on [lo, hi] (M,) and the same of sum |c_i| y^i.
+@cache
+def _blossom(degree: int) -> tuple[np.ndarray, ...]:
+    """Of each power i the share (degree + 1, i + 1) that hi^j lo^(i - j) has in Bernstein coefficient k."""
+    return tuple(
+        np.array(
+            [
+                [math.comb(k, j) * math.comb(degree - k, i - j) / math.comb(degree, i) for j in range(i + 1)]
+                for k in range(degree + 1)
+            ]
+        )
+        for i in range(degree + 1)
+    )
+
+
+def _bernstein(lo: np.ndarray, hi: np.ndarray, degree: int) -> np.ndarray:
+    """Bernstein coefficients (degree + 1, M, degree + 1) on [lo, hi] (M,) of every power of y.
 
     By the blossom: coefficient k of y^i is the mean of all products of i out of (degree-k) lo's and k hi's;
     for 0 <= lo <= hi nothing cancels within a monomial.
     """
-    out = np.zeros((2, lo.size, degree + 1))
-    powers = [(lo**j, hi**j) for j in range(len(polynomial))]
-    for i, c in enumerate(polynomial):
-        for k in range(degree + 1):
-            mean = sum(
-                math.comb(k, j)
-                * math.comb(degree - k, i - j)
-                / math.comb(degree, i)
-                * powers[j][1]
-                * powers[i - j][0]
-                for j in range(max(0, i + k - degree), min(i, k) + 1)
-            )
-            out[0, :, k] += c * mean
-            out[1, :, k] += abs(c) * mean
-    return out[0], out[1]
+    of_lo, of_hi = (x[:, None] ** np.arange(degree + 1) for x in (lo, hi))
+    return np.stack(
+        [(of_hi[:, : i + 1] * of_lo[:, i::-1]) @ share.T for i, share in enumerate(_blossom(degree))]
+    )
 
 
 _Shapes = tuple[np.ndarray, np.ndarray, np.ndarray]
@@ -256,8 +258,8 @@ def _nonnegative(
         factor * np.where(concave, tangent[1], at_hi),
     )
     n = len(p) - 1
-    p_c, p_abs = _bernstein(p, lo, hi, n)
-    q_c, q_abs = _bernstein(q, lo, hi, n)
+    basis = _bernstein(lo, hi, n)
+    p_c, p_abs, q_c, q_abs = (np.tensordot(c, basis, 1) for c in (p, np.abs(p), q, np.abs(q)))
     proved = np.ones(lo.size, dtype=bool)
     for k in range(n + 2):  # coefficient k of p and of (line q), both raised to degree n + 1
         value = np.zeros(lo.size)

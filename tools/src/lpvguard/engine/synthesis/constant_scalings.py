@@ -14,7 +14,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 from lpvguard.engine.synthesis.norms import hinf_norm
-from lpvguard.engine.synthesis.statespace import StateSpace
+from lpvguard.engine.synthesis.statespace import EPS, StateSpace
 
 GRID = 160
 """Frequencies on which constants are searched."""
@@ -91,7 +91,12 @@ class ConstantScalings:
         clipped = np.clip(log_constants, -FARTHEST, FARTHEST)
         left, right = self._factors(sizes, rest, clipped)
         N = left[:, None] * self._grid * right
-        values, U = np.linalg.eigh(N @ np.conj(np.swapaxes(N, 1, 2)))
+        gram = N @ np.conj(np.swapaxes(N, 1, 2))
+        # What is below the largest by so much has no part in the mean; sigma^2 is at most the trace.
+        diagonal = np.diagonal(gram, axis1=1, axis2=2).real
+        counts = diagonal.sum(axis=1) >= diagonal.max() * EPS ** (2 / power)
+        N, frequencies = N[counts], len(N)
+        values, U = np.linalg.eigh(gram[counts])
         log_sigma, u = 0.5 * np.log(np.maximum(values[:, -1], 1e-300)), U[:, :, -1]
         v = np.einsum("kij,ki->kj", N, u.conj()) / np.exp(log_sigma)[:, None]
         top = log_sigma.max()
@@ -103,7 +108,9 @@ class ConstantScalings:
             ][self.fixed :]
         )
         slope = slopes @ weight / weight.sum()
-        return float(top + np.log(weight.mean()) / power), np.where(clipped == log_constants, slope, 0.0)
+        return float(top + np.log(weight.sum() / frequencies) / power), np.where(
+            clipped == log_constants, slope, 0.0
+        )
 
     def _largest(self, sizes: np.ndarray, rest: float, log_constants: np.ndarray) -> float:
         left, right = self._factors(sizes, rest, log_constants)

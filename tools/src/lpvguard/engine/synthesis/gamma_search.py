@@ -8,6 +8,7 @@ the Parrott bound at the frequency where rank is lost; that bound is kept separa
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import cached_property
 from typing import TypeGuard
 
 import numpy as np
@@ -43,6 +44,7 @@ class GammaProblem:
         self.control, self.filter = reduced_side(P), reduced_side(P.dual)
         n = P.A.shape[0]
         self.notes: list[str] = []
+        self._couplings: dict[float, float | None] = {}  # searches ask for one level again
         self.rank_lost = False
         for side, Q, name, signal in (
             (self.control, P, "D12", "controls without direct cost"),
@@ -79,15 +81,22 @@ class GammaProblem:
     def certain(self) -> float:
         """A level that no controller goes below, whatever the Riccati equations say: single frequencies,
         direct terms."""
-        return max(self.floor, self.control.frequency_bound(), self.filter.frequency_bound())
+        return max(self.floor, self._lowest)
+
+    @cached_property
+    def _lowest(self) -> float:
+        """The bound of single frequencies, before any level is asked about."""
+        return max(side.frequency_bound() for side in (self.control, self.filter))
 
     def coupling(self, gamma: float) -> float | None:
         """γ²/ρ(XY), above 1 exactly when γ is reached; negative past a blow-up of X or Y; None without
         solution.
         """
-        X = self.control.solve(gamma)
-        Y = self.filter.solve(gamma) if X is not None else None
-        return None if X is None or Y is None else coupling_margin(X, Y, gamma)
+        if gamma not in self._couplings:
+            X = self.control.solve(gamma)
+            Y = self.filter.solve(gamma) if X is not None else None
+            self._couplings[gamma] = None if X is None or Y is None else coupling_margin(X, Y, gamma)
+        return self._couplings[gamma]
 
     def reached(self, gamma: float) -> bool:
         """Whether some stabilising controller reaches ``gamma``."""
@@ -159,7 +168,7 @@ class GammaProblem:
         where the bound may be larger (as in Bruinsma & Steinbuch 1990).
         """
         sides = self.control, self.filter
-        bound, level, value = max(side.frequency_bound() for side in sides), self.floor, None
+        bound, level, value = self._lowest, self.floor, None
         if self.axis or bound * (1 - LIMIT_RTOL) <= level:  # near the floor rounding hides what is reached
             return level, None
         for _ in range(20):

@@ -39,6 +39,8 @@ from lpvguard.engine.synthesis.statespace import (
 
 MAX_WORK = 1000
 """Controllers tried times states: bounds the time of a problem whose optimum is out of reach."""
+LEVEL_RTOL = 1e-4
+"""To which the optimum below a given level is found."""
 
 Coordinates = Callable[[StateSpace], tuple[StateSpace, np.ndarray]]
 """A system in other coordinates of its state, and their basis (n, n)."""
@@ -77,6 +79,7 @@ def hinf_synthesis(
     backoff: float = 0.008,
     rtol: float = GAMMA_RTOL,
     guess: float | None = None,
+    level: float | None = None,
 ) -> HinfResult:
     """Controller u = K y with ‖F_l(P, K)‖∞ ≤ (1 + backoff) γ_opt, certified; u the last inputs, y the last
     outputs.
@@ -84,13 +87,18 @@ def hinf_synthesis(
     Exists when (A, B2) is stabilisable and (A, C2) detectable; SynthesisError says which is not and what to
     change. Singular problems are regularised and the result says so. ``backoff`` keeps the controller's poles
     slow: at the optimum itself they run off to infinity. ``rtol``: width of the bracket of γ_opt; ``guess``:
-    a level near it, which only saves time.
+    a level near it, which only saves time. ``level``, above γ_opt, stands in the place of both: what the
+    controller may reach.
     """
     best: HinfResult | None = None
     failures: list[SynthesisError | np.linalg.LinAlgError] = []
     for coordinates in (schur_coordinates, modal_coordinates):
         try:
-            result = _synthesis(_posed(plant, n_control, n_measurement, coordinates), backoff, rtol, guess)
+            posed = _posed(plant, n_control, n_measurement, coordinates)
+            if level is not None:
+                guess = posed.problem.optimum(LEVEL_RTOL)
+                backoff = max(level / guess - 1, LEVEL_RTOL)
+            result = _synthesis(posed, backoff, rtol, guess)
         except (SynthesisError, np.linalg.LinAlgError) as exc:
             failures.append(exc)
             continue
@@ -107,10 +115,13 @@ def hinf_synthesis(
 
 
 def improved_level(
-    plant: StateSpace, n_control: int, n_measurement: int, level: float, rtol: float
+    plant: StateSpace, n_control: int, n_measurement: int, level: float, rtol: float, least: float = 0.0
 ) -> float | None:
-    """γ_opt to ``rtol`` when it lies below ``level``, else None: decided by one pair of Riccati equations."""
+    """γ_opt to ``rtol`` when it lies below ``level``, else None: decided by one pair of Riccati equations.
+    ``least``: below it the optimum does not matter, and it is what is returned."""
     problem = _posed(plant, n_control, n_measurement, schur_coordinates).problem
+    if least > 0 and problem.reached(least):
+        return least
     return problem.optimum(rtol, level) if problem.reached(level) else None
 
 

@@ -231,6 +231,8 @@ def _singular(G: StateSpace, point: PointBound, level: float) -> np.ndarray:
     u = np.linalg.solve(infinity, np.hstack([(D.T @ D_left + jG) @ C, B.T]))
     free = np.block([[A, np.zeros((n, n))], [-C.T @ D_left @ C, -A.T]])
     hamiltonian = free + np.vstack([B, -C.T @ q_u]) @ u
+    if not hamiltonian.imag.any():  # as without G, and with D of full blocks: at a quarter of the cost
+        hamiltonian = hamiltonian.real
     values = np.linalg.eigvals(hamiltonian)
     axis = np.abs(values.real) <= NEAR * np.abs(values) + 1e2 * EPS * np.linalg.norm(A, 2)
     return np.unique(values.imag[axis & (values.imag >= 0)])

@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy.linalg as sl
 
 from lpvguard.engine.synthesis.statespace import EPS, StateSpace, balanced, to_continuous
 
@@ -89,13 +90,27 @@ def _sizes(H: StateSpace, omega: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """
     response = np.broadcast_to(H.D.astype(complex), (len(omega), *H.D.shape)).copy()
     moved, finite = np.zeros(len(omega)), np.isfinite(omega)
-    pencil = 1j * omega[finite, None, None] * np.eye(H.order) - H.A
-    right = np.linalg.solve(pencil, np.broadcast_to(H.B, (len(pencil), *H.B.shape)))
-    left = np.linalg.solve(pencil.swapaxes(1, 2), np.broadcast_to(H.C.T, (len(pencil), *H.C.T.shape)))
+    left, right = _both_sides(H, omega[finite])
     response[finite] += H.C @ right
     entries = np.abs(left).swapaxes(1, 2) @ np.abs(H.A) @ np.abs(right)
     moved[finite] = 8 * EPS * np.linalg.norm(entries, axis=(1, 2))
     return np.linalg.norm(response, 2, axis=(1, 2)), moved
+
+
+def _both_sides(H: StateSpace, omega: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(jω − A)⁻ᵀ Cᵀ (k, n, p) and (jω − A)⁻¹ B (k, n, m) at each of ``omega`` (k,), by one factorisation."""
+    left = np.empty((len(omega), *H.C.T.shape), complex)
+    right = np.empty((len(omega), *H.B.shape), complex)
+    factor, solve = sl.get_lapack_funcs(("getrf", "getrs"), (right,))
+    minus_A, B, C_T = np.asfortranarray(-H.A, complex), H.B.astype(complex), H.C.T.astype(complex)
+    for k, w in enumerate(omega if H.order else ()):
+        pencil = minus_A.copy(order="F")
+        pencil.ravel(order="K")[:: H.order + 1] += 1j * w
+        lu, pivots, singular = factor(pencil, overwrite_a=True)
+        if singular:
+            raise np.linalg.LinAlgError("a pole on the imaginary axis")
+        right[k], left[k] = solve(lu, pivots, B)[0], solve(lu, pivots, C_T, trans=1)[0]
+    return left, right
 
 
 def _crossings(H: StateSpace, level: float) -> np.ndarray:

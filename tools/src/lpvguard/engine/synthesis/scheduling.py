@@ -66,12 +66,18 @@ def common_scaling(plants: Sequence[GeneralisedPlant], start: Scaling) -> tuple[
     that optimum."""
 
     def worst_below(limit: float, scaling: Scaling) -> float | None:
-        """The largest optimum when all lie below ``limit``, else None; the last offender is asked first."""
+        """The largest optimum when all lie below ``limit``, else None; the last offender is asked first. One
+        that reaches the largest so far is no larger."""
         largest = 0.0
         for k in list(order):
             plant = plants[k]
             value = improved_level(
-                scaled_plant(plant, scaling), plant.n_control, plant.n_measurement, limit, OPTIMUM_RTOL
+                scaled_plant(plant, scaling),
+                plant.n_control,
+                plant.n_measurement,
+                limit,
+                OPTIMUM_RTOL,
+                largest,
             )
             if value is None:
                 order.remove(k)
@@ -117,8 +123,7 @@ def common_family(
     reach, seen = np.zeros((n, n)), np.zeros((n, n))
     for plant, G in zip(plants, scaled, strict=False):
         shape = plant.n_control, plant.n_measurement
-        optimum = optimal_level(G, *shape, OPTIMUM_RTOL)
-        found = hinf_synthesis(G, *shape, backoff=max(level / optimum - 1, OPTIMUM_RTOL), guess=optimum)
+        found = hinf_synthesis(G, *shape, level=level)
         K = found.controller.transformed(np.linalg.inv(found.basis))
         loop = lft(G, K)
         reach = reach + sl.solve_continuous_lyapunov(loop.A, -loop.B @ loop.B.T)[n:, n:]
