@@ -5,8 +5,8 @@ The first table: loops drawn within what each certificate allows, each with the 
 (bench/_trials.py). Of every proof it shows the worst found over what is proved. None may be above 1. The
 second: the least |dv/dt| at which a search finds a gain above 1, or growth, with an admissible Delta
 (control/violations.py), beside the proved rate. A row that is not found proves nothing. Between them stands
-the largest mu at a frozen speed over the optimum there: the price of a controller that is scheduled, or
-synthesised for other objectives.
+the largest mu at a frozen speed beside the largest optimum of controllers for one speed: the price of a
+controller that is scheduled, or synthesised for other objectives.
 """
 
 from __future__ import annotations
@@ -46,12 +46,13 @@ class ClaimRow:
 
 @dataclass(frozen=True)
 class FrozenMu:
-    """The largest proved ``mu`` at a frozen speed, at ``v_mps``, and the ``optimum`` of a controller for that
-    speed alone."""
+    """The largest proved ``mu`` at a frozen speed, at ``v_mps``, and the largest ``optimum`` of controllers
+    for one speed alone, at ``optimum_v_mps``."""
 
     mu: float
     v_mps: float
     optimum: float
+    optimum_v_mps: float
 
 
 @dataclass(frozen=True)
@@ -118,9 +119,9 @@ def _row(name: str, rate: float | None, found: list[Trial]) -> ClaimRow:
 
 
 def frozen_mu(stored: identify.StoredIdentification, certificates: dict) -> FrozenMu:
-    """The largest mu of ``certificates`` over frozen speeds, beside the optimum at that speed."""
+    """The largest mu of ``certificates`` over frozen speeds, beside the largest optimum."""
     worst = max((*certificates["speeds"], certificates["off_grid"]), key=lambda row: row["mu_upper"])
-    return FrozenMu(worst["mu_upper"], worst["v_mps"], frozen_optimum(stored, worst["v_mps"]))
+    return FrozenMu(worst["mu_upper"], worst["v_mps"], *frozen_optimum(stored))
 
 
 def rate_rows(trials: Trials) -> list[RateRow]:
@@ -160,8 +161,9 @@ def lines(claims: list[ClaimRow], frozen: FrozenMu, rates: list[RateRow]) -> Ite
     if far:
         yield f"further than {1 - NEAR:.0%} from the bound: {'; '.join(far)}"
     yield (
-        f"frozen speed: mu at most {frozen.mu:.4f}, at {frozen.v_mps:.4g} m/s; optimum there "
-        f"{frozen.optimum:.4f}, mu is {frozen.mu / frozen.optimum - 1:.1%} above it"
+        f"frozen speed: mu at most {frozen.mu:.4f}, at {frozen.v_mps:.4g} m/s; of controllers for one speed "
+        f"at most {frozen.optimum:.4f}, at {frozen.optimum_v_mps:.4g} m/s: "
+        f"mu is {frozen.mu / frozen.optimum - 1:.1%} above it"
     )
     if rates:
         yield ""

@@ -117,13 +117,19 @@ def design(
     )
 
 
-def frozen_optimum(stored: StoredIdentification, v: float) -> float:
-    """The least bound of mu that D-K iteration finds at one frozen speed v [m/s], for A_t and A_u as they are
-    certified and whatever the controller was synthesised for: under one D and without common poles."""
-    settings = design_settings(stored)
+def frozen_optimum(stored: StoredIdentification) -> tuple[float, float]:
+    """The largest optimum over single frozen speeds, and that speed [m/s]: the least bound of mu that D-K
+    iteration finds for one speed alone, at some nodes, for A_t and A_u as they are certified, whatever the
+    controller was synthesised for."""
+    settings, model = design_settings(stored), NominalModel(stored.project)
     weights = fig1_weights(stored, settings)
-    plant = plant_at(stored, NominalModel(stored.project), weights, v, True, settings.structure)
-    return common_scaling([plant], dk_synthesis(plant).performance.scaling)[1]
+    speeds = np.linspace(*model.speed_range, settings.nodes)
+
+    def optimum(v: float) -> float:
+        plant = plant_at(stored, model, weights, v, True, settings.structure)
+        return common_scaling([plant], dk_synthesis(plant).performance.scaling)[1]
+
+    return max((optimum(float(v)), float(v)) for v in speeds[evenly(len(speeds), SCALING_SPEEDS)])
 
 
 def crossover(schedule: Scheduled, model: NominalModel) -> float:
