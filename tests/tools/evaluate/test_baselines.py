@@ -306,6 +306,31 @@ def test_a_duel_counts_rows_and_names_where_the_monitor_is_behind():
     assert words["missed for an alarm of its own, both"] == "3 and 6" and words["behind on"] == "c; e"
 
 
+def test_a_duel_of_all_ways_has_one_row_a_fault_and_the_times_of_all_starts():
+    def rows(**times: list[float | None]) -> list[dict]:
+        """A fault in every way, with the times of its starts."""
+        return [
+            {
+                "way": way,
+                "fault": "a",
+                "found": sum(s is not None for s in of),
+                "counted": len(of),
+                "median_s": median_time(of),
+                "cases": [{"s": s, "untouched_s": None} for s in of],
+            }
+            for way, of in times.items()
+        ]
+
+    ours, other = rows(step=[1.0, 2.0], start=[9.0]), rows(step=[1.5, 1.5], start=[None])
+    *ways, together = duels(ours, [{"kind": "rms", "faults": other}])
+    assert [d["way"] for d in ways] == ["step", "start"] and together["way"] == "all"
+    assert [d["rows"][0]["leads"] for d in ways] == ["tie", "monitor"]
+    (row,) = together["rows"]
+    assert (row["found"], row["counted"], row["median_s"]) == ([3, 2], 3, [2.0, 1.5])
+    assert row["leads"] == "monitor" and together["found"] == [3, 2] and together["counted"] == 3
+    assert duel_rows({"duels": [together]})[0][0] == "all ways"
+
+
 def test_ranking_is_by_share_then_time_and_names_all_that_tie():
     def row(found, counted, median):
         return {"found": found, "counted": counted, "median_s": median}

@@ -136,7 +136,7 @@ def test_held_out_drives_are_judged_with_the_thresholds_as_stored(
                 c["refutable_s"] is not None and c["s"] is not None for c in cases
             )
     assert {(d["way"], d["kind"]) for d in table["duels"]} == {
-        (way, b.kind) for way in ("step", "ramp", "start") for b in few_baselines
+        (way, b.kind) for way in ("step", "ramp", "start", "all") for b in few_baselines
     }
     print_evaluation(table)
     shown = capsys.readouterr()

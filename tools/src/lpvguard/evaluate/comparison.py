@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from ..base.rates import hourly_words, share_words
-from .detection import WAY_WORDS, ranking
+from .detection import WAY_WORDS, median_time, ranking
 from .false_alarms import PIECE_S
 
 MONITOR = "monitor"
@@ -19,6 +19,8 @@ LEFT_ONE_OUT, HELD_OUT = "left_one_out", "held_out"
 """Which drives are judged: those of the identification, each without itself, or drives that it never saw."""
 CALIBRATED = {LEFT_ONE_OUT: "each drive without itself", HELD_OUT: "drives that it never saw"}
 """What the thresholds judge, in words."""
+TOGETHER = "all"
+"""In the place of a way: the starts of all ways, one row a fault."""
 EXPORTED = "exported"
 """Both tests, each at its own threshold, as `lpvguard export` writes them."""
 COUNTS_ONLY = "counts only"
@@ -161,8 +163,8 @@ def refutable_rows(detectors: list[DetectorColumn]) -> list[list[str]]:
 
 
 def duels(monitor: list[dict], baselines: list[dict]) -> list[dict]:
-    """The monitor beside each baseline alone, way by way: per row who leads (`ranking`), and over the rows of
-    a way how often.
+    """The monitor beside each baseline alone, way by way, and where there are several all ways together: per
+    row who leads (`ranking`), and over the rows of a way how often.
 
     ``monitor``: rows of fault_rows; ``baselines``: objects of the JSON. ``leads``: "monitor", the kind,
     "tie", or "nobody", where neither found one. ``as_often``: rows on which the monitor found as many or
@@ -171,10 +173,31 @@ def duels(monitor: list[dict], baselines: list[dict]) -> list[dict]:
     alarm in the time allowed. Such a miss says where a false alarm fell, not what a detector can see.
     ``behind``: faults on which it found fewer, or found as many and later.
     """
+    ways = list(dict.fromkeys(m["way"] for m in monitor))
+    found = []
+    for b in baselines:
+        pairs = list(zip(monitor, b["faults"], strict=True))
+        found += [_duel(way, b["kind"], [(m, o) for m, o in pairs if m["way"] == way]) for way in ways]
+        if len(ways) > 1:
+            both = [_together([side[k] for side in pairs]) for k in (0, 1)]
+            found.append(_duel(TOGETHER, b["kind"], list(zip(*both, strict=True))))
+    return found
+
+
+def _together(rows: list[dict]) -> list[dict]:
+    """One row a fault, of the starts of all its ways."""
+    faults: dict[str, list[dict]] = {}
+    for row in rows:
+        faults.setdefault(row["fault"], []).append(row)
     return [
-        _duel(way, b["kind"], [(m, o) for m, o in zip(monitor, b["faults"], strict=True) if m["way"] == way])
-        for b in baselines
-        for way in dict.fromkeys(m["way"] for m in monitor)
+        {
+            "fault": fault,
+            "found": sum(row["found"] for row in same),
+            "counted": sum(row["counted"] for row in same),
+            "median_s": median_time([case["s"] for row in same for case in row["cases"]]),
+            "cases": [case for row in same for case in row["cases"]],
+        }
+        for fault, same in faults.items()
     ]
 
 
@@ -242,7 +265,7 @@ def duel_rows(evaluation: dict) -> list[list[str]]:
         ties = leads.count("tie")
         rows.append(
             [
-                WAY_WORDS[duel["way"]],
+                "all ways" if duel["way"] == TOGETHER else WAY_WORDS[duel["way"]],
                 duel["kind"],
                 *(f"{n} of {duel['counted']}" for n in duel["found"]),
                 " and ".join(map(str, duel["precluded"])),
