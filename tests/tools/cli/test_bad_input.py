@@ -261,9 +261,11 @@ def test_a_vehicle_of_another_estimator_does_not_run_with_these_coefficients(lpv
     [
         ("--case", "case.toml", "--largest-A-t"),
         ("--case", "case.toml", "--no-table"),
+        ("--case", "case.toml", "--no-moving-speed"),
         ("--case", "case.toml", "--tradeoff"),
         ("--vehicle", "truck", "identify", "--tradeoff", "--largest-A-t"),
         ("--vehicle", "truck", "identify", "--tradeoff", "--no-table"),
+        ("--vehicle", "truck", "identify", "--tradeoff", "--no-moving-speed"),
     ],
 )
 def test_design_refuses_options_that_it_would_ignore(words, lpvguard, tmp_path):

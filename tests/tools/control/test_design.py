@@ -211,6 +211,22 @@ def test_a_faster_rate_in_controller_json_is_refused(finer, moving, tmp_path):
             stage.verify(tmp_path / "controller.json", finer)
 
 
+@pytest.mark.parametrize("asked", [True, False])
+def test_the_command_searches_at_a_moving_speed_unless_told_not_to(finer, asked, monkeypatch, tmp_path):
+    from lpvguard.cli import design as command
+
+    given = []
+
+    def told(stored, progress, moving_speed):
+        given.append(moving_speed)
+        raise InputError("design", "x", "stopped here", "no more")
+
+    monkeypatch.setattr(stage, "design", told)
+    with pytest.raises(InputError, match="stopped here"):
+        command._design_vehicle(finer, None, False, False, asked, tmp_path / "out", None)
+    assert given == [asked]
+
+
 @pytest.mark.slow("30 s: two designs for frozen speeds")
 def test_synthesis_for_other_objectives_changes_the_controller_and_not_what_is_certified(stored):
     """The controller is that of the A_t and A_u that are synthesised for; its mu is of A_t and A_u

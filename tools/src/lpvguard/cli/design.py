@@ -82,6 +82,12 @@ def design(
     table: Annotated[
         bool, typer.Option(help="Table II, Figs. 5 and 6 beside the controller, where there is one Delta.")
     ] = True,
+    moving_speed: Annotated[
+        bool,
+        typer.Option(
+            help="Search for proofs while the speed moves, which takes longest. Without, none is claimed."
+        ),
+    ] = True,
     json_out: JsonOut = None,
 ) -> None:
     """Synthesise the scheduled controller, certify it as the core runs it, and compare structures (paper,
@@ -93,24 +99,27 @@ def design(
     by any trade-off."""
     if case is not None:
         vehicles = identification is not None or vehicle is not None or drives is not None
-        if vehicles or tradeoff or largest_A_t or not table:
+        if vehicles or tradeoff or largest_A_t or not (table and moving_speed):
             raise InputError(
                 "design",
                 "--case",
-                "given with a vehicle, drives, --tradeoff, --largest-A-t or --no-table",
+                "given with a vehicle, drives, --tradeoff, --largest-A-t, --no-table or --no-moving-speed",
                 "a case file alone",
             )
         raise typer.Exit(_design_case(case, out, json_out))
-    if tradeoff and (largest_A_t or not table):
+    if tradeoff and (largest_A_t or not (table and moving_speed)):
         raise InputError(
-            "design", "--tradeoff", "given with --largest-A-t or --no-table", "neither: nothing is designed"
+            "design",
+            "--tradeoff",
+            "given with --largest-A-t, --no-table or --no-moving-speed",
+            "none of them: nothing is designed",
         )
     if identification is None or vehicle is None:
         raise InputError("design", "--vehicle, IDENTIFICATION", "missing", "both, or --case")
     stored, drive_set = _read(identification, vehicle, drives)
     if tradeoff:
         raise typer.Exit(_design_tradeoff(stored, drive_set, out, json_out))
-    raise typer.Exit(_design_vehicle(stored, drive_set, table, largest_A_t, out, json_out))
+    raise typer.Exit(_design_vehicle(stored, drive_set, table, largest_A_t, moving_speed, out, json_out))
 
 
 def _read(
@@ -126,11 +135,12 @@ def _design_vehicle(
     drive_set: DriveSet | None,
     table: bool,
     largest_A_t: bool,
+    moving_speed: bool,
     out: Path,
     json_out: str | None,
 ) -> int:
-    """Design and certify a vehicle's controller, with Table II and the figures where ``table``. Returns the
-    exit status: 1 when mu is not certified below 1."""
+    """Design and certify a vehicle's controller, with Table II and the figures where ``table``, for frozen
+    speeds alone without ``moving_speed``. Returns the exit status: 1 when mu is not certified below 1."""
     from ..control import design as stage
     from ..control.plants import design_settings
     from ..identify.premise import premise
@@ -141,7 +151,7 @@ def _design_vehicle(
     with progress_bar("design") as tell:
         weights = (*SHARES[:1], SHARES[1] if with_table else 0, SHARES[2] if largest_A_t else 0)
         designing, comparing, searching = parts(tell, *weights)
-        result = stage.design(stored, designing)
+        result = stage.design(stored, designing, moving_speed)
         if with_table:
             cells, more = _table_and_figures(stored, drive_set, comparing)
         largest = stage.largest_A_t(stored, searching) if largest_A_t else None
@@ -164,7 +174,10 @@ def _design_vehicle(
     print_premise(premise(stored))
     if largest_A_t:
         print_largest_A_t(largest)
-    print_moving_speed(result)
+    if moving_speed:
+        print_moving_speed(result)
+    else:
+        console.print("moving speed: not asked for, nothing is claimed")
     print_robustness(result)
     print_slow_delta(result)
     print_limits(result)
