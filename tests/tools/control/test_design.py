@@ -66,7 +66,7 @@ def moving(finer, tmp_path_factory):
 
 def with_settings(stored, **changes):
     """The same identification with other objectives, which are synthesised for unless others are given."""
-    own = {"synthesised_for": None} if "A_t" in changes else {}
+    own = {"synthesised_for": None, "A_u": 1e-6} if "A_t" in changes else {}
     settings = stored.project.design.model_copy(update=own | changes)
     return replace(stored, project=stored.project.model_copy(update={"design": settings}))
 

@@ -36,7 +36,9 @@ from lpvguard.vehicle.nominal import NominalModel
 def stored(few_truck_identified):
     """The truck identified on few drives, with few nodes and an objective that leaves room below 1."""
     one = identification.load(few_truck_identified)
-    settings = one.project.design.model_copy(update={"nodes": 3, "A_t": 40.0, "synthesised_for": None})
+    settings = one.project.design.model_copy(
+        update={"nodes": 3, "A_t": 40.0, "A_u": 1e-6, "synthesised_for": None}
+    )
     return replace(one, project=one.project.model_copy(update={"design": settings}))
 
 

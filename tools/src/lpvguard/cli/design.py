@@ -97,29 +97,26 @@ def design(
 
     Exit 1 when robust performance (mu below 1) is not certified: at a speed, in a row of the case's table, or
     by any trade-off."""
+    only_designed = largest_A_t or not (table and moving_speed)
     if case is not None:
         vehicles = identification is not None or vehicle is not None or drives is not None
-        if vehicles or tradeoff or largest_A_t or not (table and moving_speed):
-            raise InputError(
-                "design",
-                "--case",
-                "given with a vehicle, drives, --tradeoff, --largest-A-t, --no-table or --no-moving-speed",
-                "a case file alone",
-            )
+        _refuse("--case", vehicles or tradeoff or only_designed, "a vehicle, drives, --tradeoff, ")
         raise typer.Exit(_design_case(case, out, json_out))
-    if tradeoff and (largest_A_t or not (table and moving_speed)):
-        raise InputError(
-            "design",
-            "--tradeoff",
-            "given with --largest-A-t, --no-table or --no-moving-speed",
-            "none of them: nothing is designed",
-        )
+    if tradeoff:
+        _refuse("--tradeoff", only_designed)
     if identification is None or vehicle is None:
         raise InputError("design", "--vehicle, IDENTIFICATION", "missing", "both, or --case")
     stored, drive_set = _read(identification, vehicle, drives)
     if tradeoff:
         raise typer.Exit(_design_tradeoff(stored, drive_set, out, json_out))
     raise typer.Exit(_design_vehicle(stored, drive_set, table, largest_A_t, moving_speed, out, json_out))
+
+
+def _refuse(option: str, given: bool, more: str = "") -> None:
+    """InputError where ``option`` is ``given`` with options that it would ignore."""
+    if given:
+        ignored = f"given with {more}--largest-A-t, --no-table or --no-moving-speed"
+        raise InputError("design", option, ignored, "none of them, which it would ignore")
 
 
 def _read(

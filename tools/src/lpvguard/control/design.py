@@ -118,9 +118,10 @@ def design(
 
 
 def frozen_optimum(stored: StoredIdentification) -> tuple[float, float]:
-    """The largest optimum over single frozen speeds, and that speed [m/s]: the least bound of mu that D-K
-    iteration finds for one speed alone, at some nodes, for A_t and A_u as they are certified, whatever the
-    controller was synthesised for."""
+    """The largest optimum over single frozen speeds, and that speed [m/s].
+
+    An optimum is the least bound of mu that D-K iteration finds for one speed alone, at some of the nodes. It
+    is for A_t and A_u as they are certified, whatever the controller was synthesised for."""
     settings, model = design_settings(stored), NominalModel(stored.project)
     weights = fig1_weights(stored, settings)
     speeds = np.linspace(*model.speed_range, settings.nodes)

@@ -163,8 +163,8 @@ def refutable_rows(detectors: list[DetectorColumn]) -> list[list[str]]:
 
 
 def duels(monitor: list[dict], baselines: list[dict]) -> list[dict]:
-    """The monitor beside each baseline alone, way by way, and where there are several all ways together: per
-    row who leads (`ranking`), and over the rows of a way how often.
+    """The monitor beside each baseline alone, way by way. Where there are several, all ways together come
+    last. Said is who leads on a row (`ranking`), and how often over the rows of a way.
 
     ``monitor``: rows of fault_rows; ``baselines``: objects of the JSON. ``leads``: "monitor", the kind,
     "tie", or "nobody", where neither found one. ``as_often``: rows on which the monitor found as many or

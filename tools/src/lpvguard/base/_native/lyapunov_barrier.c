@@ -12,19 +12,18 @@
 #define MAX_STATES 256
 
 void lpvg_lyapunov_hessian(ptrdiff_t n, ptrdiff_t count, ptrdiff_t terms, const double* x, const double* y, const double* yt,
-                           const double* z, const double* t, const double* r, const double* rt, const double* moved,
-                           const double* next, double* h);
+                           const double* z, const double* t, const double* r, const double* rt, const double* moved, const double* next,
+                           double* h);
 
 /* out[l] += a_i[k] b_j[l] + a_j[k] b_i[l] + a_j[l] b_i[k] + a_i[l] b_j[k] for l = k .. k + run - 1. */
-static void add_pair(double* out, ptrdiff_t k, ptrdiff_t run, const double* ai, const double* aj, const double* bi,
-                     const double* bj) {
+static void add_pair(double* out, ptrdiff_t k, ptrdiff_t run, const double* ai, const double* aj, const double* bi, const double* bj) {
     const double aik = ai[k], ajk = aj[k], bik = bi[k], bjk = bj[k];
     for (ptrdiff_t l = 0; l < run; l++) out[l] += aik * bj[k + l] + ajk * bi[k + l] + aj[k + l] * bik + ai[k + l] * bjk;
 }
 
 void lpvg_lyapunov_hessian(ptrdiff_t n, ptrdiff_t count, ptrdiff_t terms, const double* x, const double* y, const double* yt,
-                           const double* z, const double* t, const double* r, const double* rt, const double* moved,
-                           const double* next, double* h) {
+                           const double* z, const double* t, const double* r, const double* rt, const double* moved, const double* next,
+                           double* h) {
     const ptrdiff_t size = n * (n + 1) / 2, width = terms * size;
     ptrdiff_t row = 0;
     for (ptrdiff_t i = 0; i < n; i++) {
