@@ -100,10 +100,11 @@ def design(
     only_designed = largest_A_t or not (table and moving_speed)
     if case is not None:
         vehicles = identification is not None or vehicle is not None or drives is not None
-        _refuse("--case", vehicles or tradeoff or only_designed, "a vehicle, drives, --tradeoff, ")
+        others = vehicles or tradeoff or only_designed
+        _refuse("--case", others, "a case file alone", "a vehicle, drives, --tradeoff, ")
         raise typer.Exit(_design_case(case, out, json_out))
     if tradeoff:
-        _refuse("--tradeoff", only_designed)
+        _refuse("--tradeoff", only_designed, "none of them: nothing is designed")
     if identification is None or vehicle is None:
         raise InputError("design", "--vehicle, IDENTIFICATION", "missing", "both, or --case")
     stored, drive_set = _read(identification, vehicle, drives)
@@ -112,11 +113,11 @@ def design(
     raise typer.Exit(_design_vehicle(stored, drive_set, table, largest_A_t, moving_speed, out, json_out))
 
 
-def _refuse(option: str, given: bool, more: str = "") -> None:
+def _refuse(option: str, given: bool, expected: str, more: str = "") -> None:
     """InputError where ``option`` is ``given`` with options that it would ignore."""
     if given:
         ignored = f"given with {more}--largest-A-t, --no-table or --no-moving-speed"
-        raise InputError("design", option, ignored, "none of them, which it would ignore")
+        raise InputError("design", option, ignored, expected)
 
 
 def _read(
