@@ -16,6 +16,7 @@ from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+from ..base.claims import worst_frozen
 from ..base.errors import InputError
 from ..control import designed
 from ..control.design import frozen_optimum
@@ -120,7 +121,7 @@ def _row(name: str, rate: float | None, found: list[Trial]) -> ClaimRow:
 
 def frozen_mu(stored: identify.StoredIdentification, certificates: dict) -> FrozenMu:
     """The largest mu of ``certificates`` over frozen speeds, beside the largest optimum."""
-    worst = max((*certificates["speeds"], certificates["off_grid"]), key=lambda row: row["mu_upper"])
+    worst = worst_frozen(certificates)
     return FrozenMu(worst["mu_upper"], worst["v_mps"], *frozen_optimum(stored))
 
 

@@ -7,6 +7,7 @@ from html import escape
 from pathlib import Path
 
 from ...base import artefacts
+from ...base.claims import worst_frozen
 from ...base.errors import InputError
 from ...engine.synthesis.margins import SHOWN, SKEWS, disk_gain_and_phase, shown
 from ..design_pictures import draw
@@ -41,7 +42,7 @@ def design_section(folder: Path) -> str:
         ],
         "tight",
     )
-    highest = max(r["mu_upper"] for r in [*controller["speeds"], controller["off_grid"]])
+    highest = worst_frozen(controller)["mu_upper"]
     text = f"""<h2>Controller and its certificates</h2>
 <p>{escape(controller["structure"])} scheduled over speed, {controller["order"]} states: \
 {escape(controller["claim"])}. Largest μ proved: {highest:.4f}.</p>

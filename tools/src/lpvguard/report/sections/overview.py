@@ -8,7 +8,7 @@ from html import escape
 from pathlib import Path
 
 from ...base import artefacts
-from ...base.claims import claim_words
+from ...base.claims import claim_words, worst_frozen
 from ...base.errors import InputError
 from ...drives.tables import EXPERIMENTS
 from ...evaluate.comparison import HELD_OUT
@@ -322,7 +322,7 @@ def _promise(stored: StoredIdentification, design: Path | None) -> str:
             f"about a closed loop. For any certificate: {held}</p></div>"
         )
     said_of = artefacts.read_json(design / "controller.json")["certificates"]
-    mu = max(r["mu_upper"] for r in [*said_of["speeds"], said_of["off_grid"]])
+    mu = worst_frozen(said_of)["mu_upper"]
     speeds = [r["v_mps"] for r in said_of["speeds"]]
     moving = ", ".join(
         claim_words(claim, said["level"], said["rate_mps2"])
