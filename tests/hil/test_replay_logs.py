@@ -73,11 +73,13 @@ def only(frames: Frames, keep: np.ndarray) -> Frames:
 def test_a_recorded_loop_replays_to_the_verdicts_that_its_ecu_gave(recorded, truck):
     run, log, judged = recorded
     replay = truck.replay_file(log)
-    assert changes(replay) == [(t, v) for t, v in run["verdicts"]] and replay.first_invalid_s is not None
+    # The demand comes with 1/2048 bar from the bus, the ECU's monitor had the unrounded one: a verdict may change a few steps away.
+    (at, verdicts), (at_ecu, verdicts_ecu) = zip(*changes(replay), strict=True), zip(*run["verdicts"], strict=True)
+    assert verdicts == verdicts_ecu and "invalid" in verdicts
+    assert np.allclose(at, at_ecu, rtol=0, atol=0.05)
     frames = replay.run.frames
     assert np.array_equal(frames.bin, judged["bin"]) and np.array_equal(frames.reason, judged["reason"])
     assert np.allclose(frames.t_end_s, judged["t_end_s"], atol=1e-9)
-    # The demand comes with 1/2048 bar from the bus, the ECU's monitor had the unrounded one.
     assert np.abs(frames.margin - judged["margin"]).max() < 1e-3
     assert replay.can["gaps"] == [{"from_s": 0.0, "to_s": WARM_S, "messages": ["VDC2", "EBC2", "GUARD_OUT"]}]
     assert all(set(kinds) == {"accepted", "recovering"} for kinds in replay.can["messages"].values())
