@@ -73,8 +73,12 @@ def only(frames: Frames, keep: np.ndarray) -> Frames:
 def test_a_recorded_loop_replays_to_the_verdicts_that_its_ecu_gave(recorded, truck):
     run, log, judged = recorded
     replay = truck.replay_file(log)
-    # The demand comes with 1/2048 bar from the bus, the ECU's monitor had the unrounded one: a verdict may change a few steps away.
-    (at, verdicts), (at_ecu, verdicts_ecu) = zip(*changes(replay), strict=True), zip(*run["verdicts"], strict=True)
+    # The demand comes with 1/2048 bar from the bus, the ECU's monitor had the unrounded one: a verdict may
+    # change a few steps away.
+    (at, verdicts), (at_ecu, verdicts_ecu) = (
+        zip(*changes(replay), strict=True),
+        zip(*run["verdicts"], strict=True),
+    )
     assert verdicts == verdicts_ecu and "invalid" in verdicts
     assert np.allclose(at, at_ecu, rtol=0, atol=0.05)
     frames = replay.run.frames
