@@ -24,10 +24,10 @@ import ctypes
 import json
 import zlib
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Literal
 
 import numpy as np
-from scipy.ndimage import maximum_filter1d, minimum_filter1d
 from scipy.signal import oaconvolve
 
 from ..base import native
@@ -60,6 +60,33 @@ def settled(v: np.ndarray, speed_range: tuple[float, float], settle: int) -> np.
     index = np.arange(1, len(v) + 1)
     last_outside = np.maximum.accumulate(np.where(in_range, 0, index))
     return index - last_outside > settle
+
+
+@lru_cache(maxsize=256)
+def _turns(samples: int, cycles: int) -> np.ndarray:
+    """exp(-2 pi j n c / samples), (samples, 3), of samples n and the cycles c beside and at ``cycles``."""
+    lines = np.outer(np.arange(samples), cycles + np.arange(-1, 2)) % samples
+    return np.exp(-2j * np.pi * lines / samples)
+
+
+class _Extremes:
+    """Least and largest values of all windows of a signal (N,): those of 2^j samples are kept, and any window
+    is two of them."""
+
+    def __init__(self, x: np.ndarray):
+        self._of = [(x, x)]
+
+    def of_windows(self, samples: int) -> tuple[np.ndarray, np.ndarray]:
+        """Least and largest of the windows of so many ``samples``, (N - samples + 1,) each."""
+        power = samples.bit_length() - 1
+        while len(self._of) <= power:
+            self._of.append(self._joined(len(self._of) - 1, 1 << (len(self._of) - 1)))
+        return self._joined(power, samples - (1 << power))
+
+    def _joined(self, power: int, apart: int) -> tuple[np.ndarray, np.ndarray]:
+        low, high = self._of[power]
+        starts = len(low) - apart
+        return np.minimum(low[:starts], low[apart:]), np.maximum(high[:starts], high[apart:])
 
 
 @dataclass(frozen=True)
@@ -188,25 +215,22 @@ class Estimator:
 
     def counted(self, v: np.ndarray, k: int) -> np.ndarray:
         """(N - N_k + 1,) True for the start samples whose frame of bin k counts."""
-        return self._counted(v, *self._sums(v), k)
+        return self._counted(_Extremes(v), *self._sums(v), k)
 
     def stretches(self, v: np.ndarray) -> list[np.ndarray]:
         """Per bin: first start and the one after the last (R, 2) of every run of frames that count."""
-        sums = self._sums(v)
-        return [runs(self._counted(v, *sums, k)) for k in range(self.n_bins)]
+        extremes, sums = _Extremes(v), self._sums(v)
+        return [runs(self._counted(extremes, *sums, k)) for k in range(self.n_bins)]
 
     def _sums(self, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Sums (N + 1,) of the speed and of the settled samples before each."""
         return np.concatenate([[0.0], np.cumsum(v)]), np.concatenate([[0], np.cumsum(self.settled(v))])
 
-    def _counted(self, v: np.ndarray, total: np.ndarray, whole: np.ndarray, k: int) -> np.ndarray:
+    def _counted(self, v: _Extremes, total: np.ndarray, whole: np.ndarray, k: int) -> np.ndarray:
         N = int(self.length[k])
-        if len(v) < N:
+        if len(total) <= N:
             return np.zeros(0, bool)
-        starts = len(v) - N + 1
-        origin = -(N // 2)  # makes the filters look ahead: element i covers samples i .. i + N - 1
-        low = minimum_filter1d(v, N, origin=origin)[:starts]
-        high = maximum_filter1d(v, N, origin=origin)[:starts]
+        low, high = v.of_windows(N)
         mean = (total[N:] - total[:-N]) / N
         steady = (low >= (1 - self.speed_tolerance) * mean) & (high <= (1 + self.speed_tolerance) * mean)
         return steady & (whole[N:] - whole[:-N] == N)
@@ -223,8 +247,7 @@ class Estimator:
     def _slid(self, lib: ctypes.CDLL, x: np.ndarray, k: int, starts: np.ndarray) -> np.ndarray:
         """`transform` by sliding sums, over each stretch of starts that follow one another closely."""
         N, m = int(self.length[k]), x.shape[1]
-        lines = np.outer(np.arange(N), int(self.cycles[k]) + np.arange(-1, 2)) % N
-        turn = np.exp(-2j * np.pi * lines / N)
+        turn = _turns(N, int(self.cycles[k]))
         scale = ctypes.c_double((2.0 if self.cycles[k] else 1.0) / (0.5 * N))
         found = []
         for near in np.split(starts, np.flatnonzero(np.diff(starts) > N) + 1):
