@@ -6,12 +6,10 @@ over all frequencies.
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
 from functools import cached_property
 
 import numpy as np
-from scipy.optimize import minimize
 
 from lpvguard.engine.synthesis.norms import hinf_norm
 from lpvguard.engine.synthesis.statespace import EPS, StateSpace
@@ -21,10 +19,19 @@ GRID = 160
 SLOWEST = 1e-4
 """rad/s"""
 NORM_RTOL = 1e-5
-SEARCH_STEPS = 40
-POWERS = (10.0, 300.0)
-"""Of the mean over frequency that stands for the largest value, one after the other: it is smooth and, in the
-logarithms of the constants, convex."""
+SEARCH_STEPS, SHORTENED = 40, 30
+"""Most steps of Newton's method, and how often one is shortened."""
+SHORTER = 0.05, 0.5
+"""Least and largest share of itself to which it is."""
+LONGEST_STEP = 4.0
+"""Of a constant's logarithm: far from its optimum the mean has hardly any curvature."""
+LEAST_GAIN = 1e-8
+"""What a step must promise of the mean's logarithm."""
+LEAST_GAP = 1e-6
+"""Between the largest eigenvalue and the others, relative to it, for a second derivative."""
+POWER = 300.0
+"""Of the mean over frequency that stands for the largest value: it is smooth and, in the logarithms of the
+constants, convex."""
 FARTHEST = 30.0
 """Largest |logarithm| of a constant: what never matters must not wander off."""
 
@@ -56,16 +63,34 @@ class ConstantScalings:
     def least(self, sizes: np.ndarray, rest: float, start: np.ndarray) -> tuple[float, np.ndarray]:
         """The least norm on the grid, and the logarithms (free,) of its constants; ``sizes`` (blocks,) and
         ``rest`` as of ``scaled``, ``start`` (free,): where the search begins."""
-        for power in POWERS if self.free else ():
-            start = minimize(
-                lambda x, power=power: self._mean(sizes, rest, x, power),
-                start,
-                jac=True,
-                method="BFGS",
-                options={"maxiter": SEARCH_STEPS, "gtol": 1e-4},
-            ).x
-            start = np.clip(start, -FARTHEST, FARTHEST)
-        return self._largest(sizes, rest, start), start
+        found = self._least_mean(sizes, rest, start) if self.free else start
+        return self._largest(sizes, rest, found), found
+
+    def _least_mean(self, sizes: np.ndarray, rest: float, start: np.ndarray) -> np.ndarray:
+        """The logarithms (free,) with the least power mean, by Newton's method."""
+        x = np.clip(start, -FARTHEST, FARTHEST)
+        value, slope, curvature = self._mean(sizes, rest, x)
+        for _ in range(SEARCH_STEPS):
+            # A constant that moves nothing stays; one at its limit moves inwards only.
+            ridge = EPS**0.5 * max(float(np.abs(curvature).max()), 1.0) * np.eye(len(x))
+            moves = (np.abs(x) < FARTHEST) | (x * slope > 0)
+            slope, kept = np.where(moves, slope, 0.0), np.outer(moves, moves)
+            step = -np.linalg.solve(np.where(kept, curvature, 0.0) + ridge, slope)
+            step *= min(1.0, LONGEST_STEP / max(float(np.abs(step).max()), LONGEST_STEP))
+            promised = -float(slope @ step)
+            if promised < LEAST_GAIN:
+                break
+            for _ in range(SHORTENED):
+                tried = np.clip(x + step, -FARTHEST, FARTHEST)
+                new = self._mean(sizes, rest, tried)
+                if new[0] < value - 1e-4 * promised:
+                    break
+                less = _shorter(new[0] - value, promised, float(new[1] @ step))
+                step, promised = less * step, less * promised
+            else:
+                break
+            x, (value, slope, curvature) = tried, new
+        return x
 
     @cached_property
     def _grid(self) -> np.ndarray:
@@ -85,32 +110,62 @@ class ConstantScalings:
         )
 
     def _mean(
-        self, sizes: np.ndarray, rest: float, log_constants: np.ndarray, power: float
-    ) -> tuple[float, np.ndarray]:
-        """Logarithm of the power mean over frequency of the largest singular value, and its slope."""
-        clipped = np.clip(log_constants, -FARTHEST, FARTHEST)
-        left, right = self._factors(sizes, rest, clipped)
+        self, sizes: np.ndarray, rest: float, log_constants: np.ndarray
+    ) -> tuple[float, np.ndarray, np.ndarray]:
+        """Logarithm of the power mean over frequency of the largest singular value, its slope (free,) and its
+        second derivatives (free, free)."""
+        left, right = self._factors(sizes, rest, log_constants)
         N = left[:, None] * self._grid * right
         gram = N @ np.conj(np.swapaxes(N, 1, 2))
         # What is below the largest by so much has no part in the mean; sigma^2 is at most the trace.
         diagonal = np.diagonal(gram, axis1=1, axis2=2).real
-        counts = diagonal.sum(axis=1) >= diagonal.max() * EPS ** (2 / power)
+        counts = diagonal.sum(axis=1) >= diagonal.max() * EPS ** (2 / POWER)
         N, frequencies = N[counts], len(N)
         values, U = np.linalg.eigh(gram[counts])
-        log_sigma, u = 0.5 * np.log(np.maximum(values[:, -1], 1e-300)), U[:, :, -1]
-        v = np.einsum("kij,ki->kj", N, u.conj()) / np.exp(log_sigma)[:, None]
+        log_sigma = 0.5 * np.log(np.maximum(values[:, -1], 1e-300))
+        slopes, curvatures = self._derivatives(N, np.maximum(values, 1e-300), U)
         top = log_sigma.max()
-        weight = np.exp(power * (log_sigma - top))
-        slopes = np.array(
-            [
-                (np.abs(u[:, r]) ** 2).sum(axis=1) - (np.abs(v[:, c]) ** 2).sum(axis=1)
-                for r, c in zip(_slices(self.rows), _slices(self.cols), strict=True)
-            ][self.fixed :]
+        weight = np.exp(POWER * (log_sigma - top))
+        share = weight / weight.sum()
+        slope = share @ slopes
+        curvature = np.tensordot(share, curvatures, 1) + POWER * (
+            (slopes.T * share) @ slopes - np.outer(slope, slope)
         )
-        slope = slopes @ weight / weight.sum()
-        return float(top + np.log(weight.sum() / frequencies) / power), np.where(
-            clipped == log_constants, slope, 0.0
+        return float(top + np.log(weight.sum() / frequencies) / POWER), slope, curvature
+
+    def _derivatives(self, N: np.ndarray, values: np.ndarray, U: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Of the logarithm of the largest singular value of every scaled response N (k, rows, columns): its
+        slope (k, free) and second derivatives (k, free, free); ``values``, U: eigenvalues, ascending, and
+        eigenvectors of N N^H.
+
+        With the rows P_i and columns Q_i of block i, d(N N^H) = P_i N N^H + N N^H P_i - 2 N Q_i N^H.
+        """
+        largest, u = values[:, -1], U[:, :, -1]
+        sigma = np.sqrt(largest)[:, None, None]
+        v = (u[:, None, :] @ np.conj(N))[:, 0] / sigma[:, 0]
+        of_u, of_v = (
+            u[:, None, :] * self._free(self.rows, N.shape[1]),
+            v[:, None, :] * self._free(self.cols, N.shape[2]),
         )
+        a, b = (np.abs(of_u) ** 2).sum(axis=2), (np.abs(of_v) ** 2).sum(axis=2)
+        slopes = a - b
+        back = of_u @ np.conj(N)
+        # u_m^H d(N N^H) u for every eigenvector u_m but the largest one's.
+        turned = (largest[:, None, None] + values[:, None, :]) * (of_u @ np.conj(U))
+        turned -= 2 * sigma * (of_v @ np.swapaxes(N, 1, 2) @ np.conj(U))
+        gap = np.maximum(largest[:, None] - values[:, :-1], LEAST_GAP * largest[:, None])[:, None, :]
+        turned = turned[:, :, :-1]
+        both = 4 * sigma * _real_products(back, of_v)
+        second = 2 * (_real_products(back, back) + _real_products(turned / gap, turned))
+        second -= both + np.swapaxes(both, 1, 2)
+        second += (2 * a + 4 * b)[:, :, None] * np.eye(self.free) * largest[:, None, None]
+        return slopes, 0.5 * second / largest[:, None, None] - 2 * slopes[:, :, None] * slopes[:, None, :]
+
+    def _free(self, sizes: Sequence[int], signals: int) -> np.ndarray:
+        """(free, signals) 1 where a signal is of a block with a constant, by ``sizes`` of all blocks."""
+        of = np.repeat(np.arange(len(sizes)), sizes)
+        of = np.append(of, np.full(signals - len(of), -1))
+        return (of == np.arange(self.fixed, len(sizes))[:, None]).astype(float)
 
     def _largest(self, sizes: np.ndarray, rest: float, log_constants: np.ndarray) -> float:
         left, right = self._factors(sizes, rest, log_constants)
@@ -118,6 +173,14 @@ class ConstantScalings:
         return float(np.sqrt(np.linalg.eigvalsh(N @ np.conj(np.swapaxes(N, 1, 2)))[:, -1].max()))
 
 
-def _slices(sizes: Sequence[int]) -> list[slice]:
-    edges = np.cumsum([0, *sizes])
-    return [slice(a, b) for a, b in itertools.pairwise(edges)]
+def _shorter(change: float, promised: float, slope: float) -> float:
+    """The share of a step at which the cubic through its ends is least: it changes the value by ``change``,
+    begins with the slope -``promised`` and ends with ``slope``."""
+    a, b = slope - promised - 2 * change, 3 * change + 2 * promised - slope
+    share = promised / (b + np.sqrt(max(b * b + 3 * a * promised, 0.0)))
+    return float(np.clip(share, *SHORTER)) if np.isfinite(share) else SHORTER[1]
+
+
+def _real_products(left: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Re left_i^H right_j, (k, n, n) of (k, n, m) each."""
+    return (np.conj(left) @ np.swapaxes(right, 1, 2)).real

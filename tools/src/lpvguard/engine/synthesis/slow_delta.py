@@ -83,10 +83,13 @@ class SlowLoop:
         """The largest rate found with a proof; None: none from RATES on."""
         low, high = np.log(RATES)
         best: tuple[float, np.ndarray] | None = None
+        beside = 0.0
         while high - low > RATE_RTOL:
             middle = 0.5 * (low + high)
             rate = float(np.exp(middle))
-            value, x = self.scalings.least(self._sizes(rate), 1.0, self.even(rate))
+            even = self.even(rate)
+            value, x = self.scalings.least(self._sizes(rate), 1.0, even + beside)
+            beside = x - even
             if value < 1:
                 low, best = middle, (rate, x)
             else:
