@@ -14,7 +14,7 @@ from lpvguard.control import design as stage
 from lpvguard.control import moving_speed, plants
 from lpvguard.control.plants import fig1_weights, frozen_plant
 from lpvguard.control.robust_run import CompiledController, run
-from lpvguard.control.schedule import FrozenLoop, fit
+from lpvguard.control.schedule import FrozenLoop, fit_by_pairs
 from lpvguard.control.stored_frames import StoredFrames
 from lpvguard.core.control_coefficients import load_controller
 from lpvguard.core.scheduled import Scheduled
@@ -407,7 +407,7 @@ def test_a_controller_that_has_common_poles_is_met(stored, designed):
         )
         for v in schedule.speeds
     ]
-    again = fit(loops, schedule.speeds, result.scaling, len(schedule.a) // 2, schedule.u_max)
+    again = fit_by_pairs(loops, schedule.speeds, result.scaling, schedule.u_max)(len(schedule.a) // 2)
     omega = np.logspace(-2, np.log10(np.pi / schedule.Ts), 50)
     for v in schedule.speeds:
         wanted = schedule.at(v).response(omega)

@@ -13,7 +13,7 @@ from lpvguard.control.schedule import (
     RECOVERY_EFFORT,
     FrozenLoop,
     first_columns,
-    fit,
+    fit_by_pairs,
     observed,
 )
 from lpvguard.core.control_coefficients import build_controller
@@ -147,7 +147,7 @@ def test_two_inputs_are_met_by_poles_common_to_both():
     speeds = np.linspace(1.0, 2.0, 3)
     loops = [two_input_loop(v) for v in speeds]
     assert all(lft(loop.plant.system, loop.controller).stability_margin() > 0 for loop in loops)
-    schedule = fit(loops, speeds, Scaling(np.zeros((0, 1))), 2, np.tile([2.0, 1.0], (3, 1)))
+    schedule = fit_by_pairs(loops, speeds, Scaling(np.zeros((0, 1))), np.tile([2.0, 1.0], (3, 1)))(2)
     omega = np.logspace(-1, 2, 40)
     for v, loop in zip(speeds, loops, strict=False):
         wanted = loop.controller.response(omega)
@@ -172,13 +172,12 @@ def test_a_measurement_that_no_node_needs_moves_no_state():
     faint = [replace(k, B=k.B * np.array([1.0, 1.0, 1e-9])) for k in K]
     scaling, limits = Scaling(np.zeros((0, 1))), np.tile([2.0, 1.0], (3, 1))
     for controllers, used in ((K, [True, True, True]), (faint, [True, True, False])):
-        schedule = fit(
+        schedule = fit_by_pairs(
             [replace(loop, controller=k) for loop, k in zip(loops, controllers, strict=True)],
             speeds,
             scaling,
-            2,
             limits,
-        )
+        )(2)
         assert (np.abs(schedule.B).max(axis=(0, 1, 2)) > 0).tolist() == used
 
 
@@ -187,7 +186,7 @@ def test_under_limits_the_law_is_that_of_model_recovery():
     lag xi in it."""
     speeds, node = np.linspace(1.0, 2.0, 3), 1
     limits = np.array([[2.0, 1.0], [1.0, 3.0], [5.0, 0.2]])  # each node's L is about its own
-    schedule = fit([two_input_loop(v) for v in speeds], speeds, Scaling(np.zeros((0, 1))), 5, limits)
+    schedule = fit_by_pairs([two_input_loop(v) for v in speeds], speeds, Scaling(np.zeros((0, 1))), limits)(5)
     np.testing.assert_array_equal(schedule.u_max, limits)
     u_max = limits[node]
     K, vehicle, L = schedule.at(1.5), two_input_loop(1.5).vehicle, schedule._rows(schedule.L, 1.5)

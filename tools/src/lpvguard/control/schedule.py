@@ -21,7 +21,7 @@ is a linear least-squares fit to it, per node.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -57,11 +57,11 @@ class FrozenLoop:
     vehicle: StateSpace
 
 
-def fit(
-    loops: Sequence[FrozenLoop], speeds: np.ndarray, scaling: Scaling, pairs: int, u_max: np.ndarray
-) -> Scheduled:
-    """The schedule of ``pairs`` pairs of poles and a delay that comes nearest to the controllers of
-    ``loops``, one a speed.
+def fit_by_pairs(
+    loops: Sequence[FrozenLoop], speeds: np.ndarray, scaling: Scaling, u_max: np.ndarray
+) -> Callable[[int], Scheduled]:
+    """A function of the number of pairs of poles: the schedule of so many and a delay that comes nearest to
+    the controllers of ``loops``, one a speed.
 
     u_max (G, n_u): largest |demand| at every speed [input unit]. Raises LinAlgError where a loop's
     sensitivity or recovery does not exist.
@@ -70,19 +70,27 @@ def fit(
     omega = np.concatenate([[0.0], np.logspace(-5, 0, FIT_POINTS) * np.pi / Ts * (1 - 1e-9)])
     z = np.exp(1j * omega * Ts)
     fits = [fit for loop in loops for fit in _fits(loop, scaling, omega)]
-    a = np.append(first_columns(_common_poles(loops, fits, z, 2 * pairs)), -1.0)
+    poles = _common_poles(loops, fits, z)
     n_u = loops[0].controller.n_outputs
-    B = _used(np.array([f.rows(a, z) for f in fits]), fits, a, z).reshape(len(loops), n_u, len(a), -1)
-    L = np.array(
-        [_recovery(loop.vehicle, a, rows, top, z) for loop, rows, top in zip(loops, B, u_max, strict=True)]
-    )
-    return Scheduled(Ts, np.asarray(speeds, float), a, B, L, np.asarray(u_max, float))
+
+    def fit(pairs: int) -> Scheduled:
+        a = np.append(first_columns(poles(2 * pairs)), -1.0)
+        B = _used(np.array([f.rows(a, z) for f in fits]), fits, a, z).reshape(len(loops), n_u, len(a), -1)
+        L = np.array(
+            [
+                _recovery(loop.vehicle, a, rows, top, z)
+                for loop, rows, top in zip(loops, B, u_max, strict=True)
+            ]
+        )
+        return Scheduled(Ts, np.asarray(speeds, float), a, B, L, np.asarray(u_max, float))
+
+    return fit
 
 
 def _common_poles(
-    loops: Sequence[FrozenLoop], fits: Sequence[_RowFit], z: np.ndarray, count: int
-) -> np.ndarray:
-    """``count`` poles (even) in the z plane that serve all demands of all loops."""
+    loops: Sequence[FrozenLoop], fits: Sequence[_RowFit], z: np.ndarray
+) -> Callable[[int], np.ndarray]:
+    """A function of their number (even): so many poles in the z plane that serve all demands of all loops."""
     density = np.sqrt(np.gradient(np.log(np.maximum(np.angle(z), 0.5 * np.angle(z[1])))))
     heard = density * np.sqrt(np.mean([f.left**2 for f in fits], axis=0))
     reached, seen, A, C = [], [], [], []
@@ -98,10 +106,15 @@ def _common_poles(
         C.append(row)
     R, S = sl.block_diag(*reached), _factor(np.vstack(seen))
     U, sigma, Vt = np.linalg.svd(S.T @ R)
-    kept = 1 / np.sqrt(sigma[:count])
-    poles = np.linalg.eigvals((S @ U[:, :count] * kept).T @ sl.block_diag(*A) @ (R @ Vt[:count].T * kept))
-    size = np.abs(poles)
-    return np.where(size < LARGEST_POLE, poles, poles * LARGEST_POLE / np.maximum(size, LARGEST_POLE))
+    blocks = sl.block_diag(*A)
+
+    def poles(count: int) -> np.ndarray:
+        kept = 1 / np.sqrt(sigma[:count])
+        found = np.linalg.eigvals((S @ U[:, :count] * kept).T @ blocks @ (R @ Vt[:count].T * kept))
+        size = np.abs(found)
+        return np.where(size < LARGEST_POLE, found, found * LARGEST_POLE / np.maximum(size, LARGEST_POLE))
+
+    return poles
 
 
 def _factor(values: np.ndarray) -> np.ndarray:
