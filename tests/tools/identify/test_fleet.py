@@ -171,6 +171,26 @@ def test_results_come_in_order_and_few_are_under_way():
             assert len(taken) <= i + 2 * UNDER_WAY_PER_WORKER
 
 
+def _worker(item: object) -> tuple[int, object]:
+    """The process that got an item."""
+    time.sleep(0.01)
+    return os.getpid(), item
+
+
+def test_an_item_goes_to_the_worker_that_had_it_and_any_may_be_sent():
+    """What a worker keeps of a drive serves its later passes; arrays are equal to none, and go anywhere."""
+    items = list(range(12))
+    with workers(2) as run:
+        first, again = (dict(reversed(pair) for pair in run(_worker, items)) for _ in range(2))
+        assert len(set(first.values())) == 2
+        assert sum(first[i] == again[i] for i in items) >= 10
+        # Only those of one worker: the other one takes what that has no time for.
+        own = [i for i in items if first[i] == first[0]]
+        assert len({process for process, _ in run(_worker, own * 4)}) == 2
+        arrays = [np.full(2, i) for i in items]
+        assert [x.tolist() for _, x in run(_worker, arrays)] == [x.tolist() for x in arrays]
+
+
 POOL = """
 import os, sys
 from lpvguard.base.parallel import workers

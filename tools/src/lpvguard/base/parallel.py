@@ -15,8 +15,8 @@ import sys
 import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ProcessPoolExecutor
-from contextlib import contextmanager
+from concurrent.futures import Future, ProcessPoolExecutor
+from contextlib import ExitStack, contextmanager
 from itertools import islice
 from typing import Any, Protocol, TypeVar
 
@@ -38,6 +38,8 @@ class Map(Protocol):
 
 UNDER_WAY_PER_WORKER = 2
 """A worker never waits for its next item, and no more results than this wait to be taken."""
+FARTHEST_BEHIND = 1
+"""Items by which the worker that had an item before may be behind another and still get it again."""
 CONNECT_TIMEOUT_S = 20
 
 
@@ -55,6 +57,35 @@ def _bounded(submit: Callable[..., Any], wait: Callable[[Any], Any], limit: Call
             yield wait(handles.popleft())
 
     return run
+
+
+class _Workers:
+    """Processes of one worker each. An item goes to the one that had it before, which may have kept what it
+    read of it, unless that is behind; any other item to that with the least to do."""
+
+    def __init__(self, pools: list[ProcessPoolExecutor]):
+        self._pools = pools
+        self._had: dict[Any, int] = {}
+        self._under_way = [0] * len(pools)
+
+    def submit(self, function: Callable[[Item], Result], item: Item) -> Future[Result]:
+        """function(item), to be waited for."""
+        chosen = least = self._under_way.index(min(self._under_way))
+        try:
+            had = self._had.get(item, least)
+        except TypeError:
+            pass  # unhashable, as arrays are: no worker keeps anything by it
+        else:
+            if self._under_way[had] - self._under_way[least] <= FARTHEST_BEHIND:
+                chosen = had
+            self._had[item] = chosen
+        future = self._pools[chosen].submit(function, item)
+        self._under_way[chosen] += 1
+        future.add_done_callback(lambda _: self._ended(chosen))
+        return future
+
+    def _ended(self, worker: int) -> None:
+        self._under_way[worker] -= 1
 
 
 def _end_with_parent() -> None:
@@ -79,11 +110,17 @@ def _processes(jobs: int) -> Iterator[Map]:
     if "forkserver" in methods:
         # What the caller has loaded by now, its workers need too.
         context.set_forkserver_preload(sorted(name for name in sys.modules if name.startswith("lpvguard.")))
-    with ProcessPoolExecutor(max_workers=jobs, mp_context=context, initializer=_end_with_parent) as pool:
+    with ExitStack() as stack:
+        pools = [
+            stack.enter_context(ProcessPoolExecutor(1, mp_context=context, initializer=_end_with_parent))
+            for _ in range(jobs)
+        ]
         try:
-            yield _bounded(pool.submit, lambda future: future.result(), lambda: UNDER_WAY_PER_WORKER * jobs)
+            submit = _Workers(pools).submit
+            yield _bounded(submit, lambda future: future.result(), lambda: UNDER_WAY_PER_WORKER * jobs)
         except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)  # a run that ends does not wait for unused results
+            for pool in pools:
+                pool.shutdown(wait=False, cancel_futures=True)  # a run that ends waits for no unused results
             raise
 
 

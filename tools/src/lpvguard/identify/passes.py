@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import uuid
 import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -58,17 +59,18 @@ class DriveReader:
     """Reads drives and takes their frames; what is sent to a worker.
 
     The drives read first are kept, up to KEPT_BYTES, and their arrays cannot be written. A worker begins with
-    none.
+    none, and has one reader for all that it is sent by this one.
     """
 
     def __init__(self, project: Project, model: NominalModel):
         self.project, self.model, self.estimator = project, model, Estimator.of(project, model)
         self._kept: dict[Experiment, _Held] = {}
         self._room = KEPT_BYTES
+        self._key = uuid.uuid4()
         _ = model.table  # made here once, not by every worker
 
-    def __getstate__(self) -> dict:
-        return self.__dict__ | {"_kept": {}, "_room": 0}
+    def __reduce__(self):
+        return _sent, (self._key, self.project, self.model)
 
     def read(self, experiment: Experiment) -> tuple[Drive, np.ndarray, np.ndarray]:
         """The drive, its nominal error e and nominal output yhat (N, n_y)."""
@@ -114,6 +116,18 @@ class DriveReader:
             f"{self.estimator.speed_tolerance:.0%} of their mean speed"
             + (f", {settled_s:.3g} s after entering" if self.estimator.settle else "")
         )
+
+
+_of_worker: dict[uuid.UUID, DriveReader] = {}
+"""Of a worker: the reader that it was sent last."""
+
+
+def _sent(key: uuid.UUID, project: Project, model: NominalModel) -> DriveReader:
+    """A worker's reader for one that it was sent."""
+    if key not in _of_worker:
+        _of_worker.clear()
+        _of_worker[key] = DriveReader(project, model)
+    return _of_worker[key]
 
 
 def _spectra_rows(s: FrameSet, name: str, way: np.ndarray, estimator: Estimator) -> Rows:
