@@ -11,6 +11,7 @@ import pytest
 
 from lpvguard import schemas
 from lpvguard.base.errors import InputError
+from lpvguard.base.parallel import workers
 from lpvguard.control import design as stage
 from lpvguard.control.limits import LimitRow, Limits, require_limits
 from lpvguard.control.plants import vehicle_at
@@ -84,7 +85,17 @@ def test_neighbours_lie_within_the_nu_margin_and_midpoints_nearer(found):
 
 def test_a_saved_design_is_proved_anew(stored, result, tmp_path):
     stage.save(result, stored, tmp_path / "design")
-    stage.verify(tmp_path / "design" / "controller.json", stored)
+    with workers(2) as run:
+        stage.verify(tmp_path / "design" / "controller.json", stored, workers=run)
+
+
+def test_workers_change_no_byte_of_a_design(stored, result, tmp_path):
+    with workers(2) as run:
+        shared = stage.design(stored, moving_speed=False, workers=run)
+    for name, one in (("alone", result), ("shared", shared)):
+        stage.save(one, stored, tmp_path / name)
+    alone, shared = ((tmp_path / name / "controller.json").read_bytes() for name in ("alone", "shared"))
+    assert alone == shared
 
 
 def test_an_altered_number_is_refused_by_name(found):

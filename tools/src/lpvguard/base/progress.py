@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import accumulate, pairwise
+from typing import TypeVar
 
 Progress = Callable[[str], None]
+Result = TypeVar("Result")
 
 
 class Counted(str):
@@ -28,6 +30,14 @@ def parts(progress: Progress, *weights: float) -> list[Progress]:
     total = sum(weights)
     edges = [edge / total for edge in accumulate(weights, initial=0.0)]
     return [_part(progress, begin, end) for begin, end in pairwise(edges)]
+
+
+def counted(progress: Progress, texts: Sequence[str], results: Iterable[Result]) -> Iterator[Result]:
+    """The ``results``, one a text. Each text is said while its result is waited for."""
+    found = iter(results)
+    for k, text in enumerate(texts):
+        progress(Counted(text, k, len(texts)))
+        yield next(found)
 
 
 def _part(progress: Progress, begin: float, end: float) -> Progress:

@@ -10,8 +10,10 @@ import typer
 
 from ..base import artefacts
 from ..base.errors import InputError
+from ..base.parallel import workers
 from ..base.progress import Progress, parts
 from .shared import (
+    Jobs,
     JsonOut,
     Out,
     app,
@@ -89,6 +91,7 @@ def design(
         ),
     ] = True,
     json_out: JsonOut = None,
+    jobs: Jobs = 1,
 ) -> None:
     """Synthesise the scheduled controller, certify it as the core runs it, and compare structures (paper,
     step 8).
@@ -97,7 +100,7 @@ def design(
 
     Exit 1 when robust performance (mu below 1) is not certified: at a speed, in a row of the case's table, or
     by any trade-off."""
-    only_designed = largest_A_t or not (table and moving_speed)
+    only_designed = largest_A_t or not (table and moving_speed) or jobs > 1
     if case is not None:
         vehicles = identification is not None or vehicle is not None or drives is not None
         others = vehicles or tradeoff or only_designed
@@ -110,13 +113,14 @@ def design(
     stored, drive_set = _read(identification, vehicle, drives)
     if tradeoff:
         raise typer.Exit(_design_tradeoff(stored, drive_set, out, json_out))
-    raise typer.Exit(_design_vehicle(stored, drive_set, table, largest_A_t, moving_speed, out, json_out))
+    searched = {"table": table, "largest_A_t": largest_A_t, "moving_speed": moving_speed}
+    raise typer.Exit(_design_vehicle(stored, drive_set, out, json_out, jobs, **searched))
 
 
 def _refuse(option: str, given: bool, expected: str, more: str = "") -> None:
     """InputError where ``option`` is ``given`` with options that it would ignore."""
     if given:
-        ignored = f"given with {more}--largest-A-t, --no-table or --no-moving-speed"
+        ignored = f"given with {more}--largest-A-t, --no-table, --no-moving-speed or --jobs"
         raise InputError("design", option, ignored, expected)
 
 
@@ -131,11 +135,13 @@ def _read(
 def _design_vehicle(
     stored: StoredIdentification,
     drive_set: DriveSet | None,
+    out: Path,
+    json_out: str | None,
+    jobs: int,
+    *,
     table: bool,
     largest_A_t: bool,
     moving_speed: bool,
-    out: Path,
-    json_out: str | None,
 ) -> int:
     """Design and certify a vehicle's controller, with Table II and the figures where ``table``, for frozen
     speeds alone without ``moving_speed``. Returns the exit status: 1 when mu is not certified below 1."""
@@ -146,10 +152,10 @@ def _design_vehicle(
     cells: list[Cell] = []
     more: dict[str, str] = {}
     with_table = table and stored.project.n_delta == 1
-    with progress_bar("design") as tell:
+    with progress_bar("design") as tell, workers(jobs) as run:
         weights = (*SHARES[:1], SHARES[1] if with_table else 0, SHARES[2] if largest_A_t else 0)
         designing, comparing, searching = parts(tell, *weights)
-        result = stage.design(stored, designing, moving_speed)
+        result = stage.design(stored, designing, moving_speed, run)
         if with_table:
             cells, more = _table_and_figures(stored, drive_set, comparing)
         largest = stage.largest_A_t(stored, searching) if largest_A_t else None

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from .shared import Out, Vehicle, app, console, progress_bar, stored_for
+from .shared import Jobs, Out, Vehicle, app, console, progress_bar, stored_for
 
 
 @app.command(epilog="Example: lpvguard export --vehicle g80 out/identify -o lib/vehicles/g80")
@@ -25,13 +25,15 @@ def export(
             help="Group of experiments.csv whose thresholds the core carries (default: the largest of all)."
         ),
     ] = None,
+    jobs: Jobs = 1,
 ) -> None:
     """Generate the C folder of a vehicle: coefficients, controller, signal table, CAN codec, manifest."""
+    from ..base.parallel import workers
     from ..control.exported import export_chosen
 
     identified = stored_for(identification, vehicle)
-    with progress_bar("export") as tell:
-        stored = export_chosen(identified, out, controller, group, tell)
+    with progress_bar("export") as tell, workers(jobs) as run:
+        stored = export_chosen(identified, out, controller, group, tell, run)
     if stored.calibration.groups:
         console.print(f"frame test: {stored.calibration.claim()}")
         console.print(f"energy test: {stored.energy_of_core.calibration.claim()}")

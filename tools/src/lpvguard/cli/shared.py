@@ -54,7 +54,7 @@ Vehicle = Annotated[
 ]
 Out = Annotated[Path, typer.Option("-o", "--out", help="Folder or file to write.")]
 JsonOut = Annotated[str | None, typer.Option("--json", help="Write JSON to this file; - is standard output.")]
-Jobs = Annotated[int, typer.Option(min=1, help="Processes of this machine that share the drives.")]
+Jobs = Annotated[int, typer.Option(min=1, help="Processes of this machine that share the work.")]
 Scheduler = Annotated[
     str | None, typer.Option(help="Address of a Dask scheduler whose workers share the drives.")
 ]

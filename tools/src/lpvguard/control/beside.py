@@ -6,6 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from ..base.parallel import Map
 from ..base.progress import Progress, parts
 from ..core.scheduled import Scheduled
 from ..engine.synthesis.dk import Scaling
@@ -40,12 +41,20 @@ NOTHING = {"robustness": None, "slow_delta": None, "limits": None}
 
 
 def beside(
-    stored: StoredIdentification, schedule: Scheduled, scaling: Scaling, progress: Progress = lambda _: None
+    stored: StoredIdentification,
+    schedule: Scheduled,
+    scaling: Scaling,
+    progress: Progress = lambda _: None,
+    workers: Map = map,
 ) -> Beside:
-    """All of it for one controller."""
+    """All of it for one controller; ``workers`` share the speeds."""
     tells = parts(progress, *SHARES)
     given = stored, schedule, scaling
-    return Beside(robustness(*given, tells[0]), slowness(*given, tells[1]), limits(*given, tells[2]))
+    return Beside(
+        robustness(*given, tells[0], workers),
+        slowness(*given, tells[1], workers),
+        limits(*given, tells[2], workers),
+    )
 
 
 def require_beside(
@@ -55,11 +64,12 @@ def require_beside(
     schedule: Scheduled,
     scaling: Scaling,
     progress: Progress = lambda _: None,
+    workers: Map = map,
 ) -> None:
     """InputError unless ``stated``, the certificates of ``path``, are proved or computed anew; a field
-    that is missing or None claims nothing."""
+    that is missing or None claims nothing. ``workers`` share the speeds."""
     tells = parts(progress, *SHARES)
     given = stored, schedule, scaling
-    require_robustness(path, stated.get("robustness"), *given, tells[0])
-    require_slowness(path, stated.get("slow_delta"), *given, tells[1])
-    require_limits(path, stated.get("limits"), *given, tells[2])
+    require_robustness(path, stated.get("robustness"), *given, tells[0], workers)
+    require_slowness(path, stated.get("slow_delta"), *given, tells[1], workers)
+    require_limits(path, stated.get("limits"), *given, tells[2], workers)

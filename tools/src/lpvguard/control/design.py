@@ -26,7 +26,8 @@ from scipy.optimize import minimize_scalar
 
 from ..base import artefacts
 from ..base.errors import InputError
-from ..base.progress import Counted, Progress, parts
+from ..base.parallel import Map
+from ..base.progress import Counted, Progress, counted, parts
 from ..base.sampling import evenly
 from ..core.scheduled import Scheduled
 from ..engine.synthesis import interconnection as fig1
@@ -45,7 +46,7 @@ from .designed import stated_scaling
 from .input_limit import input_limit
 from .moving_speed import Moving, moving_certificates, moving_to_dict, require_moving, tuning
 from .plants import design_settings, fig1_weights, plant_at, vehicle_at
-from .schedule import FrozenLoop, fit
+from .schedule import FrozenLoop, fit_by_pairs
 
 FEWEST_PAIRS, MOST_PAIRS = 2, 19
 """Of poles, for each demand: fewer than the vehicle and the reference model have between them cannot do the
@@ -101,19 +102,22 @@ class Design:
 
 
 def design(
-    stored: StoredIdentification, progress: Progress = lambda _: None, moving_speed: bool = True
+    stored: StoredIdentification,
+    progress: Progress = lambda _: None,
+    moving_speed: bool = True,
+    workers: Map = map,
 ) -> Design:
-    """Synthesise, schedule over common poles and certify, without ``moving_speed`` for frozen speeds only.
-    InputError when the project file has no [design] or no order certifies."""
+    """Synthesise, schedule over common poles and certify, without ``moving_speed`` for frozen speeds only;
+    ``workers`` share the speeds. InputError when the project file has no [design] or no order certifies."""
     settings = design_settings(stored)
     require_premise(stored)
     frozen, moving, margins = parts(progress, *DESIGN_SHARES)
-    result = _designed(stored, settings, None, frozen)
+    result = _designed(stored, settings, None, frozen, workers)
     _require_reach(stored, result.schedule)
     return replace(
         result,
         moving=moving_certificates(stored, result.schedule, result.scaling, moving) if moving_speed else {},
-        beside=beside(stored, result.schedule, result.scaling, margins),
+        beside=beside(stored, result.schedule, result.scaling, margins, workers),
     )
 
 
@@ -169,7 +173,11 @@ def _require_reach(stored: StoredIdentification, schedule: Scheduled) -> None:
 
 
 def _designed(
-    stored: StoredIdentification, settings: DesignSettings, scaling: Scaling | None, progress: Progress
+    stored: StoredIdentification,
+    settings: DesignSettings,
+    scaling: Scaling | None,
+    progress: Progress,
+    workers: Map = map,
 ) -> Design:
     """The design for ``settings``; ``scaling``: where the search for the common scaling starts."""
     model, asked = NominalModel(stored.project), settings.for_synthesis
@@ -180,16 +188,8 @@ def _designed(
     if scaling is None:
         before(Counted("D-K iteration at the design speed", 0, 4))
         start = int(np.argmin(np.abs(speeds - settings.design_speed_mps)))
-        scaling = dk_synthesis(plants[start]).performance.scaling
-    before(Counted("one scaling for all speeds", 1, 4))
-    some = evenly(len(plants), SCALING_SPEEDS)
-    scaling, level = common_scaling([plants[k] for k in some], scaling)
-    before(Counted("controllers over speed", 2, 4))
-    # Never more than half of what is left below 1.
-    backed_off = level * (1 + settings.backoff)
-    level = min(backed_off, 0.5 * (1 + level)) if level < 1 else backed_off
-    at_order, rank = common_family(plants, scaling, level)
-    full_order = _sound_order(at_order, rank, plants, scaling, level)
+        scaling = dk_synthesis(plants[start], workers=workers).performance.scaling
+    scaling, controllers = _family(plants, scaling, settings.backoff, before, workers)
     check = np.linspace(speeds[0], speeds[-1], 2 * len(speeds) - 1)
 
     def loop_at(v: float, weights: fig1.PlantWeights = weights) -> fig1.GeneralisedPlant:
@@ -199,12 +199,12 @@ def _designed(
     u_max = input_limit(model, settings, speeds)
     frozen = [
         FrozenLoop(_with_delay(K), loops[float(v)], vehicle_at(model, v))
-        for v, K in zip(speeds, at_order(full_order), strict=False)
+        for v, K in zip(speeds, controllers, strict=True)
     ]
     found = _with_fewest_poles(
-        partial(fit, frozen, speeds, scaling, u_max=u_max),
+        fit_by_pairs(frozen, speeds, scaling, u_max),
         MOST_PAIRS // model.n_u,
-        partial(_worst_level, loops=loops, scaling=scaling),
+        partial(_worst_level, loops=loops, scaling=scaling, workers=workers),
         settings.order_loss,
         fitting,
     )
@@ -223,10 +223,25 @@ def _designed(
     return Design(
         found,
         scaling,
-        _certificates(found, loops, scaling, proving),
-        full_order,
-        _off_grid(found, scaling, stated_at, stored.project.seed),
+        _certificates(found, loops, scaling, proving, workers),
+        controllers[0].order,
+        _off_grid(found, scaling, stated_at, stored.project.seed, workers),
     )
+
+
+def _family(
+    plants: list[fig1.GeneralisedPlant], start: Scaling, backoff: float, progress: Progress, workers: Map
+) -> tuple[Scaling, list[StateSpace]]:
+    """The common scaling, searched from ``start``, and one controller a plant, all in one set of states."""
+    progress(Counted("one scaling for all speeds", 1, 4))
+    some = evenly(len(plants), SCALING_SPEEDS)
+    scaling, level = common_scaling([plants[k] for k in some], start, workers)
+    progress(Counted("controllers over speed", 2, 4))
+    # Never more than half of what is left below 1.
+    backed_off = level * (1 + backoff)
+    level = min(backed_off, 0.5 * (1 + level)) if level < 1 else backed_off
+    at_order, rank = common_family(plants, scaling, level, workers)
+    return scaling, at_order(_sound_order(at_order, rank, plants, scaling, level))
 
 
 def _with_fewest_poles(
@@ -277,35 +292,51 @@ def _sound_order(
 
 
 def _worst_level(
-    schedule: Scheduled, limit: float, loops: dict[float, fig1.GeneralisedPlant], scaling: Scaling
+    schedule: Scheduled,
+    limit: float,
+    loops: dict[float, fig1.GeneralisedPlant],
+    scaling: Scaling,
+    workers: Map,
 ) -> float:
     """Largest norm of the scaled closed loops; inf when one or a limited demand's injection is unstable, or
     as soon as one lies above ``limit``."""
     if not all(schedule.injection_radius(v) < 1 for v in loops):
         return np.inf
     worst = 0.0
-    for v, plant in loops.items():
-        worst = max(worst, hinf_norm(closed_scaled(plant, schedule.at(v), scaling), rtol=1e-3).upper)
+    norm = partial(_scaled_norm, schedule, scaling, 1e-3)
+    for one in workers(norm, loops.items()):
+        worst = max(worst, one)
         if worst > limit:
             return np.inf
     return worst
 
 
+def _scaled_norm(
+    schedule: Scheduled, scaling: Scaling, rtol: float, loop: tuple[float, fig1.GeneralisedPlant]
+) -> float:
+    """Norm of the scaled closed loop at a speed [m/s] with its plant, from above."""
+    v, plant = loop
+    return hinf_norm(closed_scaled(plant, schedule.at(v), scaling), rtol).upper
+
+
 def _off_grid(
-    schedule: Scheduled, scaling: Scaling, plant: Callable[[float], fig1.GeneralisedPlant], seed: int
+    schedule: Scheduled,
+    scaling: Scaling,
+    plant: Callable[[float], fig1.GeneralisedPlant],
+    seed: int,
+    workers: Map,
 ) -> tuple[float, RobustPerformance]:
     """The worst of seeded speeds, moved to the top of its peak between its neighbours, and its
     certificate."""
     low, high = schedule.speeds[[0, -1]].tolist()
     speeds = np.sort(np.concatenate([[low, high], np.random.default_rng(seed).uniform(low, high, OFF_GRID)]))
-
-    def norm(v: float) -> float:
-        return hinf_norm(closed_scaled(plant(v), schedule.at(v), scaling), rtol=1e-4).upper
-
-    values = [norm(v) for v in speeds]
+    norm = partial(_scaled_norm, schedule, scaling, 1e-4)
+    values = list(workers(norm, [(v, plant(v)) for v in speeds]))
     k = int(np.argmax(values))
     around = speeds[max(k - 1, 0)], speeds[min(k + 1, len(speeds) - 1)]
-    refined = minimize_scalar(lambda v: -norm(v), bounds=around, method="bounded", options={"maxiter": 12})
+    refined = minimize_scalar(
+        lambda v: -norm((v, plant(v))), bounds=around, method="bounded", options={"maxiter": 12}
+    )
     v = float(refined.x) if -refined.fun > values[k] else float(speeds[k])
     return v, _certificates(schedule, {v: plant(v)}, scaling)[0][1]
 
@@ -369,16 +400,22 @@ def _certificates(
     loops: dict[float, fig1.GeneralisedPlant],
     scaling: Scaling | None,
     progress: Progress = lambda _: None,
+    workers: Map = map,
 ) -> list[tuple[float, RobustPerformance]]:
-    found = []
-    for i, (v, plant) in enumerate(loops.items()):
-        progress(Counted(f"certificate at {v:.3g} m/s", i, len(loops)))
-        found.append((v, certify(plant, schedule.at(v), scaling if plant.blocks else None)))
-    return found
+    asked = [(plant, schedule.at(v), scaling if plant.blocks else None) for v, plant in loops.items()]
+    texts = [f"certificate at {v:.3g} m/s" for v in loops]
+    return list(zip(loops, counted(progress, texts, workers(_certified, asked)), strict=True))
 
 
-def verify(path: Path, stored: StoredIdentification, progress: Progress = lambda _: None) -> None:
-    """Prove the certificates of a controller.json anew, for its coefficients as they stand and these weights.
+def _certified(asked: tuple[fig1.GeneralisedPlant, StateSpace, Scaling | None]) -> RobustPerformance:
+    return certify(*asked)
+
+
+def verify(
+    path: Path, stored: StoredIdentification, progress: Progress = lambda _: None, workers: Map = map
+) -> None:
+    """Prove the certificates of a controller.json anew, for its coefficients as they stand and these weights;
+    ``workers`` share the speeds.
 
     InputError names the speed at which the loop is unstable or a stated number is not the one proved, or the
     objective or the limits of the input that are not the project's.
@@ -411,11 +448,11 @@ def verify(path: Path, stored: StoredIdentification, progress: Progress = lambda
     }
     scaling = stated_scaling(document)
     frozen, moving, margins = parts(progress, *VERIFY_SHARES)
-    proved_rows = dict(_certificates(schedule, loops, scaling, frozen))
+    proved_rows = dict(_certificates(schedule, loops, scaling, frozen, workers))
     for row in rows:
         _compare(path, row, proved_rows[row["v_mps"]], loops[row["v_mps"]], schedule)
     require_moving(path, stated, stored, schedule, moving)
-    require_beside(path, stated, stored, schedule, scaling, margins)
+    require_beside(path, stated, stored, schedule, scaling, margins, workers)
 
 
 def _require_settings(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from ..base.parallel import Map
 from ..base.progress import Progress
 from ..core.control_coefficients import load_controller
 from ..identify import export
@@ -17,17 +18,18 @@ def export_chosen(
     controller: Path | None = None,
     group: str | None = None,
     progress: Progress = lambda _: None,
+    workers: Map = map,
 ) -> StoredIdentification:
     """Write the generated folder, whole or not at all; returns the identification as exported.
 
-    ``controller``: controller.json or the folder of `design`, whose certificates are proved anew; None: no
-    controller. ``group``: whose thresholds the core carries; None: the largest of all. InputError where a
-    certificate fails, or no drive is of the group.
+    ``controller``: controller.json or the folder of `design`, whose certificates are proved anew;
+    None: no controller. ``group``: whose thresholds the core carries; None: the largest of all. ``workers``
+    share the speeds. InputError where a certificate fails, or no drive is of the group.
     """
     chosen = stored if group is None else stored.of_group(group)
     path = controller / "controller.json" if controller is not None and controller.is_dir() else controller
     if path is not None:
-        verify(path, chosen, progress)
+        verify(path, chosen, progress, workers)
     progress("writing")
     export.export_vehicle(chosen, target, None if path is None else load_controller(path))
     return chosen

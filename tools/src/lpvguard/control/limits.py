@@ -10,12 +10,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from ..base.errors import InputError
-from ..base.progress import Counted, Progress
+from ..base.parallel import Map
+from ..base.progress import Progress, counted
 from ..base.sampling import evenly
 from ..core.scheduled import Scheduled
 from ..engine.synthesis.dk import Scaling
@@ -90,36 +92,45 @@ class Limits:
 
 
 def limits(
-    stored: StoredIdentification, schedule: Scheduled, scaling: Scaling, progress: Progress = lambda _: None
+    stored: StoredIdentification,
+    schedule: Scheduled,
+    scaling: Scaling,
+    progress: Progress = lambda _: None,
+    workers: Map = map,
 ) -> Limits:
-    """The rows of SPEEDS nodes and every kappa."""
-    rows = []
+    """The rows of SPEEDS nodes and every kappa, which ``workers`` share."""
     some = evenly(len(schedule.speeds), SPEEDS)
     asked = [(float(schedule.speeds[k]), kappa) for k in some for kappa in KAPPAS]
-    step_max = largest_step(stored, schedule)
-    for k, (loop, (v, kappa)) in enumerate(zip(_loops(stored, schedule, scaling, asked), asked, strict=True)):
-        progress(Counted(f"limits at {v:.3g} m/s", k, len(asked)))
-        stability = loop.stability()
-        level, constants = stability.least(loop.ones, 1.0, np.zeros(stability.free))
-        level = stability.proved(loop.ones, 1.0, constants) if loop.stable else np.inf
-        held = level < 1
-        gain = loop.gain() if held else None
-        u_max = float(schedule.limit(v)[0])
-        starts = [constants, *([] if gain is None else [gain[1]])]
-        kept = loop.largest_energy(starts, u_max, step_max) if held and np.isfinite(kappa) else None
-        rows.append(
-            LimitRow(
-                v,
-                kappa if np.isfinite(kappa) else None,
-                level if np.isfinite(level) else None,
-                tuple(map(float, constants)),
-                None if gain is None else gain[0],
-                () if gain is None else tuple(map(float, gain[1])),
-                None if kept is None else kept.energy,
-                () if kept is None else tuple(map(float, kept.log_constants)),
-            )
-        )
-    return Limits(tuple(rows))
+    found = workers(
+        partial(_row, schedule, largest_step(stored, schedule)), _loops(stored, schedule, scaling, asked)
+    )
+    return Limits(tuple(counted(progress, _texts(asked), found)))
+
+
+def _texts(asked: list[tuple[float, float]]) -> list[str]:
+    return [f"limits at {v:.3g} m/s" for v, _ in asked]
+
+
+def _row(schedule: Scheduled, step_max: float, asked: tuple[float, LimitedLoop]) -> LimitRow:
+    v, loop = asked
+    stability = loop.stability()
+    level, constants = stability.least(loop.ones, 1.0, np.zeros(stability.free))
+    level = stability.proved(loop.ones, 1.0, constants) if loop.stable else np.inf
+    held = level < 1
+    gain = loop.gain() if held else None
+    starts = [constants, *([] if gain is None else [gain[1]])]
+    bounded, u_max = np.isfinite(loop.kappa), float(schedule.limit(v)[0])
+    kept = loop.largest_energy(starts, u_max, step_max) if held and bounded else None
+    return LimitRow(
+        v,
+        loop.kappa if bounded else None,
+        level if np.isfinite(level) else None,
+        tuple(map(float, constants)),
+        None if gain is None else gain[0],
+        () if gain is None else tuple(map(float, gain[1])),
+        None if kept is None else kept.energy,
+        () if kept is None else tuple(map(float, kept.log_constants)),
+    )
 
 
 def require_limits(
@@ -129,41 +140,51 @@ def require_limits(
     schedule: Scheduled,
     scaling: Scaling,
     progress: Progress = lambda _: None,
+    workers: Map = map,
 ) -> None:
     """InputError unless the constants of ``stated`` (certificates.limits of ``path``) prove its numbers anew;
-    None claims nothing."""
+    None claims nothing. ``workers`` share the rows."""
     if stated is None:
         return
     rows = stated["rows"]
     asked = [(row["v_mps"], np.inf if row["kappa"] is None else row["kappa"]) for row in rows]
     step_max = largest_step(stored, schedule)
-    for k, (row, loop) in enumerate(zip(rows, _loops(stored, schedule, scaling, asked), strict=True)):
-        v = row["v_mps"]
-        progress(Counted(f"limits at {v:.3g} m/s", k, len(rows)))
+    loops = zip(rows, _loops(stored, schedule, scaling, asked), strict=True)
+    for _ in counted(
+        progress, _texts(asked), workers(partial(_require_row, path, schedule, step_max), loops)
+    ):
+        pass
 
-        def refuse(name: str, value: float | None, row: dict = row) -> None:
-            raise InputError(
-                path,
-                f"certificates.limits at {row['v_mps']:g} m/s, kappa {row['kappa']}, {name}",
-                f"{value} when proved anew, not {row[name]}",
-                "the constants, coefficients and weights that were certified",
-            )
 
-        constants = np.array(row["stability_constants"], float)
-        level = loop.stability().proved(loop.ones, 1.0, constants) if loop.stable else np.inf
-        stated_level = np.inf if row["stability_level"] is None else row["stability_level"]
-        if stated_level != level and not abs(level - stated_level) <= LEVEL_RTOL * level:
-            refuse("stability_level", level)
-        if row["gain"] is not None:
-            constants = np.array(row["gain_constants"], float)
-            level = loop.performance().proved(loop.ones, 1 / row["gain"], constants)
-            if not level < 1:
-                refuse("gain", row["gain"] * level)
-        if row["energy"] is not None:
-            constants = np.array(row["energy_constants"], float)
-            energy = loop.energy(constants, float(schedule.limit(v)[0]), step_max)
-            if energy is None or not abs(energy - row["energy"]) <= ENERGY_RTOL * energy:
-                refuse("energy", energy)
+def _require_row(
+    path: Path, schedule: Scheduled, step_max: float, asked: tuple[dict, tuple[float, LimitedLoop]]
+) -> None:
+    """InputError unless a row's constants prove its numbers for its loop."""
+    row, (v, loop) = asked
+
+    def refuse(name: str, value: float | None) -> None:
+        raise InputError(
+            path,
+            f"certificates.limits at {row['v_mps']:g} m/s, kappa {row['kappa']}, {name}",
+            f"{value} when proved anew, not {row[name]}",
+            "the constants, coefficients and weights that were certified",
+        )
+
+    constants = np.array(row["stability_constants"], float)
+    level = loop.stability().proved(loop.ones, 1.0, constants) if loop.stable else np.inf
+    stated_level = np.inf if row["stability_level"] is None else row["stability_level"]
+    if stated_level != level and not abs(level - stated_level) <= LEVEL_RTOL * level:
+        refuse("stability_level", level)
+    if row["gain"] is not None:
+        constants = np.array(row["gain_constants"], float)
+        level = loop.performance().proved(loop.ones, 1 / row["gain"], constants)
+        if not level < 1:
+            refuse("gain", row["gain"] * level)
+    if row["energy"] is not None:
+        constants = np.array(row["energy_constants"], float)
+        energy = loop.energy(constants, float(schedule.limit(v)[0]), step_max)
+        if energy is None or not abs(energy - row["energy"]) <= ENERGY_RTOL * energy:
+            refuse("energy", energy)
 
 
 def largest_step(stored: StoredIdentification, schedule: Scheduled) -> float:
@@ -176,10 +197,10 @@ def _loops(
     schedule: Scheduled,
     scaling: Scaling,
     asked: list[tuple[float, float]],
-) -> Iterator[LimitedLoop]:
-    """The loop of every speed and kappa in ``asked``."""
+) -> Iterator[tuple[float, LimitedLoop]]:
+    """Of every speed and kappa in ``asked`` the speed and the loop."""
     settings, model = design_settings(stored), NominalModel(stored.project)
     weights = fig1_weights(stored, settings)
     for v, kappa in asked:
         plant = plant_at(stored, model, weights, v, False, settings.structure)
-        yield LimitedLoop(plant, schedule.at(v), schedule.injection(v), kappa, scaling)
+        yield v, LimitedLoop(plant, schedule.at(v), schedule.injection(v), kappa, scaling)

@@ -8,16 +8,19 @@ them and the nominal vehicle. Worst-case gain and mu are bounds over every Delta
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 from scipy.optimize import minimize
 
 from ..base.errors import InputError
-from ..base.progress import Counted, Progress
+from ..base.parallel import Map
+from ..base.progress import Progress, counted
 from ..base.sampling import evenly
 from ..core.scheduled import Scheduled
 from ..engine.synthesis.dk import Scaling
+from ..engine.synthesis.interconnection import GeneralisedPlant
 from ..engine.synthesis.margins import SKEWS
 from ..engine.synthesis.mu_interval import mu_interval
 from ..engine.synthesis.norms import hinf_norm
@@ -81,11 +84,16 @@ class Robustness:
 
 
 def robustness(
-    stored: StoredIdentification, schedule: Scheduled, scaling: Scaling, progress: Progress = lambda _: None
+    stored: StoredIdentification,
+    schedule: Scheduled,
+    scaling: Scaling,
+    progress: Progress = lambda _: None,
+    workers: Map = map,
 ) -> Robustness:
-    """The numbers of every node; ``scaling`` helps the search for the worst Delta."""
-    unit_u, units_y = _units(NominalModel(stored.project), schedule)
-    return _with_units(stored, schedule, scaling, unit_u, units_y, progress)
+    """The numbers of every node; ``scaling`` helps the search for the worst Delta, ``workers`` share the
+    nodes."""
+    unit_u, units_y = _units(NominalModel(stored.project), schedule, workers)
+    return _with_units(stored, schedule, scaling, unit_u, units_y, progress, workers)
 
 
 def require_robustness(
@@ -95,12 +103,13 @@ def require_robustness(
     schedule: Scheduled,
     scaling: Scaling,
     progress: Progress = lambda _: None,
+    workers: Map = map,
 ) -> None:
     """InputError unless ``stated`` (certificates.robustness of ``path``) is what is computed anew, in its
     units; None claims nothing."""
     if stated is not None:
         units = stated["unit_u"], tuple(stated["units_y"])
-        compare(path, stated, _with_units(stored, schedule, scaling, *units, progress))
+        compare(path, stated, _with_units(stored, schedule, scaling, *units, progress, workers))
 
 
 def compare(path: Path, stated: dict, found: Robustness) -> None:
@@ -129,41 +138,62 @@ def _with_units(
     unit_u: float,
     units_y: tuple[float, ...],
     progress: Progress,
+    workers: Map,
 ) -> Robustness:
     settings, model = design_settings(stored), NominalModel(stored.project)
     weights, speeds = fig1_weights(stored, settings), [float(v) for v in schedule.speeds]
-    nodes = []
-    for k, v in enumerate(speeds):
-        progress(Counted(f"margins at {v:.3g} m/s", k, len(speeds)))
-        plant, K = plant_at(stored, model, weights, v, False, settings.structure), schedule.at(v)
-        loop, last = lft(plant.system, K), np.pi / schedule.Ts
-        performance = plant.performance_block
-        gain = worst_gain(loop, plant.blocks, performance, 0.0, last).upper
-        try:
-            found = worst_case(plant, K, scaling if plant.blocks else None).gain
-        except ArithmeticError:
-            found = None
-        P, back = vehicle_at(model, v), _feedback(K)
-        disks = {f"disk_{name}": _disk(P, back, skew) for name, skew in SKEWS.items()}
-        here, beyond = _in_units(P, unit_u, units_y), speeds[k + 1 : k + 2]
-        gaps = [
-            nu_gap(here, _in_units(vehicle_at(model, other), unit_u, units_y)).upper
-            for after in beyond
-            for other in (after, 0.5 * (v + after))
-        ]
-        nodes.append(
-            NodeRobustness(
-                v,
-                mu_interval(loop, [*plant.blocks, performance], 0.0, last).upper,
-                gain if np.isfinite(gain) else None,
-                found,
-                **disks,
-                nu_margin=nu_margin(here, _controller_in_units(back, unit_u, units_y)),
-                nu_gap_next=gaps[0] if gaps else None,
-                nu_gap_midpoint=gaps[1] if gaps else None,
-            )
+    asked = [
+        _Asked(
+            v,
+            plant_at(stored, model, weights, v, False, settings.structure),
+            schedule.at(v),
+            vehicle_at(model, v),
+            tuple(
+                vehicle_at(model, other)
+                for after in speeds[k + 1 : k + 2]
+                for other in (after, 0.5 * (v + after))
+            ),
         )
-    return Robustness(tuple(nodes), unit_u, units_y)
+        for k, v in enumerate(speeds)
+    ]
+    texts = [f"margins at {v:.3g} m/s" for v in speeds]
+    nodes = workers(partial(_node, scaling, unit_u, units_y), asked)
+    return Robustness(tuple(counted(progress, texts, nodes)), unit_u, units_y)
+
+
+@dataclass(frozen=True)
+class _Asked:
+    """A node: its generalised plant, controller and vehicle, and the vehicles at the next node and
+    midway to it (none at the last)."""
+
+    v: float
+    plant: GeneralisedPlant
+    K: StateSpace
+    P: StateSpace
+    neighbours: tuple[StateSpace, ...]
+
+
+def _node(scaling: Scaling, unit_u: float, units_y: tuple[float, ...], at: _Asked) -> NodeRobustness:
+    plant, K = at.plant, at.K
+    loop, last = lft(plant.system, K), np.pi / plant.system.dt
+    performance = plant.performance_block
+    gain = worst_gain(loop, plant.blocks, performance, 0.0, last).upper
+    try:
+        found = worst_case(plant, K, scaling if plant.blocks else None).gain
+    except ArithmeticError:
+        found = None
+    back, here = _feedback(K), _in_units(at.P, unit_u, units_y)
+    gaps = [nu_gap(here, _in_units(other, unit_u, units_y)).upper for other in at.neighbours]
+    return NodeRobustness(
+        at.v,
+        mu_interval(loop, [*plant.blocks, performance], 0.0, last).upper,
+        gain if np.isfinite(gain) else None,
+        found,
+        **{f"disk_{name}": _disk(at.P, back, skew) for name, skew in SKEWS.items()},
+        nu_margin=nu_margin(here, _controller_in_units(back, unit_u, units_y)),
+        nu_gap_next=gaps[0] if gaps else None,
+        nu_gap_midpoint=gaps[1] if gaps else None,
+    )
 
 
 def _feedback(K: StateSpace) -> StateSpace:
@@ -195,7 +225,7 @@ def _controller_in_units(K: StateSpace, unit_u: float, units_y: tuple[float, ...
     return StateSpace(K.A, K.B * np.array(units_y), K.C / unit_u, K.D * np.array(units_y) / unit_u, K.dt)
 
 
-def _units(model: NominalModel, schedule: Scheduled) -> tuple[float, tuple[float, ...]]:
+def _units(model: NominalModel, schedule: Scheduled, workers: Map) -> tuple[float, tuple[float, ...]]:
     """The units in which nu-gaps between neighbours are smallest beside b(P, K), by a search from those of
     a stationary vehicle at its limit in the middle of the range."""
     speeds = [float(v) for v in schedule.speeds]
@@ -203,16 +233,22 @@ def _units(model: NominalModel, schedule: Scheduled) -> tuple[float, tuple[float
     P = vehicle_at(model, middle)
     unit_u = float(schedule.limit(middle)[0])
     first = np.log(np.abs(P.response([0.0])[0, :, 0]) * unit_u + 1e-12)
-    some = evenly(len(speeds) - 1, SCALING_NODES)
+    some = [
+        (*(vehicle_at(model, v) for v in speeds[k : k + 2]), _feedback(schedule.at(speeds[k])))
+        for k in evenly(len(speeds) - 1, SCALING_NODES)
+    ]
 
     def largest(log_units: np.ndarray) -> float:
-        units = tuple(np.exp(log_units))
-        ratios = []
-        for k in some:
-            here, after = (_in_units(vehicle_at(model, v), unit_u, units) for v in speeds[k : k + 2])
-            K = _controller_in_units(_feedback(schedule.at(speeds[k])), unit_u, units)
-            ratios.append(np.log(nu_gap(here, after).upper / nu_margin(here, K)))
-        return float(max(ratios))
+        return max(workers(partial(_log_ratio, unit_u, tuple(np.exp(log_units))), some))
 
     found = minimize(largest, first, method="Nelder-Mead", options={"maxfev": SCALING_STEPS, "xatol": 1e-2})
     return unit_u, tuple(float(x) for x in np.exp(found.x))
+
+
+def _log_ratio(
+    unit_u: float, units_y: tuple[float, ...], at: tuple[StateSpace, StateSpace, StateSpace]
+) -> float:
+    """log of nu-gap over b(P, K) of a vehicle, its neighbour and its feedback."""
+    here, after = (_in_units(P, unit_u, units_y) for P in at[:2])
+    margin = nu_margin(here, _controller_in_units(at[2], unit_u, units_y))
+    return float(np.log(nu_gap(here, after).upper / margin))

@@ -7,16 +7,21 @@ causal linear operator of gain 1. The speed is frozen.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from ..base.errors import InputError
-from ..base.progress import Counted, Progress
+from ..base.parallel import Map
+from ..base.progress import Progress, counted
 from ..core.scheduled import Scheduled
 from ..engine.synthesis.dk import Scaling
+from ..engine.synthesis.interconnection import GeneralisedPlant
 from ..engine.synthesis.slow_delta import SlowLoop
+from ..engine.synthesis.statespace import StateSpace
 from ..identify.run import StoredIdentification
 from ..vehicle.nominal import NominalModel
 from .plants import design_settings, fig1_weights, plant_at
@@ -80,32 +85,42 @@ class Slowness:
 
 
 def slowness(
-    stored: StoredIdentification, schedule: Scheduled, scaling: Scaling, progress: Progress = lambda _: None
+    stored: StoredIdentification,
+    schedule: Scheduled,
+    scaling: Scaling,
+    progress: Progress = lambda _: None,
+    workers: Map = map,
 ) -> Slowness | None:
-    """The rates of every node, by the stored scaling D(s); None for a design without Delta."""
+    """The rates of every node, which ``workers`` share, by the stored scaling D(s); None for a design without
+    Delta."""
     if not len(scaling.log_parameters):
         return None
-    nodes = []
-    for k, (v, moving, still) in enumerate(_loops(stored, schedule, scaling)):
-        progress(Counted(f"slow Delta at {v:.3g} m/s", k, len(schedule.speeds)))
-        found = moving[0].search()
-        fast = still.at(0.0)
-        rate: float | None = None
-        if not fast.level < 1:
-            slow = moving[1].search()
-            rate, fast = (0.0, fast) if slow is None else (slow.rate, slow)
-        nodes.append(
-            NodeSlowness(
-                v,
-                0.0 if found is None else found.rate,
-                () if found is None else tuple(map(float, found.log_constants)),
-                None if found is None else found.level,
-                rate,
-                tuple(map(float, fast.log_constants)),
-                fast.level,
-            )
-        )
-    return Slowness(tuple(nodes), *hidden_rates(stored))
+    nodes = workers(partial(_node, scaling), _closed(stored, schedule))
+    return Slowness(tuple(counted(progress, _texts(schedule), nodes)), *hidden_rates(stored))
+
+
+def _texts(schedule: Scheduled) -> list[str]:
+    return [f"slow Delta at {v:.3g} m/s" for v in schedule.speeds]
+
+
+def _node(scaling: Scaling, closed: tuple[float, GeneralisedPlant, StateSpace]) -> NodeSlowness:
+    v, plant, K = closed
+    moving, still = _loops(plant, K, scaling)
+    found = moving[0].search()
+    fast = still.at(0.0)
+    rate: float | None = None
+    if not fast.level < 1:
+        slow = moving[1].search()
+        rate, fast = (0.0, fast) if slow is None else (slow.rate, slow)
+    return NodeSlowness(
+        v,
+        0.0 if found is None else found.rate,
+        () if found is None else tuple(map(float, found.log_constants)),
+        None if found is None else found.level,
+        rate,
+        tuple(map(float, fast.log_constants)),
+        fast.level,
+    )
 
 
 def hidden_rates(stored: StoredIdentification) -> tuple[float, float]:
@@ -122,9 +137,10 @@ def require_slowness(
     schedule: Scheduled,
     scaling: Scaling,
     progress: Progress = lambda _: None,
+    workers: Map = map,
 ) -> None:
     """InputError unless the constants of ``stated`` (certificates.slow_delta of ``path``) prove its rates
-    anew; None claims nothing."""
+    anew; None claims nothing. ``workers`` share the nodes."""
     if stated is None:
         return
     nodes = stated["nodes"]
@@ -145,36 +161,49 @@ def require_slowness(
             raise InputError(
                 path, f"certificates.slow_delta.{name}", f"{value}", f"{want}, of nodes and frames"
             )
-    for k, (row, (v, moving, still)) in enumerate(zip(nodes, _loops(stored, schedule, scaling), strict=True)):
-        progress(Counted(f"slow Delta at {v:.3g} m/s", k, len(nodes)))
-        any_rate = row["stability_rate"] is None
-        for part, loop, rate in (
-            ("performance", moving[0], row["performance_rate"]),
-            ("stability", still if any_rate else moving[1], 0.0 if any_rate else row["stability_rate"]),
-        ):
-            if rate == 0 and not (part == "stability" and any_rate):
-                continue
-            level = loop.proved(rate, np.array(row[f"{part}_constants"]))
-            stated_level = row[f"{part}_level"]
-            if not level < 1 or not abs(level - stated_level) <= LEVEL_RTOL * stated_level:
-                raise InputError(
-                    path,
-                    f"certificates.slow_delta at {v:g} m/s, {part}",
-                    f"the level is {level:.7g}, stated as {stated_level:.7g}",
-                    "the rate, constants, coefficients and weights that were certified, and a level below 1",
-                )
+    asked = zip(nodes, _closed(stored, schedule), strict=True)
+    for _ in counted(progress, _texts(schedule), workers(partial(_require_node, path, scaling), asked)):
+        pass
 
 
-def _loops(stored: StoredIdentification, schedule: Scheduled, scaling: Scaling):
-    """Of each node: its speed, the loops with D(s) for performance and for stability, and the one without
-    D(s) for stability."""
+def _require_node(
+    path: Path, scaling: Scaling, asked: tuple[dict, tuple[float, GeneralisedPlant, StateSpace]]
+) -> None:
+    """InputError unless a row's constants prove its rates for its loop."""
+    row, (v, plant, K) = asked
+    moving, still = _loops(plant, K, scaling)
+    any_rate = row["stability_rate"] is None
+    for part, loop, rate in (
+        ("performance", moving[0], row["performance_rate"]),
+        ("stability", still if any_rate else moving[1], 0.0 if any_rate else row["stability_rate"]),
+    ):
+        if rate == 0 and not (part == "stability" and any_rate):
+            continue
+        level = loop.proved(rate, np.array(row[f"{part}_constants"]))
+        stated_level = row[f"{part}_level"]
+        if not level < 1 or not abs(level - stated_level) <= LEVEL_RTOL * stated_level:
+            raise InputError(
+                path,
+                f"certificates.slow_delta at {v:g} m/s, {part}",
+                f"the level is {level:.7g}, stated as {stated_level:.7g}",
+                "the rate, constants, coefficients and weights that were certified, and a level below 1",
+            )
+
+
+def _closed(
+    stored: StoredIdentification, schedule: Scheduled
+) -> Iterator[tuple[float, GeneralisedPlant, StateSpace]]:
+    """Of each node its speed, generalised plant and controller."""
     settings, model = design_settings(stored), NominalModel(stored.project)
     weights = fig1_weights(stored, settings)
-    constant = Scaling(scaling.log_parameters[:, :1])
     for v in map(float, schedule.speeds):
-        plant, K = plant_at(stored, model, weights, v, False, settings.structure), schedule.at(v)
-        yield (
-            v,
-            tuple(SlowLoop(plant, K, scaling, performance) for performance in (True, False)),
-            SlowLoop(plant, K, constant, False),
-        )
+        yield v, plant_at(stored, model, weights, v, False, settings.structure), schedule.at(v)
+
+
+def _loops(
+    plant: GeneralisedPlant, K: StateSpace, scaling: Scaling
+) -> tuple[tuple[SlowLoop, SlowLoop], SlowLoop]:
+    """The loops with D(s) for performance and for stability, and the one without D(s) for stability."""
+    constant = Scaling(scaling.log_parameters[:, :1])
+    with_D = SlowLoop(plant, K, scaling, True), SlowLoop(plant, K, scaling, False)
+    return with_D, SlowLoop(plant, K, constant, False)

@@ -24,7 +24,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, fields
-from functools import cached_property
+from functools import lru_cache, partial
 from itertools import accumulate, pairwise, zip_longest
 from typing import NamedTuple
 
@@ -33,6 +33,7 @@ from scipy.linalg import solve_toeplitz
 from scipy.signal import lfilter
 
 from ..base.errors import InputError
+from ..base.parallel import Map
 from ..drives.frames import Estimator
 from ..drives.tables import Drive, Experiment
 from ..vehicle.nominal import NominalModel, evaluate
@@ -117,20 +118,6 @@ class ErrorGrid:
     def cells(self) -> tuple[int, int]:
         """Numbers of speed cells and of amplitude classes."""
         return len(self.speed_edges) - 1, len(self.amplitude_edges) + 1
-
-    @cached_property
-    def _kernels(self) -> dict[tuple[float, int], np.ndarray]:
-        return {}
-
-    def kernel(self, omega: float, half: int) -> np.ndarray:
-        """Hann window times exponential at ``omega`` [rad/s], (half, 4): real and imaginary part of the first
-        half, and of the second. Every drive has the same; they are made once."""
-        if (omega, half) not in self._kernels:
-            n = np.arange(2 * half)
-            window = 0.5 - 0.5 * np.cos(2 * np.pi * n / len(n))
-            parts = (window * np.exp(-1j * omega * self.Ts * n)).reshape(2, -1)
-            self._kernels[omega, half] = np.stack([x for k in parts for x in (k.real, k.imag)], axis=1)
-        return self._kernels[omega, half]
 
     def relative(self, v: np.ndarray) -> np.ndarray:
         """s, in the shape of the speeds v [m/s]."""
@@ -269,10 +256,21 @@ def drive_sums(
             if not good.any():
                 continue
             frames = (
-                _by_halves(stacked[:, : halves * half], grid.kernel(omega, half))[:, good] / whitened[:, None]
+                _by_halves(stacked[:, : halves * half], _kernel(omega * grid.Ts, half))[:, good]
+                / whitened[:, None]
             )
             _add(moments, grid, (g, p), frames.reshape(model.n_y, each, -1), speed[good], amplitude[good])
     return Sums.of_moments(moments)
+
+
+@lru_cache(maxsize=1024)
+def _kernel(angle: float, half: int) -> np.ndarray:
+    """Hann window times an exponential that turns by ``angle`` a sample, (half, 4): real and imaginary part
+    of the first half, and of the second. Every drive has the same, and a process makes them once."""
+    n = np.arange(2 * half)
+    window = 0.5 - 0.5 * np.cos(2 * np.pi * n / len(n))
+    parts = (window * np.exp(-1j * angle * n)).reshape(2, -1)
+    return np.stack([x for k in parts for x in (k.real, k.imag)], axis=1)
 
 
 def _by_halves(signals: np.ndarray, kernel: np.ndarray) -> np.ndarray:
@@ -665,21 +663,23 @@ class ModelError:
     left_out: list[float]
 
     @classmethod
-    def of(cls, project: Project, grid: ErrorGrid, setting: list[Sums], judging: list[Sums]) -> ModelError:
-        """From the sums of folds of drives, at least one that sets the bounds."""
+    def of(
+        cls,
+        project: Project,
+        grid: ErrorGrid,
+        setting: list[Sums],
+        judging: list[Sums],
+        workers: Map = map,
+    ) -> ModelError:
+        """From the sums of folds of drives, at least one that sets the bounds; ``workers`` share the
+        folds."""
         estimate = ErrorEstimate.of(_total(setting), grid)
-        left_out = []
-        for own, rest in _each_and_others(setting):
-            others = ErrorEstimate.of(rest, grid)
-            asked = uncertainty_bound(project, grid, others)
-            lower = ErrorEstimate.of(own, grid).lower.max(axis=(2, 3))
-            left_out.append(float((asked / np.maximum(lower, TINY)).min(where=lower > 0, initial=np.inf)))
         return cls(
             grid,
             estimate,
             uncertainty_bound(project, grid, estimate),
             ErrorEstimate.of(_total(judging), grid) if judging else None,
-            left_out,
+            list(workers(partial(_left_out, project, grid), _each_and_others(setting))),
         )
 
     @property
@@ -719,6 +719,14 @@ class ModelError:
         judging = None if data["judging"] is None else ErrorEstimate.from_dict(data["judging"])
         ratios = [np.inf if r is None else r for r in data["left_out"]["ratios"]]
         return cls(grid, setting, uncertainty_bound(project, grid, setting), judging, ratios)
+
+
+def _left_out(project: Project, grid: ErrorGrid, fold: tuple[Sums, Sums]) -> float:
+    """Least ratio of what the others ask for to the own |delta_c| - k se, of a ``fold``'s sums and theirs."""
+    own, others = (ErrorEstimate.of(sums, grid) for sums in fold)
+    lower = own.lower.max(axis=(2, 3))
+    asked = uncertainty_bound(project, grid, others)
+    return float((asked / np.maximum(lower, TINY)).min(where=lower > 0, initial=np.inf))
 
 
 def _each_and_others(folds: list[Sums]) -> Iterator[tuple[Sums, Sums]]:

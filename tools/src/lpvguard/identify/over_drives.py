@@ -149,7 +149,7 @@ class OverDrives:
                     found[k % FOLDS] = found[k % FOLDS].plus(sums)
             return found
 
-        return ModelError.of(reader.project, grid, folds(drives.setting), folds(drives.others))
+        return ModelError.of(reader.project, grid, folds(drives.setting), folds(drives.others), self.workers)
 
     def _deciders(
         self, key: str, columns: int, setting: list[Experiment], parts: Iterable[Part]

@@ -152,7 +152,8 @@ def identify(
     error, smooth = run.model_error(chosen), gamma_w.magnitude(estimator.omega)
     second, W_delta = run.uncertainty(first, smooth, error, chosen.setting)
     bounds = run.bounds(first, smooth, second, W_delta, chosen.setting)
-    weights = fit_weights(project, estimator, bounds, gamma_w, W_delta, noise_peak, first["E"], command["Y"])
+    given = project, estimator, bounds, gamma_w, W_delta, noise_peak, first["E"], command["Y"]
+    weights = fit_weights(*given, workers)
     weights, calibration, energy, change = run.calibrated(weights, bounds, chosen, Path(folder))
     progress("window error")
     result = Identification(

@@ -4,10 +4,12 @@ for them."""
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from ..base.errors import InputError
+from ..base.parallel import Map
 from ..core.coefficients import Coefficients, build_coefficients
 from ..drives.frames import Estimator
 from ..engine.overbound.certificate import verify_overbound
@@ -234,44 +236,44 @@ def fit_weights(
     noise: np.ndarray,
     error: np.ndarray,
     command: np.ndarray,
+    workers: Map = map,
 ) -> Weights:
     """Steps 6 and 7 around the fitted ``W_delta``. ``noise``, ``error`` (K, n_y): peaks of E without and with
-    input; ``command`` (K,): of the first output.
+    input; ``command`` (K,): of the first output. ``workers`` share the weights.
 
     Without zero-input drives (``noise`` all NaN) B_w itself is W_w.
     """
     floor = smallest_disturbance(bounds.B2)
     names = [s.name for s in project.outputs]
-
-    def fit_all(bound: np.ndarray, what: str) -> list[FittedWeight]:
-        return [
-            fit_bound(project, estimator, bound[:, j], f"{what} of {n}", floor) for j, n in enumerate(names)
-        ]
-
     disturbance_set = project.bounds.disturbance_set
-    B_w = fit_all(bounds.B_w, "B_w")
-    if np.isnan(noise).all():
-        return Weights(B_w, W_delta, gamma_w, [], [], [], {}, disturbance_set)
-    W_n = fit_all(noise, "W_n")
     # A covering set is an ellipsoid: n_y outputs at their peaks together need sqrt(n_y).
     cover = np.sqrt(project.n_y) if disturbance_set == "covering" else 1.0
+    asked = [(bounds.B_w, "B_w")]
+    if not np.isnan(noise).all():
+        asked += [(noise, "W_n"), (cover * error, "B_w of S0")]
+    columns = [(bound[:, j], f"{what} of {n}") for bound, what in asked for j, n in enumerate(names)]
+    if len(asked) > 1:
+        columns.append((command, "W_C"))
+    fitted = list(workers(partial(_fitted_above, project, estimator, floor), columns))
+    B_w, W_n, of_S0 = (fitted[k * len(names) : (k + 1) * len(names)] for k in range(3))
+    if not W_n:
+        return Weights(B_w, W_delta, gamma_w, [], [], [], {}, disturbance_set)
     floored: dict[str, list[float]] = {}
 
     def without_noise(B: list[FittedWeight], what: str) -> list[FittedWeight]:
-        weights, empty = disturbance_weights(project, estimator, B, W_n, floor, what)
+        weights, empty = disturbance_weights(project, estimator, B, W_n, floor, what, workers)
         floored.update({f"{what} of {n}": e for n, e in zip(names, empty, strict=False)})
         return weights
 
-    return Weights(
-        without_noise(B_w, "W_w"),
-        W_delta,
-        gamma_w,
-        W_n,
-        without_noise(fit_all(cover * error, "B_w of S0"), "W_w of S0"),
-        [fit_bound(project, estimator, command, "W_C", floor)],
-        floored,
-        disturbance_set,
-    )
+    W_w, W_w_S0 = without_noise(B_w, "W_w"), without_noise(of_S0, "W_w of S0")
+    return Weights(W_w, W_delta, gamma_w, W_n, W_w_S0, fitted[-1:], floored, disturbance_set)
+
+
+def _fitted_above(
+    project: Project, estimator: Estimator, floor: float, asked: tuple[np.ndarray, str]
+) -> FittedWeight:
+    bound, name = asked
+    return fit_bound(project, estimator, bound, name, floor)
 
 
 def disturbance_weights(
@@ -281,10 +283,11 @@ def disturbance_weights(
     W_n: list[FittedWeight],
     floor: float,
     what: str = "W_w",
+    workers: Map = map,
 ) -> tuple[list[FittedWeight], list[list[float]]]:
     """Step 7: W_w per output, what is left of B_w after the sensor's share, and the frequencies [rad/s] where
-    nothing is."""
-    omega, weights, floored = fitting_grid(estimator), [], []
+    nothing is; ``workers`` share the outputs."""
+    omega, asked, floored = fitting_grid(estimator), [], []
     for b, noise, output in zip(B_w, W_n, project.outputs, strict=True):
         left, empty = subtract_noise(
             b.magnitude(omega),
@@ -293,9 +296,9 @@ def disturbance_weights(
             floor=np.fmax(floor, LEAST_SHARE * b.magnitude(omega)),
             disturbance_set=project.bounds.disturbance_set,
         )
-        weights.append(fit_bound(project, estimator, left, f"{what} of {output.name}", floor))
+        asked.append((left, f"{what} of {output.name}"))
         floored.append(empty)
-    return weights, floored
+    return list(workers(partial(_fitted_above, project, estimator, floor), asked)), floored
 
 
 def coefficients_of(

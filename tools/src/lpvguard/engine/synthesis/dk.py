@@ -15,11 +15,13 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import scipy.linalg as sl
 from scipy.optimize import minimize
 
+from lpvguard.base.parallel import Map
 from lpvguard.engine.synthesis.errors import SynthesisError
 from lpvguard.engine.synthesis.hinf import HinfResult, hinf_synthesis, improved_level
 from lpvguard.engine.synthesis.interconnection import GeneralisedPlant, zeros_poles
@@ -124,13 +126,14 @@ def dk_synthesis(
     polish: int = 40,
     reduction_loss: float = 3e-5,
     start: Scaling | None = None,
+    workers: Map = map,
 ) -> DKResult:
     """Controller for robust performance of ``plant`` (continuous or discrete; blocks full complex).
 
     degree: order of each d_i. iterations: K and D steps. polish: further K steps that move D's parameters
     directly. reduction_loss: relative rise of the certified level that order reduction may cost. start: the
-    first D (default: I). Without blocks: H∞ synthesis. Raises SynthesisError where H∞ synthesis does, and for
-    blocks that are not full.
+    first D (default: I). ``workers`` share the two ways of such a step. Without blocks: H∞ synthesis. Raises
+    SynthesisError where H∞ synthesis does, and for blocks that are not full.
     """
     if any(b.kind != "full" for b in plant.blocks):
         raise SynthesisError("D-K iteration", "blocks", "a repeated block", "full complex blocks")
@@ -148,7 +151,7 @@ def dk_synthesis(
             if k == iterations - 1 or (k > 1 and result.gamma > history[-2] * (1 - 1e-4)):
                 break
             scaling = work.fit(lft(work.system, result.controller), scaling, power=10)
-        level, scaling = _polish(work, best_scaling, best, polish)
+        level, scaling = _polish(work, best_scaling, best, polish, workers)
         history.append(level)
     final = work.controller(scaling, backoff=3e-4, guess=level)
     reduced = reduce_controller(work, final.controller, scaling, final.gamma_achieved * (1 + reduction_loss))
@@ -220,7 +223,7 @@ class _Work:
             self.scaled(self.system, scaling), self.plant.n_control, self.plant.n_measurement, **options
         )
 
-    def improved(self, scaling: Scaling, level: float) -> float | None:
+    def improved(self, level: float, scaling: Scaling) -> float | None:
         """The optimum of the scaled plant when it lies below ``level``, else None."""
         return improved_level(
             self.scaled(self.system, scaling),
@@ -303,7 +306,7 @@ def _diagonals(G: np.ndarray) -> np.ndarray:
     return np.abs(np.diagonal(G, axis1=1, axis2=2))
 
 
-def _polish(work: _Work, scaling: Scaling, level: float, budget: int) -> tuple[float, Scaling]:
+def _polish(work: _Work, scaling: Scaling, level: float, budget: int, workers: Map) -> tuple[float, Scaling]:
     """Pattern search on D's parameters with the synthesis itself as the measure; ``budget`` K steps."""
     x, size = scaling.log_parameters.copy(), 0.08
     moves = [(i, j) for j in (0, *range(x.shape[1] - 1, 0, -1)) for i in range(x.shape[0])]
@@ -311,15 +314,15 @@ def _polish(work: _Work, scaling: Scaling, level: float, budget: int) -> tuple[f
     while budget > 0 and size > 0.01 and moves:
         better = False
         for move in moves:
-            for _ in range(2):
-                if budget <= 0:
-                    break
-                trial = x.copy()
-                trial[move] += direction[move] * size
+            along = np.zeros_like(x)
+            along[move] = direction[move] * size
+            trials = [Scaling(x + along), Scaling(x - along)][: max(budget, 0)]
+            for trial, value in zip(
+                trials, workers(partial(work.improved, level * (1 - 1e-5)), trials), strict=True
+            ):
                 budget -= 1
-                value = work.improved(Scaling(trial), level * (1 - 1e-5))
                 if value is not None:
-                    x, level, better = trial, value, True
+                    x, level, better = trial.log_parameters, value, True
                     break
                 direction[move] *= -1
         size *= 1.0 if better else 0.5

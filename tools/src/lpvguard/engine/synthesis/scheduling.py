@@ -13,10 +13,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import scipy.linalg as sl
 
+from lpvguard.base.parallel import Map
 from lpvguard.engine.synthesis.dk import Scaling, gramian_factor
 from lpvguard.engine.synthesis.hinf import hinf_synthesis, improved_level, optimal_level
 from lpvguard.engine.synthesis.interconnection import GeneralisedPlant
@@ -61,31 +63,11 @@ def closed_scaled(plant: GeneralisedPlant, controller: StateSpace, scaling: Scal
     return series(left, series(loop, right))
 
 
-def common_scaling(plants: Sequence[GeneralisedPlant], start: Scaling) -> tuple[Scaling, float]:
+def common_scaling(
+    plants: Sequence[GeneralisedPlant], start: Scaling, workers: Map = map
+) -> tuple[Scaling, float]:
     """The scaling with the least worst-case optimum over ``plants``, by pattern search from ``start``; and
-    that optimum."""
-
-    def worst_below(limit: float, scaling: Scaling) -> float | None:
-        """The largest optimum when all lie below ``limit``, else None; the last offender is asked first. One
-        that reaches the largest so far is no larger."""
-        largest = 0.0
-        for k in list(order):
-            plant = plants[k]
-            value = improved_level(
-                scaled_plant(plant, scaling),
-                plant.n_control,
-                plant.n_measurement,
-                limit,
-                OPTIMUM_RTOL,
-                largest,
-            )
-            if value is None:
-                order.remove(k)
-                order.insert(0, k)
-                return None
-            largest = max(largest, value)
-        return largest
-
+    that optimum. ``workers`` share the two ways to go along a parameter."""
     order = list(range(len(plants)))
     best = start
     level = max(
@@ -96,40 +78,50 @@ def common_scaling(plants: Sequence[GeneralisedPlant], start: Scaling) -> tuple[
     while step >= LAST_STEP:
         improved = False
         for index in np.ndindex(best.log_parameters.shape):
-            for sign in (1.0, -1.0):
-                x = best.log_parameters.copy()
-                x[index] += sign * step
-                value = worst_below(level * (1 - OPTIMUM_RTOL), Scaling(x))
+            along = np.zeros_like(best.log_parameters)
+            along[index] = step
+            tried = [Scaling(best.log_parameters + along), Scaling(best.log_parameters - along)]
+            asked = list(order)
+            worst_below = partial(_worst_below, [plants[k] for k in asked], level * (1 - OPTIMUM_RTOL))
+            for scaling, (value, offender) in zip(tried, workers(worst_below, tried), strict=True):
                 if value is not None:
-                    best, level, improved = Scaling(x), value, True
+                    best, level, improved = scaling, value, True
                     break
+                order.remove(asked[offender])
+                order.insert(0, asked[offender])
         step *= 1.0 if improved else 0.5
     return best, level
 
 
+def _worst_below(
+    plants: Sequence[GeneralisedPlant], limit: float, scaling: Scaling
+) -> tuple[float | None, int]:
+    """The largest optimum when all lie below ``limit``, else None and the first plant that does not. One that
+    reaches the largest so far is no larger."""
+    largest = 0.0
+    for k, plant in enumerate(plants):
+        shape = plant.n_control, plant.n_measurement
+        value = improved_level(scaled_plant(plant, scaling), *shape, limit, OPTIMUM_RTOL, largest)
+        if value is None:
+            return None, k
+        largest = max(largest, value)
+    return largest, -1
+
+
 def common_family(
-    plants: Sequence[GeneralisedPlant], scaling: Scaling, level: float
+    plants: Sequence[GeneralisedPlant], scaling: Scaling, level: float, workers: Map = map
 ) -> tuple[Callable[[int], list[StateSpace]], int]:
     """Controllers of all ``plants`` at one ``level``: a function of the order that they are truncated to, and
     the largest such order.
 
     The plants are discrete and of one structure, the level is above each optimum. Truncated or not the
-    controllers share one set of states.
+    controllers share one set of states. ``workers`` share the plants.
     """
     scaled = [scaled_plant(plant, scaling) for plant in plants]
     t = balancing(scaled[len(scaled) // 2])
-    scaled = [scaled_states(G, t) for G in scaled]
-    n, full = scaled[0].order, []
-    reach, seen = np.zeros((n, n)), np.zeros((n, n))
-    for plant, G in zip(plants, scaled, strict=False):
-        shape = plant.n_control, plant.n_measurement
-        found = hinf_synthesis(G, *shape, level=level)
-        K = found.controller.transformed(np.linalg.inv(found.basis))
-        loop = lft(G, K)
-        reach = reach + sl.solve_continuous_lyapunov(loop.A, -loop.B @ loop.B.T)[n:, n:]
-        seen = seen + sl.solve_continuous_lyapunov(loop.A.T, -loop.C.T @ loop.C)[n:, n:]
-        full.append(K)
-    R, S = gramian_factor(reach), gramian_factor(seen)
+    member = partial(_member, plants[0].n_control, plants[0].n_measurement, level)
+    full, reach, seen = zip(*workers(member, [scaled_states(G, t) for G in scaled]), strict=True)
+    R, S = gramian_factor(np.sum(reach, axis=0)), gramian_factor(np.sum(seen, axis=0))
     U, sigma, Vt = np.linalg.svd(S.T @ R)
     rank = int(np.count_nonzero(sigma > 1e-13 * sigma[0]))
     scale = 1 / np.sqrt(sigma[:rank])
@@ -143,3 +135,16 @@ def common_family(
         ]
 
     return at_order, rank
+
+
+def _member(
+    n_control: int, n_measurement: int, level: float, G: StateSpace
+) -> tuple[StateSpace, np.ndarray, np.ndarray]:
+    """The central controller of the scaled plant ``G`` at ``level``, and how far its states are reached and
+    seen in the loop, (n, n) each."""
+    n, found = G.order, hinf_synthesis(G, n_control, n_measurement, level=level)
+    K = found.controller.transformed(np.linalg.inv(found.basis))
+    loop = lft(G, K)
+    reach = sl.solve_continuous_lyapunov(loop.A, -loop.B @ loop.B.T)[n:, n:]
+    seen = sl.solve_continuous_lyapunov(loop.A.T, -loop.C.T @ loop.C)[n:, n:]
+    return K, reach, seen
