@@ -106,7 +106,7 @@ def eigen_include() -> str:
 
 CORE_FLAGS = (
     "-std=c++17",
-    "-O2",
+    "-O3",
     "-fno-exceptions",
     "-fno-rtti",
     "-ffp-contract=off",
