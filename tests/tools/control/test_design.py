@@ -217,13 +217,14 @@ def test_the_command_searches_at_a_moving_speed_unless_told_not_to(finer, asked,
 
     given = []
 
-    def told(stored, progress, moving_speed):
+    def told(stored, progress, moving_speed, workers):
         given.append(moving_speed)
         raise InputError("design", "x", "stopped here", "no more")
 
     monkeypatch.setattr(stage, "design", told)
     with pytest.raises(InputError, match="stopped here"):
-        command._design_vehicle(finer, None, False, False, asked, tmp_path / "out", None)
+        searched = {"table": False, "largest_A_t": False, "moving_speed": asked}
+        command._design_vehicle(finer, None, tmp_path / "out", None, 1, **searched)
     assert given == [asked]
 
 

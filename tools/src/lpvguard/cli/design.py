@@ -61,10 +61,7 @@ def design(
     ] = None,
     drives: Annotated[
         Path | None,
-        typer.Option(
-            help="The drive folder it was identified from: makes Fig. 6 and the "
-            "state uncertainty's bounds exact."
-        ),
+        typer.Option(help="The drives it was identified from: makes Fig. 6 and bounds with the state exact."),
     ] = None,
     case: Annotated[
         Path | None,

@@ -60,8 +60,8 @@ class FrozenLoop:
 def fit_by_pairs(
     loops: Sequence[FrozenLoop], speeds: np.ndarray, scaling: Scaling, u_max: np.ndarray
 ) -> Callable[[int], Scheduled]:
-    """A function of the number of pairs of poles: the schedule of so many and a delay that comes nearest to
-    the controllers of ``loops``, one a speed.
+    """A function of the number of pairs of poles. It gives the schedule of so many and a delay that comes
+    nearest to the controllers of ``loops``, one a speed.
 
     u_max (G, n_u): largest |demand| at every speed [input unit]. Raises LinAlgError where a loop's
     sensitivity or recovery does not exist.
