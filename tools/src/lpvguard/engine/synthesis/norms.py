@@ -128,7 +128,7 @@ def _crossings(H: StateSpace, level: float) -> np.ndarray:
     R = np.eye(D.shape[1]) - D.T @ D
     F = np.linalg.solve(R, np.hstack([D.T @ C, B.T]))
     hamiltonian = np.block([[A, np.zeros((n, n))], [-C.T @ C, -A.T]]) + np.vstack([B, -C.T @ D]) @ F
-    return axis_frequencies(hamiltonian, float(np.linalg.norm(A, 2)))
+    return axis_frequencies(hamiltonian, float(np.linalg.norm(A)))
 
 
 def axis_frequencies(hamiltonian: np.ndarray, scale: float) -> np.ndarray:
