@@ -229,6 +229,25 @@ def test_roots_are_found_in_any_unit(spread):
     np.testing.assert_allclose(found, np.sort_complex(roots.astype(complex)), rtol=1e-9)
     assert polynomial_roots(np.array([2.0])).size == 0
     np.testing.assert_allclose(np.sort(polynomial_roots(np.array([1.0, 3.0, 0.0])).real), [-3.0, 0.0])
+    np.testing.assert_allclose(np.sort(polynomial_roots(np.array([-2.0, 0.0, 8.0])).real), [-2.0, 2.0])
+
+
+@pytest.mark.parametrize("name", ["num", "den"])
+@pytest.mark.parametrize("bad", [[1.0, np.nan], [np.inf, 1.0], [0.0, 1.0], [], [[1.0, 2.0]], 3.0])
+def test_coefficients_of_a_weight_are_finite_numbers_and_the_first_is_not_zero(name, bad):
+    with pytest.raises(InputError, match=f"weight: {name}: .*whose first is not 0"):
+        Weight(**({"num": [1.0], "den": [1.0, 2.0]} | {name: bad}))
+
+
+def test_a_weight_keeps_its_coefficients_and_is_complex_where_it_is_asked_for():
+    given = np.array([1.0, 2.0])
+    W = Weight(given, given + 1)
+    given[0] = 7.0
+    assert W.num.tolist() == [1.0, 2.0]
+    for coefficients in (W.num, W.den):
+        with pytest.raises(ValueError, match="read-only"):
+            coefficients[0] = 7.0
+    assert W(2).dtype == complex and W(2) == 4 / 7
 
 
 @pytest.mark.parametrize(
@@ -237,6 +256,9 @@ def test_roots_are_found_in_any_unit(spread):
         ([], [-2.0]),
         ([-3.0], [-2.0]),
         ([-3.0], [-2.0, -0.5]),
+        ([-3.0], [-1e-6, -1e6]),
+        ([-1.0], [-1.0]),
+        ([], []),
         ([], [-1 + 2j, -1 - 2j]),
         ([-4.0], [-1 + 2j, -1 - 2j, -7.0]),
         ([-1 + 1j, -1 - 1j], [-0.1, -0.2, -30.0]),
@@ -245,7 +267,7 @@ def test_roots_are_found_in_any_unit(spread):
     ],
 )
 def test_a_realisation_has_the_response_of_its_weight(zeros, poles):
-    W = Weight(1.5 * np.atleast_1d(np.real(np.poly(zeros))), 0.5 * np.real(np.poly(poles)))
+    W = Weight(*(k * np.atleast_1d(np.real(np.poly(v))) for k, v in ((1.5, zeros), (0.5, poles))))
     A, B, C, D = W.to_state_space()
     assert len(A) == W.order == len(poles) and B.shape == (len(poles), 1) and C.shape == (1, len(poles))
     for s in (0.0, 0.7j, 5j, 0.3 + 2j):
