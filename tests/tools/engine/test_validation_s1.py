@@ -150,11 +150,14 @@ def test_a_single_part_of_either_sign_sets_the_scale(engine, turn, which):
         assert found.b1 == 0.0 and np.abs(found.w) <= 1e-15 * k
 
 
-def test_a_point_that_is_not_finite_raises_no_flag_of_the_processor():
+@pytest.mark.parametrize("place", ["e", "z", "gamma"])
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_a_point_that_is_not_finite_raises_no_flag_of_the_processor(place, bad):
     """Numbers of the numpy version alone: the product with delta that leaves w is the caller's."""
-    e = np.array([[np.nan, 1.0], [1.0, 1.0]], complex)
+    given = {"e": np.ones((2, 2), complex), "z": np.ones((2, 2), complex), "gamma": np.full(2, 0.5)}
+    given[place].flat[0] = bad
     with np.errstate(all="raise"):
-        b1, nu, delta = s1._s1_numpy(e, np.ones((2, 2), complex), np.full(2, 0.5))
+        b1, nu, delta = s1._s1_numpy(*given.values())
     assert np.isnan([b1[0], nu[0], delta[0]]).all() and (b1[1], nu[1]) == (0.0, pytest.approx(1 - 8**-0.5))
 
 
@@ -249,9 +252,10 @@ def test_a_tradeoff_whose_disc_is_one_point_takes_it():
 
 def test_the_tradeoff_loses_no_digits_where_it_stops_just_short_of_no_delta():
     """Where w is free the answer is that of S1, here a billionth of the disc's radius of 1000."""
-    e, z, short = np.array([600.0, 800j]), np.array([0.6, 0.8j]), np.linspace(1.1e-9, 2e-9, 20)
-    found = s1.tradeoff(e, z, 1000.0 * (1 - short), 1.0, np.zeros(2))
-    exact = s1.solve(e, z, 1000.0 * (1 - short))
+    z, short = gauss(np.random.default_rng(1), 2), np.linspace(1.1e-9, 2e-9, 20)
+    e = 1000.0 * np.exp(1j) * z
+    gamma = np.linalg.norm(e) * (1 - short)
+    found, exact = s1.tradeoff(e, z, gamma, 1.0, np.zeros(2)), s1.solve(e, z, gamma)
     np.testing.assert_allclose(exact.nu, 1000.0 * short, rtol=1e-6)
     np.testing.assert_allclose(found.delta, exact.delta, rtol=1e-12)
     np.testing.assert_allclose(found.nu, exact.nu, rtol=1e-12)
@@ -469,6 +473,7 @@ def test_least_has_the_sizes_and_what_solve_and_the_least_squares_scalar_say(n_y
     z[20:25] *= 1e180
     if n_y > 1:
         e[25:30, 0], e[25:30, 1] = z[25:30, 1].conj(), -z[25:30, 0].conj()
+        e[30:35, 0], z[30:35, 1] = 0.0, 0.0
     found = s1.least(e, z)
     scale = np.abs(e).max(axis=1) + (np.abs(e).max(axis=1) == 0)
     np.testing.assert_allclose(found.e, np.linalg.norm(e / scale[:, None], axis=1) * scale, rtol=1e-13)

@@ -332,7 +332,7 @@ def _triple(i, j, k):
     db2, uu = det**2 * i[2] ** 2, np.abs(u0) ** 2
     pq = np.abs(u0) * np.abs(u1)
     c = np.conj(u0) * u1
-    minus = np.where(c.real > 0.0, -(c.imag**2) / (pq + c.real), c.real - pq)
+    minus = c.real - pq  # where this cancels, db2 is at least twice the other root, or there is no level
     plus = np.where(c.real < 0.0, c.imag**2 / (pq - c.real), c.real + pq)
     half = db2 - 2.0 * c.real + np.sqrt(np.maximum((2.0 * minus - db2) * (2.0 * plus - db2), 0.0))
     return np.sqrt(2.0 * uu / half)
