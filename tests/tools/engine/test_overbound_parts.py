@@ -11,11 +11,9 @@ import scipy.linalg as sl
 
 from lpvguard.base.errors import InputError
 from lpvguard.engine.overbound import certificate as proof
-from lpvguard.engine.overbound import fit
 from lpvguard.engine.overbound import weight as weight_module
 from lpvguard.engine.overbound.bound import SampledBound
 from lpvguard.engine.overbound.certificate import is_hurwitz, squared, verify_overbound
-from lpvguard.engine.overbound.minimax import MinimaxFit
 from lpvguard.engine.overbound.noise import subtract_noise
 from lpvguard.engine.overbound.weight import Weight, polynomial_roots
 
@@ -303,66 +301,6 @@ def test_what_is_no_bound_of_a_check_is_told_by_its_name():
     for name, told in (("", "weight check: "), ("W_delta", "W_delta: ")):
         with pytest.raises(InputError, match=f"^{told}"):
             verify_overbound(W, [1.0], [np.nan], name=name)
-
-
-# ---------------------------------------------------------------- the fit's decisions
-
-
-def test_orders_go_from_the_lowest_that_is_proper_to_eight():
-    for proper, lowest in (("biproper", 0), ("strict", 1)):
-        for order in (None, lowest, 8):
-            assert fit._lowest_order("here", 8 if order is None else order, order, 0.0, proper) == lowest
-        for wrong in (lowest - 1, 9, 2.0):
-            with pytest.raises(InputError, match=f"here: order: .*from {lowest} to 8"):
-                fit._lowest_order("here", 4, wrong, 0.0, proper)
-            with pytest.raises(InputError, match="here: max_order"):
-                fit._lowest_order("here", wrong, None, 0.0, proper)
-    for tol_db in (-1e-9, math.inf, math.nan):
-        with pytest.raises(InputError, match="tol_db"):
-            fit._lowest_order("here", 4, None, tol_db, "biproper")
-    with pytest.raises(InputError, match="'biproper' or 'strict'"):
-        fit._lowest_order("here", 4, None, 0.3, "")
-
-
-@pytest.mark.parametrize(
-    ("ratios_db", "tol_db", "order"),
-    [
-        ([1.0, 0.75], 0.25, 0),
-        ([1.0, 0.75], 0.249, 1),
-        ([5.0, 5.0, 1.0], 1.0, 2),
-        ([5.0, 5.0, 1.0], 2.0, 0),
-        ([5.0, 5.0, 1.0], 4.0, 0),
-        ([5.0, 2.0, 1.5, 1.2], 0.5, 1),
-        ([3.0], 0.0, 0),
-        ([3.0, 3.0], 0.0, 0),
-    ],
-)
-def test_the_order_chosen_is_the_smallest_of_which_no_higher_one_gains_the_tolerance_a_state(
-    ratios_db, tol_db, order
-):
-    found = {n: MinimaxFit(n, *[np.ones(1)] * 2, r, 0.0, np.ones(1)) for n, r in enumerate(ratios_db)}
-    assert fit._choose(found, tol_db) == order
-    assert fit._choose({n + 1: f for n, f in found.items()}, tol_db) == order + 1
-
-
-def test_breaks_outside_are_those_beyond_the_samples_in_order():
-    W = Weight(np.real(np.poly([-1.5, -10.0, -0.2])), np.real(np.poly([-2.0, -0.5, -1 - 2j, -1 + 2j])))
-    samples = SampledBound.read("here", [1.0, 3.0], [1.0, 1.0], None)
-    assert fit._outside(W, samples) == pytest.approx((0.2, 0.5, 10.0))
-    exact = Weight([1.0, 1.0], [1.0, 3.0])
-    assert fit._outside(exact, samples) == (), "a break at a sample is not outside"
-
-
-@pytest.mark.parametrize("p", [[3.0], [2.0, 1.0], [1.0, 3.0, 2.0], [0.5, 1.0, 4.0], [-1.0, -3.0, -3.0, -1.0]])
-def test_a_spectral_factor_has_the_square_and_its_roots_on_the_left(p):
-    found = fit._spectral_factor(squared(np.array(p), 1.0))
-    np.testing.assert_allclose(found, np.abs(p), rtol=1e-4)
-    mirrored = np.array(p) * (-1.0) ** np.arange(len(p))
-    np.testing.assert_allclose(fit._spectral_factor(squared(mirrored, 1.0)), np.abs(p), rtol=1e-4)
-
-
-def test_decibels_are_those_of_amplitudes_and_nothing_bounds_the_infinite():
-    assert fit._db(10.0) == 20.0 and fit._db(0.1) == -20.0 and fit._db(math.inf) == math.inf
 
 
 # ---------------------------------------------------------------- weights, noise
