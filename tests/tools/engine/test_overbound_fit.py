@@ -134,8 +134,8 @@ def test_a_candidate_is_lifted_to_its_bound_by_its_spectral_factors(gain):
     W = Weight([2.0, 6.0, 8.0], [1.0, 3.0, 2.0])
     omega = np.geomspace(0.1, 100.0, 400)
     samples = SampledBound.read("here", omega, 0.25 * W.magnitude(omega), None)
-    top = gain**2 * squared(0.25 * W.num / samples.level, samples.unit)
-    bottom = squared(W.den, samples.unit)
+    top = 9.0 * gain**2 * squared(0.25 * W.num / samples.level, samples.unit)
+    bottom = 9.0 * squared(W.den, samples.unit)
     candidate = MinimaxFit(2, np.pad(top, (0, 1)), np.pad(bottom, (0, 1)), 0.0, 0.0, np.ones(1))
     weight, inflation, certificate = fit._lift(Grid(samples, False), candidate)
     assert certificate.ok and 1.0 <= certificate.min_ratio < (1 + 1e-8 if gain <= 1 else 3.01)
@@ -143,6 +143,37 @@ def test_a_candidate_is_lifted_to_its_bound_by_its_spectral_factors(gain):
     np.testing.assert_allclose(weight.den, W.den, rtol=1e-6)
     np.testing.assert_allclose(weight.num, 0.25 * gain * inflation * W.num, rtol=1e-6)
     assert weight.den[0] == 1.0
+
+
+@pytest.mark.parametrize(
+    ("least", "calls", "inflation"),
+    [
+        ([1.5], 1, 1.0),
+        ([0.5, 1.0], 2, 2.0),
+        ([0.5, 0.8, 0.9], 3, 1 / 0.36),
+        ([0.5, 0.0], 2, 2.0),
+        ([0.0], 1, 1.0),
+    ],
+)
+def test_a_candidate_is_lifted_by_what_the_certificate_finds_three_times_at_most(
+    least, calls, inflation, monkeypatch
+):
+    """Each time by a trillionth more; what has no ratio is not lifted."""
+    asked: list[float] = []
+
+    def verify(weight, omega, bound):
+        asked.append(weight.num[0])
+        ratio = least[len(asked) - 1]
+        return Certificate(ratio >= 1.0, True, True, ratio, 1.0, 2.0, 1.0, 9.0, 1, ())
+
+    monkeypatch.setattr(fit, "verify_overbound", verify)
+    samples = SampledBound.read("here", [1.0, 2.0], [1.0, 1.0], None)
+    candidate = MinimaxFit(0, np.ones(1), np.ones(1), 0.0, 0.0, np.ones(1))
+    _, found, certificate = fit._lift(Grid(samples, False), candidate)
+    assert len(asked) == calls and certificate.min_ratio == least[-1]
+    lifts = sum(0.0 < r < 1.0 for r in least)
+    assert found == pytest.approx(inflation * (1 + lifts * 1e-12), rel=1e-14)
+    assert asked[-1] == pytest.approx(found * (0.9 if calls == 3 else 1.0), rel=1e-11)
 
 
 class Closing:
@@ -222,6 +253,11 @@ def test_a_spectral_factor_has_the_square_and_its_roots_on_the_left(p):
     np.testing.assert_allclose(found, np.abs(p), rtol=1e-4)
     mirrored = np.array(p) * (-1.0) ** np.arange(len(p))
     np.testing.assert_allclose(fit._spectral_factor(squared(mirrored, 1.0)), np.abs(p), rtol=1e-4)
+
+
+def test_a_square_that_falls_below_zero_has_a_factor_all_the_same():
+    """1 - y: the certificate judges it."""
+    np.testing.assert_allclose(fit._spectral_factor(np.array([4.0, -4.0])), [2.0, 0.0], atol=1e-12)
 
 
 def test_decibels_are_those_of_amplitudes_and_nothing_bounds_the_infinite():
