@@ -164,3 +164,69 @@ def test_the_quadratic_form_of_scalings_is_that_of_their_definition():
     turned = skew @ M
     np.testing.assert_allclose(found, M.conj().T @ left @ M + 1j * (turned - turned.conj().T), rtol=1e-12)
     assert (found == found.conj().T).all(), "Hermitian to the last bit"
+
+
+# --- one cell ---
+
+
+def random_loop(seed: int) -> tuple[StateSpace, PointBound]:
+    """A stable loop of 3 x 3, and scalings with a complex D and G."""
+    random = np.random.default_rng(seed)
+    A = random.standard_normal((3, 3))
+    A -= (np.linalg.eigvals(A).real.max() + 0.3) * np.eye(3)
+    G = StateSpace(
+        A, *(random.standard_normal((3, 3)) for _ in range(2)), 0.2 * random.standard_normal((3, 3))
+    )
+    D = np.diag(random.uniform(0.5, 2.0, 3)).astype(complex)
+    D[:2, :2] = [[1.5, 0.3j], [-0.3j, 1.0]]
+    skew = np.zeros((3, 3), complex)
+    skew[:2, :2] = [[0.4, 0.1 + 0.2j], [0.1 - 0.2j, -0.3]]
+    return G, PointBound(1.0, D, 0.05 * np.eye(3), D, skew)
+
+
+def least(G: StateSpace, point: PointBound, level: float, omega) -> np.ndarray:
+    """Least eigenvalue of Phi at ``omega`` (K,)."""
+    found = [interval.quadratic(M, point) for M in G.response(np.atleast_1d(omega))]
+    return np.array([np.linalg.eigvalsh(point.fixed + level**2 * point.scaled - N)[0] for N in found])
+
+
+@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("share", [0.5, 0.8, 0.95])
+@pytest.mark.parametrize("b", [20.0, np.inf])
+def test_a_cell_reaches_as_far_as_phi_is_positive(seed, share, b):
+    G, point = random_loop(seed)
+    grid = np.linspace(0.0, 20.0, 801)
+    level = share * np.sqrt(1.0 - least(G, point, 1.0, grid).min())
+    positive = least(G, point, level, grid) > 0
+    for centre in grid[5:-5:100][positive[5:-5:100]]:
+        left, right = interval._cell(G, point, level, centre, 0.0, b)
+        assert 0.0 <= left <= centre <= right <= b
+        inside = np.linspace(left, min(right, 200.0), 400)
+        assert (least(G, point, level, inside) > 0).all()
+        if left > 0.0:
+            assert least(G, point, level, left - 2e-3 * (centre - left))[0] < 0
+        if right < b:
+            assert least(G, point, level, right + 2e-3 * (right - centre))[0] < 0
+
+
+def test_a_cell_goes_past_frequencies_that_are_nearly_singular():
+    """A level a ten millionth above a resonance: eigenvalues lie near the axis, and Phi is positive there."""
+    G = StateSpace([[-1e-4, 1.0], [-1.0, -1e-4]], [[0.0], [1.0]], [[1.0, 0.0]], [[0.0]])
+    peak = np.abs(G.response(np.linspace(0.999, 1.001, 200001))[:, 0, 0]).max()
+    point = replace(bound(peak), fixed=np.zeros((1, 1)), skew=np.zeros((1, 1)))
+    assert interval._singular(G, point, peak * (1 + 1e-7)).size
+    for b in (3.0, np.inf):
+        for centre in (0.5, 2.0):
+            assert interval._cell(G, point, peak * (1 + 1e-7), centre, 0.1, b) == (0.1, b)
+    left, right = interval._cell(G, point, 0.5 * peak, 0.5, 0.0, np.inf)
+    assert left == 0.0 and 0.99 < right < 1.0
+
+
+def test_a_cell_of_a_gain_that_rises_ends_below_its_level():
+    G = StateSpace([[-10.0]], [[1.0]], [[-100.0]], [[10.0]])  # 10 s / (s + 10)
+    point = replace(bound(1.0), fixed=np.zeros((1, 1)), skew=np.zeros((1, 1)))
+    edge = 10 / np.sqrt(100 / 25 - 1)  # where the gain is 5
+    left, right = interval._cell(G, point, 5.0, 1.0, 0.0, np.inf)
+    assert left == 0.0 and right == pytest.approx(1.0 + 0.999 * (edge - 1.0), rel=1e-9)
+    left, right = interval._cell(replace(G), replace(point, scaled=4 * point.scaled), 4.0, 1.0, 0.5, 9.0)
+    assert left == 0.5 and right == 9.0, "8 is above the gain at 9"
