@@ -189,6 +189,13 @@ def test_a_block_without_a_price_explains_what_it_can():
         assert found.nu[0] > 0.9 and found.nu[1] == pytest.approx(np.sqrt(cost / 4), rel=1e-3, abs=1e-9)
 
 
+def test_a_real_scalar_with_a_constant_input_stays_real():
+    """e = 1 + i / 2: w takes the imaginary part, and of the real one what is left to it."""
+    found = lft.optimum(scalar_blocks(("repeated_real",), 0.0, [[1.0]], [1.0 + 0.5j]), 0.8, [2.0])
+    assert found.nu[0] == pytest.approx(1 - np.sqrt(0.8**2 - 0.5**2), rel=1e-3)
+    assert found.upper == pytest.approx(2 * found.nu[0] ** 2, rel=1e-6)
+
+
 def test_a_real_block_without_a_price_goes_as_far_as_its_cap():
     """3.5 of a cap of 4 at xi_1 = 28: what is left to the priced block is i, and what lowers its size."""
     problem = scalar_blocks(("repeated_real", "full"), 0.25, [[1.0, 1.0]], [28.0 + 1j])

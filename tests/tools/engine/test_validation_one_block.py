@@ -162,3 +162,21 @@ def test_a_real_block_beside_the_last_goes_as_far_as_its_cap():
     problem = beside_the_last(real, np.diag([0.25, 0]), [[1, 1]], [[1]], [28.0 + 1j])
     for gamma, size in ((0.4, 0.6), (1.1, 0.0)):
         assert lft.smallest_last_block(problem, gamma) == pytest.approx((size, size), rel=1e-3, abs=1e-6)
+
+
+def three(first: str, p11: list[float], e: complex) -> Lft:
+    """A first block, a real one and the last, all of 1 x 1 with an input of 1; e is the sum of all and w."""
+    blocks = tuple(Block(kind, 1, 1) for kind in (first, "repeated_real", "full"))
+    one, none = np.ones((1, 3), complex), np.zeros((3, 1), complex)
+    eta0, e_ = np.ones(3, complex), np.array([e])
+    return Lft(blocks, np.diag(p11).astype(complex), none, one, np.ones((1, 1), complex), eta0, e_)
+
+
+def test_two_blocks_beside_the_last_explain_what_they_can_together():
+    """A full block takes all of e, however large; two real ones leave the imaginary part."""
+    for first, size in (("full", 0.0), ("repeated_real", 0.6)):
+        lower, upper = lft.smallest_last_block(three(first, [0.0, 0.0, 0.0], 2.0 + 1j), 0.4)
+        assert lower <= upper == pytest.approx(size, rel=1e-3, abs=1e-6)
+    # Beyond the cap of a full block too: it is asked for no certificate here.
+    far = three("full", [0.25, 0.0, 0.0], -10.0 + 1j)
+    assert lft.smallest_last_block(far, 0.4) == (0.0, 0.0)

@@ -50,8 +50,9 @@ def optimum(
     forms = ball(posed, gamma_w)
     quadratic: list[np.ndarray] = []
     params = 0
-    if lambda_w is not None and np.any(lambda_w):
-        quadratic.append(np.sqrt(np.asarray(lambda_w, dtype=float))[:, None] * posed.w)
+    weights = np.zeros(len(posed.w)) if lambda_w is None else np.asarray(lambda_w, dtype=float)
+    if weights.any():
+        quadratic.append(np.sqrt(weights)[:, None] * posed.w)
     for i, block in enumerate(problem.blocks):
         if i in posed.dead:
             continue
