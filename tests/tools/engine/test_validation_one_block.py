@@ -180,3 +180,41 @@ def test_two_blocks_beside_the_last_explain_what_they_can_together():
     # Beyond the cap of a full block too: it is asked for no certificate here.
     far = three("full", [0.25, 0.0, 0.0], -10.0 + 1j)
     assert lft.smallest_last_block(far, 0.4) == (0.0, 0.0)
+
+
+def is_free(problem: Lft, gamma: float) -> bool:
+    return lft._last_block_is_free(problem, gamma, 1e-4, 2000)
+
+
+def test_a_last_block_is_free_where_a_real_one_within_its_cap_leaves_no_more_than_w():
+    """A cap of 4: xi_1 = 28 is 3.5 of its input 8, and xi_1 = -20 would be 5 of -4."""
+    real = Block("repeated_real", 1, 1)
+    for e, free in ((28.0, True), (-20.0, False)):
+        problem = beside_the_last(real, np.diag([0.25, 0]), [[1, 1]], [[1]], [e + 1j])
+        assert is_free(problem, 1.1) == free and not is_free(problem, 0.9)
+    assert lft.smallest_last_block(problem, 1.1)[1] > 10.0
+    # i is left, and w may be so large but for rounding.
+    plain = beside_the_last(real, np.zeros((2, 2)), [[1, 1]], [[1]], [2.0 + 1j])
+    assert is_free(plain, 1.0 + 1e-14) and not is_free(plain, 1.0 - 0.3e-9)
+
+
+def test_a_last_block_is_free_where_w_is_all_that_the_data_leave_it():
+    """e_2 is w's alone, and w has no more: one point, to a billionth."""
+    real, p21 = Block("repeated_real", 1, 1), [[1, 1], [0, 0]]
+    for e, free in ((2.0, True), (2.0 + 0.5j, False)):
+        problem = beside_the_last(real, np.zeros((2, 2)), p21, np.eye(2), [e, 1.0])
+        assert is_free(problem, 1.0 - 0.4e-9) == free
+
+
+def test_blocks_that_are_not_repeated_have_no_cap_beside_the_last():
+    assert is_free(three("full", [0.25, 0.0, 0.0], -10.0 + 1j), 0.4)
+    assert not is_free(three("repeated_real", [0.0, 0.0, 0.0], 2.0 + 1j), 0.4)
+    full = Block("full", 1, 1)
+    problem = beside_the_last(full, np.diag([0.25, 0]), np.eye(2), np.zeros((2, 1)), [-10.0, 0.7])
+    assert lft.smallest_last_block(problem, 0.0) == pytest.approx((0.7, 0.7), rel=1e-3)
+
+
+def test_the_margin_of_disturbances_alone_is_the_largest_of_them():
+    problem = beside_the_last(Block("full", 1, 1), np.zeros((2, 2)), np.zeros((2, 2)), np.eye(2), [3.0, 4j])
+    found = lft.margin(problem, [1.0, 1.0], [1.0, 2.0])
+    assert (found.lower, found.upper) == pytest.approx((3.0, 3.0), rel=1e-3)

@@ -88,7 +88,7 @@ def _one_block(problem: Quadratic, caps: np.ndarray, posed: Posed) -> Interval |
         return None
     which = next(i for i, xi in enumerate(posed.xi) if xi is block.a)
     trivial = problem.cost(start)
-    if not 0.0 < trivial < np.inf:
+    if trivial == np.inf:
         return None
 
     def square(m: np.ndarray) -> np.ndarray:
