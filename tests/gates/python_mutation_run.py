@@ -40,6 +40,7 @@ MEASURED = {
     "engine/overbound/noise.py": 56,
     "engine/overbound/weight.py": 294,
     "engine/synthesis/mu.py": 45,
+    "engine/synthesis/mu_interval.py": 390,
     "engine/synthesis/norms.py": 249,
     "engine/validation/delta.py": 116,
     "engine/validation/posed.py": 295,
