@@ -33,21 +33,30 @@ TARGETS = (
 )
 MEASURED = {
     "drives/dft.py": 64,
+    "drives/frames.py": 355,
     "engine/overbound/bound.py": 118,
+    "engine/overbound/certificate.py": 429,
+    "engine/overbound/fit.py": 249,
     "engine/overbound/noise.py": 56,
+    "engine/overbound/weight.py": 294,
+    "engine/synthesis/mu.py": 45,
+    "engine/synthesis/mu_interval.py": 390,
+    "engine/synthesis/norms.py": 249,
     "engine/validation/delta.py": 116,
-    "engine/validation/posed.py": 318,
+    "engine/validation/posed.py": 295,
     "engine/validation/problem.py": 115,
     "engine/validation/quadratic.py": 419,
+    "engine/validation/s1.py": 981,
     "engine/validation/well_posed.py": 97,
     "identify/calibration.py": 279,
+    "identify/energy.py": 454,
 }
 """Files whose mutants have all run and are sorted, and how many those were: another number is a finding. The
 gate leaves out the other files unless one is asked for by its name, and says so: samples of them stand in
 tests/README.md."""
 ASKED = {
     "drives": ("drives/test_dft.py", "drives/test_frames.py"),
-    "engine/overbound": ("engine/test_overbound_parts.py", "engine/test_weights.py"),
+    "engine/overbound": ("engine/test_overbound_*.py", "engine/test_weights.py"),
     "engine/synthesis": ("engine/test_*.py",),
     "engine/validation": ("engine/test_validation_*.py",),
     "identify": (

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import ctypes
+import mmap
 import re
 from dataclasses import replace
 from types import SimpleNamespace
@@ -75,6 +77,43 @@ def test_a_sum_slides_over_starts_a_frame_apart_and_begins_anew_beyond(estimator
         starts = np.cumsum([7, 1, 1, N, N + 1, 1, 2 * N, N - 1, 3])
         every = estimator.transform(x, k, np.arange(len(x) - N + 1))
         np.testing.assert_allclose(estimator.transform(x, k, starts), every[starts], rtol=0, atol=1e-13)
+
+
+def test_a_frame_reads_its_own_samples_alone(estimator):
+    """What lies between two frames may be anything: no number, and one so large that a Fourier transform of
+    all would lose the frames in its rounding."""
+    if native.kernels("hann") is None:
+        pytest.skip("no compiler")
+    for k in (0, 4, estimator.n_bins - 1):
+        N = int(estimator.length[k])
+        x = np.random.default_rng(6).standard_normal((2 * N + 1, 2))
+        expected = np.stack([estimator.kernel(k) @ x[start : start + N] for start in (0, N + 1)])
+        for between in (np.nan, 1e12):
+            x[N] = between
+            found = estimator.transform(x, k, np.array([0, N + 1]))
+            np.testing.assert_allclose(found, expected, rtol=0, atol=1e-13)
+
+
+def at_the_end_of_memory(x: np.ndarray) -> np.ndarray:
+    """A copy of x behind which nothing can be read: the process would end."""
+    page = mmap.PAGESIZE
+    size = -(-x.nbytes // page) * page
+    memory = mmap.mmap(-1, size + page)
+    behind = ctypes.addressof(ctypes.c_char.from_buffer(memory, size))
+    assert not ctypes.CDLL(None).mprotect(ctypes.c_void_p(behind), ctypes.c_size_t(page), 0)
+    copy = np.frombuffer(memory, x.dtype, x.size, size - x.nbytes).reshape(x.shape)
+    copy[:] = x
+    return copy
+
+
+def test_the_last_frame_reads_nothing_behind_the_drive(estimator):
+    k = estimator.n_bins - 1
+    N = int(estimator.length[k])
+    x = np.random.default_rng(7).standard_normal((2 * N, 4))
+    starts = np.arange(N + 1)
+    np.testing.assert_array_equal(
+        estimator.transform(at_the_end_of_memory(x), k, starts), estimator.transform(x, k, starts)
+    )
 
 
 @pytest.mark.parametrize("ends", ["both", "first", "last", "none"])

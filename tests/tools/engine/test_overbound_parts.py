@@ -112,6 +112,8 @@ def test_routh_agrees_with_the_roots_of_random_polynomials():
         ([1.0, 1e-300], True),
         ([1.0, 3.0, 3.0, 9.0000001], False),
         ([1.0, 3.0, 3.0, 8.9999999], True),
+        ([1.0, -1.0, 5.0, 3.0], False),  # one of the wrong sign between others
+        ([-1.0, 1.0], False),
     ],
 )
 def test_routh_on_the_border(coefficients, stable):
@@ -219,6 +221,88 @@ def test_the_unit_of_frequency_and_of_the_bound_change_nothing_but_themselves():
     assert other.intervals == one.intervals
 
 
+@pytest.fixture
+def rounds(monkeypatch) -> list[int]:
+    """The numbers of intervals that were tested, one by one."""
+    sizes, asked = [], proof._nonnegative
+    monkeypatch.setattr(proof, "_nonnegative", lambda *a: (sizes.append(len(a[3])), asked(*a))[1])
+    return sizes
+
+
+NOTCHED = Weight([1.0, 0.1, 1.0], [1.0, 2.0, 1.0])
+"""|W| has its least value, 0.05, at 1 rad/s."""
+
+
+@pytest.mark.parametrize("omega", [[0.1, 0.2], [5.0, 10.0], [0.1, 10.0]], ids=["beyond", "before", "inside"])
+def test_a_least_ratio_is_found_beyond_the_samples_too(omega, rounds):
+    found = verify_overbound(NOTCHED, omega, [0.04, 0.04])
+    assert found.ok and found.min_ratio == pytest.approx(0.05 / 0.04, rel=2e-9)
+    assert found.min_ratio_at == pytest.approx(1.0, rel=1e-3)
+    assert found.intervals == sum(rounds) > len(rounds) > 4
+
+
+def test_a_proved_ratio_is_half_a_billionth_below_the_one_attained():
+    for ratio in (1 + 0.4e-9, 1 + 0.6e-9):
+        found = verify_overbound(Weight([ratio], [1.0]), [1.0], [1.0])
+        assert found.min_ratio == pytest.approx(ratio * (1 - 0.5e-9), rel=1e-12) and found.intervals == 4
+        assert found.ok == (ratio > 1 + 0.5e-9)
+
+
+def test_a_search_that_takes_too_many_tests_or_halvings_proves_nothing(rounds, monkeypatch):
+    top, bottom = squared(NOTCHED.num, 1.0), squared(NOTCHED.den, 1.0)
+    samples = SampledBound.read("here", [0.3, 2.0], [1.0, 1.0], None)
+
+    def least() -> tuple[float, float, int]:
+        rounds.clear()
+        return proof._least_ratio(top, bottom, samples, strict=True)
+
+    assert least()[0] == pytest.approx(0.05, rel=1e-6) and len(rounds) > 3
+    first, second = rounds[0], rounds[0] + rounds[1]
+    monkeypatch.setattr(proof, "_MAX_TESTS", first)
+    assert least()[0] == 0.0 and sum(rounds) == second, "as many as allowed, and those that begin"
+    monkeypatch.setattr(proof, "_MAX_TESTS", first - 1)
+    found = least()
+    assert found[0] == 0.0 and found[2] == sum(rounds) == first and 0.0 <= found[1] <= 2.0
+    monkeypatch.undo()
+    monkeypatch.setattr(proof, "_MAX_HALVINGS", 2)
+    found = proof._least_ratio(top, bottom, samples, strict=True)
+    assert found[0] == 0.0 and found[2] == second and 0.0 <= found[1] <= 2.0
+
+
+def test_where_rounding_stops_a_proof_its_margin_grows():
+    """A pole and a zero at 1 rad/s with a damping of 1e-3: the terms of both cancel to a millionth."""
+    W = Weight([1.0, 1.8e-3, 1.0], [1.0, 2e-3, 1.0])
+    found = verify_overbound(W, [0.1, 10.0], [0.8, 0.8])
+    assert found.ok and found.min_ratio == pytest.approx(0.9 / 0.8, rel=1e-6)
+    assert 0.9 / 0.8 - found.min_ratio > 1e-8
+
+
+def test_rounding_is_taken_off_every_term(monkeypatch):
+    monkeypatch.setattr(proof, "_ROUNDING", 0.1)
+    p, q = np.array([2.0, -1.0]), np.array([3.0, -1.0])  # at 1/2: 1.5 of 2.5, and 2.5 of 3.5
+    shape = tuple(np.array([v]) for v in (1.0, 0.0, 0.0))
+    value, point = proof._attained(p, q, np.array([0.5]), shape)
+    assert (value, point) == (pytest.approx((1.5 - 0.25) / 2.5, rel=1e-12), 0.5)
+    limit = (1.5 - 0.25) / (2.5 + 0.35)
+    for factor, proved in ((limit * (1 - 1e-9), True), (limit * (1 + 1e-9), False)):
+        at = np.array([0.5])
+        assert proof._nonnegative(p, q, factor, at, at, *shape).tolist() == [proved]
+
+
+@pytest.mark.parametrize("bottom", [[0.0, 1.0], [-1e-20, 1.0]])
+def test_a_common_zero_is_no_least_point(bottom):
+    shapes = tuple(np.full(2, s) for s in (1.0, 0.0, 0.0))
+    value, point = proof._attained(np.array([0.0, 1.0]), np.array(bottom), np.array([0.0, 2.0]), shapes)
+    assert (value, point) == (pytest.approx(1.0), 2.0)
+
+
+def test_what_is_no_bound_of_a_check_is_told_by_its_name():
+    W = Weight([1.0], [1.0])
+    for name, told in (("", "weight check: "), ("W_delta", "W_delta: ")):
+        with pytest.raises(InputError, match=f"^{told}"):
+            verify_overbound(W, [1.0], [np.nan], name=name)
+
+
 # ---------------------------------------------------------------- weights, noise
 
 
@@ -229,6 +313,25 @@ def test_roots_are_found_in_any_unit(spread):
     np.testing.assert_allclose(found, np.sort_complex(roots.astype(complex)), rtol=1e-9)
     assert polynomial_roots(np.array([2.0])).size == 0
     np.testing.assert_allclose(np.sort(polynomial_roots(np.array([1.0, 3.0, 0.0])).real), [-3.0, 0.0])
+    np.testing.assert_allclose(np.sort(polynomial_roots(np.array([-2.0, 0.0, 8.0])).real), [-2.0, 2.0])
+
+
+@pytest.mark.parametrize("name", ["num", "den"])
+@pytest.mark.parametrize("bad", [[1.0, np.nan], [np.inf, 1.0], [0.0, 1.0], [], [[1.0, 2.0]], 3.0])
+def test_coefficients_of_a_weight_are_finite_numbers_and_the_first_is_not_zero(name, bad):
+    with pytest.raises(InputError, match=f"weight: {name}: .*whose first is not 0"):
+        Weight(**({"num": [1.0], "den": [1.0, 2.0]} | {name: bad}))
+
+
+def test_a_weight_keeps_its_coefficients_and_is_complex_where_it_is_asked_for():
+    given = np.array([1.0, 2.0])
+    W = Weight(given, given + 1)
+    given[0] = 7.0
+    assert W.num.tolist() == [1.0, 2.0]
+    for coefficients in (W.num, W.den):
+        with pytest.raises(ValueError, match="read-only"):
+            coefficients[0] = 7.0
+    assert W(2).dtype == complex and W(2) == 4 / 7
 
 
 @pytest.mark.parametrize(
@@ -237,6 +340,9 @@ def test_roots_are_found_in_any_unit(spread):
         ([], [-2.0]),
         ([-3.0], [-2.0]),
         ([-3.0], [-2.0, -0.5]),
+        ([-3.0], [-1e-6, -1e6]),
+        ([-1.0], [-1.0]),
+        ([], []),
         ([], [-1 + 2j, -1 - 2j]),
         ([-4.0], [-1 + 2j, -1 - 2j, -7.0]),
         ([-1 + 1j, -1 - 1j], [-0.1, -0.2, -30.0]),
@@ -245,7 +351,7 @@ def test_roots_are_found_in_any_unit(spread):
     ],
 )
 def test_a_realisation_has_the_response_of_its_weight(zeros, poles):
-    W = Weight(1.5 * np.atleast_1d(np.real(np.poly(zeros))), 0.5 * np.real(np.poly(poles)))
+    W = Weight(*(k * np.atleast_1d(np.real(np.poly(v))) for k, v in ((1.5, zeros), (0.5, poles))))
     A, B, C, D = W.to_state_space()
     assert len(A) == W.order == len(poles) and B.shape == (len(poles), 1) and C.shape == (1, len(poles))
     for s in (0.0, 0.7j, 5j, 0.3 + 2j):

@@ -9,13 +9,14 @@ import scipy.linalg as sl
 from scipy.optimize import minimize
 
 from lpvguard.engine.blocks import Block
+from lpvguard.engine.synthesis import mu, mu_lower, mu_upper, norms
 from lpvguard.engine.synthesis import mu_interval as interval
-from lpvguard.engine.synthesis import mu_lower, mu_upper, norms
 from lpvguard.engine.synthesis.errors import SynthesisError
 from lpvguard.engine.synthesis.statespace import StateSpace, to_discrete
 from lpvguard.engine.synthesis.structure import Structure
 
 FULL = (Block("full", 2, 1), Block("full", 1, 2))
+FOUR = tuple(Block("full", 1, 1) for _ in range(4))
 MIXED = (Block("repeated_real", 2, 2), Block("full", 1, 1))
 
 
@@ -121,6 +122,69 @@ def test_the_norm_does_not_settle_for_a_level_below_the_peak(monkeypatch):
     assert next(levels) == 1060.0, "60 levels"
 
 
+# ---------------------------------------------------------------- both bounds
+
+
+@pytest.fixture
+def searches(monkeypatch) -> dict:
+    """What the searches for both bounds are asked; rounding has put their answers out of order."""
+    asked = {}
+    left, right = np.array([[2.0, 1j], [0.0, 1.0]]), np.array([[1.0, 0.5j], [0.0, 3.0]])
+
+    def upper_bound(M, structure, rtol):
+        asked["upper"] = M, structure.blocks, rtol
+        return asked["is"], 3.0, left, right, np.full((2, 2), 5.0)
+
+    def lower_bound(M, structure, left, right, enough, starts):
+        asked["lower"] = M, structure.blocks, left, right, enough, starts
+        return 2.5, np.full((2, 2), 7.0)
+
+    monkeypatch.setattr(mu, "upper_bound", upper_bound)
+    monkeypatch.setattr(mu, "lower_bound", lower_bound)
+    return asked | {"left": left, "right": right, "asked": asked}
+
+
+def test_both_bounds_are_those_of_their_searches_in_order(searches):
+    left, right, asked = (searches[k] for k in ("left", "right", "asked"))
+    asked["is"] = 2.0
+    found = mu.mu_bounds([[1, 0], [0, 1]], list(FOUR[:2]))
+    assert (found.upper, found.lower, found.infimum) == (2.0, 2.0, 2.0)
+    np.testing.assert_array_equal(found.D_left, [[5.0, 1j], [-1j, 1.0]])
+    np.testing.assert_array_equal(found.D_right, [[1.25, 1.5j], [-1.5j, 9.0]])
+    assert found.G[0, 0] == 5.0 and found.delta[0, 0] == 7.0
+    M, blocks, rtol = asked["upper"]
+    assert M.dtype == complex and blocks == FOUR[:2] and rtol == 1e-8
+    M, blocks, *factors, enough, starts = asked["lower"]
+    assert M.dtype == complex and blocks == FOUR[:2] and factors[0] is left and factors[1] is right
+    assert enough == pytest.approx(2.0 * (1 - 1e-9), rel=1e-12) and starts == 40
+    mu.mu_bounds(np.eye(2), FOUR[:2], 1e-3)
+    assert asked["upper"][2] == 1e-3
+
+
+def test_below_an_upper_bound_of_zero_nothing_is_searched_for(searches):
+    searches["asked"]["is"] = 0.0
+    found = mu.mu_bounds(np.eye(2), FOUR[:2])
+    assert found.upper == found.lower == found.infimum == 0.0 and found.delta is None
+    assert "lower" not in searches["asked"]
+
+
+def test_a_lower_bound_alone_starts_eight_times(searches):
+    assert mu.mu_lower([[1, 0], [0, 1]], list(FOUR[:2]), "left", "right", 0.7)[0] == 2.5
+    M, blocks, *rest = searches["asked"]["lower"]
+    assert M.dtype == complex and blocks == FOUR[:2] and rest == ["left", "right", 0.7, 8]
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_a_matrix_is_finite_and_of_its_blocks_shape(bad):
+    M = np.eye(2)
+    M[0, 1] = bad
+    with pytest.raises(SynthesisError, match="NaN or infinite"):
+        mu.mu_bounds(M, FOUR[:2])
+    for shape in ((2, 3), (3, 2), (2,)):
+        with pytest.raises(SynthesisError, match="shape"):
+            mu.mu_bounds(np.ones(shape), FOUR[:2])
+
+
 # ---------------------------------------------------------------- the upper bound of mu
 
 
@@ -152,9 +216,6 @@ def test_the_scalings_prove_the_bound_and_no_smaller_one(blocks, seed):
 
         best = minimize(scaled, [0.0], method="Nelder-Mead", options={"xatol": 1e-9, "fatol": 1e-12}).fun
         assert upper == pytest.approx(best, rel=1e-6)
-
-
-FOUR = tuple(Block("full", 1, 1) for _ in range(4))
 
 
 @pytest.mark.parametrize("blocks", [FULL, (*FULL, Block("full", 1, 1)), FOUR], ids=["two", "three", "four"])
@@ -331,6 +392,14 @@ def test_the_bound_on_an_interval_is_the_norm_there(dt):
         assert found.largest <= found.upper and low <= found.omega <= high and found.cells >= 1
         at = np.abs(loop.response([found.omega])[0, 0, 0])
         assert found.largest == pytest.approx(at, rel=1e-3)
+
+
+def test_the_largest_bound_on_an_interval_is_mus_at_its_frequency():
+    """The first scalings prove 0.4 % more."""
+    loop = system(7, n=4, m=3, p=3)
+    found = interval.mu_interval(loop, FULL, 0.0, np.inf)
+    M = loop.response([found.omega])[0]
+    assert found.largest == pytest.approx(mu_upper.upper_bound(M, Structure(FULL), 1e-8)[0], rel=1.1e-4)
 
 
 @pytest.mark.parametrize(("low", "high"), [(-0.1, 1.0), (1.0, 1.0), (2.0, 1.0), (0.0, 17.0), (np.nan, 1.0)])

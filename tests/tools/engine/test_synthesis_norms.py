@@ -218,3 +218,32 @@ def test_a_norm_reaches_over_the_rounding_of_a_pole_that_large_entries_hide():
     assert values[2] + moved[2] > 1 + 1e-4
     assert (values[0], moved[0]) == (0.0, 0.0)
     assert hinf_norm(dense).upper >= (values[2] + moved[2]) * (1 - 1e-2)
+
+
+MIX = np.array([[1.0, 0.6, -0.3], [0.4, 1.0, 0.5], [-0.2, 0.7, 1.0]])
+"""Coordinates in which a slow pole hides in entries of order one."""
+
+
+def test_a_norm_reaches_over_the_rounding_of_a_slow_pole_far_below_its_peak():
+    """DC is 0.999, known to a fifth; the peak of 1 lies at 1 rad/s and is known to all digits."""
+    slow = StateSpace([[-1e-12]], [[1e-12]], [[0.999]], [[0.0]])
+    dense = append(slow, rational([0.2, 0.0], [1.0, 0.2, 1.0])).transformed(MIX)
+    bracket = hinf_norm(dense)
+    values, moved = _sizes(dense, np.array([0.0, 1.0]))
+    assert bracket.peak_frequency == pytest.approx(1.0, rel=1e-6) and moved[0] > 0.1 > 1e-9 > moved[1]
+    assert bracket.upper >= (values[0] + moved[0]) * (1 - 1e-2)
+
+
+@pytest.mark.parametrize("damping", np.linspace(0.1, 0.3, 40))
+def test_a_norm_reaches_over_the_rounding_at_its_peak(damping):
+    """The peak lies below the frequencies of its poles, where rounding moves less."""
+    slow = rational([1e-16], [1.0, 2e-8 * damping, 1e-16])
+    dense = append(slow, StateSpace([[-1.0]], [[1.0]], [[0.5]], [[0.0]])).transformed(MIX)
+    bracket = hinf_norm(dense)
+    values, moved = _sizes(dense, np.array([bracket.peak_frequency]))
+    assert moved[0] > 1e-3 * values[0] and bracket.upper >= (1 - 1e-5) * (values[0] + moved[0])
+
+
+def test_a_response_at_a_pole_on_the_axis_is_refused():
+    with pytest.raises(np.linalg.LinAlgError, match="a pole on the imaginary axis"):
+        _sizes(StateSpace([[0.0]], [[1.0]], [[1.0]], [[0.0]]), np.array([1.0, 0.0]))

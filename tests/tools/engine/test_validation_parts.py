@@ -636,6 +636,14 @@ def test_a_point_without_any_size_is_found_where_there_is_one():
     np.testing.assert_allclose(Quadratic(still, 1, 3).zero(), [0.0, 3.0, 1.0], atol=1e-12)
 
 
+def test_a_point_without_any_size_may_be_far_away():
+    """x / 1e12 = 1 fixes x however small its part; a limit of twice that does not draw it nearer."""
+    far = Form(row(1e-12, -1), row(0, 1), param=0)
+    z = Quadratic([far, Form(row(1, 0), row(0, 1), constant=4e24)], 1, 2).zero()
+    np.testing.assert_allclose(z, [1e12, 1.0], rtol=1e-12)
+    assert Quadratic([far, Form(row(1, 0), row(0, 1), constant=0.25e24)], 1, 2).zero() is None
+
+
 def test_rows_that_differ_by_a_trillionth_are_one():
     """Taken apart they would ask for x_2 = -10, where x_1 alone is what they ask for."""
     nearly = np.array([[1, 0, 0], [1, 1e-12, 1e-11]], complex)
@@ -799,8 +807,93 @@ def test_a_block_without_input_is_held_at_zero_or_named():
     parts["p21"][:, [0, 1, 4]] = 0.0
     parts["p22"][0] = 0.0
     parts["p21"][1:] = 0.0
-    with pytest.raises(InputError, match=r"block 2.*its input eta is zero"):
-        Posed(Lft(BLOCKS, **parts), np.ones(4))
+    for unit in (1.0, 1e-6):
+        with pytest.raises(InputError, match=r"block 2.*its input eta is zero"):
+            Posed(Lft(BLOCKS, **(parts | {"e": unit * parts["e"]})), np.ones(4))
+
+
+def beside_a_dead_block(seed: int, kind: tuple[str, int, int], p21: list[list[float]], e: list[float]) -> Lft:
+    """A block without input, and one of 1 x 1 that explains e_2 together with w; outputs turned at random."""
+    rng, dead = np.random.default_rng(seed), Block(*kind)
+    turn = np.linalg.qr(gauss(rng, len(e), len(e)))[0] if seed else np.eye(len(e))
+    p11 = np.zeros((dead.cols + 1, dead.rows + 1), complex)
+    p11[-1] = 0.1 * np.abs(p21).sum(axis=0)
+    eta0 = np.append(np.zeros(dead.cols, complex), 1.0)
+    p22 = np.zeros((len(e), 1), complex)
+    p22[1] = 1.0
+    blocks = (dead, Block("full", 1, 1))
+    return Lft(blocks, p11, 0.2 * eta0[:, None], turn @ np.array(p21), turn @ p22, eta0, turn @ np.array(e))
+
+
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("unit", [1.0, 1e13, 1e-13])
+def test_what_the_data_hold_at_zero_already_is_not_held_again(seed, unit):
+    """With xi_2 = 0 by the data themselves nothing is left to hold, or xi_1 alone: e_2 is explained as ever.
+
+    xi + w = 1 and |w| <= 1 / 2 leave xi = 1 / 2, over eta = 1 + 0.1 xi + 0.2 w = 1.15.
+    """
+    one = beside_a_dead_block(seed, ("full", 1, 1), [[unit, 0], [0, 1]], [0, 1])
+    two = beside_a_dead_block(seed, ("full", 2, 1), [[0, unit, 0], [0.7 * unit, 0, 1]], [0, 1])
+    for problem in (one, two):
+        posed = pose(problem, 0.5)
+        assert posed.dead == [0] and posed.n == 2
+        found = lft.optimum(problem, 0.5, [1.0, 1.0])
+        assert found.nu[0] == 0.0 and found.nu[1] == pytest.approx(0.5 / 1.15, rel=1e-6)
+
+
+@pytest.mark.parametrize("share, fits", [(0.9e-8, True), (1.1e-8, False)])
+@pytest.mark.parametrize("size", [1.0, 1e-6, 1e6])
+def test_a_dead_block_may_be_needed_for_a_hundred_millionth_of_e(share, fits, size):
+    problem = beside_a_dead_block(0, ("full", 1, 1), [[3.0, 0], [0, 1]], [share * size, size])
+    if fits:
+        assert pose(problem, size).dead == [0]
+    else:
+        with pytest.raises(InputError, match=r"block 1.*its input eta is zero"):
+            pose(problem, size)
+
+
+@pytest.mark.parametrize("share, n", [(0.9e-10, 2), (1.2e-10, 1)])
+def test_a_dead_block_holds_a_direction_of_which_it_takes_a_ten_billionth(share, n):
+    """xi_1 + sqrt(5) share xi_2 = e_1: as xi_2 and w / 0.5 change places by 1 and 2, xi_1 takes a share."""
+    problem = beside_a_dead_block(0, ("full", 1, 1), [[1.0, share * np.sqrt(5)], [0, 1]], [0, 1])
+    assert pose(problem, 0.5).n == n
+
+
+@pytest.mark.parametrize("allowed, t", [(0.9e9, 0.9e9), (1.1e9, 1.0)])
+def test_signals_below_a_billionth_of_those_allowed_are_no_least_size(allowed, t):
+    """xi + w = 1 with w in a unit so large that it explains e for nothing."""
+    one = np.ones((1, 1), complex)
+    posed = pose(Lft((Block("full", 1, 1),), 0 * one, 0 * one, one, one, one[0], one[0]), allowed)
+    assert posed.t[0, -1].real == pytest.approx(t, rel=1e-5)
+
+
+def test_the_point_of_an_explanation_is_found_in_a_block_of_a_tiny_unit_alone():
+    """xi_1 + xi_2 = e_1 in a unit of 1e-12, xi_3 + w = e_2: no other signal shows xi_1 - xi_2."""
+    p21 = np.array([[1e12, 1e12, 0], [0, 0, 1]], complex)
+    blocks = (Block("full", 2, 1), Block("full", 1, 1))
+    p22, eta0 = np.array([[0], [1]], complex), np.ones(2, complex)
+    problem = Lft(blocks, np.zeros((2, 3)), np.zeros((2, 1)), p21, p22, eta0, np.array([1.0, 2.0], complex))
+    posed = pose(problem, 1.0)
+    z = np.append(gauss(np.random.default_rng(6), posed.n - 1), 1.0)
+    assert posed.n == 3
+    [found] = posed.points(Solution(0.0, 1.0, np.ones(2), *posed.signals(z), posed.b1, None, 1))
+    np.testing.assert_allclose(found, z, rtol=1e-9)
+
+
+def test_without_a_disturbance_its_rounding_has_no_size_however_large_e():
+    parts = posed_parts(23, 3, 3)
+    for unit in (1.0, 1e20):
+        posed = pose(Lft(BLOCKS, **(parts | {"e": unit * parts["e"]})), 0.0)
+        z = np.append(gauss(np.random.default_rng(2), posed.n - 1), 1.0)
+        xi, _, w = posed.signals(z)
+        assert np.linalg.norm(w) < 1e-13 * unit
+        gains = [np.linalg.norm(m) for m in dl.split(BLOCKS, posed.problem.p21.T, "rows")]
+        size_e = np.linalg.norm(posed.problem.e)
+        share = [
+            np.linalg.norm(x) * g / size_e for x, g in zip(dl.split(BLOCKS, xi, "rows"), gains, strict=True)
+        ]
+        size = np.linalg.norm(share) * abs((posed.t @ z)[0])
+        assert size**2 == pytest.approx(np.linalg.norm(z) ** 2, rel=1e-9)
 
 
 def test_the_input_of_a_block_is_constant_where_no_signal_reaches_it():

@@ -150,6 +150,23 @@ def test_a_single_part_of_either_sign_sets_the_scale(engine, turn, which):
         assert found.b1 == 0.0 and np.abs(found.w) <= 1e-15 * k
 
 
+@pytest.mark.parametrize("place", ["e", "z", "gamma"])
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_a_point_that_is_not_finite_raises_no_flag_of_the_processor(place, bad):
+    """Numbers of the numpy version alone: the product with delta that leaves w is the caller's."""
+    given = {"e": np.ones((2, 2), complex), "z": np.ones((2, 2), complex), "gamma": np.full(2, 0.5)}
+    given[place].flat[0] = bad
+    with np.errstate(all="raise"):
+        b1, nu, delta = s1._s1_numpy(*given.values())
+    assert np.isnan([b1[0], nu[0], delta[0]]).all() and (b1[1], nu[1]) == (0.0, pytest.approx(1 - 8**-0.5))
+
+
+def test_a_scalar_product_of_one_is_no_exception(engine):
+    for sign in (1.0, -1.0):
+        found = s1.solve(np.full(4, 0.5), np.full(4, 0.5 * sign), 0.0)
+        assert found.delta == sign and found.nu == 1.0
+
+
 def test_zeros_leave_nothing_to_explain(engine):
     """E = 0 needs no delta and no w; with no w allowed a delta that fits exactly is feasible."""
     for z in ([0.0, 0.0], [1.0, 2.0]):
@@ -235,18 +252,25 @@ def test_a_tradeoff_whose_disc_is_one_point_takes_it():
 
 def test_the_tradeoff_loses_no_digits_where_it_stops_just_short_of_no_delta():
     """Where w is free the answer is that of S1, here a billionth of the disc's radius of 1000."""
-    e, z, gamma = np.array([600.0, 800j]), np.array([0.6, 0.8j]), 1000.0 * (1 - 1.1e-9)
-    found = s1.tradeoff(e, z, gamma, 1.0, np.zeros(2))
-    exact = s1.solve(e, z, gamma)
-    assert exact.nu == pytest.approx(1.1e-6, rel=1e-6)
-    assert found.delta == pytest.approx(exact.delta, rel=1e-12) and found.nu == pytest.approx(
-        exact.nu, rel=1e-12
-    )
+    z, short = gauss(np.random.default_rng(1), 2), np.linspace(1.1e-9, 2e-9, 20)
+    e = 1000.0 * np.exp(1j) * z
+    gamma = np.linalg.norm(e) * (1 - short)
+    found, exact = s1.tradeoff(e, z, gamma, 1.0, np.zeros(2)), s1.solve(e, z, gamma)
+    np.testing.assert_allclose(exact.nu, 1000.0 * short, rtol=1e-6)
+    np.testing.assert_allclose(found.delta, exact.delta, rtol=1e-12)
+    np.testing.assert_allclose(found.nu, exact.nu, rtol=1e-12)
 
 
 def test_the_tradeoff_within_the_tolerance_of_the_edge_is_least_squares():
     found = s1.tradeoff(np.array([1.0, 1.0]), np.array([1.0, 0.0]), 1 - 5e-13, 1.0, np.zeros(2))
     assert found.delta == found.nu == found.cost == 1.0
+
+
+def test_a_tradeoff_of_a_silent_point_and_a_scalar_of_no_output_ask_for_no_division_by_zero():
+    with np.errstate(all="raise"):
+        silent = s1.tradeoff(np.array([3.0, 4.0]), np.zeros(2), np.array([5.0, 6.0, 4.9]), 1.0, np.ones(2))
+        assert s1.least_squares_delta([1.0, 2.0], [0.0, 0.0]) == 0.0
+    assert silent.cost.tolist() == [25.0, 25.0, np.inf] and silent.nu.tolist() == [0.0, 0.0, np.inf]
 
 
 def test_tradeoff_below_b1_is_infinite():
@@ -267,6 +291,7 @@ def test_margin_matches_a_conic_solver(engine, n_y):
         assert float(s1.margin(e, z, w_delta, w_w)) == pytest.approx(reference, rel=1e-6)
 
 
+@pytest.mark.parametrize("unit", [1.0, 1e-4, 1e4])
 @pytest.mark.parametrize(
     ("angles", "accuracy"),
     [
@@ -276,7 +301,7 @@ def test_margin_matches_a_conic_solver(engine, n_y):
     ],
     ids=["apart", "two_opposite", "nearly_a_pair"],
 )
-def test_margin_on_three_active_discs_has_full_accuracy(engine, angles, accuracy):
+def test_margin_on_three_active_discs_has_full_accuracy(engine, angles, accuracy, unit):
     """delta and the residuals chosen so that all three discs meet in delta at the level t.
 
     Pulls that no half-plane holds make that point the optimum. Nearly a pair, the level of the triple is the
@@ -293,6 +318,8 @@ def test_margin_on_three_active_discs_has_full_accuracy(engine, angles, accuracy
     )
     delta = -pulls[:, 0] * t * w_delta
     e = delta[:, None] * z + pulls[:, 1:] * z / np.abs(z) * t[:, None] * w_w
+    e, w_w = unit * e, unit * w_w
+    w_delta = unit * w_delta
     np.testing.assert_allclose(s1.margin(e, z, w_delta[:, None], w_w), t, rtol=accuracy)
 
 
@@ -373,6 +400,18 @@ def test_the_compiled_margin_is_asked_about_no_more_outputs_than_it_holds(monkey
     assert asked == [2, 64] and found == 7.0
 
 
+def test_the_compiled_kernel_is_asked_where_there_is_one(monkeypatch):
+    asked = []
+    kernels = SimpleNamespace(
+        lpvg_s1=lambda points, n, *_: asked.append(("s1", points.value, n.value)),
+        lpvg_least=lambda points, n, *_: asked.append(("least", points.value, n.value)),
+    )
+    monkeypatch.setattr(s1.native, "kernels", lambda name: kernels)
+    s1.solve(np.ones((3, 2)), np.ones(2), 1.0)
+    s1.least(np.ones((3, 2)), np.ones(2))
+    assert asked == [("s1", 3, 2), ("least", 3, 2)]
+
+
 def test_both_engines_agree(monkeypatch):
     if native.kernels("s1") is None:
         pytest.skip("no C compiler: nothing to compare with")
@@ -434,6 +473,7 @@ def test_least_has_the_sizes_and_what_solve_and_the_least_squares_scalar_say(n_y
     z[20:25] *= 1e180
     if n_y > 1:
         e[25:30, 0], e[25:30, 1] = z[25:30, 1].conj(), -z[25:30, 0].conj()
+        e[30:35, 0], z[30:35, 1] = 0.0, 0.0
     found = s1.least(e, z)
     scale = np.abs(e).max(axis=1) + (np.abs(e).max(axis=1) == 0)
     np.testing.assert_allclose(found.e, np.linalg.norm(e / scale[:, None], axis=1) * scale, rtol=1e-13)
@@ -443,5 +483,7 @@ def test_least_has_the_sizes_and_what_solve_and_the_least_squares_scalar_say(n_y
     )
     assert (found.z[5:10] == 0).all() and (found.delta[5:10] == 0).all()
     assert found.z[20] == pytest.approx(1e180 * np.linalg.norm(z[20] / 1e180), rel=1e-13)
+    most = s1.least(1e308 * np.eye(1, n_y), 1e308 * np.eye(1, n_y))
+    assert most.delta == pytest.approx(1.0) and most.b1 == 0.0
     e[0, 0], z[1, 0] = np.nan, np.inf
     assert np.isnan(np.array(s1.least(e[:2], z[:2]))).all()

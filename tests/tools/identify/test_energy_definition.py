@@ -270,6 +270,26 @@ def test_the_design_takes_corners_memory_and_settling_from_the_settings(g80, g80
     np.testing.assert_allclose(other.memories_s, [4.0, 4.0, 4.0, 4.0 * 0.2 / 3.0])
 
 
+@pytest.mark.parametrize(
+    ("num", "den", "largest"),
+    [
+        ([0.5, 400.0], [1.0, 100.0], lambda high: math.hypot(0.5 * high, 400.0) / math.hypot(high, 100.0)),
+        ([5.0, 400.0], [1.0, 1e4], lambda high: 5.0),
+        ([1.0, 9e3, 9e6], [1.0, 900.0, 9e6], lambda high: 10.0),
+    ],
+    ids=["falls", "rises", "resounds"],
+)
+def test_above_the_corners_stands_the_largest_magnitude_from_the_last_one_on(
+    num, den, largest, g80, g80_model
+):
+    """4 at rest and less at the last corner; 5 at the end; 10 at 3000 rad/s."""
+    settings = g80.energy_test.model_copy(update={"band_hz": (0.2, 0.9, 9.0), "memory_s": 4.0})
+    project = g80.model_copy(update={"energy_test": settings})
+    test = EnergyTest.design(project, Estimator.of(g80, g80_model), [Weight(num, den)], [1.0], [[0.02]], 1.0)
+    high = 2 / g80.Ts_s * math.tan(math.pi * 9.0 * g80.Ts_s)
+    assert test.above[0] == pytest.approx(largest(high), rel=1e-3)
+
+
 def test_a_memory_must_outlast_the_slowest_filter(g80, g80_model):
     estimator = Estimator.of(g80, g80_model)
     low_rad = 2 / g80.Ts_s * math.tan(math.pi * 0.2 * g80.Ts_s)

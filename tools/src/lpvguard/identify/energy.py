@@ -333,7 +333,7 @@ class EnergyTest:
         else:
             left, right = self._matrices(band, left, right)
             diagonals = tuple(np.einsum("njj->jn", x) for x in (left, right))
-        error, bound = (np.sqrt(np.maximum(x, 0.0)) for x in diagonals)
+        error, bound = (np.sqrt(x) for x in diagonals)
         needed = {"sigma": (error - bound).max(axis=1)}
         if self.single:
             joint = (needed["sigma"] / self.sigma[band]).max()

@@ -105,12 +105,12 @@ def is_hurwitz(coefficients: np.ndarray) -> bool:
         c = [-v for v in c]
     upper, lower = c[0::2], c[1::2]
     while lower:
-        if lower[0] <= 0 or upper[0] <= 0:
+        if lower[0] <= 0:
             return False
-        padded = lower + [Fraction(0)] * (len(upper) - len(lower))
         quotient = upper[0] / lower[0]
-        upper, lower = lower, [u - quotient * p for u, p in zip(upper[1:], padded[1:], strict=False)]
-    return upper[0] > 0
+        padded = [*lower[1:], Fraction(0)]
+        upper, lower = lower, [u - quotient * p for u, p in zip(upper[1:], padded, strict=False)]
+    return True
 
 
 def squared(coefficients: np.ndarray, unit: float) -> np.ndarray:
@@ -121,10 +121,9 @@ def squared(coefficients: np.ndarray, unit: float) -> np.ndarray:
     scale = Fraction(unit)
     c = [Fraction(float(v)) * scale**i for i, v in enumerate(coefficients[::-1])]
     square = [Fraction(0)] * len(c)
-    for i, ci in enumerate(c):
-        for k, ck in enumerate(c):
-            if (i + k) % 2 == 0:  # p(s) p(-s) at s = jw: odd powers cancel, s^2 = -w^2
-                square[(i + k) // 2] += ci * ck * (-1) ** ((i - k) // 2)
+    for i, ci in enumerate(c):  # p(s) p(-s) at s = jw: odd powers cancel, s^2 = -w^2
+        for k in range(i % 2, len(c), 2):
+            square[(i + k) // 2] += ci * c[k] * (1 - (i - k) % 4)
     return np.array([float(v) for v in square])
 
 
@@ -248,7 +247,7 @@ def _nonnegative(
     """True (M,) where p >= factor bound^2 q is proved on [lo, hi]."""
     at_lo, at_hi = (_bound_squared(v, y0, log0, slope) for v in (lo, hi))
     with np.errstate(divide="ignore", invalid="ignore"):
-        middle = np.where(lo > 0, np.sqrt(lo * hi), 0.5 * hi)
+        middle = np.sqrt(lo * hi)  # a piece from 0 is constant, and takes no tangent
         tangent = _bound_squared(middle, y0, log0, slope) * (
             1.0 + slope * (np.array([lo, hi]) / middle - 1.0)
         )

@@ -141,12 +141,8 @@ def _lowest_order(source: str, max_order: int, order: int | None, tol_db: float,
 
 
 def _choose(best: dict[int, MinimaxFit], tol_db: float) -> int:
-    """Smallest order n such that no order n + k gains more than k tol_db."""
-    return next(
-        n
-        for n, c in best.items()
-        if all(c.ratio_db - other.ratio_db <= tol_db * (m - n) for m, other in best.items() if m > n)
-    )
+    """Smallest order n such that no order n + k gains more than k tol_db: the first of the least sums."""
+    return min(best, key=lambda n: best[n].ratio_db + tol_db * n)
 
 
 def _close(
@@ -204,4 +200,4 @@ def _spectral_factor(square: np.ndarray) -> np.ndarray:
 
 def _db(ratio: float) -> float:
     """20 log10; inf stays inf."""
-    return 20.0 * math.log10(ratio) if ratio < math.inf else math.inf
+    return 20.0 * math.log10(ratio)

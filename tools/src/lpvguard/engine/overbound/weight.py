@@ -77,11 +77,9 @@ class Weight:
         for a2, b2, c2, d2 in sections:
             a = np.block([[a, np.zeros((len(a), len(a2)))], [b2 @ c, a2]])
             b, c, d = np.vstack([b, b2 @ d]), np.hstack([d2 @ c, c2]), d2 @ d
-        if not len(a):
-            return a, b, c, d
         reach = np.diag(solve_continuous_lyapunov(a, -b @ b.T))
         observe = np.diag(solve_continuous_lyapunov(a.T, -c.T @ c))
-        known = (reach > 0) & (observe > 0)  # a state that W does not need keeps its scale
+        known = observe > 0  # a state that W does not need keeps its scale
         scale = np.ones(len(a))
         scale[known] = np.exp2(np.round(np.log2(observe[known] / reach[known]) / 4))
         return a * scale[:, None] / scale[None, :], b * scale[:, None], c / scale[None, :], d
@@ -117,29 +115,28 @@ def _quadratics(roots: np.ndarray) -> list[np.ndarray]:
     """Monic real factors of degree two, and one of degree one when the count is odd, slow to fast."""
     real = sorted((float(r.real) for r in roots if r.imag == 0), key=abs)
     factors = [np.array([1.0, -2.0 * r.real, abs(r) ** 2]) for r in roots if r.imag > 0]
-    if len(real) % 2:
-        factors.append(np.array([1.0, -real.pop()]))
     factors += [np.poly(real[i : i + 2]) for i in range(0, len(real), 2)]
-    return sorted(factors, key=lambda f: (-len(f), abs(f[-1]) ** (1.0 / (len(f) - 1))))
+    return sorted(factors, key=lambda f: (-len(f), f[-1]))
 
 
 def _sections(num: np.ndarray, den: np.ndarray) -> list[tuple[np.ndarray, ...]]:
-    """(A, B, C, D) of first- and second-order factors whose product is num/den."""
+    """(A, B, C, D) of first- and second-order factors whose product is num/den.
+
+    Pairs come first on both sides. A proper weight has no more pairs of zeros than of poles: each fits.
+    """
     gain = num[0] / den[0]
     tops, bottoms = _quadratics(polynomial_roots(num)), _quadratics(polynomial_roots(den))
     sections: list[tuple[np.ndarray, ...]] = []
     for bottom in bottoms:
         size = len(bottom) - 1
-        fit = next((k for k, t in enumerate(tops) if len(t) - 1 == size), None)
-        fit = fit if fit is not None else next((k for k, t in enumerate(tops) if len(t) - 1 < size), None)
-        top = tops.pop(fit) if fit is not None else np.ones(1)
-        top = np.pad(top, (size + 1 - len(top), 0))
+        top = tops.pop(0) if tops else np.ones(1)
+        top = np.concatenate([np.zeros(size + 1 - len(top)), top])
         d = top[0]
         if size == 1:
             a, b, c = [[-bottom[1]]], [[1.0]], [[top[1] - d * bottom[1]]]
         else:
             poles = polynomial_roots(bottom)
-            if poles[0].imag == 0:
+            if not poles.imag.any():
                 p1, p2 = sorted(-poles.real)
                 a, b = [[-p1, 0.0], [1.0, -p2]], [[1.0], [0.0]]
                 first = top[1] - d * (p1 + p2)

@@ -22,12 +22,10 @@ import scipy.linalg as sl
 from lpvguard.engine.blocks import Block
 from lpvguard.engine.synthesis.errors import SynthesisError
 from lpvguard.engine.synthesis.mu_upper import upper_bound
+from lpvguard.engine.synthesis.norms import near_axis
 from lpvguard.engine.synthesis.statespace import EPS, StateSpace, balanced, to_continuous
 from lpvguard.engine.synthesis.structure import Structure
 
-NEAR = 1e-3
-"""An eigenvalue whose real part is below this share of its size may be imaginary: far more than rounding
-moves it."""
 SHORT = 0.999
 """Of the way to a frequency where Φ is singular, that a cell goes."""
 MOST_CELLS = 3000
@@ -223,8 +221,6 @@ def _singular(G: StateSpace, point: PointBound, level: float) -> np.ndarray:
     imaginary axis. They are those of x' = A x + B u with the adjoint state p' = -Aᴴ p - Cᴴ q, where Φ u =
     0."""
     A, B, C, D, n = G.A, G.B, G.C, G.D, G.order
-    if n == 0:
-        return np.zeros(0)
     D_left, jG = point.left, 1j * point.skew
     q_u = D_left @ D + jG.conj().T
     infinity = point.fixed + level**2 * point.scaled - D.T @ D_left @ D - D.T @ jG.conj().T - jG @ D
@@ -234,5 +230,5 @@ def _singular(G: StateSpace, point: PointBound, level: float) -> np.ndarray:
     if not hamiltonian.imag.any():  # as without G, and with D of full blocks: at a quarter of the cost
         hamiltonian = hamiltonian.real
     values = np.linalg.eigvals(hamiltonian)
-    axis = np.abs(values.real) <= NEAR * np.abs(values) + 1e2 * EPS * np.linalg.norm(A, 2)
+    axis = near_axis(values, float(np.linalg.norm(A)))
     return np.unique(values.imag[axis & (values.imag >= 0)])

@@ -128,7 +128,15 @@ def _crossings(H: StateSpace, level: float) -> np.ndarray:
     R = np.eye(D.shape[1]) - D.T @ D
     F = np.linalg.solve(R, np.hstack([D.T @ C, B.T]))
     hamiltonian = np.block([[A, np.zeros((n, n))], [-C.T @ C, -A.T]]) + np.vstack([B, -C.T @ D]) @ F
-    return axis_frequencies(hamiltonian, float(np.linalg.norm(A, 2)))
+    return axis_frequencies(hamiltonian, float(np.linalg.norm(A)))
+
+
+def near_axis(eigenvalues: np.ndarray, scale: float) -> np.ndarray:
+    """(K,) True for eigenvalues (K,) that may be imaginary but for rounding; ``scale``: ‖A‖ of the system.
+
+    One of an n-fold near-defective cluster moves by about sqrt(eps) times the matrix norm.
+    """
+    return np.abs(eigenvalues.real) <= 1e-3 * np.abs(eigenvalues) + 1e2 * EPS * scale
 
 
 def axis_frequencies(hamiltonian: np.ndarray, scale: float) -> np.ndarray:
@@ -138,9 +146,7 @@ def axis_frequencies(hamiltonian: np.ndarray, scale: float) -> np.ndarray:
     It is empty when no eigenvalue of ``hamiltonian`` (2n, 2n) lies there. ``scale``: ‖A‖ of the system.
     """
     eigenvalues = np.linalg.eigvals(hamiltonian)
-    # an eigenvalue of an n-fold near-defective cluster moves by about sqrt(eps) times the matrix norm
-    near = np.abs(eigenvalues.real) <= 1e-3 * np.abs(eigenvalues) + 1e2 * EPS * scale
-    cross = np.unique(np.abs(eigenvalues.imag[near]))
+    cross = np.unique(np.abs(eigenvalues.imag[near_axis(eigenvalues, scale)]))
     if cross.size == 0:
         return cross
     cross = np.concatenate([[0.0], cross[cross > 0]])

@@ -50,8 +50,9 @@ def optimum(
     forms = ball(posed, gamma_w)
     quadratic: list[np.ndarray] = []
     params = 0
-    if lambda_w is not None and np.any(lambda_w):
-        quadratic.append(np.sqrt(np.asarray(lambda_w, dtype=float))[:, None] * posed.w)
+    weights = np.zeros(len(posed.w)) if lambda_w is None else np.asarray(lambda_w, dtype=float)
+    if weights.any():
+        quadratic.append(np.sqrt(weights)[:, None] * posed.w)
     for i, block in enumerate(problem.blocks):
         if i in posed.dead:
             continue
@@ -87,7 +88,7 @@ def _one_block(problem: Quadratic, caps: np.ndarray, posed: Posed) -> Interval |
         return None
     which = next(i for i, xi in enumerate(posed.xi) if xi is block.a)
     trivial = problem.cost(start)
-    if not 0.0 < trivial < np.inf:
+    if trivial == np.inf:
         return None
 
     def square(m: np.ndarray) -> np.ndarray:

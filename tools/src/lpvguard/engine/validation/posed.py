@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -16,7 +16,6 @@ from lpvguard.engine.validation.problem import (
     IMAGE_TOLERANCE,
     RANK_TOLERANCE,
     Lft,
-    Parametrisation,
     parametrise,
 )
 from lpvguard.engine.validation.quadratic import Form, cancels
@@ -68,65 +67,59 @@ class Posed:
         # At gamma_w = B1 the ball is one point: phi = 0 is a constraint, and the solvers have no interior.
         self.least_ball = par.b1 * (1.0 - EDGE) - ROUNDING * np.linalg.norm(problem.e)
         self.ball_is_point = bool(gamma_w <= par.b1 * (1.0 + EDGE) + ROUNDING * np.linalg.norm(problem.e))
-        if self.ball_is_point:
-            keep = np.r_[par.n_phi : par.xi_map.shape[1]]
-            par = replace(
-                par,
-                xi_map=par.xi_map[:, keep],
-                w_map=par.w_map[:, keep],
-                eta_map=par.eta_map[:, keep],
-                n_phi=0,
-            )
-        etas = split(problem.blocks, par.eta_map, "cols")
-        dead = [i for i, eta in enumerate(etas) if i in without or not np.any(eta)]
-        maps = self._without(par, dead) if dead else (par.xi_map, par.w_map, par.eta_map)
-        size_e = float(np.linalg.norm(problem.e)) or 1.0
-        rows = []
-        for xi, p21 in zip(split(problem.blocks, maps[0], "rows"), self._columns(problem), strict=True):
-            gain = np.linalg.norm(p21)
-            rows.append(xi * (gain / size_e if gain > 0.0 else 1.0))
-        scaled = np.vstack([*rows, maps[1] / w_scale[:, None]])
+        first = par.n_phi if self.ball_is_point else 0
+        maps = tuple(m[:, first:] for m in (par.xi_map, par.w_map, par.eta_map))
+        etas = split(problem.blocks, maps[2], "cols")
+        self.dead = [i for i, eta in enumerate(etas) if i in without or not np.any(eta)]
+        scaled = np.vstack([maps[0] * self._shares()[:, None], maps[1] / w_scale[:, None]])
+        if self.dead:
+            rows = split(problem.blocks, np.arange(len(maps[0])), "rows")
+            held = np.concatenate([rows[i] for i in self.dead])
+            change = self._without(scaled, held)
+            scaled, maps = scaled @ change, tuple(m @ change for m in maps)
+            maps[0][held] = 0.0  # not its rounding, which an eta of zero would make endless
         q, r = np.linalg.qr(scaled[:, :-1])
         shift = q.conj().T @ scaled[:, -1]
         rest = np.linalg.norm(scaled[:, -1] - q @ shift)
-        kappa = rest if rest > 1e-9 * max(float(np.linalg.norm(shift)), 1e-300) else 1.0
+        kappa = rest if rest > 1e-9 * np.linalg.norm(shift) else 1.0
         d = r.shape[0]
         back = np.zeros((d + 1, d + 1), dtype=complex)
-        if d:
-            back[:d, :d] = np.linalg.inv(r)
-            back[:d, d] = -(back[:d, :d] @ shift) / kappa
+        back[:d, :d] = np.linalg.inv(r)
+        back[:d, d] = -(back[:d, :d] @ shift) / kappa
         back[d, d] = 1.0 / kappa
         self._xi, self._w, self._eta = (m @ back for m in maps)
         self.t = np.zeros((1, d + 1), dtype=complex)
         self.t[0, -1] = 1.0 / kappa
-        self.dead = dead
 
-    @staticmethod
-    def _columns(problem: Lft) -> list[np.ndarray]:
-        return [m.T for m in split(problem.blocks, problem.p21.T, "rows")]
+    def _shares(self) -> np.ndarray:
+        """(p,) of a signal in xi its share of e; a block that reaches no output counts by itself."""
+        blocks, size_e = self.problem.blocks, float(np.linalg.norm(self.problem.e)) or 1.0
+        gains = [float(np.linalg.norm(m)) or size_e for m in split(blocks, self.problem.p21.T, "rows")]
+        return np.repeat(gains, [b.rows for b in blocks]) / size_e
 
-    def _without(self, par: Parametrisation, dead: list[int]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Maps with xi_i = 0 for the blocks whose eta_i is zero whatever happens."""
-        pieces = split(self.problem.blocks, par.xi_map, "rows")
-        rows = np.vstack([pieces[i] for i in dead])
-        left, right = rows[:, :-1], -rows[:, -1]
+    def _without(self, scaled: np.ndarray, held: np.ndarray) -> np.ndarray:
+        """Map (n, n') to the points at which the rows ``held`` of ``scaled`` (.., n), those of the dead
+        blocks, are zero.
+
+        Each direction counts in a unit of its own: what the data hold at zero already is rounding beside it.
+        Raises InputError when the data need a dead block.
+        """
+        unit = np.linalg.norm(scaled[:, :-1], axis=0)
+        left, right = scaled[held, :-1] / unit, -scaled[held, -1]
         u, s, vh = np.linalg.svd(left)
-        rank = int(np.sum(s > RANK_TOLERANCE * s.max(initial=0.0)))
+        rank = int(np.sum(s > RANK_TOLERANCE))
         point = vh[:rank].conj().T @ ((u[:, :rank].conj().T @ right) / s[:rank])
-        if np.linalg.norm(left @ point - right) > IMAGE_TOLERANCE * np.linalg.norm(right):
+        if np.linalg.norm(left @ point - right) > IMAGE_TOLERANCE:
             raise InputError(
                 self.problem.source,
-                f"block {dead[0] + 1}",
+                f"block {self.dead[0] + 1}",
                 "its input eta is zero, so it cannot explain e",
                 "eta0 != 0",
             )
-        change = np.zeros((left.shape[1] + 1, left.shape[1] - rank + 1), dtype=complex)
-        change[:-1, :-1], change[:-1, -1], change[-1, -1] = vh[rank:].conj().T, point, 1.0
-        xi_map = par.xi_map @ change
-        for i, part in enumerate(split(self.problem.blocks, xi_map, "rows")):
-            if i in dead:
-                part[:] = 0.0  # not its rounding, which an eta of zero would make endless
-        return xi_map, par.w_map @ change, par.eta_map @ change
+        change = np.zeros((len(unit) + 1, len(unit) - rank + 1), dtype=complex)
+        change[:-1] = np.column_stack([vh[rank:].conj().T, point]) / unit[:, None]
+        change[-1, -1] = 1.0
+        return change
 
     @cached_property
     def xi(self) -> list[np.ndarray]:
@@ -169,7 +162,7 @@ class Posed:
         maps, signals = np.vstack([self._xi, self._w]), np.concatenate([known.xi, known.w])
         size = np.maximum(np.linalg.norm(maps, axis=1), 1e-300)
         rest = (signals * self.t[0, -1] - maps[:, -1]) / size
-        theta, *_ = np.linalg.lstsq(maps[:, :-1] / size[:, None], rest, rcond=RANK_TOLERANCE)
+        theta, *_ = np.linalg.lstsq(maps[:, :-1] / size[:, None], rest)
         return [np.append(theta, 1.0)]
 
     def finish(self, interval: Interval, what: str) -> Solution:

@@ -70,9 +70,7 @@ def _dd_add(x, y):
 
 def _dd_mul(x, y):
     p, t = _two_prod(x[0], y[0])
-    t = t + (x[0] * y[1] + x[1] * y[0])
-    hi = p + t
-    return hi, t - (hi - p)
+    return p, t + (x[0] * y[1] + x[1] * y[0])
 
 
 def _dd_dot(pairs):
@@ -129,7 +127,7 @@ def _s1_numpy(e: np.ndarray, z: np.ndarray, gamma: np.ndarray):
         nu = np.where(room > 0.0, ee_g / (abs(ze) + np.sqrt(room)), abs(ze) / zz[0])
         nu = np.where((ee_g <= 0.0) | no_z, 0.0, nu)
         nu = np.where(infeasible, np.inf, nu)
-        delta = np.where((nu > 0.0) & ~infeasible & (ze != 0.0), nu * (ze / abs(ze)), 0.0)
+        delta = np.where(~infeasible & (ze != 0.0), nu * (ze / abs(ze)), 0.0)
     scale = ke - kz
     delta = np.ldexp(delta.real, scale) + 1j * np.ldexp(delta.imag, scale)
     nan = np.where(bad, np.nan, 0.0)
@@ -209,7 +207,7 @@ class LeastSquares(NamedTuple):
 
 
 def _size(x: np.ndarray) -> np.ndarray:
-    scale = np.max(np.abs(x), axis=-1, initial=0.0)
+    scale = np.max(np.abs(x), axis=-1)
     unit = np.divide(x, scale[:, None], out=np.zeros_like(x), where=scale[:, None] > 0)
     return np.linalg.norm(unit, axis=-1) * scale
 
@@ -224,7 +222,7 @@ def least(e, z) -> LeastSquares:
             size_e, size_z = map(_size, (e, z))
             columns = [size_e, size_z, _s1_numpy(e, z, size_e)[0], np.abs(least_squares_delta(e, z))]
         out = np.stack(columns, axis=-1)
-        out[~np.isfinite(e + z).all(axis=-1)] = np.nan
+        out[~(np.isfinite(e) & np.isfinite(z)).all(axis=-1)] = np.nan
     else:
         out = np.empty((len(e), 4))
         lib.lpvg_least(*map(ctypes.c_ssize_t, e.shape), *map(native.pointer, (e, z, out)))
@@ -334,7 +332,7 @@ def _triple(i, j, k):
     db2, uu = det**2 * i[2] ** 2, np.abs(u0) ** 2
     pq = np.abs(u0) * np.abs(u1)
     c = np.conj(u0) * u1
-    minus = np.where(c.real > 0.0, -(c.imag**2) / (pq + c.real), c.real - pq)
+    minus = c.real - pq  # where this cancels, db2 is at least twice the other root, or there is no level
     plus = np.where(c.real < 0.0, c.imag**2 / (pq - c.real), c.real + pq)
     half = db2 - 2.0 * c.real + np.sqrt(np.maximum((2.0 * minus - db2) * (2.0 * plus - db2), 0.0))
     return np.sqrt(2.0 * uu / half)

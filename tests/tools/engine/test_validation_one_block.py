@@ -1,0 +1,220 @@
+"""The kernel for one block beside a quadratic cost, against branch and bound; and the size of a last block by
+hand."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from lft_problems import made_from_truth
+from lpvguard.base.errors import InputError
+from lpvguard.engine.blocks import Block
+from lpvguard.engine.validation import lft
+from lpvguard.engine.validation.posed import Posed
+from lpvguard.engine.validation.problem import Lft
+from lpvguard.engine.validation.quadratic import Form, Quadratic
+
+SHAPES = [([("full", 1, 1)], {}), ([("full", 2, 3)], {}), ([("full", 2, 1)], {"p12": True, "n_w": 3})]
+
+
+def asked_for(monkeypatch, problem: Lft, gamma: float, lambda_nu, lambda_w):
+    """The optimum without the kernel, and what the kernel would have been asked."""
+    asked: list[tuple[Quadratic, np.ndarray, Posed]] = []
+    with monkeypatch.context() as patched:
+        patched.setattr(lft, "_one_block", lambda *arguments: asked.append(arguments))
+        return lft.optimum(problem, gamma, lambda_nu, lambda_w), asked[0]
+
+
+@pytest.mark.parametrize("blocks, options", SHAPES)
+@pytest.mark.parametrize("unit", [1e-3, 1.0, 1e3])
+def test_the_kernel_finds_what_branch_and_bound_finds(blocks, options, unit, monkeypatch):
+    problem, _, w = made_from_truth(np.random.default_rng(4), 2, blocks, noise=0.5, **options)
+    problem = replace(problem, e=unit * problem.e, p21=unit * problem.p21)
+    gamma, lambda_w = 1.5 * unit * np.linalg.norm(w), np.linspace(0.3, 2.0, len(w)) / unit**2
+    want, (quadratic, caps, posed) = asked_for(monkeypatch, problem, gamma, [1.7], lambda_w)
+    found = lft._one_block(quadratic, caps, posed)
+    assert found.upper == pytest.approx(want.upper, rel=1e-6)
+    assert (1 - 2e-4) * want.upper <= found.lower <= want.upper * (1 + 1e-9)
+    assert 1 < found.nodes < 100, "evaluations of the dual"
+    monkeypatch.setattr(lft, "minimise", None)  # not asked where the kernel is near enough
+    again = lft.optimum(problem, gamma, [1.7], lambda_w)
+    assert (again.lower, again.upper) == (found.lower, found.upper)
+
+
+def test_branch_and_bound_takes_over_where_the_kernel_is_not_near_enough(monkeypatch):
+    problem, *_ = made_from_truth(np.random.default_rng(4), 2, [("full", 1, 1)], noise=0.5)
+    want, (quadratic, caps, posed) = asked_for(monkeypatch, problem, 0.75, [1.7], [1.0, 1.0])
+    found = lft._one_block(quadratic, caps, posed)
+    for apart, takes_over in ((1.99e-4, False), (2.01e-4, True)):
+        far = replace(found, lower=found.upper * (1 - apart))
+        monkeypatch.setattr(lft, "_one_block", lambda *_, far=far: far)
+        again = lft.optimum(problem, 0.75, [1.7], [1.0, 1.0])
+        assert again.lower == (want.lower if takes_over else far.lower)
+
+
+def test_a_size_near_its_cap_is_left_to_branch_and_bound(monkeypatch):
+    """The kernel's p over its limit is the square of the block's size over its cap."""
+    problem, _, w = made_from_truth(np.random.default_rng(4), 2, [("full", 1, 1)], noise=0.5)
+    want, (quadratic, _, posed) = asked_for(monkeypatch, problem, 1.5 * np.linalg.norm(w), [1.7], [1.0, 1.0])
+    solved, solve = [], lft.s2.solve_forms
+    monkeypatch.setattr(
+        lft.s2, "solve_forms", lambda *a: solved.append((a[2], solve(*a))) or replace(solved[-1][1], **given)
+    )
+    given: dict[str, np.ndarray] = {}
+    cap = 3.0 * want.nu
+    assert lft._one_block(quadratic, cap, posed) is not None
+    p_max, out = solved[0]
+    block, z = quadratic.forms[1], out.z[0]
+    size = np.linalg.norm(block.a @ z) / np.linalg.norm(block.b @ z)
+    assert out.p[0] / p_max == pytest.approx((size / cap[0]) ** 2 * (1 + 1e-9), rel=1e-10)
+    near = lft.s2.NEAR_CAP**2 * p_max
+    for p, upper, left_alone in (
+        (near * (1 - 1e-12), 1.0, False),
+        (near, 1.0, False),
+        (near * (1 + 1e-12), 1.0, True),
+        (near / 2, np.inf, True),
+    ):
+        given = {"p": np.array([p]), "upper": np.array([upper])}
+        assert (lft._one_block(quadratic, cap, posed) is None) == left_alone
+    given = {}
+    assert lft._one_block(quadratic, 0.9 * want.nu, posed) is None
+
+
+def test_the_cap_is_that_of_the_block_whose_input_varies(monkeypatch):
+    """The first block has a constant input: its cost is a quadratic one."""
+    problem, *_ = made_from_truth(np.random.default_rng(5), 2, [("full", 1, 1), ("full", 1, 1)], noise=0.5)
+    problem = replace(problem, p11=np.diag([0.0, 0.3]).astype(complex))
+    want, (quadratic, _, posed) = asked_for(monkeypatch, problem, 0.3, [1.7, 0.6], None)
+    found = lft._one_block(quadratic, np.array([1e-6, np.inf]), posed)
+    assert found.upper == pytest.approx(want.upper, rel=1e-6)
+    assert lft._one_block(quadratic, np.array([np.inf, 1e-6]), posed) is None
+
+
+def test_what_is_no_problem_of_the_kernel_is_left_alone(monkeypatch):
+    problem, _, w = made_from_truth(np.random.default_rng(4), 2, [("full", 1, 1)], noise=0.5)
+    gamma, size_e = 1.5 * np.linalg.norm(w), np.linalg.norm(problem.e)
+    _, (quadratic, caps, posed) = asked_for(monkeypatch, problem, gamma, [1.7], [1.0, 1.0])
+    ball, block, cost = quadratic.forms
+    n = quadratic.n
+
+    def left_alone(*forms: Form) -> bool:
+        return lft._one_block(Quadratic(forms, 2, forms[0].a.shape[1]), caps, posed) is None
+
+    assert not left_alone(ball, block, cost)
+    assert left_alone(ball, block) and left_alone(ball, block, cost, ball)
+    assert left_alone(ball, replace(block, repeated="repeated_complex"), cost)
+    assert left_alone(replace(ball, constant=1e-12), block, cost), "no point within the ball"
+    assert left_alone(ball, replace(block, b=0 * block.b), cost), "a first point of endless size"
+    free, wide = replace(cost, a=0 * cost.a, parts=()), replace(ball, constant=(1.1 * size_e) ** 2)
+    assert left_alone(wide, block, free), "w alone explains e for nothing"
+    fixed = (replace(f, a=f.a[:, -1:], b=f.b[:, -1:], parts=()) for f in (ball, block, cost))
+    assert left_alone(*fixed), "nothing is free"
+    for most, alone in ((n, False), (n - 1, True)):
+        monkeypatch.setattr(lft.s2, "MAX_N", most)
+        assert left_alone(ball, block, cost) == alone
+
+
+# --- the size of the last block ---
+
+
+def beside_the_last(first: Block, p11, p21, p22, e) -> Lft:
+    """A first block, and a last one of 1 x 1; both have an input of 1 beside ``p11``."""
+    k = first.cols + 1
+    p11, p21, p22, e = (np.array(v, complex) for v in (p11, p21, p22, e))
+    n_w = p22.shape[1]
+    return Lft((first, Block("full", 1, 1)), p11, np.zeros((k, n_w)), p21, p22, np.ones(k, complex), e)
+
+
+def test_a_last_block_without_input_that_nothing_asks_for_has_size_zero():
+    problem = beside_the_last(Block("full", 1, 1), np.zeros((2, 2)), [[1, 1]], [[1]], [2.0])
+    problem = replace(problem, eta0=np.array([1.0, 0.0], complex))
+    assert lft.smallest_last_block(problem, 0.5) == (0.0, 0.0)
+
+
+def test_a_last_block_at_its_cap_is_refused_and_below_it_is_not():
+    """xi = 2 over 1 + g xi is beyond the cap 1 / |g| where g xi is below - 1 / 2."""
+    for g, fits in ((0.1, True), (-0.2, True), (-0.3, False)):
+        p11, p21, p22 = np.diag([0, g]), np.eye(2), np.zeros((2, 1))
+        problem = beside_the_last(Block("full", 1, 1), p11, p21, p22, [1.0, 2.0])
+        if fits:
+            size = abs(2 / (1 + 2 * g))
+            assert lft.smallest_last_block(problem, 0.0) == pytest.approx((size, size), rel=1e-3)
+        else:
+            with pytest.raises(InputError, match=r"block 2: needs 5, at or above its cap 3\.33333"):
+                lft.smallest_last_block(problem, 0.0)
+
+
+def test_a_last_block_that_the_data_need_beside_a_real_one_has_its_size():
+    """e_2 is the last block's alone; of e_1 = 1 + i the real block takes what is real."""
+    real = Block("repeated_real", 1, 1)
+    alone = beside_the_last(real, np.zeros((2, 2)), [[1, 0], [0, 1]], [[1], [0]], [0.5, 0.7])
+    assert lft.smallest_last_block(alone, 1.0) == pytest.approx((0.7, 0.7), rel=1e-3)
+    shared = beside_the_last(real, np.zeros((2, 2)), [[1, 1]], [[1]], [1.0 + 1j])
+    for gamma, size in ((0.4, 0.6), (1.1, 0.0)):
+        assert lft.smallest_last_block(shared, gamma) == pytest.approx((size, size), rel=1e-3, abs=1e-6)
+
+
+def test_a_real_block_beside_the_last_goes_as_far_as_its_cap():
+    """3.5 of a cap of 4, as xi_1 = 28 over 1 + 28 / 4; then i is left to w and the last block."""
+    real = Block("repeated_real", 1, 1)
+    problem = beside_the_last(real, np.diag([0.25, 0]), [[1, 1]], [[1]], [28.0 + 1j])
+    for gamma, size in ((0.4, 0.6), (1.1, 0.0)):
+        assert lft.smallest_last_block(problem, gamma) == pytest.approx((size, size), rel=1e-3, abs=1e-6)
+
+
+def three(first: str, p11: list[float], e: complex) -> Lft:
+    """A first block, a real one and the last, all of 1 x 1 with an input of 1; e is the sum of all and w."""
+    blocks = tuple(Block(kind, 1, 1) for kind in (first, "repeated_real", "full"))
+    one, none = np.ones((1, 3), complex), np.zeros((3, 1), complex)
+    eta0, e_ = np.ones(3, complex), np.array([e])
+    return Lft(blocks, np.diag(p11).astype(complex), none, one, np.ones((1, 1), complex), eta0, e_)
+
+
+def test_two_blocks_beside_the_last_explain_what_they_can_together():
+    """A full block takes all of e, however large; two real ones leave the imaginary part."""
+    for first, size in (("full", 0.0), ("repeated_real", 0.6)):
+        lower, upper = lft.smallest_last_block(three(first, [0.0, 0.0, 0.0], 2.0 + 1j), 0.4)
+        assert lower <= upper == pytest.approx(size, rel=1e-3, abs=1e-6)
+    # Beyond the cap of a full block too: it is asked for no certificate here.
+    far = three("full", [0.25, 0.0, 0.0], -10.0 + 1j)
+    assert lft.smallest_last_block(far, 0.4) == (0.0, 0.0)
+
+
+def is_free(problem: Lft, gamma: float) -> bool:
+    return lft._last_block_is_free(problem, gamma, 1e-4, 2000)
+
+
+def test_a_last_block_is_free_where_a_real_one_within_its_cap_leaves_no_more_than_w():
+    """A cap of 4: xi_1 = 28 is 3.5 of its input 8, and xi_1 = -20 would be 5 of -4."""
+    real = Block("repeated_real", 1, 1)
+    for e, free in ((28.0, True), (-20.0, False)):
+        problem = beside_the_last(real, np.diag([0.25, 0]), [[1, 1]], [[1]], [e + 1j])
+        assert is_free(problem, 1.1) == free and not is_free(problem, 0.9)
+    assert lft.smallest_last_block(problem, 1.1)[1] > 10.0
+    # i is left, and w may be so large but for rounding.
+    plain = beside_the_last(real, np.zeros((2, 2)), [[1, 1]], [[1]], [2.0 + 1j])
+    assert is_free(plain, 1.0 + 1e-14) and not is_free(plain, 1.0 - 0.3e-9)
+
+
+def test_a_last_block_is_free_where_w_is_all_that_the_data_leave_it():
+    """e_2 is w's alone, and w has no more: one point, to a billionth."""
+    real, p21 = Block("repeated_real", 1, 1), [[1, 1], [0, 0]]
+    for e, free in ((2.0, True), (2.0 + 0.5j, False)):
+        problem = beside_the_last(real, np.zeros((2, 2)), p21, np.eye(2), [e, 1.0])
+        assert is_free(problem, 1.0 - 0.4e-9) == free
+
+
+def test_blocks_that_are_not_repeated_have_no_cap_beside_the_last():
+    assert is_free(three("full", [0.25, 0.0, 0.0], -10.0 + 1j), 0.4)
+    assert not is_free(three("repeated_real", [0.0, 0.0, 0.0], 2.0 + 1j), 0.4)
+    full = Block("full", 1, 1)
+    problem = beside_the_last(full, np.diag([0.25, 0]), np.eye(2), np.zeros((2, 1)), [-10.0, 0.7])
+    assert lft.smallest_last_block(problem, 0.0) == pytest.approx((0.7, 0.7), rel=1e-3)
+
+
+def test_the_margin_of_disturbances_alone_is_the_largest_of_them():
+    problem = beside_the_last(Block("full", 1, 1), np.zeros((2, 2)), np.zeros((2, 2)), np.eye(2), [3.0, 4j])
+    found = lft.margin(problem, [1.0, 1.0], [1.0, 2.0])
+    assert (found.lower, found.upper) == pytest.approx((3.0, 3.0), rel=1e-3)
