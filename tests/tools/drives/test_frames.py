@@ -14,7 +14,7 @@ import pytest
 from lpvguard.base import native
 from lpvguard.base.errors import InputError
 from lpvguard.base.layout import constant
-from lpvguard.drives.frames import Estimator, require_core, settled
+from lpvguard.drives.frames import Estimator, _Extremes, require_core, settled
 from lpvguard.vehicle.nominal import NominalModel
 from made import ROOT
 
@@ -164,6 +164,18 @@ def test_counted_frames_are_those_of_the_definition(estimator, seed):
     v = np.convolve(v, np.ones(15) / 15, mode="same")
     for k in (estimator.n_bins - 1, estimator.n_bins - 4):
         np.testing.assert_array_equal(estimator.counted(v, k), brute_counted(estimator, v, k))
+
+
+@pytest.mark.parametrize("samples", [1, 2, 3, 5, 7, 8, 9, 60])
+def test_extremes_are_those_of_every_window(samples):
+    """Lengths beside powers of two, the whole signal, and shorter windows after longer ones."""
+    x = np.random.default_rng(samples).normal(size=60)
+    extremes = _Extremes(x)
+    for length in (samples, max(1, samples // 2)):
+        windows = np.lib.stride_tricks.sliding_window_view(x, length)
+        low, high = extremes.of_windows(length)
+        np.testing.assert_array_equal(low, windows.min(axis=1))
+        np.testing.assert_array_equal(high, windows.max(axis=1))
 
 
 def test_a_drive_shorter_than_the_frame_has_none(estimator):
