@@ -1,10 +1,10 @@
 """Loops drawn within what each certificate of a controller.json allows, each with the input that drives it
 furthest, against the number that is proved.
 
-A trial draws a stable Delta of gain 1: all-passes of first order, sampled rational systems up to fourth
-order, or one that the lower bound of mu constructs. The input is not drawn. It is the one with the largest
-gain that the loop's adjoint finds over a finite horizon, or the one that climbs furthest where the demand is
-limited.
+A trial draws a stable Delta: all-passes of first order, sampled rational systems up to fourth order, or one
+that the lower bound of mu constructs. Its gain is 1, or 1/mu where mu is asked about. The input is not drawn.
+It is the one with the largest gain that the loop's adjoint finds over a finite horizon, or the one that
+climbs furthest where the demand is limited.
 """
 
 from __future__ import annotations
@@ -129,14 +129,14 @@ class Trials:
         return Trial(history.gain(self._input(1))[0] / said["level"], False, name)
 
     def frozen(self) -> Trial:
-        """At a speed whose mu is proved."""
+        """At a speed whose mu is proved: a Delta of gain 1/mu leaves a gain of mu."""
         row = self._one_of(self.stated["speeds"])
-        return self._frozen(row["v_mps"], row["mu_upper"])
+        return self._frozen(row["v_mps"], row["mu_upper"], 1 / row["mu_upper"])
 
     def worst_gain(self) -> Trial:
         """At a node whose worst-case gain is proved."""
         row = self._one_of(self._nodes("robustness", "worst_gain"))
-        return self._frozen(row["v_mps"], row["worst_gain"])
+        return self._frozen(row["v_mps"], row["worst_gain"], 1.0)
 
     def slow_delta(self) -> Trial:
         """At a node, two Delta in a mean whose weights move at the proved rate."""
@@ -217,8 +217,11 @@ class Trials:
             for one in found
         ]
 
-    def _frozen(self, v: float, bound: float) -> Trial:
-        history = self.performance.history(np.full(self.samples, v), self.drawn())
+    def _frozen(self, v: float, bound: float, size: float) -> Trial:
+        """At speed ``v`` [m/s] a Delta of gain ``size``: the gain that it leaves, over ``bound``."""
+        drawn = self.drawn()
+        delta = StateSpace(drawn.A, drawn.B, drawn.C * size, drawn.D * size, drawn.dt)
+        history = self.performance.history(np.full(self.samples, v), delta)
         return Trial(history.gain(self._input(1))[0] / bound, False, f"{v:.4g} m/s")
 
     def _profile(self, rate: float) -> tuple[np.ndarray, str]:
