@@ -36,9 +36,9 @@ class Map(Protocol):
         """function(item) of every item."""
 
 
-UNDER_WAY_PER_WORKER = 2
+UNDER_WAY_PER_WORKER = 6
 """A worker never waits for its next item, and no more results than this wait to be taken."""
-FARTHEST_BEHIND = 1
+FARTHEST_BEHIND = 4
 """Items by which the worker that had an item before may be behind another and still get it again."""
 CONNECT_TIMEOUT_S = 20
 

@@ -60,13 +60,18 @@ class ConstantScalings:
         (free,) as of ``scaled``."""
         return hinf_norm(self.scaled(sizes, rest, log_constants), NORM_RTOL).upper
 
-    def least(self, sizes: np.ndarray, rest: float, start: np.ndarray) -> tuple[float, np.ndarray]:
+    def least(
+        self, sizes: np.ndarray, rest: float, start: np.ndarray, only_whether: bool = False
+    ) -> tuple[float, np.ndarray]:
         """The least norm on the grid, and the logarithms (free,) of its constants; ``sizes`` (blocks,) and
-        ``rest`` as of ``scaled``, ``start`` (free,): where the search begins."""
-        found = self._least_mean(sizes, rest, start) if self.free else start
+        ``rest`` as of ``scaled``, ``start`` (free,): where the search begins. ``only_whether``: it ends as
+        soon as the norm is below 1, or will hardly get there."""
+        found = self._least_mean(sizes, rest, start, only_whether) if self.free else start
         return self._largest(sizes, rest, found), found
 
-    def _least_mean(self, sizes: np.ndarray, rest: float, start: np.ndarray) -> np.ndarray:
+    def _least_mean(
+        self, sizes: np.ndarray, rest: float, start: np.ndarray, only_whether: bool
+    ) -> np.ndarray:
         """The logarithms (free,) with the least power mean, by Newton's method."""
         x = np.clip(start, -FARTHEST, FARTHEST)
         value, slope, curvature = self._mean(sizes, rest, x)
@@ -78,7 +83,10 @@ class ConstantScalings:
             step = -np.linalg.solve(np.where(kept, curvature, 0.0) + ridge, slope)
             step *= min(1.0, LONGEST_STEP / max(float(np.abs(step).max()), LONGEST_STEP))
             promised = -float(slope @ step)
-            if promised < LEAST_GAIN:
+            # The largest value is at most the mean times the number of frequencies, and at least the mean.
+            below = value + np.log(len(self._grid)) / POWER < 0
+            hardly = value > promised and np.abs(step).max() < LONGEST_STEP
+            if promised < LEAST_GAIN or (only_whether and (below or hardly)):
                 break
             for _ in range(SHORTENED):
                 tried = np.clip(x + step, -FARTHEST, FARTHEST)

@@ -153,7 +153,7 @@ class LimitedLoop:
         best: np.ndarray | None = None
         while high - low > GAIN_RTOL:
             middle = 0.5 * (low + high) if best is not None else high
-            tried = [scalings.least(self.ones, float(np.exp(-middle)), x) for x in starts]
+            tried = [scalings.least(self.ones, float(np.exp(-middle)), x, True) for x in starts]
             value, x = min(tried, key=lambda one: one[0])
             if value < 1:
                 high, best, starts = middle, x, [x]

@@ -88,7 +88,7 @@ class SlowLoop:
             middle = 0.5 * (low + high)
             rate = float(np.exp(middle))
             even = self.even(rate)
-            value, x = self.scalings.least(self._sizes(rate), 1.0, even + beside)
+            value, x = self.scalings.least(self._sizes(rate), 1.0, even + beside, True)
             beside = x - even
             if value < 1:
                 low, best = middle, (rate, x)
