@@ -31,7 +31,7 @@ from ..base.progress import Counted, Progress, counted, parts
 from ..base.sampling import evenly
 from ..core.scheduled import Scheduled
 from ..engine.synthesis import interconnection as fig1
-from ..engine.synthesis.dk import RobustPerformance, Scaling, certify, dk_synthesis
+from ..engine.synthesis.dk import RobustPerformance, Scaling, dk_synthesis
 from ..engine.synthesis.errors import SynthesisError
 from ..engine.synthesis.norms import hinf_norm
 from ..engine.synthesis.scheduling import closed_scaled, common_family, common_scaling
@@ -44,7 +44,7 @@ from ..vehicle.nominal import NominalModel
 from .beside import NOTHING, Beside, beside, require_beside
 from .designed import stated_scaling
 from .input_limit import input_limit
-from .moving_speed import Moving, moving_certificates, moving_to_dict, require_moving, tuning
+from .moving_speed import Moving, certified, moving_certificates, moving_to_dict, require_moving, tuning
 from .plants import design_settings, fig1_weights, plant_at, vehicle_at
 from .schedule import FrozenLoop, fit_by_pairs
 
@@ -219,7 +219,7 @@ def _designed(
     if asked != settings:
         stated_at = partial(loop_at, weights=fig1_weights(stored, settings))
         loops = {v: stated_at(v) for v in loops}
-        scaling = tuning(found, stated_at, scaling)(1.0)
+        scaling = tuning(found, stated_at, scaling, workers)(1.0)
     return Design(
         found,
         scaling,
@@ -241,7 +241,7 @@ def _family(
     backed_off = level * (1 + backoff)
     level = min(backed_off, 0.5 * (1 + level)) if level < 1 else backed_off
     at_order, rank = common_family(plants, scaling, level, workers)
-    return scaling, at_order(_sound_order(at_order, rank, plants, scaling, level))
+    return scaling, at_order(_sound_order(at_order, rank, plants, scaling, level, workers))
 
 
 def _with_fewest_poles(
@@ -272,6 +272,7 @@ def _sound_order(
     plants: list[fig1.GeneralisedPlant],
     scaling: Scaling,
     level: float,
+    workers: Map,
 ) -> int:
     """The largest order at which every controller of the family keeps ``level``.
 
@@ -279,12 +280,10 @@ def _sound_order(
     no order keeps it.
     """
     for order in range(rank, 0, -1):
-        controllers = at_order(order)
-        loops = (closed_scaled(p, K, scaling) for p, K in zip(plants, controllers, strict=True))
-        if all(
-            G.stability_margin() > 0 and hinf_norm(G, rtol=1e-3).upper <= level * (1 + FAMILY_RTOL)
-            for G in loops
-        ):
+        loops = zip(plants, at_order(order), strict=True)
+        # inf where a loop is not stable.
+        norms = workers(partial(_loops_norm, scaling, 1e-3), loops)
+        if all(norm <= level * (1 + FAMILY_RTOL) for norm in norms):
             return order
     raise InputError(
         "design", "controllers", f"none of up to {rank} states keeps the level {level:.4g}", "a lower A_t"
@@ -316,7 +315,11 @@ def _scaled_norm(
 ) -> float:
     """Norm of the scaled closed loop at a speed [m/s] with its plant, from above."""
     v, plant = loop
-    return hinf_norm(closed_scaled(plant, schedule.at(v), scaling), rtol).upper
+    return _loops_norm(scaling, rtol, (plant, schedule.at(v)))
+
+
+def _loops_norm(scaling: Scaling, rtol: float, loop: tuple[fig1.GeneralisedPlant, StateSpace]) -> float:
+    return hinf_norm(closed_scaled(*loop, scaling), rtol).upper
 
 
 def _off_grid(
@@ -404,11 +407,7 @@ def _certificates(
 ) -> list[tuple[float, RobustPerformance]]:
     asked = [(plant, schedule.at(v), scaling if plant.blocks else None) for v, plant in loops.items()]
     texts = [f"certificate at {v:.3g} m/s" for v in loops]
-    return list(zip(loops, counted(progress, texts, workers(_certified, asked)), strict=True))
-
-
-def _certified(asked: tuple[fig1.GeneralisedPlant, StateSpace, Scaling | None]) -> RobustPerformance:
-    return certify(*asked)
+    return list(zip(loops, counted(progress, texts, workers(certified, asked)), strict=True))
 
 
 def verify(

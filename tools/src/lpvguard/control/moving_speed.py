@@ -14,10 +14,11 @@ from pathlib import Path
 import numpy as np
 
 from ..base.errors import InputError
+from ..base.parallel import Map
 from ..base.progress import Progress
 from ..base.sampling import evenly
 from ..core.scheduled import Scheduled
-from ..engine.synthesis.dk import Scaling, certify
+from ..engine.synthesis.dk import RobustPerformance, Scaling, certify
 from ..engine.synthesis.interconnection import GeneralisedPlant
 from ..engine.synthesis.least_level import find_level, tuned, weighed
 from ..engine.synthesis.lpv_certificate import (
@@ -31,7 +32,7 @@ from ..engine.synthesis.lpv_certificate import (
     riccati_storage,
 )
 from ..engine.synthesis.scheduling import closed_scaled
-from ..engine.synthesis.statespace import lft
+from ..engine.synthesis.statespace import StateSpace, lft
 from ..identify.run import StoredIdentification
 from ..vehicle.nominal import NominalModel
 from .plants import design_settings, fig1_weights, frozen_plant, plant_at
@@ -88,17 +89,26 @@ def moving_certificates(
 
 
 def tuning(
-    schedule: Scheduled, plant_of: Callable[[float], GeneralisedPlant], scaling: Scaling
+    schedule: Scheduled,
+    plant_of: Callable[[float], GeneralisedPlant],
+    scaling: Scaling,
+    workers: Map = map,
 ) -> Callable[[float], Scaling]:
     """The D with the least frozen gain for the controller as it is, by the level; plant_of(v): the
-    generalised plant at v [m/s]; ``scaling``: where the search begins."""
+    generalised plant at v [m/s]; ``scaling``: where the search begins. ``workers`` share the speeds."""
     nodes = schedule.speeds[evenly(len(schedule.speeds), TUNING_SPEEDS)]
     plants = {float(v): plant_of(float(v)) for v in nodes}
     loops = [lft(plant.system, schedule.at(v)) for v, plant in plants.items()]
     # The common D can lie where no single parameter improves it; those of the single speeds lead out.
-    starts = [scaling, *(certify(plant, schedule.at(v), scaling).scaling for v, plant in plants.items())]
+    asked = [(plant, schedule.at(v), scaling) for v, plant in plants.items()]
+    starts = [scaling, *(one.scaling for one in workers(certified, asked))]
     delta = _delta(plants[float(nodes[0])])
     return lambda level: tuned(loops, delta, level, starts)
+
+
+def certified(asked: tuple[GeneralisedPlant, StateSpace, Scaling | None]) -> RobustPerformance:
+    """`certify` of a plant, a controller and a scaling, as workers are asked."""
+    return certify(*asked)
 
 
 def _delta(plant: GeneralisedPlant) -> tuple[int, int]:
