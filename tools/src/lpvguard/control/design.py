@@ -281,8 +281,7 @@ def _sound_order(
     """
     for order in range(rank, 0, -1):
         loops = zip(plants, at_order(order), strict=True)
-        # inf where a loop is not stable.
-        norms = workers(partial(_loops_norm, scaling, 1e-3), loops)
+        norms = workers(partial(_scaled_norm, scaling, 1e-3), loops)
         if all(norm <= level * (1 + FAMILY_RTOL) for norm in norms):
             return order
     raise InputError(
@@ -302,23 +301,16 @@ def _worst_level(
     if not all(schedule.injection_radius(v) < 1 for v in loops):
         return np.inf
     worst = 0.0
-    norm = partial(_scaled_norm, schedule, scaling, 1e-3)
-    for one in workers(norm, loops.items()):
+    closed = ((plant, schedule.at(v)) for v, plant in loops.items())
+    for one in workers(partial(_scaled_norm, scaling, 1e-3), closed):
         worst = max(worst, one)
         if worst > limit:
             return np.inf
     return worst
 
 
-def _scaled_norm(
-    schedule: Scheduled, scaling: Scaling, rtol: float, loop: tuple[float, fig1.GeneralisedPlant]
-) -> float:
-    """Norm of the scaled closed loop at a speed [m/s] with its plant, from above."""
-    v, plant = loop
-    return _loops_norm(scaling, rtol, (plant, schedule.at(v)))
-
-
-def _loops_norm(scaling: Scaling, rtol: float, loop: tuple[fig1.GeneralisedPlant, StateSpace]) -> float:
+def _scaled_norm(scaling: Scaling, rtol: float, loop: tuple[fig1.GeneralisedPlant, StateSpace]) -> float:
+    """Norm of the scaled closed loop of a plant and a controller, from above; inf when it is unstable."""
     return hinf_norm(closed_scaled(*loop, scaling), rtol).upper
 
 
@@ -333,12 +325,12 @@ def _off_grid(
     certificate."""
     low, high = schedule.speeds[[0, -1]].tolist()
     speeds = np.sort(np.concatenate([[low, high], np.random.default_rng(seed).uniform(low, high, OFF_GRID)]))
-    norm = partial(_scaled_norm, schedule, scaling, 1e-4)
-    values = list(workers(norm, [(v, plant(v)) for v in speeds]))
+    norm = partial(_scaled_norm, scaling, 1e-4)
+    values = list(workers(norm, ((plant(v), schedule.at(v)) for v in speeds)))
     k = int(np.argmax(values))
     around = speeds[max(k - 1, 0)], speeds[min(k + 1, len(speeds) - 1)]
     refined = minimize_scalar(
-        lambda v: -norm((v, plant(v))), bounds=around, method="bounded", options={"maxiter": 12}
+        lambda v: -norm((plant(v), schedule.at(v))), bounds=around, method="bounded", options={"maxiter": 12}
     )
     v = float(refined.x) if -refined.fun > values[k] else float(speeds[k])
     return v, _certificates(schedule, {v: plant(v)}, scaling)[0][1]

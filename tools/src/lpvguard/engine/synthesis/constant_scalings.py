@@ -151,10 +151,8 @@ class ConstantScalings:
         largest, u = values[:, -1], U[:, :, -1]
         sigma = np.sqrt(largest)[:, None, None]
         v = (u[:, None, :] @ np.conj(N))[:, 0] / sigma[:, 0]
-        of_u, of_v = (
-            u[:, None, :] * self._free(self.rows, N.shape[1]),
-            v[:, None, :] * self._free(self.cols, N.shape[2]),
-        )
+        in_rows, in_columns = self._of_blocks
+        of_u, of_v = u[:, None, :] * in_rows, v[:, None, :] * in_columns
         a, b = (np.abs(of_u) ** 2).sum(axis=2), (np.abs(of_v) ** 2).sum(axis=2)
         slopes = a - b
         back = of_u @ np.conj(N)
@@ -169,11 +167,16 @@ class ConstantScalings:
         second += (2 * a + 4 * b)[:, :, None] * np.eye(self.free) * largest[:, None, None]
         return slopes, 0.5 * second / largest[:, None, None] - 2 * slopes[:, :, None] * slopes[:, None, :]
 
-    def _free(self, sizes: Sequence[int], signals: int) -> np.ndarray:
-        """(free, signals) 1 where a signal is of a block with a constant, by ``sizes`` of all blocks."""
-        of = np.repeat(np.arange(len(sizes)), sizes)
-        of = np.append(of, np.full(signals - len(of), -1))
-        return (of == np.arange(self.fixed, len(sizes))[:, None]).astype(float)
+    @cached_property
+    def _of_blocks(self) -> tuple[np.ndarray, np.ndarray]:
+        """1 where an output (free, rows), and where an input (free, columns), is of a block with a
+        constant."""
+        G, blocks = self.system, np.arange(self.fixed, len(self.rows))[:, None]
+        of = [np.repeat(np.arange(len(sizes)), sizes) for sizes in (self.rows, self.cols)]
+        return (
+            1.0 * (np.append(of[0], np.full(G.n_outputs - len(of[0]), -1)) == blocks),
+            1.0 * (np.append(of[1], np.full(G.n_inputs - len(of[1]), -1)) == blocks),
+        )
 
     def _largest(self, sizes: np.ndarray, rest: float, log_constants: np.ndarray) -> float:
         left, right = self._factors(sizes, rest, log_constants)
