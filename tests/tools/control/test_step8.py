@@ -45,7 +45,7 @@ def better_known(stored: StoredIdentification) -> StoredIdentification:
     error = replace(error, bound=error.bound / 3)
     estimator = Estimator.of(project, NominalModel(project))
     nu = np.array(stored.bounds["nu"], float)[:, 0]
-    W = fit_uncertainty(project, estimator, nu, error.grid.omega, error.bound[:, 0], "W_delta")
+    W = fit_uncertainty(project, estimator, error.grid.omega, (nu, error.bound[:, 0], "W_delta"))
     return replace(stored, model_error=error, fitted=replace(stored.fitted, W_delta=[W]))
 
 

@@ -177,7 +177,9 @@ class StoredFrames:
             state = fit_bound(project, estimator, known, "W_delta_s", SMALLEST_NU)
         return SplitWeights(
             disturbance_weights(project, estimator, B_w, fitted.W_n, floor)[0],
-            fit_uncertainty(project, estimator, split.nu_i, error.grid.omega, error.bound[:, 0], "W_delta_i"),
+            fit_uncertainty(
+                project, estimator, error.grid.omega, (split.nu_i, error.bound[:, 0], "W_delta_i")
+            ),
             state,
         )
 

@@ -429,7 +429,7 @@ def undominated(sizes: np.ndarray) -> np.ndarray:
     """Those of ``sizes`` (F, m) >= 0 that no other one reaches in every column, each once. A sum that rises
     with every column is largest among them."""
     found = [np.zeros((0, sizes.shape[1]))]
-    share = 1 / np.maximum(sizes.max(axis=0, initial=0.0), np.finfo(float).tiny)
+    share = 1 / np.maximum(_maximum(sizes), np.finfo(float).tiny)
     while len(sizes) and (sizes.shape[1] != 2 or len(found) <= FIRST_LARGEST):
         largest = sizes[(sizes @ share).argmax()]
         found.append(largest[None])

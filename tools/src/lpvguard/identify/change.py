@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from functools import reduce
 
 import numpy as np
 from scipy.signal import lfilter
@@ -44,6 +45,11 @@ UPPER = ((0, 0, 0, 1, 1, 2), (0, 1, 2, 1, 2, 2))
 """Rows and columns of the upper triangle of a symmetric matrix of three."""
 
 
+def block_means(x: np.ndarray, ends: np.ndarray) -> np.ndarray:
+    """Means (M, m) of signals x (N, m) over the blocks whose last samples are ``ends`` (M,)."""
+    return reduce(np.add, (x[ends + k] for k in range(1 - BLOCK, 1))) / BLOCK
+
+
 @dataclass(frozen=True)
 class Blocks:
     """The settled blocks of a drive in which the core knows the block before, in stretches: index of the last
@@ -61,7 +67,7 @@ class Blocks:
         at = ends[:, None] + np.arange(1 - BLOCK, 1)
         whole = usable[at].all(axis=1)
         for first, end in runs(whole):
-            mean_e, mean = (x[at[first:end]].mean(axis=1) for x in (e, yhat))
+            mean_e, mean = (block_means(x, ends[first:end]) for x in (e, yhat))
             phi = np.stack([mean[1:], -np.diff(mean, axis=0), np.ones_like(mean[1:])], axis=-1)
             yield cls(ends[first:end][1:], mean_e[1:], phi)
 

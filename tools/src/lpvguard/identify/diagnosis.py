@@ -27,7 +27,7 @@ from ..base.layout import DIAGNOSIS
 from ..core.seal import Sealed
 from ..drives.frames import Estimator
 from ..vehicle.project import Project
-from .change import BLOCK, FIRST_BLOCK_END
+from .change import BLOCK, FIRST_BLOCK_END, block_means
 
 WINDOW_S = 10.0
 """Settled driving since an alarm from which causes are judged."""
@@ -105,7 +105,7 @@ def windows_of(
     at = ends[:, None] + np.arange(1 - BLOCK, 1)
     whole = estimator.settled(v)[at].all(axis=1)
     taken = np.flatnonzero(whole[1:] & whole[:-1]) + 1
-    mean_e, mean = (x[at].mean(axis=1) for x in (e, yhat))
+    mean_e, mean = (block_means(x, ends) for x in (e, yhat))
     change = np.diff(mean, axis=0, prepend=mean[:1])
     noise = 0.5 * ((e + yhat)[at] * np.array([1.0, -1.0, -1.0, 1.0])[:, None]).sum(axis=1)
     p = mean * unit[:, 0]

@@ -224,8 +224,6 @@ def drive_sums(
     settled = estimator.settled(drive.v)
     if settled.sum() < 2 * AR_ORDER:
         return Sums.none(grid, model.n_y)
-    rows = 8 if drive.instrument is None else 14
-    moments = np.zeros((len(grid.omega), len(PERIODS), model.n_y, *grid.cells, rows, POWERS))
     signals, filters, lags = [], [], np.arange(AR_ORDER + 1)
     for j in range(model.n_y):
         whiten = prediction_error_filter(yhat[settled, j])
@@ -236,6 +234,7 @@ def drive_sums(
     each = len(stacked) // model.n_y
     power = np.r_[0.0, np.cumsum((drive.u[:, 0] - model.input_offset[0]) ** 2)]
     total, whole = (np.r_[0.0, np.cumsum(x)] for x in (drive.v, settled))
+    found: list[_Frames] = []
     for g, omega in enumerate(grid.omega):
         whitened = np.repeat(np.abs(np.array(filters) @ np.exp(-1j * omega * grid.Ts * lags)), each)
         for p, periods in enumerate(PERIODS):
@@ -259,7 +258,11 @@ def drive_sums(
                 _by_halves(stacked[:, : halves * half], _kernel(omega * grid.Ts, half))[:, good]
                 / whitened[:, None]
             )
-            _add(moments, grid, (g, p), frames.reshape(model.n_y, each, -1), speed[good], amplitude[good])
+            found.append(_Frames((g, p), frames, speed[good], amplitude[good]))
+    rows = 8 if drive.instrument is None else 14
+    moments = np.zeros((len(grid.omega), len(PERIODS), model.n_y, *grid.cells, rows, POWERS))
+    if found:
+        _add(moments, grid, found)
     return Sums.of_moments(moments)
 
 
@@ -281,25 +284,33 @@ def _by_halves(signals: np.ndarray, kernel: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(sums[:, :-1, :2] + sums[:, 1:, 2:]).view(complex)[..., 0]
 
 
-def _add(
-    moments: np.ndarray,
-    grid: ErrorGrid,
-    at: tuple[int, int],
-    frames: np.ndarray,
-    speed: np.ndarray,
-    amplitude: np.ndarray,
-) -> None:
-    """Add frames (n_y, 3, F) of E, Z, R at speeds (F,) and amplitudes (F,) to the cells of ``moments``;
-    (n_y, 2, F) of E and Z where Z is R."""
+class _Frames(NamedTuple):
+    """Counted frames of one drive, frequency and length ``at`` (g, p): complex ``frames`` (m, F) of E, Z and,
+    where Z is not R, R of every output in turn; speed and amplitude (F,)."""
+
+    at: tuple[int, int]
+    frames: np.ndarray
+    speed: np.ndarray
+    amplitude: np.ndarray
+
+
+def _add(moments: np.ndarray, grid: ErrorGrid, found: list[_Frames]) -> None:
+    """Add frames to their cells of ``moments``, cell by cell; the order of frames in a cell stays."""
+    n_y = moments.shape[2]
+    speed, amplitude = (np.concatenate([getattr(f, name) for f in found]) for name in ("speed", "amplitude"))
+    frames = np.concatenate([f.frames for f in found], axis=1)
     cell = np.clip(np.searchsorted(grid.speed_edges, speed, "right") - 1, 0, grid.cells[0] - 1)
-    places = cell * grid.cells[1] + np.searchsorted(grid.amplitude_edges, amplitude, "right")
+    within = cell * grid.cells[1] + np.searchsorted(grid.amplitude_edges, amplitude, "right")
+    of = np.repeat(np.arange(len(found)), [len(f.speed) for f in found])
+    places = of * np.prod(grid.cells) + within
     order = np.argsort(places, kind="stable")
     places, s = places[order], grid.relative(speed[order])
-    products, powers = _products(frames[:, :, order]), np.vander(s, POWERS, increasing=True)
+    products = _products(frames[:, order].reshape(n_y, -1, len(order)))
+    powers = np.vander(s, POWERS, increasing=True)
     edges = np.flatnonzero(np.r_[True, places[1:] != places[:-1], True])
-    for first, end in pairwise(edges):
-        c, a = divmod(int(places[first]), grid.cells[1])
-        moments[(*at, slice(None), c, a)] += products[..., first:end] @ powers[first:end]
+    cells = np.stack(np.unravel_index(places[edges[:-1]], (len(found), *grid.cells)), axis=1).tolist()
+    for (k, c, a), (first, end) in zip(cells, pairwise(edges.tolist()), strict=True):
+        moments[(*found[k].at, slice(None), c, a)] += products[..., first:end] @ powers[first:end]
 
 
 def _products(frames: np.ndarray) -> np.ndarray:

@@ -169,10 +169,8 @@ class OverDrives:
         names = [f"W_delta of {s.name}" for s in project.outputs] if project.n_delta > 1 else ["W_delta"]
         # Class S0 has no uncertainty: all error is disturbance.
         needed = error.bound * (project.bounds.structure != "S0")
-        W_delta = [
-            fit_uncertainty(project, estimator, nu, error.grid.omega, asked, name)
-            for nu, asked, name in zip(second["nu"].T, needed.T, names, strict=True)
-        ]
+        weight = partial(fit_uncertainty, project, estimator, error.grid.omega)
+        W_delta = list(self.workers(weight, zip(second["nu"].T, needed.T, names, strict=True)))
         return second | {"grid": grid}, W_delta
 
     def bounds(

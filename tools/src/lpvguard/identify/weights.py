@@ -199,11 +199,16 @@ def uncertainty_samples(
 
 
 def fit_uncertainty(
-    project: Project, estimator: Estimator, nu: np.ndarray, omega: np.ndarray, asked: np.ndarray, name: str
+    project: Project,
+    estimator: Estimator,
+    omega: np.ndarray,
+    column: tuple[np.ndarray, np.ndarray, str],
 ) -> FittedWeight:
-    """W_delta above ``uncertainty_samples`` of nu (K,) and of ``asked`` (G,) at ``omega`` (G,) [rad/s].
+    """W_delta above ``uncertainty_samples`` of nu (K,) and of what is asked (G,) at ``omega`` (G,) [rad/s];
+    ``column``: these two of one Delta, and a name for errors.
 
     InputError when no weight of the project's order fits."""
+    nu, asked, name = column
     samples, bound = uncertainty_samples(estimator, nu, omega, asked)
     return _fitted(project, samples, bound, name)
 
