@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Iterable
+from itertools import islice
 
 import pyarrow as pa
 import pyarrow.csv as pa_csv
@@ -31,18 +32,20 @@ def read_csv(data: bytes, null_values: Iterable[str] | None = None) -> tuple[pa.
     except UnicodeDecodeError as error:
         raise pa.ArrowInvalid(f"the header is no UTF-8: {error}") from None
     delimiter = ";" if header.count(b";") > header.count(b",") else ","
-    convert = pa_csv.ConvertOptions(decimal_point="," if _decimal_commas(text[position:], delimiter) else ".")
+    body = io.BytesIO(text[position:] if position else text)
+    convert = pa_csv.ConvertOptions(decimal_point="," if _decimal_commas(body, delimiter) else ".")
     if null_values is not None:
         convert.null_values, convert.strings_can_be_null = list(null_values), True
     table = pa_csv.read_csv(
-        io.BytesIO(text[position:]),
+        body,
         parse_options=pa_csv.ParseOptions(delimiter=delimiter),
         convert_options=convert,
     )
     return table.rename_columns([name.strip() for name in table.column_names]), skipped
 
 
-def _decimal_commas(text: bytes, delimiter: str) -> bool:
+def _decimal_commas(body: io.BytesIO, delimiter: str) -> bool:
     """Whether numbers are written with a comma: only where `;` divides, by the lines after the header."""
-    lines = text.split(b"\n", 20)[1:20]
+    lines = list(islice(body, 1, 20))
+    body.seek(0)
     return delimiter == ";" and any(b"," in line for line in lines) and not any(b"." in x for x in lines)

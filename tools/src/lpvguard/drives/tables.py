@@ -231,6 +231,9 @@ def read_drive(path: Path, project: Project, *, any_values: bool = False) -> Dri
     if outside is not None:
         _require_finite(path, str(instrument), "its own unit", outside)
 
+    del table
+    pa.default_memory_pool().release_unused()  # a long drive's text and table are twice its numbers
+
     def stack(group: list[Signal]) -> np.ndarray:
         return np.column_stack([values[s.name] for s in group])
 
