@@ -43,23 +43,24 @@ _held: dict[Path, Path] = {}
 
 def to_json(value: Any) -> str:
     """Deterministic JSON text; arrays become lists, NaN becomes null."""
+    return json.dumps(_plain(value), indent=1, allow_nan=False) + "\n"
 
-    def plain(item: Any) -> Any:
-        if isinstance(item, dict):
-            return {str(k): plain(v) for k, v in item.items()}
-        if isinstance(item, (list, tuple)):
-            return [plain(v) for v in item]
-        if isinstance(item, np.ndarray):
-            return plain(item.tolist())
-        if isinstance(item, np.generic):
-            return plain(item.item())
-        if isinstance(item, complex):
-            return [plain(item.real), plain(item.imag)]
-        if isinstance(item, float) and not np.isfinite(item):
-            return None
-        return item
 
-    return json.dumps(plain(value), indent=1, allow_nan=False) + "\n"
+def _plain(item: Any) -> Any:
+    """What JSON has in the item's place."""
+    if isinstance(item, dict):
+        return {str(k): _plain(v) for k, v in item.items()}
+    if isinstance(item, (list, tuple)):
+        return [_plain(v) for v in item]
+    if isinstance(item, np.ndarray):
+        return _plain(item.tolist())
+    if isinstance(item, np.generic):
+        return _plain(item.item())
+    if isinstance(item, complex):
+        return [_plain(item.real), _plain(item.imag)]
+    if isinstance(item, float) and not np.isfinite(item):
+        return None
+    return item
 
 
 def manifest(kind: str, **content: Any) -> str:
@@ -104,8 +105,9 @@ def file_hash(path: Path) -> str:
 
 def digest(document: dict[str, Any]) -> str:
     """SHA-256 of a JSON object's content without its ``seal``; order of keys and white space do not count."""
-    content = json.loads(to_json({k: v for k, v in document.items() if k != "seal"}))
-    return hashlib.sha256(json.dumps(content, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
+    content = _plain({k: v for k, v in document.items() if k != "seal"})
+    text = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def sealed(document: dict[str, Any]) -> dict[str, Any]:
