@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,7 +11,10 @@ from lpvguard.core.compiled import Core
 from lpvguard.drives.frames import Estimator
 from lpvguard.drives.tables import list_experiments, read_drive
 from lpvguard.identify.export import export_vehicle
+from lpvguard.identify.over_drives import CUTS, FAR_BELOW
+from lpvguard.identify.passes import DriveReader, energy_pass, judge
 from lpvguard.identify.run import load
+from lpvguard.identify.weights import coefficients_of
 from lpvguard.report.drawn import OfIdentification
 from lpvguard.report.sections.bounds import bound_sections
 from lpvguard.vehicle.nominal import NominalModel
@@ -47,6 +52,24 @@ def test_the_core_holds_the_weights_and_finds_no_bound_drive_outside(stored, cor
         run = core.monitor().run_drive(read_drive(experiment.path, stored.project))
         assert run.frames.margin[run.frames.counted].max(initial=0.0) <= 1 + 1e-6
         assert run.energy.max() <= 1.001
+
+
+@pytest.mark.parametrize("share", [1.0, 0.1])
+def test_a_cut_drive_far_below_the_energy_tests_bound_asks_for_no_larger_sigma(
+    stored, core, few_truck_drives, share
+):
+    """With a tenth of sigma some drives ask for more, and the core's ratio is above FAR_BELOW on each."""
+    reader = DriveReader(stored.project, NominalModel(stored.project))
+    test = replace(stored.energy, sigma=share * stored.energy.sigma)
+    given = stored.project, reader.model, reader.estimator, stored.fitted, 1.0, test, stored.change
+    weights, reals = stored.fitted.at(reader.estimator.omega), coefficients_of(*given).flat_reals()
+    asking = 0
+    for e in list_experiments(few_truck_drives):
+        if e.name in stored.manifest["drives"]["bounds"]:
+            asked = np.nanmax(energy_pass(reader, test, CUTS, e)["joint"]) > 1
+            asking += asked
+            assert not (asked and judge(reader, *weights, core, reals, CUTS, e).energy_of_cuts < FAR_BELOW)
+    assert (asking > 0) == (share < 1)
 
 
 def test_the_page_draws_one_line_an_output(stored):

@@ -53,6 +53,8 @@ from .weights import (
 
 CUTS = 5
 """Random first samples from which every bound-setting drive is replayed to find the final inflation."""
+FAR_BELOW = 0.99
+"""Of the energy ratio's bound: the core's, in single precision, is nearer to the definition than this."""
 JOINED_AT_ONCE = 32
 """Samples of so many drives wait to be joined: sorting them together costs the process that joins less
 time."""
@@ -222,19 +224,20 @@ class OverDrives:
         project, model, estimator = self.reader.project, self.reader.model, self.reader.estimator
         alpha, recordings = project.frame_test.alpha, Recordings.listed(drives.setting, drives.others)
         if estimator.window != "hann":
-            inflated = self._inflated(weights, None, drives)
+            inflated, _ = self._inflated(weights, None, drives)
             scores, _, _ = self._scores(weights, None, None, drives)
             self._require_scores(drives, folder, judged=bool(scores))
             scores = {n: s / inflated.inflation for n, s in scores.items()}
             by_frames = calibrate(scores, alpha, recordings=recordings).over(self._judged_s)
             return inflated, by_frames, None, None
-        filters, change = energy_filters(project, estimator, weights), self._change_test(drives)
+        first = self._with_sigma(energy_filters(project, estimator, weights), bounds.resolution, drives)
+        change = self._change_test(drives)
         with scratch_core(
-            project, coefficients_of(project, model, estimator, weights, 1.0, filters, change)
+            project, coefficients_of(project, model, estimator, weights, 1.0, first, change)
         ) as core:
-            inflated = self._inflated(weights, core, drives)
+            inflated, far = self._inflated(weights, core, drives)
             inflated = replace(inflated, silent=self._silent(inflated, bounds.frames))
-            test = self._energy_test(inflated, bounds.resolution, drives)
+            test = self._energy_test(inflated, first, far, bounds.resolution, drives)
             reals = coefficients_of(project, model, estimator, inflated, 1.0, test, change).flat_reals()
             scores, energy_scores, change_scores = self._scores(weights, core, reals, drives)
             speaks = bool(scores) and len(inflated.silent) < estimator.n_bins
@@ -280,12 +283,18 @@ class OverDrives:
                 self._met = [self.met]
             yield j
 
-    def _inflated(self, weights: Weights, core: Core | None, drives: Chosen) -> Weights:
+    def _inflated(self, weights: Weights, core: Core | None, drives: Chosen) -> tuple[Weights, set[str]]:
         """The final inflation: the least factor >= 1 on the weights with which no margin is above 1 on a
-        bound-setting drive, whole or with its first samples cut; rounded up by 1e-4 when it is above 1."""
+        bound-setting drive, whole or with its first samples cut; rounded up by 1e-4 when it is above 1.
+
+        And the drives on which, cut so, the core's energy ratio stays below FAR_BELOW."""
+        worst, far = 1.0, set()
         judged = self._judged("inflation", weights, core, None, CUTS, drives.setting)
-        worst = max([1.0, *(j.worst for j in judged)])
-        return replace(weights, inflation=worst if worst == 1.0 else worst * (1 + 1e-4))
+        for e, j in zip(drives.setting, judged, strict=True):
+            worst = max(worst, j.worst)
+            if j.energy_of_cuts < FAR_BELOW:
+                far.add(e.name)
+        return replace(weights, inflation=worst if worst == 1.0 else worst * (1 + 1e-4)), far
 
     def _silent(self, inflated: Weights, frames: np.ndarray) -> tuple[int, ...]:
         """Bins in which no drive that sets the bounds shows evidence above 1, once `_inflated` judged them:
@@ -299,14 +308,28 @@ class OverDrives:
         weak &= ~steady | weak[~steady].all()
         return tuple(int(k) for k in np.flatnonzero(weak | thin))
 
-    def _energy_test(self, inflated: Weights, resolution: Resolution, drives: Chosen) -> EnergyTest:
+    def _with_sigma(self, test: EnergyTest, resolution: Resolution, drives: Chosen) -> EnergyTest:
         """The energy test with the sigma that the drives with and without input ask for, or its floor."""
+        task = partial(energy_pass, self.reader, test, 0)
+        needs = fold(self.over("sigma", task, drives.setting + drives.noise))
+        return test.with_sigma(needs, resolution.energy_floor(test.F, test.Ts, test.memories_s))
+
+    def _energy_test(
+        self, inflated: Weights, first: EnergyTest, far: set[str], resolution: Resolution, drives: Chosen
+    ) -> EnergyTest:
+        """The energy test of the ``inflated`` weights, its sigma for all directions and cut drives.
+
+        ``first``: that of the weights before. Drives that are ``far`` below its bound ask for nothing more,
+        where each output has a direction of its own and the weights are the same."""
         test = energy_filters(self.reader.project, self.reader.estimator, inflated)
         chosen = drives.setting + drives.noise
-        needs = fold(self.over("sigma", partial(energy_pass, self.reader, test, 0), chosen))
-        test = test.with_sigma(needs, resolution.energy_floor(test.F, test.Ts, test.memories_s))
-        task = partial(energy_pass, self.reader, test, CUTS)
-        return test.with_joint(fold(self.over("joint sigma", task, chosen)))
+        if inflated.inflation > 1.0:
+            test = self._with_sigma(test, resolution, drives)
+        else:
+            test = replace(test, sigma=first.sigma, start=first.start)
+            chosen = [e for e in chosen if not (test.single and e.name in far)]
+        needs = fold(self.over("joint sigma", partial(energy_pass, self.reader, test, CUTS), chosen))
+        return test.with_joint(needs or {"joint": np.ones(len(test.F))})
 
     def _change_test(self, drives: Chosen) -> ChangeTest:
         """The change test with the sizes that the bound-setting drives show."""

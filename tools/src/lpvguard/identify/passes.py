@@ -230,6 +230,7 @@ def remainder_pass(
 class Judged(NamedTuple):
     """What the tests say of a drive: its largest margin, its scores (None: nothing judged), its excitation,
     and the time in counted frames [s]. ``peaks``: where the scores come from, by test; none without a core.
+    ``energy_of_cuts``: the largest ratio of the energy test with its first samples cut; 0: none judged.
     """
 
     worst: float
@@ -239,6 +240,7 @@ class Judged(NamedTuple):
     met: Excitation
     judged_s: float
     peaks: dict[str, Peak]
+    energy_of_cuts: float = 0.0
 
 
 def judge(
@@ -274,13 +276,15 @@ def judge(
             _covered_s(start, reader.estimator.length[bin_of], reader.project.Ts_s),
             {},
         )
-    worst = 0.0
+    worst = energy_of_cuts = 0.0
     for cut in _first_samples(reader, name, len(drive.t), cuts):
         run = core.monitor(reals=reals, seal=reals is not None).run_drive(drive.from_sample(cut))
         counted = run.frames.counted
         worst = max(worst, float(run.frames.margin[counted].max(initial=0.0)))
         if cut == 0:
             whole, of_whole = run, counted
+        else:
+            energy_of_cuts = max(energy_of_cuts, energy_score(run) or 0.0)
     f = whole.frames
     met = Excitation.of(
         name,
@@ -295,7 +299,8 @@ def judge(
     Ts = reader.project.Ts_s
     judged_s = float(f.judged(len(drive.t), drive.t[0], Ts, reader.estimator.length).sum() * Ts)
     found = peaks(whole, drive.t[0], Ts, reader.estimator.length)
-    return Judged(worst, score(whole), energy_score(whole), change_score(whole), met, judged_s, found)
+    scores = score(whole), energy_score(whole), change_score(whole)
+    return Judged(worst, *scores, met, judged_s, found, energy_of_cuts)
 
 
 def _covered_s(start: np.ndarray, length: np.ndarray, Ts: float) -> float:
