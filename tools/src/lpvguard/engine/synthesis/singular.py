@@ -30,16 +30,13 @@ def reduced_side(P: Plant) -> Side:
     """
     A, B1, B2, C1, D12 = P.A, P.B1, P.B2, P.C1, P.D12
     rate = float(np.linalg.norm(A, 2))
-    basis = np.eye(A.shape[0])
+    basis = np.eye(len(A))
     while B2.shape[1]:
         rank, V = column_rank(D12, direct_scale(rate, B2, C1))
         if rank == B2.shape[1]:
             break
         paid, free = B2 @ V[:, :rank], B2 @ V[:, rank:]
         cost = D12 @ V[:, :rank]
-        if free.size == 0:
-            B2, D12 = paid, cost
-            break
         size = np.linalg.norm(free, axis=0)
         free = free / np.where(size > 0, size, 1)
         U, sigma, _ = np.linalg.svd(free)
