@@ -181,6 +181,8 @@ def test_a_frequency_that_cannot_be_the_highest_is_left_early(monkeypatch):
     assert early[0] <= full[0] * (1 + 1e-9) and full[1] <= early[1] <= full[1] * 10
     one.infimum(1e-6, 0.0)
     assert rounds < len(counted) - rounds
+    for enough in full[1] * np.array([1.001, 1.1, 2.0]):
+        assert one.infimum(1e-6, enough)[0] <= full[1]
 
 
 @pytest.mark.parametrize("rounds", [1, 3, 8])

@@ -8,6 +8,7 @@ from scipy.optimize import minimize
 from lpvguard.engine.blocks import Block
 from lpvguard.engine.synthesis import worst_gain as parts
 from lpvguard.engine.synthesis.mu_interval import PointBound, mu_interval
+from lpvguard.engine.synthesis.mu_upper import upper_bound
 from lpvguard.engine.synthesis.norms import hinf_norm
 from lpvguard.engine.synthesis.statespace import StateSpace, append, gain, series, to_discrete
 from lpvguard.engine.synthesis.structure import Structure
@@ -125,6 +126,19 @@ def test_the_scalings_of_a_level_prove_its_gain_and_no_smaller_one(seed, gamma):
         delta[2:3, 2:4] = row / np.linalg.norm(row)
         inner = np.linalg.solve(np.eye(rows) - M[:rows, :cols] @ delta, M[:rows, cols:])
         assert np.linalg.norm(M[rows:, cols:] + M[rows:, :cols] @ delta @ inner, 2) <= point.value
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_level_at_which_mu_is_one_is_the_gain_of_its_scalings(seed):
+    M, structure = matrix(seed), Structure(MIXED)
+    low, high = 0.5, 8.0
+    while high > low * 1.001:
+        middle = np.sqrt(low * high)
+        scaled = M.copy()
+        scaled[-1] /= middle
+        one = upper_bound(scaled, structure, 1e-4)[0] < 1
+        low, high = (low, middle) if one else (middle, high)
+    assert parts._bound(M, structure, 6, 5, high).value == pytest.approx(high, rel=2e-3)
 
 
 def test_without_room_for_delta_there_is_no_gain():

@@ -27,9 +27,9 @@ def axis_zeros(side: Side, scale: float) -> tuple[float, ...]:
     near = np.abs(eigenvalues.real) <= 1e-7 * np.abs(eigenvalues) + 1e-8 * scale
     found: list[float] = []
     for omega in np.abs(eigenvalues.imag[near]):
-        if any(abs(omega - known) <= 1e-6 * omega + 1e-7 * scale for known in found):
-            continue
         width = 1e-6 * omega + 1e-7 * scale
+        if any(abs(omega - known) <= width for known in found):
+            continue
         points = [0.0] if omega <= width else []
         points.append(
             minimize_scalar(
