@@ -106,3 +106,10 @@ def test_a_climb_ends_after_twelve_runs(monkeypatch):
     one, values = LimitedHistory(loop(), 0.5), iter(range(1, 100))
     monkeypatch.setattr(limited_history, "_aimed", lambda aim, u, z, size: next(values))
     assert one.furthest("demand", 4.0, np.ones((T, 2)))[0] == 12
+
+
+def test_a_demand_below_zero_counts_by_its_size(monkeypatch):
+    monkeypatch.setattr(limited_history, "CLIMBS", 1)
+    one, start = LimitedHistory(loop(), 0.5), np.random.default_rng(5).standard_normal((T, 2))
+    found = [one.furthest(aim, 4.0, sign * start)[0] for aim in ("demand", "step") for sign in (1, -1)]
+    assert found[0] == found[1] > 0 and found[2] == found[3] > 0
