@@ -227,6 +227,8 @@ def test_the_scale_of_the_uncertainty_weights_that_explains_a_level_is_found(mon
     assert asked[0][1:] == ({"A_t": 80.0, "A_u": 1e-6}, "K_i")
     assert asked[0][0]["W_delta_i"]["poles"] == case["W_delta_i"]["poles"] and asked[0][0]["v"] == 15.0
     assert len(asked) == 2 + 11, "from 1e-3 to 1e3 in halves to a hundredth"
+    ends = [given["W_delta_s"]["gain"] / case["W_delta_s"]["gain"] for given, *_ in asked[:2]]
+    assert ends == pytest.approx([1e-3, 1e3], rel=1e-9)
 
 
 @pytest.mark.parametrize("wanted", [0.9e-3, 1.1e3])

@@ -285,6 +285,10 @@ def test_the_regular_plant_has_the_extra_costs_and_noises_and_no_others():
             np.testing.assert_array_equal(getattr(found, name), getattr(P, name))
     idle = posed([[-1.0]], [[0, 4]], [[2]], [[0, 0]])
     np.testing.assert_allclose(singular.extended_plant(idle, (False, False), 0.1).D12[1:], 0.2 * np.eye(2))
+    small = posed([[-1.0]], [[1e-6, -4e-6]], [[2]], [[0, 0]])
+    np.testing.assert_allclose(
+        singular.extended_plant(small, (False, False), 0.1).D12[1:], np.diag([0.05, 0.2])
+    )
     idle = posed([[-1.0]], [[0]], [[0]], [[0]])
     np.testing.assert_allclose(singular.extended_plant(idle, (False, False), 1.0).D12[1:], [[EPS]])
 

@@ -117,7 +117,8 @@ def test_a_system_keeps_its_own_read_only_matrices_and_takes_short_forms():
     assert (constant.A.shape, constant.B.shape, constant.C.shape) == ((0, 0), (0, 3), (1, 0))
     assert constant.order == 0 and constant.poles().tolist() == [] and constant.stability_margin() == np.inf
     assert (G.n_inputs, constant.n_inputs, constant.n_outputs) == (1, 3, 1)
-    with pytest.raises(SynthesisError, match=r"A: shape \(1, 2\)"):
+    assert StateSpace([[]], [], [], [[1.0]]).order == 0
+    with pytest.raises(SynthesisError, match=r"A: shape \(1, 2\); expected shape \(1, 1\)"):
         StateSpace([[1.0, 2.0]], [[1.0]], [[1.0]], [[0.0]])
     with pytest.raises(SynthesisError, match="B"):
         StateSpace([[1.0]], [], [[1.0]], [[0.0]])
@@ -180,13 +181,13 @@ def test_many_points_are_those_of_one_at_a_time_and_a_pole_is_infinite():
     found = G.response(many)
     for k in (0, 1, 777, 1249, 1250, 1299):
         np.testing.assert_allclose(found[k], G.evaluate([1j * many[k]])[0], rtol=1e-12)
-    lag = StateSpace(np.diag([1.0, 2.0]), np.eye(2), np.eye(2), 5 * np.eye(2))
+    lag = StateSpace(np.diag([1.0, 2.0]), np.eye(2), [[1.0, 1.0], [0.0, 1.0]], 5 * np.eye(2))
     at = lag.evaluate([0.0, 1.0, 3.0], skip=np.array([True, False, False]))
     np.testing.assert_allclose(at[0], 5 * np.eye(2))
     assert np.isinf(at[1]).all()
-    np.testing.assert_allclose(at[2], np.diag([5.5, 6.0]))
+    np.testing.assert_allclose(at[2], [[5.5, 1.0], [0.0, 6.0]])
     near = lag.evaluate([1.0, 0.0])[1]
-    np.testing.assert_allclose(near, np.diag([4.0, 4.5]))
+    np.testing.assert_allclose(near, [[4.0, -0.5], [0.0, 4.5]])
     assert lag.evaluate([0.0], skip=np.array([True]))[0].tolist() == [[5.0, 0.0], [0.0, 5.0]]
     sampled = StateSpace([[0.5]], [[1.0]], [[1.0]], [[2.0]], 0.1)
     np.testing.assert_allclose(sampled.response([np.inf, 0.0])[:, 0, 0], [2.0, 4.0])
