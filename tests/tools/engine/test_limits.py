@@ -168,6 +168,16 @@ def test_a_search_ends_after_its_rounds(rounds, monkeypatch):
     assert len(counted) == 2 * rounds
 
 
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_search_looks_at_the_middle_of_every_new_box(sign, monkeypatch):
+    one, counted = along(sign, monkeypatch), []
+    divided = one._divided
+    monkeypatch.setattr(one, "_divided", lambda *boxes: counted.append(1) or divided(*boxes))
+    assert not one.exceeds(np.exp(-1.9)) and len(counted) == 5, "1 - 2^-5 of the way from 0"
+    monkeypatch.setattr(limits, "MOST_ROUNDS", 3)
+    assert one.infimum(1e-12, 0.0)[1] == pytest.approx(np.exp(-1.5))
+
+
 def test_a_frequency_that_cannot_be_the_highest_is_left_early(monkeypatch):
     plant = made(3, (ONE,))
     one = limits._Frequency(plant, plant.system.response([0.2])[0])

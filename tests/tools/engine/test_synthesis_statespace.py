@@ -120,8 +120,9 @@ def test_a_system_keeps_its_own_read_only_matrices_and_takes_short_forms():
     assert StateSpace([[]], [], [], [[1.0]]).order == 0
     with pytest.raises(SynthesisError, match=r"A: shape \(1, 2\); expected shape \(1, 1\)"):
         StateSpace([[1.0, 2.0]], [[1.0]], [[1.0]], [[0.0]])
-    with pytest.raises(SynthesisError, match="B"):
-        StateSpace([[1.0]], [], [[1.0]], [[0.0]])
+    for A, B, C in (([[1.0]], [], [[1.0]]), ([], [[1.0]], [])):
+        with pytest.raises(SynthesisError, match="B: shape"):
+            StateSpace(A, B, C, [[0.0]])
     with pytest.raises(SynthesisError, match="dt"):
         StateSpace([[1.0]], [[1.0]], [[1.0]], [[0.0]], np.inf)
     with pytest.raises(SynthesisError, match="dt"):
@@ -248,6 +249,8 @@ def test_maps_refuse_poles_that_are_too_near_to_where_they_have_none():
             assert to_continuous(G).order == 2
     with pytest.raises(SynthesisError, match="pole at 20 rad/s"):
         to_discrete(StateSpace(np.diag([20.0, 0.0]), *rest), 0.1)
+    with pytest.raises(SynthesisError, match="pole at 20 rad/s"):
+        to_discrete(StateSpace(np.diag([20.0 * (1 - 7e-16), 0.0]), *rest), 0.1)
     near = StateSpace(np.diag([20.0 * (1 - 4e-15), 0.0]), *rest)
     assert to_discrete(near, 0.1).order == 2
     for one in (to_continuous(gain([[2.0]], 0.1)), to_discrete(gain([[2.0]]), 0.1)):
@@ -283,3 +286,20 @@ def test_zero_order_hold_is_the_series_of_the_exponential():
     np.testing.assert_array_equal(H.C, G.C)
     np.testing.assert_array_equal(H.D, G.D)
     assert H.dt == dt
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_zeros_that_the_sampled_matrices_show_only_by_what_cancels_come_back_as_zeros(seed):
+    """Of the others some are small, 1e-11 beside entries of size 1: those come back too."""
+    random = np.random.default_rng(seed)
+
+    def drawn(*shape):
+        M = random.choice([-1.0, 1.0], shape) * random.uniform(0.5, 1.5, shape)
+        return M * random.choice([0.0, 1e-11, 1.0, 1.0], shape)
+
+    H = StateSpace(drawn(4, 4) - 4 * np.eye(4), drawn(4, 2), drawn(3, 4), drawn(3, 2))
+    back = to_continuous(to_discrete(H, 0.4))
+    for name in ("A", "B", "C", "D"):
+        was, now = getattr(H, name), getattr(back, name)
+        np.testing.assert_array_equal(now == 0, was == 0, name)
+        np.testing.assert_allclose(now, was, rtol=1e-2)
