@@ -51,6 +51,7 @@ MEASURED = {
     "engine/synthesis/nu_gap.py": 121,
     "engine/synthesis/partition.py": 213,
     "engine/synthesis/singular.py": 121,
+    "engine/synthesis/slow_delta.py": 164,
     "engine/synthesis/statespace.py": 415,
     "engine/synthesis/storage_grid.py": 86,
     "engine/synthesis/structure.py": 103,

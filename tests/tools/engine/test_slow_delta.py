@@ -111,6 +111,15 @@ def test_without_states_of_D_the_proof_is_for_any_rate():
     assert slow.level == pytest.approx(fast.level) and len(slow.log_constants) == 2
 
 
+def test_the_next_state_is_that_of_the_filter_driven_by_what_it_made_of_its_input():
+    random = np.random.default_rng(3)
+    d = StateSpace(np.diag([0.3, -0.6]), *(random.standard_normal(s) for s in ((2, 1), (1, 2))), [[2.0]], DT)
+    for z in (1.2, 0.4 + 0.9j):
+        state = np.linalg.solve(z * np.eye(2) - d.A, d.B)
+        np.testing.assert_allclose(_next_state(d).evaluate([z])[0], z * state / d.evaluate([z])[0])
+        np.testing.assert_allclose(_read(d).evaluate([z])[0], d.C @ np.linalg.inv(z * np.eye(2) - d.A))
+
+
 def lag(pole: float) -> StateSpace:
     return StateSpace([[pole]], [[1.0]], [[1.0]], [[0.5]], DT)
 
@@ -130,17 +139,24 @@ def test_what_e_sees_stands_beside_and_what_it_does_is_taken_away(rest):
         np.testing.assert_allclose(A, want, atol=1e-12)
 
 
-def test_rows_and_columns_are_those_of_the_blocks_their_states_and_the_performance():
-    """A scaling of second order: two states a channel; without performance one constant of Delta is 1."""
+@pytest.mark.parametrize("performance", [True, False])
+def test_rows_and_columns_are_those_of_the_blocks_their_states_and_the_performance(performance):
+    """A scaling of second order: two states a channel, for each row and each column of a block of 2 x 3."""
     scaling = Scaling(np.array([[0.3, 1.5, -0.7, 0.2, 0.4], [-0.2, -1.0, 1.2, -0.1, 0.3]]))
-    whole, only = (SlowLoop(plant(2, 0.95), NO_CONTROLLER, scaling, kind) for kind in (True, False))
-    for loop, fixed in ((whole, 2), (only, 0)):
-        assert (loop.blocks, loop.dt, loop.scalings.fixed) == (2, DT, fixed)
-        assert loop.scalings.rows == loop.scalings.cols == [1, 1, 2, 2]
-        np.testing.assert_allclose(loop._sizes(3.0), [1.0, 1.0, 0.3, 0.3])
-        even = loop.even(3.0)
-        np.testing.assert_allclose(even[2 - fixed :], -0.5 * np.log(0.3))
-        assert len(even) == loop.scalings.free and not even[: 2 - fixed].any() and not loop.even(0.0).any()
+    random = np.random.default_rng(1)
+    A = np.diag([-1.0, -3.0])
+    G = StateSpace(A, random.standard_normal((2, 6)), random.standard_normal((7, 2)), np.zeros((7, 6)))
+    whole = GeneralisedPlant(to_discrete(G, DT), (Block("full", 2, 3), ONE), 3, 4, 1, 1)
+    loop = SlowLoop(whole, gain(np.zeros((1, 1)), DT), scaling, performance)
+    fixed = 2 if performance else 0
+    assert (loop.blocks, loop.dt, loop.scalings.fixed) == (2, DT, fixed)
+    assert (loop.scalings.rows, loop.scalings.cols) == ([3, 1, 6, 2], [2, 1, 4, 2])
+    system = loop.scalings.system
+    assert (system.n_outputs, system.n_inputs) == (12 + 2 * performance, 9 + 2 * performance)
+    np.testing.assert_allclose(loop._sizes(3.0), [1.0, 1.0, 0.3, 0.3])
+    even = loop.even(3.0)
+    np.testing.assert_allclose(even[2 - fixed :], -0.5 * np.log(0.3))
+    assert len(even) == loop.scalings.free and not even[: 2 - fixed].any() and not loop.even(0.0).any()
 
 
 class Found:
