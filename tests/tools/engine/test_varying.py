@@ -198,22 +198,42 @@ def test_growth_is_kept_within_what_a_double_holds():
     for samples in (200, 215, 250):
         grown = History(tripled, np.zeros(samples, int), N).growth()
         assert np.log(grown) == pytest.approx(samples * np.log(3), rel=1e-12)
+    turned = np.concatenate([-tripled, tripled])
+    assert History(turned, np.r_[0, np.ones(2000, int)], N).growth() == np.exp(700), "all entries below 0"
     mixed = np.array([np.diag([2.0, -5.0, 1.0, 0.0, 0.0]), np.diag([3.0, 0.1, 1.0, 0.0, 0.0])])
     assert History(mixed, np.array([0, 1]), N).growth() == pytest.approx(6.0)
 
 
-def test_delta_may_have_more_inputs_than_outputs():
+@pytest.mark.parametrize(("q", "r"), [(2, 1), (1, 2)])
+def test_delta_may_have_more_inputs_than_outputs_and_fewer(q, r):
     random = np.random.default_rng(10)
-    S = random.standard_normal((2, N + 4, N + 3))
-    S[:, N : N + 2, N : N + 1] = 0
-    delta = StateSpace([[0.3]], [[1.0, 0.4]], [[0.2]], [[0.9, -0.3]], TS)
+    S = random.standard_normal((2, N + q + 2, N + r + 2))
+    S[:, N : N + q, N : N + r] = 0
+    delta = StateSpace(
+        np.diag([0.3, -0.2]), *(random.standard_normal(s) for s in ((2, q), (r, 2), (r, q))), TS
+    )
     for one, closed in zip(S, close(S, N, delta), strict=True):
         G = StateSpace(one[:N, :N], one[:N, N:], one[N:, :N], one[N:, N:], TS)
-        turned = lft(G.select([2, 3, 0, 1], [1, 2, 0]), delta)
-        order = N + 1
+        turned = lft(G.select([*range(q, q + 2), *range(q)], [*range(r, r + 2), *range(r)]), delta)
+        order = N + 2
         found = StateSpace(closed[:order, :order], closed[:order, order:], closed[order:, :order],
                            closed[order:, order:], TS)  # fmt: skip
         assert found.response([0.0, 1.0, 20.0]) == pytest.approx(turned.response([0.0, 1.0, 20.0]))
+    S[1, N + q - 1, N] = 1e-3
+    with pytest.raises(SynthesisError, match="direct term"):
+        close(S, N, delta)
+
+
+def test_an_all_pass_may_have_another_size():
+    assert np.abs(all_pass(0.5, 3.0, TS).response([0.0, 2.0, 40.0])[:, 0, 0]) == pytest.approx(0.5)
+    assert all_pass(0.5, np.inf, TS).D.tolist() == [[0.5]]
+
+
+def test_small_slopes_count_before_large_ones():
+    """Whatever a million times larger follows, once there is time to go to its best place."""
+    small = 1e-3 * np.random.default_rng(11).standard_normal(25)
+    slope = np.concatenate([small, np.zeros(6), np.full(40, 1e6)])
+    np.testing.assert_array_equal(steered(slope, 1, 5)[:24], steered(small, 1, 5)[:24])
 
 
 def test_at_a_node_the_interval_that_begins_there_counts_and_at_the_last_the_one_before():
