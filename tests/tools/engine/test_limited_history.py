@@ -80,3 +80,36 @@ def test_beyond_the_limit_what_is_reached_was_run_and_is_no_less_than_at_the_sta
     assert abs(one.run(w)[0][-1]) == pytest.approx(reached)
     first = 4.0 * start / np.linalg.norm(start)
     assert reached > abs(one.run(first)[0][-1])
+
+
+def test_at_the_limit_itself_nothing_is_cut_off():
+    one = LimitedHistory(loop(), U_MAX)
+    by_u, by_z = np.ones(3), np.ones((3, 2))
+    within, beyond = (one.gradient(np.full(3, u), by_u, by_z) for u in (0.5, 1.5))
+    np.testing.assert_array_equal(one.gradient(np.array([U_MAX, -U_MAX, 0.0]), by_u, by_z), within)
+    assert not np.allclose(within, beyond)
+
+
+@pytest.mark.parametrize(
+    ("steps", "runs"), [([1.0] * 5, 2), ([1.0, 1 + 1e-5], 2), ([1.0, 1 + 1.1e-5, 1.0], 3)]
+)
+def test_a_climb_ends_where_it_gains_no_more_than_a_hundred_thousandth(steps, runs, monkeypatch):
+    one, values = LimitedHistory(loop(), 0.5), iter(steps)
+    tried = []
+    monkeypatch.setattr(limited_history, "_aimed", lambda aim, u, z, size: tried.append(u) or next(values))
+    reached, w = one.furthest("demand", 4.0, np.ones((T, 2)))
+    assert len(tried) == runs and reached == max(steps[: runs - 1])
+    np.testing.assert_array_equal(one.run(w)[0], tried[runs - 2])
+
+
+def test_a_climb_ends_after_twelve_runs(monkeypatch):
+    one, values = LimitedHistory(loop(), 0.5), iter(range(1, 100))
+    monkeypatch.setattr(limited_history, "_aimed", lambda aim, u, z, size: next(values))
+    assert one.furthest("demand", 4.0, np.ones((T, 2)))[0] == 12
+
+
+def test_a_demand_below_zero_counts_by_its_size(monkeypatch):
+    monkeypatch.setattr(limited_history, "CLIMBS", 1)
+    one, start = LimitedHistory(loop(), 0.5), np.random.default_rng(5).standard_normal((T, 2))
+    found = [one.furthest(aim, 4.0, sign * start)[0] for aim in ("demand", "step") for sign in (1, -1)]
+    assert found[0] == found[1] > 0 and found[2] == found[3] > 0

@@ -2,7 +2,9 @@
 
 import numpy as np
 import pytest
+import scipy.linalg as sl
 
+from lpvguard.engine.synthesis import nu_gap as parts
 from lpvguard.engine.synthesis.errors import SynthesisError
 from lpvguard.engine.synthesis.nu_gap import nu_gap, nu_margin
 from lpvguard.engine.synthesis.statespace import StateSpace, gain, lft, to_discrete
@@ -90,3 +92,66 @@ def test_plants_of_other_shapes_are_refused():
         nu_gap(random_plant(1), random_plant(1, outputs=1))
     with pytest.raises(SynthesisError, match="hidden unstable mode"):
         nu_gap(StateSpace([[1.0]], [[0.0]], [[1.0]], [[0.0]]), first_order(1.0, -1.0))
+
+
+def test_plants_of_other_sampling_times_are_refused():
+    first = to_discrete(random_plant(1), 0.1)
+    with pytest.raises(SynthesisError, match="dt"):
+        nu_gap(first, to_discrete(random_plant(1), 0.2))
+    with pytest.raises(SynthesisError, match="dt"):
+        nu_margin(first, gain([[0.0, 0.0]], 0.2))
+
+
+def test_a_gap_is_one_at_most_and_at_infinity_it_is_seen():
+    assert nu_gap(first_order(1e4, -1.0), gain([[0.0]])).upper == 1.0
+    opposite = nu_gap(gain([[1.0]]), gain([[-1.0]]))  # 1 + P2 P1 = 0
+    assert (opposite.lower, opposite.upper) == (1.0, 1.0) and np.isnan(opposite.peak_frequency)
+
+
+def test_the_frequency_of_a_sampled_gap_is_that_of_the_sampled_plants():
+    """Two lightly damped modes apart: the gap lies between them."""
+    first, other = (StateSpace([[-0.02, w], [-w, -0.02]], [[0], [1]], [[0, 1]], [[0]]) for w in (2.0, 2.05))
+    want, dt = nu_gap(first, other), 0.4
+    got = nu_gap(to_discrete(first, dt), to_discrete(other, dt))
+    assert 1.5 < want.peak_frequency < 2.6 and want.upper < 1
+    assert got.peak_frequency == pytest.approx(2 / dt * np.arctan(want.peak_frequency * dt / 2), rel=1e-3)
+
+
+@pytest.mark.parametrize(("p", "k"), [(0.5, -2.0), (3.0, -0.1), (-1.0, 4.0)])
+def test_the_margin_of_constants_has_a_closed_form(p, k):
+    want = abs(1 - p * k) / np.hypot(1, p) / np.hypot(1, k)
+    assert nu_margin(gain([[p]]), gain([[k]])) == pytest.approx(want, rel=2e-6)
+
+
+def test_the_margin_is_that_of_the_responses_and_not_above_it():
+    P, k = first_order(1.0, -1.0), -3.0
+    G = P.response(np.geomspace(1e-3, 1e3, 20001))[:, 0, 0]
+    want = (np.abs(1 - G * k) / np.hypot(1, np.abs(G)) / np.hypot(1, k)).min()
+    assert want * (1 - 1e-5) <= nu_margin(P, gain([[k]])) <= want
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_the_zeros_that_wind_are_those_of_the_pencil(seed):
+    """[[A - s I, B], [C, I + D]] of P2(-s)' P1 loses rank at them; the plants have 3 and 2 states."""
+    random = np.random.default_rng(seed)
+    P1 = random_plant(seed, 2, 2)
+    P2 = StateSpace(*(random.standard_normal(shape) for shape in ((2, 2), (2, 2), (2, 2), (2, 2))))
+    A = np.block([[P1.A, np.zeros((3, 2))], [-P2.C.T @ P1.C, -P2.A.T]])
+    B, C = np.vstack([P1.B, -P2.C.T @ P1.D]), np.hstack([P2.D.T @ P1.C, P2.B.T])
+    pencil = np.block([[A, B], [C, np.eye(2) + P2.D.T @ P1.D]])
+    values = sl.eigvals(pencil, sl.block_diag(np.eye(5), np.zeros((2, 2))))
+    values = values[np.isfinite(values) & (np.abs(values) < 1e6)]
+    assert len(values) == 5
+    assert parts._unstable_zeros(P1, P2) == (values.real > 0).sum()
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_factors_are_normalised_stable_and_those_of_the_plant(seed):
+    P, omega = random_plant(seed, 2, 2), [0.0, 0.4, 7.0, np.inf]
+    right, left = parts._right_factor(P), parts._left_factor(P)
+    assert right.stability_margin() > 0 and left.stability_margin() > 0
+    for G, N, M in zip(P.response(omega), right.response(omega), left.response(omega), strict=True):
+        np.testing.assert_allclose(N.conj().T @ N, np.eye(2), atol=1e-9)
+        np.testing.assert_allclose(M @ M.conj().T, np.eye(2), atol=1e-9)
+        np.testing.assert_allclose(N[:2], G @ N[2:], atol=1e-9)
+        np.testing.assert_allclose(M[:, 2:], -M[:, :2] @ G, atol=1e-9)

@@ -5,12 +5,13 @@ import numpy as np
 import pytest
 
 from lpvguard.engine.blocks import Block
+from lpvguard.engine.synthesis import slow_delta
 from lpvguard.engine.synthesis.dk import Scaling
 from lpvguard.engine.synthesis.interconnection import GeneralisedPlant
 from lpvguard.engine.synthesis.norms import hinf_norm
 from lpvguard.engine.synthesis.scheduling import closed_scaled
 from lpvguard.engine.synthesis.slow_delta import SlowLoop, _next_state, _read, _scalar
-from lpvguard.engine.synthesis.statespace import StateSpace, gain, to_discrete
+from lpvguard.engine.synthesis.statespace import StateSpace, append, gain, to_discrete
 
 DT = 0.1
 ONE = Block("full", 1, 1)
@@ -108,3 +109,122 @@ def test_without_states_of_D_the_proof_is_for_any_rate():
     loop = SlowLoop(plant(5, 0.8), NO_CONTROLLER, constant, False)
     slow, fast = loop.at(0.0), loop.at(1e6)
     assert slow.level == pytest.approx(fast.level) and len(slow.log_constants) == 2
+
+
+def test_the_next_state_is_that_of_the_filter_driven_by_what_it_made_of_its_input():
+    random = np.random.default_rng(3)
+    d = StateSpace(np.diag([0.3, -0.6]), *(random.standard_normal(s) for s in ((2, 1), (1, 2))), [[2.0]], DT)
+    for z in (1.2, 0.4 + 0.9j):
+        state = np.linalg.solve(z * np.eye(2) - d.A, d.B)
+        np.testing.assert_allclose(_next_state(d).evaluate([z])[0], z * state / d.evaluate([z])[0])
+        np.testing.assert_allclose(_read(d).evaluate([z])[0], d.C @ np.linalg.inv(z * np.eye(2) - d.A))
+
+
+def lag(pole: float) -> StateSpace:
+    return StateSpace([[pole]], [[1.0]], [[1.0]], [[0.5]], DT)
+
+
+@pytest.mark.parametrize("rest", [0, 2])
+def test_what_e_sees_stands_beside_and_what_it_does_is_taken_away(rest):
+    two = append(lag(0.3), lag(-0.6))
+    points = [1.2, 0.4 + 0.9j]
+    beside = slow_delta._beside(gain(np.eye(2), DT), two, rest, DT).evaluate(points)
+    away = slow_delta._sum(2, two, rest, DT).evaluate(points)
+    for E, S, A in zip(two.evaluate(points), beside, away, strict=True):
+        want = np.zeros((4 + rest, 2 + rest), complex)
+        want[:2, :2], want[2:4, :2], want[4:, 2:] = np.eye(2), E, np.eye(rest)
+        np.testing.assert_allclose(S, want, atol=1e-12)
+        want = np.zeros((2 + rest, 4 + rest), complex)
+        want[:2, :2], want[:2, 2:4], want[2:, 4:] = np.eye(2), -E, np.eye(rest)
+        np.testing.assert_allclose(A, want, atol=1e-12)
+
+
+@pytest.mark.parametrize("performance", [True, False])
+def test_rows_and_columns_are_those_of_the_blocks_their_states_and_the_performance(performance):
+    """A scaling of second order: two states a channel, for each row and each column of a block of 2 x 3."""
+    scaling = Scaling(np.array([[0.3, 1.5, -0.7, 0.2, 0.4], [-0.2, -1.0, 1.2, -0.1, 0.3]]))
+    random = np.random.default_rng(1)
+    A = np.diag([-1.0, -3.0])
+    G = StateSpace(A, random.standard_normal((2, 6)), random.standard_normal((7, 2)), np.zeros((7, 6)))
+    whole = GeneralisedPlant(to_discrete(G, DT), (Block("full", 2, 3), ONE), 3, 4, 1, 1)
+    loop = SlowLoop(whole, gain(np.zeros((1, 1)), DT), scaling, performance)
+    fixed = 2 if performance else 0
+    assert (loop.blocks, loop.dt, loop.scalings.fixed) == (2, DT, fixed)
+    assert (loop.scalings.rows, loop.scalings.cols) == ([3, 1, 6, 2], [2, 1, 4, 2])
+    system = loop.scalings.system
+    assert (system.n_outputs, system.n_inputs) == (12 + 2 * performance, 9 + 2 * performance)
+    np.testing.assert_allclose(loop._sizes(3.0), [1.0, 1.0, 0.3, 0.3])
+    even = loop.even(3.0)
+    np.testing.assert_allclose(even[2 - fixed :], -0.5 * np.log(0.3))
+    assert len(even) == loop.scalings.free and not even[: 2 - fixed].any() and not loop.even(0.0).any()
+
+
+class Found:
+    """Constants in the place of a search: below 1 up to a rate, each a tenth beside its start."""
+
+    rows, free, fixed = (1, 1, 1, 1), 4, 0
+
+    def __init__(self, limit: float, proved: float):
+        self.limit, self.share, self.asked, self.held = limit, proved, [], []
+
+    def least(self, sizes, level, start, decided=False):
+        rate = sizes[-1] / DT
+        self.asked.append((rate, level, start, decided))
+        return rate / self.limit, start + 0.1
+
+    def proved(self, sizes, level, x):
+        self.held.append((sizes[-1] / DT, x))
+        return sizes[-1] / DT / (self.share * self.limit)
+
+
+def searched(limit: float, proved: float) -> SlowLoop:
+    loop = SlowLoop.__new__(SlowLoop)
+    loop.dt, loop.blocks, loop.scalings = DT, 2, Found(limit, proved)
+    return loop
+
+
+@pytest.mark.parametrize("limit", [3e-6, 0.7, 9e3])
+@pytest.mark.parametrize(("proved", "share"), [(1.1, 0.98), (0.92, 0.9), (0.75, 0.7), (0.45, 0.4)])
+def test_the_largest_rate_is_bisected_and_a_share_of_it_proved(limit, proved, share):
+    loop = searched(limit, proved)
+    found, asked = loop.search(), loop.scalings.asked
+    best = max(rate for rate, *_ in asked if rate < limit)
+    assert limit * np.exp(-slow_delta.RATE_RTOL) < best < limit
+    assert found.rate == pytest.approx(share * best) and found.level == pytest.approx(
+        found.rate / proved / limit
+    )
+    assert len(asked) == 10, "from 1e-6 to 1e4 in halves to 3 %"
+    [x] = [start + 0.1 for rate, _, start, _ in asked if rate == best]
+    np.testing.assert_array_equal(found.log_constants, x)
+    for k, (rate, level, start, decided) in enumerate(asked):
+        np.testing.assert_allclose(start - loop.even(rate), 0.1 * k, atol=1e-12)
+        assert level == 1.0 and decided
+
+
+def test_without_a_rate_or_a_proof_there_is_none():
+    assert searched(0.9e-6, 1.1).search() is None
+    loop = searched(1.0, 0.3)
+    assert loop.search() is None and len(loop.scalings.held) == len(slow_delta.SHARES)
+    loop = searched(1.0, 0.5)
+    given = loop.at(0.3)
+    assert (given.rate, given.level) == (0.3, pytest.approx(0.6))
+    [(rate, level, start, decided)] = loop.scalings.asked
+    assert (rate, level, decided) == (pytest.approx(0.3), 1.0, False)
+    np.testing.assert_array_equal(start, loop.even(0.3))
+    np.testing.assert_array_equal(given.log_constants, start + 0.1)
+    assert loop.proved(0.3, start) == pytest.approx(0.6)
+
+
+def test_the_scaling_of_a_block_is_taken_from_its_first_channel():
+    """Of blocks of 2 x 3 and 1 x 1 with two states a channel."""
+    scaling = Scaling(np.array([[0.3, 1.5, -0.7, 0.2, 0.4], [-0.2, -1.0, 1.2, -0.1, 0.3]]))
+    blocks = (Block("full", 2, 3), ONE)
+    whole = GeneralisedPlant(gain(np.zeros((6, 5)), DT), blocks, 3, 4, 1, 1)
+    left, _ = scaling.systems(whole)
+    omega = [0.1, 2.0, 40.0]
+    for one, k in zip(_scalar(left, whole, scaling), (0, 3), strict=True):
+        assert one.order == 2
+        np.testing.assert_allclose(one.response(omega)[:, 0, 0], left.response(omega)[:, k, k])
+        np.testing.assert_allclose(
+            np.abs(one.response(omega)[:, 0, 0]), np.exp(scaling.log_magnitude(np.array(omega))[k // 3])
+        )

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from lft_problems import row, scalars_of
+from lpvguard.engine.validation import local_search
 from lpvguard.engine.validation.branch import Incumbent, _candidates, _NodeBounds, _Search, minimise
 from lpvguard.engine.validation.local_search import _Smooth, polish, repeated_starts
 from lpvguard.engine.validation.quadratic import Form, Quadratic
@@ -180,3 +183,181 @@ def test_first_points_of_repeated_blocks_keep_the_constant_constraints():
     # An imaginary target is out of a real scalar's reach.
     forms[1] = Form(row(1, -0.7j), row(0, 1), constant=1e-4)
     assert repeated_starts(Quadratic(forms, 1, 2)) == []
+
+
+def begun(forms: list[Form], params: int, *z: complex) -> _Smooth:
+    return _Smooth(Quadratic(forms, params, len(z)), np.array(z, complex))
+
+
+def test_the_local_search_begins_at_the_sizes_of_its_point_in_a_unit_of_their_sum():
+    """|3 + 4j|^2 = (p + 1) 2 |5|^2 and |x - 3|^2 = p' |x|^2: 0.5 - 1 below 0, and 1 / 4."""
+    forms = [
+        Form(row(0, 3 + 4j), row(0, 5), constant=1.0, param=0, slope=2.0),
+        Form(row(1, -3), row(1, 0), param=1),
+        Form(row(3, 0), row(0, 5), constant=0.04, param=1),  # 36 = (p' + 0.04) 25
+    ]
+    one = begun(forms, 2, 2.0, 1.0)
+    np.testing.assert_allclose(one.unpack(one.first)[1], [0.0, 1.4])
+    assert one.p_scale == pytest.approx(1.4) and one.gradient.tolist() == [0, 0, 1, 1]
+    assert one.bounds == [(None, None)] * 2 + [(0.0, None)] * 2
+    # Without an input the size is a million; a sum of nothing has a unit of 1e-12.
+    blind = begun([Form(row(0, 1), row(1, 0), param=0)], 1, 0.0, 1.0)
+    assert blind.p_scale == 1e6
+    nothing = begun([Form(row(1, 0), row(0, 1), param=0)], 1, 0.0, 1.0)
+    assert nothing.p_scale == 1e-12 and nothing.first[2] == 0.0
+
+
+def test_each_constraint_is_in_the_unit_of_its_point_or_a_millionth_of_its_own():
+    forms = [
+        Form(row(300, 400), row(0, 1), constant=1.0),
+        Form(row(3, 4), row(0, 2), param=0),
+        Form(row(1, 0), row(0, 1)),
+        scalars_of("repeated_complex", row(1, 0), row(0, 1), constant=np.inf),
+    ]
+    near, far = begun(forms, 1, -4 / 3, 1.0), begun(forms, 1, 1.0, 1.0)
+    assert [k for k, _ in far.bounded] == [0, 1, 2]
+    assert [far.norms[k] for k in range(3)] == pytest.approx([700**2, 49.0, 1.0])
+    assert [near.norms[k] for k in range(3)] == pytest.approx([0.25, 25e-6, (4 / 3) ** 2], rel=1e-9)
+    np.testing.assert_allclose(far.inequality(far.first), [1 / 700**2 - 1, 0.0, -1.0], atol=1e-12)
+
+
+@pytest.mark.parametrize("b", [1e-5, 0.0, 2.0])
+def test_a_repeated_scalar_begins_at_the_one_that_fits_best(b):
+    """a z = (3 b, 4j b) beside b z = (b, b): the nearest is 1.5 + 2j, and 0 where there is no input."""
+    a, b_ = np.array([[0, 3 * b], [0, 4j * b]]), np.array([[0, b], [0, b]], complex)
+    one = begun([scalars_of("repeated_complex", a, b_, constant=np.inf)], 1, 0.3, 1.0)
+    assert one.unpack(one.first)[2] == [pytest.approx(1.5 + 2j if b else 0.0)]
+
+
+@pytest.mark.parametrize("kind", ["repeated_real", "repeated_complex"])
+def test_a_scalar_keeps_its_constant_and_its_size(kind):
+    """(p + 0.5) slope - |delta|^2 in the unit of the sum of sizes."""
+    form = scalars_of(kind, row(1, 0), row(0, 1), param=0, constant=0.5, slope=2.0)
+    one = begun([form], 1, 3.0, 1.0)  # delta = 3: p = 9 / 2 - 0.5
+    assert one.p_scale == pytest.approx(4.0)
+    v = one.first.copy()
+    np.testing.assert_allclose(one.inequality(v), [0.0], atol=1e-12)
+    v[3:5] = [1.0, 2.0]
+    np.testing.assert_allclose(one.inequality(v), [(4.5 * 2 - 5) / 4])
+    v[2] = 2.0
+    np.testing.assert_allclose(one.inequality(v), [(8.5 * 2 - 5) / 4])
+    rest = one.equality(v)
+    np.testing.assert_allclose(rest, [2.0, -2.0, 2.0] if kind == "repeated_real" else [2.0, -2.0])
+
+
+def test_first_points_are_sampled_about_the_size_at_which_a_block_makes_its_output():
+    """delta = 3 beside an input of 2 and an output of 6: four times 3, over three decades."""
+    asked = []
+
+    class Told(Quadratic):
+        def inside(self, scalars):
+            asked.append(dict(scalars))
+            return 0.5, np.array([0.0, 1.0])
+
+    def drawn(kind: str, b: float) -> np.ndarray:
+        asked.clear()
+        forms = [
+            scalars_of(kind, row(0, 6), row(0, b), param=0),
+            Form(row(1, 0), row(0, 1), constant=1.0),
+        ]
+        repeated_starts(Told(forms, 1, 2))
+        assert len(asked) == local_search.SAMPLES + local_search.MAX_POLISHED
+        return np.array([one[0] for one in asked[: local_search.SAMPLES]])
+
+    for b, largest in ((2.0, 12.0), (0.0, 1.0)):
+        for kind in ("repeated_complex", "repeated_real"):
+            found = drawn(kind, b)
+            size = np.abs(found)
+            assert len(found) == 150 and 0.9 * largest < size.max() <= largest
+            assert 1e-3 * largest <= size.min() < 1.2e-3 * largest
+            # Even in the logarithm: half of them below the middle decade and a half.
+            assert 0.35 < np.mean(size < largest * 10**-1.5) < 0.65
+            if kind == "repeated_real":
+                assert not found.imag.any() and 0.3 < np.mean(found.real > 0) < 0.7
+            else:
+                turns = np.histogram(np.angle(found), 4, (-np.pi, np.pi))[0]
+                assert turns.min() > 20
+    assert drawn("repeated_complex", 2.0)[0] == pytest.approx(0.94518 + 0.24885j, rel=1e-4), "seed 0"
+
+
+def test_the_six_best_samples_are_led_inside_and_what_stays_outside_is_left():
+    levels = []
+
+    class Ring(Quadratic):
+        def inside(self, scalars):
+            level = 2.2 * abs(scalars[0] - 1.0)
+            levels.append(level)
+            return level, np.array([scalars[0], 1.0])
+
+    forms = [
+        scalars_of("repeated_complex", row(0, 1), row(0, 1), param=0),
+        Form(row(1, 0), row(0, 1), constant=1.0),
+    ]
+    starts = repeated_starts(Ring(forms, 1, 2))
+    assert len(starts) == local_search.MAX_POLISHED == 6
+    reached = [2.2 * abs(z[0] - 1.0) for z in starts]
+    assert max(reached) <= 1 + 1e-9
+    best = np.sort(levels[:150])[:6]
+    assert best[0] < 1.0 < best[1] < best[5] < 2.0, "all but one have to be led there"
+    assert min(reached) == pytest.approx(best[0]) and np.sort(reached)[1] > 0.9
+
+    class Outside(Ring):
+        def inside(self, scalars):
+            level, z = super().inside(scalars)
+            return level + 2.0, z
+
+    class Nowhere(Ring):
+        def inside(self, scalars):
+            return 0.5, None
+
+    assert repeated_starts(Outside(forms, 1, 2)) == [] == repeated_starts(Nowhere(forms, 1, 2))
+
+
+def test_derivatives_are_those_of_constants_beside_sizes():
+    rng = np.random.default_rng(7)
+
+    def draw() -> np.ndarray:
+        return rng.normal(size=(2, 3)) + 1j * rng.normal(size=(2, 3))
+
+    forms = [
+        Form(draw(), draw(), constant=3.0, slope=0.8),
+        Form(draw(), draw(), param=1, constant=0.7, slope=0.6),
+        scalars_of("repeated_complex", draw(), draw(), param=0, constant=0.3, slope=1.4),
+    ]
+    smooth = _Smooth(Quadratic(forms, 2, 3), np.array([0.3, -0.5j, 1.0]))
+    v = smooth.first + 0.2 * rng.normal(size=len(smooth.first))
+    step = 1e-6 * np.eye(len(v))
+    found = np.array([(smooth.inequality(v + h) - smooth.inequality(v - h)) / 2e-6 for h in step]).T
+    np.testing.assert_allclose(smooth.inequality_jacobian(v), found, rtol=1e-6, atol=1e-6)
+
+
+def test_each_repeated_block_has_a_scalar_of_its_own():
+    asked = []
+
+    class Told(Quadratic):
+        def inside(self, scalars):
+            asked.append(dict(scalars))
+            return 0.5, np.array([0.0, 1.0])
+
+    forms = [
+        scalars_of("repeated_complex", row(0, 6), row(0, 2), param=0),
+        Form(row(1, 0), row(0, 1), constant=1.0),
+        scalars_of("repeated_real", row(0, 1), row(0, 2), param=0),
+        scalars_of("repeated_complex", row(0, 30), row(0, 1), param=0),
+    ]
+    assert len(repeated_starts(Told(forms, 1, 2))) == local_search.MAX_POLISHED
+    first, real, last = (np.array([one[k] for one in asked[:150]]) for k in (0, 2, 3))
+    for found, largest in ((first, 12.0), (real, 2.0), (last, 120.0)):
+        assert 0.8 * largest < np.abs(found).max() <= largest
+    assert not real.imag.any() and first.imag.any() and last.imag.any()
+    assert (
+        np.abs(np.corrcoef([first.real, first.imag, real.real, last.real, last.imag]) - np.eye(5)).max() < 0.3
+    )
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_a_search_that_ends_nowhere_has_no_point(bad, monkeypatch):
+    monkeypatch.setattr(
+        local_search, "minimize", lambda *given, **more: SimpleNamespace(x=np.array([0.5, bad, 1.0, 1.0]))
+    )
+    assert polish(two_points(), np.array([1.0, 1.0])) is None

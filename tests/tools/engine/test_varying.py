@@ -151,3 +151,99 @@ def test_the_favoured_places_are_the_best_of_all_that_move_so_little(moves):
             if np.abs(np.diff(way)).max() <= moves
         )
         assert float(slope @ found) == pytest.approx(best, abs=1e-5)
+
+
+def tall() -> History:
+    """3 outputs and 1 input."""
+    random = np.random.default_rng(9)
+    S = random.standard_normal((4, N + 3, N + 1))
+    S[:, :N, :N] *= 0.4
+    return History(S, random.integers(0, 4, T), N)
+
+
+def test_outputs_and_inputs_may_be_of_different_number():
+    one = tall()
+    assert one.shape == (3, 1)
+    every = np.array([one.states(w)[1].ravel() for w in np.eye(T).reshape(T, T, 1)]).T
+    z = np.random.default_rng(6).standard_normal((T, 3))
+    both, w = one.costates(z)
+    assert w.ravel() == pytest.approx(every.T @ z.ravel()) and both.shape == (T, N + 3)
+    np.testing.assert_array_equal(both[:, N:], z)
+    np.testing.assert_array_equal(both[-1, :N], 0)
+    found, w = one.gain(np.ones((T, 1)), 12)
+    assert found == pytest.approx(np.linalg.norm(every, 2), rel=1e-9) and w.shape == (T, 1)
+    x, _ = one.states(w)
+    np.testing.assert_array_equal(x[:, N:], w)
+    for k in range(T - 1):
+        np.testing.assert_allclose(x[k + 1, :N], (one.S[one.index[k]] @ x[k])[:N])
+
+
+def test_a_map_of_few_directions_ends_the_iteration():
+    """One sample alone has outputs, at once: its matrix is the whole map."""
+    S = np.zeros((2, N + 2, N + 2))
+    S[1, N:, N:] = [[3.0, 1.0], [0.0, 2.0]]
+    index = np.zeros(T, int)
+    index[4] = 1
+    one = History(S, index, N)
+    found, w = one.gain(np.ones((T, 2)))
+    assert found == pytest.approx(np.linalg.norm(S[1, N:, N:], 2), rel=1e-12)
+    assert np.linalg.norm(w) == pytest.approx(1) and np.linalg.norm(w[4]) == pytest.approx(1)
+    assert np.linalg.norm(History(0 * S, index, N).gain(np.full((T, 2), 5.0))[1]) == pytest.approx(1)
+
+
+def test_growth_is_kept_within_what_a_double_holds():
+    tripled = 3 * np.eye(N + P, N + M)[None]
+    assert History(tripled, np.zeros(2000, int), N).growth() == np.exp(700)
+    # Scaled down on the way, but not before 1e100: 250 samples come to 1e119.
+    for samples in (200, 215, 250):
+        grown = History(tripled, np.zeros(samples, int), N).growth()
+        assert np.log(grown) == pytest.approx(samples * np.log(3), rel=1e-12)
+    turned = np.concatenate([-tripled, tripled])
+    assert History(turned, np.r_[0, np.ones(2000, int)], N).growth() == np.exp(700), "all entries below 0"
+    mixed = np.array([np.diag([2.0, -5.0, 1.0, 0.0, 0.0]), np.diag([3.0, 0.1, 1.0, 0.0, 0.0])])
+    assert History(mixed, np.array([0, 1]), N).growth() == pytest.approx(6.0)
+
+
+@pytest.mark.parametrize(("q", "r"), [(2, 1), (1, 2)])
+def test_delta_may_have_more_inputs_than_outputs_and_fewer(q, r):
+    random = np.random.default_rng(10)
+    S = random.standard_normal((2, N + q + 2, N + r + 2))
+    S[:, N : N + q, N : N + r] = 0
+    delta = StateSpace(
+        np.diag([0.3, -0.2]), *(random.standard_normal(s) for s in ((2, q), (r, 2), (r, q))), TS
+    )
+    for one, closed in zip(S, close(S, N, delta), strict=True):
+        G = StateSpace(one[:N, :N], one[:N, N:], one[N:, :N], one[N:, N:], TS)
+        turned = lft(G.select([*range(q, q + 2), *range(q)], [*range(r, r + 2), *range(r)]), delta)
+        order = N + 2
+        found = StateSpace(closed[:order, :order], closed[:order, order:], closed[order:, :order],
+                           closed[order:, order:], TS)  # fmt: skip
+        assert found.response([0.0, 1.0, 20.0]) == pytest.approx(turned.response([0.0, 1.0, 20.0]))
+    S[1, N + q - 1, N] = 1e-3
+    with pytest.raises(SynthesisError, match="direct term"):
+        close(S, N, delta)
+
+
+def test_an_all_pass_may_have_another_size():
+    assert np.abs(all_pass(0.5, 3.0, TS).response([0.0, 2.0, 40.0])[:, 0, 0]) == pytest.approx(0.5)
+    assert all_pass(0.5, np.inf, TS).D.tolist() == [[0.5]]
+
+
+def test_small_slopes_count_before_large_ones():
+    """Whatever a million times larger follows, once there is time to go to its best place."""
+    small = 1e-3 * np.random.default_rng(11).standard_normal(25)
+    slope = np.concatenate([small, np.zeros(6), np.full(40, 1e6)])
+    np.testing.assert_array_equal(steered(slope, 1, 5)[:24], steered(small, 1, 5)[:24])
+
+
+def test_at_a_node_the_interval_that_begins_there_counts_and_at_the_last_the_one_before():
+    family, found = over()
+    after = found.derivative(np.array([1.0, 2.0]))
+    before = found.derivative(np.array([4.0]))[0]
+    # The third state's own coupling is 0.5 + 0.1 |v - 2|: it falls up to 2 m/s and rises from there.
+    assert after[:, 2, 2] == pytest.approx([-0.1, 0.1]) and before[2, 2] == pytest.approx(0.1)
+    assert found.n == 3 and len(found.at_nodes) == 3
+    middle = family.loop(2.5)  # the vehicle's rows are followed between the nodes, not interpolated
+    assert found.at(np.array([2.5]))[0][:2] == pytest.approx(
+        np.hstack([middle.A[:2], middle.B[:2]]), abs=1e-9
+    )

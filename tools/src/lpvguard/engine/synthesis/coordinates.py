@@ -16,14 +16,11 @@ def schur_coordinates(G: StateSpace) -> tuple[StateSpace, np.ndarray]:
     G itself is returned unless these coordinates make ‖A‖ at least ten times smaller. Scaling alone cannot
     undo a dense, badly conditioned change of coordinates: ‖A‖ then is far above its eigenvalues.
     """
-    own = np.eye(G.order)
-    if G.order < 2:
-        return G, own
     schur = sl.schur(G.A)[1]
     other = G.transformed(schur)
     t = balancing(other)
     other = scaled_states(other, t)
-    return (other, schur * t) if np.linalg.norm(other.A) < 0.1 * np.linalg.norm(G.A) else (G, own)
+    return (other, schur * t) if np.linalg.norm(other.A) < 0.1 * np.linalg.norm(G.A) else (G, np.eye(G.order))
 
 
 def modal_coordinates(G: StateSpace) -> tuple[StateSpace, np.ndarray]:

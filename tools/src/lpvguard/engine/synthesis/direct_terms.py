@@ -26,10 +26,10 @@ def column_rank(D: np.ndarray, scale: np.ndarray) -> tuple[int, np.ndarray]:
     as zero.
     """
     size = np.linalg.norm(D, axis=0)
-    live = (size > RANK_RTOL * scale) & (size > 0)
-    weight = np.where(live, 1 / np.where(live, size, 1), 1.0)
+    live = size > RANK_RTOL * scale
+    weight = 1 / np.where(live, size, 1)
     _, sigma, Vt = np.linalg.svd(D * np.where(live, weight, 0.0))
-    rank = int(np.count_nonzero(sigma > RANK_RTOL * sigma.max(initial=0.0))) if np.any(live) else 0
+    rank = int(np.count_nonzero(sigma > RANK_RTOL * sigma.max(initial=0.0)))
     return rank, weight[:, None] * Vt.T
 
 

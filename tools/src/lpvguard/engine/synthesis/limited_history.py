@@ -67,10 +67,9 @@ class LimitedHistory:
             if aim == "gain":
                 by_z = z
             else:
-                sign = 1.0 if _last(aim, u) >= 0 else -1.0
-                by_u[-1] = sign
+                by_u[-1] = 1.0  # an input and its negative drive the loop equally far
                 if aim == "step":
-                    by_u[-2] = -sign
+                    by_u[-2] = -1.0
             slope = self.gradient(u, by_u, by_z)
             w = size * slope / np.linalg.norm(slope)
         return float(best), found

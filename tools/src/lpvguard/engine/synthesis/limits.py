@@ -93,7 +93,7 @@ class _Frequency:
         for _ in range(MOST_ROUNDS):
             middle = 0.5 * (low[:new] + high[:new])
             best = min(best, self.bound(middle, middle).min())
-            if self.dim == 0 or best <= enough:
+            if best <= enough:
                 return min(best, least, values.min()), best
             open_ = values < best * (1 - rtol)
             least = min(least, values[~open_].min(initial=np.inf))
@@ -109,8 +109,8 @@ class _Frequency:
         values, new = self.bound(low, high), 1
         for _ in range(MOST_ROUNDS):
             middle = 0.5 * (low[:new] + high[:new])
-            if self.dim == 0 or self.bound(middle, middle).min() <= level:
-                return bool(values.min() > level)
+            if self.bound(middle, middle).min() <= level:
+                return False
             open_ = values <= level
             low, high, values = low[open_], high[open_], values[open_]
             if not len(values):

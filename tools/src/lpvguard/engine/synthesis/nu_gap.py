@@ -53,7 +53,6 @@ def nu_gap(first: StateSpace, second: StateSpace) -> NormBracket:
 def nu_margin(plant: StateSpace, controller: StateSpace) -> float:
     """b(P, K), the reciprocal of ‖[I; K](I − P K)⁻¹[I, P]‖∞, from the upper end of its bracket; u = K y, 0
     where the loop is unstable."""
-    same_time(plant, controller)
     n, p, m = plant.order, plant.n_outputs, plant.n_inputs
     # From [w_y, w_u, u] to [y, u, y]: y = P (u + w_u) + w_y.
     B = np.hstack([np.zeros((n, p)), plant.B, plant.B])
@@ -75,7 +74,7 @@ def _unstable_zeros(P1: StateSpace, P2: StateSpace) -> int:
         inverse = np.linalg.inv(np.eye(len(H.D)) + H.D)
     except np.linalg.LinAlgError:
         return -1
-    zeros = np.linalg.eigvals(H.A - H.B @ inverse @ H.C) if H.order else np.zeros(0)
+    zeros = np.linalg.eigvals(H.A - H.B @ inverse @ H.C)
     return int((zeros.real > 0).sum())
 
 

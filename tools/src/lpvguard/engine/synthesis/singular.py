@@ -30,16 +30,13 @@ def reduced_side(P: Plant) -> Side:
     """
     A, B1, B2, C1, D12 = P.A, P.B1, P.B2, P.C1, P.D12
     rate = float(np.linalg.norm(A, 2))
-    basis = np.eye(A.shape[0])
+    basis = np.eye(len(A))
     while B2.shape[1]:
         rank, V = column_rank(D12, direct_scale(rate, B2, C1))
         if rank == B2.shape[1]:
             break
         paid, free = B2 @ V[:, :rank], B2 @ V[:, rank:]
         cost = D12 @ V[:, :rank]
-        if free.size == 0:
-            B2, D12 = paid, cost
-            break
         size = np.linalg.norm(free, axis=0)
         free = free / np.where(size > 0, size, 1)
         U, sigma, _ = np.linalg.svd(free)
@@ -73,10 +70,11 @@ def extended_plant(P: Plant, soft: tuple[bool, bool], epsilon: float) -> Plant:
     """
     cost_u, cost_x = _extension(P, soft[0], epsilon)
     noise_y, noise_x = _extension(P.dual, soft[1], epsilon)
-    C1 = np.vstack([P.C1, np.zeros((cost_u.shape[0], P.A.shape[0])), cost_x])
-    D12 = np.vstack([P.D12, cost_u, np.zeros((cost_x.shape[0], P.D12.shape[1]))])
-    B1 = np.hstack([P.B1, np.zeros((P.A.shape[0], noise_y.shape[0])), noise_x.T])
-    D21 = np.hstack([P.D21, noise_y.T, np.zeros((P.D21.shape[0], noise_x.shape[0]))])
+    n = len(P.A)
+    C1 = np.vstack([P.C1, np.zeros((len(cost_u), n)), cost_x])
+    D12 = np.vstack([P.D12, cost_u, np.zeros((len(cost_x), P.D12.shape[1]))])
+    B1 = np.hstack([P.B1, np.zeros((n, len(noise_y))), noise_x.T])
+    D21 = np.hstack([P.D21, noise_y, np.zeros((len(P.D21), len(noise_x)))])
     D11 = np.zeros((C1.shape[0], B1.shape[1]))
     D11[: P.D11.shape[0], : P.D11.shape[1]] = P.D11
     return Plant(P.A, B1, P.B2, C1, P.C2, D11, D12, D21)

@@ -153,7 +153,7 @@ def _beside(first: StateSpace, second: StateSpace, rest: int, dt: float) -> Stat
     both = append(first, second)
     twice = np.vstack([np.eye(first.n_inputs)] * 2)
     joined = series(both, gain(twice, dt))
-    return append(joined, gain(np.eye(rest), dt)) if rest else joined
+    return append(joined, gain(np.eye(rest), dt))
 
 
 def _sum(width: int, acted: StateSpace, rest: int, dt: float) -> StateSpace:
@@ -161,4 +161,4 @@ def _sum(width: int, acted: StateSpace, rest: int, dt: float) -> StateSpace:
     added = series(
         gain(np.hstack([np.eye(width), -np.eye(width)]), dt), append(gain(np.eye(width), dt), acted)
     )
-    return append(added, gain(np.eye(rest), dt)) if rest else added
+    return append(added, gain(np.eye(rest), dt))

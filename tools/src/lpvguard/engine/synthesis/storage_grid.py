@@ -78,4 +78,4 @@ class StorageGrid:
         now = np.repeat(terms(self.grid) @ self.units.T, 2, axis=0)
         change = slopes(self.grid) @ self.units.T * (rate * self.Ts)
         after = now + np.stack([change, -change], axis=1).reshape(-1, 3)
-        return Barrier([part for part in self.parts for _ in (0, 1)], now, after)
+        return Barrier([part for part in self.parts for _ in range(2)], now, after)

@@ -190,8 +190,10 @@ def all_pass(sign: float, corner: float, dt: float) -> StateSpace:
     every frequency where ``sign`` is 1 or −1."""
     if np.isinf(corner):
         return gain([[sign]], dt)
-    one = np.ones((1, 1))
-    return to_discrete(StateSpace(-corner * one, one, 2 * corner * sign * one, -sign * one), dt)
+    continuous = StateSpace(
+        np.array([[-corner]]), np.ones((1, 1)), np.array([[2 * corner * sign]]), np.array([[-sign]])
+    )
+    return to_discrete(continuous, dt)
 
 
 def steered(slope: np.ndarray, moves: int, places: int) -> np.ndarray:
@@ -202,8 +204,9 @@ def steered(slope: np.ndarray, moves: int, places: int) -> np.ndarray:
     ahead = np.zeros(places)
     for k in range(len(slope) - 1, -1, -1):
         now = slope[k] * at + ahead
-        best[k] = now - now.max()
-        ahead = maximum_filter1d(now - now.max(), reach, mode="nearest")
+        now -= now.max()
+        best[k] = now
+        ahead = maximum_filter1d(now, reach, mode="nearest")
     out = np.empty(len(slope), int)
     out[0] = int(np.argmax(best[0]))
     for k in range(1, len(slope)):

@@ -27,9 +27,9 @@ def axis_zeros(side: Side, scale: float) -> tuple[float, ...]:
     near = np.abs(eigenvalues.real) <= 1e-7 * np.abs(eigenvalues) + 1e-8 * scale
     found: list[float] = []
     for omega in np.abs(eigenvalues.imag[near]):
-        if any(abs(omega - known) <= 1e-6 * omega + 1e-7 * scale for known in found):
-            continue
         width = 1e-6 * omega + 1e-7 * scale
+        if any(abs(omega - known) <= width for known in found):
+            continue
         points = [0.0] if omega <= width else []
         points.append(
             minimize_scalar(
@@ -66,7 +66,8 @@ def axis_bounds(P: Plant, frequencies: tuple[float, ...]) -> list[float]:
     """Parrott bounds at the zeros on the imaginary axis, ``frequencies`` in rad/s, two for each.
 
     The loop cannot change part of T11 + T12 Q T21 there. T11, T12, T21 are the stable factors of all closed
-    loops (Zhou, Doyle & Glover 1996, section 12.8), with an LQ gain F and its dual L.
+    loops (Zhou, Doyle & Glover 1996, section 12.8), with an LQ gain F and its dual L. A column that vanishes
+    at the zero is rounding and counts as a direction: of a single control nothing is told.
     """
     if not frequencies:
         return []
