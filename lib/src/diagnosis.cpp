@@ -424,7 +424,8 @@ void all_taken(lpvg_diagnosis_t& self, bool added) {
     }
     self.newest = next(self);
     self.blocks += added ? 1U : 0U;
-    if (added && self.blocks >= self.table->words.blocks && self.excited) {
+    const uint32_t whole = self.table->words.blocks;
+    if (added && self.excited && (self.blocks >= whole || self.blocks == whole / 2U)) {
         self.judging = true;
         self.pending = ny;
     }
@@ -443,10 +444,27 @@ void forget(lpvg_diagnosis_t& self) {
 
 void end_with(lpvg_diagnosis_t& self) {
     self.blocks = done;
-    self.t_found_us = self.t_us;
     self.pending = 0U;
-    self.judging = false;
     forget(self);
+}
+
+// Output j. From half of the record a cause is kept only where it has a name.
+void judge(lpvg_diagnosis_t& self, std::size_t j) {
+    const bool whole = self.blocks >= self.table->words.blocks;
+    Row theta;
+    lpvg_found_t found = judged(self, j, &theta);
+    find_onset(self, j, theta, &found);
+    if (whole || found.cause != lpvg_cause_other) {
+        self.found[j] = found;
+    }
+    --self.pending;
+    if (self.pending == 0U) {
+        self.judging = false;
+        self.t_found_us = self.t_us;
+    }
+    if (self.pending == 0U && whole) {
+        end_with(self);
+    }
 }
 
 // The state cannot be: nothing in it is known any more.
@@ -456,6 +474,8 @@ void give_up(lpvg_diagnosis_t& self) {
         self.found[j] = diagnosing(self) ? other() : self.found[j];
     }
     self.known = self.newest = 0U;
+    self.t_found_us = self.t_us;
+    self.judging = false;
     end_with(self);
 }
 
@@ -572,14 +592,15 @@ extern "C" lpvg_status_t lpvg_diagnosis_take(lpvg_diagnosis_t* self, const lpvg_
 }
 
 extern "C" const lpvg_found_t* lpvg_diagnosis_named(const lpvg_diagnosis_t* self) {
-    if (self == nullptr || self->blocks != done) {
+    if (self == nullptr) {
         return nullptr;
     }
-    const lpvg_found_t* named = &self->found[0];
-    for (std::size_t j = 1U; j < ny; ++j) {
-        named = named->cause == lpvg_cause_other ? &self->found[j] : named;
+    for (const lpvg_found_t& found : self->found) {
+        if (found.cause != lpvg_cause_unknown && found.cause != lpvg_cause_other) {
+            return &found;
+        }
     }
-    return named->cause == lpvg_cause_other ? &self->found[0] : named;
+    return self->blocks == done ? &self->found[0] : nullptr;
 }
 
 extern "C" bool lpvg_diagnosis_work(lpvg_diagnosis_t* self) {
@@ -592,13 +613,7 @@ extern "C" bool lpvg_diagnosis_work(lpvg_diagnosis_t* self) {
         return false;
     }
     if (self->judging) {
-        Row theta;
-        self->found[j] = judged(*self, j, &theta);
-        find_onset(*self, j, theta, &self->found[j]);
-        --self->pending;
-        if (self->pending == 0U) {
-            end_with(*self);
-        }
+        judge(*self, j);
         return self->pending > 0U;
     }
     const bool added = diagnosing(*self) && self->known > 2U * reach(*self) && settled_at(*self, reach(*self));

@@ -172,6 +172,56 @@ TEST_CASE("the named cause is that of the first output that has one, once an ala
     CHECK(lpvg_diagnosis_named(&f.diagnosis) == &f.diagnosis.found[0]);
 }
 
+TEST_CASE("half of the record names a cause first, and the whole record replaces it", "[unit][REQ-DIAG-1][REQ-DIAG-7]") {
+    const lpvg_diagnosis_table_t table = table_with();
+    const Plant gain = [](double t, std::size_t j) { return 0.7 * nominal(t, j); };
+    const Plant two = [](double t, std::size_t j) { return 1.4 * nominal(t - 0.2, j) + 0.3; };
+    const bool stays = GENERATE(true, false);
+    Followed f(table);
+    f.run(20.0, healthy);
+    f.alarms = true;
+    while (f.diagnosis.blocks < table.words.blocks / 2U) {
+        CHECK(lpvg_diagnosis_named(&f.diagnosis) == nullptr);
+        f.sample(gain);
+    }
+    CHECK_FALSE(f.done());
+    CHECK(f.diagnosis.t_found_us == f.diagnosis.t_us);
+    for (const lpvg_found_t& found : f.diagnosis.found) {
+        holds(found, lpvg_cause_gain, 0.7);
+    }
+    CHECK(lpvg_diagnosis_named(&f.diagnosis) == &f.diagnosis.found[0]);
+    const int64_t half_us = f.diagnosis.t_found_us;
+    f.run(4.0, stays ? gain : two);
+    CHECK(f.diagnosis.t_found_us == half_us);
+    CHECK(lpvg_diagnosis_named(&f.diagnosis) == &f.diagnosis.found[0]);
+    f.run(3.0, stays ? gain : two);
+    REQUIRE(f.done());
+    for (const lpvg_found_t& found : f.diagnosis.found) {
+        CHECK(found.cause == (stays ? lpvg_cause_gain : lpvg_cause_other));
+    }
+}
+
+TEST_CASE("half of the record says nothing where it names no cause, or is not excited", "[unit][REQ-DIAG-2][REQ-DIAG-7]") {
+    const lpvg_diagnosis_table_t table = table_with();
+    const bool excited = GENERATE(true, false);
+    const Plant gain = [](double t, std::size_t j) { return 0.7 * nominal(t, j); };
+    const Plant still = [](double, std::size_t) { return 0.0; };
+    Followed f(table);
+    f.run(20.0, healthy);
+    f.yhat = excited ? nominal : still;
+    f.alarms = true;
+    f.run(8.0, excited ? healthy : still);
+    CHECK(f.diagnosis.blocks > table.words.blocks / 2U);
+    CHECK(lpvg_diagnosis_named(&f.diagnosis) == nullptr);
+    for (const lpvg_found_t& found : f.diagnosis.found) {
+        CHECK(found.cause == lpvg_cause_unknown);
+    }
+    f.yhat = nominal;
+    f.run(6.0, excited ? healthy : gain);
+    CHECK(f.done());
+    CHECK(lpvg_diagnosis_named(&f.diagnosis) == &f.diagnosis.found[0]);
+}
+
 TEST_CASE("what no single cause explains is other", "[unit][REQ-DIAG-2]") {
     const lpvg_diagnosis_table_t table = table_with();
     const Plant none[] = {

@@ -246,7 +246,7 @@ Real real(double x) { return static_cast<Real>(x); }
 // A table in which no size is 1, no covariance is diagonal and no two outputs are alike.
 lpvg_diagnosis_table_t random_table(std::mt19937& random) {
     return table_with([&](lpvg_diagnosis_table_t& t) {
-        t.words.blocks = 8U + one_of(random, 60U);
+        t.words.blocks = 16U + one_of(random, 52U);
         t.words.stride = 1U + one_of(random, LPVG_DIAGNOSIS_STRIDE);
         t.words.cell_blocks = 1U + one_of(random, 7U);
         for (std::size_t j = 0; j < ny; ++j) {
@@ -317,7 +317,7 @@ public:
         amplitude_ = one_of(random_, 6U) == 0U ? 0.05 : between(random_, 0.4, 1.5);
     }
 
-    int judged = 0, close = 0, onset_close = 0, causes[lpvg_cause_noise + 1] = {};
+    int judged = 0, close = 0, onset_close = 0, unnamed = 0, causes[lpvg_cause_noise + 1] = {};
 
     // Two alarms, with short breaks of the first.
     void run() {
@@ -350,6 +350,7 @@ private:
     int alarm_at_ = 0;                  // the first that came with the alarm
     uint32_t alarms_seen_ = 0U;
     bool diagnosing_ = false, alarming_ = false, waiting_ = false;
+    bool half_ = false;  // half of the record since the alarm was judged
     int64_t taken_us_ = 0, alarm_us_ = 0;
 
     int blocks() const { return static_cast<int>(drive_.size()); }
@@ -413,6 +414,7 @@ private:
             diagnosing_ = true;
             alarm_at_ = newest;
             alarm_us_ = monitor_.t_us;
+            half_ = false;
             counted_.clear();
         }
         alarming_ = alarms_;
@@ -426,12 +428,13 @@ private:
     void work() {
         const int reach = delays * static_cast<int>(table_.words.stride);
         const int newest = blocks() - 1;
-        bool judges = false;
+        bool judges = false, whole = false;
         const auto settled = [&](int k) { return drive_[static_cast<std::size_t>(k)].settled; };
         if (diagnosing_ && newest + 1 - std::max(run_from_, alarm_at_ - reach) > 2 * reach && settled(newest - reach) &&
             settled(newest - reach - 1)) {
             counted_.push_back(static_cast<std::size_t>(newest - reach));
-            for (std::size_t j = 0; j < ny && counted_.size() >= table_.words.blocks; ++j) {
+            whole = counted_.size() >= table_.words.blocks;
+            for (std::size_t j = 0; j < ny && (whole || counted_.size() == table_.words.blocks / 2U); ++j) {
                 judges = judges || excitation(j) >= static_cast<double>(table_.reals.excited);
             }
         }
@@ -442,16 +445,23 @@ private:
         waiting_ = false;
         REQUIRE(calls == static_cast<int>(judges ? 2U * ny : ny));
         CHECK(diagnosis_.alarms == alarms_seen_);
-        CHECK((lpvg_diagnosis_named(&diagnosis_) != nullptr) == (alarms_seen_ > 0U && (judges || !diagnosing_)));
         if (diagnosing_) {
             CHECK(diagnosis_.t_alarm_us == alarm_us_);
-            CHECK((judges || diagnosis_.found[0].cause == lpvg_cause_unknown));
+            CHECK((judges || half_ || diagnosis_.found[0].cause == lpvg_cause_unknown));
         }
         if (judges) {
-            judge();
+            judge(whole);
+            half_ = !whole;
+        }
+        if (judges && whole) {
             diagnosing_ = false;
             fill_from_ = break_ = blocks();
         }
+        bool named = alarms_seen_ > 0U && !diagnosing_;
+        for (const lpvg_found_t& found : diagnosis_.found) {
+            named = named || found.cause > lpvg_cause_other;
+        }
+        CHECK((lpvg_diagnosis_named(&diagnosis_) != nullptr) == named);
     }
 
     // Mean square of yhat over its size, of the blocks that count.
@@ -464,7 +474,8 @@ private:
         return sum / static_cast<double>(counted_.size());
     }
 
-    void judge() {
+    // Of the whole record, or of half of it.
+    void judge(bool final) {
         const int length = static_cast<int>(table_.words.cell_blocks), whole = (alarm_at_ - fill_from_) / length;
         CHECK(diagnosis_.t_found_us == taken_us_);
         for (std::size_t j = 0; j < ny; ++j) {
@@ -487,7 +498,13 @@ private:
             Reckoning reckoning(drive_, counted_, j, table_);
             Expected expected = reckoning.found();
             reckoning.onset(cells, static_cast<uint32_t>(alarm_at_ - fill_from_ - whole * length), &expected);
-            compare(diagnosis_.found[j], expected);
+            const bool clear = expected.closest >= 1e-2;  // rounding tells more in half a record
+            if (final || (expected.cause != lpvg_cause_other && clear)) {
+                compare(diagnosis_.found[j], expected);
+            } else if (clear) {
+                CHECK(diagnosis_.found[j].cause == lpvg_cause_unknown);
+                ++unnamed;
+            }
         }
     }
 
@@ -522,7 +539,7 @@ private:
 
 TEST_CASE("the diagnosis of random drives is what a second reckoning in double says",
           "[unit][REQ-DIAG-1][REQ-DIAG-2][REQ-DIAG-3][REQ-DIAG-4]") {
-    int judged = 0, close = 0, onset_close = 0, causes[lpvg_cause_noise + 1] = {};
+    int judged = 0, close = 0, onset_close = 0, unnamed = 0, causes[lpvg_cause_noise + 1] = {};
     for (unsigned seed = 1U; seed <= 60U; ++seed) {
         CAPTURE(seed);
         Drive drive(seed);
@@ -530,12 +547,14 @@ TEST_CASE("the diagnosis of random drives is what a second reckoning in double s
         judged += drive.judged;
         close += drive.close;
         onset_close += drive.onset_close;
+        unnamed += drive.unnamed;
         for (int c = 0; c <= lpvg_cause_noise; ++c) {
             causes[c] += drive.causes[c];
         }
     }
     CAPTURE(judged, close, onset_close, causes[1], causes[2], causes[3], causes[4], causes[5], causes[6], causes[7]);
     CHECK(judged >= 60 * static_cast<int>(ny));
+    CHECK(unnamed > 0);
     CHECK(close * 10 <= judged);
     CHECK(onset_close * 5 <= judged);
     for (int c = lpvg_cause_other; c <= lpvg_cause_noise; ++c) {

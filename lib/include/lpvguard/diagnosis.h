@@ -12,6 +12,8 @@
 /// at once, a dead zone, a tyre that saturates. The interval holds 95 % of what gain, delay or bias may be, the spread of healthy
 /// vehicles included. An alarm by chance is "other" too (THEORY 7.9).
 ///
+/// Half of the record says so first, where it names a cause: that is preliminary, and the whole record replaces it.
+///
 /// The onset is the end of that ring cell before the alarm from which on theta explains best what was kept.
 ///
 /// Use:     `lpvguard export` writes lpvguard_diagnosis.c. init once; after every lpvg_monitor_push lpvg_diagnosis_take; where there is
@@ -123,9 +125,9 @@ typedef struct lpvg_diagnosis_output_t {
 
 typedef struct lpvg_diagnosis_t {
     const lpvg_diagnosis_table_t* table;
-    lpvg_found_t found[LPVG_NY];  ///< since the newest alarm
+    lpvg_found_t found[LPVG_NY];  ///< since the newest alarm; preliminary until `blocks` says that the causes are found
     int64_t t_alarm_us;  ///< time of the block with which that alarm was seen [us]
-    int64_t t_found_us;  ///< time of the block with which the causes were found; before: no meaning [us]
+    int64_t t_found_us;  ///< time of the block with which causes were judged last, of half or of the whole record; before: no meaning [us]
     int64_t t_us;  ///< time of the newest block [us]
     uint32_t alarms;  ///< alarms so far
     uint32_t blocks;  ///< taken since the newest; LPVG_DIAGNOSIS_DONE: the causes are found
@@ -171,8 +173,8 @@ LPVG_NODISCARD lpvg_status_t lpvg_diagnosis_take(lpvg_diagnosis_t* self, const l
 /// last call left them, or not finite, end the diagnosis: every output is "other".
 bool lpvg_diagnosis_work(lpvg_diagnosis_t* self);
 
-/// What was found of the first output whose cause has a name, of the first output where none has. NULL before an alarm, while the newest
-/// is being diagnosed, and for NULL. It holds until the next call of work.
+/// What was found of the first output whose cause has a name; where none has, of the first output, once the whole record was judged. NULL
+/// before an alarm, while nothing has a name, and for NULL. It holds until the next call of work.
 const lpvg_found_t* lpvg_diagnosis_named(const lpvg_diagnosis_t* self);
 
 LPVG_EXTERN_C_END
