@@ -37,11 +37,16 @@ void write_frame(const lpvg_frame_t& f, int64_t t_us, double* row) {
 // An output's cause, as the newest diagnosis found it.
 void write_cause(const lpvg_diagnosis_t& d, std::size_t j, double* row) {
     const lpvg_found_t& f = d.found[j];
-    const double numbers[cause_columns] = {
-        static_cast<double>(d.t_found_us), static_cast<double>(d.t_alarm_us),   static_cast<double>(j),
-        static_cast<double>(f.cause),      static_cast<double>(f.value),        static_cast<double>(f.low),
-        static_cast<double>(f.high),       static_cast<double>(f.onset_blocks), f.before ? 1.0 : 0.0,
-        d.blocks == LPVG_DIAGNOSIS_DONE ? 1.0 : 0.0};
+    const double numbers[cause_columns] = {static_cast<double>(d.t_found_us),
+                                           static_cast<double>(d.t_alarm_us),
+                                           static_cast<double>(j),
+                                           static_cast<double>(f.cause),
+                                           static_cast<double>(f.value),
+                                           static_cast<double>(f.low),
+                                           static_cast<double>(f.high),
+                                           static_cast<double>(f.onset_blocks),
+                                           f.before ? 1.0 : 0.0,
+                                           d.blocks == LPVG_DIAGNOSIS_DONE ? 1.0 : 0.0};
     std::memcpy(row, numbers, sizeof numbers);
 }
 
