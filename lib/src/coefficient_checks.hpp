@@ -75,7 +75,8 @@ inline bool items_in_range(const lpvg_diagnosis_reals_t& f) {
            every(f.excited, [](lpvg_real_t x) { return x > lpvg_real_t(0) && x < lpvg_real_t(1); }) &&
            every(f.fits, [](lpvg_real_t x) { return x > lpvg_real_t(0); }) &&
            every(f.margin, [](lpvg_real_t x) { return x >= lpvg_real_t(0); }) &&
-           every(f.interval, [](lpvg_real_t x) { return x > lpvg_real_t(0); });
+           every(f.interval, [](lpvg_real_t x) { return x > lpvg_real_t(0); }) &&
+           every(f.kept, [](lpvg_real_t x) { return x >= lpvg_real_t(0) && x < lpvg_real_t(1); });
 }
 
 #if LPVG_NK > 0

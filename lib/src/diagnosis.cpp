@@ -13,10 +13,12 @@ namespace {
 using Real = lpvg_real_t;
 constexpr std::size_t ny = LPVG_NY, parts = LPVG_DIAGNOSIS_PARTS, delays = LPVG_DIAGNOSIS_DELAYS, shifts = 2U * delays,
                       cells = LPVG_DIAGNOSIS_CELLS;
+constexpr uint32_t yhats = LPVG_DIAGNOSIS_HISTORY, errors = LPVG_DIAGNOSIS_ERRORS;
 constexpr uint32_t n_block = LPVG_NBLOCK, done = LPVG_DIAGNOSIS_DONE;
 constexpr Real weakest = Real(1e-5);  // of the normal equations: what is not excited at all has no estimate but 0
 constexpr Real floor_share = Real(0.01);  // of the largest healthy residue: below it rounding speaks
 constexpr Real growing = Real(0.1);  // of e's mean square: a cause that grows to three times its size leaves 8 % of itself
+constexpr uint32_t most_halves = 64U;  // of a record, in the past: some five minutes
 using Row = Eigen::Array<Real, LPVG_DIAGNOSIS_PARTS, 1>;
 using Triangle = Eigen::Array<Real, LPVG_DIAGNOSIS_TRIANGLE, 1>;
 
@@ -25,7 +27,9 @@ Real dot(const Row& a, const Row& b) { return (a * b).sum(); }
 // x x' of a symmetric positive definite matrix, by Cholesky without roots. Out of line: it is called from many places, and nobody waits.
 class Factor {
 public:
-    explicit Factor(const Triangle& A);
+    // Of a A + b B.
+    Factor(const Triangle& A, Real a, const Triangle& B, Real b);
+    explicit Factor(const Triangle& A) : Factor(A, Real(1), A, Real(0)) {}
     bool well() const { return well_; }
     // The solution of A x = b.
     Row solved(const Row& b) const;
@@ -37,11 +41,11 @@ private:
     bool well_ = true;
 };
 
-Factor::Factor(const Triangle& A) {
+Factor::Factor(const Triangle& A, Real a, const Triangle& B, Real b) {
     std::size_t at = 0U;
     for (std::size_t i = 0; i < parts; ++i) {
         for (std::size_t k = i; k < parts; ++k) {
-            Real x = A[static_cast<Eigen::Index>(at)];
+            Real x = a * A[static_cast<Eigen::Index>(at)] + b * B[static_cast<Eigen::Index>(at)];
             ++at;
             for (std::size_t m = 0; m < i; ++m) {
                 x -= unit_[i][m] * unit_[k][m] * pivot_[m];
@@ -119,12 +123,33 @@ Real larger(Real a, Real b) { return a > b ? a : b; }
 Row row(const Real* items) { return Eigen::Map<const Row>(items); }
 
 // The normal equations of n blocks.
-Triangle regular(const lpvg_diagnosis_output_t& of, Real n) {
-    Triangle A = Eigen::Map<const Triangle>(of.gram);
+Triangle regular(const Real* gram, Real n) {
+    Triangle A = Eigen::Map<const Triangle>(gram);
     for (const Eigen::Index i : diagonal) {
         A[i] += weakest * n;
     }
     return A;
+}
+
+// A healthy vehicle's theta: mean and covariance.
+struct Healthy {
+    Row mean;
+    Triangle spread;
+};
+
+// Of a drive, of which n blocks from before an alarm are known, from what it is of any: the best linear estimate from theirs, as a drive
+// keeps the share `kept` of the spread. Informations of both add up.
+void foretell(const lpvg_past_t& past, const lpvg_diagnosis_reals_t& r, std::size_t j, Real n, Healthy& healthy) {
+    const Triangle gram = regular(past.gram, n);
+    const Row along = row(past.along);
+    const Real left = larger(past.error_square - dot(along, Factor(gram).solved(along)), floor_share * r.residue[j][0] * n);
+    const Real weight = n / (r.correlated[j] * left), kept = r.kept[j];
+    const Factor both(inverse(Factor(healthy.spread)), Real(1), gram, weight);
+    const Triangle known = inverse(both);
+    healthy.mean = both.solved(along) * (weight * kept);
+    for (Eigen::Index i = 0; i < known.size(); ++i) {
+        healthy.spread[i] += kept * kept * (known[i] - healthy.spread[i]);
+    }
 }
 
 // Where a shift by m steps is kept, m > 0 later, m < 0 sooner.
@@ -139,18 +164,23 @@ Real mixed(Real first, Real both, Real second, Real f) {
 // What the sums of one output say.
 class Judgement {
 public:
-    Judgement(const lpvg_diagnosis_output_t& of, const lpvg_diagnosis_reals_t& r, std::size_t j, Real n)
+    Judgement(const lpvg_diagnosis_output_t& of, const lpvg_diagnosis_reals_t& r, std::size_t j, Real n, const Healthy& healthy)
         : of_(of),
           r_(r),
           j_(j),
           n_(n),
-          gram_(regular(of, n)),
+          healthy_(healthy),
+          gram_(regular(of.gram, n)),
           theta_(gram_.solved(row(of.along))),
+          change_(theta_ - healthy.mean),
           square_(larger(of.error_square - dot(row(of.along), theta_), Real(0))) {}
 
     // Whether theta can be had at all.
     bool well() const { return gram_.well() && theta_.isFinite().all() && std::isfinite(square_); }
-    const Row& theta() const { return theta_; }
+    // Of theta, from a healthy vehicle's.
+    const Row& change() const { return change_; }
+    // Whether the interval of the cause that explains best holds "no change".
+    bool unchanged() const { return unchanged_; }
 
     // The cause by the estimate; `other` where none explains, or several do.
     lpvg_found_t found(Real block_s, uint32_t stride) {
@@ -164,20 +194,20 @@ public:
         }
         least_ = larger(least_, floor);
         white_ = r_.correlated[j_] * least_ / n_;
-        const Triangle of_noise = inverse(gram_) * white_;
-        const Triangle spread = Eigen::Map<const Triangle>(r_.spread[j_]);
-        const Factor healthy(spread + of_noise);
-        const Hypothesis first = along(healthy, lpvg_cause_gain, 0U);
-        const Real g = Real(1) + first.value * r_.unit[j_][0];
+        const Triangle noise = inverse(gram_);
+        const Factor healthy(healthy_.spread, Real(1), noise, white_);
+        // A gain g multiplies yhat, which is 1 / unit in the first part, and what a healthy vehicle has beside it.
+        Row gained = healthy_.mean;
+        gained[0] += Real(1) / r_.unit[j_][0];
+        const Real g = along(healthy, lpvg_cause_gain, gained, Real(1)).value;
         const Real g2 = g * g;
-        const Factor scaled(spread * g2 + of_noise);
-        Hypothesis all[3] = {along(scaled, lpvg_cause_gain, 0U), delayed(healthy, step_s), along(healthy, lpvg_cause_bias, 2U)};
-        all[0].value = Real(1) + all[0].value * r_.unit[j_][0];
-        all[0].deviation *= r_.unit[j_][0];
+        const Factor scaled(healthy_.spread, g2, noise, white_);
+        Hypothesis all[3] = {along(scaled, lpvg_cause_gain, gained, Real(1)), delayed(healthy, step_s),
+                             along(healthy, lpvg_cause_bias, basis(2U), Real(0))};
         all[0].scale = larger(Real(1), g2);
         if (of_.rough > r_.rough[j_] * n_ * all[0].scale) {
             // Noise explains no estimate; it is another cause beside what else there is.
-            const bool alone = healthy.square(theta_) <= r_.fits;
+            const bool alone = healthy.square(change_) <= r_.fits;
             return alone ? lpvg_found_t{lpvg_cause_noise, std::sqrt(of_.rough / n_), Real(0), Real(0), 0U, false} : other();
         }
         return best(all, largest);
@@ -188,21 +218,23 @@ private:
     const lpvg_diagnosis_reals_t& r_;
     std::size_t j_;
     Real n_;
+    const Healthy& healthy_;
     Factor gram_;
-    Row theta_;
+    Row theta_, change_;
     Real square_;  // sum of squares that theta leaves
     Real least_ = Real(0), white_ = Real(1);
+    bool unchanged_ = false;
 
     Real yhat_square() const { return of_.gram[0] / (n_ * r_.unit[j_][0] * r_.unit[j_][0]); }
 
-    // Part i of theta is free, the others are as a healthy vehicle's: generalised least squares. The value is theta's.
-    Hypothesis along(const Factor& C, lpvg_cause_t cause, std::size_t i) const {
-        const Row direction = C.solved(basis(i));
-        const Real information = direction[static_cast<Eigen::Index>(i)];
-        const Real value = dot(direction, theta_) / information;
+    // A change by a multiple of `direction`, from `none`, and what healthy vehicles differ by: generalised least squares.
+    Hypothesis along(const Factor& C, lpvg_cause_t cause, const Row& direction, Real none) const {
+        const Row weights = C.solved(direction);
+        const Real information = dot(weights, direction);
+        const Real more = dot(weights, change_) / information;
         const Real deviation = std::sqrt(Real(1) / information);
-        const Real strange = C.square(theta_) - value * value * information;
-        return {cause, value, deviation, strange, square_, Real(1), std::abs(value) > r_.interval * deviation};
+        const Real strange = C.square(change_ - direction * more);
+        return {cause, none + more, deviation, strange, square_, Real(1), std::abs(more) > r_.interval * deviation};
     }
 
     Row moved(int m) const { return m == 0 ? Row(Row::Zero()) : row(of_.moved_to[kept_at(m)]); }
@@ -218,14 +250,16 @@ private:
     Remains remains(const Factor& C, int a, int b) const {
         const int outer = (a > 0 ? a : -a) > (b > 0 ? b : -b) ? a : b;
         const Real square = outer == 0 ? Real(0) : a == b ? of_.moved_square[kept_at(outer)] : of_.moved_cross[kept_at(outer)];
-        const Row first = theta_ + gram_.solved(moved(a)), second = theta_ + gram_.solved(moved(b));
-        const Real left = of_.error_square + moved_error(a) + moved_error(b) + square - dot(row(of_.along) + moved(a), second);
-        return {dot(first, C.solved(second)), left};
+        const Row first = gram_.solved(moved(a)), second = gram_.solved(moved(b));
+        const Real left = of_.error_square + moved_error(a) + moved_error(b) + square - dot(row(of_.along) + moved(a), theta_ + second);
+        return {dot(change_ + first, C.solved(change_ + second)), left};
     }
 
     // Between two that were tried, yhat is taken as linear: the misfit is a parabola there, and the delay its least over all of them.
-    Hypothesis delayed(const Factor& C, Real step_s) const {
+    // Shifts find the healthy vehicle's own delay with it.
+    Hypothesis delayed(const Factor& C, Real step_s) {
         constexpr int longest = static_cast<int>(delays);
+        change_[1] += healthy_.mean[1];
         Remains last = remains(C, -longest, -longest);
         Hypothesis found{lpvg_cause_delay, Real(0), Real(0), last.strange, last.left, Real(1), false};
         for (int m = -longest; m < longest; ++m) {
@@ -243,22 +277,25 @@ private:
                 found.deviation = step_s / std::sqrt(curved);
             }
         }
+        change_[1] -= healthy_.mean[1];
         // The misfit takes a healthy vehicle's own delay for the fault's, and knows their sum better than the fault.
-        const Real own = std::sqrt(Real(1) / C.solved(basis(1U))[1]) * r_.unit[j_][1] * r_.block_s;
-        found.deviation = larger(found.deviation, own);
+        const Real unit_s = r_.unit[j_][1] * r_.block_s;
+        found.deviation = larger(found.deviation, std::sqrt(Real(1) / C.solved(basis(1U))[1]) * unit_s);
         // As long as any that was tried, or longer, is no estimate.
-        const Real end = Real(0.999) * step_s * static_cast<Real>(longest);
-        found.outside = std::abs(found.value) > r_.interval * found.deviation && std::abs(found.value) < end;
+        const bool inside = std::abs(found.value) < Real(0.999) * step_s * static_cast<Real>(longest);
+        found.value -= healthy_.mean[1] * unit_s;
+        found.outside = inside && std::abs(found.value) > r_.interval * found.deviation;
         return found;
     }
     Real sum(const Remains& r) const { return r.strange + r.left / white_; }
     Real misfit(const Hypothesis& h) const { return larger(h.strange, Real(0)) + (larger(h.left, least_) - least_) / white_; }
 
-    lpvg_found_t best(const Hypothesis (&all)[3], Real largest) const {
+    lpvg_found_t best(const Hypothesis (&all)[3], Real largest) {
         const Hypothesis* first = &all[0];
         for (const Hypothesis& h : all) {
             first = misfit(h) < misfit(*first) ? &h : first;
         }
+        unchanged_ = !first->outside;
         // A cause that grows leaves a share of itself.
         const Real allowed = larger(largest * first->scale, growing * of_.error_square / n_);
         bool alone = first->outside && first->strange <= r_.fits && first->left <= allowed * n_;
@@ -274,29 +311,44 @@ private:
     }
 };
 
+// What sums say: how theta differs from a healthy vehicle's, and that.
+struct Estimate {
+    Row change, healthy;
+};
+
 // Of output j, from the sums since the alarm.
-lpvg_found_t judged(const lpvg_diagnosis_t& self, std::size_t j, Row* theta) {
+lpvg_found_t judged(const lpvg_diagnosis_t& self, std::size_t j, Estimate* estimate) {
     const lpvg_diagnosis_reals_t& r = self.table->reals;
     const lpvg_diagnosis_output_t& of = self.output[j];
     const Real n = static_cast<Real>(self.blocks);
-    *theta = Row::Zero();
-    Judgement judgement(of, r, j, n);
-    if (!judgement.well()) {
-        return other();
+    *estimate = {Row::Zero(), Row::Zero()};
+    // What was the same before the alarm is held against healthy vehicles alone, in a second turn.
+    for (bool remembers = self.past_blocks > 0U && r.kept[j] > Real(0);; remembers = false) {
+        Healthy healthy{Row::Zero(), Eigen::Map<const Triangle>(r.spread[j])};
+        if (remembers) {
+            foretell(of.past, r, j, static_cast<Real>(self.past_blocks), healthy);
+        }
+        Judgement judgement(of, r, j, n, healthy);
+        if (!judgement.well()) {
+            return other();
+        }
+        *estimate = {judgement.change(), healthy.mean};
+        if (of.still < r.still[j] * of.changed) {
+            const Real mean = (of.along[2] + of.gram[2] / r.unit[j][0]) / n;
+            return {lpvg_cause_frozen, mean, Real(0), Real(0), 0U, false};
+        }
+        const lpvg_found_t found = judgement.found(r.block_s, self.table->words.stride);
+        if (!remembers || !judgement.unchanged()) {
+            return found;
+        }
     }
-    *theta = judgement.theta();
-    if (of.still < r.still[j] * of.changed) {
-        const Real mean = (of.along[2] + of.gram[2] / r.unit[j][0]) / n;
-        return {lpvg_cause_frozen, mean, Real(0), Real(0), 0U, false};
-    }
-    return judgement.found(r.block_s, self.table->words.stride);
 }
 
 // Cell `back` before the newest, 0 is the newest.
 std::size_t cell_at(const lpvg_diagnosis_t& self, uint32_t back) { return (self.cell_newest + cells - back) % cells; }
 
-// The cells before the alarm that theta explains, at most those before the first that is not whole.
-void find_onset(const lpvg_diagnosis_t& self, std::size_t j, const Row& theta, lpvg_found_t* found) {
+// The cells before the alarm that the change of theta explains, at most those before the first that is not whole.
+void find_onset(const lpvg_diagnosis_t& self, std::size_t j, const Estimate& estimate, lpvg_found_t* found) {
     const lpvg_diagnosis_output_t& of = self.output[j];
     const Real* const unit = self.table->reals.unit[j];
     const uint32_t length = self.table->words.cell_blocks;
@@ -306,8 +358,9 @@ void find_onset(const lpvg_diagnosis_t& self, std::size_t j, const Row& theta, l
         const Real* const cell = of.cell[cell_at(self, kept)];
         const bool has_before = kept + 1U < self.cells && ((self.good_cells >> cell_at(self, kept + 1U)) & 1U) != 0U;
         const Real change = has_before ? (cell[1] - of.cell[cell_at(self, kept + 1U)][1]) / static_cast<Real>(length) : Real(0);
-        const Real explained = dot(theta, regressors(cell[1], change, unit));
-        sum += explained * (Real(2) * cell[0] - explained);
+        const Row phi = regressors(cell[1], change, unit);
+        const Real explained = dot(estimate.change, phi);
+        sum += explained * (Real(2) * (cell[0] - dot(estimate.healthy, phi)) - explained);
         ++kept;
         if (sum > largest) {
             largest = sum;
@@ -318,17 +371,15 @@ void find_onset(const lpvg_diagnosis_t& self, std::size_t j, const Row& theta, l
     found->before = best > 0U && best == kept;
 }
 
+// Of what since an alarm is summed, or of a part of the past, nothing yet.
 void clear_sums(lpvg_diagnosis_output_t& of) {
-    lpvg_diagnosis_output_t fresh{};
-    for (std::size_t i = 0; i < LPVG_DIAGNOSIS_HISTORY; ++i) {
-        fresh.history[i][0] = of.history[i][0];
-        fresh.history[i][1] = of.history[i][1];
+    Eigen::Map<Triangle>(of.gram).setZero();
+    Eigen::Map<Row>(of.along).setZero();
+    for (std::size_t m = 0; m < shifts; ++m) {
+        Eigen::Map<Row>(of.moved_to[m]).setZero();
+        of.moved_error[m] = of.moved_square[m] = of.moved_cross[m] = Real(0);
     }
-    for (std::size_t i = 0; i < cells; ++i) {
-        fresh.cell[i][0] = of.cell[i][0];
-        fresh.cell[i][1] = of.cell[i][1];
-    }
-    of = fresh;
+    of.error_square = of.rough = of.changed = of.still = Real(0);
 }
 
 bool diagnosing(const lpvg_diagnosis_t& self) { return self.alarms > 0U && self.blocks != done; }
@@ -343,21 +394,24 @@ bool settled_at(const lpvg_diagnosis_t& self, uint32_t back) {
     return ((self.settled_blocks >> back) & 3U) == 3U;
 }
 
-// Where the newest block goes in the history.
-uint32_t next(const lpvg_diagnosis_t& self) { return (self.newest + 1U) % LPVG_DIAGNOSIS_HISTORY; }
+// Whether the block that work takes is one of the past: before an alarm it is, where it and the one before it are settled.
+bool is_past(const lpvg_diagnosis_t& self) { return !diagnosing(self) && self.known > 1U && settled_at(self, 0U); }
 
-// Output j adds to its sums the block that is as far back as leads reach.
-void add(lpvg_diagnosis_t& self, std::size_t j) {
-    lpvg_diagnosis_output_t& of = self.output[j];
-    const Real* const unit = self.table->reals.unit[j];
-    const uint32_t far = reach(self), stride = self.table->words.stride;
-    const auto back = [&](uint32_t blocks) { return of.history[(next(self) + LPVG_DIAGNOSIS_HISTORY - blocks) % LPVG_DIAGNOSIS_HISTORY]; };
-    const Real e = back(far)[0], yhat = back(far)[1];
-    const Real change = yhat - back(far + 1U)[1];
-    if (self.blocks == 0U) {
-        clear_sums(of);
-    }
-    const Row phi = regressors(yhat, change, unit);
+// Half of the blocks from which causes are judged.
+uint32_t half(const lpvg_diagnosis_t& self) { return self.table->words.blocks / 2U; }
+
+// Whether with it as many blocks are filled. They join the past then, and not before: the newest ones before an alarm may be those of its
+// cause.
+bool fills(const lpvg_diagnosis_t& self) { return self.filling_blocks + 1U >= half(self); }
+
+// Whether the past is long. It is halved then, so that sums stay finite and the newest minutes count most.
+bool is_long(const lpvg_diagnosis_t& self) { return self.past_blocks >= most_halves * half(self); }
+
+// Where the newest block goes in both histories.
+uint32_t next(const lpvg_diagnosis_t& self) { return (self.newest + 1U) % (yhats * errors); }
+
+// Adds a block to the normal equations.
+void accumulate(const Row& phi, Real e, lpvg_diagnosis_output_t& of) {
     std::size_t at = 0U;
     for (Eigen::Index i = 0; i < phi.size(); ++i) {
         for (Eigen::Index k = i; k < phi.size(); ++k) {
@@ -367,15 +421,31 @@ void add(lpvg_diagnosis_t& self, std::size_t j) {
     }
     Eigen::Map<Row>(of.along) += phi * e;
     of.error_square += e * e;
+}
+
+// Output j adds to its sums the block that is as far back as leads reach.
+void add(lpvg_diagnosis_t& self, std::size_t j) {
+    lpvg_diagnosis_output_t& of = self.output[j];
+    const Real* const unit = self.table->reals.unit[j];
+    const uint32_t far = reach(self), stride = self.table->words.stride;
+    const auto yhat_back = [&](uint32_t blocks) { return of.history[(next(self) + yhats - blocks) % yhats]; };
+    const auto error_back = [&](uint32_t blocks) { return of.errors[(next(self) + errors - blocks) % errors]; };
+    const Real e = error_back(far), yhat = yhat_back(far);
+    const Real change = yhat - yhat_back(far + 1U);
+    if (self.blocks == 0U) {
+        clear_sums(of);
+    }
+    const Row phi = regressors(yhat, change, unit);
+    accumulate(phi, e, of);
     of.rough += self.settled ? self.rough[j] * self.rough[j] : Real(0);
     of.changed += change * change;
-    const Real whole = change + e - back(far + 1U)[0];
+    const Real whole = change + e - error_back(far + 1U);
     of.still += whole * whole;
     Real nearer = Real(0);
     for (std::size_t m = 0; m < shifts; ++m) {
         const bool later = m < delays;
         const uint32_t steps = stride * static_cast<uint32_t>(later ? m + 1U : m - delays + 1U);
-        const Real moved = yhat - back(later ? far + steps : far - steps)[1];
+        const Real moved = yhat - yhat_back(later ? far + steps : far - steps);
         Eigen::Map<Row>(of.moved_to[m]) += phi * moved;
         of.moved_error[m] += moved * e;
         of.moved_square[m] += moved * moved;
@@ -386,12 +456,44 @@ void add(lpvg_diagnosis_t& self, std::size_t j) {
     self.excited = (self.excited && j > 0U) || of.gram[0] >= self.table->reals.excited * n;
 }
 
+// Output j has the newest block, which is one of the past.
+void remember(lpvg_diagnosis_t& self, std::size_t j) {
+    lpvg_diagnosis_output_t& of = self.output[j];
+    const Real yhat = self.mean[ny + j];
+    if (self.filling_blocks == 0U) {
+        clear_sums(of);
+    }
+    accumulate(regressors(yhat, yhat - of.history[self.newest % yhats], self.table->reals.unit[j]), self.mean[j], of);
+    if (fills(self)) {
+        const Real share = is_long(self) ? Real(0.5) : Real(1);
+        for (std::size_t i = 0; i < LPVG_DIAGNOSIS_TRIANGLE; ++i) {
+            of.past.gram[i] = (of.past.gram[i] + of.gram[i]) * share;
+        }
+        for (std::size_t i = 0; i < parts; ++i) {
+            of.past.along[i] = (of.past.along[i] + of.along[i]) * share;
+        }
+        of.past.error_square = (of.past.error_square + of.error_square) * share;
+    }
+}
+
+// All outputs have it.
+void advance_past(lpvg_diagnosis_t& self) {
+    ++self.filling_blocks;
+    if (self.filling_blocks >= half(self)) {
+        self.past_blocks = (self.past_blocks + self.filling_blocks) / (is_long(self) ? 2U : 1U);
+        self.filling_blocks = 0U;
+    }
+}
+
 // Output j keeps the newest block: in its history, and before an alarm in its cell.
 void keep(lpvg_diagnosis_t& self, std::size_t j) {
     lpvg_diagnosis_output_t& of = self.output[j];
     const Real e = self.mean[j], yhat = self.mean[ny + j];
-    of.history[next(self)][0] = e;
-    of.history[next(self)][1] = yhat;
+    if (is_past(self)) {
+        remember(self, j);
+    }
+    of.errors[next(self) % errors] = e;
+    of.history[next(self) % yhats] = yhat;
     if (!diagnosing(self)) {
         of.cell_sum[0] += self.settled ? e : Real(0);
         of.cell_sum[1] += self.settled ? yhat : Real(0);
@@ -422,9 +524,13 @@ void all_taken(lpvg_diagnosis_t& self, bool added) {
     if (!diagnosing(self)) {
         advance_cells(self);
     }
+    if (is_past(self)) {
+        advance_past(self);
+    }
     self.newest = next(self);
     self.blocks += added ? 1U : 0U;
-    if (added && self.blocks >= self.table->words.blocks && self.excited) {
+    const uint32_t whole = self.table->words.blocks;
+    if (added && self.excited && (self.blocks >= whole || self.blocks == half(self))) {
         self.judging = true;
         self.pending = ny;
     }
@@ -433,8 +539,10 @@ void all_taken(lpvg_diagnosis_t& self, bool added) {
 // What was kept is of no use any more; the next blocks are kept anew.
 void forget(lpvg_diagnosis_t& self) {
     self.cells = self.cell_blocks = self.cell_good = self.good_cells = 0U;
+    self.past_blocks = self.filling_blocks = 0U;
     for (lpvg_diagnosis_output_t& of : self.output) {
         of.cell_sum[0] = of.cell_sum[1] = Real(0);
+        of.past = lpvg_past_t{};
     }
     for (std::size_t j = 0; j < ny; ++j) {
         self.sum[j] = lpvguard::sum_of_words(self.output[j]);
@@ -443,10 +551,27 @@ void forget(lpvg_diagnosis_t& self) {
 
 void end_with(lpvg_diagnosis_t& self) {
     self.blocks = done;
-    self.t_found_us = self.t_us;
     self.pending = 0U;
-    self.judging = false;
     forget(self);
+}
+
+// Output j. From half of the record a cause is kept only where it has a name.
+void judge(lpvg_diagnosis_t& self, std::size_t j) {
+    const bool whole = self.blocks >= self.table->words.blocks;
+    Estimate estimate;
+    lpvg_found_t found = judged(self, j, &estimate);
+    find_onset(self, j, estimate, &found);
+    if (whole || found.cause != lpvg_cause_other) {
+        self.found[j] = found;
+    }
+    --self.pending;
+    if (self.pending == 0U) {
+        self.judging = false;
+        self.t_found_us = self.t_us;
+        if (whole) {
+            end_with(self);
+        }
+    }
 }
 
 // The state cannot be: nothing in it is known any more.
@@ -456,6 +581,8 @@ void give_up(lpvg_diagnosis_t& self) {
         self.found[j] = diagnosing(self) ? other() : self.found[j];
     }
     self.known = self.newest = 0U;
+    self.t_found_us = self.t_us;
+    self.judging = false;
     end_with(self);
 }
 
@@ -468,6 +595,7 @@ void begin(lpvg_diagnosis_t& self) {
     self.excited = false;
     self.t_alarm_us = self.t_us;
     self.partial = self.cell_blocks;
+    self.filling_blocks = 0U;
     // No block from before the alarm is added.
     self.known = self.known < reach(self) ? self.known : reach(self);
 }
@@ -572,14 +700,15 @@ extern "C" lpvg_status_t lpvg_diagnosis_take(lpvg_diagnosis_t* self, const lpvg_
 }
 
 extern "C" const lpvg_found_t* lpvg_diagnosis_named(const lpvg_diagnosis_t* self) {
-    if (self == nullptr || self->blocks != done) {
+    if (self == nullptr) {
         return nullptr;
     }
-    const lpvg_found_t* named = &self->found[0];
-    for (std::size_t j = 1U; j < ny; ++j) {
-        named = named->cause == lpvg_cause_other ? &self->found[j] : named;
+    for (const lpvg_found_t& found : self->found) {
+        if (found.cause != lpvg_cause_unknown && found.cause != lpvg_cause_other) {
+            return &found;
+        }
     }
-    return named->cause == lpvg_cause_other ? &self->found[0] : named;
+    return self->blocks == done ? &self->found[0] : nullptr;
 }
 
 extern "C" bool lpvg_diagnosis_work(lpvg_diagnosis_t* self) {
@@ -587,18 +716,12 @@ extern "C" bool lpvg_diagnosis_work(lpvg_diagnosis_t* self) {
         return false;
     }
     const std::size_t j = ny - (self->pending <= ny ? self->pending : ny);
-    if (self->sum[j] != lpvguard::sum_of_words(self->output[j]) || self->newest >= LPVG_DIAGNOSIS_HISTORY) {
+    if (self->sum[j] != lpvguard::sum_of_words(self->output[j]) || self->newest >= yhats * errors) {
         give_up(*self);
         return false;
     }
     if (self->judging) {
-        Row theta;
-        self->found[j] = judged(*self, j, &theta);
-        find_onset(*self, j, theta, &self->found[j]);
-        --self->pending;
-        if (self->pending == 0U) {
-            end_with(*self);
-        }
+        judge(*self, j);
         return self->pending > 0U;
     }
     const bool added = diagnosing(*self) && self->known > 2U * reach(*self) && settled_at(*self, reach(*self));

@@ -32,32 +32,46 @@ struct Expected {
     lpvg_cause_t cause = lpvg_cause_other;
     double value = 0.0, half = 0.0, deviation = 0.0;
     double closest = 0.0, onset_closest = 0.0;
+    double rounding = 0.01;  // allowed, in deviations: a past adds its own
     uint32_t onset_blocks = 0U;
     bool before = false;
 };
 
-// What the blocks `counted` of a drive say of output j.
+// What the blocks `counted` of a drive say of output j, which had the blocks `past` before the alarm.
 class Reckoning {
 public:
-    Reckoning(const std::vector<Block>& drive, const std::vector<std::size_t>& counted, std::size_t j, const lpvg_diagnosis_table_t& table)
+    Reckoning(const std::vector<Block>& drive, const std::vector<std::size_t>& counted, const std::vector<std::size_t>& past, std::size_t j,
+              const lpvg_diagnosis_table_t& table)
         : drive_(drive), counted_(counted), j_(j), words_(table.words), r_(table.reals), n_(static_cast<double>(counted.size())) {
-        Matrix gram{};
-        for (const std::size_t k : counted_) {
-            gram = plus(gram, outer(phi(k)));
-        }
-        for (std::size_t i = 0; i < four::n; ++i) {
-            gram[i][i] += 1e-5 * n_;
-        }
+        const Matrix gram = products(counted_);
         inverse_ = inverse(gram);
         theta_ = fitted(0.0);
-        const auto [smallest, largest] = four::extremes(gram);
-        determined_ = smallest > 2e-6 * largest;
+        determined_ = determined(gram);
+        for (std::size_t i = 0, at = 0; i < four::n; ++i) {
+            for (std::size_t k = i; k < four::n; ++k, ++at) {
+                spread_[i][k] = spread_[k][i] = r_.spread[j_][at];
+            }
+        }
+        remembers_ = !past.empty() && r_.kept[j_] > Real(0);
+        if (remembers_) {
+            foretell(past);
+        }
     }
 
     // Where single precision cannot tell the regressors apart the core says `other`: as close as can be.
     Expected found() {
+        const Vector mean = mean_;
+        const Matrix spread = spread_;
+        mean_ = foretold_;
+        spread_ = plus(spread, taken_, -1.0);
         Expected expected = cause();
+        if (remembers_ && unchanged_) {
+            mean_ = mean;
+            spread_ = spread;
+            expected = cause();
+        }
         expected.closest = determined_ ? decisions_.closest : 0.0;
+        expected.rounding = remembers_ ? 0.1 : 0.01;
         return expected;
     }
 
@@ -69,8 +83,9 @@ public:
         for (std::size_t i = 0; i < cells.size(); ++i) {
             const double length = words_.cell_blocks, e = cells[i].first / length, yhat = cells[i].second / length;
             const double change = i + 1U < cells.size() ? (yhat - cells[i + 1U].second / length) / length : 0.0;
-            const double explained = dot(theta_, regressors(yhat, change));
-            sum += e * e - (e - explained) * (e - explained);
+            const Vector phi = regressors(yhat, change);
+            const double rest = e - dot(mean_, phi), explained = dot(plus(theta_, mean_, -1.0), phi);
+            sum += rest * rest - (rest - explained) * (rest - explained);
             if (decisions.less(largest, sum)) {
                 largest = sum;
                 best = i + 1U;
@@ -88,10 +103,48 @@ private:
     const lpvg_diagnosis_words_t& words_;
     const lpvg_diagnosis_reals_t& r_;
     double n_;
-    Matrix inverse_;
-    Vector theta_;
-    bool determined_ = true;
+    Matrix inverse_, spread_{}, taken_{};
+    Vector theta_, mean_{}, foretold_{};
+    bool determined_ = true, remembers_ = false, unchanged_ = false;
     Decisions decisions_;
+
+    Matrix products(const std::vector<std::size_t>& blocks) const {
+        Matrix gram{};
+        for (const std::size_t k : blocks) {
+            gram = plus(gram, outer(phi(k)));
+        }
+        for (std::size_t i = 0; i < four::n; ++i) {
+            gram[i][i] += 1e-5 * static_cast<double>(blocks.size());
+        }
+        return gram;
+    }
+    static bool determined(const Matrix& gram) {
+        const auto [smallest, largest] = four::extremes(gram);
+        return smallest > 2e-6 * largest;
+    }
+
+    // By the covariance of a theta now with an estimate of before: a share of the spread.
+    void foretell(const std::vector<std::size_t>& past) {
+        const Matrix gram = products(past), inverted = inverse(gram);
+        const double count = static_cast<double>(past.size());
+        Vector b{};
+        double square = 0.0;
+        for (const std::size_t k : past) {
+            b = plus(b, phi(k), e(k));
+            square += e(k) * e(k);
+        }
+        const Vector theta = product(inverted, b);
+        const double left = std::max(square - dot(b, theta), 0.01 * static_cast<double>(r_.residue[j_][0]) * count);
+        const Matrix weight = inverse(plus(spread_, inverted, static_cast<double>(r_.correlated[j_]) * left / count));
+        const double share = static_cast<double>(r_.kept[j_]);
+        foretold_ = plus(Vector{}, product(spread_, product(weight, theta)), share);
+        for (std::size_t i = 0; i < four::n; ++i) {
+            for (std::size_t k = 0; k < four::n; ++k) {
+                taken_[i][k] = share * share * dot(spread_[i], product(weight, spread_[k]));
+            }
+        }
+        determined_ = determined_ && determined(gram);
+    }
 
     double e(std::size_t k) const { return drive_[k].e[j_]; }
     double yhat(std::size_t k) const { return drive_[k].yhat[j_]; }
@@ -141,19 +194,25 @@ private:
         bool outside;
     };
 
-    Hypothesis along(const Matrix& C, lpvg_cause_t what, std::size_t i) {
+    // theta beside what a vehicle without a fault has, of which the fault makes `none` and a multiple of `direction` more.
+    Hypothesis along(const Matrix& C, lpvg_cause_t what, const Vector& direction, double none) {
         const Matrix weight = inverse(C);
-        const double information = weight[i][i], value = dot(weight[i], theta_) / information;
-        Vector rest = theta_;
-        rest[i] -= value;
+        const Vector beside = plus(theta_, mean_, -1.0), weighted = product(weight, direction);
+        const double information = dot(direction, weighted), more = dot(weighted, beside) / information;
+        const Vector rest = plus(beside, direction, -more);
         const double deviation = 1.0 / std::sqrt(information);
-        const bool outside = decisions_.less(static_cast<double>(r_.interval) * deviation, std::abs(value));
-        return {what, value, deviation, dot(rest, product(weight, rest)), std::max(left(0.0), 0.0), 1.0, outside};
+        const bool outside = decisions_.less(static_cast<double>(r_.interval) * deviation, std::abs(more));
+        return {what, none + more, deviation, dot(rest, product(weight, rest)), std::max(left(0.0), 0.0), 1.0, outside};
     }
 
     Hypothesis delayed(const Matrix& C, double white) {
         const Matrix weight = inverse(C);
-        const auto strange = [&](double late) { return dot(fitted(late), product(weight, fitted(late))); };
+        Vector mean = mean_;  // the vehicle's own delay is one of all that shifts find
+        mean[1] = 0.0;
+        const auto strange = [&](double late) {
+            const Vector beside = plus(fitted(late), mean, -1.0);
+            return dot(beside, product(weight, beside));
+        };
         const auto misfit = [&](double late) { return strange(late) + left(late) / white; };
         double best = -delays, smallest = misfit(-delays), deviation = 0.0;
         const double step_s = static_cast<double>(r_.block_s) * words_.stride;
@@ -168,8 +227,9 @@ private:
                 deviation = step_s / std::sqrt(curved);
             }
         }
-        deviation = std::max(deviation, static_cast<double>(r_.unit[j_][1]) * static_cast<double>(r_.block_s) / std::sqrt(weight[1][1]));
-        const double value = step_s * best;
+        const double unit_s = static_cast<double>(r_.unit[j_][1]) * static_cast<double>(r_.block_s);
+        deviation = std::max(deviation, unit_s / std::sqrt(weight[1][1]));
+        const double value = step_s * best - mean_[1] * unit_s;
         const bool outside = decisions_.less(static_cast<double>(r_.interval) * deviation, std::abs(value));
         const bool inside = decisions_.less(std::abs(best), 0.999 * delays);
         return {lpvg_cause_delay, value, deviation, strange(best), left(best), 1.0, outside && inside};
@@ -193,25 +253,22 @@ private:
         }
         least = std::max(least, 0.01 * static_cast<double>(r_.residue[j_][0]) * n_);
         const double white = static_cast<double>(r_.correlated[j_]) * least / n_;
-        Matrix spread;
-        for (std::size_t i = 0, at = 0; i < four::n; ++i) {
-            for (std::size_t k = i; k < four::n; ++k, ++at) {
-                spread[i][k] = spread[k][i] = r_.spread[j_][at];
-            }
-        }
-        const Matrix noise = plus(Matrix{}, inverse_, white), healthy = plus(spread, noise);
-        const double g = 1.0 + unit * along(healthy, lpvg_cause_gain, 0).value;
-        Hypothesis all[3] = {along(plus(noise, spread, g * g), lpvg_cause_gain, 0), delayed(healthy, white),
-                             along(healthy, lpvg_cause_bias, 2)};
-        all[0].value = 1.0 + unit * all[0].value;
-        all[0].deviation *= unit;
+        const Matrix noise = plus(Matrix{}, inverse_, white), healthy = plus(spread_, noise);
+        // y = g (yhat + mean' phi): more of yhat itself and of what is beside it.
+        Vector gained = mean_;
+        gained[0] += 1.0 / unit;
+        const double g = along(healthy, lpvg_cause_gain, gained, 1.0).value;
+        Hypothesis all[3] = {along(plus(noise, spread_, g * g), lpvg_cause_gain, gained, 1.0), delayed(healthy, white),
+                             along(healthy, lpvg_cause_bias, Vector{0.0, 0.0, 1.0, 0.0}, 0.0)};
         all[0].scale = std::max(1.0, g * g);
+        unchanged_ = false;
         const double rough = square([&](std::size_t k) {
             const Block& newest = drive_[k + static_cast<std::size_t>(delays) * words_.stride];
             return newest.settled ? newest.rough[j_] : 0.0;
         });
         if (decisions_.less(static_cast<double>(r_.rough[j_]) * all[0].scale, rough)) {
-            if (!decisions_.less(r_.fits, dot(theta_, product(inverse(healthy), theta_)))) {
+            const Vector beside = plus(theta_, mean_, -1.0);
+            if (!decisions_.less(r_.fits, dot(beside, product(inverse(healthy), beside)))) {
                 expected.cause = lpvg_cause_noise;
                 expected.value = std::sqrt(rough);
                 expected.deviation = 1e-2 * expected.value;
@@ -220,6 +277,7 @@ private:
         }
         const auto misfit = [&](const Hypothesis& h) { return std::max(h.strange, 0.0) + std::max(h.left - least, 0.0) / white; };
         const Hypothesis* first = std::min_element(all, all + 3, [&](const auto& a, const auto& b) { return misfit(a) < misfit(b); });
+        unchanged_ = !first->outside;
         const double energy = square([&](std::size_t k) { return e(k); });
         const double largest = static_cast<double>(r_.residue[j_][0]) +
                                static_cast<double>(r_.residue[j_][1]) * square([&](std::size_t k) { return yhat(k); });
@@ -246,7 +304,7 @@ Real real(double x) { return static_cast<Real>(x); }
 // A table in which no size is 1, no covariance is diagonal and no two outputs are alike.
 lpvg_diagnosis_table_t random_table(std::mt19937& random) {
     return table_with([&](lpvg_diagnosis_table_t& t) {
-        t.words.blocks = 8U + one_of(random, 60U);
+        t.words.blocks = 16U + one_of(random, 52U);
         t.words.stride = 1U + one_of(random, LPVG_DIAGNOSIS_STRIDE);
         t.words.cell_blocks = 1U + one_of(random, 7U);
         for (std::size_t j = 0; j < ny; ++j) {
@@ -270,6 +328,7 @@ lpvg_diagnosis_table_t random_table(std::mt19937& random) {
             t.reals.residue[j][1] = real(std::pow(10.0, between(random, -5.0, -1.5)));
             t.reals.rough[j] = real(std::pow(10.0, between(random, -4.0, -2.0)));
             t.reals.still[j] = real(between(random, 0.005, 0.05));
+            t.reals.kept[j] = one_of(random, 3U) == 0U ? Real(0) : real(between(random, 0.5, 0.995));
         }
         t.reals.excited = real(between(random, 0.01, 0.2));
         t.reals.fits = real(between(random, 6.0, 40.0));
@@ -309,6 +368,7 @@ public:
         REQUIRE(lpvg_diagnosis_init(&diagnosis_, &table_) == lpvg_status_ok);
         for (std::size_t j = 0; j < ny; ++j) {
             fault_[j] = random_fault(random_, block_s * table_.words.stride);
+            own_[j] = {between(random_, 0.97, 1.03), between(random_, -0.02, 0.02)};
             for (double& p : phase_[j]) {
                 p = between(random_, 0.0, 6.28);
             }
@@ -317,7 +377,7 @@ public:
         amplitude_ = one_of(random_, 6U) == 0U ? 0.05 : between(random_, 0.4, 1.5);
     }
 
-    int judged = 0, close = 0, onset_close = 0, causes[lpvg_cause_noise + 1] = {};
+    int judged = 0, close = 0, onset_close = 0, unnamed = 0, remembered = 0, causes[lpvg_cause_noise + 1] = {};
 
     // Two alarms, with short breaks of the first.
     void run() {
@@ -337,6 +397,7 @@ private:
     lpvg_monitor_t monitor_{};
     lpvg_diagnosis_t diagnosis_{};
     Fault fault_[ny];
+    std::pair<double, double> own_[ny];  // gain and bias of the vehicle without a fault
     double phase_[ny][3], amplitude_ = 1.0;
     bool square_ = false, faulty_ = false, alarms_ = false;
     double t_ = 0.0;
@@ -344,12 +405,14 @@ private:
     // Of the second reckoning. Numbers of blocks, in the order in which they were taken.
     std::vector<Block> drive_;
     std::vector<std::size_t> counted_;  // since the alarm
+    std::vector<std::size_t> past_, filling_;  // before it: known, and what is not yet as long as a record
     int run_from_ = 0;                  // the whole blocks without a gap that the newest ends
     int fill_from_ = 0;                 // the first in a cell
     int break_ = 0;                     // a cell that begins before it does not count
     int alarm_at_ = 0;                  // the first that came with the alarm
     uint32_t alarms_seen_ = 0U;
     bool diagnosing_ = false, alarming_ = false, waiting_ = false;
+    bool half_ = false;  // half of the record since the alarm was judged
     int64_t taken_us_ = 0, alarm_us_ = 0;
 
     int blocks() const { return static_cast<int>(drive_.size()); }
@@ -360,7 +423,8 @@ private:
     }
     double y(double t, std::size_t j) {
         const Fault healthy, &f = faulty_ ? fault_[j] : healthy;
-        return (f.frozen ? f.hold : f.gain * yhat(t - f.late, j) + f.bias) + f.noise * normal_(random_) * (f.frozen ? 0.01 : 1.0);
+        return (f.frozen ? f.hold : f.gain * (own_[j].first * yhat(t - f.late, j) + own_[j].second) + f.bias) +
+               f.noise * normal_(random_) * (f.frozen ? 0.01 : 1.0);
     }
 
     // Four samples. `way`: 1 not settled, 2 the ring is not whole, 3 a gap that breaks, 4 one that does not, 5 no work, 6 no number.
@@ -413,7 +477,9 @@ private:
             diagnosing_ = true;
             alarm_at_ = newest;
             alarm_us_ = monitor_.t_us;
+            half_ = false;
             counted_.clear();
+            filling_.clear();
         }
         alarming_ = alarms_;
         if (!waiting_) {
@@ -426,14 +492,22 @@ private:
     void work() {
         const int reach = delays * static_cast<int>(table_.words.stride);
         const int newest = blocks() - 1;
-        bool judges = false;
+        bool judges = false, whole = false;
         const auto settled = [&](int k) { return drive_[static_cast<std::size_t>(k)].settled; };
         if (diagnosing_ && newest + 1 - std::max(run_from_, alarm_at_ - reach) > 2 * reach && settled(newest - reach) &&
             settled(newest - reach - 1)) {
             counted_.push_back(static_cast<std::size_t>(newest - reach));
-            for (std::size_t j = 0; j < ny && counted_.size() >= table_.words.blocks; ++j) {
+            whole = counted_.size() >= table_.words.blocks;
+            for (std::size_t j = 0; j < ny && (whole || counted_.size() == table_.words.blocks / 2U); ++j) {
                 judges = judges || excitation(j) >= static_cast<double>(table_.reals.excited);
             }
+        }
+        if (!diagnosing_ && newest > run_from_ && settled(newest) && settled(newest - 1)) {
+            filling_.push_back(static_cast<std::size_t>(newest));
+        }
+        if (filling_.size() >= table_.words.blocks / 2U) {
+            past_.insert(past_.end(), filling_.begin(), filling_.end());
+            filling_.clear();
         }
         int calls = 1;
         while (lpvg_diagnosis_work(&diagnosis_)) {
@@ -442,16 +516,24 @@ private:
         waiting_ = false;
         REQUIRE(calls == static_cast<int>(judges ? 2U * ny : ny));
         CHECK(diagnosis_.alarms == alarms_seen_);
-        CHECK((lpvg_diagnosis_named(&diagnosis_) != nullptr) == (alarms_seen_ > 0U && (judges || !diagnosing_)));
         if (diagnosing_) {
             CHECK(diagnosis_.t_alarm_us == alarm_us_);
-            CHECK((judges || diagnosis_.found[0].cause == lpvg_cause_unknown));
+            CHECK((judges || half_ || diagnosis_.found[0].cause == lpvg_cause_unknown));
         }
         if (judges) {
-            judge();
+            judge(whole);
+            half_ = !whole;
+        }
+        if (judges && whole) {
             diagnosing_ = false;
             fill_from_ = break_ = blocks();
+            past_.clear();
         }
+        bool named = alarms_seen_ > 0U && !diagnosing_;
+        for (const lpvg_found_t& found : diagnosis_.found) {
+            named = named || found.cause > lpvg_cause_other;
+        }
+        CHECK((lpvg_diagnosis_named(&diagnosis_) != nullptr) == named);
     }
 
     // Mean square of yhat over its size, of the blocks that count.
@@ -464,7 +546,8 @@ private:
         return sum / static_cast<double>(counted_.size());
     }
 
-    void judge() {
+    // Of the whole record, or of half of it.
+    void judge(bool final) {
         const int length = static_cast<int>(table_.words.cell_blocks), whole = (alarm_at_ - fill_from_) / length;
         CHECK(diagnosis_.t_found_us == taken_us_);
         for (std::size_t j = 0; j < ny; ++j) {
@@ -484,10 +567,17 @@ private:
                 }
                 cells.push_back(sums);
             }
-            Reckoning reckoning(drive_, counted_, j, table_);
+            Reckoning reckoning(drive_, counted_, past_, j, table_);
+            remembered += !past_.empty() && table_.reals.kept[j] > Real(0) ? 1 : 0;
             Expected expected = reckoning.found();
             reckoning.onset(cells, static_cast<uint32_t>(alarm_at_ - fill_from_ - whole * length), &expected);
-            compare(diagnosis_.found[j], expected);
+            const bool clear = expected.closest >= 1e-2;  // rounding tells more in half a record
+            if (final || (expected.cause != lpvg_cause_other && clear)) {
+                compare(diagnosis_.found[j], expected);
+            } else if (clear) {
+                CHECK(diagnosis_.found[j].cause == lpvg_cause_unknown);
+                ++unnamed;
+            }
         }
     }
 
@@ -506,7 +596,7 @@ private:
         }
         ++causes[expected.cause];
         CHECK(found.cause == expected.cause);
-        const double allowed = 0.01 * expected.deviation + 2e-4 * std::abs(expected.value);
+        const double allowed = expected.rounding * expected.deviation + 2e-4 * std::abs(expected.value);
         CHECK(std::abs(static_cast<double>(found.value) - expected.value) <= allowed);
         if (expected.half > 0.0) {
             CHECK(std::abs(static_cast<double>(found.value - found.low) - expected.half) <= 0.01 * expected.half + allowed);
@@ -522,7 +612,7 @@ private:
 
 TEST_CASE("the diagnosis of random drives is what a second reckoning in double says",
           "[unit][REQ-DIAG-1][REQ-DIAG-2][REQ-DIAG-3][REQ-DIAG-4]") {
-    int judged = 0, close = 0, onset_close = 0, causes[lpvg_cause_noise + 1] = {};
+    int judged = 0, close = 0, onset_close = 0, unnamed = 0, remembered = 0, causes[lpvg_cause_noise + 1] = {};
     for (unsigned seed = 1U; seed <= 60U; ++seed) {
         CAPTURE(seed);
         Drive drive(seed);
@@ -530,12 +620,16 @@ TEST_CASE("the diagnosis of random drives is what a second reckoning in double s
         judged += drive.judged;
         close += drive.close;
         onset_close += drive.onset_close;
+        unnamed += drive.unnamed;
+        remembered += drive.remembered;
         for (int c = 0; c <= lpvg_cause_noise; ++c) {
             causes[c] += drive.causes[c];
         }
     }
     CAPTURE(judged, close, onset_close, causes[1], causes[2], causes[3], causes[4], causes[5], causes[6], causes[7]);
     CHECK(judged >= 60 * static_cast<int>(ny));
+    CHECK(unnamed > 0);
+    CHECK(remembered * 4 >= judged);
     CHECK(close * 10 <= judged);
     CHECK(onset_close * 5 <= judged);
     for (int c = lpvg_cause_other; c <= lpvg_cause_noise; ++c) {

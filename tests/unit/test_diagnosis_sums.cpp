@@ -421,10 +421,14 @@ TEST_CASE("sums that are not as work left them are not kept", "[unit][diagnosis]
     for (const bool spoilt : {false, true}) {
         lpvg_diagnosis_t self = about_to_judge(table, sums_of({-0.5, 0.0, 0.0, 0.0}, 0.0));
         self.sum[0] ^= spoilt ? 1U : 0U;
+        self.t_us = 7;
+        self.t_alarm_us = 3;
         CHECK(lpvg_diagnosis_work(&self) == (ny > 1U && !spoilt));
         while (lpvg_diagnosis_work(&self)) {
         }
         CHECK(self.blocks == LPVG_DIAGNOSIS_DONE);
+        CHECK(self.t_found_us == 7);
+        CHECK_FALSE(self.judging);
         for (const Sums& of : self.output) {
             CHECK((of.gram[0] == Real(0)) == spoilt);
             CHECK((of.error_square == Real(0)) == spoilt);

@@ -39,7 +39,7 @@ bool Judgements::note(const firmware_t& firmware) {
 bool Findings::note(const firmware_t& firmware) {
 #if FIRMWARE_DIAGNOSES
     const lpvg_diagnosis_t& from = firmware.diagnosis;
-    if (lpvg_diagnosis_named(&from) == nullptr || from.alarms == alarms_) {
+    if (from.blocks != LPVG_DIAGNOSIS_DONE || from.alarms == alarms_) {
         return false;
     }
     alarms_ = from.alarms;

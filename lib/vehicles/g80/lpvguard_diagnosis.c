@@ -2,15 +2,15 @@
 #include "lpvguard/diagnosis.h"
 
 #ifdef LPVG_DOUBLE
-#define COEFF_CRC32 1188112985U
+#define COEFF_CRC32 2460400051U
 #else
-#define COEFF_CRC32 1291392375U
+#define COEFF_CRC32 3948838482U
 #endif
 
 const lpvg_diagnosis_table_t lpvg_diagnosis_table = {
     .words = {
         .magic = 1280333380U,
-        .schema = 1U,
+        .schema = 2U,
         .real_bytes = (uint32_t)sizeof(lpvg_real_t),
         .sizes = {1U},
         .crc32 = COEFF_CRC32,
@@ -32,5 +32,6 @@ const lpvg_diagnosis_table_t lpvg_diagnosis_table = {
         .fits = LPVG_NUMBER(11.3448668f, 11.344866730144373),
         .margin = LPVG_NUMBER(2.0f, 2.0),
         .interval = LPVG_NUMBER(2.57058191f, 2.5705818356363146),
+        .kept = {LPVG_NUMBER(0.0f, 0.0)},
     },
 };

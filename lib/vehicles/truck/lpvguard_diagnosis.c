@@ -2,15 +2,15 @@
 #include "lpvguard/diagnosis.h"
 
 #ifdef LPVG_DOUBLE
-#define COEFF_CRC32 308326897U
+#define COEFF_CRC32 3586717730U
 #else
-#define COEFF_CRC32 2279457909U
+#define COEFF_CRC32 3166577900U
 #endif
 
 const lpvg_diagnosis_table_t lpvg_diagnosis_table = {
     .words = {
         .magic = 1280333380U,
-        .schema = 1U,
+        .schema = 2U,
         .real_bytes = (uint32_t)sizeof(lpvg_real_t),
         .sizes = {2U},
         .crc32 = COEFF_CRC32,
@@ -33,5 +33,6 @@ const lpvg_diagnosis_table_t lpvg_diagnosis_table = {
         .fits = LPVG_NUMBER(11.3448668f, 11.344866730144373),
         .margin = LPVG_NUMBER(2.0f, 2.0),
         .interval = LPVG_NUMBER(2.22232771f, 2.2223277946404294),
+        .kept = {LPVG_NUMBER(0.0f, 0.0), LPVG_NUMBER(0.0f, 0.0)},
     },
 };

@@ -31,10 +31,13 @@ def made_drive(project, seconds: float = 60.0, amplitude=lambda t: 0.2) -> Drive
     return Drive("made", t, np.full(len(t), 10.0), 0 * y, y)
 
 
-def diagnosis(project, cause: str, *numbers: float, alarm_s: float = ALARM_S) -> Diagnosis:
+def diagnosis(
+    project, cause: str, *numbers: float, alarm_s: float = ALARM_S, after_s: float = FOUND_S - ALARM_S
+) -> Diagnosis:
+    """Of the whole record where it is ``after_s`` long, else of its half."""
     value, low, high = (*numbers, None, None, None)[:3]
-    name = project.outputs[0].name
-    return Diagnosis(alarm_s + FOUND_S - ALARM_S, alarm_s, name, cause, value, low, high, alarm_s, False, "")
+    name, final = project.outputs[0].name, after_s == FOUND_S - ALARM_S
+    return Diagnosis(alarm_s + after_s, alarm_s, name, cause, value, low, high, alarm_s, False, final, "")
 
 
 def outcome(project, fault: Fault, *found: Diagnosis, ramp_s: float = 0.0, drive: Drive | None = None):
@@ -140,6 +143,16 @@ def test_uneven_is_an_amplitude_that_differs_by_two(g80):
     assert not outcome(g80, dead, diagnosis(g80, "other")).uneven
 
 
+def test_what_half_of_the_record_says_counts_where_the_drive_ends_before_all_of_it(g80):
+    fault = Fault("gain", 0.6)
+    half, whole = diagnosis(g80, "bias", 0.1, 0.0, 0.2, after_s=5.0), diagnosis(g80, "gain", 0.6, 0.5, 0.7)
+    found = outcome(g80, fault, half)
+    assert (found.judgement, found.after_s, found.preliminary) == ("wrong", 5.0, True)
+    found = outcome(g80, fault, half, whole, replace(half, alarm_s=40.0, t_s=45.0))
+    assert (found.judgement, found.after_s, found.preliminary) == ("right", 10.0, False)
+    assert len(found.outputs) == 1
+
+
 def test_an_output_with_a_wrong_cause_outweighs_one_with_the_right_one(g80):
     right = diagnosis(g80, "gain", 0.6, 0.5, 0.7)
     wrong = replace(right, cause="bias")
@@ -154,7 +167,7 @@ def test_the_table_counts_what_was_found(g80):
             outcome(g80, gain, diagnosis(g80, "gain", 0.6, 0.5, 0.7)),
             outcome(g80, gain, diagnosis(g80, "gain", 0.9, 0.8, 1.0)),
             outcome(g80, gain, diagnosis(g80, "other")),
-            outcome(g80, gain, diagnosis(g80, "bias", 0.1, 0.0, 0.2)),
+            outcome(g80, gain, diagnosis(g80, "bias", 0.1, 0.0, 0.2, after_s=5.0)),
             outcome(g80, gain),
         ],
         Case("step", dead, 0.0): [outcome(g80, dead, diagnosis(g80, "other"))],
@@ -164,8 +177,8 @@ def test_the_table_counts_what_was_found(g80):
     assert table["can_be_named"] == table["known"]
     small = cause_table(found, g80, SimpleNamespace(least=np.array([[0.7, 0.1, 0.1]])))
     assert small["known"] == table["known"] and small["can_be_named"]["found"] == 0
-    counts = {"found": 5, "right": 2, "other": 1, "wrong": 1, "not_yet": 1, "intervals": 2, "held": 1}
-    assert table["known"] == counts
+    judged = {"right": 2, "other": 1, "wrong": 1, "not_yet": 1, "preliminary": 1}
+    assert table["known"] == {"found": 5, **judged, "intervals": 2, "held": 1}
     assert table["no_single_cause"]["right"] == table["no_single_cause"]["said_other"] == 1
     assert table["rows"][0]["named"] == {"bias": 1, "gain": 2, "other": 1}
     first, *_, known, single = cause_rows(table)

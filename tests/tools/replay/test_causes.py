@@ -64,6 +64,10 @@ def test_a_cause_in_words(g80, cause, numbers, at_least, advice, said):
     found = diagnosed(project, cause, 0, numbers, found_s=60.0, alarm_s=50.0, since_s=41.2, at_least=at_least)
     assert found.says == said
     assert (found.t_s, found.alarm_s, found.since_s, found.at_least) == (60.0, 50.0, 41.2, at_least)
+    soon = diagnosed(
+        project, cause, 0, numbers, found_s=55.0, alarm_s=50.0, since_s=41.2, at_least=at_least, final=False
+    )
+    assert (found.final, soon.final, soon.says) == (True, False, f"so far {said}")
     shown = [x for x in (found.value, found.low, found.high) if x is not None]
     assert shown == list(numbers[: {"other": 0, "frozen": 1, "noise": 1}.get(cause, 3)])
 

@@ -184,7 +184,7 @@ DIAGNOSIS = Layout(
     struct="diagnosis_table",
     header="diagnosis.h",
     magic=0x4C505644,
-    schema=1,
+    schema=2,
     dimensions=("NY",),
     words=(
         *head_fields("LPVG_DIAGNOSIS", ("NY",)),
@@ -244,6 +244,7 @@ DIAGNOSIS = Layout(
         Field("fits", (), "-", "largest misfit of a cause that explains, a chi-squared of 3", "(0, inf)"),
         Field("margin", (), "-", "by which the next cause must be worse", "[0, inf)"),
         Field("interval", (), "-", "half width of an interval in standard deviations", "(0, inf)"),
+        Field("kept", ("NY",), "-", "share of the spread that one drive keeps, 0: unknown", "[0, 1)"),
     ),
 )
 

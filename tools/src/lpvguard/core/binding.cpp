@@ -17,7 +17,7 @@ struct Handle {
 constexpr std::size_t n_words = sizeof(lpvg_coeff_words_t) / sizeof(uint32_t);
 constexpr std::size_t n_reals = sizeof(lpvg_coeff_reals_t) / sizeof(lpvg_real_t);
 constexpr std::size_t frame_columns = 10U + 4U * LPVG_NY;
-constexpr int64_t cause_columns = 9;
+constexpr int64_t cause_columns = 10;
 
 // t_us: time of the sample with which the core said so; a frame waits for its turn after its end.
 void write_frame(const lpvg_frame_t& f, int64_t t_us, double* row) {
@@ -37,10 +37,16 @@ void write_frame(const lpvg_frame_t& f, int64_t t_us, double* row) {
 // An output's cause, as the newest diagnosis found it.
 void write_cause(const lpvg_diagnosis_t& d, std::size_t j, double* row) {
     const lpvg_found_t& f = d.found[j];
-    const double numbers[cause_columns] = {
-        static_cast<double>(d.t_found_us), static_cast<double>(d.t_alarm_us),   static_cast<double>(j),
-        static_cast<double>(f.cause),      static_cast<double>(f.value),        static_cast<double>(f.low),
-        static_cast<double>(f.high),       static_cast<double>(f.onset_blocks), f.before ? 1.0 : 0.0};
+    const double numbers[cause_columns] = {static_cast<double>(d.t_found_us),
+                                           static_cast<double>(d.t_alarm_us),
+                                           static_cast<double>(j),
+                                           static_cast<double>(f.cause),
+                                           static_cast<double>(f.value),
+                                           static_cast<double>(f.low),
+                                           static_cast<double>(f.high),
+                                           static_cast<double>(f.onset_blocks),
+                                           f.before ? 1.0 : 0.0,
+                                           d.blocks == LPVG_DIAGNOSIS_DONE ? 1.0 : 0.0};
     std::memcpy(row, numbers, sizeof numbers);
 }
 
@@ -113,7 +119,7 @@ void lpvgb_destroy(void* handle) { delete static_cast<Handle*>(handle); }
 
 // Pushes n samples (those with present[k] != 0; NULL: all); per sample a verdict, a status, the energy test's ratio (0: not judged) with
 // its strongest band, and the change test's ratio (0: none yet), per judged frame and per alarm of these tests a row of frame_columns
-// numbers. Returns the rows. Takes the monitor's records out. An output's cause that was found is a row of cause_columns in `causes`, of
+// numbers. Returns the rows. Takes the monitor's records out. An output's cause, from half a record or from all, is a row in `causes`, of
 // *n_causes at most, which becomes their number.
 int64_t lpvgb_run(void* opaque, int64_t n, const int64_t* t_us, const double* v, const double* u, const double* y, const uint8_t* present,
                   double* rows, int64_t max_rows, uint8_t* verdict, uint8_t* status, double* energy, uint8_t* band, double* change,
@@ -147,12 +153,15 @@ int64_t lpvgb_run(void* opaque, int64_t n, const int64_t* t_us, const double* v,
         energy[k] = push && status[k] == 0U ? static_cast<double>(monitor->energy.ratio) : 0.0;
         band[k] = static_cast<uint8_t>(monitor->energy.strongest);
         if (push && lpvg_diagnosis_take(diagnosis, monitor) == lpvg_status_ok) {
-            const bool open = diagnosis->alarms > 0U && diagnosis->blocks != LPVG_DIAGNOSIS_DONE;
+            bool judged = false;
             while (lpvg_diagnosis_work(diagnosis)) {
+                judged = judged || diagnosis->judging;
             }
-            for (std::size_t j = 0; open && diagnosis->blocks == LPVG_DIAGNOSIS_DONE && j < LPVG_NY && *n_causes < max_causes; ++j) {
-                write_cause(*diagnosis, j, causes + cause_columns * *n_causes);
-                ++*n_causes;
+            for (std::size_t j = 0; judged && j < LPVG_NY && *n_causes < max_causes; ++j) {
+                if (diagnosis->found[j].cause != lpvg_cause_unknown) {
+                    write_cause(*diagnosis, j, causes + cause_columns * *n_causes);
+                    ++*n_causes;
+                }
             }
         }
         lpvg_frame_t record;

@@ -210,7 +210,7 @@ class CauseLog:
 
     t_found_s, t_alarm_s: when it said so, and the alarm's block. output: index. cause: code of CAUSES. value,
     low, high: in the cause's unit (diagnosis.h). onset_s: from the onset to the alarm [s]; ``before``: or
-    longer, all that was kept.
+    longer, all that was kept. ``final``: of the whole record; else of its first half, and preliminary.
     """
 
     t_found_s: np.ndarray
@@ -222,11 +222,12 @@ class CauseLog:
     high: np.ndarray
     onset_s: np.ndarray
     before: np.ndarray
+    final: np.ndarray
 
     @classmethod
     def from_rows(cls, rows: np.ndarray, block_s: float) -> CauseLog:
-        """From rows as the C wrapper writes them, (C, 9); ``block_s``: of a block [s]."""
-        found, alarm, output, cause, value, low, high, onset, before = rows.T
+        """From rows as the C wrapper writes them, (C, 10); ``block_s``: of a block [s]."""
+        found, alarm, output, cause, value, low, high, onset, before, final = rows.T
         return cls(
             found * 1e-6,
             alarm * 1e-6,
@@ -237,6 +238,7 @@ class CauseLog:
             high,
             onset * block_s,
             before > 0,
+            final > 0,
         )
 
 
@@ -401,7 +403,7 @@ class RunningMonitor:
         rows = np.empty((3 * n, columns))  # at most a frame and two alarms a sample
         verdict, status, band = (np.empty(n, np.uint8) for _ in range(3))
         energy, change = np.empty(n), np.empty(n)
-        causes, n_causes = np.empty((n + self._core.n_y, 9)), ctypes.c_int64(n)
+        causes, n_causes = np.empty((n + self._core.n_y, 10)), ctypes.c_int64(n)
         pushed = None if present is None else np.ascontiguousarray(present, np.uint8)
         count = self._core._lib.lpvgb_run(
             self._handle,

@@ -2,7 +2,8 @@
 
 A fault counts that was found in time (detection.py), with the thresholds as exported. Its drive goes on for
 DIAGNOSED_S beyond that time, so that late alarms are diagnosed, too. The diagnosis is that of the first alarm
-from the fault's start on.
+from the fault's start on. Where a drive ends before the whole record is judged, what was said from half of it
+counts: preliminary.
 
 **Known** faults have one cause: gain, sign, frozen, bias, delay. An output is right when the cause is that,
 "other" when it is other, wrong in all other cases. Truth of an interval is the size that the fault has in the
@@ -74,13 +75,14 @@ class OutputCause:
 @dataclass(frozen=True)
 class CauseOutcome:
     """Of a found fault in the drive ``run`` from ``start_s`` [s] on: the judgement, the seconds from alarm to
-    diagnosis, None without one. ``uneven``: the module's docstring."""
+    diagnosis, None without one. ``uneven``, ``preliminary``: the module's docstring."""
 
     run: str
     start_s: float
     judgement: str
     after_s: float | None
     uneven: bool
+    preliminary: bool
     outputs: tuple[OutputCause, ...]
 
     @classmethod
@@ -91,14 +93,21 @@ class CauseOutcome:
         start_s = clock.first * replay.Ts
         since = [d for d in replay.diagnoses if d.alarm_s >= start_s - replay.Ts / 2]
         if not since:
-            return cls(drive.name, start_s, NOT_YET, None, False, ())
-        first = [d for d in since if d.alarm_s == since[0].alarm_s]
+            return cls(drive.name, start_s, NOT_YET, None, False, False, ())
+        of_alarm = [d for d in since if d.alarm_s == since[0].alarm_s]
+        first = [d for d in of_alarm if d.t_s == of_alarm[-1].t_s]
         span = slice(*(round(t / replay.Ts) for t in (first[0].alarm_s, first[0].t_s)))
         outputs = tuple(_output(case, project, d, clock.first, span, drive, faulty) for d in first)
         found = {o.judgement for o in outputs}
         judgement = next(j for j in (WRONG, RIGHT, OTHER) if j in found)
         return cls(
-            drive.name, start_s, judgement, first[0].t_s - first[0].alarm_s, _uneven(drive.y[span]), outputs
+            drive.name,
+            start_s,
+            judgement,
+            first[0].t_s - first[0].alarm_s,
+            _uneven(drive.y[span]),
+            not first[0].final,
+            outputs,
         )
 
 
@@ -188,13 +197,15 @@ def _said_other(m: CauseOutcome) -> bool:
 
 
 def _counts(members: Iterable[CauseOutcome]) -> dict:
-    """Faults found, judgements of them, and intervals of right causes, with how many hold the truth."""
+    """Faults found, judgements of them, how many of these are preliminary; intervals of right causes, and how
+    many of them hold the truth."""
     members = list(members)
     judged = Counter(m.judgement for m in members)
     held = [o.held for m in members for o in m.outputs if o.held is not None]
     return {
         "found": len(members),
         **{j.replace(" ", "_"): judged[j] for j in JUDGEMENTS},
+        "preliminary": sum(m.preliminary for m in members),
         "intervals": len(held),
         "held": sum(held),
     }
@@ -217,6 +228,7 @@ def _row(case: Case, members: list[CauseOutcome]) -> dict:
                 "judgement": m.judgement,
                 "after_s": m.after_s,
                 "uneven": m.uneven,
+                "preliminary": m.preliminary,
                 "outputs": [vars(o) for o in m.outputs],
             }
             for m in members

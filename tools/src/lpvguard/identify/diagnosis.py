@@ -7,6 +7,10 @@ by least squares over WINDOW_S of settled blocks. Every number is of drives that
 covariance of a healthy theta is that of a random effect: what its estimates from window to window show
 beyond their own standard errors, by expectation and maximisation. Theta then has the covariance spread +
 errors. Both are enlarged until 95 % of a drive's windows lie within the 95 % region of the other drives.
+
+One drive keeps a share of the spread: what theta was foretells what it will be. The share is that of KEPT
+with which windows are likeliest, each given what came before it in its drive, by the spread of the other
+drives, of those with which 95 % of them lie within the 95 % region.
 """
 
 from __future__ import annotations
@@ -47,6 +51,12 @@ MARGIN = 2.0
 ROUGHER, STILLER, STILLEST = 4.0, 0.05, 0.01
 """Noise is four times the largest healthy mean square within blocks; a frozen output moves by less than a
 twentieth of the least, and less than a hundredth of what the model says."""
+KEPT = (0.0, 0.9, 0.99)
+"""Shares of the spread that one drive may keep. Of two windows a share below 0.9 makes no interval half as
+wide: it counts as none."""
+GAP = 3
+"""Windows, each of which begins in the middle of the one before, from the end of a past to the window it
+foretells: half a window lies between them, as before an alarm in the mean."""
 STEPS, FEWER_STEPS = 200, 20
 """Of expectation and maximisation, from nothing, and from what nearly the same windows gave."""
 
@@ -89,6 +99,14 @@ class Windows:
     def errors(self, correlated: np.ndarray) -> np.ndarray:
         """Covariance (W, n_y, 4, 4) of the estimates for a given theta; correlated (n_y,)."""
         return (correlated * self.residue)[..., None, None] * np.linalg.inv(self._regular)
+
+    def pasts(self) -> Windows:
+        """Of one drive's windows from the GAP-th on: all that does not overlap, up to GAP before each."""
+        sums = {name: getattr(self, name).copy() for name in ("n", "gram", "along", "square")}
+        for value in sums.values():
+            for k in range(2, len(value)):
+                value[k] += value[k - 2]
+        return replace(self, **sums).of(np.arange(len(self.n) - GAP))
 
     @property
     def _regular(self) -> np.ndarray:
@@ -211,8 +229,8 @@ class DiagnosisScales:
 
     spread (n_y, 4, 4): covariance of a healthy theta. correlated (n_y,): on the variance of its estimate.
     residue (n_y, 2), rough, still (n_y,): as in diagnosis.h. enlarged (n_y,): factor on both covariances,
-    included. interval: half width of a 95 % interval in standard deviations. windows, drives: how many there
-    were."""
+    included. interval: half width of a 95 % interval in standard deviations. kept (n_y,): share of the spread
+    that one drive keeps. windows, drives: how many there were."""
 
     Ts: float
     unit: np.ndarray
@@ -223,6 +241,7 @@ class DiagnosisScales:
     still: np.ndarray
     enlarged: np.ndarray
     interval: float
+    kept: np.ndarray
     windows: int
     drives: int
 
@@ -242,7 +261,8 @@ class DiagnosisScales:
         correlated = every.correlated.mean(axis=0)
         theta, errors = every.theta, every.errors(correlated)
         spread = _spread(theta, errors)
-        enlarged, interval = _needed([len(w.n) for w in drives], theta, errors, spread)
+        others = _of_others([len(w.n) for w in drives], theta, errors, spread)
+        enlarged, interval = _needed(len(drives), theta, errors, others)
         y_square = every.gram[..., 0, 0] / every.n[:, None] * unit[:, 0] ** 2
         share = np.maximum((every.residue * y_square).sum(0) / (y_square**2).sum(0), 1e-6)
         constant = (every.residue - share * y_square).max(axis=0)
@@ -259,6 +279,7 @@ class DiagnosisScales:
             np.clip(STILLER * ratio, 1e-6, STILLEST),
             enlarged,
             interval,
+            _kept(drives, others, correlated, enlarged),
             len(every.n),
             len(drives),
         )
@@ -287,6 +308,7 @@ class DiagnosisScales:
             "fits": FITS,
             "margin": MARGIN,
             "interval": self.interval,
+            "kept": self.kept,
         }
         return DiagnosisTable({}, words, {name: np.array(value, float) for name, value in reals.items()})
 
@@ -296,7 +318,8 @@ class DiagnosisScales:
 
     @classmethod
     def restored(cls, project: Project, data: dict) -> DiagnosisScales:
-        """Those of diagnosis.json."""
+        """Those of diagnosis.json; one of before names no share that a drive keeps."""
+        data = {"kept": np.zeros(project.n_y), **data}
         scalars: dict[str, Any] = {k: data[k] for k in ("interval", "windows", "drives")}
         arrays: dict[str, Any] = {
             k: np.array(v, float) for k, v in data.items() if k not in ("window_s", *scalars)
@@ -307,9 +330,10 @@ class DiagnosisScales:
     def least(self) -> np.ndarray:
         """Least change of gain, delay [s] and bias (n_y, 3) that an interval can tell from none.
 
-        However long the record is: healthy vehicles differ by as much. Of a gain g it is of (g - 1)/g, as g
-        scales the spread."""
-        alone = self.interval / np.sqrt(np.einsum("jii->ji", np.linalg.inv(self.spread)))
+        However long the record is, and the drive before it: healthy vehicles differ by as much. Of a gain g
+        it is of (g - 1)/g, as g scales the spread."""
+        spread = (1 - self.kept**2)[:, None, None] * self.spread
+        alone = self.interval / np.sqrt(np.einsum("jii->ji", np.linalg.inv(spread)))
         return alone[:, : PARTS - 1] / np.column_stack(
             [self.unit / [1.0, BLOCK * self.Ts], np.ones(len(self.unit))]
         )
@@ -331,26 +355,69 @@ class DiagnosisTable(Sealed):
     LAYOUT = DIAGNOSIS
 
 
-def _needed(
+def _of_others(
     windows: Sequence[int], theta: np.ndarray, errors: np.ndarray, spread: np.ndarray
-) -> tuple[np.ndarray, float]:
-    """Factor (n_y,) on the covariances, 1 or more, with which COVERED of the windows lie within the region
-    that the other drives make; with one drive its own. Half width of an interval, in standard deviations.
-
-    The latter is Student's t with as many degrees of freedom as drives, since about 0 each gives the spread
-    one. It is more where COVERED of the windows' gains, delays or biases ask for it, all else being free.
-    ``windows``: how many each drive has, one drive after the other in ``theta`` and ``errors``.
-    """
-    covariance = np.empty_like(errors)
+) -> np.ndarray:
+    """Per window the spread (W, n_y, 4, 4) of the drives but its own; with one drive its own. ``windows``:
+    how many each drive has, one drive after the other in ``theta`` and ``errors``; ``spread``: of all."""
+    found = np.empty_like(errors)
     for first, end in pairwise(np.cumsum([0, *windows])):
         own = slice(first, end)
         rest, their = (x if len(windows) == 1 else np.delete(x, own, axis=0) for x in (theta, errors))
-        covariance[own] = _spread(rest, their, spread) + errors[own]
-    information = np.linalg.inv(covariance)
+        found[own] = _spread(rest, their, spread)
+    return found
+
+
+def _needed(
+    drives: int, theta: np.ndarray, errors: np.ndarray, others: np.ndarray
+) -> tuple[np.ndarray, float]:
+    """Factor (n_y,) on the covariances, 1 or more, with which COVERED of the windows lie within the region
+    that the other drives make. Half width of an interval, in standard deviations.
+
+    The latter is Student's t with as many degrees of freedom as drives, since about 0 each gives the spread
+    one. It is more where COVERED of the windows' gains, delays or biases ask for it, all else being free.
+    ``others``: as of _of_others.
+    """
+    information = np.linalg.inv(others + errors)
     alone = (information @ theta[..., None])[..., 0]
     estimates = np.abs(alone) / np.sqrt(np.einsum("wjii->wji", information))
     squares = np.einsum("wji,wji->wj", theta, alone)
     enlarged = np.maximum(1.0, np.quantile(squares, COVERED, axis=0) / chi2.ppf(COVERED, PARTS))
     sizes = estimates[..., : PARTS - 1] / np.sqrt(enlarged)[:, None]
-    usual = float(t.ppf((1 + COVERED) / 2, len(windows)))
+    usual = float(t.ppf((1 + COVERED) / 2, drives))
     return enlarged, max(usual, float(np.quantile(sizes, COVERED, axis=0).max()))
+
+
+def _kept(
+    drives: Sequence[Windows], others: np.ndarray, correlated: np.ndarray, enlarged: np.ndarray
+) -> np.ndarray:
+    """Share (n_y,) of KEPT, of those with which COVERED of the windows lie within the region that their past
+    foretells the one with which they are likeliest. 0 where no drive is long enough. ``others``: as of
+    _of_others; ``correlated``: not ``enlarged`` yet."""
+    noise, told, first = enlarged * correlated, [], 0
+    for drive in drives:
+        spread = enlarged[:, None, None] * others[first]
+        first += len(drive.n)
+        if len(drive.n) > GAP:
+            told.append(np.array([_foretold(drive, noise, spread, share) for share in KEPT]))
+    if not told:
+        return np.zeros(len(enlarged))
+    squares, sizes = np.concatenate(told, axis=2).swapaxes(0, 1)  # (KEPT, windows, n_y) each
+    within = np.quantile(squares, COVERED, axis=1) <= chi2.ppf(COVERED, PARTS)
+    within[0] = True
+    likelihood = np.where(within, -(squares + sizes).sum(axis=1), -np.inf)
+    return np.array(KEPT)[likelihood.argmax(axis=0)]
+
+
+def _foretold(
+    drive: Windows, noise: np.ndarray, spread: np.ndarray, share: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Chi-squared of what its past foretells of a window, and the logarithm of the covariance's determinant,
+    (W - GAP, n_y) each, where the drive keeps a ``share`` of the ``spread`` (n_y, 4, 4): the best linear
+    estimate. ``noise`` (n_y,): as correlated."""
+    past, after = drive.pasts(), drive.of(np.arange(GAP, len(drive.n)))
+    weights = share * spread @ np.linalg.inv(spread + past.errors(noise))
+    beside = after.theta - (weights @ past.theta[..., None])[..., 0]
+    covariance = spread - share * weights @ spread + after.errors(noise)
+    squares = (beside * np.linalg.solve(covariance, beside[..., None])[..., 0]).sum(axis=-1)
+    return squares, np.linalg.slogdet(covariance)[1]

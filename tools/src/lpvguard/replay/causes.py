@@ -18,7 +18,8 @@ class Diagnosis:
 
     ``value`` with its 95 % interval: the factor of a gain or sign, a delay [s], a bias, the mean of a frozen
     output or the noise's standard deviation [output unit]. The interval is None where there is none, and
-    ``value`` too for "other". ``since_s``: the onset; ``at_least``: or sooner. ``says``: all of it in words.
+    ``value`` too for "other". ``since_s``: the onset; ``at_least``: or sooner. ``final``: of the whole
+    record; else of its first half, and what comes later replaces it. ``says``: all of it in words.
     """
 
     t_s: float
@@ -30,6 +31,7 @@ class Diagnosis:
     high: float | None
     since_s: float
     at_least: bool
+    final: bool
     says: str
 
 
@@ -43,6 +45,7 @@ def diagnosed(
     alarm_s: float,
     since_s: float,
     at_least: bool,
+    final: bool = True,
 ) -> Diagnosis:
     """What the core says of an output, by its index. ``cause``: of core.compiled.CAUSES. ``numbers``: value,
     low and high of lpvg_found_t. Times are the drive's [s]; the advice is the project file's."""
@@ -50,6 +53,7 @@ def diagnosed(
     shown = 3 if cause in WITH_INTERVAL else 0 if cause == "other" else 1
     value, low, high = (x if k < shown else None for k, x in enumerate(numbers))
     says = cause_sentence(signal.name, signal.unit, cause, numbers, since_s, at_least)
+    says = says if final else f"so far {says}"
     advice = project.advice.of(cause, signal.name)
     return Diagnosis(
         found_s,
@@ -61,6 +65,7 @@ def diagnosed(
         high,
         since_s,
         at_least,
+        final,
         says if advice is None or cause == "other" else f"{says}; {advice}",
     )
 

@@ -270,6 +270,7 @@ class Replayer:
                 alarm_s=alarm_s,
                 since_s=alarm_s - float(found.onset_s[i]),
                 at_least=bool(found.before[i]),
+                final=bool(found.final[i]),
             )
 
     def alarms(self, run: Run, t0: float) -> list[Alarm]:
