@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <numeric>
 #include <random>
 #include <vector>
 
@@ -613,7 +614,10 @@ private:
 TEST_CASE("the diagnosis of random drives is what a second reckoning in double says",
           "[unit][REQ-DIAG-1][REQ-DIAG-2][REQ-DIAG-3][REQ-DIAG-4]") {
     int judged = 0, close = 0, onset_close = 0, unnamed = 0, remembered = 0, causes[lpvg_cause_noise + 1] = {};
-    for (unsigned seed = 1U; seed <= 60U; ++seed) {
+    std::vector<unsigned> seeds(60U);
+    std::iota(seeds.begin(), seeds.end(), 1U);
+    seeds.insert(seeds.end(), {70U, 123U});  // the longest delay leaves least; a mixture of two leaves less than either
+    for (const unsigned seed : seeds) {
         CAPTURE(seed);
         Drive drive(seed);
         drive.run();
