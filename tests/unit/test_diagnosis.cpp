@@ -800,7 +800,7 @@ TEST_CASE("a table that cannot be is refused by what is wrong", "[unit][REQ-DIAG
               t.words.blocks = 8U;
               t.words.stride = 4U;
               t.words.cell_blocks = 65536U;
-              t.reals.margin = Real(0);
+              t.reals.margin = t.reals.kept[0] = Real(0);
           }) == lpvg_status_ok);
     CHECK(status([](Table& t) {
               t.words.blocks = 65536U;
@@ -817,13 +817,22 @@ TEST_CASE("a table that cannot be is refused by what is wrong", "[unit][REQ-DIAG
         CHECK(status([item = item, value = value](Table& t) { t.words.*item = value; }) == lpvg_status_bad_value);
     }
     const std::pair<std::function<Real*(Table&)>, Real> reals[] = {
-        {[](Table& t) { return &t.reals.block_s; }, Real(0)},        {[](Table& t) { return &t.reals.unit[ny - 1U][0]; }, Real(0)},
-        {[](Table& t) { return &t.reals.unit[0][1]; }, Real(-1)},    {[](Table& t) { return &t.reals.correlated[ny - 1U]; }, Real(0)},
-        {[](Table& t) { return &t.reals.residue[0][0]; }, Real(0)},  {[](Table& t) { return &t.reals.residue[ny - 1U][1]; }, Real(0)},
-        {[](Table& t) { return &t.reals.rough[ny - 1U]; }, Real(0)}, {[](Table& t) { return &t.reals.still[ny - 1U]; }, Real(0)},
-        {[](Table& t) { return &t.reals.still[0]; }, Real(1)},       {[](Table& t) { return &t.reals.excited; }, Real(0)},
-        {[](Table& t) { return &t.reals.excited; }, Real(1)},        {[](Table& t) { return &t.reals.fits; }, Real(0)},
-        {[](Table& t) { return &t.reals.margin; }, Real(-0.001)},    {[](Table& t) { return &t.reals.interval; }, Real(0)},
+        {[](Table& t) { return &t.reals.block_s; }, Real(0)},
+        {[](Table& t) { return &t.reals.unit[ny - 1U][0]; }, Real(0)},
+        {[](Table& t) { return &t.reals.unit[0][1]; }, Real(-1)},
+        {[](Table& t) { return &t.reals.correlated[ny - 1U]; }, Real(0)},
+        {[](Table& t) { return &t.reals.residue[0][0]; }, Real(0)},
+        {[](Table& t) { return &t.reals.residue[ny - 1U][1]; }, Real(0)},
+        {[](Table& t) { return &t.reals.rough[ny - 1U]; }, Real(0)},
+        {[](Table& t) { return &t.reals.still[ny - 1U]; }, Real(0)},
+        {[](Table& t) { return &t.reals.still[0]; }, Real(1)},
+        {[](Table& t) { return &t.reals.excited; }, Real(0)},
+        {[](Table& t) { return &t.reals.excited; }, Real(1)},
+        {[](Table& t) { return &t.reals.fits; }, Real(0)},
+        {[](Table& t) { return &t.reals.margin; }, Real(-0.001)},
+        {[](Table& t) { return &t.reals.interval; }, Real(0)},
+        {[](Table& t) { return &t.reals.kept[ny - 1U]; }, Real(-0.001)},
+        {[](Table& t) { return &t.reals.kept[0]; }, Real(1)},
     };
     for (const auto& [item, value] : reals) {
         CHECK(status([&item = item, value = value](Table& t) { *item(t) = value; }) == lpvg_status_bad_value);
