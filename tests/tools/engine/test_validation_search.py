@@ -31,6 +31,17 @@ def scalar_problem(kind: str, target: complex) -> Quadratic:
     return Quadratic(forms, 2, 2)
 
 
+def told(forms: list[Form], asked: list[dict]) -> Quadratic:
+    """A problem that adds the scalars at which it is solved to ``asked``, and has one answer for all."""
+
+    class Told(Quadratic):
+        def inside(self, scalars):
+            asked.append(dict(scalars))
+            return 0.5, np.array([0.0, 1.0])
+
+    return Told(forms, 1, 2)
+
+
 @pytest.mark.parametrize("weight", [1.0, 0.25, 9.0])
 @pytest.mark.parametrize("nodes", [1, 2, 3, 8, 5000])
 def test_an_interval_holds_the_optimum_whenever_the_search_stops(weight, nodes):
@@ -247,12 +258,7 @@ def test_a_scalar_keeps_its_constant_and_its_size(kind):
 
 def test_first_points_are_sampled_about_the_size_at_which_a_block_makes_its_output():
     """delta = 3 beside an input of 2 and an output of 6: four times 3, over three decades."""
-    asked = []
-
-    class Told(Quadratic):
-        def inside(self, scalars):
-            asked.append(dict(scalars))
-            return 0.5, np.array([0.0, 1.0])
+    asked: list[dict] = []
 
     def drawn(kind: str, b: float) -> np.ndarray:
         asked.clear()
@@ -260,7 +266,7 @@ def test_first_points_are_sampled_about_the_size_at_which_a_block_makes_its_outp
             scalars_of(kind, row(0, 6), row(0, b), param=0),
             Form(row(1, 0), row(0, 1), constant=1.0),
         ]
-        repeated_starts(Told(forms, 1, 2))
+        repeated_starts(told(forms, asked))
         assert len(asked) == local_search.SAMPLES + local_search.MAX_POLISHED
         return np.array([one[0] for one in asked[: local_search.SAMPLES]])
 
@@ -332,20 +338,14 @@ def test_derivatives_are_those_of_constants_beside_sizes():
 
 
 def test_each_repeated_block_has_a_scalar_of_its_own():
-    asked = []
-
-    class Told(Quadratic):
-        def inside(self, scalars):
-            asked.append(dict(scalars))
-            return 0.5, np.array([0.0, 1.0])
-
+    asked: list[dict] = []
     forms = [
         scalars_of("repeated_complex", row(0, 6), row(0, 2), param=0),
         Form(row(1, 0), row(0, 1), constant=1.0),
         scalars_of("repeated_real", row(0, 1), row(0, 2), param=0),
         scalars_of("repeated_complex", row(0, 30), row(0, 1), param=0),
     ]
-    assert len(repeated_starts(Told(forms, 1, 2))) == local_search.MAX_POLISHED
+    assert len(repeated_starts(told(forms, asked))) == local_search.MAX_POLISHED
     first, real, last = (np.array([one[k] for one in asked[:150]]) for k in (0, 2, 3))
     for found, largest in ((first, 12.0), (real, 2.0), (last, 120.0)):
         assert 0.8 * largest < np.abs(found).max() <= largest
