@@ -17,6 +17,7 @@ from lpvguard.identify import run as stage
 from lpvguard.identify.export import export_vehicle
 from lpvguard.replay.run import Replayer
 from lpvguard.report.blindness import LEVEL, cells, regions, speed_row
+from lpvguard.report.sections.overview import outcome
 from lpvguard.vehicle.nominal import NominalModel
 
 
@@ -147,6 +148,20 @@ def test_a_reader_of_the_measured_drives_finds_the_answers(g80, measured, measur
     reader = answers(case, page.decode())
     assert reader.could_stay_unseen() and reader.found["seen"].below[0].data
     assert "30 %" in reader.found["glance"].text
+
+
+@pytest.mark.parametrize(
+    ("tests_of_drives", "said"),
+    [
+        ([[], []], "Not falsified: no alarm on 2 drives"),
+        ([["change", "change"], []], "Changed, not falsified: 2 alarms on 1 of 2 drives"),
+        ([["change"], ["energy"]], "Falsified: 2 alarms on 2 of 2 drives"),
+        ([["frame"]], "Falsified: 1 alarms on 1 of 1 drives"),
+    ],
+)
+def test_the_change_test_alone_falsifies_nothing(tests_of_drives, said):
+    told = [SimpleNamespace(alarms=[SimpleNamespace(test=t) for t in of]) for of in tests_of_drives]
+    assert outcome(told) == said
 
 
 def test_every_drive_has_a_row_linked_to_its_section(page):

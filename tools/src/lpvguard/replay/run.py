@@ -39,8 +39,8 @@ class ChangeEstimate:
 
 @dataclass(frozen=True)
 class Alarm:
-    """What falsified the model, with what a person needs to believe it. ``t_s`` [s] is the end of what was
-    judged.
+    """What falsified the model or says that it changed, with what a person needs to believe it. ``t_s``
+    [s] is the end of what was judged.
 
     ``test`` is "frame", "energy" or "change". "frame": a frame of the bin ``bin_rad_s`` [rad/s]; E and Z
     are its DFT of error and nominal output. "energy": the energy test's ratio (``margin``) exceeded its

@@ -57,13 +57,22 @@ def _headline(
     sees = f'<span class="{"" if proved else "no"}">{sees}frequency.</span>'
     if not replayed:
         return f'<p id="headline"><b>Not replayed.</b> {sees}</p>'
-    hours, of = sum(d.judged_s for d in told) / 3600, len({d.name for d, _ in alarms})
-    held = yes_or_no(
-        not alarms,
-        f"Not falsified: no alarm on {len(told)} drives",
-        f"Falsified: {len(alarms)} alarms on {of} of {len(told)} drives",
-    )
+    hours = sum(d.judged_s for d in told) / 3600
+    words = outcome(told)
+    held = yes_or_no(not alarms, words, words)
     return f'<p id="headline" data-proved="{proved}">{held}, {hours:.2f} h judged. {sees}</p>'
+
+
+def outcome(told: list[Told]) -> str:
+    """What the alarms of the drives say of the model, as text; those of the change test refute no bound
+    (THEORY 7.7)."""
+    alarms = [a for drive in told for a in drive.alarms]
+    if not alarms:
+        return f"Not falsified: no alarm on {len(told)} drives"
+    refuted = any(a.test != "change" for a in alarms)
+    of = sum(bool(drive.alarms) for drive in told)
+    word = "Falsified" if refuted else "Changed, not falsified"
+    return f"{word}: {len(alarms)} alarms on {of} of {len(told)} drives"
 
 
 # ------------------------------------------------------------------------------------ good for, and blind to
