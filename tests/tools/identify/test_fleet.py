@@ -171,6 +171,16 @@ def test_results_come_in_order_and_few_are_under_way():
             assert len(taken) <= i + 2 * UNDER_WAY_PER_WORKER
 
 
+def test_workers_begin_before_a_result_is_asked_for(tmp_path):
+    """What asks for one result last has it made beside its own work."""
+    with workers(2) as run:
+        results = run(os.mkdir, [tmp_path / "made"])
+        end = time.monotonic() + 60
+        while not (tmp_path / "made").is_dir() and time.monotonic() < end:
+            time.sleep(0.01)
+        assert (tmp_path / "made").is_dir() and list(results) == [None]
+
+
 def _worker(item: object) -> tuple[int, object]:
     """The process that got an item."""
     time.sleep(0.01)

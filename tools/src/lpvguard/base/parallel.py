@@ -27,7 +27,8 @@ Result = TypeVar("Result")
 
 
 class Map(Protocol):
-    """``workers(function, items)`` yields function(item) in order.
+    """``workers(function, items)`` yields function(item) in order. Workers other than ``map`` begin at once,
+    before the first result is asked for.
 
     Function, items and results must pickle unless it is ``map``.
     """
@@ -50,11 +51,17 @@ def _bounded(submit: Callable[..., Any], wait: Callable[[Any], Any], limit: Call
     def run(function: Callable[[Item], Result], items: Iterable[Item], /) -> Iterator[Result]:
         rest = iter(items)
         handles: deque[Any] = deque()
-        while True:
+
+        def fill() -> None:
             handles.extend(submit(function, item) for item in islice(rest, max(0, limit() - len(handles))))
-            if not handles:
-                return
-            yield wait(handles.popleft())
+
+        def results() -> Iterator[Result]:
+            while handles:
+                yield wait(handles.popleft())
+                fill()
+
+        fill()
+        return results()
 
     return run
 
