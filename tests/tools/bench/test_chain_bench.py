@@ -48,12 +48,14 @@ def test_the_stages_are_those_of_the_commands(monkeypatch):
 
     monkeypatch.setattr(bench.design, "design", design)
     monkeypatch.setattr(bench.design, "save", lambda *given: asked.append(given[2].name))
-    monkeypatch.setattr(bench, "moving_certificates", lambda *given: asked.append(given[1:]))
+    monkeypatch.setattr(
+        bench, "moving_certificates", lambda stored, *given, workers: asked.append((*given, workers))
+    )
     monkeypatch.setattr(
         bench, "export_chosen", lambda stored, out, folder, workers: asked.append(folder.name)
     )
     stages, worst = bench.chain("truck", "drives", True)
-    moving = ("schedule", "scaling")
+    moving = ("schedule", "scaling", map)
     assert asked == [("project truck", "drives"), ("stored identify", False), "design", "design", moving]
     assert [stage.summed for stage in stages] == [True, True, True, False] and worst == 0.97
 

@@ -177,7 +177,7 @@ def test_a_claim_of_a_moving_speed_that_is_not_proved_is_refused(finer, moving, 
         said["gain"] = 0.0
     else:
         said["basis"] = said["basis"][:-1]
-    assert not moving_speed._holds(finer, schedule, claim, said)
+    assert not moving_speed._holds((finer, schedule, claim, said))
 
 
 def test_a_storage_function_at_knots_of_its_own_is_proved_anew_and_none_over_other_speeds(finer, moving):
@@ -187,7 +187,7 @@ def test_a_storage_function_at_knots_of_its_own_is_proved_anew_and_none_over_oth
     at_knots = replace(one, lpv=replace(one.lpv, own_knots=True, P=None))
     said = json.loads(artefacts.to_json(moving_speed._moving("stability", at_knots)))
     assert len(said["P"]) == len(said["knots_mps"]) == len(one.lpv.storage.knots)
-    assert moving_speed._holds(finer, result.schedule, "stability", said)
+    assert moving_speed._holds((finer, result.schedule, "stability", said))
     knots = said["knots_mps"]
     for wrong in (
         {"knots_mps": knots[1:]},
@@ -197,7 +197,7 @@ def test_a_storage_function_at_knots_of_its_own_is_proved_anew_and_none_over_oth
         {"knots_mps": [], "P": []},
         {"knots_mps": None},
     ):
-        assert not moving_speed._holds(finer, result.schedule, "stability", {**said, **wrong})
+        assert not moving_speed._holds((finer, result.schedule, "stability", {**said, **wrong}))
 
 
 def test_a_faster_rate_in_controller_json_is_refused(finer, moving, tmp_path):

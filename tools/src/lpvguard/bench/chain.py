@@ -88,7 +88,7 @@ def chain(vehicle: str, drives: Path, moving: bool, run: Map = map) -> tuple[lis
         )
         if moving:
             found = result.schedule, result.scaling
-            timed("moving speed", lambda: moving_certificates(stored, *found), False)
+            timed("moving speed", lambda: moving_certificates(stored, *found, workers=run), False)
     return stages, result.worst
 
 

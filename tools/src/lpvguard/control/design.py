@@ -116,7 +116,9 @@ def design(
     _require_reach(stored, result.schedule)
     return replace(
         result,
-        moving=moving_certificates(stored, result.schedule, result.scaling, moving) if moving_speed else {},
+        moving=moving_certificates(stored, result.schedule, result.scaling, moving, workers)
+        if moving_speed
+        else {},
         beside=beside(stored, result.schedule, result.scaling, margins, workers),
     )
 
@@ -442,7 +444,7 @@ def verify(
     proved_rows = dict(_certificates(schedule, loops, scaling, frozen, workers))
     for row in rows:
         _compare(path, row, proved_rows[row["v_mps"]], loops[row["v_mps"]], schedule)
-    require_moving(path, stated, stored, schedule, moving)
+    require_moving(path, stated, stored, schedule, moving, workers)
     require_beside(path, stated, stored, schedule, scaling, margins, workers)
 
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from ..base.errors import InputError
 from ..base.parallel import Map
-from ..base.progress import Progress
+from ..base.progress import Progress, counted
 from ..base.sampling import evenly
 from ..core.scheduled import Scheduled
 from ..engine.synthesis.dk import RobustPerformance, Scaling, certify
@@ -67,13 +67,11 @@ def moving_certificates(
     schedule: Scheduled,
     scaling: Scaling,
     progress: Progress = lambda _: None,
+    workers: Map = map,
 ) -> dict[str, Moving | None]:
-    """The certificates for a moving speed by claim; None where none is found."""
-    families = scaled_families(stored, schedule, scaling)
-    found: dict[str, Moving | None] = dict.fromkeys(CLAIMS)
-    if "stability" in families:
-        stable = find(families["stability"], lambda text: progress(f"stability: {text}"))
-        found["stability"] = None if stable is None else Moving(stable, scaling)
+    """The certificates for a moving speed by claim; None where none is found. A worker searches for
+    stability beside the search for performance."""
+    stable = workers(_stability, [(stored, schedule, scaling)])
     progress("performance: scaling")
     delta = _delta(frozen_plant(stored, float(schedule.speeds[0])))
     tuned_at = tuning(schedule, partial(frozen_plant, stored), scaling)
@@ -84,8 +82,19 @@ def moving_certificates(
         return scaled_families(stored, schedule, own[level])["performance"]
 
     level = find_level(family_at, delta, PERFORMANCE_RATE, lambda text: progress(f"performance: {text}"))
-    found["performance"] = None if level is None else Moving(level, own[level.level])
-    return found
+    progress("stability: storage function and proof")
+    return {
+        "stability": next(iter(stable)),
+        "performance": None if level is None else Moving(level, own[level.level]),
+    }
+
+
+def _stability(asked: tuple[StoredIdentification, Scheduled, Scaling]) -> Moving | None:
+    """The certificate of stability; None where none is found or there is no Delta."""
+    stored, schedule, scaling = asked
+    families = scaled_families(stored, schedule, scaling)
+    stable = find(families["stability"]) if "stability" in families else None
+    return None if stable is None else Moving(stable, scaling)
 
 
 def tuning(
@@ -156,15 +165,18 @@ def require_moving(
     stored: StoredIdentification,
     schedule: Scheduled,
     progress: Progress = lambda _: None,
+    workers: Map = map,
 ) -> None:
-    """InputError unless every rate that the certificates ``stated`` in controller.json name is proved
-    anew."""
-    for claim in CLAIMS:
-        said = stated["moving_speed"].get(claim, {"rate_mps2": np.nan})
-        if said["rate_mps2"] is None:
-            continue
-        progress(f"{claim}: proof between the speeds")
-        if not _holds(stored, schedule, claim, said):
+    """InputError unless every rate that the certificates ``stated`` in controller.json name is proved anew;
+    ``workers`` share the claims."""
+    said_of = {claim: stated["moving_speed"].get(claim, {"rate_mps2": np.nan}) for claim in CLAIMS}
+    said_of = {claim: said for claim, said in said_of.items() if said["rate_mps2"] is not None}
+    asked = ((stored, schedule, claim, said) for claim, said in said_of.items())
+    texts = [f"{claim}: proof between the speeds" for claim in said_of]
+    for (claim, said), holds in zip(
+        said_of.items(), counted(progress, texts, workers(_holds, asked)), strict=True
+    ):
+        if not holds:
             raise InputError(
                 path,
                 f"certificates.moving_speed.{claim}",
@@ -173,8 +185,9 @@ def require_moving(
             )
 
 
-def _holds(stored: StoredIdentification, schedule: Scheduled, claim: str, said: dict) -> bool:
-    """Whether what controller.json says of a moving speed is proved anew."""
+def _holds(asked: tuple[StoredIdentification, Scheduled, str, dict]) -> bool:
+    """Whether what controller.json says of a claim at a moving speed is proved anew."""
+    stored, schedule, claim, said = asked
     if not all(np.isfinite(said.get(name, np.nan)) and said[name] > 0 for name in POSITIVE):
         return False
     # A level is performance's: stability is claimed at 1 alone, with the design's own D.

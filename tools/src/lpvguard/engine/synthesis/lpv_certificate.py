@@ -94,7 +94,10 @@ class Family:
 
     def loop(self, v: float) -> StateSpace:
         """The loop, or its adjoint, without probes at speed v [m/s]."""
-        G = self.at(v)
+        return self.unprobed(self.at(v))
+
+    def unprobed(self, G: StateSpace) -> StateSpace:
+        """What ``at`` gave, or its adjoint, without probes."""
         G = G.select(slice(0, G.n_outputs - self.n_probes), slice(None))
         return StateSpace(G.A.T, G.C.T, G.B.T, G.D.T, G.dt) if self.adjoint else G
 
@@ -269,16 +272,22 @@ class _End:
 
     @classmethod
     def of(cls, family: Family, storage: Storage, v: float) -> _End:
-        S = np.vstack(parts_in(family.loop(v), storage.basis))
-        return cls(v, S, *_share(family, storage.basis, v, S.shape), storage.at(v))
+        G = family.at(v)
+        S = np.vstack(parts_in(family.unprobed(G), storage.basis))
+        return cls(v, S, *_share(family, storage.basis, G, S.shape), storage.at(v))
+
+    @cached_property
+    def sizes(self) -> tuple[float, float]:
+        """Largest row sum of |P|, and the square of the norm of S."""
+        return float(np.abs(self.P).sum(axis=1).max()), float(np.linalg.norm(self.S, 2) ** 2)
 
 
 def _share(
-    family: Family, basis: np.ndarray, v: float, shape: tuple[int, int]
+    family: Family, basis: np.ndarray, G: StateSpace, shape: tuple[int, int]
 ) -> tuple[np.ndarray, np.ndarray]:
     """What stands left and right of Xi(v), of the adjoint of its transpose, in S of this shape, in the
-    coordinates of ``basis``."""
-    G, n = family.at(v), len(basis)
+    coordinates of ``basis``; G: the family at v."""
+    n = len(basis)
     rows, probes = np.eye(n)[:, family.vehicle], np.hstack([G.C, G.D])[G.n_outputs - family.n_probes :]
     if family.adjoint:
         rows, probes = probes.T, rows.T
@@ -317,9 +326,8 @@ def _cell_slack(family: Family, storage: Storage, one: _End, two: _End, rate: fl
         pressed = bound.T @ sum(np.abs(left.T @ q @ left) for q in Q) @ bound
         remainder += (right.T * pressed.sum(axis=1)) @ right
         for end, f, q in zip((one, two), F, Q, strict=False):
-            size = (
-                np.abs(end.P).sum(axis=1).max() + np.linalg.norm(end.S, 2) ** 2 * np.abs(q).sum(axis=1).max()
-            )
+            on_P, on_Q = end.sizes
+            size = on_P + on_Q * np.abs(q).sum(axis=1).max()
             value = np.linalg.eigvalsh(f - remainder)[0] - 4 * len(f) * EPS * size
             if not value > 0:
                 return None
