@@ -1,6 +1,7 @@
 """Storage functions linear between knots: the block solver against the dense one, what joins, and what is
 found."""
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -67,9 +68,34 @@ def test_the_block_solver_agrees_with_the_dense_one(grid):
     np.testing.assert_allclose(blocks.solved(S, right), dense.solved(S, right), rtol=1e-9, atol=1e-12)
 
 
-def test_a_matrix_that_no_addition_makes_positive_is_refused():
+@pytest.mark.parametrize(("rows", "count"), [(3, 1), (3, 2), (3, 3), (3, 6), (230, 3)])
+def test_the_halves_of_the_factor_meet_whatever_the_number_of_blocks(rows, count):
+    """230 rows are more than are solved at once."""
+    random, size = np.random.default_rng(4), rows * count
+    H = 0.1 * np.eye(size)
+    for k in range(max(count - 1, 1)):
+        of = slice(rows * k, rows * (k + 2))
+        X = random.standard_normal((len(H[of]), 4 * rows))
+        H[of, of] += X @ X.T
+    unit = 1 / np.sqrt(np.diagonal(H))
+    H *= unit * unit[:, None]
+    at = [slice(rows * k, rows * (k + 1)) for k in range(count)]
+    right = random.standard_normal((size, 2))
+    found = knot_search.solved_blocks(
+        [np.tril(H[one, one]) for one in at],
+        [H[two, one] for one, two in itertools.pairwise(at)],
+        right,
+    )
+    np.testing.assert_allclose(H @ found, right, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("place", [0, 1, 3])
+def test_a_matrix_that_no_addition_makes_positive_is_refused(place):
+    """Wherever the block lies: the first half, the last one, or the middle."""
+    beside = [np.zeros((1, 1)) for _ in range(4)]
+    beside[place][:] = 1.1
     with pytest.raises(np.linalg.LinAlgError):
-        knot_search.solved_blocks([np.eye(1), np.eye(1)], [np.array([[1.1]])], np.ones((2, 1)))
+        knot_search.solved_blocks([np.eye(1)] * 5, beside, np.ones((5, 1)))
 
 
 def test_what_is_found_is_positive_for_either_slope_and_near_the_centre(grid):

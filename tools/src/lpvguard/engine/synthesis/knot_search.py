@@ -13,8 +13,9 @@ from __future__ import annotations
 import copy
 import itertools
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 import scipy.linalg as sl
@@ -34,6 +35,11 @@ NEAR, CENTRING_STEPS = 200.0, 4
 """Decrement at which P is near enough to the centre, and the most steps to it once F > 0."""
 ADDITIONS = (1e-13, 1e-11, 1e-9, 1e-7)
 """Tried additions to the Hessian's unit diagonal: what rounding asks for."""
+HALVES = 2
+"""Threads that share the Hessian, and chains of blocks into which its factor is cut: the same bits on any
+number of cores."""
+SOLVED_AT_ONCE = 200
+"""Rows of a triangular factor that are solved in one piece."""
 
 
 class KnotBarrier(Barrier):
@@ -67,58 +73,98 @@ class KnotBarrier(Barrier):
         size, terms = len(self.twice), self.next.shape[1]
         diagonal = [np.zeros((size, size)) for _ in range(terms)]
         beside = []
-        for k in range(terms - 1):
+
+        def pair(k: int) -> np.ndarray:
             here = np.flatnonzero(self.segment == k)
-            pair = copy.copy(self)
-            pair.D = self.D[here]
-            pair.moved, pair.next = (
-                np.ascontiguousarray(f[here, k : k + 2]) for f in (self.moved, self.next)
-            )
-            H = pair.hessian(S[here])
-            diagonal[k] += H[:size, :size]
-            diagonal[k + 1] += H[size:, size:]
-            beside.append(H[size:, :size].copy())
+            one = copy.copy(self)
+            one.D = self.D[here]
+            one.moved, one.next = (np.ascontiguousarray(f[here, k : k + 2]) for f in (self.moved, self.next))
+            return one.hessian(S[here])
+
+        with ThreadPoolExecutor(HALVES) as threads:
+            for k, H in enumerate(threads.map(pair, range(terms - 1))):
+                diagonal[k] += H[:size, :size]
+                diagonal[k + 1] += H[size:, size:]
+                beside.append(H[size:, :size].copy())
         return diagonal, beside
 
 
 def solved_blocks(diagonal: list[np.ndarray], beside: list[np.ndarray], right: np.ndarray) -> np.ndarray:
     """H^-1 right, right (size, k); H positive definite and block tridiagonal with unit diagonal: lower
     triangles of ``diagonal``, and ``beside`` below them. LinAlgError where no addition is enough."""
+    middle = len(diagonal) // 2
+    halves = [
+        (diagonal[:middle], beside[:middle]),
+        (diagonal[:middle:-1], [block.T for block in reversed(beside[middle:])]),
+    ]
+    x = np.split(right, len(diagonal))
+    of_half = [x[:middle], x[:middle:-1]]
     for extra in ADDITIONS:
         try:
-            factors = _factored_blocks(diagonal, beside, extra)
+            with ThreadPoolExecutor(HALVES) as threads:
+                chains = list(threads.map(partial(_factored, extra=extra), halves))
+            last = _lower(diagonal[middle], [below[-1] for _, below in chains if below], extra)
         except np.linalg.LinAlgError:
             continue
-        return _substituted(*factors, right)
+        return _substituted(chains, last, of_half, x[middle])
     raise np.linalg.LinAlgError("not positive definite")
 
 
-def _factored_blocks(
-    diagonal: list[np.ndarray], beside: list[np.ndarray], extra: float
-) -> tuple[list[np.ndarray], list[np.ndarray]]:
-    """The block Cholesky factor of H + extra I: blocks on the diagonal, lower triangular, and below it."""
+Chain = tuple[list[np.ndarray], list[np.ndarray]]
+"""Blocks on the diagonal, and each one's beside the next, the last one's beside the middle block."""
+
+
+def _lower(block: np.ndarray, beside: list[np.ndarray], extra: float) -> np.ndarray:
+    """The Cholesky factor of ``block`` with the diagonal 1 + extra, less what it has by its neighbours'
+    blocks ``beside`` of the factor."""
+    rest = block.copy()
+    np.fill_diagonal(rest, 1 + extra)
+    for one in beside:
+        rest -= one @ one.T
+    return np.linalg.cholesky(rest)
+
+
+def _factored(chain: Chain, extra: float) -> Chain:
+    """The factor of a half, from the outermost block to the middle."""
     factors: list[np.ndarray] = []
     below: list[np.ndarray] = []
-    for k, block in enumerate(diagonal):
-        rest = block.copy()
-        np.fill_diagonal(rest, 1 + extra)
-        if k:
-            below.append(sl.solve_triangular(factors[-1], beside[k - 1].T, lower=True, check_finite=False).T)
-            rest -= below[-1] @ below[-1].T
-        factors.append(sl.cholesky(rest, lower=True, overwrite_a=True, check_finite=False))
+    for block, other in zip(*chain, strict=True):
+        factors.append(_lower(block, below[-1:], extra))
+        below.append(_divided(factors[-1], other.T).T)
     return factors, below
 
 
-def _substituted(factors: list[np.ndarray], below: list[np.ndarray], right: np.ndarray) -> np.ndarray:
-    """The solution by the blocks of a factor, forwards and back."""
-    x = np.split(right, len(factors))
-    for k, factor in enumerate(factors):
-        rest = x[k] - below[k - 1] @ x[k - 1] if k else x[k]
-        x[k] = sl.solve_triangular(factor, rest, lower=True, check_finite=False)
-    for k in range(len(factors) - 1, -1, -1):
-        rest = x[k] - below[k].T @ x[k + 1] if k + 1 < len(factors) else x[k]
-        x[k] = sl.solve_triangular(factors[k], rest, lower=True, trans="T", check_finite=False)
-    return np.concatenate(x)
+def _divided(L: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """L^-1 right, L lower triangular. By halves: NumPy's products let the other thread run, SciPy's solver
+    does not."""
+    half = len(L) // 2
+    if len(L) <= SOLVED_AT_ONCE:
+        return sl.solve_triangular(L, right, lower=True, check_finite=False)
+    top = _divided(L[:half, :half], right[:half])
+    return np.concatenate([top, _divided(L[half:, half:], right[half:] - L[half:, :half] @ top)])
+
+
+def _substituted(
+    chains: list[Chain], last: np.ndarray, right: list[list[np.ndarray]], middle: np.ndarray
+) -> np.ndarray:
+    """The solution by the halves' factors and the middle block's, inwards and back; ``right``: of each half,
+    from the outermost block."""
+    inwards = []
+    for (factors, below), of in zip(chains, right, strict=True):
+        x: list[np.ndarray] = []
+        for k, factor in enumerate(factors):
+            rest = of[k] - below[k - 1] @ x[-1] if k else of[k]
+            x.append(sl.solve_triangular(factor, rest, lower=True, check_finite=False))
+        if x:
+            middle = middle - below[-1] @ x[-1]
+        inwards.append(x)
+    middle = sl.cho_solve((last, True), middle, check_finite=False)
+    for (factors, below), x in zip(chains, inwards, strict=True):
+        beside = middle
+        for k in reversed(range(len(factors))):
+            rest = x[k] - below[k].T @ beside
+            x[k] = beside = sl.solve_triangular(factors[k], rest, lower=True, trans="T", check_finite=False)
+    return np.concatenate([*inwards[0], middle, *inwards[1][::-1]])
 
 
 @dataclass(frozen=True)
