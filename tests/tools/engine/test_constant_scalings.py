@@ -42,6 +42,18 @@ def test_no_other_search_finds_a_lesser_norm(seed, start):
     assert found <= other.fun * (1 + 0.01) and found == scalings._largest(SIZES, REST, x)
 
 
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("start", [(0, 0, 0), (6, -6, 0), (-20, 0, 10), (25, -25, 25)])
+def test_a_search_that_asks_only_whether_finds_what_the_whole_one_does(seed, start):
+    """From a start at which the norm is 1e20 too: Newton's step is short wherever two frequencies meet."""
+    scalings = ConstantScalings(loop(seed), ROWS, COLS)
+    norm, _ = scalings.least(SIZES, REST, np.zeros(3))
+    for share, below in ((0.95, True), (1.01, False)):
+        sizes, rest = share / norm * SIZES, share / norm * REST
+        found, x = scalings.least(sizes, rest, np.array(start, float), only_whether=True)
+        assert (found < 1) == below and found == scalings._largest(sizes, rest, x)
+
+
 def test_a_block_that_a_constant_cannot_help_stops_at_the_farthest():
     G = StateSpace(
         np.zeros((1, 1)), np.zeros((1, 2)), np.zeros((2, 1)), np.array([[0.1, 1.0], [0.0, 0.1]]), 0.01

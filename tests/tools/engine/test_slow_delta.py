@@ -196,9 +196,11 @@ def test_the_largest_rate_is_bisected_and_a_share_of_it_proved(limit, proved, sh
     assert len(asked) == 10, "from 1e-6 to 1e4 in halves to 3 %"
     [x] = [start + 0.1 for rate, _, start, _ in asked if rate == best]
     np.testing.assert_array_equal(found.log_constants, x)
-    for k, (rate, level, start, decided) in enumerate(asked):
-        np.testing.assert_allclose(start - loop.even(rate), 0.1 * k, atol=1e-12)
+    below = 0
+    for rate, level, start, decided in asked:
+        np.testing.assert_allclose(start - loop.even(rate), 0.1 * below, atol=1e-12)
         assert level == 1.0 and decided
+        below += rate < limit
 
 
 def test_without_a_rate_or_a_proof_there_is_none():

@@ -65,7 +65,7 @@ class ConstantScalings:
     ) -> tuple[float, np.ndarray]:
         """The least norm on the grid, and the logarithms (free,) of its constants; ``sizes`` (blocks,) and
         ``rest`` as of ``scaled``, ``start`` (free,): where the search begins. ``only_whether``: it ends as
-        soon as the norm is below 1, or will hardly get there."""
+        soon as the norm is below 1."""
         found = self._least_mean(sizes, rest, start, only_whether) if self.free else start
         return self._largest(sizes, rest, found), found
 
@@ -85,8 +85,7 @@ class ConstantScalings:
             promised = -float(slope @ step)
             # The largest value is at most the mean times the number of frequencies, and at least the mean.
             below = value + np.log(len(self._grid)) / POWER < 0
-            hardly = value > promised and np.abs(step).max() < LONGEST_STEP
-            if promised < LEAST_GAIN or (only_whether and (below or hardly)):
+            if promised < LEAST_GAIN or (only_whether and below):
                 break
             for _ in range(SHORTENED):
                 tried = np.clip(x + step, -FARTHEST, FARTHEST)

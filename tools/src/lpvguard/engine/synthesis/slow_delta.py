@@ -89,9 +89,8 @@ class SlowLoop:
             rate = float(np.exp(middle))
             even = self.even(rate)
             value, x = self.scalings.least(self._sizes(rate), 1.0, even + beside, True)
-            beside = x - even
             if value < 1:
-                low, best = middle, (rate, x)
+                low, best, beside = middle, (rate, x), x - even
             else:
                 high = middle
         if best is None:
