@@ -43,6 +43,7 @@ MEASURED = {
     "engine/synthesis/central.py": 149,
     "engine/synthesis/coordinates.py": 88,
     "engine/synthesis/direct_terms.py": 53,
+    "engine/synthesis/interconnection.py": 520,
     "engine/synthesis/limited_history.py": 153,
     "engine/synthesis/limits.py": 196,
     "engine/synthesis/mu.py": 45,
