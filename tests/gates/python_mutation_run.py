@@ -53,7 +53,7 @@ MEASURED = {
     "engine/synthesis/norms.py": 249,
     "engine/synthesis/nu_gap.py": 121,
     "engine/synthesis/partition.py": 213,
-    "engine/synthesis/scheduling.py": 114,
+    "engine/synthesis/scheduling.py": 111,
     "engine/synthesis/singular.py": 121,
     "engine/synthesis/slow_delta.py": 164,
     "engine/synthesis/statespace.py": 415,
