@@ -44,6 +44,7 @@ MEASURED = {
     "engine/synthesis/coordinates.py": 88,
     "engine/synthesis/direct_terms.py": 53,
     "engine/synthesis/gamma_search.py": 392,
+    "engine/synthesis/hinf.py": 285,
     "engine/synthesis/interconnection.py": 520,
     "engine/synthesis/limited_history.py": 153,
     "engine/synthesis/limits.py": 196,
