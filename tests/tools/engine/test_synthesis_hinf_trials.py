@@ -4,6 +4,7 @@ the coordinates that lead back to the plant; and the levels asked for alone."""
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -222,3 +223,182 @@ def test_the_first_coordinates_that_resolve_are_enough_and_else_the_better_resul
         assert hinf_synthesis(mixed(), 1, 1).gamma_achieved == 2.0 and not answers
     answers[:] = [result(3.0, False), result(2.5, True)]
     assert hinf_synthesis(mixed(), 1, 1).resolved
+
+
+# ---------------------------------------------------------------- what is asked of a problem
+
+
+class Asked:
+    """A problem of which a level is reached from ``optimum`` on."""
+
+    def __init__(self, optimum: float):
+        self.best, self.optima, self.levels = optimum, [], []
+
+    def optimum(self, *given):
+        self.optima.append(given)
+        return self.best
+
+    def reached(self, level):
+        self.levels.append(level)
+        return level > self.best
+
+
+def test_a_level_stands_in_place_of_backoff_and_guess(monkeypatch):
+    problem, asked = Asked(2.0), []
+    monkeypatch.setattr(hinf, "_posed", lambda *_: SimpleNamespace(problem=problem))
+    answer = SimpleNamespace(resolved=True, gamma_achieved=1.0)
+    monkeypatch.setattr(hinf, "_synthesis", lambda posed, *given: asked.append(given) or answer)
+    hinf_synthesis(PLANT, 1, 1)
+    assert asked == [(0.008, GAMMA_RTOL, None)] and problem.optima == []
+    hinf_synthesis(PLANT, 1, 1, level=3.0)
+    hinf_synthesis(PLANT, 1, 1, level=2.00001)
+    assert asked[1:] == [(0.5, GAMMA_RTOL, 2.0), (1e-4, GAMMA_RTOL, 2.0)]
+    assert problem.optima == [(1e-4,), (1e-4,)]
+
+
+def test_of_equal_results_the_first_is_kept(monkeypatch):
+    plain = hinf_synthesis(mixed(), 1, 1)
+    first, second = (replace(plain, resolved=False, notes=(name,)) for name in ("first", "second"))
+    answers = [first, second]
+    monkeypatch.setattr(hinf, "_synthesis", lambda *_: answers.pop(0))
+    assert hinf_synthesis(mixed(), 1, 1).notes == ("first",)
+
+
+def test_the_first_failure_is_told_and_what_would_help(monkeypatch):
+    def failing(*errors):
+        left = list(errors)
+
+        def fail(*_):
+            raise left.pop(0)
+
+        monkeypatch.setattr(hinf, "_synthesis", fail)
+        hinf_synthesis(mixed(), 1, 1)
+
+    ours = SynthesisError("H-infinity synthesis", "first", "was bad", "something")
+    other = SynthesisError("plant", "second", "was bad", "something")
+    monkeypatch.setattr(hinf, "frail_pole", lambda plant: "")
+    with pytest.raises(SynthesisError, match="first: was bad; expected an optimum that double precision"):
+        failing(ours, other)
+    monkeypatch.setattr(hinf, "frail_pole", lambda plant: "pole 7")
+    with pytest.raises(
+        SynthesisError, match="first: was bad; expected balanced or modal coordinates: pole 7"
+    ):
+        failing(ours, other)
+    with pytest.raises(SynthesisError, match="second: was bad; expected something"):
+        failing(other, ours)
+    with pytest.raises(np.linalg.LinAlgError, match="first"):
+        failing(np.linalg.LinAlgError("first"), ours)
+
+
+def test_an_optimum_below_the_least_that_matters_is_not_sought(monkeypatch):
+    def improved(optimum, level, *least):
+        problem = Asked(optimum)
+        monkeypatch.setattr(hinf, "_posed", lambda *_: SimpleNamespace(problem=problem))
+        return improved_level(PLANT, 1, 1, level, 1e-3, *least), problem.levels, problem.optima
+
+    assert improved(0.2, 3.0) == (0.2, [3.0], [(1e-3, 3.0)])
+    assert improved(4.0, 3.0) == (None, [3.0], [])
+    assert improved(0.2, 3.0, 0.5) == (0.5, [0.5], [])
+    assert improved(0.7, 3.0, 0.5) == (0.7, [0.5, 3.0], [(1e-3, 3.0)])
+
+
+def test_what_was_closed_and_left_out_is_restored_in_the_plants_time_and_names():
+    names = {"inputs": ("w1", "w2", "u"), "outputs": ("z", "y1", "y2")}
+    plant = StateSpace(np.zeros((0, 0)), np.zeros((0, 3)), np.zeros((3, 0)), np.zeros((3, 3)), 0.1, **names)
+    D22, shift = np.array([[0.5], [0.2]]), np.array([[0.3, -0.4]])
+    K = StateSpace([[-2.0]], [[1.0, 0.5]], [[3.0]], [[0.1, 0.2]])
+    found = hinf._Posed(plant, None, D22, shift, np.eye(0)).restore(K)
+    z = 0.3 + 0.8j
+    k = K.evaluate([20 * (z - 1) / (z + 1)])[0]
+    np.testing.assert_allclose(found.evaluate([z])[0], k @ np.linalg.inv(np.eye(2) + D22 @ k) + shift)
+    assert (found.inputs, found.outputs, found.dt) == (("y1", "y2"), ("u",), 0.1)
+
+
+def test_a_problem_is_posed_in_the_product_of_its_scalings_and_only_where_it_can_be(monkeypatch):
+    with pytest.raises(SynthesisError, match="n_control"):
+        hinf._posed(mixed(), 0, 1, schur_coordinates)
+    G = mixed()
+    alone = StateSpace(np.diag([1.0, -1.0, -2.0]), G.B * [[0.0], [1.0], [1.0]], G.C, G.D)
+    with pytest.raises(SynthesisError):
+        hinf._posed(alone, 1, 1, schur_coordinates)
+
+    def none(_):
+        raise AssertionError("a plant without states has no coordinates")
+
+    monkeypatch.setattr(hinf, "GammaProblem", lambda blocks: blocks)
+    assert hinf._posed(PLANT, 1, 1, none).basis.shape == (0, 0)
+    scales = iter([np.array([2.0, 1.0, 1.0]), np.array([4.0, 1.0, 0.5])])
+    monkeypatch.setattr(hinf, "balancing", lambda G: next(scales))
+    posed = hinf._posed(G, 1, 1, schur_coordinates)
+    T = posed.basis
+    np.testing.assert_allclose(np.linalg.solve(T, G.A @ T), posed.problem.A, atol=1e-12)
+
+
+class Searched(MadeUp):
+    floor = 2.0
+
+    def __init__(self, optimum, norm, *given, **more):
+        super().__init__(norm, *given, **more)
+        self.found = optimum
+
+    def optimum(self, rtol, guess):
+        if self.found is None:
+            raise SynthesisError("H-infinity synthesis", "gamma", "none", "one")
+        return self.found
+
+
+def synthesis(problem, backoff=0.1):
+    return hinf._synthesis(trials(problem).posed, backoff, 1e-6, None)
+
+
+def test_a_singular_problem_without_a_bracket_falls_back_on_its_floor():
+    with pytest.raises(SynthesisError, match="gamma: none"):
+        synthesis(Searched(None, lambda *_: 2.05, [(0.0, 0.5)]))
+    problem = Searched(None, lambda *_: 2.05, [(1e-2, 0.5)], singular=True)
+    found = synthesis(problem)
+    assert found.gamma == 2.0 and problem.tried == [(pytest.approx(2.1), 1e-2)]
+    assert found.notes == ("made up", "the optimum could not be bracketed: gamma is a lower bound only")
+
+
+def test_the_search_goes_down_only_where_nothing_near_the_optimum_was_good():
+    good = Searched(1.0, lambda *_: 1.05, [(0.0, 0.5)])
+    assert synthesis(good).resolved and len(good.tried) == 1
+    far = Searched(1.0, lambda *_: 4.0, [(0.0, 0.5)])
+    found = synthesis(far)
+    assert not found.resolved and "not resolved" in found.notes[-1] and len(far.tried) == 1 + 5
+    unstable = Searched(1.0, None, [(0.0, 0.5)])
+    unstable.controller = lambda *_: StateSpace([[3.0]], [[1.0]], [[1.0]], [[0.0]])
+    with pytest.raises(SynthesisError, match="no controller passed its certificate"):
+        synthesis(unstable)
+
+
+def test_good_is_at_most_the_backoff_and_a_norm_is_certified_to_five_digits(monkeypatch):
+    asked = []
+    monkeypatch.setattr(hinf, "hinf_norm", lambda G, rtol: asked.append(rtol) or hinf_norm(G, rtol))
+    one = trials(MadeUp(lambda *_: 3.0))
+    one.attempt(1.0, 0.0)
+    assert asked == [1e-5]
+    one.best = replace(one.best, gamma_achieved=1.0 * (1 + 0.1))
+    assert one.good
+    plant = StateSpace(-np.eye(13), np.zeros((13, 2)), np.zeros((2, 13)), PLANT.D)
+    assert hinf._Trials(replace(one.posed, plant=plant), 1.0, 0.1).budget == 76
+
+
+def test_descending_ends_at_a_good_controller_or_ten_million_times_lower():
+    good = MadeUp(lambda level, _: level, singular=True)
+    trials(good).descend()
+    assert [e for _, e in good.tried] == [1e-1, 1e-2, 1e-3, 1e-4, 1e-6]
+    deep = MadeUp(lambda level, _: 0.9e-3 * level, singular=True)
+    trials(deep, gamma=1e-30).descend()
+    assert len(deep.tried) == 5 + 2, "three per mille of a tenth and of a third each time"
+    high = MadeUp(lambda *_: None)
+    trials(high, gamma=1e12 - 0.5).descend()
+    assert len(high.tried) == 1
+
+
+def test_the_fastest_pole_of_what_is_not_resolved_is_told():
+    one = trials(MadeUp(lambda *_: 4.0))
+    one.attempt(1.0, 0.0)
+    K = StateSpace(np.diag([-3.0, -1.0]), np.ones((2, 1)), np.ones((1, 2)), [[0.0]])
+    told = hinf._unresolved(replace(one.best, controller=K), one.posed, 1.0)
+    assert told.notes[-1].endswith("poles up to 3")

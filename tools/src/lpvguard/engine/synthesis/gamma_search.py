@@ -42,7 +42,7 @@ class GammaProblem:
     def __init__(self, P: Plant):
         self.P = P
         self.control, self.filter = reduced_side(P), reduced_side(P.dual)
-        n = P.A.shape[0]
+        n = len(P.A)
         self.notes: list[str] = []
         self._couplings: dict[float, float | None] = {}  # searches ask for one level again
         self.rank_lost = False
@@ -132,8 +132,6 @@ class GammaProblem:
                 high, high_value, growth = trial, value, growth**2 if guess else growth
                 if high < 1e-12 * scale:
                     return floor
-            if low == 0.0:
-                return 0.0
         else:
             low, low_value, high, high_value = self._reachable(
                 start, value, growth, 1e14 * scale, bool(guess)

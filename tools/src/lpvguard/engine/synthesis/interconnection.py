@@ -118,7 +118,7 @@ def zeros_poles(gain: float, zeros, poles) -> StateSpace:
         )
     A, B, C, D = np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.array([[float(gain)]])
     for k, p in enumerate(poles):
-        z = zeros[k - len(poles) + len(zeros)] if k >= len(poles) - len(zeros) else None
+        z = zeros[k - len(poles)] if k >= len(poles) - len(zeros) else None
         d = 0.0 if z is None else p / z
         b = p * (1 - d)  # (s/z + 1)/(s/p + 1) = d + p (1 − d)/(s + p)
         n = len(A)
@@ -162,7 +162,7 @@ def generalised_plant(
     if outputwise and (weights.W_delta_r is None or weights.W_delta_delta is None):
         raise SynthesisError("interconnection", "weights", "no W_delta_r, W_delta_delta", "both, for K_o")
     A, B, n = np.asarray(A, dtype=float), np.asarray(B, dtype=float), len(A)
-    with_input, n_state = structure in ("K_i", "K_is"), n if structure == "K_is" else 0
+    with_input, n_state = structure in ("K_i", "K_is"), n * (structure == "K_is")
     net = _Network(
         _parts(A, B, weights, structure, dt, delay),
         [
@@ -183,7 +183,7 @@ def generalised_plant(
     rows: dict[str, Terms] = {"eta_i": {"u": 1}} if with_input else {}
     rows |= {f"eta_s{k}": {("vehicle", 2 + k): 1} for k in range(n_state)}
     if outputwise:
-        rows |= {"eta_r": {("vehicle", 0): 1}, "eta_delta": {("vehicle", 1): 1}}
+        rows = {"eta_r": {("vehicle", 0): 1}, "eta_delta": {("vehicle", 1): 1}}
     rows |= {"z_t": {("W_t", 0): 1}, "z_u": {("W_u", 0): 1}}
     if probes:
         rows |= {f"x_{k}": {("vehicle", 2 + k): 1} for k in range(n)}
@@ -195,7 +195,7 @@ def generalised_plant(
         "y_delta": {**delta_m, ("W_ndelta", 0): 1},
     }
     scalars = int(with_input) + 2 * outputwise
-    blocks = (*[Block("full", 1, 1)] * scalars, *[Block("full", n, n)] * (n_state > 0))
+    blocks = (*[Block("full", 1, 1)] * scalars, *[Block("full", n, n)] * bool(n_state))
     return GeneralisedPlant(
         net.close(rows), blocks, sum(b.rows for b in blocks), sum(b.cols for b in blocks), 1, 3
     )
@@ -219,7 +219,7 @@ def _parts(
     vehicle = StateSpace(
         A, np.hstack([B, np.eye(n)]), np.vstack([np.eye(2, n), np.eye(n)]), np.zeros((2 + n, 1 + n))
     )
-    W = {f.name: getattr(weights, f.name) for f in fields(weights) if channels.get(f.name, 1)}
+    W = {f.name: getattr(weights, f.name) for f in fields(weights) if channels.get(f.name, True)}
     if dt:
         vehicle = zero_order_hold(vehicle, dt)
         W = {name: to_discrete(w, dt) for name, w in W.items()}
@@ -280,15 +280,15 @@ class _Network:
         inner, outer = np.zeros(self.joined.n_outputs), np.zeros(len(self.names))
         for key, sign in terms.items():
             if isinstance(key, str):
-                outer[self.names.index(key)] += sign
+                outer[self.names.index(key)] = sign
             else:
-                inner[self.first_out[key[0]] + key[1]] += sign
+                inner[self.first_out[key[0]] + key[1]] = sign
         return inner, outer
 
     def close(self, rows: dict[str, Terms]) -> StateSpace:
         """The system from the external inputs to the named ``rows``; Fig. 1 has no algebraic loop."""
         G = self.joined
-        pick, direct = (np.array(part) for part in zip(*(self._row(t) for t in rows.values()), strict=True))
+        pick, direct = (np.array([self._row(t)[k] for t in rows.values()]) for k in (0, 1))
         # part inputs v = inner (C x + D v) + outer w
         loop = np.linalg.inv(np.eye(G.n_inputs) - self.inner @ G.D)
         v_x, v_w = loop @ self.inner @ G.C, loop @ self.outer

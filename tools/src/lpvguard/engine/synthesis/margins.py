@@ -84,15 +84,16 @@ def disk_gain_and_phase(alpha: float, skew: float) -> tuple[float, float, float]
         return 0.0, np.inf, np.pi
     low = (2 - alpha * (1 - skew)) / (2 + alpha * (1 + skew))
     rest = 2 - alpha * (1 + skew)
+    # The phase's cosine is over / under.
     if rest == 0:
-        cosine, high = low, np.inf
+        high, over, under = np.inf, low, 1.0
     else:
         high = (2 + alpha * (1 - skew)) / rest
-        cosine = (1 + low * high) / (low + high) if low + high else -np.inf
+        over, under = 1 + low * high, low + high
     return (
         max(low, 0.0),
         high if rest > 0 else np.inf,
-        float(np.arccos(cosine)) if abs(cosine) <= 1 else np.pi,
+        float(np.arccos(over / under)) if abs(over) <= abs(under) else np.pi,
     )
 
 
@@ -134,20 +135,19 @@ def of_system(loop: StateSpace) -> tuple[Response, np.ndarray]:
         raise SynthesisError("loop", "L", f"{loop.D.shape} system", "one input and one output")
     if loop.stability_margin() <= 0:
         raise SynthesisError("loop", "poles", "the open loop is not stable", "a stable plant and controller")
-    back = 1 + loop.D[0, 0]
+    back = 1 + loop.D.item()
     if back == 0:
         raise SynthesisError("loop", "D", "-1: 1 + L vanishes at infinity", "a well-posed loop")
-    closed = np.linalg.eigvals(loop.A - loop.B @ loop.C / back) if loop.order else np.zeros(0)
+    closed = np.linalg.eigvals(loop.A - loop.B @ loop.C / back)
     poles = np.concatenate([loop.poles(), closed]).astype(complex)
     if loop.dt:
         poles = np.log(poles[np.abs(poles) > 1e-12]) / loop.dt
     sizes = np.abs(poles)[np.abs(poles) > 0]
     low, high = (sizes.min() * 1e-3, sizes.max() * 1e3) if len(sizes) else (1e-3, 1e3)
-    near = (np.abs(poles.imag)[:, None] + np.abs(poles.real)[:, None] * [-1.0, 0.0, 1.0]).ravel()
+    across, along = np.abs(poles.imag), np.abs(poles.real)
     last = np.pi / loop.dt if loop.dt else high
-    inner = np.concatenate([np.geomspace(min(low, last / 2), last, GRID), near])
-    grid = np.unique([0.0, last, *inner[(inner > 0) & (inner < last)]])
-    return lambda omega: loop.response(omega)[:, 0, 0], grid
+    grid = np.concatenate([np.geomspace(low, last, GRID), across - along, across, across + along])
+    return lambda omega: loop.response(omega).ravel(), np.unique([0.0, *np.clip(grid, 0.0, last)])
 
 
 def margins(response: Response, omega: np.ndarray) -> LoopMargins:
@@ -214,8 +214,8 @@ def unstable_poles(L: np.ndarray) -> int:
                 f"L is {end:.3g} there",
                 "a frequency beyond which L is real or stays within the unit circle",
             )
-    ends = np.angle(back[[0, -1]] * np.sign(back[[0, -1]].real))
-    turned = ends[0] + np.angle(back[1:] / back[:-1]).sum() - ends[1]
+    # From its end the curve turns by less than a quarter to the real axis: rounding takes that away.
+    turned = np.arctan(back[0].imag / back[0].real) + np.angle(back[1:] / back[:-1]).sum()
     poles = round(-turned / np.pi)
     if poles < 0:
         raise SynthesisError("loop", "L", f"goes round -1 {-poles} times forward", "a stable open loop")
@@ -226,7 +226,7 @@ def _worst_sensitivity(centre: Response, radius: Response, skew: float, omega: n
     """Largest |S + (skew - 1)/2| over the disk of L: the disk of 1 + L is inverted to a disk."""
     back, r = 1 + centre(omega), radius(omega)
     size = np.abs(back) ** 2 - r**2
-    return np.abs(back.conj() / size + (skew - 1) / 2) + r / size
+    return np.abs(back / size + (skew - 1) / 2) + r / size
 
 
 def _disk(name: str, peak: LoopMargin) -> dict[str, LoopMargin]:
@@ -270,7 +270,7 @@ def _largest(size: Response, omega: np.ndarray) -> LoopMargin:
     for k in tops if best.value > 0 else ():
         low, high = omega[max(k - 1, 0)], omega[min(k + 1, len(omega) - 1)]
         near = minimize_scalar(
-            lambda w: -np.nan_to_num(size(np.array([w]))[0]),
+            lambda w: -np.nan_to_num(size(np.array([w])).item()),
             bounds=(low, high),
             method="bounded",
             options={"xatol": 1e-9 * high},
@@ -281,7 +281,7 @@ def _largest(size: Response, omega: np.ndarray) -> LoopMargin:
 
 
 def _signed(value: Callable[[np.ndarray], np.ndarray], sign: float, w: float) -> float:
-    return sign * float(value(np.array([w]))[0])
+    return sign * float(value(np.array([w])).item())
 
 
 def _roots(value: Callable[[np.ndarray], np.ndarray], omega: np.ndarray) -> list[float]:
@@ -303,7 +303,7 @@ def _roots(value: Callable[[np.ndarray], np.ndarray], omega: np.ndarray) -> list
     roots = [float(w) for w in points[signs == 0]]
     for k in np.flatnonzero(signs[1:] * signs[:-1] < 0):
         low, high = points[k], points[k + 1]
-        roots.append(brentq(lambda w: value(np.array([w]))[0], low, high, xtol=1e-14 * high, rtol=1e-14))
+        roots.append(brentq(lambda w: value(np.array([w])).item(), low, high, xtol=1e-14 * high, rtol=1e-14))
     return roots
 
 
@@ -321,7 +321,7 @@ def _crossings(response: Response, omega: np.ndarray, L: np.ndarray) -> dict[str
     real += [float(omega[k]) for k in (0, -1) if abs(L[k].imag) <= 1e-9 * abs(L[k])]
     up, down = LoopMargin(np.inf, None), LoopMargin(0.0, None)
     for w in real:
-        at = response(np.array([w]))[0].real
+        at = response(np.array([w])).item().real
         if at >= 0:
             continue
         if at > -1 and -1 / at < up.value:
@@ -330,7 +330,7 @@ def _crossings(response: Response, omega: np.ndarray, L: np.ndarray) -> dict[str
             down = LoopMargin(float(-1 / at), w)
     phase, delay = LoopMargin(np.inf, None), LoopMargin(np.inf, None)
     for w in unit:
-        lag = float(np.angle(response(np.array([w]))[0]) + np.pi)
+        lag = float(np.angle(response(np.array([w])).item()) + np.pi)
         if min(lag, 2 * np.pi - lag) < phase.value:
             phase = LoopMargin(min(lag, 2 * np.pi - lag), w)
         if w > 0 and lag / w < delay.value:
@@ -347,7 +347,7 @@ def _gains(c: np.ndarray, radius: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         both = np.array(
             [1 / (-half + root), 1 / (-half - root)]
         )  # of k^2 square + 2 k half + 1, no loss at 0
-    below = np.where((both > 0) & (both < 1), both, 0.0).max(axis=0)
+    below = np.where(both < 1, both, 0.0).max(axis=0, initial=0.0)
     return below, np.where(both > 1, both, np.inf).min(axis=0)
 
 
@@ -355,7 +355,7 @@ def _angles(c: np.ndarray, radius: np.ndarray) -> np.ndarray:
     """(2, k) lags in 0..2 pi that bring the disk about c to -1; NaN: none does."""
     with np.errstate(all="ignore"):
         half = np.arccos((radius**2 - 1 - np.abs(c) ** 2) / (2 * np.abs(c)))
-    return np.mod(np.angle(c) + np.array([half, -half]), 2 * np.pi)
+    return np.mod([np.angle(c) + half, np.angle(c) - half], 2 * np.pi)
 
 
 def _turn(c: np.ndarray, radius: np.ndarray) -> np.ndarray:

@@ -39,6 +39,8 @@ def lower_bound(
     The factors of the upper bound's scalings commute with Δ, so the iteration runs on the scaled,
     well-balanced matrix.
     """
+    if not M.any():
+        return 0.0, None
     if (attained := _attained(M, structure, left)) is not None:
         return attained
     N = left.conj().T @ M @ np.linalg.inv(right.conj().T)
@@ -72,7 +74,7 @@ def _attained(M: np.ndarray, structure: Structure, start: np.ndarray) -> tuple[f
     blocks of the singular vectors u, v are then as long in u as in v, and Δ_i takes u_i to v_i. ``start``
     (Σcols, Σcols): a factor of D_left near the bound's."""
     scales = np.array([abs(start[r.start, r.start]) for r in structure.row])
-    if not M.any() or (found := simple_infimum(M, structure, ATTAINED_RTOL, scales)) is None:
+    if (found := simple_infimum(M, structure, ATTAINED_RTOL, scales)) is None:
         return None
     upper, _, left, right, _ = found
     u, _, v = np.linalg.svd(left @ M @ np.linalg.inv(right))

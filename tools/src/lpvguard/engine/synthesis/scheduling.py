@@ -52,14 +52,9 @@ def scaled_plant(plant: GeneralisedPlant, scaling: Scaling) -> StateSpace:
 def closed_scaled(plant: GeneralisedPlant, controller: StateSpace, scaling: Scaling) -> StateSpace:
     """The discrete closed loop D F_l(P, K) D⁻¹ from [Δ outputs; w] to [Δ inputs; z], states [D⁻¹; P; K; D]; D
     by Tustin's map.
-
-    Outputs of the plant beyond these (before its measurements) pass unscaled.
     """
     loop = lft(plant.system, controller)
-    if not plant.blocks:
-        return loop
     left, right = (to_discrete(G, loop.dt) for G in scaling.systems(plant))
-    left = append(left, gain(np.eye(loop.n_outputs - left.n_outputs), loop.dt))
     return series(left, series(loop, right))
 
 
@@ -74,7 +69,7 @@ def common_scaling(
         optimal_level(scaled_plant(plant, start), plant.n_control, plant.n_measurement, OPTIMUM_RTOL)
         for plant in plants
     )
-    step = FIRST_STEP if plants[0].blocks else 0.0
+    step = FIRST_STEP
     while step >= LAST_STEP:
         improved = False
         for index in np.ndindex(best.log_parameters.shape):
@@ -120,8 +115,9 @@ def common_family(
     scaled = [scaled_plant(plant, scaling) for plant in plants]
     t = balancing(scaled[len(scaled) // 2])
     member = partial(_member, plants[0].n_control, plants[0].n_measurement, level)
-    full, reach, seen = zip(*workers(member, [scaled_states(G, t) for G in scaled]), strict=True)
-    R, S = gramian_factor(np.sum(reach, axis=0)), gramian_factor(np.sum(seen, axis=0))
+    full = list(workers(member, [scaled_states(G, t) for G in scaled]))
+    R = gramian_factor(np.sum([reach for _, reach, _ in full], axis=0))
+    S = gramian_factor(np.sum([seen for _, _, seen in full], axis=0))
     U, sigma, Vt = np.linalg.svd(S.T @ R)
     rank = int(np.count_nonzero(sigma > 1e-13 * sigma[0]))
     scale = 1 / np.sqrt(sigma[:rank])
@@ -131,7 +127,7 @@ def common_family(
         T, L = into[:, :order], out[:order]
         return [
             to_discrete(replace(K, A=L @ K.A @ T, B=L @ K.B, C=K.C @ T), plant.system.dt)
-            for K, plant in zip(full, plants, strict=False)
+            for (K, *_), plant in zip(full, plants, strict=True)
         ]
 
     return at_order, rank

@@ -82,7 +82,7 @@ def worst_case(
             realised = append(*(_realise(u, v, omega[k], loop.dt) for u, v in parts))
             closed = close_delta(loop, realised)
             if closed.stability_margin() > 0:
-                measured = float(np.linalg.norm(closed.response(omega[k])[0], 2))
+                measured = np.linalg.norm(closed.response(omega[k]), 2, axis=(1, 2)).item()
                 found.append(
                     WorstCase(
                         realised, hinf_norm(realised).upper, float(omega[k]), measured, float(nominal[k])
@@ -175,11 +175,10 @@ def _all_pass(value: complex, omega: float) -> StateSpace:
     part's sign)."""
     size, phase = abs(value), np.angle(value)
     if omega == 0 or abs(np.sin(phase)) < 1e-9:
-        return gain([[size * np.sign(np.cos(phase))]])
-    sign = 1.0 if phase < 0 else -1.0
-    lag = phase if phase < 0 else phase - np.pi  # of (β − s)/(β + s), within (−π, 0)
+        return gain([[np.copysign(size, np.cos(phase))]])
+    signed, lag = np.copysign(size, -phase), phase % -np.pi  # of (β − s)/(β + s), within (−π, 0)
     beta = omega / np.tan(-0.5 * lag)
     # −1 + 2β/(s + β)
     return StateSpace(
-        np.array([[-beta]]), np.ones((1, 1)), np.array([[2 * beta * size * sign]]), np.array([[-size * sign]])
+        np.array([[-beta]]), np.ones((1, 1)), np.array([[2 * beta * signed]]), np.array([[-signed]])
     )

@@ -1,0 +1,260 @@
+"""Pieces of the limited loop: its equations solved for the demand, its energy by another recursion, its proof
+by hand."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from lpvguard.engine.blocks import Block
+from lpvguard.engine.synthesis import saturation
+from lpvguard.engine.synthesis.dk import Scaling
+from lpvguard.engine.synthesis.errors import SynthesisError
+from lpvguard.engine.synthesis.interconnection import GeneralisedPlant
+from lpvguard.engine.synthesis.norms import hinf_norm
+from lpvguard.engine.synthesis.saturation import LimitedLoop, _proof, _reached, limited_loop
+from lpvguard.engine.synthesis.statespace import EPS, StateSpace, lft
+
+DT = 0.1
+SCALING = Scaling(np.array([[0.2, 1.0, -0.5, 2.0, 0.3]]))
+L = np.array([[0.3], [0.1]])
+K = StateSpace([[0.95, 0.1], [0.0, 0.5]], [[-0.03, 0.01], [-0.15, 0.02]], [[1.0, 0.9]], [[0.0, 0.0]], DT)
+Z = 0.4 + 0.8j
+
+
+def plant(blocks: int = 1) -> GeneralisedPlant:
+    """[xi, w1, w2, u] to [eta1, eta2, z1, z2, y1, y2]; one Delta of 1 x 2, or none."""
+    random = np.random.default_rng(7)
+    A = np.array([[0.8, 0.05, 0.0], [0.0, 0.6, 0.1], [0.1, 0.0, 0.5]])
+    B, C = 0.2 * random.standard_normal((3, 4)), 0.5 * random.standard_normal((6, 3))
+    D = 0.1 * random.standard_normal((6, 4))
+    D[4:, 3] = 0.0
+    delta = (Block("full", 1, 2),) * blocks
+    return GeneralisedPlant(StateSpace(A, B, C, D, DT), delta, blocks, 2 * blocks, 1, 2)
+
+
+def by_equations(s: float) -> np.ndarray:
+    """[eta, u, z] for each of [xi, p, w] at z = Z, without D: v = u - q, q = s/2 (u + p)."""
+    P = plant().system
+    R_P, R_K = (np.linalg.inv(Z * np.eye(len(A)) - A) for A in (P.A, K.A))
+    columns = []
+    for k in range(4):
+        given = np.eye(4)[k]
+        w, p = np.r_[given[0], given[2:]], given[1]
+
+        def signals(u, w=w, p=p):
+            q = 0.5 * s * (u + p)
+            inputs = np.r_[w, u - q]
+            x = R_P @ P.B @ inputs
+            out = P.C @ x + P.D @ inputs
+            return (K.C @ R_K @ (K.B @ out[4:] - L[:, 0] * q))[0], out
+
+        at_0, at_1 = signals(0.0)[0], signals(1.0)[0]
+        u = at_0 / (1 - (at_1 - at_0))
+        out = signals(u)[1]
+        columns.append(np.r_[out[:2], u, out[2:4]])
+    return np.array(columns).T
+
+
+@pytest.mark.parametrize("kappa", [1.0, 2.0, 5.0, np.inf])
+def test_the_limited_loop_is_that_of_its_equations_between_d_and_its_inverse(kappa):
+    G = limited_loop(plant(), K, L, kappa, SCALING)
+    want = by_equations(saturation.sector(kappa))
+    d = np.exp(0.2)
+    s = 2 / DT * (Z - 1) / (Z + 1)
+    for z, p in ((1.0, -0.5), (2.0, 0.3)):
+        d *= (s / np.exp(z) + 1) / (s / np.exp(p) + 1)
+    np.testing.assert_allclose(
+        G.evaluate([Z])[0], np.diag([d, d, 1, 1, 1]) @ want @ np.diag([1 / d, 1, 1, 1]), rtol=1e-9
+    )
+    assert G.dt == DT
+
+
+def test_without_delta_it_is_the_loop_alone():
+    none = Scaling(np.zeros((0, 1)))
+    G = limited_loop(plant(0), K, L, 2.0, none)
+    assert (G.n_inputs, G.n_outputs, G.order) == (4, 5, 6)
+    # Without a block the limit's signals come first.
+    want = by_equations(0.5)[[2, 0, 1, 3, 4]][:, [1, 0, 2, 3]]
+    np.testing.assert_allclose(G.evaluate([Z])[0], want)
+
+
+def test_one_demand_that_comes_late_by_a_sample_is_asked_for():
+    one = plant()
+    G = one.system
+    D = G.D.copy()
+    D[5, 3] = 0.1
+    direct = GeneralisedPlant(StateSpace(G.A, G.B, G.C, D, DT), one.blocks, 1, 2, 1, 2)
+    two = GeneralisedPlant(G, one.blocks, 1, 2, 2, 2)
+    at_once = StateSpace(K.A, K.B, K.C, [[0.0, 0.1]], DT)
+    for bad, controller in ((direct, K), (two, K), (one, at_once)):
+        with pytest.raises(SynthesisError, match="one input, late by a sample"):
+            limited_loop(bad, controller, L, 2.0, SCALING)
+
+
+def test_the_controllers_states_stand_behind_those_of_the_inputs_scalings_and_the_plant():
+    one = LimitedLoop(plant(), K, L, 2.0, SCALING)
+    assert one.x_K == slice(2 + 3, 2 + 3 + 2) and one.system.order == 2 + 6 + 4
+    row = np.zeros(12)
+    row[one.x_K] = K.C[0]
+    np.testing.assert_allclose(one.system.C[2], row)
+    np.testing.assert_allclose(one.system.A[one.x_K.stop], row, err_msg="the demand of the sample before")
+    assert one.rows == [2, 1] and one.cols == [1, 1] and one.ones.tolist() == [1.0, 1.0]
+    stability, performance = one.stability(), one.performance()
+    assert (stability.system.n_outputs, stability.system.n_inputs) == (3, 2)
+    np.testing.assert_allclose(stability.system.D, one.system.D[:3, :2])
+    assert performance.system is one.system and performance.rows == stability.rows == [2, 1]
+    assert one.stable and one.kappa == 2.0
+
+
+# ---------------------------------------------------------------- the gain
+
+
+def searched(norm: float) -> float:
+    """The least level above ``norm`` of those that nine halvings from 0.5 to 1000 meet, and 5 % more."""
+    width = np.log(1e3 / 0.5) / 2**9
+    return 1.05 * 0.5 * np.exp(width * np.ceil(np.log(norm / 0.5) / width))
+
+
+def scaled_up(factor: float) -> GeneralisedPlant:
+    one = plant(0)
+    G = one.system
+    C, D = G.C.copy(), G.D.copy()
+    C[:4], D[:4] = factor * C[:4], factor * D[:4]
+    return GeneralisedPlant(StateSpace(G.A, G.B, C, D, DT), (), 0, 0, 1, 2)
+
+
+@pytest.mark.parametrize("factor", [2.0, 7.0, 300.0])
+def test_without_delta_or_limit_the_gain_is_the_norm_and_five_percent(factor):
+    one = scaled_up(factor)
+    loop = LimitedLoop(one, K, L, 1.0, Scaling(np.zeros((0, 1))))
+    norm = hinf_norm(lft(one.system, K), 1e-9).upper
+    gamma, constants = loop.gain()
+    assert gamma == pytest.approx(searched(norm), rel=1e-9) and constants.shape == (1,)
+
+
+def test_no_gain_is_had_of_an_unstable_loop_or_beyond_a_thousand():
+    none = Scaling(np.zeros((0, 1)))
+    far = scaled_up(1e5)
+    assert LimitedLoop(far, K, L, 1.0, none).gain() is None
+    wild = StateSpace([[1.2, 0.1], [0.0, 0.5]], K.B, K.C, K.D, DT)
+    loop = LimitedLoop(plant(0), wild, L, 1.0, none)
+    assert not loop.stable and loop.gain() is None and loop.energy(np.zeros(1), 1.0, 1.0) is None
+
+
+def test_a_gain_that_is_not_proved_is_none(monkeypatch):
+    loop = LimitedLoop(plant(), K, L, 2.0, SCALING)
+    assert loop.gain() is not None
+    seen = []
+    monkeypatch.setattr(
+        saturation.ConstantScalings, "proved", lambda self, sizes, rest, x: seen.append((sizes, rest)) or 1.0
+    )
+    assert loop.gain() is None
+    monkeypatch.setattr(saturation.ConstantScalings, "proved", lambda *_: 0.999)
+    assert seen[0][1] == pytest.approx(1 / loop.gain()[0]) and seen[0][0].tolist() == [1.0, 1.0]
+
+
+# ---------------------------------------------------------------- the energy
+
+
+def reached_slowly(A, B, C, D, samples: int = 4000) -> np.ndarray:
+    """The least Q by its own recursion from 0."""
+    Q = np.zeros_like(A)
+    for _ in range(samples):
+        V = A @ Q @ C.T + B @ D.T
+        Q = A @ Q @ A.T + B @ B.T + V @ np.linalg.solve(np.eye(len(D)) - D @ D.T - C @ Q @ C.T, V.T)
+    return Q
+
+
+@pytest.mark.parametrize("kappa", [1.2, 2.0])
+def test_the_energy_keeps_demand_and_step_to_their_bounds_in_the_reached_ellipsoid(kappa):
+    loop = LimitedLoop(plant(), K, L, kappa, SCALING)
+    x = np.array([-3.9, -3.7])
+    G = loop.performance().scaled(loop.ones, 1.0, x).select(slice(0, 3), slice(None))
+    Q = reached_slowly(G.A, G.B, G.C, G.D)
+    wanted = np.zeros(len(Q))
+    wanted[loop.x_K] = K.C[0]
+    step = wanted.copy()
+    step[loop.x_K.stop] = -1.0
+    largest, moved = np.sqrt(wanted @ Q @ wanted), np.sqrt(step @ Q @ step)
+    for u_max, step_max in ((1.0, 50.0), (50.0, 1.0), (2.0, 50.0)):
+        want = min(kappa * u_max / largest, step_max / moved)
+        assert loop.energy(x, u_max, step_max) == pytest.approx(want, rel=1e-4)
+
+
+def test_the_largest_energy_is_that_of_the_best_start_and_offset(monkeypatch):
+    loop = LimitedLoop(plant(), K, L, 2.0, SCALING)
+    asked = []
+
+    def energy(constants, u_max, step_max):
+        asked.append((*constants, u_max, step_max))
+        return None if constants[0] > 1.5 else 10.0 - abs(constants[1] - 3.0)
+
+    monkeypatch.setattr(loop, "energy", energy)
+    found = loop.largest_energy([np.array([0.0, 0.5]), np.array([-1.0, 1.0])], 0.7, 0.3)
+    assert found.energy == 10.0 and found.log_constants.tolist() == [1.0, 3.0]
+    assert len(asked) == 10 and {one[2:] for one in asked} == {(0.7, 0.3)}
+    assert [one[0] for one in asked[:5]] == [-4.0, -2.0, 0.0, 2.0, 4.0]
+    assert loop.largest_energy([np.array([9.0, 0.0])], 0.7, 0.3) is None
+
+
+def small(gain: float = 1.0) -> tuple[np.ndarray, ...]:
+    random = np.random.default_rng(11)
+    A = np.array([[0.7, 0.2, 0.0], [-0.1, 0.6, 0.3], [0.0, 0.1, 0.5]])
+    B, C, D = (random.standard_normal(shape) for shape in ((3, 2), (2, 3), (2, 2)))
+    size = hinf_norm(StateSpace(A, B, C, D, DT)).upper
+    return A, B, gain / size * C, gain / size * D
+
+
+def test_the_doubling_ends_at_the_least_solution():
+    A, B, C, D = small(0.9)
+    slack = np.diag([1e-3, 2e-3, 3e-3])
+    Q = _reached(A, B, C, D, slack)
+    V = A @ Q @ C.T + B @ D.T
+    again = A @ Q @ A.T + B @ B.T + slack + V @ np.linalg.solve(np.eye(2) - D @ D.T - C @ Q @ C.T, V.T)
+    np.testing.assert_allclose(again, Q, rtol=1e-10)
+    np.testing.assert_allclose(_reached(A, B, C, D, 0 * slack), reached_slowly(A, B, C, D), rtol=1e-9)
+    np.testing.assert_array_equal(Q, Q.T)
+
+
+def test_where_the_gain_is_above_one_nothing_is_proved():
+    A, B, C, D = small(1.1)
+    Q = _reached(A, B, C, D, np.zeros((3, 3)))
+    assert Q is None or not _proof(A, B, C, D, Q) > 1
+
+
+def test_the_proof_is_the_least_eigenvalue_over_its_reserve():
+    """One state: Q = 1 after scaling. M = [a b; c 0] and F = I - M M'."""
+    a, b, c, q = 0.5, 0.4, 0.3, 4.0
+    M = np.array([[a, b / 2], [2 * c, 0.0]])  # in units in which Q is 1
+    F = np.eye(2) - M @ M.T
+    reserve = 64 * EPS * (1 + np.linalg.norm(np.abs(M) @ np.abs(M.T), 2))
+    found = _proof(np.array([[a]]), np.array([[b]]), np.array([[c]]), np.zeros((1, 1)), np.array([[q]]))
+    assert found == pytest.approx(np.linalg.eigvalsh(F)[0] / reserve, rel=1e-9)
+    # Two states that Q couples, and a direct term.
+    A, B, C, D = small(0.5)
+    A, B, C = A[:2, :2], B[:2], C[:, :2]
+    Q = np.array([[1.0, 0.6], [0.6, 1.0]])
+    M, whole = np.block([[A, B], [C, D]]), np.eye(4)
+    whole[:2, :2] = Q
+    F = whole - M @ whole @ M.T
+    reserve = 64 * EPS * (1.6 + np.linalg.norm(np.abs(M) @ whole @ np.abs(M.T), 2))
+    assert _proof(A, B, C, D, Q) == pytest.approx(np.linalg.eigvalsh(F)[0] / reserve, rel=1e-9)
+    # The same in other units of the states.
+    t = np.array([8.0, 0.25])
+    units = (A * t / t[:, None], B / t[:, None], C * t, D, Q / t / t[:, None])
+    assert _proof(*units) == pytest.approx(_proof(A, B, C, D, Q), rel=1e-9)
+
+
+def test_a_q_that_is_not_surely_positive_proves_nothing():
+    A, B, C, D = (0.1 * np.eye(2),) * 4
+    for Q in (
+        np.diag([1.0, 0.0]),
+        np.diag([1.0, -1.0]),
+        np.array([[1.0, np.nan], [np.nan, 1.0]]),
+        np.array([[1.0, 2.0], [2.0, 1.0]]),
+        np.array([[1.0, 1 - 50 * EPS], [1 - 50 * EPS, 1.0]]),
+    ):
+        assert _proof(A, B, C, D, Q) == -np.inf
+    near = np.array([[1.0, 1 - 300 * EPS], [1 - 300 * EPS, 1.0]])
+    assert _proof(A, B, C, D, near) > -np.inf
