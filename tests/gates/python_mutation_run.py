@@ -60,6 +60,7 @@ MEASURED = {
     "engine/synthesis/worst_gain.py": 138,
     "engine/synthesis/zeros.py": 183,
     "engine/validation/delta.py": 116,
+    "engine/validation/lft.py": 330,
     "engine/validation/local_search.py": 504,
     "engine/validation/posed.py": 295,
     "engine/validation/problem.py": 115,

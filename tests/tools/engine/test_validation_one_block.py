@@ -125,9 +125,9 @@ def test_what_is_no_problem_of_the_kernel_is_left_alone(monkeypatch):
 
 
 def test_the_kernel_gets_each_form_in_a_unit_of_its_own(monkeypatch):
-    """|3 x|^2 <= 4 |2|^2, |2 x + 2|^2 <= p / 2 and |5 x|^2 <= p' |2|^2: at x = 0 the cost is p = 8."""
+    """|3 x|^2 <= 4 |3|^2, |2 x + 2|^2 <= p / 2 and |5 x|^2 <= p' |2|^2: at x = 0 the cost is p = 8."""
     block = Form(row(2, 2), row(0, 1), param=0, slope=0.5)
-    ball, cost = Form(row(3, 0), row(0, 2), constant=4.0), Form(row(5, 0), row(0, 2), param=1)
+    ball, cost = Form(row(3, 0), row(0, 3), constant=4.0), Form(row(5, 0), row(0, 2), param=1)
     asked = []
 
     def kernel(*given):
@@ -142,7 +142,7 @@ def test_the_kernel_gets_each_form_in_a_unit_of_its_own(monkeypatch):
     np.testing.assert_array_equal(start, [[0.0, 1.0]])
     assert p_max == pytest.approx(9 / (0.5 * first) * (1 - 1e-9), rel=1e-12)
     np.testing.assert_allclose(forms[0, 0], np.diag([25 / (4 * first), 0]), rtol=1e-12)
-    np.testing.assert_allclose(forms[0, 1], np.diag([9 / 16 / (1 + 1e-12), -1]), rtol=1e-14)
+    np.testing.assert_allclose(forms[0, 1], np.diag([1 / 4 / (1 + 1e-12), -1]), rtol=1e-14)
     np.testing.assert_allclose(forms[0, 2], np.full((2, 2), 0.5), rtol=1e-12)
     np.testing.assert_allclose(forms[0, 3], np.diag([0, 0.5 * first / 8]), rtol=1e-12)
 
@@ -400,16 +400,16 @@ def test_the_last_blocks_size_is_asked_beside_the_caps_of_repeated_ones(monkeypa
     without = pose(problem, 0.8, [5])
     np.testing.assert_array_equal(free.forms[0].a, without.w)
     np.testing.assert_array_equal(free.forms[0].b, without.t)
+    ball, own = (pytest.approx(0.64), -1, 1.0, None), (0.0, 0, 1.0, None)
+    alone, *_ = question(monkeypatch, lft.smallest_last_block, of_all_kinds(0, 2), 0.8)
+    assert bounds_of(alone) == [ball, own], "without a repeated block that is not asked first"
     monkeypatch.setattr(lft, "_last_block_is_free", lambda *a: False)
     asked, rest, more, _ = question(
         monkeypatch, lft.smallest_last_block, problem, 0.8, gap=0.1, max_nodes=7, known="found before"
     )
-    ball, own = (pytest.approx(0.64), -1, 1.0, None), (0.0, 0, 1.0, None)
     assert bounds_of(asked) == [ball, *capped, own] and asked.params == 1
     assert rest == [0.1, 7, lft.ZERO, known] and not more
     np.testing.assert_array_equal(asked.forms[-1].a, pose(problem, 0.8).xi[5])
-    alone, *_ = question(monkeypatch, lft.smallest_last_block, of_all_kinds(0, 2), 0.8)
-    assert bounds_of(alone) == [ball, own]
 
 
 def test_a_last_block_is_free_up_to_the_rounding_of_the_ball_or_its_edge_where_that_is_one_point(monkeypatch):
