@@ -477,4 +477,15 @@ def test_s2_kernel_takes_one_to_fifteen_free_variables_and_as_many_points_as_the
         alone = s2.solve_forms(form[None], z[None], p_max, gap=s2.GAP)
         for field in ("lower", "upper", "p", "z", "duals"):
             np.testing.assert_array_equal(getattr(both, field)[k], getattr(alone, field)[0])
+        a, b = (np.vdot(both.z[k], q @ both.z[k]).real for q in form[2:])
+        assert both.p[k] == pytest.approx(a / b, rel=1e-9), "the size of the point"
+        assert 2 <= both.duals[k] <= 240
     assert both.duals.dtype.kind == "i"
+
+
+def test_s2_asks_the_compiled_kernel_where_there_is_one(monkeypatch):
+    if native.kernels("s2") is None:
+        pytest.skip("no C compiler: nothing to ask")
+    monkeypatch.setattr(s2, "_Point", None)
+    forms, z = drawn(0, 3)
+    assert np.isfinite(s2.solve_forms(forms[None], z[None], 2.0).upper).all()

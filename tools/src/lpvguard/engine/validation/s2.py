@@ -99,7 +99,7 @@ class _Point:
 
     def __init__(self, forms: np.ndarray, p_max: float, gap: float):
         self.q0, self.qw, self.a, self.b = forms
-        self.p_max, self.gap, self.n = p_max, gap, forms.shape[-1]
+        self.p_max, self.gap, self.n = p_max, gap, len(self.q0)
         self.cost, self.p, self.z = np.inf, 0.0, None
 
     def _factor(self, mu, p):
