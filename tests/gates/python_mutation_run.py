@@ -59,6 +59,7 @@ MEASURED = {
     "engine/synthesis/varying.py": 346,
     "engine/synthesis/worst_gain.py": 138,
     "engine/synthesis/zeros.py": 183,
+    "engine/validation/branch.py": 420,
     "engine/validation/delta.py": 116,
     "engine/validation/lft.py": 330,
     "engine/validation/local_search.py": 504,

@@ -92,8 +92,24 @@ def test_known_points_are_begun_with_and_none_is_made_worse():
     best, z = search.cost, search.z
     search.offer(np.array([0.0, 1.0]))
     assert search.cost == best and search.z is z
+    search = Incumbent(two_points())
+    search.offer(np.array([0.3, 1.0]))
+    search.offer(np.array([-0.3, 1.0]))
+    assert search.z[0] == 0.3, "of two that cost the same the first is kept"
+    free = minimise(Quadratic(problem.forms[:1], 1, 2))
+    assert (free.lower, free.upper, free.nodes) == (0.0, 0.0, 0) and free.z[0] == pytest.approx(1.0)
     only = minimise(problem, max_nodes=0, points=[np.array([-0.6, 1.0])])
     assert only.upper == pytest.approx(3.2, rel=1e-6) and only.lower <= 3.2
+
+
+def test_a_point_is_repaired_before_it_is_taken():
+    forms = [Form(row(1, 0), row(0, 1), constant=4.0), Form(row(1, -5), row(0, 1), param=0)]
+    best = Incumbent(Quadratic(forms, 1, 2))
+    best.offer(np.array([5.0, 1.0]))
+    assert best.z[0] == pytest.approx(2.0) and best.cost == pytest.approx(9.0)
+    scalar = Incumbent(scalar_problem("repeated_complex", 1.0))
+    scalar.offer(None)
+    assert scalar.z is None
 
 
 def test_readings_of_a_primal_matrix_are_its_points():
@@ -439,10 +455,16 @@ def test_the_search_stops_at_its_gap_and_at_its_nodes():
     # A node in the heap at the gap ends the search with its own bound.
     ends = {1.0: (9.0, 10.0, (2, 3)), 2.0: (9.5, NONE, None), 3.0: (9.9, NONE, None)}
     search = Scripted(ends, gap=0.1)
-    assert search.run(100, 0.0, [], 0.0).lower == 9.0 and len(search.visited) == 1
+    found = search.run(100, 0.0, [], 0.0)
+    assert (found.lower, found.nodes, len(search.visited)) == (9.0, 1, 1)
     search = Scripted(ends, gap=0.099)
     found = search.run(100, 0.0, [], 0.0)
     assert found.lower == 9.5 and len(search.visited) == 3
+    # One that was below when it was made is not bounded once a point closes its gap.
+    closed = {1.0: (1.0, NONE, (2, 3)), 2.0: (1.8, 2.0, None), 3.0: (1.5, NONE, None)}
+    search = Scripted(closed, gap=0.5)
+    found = search.run(100, 0.0, [], 0.0)
+    assert (found.lower, found.upper, found.nodes, len(search.visited)) == (1.0, 2.0, 3, 2)
     # So many nodes are made, and what is open stays below.
     for most, visited, lower in (
         (0, 0, 0.0),
@@ -455,6 +477,9 @@ def test_the_search_stops_at_its_gap_and_at_its_nodes():
         search = Scripted(TREE, first=10.0)
         found = search.run(most, 0.0, [], 0.0)
         assert (len(search.visited), found.lower) == (visited, lower), most
+    uneven = {1.0: (1.0, 10.0, (2, 3)), 2.0: (1.5, NONE, (4, 5))}
+    found = Scripted(uneven).run(3, 0.0, [], 0.0)
+    assert (found.lower, found.nodes) == (1.0, 5), "the least that is open"
 
 
 def test_the_search_ends_once_it_knows_on_which_side_of_the_question_the_optimum_is():
@@ -488,8 +513,10 @@ def test_repeated_blocks_are_sampled_once_where_the_first_node_left_no_point(mon
         search.run(100, 0.0, [], 0.0)
         assert len(search.started) == 1
     none = Scripted({1.0: (1.0, NONE, (2, 3)), 2.0: (NONE, NONE, (4, 5)), 3.0: (NONE, NONE, (4, 5))})
-    none.best.start = lambda points: np.inf
+    asked: list[list] = []
+    none.best.start = lambda points: asked.append(points) or np.inf
     found = none.run(100, 0.5, [], 0.0)
+    assert len(none.visited) == 3 and len(asked) == 2
     assert found.lower == np.inf and found.upper == np.inf, "nothing explains it"
 
 
@@ -576,6 +603,7 @@ def test_more_than_two_dozen_multipliers_of_repeated_blocks_are_costly():
         ([(real, 2), (real, 2), (scalar, 1)], True),
         ([(scalar, 3), (real, 1), (real, 1)], False),
         ([(scalar, 3), (scalar, 2)], True),
+        ([(scalar, 3), (real, 1), (scalar, 1), (scalar, 1)], True),
         ([(None, 4), (None, 4)], False),
     ):
         assert _Search(Quadratic([block(*b) for b in blocks], 1, 4), 0.1)._costly == costly
@@ -615,13 +643,15 @@ def test_readings_are_the_column_of_t_and_the_two_leading_vectors_with_a_last_en
     assert len(found) == 3
     for z, v in zip(found, wanted, strict=True):
         np.testing.assert_allclose(z, v / v[-1], rtol=1e-9)
-    np.testing.assert_array_equal(_candidates(np.full((1, 1), 2.0 + 0j)), 3 * [[1.0]])
+    np.testing.assert_array_equal(_candidates(np.full((1, 1), 2.0 + 0j)), 2 * [[1.0]])
     one_bad = primal.copy()
     one_bad[0, 0] = np.inf
     assert _candidates(one_bad) == []
     for last, kept in ((1.1e-9, 2), (0.9e-9, 1)):
         thin = np.array([[1.0, last], [last, 0.0]], complex)  # vectors (1, last) and (-last, 1)
         assert len(_candidates(thin)) == 1 + (kept - 1)
+    # The share is of the vector's own size: 1e-8 beside 1e3 is nothing.
+    assert len(_candidates(np.array([[5.0, 1e3], [1e3, 1e-8]], complex))) == 2
 
 
 def test_a_cone_is_cut_where_its_loss_is_half_of_the_boxes_and_a_box_elsewhere():
@@ -671,6 +701,12 @@ def test_the_widest_pair_of_rays_is_cut_in_its_middle():
     for apart, cut in ((1.1e-6, True), (0.9e-6, False)):
         thin = np.array([[0.5, 0.5, 0.0], [0.5 + apart / np.sqrt(2), 0.5 - apart / np.sqrt(2), 0.0]])
         assert (search._branch(BranchNode(0.0, 1, thin, {}), bounds(0.0)) is not None) == cut
+    border = np.array([[0.0, 0.0, 0.0], [1e-6, 0.0, 0.0]])
+    assert search._branch(BranchNode(0.0, 1, border, {}), bounds(0.0)) is None
+    one = BranchNode(0.0, 1, rays[:1], {})
+    assert search._branch(one, bounds(0.0)) is None
+    search.best.cost = 1.0
+    assert search._branch(one, bounds(0.0)) is None, "no box where no block is repeated"
 
 
 def test_the_box_that_is_widest_beside_its_first_is_halved():
@@ -708,6 +744,14 @@ def test_the_box_that_is_widest_beside_its_first_is_halved():
     for share, ends in ((1.1e-9, False), (0.9e-9, True)):
         tiny = {k: Box(share * box.low, share * box.high) for k, box in first.items()}
         assert (search._cut_box(BranchNode(0.0, 1, np.eye(3)[2:], tiny)) is None) == ends
+    search._cut_box(node)
+    assert search._first_boxes == first, "a later node without boxes does not change the measure"
+    search._first_boxes = {0: Box(-0.1, 0.1), 2: Box(-4.0, 4.0)}
+    shares = {0: Box(-0.09, 0.09), 2: Box(-3.0, 3.0)}
+    children = search._cut_box(BranchNode(0.0, 1, np.eye(3)[2:], shares))
+    assert [boxes[0] for _, boxes in children] == list(shares[0].halves()), "0.9 beside 0.75"
+    search._first_boxes = {0: Box(-1.0, 1.0)}
+    assert search._cut_box(BranchNode(0.0, 1, np.eye(3)[2:], {0: Box(-1e-9, 1e-9)})) is None
     # Where every size is a block's own there is no direction; where no block has a bound there is no box.
     own = _Search(Quadratic([scalars_of(kind, row(1, 0), row(0, 1), param=0)], 1, 2), 0.1)
     own.best.cost = 2.0
@@ -715,3 +759,6 @@ def test_the_box_that_is_widest_beside_its_first_is_halved():
     endless = _Search(Quadratic([forms[3], Form(row(1, 0), row(0, 1), param=0)], 1, 2), 0.1)
     endless.best.cost = 2.0
     assert endless._cut_box(BranchNode(0.0, 0, np.eye(1), {})) is None
+    own.best.cost, own._first_boxes = 0.0, {}
+    with np.errstate(all="raise"):
+        assert own._cut_box(BranchNode(0.0, 0, np.eye(1), {})) is None, "a cost of nothing leaves no box"
