@@ -587,6 +587,13 @@ def test_a_certificate_is_made_of_each_bound_each_box_and_the_reality_of_scalars
     np.testing.assert_array_equal(nothing.q0, np.zeros((1, 2, 2)))
     endless = [Form(row(1, 0), row(0, 1), constant=np.inf), Form(row(1, 1), row(0, 1), param=0)]
     assert Relaxation(Quadratic(endless, 1, 2))._plain.param.tolist() == [0]
+    alone = [endless[0], scalars_of("repeated_real", row(1, 0), row(0, 1), param=0)]
+    assert Relaxation(Quadratic(alone, 1, 2))._plain is None
+    small = Relaxation(Quadratic([Form(row(0.1, 0), row(0, 0.2), param=0)], 1, 2))
+    np.testing.assert_allclose(small._plain.q0, [np.diag([1.0, 0.0])])
+    np.testing.assert_allclose(small._plain.level, [np.diag([0.0, 4.0])])
+    small._generators = None  # without repeated blocks they are made once
+    assert small.lower(BranchNode(0.0, 0, np.eye(1), {}), 1.0)[0] == pytest.approx(0.0, abs=1e-6)
 
 
 def test_a_cones_bound_is_what_its_centres_certificate_proves_at_its_edges(monkeypatch):
@@ -600,7 +607,7 @@ def test_a_cones_bound_is_what_its_centres_certificate_proves_at_its_edges(monke
     node = BranchNode(0.0, 1, rays, {2: Box(1 + 1j, 2 + 2j)})
     base = 2 / 0.5
     g = relaxation._generators(node.boxes)
-    y = np.array([0.3, 0.3, 0.2, 0.2])
+    y = np.array([0.5, 0.3, 0.01, 0.01])
     asked = []
     answer = (0.7, y, np.eye(2))
     monkeypatch.setattr(lmi, "ray_length", lambda *given: asked.append(given) or answer)
@@ -614,7 +621,9 @@ def test_a_cones_bound_is_what_its_centres_certificate_proves_at_its_edges(monke
         np.testing.assert_allclose(level, g.level * weights[:, None, None])
     zero = np.tensordot(y, g.q0, axes=1)
     slopes = [y[0] * r[0] * g.level[0] + y[1] * r[1] * g.level[1] for r in rays]
-    assert lower == pytest.approx(base + min(lmi.reach(zero, np.array(slopes), lmi.rounding(y, g.q0))))
+    proved = lmi.reach(zero, np.array(slopes), lmi.rounding(y, g.q0))
+    assert 0.0 < proved.min() < 0.9 * proved.max() < np.inf
+    assert lower == pytest.approx(base + proved.min())
     answer = (0.7, None, None)
     assert relaxation.lower(node, 10.0) == (pytest.approx(base), pytest.approx(base + 0.7), None)
 
@@ -635,3 +644,5 @@ def test_scalars_are_held_in_units_of_their_block_at_the_centre_and_the_corners(
         np.testing.assert_allclose(found, ((a - scalar * b) / unit)[0], rtol=1e-13)
     # Of the three only the first has a size of its own: (2 * 2 * 0.5 - 2^2) / 7.
     assert held.base(np.array(d)) == pytest.approx(-2 / 7)
+    with pytest.raises(ValueError, match="longer"):
+        held.rows(np.array([*d, 1.0]))
