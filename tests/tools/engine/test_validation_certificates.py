@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from lft_problems import gauss, row, scalars_of
+from lpvguard.base import native
 from lpvguard.engine.validation import lmi
 from lpvguard.engine.validation.quadratic import Form, Quadratic
 from lpvguard.engine.validation.relaxation import Box, BranchNode, Relaxation, _HeldScalars
@@ -216,6 +217,129 @@ def test_a_rays_length_is_where_the_best_level_falls_to_zero(seed, monkeypatch):
     assert nothing[0] == 0.0 and nothing[1] is None
 
 
+ON_A_RAY = {
+    "two numbers": [("psd", 1), ("psd", 1)],
+    "four numbers": 4 * [("psd", 1)],
+    "a matrix and a number": [("psd", 2), ("psd", 1)],
+    "a matrix of three and a free number": [("psd", 3), ("free", 1)],
+    "a free number between": [("psd", 1), ("free", 1), ("psd", 2)],
+}
+
+
+def along_a_ray(groups: list[tuple[str, int]], seed: int, shift: float = 6.0):
+    """(q0, level, cone) of which some multiplier proves a length where ``shift`` is large."""
+    rng, c = np.random.default_rng(seed), lmi.cone(groups)
+    n, m = 3 + seed % 3, len(c.normal)
+    q0, level = hermitian(rng, m, n), np.zeros((m, n, n), complex)
+    q0[0] += shift * np.eye(n)
+    for (kind, r), start in zip(groups, c.start, strict=True):
+        if kind == "psd":
+            a = gauss(rng, r if r > 1 else n, n)
+            level[start : start + r * r] = lmi.gram(a, a, lmi.hermitian_basis(r) if r > 1 else None)
+    return q0, level, c
+
+
+@pytest.mark.parametrize("name", ON_A_RAY)
+def test_both_engines_go_the_same_way_along_a_ray(name, monkeypatch):
+    """A cutoff of nothing ends it after one level, whose multipliers and slack show each step to it."""
+    if native.kernels("ray") is None:
+        pytest.skip("no C compiler: nothing to compare with")
+    for seed in range(3):
+        q0, level, c = along_a_ray(ON_A_RAY[name], seed)
+        for cutoff in (0.0, 1.0, np.inf):
+            found = []
+            for off in ("", "1"):
+                monkeypatch.setenv("LPVGUARD_NO_NATIVE", off)
+                found.append(lmi.ray_length(q0, level, c, cutoff))
+            (length, y, inverse), (plain, plain_y, plain_inverse) = found
+            assert plain == pytest.approx(length, rel=1e-6)
+            np.testing.assert_allclose(plain_y, y, atol=1e-5 * np.abs(y).max())
+            np.testing.assert_allclose(plain_inverse, inverse, atol=1e-3 * np.abs(inverse).max())
+
+
+def test_a_ray_that_nothing_ends_is_endless_in_both_engines(monkeypatch):
+    """Free multiples of all Hermitian matrices make up for any level; they grow until that is called endless,
+    not until they overflow."""
+    c = lmi.cone([("psd", 1), ("free", 2)])
+    q0 = np.concatenate([np.diag([1.0, -1.0])[None], lmi.hermitian_basis(2)])
+    level = np.concatenate([np.array([[[2.0, 1j], [-1j, 1.0]]]), 0 * lmi.hermitian_basis(2)])
+    for off in ("", "1"):
+        monkeypatch.setenv("LPVGUARD_NO_NATIVE", off)
+        length, y, _ = lmi.ray_length(q0, level, c)
+        assert length == np.inf and np.isfinite(y).all()
+
+
+def tried_along(monkeypatch, end: float, step: float, cutoff: float) -> tuple[list[float], float]:
+    """Lengths at which a level is asked for, and the answer, where each proof goes ``step`` further up to
+    ``end``."""
+    tried: list[float] = []
+
+    def level(q, c, *, relative, absolute):
+        assert (relative, absolute) == (0.3, 1e-8)
+        tried.append(float(-q[0, 0, 0].real))
+        return lmi.Centre(np.ones(1), 1.0 if tried[-1] <= end else -1.0, np.inf, np.full((1, 1), tried[-1]))
+
+    monkeypatch.setattr(lmi, "maximise_level", level)
+    monkeypatch.setattr(lmi, "reach", lambda *_: [min(tried[-1] + step, end)])
+    one = np.ones((1, 1, 1), complex)
+    length, y, inverse = lmi._ray_length_numpy(0 * one, one, lmi.cone([("psd", 1)]), cutoff)
+    assert y is not None and inverse is not None
+    return tried, length
+
+
+def test_a_ray_is_tried_at_its_length_and_boldly_ahead_in_turn(monkeypatch):
+    inf = np.inf
+    for end, step, cutoff, lengths in (
+        (10.0, 1.0, inf, [0, 8, 9, 80, 10]),
+        (10.0, 1.0, 1000.0, [0, 1000, 1, 2000**0.5, 2, (3 * 2000**0.5) ** 0.5, 3]),
+        (10.0, 1.0, 7.0, [0, 7]),
+        (10.0, 1.0, 0.5, [0]),
+        (10.0, 1.0, 1.0, [0]),
+        (8.0, 4.0, 33.0, [0, 33, 4, 264**0.5, 8]),
+        (8.0, 4.0, 32.0, [0, 32, 4, 20, 8]),
+        (1.0, 1e-9, 100.0, [0, 100, 1e-9, 0.1, 0.1 + 1e-9]),
+    ):
+        tried, length = tried_along(monkeypatch, end, step, cutoff)
+        assert tried[: len(lengths)] == pytest.approx(lengths, rel=1e-12), (end, step, cutoff)
+        assert length <= end
+    # A proof ahead is kept; at the proven length the end is one where nothing is gained, to a millionth.
+    assert tried_along(monkeypatch, 10.0, 1.0, inf) == ([0, 8, 9, 80, 10], 10.0)
+
+
+def test_a_ray_ends_where_its_bracket_is_a_hundred_thousandth_wide(monkeypatch):
+    """Half of what is left lies ahead each time: the last gap is that of the answer's share."""
+    tried, length = tried_along(monkeypatch, 3.0, 1e-3, 4.0)
+    ahead = tried[1::2]
+    beyond = min(at for at in ahead if at > 3.0)
+    assert beyond <= length * (1 + 1e-5) or length == 3.0
+    assert 10 < len(tried) < 80
+
+
+def test_the_compiled_ray_is_asked_about_no_more_than_it_holds(monkeypatch):
+    if native.kernels("ray") is None:
+        pytest.skip("no C compiler: nothing to ask")
+    asked = []
+    monkeypatch.setattr(lmi, "_ray_length_numpy", lambda *given: asked.append(given) or (1.5, None, None))
+    rng = np.random.default_rng(2)
+    for n, groups, plain in (
+        (16, 4 * [("psd", 4)], False),
+        (17, [("psd", 1)], True),
+        (2, [*4 * [("psd", 4)], ("psd", 1)], True),
+        (2, [("psd", 5)], True),
+        (2, [("psd", 1), ("free", 5)], False),
+    ):
+        c = lmi.cone(groups)
+        q0 = hermitian(rng, len(c.normal), n)
+        asked.clear()
+        length, y, inverse = lmi.ray_length(q0 - 1e3 * np.eye(n), 0 * q0, c, 1.0)
+        assert bool(asked) == plain
+        if plain:
+            assert length == 1.5 and asked[0][3] == 1.0
+        else:
+            assert y is None or len(y) == len(q0)
+            assert inverse.shape == (n, n)
+
+
 # --- boxes and bounds over nodes ---
 
 
@@ -404,3 +528,121 @@ def test_a_constant_beside_a_size_is_taken_off_what_a_scalar_forces():
     assert held.base(np.array([2.0])) == pytest.approx(3.0, rel=1e-5)
     # The tangent of |d|^2 at the centre lies below it.
     assert held.base(np.array([3.0])) == pytest.approx(2 * 2 * 3 - 4 - 1, rel=1e-5)
+
+
+def mixed_forms() -> list[Form]:
+    """Forms of one row with every kind of bound; sizes 0 and 1 have two users and one."""
+    rng = np.random.default_rng(17)
+    maps = gauss(rng, 12, 1, 3)
+    return [
+        Form(maps[0], maps[1], constant=2.0, slope=3.0),
+        Form(maps[2], maps[3], constant=0.5, param=0, slope=2.0),
+        scalars_of("repeated_real", maps[4], maps[5], param=1, slope=7.0),
+        scalars_of("repeated_complex", maps[6], maps[7], constant=np.inf),
+        scalars_of("repeated_complex", maps[8], maps[9], constant=4.0),
+        scalars_of("repeated_complex", maps[10], maps[11], param=0, slope=1.5),
+    ]
+
+
+BOXES = {2: Box(1.0, 3.0), 4: Box(-1 + 1j, 1 + 4j), 5: Box(0j, 1 + 1j)}
+
+
+def test_a_certificate_is_made_of_each_bound_each_box_and_the_reality_of_scalars():
+    forms = mixed_forms()
+    problem = Quadratic(forms, 2, 3)
+    assert problem.boxed == {1}
+    aa, bb = ([m.conj().T @ m for m in maps] for maps in ([f.a for f in forms], [f.b for f in forms]))
+
+    def off_centre(k: int, centre: complex) -> np.ndarray:
+        d = forms[k].a - centre * forms[k].b
+        return d.conj().T @ d
+
+    turned = 1j * forms[2].a.conj().T @ forms[2].b
+    wanted = [
+        (aa[0] - 6 * bb[0], 0 * bb[0], -1),
+        (aa[1] - bb[1], 2 * bb[1], 0),
+        (aa[2] - 9 * bb[2], 0 * bb[2], -1),
+        (turned + turned.conj().T, 0 * bb[2], -1),
+        (off_centre(2, 2.0) - bb[2], 0 * bb[2], -1),
+        (aa[4] - 4 * bb[4], 0 * bb[4], -1),
+        (off_centre(4, 2.5j) - 3.25 * bb[4], 0 * bb[4], -1),
+        (aa[5], 1.5 * bb[5], 0),
+        (off_centre(5, 0.5 + 0.5j) - 0.5 * bb[5], 0 * bb[5], -1),
+    ]
+    g = Relaxation(problem)._generators(BOXES)
+    assert len(g.q0) == len(wanted) and g.param.tolist() == [w[2] for w in wanted]
+    assert g.cone.order == (1, 1, 1, 0, 1, 1, 1, 1, 1)
+    for q0, level, (zero, slope, _) in zip(g.q0, g.level, wanted, strict=True):
+        np.testing.assert_allclose(q0, zero / np.abs(zero).max(), atol=1e-14)
+        np.testing.assert_allclose(level, slope / np.abs(zero).max(), atol=1e-14)
+    # Without a box a size of its own is a level like any other.
+    g = Relaxation(problem)._generators({})
+    assert g.param.tolist() == [-1, 0, 1, -1, -1, 0] and g.cone.order == (1, 1, 1, 0, 1, 1)
+    np.testing.assert_allclose(g.level[2], 7 * bb[2] / np.abs(aa[2]).max(), atol=1e-14)
+    # The forms that are no repeated block's alone are what the tangent is made of.
+    plain = Relaxation(problem)._plain
+    assert plain.param.tolist() == [-1, 0] and plain.cone.order == (1, 1)
+    assert Relaxation(Quadratic(forms[2:5], 2, 3))._plain is None
+    nothing = Relaxation(Quadratic([Form(row(0, 0), row(0, 0), param=0)], 1, 2))._plain
+    np.testing.assert_array_equal(nothing.q0, np.zeros((1, 2, 2)))
+    endless = [Form(row(1, 0), row(0, 1), constant=np.inf), Form(row(1, 1), row(0, 1), param=0)]
+    assert Relaxation(Quadratic(endless, 1, 2))._plain.param.tolist() == [0]
+    alone = [endless[0], scalars_of("repeated_real", row(1, 0), row(0, 1), param=0)]
+    assert Relaxation(Quadratic(alone, 1, 2))._plain is None
+    small = Relaxation(Quadratic([Form(row(0.1, 0), row(0, 0.2), param=0)], 1, 2))
+    np.testing.assert_allclose(small._plain.q0, [np.diag([1.0, 0.0])])
+    np.testing.assert_allclose(small._plain.level, [np.diag([0.0, 4.0])])
+    small._generators = None  # without repeated blocks they are made once
+    assert small.lower(BranchNode(0.0, 0, np.eye(1), {}), 1.0)[0] == pytest.approx(0.0, abs=1e-6)
+
+
+def test_a_cones_bound_is_what_its_centres_certificate_proves_at_its_edges(monkeypatch):
+    forms = [
+        Form(row(1, -1), row(0, 1), param=0),
+        Form(row(1, 1), row(0, 1), param=1),
+        scalars_of("repeated_complex", row(2, 0), row(0, 1), param=2, slope=0.5),
+    ]
+    relaxation = Relaxation(Quadratic(forms, 3, 2))
+    rays = np.array([[0.9, 0.1, 0.0], [0.3, 0.7, 0.0]])
+    node = BranchNode(0.0, 1, rays, {2: Box(1 + 1j, 2 + 2j)})
+    base = 2 / 0.5
+    g = relaxation._generators(node.boxes)
+    y = np.array([0.5, 0.3, 0.01, 0.01])
+    asked = []
+    answer = (0.7, y, np.eye(2))
+    monkeypatch.setattr(lmi, "ray_length", lambda *given: asked.append(given) or answer)
+    for cutoff, left in ((10.0, 6.0), (3.0, 0.0)):
+        lower, central, inverse = relaxation.lower(node, cutoff)
+        q0, level, of, most = asked.pop()
+        assert most == pytest.approx(left) and most >= 0.0
+        assert of.order == (1, 1, 1, 1) and central == pytest.approx(base + 0.7) and inverse is answer[2]
+        np.testing.assert_array_equal(q0, g.q0)
+        weights = np.array([0.6, 0.4, 0.0, 0.0])
+        np.testing.assert_allclose(level, g.level * weights[:, None, None])
+    zero = np.tensordot(y, g.q0, axes=1)
+    slopes = [y[0] * r[0] * g.level[0] + y[1] * r[1] * g.level[1] for r in rays]
+    proved = lmi.reach(zero, np.array(slopes), lmi.rounding(y, g.q0))
+    assert 0.0 < proved.min() < 0.9 * proved.max() < np.inf
+    assert lower == pytest.approx(base + proved.min())
+    answer = (0.7, None, None)
+    assert relaxation.lower(node, 10.0) == (pytest.approx(base), pytest.approx(base + 0.7), None)
+
+
+def test_scalars_are_held_in_units_of_their_block_at_the_centre_and_the_corners():
+    forms = mixed_forms()
+    held = _HeldScalars(Quadratic(forms, 2, 3), BOXES)
+    np.testing.assert_array_equal(held.centre, [2.0, 2.5j, 0.5 + 0.5j])
+    assert len(held.corners) == 2 * 4 * 4
+    assert {tuple(c) for c in held.corners} == {
+        (a, b, c) for a in BOXES[2].corners for b in BOXES[4].corners for c in BOXES[5].corners
+    }
+    d = [0.5, 1j, 2.0]
+    rows = held.rows(np.array(d))
+    for k, c, scalar, found in zip((2, 4, 5), held.centre, d, rows, strict=True):
+        a, b = forms[k].a, forms[k].b
+        unit = np.linalg.norm(a) + abs(c) * np.linalg.norm(b)
+        np.testing.assert_allclose(found, ((a - scalar * b) / unit)[0], rtol=1e-13)
+    # Of the three only the first has a size of its own: (2 * 2 * 0.5 - 2^2) / 7.
+    assert held.base(np.array(d)) == pytest.approx(-2 / 7)
+    with pytest.raises(ValueError, match="longer"):
+        held.rows(np.array([*d, 1.0]))

@@ -79,11 +79,11 @@ class _NodeBounds:
 
 
 def _candidates(inverse: np.ndarray | None) -> list[np.ndarray]:
-    """Rank-one readings of the primal matrix: its leading vector, and its column of t."""
+    """Rank-one readings of the primal matrix: its column of t, and its two leading vectors."""
     if inverse is None or not np.all(np.isfinite(inverse)):
         return []
     _, vectors = np.linalg.eigh(inverse)
-    raw = [inverse[:, -1], vectors[:, -1], vectors[:, -2] if len(vectors) > 1 else vectors[:, -1]]
+    raw = [inverse[:, -1], *vectors.T[:-3:-1]]
     return [v / v[-1] for v in raw if abs(v[-1]) > 1e-9 * np.linalg.norm(v)]
 
 
@@ -195,7 +195,7 @@ class _Search:
         if tangent is not None and tangent.lower > bounds.edges:
             cone_loss, relaxation_loss = tangent.centre - tangent.cone, 2.0 * (tangent.centre - tangent.box)
         to_box = problem.boxed and not node.boxes and np.isfinite(best.cost)
-        if len(node.rays) > 1 and not to_box and (cone_loss >= 0.5 * relaxation_loss or not problem.repeated):
+        if not to_box and (cone_loss >= 0.5 * relaxation_loss or not problem.repeated):
             spread = np.linalg.norm(node.rays[:, None] - node.rays[None], axis=-1)
             i, j = np.unravel_index(np.argmax(spread), spread.shape)
             if spread[i, j] > 1e-6:
@@ -206,7 +206,7 @@ class _Search:
                     rays[j if keep == i else i] = middle
                     children.append((rays, node.boxes))
                 return children
-        return self._cut_box(node) if problem.repeated and np.isfinite(best.cost) else None
+        return self._cut_box(node) if np.isfinite(best.cost) else None
 
     def _cut_box(self, node: BranchNode) -> list[tuple[np.ndarray, dict[int, Box]]] | None:
         """(rays, boxes) of the two halves of a node's widest box; None when it has none to cut."""
@@ -215,9 +215,7 @@ class _Search:
             # A block without a cap or a size to pay for has no bounded box: its part of the interval
             # stays open.
             boxes = {
-                k: self._first_box(k)
-                for k in problem.repeated
-                if problem.forms[k].param >= 0 or np.isfinite(problem.forms[k].constant)
+                k: self._first_box(k) for k in problem.repeated if np.isfinite(problem.forms[k].constant)
             }
             if not boxes:
                 return None

@@ -107,12 +107,13 @@ def _one_block(problem: Quadratic, caps: np.ndarray, posed: Posed) -> Interval |
     forms[1] /= np.linalg.norm(ball_form.b) ** 2
     p_max = caps[which] ** 2 / (block.slope * trivial) * (1.0 - 1e-9)
     out = s2.solve_forms(forms[None], start[None], p_max)
-    if not np.isfinite(out.upper[0]) or out.p[0] > s2.NEAR_CAP**2 * p_max:
+    [lower], [upper], [p], [z], [duals] = out.lower, out.upper, out.p, out.z, out.duals
+    if not np.isfinite(upper) or p > s2.NEAR_CAP**2 * p_max:
         return None
     best = Incumbent(problem)
-    best.start([out.z[0]])
-    lower = float(out.lower[0] * trivial)
-    return Interval(lower, max(best.cost, lower), best.z, int(out.duals[0]))
+    best.start([z])
+    certified = float(lower * trivial)
+    return Interval(certified, max(best.cost, certified), best.z, int(duals))
 
 
 def _last_block_is_free(problem: Lft, gamma_w: float, gap: float, max_nodes: int) -> bool:

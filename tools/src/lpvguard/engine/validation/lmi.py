@@ -19,6 +19,9 @@ from lpvguard.base import native
 
 MAX_NEWTON = 120
 
+ENDLESS = 1e30
+"""A ray that is proven this far has no end: base/_native/ray.c says so too."""
+
 _NATIVE_N, _NATIVE_M, _NATIVE_ORDER = 16, 64, 4
 """Sizes that the compiled version's fixed arrays hold (base/_native/ray.c); larger problems run in numpy."""
 
@@ -255,6 +258,7 @@ def _ray_length_numpy(
         y = centre.y
         zero, slopes = np.tensordot(y, q0, axes=1), np.tensordot(y, level, axes=1)[None]
         longer = max(at, float(reach(zero, slopes, error)[0]))
+        longer = np.inf if longer > ENDLESS else longer
         done = not ahead and (longer <= length * (1.0 + 1e-6) or beyond <= longer * (1.0 + 1e-5))
         length = max(length, longer)
         if done or length >= cutoff:

@@ -99,7 +99,7 @@ class _Point:
 
     def __init__(self, forms: np.ndarray, p_max: float, gap: float):
         self.q0, self.qw, self.a, self.b = forms
-        self.p_max, self.gap, self.n = p_max, gap, forms.shape[-1]
+        self.p_max, self.gap, self.n = p_max, gap, len(self.q0)
         self.cost, self.p, self.z = np.inf, 0.0, None
 
     def _factor(self, mu, p):
@@ -426,7 +426,8 @@ def solve(
     silent = np.linalg.norm(e, axis=1) <= gamma
     for array, value in ((lower, 0.0), (upper, 0.0), (nu_s, 0.0), (xi, 0.0), (w, e[silent])):
         array[silent] = value
-    at_cap = feasible & (~(upper - lower <= 10.0 * gap * upper) | (nu_s >= NEAR_CAP * cap_s))
+    met = np.isfinite(upper) & (lower >= (1.0 - 10.0 * gap) * upper)
+    at_cap = feasible & (~met | (nu_s >= NEAR_CAP * cap_s))
     return S2Result(lower, upper, np.abs(xi[:, 0]) / np.abs(u), nu_s, xi, w, spread(out.duals, 0), b1, at_cap)
 
 
