@@ -56,7 +56,7 @@ MEASURED = {
     "engine/synthesis/partition.py": 213,
     "engine/synthesis/scheduling.py": 111,
     "engine/synthesis/singular.py": 121,
-    "engine/synthesis/slow_delta.py": 164,
+    "engine/synthesis/slow_delta.py": 163,
     "engine/synthesis/statespace.py": 415,
     "engine/synthesis/storage_grid.py": 86,
     "engine/synthesis/structure.py": 103,
