@@ -63,7 +63,7 @@ def test_the_stored_function_is_proved_anew_and_an_altered_one_is_not(proved):
 
 
 def test_a_storage_function_of_the_loop_itself_is_proved_too_and_none_holds_for_the_other_direction(proved):
-    primal = lpv._polynomial(family(0.4), lambda _: None)
+    primal = lpv._polynomial(family(0.4))
     assert proved.storage.adjoint and not primal.storage.adjoint and primal.rate > 0.05
     assert lpv.prove(family(0.4), primal.storage, primal.rate) == primal.proof
     for one in (proved, primal):
@@ -75,7 +75,7 @@ def test_a_storage_function_of_the_loop_itself_is_proved_too_and_none_holds_for_
 def test_a_cell_bounds_what_the_loop_loses_between_its_ends(proved, adjoint):
     """F at random speeds and steps of a wide cell is nowhere less than what the cell promises."""
     one = replace(family(0.4), adjoint=adjoint)
-    found = proved if adjoint else lpv._polynomial(one, lambda _: None)
+    found = proved if adjoint else lpv._polynomial(one)
     storage, n = found.storage, len(found.storage.basis)
     rate, random = 0.2 * found.rate, np.random.default_rng(7)
     low, high = 1.0, 1.02

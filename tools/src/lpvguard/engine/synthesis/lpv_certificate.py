@@ -405,29 +405,27 @@ def frozen_at(family: Family, speeds: np.ndarray):
     return None if frozen is None else _even(basis, parts, frozen)
 
 
-def find(family: Family, progress: Callable[[str], None] = lambda _: None) -> LpvCertificate | None:
+def find(family: Family) -> LpvCertificate | None:
     """The storage function with the largest rate that was found and proved, of the adjoint or else of the
     loop itself; None when there is none."""
     for adjoint in (True, False):
         one = replace(family, adjoint=adjoint)
-        found = _polynomial(one, progress) or _riccati(one)
+        found = _polynomial(one) or _riccati(one)
         if found is not None:
             return found
     return None
 
 
-def _polynomial(family: Family, progress: Callable[[str], None]) -> LpvCertificate | None:
+def _polynomial(family: Family) -> LpvCertificate | None:
     """P0 + v P1 + P2 / v with the largest rate that was found and proved."""
     for parts in GRIDS:
-        found, proved = _on_grid(family, refined(family.nodes, parts), progress)
+        found, proved = _on_grid(family, refined(family.nodes, parts))
         if proved is not None or not found:
             return proved
     return None
 
 
-def _on_grid(
-    family: Family, grid: np.ndarray, progress: Callable[[str], None]
-) -> tuple[bool, LpvCertificate | None]:
+def _on_grid(family: Family, grid: np.ndarray) -> tuple[bool, LpvCertificate | None]:
     """Whether there is a storage function at the speeds ``grid`` for any rate, and what of it is proved
     between them."""
     start = frozen_at(family, grid)
@@ -439,14 +437,12 @@ def _on_grid(
     stored: list[tuple[float, np.ndarray]] = []
     failed: float | None = None
     while (rate := _next_rate(stored[-1][0] if stored else None, failed)) is not None:
-        progress(f"storage function for |dv/dt| up to {rate:.3g} m/s2, {len(basis)} states")
         found = feasible(search.barrier(rate), P, unit)
         if found is not None:
             P = found
             stored.append((rate, search.coefficients(found)))
         else:
             failed = rate
-    progress("proof between the speeds")
     for on_grid, coefficients in reversed(stored):
         storage = polynomial_storage(family, basis, coefficients)
         for share in SHARES:
