@@ -41,15 +41,13 @@ def overview_section(
     alarms = [(d, a) for d in told for a in d.alarms]
     grid = cells(stored.visibility, (a for _, a in alarms))
     shown = blind_map(stored, grid, (a for _, a in alarms))
-    return f"""<h2>At a glance</h2>{_headline(grid, told, alarms, replayed)}
+    return f"""<h2>At a glance</h2>{_headline(grid, told, replayed)}
 <div class="glance" id="glance"><div class="wide">{_good_for(grid)}{shown}</div>
 <div class="cards">{_alarms(told, alarms, _independence(stored, told, evaluation))}\
 {_promise(stored, design)}{_to_do(grid, told)}</div></div>"""
 
 
-def _headline(
-    grid: list[list[MapCell]], told: list[Told], alarms: list[tuple[Told, Alarm]], replayed: bool
-) -> str:
+def _headline(grid: list[list[MapCell]], told: list[Told], replayed: bool) -> str:
     """Whether the model held, and how much of its range that says anything about, in a sentence."""
     flat = [c for row in grid for c in row]
     proved = sum(c.state == PROVED for c in flat)
@@ -59,7 +57,7 @@ def _headline(
         return f'<p id="headline"><b>Not replayed.</b> {sees}</p>'
     hours = sum(d.judged_s for d in told) / 3600
     words = outcome(told)
-    held = yes_or_no(not alarms, words, words)
+    held = yes_or_no(not any(drive.alarms for drive in told), words, words)
     return f'<p id="headline" data-proved="{proved}">{held}, {hours:.2f} h judged. {sees}</p>'
 
 
