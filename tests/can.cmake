@@ -4,7 +4,9 @@ file(MAKE_DIRECTORY "${can_codec}")
 execute_process(COMMAND ${lpvg_python} -c "import sys, pathlib
 from lpvguard.can.codegen import codec_files
 for name, text in codec_files().items():
-    pathlib.Path(sys.argv[1], name).write_text(text)" "${can_codec}" COMMAND_ERROR_IS_FATAL ANY)
+    path = pathlib.Path(sys.argv[1], name)
+    if not path.is_file() or path.read_text() != text:  # what is as it was is not compiled again
+        path.write_text(text)" "${can_codec}" COMMAND_ERROR_IS_FATAL ANY)
 file(GLOB can_package "${PROJECT_SOURCE_DIR}/tools/src/lpvguard/can/*.py" "${PROJECT_SOURCE_DIR}/tools/src/lpvguard/can/*.toml")
 set_property(DIRECTORY APPEND PROPERTY CMAKE_CONFIGURE_DEPENDS ${can_package})
 
@@ -32,6 +34,7 @@ foreach(test IN ITEMS unit/test_can unit/test_j1939 unit/test_uds unit/test_host
   target_link_libraries(${program} PRIVATE can_under_test lpvg_catch)
   add_test(NAME ${kind}.${name} COMMAND ${program})
   set_tests_properties(${kind}.${name} PROPERTIES LABELS ${kind} TIMEOUT 120)
+  lpvg_counted(${kind}.${name} ${program})
 endforeach()
 add_dependencies(unit_tests test_can test_j1939 test_uds test_hostile_bus)
 

@@ -23,3 +23,10 @@ target_sources(lpvg_catch INTERFACE ${lpvg_catch_main})
 target_link_libraries(lpvg_catch INTERFACE Catch2::Catch2)
 target_compile_features(lpvg_catch INTERFACE cxx_std_17)
 target_compile_options(lpvg_catch INTERFACE $<$<NOT:$<BOOL:$<TARGET_PROPERTY:lpvg_optimised>>>:-O0>)
+
+# lpvg_counted(TEST PROGRAM): with LPVG_COVERAGE the test leaves its counts beside its program.
+function(lpvg_counted test program)
+  if(LPVG_COVERAGE)
+    set_property(TEST ${test} APPEND PROPERTY ENVIRONMENT "LLVM_PROFILE_FILE=$<TARGET_FILE:${program}>.profraw")
+  endif()
+endfunction()

@@ -243,7 +243,6 @@ def test_the_lists_are_read_from_what_build_and_tests_call():
     assert {
         "candump",
         "cppcheck",
-        "gcov",
         "lcm-gen",
         "nm",
         "pkg-config",
