@@ -52,8 +52,17 @@ ABOUT: dict[str, tuple[str, ...]] = {
 """File -> how the names of its own programs begin: they are asked first, and they alone about long cases.
 Else test_ and the file's name."""
 SAMPLE_FILES, SAMPLE, TOUCHED = 2, 100, 600
-"""Without LPVGUARD_FULL, of those that neither list names: that many mutants of that many files where no
-change is known; of the files that a change touches at most so many in all."""
+"""Without LPVGUARD_FULL, of those that neither list names: of the files that a change touches at most TOUCHED
+mutants in all; else, where tests changed or git cannot say, SAMPLE mutants of SAMPLE_FILES files."""
+ABOUT_TESTS = (
+    "tests/unit/",
+    "tests/fault/",
+    "tests/property/",
+    "tests/gates/mutant_switch",
+    "tests/gates/mutation",
+)
+"""What judges mutants, and makes them."""
+NOTHING_CHANGED = "skipped: no source and no test changed; LPVGUARD_FULL=1 asks all mutants"
 MOST_EQUIVALENT = 0.05
 SHORT_FORM = {k: v for k, v in os.environ.items() if k != "LPVGUARD_FULL"}
 
@@ -109,24 +118,36 @@ def command(*words: object, cwd: Path | None = None, env: dict[str, str] | None 
 # --- which files ---
 
 
-def changed_files(tree: Path) -> set[str]:
-    """Paths that differ from the merge base with the main branch, or from the newest commit where that is it;
-    none where git cannot say."""
+def changed_files(tree: Path) -> set[str] | None:
+    """Paths that differ from the merge base with the main branch, or, where HEAD is that, from the commit
+    before it; None where git cannot say."""
     try:
-        base = command("git", "merge-base", "HEAD", "main", cwd=tree).strip()
-        names = command("git", "diff", "--name-only", base, cwd=tree)
+        head, base = (
+            command("git", *words, cwd=tree).strip()
+            for words in (("rev-parse", "HEAD"), ("merge-base", "HEAD", "main"))
+        )
+        names = command("git", "diff", "--name-only", "HEAD^" if head == base else base, cwd=tree)
     except (RuntimeError, FileNotFoundError):
-        return set()
+        return None
     return set(names.split())
 
 
+def untouched(changed: set[str] | None, tests: tuple[str, ...]) -> bool:
+    """Whether it is known that nothing of ``tests`` changed: paths, or how they begin."""
+    return changed is not None and not any(path.startswith(tests) for path in changed)
+
+
 def chosen(tree: Path, names: list[str], full: bool, only: str) -> tuple[list[str], int]:
-    """Files to mutate, and how many of their mutants (0: all)."""
+    """Files to mutate, and how many of their mutants (0: all). None where neither a source nor a test
+    changed."""
     if only or full:
         return ([only] if only else names), 0
-    touched = sorted(set(names) & {Path(p).name for p in changed_files(tree) if p.startswith("lib/src/")})
+    changed = changed_files(tree)
+    touched = sorted(set(names) & {Path(p).name for p in changed or () if p.startswith("lib/src/")})
     if touched:
         return touched, TOUCHED
+    if untouched(changed, ABOUT_TESTS):
+        return [], 0
     seed = hashlib.sha256(b"".join((tree / "lib" / "src" / name).read_bytes() for name in names)).hexdigest()
     return sorted(random.Random(seed).sample(names, SAMPLE_FILES)), SAMPLE
 
@@ -446,6 +467,9 @@ def mutation_findings(tree: Path, scratch: Path, names: list[str], full: bool, o
     one, or of those that a change touches."""
     work, build = scratch / "mutated", scratch / "build"
     files, sample = chosen(tree, names, full, only)
+    if not files:
+        print(NOTHING_CHANGED)
+        return []
     main = with_switch(tree)
     try:
         mirror(tree, work, main)

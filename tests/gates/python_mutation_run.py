@@ -19,7 +19,19 @@ from pathlib import Path
 from typing import Any
 
 from mutation import Change
-from mutation_run import Mutant, Noted, changed_files, command, no_longer, noted, stands_in, table, too_many
+from mutation_run import (
+    NOTHING_CHANGED,
+    Mutant,
+    Noted,
+    changed_files,
+    command,
+    no_longer,
+    noted,
+    stands_in,
+    table,
+    too_many,
+    untouched,
+)
 
 PACKAGE = Path("tools", "src", "lpvguard")
 TARGETS = (
@@ -96,7 +108,12 @@ ASKED = {
 whole room of costly tests reaches takes minutes; of synthesis all of the engine."""
 SAMPLE_FILES, SAMPLE = 2, 20
 """Without LPVGUARD_FULL, of those that neither list names: so many mutants, of the files that a change
-touches, or else of so many files of one folder."""
+touches, or else, where tests changed or git cannot say, of so many files of one folder."""
+ABOUT_TESTS = (
+    *(f"tests/tools/{folder}/" for folder in ("drives", "engine", "identify")),
+    "tests/gates/python_mutation",
+)
+"""What judges mutants, and makes them."""
 EQUIVALENT, OPEN = "python_equivalent_mutants.json", "python_open_mutants.json"
 
 
@@ -121,10 +138,13 @@ def folder_of(name: str) -> str:
 
 
 def drawn(tree: Path, names: list[str]) -> list[str]:
-    """The files that a change touches, or some of one folder, by the hash of all."""
-    begin = f"{PACKAGE.as_posix()}/"
-    if touched := sorted(set(names) & {p.removeprefix(begin) for p in changed_files(tree)}):
+    """The files that a change touches; where tests changed or git cannot say some of one folder, by the hash
+    of all; else none."""
+    begin, changed = f"{PACKAGE.as_posix()}/", changed_files(tree)
+    if touched := sorted(set(names) & {p.removeprefix(begin) for p in changed or ()}):
         return touched
+    if untouched(changed, ABOUT_TESTS):
+        return []
     seed = hashlib.sha256(b"".join((tree / PACKAGE / name).read_bytes() for name in names)).hexdigest()
     random_of = random.Random(seed)
     folder = random_of.choice(sorted({folder_of(name) for name in names}))
@@ -235,6 +255,9 @@ def python_mutation_findings(
     every = target_files(tree)
     names = [name for name in every if name in measured]
     files = [only] if only else names if full else drawn(tree, names)
+    if not files:
+        print(NOTHING_CHANGED)
+        return []
     equivalent, known = noted(tree, EQUIVALENT), noted(tree, OPEN)
     all_of = set(files) if full or only else set()
     try:

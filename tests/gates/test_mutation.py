@@ -14,7 +14,10 @@ from mutation_run import (
     CLANG,
     EQUIVALENT,
     OPEN,
+    SAMPLE,
+    TOUCHED,
     Mutant,
+    chosen,
     command,
     dumped,
     judged,
@@ -124,6 +127,47 @@ def test_more_than_a_twentieth_cannot_be_argued_away(ran):
     found = too_many(mutants, survived, {"small.cpp": notes})
     assert found == [f"{len(survived)} of {len(mutants)} mutants are argued equivalent: more than 5 %"]
     assert too_many(mutants, survived, {}) == []
+
+
+def test_what_a_change_touches_is_asked_and_nothing_where_neither_source_nor_test_changed(tmp_path):
+    """In a repository of two files: without git, on the main branch, beside it, with work not committed."""
+    names = ["can.cpp", "ecu.cpp"]
+    source, tests = tmp_path / "lib" / "src", tmp_path / "tests" / "unit"
+    for folder in (source, tests):
+        folder.mkdir(parents=True)
+    (source / "can.cpp").write_text("can")
+    (source / "ecu.cpp").write_text("ecu")
+
+    def git(*words: str) -> None:
+        command("git", "-c", "user.name=t", "-c", "user.email=t@t", *words, cwd=tmp_path)
+
+    def commit(path: Path) -> None:
+        path.write_text(path.read_text() + "more" if path.exists() else "new")
+        git("add", "-A")
+        git("commit", "-q", "-m", "one change")
+
+    def asked() -> tuple[list[str], int]:
+        return chosen(tmp_path, names, full=False, only="")
+
+    assert asked() == (names, SAMPLE), "git cannot say"
+    git("init", "-q", "-b", "main")
+    commit(tmp_path / "README.md")
+    assert asked() == (names, SAMPLE), "no commit before it"
+    commit(tmp_path / "README.md")
+    assert asked() == ([], 0)
+    commit(source / "can.cpp")
+    assert asked() == (["can.cpp"], TOUCHED)
+    commit(tests / "test_can.cpp")
+    assert asked() == (names, SAMPLE)
+    git("checkout", "-q", "-b", "beside")
+    assert asked() == (names, SAMPLE)
+    commit(source / "ecu.cpp")
+    commit(tmp_path / "README.md")
+    assert asked() == (["ecu.cpp"], TOUCHED)
+    (source / "can.cpp").write_text("not committed")
+    assert asked() == (names, TOUCHED)
+    assert chosen(tmp_path, names, full=True, only="") == (names, 0)
+    assert chosen(tmp_path, names, full=False, only="can.cpp") == (["can.cpp"], 0)
 
 
 def test_the_readme_has_the_table_of_the_lists():
