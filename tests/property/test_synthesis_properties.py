@@ -2,6 +2,8 @@
 axioms.
 """
 
+import os
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -75,7 +77,7 @@ def test_mu_is_homogeneous_invariant_to_scalings_and_between_radius_and_norm(see
     assert np.isclose(mu_bounds(factor * M, blocks).upper, factor * b.upper, rtol=1e-6)
 
 
-@quick
+@settings(quick, max_examples=40 if os.environ.get("LPVGUARD_FULL") == "1" else 10)
 @given(seeds)
 @pytest.mark.slow("5 s: real mu of random matrices")
 def test_a_real_scalar_is_never_worse_than_a_complex_one(seed):

@@ -54,7 +54,7 @@ def test_no_drawn_loop_is_above_what_is_proved_and_a_bolder_claim_is_refuted(des
     assert refuted == [names[1], names[2], names[4], names[5], names[6]]
 
 
-def test_the_largest_frozen_mu_stands_beside_the_largest_optimum_of_one_speed(designed):
+def test_the_largest_frozen_mu_stands_beside_the_largest_optimum_of_one_speed(designed, monkeypatch):
     """A controller of common poles is above the optimum, and not far; the optimum is that of no one's mu."""
     stored, document = stated_by(designed)
     said = document["certificates"]
@@ -65,6 +65,7 @@ def test_the_largest_frozen_mu_stands_beside_the_largest_optimum_of_one_speed(de
     assert 0.8 * found.mu < found.optimum < found.mu
     low, high = stored.project.model.speed_min_mps, stored.project.model.speed_max_mps
     assert low <= found.optimum_v_mps <= high
+    monkeypatch.setattr(proofs, "frozen_optimum", lambda _: (found.optimum, found.optimum_v_mps))
     said["off_grid"] |= {"mu_upper": 2 * found.mu, "v_mps": 13.0}
     assert proofs.frozen_mu(stored, said) == replace(found, mu=2 * found.mu, v_mps=13.0)
 
