@@ -4,7 +4,9 @@ commands that write them."""
 from __future__ import annotations
 
 import json
+import os
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -19,6 +21,7 @@ from lpvguard.control.stored_frames import NEAR, StoredFrames, deciding
 from lpvguard.control.worst_run import respond, worst_runs
 from lpvguard.drives.frames import Estimator
 from lpvguard.drives.tables import list_experiments
+from lpvguard.engine.synthesis.limits import Floor
 from lpvguard.engine.synthesis.table import cell
 from lpvguard.engine.validation import s1
 from lpvguard.identify import run as identification
@@ -29,6 +32,8 @@ from lpvguard.report.sections.design import design_section
 from lpvguard.report.sections.tradeoff import tradeoff_section
 from lpvguard.vehicle.nominal import NominalModel
 from lpvguard.vehicle.project import parse_project
+
+FULL = os.environ.get("LPVGUARD_FULL") == "1"
 
 
 @pytest.fixture(scope="module")
@@ -179,9 +184,47 @@ def test_a_simulated_sine_has_the_gain_of_the_frequency_response(problem, cells)
     assert np.abs(y).max() == pytest.approx(abs(loop.response([2.0])[0, 0, 0]), rel=1e-3)
 
 
+class Reckoned(tradeoff._Search):
+    """Levels by a formula in the place of syntheses: least at ceilings of 0.2 and 0.8, with lambda_s at 4."""
+
+    def posed(self, c):
+        off = [np.log(c.low / 0.2), np.log(c.high / 0.8), np.log((c.lambda_s or 0.01) / 4.0)]
+        level = 0.5 + 0.1 * np.square(off).sum()
+        floor = Floor(0.9 * level, level, 1.0)
+        return tradeoff.Outcome(c, np.array([]), None, floor, None, None), [level]
+
+    def synthesised(self, outcome, plants, start):
+        made = tradeoff.Measured(outcome.candidate, outcome.ceiling, None, outcome.floor, plants[0], None)
+        self.made.append(made)
+        self.outcomes.append(made)
+        self.known[outcome.candidate.key] = made
+        return made
+
+
+def test_the_search_steps_to_where_no_step_betters_it_and_tries_nothing_twice(monkeypatch):
+    monkeypatch.setattr(tradeoff, "ROUNDS", 9)
+    of_project = SimpleNamespace(
+        stored=SimpleNamespace(bounds={"nu_ceiling": np.array([0.0, 0.5, 0.9])}),
+        settings=SimpleNamespace(lambda_s=1.0),
+        frames=None,
+    )
+    run = Reckoned(of_project, lambda _: None)
+    run.front()
+    before = run.best()
+    run.refine()
+    found, step = run.best(), np.log(tradeoff.LEVEL_STEP)
+    assert found.level < before.level and found.candidate.structure == "K_is"
+    assert abs(np.log(found.candidate.low / 0.2)) <= step / 2 + 1e-9
+    assert found.candidate.high == pytest.approx(0.9, rel=0.3) and found.candidate.lambda_s == 4.0
+    keys = [o.candidate.key for o in run.outcomes]
+    assert len(keys) == len(set(keys))
+    apart = [o for o in run.outcomes if o.level is None]
+    assert apart and all(o.floor.value >= found.level for o in apart)
+
+
 def test_trade_off_finds_no_worse_than_the_projects_own_and_says_what_limits(problem, monkeypatch, tmp_path):
     monkeypatch.setattr(tradeoff, "LEVELS", (0.1,))
-    monkeypatch.setattr(tradeoff, "ROUNDS", 1)
+    monkeypatch.setattr(tradeoff, "ROUNDS", 1 if FULL else 0)
     monkeypatch.setattr(tradeoff, "speeds", lambda p: [p.settings.design_speed_mps])
     found = tradeoff.search(problem)
     levels = [o.level for o in found.outcomes if o.level is not None]
