@@ -56,8 +56,8 @@ SAMPLE_FILES, SAMPLE, TOUCHED = 2, 100, 600
 mutants in all; else, where tests changed or git cannot say, SAMPLE mutants of SAMPLE_FILES files."""
 ABOUT_TESTS = (
     "tests/unit/",
-    "tests/fault/",
-    "tests/property/",
+    "tests/fault/test_can_faults.cpp",
+    "tests/property/test_ecu_random.cpp",
     "tests/gates/mutant_switch",
     "tests/gates/mutation",
 )
