@@ -72,6 +72,7 @@ MEASURED = {
     "engine/validation/posed.py": 295,
     "engine/validation/problem.py": 115,
     "engine/validation/quadratic.py": 419,
+    "engine/validation/relaxation.py": 433,
     "engine/validation/s1.py": 981,
     "engine/validation/well_posed.py": 97,
     "identify/calibration.py": 279,

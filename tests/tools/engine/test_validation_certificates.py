@@ -10,7 +10,7 @@ from lft_problems import gauss, row, scalars_of
 from lpvguard.base import native
 from lpvguard.engine.validation import lmi
 from lpvguard.engine.validation.quadratic import Form, Quadratic
-from lpvguard.engine.validation.relaxation import Box, BranchNode, Relaxation, _HeldScalars
+from lpvguard.engine.validation.relaxation import PENALTIES, Box, BranchNode, Relaxation, _HeldScalars
 
 
 def hermitian(rng: np.random.Generator, *shape: int) -> np.ndarray:
@@ -121,6 +121,181 @@ def test_the_barriers_derivatives_are_those_of_its_differences():
     np.testing.assert_allclose(
         hessian, [-(gradient(v + h) - gradient(v - h)) / 2e-5 for h in step], rtol=1e-5, atol=1e-7
     )
+
+
+def best_length(decrement: float) -> float:
+    """Whole near the centre, damped further out, and four times as bold far out."""
+    if decrement < 0.25:
+        return 1.0
+    damped = 1.0 / (1.0 + decrement)
+    return min(1.0, 4.0 * damped) if decrement > 1.0 else damped
+
+
+@pytest.mark.parametrize("relative", [0.3, 1e-5])
+@pytest.mark.parametrize("shift", [4.0, 0.0, -9.0])
+@pytest.mark.parametrize(
+    "groups", [2 * [("psd", 1)], [("psd", 1), ("psd", 2), ("free", 1)], [("psd", 3), ("free", 1)]]
+)
+def test_a_level_is_followed_along_its_centres_by_newtons_steps(groups, shift, relative, monkeypatch):
+    """Each step is checked against the barrier's derivatives that it came from."""
+    trace: list[dict] = []
+    barrier, feasible = lmi._barrier, lmi._feasible_step
+
+    def watch_barrier(inverse, forms, c, y, eps):
+        g, h = barrier(inverse, forms, c, y, eps)
+        trace.append({"inverse": inverse, "forms": forms, "y": y, "eps": eps, "g": g, "h": h})
+        return g, h
+
+    def watch_step(q, c, y, x, step, length):
+        moved = feasible(q, c, y, x, step, length)
+        trace[-1] |= {"step": step, "length": length, "x": x, "moved": moved}
+        return moved
+
+    monkeypatch.setattr(lmi, "_barrier", watch_barrier)
+    monkeypatch.setattr(lmi, "_feasible_step", watch_step)
+    rng, c, n = np.random.default_rng(31), lmi.cone(groups), 3
+    m = len(c.normal)
+    q = hermitian(rng, m, n)
+    q[: c.start[1]] += shift * np.eye(n)
+    found = lmi.maximise_level(q, c, relative=relative, absolute=1e-7)
+    y = c.normal / sum(r for kind, r in groups if kind == "psd")
+    matrix = sum(y[j] * q[j] for j in range(m))
+    low = np.linalg.eigvalsh(matrix)[0]
+    x, above = low - 0.5 * abs(low), np.inf
+    eps, inverse = 0.5 * (low - x), np.linalg.inv(matrix - x * np.eye(n))
+    degree, normal = n + sum(r for kind, r in groups if kind == "psd"), np.append(c.normal, 0.0)
+    along = np.linalg.svd(normal[None])[2][1:].T  # steps that keep the normalisation
+    for k, at in enumerate(trace):
+        assert at["eps"] == pytest.approx(eps, rel=1e-12) and at["x"] == pytest.approx(x, rel=1e-12)
+        np.testing.assert_allclose(at["y"], y, rtol=1e-12)
+        np.testing.assert_allclose(at["inverse"], inverse, rtol=1e-9, atol=1e-9 * np.abs(inverse).max())
+        np.testing.assert_array_equal(at["forms"], [*q, -np.eye(n)])
+        wanted = np.linalg.solve(along.T @ at["h"] @ along, along.T @ at["g"])
+        np.testing.assert_allclose(at["step"], along @ wanted, rtol=1e-6, atol=1e-6 * np.abs(wanted).max())
+        decrement = np.sqrt(max(at["g"] @ at["step"] / eps, 0.0))
+        assert at["length"] == pytest.approx(best_length(decrement), rel=1e-9)
+        y, x, slack, taken = at["moved"]
+        inverse = np.linalg.inv(slack)
+        np.testing.assert_allclose(inverse, inverse.conj().T, atol=1e-9 * np.abs(inverse).max())
+        if decrement < 1.0 and decrement * taken < 0.5:
+            above = min(above, x + 2 * eps * degree)
+            ended = above < 0.0 or above - x <= max(1e-7, relative * abs(x))
+            assert ended == (k == len(trace) - 1)
+            eps *= 0.15
+        else:
+            assert k < len(trace) - 1
+    assert (found.x, found.x_above) == (pytest.approx(x), pytest.approx(above)) and above < np.inf
+    np.testing.assert_array_equal(found.y, y)
+    np.testing.assert_allclose(found.inverse, inverse, rtol=1e-9, atol=1e-9 * np.abs(inverse).max())
+    np.testing.assert_allclose(found.inverse, found.inverse.conj().T, rtol=1e-14)
+
+
+class Steps:
+    """A search whose decrements, levels and lengths are given."""
+
+    def __init__(self, monkeypatch, decrements, levels=(), shares=()):
+        self.decrements, self.levels, self.shares = (iter(v) for v in (decrements, levels, shares))
+        self.eps: list[float] = []
+        self.lengths: list[float] = []
+        monkeypatch.setattr(lmi, "_barrier", self.barrier)
+        monkeypatch.setattr(lmi, "_feasible_step", self.step)
+
+    def barrier(self, inverse, forms, c, y, eps):
+        """Derivatives of a step in x alone."""
+        self.eps.append(eps)
+        return np.array([0.0, 0.0, next(self.decrements) * np.sqrt(eps)]), np.eye(3)
+
+    def step(self, q, c, y, x, step, length):
+        self.lengths.append(length)
+        level = next(self.levels, x)
+        return None if level is None else (y, level, np.eye(2), length * next(self.shares, 1.0))
+
+    def run(self, **accuracy) -> lmi.Centre:
+        return lmi.maximise_level(np.stack([np.eye(2)] * 2), lmi.cone(2 * [("psd", 1)]), **accuracy)
+
+
+def test_how_long_a_step_is_follows_its_decrement(monkeypatch):
+    decrements = [0.24, 0.26, 0.99, 1.01, 2.9, 3.1, 9.0]
+    steps = Steps(monkeypatch, decrements, [1.0] * 6 + [None])
+    steps.run(relative=0.0, absolute=0.0)
+    want = [1.0, 1 / 1.26, 1 / 1.99, 1.0, 1.0, 4 / 4.1, 0.4]
+    assert steps.lengths == pytest.approx(want, rel=1e-9)
+
+
+def test_the_barrier_shrinks_where_a_step_ended_near_the_centre(monkeypatch):
+    """Less than half a decrement away, and less than one before."""
+    decrements, shares = [0.9, 0.9, 0.99, 1.01, 0.7, 0.7], [1.0, 1.06, 1.0, 0.4, 1.2, 1.22]
+    steps = Steps(monkeypatch, [*decrements, 5.0], [1.0] * 6 + [None], shares)
+    found = steps.run(relative=0.0, absolute=0.0)
+    factors = np.array(steps.eps[1:]) / steps.eps[:-1]
+    assert steps.eps[0] == 0.25 and factors == pytest.approx([0.15, 1.0, 0.15, 1.0, 0.15, 1.0])
+    # Four states and multipliers in all: the last shrinking was at 0.25 * 0.15^2.
+    assert found.x_above == pytest.approx(1.0 + 2 * 4 * 0.25 * 0.15**2) and found.x == 1.0
+
+
+def test_a_level_is_known_where_its_gap_is_small_or_it_is_proven_negative(monkeypatch):
+    """At the first centre the gap is 2 * 4 * 0.25 = 2, at the second 0.3."""
+    for accuracy, level, steps_taken in (
+        ({"relative": 0.0, "absolute": 2.01}, 7.0, 1),
+        ({"relative": 0.0, "absolute": 1.99}, 7.0, 2),
+        ({"relative": 0.29, "absolute": 0.0}, 7.0, 1),
+        ({"relative": 0.28, "absolute": 0.0}, 7.0, 2),
+        ({"relative": 1.05, "absolute": 0.0}, -1.95, 1),
+        ({"relative": 1.01, "absolute": 0.0}, -1.95, 2),
+        ({"relative": 0.0, "absolute": 0.31}, -2.0, 2),
+        ({"relative": 0.0, "absolute": 0.0}, -2.01, 1),
+        ({"relative": 0.0, "absolute": 0.0}, -2.0, 2),
+        ({}, 19.0, 2),
+        ({}, 21.0, 1),
+    ):
+        steps = Steps(monkeypatch, [0.0] * 9, [level] * 2 + [None])
+        found = steps.run(**accuracy)
+        assert len(steps.lengths) == steps_taken, (accuracy, level)
+        assert found.x == level and found.x_above == pytest.approx(level + [2.0, 0.3][steps_taken - 1])
+    # Where the level falls again the earlier limit stays.
+    steps = Steps(monkeypatch, [0.0] * 3, [1.0, 9.0, None])
+    assert steps.run(relative=0.0, absolute=0.0).x_above == 3.0
+
+
+def test_a_search_ends_with_what_it_has_after_120_steps_or_one_that_is_none(monkeypatch):
+    steps = Steps(monkeypatch, [2.0] * 200)
+    steps.run()
+    assert len(steps.lengths) == 120
+    steps = Steps(monkeypatch, [2.0, np.nan])
+    found = steps.run()
+    assert len(steps.lengths) == 1 and found.x_above == np.inf and found.y.tolist() == [0.5, 0.5]
+    steps = Steps(monkeypatch, [0.0, 2.0], [0.5, None])
+    found = steps.run(relative=0.0, absolute=0.0)
+    assert (found.x, found.x_above) == (0.5, 2.5)
+    np.testing.assert_array_equal(found.inverse, np.eye(2))
+
+
+def test_a_level_of_almost_zero_is_begun_a_two_thousandth_below():
+    """The least distance of the start, so that the barrier has room."""
+    for low, below in ((1e-5, 5e-4), (-1e-5, 5e-4), (2e-3, 1e-3), (-3.0, 1.5)):
+        seen = []
+
+        def end(inverse, forms, c, y, eps, seen=seen):
+            seen.append((inverse, eps))
+            return np.full(2, np.nan), np.eye(2)
+
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(lmi, "_barrier", end)
+            found = lmi.maximise_level(np.diag([low, low + 1.0])[None], lmi.cone([("psd", 1)]))
+        assert found.x == pytest.approx(low - below, rel=1e-9) and seen[0][1] == pytest.approx(0.5 * below)
+        np.testing.assert_allclose(seen[0][0], np.diag([1 / below, 1 / (1 + below)]), rtol=1e-9)
+
+
+def test_free_forms_of_zero_change_no_level():
+    """They make Newton's equations singular: the least step leaves them alone."""
+    q = hermitian(np.random.default_rng(3), 2, 3)
+    q[0] += 4 * np.eye(3)
+    alone = lmi.maximise_level(q, lmi.cone(2 * [("psd", 1)]), relative=1e-4)
+    beside = lmi.maximise_level(
+        np.concatenate([q, np.zeros((1, 3, 3))]), lmi.cone([*2 * [("psd", 1)], ("free", 1)]), relative=1e-4
+    )
+    assert beside.x == pytest.approx(alone.x, rel=1e-6) and abs(beside.y[2]) < 1e-12
+    np.testing.assert_allclose(beside.y[:2], alone.y, rtol=1e-5)
 
 
 def test_a_step_is_halved_until_it_stays_inside():
@@ -646,3 +821,152 @@ def test_scalars_are_held_in_units_of_their_block_at_the_centre_and_the_corners(
     assert held.base(np.array(d)) == pytest.approx(-2 / 7)
     with pytest.raises(ValueError, match="longer"):
         held.rows(np.array([*d, 1.0]))
+
+
+# --- the tangent ---
+
+
+def held_and_free() -> tuple[Quadratic, BranchNode]:
+    """Three forms, sizes 0 and 1 among them, and two repeated blocks of one row: of five signals three are
+    left."""
+    maps = gauss(np.random.default_rng(23), 10, 1, 5)
+    forms = [
+        Form(maps[0], maps[1], constant=2.0, slope=3.0),
+        Form(maps[2], maps[3], constant=0.5, param=0, slope=2.0),
+        Form(maps[4], maps[5], param=1),
+        scalars_of("repeated_complex", maps[6], maps[7], param=2),
+        scalars_of("repeated_real", maps[8], maps[9], constant=4.0),
+    ]
+    rays = np.array([[0.9, 0.1, 0.0], [0.3, 0.7, 0.0]])
+    return Quadratic(forms, 3, 5), BranchNode(0.0, 1, rays, {3: Box(1 + 1j, 2 + 3j), 4: Box(-1.0, 2.0)})
+
+
+def all_held() -> tuple[Quadratic, BranchNode]:
+    return Quadratic(mixed_forms(), 2, 3), BranchNode(0.0, 1, np.array([[0.8, 0.0], [0.2, 0.0]]), BOXES)
+
+
+class Tangents:
+    """A tangent of which the answers of the ray and of what the corners reach are given."""
+
+    def __init__(self, monkeypatch, problem: Quadratic, node: BranchNode):
+        self.relaxation, self.node = Relaxation(problem), node
+        self.held = _HeldScalars(problem, node.boxes)
+        self.scalars = [self.held.centre, *self.held.corners]
+        self.asked: list[tuple] = []
+        self.shown: list[tuple] = []
+        self.lengths = np.zeros((len(self.scalars), len(PENALTIES), 1 + len(node.rays)))
+        self.ray: tuple = (0.7, np.array([0.5, 0.3, 0.2]), np.eye(3))
+        monkeypatch.setattr(lmi, "ray_length", lambda *given: self.asked.append(given) or self.ray)
+        monkeypatch.setattr(lmi, "reaches", lambda *given: self.shown.append(given) or self.lengths)
+
+    def kernel(self) -> np.ndarray:
+        """Projector on the signals that the scalars of the centre leave."""
+        rows = self.held.rows(self.held.centre)
+        return np.eye(rows.shape[1]) - np.linalg.pinv(rows) @ rows
+
+    def certificates(self, y: np.ndarray, length: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """What the corners must reach: ``zeros``, ``slopes`` and ``errors`` of :func:`lmi.reaches`.
+
+        Q + Y^* A + A^* Y is the certificate itself on the kernel and the penalty on |A z|^2 beside it.
+        """
+        g, n = self.relaxation._plain, len(self.kernel())
+        rays = np.vstack([self.node.rays.mean(axis=0), self.node.rays])
+        zero = sum(y[j] * g.q0[j] for j in range(len(y)))
+        slopes = [
+            sum(y[j] * r[g.param[j]] * g.level[j] for j in range(len(y)) if g.param[j] >= 0) for r in rays
+        ]
+        at, rows, on = zero - length * slopes[0], self.held.rows(self.held.centre), self.kernel()
+        off, inverse = np.eye(n) - on, np.linalg.pinv(rows)
+        zeros, errors = [], []
+        for penalty in np.linalg.norm(at) * np.array([1e-2, 0.1, 1.0, 10.0, 1e2, 1e3, 1e4]):
+            change = on @ at @ on + penalty * rows.conj().T @ rows - at
+            lift = (on @ change @ off + 0.5 * off @ change @ off) @ inverse
+            terms = [lift @ self.held.rows(d) for d in self.scalars]
+            zeros.append([zero + t + t.conj().T for t in terms])
+            errors.append(4 * n * 2.0**-52 * (np.abs(y) @ np.linalg.norm(g.q0, axis=(1, 2))))
+            errors[-1] += 8 * n * 2.0**-52 * np.linalg.norm(lift)
+        return np.array(zeros).swapaxes(0, 1), np.array(slopes), np.array(errors)
+
+    def compare(self, y: np.ndarray, length: float) -> None:
+        zeros, slopes, errors = self.shown.pop()
+        want = self.certificates(y, length)
+        np.testing.assert_allclose(zeros, want[0], rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(slopes, want[1], rtol=1e-12, atol=1e-14)
+        np.testing.assert_allclose(errors, np.broadcast_to(want[2], zeros.shape[:2]), rtol=1e-9)
+
+
+def test_a_tangent_asks_for_a_certificate_of_what_the_centres_scalars_leave(monkeypatch):
+    tangents = Tangents(monkeypatch, *held_and_free())
+    kernel, g = tangents.kernel(), tangents.relaxation._plain
+    base = abs(1.5 + 2j) ** 2
+    for cutoff, left in ((10.0, 10 - base), (base + 0.5, 0.5), (3.0, 0.0), (np.inf, np.inf)):
+        found = tangents.relaxation.tangent(tangents.node, cutoff)
+        q0, level, cone, most = tangents.asked.pop()
+        assert most == pytest.approx(left) and cone is g.cone and found.centre == pytest.approx(base + 0.7)
+        # The same eigenvalues in whichever coordinates of the kernel, beside two zeros.
+        shares = np.array([0.0, 0.6, 0.4])
+        for mix in np.random.default_rng(3).normal(size=(3, 3)):
+            for inner, outer in ((q0, g.q0), (level, shares[:, None, None] * g.level)):
+                inside, whole = (
+                    np.linalg.eigvalsh(np.tensordot(mix, m, axes=1)) for m in (inner, kernel @ outer @ kernel)
+                )
+                np.testing.assert_allclose(np.sort([*inside, 0, 0]), whole, atol=1e-12)
+        np.testing.assert_allclose(found.inverse, kernel, atol=1e-12)
+    tangents.ray = (0.7, tangents.ray[1], None)
+    assert tangents.relaxation.tangent(tangents.node, 10.0).inverse is None
+    tangents.ray = (0.0, None, np.eye(3))
+    assert tangents.relaxation.tangent(tangents.node, 10.0) is None, "nothing is proved"
+
+
+def test_a_tangent_lifts_its_certificate_off_the_kernel_and_moves_it_to_the_corners(monkeypatch):
+    tangents = Tangents(monkeypatch, *held_and_free())
+    for length in (0.7, np.inf):
+        tangents.ray = (length, *tangents.ray[1:])
+        tangents.relaxation.tangent(tangents.node, 10.0)
+        tangents.compare(tangents.ray[1], 0.7 if length == 0.7 else 0.0)
+
+
+def test_a_tangent_without_a_signal_left_has_a_certificate_all_the_same(monkeypatch):
+    tangents = Tangents(monkeypatch, *all_held())
+    found = tangents.relaxation.tangent(tangents.node, 10.0)
+    assert not tangents.asked and found.inverse is None
+    assert found.centre == pytest.approx(4 / 7), "the one block with a size of its own"
+    tangents.compare(np.array([0.5, 0.5]), 0.0)
+
+
+@pytest.mark.parametrize("problem", [held_and_free, all_held])
+def test_a_tangents_bound_is_the_best_penaltys_at_its_worst_corner_and_ray(problem, monkeypatch):
+    tangents = Tangents(monkeypatch, *problem())
+    rng, bases = np.random.default_rng(5), [tangents.held.base(d) for d in tangents.scalars]
+    for _ in range(20):
+        tangents.lengths = rng.uniform(0.0, 10.0, tangents.lengths.shape)
+        tangents.lengths[0] -= 20.0  # at the centre, which is no corner
+        bounds = np.array([b + m for b, m in zip(bases, tangents.lengths, strict=True)])
+        worst = [min(bounds[c, k, r] for c in range(1, len(bases)) for r in (1, 2)) for k in range(7)]
+        kept = bounds[:, worst.index(max(worst))]
+        found = tangents.relaxation.tangent(tangents.node, 10.0)
+        assert found.lower == pytest.approx(max(worst), rel=1e-12)
+        assert found.box == pytest.approx(min(kept[1:, 0]), rel=1e-12)
+        assert found.cone == pytest.approx(min(kept[0, 1:]), rel=1e-12)
+
+
+def test_there_is_no_tangent_without_boxes_or_forms_beside_them(monkeypatch):
+    tangents = Tangents(monkeypatch, *held_and_free())
+    assert tangents.relaxation.tangent(BranchNode(0.0, 0, tangents.node.rays, {}), 10.0) is None
+    alone = Relaxation(Quadratic([scalars_of("repeated_real", row(1, 0), row(0, 1), param=0)], 1, 2))
+    assert alone.tangent(BranchNode(0.0, 0, np.zeros((1, 1)), {0: Box(1.0, 2.0)}), 10.0) is None
+
+
+@pytest.mark.parametrize("angle, left", [(1.8e-10, 3), (2.2e-10, 2)])
+def test_scalars_hold_a_direction_of_more_than_a_ten_billionth(angle, left, monkeypatch):
+    """Two rows of size 1 at an angle: their singular values are sqrt(2) and angle / sqrt(2)."""
+    forms = [
+        Form(row(1, 1, 1, 1), row(0, 0, 0, 1), param=0),
+        scalars_of("repeated_real", row(1, 0, 0, 0), row(0, 0, 0, 1), constant=1.0),
+        scalars_of("repeated_real", row(1, angle, 0, 0), row(0, 0, 0, 1), constant=1.0),
+    ]
+    node = BranchNode(0.0, 0, np.eye(1), {1: Box(-1.0, 1.0), 2: Box(-1.0, 1.0)})
+    tangents = Tangents(monkeypatch, Quadratic(forms, 1, 4), node)
+    tangents.ray = (0.0, np.ones(1), None)
+    tangents.relaxation.tangent(node, 10.0)
+    assert tangents.asked[0][0].shape == (1, left, left)
