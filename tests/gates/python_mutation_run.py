@@ -37,6 +37,7 @@ MEASURED = {
     "engine/overbound/bound.py": 118,
     "engine/overbound/certificate.py": 429,
     "engine/overbound/fit.py": 249,
+    "engine/overbound/minimax.py": 567,
     "engine/overbound/noise.py": 56,
     "engine/overbound/weight.py": 294,
     "engine/synthesis/cases.py": 145,
