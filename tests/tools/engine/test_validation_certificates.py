@@ -6,16 +6,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lft_problems import gauss, row, scalars_of
+from lft_problems import gauss, hermitian, row, scalars_of
 from lpvguard.base import native
 from lpvguard.engine.validation import lmi
 from lpvguard.engine.validation.quadratic import Form, Quadratic
 from lpvguard.engine.validation.relaxation import PENALTIES, Box, BranchNode, Relaxation, _HeldScalars
-
-
-def hermitian(rng: np.random.Generator, *shape: int) -> np.ndarray:
-    a = gauss(rng, *shape, shape[-1])
-    return a + a.conj().swapaxes(-1, -2)
 
 
 def test_the_hermitian_basis_spans_the_hermitian_matrices_and_no_more():
@@ -121,181 +116,6 @@ def test_the_barriers_derivatives_are_those_of_its_differences():
     np.testing.assert_allclose(
         hessian, [-(gradient(v + h) - gradient(v - h)) / 2e-5 for h in step], rtol=1e-5, atol=1e-7
     )
-
-
-def best_length(decrement: float) -> float:
-    """Whole near the centre, damped further out, and four times as bold far out."""
-    if decrement < 0.25:
-        return 1.0
-    damped = 1.0 / (1.0 + decrement)
-    return min(1.0, 4.0 * damped) if decrement > 1.0 else damped
-
-
-@pytest.mark.parametrize("relative", [0.3, 1e-5])
-@pytest.mark.parametrize("shift", [4.0, 0.0, -9.0])
-@pytest.mark.parametrize(
-    "groups", [2 * [("psd", 1)], [("psd", 1), ("psd", 2), ("free", 1)], [("psd", 3), ("free", 1)]]
-)
-def test_a_level_is_followed_along_its_centres_by_newtons_steps(groups, shift, relative, monkeypatch):
-    """Each step is checked against the barrier's derivatives that it came from."""
-    trace: list[dict] = []
-    barrier, feasible = lmi._barrier, lmi._feasible_step
-
-    def watch_barrier(inverse, forms, c, y, eps):
-        g, h = barrier(inverse, forms, c, y, eps)
-        trace.append({"inverse": inverse, "forms": forms, "y": y, "eps": eps, "g": g, "h": h})
-        return g, h
-
-    def watch_step(q, c, y, x, step, length):
-        moved = feasible(q, c, y, x, step, length)
-        trace[-1] |= {"step": step, "length": length, "x": x, "moved": moved}
-        return moved
-
-    monkeypatch.setattr(lmi, "_barrier", watch_barrier)
-    monkeypatch.setattr(lmi, "_feasible_step", watch_step)
-    rng, c, n = np.random.default_rng(31), lmi.cone(groups), 3
-    m = len(c.normal)
-    q = hermitian(rng, m, n)
-    q[: c.start[1]] += shift * np.eye(n)
-    found = lmi.maximise_level(q, c, relative=relative, absolute=1e-7)
-    y = c.normal / sum(r for kind, r in groups if kind == "psd")
-    matrix = sum(y[j] * q[j] for j in range(m))
-    low = np.linalg.eigvalsh(matrix)[0]
-    x, above = low - 0.5 * abs(low), np.inf
-    eps, inverse = 0.5 * (low - x), np.linalg.inv(matrix - x * np.eye(n))
-    degree, normal = n + sum(r for kind, r in groups if kind == "psd"), np.append(c.normal, 0.0)
-    along = np.linalg.svd(normal[None])[2][1:].T  # steps that keep the normalisation
-    for k, at in enumerate(trace):
-        assert at["eps"] == pytest.approx(eps, rel=1e-12) and at["x"] == pytest.approx(x, rel=1e-12)
-        np.testing.assert_allclose(at["y"], y, rtol=1e-12)
-        np.testing.assert_allclose(at["inverse"], inverse, rtol=1e-9, atol=1e-9 * np.abs(inverse).max())
-        np.testing.assert_array_equal(at["forms"], [*q, -np.eye(n)])
-        wanted = np.linalg.solve(along.T @ at["h"] @ along, along.T @ at["g"])
-        np.testing.assert_allclose(at["step"], along @ wanted, rtol=1e-6, atol=1e-6 * np.abs(wanted).max())
-        decrement = np.sqrt(max(at["g"] @ at["step"] / eps, 0.0))
-        assert at["length"] == pytest.approx(best_length(decrement), rel=1e-9)
-        y, x, slack, taken = at["moved"]
-        inverse = np.linalg.inv(slack)
-        np.testing.assert_allclose(inverse, inverse.conj().T, atol=1e-9 * np.abs(inverse).max())
-        if decrement < 1.0 and decrement * taken < 0.5:
-            above = min(above, x + 2 * eps * degree)
-            ended = above < 0.0 or above - x <= max(1e-7, relative * abs(x))
-            assert ended == (k == len(trace) - 1)
-            eps *= 0.15
-        else:
-            assert k < len(trace) - 1
-    assert (found.x, found.x_above) == (pytest.approx(x), pytest.approx(above)) and above < np.inf
-    np.testing.assert_array_equal(found.y, y)
-    np.testing.assert_allclose(found.inverse, inverse, rtol=1e-9, atol=1e-9 * np.abs(inverse).max())
-    np.testing.assert_allclose(found.inverse, found.inverse.conj().T, rtol=1e-14)
-
-
-class Steps:
-    """A search whose decrements, levels and lengths are given."""
-
-    def __init__(self, monkeypatch, decrements, levels=(), shares=()):
-        self.decrements, self.levels, self.shares = (iter(v) for v in (decrements, levels, shares))
-        self.eps: list[float] = []
-        self.lengths: list[float] = []
-        monkeypatch.setattr(lmi, "_barrier", self.barrier)
-        monkeypatch.setattr(lmi, "_feasible_step", self.step)
-
-    def barrier(self, inverse, forms, c, y, eps):
-        """Derivatives of a step in x alone."""
-        self.eps.append(eps)
-        return np.array([0.0, 0.0, next(self.decrements) * np.sqrt(eps)]), np.eye(3)
-
-    def step(self, q, c, y, x, step, length):
-        self.lengths.append(length)
-        level = next(self.levels, x)
-        return None if level is None else (y, level, np.eye(2), length * next(self.shares, 1.0))
-
-    def run(self, **accuracy) -> lmi.Centre:
-        return lmi.maximise_level(np.stack([np.eye(2)] * 2), lmi.cone(2 * [("psd", 1)]), **accuracy)
-
-
-def test_how_long_a_step_is_follows_its_decrement(monkeypatch):
-    decrements = [0.24, 0.26, 0.99, 1.01, 2.9, 3.1, 9.0]
-    steps = Steps(monkeypatch, decrements, [1.0] * 6 + [None])
-    steps.run(relative=0.0, absolute=0.0)
-    want = [1.0, 1 / 1.26, 1 / 1.99, 1.0, 1.0, 4 / 4.1, 0.4]
-    assert steps.lengths == pytest.approx(want, rel=1e-9)
-
-
-def test_the_barrier_shrinks_where_a_step_ended_near_the_centre(monkeypatch):
-    """Less than half a decrement away, and less than one before."""
-    decrements, shares = [0.9, 0.9, 0.99, 1.01, 0.7, 0.7], [1.0, 1.06, 1.0, 0.4, 1.2, 1.22]
-    steps = Steps(monkeypatch, [*decrements, 5.0], [1.0] * 6 + [None], shares)
-    found = steps.run(relative=0.0, absolute=0.0)
-    factors = np.array(steps.eps[1:]) / steps.eps[:-1]
-    assert steps.eps[0] == 0.25 and factors == pytest.approx([0.15, 1.0, 0.15, 1.0, 0.15, 1.0])
-    # Four states and multipliers in all: the last shrinking was at 0.25 * 0.15^2.
-    assert found.x_above == pytest.approx(1.0 + 2 * 4 * 0.25 * 0.15**2) and found.x == 1.0
-
-
-def test_a_level_is_known_where_its_gap_is_small_or_it_is_proven_negative(monkeypatch):
-    """At the first centre the gap is 2 * 4 * 0.25 = 2, at the second 0.3."""
-    for accuracy, level, steps_taken in (
-        ({"relative": 0.0, "absolute": 2.01}, 7.0, 1),
-        ({"relative": 0.0, "absolute": 1.99}, 7.0, 2),
-        ({"relative": 0.29, "absolute": 0.0}, 7.0, 1),
-        ({"relative": 0.28, "absolute": 0.0}, 7.0, 2),
-        ({"relative": 1.05, "absolute": 0.0}, -1.95, 1),
-        ({"relative": 1.01, "absolute": 0.0}, -1.95, 2),
-        ({"relative": 0.0, "absolute": 0.31}, -2.0, 2),
-        ({"relative": 0.0, "absolute": 0.0}, -2.01, 1),
-        ({"relative": 0.0, "absolute": 0.0}, -2.0, 2),
-        ({}, 19.0, 2),
-        ({}, 21.0, 1),
-    ):
-        steps = Steps(monkeypatch, [0.0] * 9, [level] * 2 + [None])
-        found = steps.run(**accuracy)
-        assert len(steps.lengths) == steps_taken, (accuracy, level)
-        assert found.x == level and found.x_above == pytest.approx(level + [2.0, 0.3][steps_taken - 1])
-    # Where the level falls again the earlier limit stays.
-    steps = Steps(monkeypatch, [0.0] * 3, [1.0, 9.0, None])
-    assert steps.run(relative=0.0, absolute=0.0).x_above == 3.0
-
-
-def test_a_search_ends_with_what_it_has_after_120_steps_or_one_that_is_none(monkeypatch):
-    steps = Steps(monkeypatch, [2.0] * 200)
-    steps.run()
-    assert len(steps.lengths) == 120
-    steps = Steps(monkeypatch, [2.0, np.nan])
-    found = steps.run()
-    assert len(steps.lengths) == 1 and found.x_above == np.inf and found.y.tolist() == [0.5, 0.5]
-    steps = Steps(monkeypatch, [0.0, 2.0], [0.5, None])
-    found = steps.run(relative=0.0, absolute=0.0)
-    assert (found.x, found.x_above) == (0.5, 2.5)
-    np.testing.assert_array_equal(found.inverse, np.eye(2))
-
-
-def test_a_level_of_almost_zero_is_begun_a_two_thousandth_below():
-    """The least distance of the start, so that the barrier has room."""
-    for low, below in ((1e-5, 5e-4), (-1e-5, 5e-4), (2e-3, 1e-3), (-3.0, 1.5)):
-        seen = []
-
-        def end(inverse, forms, c, y, eps, seen=seen):
-            seen.append((inverse, eps))
-            return np.full(2, np.nan), np.eye(2)
-
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(lmi, "_barrier", end)
-            found = lmi.maximise_level(np.diag([low, low + 1.0])[None], lmi.cone([("psd", 1)]))
-        assert found.x == pytest.approx(low - below, rel=1e-9) and seen[0][1] == pytest.approx(0.5 * below)
-        np.testing.assert_allclose(seen[0][0], np.diag([1 / below, 1 / (1 + below)]), rtol=1e-9)
-
-
-def test_free_forms_of_zero_change_no_level():
-    """They make Newton's equations singular: the least step leaves them alone."""
-    q = hermitian(np.random.default_rng(3), 2, 3)
-    q[0] += 4 * np.eye(3)
-    alone = lmi.maximise_level(q, lmi.cone(2 * [("psd", 1)]), relative=1e-4)
-    beside = lmi.maximise_level(
-        np.concatenate([q, np.zeros((1, 3, 3))]), lmi.cone([*2 * [("psd", 1)], ("free", 1)]), relative=1e-4
-    )
-    assert beside.x == pytest.approx(alone.x, rel=1e-6) and abs(beside.y[2]) < 1e-12
-    np.testing.assert_allclose(beside.y[:2], alone.y, rtol=1e-5)
 
 
 def test_a_step_is_halved_until_it_stays_inside():
@@ -479,6 +299,8 @@ def test_a_ray_is_tried_at_its_length_and_boldly_ahead_in_turn(monkeypatch):
         assert length <= end
     # A proof ahead is kept; at the proven length the end is one where nothing is gained, to a millionth.
     assert tried_along(monkeypatch, 10.0, 1.0, inf) == ([0, 8, 9, 80, 10], 10.0)
+    assert tried_along(monkeypatch, 1 + 1e-6, 1.0, 2.0) == ([0, 2, 1], 1 + 1e-6)
+    assert tried_along(monkeypatch, 10.0, 1.0, 1.0) == ([0], 1.0)
 
 
 def test_a_ray_ends_where_its_bracket_is_a_hundred_thousandth_wide(monkeypatch):
@@ -488,6 +310,64 @@ def test_a_ray_ends_where_its_bracket_is_a_hundred_thousandth_wide(monkeypatch):
     beyond = min(at for at in ahead if at > 3.0)
     assert beyond <= length * (1 + 1e-5) or length == 3.0
     assert 10 < len(tried) < 80
+
+
+@pytest.mark.parametrize("beyond, ends", [(1 + 0.9e-5, True), (1.0 + 1e-5, True), (1 + 1.1e-5, False)])
+def test_a_ray_ends_at_its_own_length_alone(beyond, ends, monkeypatch):
+    """A proof there leads by 8e-6 to 1; the last try ahead failed at ``beyond``."""
+    tried, length = tried_along(monkeypatch, 1.0, 1 - 8e-6, beyond)
+    assert (tried == [0, beyond, 1 - 8e-6]) == ends and length == 1.0
+
+
+def test_a_proof_ahead_does_not_end_a_ray(monkeypatch):
+    """However near the bracket's ends are, the last try is at the proven length."""
+    for end in np.linspace(2.1, 3.9, 10):
+        tried, length = tried_along(monkeypatch, end, 1e-3, 4.0)
+        assert len(tried) % 2 == 1 and tried[-1] <= length <= end
+
+
+def test_a_ray_without_a_proof_has_no_length_and_an_inverse_all_the_same(monkeypatch):
+    """A level of its own error is none; at its own length it ends the search."""
+    one = np.ones((1, 1, 1), complex)
+    for level in (0.0, -1.0):
+        tried: list[float] = []
+
+        def maximise(q, c, *, relative, absolute, level=level, tried=tried):
+            tried.append(float(-q[0, 0, 0].real))
+            return lmi.Centre(np.ones(1), level, np.inf, np.full((1, 1), 7.0))
+
+        monkeypatch.setattr(lmi, "maximise_level", maximise)
+        length, y, inverse = lmi._ray_length_numpy(0 * one, one, lmi.cone([("psd", 1)]), np.inf)
+        assert (length, y, inverse, tried) == (0.0, None, 7.0, [0.0])
+
+
+def test_a_level_of_nothing_ahead_is_an_end_and_1e30_is_not_endless(monkeypatch):
+    tried: list[float] = []
+
+    def maximise(q, c, *, relative, absolute):
+        tried.append(float(-q[0, 0, 0].real))
+        return lmi.Centre(np.ones(1), 1.0 if tried[-1] < 5 else 0.0, np.inf, np.eye(1))
+
+    monkeypatch.setattr(lmi, "maximise_level", maximise)
+    monkeypatch.setattr(lmi, "reach", lambda *_: [tried[-1] + 1.0])
+    one = np.ones((1, 1, 1), complex)
+    assert lmi._ray_length_numpy(0 * one, one, lmi.cone([("psd", 1)]), 6.0)[0] >= 5.0
+    assert tried[:4] == [0.0, 6.0, 1.0, 4.0]
+    for reached, length in ((1e30, 1e30), (1.1e30, np.inf)):
+        monkeypatch.setattr(lmi, "reach", lambda *_, reached=reached: [reached])
+        assert lmi._ray_length_numpy(0 * one, one, lmi.cone([("psd", 1)]), 1e20)[0] == length
+
+
+@pytest.mark.parametrize("off", ["", "1"])
+def test_a_ray_takes_real_and_turned_forms_and_says_where_nothing_is_proved(off, monkeypatch):
+    monkeypatch.setenv("LPVGUARD_NO_NATIVE", off)
+    q0, level, c = along_a_ray(ON_A_RAY["four numbers"], 1)
+    want = lmi.ray_length(q0.real, level.real, c)[0]
+    assert lmi.ray_length(q0.real + 0j, level.real + 0j, c)[0] == pytest.approx(want, rel=1e-9) and want > 0
+    want = lmi.ray_length(q0.conj(), level.conj(), c)[0]
+    assert lmi.ray_length(q0.swapaxes(1, 2), level.swapaxes(1, 2), c)[0] == pytest.approx(want, rel=1e-9)
+    length, y, inverse = lmi.ray_length(q0 - 40 * np.eye(len(q0[0])), level, c)
+    assert (length, y) == (0.0, None) and inverse.shape == q0[0].shape
 
 
 def test_the_compiled_ray_is_asked_about_no_more_than_it_holds(monkeypatch):
@@ -501,6 +381,7 @@ def test_the_compiled_ray_is_asked_about_no_more_than_it_holds(monkeypatch):
         (17, [("psd", 1)], True),
         (2, [*4 * [("psd", 4)], ("psd", 1)], True),
         (2, [("psd", 5)], True),
+        (2, [("psd", 5), ("psd", 1)], True),
         (2, [("psd", 1), ("free", 5)], False),
     ):
         c = lmi.cone(groups)
