@@ -14,6 +14,11 @@ def gauss(rng, *shape):
     return (rng.normal(size=shape) + 1j * rng.normal(size=shape)) / np.sqrt(2)
 
 
+def hermitian(rng: np.random.Generator, *shape: int) -> np.ndarray:
+    a = gauss(rng, *shape, shape[-1])
+    return a + a.conj().swapaxes(-1, -2)
+
+
 def row(*entries: complex) -> np.ndarray:
     return np.array([entries], dtype=complex)
 

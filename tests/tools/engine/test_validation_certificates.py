@@ -6,16 +6,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lft_problems import gauss, row, scalars_of
+from lft_problems import gauss, hermitian, row, scalars_of
 from lpvguard.base import native
 from lpvguard.engine.validation import lmi
 from lpvguard.engine.validation.quadratic import Form, Quadratic
-from lpvguard.engine.validation.relaxation import Box, BranchNode, Relaxation, _HeldScalars
-
-
-def hermitian(rng: np.random.Generator, *shape: int) -> np.ndarray:
-    a = gauss(rng, *shape, shape[-1])
-    return a + a.conj().swapaxes(-1, -2)
+from lpvguard.engine.validation.relaxation import PENALTIES, Box, BranchNode, Relaxation, _HeldScalars
 
 
 def test_the_hermitian_basis_spans_the_hermitian_matrices_and_no_more():
@@ -304,6 +299,8 @@ def test_a_ray_is_tried_at_its_length_and_boldly_ahead_in_turn(monkeypatch):
         assert length <= end
     # A proof ahead is kept; at the proven length the end is one where nothing is gained, to a millionth.
     assert tried_along(monkeypatch, 10.0, 1.0, inf) == ([0, 8, 9, 80, 10], 10.0)
+    assert tried_along(monkeypatch, 1 + 1e-6, 1.0, 2.0) == ([0, 2, 1], 1 + 1e-6)
+    assert tried_along(monkeypatch, 10.0, 1.0, 1.0) == ([0], 1.0)
 
 
 def test_a_ray_ends_where_its_bracket_is_a_hundred_thousandth_wide(monkeypatch):
@@ -313,6 +310,64 @@ def test_a_ray_ends_where_its_bracket_is_a_hundred_thousandth_wide(monkeypatch):
     beyond = min(at for at in ahead if at > 3.0)
     assert beyond <= length * (1 + 1e-5) or length == 3.0
     assert 10 < len(tried) < 80
+
+
+@pytest.mark.parametrize("beyond, ends", [(1 + 0.9e-5, True), (1.0 + 1e-5, True), (1 + 1.1e-5, False)])
+def test_a_ray_ends_at_its_own_length_alone(beyond, ends, monkeypatch):
+    """A proof there leads by 8e-6 to 1; the last try ahead failed at ``beyond``."""
+    tried, length = tried_along(monkeypatch, 1.0, 1 - 8e-6, beyond)
+    assert (tried == [0, beyond, 1 - 8e-6]) == ends and length == 1.0
+
+
+def test_a_proof_ahead_does_not_end_a_ray(monkeypatch):
+    """However near the bracket's ends are, the last try is at the proven length."""
+    for end in np.linspace(2.1, 3.9, 10):
+        tried, length = tried_along(monkeypatch, end, 1e-3, 4.0)
+        assert len(tried) % 2 == 1 and tried[-1] <= length <= end
+
+
+def test_a_ray_without_a_proof_has_no_length_and_an_inverse_all_the_same(monkeypatch):
+    """A level of its own error is none; at its own length it ends the search."""
+    one = np.ones((1, 1, 1), complex)
+    for level in (0.0, -1.0):
+        tried: list[float] = []
+
+        def maximise(q, c, *, relative, absolute, level=level, tried=tried):
+            tried.append(float(-q[0, 0, 0].real))
+            return lmi.Centre(np.ones(1), level, np.inf, np.full((1, 1), 7.0))
+
+        monkeypatch.setattr(lmi, "maximise_level", maximise)
+        length, y, inverse = lmi._ray_length_numpy(0 * one, one, lmi.cone([("psd", 1)]), np.inf)
+        assert (length, y, inverse, tried) == (0.0, None, 7.0, [0.0])
+
+
+def test_a_level_of_nothing_ahead_is_an_end_and_1e30_is_not_endless(monkeypatch):
+    tried: list[float] = []
+
+    def maximise(q, c, *, relative, absolute):
+        tried.append(float(-q[0, 0, 0].real))
+        return lmi.Centre(np.ones(1), 1.0 if tried[-1] < 5 else 0.0, np.inf, np.eye(1))
+
+    monkeypatch.setattr(lmi, "maximise_level", maximise)
+    monkeypatch.setattr(lmi, "reach", lambda *_: [tried[-1] + 1.0])
+    one = np.ones((1, 1, 1), complex)
+    assert lmi._ray_length_numpy(0 * one, one, lmi.cone([("psd", 1)]), 6.0)[0] >= 5.0
+    assert tried[:4] == [0.0, 6.0, 1.0, 4.0]
+    for reached, length in ((1e30, 1e30), (1.1e30, np.inf)):
+        monkeypatch.setattr(lmi, "reach", lambda *_, reached=reached: [reached])
+        assert lmi._ray_length_numpy(0 * one, one, lmi.cone([("psd", 1)]), 1e20)[0] == length
+
+
+@pytest.mark.parametrize("off", ["", "1"])
+def test_a_ray_takes_real_and_turned_forms_and_says_where_nothing_is_proved(off, monkeypatch):
+    monkeypatch.setenv("LPVGUARD_NO_NATIVE", off)
+    q0, level, c = along_a_ray(ON_A_RAY["four numbers"], 1)
+    want = lmi.ray_length(q0.real, level.real, c)[0]
+    assert lmi.ray_length(q0.real + 0j, level.real + 0j, c)[0] == pytest.approx(want, rel=1e-9) and want > 0
+    want = lmi.ray_length(q0.conj(), level.conj(), c)[0]
+    assert lmi.ray_length(q0.swapaxes(1, 2), level.swapaxes(1, 2), c)[0] == pytest.approx(want, rel=1e-9)
+    length, y, inverse = lmi.ray_length(q0 - 40 * np.eye(len(q0[0])), level, c)
+    assert (length, y) == (0.0, None) and inverse.shape == q0[0].shape
 
 
 def test_the_compiled_ray_is_asked_about_no_more_than_it_holds(monkeypatch):
@@ -326,6 +381,7 @@ def test_the_compiled_ray_is_asked_about_no_more_than_it_holds(monkeypatch):
         (17, [("psd", 1)], True),
         (2, [*4 * [("psd", 4)], ("psd", 1)], True),
         (2, [("psd", 5)], True),
+        (2, [("psd", 5), ("psd", 1)], True),
         (2, [("psd", 1), ("free", 5)], False),
     ):
         c = lmi.cone(groups)
@@ -646,3 +702,152 @@ def test_scalars_are_held_in_units_of_their_block_at_the_centre_and_the_corners(
     assert held.base(np.array(d)) == pytest.approx(-2 / 7)
     with pytest.raises(ValueError, match="longer"):
         held.rows(np.array([*d, 1.0]))
+
+
+# --- the tangent ---
+
+
+def held_and_free() -> tuple[Quadratic, BranchNode]:
+    """Three forms, sizes 0 and 1 among them, and two repeated blocks of one row: of five signals three are
+    left."""
+    maps = gauss(np.random.default_rng(23), 10, 1, 5)
+    forms = [
+        Form(maps[0], maps[1], constant=2.0, slope=3.0),
+        Form(maps[2], maps[3], constant=0.5, param=0, slope=2.0),
+        Form(maps[4], maps[5], param=1),
+        scalars_of("repeated_complex", maps[6], maps[7], param=2),
+        scalars_of("repeated_real", maps[8], maps[9], constant=4.0),
+    ]
+    rays = np.array([[0.9, 0.1, 0.0], [0.3, 0.7, 0.0]])
+    return Quadratic(forms, 3, 5), BranchNode(0.0, 1, rays, {3: Box(1 + 1j, 2 + 3j), 4: Box(-1.0, 2.0)})
+
+
+def all_held() -> tuple[Quadratic, BranchNode]:
+    return Quadratic(mixed_forms(), 2, 3), BranchNode(0.0, 1, np.array([[0.8, 0.0], [0.2, 0.0]]), BOXES)
+
+
+class Tangents:
+    """A tangent of which the answers of the ray and of what the corners reach are given."""
+
+    def __init__(self, monkeypatch, problem: Quadratic, node: BranchNode):
+        self.relaxation, self.node = Relaxation(problem), node
+        self.held = _HeldScalars(problem, node.boxes)
+        self.scalars = [self.held.centre, *self.held.corners]
+        self.asked: list[tuple] = []
+        self.shown: list[tuple] = []
+        self.lengths = np.zeros((len(self.scalars), len(PENALTIES), 1 + len(node.rays)))
+        self.ray: tuple = (0.7, np.array([0.5, 0.3, 0.2]), np.eye(3))
+        monkeypatch.setattr(lmi, "ray_length", lambda *given: self.asked.append(given) or self.ray)
+        monkeypatch.setattr(lmi, "reaches", lambda *given: self.shown.append(given) or self.lengths)
+
+    def kernel(self) -> np.ndarray:
+        """Projector on the signals that the scalars of the centre leave."""
+        rows = self.held.rows(self.held.centre)
+        return np.eye(rows.shape[1]) - np.linalg.pinv(rows) @ rows
+
+    def certificates(self, y: np.ndarray, length: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """What the corners must reach: ``zeros``, ``slopes`` and ``errors`` of :func:`lmi.reaches`.
+
+        Q + Y^* A + A^* Y is the certificate itself on the kernel and the penalty on |A z|^2 beside it.
+        """
+        g, n = self.relaxation._plain, len(self.kernel())
+        rays = np.vstack([self.node.rays.mean(axis=0), self.node.rays])
+        zero = sum(y[j] * g.q0[j] for j in range(len(y)))
+        slopes = [
+            sum(y[j] * r[g.param[j]] * g.level[j] for j in range(len(y)) if g.param[j] >= 0) for r in rays
+        ]
+        at, rows, on = zero - length * slopes[0], self.held.rows(self.held.centre), self.kernel()
+        off, inverse = np.eye(n) - on, np.linalg.pinv(rows)
+        zeros, errors = [], []
+        for penalty in np.linalg.norm(at) * np.array([1e-2, 0.1, 1.0, 10.0, 1e2, 1e3, 1e4]):
+            change = on @ at @ on + penalty * rows.conj().T @ rows - at
+            lift = (on @ change @ off + 0.5 * off @ change @ off) @ inverse
+            terms = [lift @ self.held.rows(d) for d in self.scalars]
+            zeros.append([zero + t + t.conj().T for t in terms])
+            errors.append(4 * n * 2.0**-52 * (np.abs(y) @ np.linalg.norm(g.q0, axis=(1, 2))))
+            errors[-1] += 8 * n * 2.0**-52 * np.linalg.norm(lift)
+        return np.array(zeros).swapaxes(0, 1), np.array(slopes), np.array(errors)
+
+    def compare(self, y: np.ndarray, length: float) -> None:
+        zeros, slopes, errors = self.shown.pop()
+        want = self.certificates(y, length)
+        np.testing.assert_allclose(zeros, want[0], rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(slopes, want[1], rtol=1e-12, atol=1e-14)
+        np.testing.assert_allclose(errors, np.broadcast_to(want[2], zeros.shape[:2]), rtol=1e-9)
+
+
+def test_a_tangent_asks_for_a_certificate_of_what_the_centres_scalars_leave(monkeypatch):
+    tangents = Tangents(monkeypatch, *held_and_free())
+    kernel, g = tangents.kernel(), tangents.relaxation._plain
+    base = abs(1.5 + 2j) ** 2
+    for cutoff, left in ((10.0, 10 - base), (base + 0.5, 0.5), (3.0, 0.0), (np.inf, np.inf)):
+        found = tangents.relaxation.tangent(tangents.node, cutoff)
+        q0, level, cone, most = tangents.asked.pop()
+        assert most == pytest.approx(left) and cone is g.cone and found.centre == pytest.approx(base + 0.7)
+        # The same eigenvalues in whichever coordinates of the kernel, beside two zeros.
+        shares = np.array([0.0, 0.6, 0.4])
+        for mix in np.random.default_rng(3).normal(size=(3, 3)):
+            for inner, outer in ((q0, g.q0), (level, shares[:, None, None] * g.level)):
+                inside, whole = (
+                    np.linalg.eigvalsh(np.tensordot(mix, m, axes=1)) for m in (inner, kernel @ outer @ kernel)
+                )
+                np.testing.assert_allclose(np.sort([*inside, 0, 0]), whole, atol=1e-12)
+        np.testing.assert_allclose(found.inverse, kernel, atol=1e-12)
+    tangents.ray = (0.7, tangents.ray[1], None)
+    assert tangents.relaxation.tangent(tangents.node, 10.0).inverse is None
+    tangents.ray = (0.0, None, np.eye(3))
+    assert tangents.relaxation.tangent(tangents.node, 10.0) is None, "nothing is proved"
+
+
+def test_a_tangent_lifts_its_certificate_off_the_kernel_and_moves_it_to_the_corners(monkeypatch):
+    tangents = Tangents(monkeypatch, *held_and_free())
+    for length in (0.7, np.inf):
+        tangents.ray = (length, *tangents.ray[1:])
+        tangents.relaxation.tangent(tangents.node, 10.0)
+        tangents.compare(tangents.ray[1], 0.7 if length == 0.7 else 0.0)
+
+
+def test_a_tangent_without_a_signal_left_has_a_certificate_all_the_same(monkeypatch):
+    tangents = Tangents(monkeypatch, *all_held())
+    found = tangents.relaxation.tangent(tangents.node, 10.0)
+    assert not tangents.asked and found.inverse is None
+    assert found.centre == pytest.approx(4 / 7), "the one block with a size of its own"
+    tangents.compare(np.array([0.5, 0.5]), 0.0)
+
+
+@pytest.mark.parametrize("problem", [held_and_free, all_held])
+def test_a_tangents_bound_is_the_best_penaltys_at_its_worst_corner_and_ray(problem, monkeypatch):
+    tangents = Tangents(monkeypatch, *problem())
+    rng, bases = np.random.default_rng(5), [tangents.held.base(d) for d in tangents.scalars]
+    for _ in range(20):
+        tangents.lengths = rng.uniform(0.0, 10.0, tangents.lengths.shape)
+        tangents.lengths[0] -= 20.0  # at the centre, which is no corner
+        bounds = np.array([b + m for b, m in zip(bases, tangents.lengths, strict=True)])
+        worst = [min(bounds[c, k, r] for c in range(1, len(bases)) for r in (1, 2)) for k in range(7)]
+        kept = bounds[:, worst.index(max(worst))]
+        found = tangents.relaxation.tangent(tangents.node, 10.0)
+        assert found.lower == pytest.approx(max(worst), rel=1e-12)
+        assert found.box == pytest.approx(min(kept[1:, 0]), rel=1e-12)
+        assert found.cone == pytest.approx(min(kept[0, 1:]), rel=1e-12)
+
+
+def test_there_is_no_tangent_without_boxes_or_forms_beside_them(monkeypatch):
+    tangents = Tangents(monkeypatch, *held_and_free())
+    assert tangents.relaxation.tangent(BranchNode(0.0, 0, tangents.node.rays, {}), 10.0) is None
+    alone = Relaxation(Quadratic([scalars_of("repeated_real", row(1, 0), row(0, 1), param=0)], 1, 2))
+    assert alone.tangent(BranchNode(0.0, 0, np.zeros((1, 1)), {0: Box(1.0, 2.0)}), 10.0) is None
+
+
+@pytest.mark.parametrize("angle, left", [(1.8e-10, 3), (2.2e-10, 2)])
+def test_scalars_hold_a_direction_of_more_than_a_ten_billionth(angle, left, monkeypatch):
+    """Two rows of size 1 at an angle: their singular values are sqrt(2) and angle / sqrt(2)."""
+    forms = [
+        Form(row(1, 1, 1, 1), row(0, 0, 0, 1), param=0),
+        scalars_of("repeated_real", row(1, 0, 0, 0), row(0, 0, 0, 1), constant=1.0),
+        scalars_of("repeated_real", row(1, angle, 0, 0), row(0, 0, 0, 1), constant=1.0),
+    ]
+    node = BranchNode(0.0, 0, np.eye(1), {1: Box(-1.0, 1.0), 2: Box(-1.0, 1.0)})
+    tangents = Tangents(monkeypatch, Quadratic(forms, 1, 4), node)
+    tangents.ray = (0.0, np.ones(1), None)
+    tangents.relaxation.tangent(node, 10.0)
+    assert tangents.asked[0][0].shape == (1, left, left)

@@ -139,6 +139,234 @@ def test_s2_engines_take_the_same_steps(name, monkeypatch):
             np.testing.assert_allclose(getattr(plain, field), getattr(compiled, field), rtol=1e-7, atol=1e-10)
 
 
+@pytest.mark.parametrize("gap", [0.97, 0.7, 0.2])
+@pytest.mark.parametrize("p_max", [0.02, 0.3, 20.0])
+def test_s2_engines_stop_at_the_same_step_of_a_rough_search(gap, p_max, monkeypatch):
+    """Far from the optimum a point shows each step that led to it."""
+    if native.kernels("s2") is None:
+        pytest.skip("no C compiler: nothing to compare with")
+    for n in (2, 3, 4):
+        forms, z = (np.stack(v) for v in zip(*(drawn(seed, n) for seed in range(4)), strict=True))
+        results = []
+        for off in ("", "1"):
+            monkeypatch.setenv("LPVGUARD_NO_NATIVE", off)
+            results.append(s2.solve_forms(forms, z, p_max, gap=gap))
+        compiled, plain = results
+        for field in ("lower", "upper", "p", "z", "duals"):
+            np.testing.assert_allclose(getattr(plain, field), getattr(compiled, field), rtol=1e-9, atol=1e-12)
+
+
+# --- the parts of the kernel's numpy version ---
+
+
+def point_of(q0: float, qw: float, a: float, b: float, *, p_max: float = 10.0, gap: float = 0.1) -> s2._Point:
+    """A point whose forms have these values for every z = (theta, 1)."""
+    return s2._Point(np.stack([np.diag([0.0, v]) for v in (q0, qw, a, b)]), p_max, gap)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_s2_a_dual_is_the_schur_complement_and_its_factor(seed):
+    forms, _ = drawn(seed, 4)
+    point = s2._Point(forms, 1.0, 0.1)
+    for mu, p in (([0.3, 0.7], 0.0), ([2.0, 0.1], 0.4)):
+        s = forms[0] + mu[0] * forms[1] + mu[1] * (forms[2] - p * forms[3])
+        value, c, y = point._factor(np.array(mu), p)
+        assert value == pytest.approx(1 / np.linalg.inv(s)[-1, -1].real, rel=1e-9)
+        np.testing.assert_allclose(c @ c.conj().T, s[:3, :3], atol=1e-12)
+        np.testing.assert_allclose(c @ y, s[:3, 3], atol=1e-12)
+    value, c, y = point._factor(np.array([0.0, 5.0]), 1e9)
+    assert np.isnan(value) and c is None and y is None
+    z = gauss(np.random.default_rng(seed), 4)
+    assert point._form(forms[2], z) == pytest.approx((z.conj() @ forms[2] @ z).real, rel=1e-12)
+
+
+def test_s2_an_offer_is_taken_where_it_is_allowed_and_cheaper():
+    z = np.array([0.3j, 1.0])
+    for q0, qw, a, b, size in (
+        (0.5, 0.0, 3.0, 2.0, 1.5),
+        (0.5, -1.0, 0.0, 2.0, 0.0),
+        (0.5, -1.0, -3.0, 2.0, 0.0),
+        (0.5, -1.0, 0.0, 0.0, 0.0),
+        (0.5, -1.0, 20.0, 2.0, 10.0),
+        (0.5, -1.0, 0.2, 0.5, 0.4),
+    ):
+        point = point_of(q0, qw, a, b)
+        point._offer(z)
+        assert (point.cost, point.p) == (pytest.approx(size + q0), pytest.approx(size))
+        np.testing.assert_array_equal(point.z, z)
+        assert point.z is not z
+        # It is kept where another one costs as much.
+        point._offer(np.array([0.7, 1.0]))
+        np.testing.assert_array_equal(point.z, z)
+    for q0, qw, a, b in (
+        (0.5, 1e-9, 3.0, 2.0),
+        (0.5, 0.5, 3.0, 2.0),
+        (0.5, -1.0, 20.1, 2.0),
+        (0.5, -1.0, 1e-9, 0.0),
+        (0.5, -1.0, 3.0, -2.0),
+    ):
+        point = point_of(q0, qw, a, b)
+        with np.errstate(all="raise"):
+            point._offer(z)
+        assert point.cost == np.inf and point.z is None and point.p == 0.0
+
+
+def interval(lo: float, hi: float, **named) -> s2._Interval:
+    at = s2._Dual(np.array([0.5, 0.25]), named.pop("slope", 0.0))
+    return s2._Interval(
+        lo, hi, named.get("lower", 0.0), named.get("lo_slope", 0.0), named.get("known", True), at
+    )
+
+
+def test_s2_an_interval_is_bounded_at_its_ends_by_its_duals(monkeypatch):
+    point = point_of(0.0, 0.0, 0.0, 0.0)
+    of = {1.0: 0.5, 3.0: -1.8}
+    asked = []
+    monkeypatch.setattr(point, "_factor", lambda mu, p: asked.append(mu) or (of[p], None, None))
+    v = interval(1.0, 3.0)
+    assert point._bound(v) == pytest.approx(1.2) and all(mu is v.at.mu for mu in asked)
+    of[3.0] = -1.2
+    assert point._bound(v) == 1.5
+    assert point._bound(interval(1.0, 3.0, lower=1.7)) == 1.7
+    of[1.0] = -0.3
+    assert point._bound(v) == 1.0, "its least size alone"
+    asked.clear()
+    assert point._bound(interval(1.0, 3.0, known=False, lower=0.3)) == 1.0
+    assert point._bound(interval(1.0, 3.0, known=False, lower=2.0)) == 2.0 and not asked
+
+
+@pytest.mark.parametrize(
+    ("lo", "hi", "slopes", "where"),
+    [
+        (0.0, 8.0, (-1.0, 0.1), 1.0),
+        (0.0, 8.0, (-1.0, 0.0), 4.0),
+        (-0.1, 8.0, (-1.0, -0.1), 4.0),
+        (1.0, 16.0, (-1.0, -1.0), 4.0),
+        (1.0, 16.0, (0.0, 1.0), 4.0),
+        (1.0, 16.0, (-1.0, 0.0), 4.0),
+        (1.0, 16.0, (-16.0, 3.0), 16**0.25),
+        (1.0, 16.0, (-16.0, 0.01), 16**0.85),
+        (1.0, 16.0, (-0.1, 3.0), 16**0.15),
+        (2.0, 2.8, (-1.0, -1.0), 2.4),
+        (2.0, 2.8, (-1.4, 3.0), 2.2),
+        (2.0, 3.0, (-1.0, -1.0), 2.5),
+        (2.0, 3.02, (-1.0, -1.0), 2.0 * 1.51**0.5),
+        (0.5, 0.7, (-1.4, 3.0), 0.55),
+        (0.5, 1.0, (0.5, -1.0), 0.5 * 2**0.5),
+    ],
+)
+def test_s2_an_interval_is_cut_where_the_slopes_of_its_ends_meet(lo, hi, slopes, where):
+    """In log p, within 0.15 and 0.85 of it: -f0 / (f1 - f0) for slopes f times p; narrow ones in p."""
+    v = interval(lo, hi, lo_slope=slopes[0], slope=slopes[1])
+    assert s2._Point._cut(v) == pytest.approx(where, rel=1e-12)
+
+
+def test_s2_a_dual_is_sought_as_finely_as_the_cost_asks(monkeypatch):
+    for cost, scale, enough in ((0.5, 0.5, 0.5), (4.0, 1.0, 4.0), (np.inf, 1.0, 1e9)):
+        point = point_of(0.0, 0.0, 0.0, 0.0, gap=0.01)
+        point.cost = cost
+        asked, offered = [], []
+        monkeypatch.setattr(point, "_maximise_dual", lambda *given, asked=asked: asked.append(given) or True)
+        monkeypatch.setattr(point, "_offer", offered.append)
+        monkeypatch.setattr(point, "_bound", lambda v: 0.625)
+        v = interval(2.0, 5.0)
+        v.at.mu[:] = [1e-9, 0.7]
+        v.at.z = np.ones(2)
+        point._evaluate(v)
+        [given] = asked
+        assert given[:5] == pytest.approx((5.0, 1e-3 * scale, 0.02 * scale, 1.05 * cost, enough + 3.0))
+        assert given[5] is v.at and v.at.mu.tolist() == [1e-3 * scale, 0.7]
+        assert v.known and v.lower == 0.625 and offered == [v.at.z]
+    monkeypatch.setattr(point, "_maximise_dual", lambda *_: False)
+    offered.clear()
+    point._evaluate(v)
+    assert not v.known and not offered
+
+
+class Branches:
+    """A search whose duals are given: bounds by their interval, known or not, with a slope of hi."""
+
+    def __init__(self, monkeypatch, lower, *, gap: float = 0.1, p_max: float = 16.0, known: bool = True):
+        self.point = point_of(0.0, -1.0, 0.0, 1.0, p_max=p_max, gap=gap)
+        self.lower, self.known = lower, known
+        self.evaluated: list[tuple] = []
+        self.bounded: list[tuple] = []
+        monkeypatch.setattr(self.point, "_offer", self.offer)
+        monkeypatch.setattr(self.point, "_evaluate", self.evaluate)
+        monkeypatch.setattr(self.point, "_bound", self.bound)
+        monkeypatch.setattr(self.point, "_cut", lambda v: 0.5 * (v.lo + v.hi))
+
+    def offer(self, z):
+        self.point.cost, self.point.p, self.point.z = 8.0, 3.0, z
+
+    def evaluate(self, v):
+        mu = v.at.mu
+        self.evaluated.append((v.lo, v.hi, v.lower, v.lo_slope, v.known, v.at.slope, mu.tolist()))
+        v.known, v.at.slope, v.lower = self.known, v.hi, self.lower(v.lo, v.hi)
+        mu[:] = [v.hi, v.hi]
+
+    def bound(self, v):
+        self.bounded.append((v.lo, v.hi, v.lo_slope, v.at.mu.tolist()))
+        return self.lower(v.lo, v.hi)
+
+    def run(self):
+        return self.point.solve(np.array([0.3, 1.0]))
+
+
+def test_s2_a_search_halves_the_interval_of_the_least_bound(monkeypatch):
+    """All points cost 8: what is bounded by 7.2 or more is closed; the least closed bound is the answer."""
+    bounds = {(0, 8): 1.0, (0, 4): 3.0, (4, 8): 2.0, (4, 6): 9.0, (6, 8): 7.3, (0, 2): 5.0, (2, 4): 7.1}
+    bounds |= {(2, 3): 8 * 0.9, (3, 4): 9.0, (0, 1): 9.0, (1, 2): 9.0}
+    branches = Branches(monkeypatch, lambda lo, hi: bounds[lo, hi])
+    (lower, upper, p, duals), z = branches.run()
+    assert (lower, upper, p, duals) == (7.2, 8.0, 3.0, 6) and z.tolist() == [0.3, 1.0]
+    assert [at[:2] for at in branches.evaluated] == [(0, 8), (0, 4), (4, 6), (0, 2), (0, 1), (2, 3)]
+    for first, asked in ((8 * 0.9, 1), (7.19, 2)):
+        branches = Branches(monkeypatch, lambda lo, hi, first=first: first if hi - lo == 8 else 7.9)
+        (lower, _, _, duals), _ = branches.run()
+        assert duals == asked and lower == (first if asked == 1 else 7.9)
+    branches = Branches(monkeypatch, lambda lo, hi: 8.5)
+    assert branches.run()[0][0] == 8.0, "no more than what is attained"
+
+
+def test_s2_of_equal_bounds_the_older_interval_is_halved_first_and_left_before_right(monkeypatch):
+    branches = Branches(monkeypatch, lambda lo, hi: 1.0 if hi - lo > 1 else 7.5)
+    (lower, _, _, duals), _ = branches.run()
+    assert [at[:2] for at in branches.evaluated[1:]] == [
+        (0, 4),
+        (0, 2),
+        (4, 6),
+        (0, 1),
+        (2, 3),
+        (4, 5),
+        (6, 7),
+    ]
+    assert (lower, duals) == (7.5, 8)
+
+
+def test_s2_a_search_without_a_point_is_given_up_after_240_duals(monkeypatch):
+    branches = Branches(monkeypatch, lambda lo, hi: 0.25 + lo)
+    monkeypatch.setattr(branches.point, "_offer", lambda z: None)
+    (lower, upper, p, duals), z = branches.run()
+    assert branches.evaluated[0][:2] == (0.0, 16.0), "up to the cap"
+    assert (lower, upper, p, duals) == (0.25, np.inf, 0.0, 240) and z.tolist() == [0.3, 1.0]
+
+
+@pytest.mark.parametrize("known, slope", [(True, 4.0), (False, -1.0)])
+def test_s2_both_halves_carry_the_duals_of_their_interval(known, slope, monkeypatch):
+    calls = iter([1.0, 7.5, 7.0])
+    branches = Branches(monkeypatch, lambda lo, hi: next(calls, 7.9), known=known)
+    (lower, upper, _, duals), _ = branches.run()
+    first, left = branches.evaluated[:2]
+    assert first == (0.0, 8.0, 0.0, -1.0, False, 0.0, [1.0, 1.0])
+    assert left == (0.0, 4.0, 1.0, -1.0, False, 8.0, [8.0, 8.0])
+    assert branches.bounded[0] == (4.0, 8.0, slope, [8.0, 8.0]), "its own multipliers, not the left half's"
+    # 7.5 is above 0.9 of the cost and closed; 7.0 is halved once more.
+    third = branches.evaluated[2]
+    assert third[:5] == (4.0, 6.0, 7.0, slope, False) and duals == 3
+    assert (lower, upper) == (7.5, 8.0)
+
+
 def test_s2_and_the_general_solver_agree():
     data = truck_points(2, 3, seed=2)
     r = s2.solve(*(data[k] for k in S2_KEYS))

@@ -17,6 +17,7 @@ fine grid. That grid also takes up every lightly damped pole and zero.
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass, replace
 
@@ -77,8 +78,7 @@ class Grid:
             _GRID_STEP, math.log(_OUTSIDE), 30
         )  # dense next to the corner of the bound at either end
         fill = [
-            np.linspace(a, b, int((b - a) / _GRID_STEP) + 2)[:-1]
-            for a, b in zip(self._log_w[:-1], self._log_w[1:], strict=False)
+            np.linspace(a, b, int((b - a) / _GRID_STEP) + 2)[:-1] for a, b in itertools.pairwise(self._log_w)
         ]
         self._place(np.concatenate([[-math.inf], first - tail[::-1], *fill, [last], last + tail, [math.inf]]))
 
@@ -136,12 +136,12 @@ def least_worst_ratio(
     if best is not None and best.ratio_db <= STEP_DB:
         return best
     if last is None:
-        active, lower_db, excess = grid.start(), 0.0, 10.0
+        active, lower_db, tol = grid.start(), 0.0, 1.0
         bottom = np.ones(1) if best is None else best.bottom
         while len(bottom) <= order:  # one more break in the middle of the band
             bottom = np.convolve(bottom, [1.0, math.exp(-sum(grid.band))])
     else:
-        active, lower_db, excess, bottom = last.active, last.lower_db, 0.0, last.bottom
+        active, lower_db, tol, bottom = last.active, last.lower_db, STEP_DB, last.bottom
         active = np.union1d(active, _failures(grid, grid.ratio2(last.top, last.bottom), lower_db))
     if best is None:  # strictly proper, first order: any roll-off to start from
         ratio2 = grid.ratio2(np.ones(1), bottom)
@@ -150,16 +150,15 @@ def least_worst_ratio(
             1.0 / ratio2[grid.below].min(keepdims=True),
             bottom,
             grid.spread_db(ratio2),
-            0.0,
+            lower_db,
             active,
         )
     for _ in range(_MAX_CUTS):
-        tol = max(STEP_DB, 0.1 * excess)
         found, lower_db = _exchange(grid, active, order, bottom, lower_db, best.ratio_db, tol)
         if found is None:  # nothing better than ``best`` by tol
             if tol == STEP_DB:
                 break
-            excess = 0.0
+            tol = STEP_DB
             continue
         top, bottom = found
         _resolve(grid, top, bottom)
@@ -167,12 +166,10 @@ def least_worst_ratio(
         worst = grid.spread_db(ratio2)
         if worst < best.ratio_db:
             best = MinimaxFit(order, top / ratio2[grid.below].min(), bottom, worst, lower_db, active)
-        excess = min(excess, worst - lower_db) if math.isfinite(worst) else excess
         fresh = np.setdiff1d(_failures(grid, ratio2, lower_db), active)
         if best.ratio_db <= lower_db + 2 * STEP_DB or (not fresh.size and tol == STEP_DB):
             break
-        if not fresh.size:
-            excess = 0.0
+        tol = max(STEP_DB, min(tol, 0.1 * (worst - lower_db))) if fresh.size else STEP_DB
         active = np.union1d(active, fresh)
     return best if best.order < order else replace(best, lower_db=lower_db, active=active)
 
@@ -203,10 +200,7 @@ def _exchange(
     rows = np.searchsorted(grid.y, active)
     powers = grid.powers(order)
     found, level = None, min(lower_db + tol_db, 0.5 * (lower_db + upper_db))
-    scaled_by, judged_by = (
-        upper_db,
-        math.inf,
-    )  # what ``bottom`` reaches, now and at the last verdict "infeasible"
+    judged_by = math.inf  # what the ``bottom`` of the last verdict "infeasible" reaches
     for _ in range(_MAX_PROGRAMS):
         if upper_db - lower_db <= tol_db:
             if judged_by <= lower_db + max(tol_db, _NEAR_DB):
@@ -222,15 +216,15 @@ def _exchange(
         ratio2 = grid.ratio2(*answer)[rows]
         reached = grid.spread_db(ratio2, rows)
         if reached > level + 1e-6:
-            lower_db, judged_by = level, scaled_by
+            lower_db, judged_by = level, upper_db
         elif level <= lower_db:
             lower_db = 0.0
         if reached < upper_db:
-            upper_db = scaled_by = reached
+            upper_db = reached
             bottom = answer[1]
             found = answer[0] / ratio2[grid.below[rows]].min(), bottom
         slow = upper_db - lower_db > 0.5 * gap
-        level = 0.5 * (lower_db + upper_db) if slow else max(upper_db - 0.9 * tol_db, lower_db + 0.1 * tol_db)
+        level = 0.5 * (lower_db + upper_db) if slow else upper_db - 0.9 * tol_db
     return found, lower_db
 
 
@@ -260,9 +254,9 @@ def _program(
     below, tau = grid.below[rows], np.ones((len(rows), 1))
     a_ub = np.vstack(
         [
-            np.hstack([-t * n_rows, d_rows * below[:, None], 0 * tau]),
+            np.hstack([-t * n_rows, d_rows * below[:, None], np.zeros_like(tau)]),
             np.hstack([n_rows / t, -d_rows, -tau]),
-            np.hstack([0 * n_rows, -d_rows, 0 * tau]),
+            np.hstack([np.zeros_like(n_rows), -d_rows, np.zeros_like(tau)]),
         ]
     )
     roll_off = np.where(below, 0.0, -_RESOLUTION * grid.end / np.maximum(grid.y[rows], grid.end))
@@ -291,7 +285,7 @@ def _failures(grid: Grid, ratio2: np.ndarray, level_db: float) -> np.ndarray:
     0."""
     bad = ~((ratio2 > 0) | (grid.strict & np.isinf(grid.y)))
     log_r = 10.0 * np.log10(np.where(ratio2 > 0, ratio2, 1.0))
-    miss = np.maximum(log_r - level_db, np.where(grid.below, -log_r, 0.0))
+    miss = np.maximum(log_r - level_db, -log_r * grid.below)
     ends = np.pad(miss, 1, mode="edge")
     peak = np.flatnonzero((miss > 0.25 * STEP_DB) & (miss >= ends[:-2]) & (miss >= ends[2:]))
     peak = peak[np.argsort(-miss[peak], kind="stable")[:30]]

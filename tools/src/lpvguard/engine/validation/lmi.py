@@ -66,14 +66,14 @@ def gram(left: np.ndarray, right: np.ndarray, basis: np.ndarray | None) -> np.nd
 
 def cone(groups: list[tuple[str, int]]) -> Cone:
     """Cone of groups in order: ('psd', r) for a matrix D >= 0 (r x r), ('free', r) for one without a sign."""
-    sizes = [r * r for _, r in groups]
-    start = np.concatenate([[0], np.cumsum(sizes)[:-1]]).astype(int)
-    normal = np.zeros(sum(sizes))
-    for (kind, r), s in zip(groups, start, strict=True):
-        if kind == "psd":
-            normal[s : s + r] = 1.0
+    sizes = [(r * r, r if kind == "psd" else 0) for kind, r in groups]
+    start = np.concatenate([[0], np.cumsum([size for size, _ in sizes])[:-1]]).astype(int)
+    normal = np.concatenate([np.arange(size) < order for size, order in sizes]).astype(float)
     return Cone(
-        tuple(int(s) for s in start), tuple(sizes), tuple(r if k == "psd" else 0 for k, r in groups), normal
+        tuple(int(s) for s in start),
+        tuple(size for size, _ in sizes),
+        tuple(order for _, order in sizes),
+        normal,
     )
 
 
@@ -120,16 +120,16 @@ def maximise_level(q: np.ndarray, c: Cone, *, relative: float = 0.1, absolute: f
     forms = np.concatenate([q, -eye[None]])
     kkt = np.zeros((m + 2, m + 2))
     kkt[m + 1, :m] = kkt[:m, m + 1] = c.normal
+    ridge = 1.0 + 1e-13 * np.eye(m + 2)  # keeps multiples small that cancel: of free forms of one span
     x_above = np.inf
     inverse = np.linalg.inv(matrix - x * eye)
     for _ in range(MAX_NEWTON):
         gradient, hessian = _barrier(inverse, forms, c, y, eps)
         kkt[: m + 1, : m + 1] = hessian
-        diag = np.arange(m + 1)
-        kkt[diag, diag] *= 1.0 + 1e-13
+        kkt *= ridge
         try:
             step = np.linalg.solve(kkt, np.append(gradient, 0.0))[: m + 1]
-        except np.linalg.LinAlgError:  # free forms that depend on each other, or are zero: the least step
+        except np.linalg.LinAlgError:  # free forms of zero: the least step
             step = np.linalg.lstsq(kkt, np.append(gradient, 0.0))[0][: m + 1]
         decrement = np.sqrt(max(float(gradient @ step) / eps, 0.0))
         if not np.isfinite(decrement):
@@ -200,7 +200,7 @@ def rounding(y: np.ndarray, forms: np.ndarray) -> float:
 
     Free multipliers may be large and cancel. A certificate must not rest on what is left of that.
     """
-    n = forms.shape[-1]
+    _, n, _ = forms.shape
     return 4.0 * n * np.finfo(float).eps * float(np.abs(y) @ np.linalg.norm(forms, axis=(1, 2)))
 
 
@@ -224,7 +224,8 @@ def reaches(zeros: np.ndarray, slopes: np.ndarray, errors: np.ndarray) -> np.nda
 
     -inf where a zero is not positive definite.
     """
-    zeros = zeros - errors[..., None, None] * np.eye(zeros.shape[-1])
+    _, n, _ = slopes.shape
+    zeros = zeros - errors[..., None, None] * np.eye(n)
     good = np.linalg.eigvalsh(zeros)[..., 0] > errors
     out = np.full((*good.shape, len(slopes)), -np.inf)
     factor = np.linalg.inv(np.linalg.cholesky(zeros[good]))[:, None]
@@ -257,7 +258,8 @@ def _ray_length_numpy(
             break
         y = centre.y
         zero, slopes = np.tensordot(y, q0, axes=1), np.tensordot(y, level, axes=1)[None]
-        longer = max(at, float(reach(zero, slopes, error)[0]))
+        (proved,) = reach(zero, slopes, error)
+        longer = max(at, float(proved))
         longer = np.inf if longer > ENDLESS else longer
         done = not ahead and (longer <= length * (1.0 + 1e-6) or beyond <= longer * (1.0 + 1e-5))
         length = max(length, longer)
@@ -281,7 +283,7 @@ def ray_length(
     if lib is None or n > _NATIVE_N or m > _NATIVE_M or max(c.order) > _NATIVE_ORDER:
         return _ray_length_numpy(q0, level, c, cutoff)
     q0, level = np.ascontiguousarray(q0, dtype=complex), np.ascontiguousarray(level, dtype=complex)
-    y, inverse, found = np.zeros(m), np.zeros((n, n), dtype=complex), ctypes.c_int(0)
+    y, inverse, found = np.zeros(m), np.zeros((n, n), dtype=complex), ctypes.c_int()
     groups = [np.array(part, dtype=np.int32) for part in (c.start, c.order)]
     pointer = ctypes.c_void_p
     lib.lpvg_ray.restype = ctypes.c_double

@@ -107,6 +107,10 @@ class _Generators:
     param: np.ndarray
     cone: lmi.Cone
 
+    def shares(self, rays: np.ndarray) -> np.ndarray:
+        """(k, m) size of each generator's parameter on ``rays`` (k, params); 0 where it has none."""
+        return np.column_stack([rays, np.zeros(len(rays))])[:, self.param]
+
 
 class _HeldScalars:
     """The repeated blocks of a node as linear constraints (a - d b) z = 0, with their scalars d held."""
@@ -116,10 +120,8 @@ class _HeldScalars:
         self.centre = np.array([box.centre for box in boxes.values()])
         self.corners = [np.array(c) for c in itertools.product(*(box.corners for box in boxes.values()))]
         self._known = [i for i, f in enumerate(self._forms) if f.param in problem.boxed]
-        self._unit = [
-            1.0 / (np.linalg.norm(f.a) + abs(c) * np.linalg.norm(f.b))
-            for f, c in zip(self._forms, self.centre, strict=True)
-        ]
+        forms = ((problem.forms[k], box.centre) for k, box in boxes.items())
+        self._unit = [1.0 / (np.linalg.norm(f.a) + abs(c) * np.linalg.norm(f.b)) for f, c in forms]
 
     def rows(self, scalars: np.ndarray) -> np.ndarray:
         """Rows a - d b of all blocks, each block in units of its own."""
@@ -193,14 +195,13 @@ class Relaxation:
         """Certified lower bound over a node, bound on the central ray, and primal matrix (n, n) or None."""
         g = self._generators(node.boxes) if self.problem.repeated or self._plain is None else self._plain
         base = self.box_bound(node, self.problem.boxed)
-        weight = np.append(node.rays.mean(axis=0), 0.0)
+        shares = g.shares(node.rays)
         length, y, inverse = lmi.ray_length(
-            g.q0, g.level * weight[g.param][:, None, None], g.cone, max(cutoff - base, 0.0)
+            g.q0, g.level * shares.mean(axis=0)[:, None, None], g.cone, max(cutoff - base, 0.0)
         )
         edges = 0.0
         if y is not None:
-            rays = np.column_stack([node.rays, np.zeros(len(node.rays))])
-            slopes = np.tensordot(rays[:, g.param] * y, g.level, axes=1)
+            slopes = np.tensordot(shares * y, g.level, axes=1)
             edges = float(np.min(lmi.reach(np.tensordot(y, g.q0, axes=1), slopes, lmi.rounding(y, g.q0))))
         return base + edges, base + length, inverse
 
@@ -221,18 +222,17 @@ class Relaxation:
         left, s, vh = np.linalg.svd(held.rows(held.centre))
         rank = int(np.sum(s > RANK_TOLERANCE * s[0]))
         normal, kernel = vh[:rank].conj().T, vh[rank:].conj().T
-        rays = np.vstack([node.rays.mean(axis=0), node.rays])
-        rays = np.column_stack([rays, np.zeros(len(rays))])[:, g.param]
+        shares = g.shares(np.vstack([node.rays.mean(axis=0), node.rays]))
         at_centre = held.base(held.centre)
         length, inverse = 0.0, None
         y: np.ndarray | None = g.cone.normal / g.cone.normal.sum()
         if kernel.shape[1]:
-            q0, level = (kernel.conj().T @ m @ kernel for m in (g.q0, g.level * rays[0][:, None, None]))
+            q0, level = (kernel.conj().T @ m @ kernel for m in (g.q0, g.level * shares[0][:, None, None]))
             length, y, reduced = lmi.ray_length(q0, level, g.cone, max(cutoff - at_centre, 0.0))
             inverse = None if reduced is None else kernel @ reduced @ kernel.conj().T
         if y is None:
             return None
-        zero, slopes = np.tensordot(y, g.q0, axes=1), np.tensordot(rays * y, g.level, axes=1)
+        zero, slopes = np.tensordot(y, g.q0, axes=1), np.tensordot(shares * y, g.level, axes=1)
         at = zero - (length if np.isfinite(length) else 0.0) * slopes[0]
         to_rows = (left[:, :rank] / s[:rank]).conj().T
         duals = _lifts(at, kernel, normal, s[:rank]) @ to_rows

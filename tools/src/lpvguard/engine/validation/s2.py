@@ -32,7 +32,7 @@ NEAR_CAP = 1.0 - 1e-4
 MAX_N = 16
 """Free variables plus one that the kernel accepts."""
 
-_MAX_DUALS, _MAX_NEWTON, _MAX_OPEN = 240, 60, 256
+_MAX_DUALS, _MAX_NEWTON = 240, 60
 
 
 @dataclass(frozen=True)
@@ -209,11 +209,7 @@ class _Point:
         closed, duals = np.inf, 1
         heap = [(first.lower, 0, first)]
         while heap:
-            if (
-                heap[0][0] >= self.cost * (1.0 - self.gap)
-                or duals >= _MAX_DUALS
-                or len(heap) + 1 >= _MAX_OPEN
-            ):
+            if heap[0][0] >= self.cost * (1.0 - self.gap) or duals >= _MAX_DUALS:
                 break
             right = heapq.heappop(heap)[2]
             left = _Interval(
