@@ -33,7 +33,8 @@ from lpvguard.loop.sim import Scenario, Simulator, load_scenario, shipped_scenar
 from lpvguard.replay.run import Replayer
 from lpvguard.vehicle.nominal import NominalModel
 
-SEEDS = (1, 2, 3) if os.environ.get("LPVGUARD_FULL") == "1" else (1,)
+FULL = os.environ.get("LPVGUARD_FULL") == "1"
+SEEDS = (1, 2, 3) if FULL else (1,)
 NO_DETECTORS = one_run.Detectors(((0.01, 0.01), (1.0,), ((1.0,),)), ())
 NO_VERDICT_FOLLOWS = {"bank_15mrad", "coarse_sensors", "crosswind_5", "jitter", "lossy_bus"}
 """Disturbances beyond those of the bounds: neither a frequency response nor the frames of a run oblige
@@ -97,7 +98,9 @@ def test_scenarios_expect_what_follows_from_the_bounds(name, simulator, replayer
         largest = max(largest, offline.largest)
     tables = plant_tables(name)
     if expect.verdict == "invalid":
-        assert None not in due and max(due) <= expect.within_judged_s <= 1.5 * max(due) + 10.0, due
+        assert None not in due and max(due) <= expect.within_judged_s, due
+        # The latest of three seeds states it.
+        assert not FULL or expect.within_judged_s <= 1.5 * max(due) + 10.0, due
     elif expect.verdict == "never_invalid":
         assert "sensor_fault" not in tables
         assert ratio(tables) <= 1.0
