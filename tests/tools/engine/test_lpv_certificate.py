@@ -6,8 +6,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lpvguard.base import native
-from lpvguard.engine.synthesis import barrier as barrier_method
 from lpvguard.engine.synthesis import lpv_certificate as lpv
 from lpvguard.engine.synthesis.statespace import StateSpace
 from oscillator import Oscillator
@@ -138,50 +136,3 @@ def test_a_peak_between_the_knots_is_seen():
     found = lpv.find(plain)
     bad = lpv.Family(at, np.array([1.0, 1.2, 1.25, 1.3, 2.0, 3.0]), plain.vehicle, 3, plain.hold_bounds, TS)
     assert lpv.prove(bad, found.storage, found.rate) is None
-
-
-def test_the_compiled_hessian_is_the_numpy_one_and_the_derivative_of_the_gradient(monkeypatch):
-    random = np.random.default_rng(4)
-    parts = [(0.3 * random.standard_normal((4, 6)), 0.3 * random.standard_normal((2, 6))) for _ in range(3)]
-    barrier = barrier_method.Barrier(parts, random.uniform(1, 2, (3, 3)), random.uniform(1, 2, (3, 3)))
-    noise = random.standard_normal((3, 4, 4))
-    P = np.array([2 * np.eye(4)] * 3) + 0.05 * (noise + np.swapaxes(noise, 1, 2))
-    p = P[:, barrier.upper[0], barrier.upper[1]].ravel()
-    unit = 30 * np.eye(6)
-
-    def slope(q):
-        return -barrier.adjoint(np.linalg.inv(barrier.F(barrier.matrices(q)) + unit))
-
-    S = np.linalg.inv(barrier.F(P) + unit)
-    compiled = np.tril(barrier.hessian(S))
-    monkeypatch.setattr(native, "kernels", lambda name: None)
-    np.testing.assert_allclose(compiled, np.tril(barrier.hessian(S)), rtol=0, atol=1e-12)
-    numeric = np.array([(slope(p + h) - slope(p - h)) / 2e-5 for h in 1e-5 * np.eye(len(p))])
-    np.testing.assert_allclose(compiled, np.tril(numeric), rtol=0, atol=1e-7 * np.abs(numeric).max())
-
-
-@pytest.mark.parametrize("compiled", [True, False])
-def test_the_hessian_keeps_its_digits_where_states_hardly_move(compiled, monkeypatch):
-    """M is within 1e-7 of the identity, and the same P holds before and after a step: products of M cancel to
-    1e-14 of themselves, which doubles do not leave. The reference is in longer numbers."""
-    random = np.random.default_rng(6)
-    M = np.eye(3, 5) + 1e-7 * random.standard_normal((3, 5))
-    X = random.standard_normal((5, 5))
-    S = X @ X.T + np.eye(5)
-    barrier = barrier_method.Barrier([(M, np.zeros((1, 5)))], np.ones((1, 1)), np.ones((1, 1)))
-    if not compiled:
-        monkeypatch.setattr(native, "kernels", lambda name: None)
-    found = np.tril(barrier.hessian(S[None]))
-    changes = [barrier.matrices(h)[0].astype(np.longdouble) for h in np.eye(6)]
-    long, wide = M.astype(np.longdouble), S.astype(np.longdouble)
-    moved = [-long.T @ change @ long for change in changes]
-    for one, change in zip(moved, changes, strict=True):
-        one[:3, :3] += change
-    wanted = np.array([[np.trace(wide @ one @ wide @ other) for other in moved] for one in moved], float)
-    scale = np.sqrt(np.diagonal(wanted))
-    assert scale.max() < 1e-5
-    np.testing.assert_allclose(
-        found / np.outer(scale, scale), np.tril(wanted) / np.outer(scale, scale), atol=1e-3
-    )
-    gradient = np.array([np.trace(wide @ one) for one in moved], float)
-    np.testing.assert_allclose(barrier.adjoint(S[None]), gradient, rtol=1e-8)

@@ -6,9 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import scipy.linalg as sl
-from scipy.optimize import minimize, minimize_scalar
 
-from lpvguard.engine.synthesis import barrier as barrier_method
 from lpvguard.engine.synthesis import lpv_certificate as lpv
 from lpvguard.engine.synthesis import storage_grid
 from lpvguard.engine.synthesis.statespace import StateSpace
@@ -160,23 +158,6 @@ def test_two_remainders_are_weighed_at_the_least_cost():
     zero = np.zeros((3, 3))
     np.testing.assert_array_equal(lpv._weighed(X, zero, inverse), X)
     np.testing.assert_array_equal(lpv._weighed(zero, Y, inverse), Y)
-
-
-@pytest.mark.parametrize("seed", range(6))
-def test_the_line_search_finds_the_minimum_inside_its_domain(seed):
-    random = np.random.default_rng(seed)
-    curve = random.normal(0.0, 1.0, 8)
-    if seed % 2:
-        curve = np.abs(curve)  # no end of the domain
-    slope = 0.3 * np.sum(curve) if seed % 2 else np.sum(curve) - 0.7 * np.sum(curve**2)
-    end = -1 / curve.min() if curve.min() < 0 else 50.0
-
-    def value(s):
-        return slope * s - np.sum(np.log1p(s * curve))
-
-    best = minimize_scalar(value, bounds=(0, end * (1 - 1e-9)), method="bounded", options={"xatol": 1e-12}).x
-    found = barrier_method.line_search(curve, slope)
-    assert 0 < found < end and found == pytest.approx(best, rel=2e-3)
 
 
 @pytest.mark.parametrize(
@@ -387,80 +368,3 @@ def test_the_remainder_of_a_cell_falls_as_its_width_squared():
         losses.append(least - slack)
     ratios = np.array(losses[:-1]) / losses[1:]
     np.testing.assert_allclose(ratios, 4.0, rtol=0.05)
-
-
-def test_a_point_with_every_matrix_positive_is_found_from_any_start_or_none_is():
-    """F = P - a^2 P - c^2 > 0 for a scalar P, width one: P > c^2 / (1 - a^2); and both 1 - P > 0 or not."""
-
-    def barrier(largest):
-        M, N = np.array([[0.5, 1.0]]), np.array([[0.3, 0.0]])
-        return barrier_method.Barrier([(np.sqrt(1 / largest) * M, N)], np.ones((1, 1)), np.ones((1, 1)))
-
-    easy = barrier(1.0)
-    for start in (-3.0, 0.0, 0.4, 50.0):
-        P = barrier_method.feasible(easy, np.array([[[start]]]), np.eye(2))
-        assert P is not None and np.linalg.eigvalsh(easy.F(P)[0])[0] > 0
-    # F[1, 1] = 1 - P / largest and F[0, 0] = P (1 - 1 / (4 largest)) - 0.09: no P for a small ``largest``.
-    assert barrier_method.feasible(barrier(0.2), np.array([[[0.1]]]), np.eye(2)) is None
-
-
-def test_newtons_method_ends_where_the_priced_barrier_is_least():
-    """Two inequalities of a scalar P and one y: the minimiser by another method, with a price and without."""
-    rows = ([0.5, 1.0], [0.3, 0.0]), ([0.2, 0.4], [0.1, 0.2])
-    parts = [(np.array([M]), np.array([N])) for M, N in rows]
-    phi, after = np.array([[1.0, 0.5], [1.0, -0.5]]), np.array([[1.0, 0.4], [1.0, -0.6]])
-    one, unit, slope = barrier_method.Barrier(parts, phi, after), np.eye(2)[None, None], np.array([30.0])
-
-    def value(x, price):
-        F = one.F(x[:2].reshape(2, 1, 1)) + x[2] * np.eye(2)
-        least = np.linalg.eigvalsh(F).min()
-        return np.inf if least <= 0 else price @ x[:2] + slope[0] * x[2] - np.linalg.slogdet(F)[1].sum()
-
-    ends = []
-    for cost in (0.0, 2.0):
-        price = one.price(np.array([[cost]]))
-        np.testing.assert_allclose(price, cost * phi.sum(axis=0))
-        P, y = np.array([[[0.5]], [[0.0]]]), np.array([1.0])
-        for _ in range(40):
-            P, y, decrement = barrier_method.newton_step(one, P, y, unit, slope, price)
-        assert 0 <= decrement < 1e-12
-        options = {"xatol": 1e-9, "fatol": 1e-13, "maxiter": 4000}
-        least = minimize(value, [0.5, 0.0, 1.0], (price,), method="Nelder-Mead", options=options)
-        np.testing.assert_allclose(np.append(P.ravel(), y), least.x, atol=1e-5)
-        ends.append(P[0, 0, 0])
-    assert ends[1] < 0.95 * ends[0]
-
-
-def test_the_barriers_matrices_are_those_of_their_vector_and_its_gradient_that_of_the_trace():
-    random = np.random.default_rng(9)
-    parts = [(random.standard_normal((3, 4)), random.standard_normal((2, 4))) for _ in range(2)]
-    phi, after = random.standard_normal((2, 3)), random.standard_normal((2, 3))
-    barrier = barrier_method.Barrier(parts, phi, after)
-    P = np.array([spd(random, 3) for _ in range(3)])
-    p = P[:, barrier.upper[0], barrier.upper[1]].ravel()
-    np.testing.assert_array_equal(barrier.matrices(p), P)
-    for i, (M, N) in enumerate(parts):
-        E = np.eye(3, 4)
-        wanted = E.T @ np.tensordot(phi[i], P, 1) @ E - M.T @ np.tensordot(after[i], P, 1) @ M
-        np.testing.assert_allclose(barrier.F(P, constant=False)[i], wanted, atol=1e-12)
-        wanted = wanted - N.T @ N + np.diag([0.0, 0.0, 0.0, 1.0])
-        np.testing.assert_allclose(barrier.F(P)[i], wanted, atol=1e-12)
-    S = np.array([spd(random, 4) for _ in range(2)])
-    gradient, hessian = barrier.adjoint(S), barrier.hessian(S)
-    changes = [barrier.F(barrier.matrices(step), constant=False) for step in np.eye(len(p))]
-    for k in range(len(p)):
-        for j in range(k + 1):
-            wanted = sum(np.trace(s @ a @ s @ b) for s, a, b in zip(S, changes[k], changes[j], strict=True))
-            assert hessian[k, j] == pytest.approx(wanted, rel=1e-9, abs=1e-9)
-    for k, change in enumerate(changes):
-        assert gradient[k] == pytest.approx(np.sum(S * change), rel=1e-10, abs=1e-10)
-
-
-def test_a_singular_matrix_is_factored_with_the_least_addition_and_an_indefinite_one_is_not():
-    ones = np.ones((3, 3))
-    factor, lower = barrier_method.factored(ones.copy())
-    assert lower and np.tril(factor) @ np.tril(factor).T == pytest.approx(ones, abs=1e-12)
-    slightly = np.array([[1.0, 1 + 5e-10], [1 + 5e-10, 1.0]])
-    assert barrier_method.factored(slightly.copy())[0][1, 1] < 1e-4
-    with pytest.raises(np.linalg.LinAlgError):
-        barrier_method.factored(np.array([[1.0, 1.1], [1.1, 1.0]]))

@@ -85,7 +85,9 @@ def test_one_demand_that_comes_late_by_a_sample_is_asked_for():
     D = G.D.copy()
     D[5, 3] = 0.1
     direct = GeneralisedPlant(StateSpace(G.A, G.B, G.C, D, DT), one.blocks, 1, 2, 1, 2)
-    two = GeneralisedPlant(G, one.blocks, 1, 2, 2, 2)
+    D = G.D.copy()
+    D[4:] = 0.0
+    two = GeneralisedPlant(StateSpace(G.A, G.B, G.C, D, DT), one.blocks, 1, 2, 2, 2)
     at_once = StateSpace(K.A, K.B, K.C, [[0.0, 0.1]], DT)
     for bad, controller in ((direct, K), (two, K), (one, at_once)):
         with pytest.raises(SynthesisError, match="one input, late by a sample"):
@@ -94,11 +96,11 @@ def test_one_demand_that_comes_late_by_a_sample_is_asked_for():
 
 def test_the_controllers_states_stand_behind_those_of_the_inputs_scalings_and_the_plant():
     one = LimitedLoop(plant(), K, L, 2.0, SCALING)
-    assert one.x_K == slice(2 + 3, 2 + 3 + 2) and one.system.order == 2 + 6 + 4
+    assert one.demand_before == 2 + 3 + 2 and one.system.order == 2 + 6 + 4
     row = np.zeros(12)
-    row[one.x_K] = K.C[0]
+    row[5:7] = K.C[0]
     np.testing.assert_allclose(one.system.C[2], row)
-    np.testing.assert_allclose(one.system.A[one.x_K.stop], row, err_msg="the demand of the sample before")
+    np.testing.assert_allclose(one.system.A[one.demand_before], row)
     assert one.rows == [2, 1] and one.cols == [1, 1] and one.ones.tolist() == [1.0, 1.0]
     stability, performance = one.stability(), one.performance()
     assert (stability.system.n_outputs, stability.system.n_inputs) == (3, 2)
@@ -142,6 +144,56 @@ def test_no_gain_is_had_of_an_unstable_loop_or_beyond_a_thousand():
     assert not loop.stable and loop.gain() is None and loop.energy(np.zeros(1), 1.0, 1.0) is None
 
 
+def test_a_loop_at_the_limit_of_stability_has_no_gain_and_no_energy(monkeypatch):
+    """Its own pole at 1, which nothing reaches; no constants are searched for it."""
+    A, B = np.diag([1.0, 0.5]), np.array([[0.0, 0.0], K.B[1]])
+    loop = LimitedLoop(plant(0), StateSpace(A, B, K.C, K.D, DT), 0 * L, 1.0, Scaling(np.zeros((0, 1))))
+    monkeypatch.setattr(saturation.ConstantScalings, "least", lambda *_: pytest.fail("searched"))
+    assert loop.system.stability_margin() == 0.0
+    assert not loop.stable and loop.gain() is None and loop.energy(np.zeros(1), 1.0, 1.0) is None
+
+
+def searched_with(monkeypatch, loop: LimitedLoop, norms, **constants) -> tuple[list, tuple | None]:
+    """What ``gain`` asks, (level, start, whether only that), and what it finds where the search from a start
+    finds ``norms`` (level, start) beside the start less 1."""
+    asked = []
+
+    def least(self, sizes, rest, start, only_whether):
+        asked.append((1 / rest, start[0], only_whether))
+        assert len(asked) < 20
+        return norms(1 / rest, start[0]), start - 1.0
+
+    for name, value in constants.items():
+        monkeypatch.setattr(saturation, name, value)
+    monkeypatch.setattr(saturation.ConstantScalings, "least", least)
+    monkeypatch.setattr(saturation.ConstantScalings, "proved", lambda *_: 0.5)
+    return asked, loop.gain()
+
+
+@pytest.mark.parametrize(("better", "at_other"), [(0.0, 0.9), (-4.0, 0.9), (0.0, 2.0), (-4.0, 2.0)])
+def test_the_search_for_a_gain_goes_on_from_the_better_of_its_two_starts(monkeypatch, better, at_other):
+    """Levels 0.5 to 50, gains above 5 are had: of 10 halvings the first says no, and so on as by hand."""
+
+    def norms(level, start):
+        return at_other if level > 49.9 and start != better else 5.0 / level
+
+    loop = LimitedLoop(plant(), K, L, 2.0, SCALING)
+    asked, (gamma, constants) = searched_with(monkeypatch, loop, norms, LARGEST_GAIN=50.0, GAIN_RTOL=1.2)
+    # ln 0.5 .. ln 50: halves are 5 and the root of 250, then nothing.
+    levels, starts, only = zip(*asked, strict=True)
+    assert levels == pytest.approx([50.0, 50.0, 5.0, 250**0.5]) and all(only)
+    assert starts == pytest.approx([0.0, -4.0, better - 1, better - 1])
+    assert gamma == pytest.approx(1.05 * 250**0.5) and constants == pytest.approx([better - 2] * 2)
+
+
+def test_a_gain_is_searched_as_finely_as_asked(monkeypatch):
+    loop, whole = LimitedLoop(plant(), K, L, 2.0, SCALING), float(np.log(50.0) - np.log(0.5))
+    asked, (gamma, _) = searched_with(monkeypatch, loop, lambda *_: 0.5, LARGEST_GAIN=50.0, GAIN_RTOL=whole)
+    assert len(asked) == 2 and gamma == pytest.approx(1.05 * 50.0)
+    asked, found = searched_with(monkeypatch, loop, lambda *_: 1.0)
+    assert len(asked) == 2 and found is None
+
+
 def test_a_gain_that_is_not_proved_is_none(monkeypatch):
     loop = LimitedLoop(plant(), K, L, 2.0, SCALING)
     assert loop.gain() is not None
@@ -173,13 +225,46 @@ def test_the_energy_keeps_demand_and_step_to_their_bounds_in_the_reached_ellipso
     G = loop.performance().scaled(loop.ones, 1.0, x).select(slice(0, 3), slice(None))
     Q = reached_slowly(G.A, G.B, G.C, G.D)
     wanted = np.zeros(len(Q))
-    wanted[loop.x_K] = K.C[0]
+    wanted[5:7] = K.C[0]
     step = wanted.copy()
-    step[loop.x_K.stop] = -1.0
+    step[7] = -1.0
     largest, moved = np.sqrt(wanted @ Q @ wanted), np.sqrt(step @ Q @ step)
     for u_max, step_max in ((1.0, 50.0), (50.0, 1.0), (2.0, 50.0)):
         want = min(kappa * u_max / largest, step_max / moved)
         assert loop.energy(x, u_max, step_max) == pytest.approx(want, rel=1e-4)
+
+
+def test_the_energy_has_the_unit_of_the_disturbance():
+    """w in a unit a billion times smaller, where the limit has no part: kappa is 1."""
+    G, energies = plant(0).system, []
+    for unit in (1.0, 1e-9):
+        scale = np.array([unit, unit, unit, 1.0])
+        one = GeneralisedPlant(StateSpace(G.A, G.B * scale, G.C, G.D * scale, DT), (), 0, 0, 1, 2)
+        loop = LimitedLoop(one, K, L, 1.0, Scaling(np.zeros((0, 1))))
+        energies.append(loop.energy(np.array([-30.0]), 1.0, 2.0))
+    assert energies[1] == pytest.approx(1e9 * energies[0], rel=1e-3)
+
+
+def test_a_state_that_nothing_reaches_costs_no_energy():
+    one = plant(0).system
+    A = np.pad(one.A, ((0, 1), (0, 1)))
+    A[3, 3] = 0.5
+    G = StateSpace(A, np.pad(one.B, ((0, 1), (0, 0))), np.pad(one.C, ((0, 0), (0, 1))), one.D, DT)
+    more = GeneralisedPlant(G, (), 0, 0, 1, 2)
+    energies = [
+        LimitedLoop(p, K, L, 1.5, Scaling(np.zeros((0, 1)))).energy(np.array([-4.0]), 1.0, 2.0)
+        for p in (plant(0), more)
+    ]
+    assert energies[1] == pytest.approx(energies[0], rel=1e-9)
+
+
+@pytest.mark.parametrize(("margin", "proved"), [(0.5, False), (1.0, False), (1.5, True)])
+def test_an_energy_needs_a_proof_beyond_the_reserve(monkeypatch, margin, proved):
+    loop = LimitedLoop(plant(), K, L, 2.0, SCALING)
+    monkeypatch.setattr(saturation, "_proof", lambda *_: margin)
+    assert (loop.energy(np.array([-3.9, -3.7]), 1.0, 1.0) is not None) == proved
+    monkeypatch.setattr(saturation, "_reached", lambda *_: None)
+    assert loop.energy(np.array([-3.9, -3.7]), 1.0, 1.0) is None
 
 
 def test_the_largest_energy_is_that_of_the_best_start_and_offset(monkeypatch):
@@ -217,6 +302,26 @@ def test_the_doubling_ends_at_the_least_solution():
     np.testing.assert_array_equal(Q, Q.T)
 
 
+def doubled(poles, inputs) -> np.ndarray | None:
+    """Without outputs Q is the Gramian: of each pole a and input b the sum of b^2 a^(2 k)."""
+    n = len(poles)
+    none = np.zeros((1, n))
+    return _reached(np.diag(poles), np.diag(inputs), none, np.zeros((1, n)), np.zeros((n, n)))
+
+
+def test_the_doubling_ends_with_what_a_step_adds_at_the_rounding_of_the_largest_entry(monkeypatch):
+    """Of a pole at 1/2 step k adds 2^-(2^k) of what there is: 2^-64 in the sixth, below the rounding."""
+    np.testing.assert_allclose(doubled([0.5, 0.0], [1.0, 1.0]), np.diag([4 / 3, 1.0]), rtol=1e-15)
+    # A step adds 1/4 beside an entry of which that is the rounding.
+    np.testing.assert_array_equal(
+        doubled([0.5, 0.0], [1.0, 0.5 / EPS**0.5]), np.diag([1.25, 0.25 / EPS]), err_msg="one step"
+    )
+    monkeypatch.setattr(saturation, "DOUBLINGS", 6)
+    np.testing.assert_allclose(doubled([0.5], [1.0]), [[4 / 3]], rtol=1e-15)
+    monkeypatch.setattr(saturation, "DOUBLINGS", 5)
+    assert doubled([0.5], [1.0]) is None
+
+
 def test_where_the_gain_is_above_one_nothing_is_proved():
     A, B, C, D = small(1.1)
     Q = _reached(A, B, C, D, np.zeros((3, 3)))
@@ -244,6 +349,28 @@ def test_the_proof_is_the_least_eigenvalue_over_its_reserve():
     t = np.array([8.0, 0.25])
     units = (A * t / t[:, None], B / t[:, None], C * t, D, Q / t / t[:, None])
     assert _proof(*units) == pytest.approx(_proof(A, B, C, D, Q), rel=1e-9)
+
+
+def test_the_proof_takes_the_symmetric_part_of_q_and_its_size_without_signs():
+    A, B, C, D = small(0.5)
+    Q = np.array([[1.0, 0.5, -0.3], [0.5, 1.0, 0.1], [-0.3, 0.1, 1.0]])
+    M, whole = np.block([[A, B], [C, D]]), np.eye(5)
+    whole[:3, :3] = Q
+    F = whole - M @ whole @ M.T
+    size = np.linalg.eigvalsh(Q)[-1] + np.linalg.norm(np.abs(M) @ np.abs(whole) @ np.abs(M.T), 2)
+    want = np.linalg.eigvalsh(F)[0] / (64 * EPS * size)
+    skew = 0.2 * np.array([[0.0, 1.0, -2.0], [-1.0, 0.0, 3.0], [2.0, -3.0, 0.0]])
+    assert _proof(A, B, C, D, Q) == pytest.approx(want, rel=1e-9)
+    assert _proof(A, B, C, D, Q + skew) == pytest.approx(want, rel=1e-9)
+
+
+def test_the_reserve_for_rounding_is_counted_in_units_of_it(monkeypatch):
+    """One state: scaled, Q is 1, as large as 1 / EPS units."""
+    one = (np.zeros((1, 1)),) * 4 + (np.array([[4.0]]),)
+    monkeypatch.setattr(saturation, "RESERVE", 1 / EPS)
+    assert _proof(*one) == -np.inf
+    monkeypatch.setattr(saturation, "RESERVE", 1 / EPS - 1)
+    assert _proof(*one) == pytest.approx(1.0)
 
 
 def test_a_q_that_is_not_surely_positive_proves_nothing():

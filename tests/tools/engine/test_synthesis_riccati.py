@@ -7,7 +7,10 @@ import pytest
 import scipy.linalg as sl
 
 from lpvguard.engine.synthesis import riccati
-from lpvguard.engine.synthesis.riccati import Side, hamiltonian
+from lpvguard.engine.synthesis.direct_terms import unreachable_gain
+from lpvguard.engine.synthesis.partition import Plant
+from lpvguard.engine.synthesis.riccati import RiccatiSolution, Side, hamiltonian
+from lpvguard.engine.synthesis.statespace import EPS, StateSpace
 
 
 def side(seed: int, n: int = 4, m1: int = 2, m2: int = 2, p: int = 5, direct: float = 0.2) -> Side:
@@ -150,11 +153,12 @@ def test_a_solution_that_is_not_definite_says_so():
     assert found.X[0, 0] == pytest.approx(2.0) and found.definite
     negative = riccati.stabilising_solution(np.array([[-1.0, -1.0], [0.5, 1.0]]))
     assert negative.X[0, 0] == pytest.approx(-1 + np.sqrt(0.5)) and not negative.definite
-    skew = riccati._from_basis(np.eye(2), np.array([[0.0, 1.0], [-1.0, 0.0]]), np.ones(2))
+    skew = riccati._from_basis(np.eye(2), np.array([[0.0, 1.0], [-1.0, 0.0]]), np.ones(2), 0.0)
     assert skew == (None, 1.0)
-    singular = riccati._from_basis(np.zeros((1, 1)), np.ones((1, 1)), np.ones(1))
+    singular = riccati._from_basis(np.zeros((1, 1)), np.ones((1, 1)), np.ones(1), 0.0)
     assert singular[0] is None
-    in_units = riccati._from_basis(np.eye(2), np.array([[3.0, 1.0], [1.0, 2.0]]), np.array([2.0, 4.0]))[0]
+    U2 = np.array([[3.0, 1.0], [1.0, 2.0]])
+    in_units = riccati._from_basis(np.eye(2), U2, np.array([2.0, 4.0]), 0.0)[0]
     np.testing.assert_allclose(in_units.X, [[3 / 4, 1 / 8], [1 / 8, 2 / 16]])
 
 
@@ -208,3 +212,347 @@ def test_no_full_information_controller_is_below_the_frequency_bound(seed):
         left = known - free @ np.linalg.lstsq(free, known, rcond=None)[0]
         best = max(best, np.linalg.norm(left, 2))
     assert bound == pytest.approx(best, rel=1e-9)
+
+
+# ---------------------------------------------------------------- borders and choices
+
+
+def test_the_side_of_a_plant_is_bounded_by_what_no_control_reaches_at_once():
+    one = side(5, m2=3)
+    P = Plant(one.A, one.B1, one.B2, one.C1, np.eye(4)[:1], one.D11, one.D12, np.ones((1, 2)))
+    found = Side.regular(P)
+    assert found.bound == unreachable_gain(P.D11, P.D12, np.zeros(3)) > 0
+    assert found.basis.tolist() == np.eye(4).tolist() and found.C1 is P.C1 and found.axis == ()
+
+
+@pytest.mark.parametrize(("over", "asked"), [(1e-12, False), (0.5e-12, False), (3e-12, True)])
+def test_a_level_at_the_bound_has_no_solution(monkeypatch, over, asked):
+    one = side(2)
+    bounded = Side(one.A, one.B1, one.B2, one.C1, one.D11, one.D12, one.basis, bound=30.0)
+    monkeypatch.setattr(riccati, "stabilising_solution", lambda *_: RiccatiSolution(np.eye(4), True))
+    assert (bounded.solve(30.0 * (1 + over)) is not None) == asked
+
+
+def entry(a: float, b: float, c: float) -> float:
+    """The first entry of the Hamiltonian of x' = a x + b u, z = c x + u: a - b c."""
+    zero = np.zeros((1, 1))
+    one = Side(np.array([[a]]), zero, np.array([[b]]), np.array([[c]]), zero, np.ones((1, 1)), np.eye(1))
+    return float(hamiltonian(one, 1.0)[0, 0])
+
+
+@pytest.mark.parametrize(("b", "c"), [(1.0, 1.0), (-1.0, 1.0), (1.0, -1.0), (-1.0, -1.0)])
+def test_five_hundred_roundings_of_the_terms_count_as_zero(b, c):
+    """The terms are 1 and a little more than 1: together 1000 units of rounding."""
+    assert entry(b * c * (1 + 1000 * EPS), b, c) == 0.0
+    assert abs(entry(b * c * (1 + 1001 * EPS), b, c)) == pytest.approx(1001 * EPS)
+
+
+@pytest.mark.parametrize("unit", [1e-9, 1.0, 1e9])
+def test_the_diagonal_has_no_say_in_the_balancing(unit):
+    H = hamiltonian(side(4), 30.0)
+    units = np.concatenate([[1e3, 1e-3, 1.0, 1e2], [1e-3, 1e3, 1.0, 1e-2]])
+    H = H * units / units[:, None]
+    for floor in (0.0, 1e-9):
+        _, t = riccati.balance_hamiltonian(H, floor)
+        other = unit * H
+        np.fill_diagonal(other, 1e6)
+        np.testing.assert_array_equal(riccati.balance_hamiltonian(other, floor)[1], t)
+
+
+def test_an_entry_up_to_the_floor_is_none_beside_the_largest():
+    """Of [0, b; 64, 0] the balancing evens out b and 64, unless b is 64 EPS at most."""
+
+    def t(b: float, floor: float) -> float:
+        return riccati.balance_hamiltonian(np.array([[0.0, b], [64.0, 0.0]]), floor)[1][0]
+
+    assert t(64 * EPS, EPS) == 1.0 and t(65 * EPS, EPS) < 1e-3 and t(64 * EPS, 0.0) < 1e-3
+    assert riccati.balance_hamiltonian(np.array([[0.0, EPS], [64.0, 0.0]]))[1][0] < 1e-3
+
+
+def test_a_state_between_two_others_is_balanced_too():
+    """A chain has no cycle, and yet the state in its middle is to be evened out."""
+    H = np.zeros((4, 4))
+    H[1, 0], H[2, 1] = 1.0, 2.0**12
+    assert riccati.balance_hamiltonian(H)[1].tolist() == [1.0, 0.125, 1.0, 1.0][:2]
+
+
+def told(monkeypatch, subspace, pencil=(), size: float = 1e9, gamma: float = 7.0):
+    """Which solution ``stabilising_solution`` takes where the subspaces and pencils give the conditions told
+    (a negative one: no solution, of that size), and what was asked. A is 4 in the balanced units."""
+    t, asked = np.array([2.0, 8.0]), []
+    solutions = {c: RiccatiSolution(np.full((1, 1), c), True) for c in (*subspace, *pencil) if c > 0}
+    left, others = list(subspace), list(pencil)
+
+    def of(c):
+        return solutions.get(c), abs(c)
+
+    def balance(H, floor):
+        asked.append(floor)
+        return np.diag([size, 0.0, 0.0, 0.0]), t
+
+    def pencil_of(side, level, scale):
+        assert level == gamma
+        asked.append(scale.tolist())
+        return of(others.pop(0))
+
+    monkeypatch.setattr(riccati, "balance_hamiltonian", balance)
+    monkeypatch.setattr(riccati, "_subspace_solution", lambda H, t: of(left.pop(0)))
+    monkeypatch.setattr(riccati, "_pencil_solution", pencil_of)
+    one = side(1, n=2)
+    one = Side(np.array([[0.0, 1.0], [0.0, 0.0]]), one.B1, one.B2, one.C1, one.D11, one.D12, one.basis)
+    found = riccati.stabilising_solution(np.eye(4), one, gamma)
+    return None if found is None else found.X[0, 0], asked
+
+
+T, ONES = [2.0, 8.0], [1.0, 1.0]
+
+
+@pytest.mark.parametrize(
+    ("subspace", "found", "asked"),
+    [
+        ([1e9], 1e9, [0.0]),  # well enough at once
+        ([1e10, 1e11], 1e10, [0.0, EPS]),  # else the other balancing is tried, and the better one is kept
+        ([1e11, 1e10], 1e10, [0.0, EPS]),
+        ([-1e17, 5.0], 5.0, [0.0, EPS]),
+        ([1e12, -1.0], 1e12, [0.0, EPS]),
+        ([-0.0], None, [0.0]),  # the axis is in the way
+        ([-1e17, -1e17], None, [0.0, EPS]),
+    ],
+)
+def test_of_two_balancings_the_better_condition_counts(monkeypatch, subspace, found, asked):
+    assert told(monkeypatch, subspace, size=1.0) == (found, asked)
+
+
+@pytest.mark.parametrize(
+    ("subspace", "pencil", "found"),
+    [
+        ([2e6], [1e5, 1e7], 1e5),
+        ([2e6], [1e7, 1e5], 1e5),
+        ([2e6], [-1.0, 3e6], 2e6),
+        ([2e6], [-1.0, -1.0], 2e6),
+        ([1000001.0], [2.0, 3.0], 2.0),
+        ([-0.0], [9.0, 8.0], 8.0),
+        ([-0.0], [-1.0, -1.0], None),
+    ],
+)
+def test_a_stiff_hamiltonian_is_asked_as_a_pencil_in_both_units(monkeypatch, subspace, pencil, found):
+    assert told(monkeypatch, subspace, pencil) == (found, [0.0, T, ONES])
+
+
+def test_the_pencil_is_for_what_is_stiff_and_badly_conditioned(monkeypatch):
+    assert told(monkeypatch, [1e6], [2.0, 3.0]) == (1e6, [0.0])
+    border = 1e4 * 4.0
+    assert told(monkeypatch, [2e6], [2.0, 3.0], size=border) == (2e6, [0.0])
+    assert told(monkeypatch, [2e6], [2.0, 3.0], size=border * (1 + 1e-12)) == (2.0, [0.0, T, ONES])
+
+
+def test_equal_conditions_leave_the_first(monkeypatch):
+    one, other = (RiccatiSolution(np.full((1, 1), k), True) for k in (1.0, 2.0))
+    assert riccati._better((one, 3.0), (other, 3.0))[0] is one
+    assert riccati._better((one, 3.0), (other, 2.0))[0] is other
+    assert riccati._better((one, 3.0), (None, 2.0))[0] is one
+
+
+def noises(monkeypatch) -> list[float]:
+    """The noise that ``_from_basis`` is told."""
+    seen: list[float] = []
+    monkeypatch.setattr(riccati, "_from_basis", lambda U1, U2, t, noise: (seen.append(noise), 1.0))
+    return seen
+
+
+def test_the_noise_of_a_subspace_is_that_of_its_slowest_eigenvalue(monkeypatch):
+    seen = noises(monkeypatch)
+    riccati._subspace_solution(np.diag([-2.0, -0.5, 4.0, 1.0]), np.ones(2))
+    riccati._subspace_solution(1e-20 * np.diag([-1.0, 1.0]), np.ones(1))
+    size = np.linalg.norm([2.0, 0.5, 4.0, 1.0])
+    assert seen == pytest.approx([100 * EPS * size / 0.5, 100 * EPS * 2**0.5 * 1e-20 / EPS])
+
+
+def test_a_subspace_has_half_of_the_eigenvalues_and_none_on_the_axis():
+    assert riccati._subspace_solution(np.diag([-1.0, -2.0]), np.ones(1)) == (None, 0.0)
+    assert riccati._subspace_solution(np.diag([-1e-20, 1.0]), np.ones(1)) == (None, 0.0)
+
+
+def test_an_eigenvalue_touches_the_axis_within_twenty_roundings_or_its_own_size():
+    """The real parts are told by the diagonal, the imaginary ones by what stands beside it."""
+    for size in (1.0, 4.0):
+        assert riccati._touches_axis(np.diag([-size, -20 * EPS * size]))
+        assert not riccati._touches_axis(np.diag([-size, -21 * EPS * size]))
+    for k, near in ((0, True), (1, True), (2, False)):  # of a pair at 1 and 2, sqrt(9 4) rad/s
+        T = np.array([[-1.0, 5.0, 7.0], [0.0, -1.0, 9.0], [0.0, -4.0, -1.0]])[::-1, ::-1].T
+        T[k, k] = -5e-11
+        assert riccati._touches_axis(T) == near
+        T[k, k] = -7e-11
+        assert not riccati._touches_axis(T)
+
+
+def basis(U1, U2, noise: float = 0.0) -> RiccatiSolution | None:
+    return riccati._from_basis(np.diag(U1), np.diag(U2), np.ones(2), noise)[0]
+
+
+@pytest.mark.parametrize(("skew", "good"), [(1e-5, True), (1.1e-5, False), (0.5, False), (-0.5, False)])
+def test_a_basis_whose_solution_is_not_symmetric_is_none(skew, good):
+    found = riccati._from_basis(np.eye(2), np.array([[1.0, skew], [0.0, 1.0]]), np.ones(2), 0.0)
+    assert (found[0] is not None) == good
+
+
+def test_a_basis_of_which_nothing_is_sure_gives_no_solution():
+    assert basis([1.0, EPS], [1.0, EPS]) is None and basis([1.0, 0.75 * EPS], [1.0, EPS]) is None
+    assert basis([1.0, 2 * EPS], [1.0, EPS]) is not None
+
+
+@pytest.mark.parametrize(
+    ("least", "half", "noise", "definite"),
+    [
+        (4.0000e4 * EPS, 1.0, 0.0, True),  # 1e4 roundings of 1 + 3
+        (3.9998e4 * EPS, 1.0, 0.0, True),
+        (4.0002e4 * EPS, 1.0, 0.0, False),
+        (7.9e4 * EPS, 0.5, 0.0, True),  # by the condition of U1
+        (8.1e4 * EPS, 0.5, 0.0, False),
+        (3.9e-10, 1.0, 1e-10, True),  # or the noise
+        (4.1e-10, 1.0, 1e-10, False),
+        (3.9e-9, 1.0, 1.0, True),  # up to 1e-9
+        (4.1e-9, 1.0, 1.0, False),
+        (0.39, 1e-10, 1.0, True),  # and a tenth in all
+        (0.41, 1e-10, 1.0, False),
+    ],
+)
+def test_a_solution_is_definite_within_what_rounding_does(least, half, noise, definite):
+    """X = diag(-least, 3), U1 = diag(1, half)."""
+    assert basis([1.0, half], [-least, 3 * half], noise).definite == definite
+
+
+def pencilled(monkeypatch, alpha, beta, size: float = 4.0) -> float | None:
+    """The noise of a pencil's basis, n = 1, with the eigenvalues told; None: (None, 0)."""
+    seen = noises(monkeypatch)
+    S = np.diag([size, 0.0])
+    told = S, None, np.array(alpha, complex), np.array(beta, float), None, np.eye(2)
+    monkeypatch.setattr(riccati.sl, "ordqz", lambda *_, **__: told)
+    found = riccati._pencil_solution(side(1, n=1, m1=1, m2=2), 30.0, np.ones(1))
+    assert seen or found == (None, 0.0)
+    return seen[0] / (100 * EPS * size) if seen else None
+
+
+@pytest.mark.parametrize(
+    ("alpha", "beta", "speed"),
+    [
+        ([-2, 3], [1, 0.5], 2.0),
+        ([-2, 3], [4, 1], 0.5),
+        ([-6, 3], [1, 4], 0.75),
+        ([-2, 1], [1, 0], 2.0),  # one at infinity
+        ([-2, -1], [1, 0], 2.0),
+        ([-2, 1, 1], [1, 1, 1], 1.0),
+        ([-2, -1], [1, 1], None),
+        ([2, 1], [1, 1], None),
+        ([-80 * EPS, 1], [1, 1], None),  # 20 roundings of S
+        ([-81 * EPS, 1], [1, 1], 81 * EPS),
+        ([-0.9e-9 + 100j, 1], [1, 1], None),
+        ([-0.9e-9 - 100j, 1], [1, 1], None),
+        ([-1.1e-9 + 100j, 1], [1, 1], 1.1e-9),
+    ],
+)
+def test_a_pencil_has_one_stable_half_off_the_axis(monkeypatch, alpha, beta, speed):
+    found = pencilled(monkeypatch, alpha, beta)
+    assert found == (None if speed is None else pytest.approx(1 / speed))
+
+
+def test_a_pencil_whose_halves_cannot_be_told_apart_has_no_solution(monkeypatch):
+    def fails(*_, **__):
+        raise ValueError
+
+    monkeypatch.setattr(riccati.sl, "ordqz", fails)
+    assert riccati._pencil_solution(side(1), 30.0, np.ones(4)) == (None, 0.0)
+
+
+# ---------------------------------------------------------------- the bound of full information
+
+
+def informed(A, B1, B2, C1, D11, D12) -> Side:
+    return Side(*(np.array(M, dtype=float) for M in (A, B1, B2, C1, D11, D12)), np.eye(len(A)))
+
+
+def test_the_bound_is_asked_at_the_size_of_complex_poles():
+    """A resonance that no control reaches: its gain at the size of its poles, sqrt 1.01 rad/s."""
+    A = [[-0.1, 1.0, 0.0], [-1.0, -0.1, 0.0], [0.0, 0.0, -2.0]]
+    one = informed(
+        A, [[0.0], [1.0], [0.0]], [[0.0], [0.0], [1.0]], [[1, 0, 0], [0, 0, 0]], [[0], [0]], [[0], [1]]
+    )
+    s = 1j * np.sqrt(1.01)
+    assert one.frequency_bound() == pytest.approx(abs(1 / ((s + 0.1) ** 2 + 1)), rel=1e-9)
+
+
+def test_there_is_no_bound_at_the_level_of_the_direct_term_or_without_a_control():
+    one = informed([[-1.0]], [[1.0]], [[1.0]], [[1.0], [0.0]], [[0.0], [0.0]], [[0.0], [1.0]])
+    direct = informed([[-1.0]], [[1.0]], [[1.0]], [[1.0], [0.0]], [[2.0], [0.0]], [[0.0], [1.0]])
+    assert direct.frequency_bound(2.0) == 0.0 < direct.frequency_bound()
+    none = Side(one.A, one.B1, one.B2[:, :0], one.C1, one.D11, one.D12[:, :0], one.basis)
+    assert none.frequency_bound() == 0.0
+    empty = Side(*(np.zeros(k) for k in ((0, 0), (0, 1), (0, 1), (2, 0), (2, 1), (2, 1))), np.zeros((3, 0)))
+    assert empty.frequency_bound() == 0.0
+
+
+def test_the_frequencies_of_a_level_are_told_the_size_of_a(monkeypatch):
+    one, sizes = side(2), []
+    monkeypatch.setattr(
+        riccati, "axis_frequencies", lambda H, size: sizes.append(size) or np.array([0.0, 1.0])
+    )
+    one.frequency_bound(30.0)
+    assert sizes == [pytest.approx(np.linalg.svd(one.A)[1][0])]
+
+
+def test_a_frequency_at_a_pole_is_left_out():
+    one = side(2, direct=0.0)
+    pole = StateSpace([[0.0]], [[1.0, 1.0, 0.0, 0.0]], np.ones((5, 1)), one_to(5, 4))
+    vars(one)["_closed"] = pole
+    omega = np.abs(np.linalg.eigvals(one.A))
+    finite = StateSpace([[-1e-9]], pole.B, pole.C, pole.D)
+    known, free = np.split(finite.response(np.unique(omega)), [2], axis=2)
+    best = max(
+        np.linalg.norm(k - f @ np.linalg.lstsq(f, k, rcond=None)[0], 2)
+        for k, f in zip(known, free, strict=True)
+    )
+    assert one.frequency_bound() == pytest.approx(best, rel=1e-6)
+
+
+def one_to(rows: int, columns: int) -> np.ndarray:
+    """A matrix of full rank."""
+    return np.vander(np.arange(1.0, rows + 1), columns)
+
+
+@pytest.mark.parametrize("unit", [1e-7, 1.0, 1e7])
+@pytest.mark.parametrize("size", [1e-12, 1.0, 1e12])
+def test_the_bound_does_not_ask_for_the_unit_of_the_control(unit, size):
+    """z1 = w / (s + 1/2), and z2 = u / (s + 2) + u: the bound is 2, in the unit of w."""
+    one = informed(
+        np.diag([-0.5, -2.0]),
+        [[size], [0.0]],
+        [[0.0], [unit]],
+        [[1.0, 0.0], [0.0, 1.0]],
+        [[0.0], [0.0]],
+        [[0.0], [unit]],
+    )
+    assert one.frequency_bound() == pytest.approx(2.0 * size, rel=1e-9)
+
+
+@pytest.mark.parametrize("apart", [0.0, 1e-7])
+def test_controls_that_do_the_same_leave_no_bound_that_is_sure(apart):
+    """z1 = w / (s + 1/2); two controls reach z2 alike, and z3 hardly apart."""
+    D12 = [[0.0, 0.0], [1.0, 1.0], [0.0, apart]]
+    one = informed([[-0.5]], [[1.0]], [[1e-3, 1e-3]], [[1.0], [0.0], [0.0]], [[0.0]] * 3, D12)
+    assert one.frequency_bound() == 0.0
+    parts = informed(
+        [[-0.5]], [[1.0]], [[1e-3, 1e-3]], [[1.0], [0.0], [0.0]], [[0.0]] * 3, [[0, 0], [1, 1], [0, 1]]
+    )
+    assert parts.frequency_bound() > 1.9
+    still = informed(
+        [[-0.5]], [[1.0]], [[1e-3, 0.0]], [[1.0], [0.0], [0.0]], [[0.0]] * 3, [[0, 0], [1, 0], [0, 0]]
+    )
+    assert still.frequency_bound() == 0.0
+
+
+def test_what_a_control_cancels_but_for_rounding_is_no_bound():
+    """z = d (w / (s + 1) + u) with d in no special direction: u = -w / (s + 1)."""
+    d = np.array([[0.3], [0.7], [-1.1]])
+    one = informed([[-1.0]], [[1.0]], [[0.1]], d, 0 * d, d)
+    assert one.frequency_bound() == 0.0
+    assert informed([[-1.0]], [[1e9]], [[0.1]], d, 0 * d, d).frequency_bound() == 0.0

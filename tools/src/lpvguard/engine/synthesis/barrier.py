@@ -48,7 +48,7 @@ class Barrier:
 
     def matrices(self, p: np.ndarray) -> np.ndarray:
         """P (terms, n, n) from its vector (terms n (n + 1) / 2,)."""
-        p = p.reshape(self.next.shape[1], -1)
+        p = p.reshape(self.next.shape[1], len(self.twice))
         P = np.zeros((len(p), self.n, self.n))
         P[:, self.upper[0], self.upper[1]] = p
         P[:, self.upper[1], self.upper[0]] = p
@@ -125,17 +125,18 @@ def feasible(barrier: Barrier, P: np.ndarray, unit: np.ndarray) -> np.ndarray | 
     > 0: what F is measured in."""
     size = len(barrier.constant) * len(unit)
     L = np.linalg.inv(np.linalg.cholesky(unit))
-    t = np.array([1.05 * max(-np.linalg.eigvalsh(L @ barrier.F(P) @ L.T).min(), 1e-3)])
+    t = 1.05 * max(-float(np.linalg.eigvalsh(L @ barrier.F(P) @ L.T).min()), 1e-3)
     tau, found = 2.0 * size, None
     price = np.zeros(P.shape[0] * len(barrier.twice))
     for _ in range(NEWTON_STEPS):
         try:
-            P, t, decrement = newton_step(barrier, P, t, unit[None, None], np.array([tau]), price)
+            y = np.array([t])
+            P, (t,), decrement = newton_step(barrier, P, y, unit[None, None], np.array([tau]), price)
         except np.linalg.LinAlgError:
             return found
-        if t[0] < 0:
+        if t < 0:
             found = P
-        if t[0] < -WANTED or (decrement < 1.0 and abs(t[0]) > 2 * size / tau):
+        if t < -WANTED or (decrement < 1.0 and abs(t) > 2 * size / tau):
             return found  # enough, or at the centre: the least t is not much below this one
         if decrement < NEAR:
             tau *= 10.0
@@ -164,7 +165,6 @@ def newton_step(
     g_y = slope - np.array([np.sum(S * direction) for direction in directions]).reshape(k)
     h = np.array([barrier.adjoint(cross) for cross in crossed]).reshape(k, len(g)).T
     h_y = np.array([[np.sum(cross * direction) for direction in directions] for cross in crossed])
-    h_y = h_y.reshape(k, k)
     solved = barrier.solved(S, np.column_stack([g, h]))
     d_y = -np.linalg.solve(h_y - h.T @ solved[:, 1:], g_y - h.T @ solved[:, 0])
     d_p = -solved[:, 0] - solved[:, 1:] @ d_y

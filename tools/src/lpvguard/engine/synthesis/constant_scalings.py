@@ -81,7 +81,7 @@ class ConstantScalings:
             moves = (np.abs(x) < FARTHEST) | (x * slope > 0)
             slope, kept = np.where(moves, slope, 0.0), np.outer(moves, moves)
             step = -np.linalg.solve(np.where(kept, curvature, 0.0) + ridge, slope)
-            step *= min(1.0, LONGEST_STEP / max(float(np.abs(step).max()), LONGEST_STEP))
+            step *= LONGEST_STEP / max(float(np.abs(step).max()), LONGEST_STEP)
             promised = -float(slope @ step)
             # The largest value is at most the mean times the number of frequencies, and at least the mean.
             below = value + np.log(len(self._grid)) / POWER < 0
@@ -186,9 +186,9 @@ class ConstantScalings:
 def _shorter(change: float, promised: float, slope: float) -> float:
     """The share of a step at which the cubic through its ends is least: it changes the value by ``change``,
     begins with the slope -``promised`` and ends with ``slope``."""
+    # The root is of something positive: the value has not fallen by a quarter of the promise.
     a, b = slope - promised - 2 * change, 3 * change + 2 * promised - slope
-    share = promised / (b + np.sqrt(max(b * b + 3 * a * promised, 0.0)))
-    return float(np.clip(share, *SHORTER)) if np.isfinite(share) else SHORTER[1]
+    return float(np.clip(promised / (b + np.sqrt(b * b + 3 * a * promised)), *SHORTER))
 
 
 def _real_products(left: np.ndarray, right: np.ndarray) -> np.ndarray:

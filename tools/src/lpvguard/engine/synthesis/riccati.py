@@ -84,7 +84,7 @@ class Side:
     @cached_property
     def _closed(self) -> StateSpace | None:
         """[G11 G12] from [w; v] to z with an LQ gain closed (u = F x + v); None where there is none."""
-        F = stabilising_gain(self.A, self.B2) if len(self.A) and self.B2.size and not self.axis else None
+        F = stabilising_gain(self.A, self.B2) if self.B2.size and not self.axis else None
         if F is None:
             return None
         B, D = np.hstack([self.B1, self.B2]), np.hstack([self.D11, self.D12])
@@ -112,7 +112,7 @@ class Side:
         response = response[np.isfinite(response).all(axis=(1, 2))]
         known, free = np.split(response, [self.B1.shape[1]], axis=2)
         size = np.linalg.norm(free, axis=1, keepdims=True)
-        U, sigma, _ = np.linalg.svd(free / np.where(size > 0, size, 1), full_matrices=False)
+        U, sigma, _ = np.linalg.svd(free / np.maximum(size, 1e-300), full_matrices=False)
         sure = sigma[:, -1] > 1e-5  # near a zero the range of G12 is rounding
         U, known = U[sure], known[sure]
         rest = known - U @ (U.conj().swapaxes(1, 2) @ known)
@@ -122,7 +122,7 @@ class Side:
 
 def hamiltonian(side: Side, gamma: float) -> np.ndarray:
     """Hamiltonian of the Riccati equation (2n, 2n) at a γ above the Parrott bound of its D11."""
-    n, m1 = side.A.shape[0], side.B1.shape[1]
+    n, m1 = len(side.A), side.B1.shape[1]
     B = np.hstack([side.B1 / gamma, side.B2])
     D = np.hstack([side.D11 / gamma, side.D12])
     R = D.T @ D
@@ -144,7 +144,7 @@ def balance_hamiltonian(H: np.ndarray, floor: float = 0.0) -> tuple[np.ndarray, 
 
     Entries up to ``floor`` times the largest one have no say in the choice of t.
     """
-    n = H.shape[0] // 2
+    n = len(H) // 2
     off = np.abs(H)
     np.fill_diagonal(off, 0)
     off[off <= floor * off.max(initial=0.0)] = 0.0
@@ -167,29 +167,33 @@ def stabilising_solution(
     controls) the answer is trusted only when it is well conditioned. Otherwise the extended pencil at
     ``gamma`` decides, which never forms the inverse that made H large.
     """
-    best: tuple[RiccatiSolution, float] | None = None
+    best: tuple[RiccatiSolution | None, float] = None, np.inf
     for floor in (0.0, EPS):
         balanced_H, t = balance_hamiltonian(H, floor)
         found, condition = _subspace_solution(balanced_H, t)
-        if found is not None and (best is None or condition < best[1]):
-            best = found, condition
-        if (best is not None and best[1] < 1e10) or (found is None and condition == 0.0):
+        best = _better(best, (found, condition))
+        if best[1] < 1e10 or (found is None and condition == 0.0):
             break
     if (
         side is not None
-        and (best is None or best[1] > 1e6)
-        and (np.linalg.norm(balanced_H) > STIFF * np.linalg.norm(side.A * t / t[:, None]))
+        and best[1] > 1e6
+        and np.linalg.norm(balanced_H) > STIFF * np.linalg.norm(side.A * t / t[:, None])
     ):
         for scale in (t, np.ones_like(t)):
-            found, condition = _pencil_solution(side, gamma, scale)
-            if found is not None and (best is None or condition < best[1]):
-                best = found, condition
-    return None if best is None else best[0]
+            best = _better(best, _pencil_solution(side, gamma, scale))
+    return best[0]
+
+
+def _better(
+    best: tuple[RiccatiSolution | None, float], other: tuple[RiccatiSolution | None, float]
+) -> tuple[RiccatiSolution | None, float]:
+    """``other`` where it is a solution and of a better condition."""
+    return other if other[0] is not None and other[1] < best[1] else best
 
 
 def _subspace_solution(H: np.ndarray, t: np.ndarray) -> tuple[RiccatiSolution | None, float]:
     """The solution from one balanced H, and the condition of its X1 (0 when the axis is in the way)."""
-    n = H.shape[0] // 2
+    n = len(H) // 2
     T, U, stable = sl.schur(H, sort="lhp", check_finite=False)
     if stable != n or _touches_axis(T):
         return None, 0.0
@@ -203,8 +207,8 @@ def _pencil_solution(side: Side, gamma: float, t: np.ndarray) -> tuple[RiccatiSo
 
     The algebraic variables are eliminated by an orthogonal transformation; ``t`` scales x and 1/t scales λ.
     """
-    n, m1, m = side.A.shape[0], side.B1.shape[1], side.B1.shape[1] + side.B2.shape[1]
-    p = side.C1.shape[0]
+    n, m1, m = len(side.A), side.B1.shape[1], side.B1.shape[1] + side.B2.shape[1]
+    p = len(side.C1)
     A, C = side.A * t / t[:, None], side.C1 * t
     B, D = np.hstack([side.B1 / gamma, side.B2]) / t[:, None], np.hstack([side.D11 / gamma, side.D12])
     J = np.diag(np.r_[np.ones(m1), np.zeros(m - m1)])
@@ -232,7 +236,7 @@ def _pencil_solution(side: Side, gamma: float, t: np.ndarray) -> tuple[RiccatiSo
 
 
 def _from_basis(
-    U1: np.ndarray, U2: np.ndarray, t: np.ndarray, noise: float = 0.0
+    U1: np.ndarray, U2: np.ndarray, t: np.ndarray, noise: float
 ) -> tuple[RiccatiSolution | None, float]:
     """X = U2 U1⁻¹ in the units before ``t``, from an orthonormal basis [U1; U2] of the stable subspace.
 
@@ -240,7 +244,7 @@ def _from_basis(
     """
     condition = float(np.linalg.cond(U1))
     skew = U1.T @ U2
-    if np.abs(skew - skew.T).max() > 1e-5 or not condition < 1 / EPS:
+    if (skew - skew.T).max() > 1e-5 or not condition < 1 / EPS:
         return None, condition
     X = np.linalg.solve(U1.T, U2.T)
     X = 0.5 * (X + X.T)

@@ -53,7 +53,7 @@ class Reachable:
 
 def sector(kappa: float) -> float:
     """The largest slope of the dead zone while |u| ≤ kappa u_max."""
-    return 1.0 if np.isinf(kappa) else 1 - 1 / kappa
+    return 1 - 1 / kappa
 
 
 def limited_loop(
@@ -99,8 +99,6 @@ def limited_loop(
         ]
     )
     loop = StateSpace(A, B, C, D, P.dt)
-    if not plant.blocks:
-        return loop
     left, right = (to_discrete(G, P.dt) for G in scaling.systems(plant))
     performance = plant.performance_block
     return series(
@@ -123,9 +121,8 @@ class LimitedLoop:
         self.cols = [*(b.rows for b in plant.blocks), 1]
         self.ones = np.ones(len(self.rows))
         # The states before x: those of the scalings on the inputs.
-        before = sum(b.rows for b in plant.blocks) * ((scaling.log_parameters.shape[1] - 1) // 2)
-        self.x_K = slice(before + plant.system.order, before + plant.system.order + controller.order)
-        self.controller = controller
+        before = sum(b.rows for b in plant.blocks) * (scaling.log_parameters.shape[1] // 2)
+        self.demand_before = before + plant.system.order + controller.order
 
     @property
     def stable(self) -> bool:
@@ -150,19 +147,17 @@ class LimitedLoop:
         scalings = self.performance()
         low, high = np.log(0.5), np.log(LARGEST_GAIN)
         starts = [np.full(scalings.free, -offset) for offset in (0.0, 4.0)]
-        best: np.ndarray | None = None
+        tried = [scalings.least(self.ones, 1 / LARGEST_GAIN, start, True) for start in starts]
+        value, best = min(tried, key=lambda one: one[0])
+        if not value < 1:
+            return None
         while high - low > GAIN_RTOL:
-            middle = 0.5 * (low + high) if best is not None else high
-            tried = [scalings.least(self.ones, float(np.exp(-middle)), x, True) for x in starts]
-            value, x = min(tried, key=lambda one: one[0])
+            middle = 0.5 * (low + high)
+            value, x = scalings.least(self.ones, float(np.exp(-middle)), best, True)
             if value < 1:
-                high, best, starts = middle, x, [x]
-            elif best is None:
-                return None
+                high, best = middle, x
             else:
                 low = middle
-        if best is None:
-            return None
         gamma = float(np.exp(high)) * BACKOFF
         return (gamma, best) if scalings.proved(self.ones, 1 / gamma, best) < 1 else None
 
@@ -192,10 +187,9 @@ class LimitedLoop:
         Q = _reached(A, B, C, D, slack)
         if Q is None or not _proof(A, B, C, D, Q) > 1:
             return None
-        wanted = np.zeros(len(A))
-        wanted[self.x_K] = self.controller.C[0]
+        wanted = self.system.C[sum(self.rows) - 1]
         step = wanted.copy()
-        step[self.x_K.stop] -= 1.0
+        step[self.demand_before] -= 1.0
         rows = np.stack([wanted, step]) * t
         largest, moved = np.sqrt(np.einsum("ki,ij,kj->k", rows, Q, rows))
         return float(min(self.kappa * u_max / largest, step_max / moved))
@@ -216,9 +210,7 @@ def _reached(
             return None
         more = A.T @ H @ W @ A
         A, G, H = A @ W @ A, G + A @ W @ G @ A.T, H + 0.5 * (more + more.T)
-        if not np.isfinite(H).all():
-            return None
-        if np.abs(more).max() <= EPS * np.abs(H).max():
+        if more.max() <= EPS * H.max():
             return H
     return None
 
@@ -226,9 +218,9 @@ def _reached(
 def _proof(A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray, Q: np.ndarray) -> float:
     """Least eigenvalue of diag(Q, I) − M diag(Q, I) Mᵀ over its reserve for rounding, M = [A B; C D]; -inf
     where Q is not positive definite. Rows are scaled to a unit diagonal of Q first."""
-    d = np.sqrt(np.diag(Q)) if (np.diag(Q) > 0).all() else np.zeros(len(Q))
-    if not (d > 0).all() or not np.isfinite(Q).all():
+    if not ((np.diag(Q) > 0).all() and np.isfinite(Q).all()):
         return -np.inf
+    d = np.sqrt(np.diag(Q))
     A, B, C = A * d / d[:, None], B / d[:, None], C * d
     Q = 0.5 * (Q + Q.T) / d / d[:, None]
     n = len(Q)
@@ -243,4 +235,4 @@ def _proof(A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray, Q: np.nda
         * EPS
         * (np.linalg.norm(outer, 2) + np.linalg.norm(np.abs(M) @ np.abs(inner) @ np.abs(M.T), 2))
     )
-    return float(np.linalg.eigvalsh(0.5 * (F + F.T))[0] / reserve)
+    return float(np.linalg.eigvalsh(F)[0] / reserve)
