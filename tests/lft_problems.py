@@ -1,4 +1,4 @@
-"""Validation problems made from a known truth, and the explanation of one put back into it."""
+"""Random matrices, validation problems of a known truth, and the explanation of one put back into it."""
 
 from __future__ import annotations
 
@@ -17,6 +17,12 @@ def gauss(rng, *shape):
 def hermitian(rng: np.random.Generator, *shape: int) -> np.ndarray:
     a = gauss(rng, *shape, shape[-1])
     return a + a.conj().swapaxes(-1, -2)
+
+
+def spd(random: np.random.Generator, n: int) -> np.ndarray:
+    """A symmetric positive definite matrix."""
+    X = random.standard_normal((n, n))
+    return X @ X.T + 0.3 * np.eye(n)
 
 
 def row(*entries: complex) -> np.ndarray:

@@ -10,13 +10,9 @@ import pytest
 import scipy.linalg as sl
 from scipy.optimize import minimize, minimize_scalar
 
+from lft_problems import spd
 from lpvguard.base import native
 from lpvguard.engine.synthesis import barrier
-
-
-def spd(random: np.random.Generator, n: int) -> np.ndarray:
-    X = random.standard_normal((n, n))
-    return X @ X.T + 0.3 * np.eye(n)
 
 
 def random_problem(seed: int) -> tuple[barrier.Barrier, np.ndarray, np.ndarray]:

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import scipy.linalg as sl
 
+from lft_problems import spd
 from lpvguard.engine.synthesis import lpv_certificate as lpv
 from lpvguard.engine.synthesis import storage_grid
 from lpvguard.engine.synthesis.statespace import StateSpace
@@ -16,11 +17,6 @@ NODES = np.array([1.0, 2.0, 3.0])
 A_MEAN = np.array([[0.6, 0.2], [-0.3, 0.5]])
 A_SLOPE = np.array([[0.0, 0.0], [0.12, -0.08]])
 A_BEND = np.array([[0.0, 0.0], [0.05, 0.04]])
-
-
-def spd(random: np.random.Generator, n: int) -> np.ndarray:
-    X = random.standard_normal((n, n))
-    return X @ X.T + 0.3 * np.eye(n)
 
 
 def family(gain: float = 0.5, bend: float = 1.0) -> lpv.Family:
