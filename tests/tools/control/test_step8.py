@@ -193,19 +193,17 @@ class Reckoned(tradeoff._Search):
         floor = Floor(0.9 * level, level, 1.0)
         return tradeoff.Outcome(c, np.array([]), None, floor, None, None), [level]
 
-    def synthesised(self, outcome, plants, start):
-        made = tradeoff.Measured(outcome.candidate, outcome.ceiling, None, outcome.floor, plants[0], None)
-        self.made.append(made)
-        self.outcomes.append(made)
-        self.known[outcome.candidate.key] = made
-        return made
-
 
 def test_the_search_steps_to_where_no_step_betters_it_and_tries_nothing_twice(monkeypatch):
     monkeypatch.setattr(tradeoff, "ROUNDS", 9)
+    monkeypatch.setattr(tradeoff, "speeds", lambda p: [p.settings.design_speed_mps])
+    monkeypatch.setattr(
+        tradeoff, "dk_synthesis", lambda *_, **__: SimpleNamespace(performance=SimpleNamespace(scaling=None))
+    )
+    monkeypatch.setattr(tradeoff, "common_scaling", lambda levels, start: (start, levels[0]))
     of_project = SimpleNamespace(
         stored=SimpleNamespace(bounds={"nu_ceiling": np.array([0.0, 0.5, 0.9])}),
-        settings=SimpleNamespace(lambda_s=1.0),
+        settings=SimpleNamespace(lambda_s=1.0, design_speed_mps=15.0),
         frames=None,
     )
     run = Reckoned(of_project, lambda _: None)
