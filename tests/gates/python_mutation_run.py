@@ -116,7 +116,7 @@ SAMPLE_FILES, SAMPLE = 2, 20
 """Without LPVGUARD_FULL, of those that neither list names: so many mutants, of the files that a change
 touches, or else, where tests changed or git cannot say, of so many files of one folder."""
 ABOUT_TESTS = (
-    *(f"tests/tools/{folder}/" for folder in ("drives", "engine", "identify")),
+    *sorted({f"tests/tools/{name.partition('/')[0]}/" for asked in ASKED.values() for name in asked}),
     "tests/gates/python_mutation",
 )
 """What judges mutants, and makes them."""
