@@ -546,69 +546,56 @@ def counted(tree: Path, build: Path, only: str) -> list[str]:
 
 
 def sanitize(tree: Path, scratch: Path, only: str = "") -> list[str]:
-    """By the build that counts, too, where its compiler is there, or else by clang, with which compiling
-    takes less, or by gcc where clang has no sanitizers."""
-    if shutil.which(f"clang++-{COUNTING_CLANG}"):
-        return counted(tree, scratch / "counted", only)
+    """By the build that counts, too, where its compiler links, or else by clang, with which compiling takes
+    less, or by gcc where clang has no sanitizers."""
     scratch.mkdir(parents=True, exist_ok=True)
     (scratch / "empty.cpp").write_text("int main() {}\n")
-    link = (SANITIZERS, scratch / "empty.cpp", "-o", scratch / "empty")
-    compiler = "clang" if shutil.which("clang++") and not run("clang++", *link)[0] else "gcc"
+
+    def links(clang: str, *flags: str) -> bool:
+        words = (clang, SANITIZERS, *flags, scratch / "empty.cpp", "-o", scratch / "empty")
+        return shutil.which(clang) is not None and run(*words)[0] == 0
+
+    if links(f"clang++-{COUNTING_CLANG}", "-fprofile-instr-generate"):
+        return counted(tree, scratch / "counted", only)
+    compiler = "clang" if links("clang++") else "gcc"
     c, cxx = COMPILERS[compiler]
     settings = (f"-DCMAKE_C_COMPILER={c}", f"-DCMAKE_CXX_COMPILER={cxx}")
     return unit_tests(tree, scratch / compiler, "sanitize", only, settings=settings)
 
 
-Span = tuple[int, int, int, int]
-"""Line and column where a piece of code begins and ends."""
+Reached = dict[str, dict[str, dict[tuple[int, ...], bool]]]
+"""File of lib/src -> kind -> piece -> whether any program, vehicle or template instance reached it. A piece
+is where it begins and ends (line, column, line, column). Of a branch the outcome follows (1, 0), of a
+condition its place in the decision."""
 
 
-@dataclass
-class Counts:
-    """What the tests reached in a file of lib/src, by whichever program, vehicle and template instance."""
+def reached(tree: Path, build: Path) -> Reached:
+    """By the programs that ran. What is a constant of every vehicle has no branch."""
+    found: Reached = {}
 
-    regions: dict[Span, bool]
-    branches: dict[tuple[Span, bool], bool]  # of a condition: the outcome
-    conditions: dict[tuple[Span, int], bool]  # of a decision: the condition that showed its effect
-
-
-def counts_of(tree: Path, build: Path) -> dict[str, Counts]:
-    """File -> what was reached in it, of the programs that ran. What is a constant of every vehicle has no
-    branch."""
-    found: dict[str, Counts] = {}
-
-    def file(name: str) -> Counts | None:
-        path = Path(name)
-        counts = Counts({}, {}, {})
-        return found.setdefault(path.name, counts) if path.parent == tree / "lib" / "src" else None
+    def note(file: str, kind: str, piece: list[int], hit: bool) -> None:
+        path = Path(file)
+        if path.parent == tree / "lib" / "src":
+            of = found.setdefault(path.name, {kind: {} for kind in LEAST_COVERAGE})[kind]
+            of[tuple(piece)] = of.get(tuple(piece), False) or hit
 
     for raw in sorted(build.rglob("*.profraw")):
         merged = raw.with_suffix(".profdata")
         subprocess.run([f"llvm-profdata-{COUNTING_CLANG}", "merge", raw, "-o", merged], check=True)
-        words = [
-            f"llvm-cov-{COUNTING_CLANG}",
-            "export",
-            raw.with_suffix(""),
-            f"-instr-profile={merged}",
-        ]
+        words = [f"llvm-cov-{COUNTING_CLANG}", "export", raw.with_suffix(""), f"-instr-profile={merged}"]
         report = json.loads(subprocess.run(words, stdout=subprocess.PIPE, check=True).stdout)["data"][0]
         for function in report["functions"]:
-            files = [file(name) for name in function["filenames"]]
+            names = function["filenames"]
             for *span, hits, at, _, kind in function["regions"]:
-                if (counts := files[at]) and kind == CODE_REGION:
-                    of = counts.regions
-                    of[tuple(span)] = of.get(tuple(span), False) or hits > 0
+                if kind == CODE_REGION:
+                    note(names[at], "regions", span, hits > 0)
             for *span, true, false, at, _, _ in function["branches"]:
-                for outcome, hits in ((True, true), (False, false)):
-                    if counts := files[at]:
-                        key = (tuple(span), outcome)
-                        counts.branches[key] = counts.branches.get(key, False) or hits > 0
+                note(names[at], "branches", [*span, 1], true > 0)
+                note(names[at], "branches", [*span, 0], false > 0)
         for part in report["files"]:
-            if counts := file(part["filename"]):
-                for *span, _, _, shown in part["mcdc_records"]:
-                    for index, effect in enumerate(shown):
-                        where = (tuple(span), index)
-                        counts.conditions[where] = counts.conditions.get(where, False) or effect
+            for *span, _, _, shown in part["mcdc_records"]:
+                for index, effect in enumerate(shown):
+                    note(part["filename"], "conditions", [*span, index], effect)
     return found
 
 
@@ -629,25 +616,23 @@ def coverage(tree: Path, scratch: Path, only: str = "") -> list[str]:
     broken = counted(tree, build, only)
     if broken:
         return broken
-    found = counts_of(tree, build)
+    found = reached(tree, build)
     sources = {f"{only.split('.')[0]}.cpp"} if only else with_code(tree)
     findings = [f"lib/src/{name} is in no report" for name in sorted(sources - set(found))]
     limits = json.loads((tree / "tests" / "gates" / "coverage.json").read_text())
     for kind in LEAST_COVERAGE:
         total = missed_in_all = 0
         for name in sorted(sources & set(found)):
-            reached: dict[tuple, bool] = getattr(found[name], kind)
-            missed = [key for key, hit in sorted(reached.items()) if not hit]
-            # Of a span, or of what belongs to one, the line where it begins.
-            lines = [key[0] if isinstance(key[0], int) else key[0][0] for key in missed]
+            pieces = found[name][kind]
+            missed = [line for (line, *_), hit in sorted(pieces.items()) if not hit]
             limit = limits[kind].get(name, {"missed": 0})["missed"]
             if len(missed) > limit:
-                findings.append(f"{name}: {len(missed)} {kind} missed, {limit} allowed: {lines}")
+                findings.append(f"{name}: {len(missed)} {kind} missed, {limit} allowed: {missed}")
             elif len(missed) < limit:
                 findings.append(
                     f"{name}: {len(missed)} {kind} missed, fewer than the {limit} of coverage.json: lower it"
                 )
-            total += len(reached)
+            total += len(pieces)
             missed_in_all += len(missed)
         print(f"{kind}: {total - missed_in_all} of {total} reached")
         if missed_in_all > (1 - LEAST_COVERAGE[kind]) * total:
