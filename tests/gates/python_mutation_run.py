@@ -7,13 +7,14 @@ files. Here a process that has collected the tests forks for each mutant (python
 
 from __future__ import annotations
 
+import ast
 import hashlib
 import json
 import os
 import random
 import sys
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -201,17 +202,42 @@ def mutants_of(
     return found, places
 
 
+def imported(test: Path) -> set[str]:
+    """Dotted names of what a test file imports by ``from``, and of the modules that it takes that from."""
+    found = set()
+    for node in ast.walk(ast.parse(test.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.ImportFrom) and node.module:
+            found |= {node.module, *(f"{node.module}.{alias.name}" for alias in node.names)}
+    return found
+
+
+def asked_about(tree: Path, folder: str, names: Iterable[str] = ()) -> list[Path]:
+    """The tests about a folder, or those of them that import one of its files ``names`` themselves."""
+    there = tree / "tests" / "tools"
+    tests = sorted({path for asked in ASKED[folder] for path in there.glob(asked)})
+    modules = {f"{PACKAGE.name}.{name.removesuffix('.py').replace('/', '.')}" for name in names}
+    return [test for test in tests if not modules or modules & imported(test)]
+
+
 def surviving(
-    tree: Path, scratch: Path, mutants: list[Mutant], places: dict[Mutant, tuple[int, int]]
+    tree: Path,
+    scratch: Path,
+    mutants: list[Mutant],
+    places: dict[Mutant, tuple[int, int]],
+    near: bool = False,
 ) -> list[Mutant]:
+    """``near``: of the tests about a folder only those that import the files themselves. To note what all the
+    others reach takes minutes."""
     alive: set[tuple[str, int, int]] = set()
     for folder in sorted({folder_of(m.file) for m in mutants}):
         files: dict[str, list[tuple[int, int]]] = {}
         for mutant in mutants:
             if folder_of(mutant.file) == folder:
                 files.setdefault(mutant.file, []).append(places[mutant])
-        there = tree / "tests" / "tools"
-        tests = sorted(str(path) for asked in ASKED[folder] for path in there.glob(asked))
+        tests = [str(path) for path in asked_about(tree, folder, files if near else ())]
+        if not tests:
+            alive |= {(name, *place) for name, there in files.items() for place in there}
+            continue
         fates = asked_worker(tree, scratch, {"files": files, "tests": tests, "traced": target_files(tree)})
         alive |= {(name, site, index) for name, site, index, survives, _ in fates if survives}
     return [m for m in mutants if (m.file, *places[m]) in alive]
@@ -274,7 +300,8 @@ def python_mutation_findings(
             print(f"{', '.join(files)}: {len(mutants)} mutants, {len(listed)} of them listed, {sample} drawn")
             rest = [m for m in mutants if m not in set(listed)]
             mutants = sorted(random.Random(6).sample(rest, min(sample, len(rest))), key=lambda m: m.number)
-        survived = surviving(tree, scratch, mutants, places)
+        left = mutants if all_of else surviving(tree, scratch, mutants, places, near=True)
+        survived = surviving(tree, scratch, left, places)
     except RuntimeError as error:
         return [str(error)]
     for mutant in survived:

@@ -173,6 +173,25 @@ def test_findings_name_every_survivor_once_and_what_is_noted_in_vain(ran):
     ]
 
 
+def test_a_sample_meets_the_tests_that_import_its_file_before_the_others(tree, tmp_path):
+    far = tree / "tests" / "tools" / "engine" / "test_validation_far.py"
+    far.write_text(
+        f"from importlib import import_module\n\n\ndef test_unused():\n"
+        f'    assert import_module("lpvguard.{SMALL[:-3].replace("/", ".")}").unused(1) == 2\n'
+    )
+    mutants, places = mutants_of(tree, tmp_path, [SMALL])
+    unused = [m for m in mutants if m.site.function == "unused"]
+    try:
+        assert surviving(tree, tmp_path, unused, places, near=True) == unused
+        assert surviving(tree, tmp_path, unused, places) == []
+        findings = python_mutation_findings(
+            tree, tmp_path, full=False, only="", sample=N_SMALL, measured={SMALL: N_SMALL}
+        )
+    finally:
+        far.unlink()
+    assert findings and not any("unused" in finding for finding in findings)
+
+
 def test_the_gate_draws_where_it_is_not_asked_for_all(tree, tmp_path, capsys):
     findings = python_mutation_findings(
         tree, tmp_path, full=False, only="", sample=5, measured={SMALL: N_SMALL}
