@@ -16,13 +16,19 @@ if(NOT lpvg_catch_main)
   set(lpvg_catch_main $<TARGET_OBJECTS:lpvg_catch_main>)
 endif()
 
-# lpvg_catch: what a test program links. It is not optimised, because what it tests is compiled apart; one that
-# holds what it tests has the property lpvg_optimised.
+# How a test program's own code is compiled: not optimised, and without the checks of undefined behaviour and the counters, because what it
+# tests is compiled apart. Its arrays keep the address sanitizer.
+set(lpvg_test_options -O0 -fno-sanitize=undefined,float-divide-by-zero,float-cast-overflow)
+if(LPVG_COVERAGE)
+  list(APPEND lpvg_test_options -fno-profile-instr-generate -fno-coverage-mapping -fno-coverage-mcdc -g0)
+endif()
+
+# lpvg_catch: what a test program links. One whose own code is what it tests, because that is a header, has the property lpvg_tests_header.
 add_library(lpvg_catch INTERFACE)
 target_sources(lpvg_catch INTERFACE ${lpvg_catch_main})
 target_link_libraries(lpvg_catch INTERFACE Catch2::Catch2)
 target_compile_features(lpvg_catch INTERFACE cxx_std_17)
-target_compile_options(lpvg_catch INTERFACE $<$<NOT:$<BOOL:$<TARGET_PROPERTY:lpvg_optimised>>>:-O0>)
+target_compile_options(lpvg_catch INTERFACE "$<$<NOT:$<BOOL:$<TARGET_PROPERTY:lpvg_tests_header>>>:${lpvg_test_options}>")
 
 # lpvg_counted(TEST PROGRAM): with LPVG_COVERAGE the test leaves its counts beside its program.
 function(lpvg_counted test program)
