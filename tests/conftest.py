@@ -44,17 +44,22 @@ FEW_DRIVES = {
 """Without a sweep in every class of amplitudes the manoeuvres alone ask for more than any controller keeps
 (mu 2.4 without 0.8 bar, 0.90 with it)."""
 
+FULL = os.environ.get("LPVGUARD_FULL") == "1"
 SLOW_FIXTURES = {
     "few_truck_identified": "60 s: a truck identified on few drives",
-    "few_truck_common_identified": "60 s: a truck identified on few drives, with one Delta",
     "few_truck_designed": "60 s: a design",
-    "truck_identified": "over 60 s: the truck identified as shipped",
     "measured_identified": "10 s: the measured drives identified",
 }
 """Fixtures that make every test that asks for them slow, and why (CPU seconds, once a run)."""
+LONG_FIXTURES = {
+    "few_truck_common_identified": "30 s: a truck identified with one Delta",
+    "truck_identified": "over 60 s: the truck identified as shipped",
+}
+"""Fixtures that make every test that asks for them long, and why."""
 MARKERS = (
     "requirement(id): verifies this requirement of lib/REQUIREMENTS.md",
     "slow(reason): not part of tools/test --fast: over 3 processor seconds of its own; says what takes them",
+    "long(reason): part of tools/test --full (LPVGUARD_FULL=1) alone, else skipped and counted; says why",
     "serial: on vcan0, with an emulator or in real time; no other test runs beside it",
     *(f"{kind}: a kind of test, the first folder below tests/" for kind in KINDS),
 )
@@ -78,6 +83,10 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         item.add_marker(kind)
         for name in SLOW_FIXTURES.keys() & set(item.fixturenames):
             item.add_marker(pytest.mark.slow(SLOW_FIXTURES[name]))
+        for name in LONG_FIXTURES.keys() & set(item.fixturenames):
+            item.add_marker(pytest.mark.long(LONG_FIXTURES[name]))
+        if (long := item.get_closest_marker("long")) and not FULL:
+            item.add_marker(pytest.mark.skip(reason=f"LPVGUARD_FULL: {long.args[0]}"))
     items[:] = dearest_file_first(items, SLOW_FIXTURES.values())
 
 

@@ -68,6 +68,7 @@ def main() -> int:
     number: dict[str, int] = defaultdict(int)
     dear: list[str] = []
     notes: list[str] = []
+    skips: dict[tuple[str, str], list[str]] = defaultdict(list)
     collected = 0
     for runner in RUNNERS:
         path = arguments.results / f"{runner}.xml"
@@ -99,7 +100,7 @@ def main() -> int:
                 notes.append(f"FAILED {name}")
             elif skipped is not None or case.get("status") in ("disabled", "notrun"):
                 counts["skipped"] += 1
-                notes.append(f"SKIPPED {name}: {reason_of(case, skipped)}")
+                skips[suite_of(runner, case), reason_of(case, skipped)].append(name)
             else:
                 counts["passed"] += 1
         status = arguments.results / f"{runner}.status"
@@ -113,6 +114,10 @@ def main() -> int:
         counts[outcome] += 1
         if outcome != "passed":
             notes.append(f"{outcome.upper()} clean-room ./tools/test: {why or 'see clean_room.log'}")
+    notes += [
+        f"SKIPPED {names[0] if len(names) == 1 else f'{len(names)} of {suite}'}: {why}"
+        for (suite, why), names in skips.items()
+    ]
     width = max(map(len, seconds), default=10)
     print(f"\n{'suite':{width}}  tests  seconds  processor")
     for suite in sorted(seconds):

@@ -227,8 +227,8 @@ def test_two_processes_on_vcan_recorded_and_replayed_give_the_same_verdicts(
         assert max(abs(g.statistic - statistic[g.utime]) for g in log["LPVGUARD_GUARD"]) <= 0.5 / 1024 + 1e-9
 
 
+@pytest.mark.long("40 s: an emulator on vcan0")
 @pytest.mark.serial
-@pytest.mark.slow("30 s of simulated time on vcan0")
 def test_the_emulated_ecu_publishes_what_the_host_does(lcm_simulator, scenario, truck_folder, tmp_path):
     """Margins, supervision and bus of the firmware on the Cortex-R5F, message for message those of the
     host's."""

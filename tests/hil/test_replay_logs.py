@@ -275,7 +275,11 @@ sys.exit(done.returncode)
 
 @pytest.mark.serial
 @pytest.mark.parametrize(
-    "kind", [pytest.param("table", marks=pytest.mark.slow("4 s: a kernel is started")), "log"]
+    "kind",
+    [
+        pytest.param("table", marks=pytest.mark.slow("4 s: a kernel is started")),
+        pytest.param("log", marks=pytest.mark.long("another kernel is started")),
+    ],
 )
 def test_what_is_played_onto_a_bus_is_what_candump_logs(kind, on_bus, g80, drive, synthetic, tmp_path):
     (tmp_path / "recorder.py").write_text(RECORDER)

@@ -51,7 +51,7 @@ def test_an_emulated_processor_does_the_same_and_nothing_grows(truck_folder, tar
         assert 0 < series[-1] <= 1.1 * max(series[: len(series) // 2]), (name, series)
 
 
-@pytest.mark.slow("the core is compiled with the memory sanitizer")
+@pytest.mark.long("25 s: the core is compiled with the memory sanitizer")
 def test_the_memory_sanitizer_finds_nothing(truck_folder, tmp_path):
     """A value that was never set would end the program: it, the core and what it calls are plain C and C++
     without a library."""

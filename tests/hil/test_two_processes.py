@@ -89,12 +89,12 @@ def test_two_processes_lose_nothing_and_send_the_frames_of_one(loop):
     assert got["reception"] == want["reception"]
 
 
+@pytest.mark.long("a flood on vcan0 in real time")
 @pytest.mark.serial
-@pytest.mark.slow("in real time on vcan0")
 def test_a_flood_of_foreign_identifiers_changes_nothing(loop):
     """The filter: lpvguard_ecu hands the kernel identifier and mask of each message that it supervises; no
     other frame is received."""
-    for_s = 60.0 if FULL else 5.0
+    for_s = 60.0
     want, got, beside = loop(
         WARM_S + for_s + 3.0,
         for_s,
@@ -109,12 +109,12 @@ def test_a_flood_of_foreign_identifiers_changes_nothing(loop):
     assert {"18F0093E", "0CFF01FC"} <= {line.split()[2].split("#")[0] for line in beside["tail"].splitlines()}
 
 
+@pytest.mark.long("a flood on vcan0 in real time")
 @pytest.mark.serial
-@pytest.mark.slow("in real time on vcan0")
 def test_babbling_with_an_identifier_of_ours(loop, truck_folder, tmp_path):
     """Safe state within 5 periods of its first frame, no demand out of its limits, live again within 1 s of
     its last."""
-    for_s = 60.0 if FULL else 4.0
+    for_s = 60.0
     _, got, beside = loop(WARM_S + for_s + 4.0, for_s, "cangen -e -I 18F0093E -L 8 -g 0 -p 10 vcan0")
     vdc2 = got["reception"]["messages"]["VDC2"]
     print(f"{beside['sent']} frames on the bus in {beside['took_s']:.1f} s; VDC2 by kind: {vdc2['counts']}")
@@ -181,8 +181,8 @@ print(heard.communicate()[0].count(b"\\n"))
 """
 
 
+@pytest.mark.long("half a minute in real time on vcan0")
 @pytest.mark.serial
-@pytest.mark.slow("in real time on vcan0")
 def test_the_firmware_alone_hears_and_answers_a_played_drive(simulator, tmp_path):
     """Recorded frames onto the bus at their pace, the ECU's program on it: no simulator and no common
     clock."""

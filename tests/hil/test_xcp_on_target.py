@@ -28,9 +28,9 @@ def elf(truck_folder) -> Path:
     return targets.image_with_debug_information("cortex-r5f", truck_folder, program)
 
 
+@pytest.mark.long("30 s: an emulator on vcan0")
 @pytest.mark.serial
 @pytest.mark.requirement("REQ-XCP-6")
-@pytest.mark.slow("an emulator on vcan0")
 def test_a_measurement_tool_reads_the_emulated_ecu(elf):
     instance = read_instance(elf, "ecu", ("lpvg_truck_ecu_t",))
     at = {f.path: (instance.address + f.offset, f.bytes) for f in instance.fields}

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 import shutil
 import subprocess
 import sys
@@ -83,7 +82,7 @@ def test_the_papers_name_what_is_installed():
 
 
 @pytest.mark.slow("wheel and core archives are built twice")
-@pytest.mark.skipif(os.environ.get("LPVGUARD_FULL") != "1", reason="LPVGUARD_FULL: four builds of the core")
+@pytest.mark.long("four builds of the core")
 def test_a_release_is_whole_and_its_wheel_replays_a_drive(checkout, tmp_path):
     version = release().release(checkout, tmp_path / "out", draft=True)
     out = tmp_path / "out"

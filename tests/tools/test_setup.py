@@ -355,6 +355,15 @@ GOOD = '<testsuite><testcase name="a.b" time="1"/></testsuite>'
             "2 passed, 0 failed, 1 skipped",
             "SKIPPED ::hil.x: no clang",
         ),
+        (
+            "<testsuite>"
+            + 2 * '<testcase name="hil.x"><skipped message="no clang"/></testcase>'
+            + '<testcase name="hil.y"><skipped message="no uml"/></testcase></testsuite>',
+            "",
+            [],
+            "2 passed, 0 failed, 3 skipped",
+            "SKIPPED 2 of ctest hil: no clang\nSKIPPED ::hil.y: no uml",
+        ),
     ],
 )
 def test_the_closing_line_counts_what_broke_off_and_gives_reasons(

@@ -44,7 +44,7 @@ def ids(svg: str) -> set[str]:
     return {e.attrib["id"] for e in xml.fromstring(svg).iter() if "id" in e.attrib}
 
 
-@pytest.mark.slow("10 s: a page of every drive")
+@pytest.mark.long("20 s: every picture of a page")
 def test_they_have_the_numbers_of_the_pages_pictures(found, vehicle, synthetic, identified, tmp_path):
     stored, drives = stored_with_drives(identified, synthetic)
     runs = [lpvguard.replay("g80", e.path, coefficients=vehicle) for e in drives.experiments.values()]

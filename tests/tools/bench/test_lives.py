@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 
 import numpy as np
 import pytest
@@ -64,9 +63,7 @@ def test_the_command_prints_and_writes_the_table(tmp_path, capsys):
         run("lives", ["--lives", "0"])
 
 
-@pytest.mark.skipif(
-    os.environ.get("LPVGUARD_FULL") != "1", reason="LPVGUARD_FULL: 10^4 lives from 300 drives"
-)
+@pytest.mark.long("10^4 lives from 300 drives")
 def test_the_full_pool_keeps_the_rate_and_finds_the_drift(capsys):
     result = lives.bench_lives(make_pool(300, 0.03, 1), 10_000, 1000, 1)
     with capsys.disabled():

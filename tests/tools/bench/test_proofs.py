@@ -54,6 +54,7 @@ def test_no_drawn_loop_is_above_what_is_proved_and_a_bolder_claim_is_refuted(des
     assert refuted == [names[1], names[2], names[4], names[5], names[6]]
 
 
+@pytest.mark.long("20 s: optima of frozen speeds")
 def test_the_largest_frozen_mu_stands_beside_the_largest_optimum_of_one_speed(designed, monkeypatch):
     """A controller of common poles is above the optimum, and not far; the optimum is that of no one's mu."""
     stored, document = stated_by(designed)

@@ -39,7 +39,7 @@ def loop_with(project, size: float) -> CertifiedLoop:
     )
 
 
-@pytest.mark.slow("9 s: the truck measured over speed")
+@pytest.mark.long("15 s: the truck measured over speed")
 def test_a_weight_that_is_too_small_is_named_with_speed_frequency_and_both_numbers(truck, few):
     asked = [0.5, 1e3]
     wide = robust.true_table(loop_with(truck, 1e3), asked, map)

@@ -28,7 +28,7 @@ def interrupted(*words: object) -> dict:
     [
         "replay",
         pytest.param("export", marks=pytest.mark.slow("4 s: a process for every step")),
-        pytest.param("campaign", marks=pytest.mark.slow("12 s: a process for every step")),
+        pytest.param("campaign", marks=pytest.mark.long("25 s: a process for every step")),
     ],
 )
 def test_no_step_at_which_a_command_ends_leaves_a_torn_result(command):
@@ -40,7 +40,7 @@ def test_no_step_at_which_a_command_ends_leaves_a_torn_result(command):
 
 @pytest.mark.slow("8 s: a process for every instant")
 def test_no_random_instant_does():
-    count = 200 if FULL else 18
+    count = 200 if FULL else 8
     found = interrupted("kills", 1, count)
     assert found["runs"] == count and found["torn"] == []
     assert found["fell"]["while it wrote"] > count / 4, "kills after the end prove nothing"

@@ -140,6 +140,7 @@ def test_a_stated_number_that_is_not_what_is_proved_is_refused(
         stage.verify(tmp_path / "controller.json", stored)
 
 
+@pytest.mark.long("70 s: a search at a moving speed")
 def test_robust_stability_is_proved_at_a_moving_speed_and_proved_anew(finer, moving):
     """The truck brakes with 2 m/s2; what is not searched for is not claimed. Stability is at level 1 and of
     the design's D."""
@@ -155,6 +156,7 @@ def test_robust_stability_is_proved_at_a_moving_speed_and_proved_anew(finer, mov
     assert stated["stability"]["states"] == families["stability"].at(15.0).order < whole
 
 
+@pytest.mark.long("70 s: a search at a moving speed")
 @pytest.mark.parametrize(
     "what", ["faster", "wider", "coefficient", "performance", "other basis", "no level", "no gain"]
 )
@@ -180,6 +182,7 @@ def test_a_claim_of_a_moving_speed_that_is_not_proved_is_refused(finer, moving, 
     assert not moving_speed._holds((finer, schedule, claim, said))
 
 
+@pytest.mark.long("70 s: a search at a moving speed")
 def test_a_storage_function_at_knots_of_its_own_is_proved_anew_and_none_over_other_speeds(finer, moving):
     """The same storage function, stated by its values at the knots between which it is linear."""
     result, _ = moving
@@ -200,6 +203,7 @@ def test_a_storage_function_at_knots_of_its_own_is_proved_anew_and_none_over_oth
         assert not moving_speed._holds((finer, result.schedule, "stability", {**said, **wrong}))
 
 
+@pytest.mark.long("70 s: a search at a moving speed")
 def test_a_faster_rate_in_controller_json_is_refused(finer, moving, tmp_path):
     document = json.loads(moving[1].read_text())
     for claim in moving_speed.CLAIMS:
@@ -228,7 +232,7 @@ def test_the_command_searches_at_a_moving_speed_unless_told_not_to(finer, asked,
     assert given == [asked]
 
 
-@pytest.mark.slow("30 s: two designs for frozen speeds")
+@pytest.mark.long("30 s: two designs for frozen speeds")
 def test_synthesis_for_other_objectives_changes_the_controller_and_not_what_is_certified(stored):
     """The controller is that of the A_t and A_u that are synthesised for; its mu is of A_t and A_u
     themselves, under a D that suits these."""
@@ -254,6 +258,7 @@ def test_synthesis_for_other_objectives_changes_the_controller_and_not_what_is_c
     assert worst(found.scaling) < worst(hard.scaling)
 
 
+@pytest.mark.long("30 s: designs for ever larger A_t")
 def test_the_largest_A_t_is_bracketed_below_the_dc_floors_limit(stored, monkeypatch):
     """The project's own A_t is reached; what fails is no more than the tolerance above, and below the limit
     of any controller."""

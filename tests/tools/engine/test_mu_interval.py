@@ -1,7 +1,5 @@
 """The bound of mu on intervals: above every point of a fine grid, close to the largest, and no further."""
 
-import os
-
 import numpy as np
 import pytest
 
@@ -33,18 +31,15 @@ def largest_on_grid(loop, blocks, omega) -> float:
     return max(mu_bounds(M, blocks, 1e-6).upper for M in loop.response(omega))
 
 
-SEEDS = {"full": (1, 2, 3), "complex": (1, 2, 3), "real": (3,)}
-"""Of the loops that meet the blocks: with a real one each takes ten times as long."""
-if os.environ.get("LPVGUARD_FULL") == "1":
-    SEEDS["real"] = SEEDS["full"]
+OF_REAL = pytest.mark.long("10 s: with a real block each loop takes ten times as long")
 
 
 @pytest.mark.parametrize(
     ("blocks", "seed"),
     [
-        pytest.param(blocks, seed, id=f"{name}-{seed}")
-        for name, blocks in (("full", FULL), ("real", REAL), ("complex", COMPLEX))
-        for seed in SEEDS[name]
+        pytest.param(blocks, seed, id=f"{name}-{seed}", marks=marks)
+        for name, blocks, marks in (("full", FULL, ()), ("real", REAL, OF_REAL), ("complex", COMPLEX, ()))
+        for seed in (1, 2, 3)
     ],
 )
 def test_it_is_above_every_point_and_close_to_the_largest(blocks, seed):

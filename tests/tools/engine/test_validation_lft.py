@@ -18,7 +18,7 @@ from lpvguard.engine.validation.quadratic import Form, Quadratic
 from lpvguard.engine.validation.relaxation import Box, BranchNode, Relaxation
 from lpvguard.engine.validation.well_posed import block_caps, well_posed
 
-TWO_BLOCKS = pytest.mark.slow("4 s: branch and bound over two blocks")
+TWO_BLOCKS = pytest.mark.long("10 s: branch and bound over two blocks")
 FULL = {
     "one block": (2, [("full", 1, 1)], {}),
     "one wide block, three outputs": (3, [("full", 2, 3)], {}),

@@ -8,7 +8,7 @@ import math
 import statistics
 import sys
 from collections import Counter
-from itertools import pairwise
+from itertools import islice, pairwise
 
 import numpy as np
 import pytest
@@ -442,9 +442,11 @@ def test_noise_subtraction_refuses_by_name(changes, words):
 # ---------------------------------------------------------------- the promise of the README
 
 
-@pytest.mark.slow("6 s: 32 weights fitted")
-def test_the_32_bounds_of_the_bench_are_covered_tightly_by_few_linear_programs(monkeypatch):
-    """The time of a fit goes into its linear programs; `lpvguard bench weights` measures it."""
+@pytest.mark.slow("5 s: 11 weights fitted")
+@pytest.mark.parametrize("every", [pytest.param(1, marks=pytest.mark.long("15 s: 32 weights fitted")), 3])
+def test_the_32_bounds_of_the_bench_are_covered_tightly_by_few_linear_programs(every, monkeypatch):
+    """The time of a fit goes into its linear programs; `lpvguard bench weights` measures it. Every third
+    bound is of each kind and of each number of decades."""
     programs = []
     solve = minimax.linprog
     monkeypatch.setattr(
@@ -452,14 +454,16 @@ def test_the_32_bounds_of_the_bench_are_covered_tightly_by_few_linear_programs(m
         "linprog",
         lambda *arguments, **options: programs.append(name) or solve(*arguments, **options),
     )
-    for name, omega, bound in bench.bounds():
+    for name, omega, bound in islice(bench.bounds(), 0, None, every):
         fit = fit_overbound(omega, bound, name=name)
         grid, b = dense(omega, bound, per_piece=7)
         assert np.min(fit.weight.magnitude(grid) / b) >= 1.0, name
         assert fit.certificate["ok"] and fit.worst_ratio_db - fit.lp_optimum_db <= 0.01, name
     count = Counter(programs)
     assert (
-        len(count) == 32 and statistics.median(count.values()) <= 65 and max(count.values()) <= 130
+        len(count) == -(-32 // every)
+        and statistics.median(count.values()) <= 65
+        and max(count.values()) <= 130
     )  # 57.5 and 108
 
 

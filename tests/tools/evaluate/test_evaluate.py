@@ -365,7 +365,7 @@ def test_a_single_drive_to_evaluate_has_no_baselines_and_no_alpha(folder, g80, c
     assert table["false_alarms"]["all"]["judged_h"] == pytest.approx(drive["judged_s"] / 3600)
 
 
-@pytest.mark.slow("10 s: an identification and its evaluation")
+@pytest.mark.long("15 s: an identification and its evaluation")
 def test_recordings_of_the_index_reach_the_claims_and_whole_ones_are_left_out(folder, g80, core):
     splits = dict.fromkeys(("synthetic_01", "synthetic_02"), "train") | dict.fromkeys(
         ("synthetic_06", "synthetic_07", "synthetic_08"), "valid"

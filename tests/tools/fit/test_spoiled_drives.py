@@ -73,8 +73,17 @@ SPOILED = {
 }
 
 
+OTHER_UNITS = {"mph", "degrees", "degrees a second", "steering wheel"}
+
+
 @pytest.mark.slow("5 s a case where all drives are fitted in every reading")
-@pytest.mark.parametrize("name", SPOILED)
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=pytest.mark.long("6 s: another unit")) if name in OTHER_UNITS else name
+        for name in SPOILED
+    ],
+)
 def test_drives_spoiled_alike_are_named(project, drives, name):
     spoil, said = SPOILED[name]
     with pytest.raises(InputError) as error:
@@ -99,7 +108,9 @@ def test_one_spoiled_drive_among_good_ones_is_named(project, drives, name):
 
 
 @pytest.mark.slow("12 s: every reading of five drives fitted")
-@pytest.mark.parametrize("name", ["flipped sign", "degrees a second"])
+@pytest.mark.parametrize(
+    "name", ["flipped sign", pytest.param("degrees a second", marks=pytest.mark.long("12 s: another unit"))]
+)
 def test_what_is_wrong_with_all_is_named_where_two_of_five_are_beyond_any_model(project, drives, name):
     random = np.random.default_rng(5)
     slides = [

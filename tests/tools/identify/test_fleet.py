@@ -266,7 +266,7 @@ def test_bad_worker_settings_are_named(given, says, monkeypatch):
         pass
 
 
-@pytest.mark.slow("25 s: evaluate of the synthetic drives, twice")
+@pytest.mark.long("15 s: 120 drives shared by processes")
 def test_replay_and_evaluate_share_drives(lpvguard, vehicle, identified, synthetic, few_baselines, tmp_path):
     shipped = Path(lpvguard_package.__file__).parent / "vehicle/shipped/g80.toml"
     once = tmp_path / "g80.toml"
@@ -292,10 +292,10 @@ def test_replay_and_evaluate_share_drives(lpvguard, vehicle, identified, synthet
     assert alone.stdout == shared.stdout
 
 
+@pytest.mark.long("1000 drives identified")
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="peak memory is read from /proc")
-@pytest.mark.slow("25 s: 120 drives identified")
 def test_memory_does_not_grow_with_the_number_of_drives(tmp_path):
-    many = 1000 if os.environ.get("LPVGUARD_FULL") == "1" else 120
+    many = 1000
     peak = {}
     for count in (10, many):
         fleet.write_fleet(tmp_path / str(count), count)

@@ -221,7 +221,7 @@ def at_100_hz(tmp_path_factory):
     return replayer, frames, int(frames.t_ns[-1] - frames.t_ns[0]) + 10**7
 
 
-@pytest.mark.skipif(os.environ.get("LPVGUARD_FULL") != "1", reason="LPVGUARD_FULL: a minute in real time")
+@pytest.mark.long("a minute in real time")
 @pytest.mark.parametrize("pace", [1, 20])
 def test_the_page_is_less_than_ten_pieces_behind(at_100_hz, pace):
     """Every 50 ms comes a piece of 50 ms times ``pace`` of driving, 600 in all. Behind are the pieces that
@@ -249,7 +249,7 @@ def test_the_page_is_less_than_ten_pieces_behind(at_100_hz, pace):
     assert len(behind) > 100 and max(behind) < 10
 
 
-@pytest.mark.skipif(os.environ.get("LPVGUARD_FULL") != "1", reason="LPVGUARD_FULL: 8 simulated hours")
+@pytest.mark.long("8 simulated hours")
 def test_eight_hours_that_flood_leave_memory_flat(at_100_hz):
     """Frames of 8 h at 100 Hz as fast as they are taken, while a browser asks: resident memory after every
     hour but the last; the window is full after the first."""

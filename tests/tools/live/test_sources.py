@@ -4,7 +4,6 @@ begins again, an interface that goes away, and a flood; nothing but the view wai
 from __future__ import annotations
 
 import json
-import os
 import sys
 from itertools import groupby
 from pathlib import Path
@@ -41,9 +40,7 @@ def verdicts(view: dict, since: float = 0.0) -> list[int]:
     return [int(code) for code, _ in groupby(codes)]
 
 
-@pytest.mark.skipif(
-    os.environ.get("LPVGUARD_FULL") != "1", reason="LPVGUARD_FULL: a minute and more in real time"
-)
+@pytest.mark.long("a minute and more in real time")
 @pytest.mark.serial
 @pytest.mark.slow("60 s in real time on vcan0")
 def test_a_can_interface_that_goes_away_and_a_flood_on_it(g80, vehicle, core, faulty, tmp_path):
@@ -65,9 +62,7 @@ def test_a_can_interface_that_goes_away_and_a_flood_on_it(g80, vehicle, core, fa
     assert views["killed"]["n_alarms"] == 0 < views["after"]["n_alarms"]
 
 
-@pytest.mark.skipif(
-    os.environ.get("LPVGUARD_FULL") != "1", reason="LPVGUARD_FULL: a minute and more in real time"
-)
+@pytest.mark.long("a minute and more in real time")
 @pytest.mark.serial
 @pytest.mark.slow("60 s of simulated time over LCM")
 def test_a_simulation_over_lcm_that_is_killed_and_begins_again(tmp_path):

@@ -22,7 +22,7 @@ RECIPE = digest_of(Path(report_case.__file__))[:16]
 
 @pytest.fixture(
     scope="session",
-    params=[pytest.param(1, marks=pytest.mark.slow("5 s: its pages")), 2],
+    params=[pytest.param(1, marks=pytest.mark.long("its identification and its pages")), 2],
     ids=["one output", "two outputs"],
 )
 def case(request, made) -> Case:

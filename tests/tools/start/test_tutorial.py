@@ -79,7 +79,7 @@ def test_a_line_that_was_not_said_is_found():
     assert missing(said, lines) == ["was never said", "L 0.33 m", "drive_4-2 0.3"]
 
 
-@pytest.mark.slow("40 s: fit, identification and evaluation of 22 recordings")
+@pytest.mark.long("60 s: fit, identification and evaluation of 22 recordings")
 def test_a_race_car_goes_from_raw_logs_to_its_page(race_car, lpvguard, few_baselines, tmp_path):
     (tmp_path / "logs").symlink_to(race_car)
     commands = shown(TUTORIAL.read_text(encoding="utf-8"))
