@@ -29,9 +29,8 @@ each found.
                  decision shows its independent effect (MC/DC, by clang), but for as many as coverage.json
                  says, no more, no less
     mutation     the tests notice every small change of lib/src (mutation.py, mutation_run.py): of the files
-                 that a change touches, or a seeded sample where none is known; all with LPVGUARD_FULL=1;
-                 those that no test can notice stand in equivalent_mutants.json with the reason, those that
-                 none notices yet in open_mutants.json
+                 that a change touches, all with LPVGUARD_FULL=1; those that no test can notice stand in
+                 equivalent_mutants.json with the reason, those that none notices yet in open_mutants.json
     python_mutation
                  the same of the Python numerics (python_mutation.py, python_mutation_run.py), with
                  python_equivalent_mutants.json and python_open_mutants.json

@@ -51,18 +51,10 @@ ABOUT: dict[str, tuple[str, ...]] = {
 }
 """File -> how the names of its own programs begin: they are asked first, and they alone about long cases.
 Else test_ and the file's name."""
-SAMPLE_FILES, SAMPLE, TOUCHED = 2, 100, 600
-"""Without LPVGUARD_FULL, of those that neither list names: of the files that a change touches at most TOUCHED
-mutants in all; else, where tests changed or git cannot say, SAMPLE mutants of SAMPLE_FILES files."""
-ABOUT_TESTS = (
-    "tests/unit/",
-    "tests/fault/test_can_faults.cpp",
-    "tests/property/test_ecu_random.cpp",
-    "tests/gates/mutant_switch",
-    "tests/gates/mutation",
-)
-"""What judges mutants, and makes them."""
-NOTHING_CHANGED = "skipped: no source and no test changed; LPVGUARD_FULL=1 asks all mutants"
+TOUCHED = 600
+"""Without LPVGUARD_FULL so many mutants at most, of the files that a change touches, without those that
+either list names."""
+NOTHING_TOUCHED = "skipped: no mutated source is known to have changed; LPVGUARD_FULL=1 asks all mutants"
 MOST_EQUIVALENT = 0.05
 SHORT_FORM = {k: v for k, v in os.environ.items() if k != "LPVGUARD_FULL"}
 
@@ -132,24 +124,12 @@ def changed_files(tree: Path) -> set[str] | None:
     return set(names.split())
 
 
-def untouched(changed: set[str] | None, tests: tuple[str, ...]) -> bool:
-    """Whether it is known that nothing of ``tests`` changed: paths, or how they begin."""
-    return changed is not None and not any(path.startswith(tests) for path in changed)
-
-
 def chosen(tree: Path, names: list[str], full: bool, only: str) -> tuple[list[str], int]:
-    """Files to mutate, and how many of their mutants (0: all). None where neither a source nor a test
-    changed."""
+    """Files to mutate, and how many of their mutants (0: all)."""
     if only or full:
         return ([only] if only else names), 0
-    changed = changed_files(tree)
-    touched = sorted(set(names) & {Path(p).name for p in changed or () if p.startswith("lib/src/")})
-    if touched:
-        return touched, TOUCHED
-    if untouched(changed, ABOUT_TESTS):
-        return [], 0
-    seed = hashlib.sha256(b"".join((tree / "lib" / "src" / name).read_bytes() for name in names)).hexdigest()
-    return sorted(random.Random(seed).sample(names, SAMPLE_FILES)), SAMPLE
+    changed = changed_files(tree) or set()
+    return sorted(set(names) & {Path(p).name for p in changed if p.startswith("lib/src/")}), TOUCHED
 
 
 # --- the build ---
@@ -468,7 +448,7 @@ def mutation_findings(tree: Path, scratch: Path, names: list[str], full: bool, o
     work, build = scratch / "mutated", scratch / "build"
     files, sample = chosen(tree, names, full, only)
     if not files:
-        print(NOTHING_CHANGED)
+        print(NOTHING_TOUCHED)
         return []
     main = with_switch(tree)
     try:

@@ -8,7 +8,6 @@ files. Here a process that has collected the tests forks for each mutant (python
 from __future__ import annotations
 
 import ast
-import hashlib
 import json
 import os
 import random
@@ -21,7 +20,7 @@ from typing import Any
 
 from mutation import Change
 from mutation_run import (
-    NOTHING_CHANGED,
+    NOTHING_TOUCHED,
     Mutant,
     Noted,
     changed_files,
@@ -31,7 +30,6 @@ from mutation_run import (
     stands_in,
     table,
     too_many,
-    untouched,
 )
 
 PACKAGE = Path("tools", "src", "lpvguard")
@@ -113,14 +111,9 @@ ASKED = {
 }
 """Folder of a file -> the tests below tests/tools that are asked: those about it, because to note what a
 whole room of costly tests reaches takes minutes; of synthesis all of the engine."""
-SAMPLE_FILES, SAMPLE = 2, 20
-"""Without LPVGUARD_FULL, of those that neither list names: so many mutants, of the files that a change
-touches, or else, where tests changed or git cannot say, of so many files of one folder."""
-ABOUT_TESTS = (
-    *sorted({f"tests/tools/{name.partition('/')[0]}/" for asked in ASKED.values() for name in asked}),
-    "tests/gates/python_mutation",
-)
-"""What judges mutants, and makes them."""
+SAMPLE = 20
+"""Without LPVGUARD_FULL so many mutants are drawn of the files that a change touches, without those that
+either list names."""
 EQUIVALENT, OPEN = "python_equivalent_mutants.json", "python_open_mutants.json"
 
 
@@ -144,19 +137,10 @@ def folder_of(name: str) -> str:
     return name.rpartition("/")[0]
 
 
-def drawn(tree: Path, names: list[str]) -> list[str]:
-    """The files that a change touches; where tests changed or git cannot say some of one folder, by the hash
-    of all; else none."""
-    begin, changed = f"{PACKAGE.as_posix()}/", changed_files(tree)
-    if touched := sorted(set(names) & {p.removeprefix(begin) for p in changed or ()}):
-        return touched
-    if untouched(changed, ABOUT_TESTS):
-        return []
-    seed = hashlib.sha256(b"".join((tree / PACKAGE / name).read_bytes() for name in names)).hexdigest()
-    random_of = random.Random(seed)
-    folder = random_of.choice(sorted({folder_of(name) for name in names}))
-    there = [name for name in names if folder_of(name) == folder]
-    return sorted(random_of.sample(there, min(SAMPLE_FILES, len(there))))
+def touched(tree: Path, names: list[str]) -> list[str]:
+    """The files that a change touches."""
+    begin, changed = f"{PACKAGE.as_posix()}/", changed_files(tree) or set()
+    return sorted(set(names) & {path.removeprefix(begin) for path in changed})
 
 
 def asked_worker(tree: Path, scratch: Path, task: dict[str, Any]) -> list[list[Any]]:
@@ -286,9 +270,9 @@ def python_mutation_findings(
     file, or of ``sample`` drawn ones. ``measured``: files and their numbers, as `MEASURED`."""
     every = target_files(tree)
     names = [name for name in every if name in measured]
-    files = [only] if only else names if full else drawn(tree, names)
+    files = [only] if only else names if full else touched(tree, names)
     if not files:
-        print(NOTHING_CHANGED)
+        print(NOTHING_TOUCHED)
         return []
     equivalent, known = noted(tree, EQUIVALENT), noted(tree, OPEN)
     all_of = set(files) if full or only else set()
