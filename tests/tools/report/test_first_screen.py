@@ -156,7 +156,7 @@ def test_a_reader_of_the_measured_drives_finds_the_answers(g80, measured, measur
         ([[], []], "Not falsified: no alarm on 2 drives"),
         ([["change", "change"], []], "Changed, not falsified: 2 alarms on 1 of 2 drives"),
         ([["change"], ["energy"]], "Falsified: 2 alarms on 2 of 2 drives"),
-        ([["frame"]], "Falsified: 1 alarms on 1 of 1 drives"),
+        ([["frame"]], "Falsified: 1 alarm on 1 of 1 drives"),
     ],
 )
 def test_the_change_test_alone_falsifies_nothing(tests_of_drives, said):

@@ -70,7 +70,8 @@ def outcome(told: list[Told]) -> str:
     refuted = any(a.test != "change" for a in alarms)
     of = sum(bool(drive.alarms) for drive in told)
     word = "Falsified" if refuted else "Changed, not falsified"
-    return f"{word}: {len(alarms)} alarms on {of} of {len(told)} drives"
+    found = "1 alarm" if len(alarms) == 1 else f"{len(alarms)} alarms"
+    return f"{word}: {found} on {of} of {len(told)} drives"
 
 
 # ------------------------------------------------------------------------------------ good for, and blind to
