@@ -37,6 +37,7 @@ foreach(test IN ITEMS unit/test_can unit/test_j1939 unit/test_uds unit/test_host
   lpvg_counted(${kind}.${name} ${program})
 endforeach()
 add_dependencies(unit_tests test_can test_j1939 test_uds test_hostile_bus)
+set_property(TEST unit.can unit.j1939 unit.uds unit.hostile_bus APPEND PROPERTY LABELS core_unit)
 
 # The committed corpus, then three million random frames. With clang there is `fuzz_can` too, for a campaign:
 #     fuzz_can -runs=10200000 -max_len=160 -seed=7 CORPUS_OF_YOUR_OWN tests/fuzz/corpus/can

@@ -10,7 +10,9 @@ import xml.etree.ElementTree as ElementTree
 from collections import defaultdict
 from pathlib import Path
 
-RUNNERS = ("ctest", "pytest", "pytest_serial")
+RUNNERS = ("ctest", "sanitized", "pytest", "pytest_serial")
+"""Names of the JUnit files. ``sanitized``: the unit tests that gate.sanitize ran, which says so itself where
+it could not."""
 
 SLOW_FROM_S = 3.0
 """A test that takes more processor seconds than this, without its fixtures, is to be marked slow."""
@@ -22,9 +24,9 @@ COLLECTED = "collected"
 def suite_of(runner: str, case: ElementTree.Element) -> str:
     """Suite of a test case: the kind in front of a ctest name, of a gate its name too; the file of a pytest
     case."""
-    if runner == "ctest":
+    if runner in ("ctest", "sanitized"):
         kind, *rest = case.get("name", "").split(".")
-        return f"ctest {kind}.{rest[0]}" if kind == "gate" and rest else f"ctest {kind}"
+        return f"{runner} {kind}.{rest[0]}" if kind == "gate" and rest else f"{runner} {kind}"
     return f"pytest {case.get('classname', '').replace('tests.', '')}"
 
 
@@ -72,6 +74,8 @@ def main() -> int:
     collected = 0
     for runner in RUNNERS:
         path = arguments.results / f"{runner}.xml"
+        if not path.is_file() and runner == "sanitized":
+            continue
         if not path.is_file():
             counts["failed"] += 1
             notes.append(

@@ -494,17 +494,21 @@ def built(
     )
 
 
+RESULTS = "core_unit.xml"
+
+
 def ran(folder: Path, only: list[str]) -> list[str]:
-    """What `built` built."""
+    """What `built` built. What all of them say stands in `RESULTS` in the folder."""
     which = f"^unit\\.({'|'.join(map(re.escape, only))})$" if only else "."
-    words = ("ctest", "--test-dir", folder, "-L", "unit", "-R", which)
-    return failed("tests", *words, "-j2", "--no-tests=error", "--output-on-failure")
+    words = ["ctest", "--test-dir", folder, "-L", "core_unit", "-R", which, "-j2", "--no-tests=error"]
+    return failed("tests", *words, "--output-on-failure", *([] if only else ["--output-junit", RESULTS]))
 
 
 def unit_tests(
     tree: Path, folder: Path, preset: str, *only: str, settings: tuple[str, ...] = ()
 ) -> list[str]:
     names = [*filter(None, only)]
+    (folder / RESULTS).unlink(missing_ok=True)
     return built(tree, folder, preset, names, settings) or ran(folder, names)
 
 
@@ -537,11 +541,11 @@ def counted(tree: Path, build: Path, only: str) -> list[str]:
     them run once for both."""
     names = [*filter(None, [only])]
     broken = built(tree, build, "coverage", names)
-    if broken or (not only and passed(build)):
-        return broken
-    for stale in (build / "passed", *build.rglob("*.profraw")):
+    if not broken and not only and passed(build):
+        return []
+    for stale in (build / "passed", *build.rglob("*.profraw"), *([] if only else [build / RESULTS])):
         stale.unlink(missing_ok=True)
-    broken = ran(build, names)
+    broken = broken or ran(build, names)
     if not broken and not only:
         (build / "passed").touch()
     return broken

@@ -201,6 +201,8 @@ case "${0##*/} $*" in
     meet ctest serial && echo "ctest $*" >>"$CALLS"
     while [ "$1" != --output-junit ]; do shift; done
     xml "$2"
+    mkdir -p build/gates/counted/work/clang
+    xml build/gates/counted/work/clang/core_unit.xml
     exit 7 ;;
   *"-m serial"*) [ "$BUILD" != 0 ] || meet serial ctest; echo "serial" >>"$CALLS"; xml "$4" ;;
   *"-m not serial"*) echo "parallel" >>"$CALLS"; xml "$4" ;;
@@ -234,6 +236,7 @@ def test_what_waits_for_clocks_runs_beside_ctest_and_the_rest_behind_both(checko
     assert sorted(t.split()[0] for t in tests[:-1]) == (["serial"] if build else ["ctest", "serial"])
     status = checkout / "build" / "results" / "ctest.status"
     assert status.read_text() == "7\n" if build == 0 else not status.exists()
+    assert status.with_name("sanitized.xml").exists() == (build == 0)
 
 
 FAKE_APT = r"""
@@ -302,6 +305,7 @@ def test_the_table_has_what_each_suite_cost(tmp_path):
         "pytest": '<testsuite><testcase classname="tests.a.test_b" name="t" time="2">'
         f"{noted}</testcase></testsuite>",
         "pytest_serial": GOOD,
+        "sanitized": '<testsuite><testcase name="unit.x" time="4"/></testsuite>',
     }
     for runner, text in texts.items():
         (tmp_path / f"{runner}.xml").write_text(text)
@@ -317,7 +321,8 @@ def test_the_table_has_what_each_suite_cost(tmp_path):
         "4.0",
         "4.5",
     ]
-    assert rows["pytest a.test_b"] == ["1", "2.0", "7.2"] and rows["all"] == ["6", "21.0", "33.8"]
+    assert rows["pytest a.test_b"] == ["1", "2.0", "7.2"] and rows["all"] == ["7", "25.0", "37.8"]
+    assert rows["sanitized"] == ["unit", "1", "4.0"]
 
 
 GOOD = '<testsuite><testcase name="a.b" time="1"/></testsuite>'
