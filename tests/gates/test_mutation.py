@@ -81,6 +81,7 @@ def ran(clang: str, tmp_path_factory: pytest.TempPathFactory) -> tuple[list[Muta
     return mutants, surviving(mutants, reached_by([program], folder), folder)
 
 
+@pytest.mark.slow("10 s: a program with its mutants")
 def test_what_a_case_asks_about_is_killed_and_the_rest_survives(ran):
     mutants, survived = ran
     assert {m.key for m in survived if m.site.function == "lpvg_limited"} == AT_THE_BORDER

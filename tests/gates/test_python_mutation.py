@@ -140,6 +140,7 @@ def of(mutants: list[Mutant], function: str) -> set[str]:
     return {m.key for m in mutants if m.site.function == function}
 
 
+@pytest.mark.slow("7 s: a module with its mutants")
 def test_what_a_test_asks_about_is_killed_and_the_rest_survives(ran):
     mutants, survived = ran
     assert of(survived, "limited") == AT_THE_BORDER
@@ -148,11 +149,13 @@ def test_what_a_test_asks_about_is_killed_and_the_rest_survives(ran):
     assert len({(m.site.function, m.key) for m in mutants}) == len(mutants) > 30
 
 
+@pytest.mark.slow("7 s: a module with its mutants")
 def test_a_loop_that_does_not_end_is_killed(ran):
     mutants, survived = ran
     assert "times -= 1  ->  times += 1" in of(mutants, "limited") - of(survived, "limited")
 
 
+@pytest.mark.slow("7 s: a module with its mutants")
 def test_defaults_properties_and_what_is_kept_are_changed(ran):
     mutants, _ = ran
     assert "def __init__(self, *, slope=4):  ->  def __init__(self, *, slope=5):" in of(
@@ -165,6 +168,7 @@ def test_defaults_properties_and_what_is_kept_are_changed(ran):
     )
 
 
+@pytest.mark.slow("7 s: a module with its mutants")
 def test_findings_name_every_survivor_once_and_what_is_noted_in_vain(ran):
     mutants, survived = ran
     file = survived[0].file
@@ -272,6 +276,7 @@ def test_every_target_is_a_file_whose_folder_has_tests():
         assert all(list((ROOT / "tests" / "tools").glob(name)) for name in asked)
 
 
+@pytest.mark.slow("4 s: every mutant is made")
 def test_measured_files_have_the_mutants_that_ran_and_the_lists_name_mutants(tmp_path):
     """A changed line makes its entries void: LPVGUARD_FULL=1 would tell it late."""
     lists = [noted(ROOT, name) for name in (EQUIVALENT, OPEN)]
@@ -286,5 +291,6 @@ def test_measured_files_have_the_mutants_that_ran_and_the_lists_name_mutants(tmp
                 assert all(reasons.values())
 
 
+@pytest.mark.slow("4 s: every mutant is made")
 def test_the_readme_has_the_table_of_the_lists(tmp_path):
     assert "\n".join(python_listed_table(ROOT, tmp_path)) in (ROOT / "tests" / "README.md").read_text()

@@ -152,6 +152,7 @@ def test_float_is_within_1e4_of_the_range(pair, size, limited_share):
     assert np.abs(u - exact).max() <= ALLOWED * RANGE
 
 
+@pytest.mark.slow("3 s: 10 million samples")
 @pytest.mark.requirement("REQ-CTL-1")
 @pytest.mark.parametrize("pair", [0.01], indirect=True)
 def test_float_does_not_drift_in_1e7_samples_and_forgets_a_burst(pair):

@@ -63,6 +63,7 @@ def test_no_controller_beats_gamma_and_the_returned_one_comes_near(seed, n, disc
     assert hinf_norm(lft(P, other)).upper >= result.gamma * (1 - 1e-5)
 
 
+@pytest.mark.slow("5 s: mu of random matrices")
 @quick
 @given(seeds, st.floats(1e-3, 1e3))
 def test_mu_is_homogeneous_invariant_to_scalings_and_between_radius_and_norm(seed, factor):

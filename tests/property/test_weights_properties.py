@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import minimize_scalar
@@ -49,6 +50,7 @@ def log_bound(omega, bound, log_w):
     return np.interp(log_w, np.log(omega), np.log(bound))
 
 
+@pytest.mark.slow("2 s: weights fitted")
 @FEW
 @given(bounds())
 def test_a_fit_is_above_the_bound_and_its_claims_hold_on_a_fine_grid(sample):
@@ -69,6 +71,7 @@ def test_units_do_not_matter(sample, log_gain, log_unit):
     assert abs(one.worst_ratio_db - other.worst_ratio_db) <= 0.01
 
 
+@pytest.mark.slow("3 s: weights fitted")
 @FEW
 @given(bounds(20))
 def test_a_higher_order_is_never_worse(sample):
@@ -77,6 +80,7 @@ def test_a_higher_order_is_never_worse(sample):
     assert np.all(np.diff(worst) <= 0.01)
 
 
+@pytest.mark.slow("3 s: weights fitted")
 @FEW
 @given(stable_weights(3), st.integers(0, 2**32 - 1), st.floats(0.1, 6))
 def test_the_optimum_is_no_worse_than_a_weight_that_is_known_to_fit(truth, seed, slack_db):

@@ -31,6 +31,7 @@ def test_from_drives_to_bounds_and_their_picture(synthetic, tmp_path):
     assert (tmp_path / "code" / "lpvguard_coeff.c").is_file()
 
 
+@pytest.mark.slow("3 s: an example runs")
 def test_the_monitor_in_a_loop_finds_the_fault_and_not_before_it_is_there(vehicle, synthetic):
     said = run("monitor_in_a_loop.py", "g80", vehicle, synthetic / "synthetic_01.csv")
     alarm, fault = map(float, re.search(r"([\d.]+) s  alarm: .* fault at ([\d.]+) s", said).groups())

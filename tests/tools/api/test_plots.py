@@ -67,6 +67,7 @@ def test_they_have_the_numbers_of_the_pages_pictures(found, vehicle, synthetic, 
     assert body.startswith('<figure class="map">') and body in (tmp_path / "page.html").read_text()
 
 
+@pytest.mark.slow("2 s: pictures")
 def test_a_notebook_shows_them_and_files_hold_them(found, run, tmp_path):
     picture = plots.weights(found)
     picture.save(tmp_path / "weights.svg")

@@ -48,6 +48,7 @@ def test_alarms_without_disturbance_come_with_memory():
     assert share[0] == 0.0 and share == sorted(share)
 
 
+@pytest.mark.slow("3 s: the bench of validation")
 def test_the_table_of_memory_stands_in_the_guide_as_the_command_prints_it(capsys):
     bench.main(["--memory"])
     printed = capsys.readouterr().out.strip()

@@ -265,6 +265,7 @@ def test_a_spoilt_catalogue_is_refused_by_name(old, new, what, tmp_path):
 # ------------------------------------------------------------------------------------------------- big-endian
 
 
+@pytest.mark.slow("2 s: a codec for another processor")
 def test_codec_on_a_big_endian_processor(codec, tmp_path):
     require("powerpc")
     compiler, emulator = shutil.which("powerpc-linux-gnu-gcc"), shutil.which("qemu-ppc")

@@ -147,6 +147,7 @@ def test_what_the_system_refuses_is_named(lpvguard, tmp_path):
     assert done.returncode == 2 and f"{'a' * 300}: cannot be used (File name too long)" in done.stderr
 
 
+@pytest.mark.slow("2 s a case: a process")
 @pytest.mark.parametrize("closed", [">&-", "2>&-", "<&- >&- 2>&-"])
 def test_a_command_needs_no_standard_stream(closed, tmp_path):
     """Nor does what it prints go into a file that takes the number of a closed one."""

@@ -19,6 +19,7 @@ def on_path(tmp_path):
     return {**os.environ, "PATH": f"{tmp_path}:{os.environ['PATH']}"}
 
 
+@pytest.mark.slow("3 s: a shell starts the command")
 def test_bash_completes_verbs_and_options_with_the_printed_script(lpvguard, on_path):
     script = lpvguard("completion", "bash")
     assert script.returncode == 0
@@ -41,6 +42,7 @@ def test_bash_completes_verbs_and_options_with_the_printed_script(lpvguard, on_p
     assert "complete -o default -F _lpvguard_completion lpvguard" in script.stdout
 
 
+@pytest.mark.slow("2 s: a shell starts the command")
 def test_zsh_is_offered_verbs_with_what_they_do(lpvguard, on_path):
     script = lpvguard("completion", "zsh").stdout
     assert script.startswith("#compdef lpvguard\n") and "_LPVGUARD_COMPLETE=complete_zsh" in script

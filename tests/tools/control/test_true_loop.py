@@ -76,6 +76,7 @@ def test_the_nominal_truck_has_the_margins_of_the_nominal_state_space_loop(truck
     assert all(d.ratio < 1e-9 for d in found.deviations)
 
 
+@pytest.mark.slow("3 s: drawn vehicles")
 @pytest.mark.parametrize("columns", [1, 2])
 def test_a_vehicle_within_the_weight_has_at_least_what_is_promised(truck, columns):
     loop = certified(truck, columns)

@@ -463,6 +463,7 @@ def test_nothing_to_evaluate_is_an_error_that_says_what_is_missing(identified, s
         stage.evaluate(frameless, drives, core, settings=ONE_WAY)
 
 
+@pytest.mark.slow("2 s: an identification")
 def test_a_missing_column_is_named_with_its_file(synthetic, identified, core, g80, tmp_path):
     drives = tmp_path / "drives"
     shutil.copytree(synthetic, drives)

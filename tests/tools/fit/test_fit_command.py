@@ -56,6 +56,7 @@ def test_the_project_file_gets_the_numbers_and_keeps_its_comments(lpvguard, fold
     assert (folder / "fit" / "measured.svg").read_text().startswith("<svg")
 
 
+@pytest.mark.slow("3 s: two fits")
 def test_the_same_drives_give_the_same_bytes(lpvguard, folder):
     for name in ("a", "b"):
         assert lpvguard("fit", "--vehicle", "g80", folder / "drives", "-o", folder / name).returncode == 0
@@ -73,6 +74,7 @@ def test_a_wrong_unit_is_refused_by_name_before_the_range_of_the_signal(lpvguard
     assert not (folder / "fit").exists()
 
 
+@pytest.mark.slow("2 s: a fit")
 def test_a_delay_that_is_not_there_is_a_finding_and_identify_refuses_it(lpvguard, folder):
     late = folder / "late.toml"
     late.write_text(with_numbers(text_of("g80"), "g80", {"input_delay_s": 20.0}))

@@ -93,6 +93,7 @@ def test_drives_spoiled_alike_are_named(project, drives, name):
     assert said in str(error.value)
 
 
+@pytest.mark.slow("2 s a case: three drives fitted in every reading")
 @pytest.mark.parametrize("name", SPOILED)
 def test_one_spoiled_drive_among_good_ones_is_named(project, drives, name):
     spoil, said = SPOILED[name]
@@ -122,6 +123,7 @@ def test_what_is_wrong_with_all_is_named_where_two_of_five_are_beyond_any_model(
     assert said in str(error.value)
 
 
+@pytest.mark.slow("2 s: every reading fitted")
 def test_a_long_delay_is_found_where_a_fifth_of_the_drive_is_left(project, drives):
     random = np.random.default_rng(3)
     late = padded(KnownCar.drawn(random).drive(random, 12.0, 250.0, "late"))
@@ -156,6 +158,7 @@ def test_another_cars_drive_is_named_and_left_out(project, drives):
     assert found.certain == set() and found.explained == drives
 
 
+@pytest.mark.slow("8 s: every reading fitted")
 def test_noise_without_a_car_is_refused(project, drives):
     random = np.random.default_rng(9)
     noise = [replace(d, y=0.05 * random.standard_normal(d.y.shape)) for d in drives]

@@ -499,6 +499,7 @@ def test_plain_dft_finds_a_known_gain_and_disturbance(g80):
     assert np.delete(np.abs(E[1:, 0]), 6).max() < 1e-4
 
 
+@pytest.mark.slow("2 s: an identification")
 def test_identify_with_the_plain_dft_leaves_out_unsteady_drives_and_the_core_refuses(lpvguard, tmp_path):
     project = plain()
     fleet.write_fleet(tmp_path / "drives", 6)

@@ -91,6 +91,7 @@ def test_rounding_adds_at_most_two_over_pi_steps_to_a_frame_and_half_a_step_at_z
     assert 0.99 * floor[k] < np.abs(estimator.kernel(k) @ lost) <= floor[k]
 
 
+@pytest.mark.slow("3 s: drives of noise")
 def test_noise_alone_is_rarely_above_its_floor(g80):
     estimator, random = Estimator.of(g80, NominalModel(g80)), np.random.default_rng(3)
     floor = Resolution(np.zeros(1), np.array([1e-3])).floor(estimator)[:, 0]
@@ -183,6 +184,7 @@ def falsified(found: stage.Identification, drive: Drive) -> int:
     return int((run.frames.margin[run.frames.counted] > 1.0).sum() + (run.energy > 1.001).sum())
 
 
+@pytest.mark.slow("4 s: an identification")
 def test_a_vehicle_whose_only_sin_is_rounding_is_not_falsified(coarse, monkeypatch):
     """Driven gently it moves within a bit or two, or reads zero: nothing like the drives that set the
     bounds."""

@@ -209,6 +209,7 @@ def test_the_shipped_truck_keeps_the_designs_distance_from_table_i(tmp_path):
     assert median.min() >= 3 and median.max() <= 13 and worst.max() <= 40
 
 
+@pytest.mark.slow("2 s: the truck measured")
 def test_each_limit_puts_a_truck_outside(tmp_path):
     """Both limits of the median alone; the worst only beside a median that is too far."""
     causes = set()

@@ -214,6 +214,7 @@ def test_neighbouring_speeds_with_the_same_bins_are_said_together():
     assert regions(cells(SEEN, []), lambda c: False) == []
 
 
+@pytest.mark.slow("5 s: an identification")
 def test_drives_that_the_model_leaves_unexplained_stand_on_the_first_screen(
     case, page, tmp_path, monkeypatch
 ):

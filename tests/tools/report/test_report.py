@@ -99,6 +99,7 @@ def test_references_within_the_page_resolve_and_are_unique(page):
     assert set(re.findall(r'(?:href="|url\()#([^")]+)', told)) <= set(ids)
 
 
+@pytest.mark.slow("5 s: another page")
 def test_same_input_gives_the_same_bytes(case, page, tmp_path):
     assert case.page(tmp_path / "again.html") == page.encode()
     assert [p.name for p in tmp_path.iterdir()] == ["again.html"]

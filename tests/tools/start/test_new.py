@@ -58,6 +58,7 @@ def test_units_and_signs_follow_from_the_wheelbase(tmp_path, name):
     assert [e.split for e in list_experiments(tmp_path / "out" / "drives")] == ["train", "valid"]
 
 
+@pytest.mark.slow("2 s a template: a fit")
 @pytest.mark.parametrize("model", TEMPLATES)
 def test_every_template_is_a_project_that_can_be_fitted(tmp_path, model, lpvguard):
     logs = write_logs(tmp_path, n=3)
