@@ -87,7 +87,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
             item.add_marker(pytest.mark.long(LONG_FIXTURES[name]))
         if (long := item.get_closest_marker("long")) and not FULL:
             item.add_marker(pytest.mark.skip(reason=f"LPVGUARD_FULL: {long.args[0]}"))
-    items[:] = dearest_file_first(items, SLOW_FIXTURES.values())
+    items[:] = dearest_file_first(items, {**SLOW_FIXTURES, **LONG_FIXTURES}.values())
 
 
 def cpu_seconds() -> float:

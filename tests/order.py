@@ -9,11 +9,11 @@ from pathlib import Path
 import pytest
 
 QUICK_S, UNSTATED_S = 0.2, 5.0
-"""Processor seconds of a test that is not marked slow, and of one whose mark states none."""
+"""Processor seconds of a test without a mark or that is skipped, and of one whose mark states none."""
 
 
 def stated_seconds(reason: str) -> float:
-    """Processor seconds that a slow mark states."""
+    """Processor seconds that a slow or long mark states."""
     found = re.search(r"(\d+(?:\.\d+)?) s\b", reason)
     return float(found[1]) if found else UNSTATED_S
 
@@ -29,7 +29,9 @@ def dearest_file_first(items: list[pytest.Item], of_fixtures: Iterable[str]) -> 
     cost: dict[Path, float] = {}
     fixtures: dict[Path, set[str]] = {}
     for item in items:
-        reasons = {str(mark.args[0]) for mark in item.iter_markers("slow")}
+        skipped = item.get_closest_marker("skip") is not None
+        marks = [mark for name in ("slow", "long") if not skipped for mark in item.iter_markers(name)]
+        reasons = {str(mark.args[0]) for mark in marks}
         own = max(map(stated_seconds, reasons - shared), default=QUICK_S)
         cost[item.path] = cost.get(item.path, 0.0) + own
         fixtures.setdefault(item.path, set()).update(reasons & shared)

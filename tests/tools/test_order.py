@@ -17,9 +17,14 @@ class Item:
     path: Path
     name: str
     reasons: tuple[str, ...] = ()
+    mark: str = "slow"
+    skipped: bool = False
 
     def iter_markers(self, name):
-        return [getattr(pytest.mark, name)(reason).mark for reason in self.reasons]
+        return [getattr(pytest.mark, name)(reason).mark for reason in self.reasons if name == self.mark]
+
+    def get_closest_marker(self, name):
+        return pytest.mark.skip.mark if name == "skip" and self.skipped else None
 
 
 def names(*files):
@@ -40,6 +45,13 @@ def test_a_shared_fixture_counts_once_a_file():
     of_fixture, own = ("f", [(FIXTURE,)] * 3), ("o", [("61 s: its own",)])
     assert names(of_fixture, own) == "o0 f0 f1 f2"
     assert names(of_fixture, ("p", [("59 s: its own",)])) == "f0 f1 f2 p0"
+
+
+def test_a_long_test_counts_where_it_runs():
+    quick, slow = Item(Path("q"), "q0"), Item(Path("s"), "s0", ("9 s: x",))
+    for skipped, first in ((False, "l0"), (True, "s0")):
+        long = Item(Path("l"), "l0", ("30 s: x",), "long", skipped)
+        assert dearest_file_first([quick, slow, long], [])[0].name == first
 
 
 def test_the_second_file_does_not_wait_for_what_the_first_one_makes():
