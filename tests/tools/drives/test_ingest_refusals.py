@@ -3,9 +3,11 @@ refused by name."""
 
 from __future__ import annotations
 
+import gzip
 from pathlib import Path
 from types import SimpleNamespace
 
+import can
 import cantools
 import numpy as np
 import pyarrow as pa
@@ -307,6 +309,26 @@ def test_a_map_that_does_not_fit_is_refused_by_name(old, new, what, car, tmp_pat
     with pytest.raises(InputError, match=what) as error:
         run(car, tmp_path / "out", log, map_text=MAP.replace(old, new, 1))
     assert "map.toml" in str(error.value)
+
+
+@pytest.mark.parametrize("version", [0, 1])
+@pytest.mark.parametrize("suffix", [".blf", ".blf.gz"])
+def test_a_blf_log_whose_reader_would_stay_at_an_object_without_bytes_is_refused(suffix, version, tmp_path):
+    """Found by fuzz/foreign_input.py: python-can went on by the object's size, which was 0."""
+    path = tmp_path / "drive.blf"
+    with can.BLFWriter(path, compression_level=0) as writer:
+        for k in range(3):
+            writer.on_message_received(can.Message(timestamp=1.0 + k, arbitration_id=0x123, data=b"12345678"))
+    content = bytearray(path.read_bytes())
+    assert len(read_log(path).id) == 3
+    second = [at for at in range(len(content)) if content.startswith(b"LOBJ", at)][
+        2
+    ]  # the first one is the container
+    content[second + 6 : second + 12] = bytes([version, 0, 0, 0, 0, 0])
+    path = tmp_path / f"bad{suffix}"
+    path.write_bytes(gzip.compress(content) if suffix.endswith("gz") else content)
+    with pytest.raises(InputError, match=r"cannot be read \(ValueError: an object without bytes\)"):
+        read_log(path)
 
 
 @pytest.mark.parametrize(

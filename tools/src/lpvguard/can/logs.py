@@ -16,13 +16,18 @@ import ctypes
 import gzip
 import re
 import zlib
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..base import artefacts, native
 from ..base.errors import InputError
+
+if TYPE_CHECKING:
+    import can
 
 EXTENDED = 0x80000000
 """Flag in ``Frames.id``: 29-bit identifier."""
@@ -329,13 +334,38 @@ def parse_candump_slowly(text: np.ndarray) -> Frames:
 # ------------------------------------------------------------------------------------------------- python-can
 
 
-def _read_python_can(path: Path) -> Frames:
+def _require_advance(objects: bytes) -> None:
+    """ValueError where an object of a BLF container has no bytes: a reader that goes on by its size stays
+    there for ever."""
+    at = objects.find(b"LOBJ", 0, 8)
+    while at >= 0:
+        size = int.from_bytes(objects[at + 8 : at + 12], "little")
+        if size == 0:
+            raise ValueError("an object without bytes")
+        at = objects.find(b"LOBJ", at + size, at + size + 8)
+
+
+def _python_can_reader(path: Path) -> can.io.generic.MessageReader:
+    """python-can's reader of a log, that of BLF with `_require_advance`."""
     import can  # costs 0.2 s, and is not needed for candump
 
+    reader = can.LogReader(path)
+    if isinstance(reader, can.BLFReader):
+        parse = reader._parse_data
+
+        def parse_what_advances(data: bytes) -> Iterator[can.Message]:
+            _require_advance(data)
+            return parse(data)
+
+        reader._parse_data = parse_what_advances  # type: ignore[method-assign]
+    return reader
+
+
+def _read_python_can(path: Path) -> Frames:
     rows: list[tuple[int, int, str, bytes]] = []
     left_out = {"error reports": 0, "remote frames": 0}
     try:
-        with can.LogReader(path) as reader:
+        with _python_can_reader(path) as reader:
             for message in reader:
                 if message.is_error_frame:
                     left_out["error reports"] += 1
