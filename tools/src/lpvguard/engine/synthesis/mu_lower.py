@@ -48,17 +48,13 @@ def lower_bound(
     candidates = _power_iteration(scaled, structure, starts, steps)
     found: list[_Found] = []
     for parts in candidates + _vertices(structure, candidates[-1]):
-        value, delta = _make_singular(M, structure, parts)
-        if delta is not None and _is_singular(M, delta):
-            found.append((value, delta, parts))
+        found += _checked(M, structure, parts)
     found.sort(key=lambda one: -one[0])
     if structure.complex_only:
         for _, _, parts in found[:3]:
             if found[0][0] >= enough:
                 break
-            value, delta = _make_singular(M, structure, _align(scaled, structure, parts))
-            if delta is not None and value > found[0][0] and _is_singular(M, delta):
-                found.insert(0, (value, delta, parts))
+            found[:0] = _checked(M, structure, _align(scaled, structure, parts), found[0][0])
     elif any(b.kind != "repeated_real" for b in structure.blocks):
         for value, _, parts in _distinct(found)[:6]:
             if found[0][0] >= enough:
@@ -67,6 +63,12 @@ def lower_bound(
             if value > found[0][0] and _is_singular(M, delta):
                 found.insert(0, (value, delta, parts))
     return found[0][:2] if found else (0.0, None)
+
+
+def _checked(M: np.ndarray, structure: Structure, parts: Parts, least: float = 0.0) -> list[_Found]:
+    """What ``parts`` attain, alone in a list; an empty list where that is not above ``least`` or wrong."""
+    value, delta = _make_singular(M, structure, parts)
+    return [(value, delta, parts)] if delta is not None and value > least and _is_singular(M, delta) else []
 
 
 def _attained(M: np.ndarray, structure: Structure, start: np.ndarray) -> tuple[float, np.ndarray] | None:
@@ -79,14 +81,9 @@ def _attained(M: np.ndarray, structure: Structure, start: np.ndarray) -> tuple[f
     upper, _, left, right, _ = found
     u, _, v = np.linalg.svd(left @ M @ np.linalg.inv(right))
     u, v = u[:, 0], v[0].conj()
-    parts: Parts = [
-        np.outer(v[c], u[r].conj()) / max(np.linalg.norm(v[c]) * np.linalg.norm(u[r]), TINY)
-        for r, c in zip(structure.row, structure.col, strict=True)
-    ]
-    value, delta = _make_singular(M, structure, parts)
-    if delta is None or value < upper * (1 - 10 * ATTAINED_RTOL) or not _is_singular(M, delta):
-        return None
-    return value, delta
+    parts: Parts = [_rank_one(v[c], u[r]) for r, c in zip(structure.row, structure.col, strict=True)]
+    attained = _checked(M, structure, parts, upper * (1 - 10 * ATTAINED_RTOL))
+    return attained[0][:2] if attained else None
 
 
 def _distinct(found: list[_Found]) -> list[_Found]:
@@ -100,7 +97,7 @@ def _vertices(structure: Structure, parts: Parts) -> list[Parts]:
     """
     real = [k for k, b in enumerate(structure.blocks) if b.kind == "repeated_real"]
     out = []
-    for signs in range(2 ** max(min(len(real), 7) - 1, 0) if real else 0):
+    for signs in range(2 ** (min(len(real), 7) - 1) if real else 0):
         one = list(parts)
         for j, k in enumerate(real):
             one[k] = -1.0 if j and signs >> (j - 1) & 1 else 1.0
@@ -115,23 +112,15 @@ def _align(M: np.ndarray, structure: Structure, parts: Parts, steps: int = 200) 
         Q = _assemble(structure, parts)
         values, left, right = sl.eig(M @ Q, left=True)
         k = int(np.argmax(np.abs(values)))
-        x, y = right[:, k], M.conj().T @ left[:, k]
-        inner = np.vdot(left[:, k], x)
-        turn = values[k] / max(abs(values[k]), 1e-300) * inner / max(abs(inner), 1e-300)
-        new = []
-        for block, r, c in zip(structure.blocks, structure.row, structure.col, strict=True):
-            if block.kind == "full":
-                new.append(
-                    turn
-                    * np.outer(y[c], x[r].conj())
-                    / max(np.linalg.norm(y[c]) * np.linalg.norm(x[r]), 1e-300)
-                )
-            else:
-                overlap = np.vdot(x[r], y[c])
-                new.append(turn * overlap / max(abs(overlap), 1e-300))
         if abs(values[k]) <= value * (1 + 1e-13):
             break
-        value, parts = abs(values[k]), new
+        value = abs(values[k])
+        x, y = right[:, k], M.conj().T @ left[:, k]
+        turn = _phase(values[k]) * _phase(np.vdot(left[:, k], x))
+        parts = [
+            turn * (_rank_one(y[c], x[r]) if block.kind == "full" else _phase(np.vdot(x[r], y[c])))
+            for block, r, c in zip(structure.blocks, structure.row, structure.col, strict=True)
+        ]
     return parts
 
 
@@ -170,8 +159,7 @@ class _MixedAscent:
             return 0.0, parts
         N = self.Mcc + self.Mcr * diagonal @ inner
         parts = _align(N, self.rest, parts, steps=20)
-        values = np.linalg.eigvals(N @ _assemble(self.rest, parts))
-        return values[np.argmax(np.abs(values))], parts
+        return _largest_eigenvalue(N @ _assemble(self.rest, parts)), parts
 
     def run(self, beta: float, budget: int = 120) -> tuple[float, np.ndarray]:
         """Search from level ``beta``; the level reached and Δ there."""
@@ -190,9 +178,10 @@ class _MixedAscent:
                     if abs(found) > beta * (1 + 1e-9):
                         self.q, self.parts, better = trial, parts, True
                         beta, value = self.level(trial, beta, parts)
-            size *= 1.0 if better else 0.4
+            if not better:
+                size *= 0.4
         q, rest = iter(self.q), iter(self.parts)
-        full = [next(q) if r else next(rest) * (abs(value) / value if value else 1.0) for r in self.real]
+        full = [next(q) if r else next(rest) / _phase(value) for r in self.real]
         return beta, _assemble(self.structure, full) / beta
 
     def level(self, q: np.ndarray, beta: float, parts: Parts) -> tuple[float, complex]:
@@ -201,7 +190,7 @@ class _MixedAscent:
         value: complex = 0.0
         for _ in range(40):
             value, parts = self.spectral(q, beta, parts)
-            f1 = np.log(max(abs(value), 1e-300) / beta)
+            f1 = np.log(max(abs(value), TINY) / beta)
             if abs(f1) < 1e-13:
                 break
             secant = f0 is not None and f0 != f1
@@ -225,7 +214,7 @@ def _power_iteration(N: np.ndarray, structure: Structure, starts: int, steps: in
         a = _unit(N @ b)
         for k, (block, r, c) in enumerate(zip(structure.blocks, structure.row, structure.col, strict=True)):
             if block.kind == "full":
-                z[r] = a[r] * (np.linalg.norm(w[c], axis=0) / (np.linalg.norm(a[r], axis=0) + TINY))
+                z[r] = a[r] * (_lengths(w[c]) / _lengths(a[r]))
             else:
                 z[r] = w[c] * _factor(block, a[r], w[c], b[c], q, k)
         w = _unit(N.conj().T @ z)
@@ -233,21 +222,20 @@ def _power_iteration(N: np.ndarray, structure: Structure, starts: int, steps: in
         b = np.empty_like(b)
         for k, (block, r, c) in enumerate(zip(structure.blocks, structure.row, structure.col, strict=True)):
             if block.kind == "full":
-                b[c] = w[c] * (np.linalg.norm(a[r], axis=0) / (np.linalg.norm(w[c], axis=0) + TINY))
+                b[c] = w[c] * (_lengths(a[r]) / _lengths(w[c]))
             else:
                 b[c] = a[r] * np.conj(_factor(block, a[r], w[c], before[c], q, k))
         if np.abs(b - before).max() < 1e-13:
             break
     out = []
     for s in range(count):
-        parts = []
+        parts: Parts = []
         for k, (block, r, c) in enumerate(zip(structure.blocks, structure.row, structure.col, strict=True)):
             u, v = w[c, s], a[r, s]
             if block.kind == "full":
-                parts.append(np.outer(u, v.conj()) / max(np.linalg.norm(u) * np.linalg.norm(v), TINY))
+                parts.append(_rank_one(u, v))
             elif block.kind == "repeated_complex":
-                inner = np.vdot(v, u)
-                parts.append(inner / abs(inner) if abs(inner) > 0 else 1.0 + 0j)
+                parts.append(_phase(np.vdot(v, u)))
             else:
                 parts.append(float(q[k, s]))
         out.append(parts)
@@ -258,16 +246,36 @@ def _factor(block: Block, a: np.ndarray, w: np.ndarray, b: np.ndarray, q: np.nda
     """The number that a repeated block multiplies by: a phase, or q in [−1, 1] (updated in place)."""
     inner = np.sum(w.conj() * a, axis=0)
     if block.kind == "repeated_complex":
-        return np.where(np.abs(inner) > 0, inner / np.maximum(np.abs(inner), 1e-300), 1.0)
-    step = (
-        np.sign(q[k]) * np.linalg.norm(b, axis=0) / np.maximum(np.linalg.norm(a, axis=0), 1e-300) + inner.real
-    )
+        return _phase(inner)
+    step = np.sign(q[k]) * _lengths(b) / _lengths(a) + inner.real
     q[k] = np.clip(np.where(step == 0, 1e-3, step), -1, 1)
     return q[k]
 
 
+def _phase(z: np.ndarray | complex) -> np.ndarray:
+    """z / |z|, and 1 where z is zero."""
+    size = np.abs(z)
+    return np.where(size > 0, z / np.maximum(size, TINY), 1.0)
+
+
+def _lengths(v: np.ndarray) -> np.ndarray:
+    """Of the columns (k,); of a zero `TINY`."""
+    return np.maximum(np.linalg.norm(v, axis=0), TINY)
+
+
 def _unit(v: np.ndarray) -> np.ndarray:
-    return v / np.maximum(np.linalg.norm(v, axis=0), 1e-300)
+    return v / _lengths(v)
+
+
+def _rank_one(u: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """u v* of unit size; zero where a vector is."""
+    return np.outer(u, v.conj()) / max(np.linalg.norm(u) * np.linalg.norm(v), TINY)
+
+
+def _largest_eigenvalue(X: np.ndarray) -> complex:
+    """That of the largest absolute value."""
+    values = np.linalg.eigvals(X)
+    return values[np.argmax(np.abs(values))]
 
 
 def _assemble(structure: Structure, parts: Parts, turn: complex = 1.0) -> np.ndarray:
@@ -285,13 +293,12 @@ def _make_singular(M: np.ndarray, structure: Structure, parts: Parts) -> tuple[f
     """Scale a unit perturbation to Δ with I − M Δ singular; (β, Δ) or (0, None)."""
     if structure.complex_only:
         delta = _assemble(structure, parts)
-        values = np.linalg.eigvals(M @ delta)
-        value = values[np.argmax(np.abs(values))]
-        return (abs(value), delta / value) if abs(value) > 0 else (0.0, None)
+        value = _largest_eigenvalue(M @ delta)
+        return (abs(value), delta / value) if value else (0.0, None)
     best, found = 0.0, None
     for vary in _free_parameters(structure, parts):
         for start in np.linalg.eigvals(M @ vary(0.0)):
-            real = _make_real(M, vary, start)[1]
+            real = _make_real(M, vary, start)
             # a Δ whose blocks all lie inside their bounds is smaller than 1/value
             if real is not None and 1 / _size(structure, real) > best:
                 best, found = 1 / _size(structure, real), real
@@ -322,28 +329,23 @@ def _free_parameters(structure: Structure, parts: Parts) -> Iterator[Callable[[f
             yield move
 
 
-def _make_real(
-    M: np.ndarray, vary: Callable[[float], np.ndarray], start: complex
-) -> tuple[float, np.ndarray | None]:
-    """Secant steps take the eigenvalue ``start`` of M Δ(s) to the real axis; (β, Δ(s)/±β) or (0, None)."""
-    s0, value = 0.0, start
-    s1 = 1e-4
-    f0 = value.imag
+def _make_real(M: np.ndarray, vary: Callable[[float], np.ndarray], start: complex) -> np.ndarray | None:
+    """Secant steps take the eigenvalue ``start`` of M Δ(0) to the real axis; Δ(s) over it there, or None."""
+    s, step, value = 0.0, 1e-4, start
     for _ in range(30):
         if abs(value.imag) <= 1e-13 * abs(value):
             break
-        values = np.linalg.eigvals(M @ vary(s1))
-        value = values[np.argmin(np.abs(values - value))]
-        f1 = value.imag
-        if f1 == f0:
+        s += step
+        values = np.linalg.eigvals(M @ vary(s))
+        before, value = value.imag, values[np.argmin(np.abs(values - value))]
+        if value.imag == before:
             break
-        s0, s1, f0 = s1, s1 - np.clip(f1 * (s1 - s0) / (f1 - f0), -0.5, 0.5), f1
+        step = -np.clip(value.imag * step / (value.imag - before), -0.5, 0.5)
     else:
-        return 0.0, None
+        return None
     if abs(value.imag) > 1e-11 * abs(value) or value.real == 0:
-        return 0.0, None
-    delta = vary(s0 if abs(start.imag) > 1e-13 * abs(start) else 0.0)
-    return abs(value.real), delta / value.real
+        return None
+    return vary(s) / value.real
 
 
 def _is_singular(M: np.ndarray, delta: np.ndarray) -> bool:
