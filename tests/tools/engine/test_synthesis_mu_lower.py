@@ -129,24 +129,26 @@ def test_a_candidate_is_kept_where_it_attains_more_than_asked_and_makes_the_loop
     monkeypatch.setattr(
         mu_lower, "_is_singular", lambda _, delta: delta is told["delta"] and told["singular"]
     )
-    assert mu_lower._checked("M", FULL, ["parts"]) == [(0.25, told["delta"], ["parts"])]
-    assert mu_lower._checked("M", FULL, ["parts"], 0.2) == [(0.25, told["delta"], ["parts"])]
-    assert mu_lower._checked("M", FULL, ["parts"], 0.25) == []
+    assert mu_lower._checked("M", FULL, ["parts"]) == (0.25, told["delta"], ["parts"])
+    assert mu_lower._checked("M", FULL, ["parts"], 0.2) == (0.25, told["delta"], ["parts"])
+    assert mu_lower._checked("M", FULL, ["parts"], 0.25) is None
     told["singular"] = False
-    assert mu_lower._checked("M", FULL, ["parts"]) == []
-    told |= {"singular": True, "delta": None}
-    assert mu_lower._checked("M", FULL, ["parts"]) == []
+    assert mu_lower._checked("M", FULL, ["parts"]) is None
+    told |= {"singular": True, "value": 0.0}
+    assert mu_lower._checked("M", FULL, ["parts"]) is None
+    told |= {"value": 0.25, "delta": None}
+    assert mu_lower._checked("M", FULL, ["parts"]) is None
 
 
 def test_an_upper_bound_is_attained_by_the_blocks_of_its_singular_vectors(monkeypatch):
     """Each block takes its part of u to that of v; ten times the precision of the bound may be missing."""
     M, asked = matrix(FULL), []
+    told = [None, (1.9, "delta", "parts")]
     left, right = np.diag([2.0, 1.0, 1.0]), np.diag([3.0, 3.0, 1.0])
-    answer = [(1.9, "delta", "parts")]
     monkeypatch.setattr(
         mu_lower, "simple_infimum", lambda *given: asked.append(given) or (2.0, 1.0, left, right, None)
     )
-    monkeypatch.setattr(mu_lower, "_checked", lambda *given: asked.append(given) or answer)
+    monkeypatch.setattr(mu_lower, "_checked", lambda *given: asked.append(given) or told.pop())
     start = np.diag([-5.0, 7j, 1.0])
     assert mu_lower._attained(M, FULL, start) == (1.9, "delta")
     (_, _, rtol, scales), (asked_M, structure, parts, least) = asked
@@ -157,7 +159,6 @@ def test_an_upper_bound_is_attained_by_the_blocks_of_its_singular_vectors(monkey
         gain = part @ u[r, 0] / np.linalg.norm(u[r, 0])
         np.testing.assert_allclose(gain, v[0, c].conj() / np.linalg.norm(v[0, c]), rtol=1e-12)
         assert np.linalg.norm(part) == pytest.approx(1.0)
-    answer.clear()
     assert mu_lower._attained(M, FULL, start) is None
     monkeypatch.setattr(mu_lower, "simple_infimum", lambda *_: None)
     assert mu_lower._attained(M, FULL, start) is None
@@ -295,7 +296,7 @@ def test_blocks_are_turned_to_the_gradient_of_the_largest_eigenvalue():
 @pytest.mark.parametrize(
     ("values", "asked"),
     [
-        ([0.5, 0.5 * (1 + 1e-13), 9.0], 2),
+        ([-0.5, 0.5 * (1 + 1e-13), 9.0], 2),
         ([0.5, 0.5 * (1 + 3e-13), 0.5, 9.0], 3),
         ([0.0, 9.0], 1),
         (range(1, 300), 200),
@@ -530,7 +531,7 @@ class Search:
 
         def checked(M, structure, parts, least=0.0):
             value = {**dict(candidates), **dict(vertices), **aligned}[parts]
-            return [(value, f"Δ{parts}", parts)] if value is not None and value > least else []
+            return (value, f"Δ{parts}", parts) if value is not None and value > least else None
 
         def align(scaled, structure, parts):
             self.asked.append(parts)
@@ -557,8 +558,12 @@ class Search:
 
 def test_the_search_runs_on_the_balanced_matrix_of_size_one(monkeypatch):
     M = matrix(FULL)
+    M[0, 0] = 0.0
     search = Search(monkeypatch, [("a", 1.0)], aligned={"a+": None})
-    left, right = np.triu(matrix(Structure((Block("full", 3, 3),)), 1)), np.diag([1j, 2.0, 4.0])
+    left, right = (
+        np.triu(matrix(Structure((Block("full", 3, 3),)), 1)),
+        np.diag([1j, 2.0, 4.0]) + np.eye(3, k=1),
+    )
     assert mu_lower.lower_bound(M, FULL, left, right, 0.5, 7) == (1.0, "Δa")
     want = left.conj().T @ M @ np.linalg.inv(right).conj().T
     np.testing.assert_allclose(search.scaled, want / np.linalg.svd(want)[1][0], rtol=1e-12)

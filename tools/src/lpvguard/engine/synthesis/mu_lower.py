@@ -46,15 +46,14 @@ def lower_bound(
     N = left.conj().T @ M @ np.linalg.inv(right.conj().T)
     scaled = N / np.linalg.norm(N, 2)
     candidates = _power_iteration(scaled, structure, starts, steps)
-    found: list[_Found] = []
-    for parts in candidates + _vertices(structure, candidates[-1]):
-        found += _checked(M, structure, parts)
-    found.sort(key=lambda one: -one[0])
+    tried = (_checked(M, structure, parts) for parts in candidates + _vertices(structure, candidates[-1]))
+    found = sorted((one for one in tried if one), key=lambda one: -one[0])
     if structure.complex_only:
         for _, _, parts in found[:3]:
             if found[0][0] >= enough:
                 break
-            found[:0] = _checked(M, structure, _align(scaled, structure, parts), found[0][0])
+            if one := _checked(M, structure, _align(scaled, structure, parts), found[0][0]):
+                found.insert(0, one)
     elif any(b.kind != "repeated_real" for b in structure.blocks):
         for value, _, parts in _distinct(found)[:6]:
             if found[0][0] >= enough:
@@ -65,10 +64,10 @@ def lower_bound(
     return found[0][:2] if found else (0.0, None)
 
 
-def _checked(M: np.ndarray, structure: Structure, parts: Parts, least: float = 0.0) -> list[_Found]:
-    """What ``parts`` attain, alone in a list; an empty list where that is not above ``least`` or wrong."""
+def _checked(M: np.ndarray, structure: Structure, parts: Parts, least: float = 0.0) -> _Found | None:
+    """What ``parts`` attain; None where that is not above ``least`` or wrong."""
     value, delta = _make_singular(M, structure, parts)
-    return [(value, delta, parts)] if delta is not None and value > least and _is_singular(M, delta) else []
+    return (value, delta, parts) if delta is not None and value > least and _is_singular(M, delta) else None
 
 
 def _attained(M: np.ndarray, structure: Structure, start: np.ndarray) -> tuple[float, np.ndarray] | None:
@@ -81,9 +80,14 @@ def _attained(M: np.ndarray, structure: Structure, start: np.ndarray) -> tuple[f
     upper, _, left, right, _ = found
     u, _, v = np.linalg.svd(left @ M @ np.linalg.inv(right))
     u, v = u[:, 0], v[0].conj()
-    parts: Parts = [_rank_one(v[c], u[r]) for r, c in zip(structure.row, structure.col, strict=True)]
+    parts: Parts = [_rank_one(v[c], u[r]) for _, r, c in _places(structure)]
     attained = _checked(M, structure, parts, upper * (1 - 10 * ATTAINED_RTOL))
-    return attained[0][:2] if attained else None
+    return attained and attained[:2]
+
+
+def _places(structure: Structure) -> list[tuple[Block, slice, slice]]:
+    """The blocks with their rows and columns of M."""
+    return list(zip(structure.blocks, structure.row, structure.col, strict=True))
 
 
 def _distinct(found: list[_Found]) -> list[_Found]:
@@ -96,8 +100,10 @@ def _vertices(structure: Structure, parts: Parts) -> list[Parts]:
     often lies.
     """
     real = [k for k, b in enumerate(structure.blocks) if b.kind == "repeated_real"]
+    if not real:
+        return []
     out = []
-    for signs in range(2 ** (min(len(real), 7) - 1) if real else 0):
+    for signs in range(2 ** (min(len(real), 7) - 1)):
         one = list(parts)
         for j, k in enumerate(real):
             one[k] = -1.0 if j and signs >> (j - 1) & 1 else 1.0
@@ -119,7 +125,7 @@ def _align(M: np.ndarray, structure: Structure, parts: Parts, steps: int = 200) 
         turn = _phase(values[k]) * _phase(np.vdot(left[:, k], x))
         parts = [
             turn * (_rank_one(y[c], x[r]) if block.kind == "full" else _phase(np.vdot(x[r], y[c])))
-            for block, r, c in zip(structure.blocks, structure.row, structure.col, strict=True)
+            for block, r, c in _places(structure)
         ]
     return parts
 
@@ -133,20 +139,22 @@ class _MixedAscent:
     """
 
     def __init__(self, M: np.ndarray, structure: Structure, parts: Parts):
-        real = [b.kind == "repeated_real" for b in structure.blocks]
-        self.structure, self.real = structure, real
+        blocks = structure.blocks
+        self.structure = structure
+        self.real = [k for k, b in enumerate(blocks) if b.kind == "repeated_real"]
+        rest = [k for k in range(len(blocks)) if k not in self.real]
 
-        def join(slices: list[slice], kind: bool) -> np.ndarray:
-            return np.concatenate([np.r_[s] for s, r in zip(slices, real, strict=True) if r == kind])
+        def join(slices: list[slice], of: list[int]) -> np.ndarray:
+            return np.concatenate([np.r_[slices[k]] for k in of])
 
-        self.r_row, self.r_col = join(structure.row, True), join(structure.col, True)
-        c_row, c_col = join(structure.row, False), join(structure.col, False)
-        self.rest = Structure(tuple(b for b, r in zip(structure.blocks, real, strict=True) if not r))
-        self.sizes = [b.rows for b, r in zip(structure.blocks, real, strict=True) if r]
-        self.Mcc, self.Mcr = M[np.ix_(c_row, c_col)], M[np.ix_(c_row, self.r_col)]
-        self.Mrc, self.Mrr = M[np.ix_(self.r_row, c_col)], M[np.ix_(self.r_row, self.r_col)]
-        self.q = np.array([p for p, r in zip(parts, real, strict=True) if r])
-        self.parts = [p for p, r in zip(parts, real, strict=True) if not r]
+        r_row, r_col = join(structure.row, self.real), join(structure.col, self.real)
+        c_row, c_col = join(structure.row, rest), join(structure.col, rest)
+        self.rest = Structure(tuple(blocks[k] for k in rest))
+        self.sizes = [blocks[k].rows for k in self.real]
+        self.Mcc, self.Mcr = M[np.ix_(c_row, c_col)], M[np.ix_(c_row, r_col)]
+        self.Mrc, self.Mrr = M[np.ix_(r_row, c_col)], M[np.ix_(r_row, r_col)]
+        self.q = np.array([parts[k] for k in self.real])
+        self.parts = [parts[k] for k in rest]
 
     def spectral(self, q: np.ndarray, beta: float, parts: Parts) -> tuple[complex, Parts]:
         """ρ(N(β, q) Q) with Q aligned from ``parts``: the eigenvalue and the aligned parts; 0 where N does
@@ -181,7 +189,10 @@ class _MixedAscent:
             if not better:
                 size *= 0.4
         q, rest = iter(self.q), iter(self.parts)
-        full = [next(q) if r else next(rest) / _phase(value) for r in self.real]
+        full = [
+            next(q) if k in self.real else next(rest) / _phase(value)
+            for k in range(len(self.structure.blocks))
+        ]
         return beta, _assemble(self.structure, full) / beta
 
     def level(self, q: np.ndarray, beta: float, parts: Parts) -> tuple[float, complex]:
@@ -212,7 +223,7 @@ def _power_iteration(N: np.ndarray, structure: Structure, starts: int, steps: in
     z = np.zeros((N.shape[0], count), complex)
     for _ in range(steps):
         a = _unit(N @ b)
-        for k, (block, r, c) in enumerate(zip(structure.blocks, structure.row, structure.col, strict=True)):
+        for k, (block, r, c) in enumerate(_places(structure)):
             if block.kind == "full":
                 z[r] = a[r] * (_lengths(w[c]) / _lengths(a[r]))
             else:
@@ -220,7 +231,7 @@ def _power_iteration(N: np.ndarray, structure: Structure, starts: int, steps: in
         w = _unit(N.conj().T @ z)
         before = b
         b = np.empty_like(b)
-        for k, (block, r, c) in enumerate(zip(structure.blocks, structure.row, structure.col, strict=True)):
+        for k, (block, r, c) in enumerate(_places(structure)):
             if block.kind == "full":
                 b[c] = w[c] * (_lengths(a[r]) / _lengths(w[c]))
             else:
@@ -230,7 +241,7 @@ def _power_iteration(N: np.ndarray, structure: Structure, starts: int, steps: in
     out = []
     for s in range(count):
         parts: Parts = []
-        for k, (block, r, c) in enumerate(zip(structure.blocks, structure.row, structure.col, strict=True)):
+        for k, (block, r, c) in enumerate(_places(structure)):
             u, v = w[c, s], a[r, s]
             if block.kind == "full":
                 parts.append(_rank_one(u, v))
@@ -281,7 +292,7 @@ def _largest_eigenvalue(X: np.ndarray) -> complex:
 def _assemble(structure: Structure, parts: Parts, turn: complex = 1.0) -> np.ndarray:
     """Δ from its parts, complex blocks turned by the phase ``turn``."""
     delta = np.zeros((structure.n_cols, structure.n_rows), complex)
-    for block, r, c, part in zip(structure.blocks, structure.row, structure.col, parts, strict=True):
+    for part, (block, r, c) in zip(parts, _places(structure), strict=True):
         if block.kind == "full":
             delta[c, r] = part * turn
         else:
@@ -307,9 +318,7 @@ def _make_singular(M: np.ndarray, structure: Structure, parts: Parts) -> tuple[f
 
 def _size(structure: Structure, delta: np.ndarray) -> float:
     """max_i σ̄(Δ_i)."""
-    return max(
-        float(np.linalg.norm(delta[c, r], 2)) for r, c in zip(structure.row, structure.col, strict=True)
-    )
+    return max(float(np.linalg.norm(delta[c, r], 2)) for _, r, c in _places(structure))
 
 
 def _free_parameters(structure: Structure, parts: Parts) -> Iterator[Callable[[float], np.ndarray]]:
