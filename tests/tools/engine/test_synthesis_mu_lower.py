@@ -20,6 +20,7 @@ MIXED = Structure(
         Block("repeated_real", 1, 1),
     )
 )
+WIDE = Structure((Block("full", 3, 1), Block("repeated_real", 2, 2)))
 SCALARS = Structure((Block("repeated_real", 1, 1), Block("full", 1, 1)))
 REAL = Block("repeated_real", 1, 1)
 
@@ -195,6 +196,9 @@ def test_each_eigenvalue_of_a_mixed_perturbation_is_made_real_and_the_least_size
     assert value == 2.0 and delta[1, 1] == 0.5j, "the first of two of one size"
     assert [vary for vary, _ in asked] == [families[0]] * 2 + [families[1]] * 2
     assert sorted(start.real + 10 * start.imag for _, start in asked) == [1.0, 2.0, 3.0, 30.0]
+    for sizes, value in ([0.5, 3.0], 2.0), ([4.0], 0.25), ([], 0.0):
+        told = iter(sizes)
+        assert mu_lower._make_singular(M, SCALARS, parts)[0] == value
     assert mu_lower._make_singular(M, SCALARS, parts) == (0.0, None)
 
 
@@ -359,7 +363,8 @@ def test_the_level_is_where_the_eigenvalue_equals_it_by_secants_of_logarithms(mo
 
     ascent = ascent_of(monkeypatch, [0.5], spectral)
     beta, value = ascent.level(np.array([0.5]), start, 0)
-    assert beta == pytest.approx(2 ** (1 / (1 - power)), rel=1e-12) and value == pytest.approx(-1j * beta)
+    assert len(asked) < 20 and beta == pytest.approx(2 ** (1 / (1 - power)), rel=1e-12)
+    assert value == pytest.approx(-1j * beta)
     assert [parts for _, parts in asked] == list(range(len(asked))) and ascent.parts == len(asked)
     x = np.log([beta for beta, _ in asked])
     f = np.log(2) + (power - 1) * x
@@ -467,18 +472,20 @@ def reference(N, structure, b, q, steps: int) -> list:
 
 
 @pytest.mark.parametrize("steps", [1, 2, 4])
-def test_every_run_of_the_power_iteration_is_one_of_its_own(steps):
+@pytest.mark.parametrize("structure", [MIXED, WIDE], ids=["mixed", "wide"])
+def test_every_run_of_the_power_iteration_is_one_of_its_own(structure, steps):
     """From so many random vectors, and from the right singular vectors."""
-    N, starts = matrix(MIXED, 3) / 10, 3
-    random, count = np.random.default_rng(1), starts + 6
-    b = random.standard_normal((6, count)) + 1j * random.standard_normal((6, count))
-    b[:, starts:] = np.linalg.svd(N)[2].conj().T
-    uniform = random.uniform(-1, 1, (4, count))
-    found = mu_lower._power_iteration(N, MIXED, starts, steps)
+    N, starts = matrix(structure, 3) / 10, 3
+    random, (rows, cols) = np.random.default_rng(1), N.shape
+    count = starts + min(rows, cols)
+    b = random.standard_normal((cols, count)) + 1j * random.standard_normal((cols, count))
+    b[:, starts:] = np.linalg.svd(N)[2][: min(rows, cols)].conj().T
+    uniform = random.uniform(-1, 1, (len(structure.blocks), count))
+    found = mu_lower._power_iteration(N, structure, starts, steps)
     assert len(found) == count
     for s in range(count):
-        q = uniform[:, s] if s % 2 else np.ones(4)
-        for one, other in zip(found[s], reference(N, MIXED, b[:, s], q, steps), strict=True):
+        q = uniform[:, s] if s % 2 else np.ones(len(structure.blocks))
+        for one, other in zip(found[s], reference(N, structure, b[:, s], q, steps), strict=True):
             np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-12)
 
 
@@ -495,17 +502,17 @@ def test_the_power_iteration_ends_where_no_run_moves(monkeypatch):
 
 
 def test_a_repeated_block_multiplies_by_a_phase_or_a_number_within_one():
-    q = np.array([[9.0] * 6, [0.3, -0.2, 0.0, -0.1, 1.0, -1.0]])
-    a = np.array([[0.6] * 6, [0.8j] * 6])
-    w = np.array([[0.5, 0.5, 0.25, 0.5, 5.0, 0.0], [0.1j, 1.0, 0.0, 0.0, 0.0, 1.0]], complex)
-    b = np.array([[0.3, 0.15, 7.0, 0.3, 0.0, 1.0], [0.4, 0.2, 7.0, 0.0, 0.0, 0.0]])
+    q = np.array([[9.0] * 8, [0.3, -0.2, 0.0, -0.1, 1.0, -1.0, 1.0, -1.0]])
+    a = np.array([[0.6] * 8, [0.8j] * 8])
+    w = np.array([[0.5, 0.5, 0.25, 0.5, 5, -5, 0, 0], [0.1j, 1, 0, 0, 0, 0, 1, 1]], complex)
+    b = np.array([[0.3, 0.15, 7.0, 0.3, 0, 0, 1, 1], [0.4, 0.2, 7.0, 0, 0, 0, 0, 0]])
     found = mu_lower._factor(Block("repeated_real", 2, 2), a, w, b, q, 1)
-    np.testing.assert_allclose(found, [0.5 + 0.38, -0.25 + 0.3, 0.15, 1e-3, 1.0, -1.0], rtol=1e-14)
-    np.testing.assert_array_equal(q, [[9.0] * 6, found])
+    np.testing.assert_allclose(found, [0.5 + 0.38, -0.25 + 0.3, 0.15, 1e-3, 1, -1, 1, -1], rtol=1e-14)
+    np.testing.assert_array_equal(q, [[9.0] * 8, found])
     w[:, -1] = 0.0
     found = mu_lower._factor(Block("repeated_complex", 2, 2), a, w, b, q, 0)
-    inner = np.array([0.38, 0.3 + 0.8j])
-    np.testing.assert_allclose(found, [*inner / np.abs(inner), 1.0, 1.0, 1.0, 1.0], rtol=1e-14)
+    turned = (0.3 + 0.8j) / abs(0.3 + 0.8j)
+    np.testing.assert_allclose(found, [1, turned, 1, 1, 1, -1, 1j, 1], rtol=1e-14)
     assert (q[0] == 9.0).all()
 
 

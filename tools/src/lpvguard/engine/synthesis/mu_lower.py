@@ -198,7 +198,6 @@ class _MixedAscent:
     def level(self, q: np.ndarray, beta: float, parts: Parts) -> tuple[float, complex]:
         """The β ≥ about ``beta`` at which ρ(N(β, q) Q) = β, by secant steps; and the eigenvalue there."""
         low, f0 = beta, None
-        value: complex = 0.0
         for _ in range(40):
             value, parts = self.spectral(q, beta, parts)
             f1 = np.log(max(abs(value), TINY) / beta)
