@@ -46,19 +46,14 @@ def lower_bound(
     N = left.conj().T @ M @ np.linalg.inv(right.conj().T)
     scaled = N / np.linalg.norm(N, 2)
     candidates = _power_iteration(scaled, structure, starts, steps)
-    found: list[_Found] = []
-    for parts in candidates + _vertices(structure, candidates[-1]):
-        value, delta = _make_singular(M, structure, parts)
-        if delta is not None and _is_singular(M, delta):
-            found.append((value, delta, parts))
-    found.sort(key=lambda one: -one[0])
+    tried = (_checked(M, structure, parts) for parts in candidates + _vertices(structure, candidates[-1]))
+    found = sorted((one for one in tried if one), key=lambda one: -one[0])
     if structure.complex_only:
         for _, _, parts in found[:3]:
             if found[0][0] >= enough:
                 break
-            value, delta = _make_singular(M, structure, _align(scaled, structure, parts))
-            if delta is not None and value > found[0][0] and _is_singular(M, delta):
-                found.insert(0, (value, delta, parts))
+            if one := _checked(M, structure, _align(scaled, structure, parts), found[0][0]):
+                found.insert(0, one)
     elif any(b.kind != "repeated_real" for b in structure.blocks):
         for value, _, parts in _distinct(found)[:6]:
             if found[0][0] >= enough:
@@ -67,6 +62,12 @@ def lower_bound(
             if value > found[0][0] and _is_singular(M, delta):
                 found.insert(0, (value, delta, parts))
     return found[0][:2] if found else (0.0, None)
+
+
+def _checked(M: np.ndarray, structure: Structure, parts: Parts, least: float = 0.0) -> _Found | None:
+    """What ``parts`` attain; None where that is not above ``least`` or wrong."""
+    value, delta = _make_singular(M, structure, parts)
+    return (value, delta, parts) if delta is not None and value > least and _is_singular(M, delta) else None
 
 
 def _attained(M: np.ndarray, structure: Structure, start: np.ndarray) -> tuple[float, np.ndarray] | None:
@@ -79,14 +80,14 @@ def _attained(M: np.ndarray, structure: Structure, start: np.ndarray) -> tuple[f
     upper, _, left, right, _ = found
     u, _, v = np.linalg.svd(left @ M @ np.linalg.inv(right))
     u, v = u[:, 0], v[0].conj()
-    parts: Parts = [
-        np.outer(v[c], u[r].conj()) / max(np.linalg.norm(v[c]) * np.linalg.norm(u[r]), TINY)
-        for r, c in zip(structure.row, structure.col, strict=True)
-    ]
-    value, delta = _make_singular(M, structure, parts)
-    if delta is None or value < upper * (1 - 10 * ATTAINED_RTOL) or not _is_singular(M, delta):
-        return None
-    return value, delta
+    parts: Parts = [_rank_one(v[c], u[r]) for _, r, c in _places(structure)]
+    attained = _checked(M, structure, parts, upper * (1 - 10 * ATTAINED_RTOL))
+    return attained and attained[:2]
+
+
+def _places(structure: Structure) -> list[tuple[Block, slice, slice]]:
+    """The blocks with their rows and columns of M."""
+    return list(zip(structure.blocks, structure.row, structure.col, strict=True))
 
 
 def _distinct(found: list[_Found]) -> list[_Found]:
@@ -99,8 +100,10 @@ def _vertices(structure: Structure, parts: Parts) -> list[Parts]:
     often lies.
     """
     real = [k for k, b in enumerate(structure.blocks) if b.kind == "repeated_real"]
+    if not real:
+        return []
     out = []
-    for signs in range(2 ** max(min(len(real), 7) - 1, 0) if real else 0):
+    for signs in range(2 ** (min(len(real), 7) - 1)):
         one = list(parts)
         for j, k in enumerate(real):
             one[k] = -1.0 if j and signs >> (j - 1) & 1 else 1.0
@@ -115,23 +118,15 @@ def _align(M: np.ndarray, structure: Structure, parts: Parts, steps: int = 200) 
         Q = _assemble(structure, parts)
         values, left, right = sl.eig(M @ Q, left=True)
         k = int(np.argmax(np.abs(values)))
-        x, y = right[:, k], M.conj().T @ left[:, k]
-        inner = np.vdot(left[:, k], x)
-        turn = values[k] / max(abs(values[k]), 1e-300) * inner / max(abs(inner), 1e-300)
-        new = []
-        for block, r, c in zip(structure.blocks, structure.row, structure.col, strict=True):
-            if block.kind == "full":
-                new.append(
-                    turn
-                    * np.outer(y[c], x[r].conj())
-                    / max(np.linalg.norm(y[c]) * np.linalg.norm(x[r]), 1e-300)
-                )
-            else:
-                overlap = np.vdot(x[r], y[c])
-                new.append(turn * overlap / max(abs(overlap), 1e-300))
         if abs(values[k]) <= value * (1 + 1e-13):
             break
-        value, parts = abs(values[k]), new
+        value = abs(values[k])
+        x, y = right[:, k], M.conj().T @ left[:, k]
+        turn = _phase(values[k]) * _phase(np.vdot(left[:, k], x))
+        parts = [
+            turn * (_rank_one(y[c], x[r]) if block.kind == "full" else _phase(np.vdot(x[r], y[c])))
+            for block, r, c in _places(structure)
+        ]
     return parts
 
 
@@ -144,20 +139,22 @@ class _MixedAscent:
     """
 
     def __init__(self, M: np.ndarray, structure: Structure, parts: Parts):
-        real = [b.kind == "repeated_real" for b in structure.blocks]
-        self.structure, self.real = structure, real
+        blocks = structure.blocks
+        self.structure = structure
+        self.real = [k for k, b in enumerate(blocks) if b.kind == "repeated_real"]
+        rest = [k for k in range(len(blocks)) if k not in self.real]
 
-        def join(slices: list[slice], kind: bool) -> np.ndarray:
-            return np.concatenate([np.r_[s] for s, r in zip(slices, real, strict=True) if r == kind])
+        def join(slices: list[slice], of: list[int]) -> np.ndarray:
+            return np.concatenate([np.r_[slices[k]] for k in of])
 
-        self.r_row, self.r_col = join(structure.row, True), join(structure.col, True)
-        c_row, c_col = join(structure.row, False), join(structure.col, False)
-        self.rest = Structure(tuple(b for b, r in zip(structure.blocks, real, strict=True) if not r))
-        self.sizes = [b.rows for b, r in zip(structure.blocks, real, strict=True) if r]
-        self.Mcc, self.Mcr = M[np.ix_(c_row, c_col)], M[np.ix_(c_row, self.r_col)]
-        self.Mrc, self.Mrr = M[np.ix_(self.r_row, c_col)], M[np.ix_(self.r_row, self.r_col)]
-        self.q = np.array([p for p, r in zip(parts, real, strict=True) if r])
-        self.parts = [p for p, r in zip(parts, real, strict=True) if not r]
+        r_row, r_col = join(structure.row, self.real), join(structure.col, self.real)
+        c_row, c_col = join(structure.row, rest), join(structure.col, rest)
+        self.rest = Structure(tuple(blocks[k] for k in rest))
+        self.sizes = [blocks[k].rows for k in self.real]
+        self.Mcc, self.Mcr = M[np.ix_(c_row, c_col)], M[np.ix_(c_row, r_col)]
+        self.Mrc, self.Mrr = M[np.ix_(r_row, c_col)], M[np.ix_(r_row, r_col)]
+        self.q = np.array([parts[k] for k in self.real])
+        self.parts = [parts[k] for k in rest]
 
     def spectral(self, q: np.ndarray, beta: float, parts: Parts) -> tuple[complex, Parts]:
         """ρ(N(β, q) Q) with Q aligned from ``parts``: the eigenvalue and the aligned parts; 0 where N does
@@ -170,8 +167,7 @@ class _MixedAscent:
             return 0.0, parts
         N = self.Mcc + self.Mcr * diagonal @ inner
         parts = _align(N, self.rest, parts, steps=20)
-        values = np.linalg.eigvals(N @ _assemble(self.rest, parts))
-        return values[np.argmax(np.abs(values))], parts
+        return _largest_eigenvalue(N @ _assemble(self.rest, parts)), parts
 
     def run(self, beta: float, budget: int = 120) -> tuple[float, np.ndarray]:
         """Search from level ``beta``; the level reached and Δ there."""
@@ -190,18 +186,21 @@ class _MixedAscent:
                     if abs(found) > beta * (1 + 1e-9):
                         self.q, self.parts, better = trial, parts, True
                         beta, value = self.level(trial, beta, parts)
-            size *= 1.0 if better else 0.4
+            if not better:
+                size *= 0.4
         q, rest = iter(self.q), iter(self.parts)
-        full = [next(q) if r else next(rest) * (abs(value) / value if value else 1.0) for r in self.real]
+        full = [
+            next(q) if k in self.real else next(rest) / _phase(value)
+            for k in range(len(self.structure.blocks))
+        ]
         return beta, _assemble(self.structure, full) / beta
 
     def level(self, q: np.ndarray, beta: float, parts: Parts) -> tuple[float, complex]:
         """The β ≥ about ``beta`` at which ρ(N(β, q) Q) = β, by secant steps; and the eigenvalue there."""
         low, f0 = beta, None
-        value: complex = 0.0
         for _ in range(40):
             value, parts = self.spectral(q, beta, parts)
-            f1 = np.log(max(abs(value), 1e-300) / beta)
+            f1 = np.log(max(abs(value), TINY) / beta)
             if abs(f1) < 1e-13:
                 break
             secant = f0 is not None and f0 != f1
@@ -223,31 +222,30 @@ def _power_iteration(N: np.ndarray, structure: Structure, starts: int, steps: in
     z = np.zeros((N.shape[0], count), complex)
     for _ in range(steps):
         a = _unit(N @ b)
-        for k, (block, r, c) in enumerate(zip(structure.blocks, structure.row, structure.col, strict=True)):
+        for k, (block, r, c) in enumerate(_places(structure)):
             if block.kind == "full":
-                z[r] = a[r] * (np.linalg.norm(w[c], axis=0) / (np.linalg.norm(a[r], axis=0) + TINY))
+                z[r] = a[r] * (_lengths(w[c]) / _lengths(a[r]))
             else:
                 z[r] = w[c] * _factor(block, a[r], w[c], b[c], q, k)
         w = _unit(N.conj().T @ z)
         before = b
         b = np.empty_like(b)
-        for k, (block, r, c) in enumerate(zip(structure.blocks, structure.row, structure.col, strict=True)):
+        for k, (block, r, c) in enumerate(_places(structure)):
             if block.kind == "full":
-                b[c] = w[c] * (np.linalg.norm(a[r], axis=0) / (np.linalg.norm(w[c], axis=0) + TINY))
+                b[c] = w[c] * (_lengths(a[r]) / _lengths(w[c]))
             else:
                 b[c] = a[r] * np.conj(_factor(block, a[r], w[c], before[c], q, k))
         if np.abs(b - before).max() < 1e-13:
             break
     out = []
     for s in range(count):
-        parts = []
-        for k, (block, r, c) in enumerate(zip(structure.blocks, structure.row, structure.col, strict=True)):
+        parts: Parts = []
+        for k, (block, r, c) in enumerate(_places(structure)):
             u, v = w[c, s], a[r, s]
             if block.kind == "full":
-                parts.append(np.outer(u, v.conj()) / max(np.linalg.norm(u) * np.linalg.norm(v), TINY))
+                parts.append(_rank_one(u, v))
             elif block.kind == "repeated_complex":
-                inner = np.vdot(v, u)
-                parts.append(inner / abs(inner) if abs(inner) > 0 else 1.0 + 0j)
+                parts.append(_phase(np.vdot(v, u)))
             else:
                 parts.append(float(q[k, s]))
         out.append(parts)
@@ -258,22 +256,42 @@ def _factor(block: Block, a: np.ndarray, w: np.ndarray, b: np.ndarray, q: np.nda
     """The number that a repeated block multiplies by: a phase, or q in [−1, 1] (updated in place)."""
     inner = np.sum(w.conj() * a, axis=0)
     if block.kind == "repeated_complex":
-        return np.where(np.abs(inner) > 0, inner / np.maximum(np.abs(inner), 1e-300), 1.0)
-    step = (
-        np.sign(q[k]) * np.linalg.norm(b, axis=0) / np.maximum(np.linalg.norm(a, axis=0), 1e-300) + inner.real
-    )
+        return _phase(inner)
+    step = np.sign(q[k]) * _lengths(b) / _lengths(a) + inner.real
     q[k] = np.clip(np.where(step == 0, 1e-3, step), -1, 1)
     return q[k]
 
 
+def _phase(z: np.ndarray | complex) -> np.ndarray:
+    """z / |z|, and 1 where z is zero."""
+    size = np.abs(z)
+    return np.where(size > 0, z / np.maximum(size, TINY), 1.0)
+
+
+def _lengths(v: np.ndarray) -> np.ndarray:
+    """Of the columns (k,); of a zero `TINY`."""
+    return np.maximum(np.linalg.norm(v, axis=0), TINY)
+
+
 def _unit(v: np.ndarray) -> np.ndarray:
-    return v / np.maximum(np.linalg.norm(v, axis=0), 1e-300)
+    return v / _lengths(v)
+
+
+def _rank_one(u: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """u v* of unit size; zero where a vector is."""
+    return np.outer(u, v.conj()) / max(np.linalg.norm(u) * np.linalg.norm(v), TINY)
+
+
+def _largest_eigenvalue(X: np.ndarray) -> complex:
+    """That of the largest absolute value."""
+    values = np.linalg.eigvals(X)
+    return values[np.argmax(np.abs(values))]
 
 
 def _assemble(structure: Structure, parts: Parts, turn: complex = 1.0) -> np.ndarray:
     """Δ from its parts, complex blocks turned by the phase ``turn``."""
     delta = np.zeros((structure.n_cols, structure.n_rows), complex)
-    for block, r, c, part in zip(structure.blocks, structure.row, structure.col, parts, strict=True):
+    for part, (block, r, c) in zip(parts, _places(structure), strict=True):
         if block.kind == "full":
             delta[c, r] = part * turn
         else:
@@ -285,13 +303,12 @@ def _make_singular(M: np.ndarray, structure: Structure, parts: Parts) -> tuple[f
     """Scale a unit perturbation to Δ with I − M Δ singular; (β, Δ) or (0, None)."""
     if structure.complex_only:
         delta = _assemble(structure, parts)
-        values = np.linalg.eigvals(M @ delta)
-        value = values[np.argmax(np.abs(values))]
-        return (abs(value), delta / value) if abs(value) > 0 else (0.0, None)
+        value = _largest_eigenvalue(M @ delta)
+        return (abs(value), delta / value) if value else (0.0, None)
     best, found = 0.0, None
     for vary in _free_parameters(structure, parts):
         for start in np.linalg.eigvals(M @ vary(0.0)):
-            real = _make_real(M, vary, start)[1]
+            real = _make_real(M, vary, start)
             # a Δ whose blocks all lie inside their bounds is smaller than 1/value
             if real is not None and 1 / _size(structure, real) > best:
                 best, found = 1 / _size(structure, real), real
@@ -300,9 +317,7 @@ def _make_singular(M: np.ndarray, structure: Structure, parts: Parts) -> tuple[f
 
 def _size(structure: Structure, delta: np.ndarray) -> float:
     """max_i σ̄(Δ_i)."""
-    return max(
-        float(np.linalg.norm(delta[c, r], 2)) for r, c in zip(structure.row, structure.col, strict=True)
-    )
+    return max(float(np.linalg.norm(delta[c, r], 2)) for _, r, c in _places(structure))
 
 
 def _free_parameters(structure: Structure, parts: Parts) -> Iterator[Callable[[float], np.ndarray]]:
@@ -322,28 +337,23 @@ def _free_parameters(structure: Structure, parts: Parts) -> Iterator[Callable[[f
             yield move
 
 
-def _make_real(
-    M: np.ndarray, vary: Callable[[float], np.ndarray], start: complex
-) -> tuple[float, np.ndarray | None]:
-    """Secant steps take the eigenvalue ``start`` of M Δ(s) to the real axis; (β, Δ(s)/±β) or (0, None)."""
-    s0, value = 0.0, start
-    s1 = 1e-4
-    f0 = value.imag
+def _make_real(M: np.ndarray, vary: Callable[[float], np.ndarray], start: complex) -> np.ndarray | None:
+    """Secant steps take the eigenvalue ``start`` of M Δ(0) to the real axis; Δ(s) over it there, or None."""
+    s, step, value = 0.0, 1e-4, start
     for _ in range(30):
         if abs(value.imag) <= 1e-13 * abs(value):
             break
-        values = np.linalg.eigvals(M @ vary(s1))
-        value = values[np.argmin(np.abs(values - value))]
-        f1 = value.imag
-        if f1 == f0:
+        s += step
+        values = np.linalg.eigvals(M @ vary(s))
+        before, value = value.imag, values[np.argmin(np.abs(values - value))]
+        if value.imag == before:
             break
-        s0, s1, f0 = s1, s1 - np.clip(f1 * (s1 - s0) / (f1 - f0), -0.5, 0.5), f1
+        step = -np.clip(value.imag * step / (value.imag - before), -0.5, 0.5)
     else:
-        return 0.0, None
+        return None
     if abs(value.imag) > 1e-11 * abs(value) or value.real == 0:
-        return 0.0, None
-    delta = vary(s0 if abs(start.imag) > 1e-13 * abs(start) else 0.0)
-    return abs(value.real), delta / value.real
+        return None
+    return vary(s) / value.real
 
 
 def _is_singular(M: np.ndarray, delta: np.ndarray) -> bool:

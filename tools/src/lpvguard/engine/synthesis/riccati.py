@@ -172,7 +172,7 @@ def stabilising_solution(
         balanced_H, t = balance_hamiltonian(H, floor)
         found, condition = _subspace_solution(balanced_H, t)
         best = _better(best, (found, condition))
-        if best[1] < 1e10 or (found is None and condition == 0.0):
+        if best[1] < 1e10 or condition == 0.0:  # 0: the axis is in the way
             break
     if (
         side is not None
@@ -223,9 +223,7 @@ def _pencil_solution(side: Side, gamma: float, t: np.ndarray) -> tuple[RiccatiSo
     )
     Q = sl.qr(M[:, 2 * n :], mode="full")[0][:, m + p :].T
     try:
-        S, _, alpha, beta, _, V = sl.ordqz(
-            Q @ M[:, : 2 * n], Q[:, : 2 * n], sort="lhp", output="real", check_finite=False
-        )
+        S, _, alpha, beta, _, V = sl.ordqz(Q @ M[:, : 2 * n], Q[:, : 2 * n], sort="lhp", output="real")
     except ValueError:  # eigenvalues of both sides too close to be told apart
         return None, 0.0
     stable = np.count_nonzero(alpha.real * beta < 0)

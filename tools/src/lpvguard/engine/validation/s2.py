@@ -148,14 +148,14 @@ class _Point:
             step = np.linalg.solve(hessian, g)
             move = -slack - slack / mu * step
             both, steps = np.concatenate([mu, slack]), np.concatenate([step, move])
-            reach = min(1.0, *(-both[steps < 0.0] / steps[steps < 0.0]), 1.0)
+            reach = min([1.0, *(-both[steps < 0.0] / steps[steps < 0.0])])
             left = 0.5 * float((mu + reach * step) @ (slack + reach * move))
             eps = max(mean * max((left / mean) ** 3, 1e-3), 0.05 * fine)
             step = np.linalg.solve(hessian, g + eps / mu)
             move = eps / mu - slack - slack / mu * step
             if not np.all(np.isfinite(step)):
                 break
-            length = min(1.0, *(-0.95 * mu[step < 0.0] / step[step < 0.0]), 1.0)
+            length = min([1.0, *(-0.95 * mu[step < 0.0] / step[step < 0.0])])
             merit, before = value + eps * np.log(mu[0] * mu[1]), mu.copy()
             for _ in range(40):
                 mu[:] = before + length * step
