@@ -328,7 +328,9 @@ def put_in(mutants: Mutants, site: Site, index: int, living: Living) -> None:
     if not found:
         raise LookupError(f"no function {site.function} lives")
     for function in found:
-        function.__code__ = code
+        # A function with super() has a cell for its class, also where the mutant leaves super() out.
+        held = function.__code__.co_freevars
+        function.__code__ = code if code.co_freevars else code.replace(co_freevars=held)
         if site.default is not None:
             change_default(function, site.default, site.new[index])
 

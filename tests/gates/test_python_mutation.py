@@ -57,11 +57,16 @@ class Line:
         return [self.slope - k for k in range(2)]
 
 
+class Steep(Line):
+    def __init__(self):
+        super().__init__(slope=9)
+
+
 def unused(x):
     return x + 1
 """
 TESTS = """import pytest
-from lpvguard_small.engine.validation.small import Line, doubled, limited
+from lpvguard_small.engine.validation.small import Line, Steep, doubled, limited
 
 KEPT = doubled(4)
 
@@ -82,6 +87,10 @@ def test_a_default_and_a_property():
     assert Line().rise == [4, 3]
 
 
+def test_a_class_that_derives():
+    assert Steep().rise == [9, 8]
+
+
 @pytest.mark.slow("would kill all")
 def test_that_is_not_asked():
     assert limited(10) == 30 and limited(-11) == -33 and unused(1) == 2
@@ -95,7 +104,7 @@ def made():
 def test_that_reads_what_was_made_before(made):
     assert limited(10) == 30 and limited(-11) == -33
 """
-N_SMALL = 46
+N_SMALL = 50
 AT_THE_BORDER = {
     "if y > LIMIT:  ->  if y >= LIMIT:",
     "if y > LIMIT:  ->  if y > LIMIT + 1:",
@@ -158,6 +167,12 @@ def test_defaults_properties_and_what_is_kept_are_changed(ran):
     assert "return [self.slope - k for k in range(2)]  ->  return [self.slope for k in range(2)]" in of(
         mutants, "Line.rise"
     )
+
+
+def test_a_function_that_no_longer_asks_its_base_class_is_changed(ran):
+    mutants, survived = ran
+    assert "super().__init__(slope=9)  ->  (left out)" in of(mutants, "Steep.__init__")
+    assert not of(survived, "Steep.__init__")
 
 
 def test_findings_name_every_survivor_once_and_what_is_noted_in_vain(ran):
