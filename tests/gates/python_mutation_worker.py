@@ -29,6 +29,7 @@ import resource
 import shutil
 import signal
 import sys
+import threading
 import types
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
@@ -232,9 +233,11 @@ def reached_by(
     living.forget()
     limited(2 * LONGEST_S)
     began = cpu_s()
+    threading.settrace(call)
     sys.settrace(call)
     good = passes([item])
     sys.settrace(None)
+    threading.settrace(None)
     return good, cpu_s() - began, {name.removeprefix(begin): sorted(found[name]) for name in sorted(found)}
 
 

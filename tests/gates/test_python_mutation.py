@@ -28,7 +28,8 @@ from python_mutation_run import (
 
 ROOT = Path(__file__).resolve().parents[2]
 SMALL = "engine/validation/small.py"
-SOURCE = """from functools import cache
+SOURCE = """from concurrent.futures import ThreadPoolExecutor
+from functools import cache
 
 LIMIT = 30
 
@@ -62,11 +63,19 @@ class Steep(Line):
         super().__init__(slope=9)
 
 
+def apart(x):
+    def added():
+        return x + 1
+
+    with ThreadPoolExecutor() as threads:
+        return threads.submit(added).result()
+
+
 def unused(x):
     return x + 1
 """
 TESTS = """import pytest
-from lpvguard_small.engine.validation.small import Line, Steep, doubled, limited
+from lpvguard_small.engine.validation.small import Line, Steep, apart, doubled, limited
 
 KEPT = doubled(4)
 
@@ -91,6 +100,10 @@ def test_a_class_that_derives():
     assert Steep().rise == [9, 8]
 
 
+def test_what_a_thread_does():
+    assert apart(3) == 4
+
+
 @pytest.mark.slow("would kill all")
 def test_that_is_not_asked():
     assert limited(10) == 30 and limited(-11) == -33 and unused(1) == 2
@@ -104,7 +117,7 @@ def made():
 def test_that_reads_what_was_made_before(made):
     assert limited(10) == 30 and limited(-11) == -33
 """
-N_SMALL = 50
+N_SMALL = 55
 AT_THE_BORDER = {
     "if y > LIMIT:  ->  if y >= LIMIT:",
     "if y > LIMIT:  ->  if y > LIMIT + 1:",
@@ -173,6 +186,11 @@ def test_a_function_that_no_longer_asks_its_base_class_is_changed(ran):
     mutants, survived = ran
     assert "super().__init__(slope=9)  ->  (left out)" in of(mutants, "Steep.__init__")
     assert not of(survived, "Steep.__init__")
+
+
+def test_lines_that_a_thread_runs_are_reached(ran):
+    mutants, survived = ran
+    assert "return x + 1  ->  return x - 1" in of(mutants, "apart") and not of(survived, "apart")
 
 
 def test_findings_name_every_survivor_once_and_what_is_noted_in_vain(ran):
