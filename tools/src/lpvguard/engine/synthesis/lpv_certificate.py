@@ -105,8 +105,8 @@ class Family:
 def relevant(family: Family, rows: slice, columns: slice) -> Family:
     """The family from the inputs ``columns`` to the outputs ``rows``, without the states that these neither
     reach nor are moved by at any speed. ``rows`` ends before the probes."""
-    loops = [family.at(float(v)) for v in refined(family.nodes, 2)]
-    n_z = loops[0].n_outputs - family.n_probes
+    loops = [family.at(float(v)) for v in family.nodes]
+    [n_z] = {G.n_outputs - family.n_probes for G in loops}
 
     def any_of(parts: list[np.ndarray]) -> np.ndarray:
         return np.max([np.abs(part) for part in parts], axis=0) > 0
@@ -182,7 +182,7 @@ class Storage:
         pairs = []
         for sign in (1, -1):
             reached = [self._segment(v + sign * step) for v in (low + reserve, high - reserve)]
-            far = reached[sign > 0]
+            far = sign * max(sign * k for k in reached)
             if reached[0] == reached[1]:
                 first, last = min(own, far), max(own, far)
                 pairs += [(P, P) for P in self.P[first + 1 : last + 1]]
