@@ -22,13 +22,13 @@ BLOCKS = (Block("full", 2, 1), Block("full", 1, 3))
 
 
 def plant(seed: int = 0, blocks=BLOCKS, dt: float = 0.0) -> GeneralisedPlant:
-    """A random stable plant of order 2 with w of 2, z of 1, two controls and one measurement."""
+    """A random stable plant of order 2 with w of 3, z of 1, two controls and one measurement."""
     random = np.random.default_rng(seed)
     n_in, n_out = sum(b.rows for b in blocks), sum(b.cols for b in blocks)
     A = np.array([[-1.0, 0.4], [-0.3, -2.0]])
-    D = 0.3 * random.standard_normal((n_out + 2, n_in + 4))
+    D = 0.3 * random.standard_normal((n_out + 2, n_in + 5))
     D[-1, -2:] = 0.0
-    B, C = random.standard_normal((2, n_in + 4)), random.standard_normal((n_out + 2, 2))
+    B, C = random.standard_normal((2, n_in + 5)), random.standard_normal((n_out + 2, 2))
     G = StateSpace(A, B, C, D)
     return GeneralisedPlant(to_discrete(G, dt) if dt else G, tuple(blocks), n_in, n_out, 2, 1)
 
@@ -53,7 +53,7 @@ def test_a_scaling_is_its_product_of_corners_on_every_channel_of_its_block():
         np.testing.assert_allclose(found[:, k], [one, two], rtol=1e-12)
         np.testing.assert_allclose(np.abs(left[k]), np.diag([one, two, two, two, 1.0]), rtol=1e-12)
         np.testing.assert_allclose(
-            np.abs(right[k]), np.diag([1 / one, 1 / one, 1 / two, 1.0, 1.0]), rtol=1e-12
+            np.abs(right[k]), np.diag([1 / one, 1 / one, 1 / two, 1.0, 1.0, 1.0]), rtol=1e-12
         )
         assert left[k, 0, 0] * right[k, 0, 0] == pytest.approx(1.0)
     with pytest.raises(ValueError):
@@ -65,7 +65,7 @@ def test_a_constant_scaling_has_no_corner_and_without_blocks_none_is_left():
     np.testing.assert_allclose(scaling.log_magnitude([0.0, 5.0]), [[0.4, 0.4], [-0.2, -0.2]])
     np.testing.assert_array_equal(scaling.log_gradient([0.0, 5.0]), np.ones((2, 1, 2)))
     left, right = Scaling(np.zeros((0, 1))).systems(plant(blocks=()))
-    assert (left.D.tolist(), right.D.tolist()) == ([[1.0]], [[1.0, 0.0], [0.0, 1.0]])
+    assert (left.D.tolist(), right.D.tolist()) == ([[1.0]], np.eye(3).tolist())
 
 
 # ---------------------------------------------------------------- the work at one plant
@@ -77,7 +77,7 @@ def test_the_grid_has_dc_eight_decades_and_infinity_and_every_block_its_rows_and
     np.testing.assert_allclose(work.omega[[1, 64]], [1e-4, 1e4])
     np.testing.assert_allclose(np.diff(np.log(work.omega[1:-1])), np.log(1e8) / 63)
     assert work.rows == [slice(0, 1), slice(1, 4), slice(4, 5)]
-    assert work.cols == [slice(0, 2), slice(2, 3), slice(3, 5)]
+    assert work.cols == [slice(0, 2), slice(2, 3), slice(3, 6)]
     assert (dk.SLOWEST, dk.FASTEST) == (1e-4, 1e4)
 
 
@@ -96,13 +96,13 @@ def test_a_scaled_plant_keeps_its_control_and_a_scaled_loop_has_none():
     left, right = (D.response(omega) for D in scaling.systems(one))
     G = one.system.response(omega)
     found = work.scaled(one.system, scaling).response(omega)
-    np.testing.assert_allclose(found[:, :5, :5], left @ G[:, :5, :5] @ right, rtol=1e-9)
-    np.testing.assert_allclose(found[:, :5, 5:], left @ G[:, :5, 5:], rtol=1e-9)
-    np.testing.assert_allclose(found[:, 5:, :5], G[:, 5:, :5] @ right, rtol=1e-9)
-    np.testing.assert_allclose(found[:, 5:, 5:], G[:, 5:, 5:], rtol=1e-9, atol=1e-12)
-    loop = one.system.select(slice(0, 5), slice(0, 5))
+    np.testing.assert_allclose(found[:, :5, :6], left @ G[:, :5, :6] @ right, rtol=1e-9)
+    np.testing.assert_allclose(found[:, :5, 6:], left @ G[:, :5, 6:], rtol=1e-9)
+    np.testing.assert_allclose(found[:, 5:, :6], G[:, 5:, :6] @ right, rtol=1e-9)
+    np.testing.assert_allclose(found[:, 5:, 6:], G[:, 5:, 6:], rtol=1e-9, atol=1e-12)
+    loop = one.system.select(slice(0, 5), slice(0, 6))
     np.testing.assert_allclose(
-        work.scaled(loop, scaling).response(omega), left @ G[:, :5, :5] @ right, rtol=1e-9
+        work.scaled(loop, scaling).response(omega), left @ G[:, :5, :6] @ right, rtol=1e-9
     )
 
 
@@ -118,7 +118,7 @@ def test_synthesis_and_norm_are_asked_about_the_scaled_plant(monkeypatch):
         monkeypatch.setattr(dk, name, said)
     assert work.controller(scaling, backoff=0.1) == "said"
     assert work.improved(3.0, scaling) == "said"
-    assert work.scaled_norm(work.system.select(slice(0, 5), slice(0, 5)), scaling) == "said"
+    assert work.scaled_norm(work.system.select(slice(0, 5), slice(0, 6)), scaling) == "said"
     wanted = work.scaled(work.system, scaling)
     assert [(len(args) - 1, options) for args, options in asked] == [
         (2, {"backoff": 0.1}),
@@ -127,7 +127,8 @@ def test_synthesis_and_norm_are_asked_about_the_scaled_plant(monkeypatch):
     ]
     assert asked[0][0][1:] == (2, 1) and asked[1][0][1:] == (2, 1, 3.0)
     for args, _ in asked:
-        np.testing.assert_allclose(args[0].A, wanted.A[: len(args[0].A), : len(args[0].A)])
+        G = args[0].response([0.7])[0]
+        np.testing.assert_allclose(G, wanted.response([0.7])[0, : len(G), : G.shape[1]], rtol=1e-9)
 
 
 # ---------------------------------------------------------------- the fit of a scaling
@@ -149,7 +150,7 @@ def posed(monkeypatch) -> dict:
 @pytest.mark.parametrize("power", [3.0, 10.0])
 def test_a_fit_minimises_the_power_mean_of_the_scaled_gains(posed, power):
     one = plant()
-    work, loop = dk._Work(one), one.system.select(slice(0, 5), slice(0, 5))
+    work, loop = dk._Work(one), one.system.select(slice(0, 5), slice(0, 6))
     found = work.fit(loop, Scaling(PARAMETERS), power)
     assert posed["options"] == {"jac": True, "method": "BFGS", "options": {"maxiter": 40, "gtol": 1e-6}}
     np.testing.assert_array_equal(posed["x0"], PARAMETERS.ravel())
@@ -161,7 +162,7 @@ def test_a_fit_minimises_the_power_mean_of_the_scaled_gains(posed, power):
     gains = []
     for w, m in zip(work.omega, M, strict=True):
         one, two = (magnitude(row, w) for row in PARAMETERS)
-        gains.append(np.linalg.norm(np.diag([one, two, two, two, 1]) @ m / [one, one, two, 1, 1], 2))
+        gains.append(np.linalg.norm(np.diag([one, two, two, two, 1]) @ m / [one, one, two, 1, 1, 1], 2))
     assert value == pytest.approx(np.log(np.mean(np.array(gains) ** power)) / power, rel=1e-10)
     for k, h in enumerate(1e-5 * np.eye(10)):
         ahead, behind = (posed["objective"](posed["x0"] + s * h)[0] for s in (1, -1))
@@ -174,7 +175,7 @@ def test_a_fit_minimises_the_power_mean_of_the_scaled_gains(posed, power):
 def test_a_fit_starts_beside_the_point_where_zeros_and_poles_meet(posed):
     """There it is stationary. Corners that differ, and a constant, are where it starts."""
     one = plant()
-    work, loop = dk._Work(one), one.system.select(slice(0, 5), slice(0, 5))
+    work, loop = dk._Work(one), one.system.select(slice(0, 5), slice(0, 6))
     work.fit(loop, Scaling(np.tile([0.5, -2.0, -2.0], (2, 1))), 10.0)
     third = np.log(3.0)
     np.testing.assert_allclose(posed["x0"], np.tile([0.5, -2.0 + third, -2.0 - third], 2))
@@ -189,7 +190,7 @@ def test_a_fit_starts_beside_the_point_where_zeros_and_poles_meet(posed):
 
 def test_a_fit_leaves_a_loop_without_gain_finite(posed):
     one = plant()
-    dk._Work(one).fit(gain(np.zeros((5, 5))), Scaling(PARAMETERS), 10.0)
+    dk._Work(one).fit(gain(np.zeros((5, 6))), Scaling(PARAMETERS), 10.0)
     value, slope = posed["objective"](posed["x0"])
     assert value == pytest.approx(np.log(1e-150)) and np.isfinite(slope).all()
 
@@ -206,7 +207,7 @@ def test_a_fit_finds_the_scaling_of_a_constant_loop():
 
 def test_the_lower_bound_is_the_best_at_the_peak_and_the_two_highest_lines(monkeypatch):
     one, scaling = plant(), Scaling(PARAMETERS)
-    work, loop = dk._Work(one), one.system.select(slice(0, 5), slice(0, 5))
+    work, loop = dk._Work(one), one.system.select(slice(0, 5), slice(0, 6))
     asked = []
 
     def mu_lower(M, blocks, left, right, enough):
@@ -223,10 +224,10 @@ def test_the_lower_bound_is_the_best_at_the_peak_and_the_two_highest_lines(monke
     assert (value, omega, delta) == (0.7, points[1], 2) and len(asked) == 3
     for w, (M, blocks, L, R, enough) in zip(points, asked, strict=True):
         np.testing.assert_allclose(M, loop.response([w])[0])
-        assert blocks == (*BLOCKS, Block("full", 2, 1))
+        assert blocks == (*BLOCKS, Block("full", 3, 1))
         one, two = (magnitude(row, w) for row in PARAMETERS)
         np.testing.assert_allclose(L, np.diag([one, two, two, two, 1.0]), rtol=1e-9)
-        np.testing.assert_allclose(R, np.diag([one, one, two, 1.0, 1.0]), rtol=1e-9)
+        np.testing.assert_allclose(R, np.diag([one, one, two, 1.0, 1.0, 1.0]), rtol=1e-9)
         assert enough == pytest.approx(gains.max() * (1 - 1e-6), rel=1e-10) and enough < gains.max()
 
 
@@ -300,7 +301,7 @@ def test_a_loop_that_is_not_stable_has_no_level(pole, stable):
 def test_without_blocks_the_level_is_the_norm_of_the_loop(dt):
     one = plant(blocks=(), dt=dt)
     found = dk.certify(one, gain(np.zeros((2, 1)), dt))
-    wanted = hinf_norm(one.system.select(slice(0, 1), slice(0, 2)))
+    wanted = hinf_norm(one.system.select(slice(0, 1), slice(0, 3)))
     assert found.bracket == wanted and (found.upper, found.lower) == (wanted.upper, wanted.lower)
     assert found.lower_frequency == wanted.peak_frequency and found.delta is None
     assert found.scaling.log_parameters.shape == (0, 1)
