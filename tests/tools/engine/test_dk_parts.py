@@ -520,6 +520,8 @@ def test_a_budget_counts_what_was_looked_at_and_no_parameters_are_no_search():
     level, _ = dk._polish(work, Scaling(START), 2.0, 3, workers)
     assert (level, taken) == (1.7, [2, 2, 1, 0, 0, 0])
     assert dk._polish(Measured([]), Scaling(np.zeros((0, 3))), 2.0, 9, map)[0] == 2.0
+    with pytest.raises(ValueError):
+        dk._polish(Measured([]), Scaling(START), 2.0, 9, lambda function, trials: [None])
 
 
 # ---------------------------------------------------------------- reduction
@@ -596,6 +598,9 @@ def test_states_that_the_loop_does_not_reach_or_see_have_no_rank(monkeypatch):
     truncated, rank = dk._truncations(P, hidden)
     assert rank == 3
     np.testing.assert_allclose(truncated(3).response([0.7]), K.response([0.7]), rtol=1e-6)
+    unit = np.array([1e-5, 1.0])
+    quiet = StateSpace(P.A, P.B * unit, P.C * unit[:, None], P.D)
+    assert dk._truncations(quiet, hidden)[1] == 3, "in another unit of w and z"
     lonely = StateSpace([[-1.0]], [[0.0]], [[0.0]], [[-0.5]])
     truncated, rank = dk._truncations(P, lonely)
     assert rank == 0

@@ -172,6 +172,9 @@ def test_two_remainders_are_weighed_at_the_least_cost():
         (None, 0.0625, 0.015625),
         (None, 0.015625, None),
         (None, 0.06, 0.015),
+        (None, 0.05, None),
+        (7.5, None, 8.0),
+        (2.0, 4.2, None),
         (0.25, None, 1.0),
         (4.0, None, 8.0),
         (8.0, None, None),
@@ -282,6 +285,22 @@ def test_the_rate_at_the_knots_is_the_one_at_which_the_dissipation_ends():
         return out
 
     assert least(0.999 * rate) > 0 > least(1.001 * rate)
+
+
+@pytest.mark.parametrize("steep", range(4))
+def test_every_knot_bears_the_slopes_on_either_side(steep):
+    """Of one number P: |dP/dt| times M F^-1 M' at each knot."""
+    one, knots = scalar(0.5, 0.1), np.array([1.0, 1.5, 2.5, 3.0])
+    P = np.full(4, 0.5)
+    P[steep] = 0.62
+    slopes, rates = np.diff(P) / np.diff(knots), []
+    for k, p in enumerate(P):
+        F = np.array([[p - 0.25 * p - 0.01, -0.5 * p], [-0.5 * p, 1 - p]])
+        M = np.array([0.5, 1.0])
+        rates += [1 / (TS * abs(s) * (M @ np.linalg.solve(F, M))) for s in slopes[max(k - 1, 0) : k + 1] if s]
+    storage = lpv.Storage(np.eye(1), knots, P[:, None, None])
+    with np.errstate(divide="ignore"):
+        assert lpv._rate_at_knots(one, storage) == pytest.approx(min(rates))
 
 
 def scalar(a: float, gain: float) -> lpv.Family:
@@ -517,7 +536,9 @@ def celled(monkeypatch):
     def run(slack, P=(1.0, 2.0), nodes=(1.0, 2.0), adjoint=False, **limits):
         asked, made, cuts = [], [], []
         knots = np.array([1.0, 2.0])
-        storage = lpv.Storage(np.eye(2), knots, np.array([p * np.diag([1.0, 3.0]) for p in P]), adjoint)
+        storage = lpv.Storage(
+            np.eye(2), knots, np.array([np.diag(p * np.array([1.0, 3.0])) for p in P]), adjoint
+        )
         for name, value in limits.items():
             monkeypatch.setattr(lpv, name, value)
 
@@ -570,13 +591,27 @@ def test_a_proof_is_given_up_in_cells_that_are_too_small_or_too_many(celled):
     assert found.cells == 16
 
 
-@pytest.mark.parametrize("P", [(1.0, 0.0), (-1.0, 1.0)])
+@pytest.mark.parametrize("P", [(1.0, 0.0), (-1.0, 1.0), (1.0, np.array([-1.0, 1.0]))])
 def test_a_storage_function_is_positive_at_every_knot(P, celled):
     assert celled(lambda low, high: 1.0, P=P) == (None, [])
 
 
-def test_an_end_holds_the_loop_and_p_in_the_coordinates_and_their_sizes():
+def two_outputs() -> tuple[lpv.Family, lpv.Storage]:
+    """`roomy` with a second output, in coordinates in which P has entries below 0."""
     one, storage = roomy()
+
+    def at(v):
+        G = one.at(v)
+        C, D = (np.insert(part, 1, row, axis=0) for part, row in ((G.C, [0.0, 0.05]), (G.D, [0.02])))
+        return StateSpace(G.A, G.B, C, D, TS)
+
+    other = np.array([[2.0, -0.5], [0.0, 1.0]])
+    T = np.linalg.solve(storage.basis, other)
+    return replace(one, at=at), replace(storage, basis=other, P=T.T @ storage.P @ T)
+
+
+def test_an_end_holds_the_loop_and_p_in_the_coordinates_and_their_sizes():
+    one, storage = two_outputs()
     end = lpv._End.of(one, storage, 1.7)
     G, T = one.loop(1.7), storage.basis
     np.testing.assert_allclose(end.S[:2], np.linalg.solve(T, np.hstack([G.A @ T, G.B])), atol=1e-14)
@@ -590,7 +625,7 @@ def test_an_end_holds_the_loop_and_p_in_the_coordinates_and_their_sizes():
 
 @pytest.mark.parametrize("adjoint", [False, True])
 def test_the_vehicles_share_of_the_loop_is_what_changes_with_speed(adjoint):
-    one, storage = roomy()
+    one, storage = two_outputs()
     one = replace(one, adjoint=adjoint)
     low, high = (lpv._End.of(one, storage, v) for v in (1.2, 2.9))
     A = [one.at(v).A[1:] for v in (1.2, 2.9)]
@@ -627,7 +662,7 @@ def test_products_are_weighed_one_by_one_and_those_with_nothing_left_out():
     for x in reached:
         x[:, 1] = 0.0
     reached[0][:, 2] = 0.0
-    right[1] = 0.0
+    right[1] = right[0, 0] = reached[0][0, 0] = reached[1][0, 0] = 0.0
     found = lpv._crossed(reached, bound, right, inverse)
     assert np.isfinite(found).all()
     np.testing.assert_allclose(found, crossed(reached, bound, right, inverse), rtol=1e-10)
@@ -638,7 +673,7 @@ def test_products_are_weighed_one_by_one_and_those_with_nothing_left_out():
 def test_a_cells_slack_is_f_less_what_its_chords_may_lose(low, high, rate, adjoint, monkeypatch):
     """By hand, with rounding that is seen beside the rest."""
     monkeypatch.setattr(lpv, "EPS", 1e-4)
-    one, storage = roomy()
+    one, storage = two_outputs()
     one = replace(one, adjoint=adjoint)
     if adjoint:
         storage = replace(storage, P=10 * storage.P)
@@ -673,11 +708,13 @@ def test_a_cells_slack_is_f_less_what_its_chords_may_lose(low, high, rate, adjoi
         for end, f, q in zip(ends, F, Q, strict=True):
             on_P = np.abs(end.P).sum(axis=1).max()
             on_Q = np.linalg.norm(end.S, 2) ** 2 * np.abs(q).sum(axis=1).max()
-            slacks.append(np.linalg.eigvalsh(f - lost)[0] - 4 * len(f) * 1e-4 * (on_P + on_Q))
+            by_rounding = 4 * len(f) * (on_P + on_Q)
+            slacks.append((np.linalg.eigvalsh(f - lost)[0] - 1e-4 * by_rounding, by_rounding))
     found = lpv._cell_slack(one, storage, *ends, rate)
-    assert min(slacks) > 0 and found == pytest.approx(min(slacks), rel=1e-9)
-    monkeypatch.setattr(lpv, "EPS", 1.0)
-    assert lpv._cell_slack(one, storage, *ends, rate) is None
+    least, by_rounding = min(slacks)
+    assert least > 0 and found == pytest.approx(least, rel=1e-9)
+    monkeypatch.setattr(lpv, "EPS", 1e-4 + (least + 0.01) / by_rounding)
+    assert lpv._cell_slack(one, storage, *ends, rate) is None, "0.01 below 0"
 
 
 @pytest.mark.parametrize(("after", "holds"), [(0.1, True), (-0.1, False), (0.0, False)])
@@ -829,7 +866,7 @@ def searched(monkeypatch):
         )
 
         def feasible(rate, P, unit):
-            assert unit == 4.0
+            assert unit.tolist() == [4.0, 6.0]
             tried.append((rate, P))
             return rate if rate <= found else None
 
@@ -845,7 +882,7 @@ def searched(monkeypatch):
             "StorageGrid",
             SimpleNamespace(of=lambda Ts, grid, basis, parts: search if parts == "parts" else None),
         )
-        F = SimpleNamespace(F=lambda frozen: np.array([3.0, 5.0]))
+        F = SimpleNamespace(F=lambda frozen: np.array([[3.0, 5.0], [5.0, 7.0]]))
         monkeypatch.setattr(lpv, "unmoved", lambda parts: F)
         monkeypatch.setattr(lpv, "feasible", feasible)
         monkeypatch.setattr(lpv, "polynomial_storage", lambda *args: args)

@@ -521,11 +521,11 @@ def _rows(X: np.ndarray) -> np.ndarray:
 def _frozen(parts: list[tuple[np.ndarray, np.ndarray]], Ts: float) -> np.ndarray | None:
     """Strict solutions of the bounded-real Riccati equation at every speed, (k, n, n), all with the same
     slack; None when a frozen gain is not below 1."""
-    n = len(parts[0][0])
     for slack in SLACKS:
-        extra, out = np.sqrt(slack) * np.eye(n), []
+        out = []
         for M, N in parts:
-            m = M.shape[1] - n
+            n, m = len(M), M.shape[1] - len(M)
+            extra = np.sqrt(slack) * np.eye(n)
             B, C = np.hstack([M[:, n:], extra]), np.vstack([N[:, :n], extra])
             D = sl.block_diag(N[:, n:], np.zeros((n, n)))
             if hinf_norm(StateSpace(M[:, :n], B, C, D, Ts), rtol=1e-3).upper >= 1:
