@@ -294,7 +294,9 @@ def test_the_hessian_has_two_threads(grid, monkeypatch):
 def test_f_is_measured_in_itself_or_in_what_is_nearest_and_positive():
     """By segments; of two that are as near by the mean of both. F that is 0 is not positive."""
     sizes, segment = np.array([1.0, -1.0, 3.0, 0.0, -2.0, 7.0]), np.array([0, 1, 2, 4, 4, 5])
-    found = knot_search._units(sizes[:, None, None] * np.eye(2), segment, 99 * np.eye(2))
+    F = sizes[:, None, None] * np.eye(2)
+    F[1, 1, 1] = 9.0
+    found = knot_search._units(F, segment, 99 * np.eye(2))
     assert found[:, 0, 0].tolist() == [1.0, 2.0, 3.0, 7.0, 7.0, 7.0] and not found[:, 0, 1].any()
     none = knot_search._units(-np.ones((3, 1, 1)), np.arange(3), np.array([[5.0]]))
     assert none.ravel().tolist() == [5.0] * 3
@@ -367,10 +369,22 @@ def test_steps_are_counted_and_a_start_that_lacks_nothing_is_found(stepped):
 
 def test_the_gain_is_searched_beside_p_from_where_it_is(stepped):
     """An excess of 0.5 adds half the identity: the second then lacks 5/8 of its unit."""
-    found, asked = feasible(stepped, [([-0.1, 0.75], 1.0)], ONE_GAIN, Point(LACKING, 0.5))
-    assert asked[0].y == [pytest.approx(1.05 * 0.625 + 1e-3), 0.5] and asked[0].slope == [60.0, 0.0]
+    script = [([0.1, 0.9], 1.0), ([-0.1, 0.75], 1.0)]
+    found, asked = feasible(stepped, script, ONE_GAIN, Point(LACKING, 0.5))
+    assert asked[0].y == [pytest.approx(1.05 * 0.625 + 1e-3), 0.5]
+    assert [one.slope for one in asked] == [[60.0, 0.0], [300.0, 0.0]]
     np.testing.assert_array_equal(asked[0].directions, [UNITS, *ONE_GAIN])
     assert found.excess == 0.75
+
+
+def test_what_f_lacks_is_an_eigenvalue_over_its_unit(stepped):
+    units = np.array([[[2.0, 1.0], [1.0, 4.0]]] * 3)
+    _, asked = stepped(
+        lambda barrier: knot_search._feasible(barrier, Point(LACKING), units, NO_GAIN, "price"),
+        [([-1.0], 1.0)],
+    )
+    roots = np.roots([7.0, 10.0, 3.0])  # det(F - x unit) of the second
+    assert asked[0].y == [pytest.approx(1.05 * -roots.min() + 1e-3)]
 
 
 @pytest.mark.parametrize(
@@ -409,7 +423,7 @@ def test_a_search_is_told_its_units_its_gain_and_its_price(grid, monkeypatch):
     monkeypatch.setattr(knot_search, "_feasible", feasible)
     monkeypatch.setattr(knot_search, "_centred", centred)
     start, unit = Point(0.01 * point(grid).P), 5 * np.eye(4)
-    for delta, gains in (((1, 1), 1), ((0, 0), 0)):
+    for delta, gains in (((1, 1), 1), ((0, 0), 0), ((0, 1), 0), ((1, 0), 1)):
         one = replace(grid, delta=delta)
         asked["point"] = "point"
         assert knot_search.found_at(one, start, 0.3, unit) == "centred"
