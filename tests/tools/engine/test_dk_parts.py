@@ -549,12 +549,12 @@ def test_the_least_order_that_keeps_the_level_is_searched_by_halves(rank, monkey
 
 
 def controlled() -> tuple[StateSpace, StateSpace]:
-    """A stable plant of order 2 and a controller of order 3, unstable by itself."""
+    """A stable plant of order 2 with w and z of 2, and a controller of order 3, unstable by itself."""
     P = StateSpace(
         [[-1.0, 0.5], [0.0, -2.0]],
-        [[1.0, 1.0], [0.3, 1.0]],
-        [[1.0, 0.2], [1.0, 0.0]],
-        np.zeros((2, 2)),
+        [[1.0, -0.4, 1.0], [0.3, 0.5, 1.0]],
+        [[1.0, 0.2], [-0.3, 0.6], [1.0, 0.0]],
+        np.zeros((3, 3)),
     )
     K = StateSpace(
         [[0.2, 0.1, 0.0], [0.0, -1.5, 0.4], [0.3, 0.0, -4.0]],
@@ -598,7 +598,7 @@ def test_states_that_the_loop_does_not_reach_or_see_have_no_rank(monkeypatch):
     truncated, rank = dk._truncations(P, hidden)
     assert rank == 3
     np.testing.assert_allclose(truncated(3).response([0.7]), K.response([0.7]), rtol=1e-6)
-    unit = np.array([1e-5, 1.0])
+    unit = np.array([1e-5, 1e-5, 1.0])
     quiet = StateSpace(P.A, P.B * unit, P.C * unit[:, None], P.D)
     assert dk._truncations(quiet, hidden)[1] == 3, "in another unit of w and z"
     lonely = StateSpace([[-1.0]], [[0.0]], [[0.0]], [[-0.5]])
