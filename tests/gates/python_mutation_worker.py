@@ -29,6 +29,7 @@ import resource
 import shutil
 import signal
 import sys
+import threading
 import types
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
@@ -232,9 +233,11 @@ def reached_by(
     living.forget()
     limited(2 * LONGEST_S)
     began = cpu_s()
+    threading.settrace(call)
     sys.settrace(call)
     good = passes([item])
     sys.settrace(None)
+    threading.settrace(None)
     return good, cpu_s() - began, {name.removeprefix(begin): sorted(found[name]) for name in sorted(found)}
 
 
@@ -328,7 +331,9 @@ def put_in(mutants: Mutants, site: Site, index: int, living: Living) -> None:
     if not found:
         raise LookupError(f"no function {site.function} lives")
     for function in found:
-        function.__code__ = code
+        # A function with super() has a cell for its class, also where the mutant leaves super() out.
+        held = function.__code__.co_freevars
+        function.__code__ = code if code.co_freevars else code.replace(co_freevars=held)
         if site.default is not None:
             change_default(function, site.default, site.new[index])
 

@@ -27,7 +27,8 @@ from python_mutation_run import (
 
 ROOT = Path(__file__).resolve().parents[2]
 SMALL = "engine/validation/small.py"
-SOURCE = """from functools import cache
+SOURCE = """from concurrent.futures import ThreadPoolExecutor
+from functools import cache
 
 LIMIT = 30
 
@@ -56,11 +57,24 @@ class Line:
         return [self.slope - k for k in range(2)]
 
 
+class Steep(Line):
+    def __init__(self):
+        super().__init__(slope=9)
+
+
+def apart(x):
+    def added():
+        return x + 1
+
+    with ThreadPoolExecutor() as threads:
+        return threads.submit(added).result()
+
+
 def unused(x):
     return x + 1
 """
 TESTS = """import pytest
-from lpvguard_small.engine.validation.small import Line, doubled, limited
+from lpvguard_small.engine.validation.small import Line, Steep, apart, doubled, limited
 
 KEPT = doubled(4)
 
@@ -81,6 +95,14 @@ def test_a_default_and_a_property():
     assert Line().rise == [4, 3]
 
 
+def test_a_class_that_derives():
+    assert Steep().rise == [9, 8]
+
+
+def test_what_a_thread_does():
+    assert apart(3) == 4
+
+
 @pytest.mark.slow("would kill all")
 def test_that_is_not_asked():
     assert limited(10) == 30 and limited(-11) == -33 and unused(1) == 2
@@ -94,7 +116,7 @@ def made():
 def test_that_reads_what_was_made_before(made):
     assert limited(10) == 30 and limited(-11) == -33
 """
-N_SMALL = 46
+N_SMALL = 55
 AT_THE_BORDER = {
     "if y > LIMIT:  ->  if y >= LIMIT:",
     "if y > LIMIT:  ->  if y > LIMIT + 1:",
@@ -166,6 +188,19 @@ def test_defaults_properties_and_what_is_kept_are_changed(ran):
     assert "return [self.slope - k for k in range(2)]  ->  return [self.slope for k in range(2)]" in of(
         mutants, "Line.rise"
     )
+
+
+@pytest.mark.slow("7 s: a module with its mutants")
+def test_a_function_that_no_longer_asks_its_base_class_is_changed(ran):
+    mutants, survived = ran
+    assert "super().__init__(slope=9)  ->  (left out)" in of(mutants, "Steep.__init__")
+    assert not of(survived, "Steep.__init__")
+
+
+@pytest.mark.slow("7 s: a module with its mutants")
+def test_lines_that_a_thread_runs_are_reached(ran):
+    mutants, survived = ran
+    assert "return x + 1  ->  return x - 1" in of(mutants, "apart") and not of(survived, "apart")
 
 
 @pytest.mark.slow("7 s: a module with its mutants")

@@ -3,6 +3,7 @@ found."""
 
 import itertools
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -189,3 +190,252 @@ def test_even_coordinates_change_nothing_but_the_coordinates(grid):
     np.testing.assert_array_equal(*signs)
     worse = replace(one, P=-one.P)
     assert grid.evened(worse) == (grid, worse)
+
+
+@pytest.mark.parametrize("delta", [(1, 2), (2, 1)])
+def test_the_gain_of_delta_is_told_by_its_own_inputs_and_outputs(grid, delta):
+    """Of an inequality its speed's: eta'eta less, xi'xi more."""
+    found = replace(grid, speeds=np.array([1.5, 2.0]), delta=delta).gain_direction()
+    assert len(found) == 6
+    for X, v in zip(found, [1.5] * 4 + [2.0] * 2, strict=True):
+        G = loop_at(v)
+        N = np.hstack([G.C, G.D])[: delta[0]]
+        np.testing.assert_allclose(X, -N.T @ N + np.diag([0, 0, 1, delta[1] - 1]), atol=1e-14)
+
+
+def test_speeds_at_which_f_vanishes_are_violated(grid):
+    """x+ = x at every speed and P constant: F = 0 at rate 0."""
+    still = StateSpace(np.eye(2), np.zeros((2, 2)), np.zeros((2, 2)), np.zeros((2, 2)), TS)
+    one = replace(grid, loop_at=lambda v: still, delta=(0, 0))
+    flat = Point(np.tile(np.eye(2), (4, 1, 1)))
+    assert one.violated(flat, 0.0, np.array([1.25, 2.0, 2.75])).tolist() == [1.25, 2.0, 2.75]
+
+
+def test_coordinates_stay_where_not_every_state_dissipates(grid):
+    """One stands still."""
+    still = StateSpace(np.diag([1.0, 0.5]), np.zeros((2, 2)), np.zeros((2, 2)), np.zeros((2, 2)), TS)
+    one, flat = replace(grid, loop_at=lambda v: still, delta=(0, 0)), Point(np.tile(np.eye(2), (4, 1, 1)))
+    assert one.evened(flat) == (one, flat)
+
+
+# ---------------------------------------------------------------- the factor by halves
+
+
+@pytest.mark.parametrize(
+    ("count", "lengths"), [(1, [0, 0]), (2, [1, 0]), (5, [2, 2]), (6, [3, 2]), (9, [4, 4])]
+)
+def test_two_threads_factor_halves_of_like_length(count, lengths, monkeypatch):
+    asked, threads, factored, pool = [], [], knot_search._factored, knot_search.ThreadPoolExecutor
+
+    def told(chain, extra):
+        asked.append((len(chain[0]), extra))
+        return factored(chain, extra)
+
+    def opened(workers):
+        threads.append(workers)
+        return pool(workers)
+
+    monkeypatch.setattr(knot_search, "_factored", told)
+    monkeypatch.setattr(knot_search, "ThreadPoolExecutor", opened)
+    right = np.arange(2.0 * count).reshape(count, 2)
+    x = knot_search.solved_blocks([np.eye(1)] * count, [np.zeros((1, 1))] * (count - 1), right)
+    np.testing.assert_allclose(x, right)
+    assert sorted(n for n, _ in asked) == sorted(lengths) and threads == [2]
+
+
+def test_the_least_addition_that_makes_a_matrix_positive_is_the_one_solved_with():
+    for beside, extra in ((1 + 5e-14, 1e-13), (1 + 5e-10, 1e-9), (1 + 5e-8, 1e-7)):
+        found = knot_search.solved_blocks([np.eye(1)] * 2, [np.array([[beside]])], np.array([[1.0], [0.0]]))
+        det = (1 + extra) ** 2 - beside**2
+        np.testing.assert_allclose(found.ravel() * det, [1.0, -beside], rtol=1e-2)
+
+
+def test_a_triangle_is_solved_in_pieces_of_200_rows_at_most(monkeypatch):
+    rows, solve = [], knot_search.sl.solve_triangular
+
+    def told(L, right, **options):
+        rows.append(len(L))
+        return solve(L, right, **options)
+
+    monkeypatch.setattr(knot_search.sl, "solve_triangular", told)
+    L = np.tril(np.random.default_rng(5).uniform(0, 1e-2, (401, 401))) + np.eye(401)
+    for size, pieces in ((200, [200]), (201, [100, 101]), (401, [200, 100, 101])):
+        rows.clear()
+        found = knot_search._divided(L[:size, :size], np.ones((size, 1)))
+        np.testing.assert_allclose(L[:size, :size] @ found, 1.0, atol=1e-9)
+        assert rows == pieces
+
+
+def test_blocks_that_do_not_pair_are_refused_and_what_is_not_finite_is_passed_on():
+    one = np.eye(1)
+    with pytest.raises(ValueError):
+        knot_search.solved_blocks([one] * 4, [0 * one], np.ones((4, 1)))
+    nothing = np.full((3, 1), np.nan)
+    assert np.isnan(knot_search._divided(np.eye(3), nothing)).all()
+    assert np.isnan(knot_search.solved_blocks([one] * 3, [0 * one] * 2, nothing)).all()
+
+
+def test_the_hessian_has_two_threads(grid, monkeypatch):
+    threads, pool = [], knot_search.ThreadPoolExecutor
+
+    def opened(workers):
+        threads.append(workers)
+        return pool(workers)
+
+    monkeypatch.setattr(knot_search, "ThreadPoolExecutor", opened)
+    barrier = grid.barrier(0.3)
+    barrier._blocks(np.tile(np.eye(4), (12, 1, 1)))
+    assert threads == [2]
+
+
+# ---------------------------------------------------------------- the search at one rate
+
+
+def test_f_is_measured_in_itself_or_in_what_is_nearest_and_positive():
+    """By segments; of two that are as near by the mean of both. F that is 0 is not positive."""
+    sizes, segment = np.array([1.0, -1.0, 3.0, 0.0, -2.0, 7.0]), np.array([0, 1, 2, 4, 4, 5])
+    F = sizes[:, None, None] * np.eye(2)
+    F[1, 1, 1] = 9.0
+    found = knot_search._units(F, segment, 99 * np.eye(2))
+    assert found[:, 0, 0].tolist() == [1.0, 2.0, 3.0, 7.0, 7.0, 7.0] and not found[:, 0, 1].any()
+    none = knot_search._units(-np.ones((3, 1, 1)), np.arange(3), np.array([[5.0]]))
+    assert none.ravel().tolist() == [5.0] * 3
+
+
+@pytest.fixture
+def stepped(monkeypatch):
+    """A barrier whose F is P itself, and Newton's steps by a script: what was asked of each."""
+
+    def run(call, script):
+        asked, script = [], iter(script)
+
+        def newton_step(barrier, P, y, directions, slope, price):
+            asked.append(
+                SimpleNamespace(P=P, y=y.tolist(), directions=directions, slope=slope.tolist(), price=price)
+            )
+            step = next(script)
+            if step is None:
+                raise np.linalg.LinAlgError
+            return P + 1.0, np.array(step[0]), step[1]
+
+        monkeypatch.setattr(knot_search, "newton_step", newton_step)
+        return call(SimpleNamespace(F=lambda P: P)), asked
+
+    return run
+
+
+UNITS = np.tile(np.diag([2.0, 4.0]), (3, 1, 1))
+LACKING = np.array([np.eye(2), np.diag([-1.0, -3.0]), np.eye(2)])
+"""The second lacks three quarters of its unit."""
+ONE_GAIN = np.array([[np.eye(2)] * 3])
+NO_GAIN = np.zeros((0, 3, 2, 2))
+
+
+def feasible(stepped, script, gain=NO_GAIN, start=None):
+    start = start or Point(LACKING, 0.0)
+    return stepped(lambda barrier: knot_search._feasible(barrier, start, UNITS, gain, "price"), script)
+
+
+def test_what_f_lacks_is_weighed_more_near_each_centre_until_nothing_lacks(stepped):
+    """FIRST_WEIGHT for each of 6 rows; five times as much where the decrement is below 200."""
+    script = [([0.3], 200.0), ([0.2], 199.0), ([0.04], 1.0), ([0.0], 200.0), ([-1e-9], 999.0)]
+    found, asked = feasible(stepped, script)
+    np.testing.assert_array_equal(found.P, LACKING + 5.0)
+    assert found.excess == 0.0
+    assert asked[0].y == [pytest.approx(1.05 * 0.75 + 1e-3, rel=1e-12)]
+    assert [one.y for one in asked[1:]] == [[0.3], [0.2], [0.04], [0.0]]
+    assert [one.slope for one in asked] == [[60.0], [60.0], [300.0], [1500.0], [1500.0]]
+    assert {one.price for one in asked} == {"price"}
+    for one in asked:
+        np.testing.assert_array_equal(one.directions, UNITS[None])
+
+
+def test_a_point_is_out_of_reach_where_too_much_lacks_near_a_centre(stepped):
+    assert feasible(stepped, [([0.2 + 1e-9], 199.0)])[0] is None
+    assert feasible(stepped, [([0.2 + 1e-9], 200.0), None])[0] is None
+    found, asked = feasible(stepped, [([0.2], 199.0), ([0.04 + 1e-9], 199.0)])
+    assert found is None and len(asked) == 2
+
+
+def test_steps_are_counted_and_a_start_that_lacks_nothing_is_found(stepped):
+    found, asked = feasible(stepped, [([0.5], 999.0)] * 99)
+    assert found is None and len(asked) == knot_search.STEPS == 60
+    inside = Point(np.tile(np.eye(2), (3, 1, 1)), 0.25)
+    found, asked = feasible(stepped, [], start=inside)
+    assert found is inside and not asked
+    border = Point(np.tile(np.diag([0.0, 1.0]), (3, 1, 1)), 0.25)
+    assert len(feasible(stepped, [([-1.0], 1.0)], start=border)[1]) == 1
+
+
+def test_the_gain_is_searched_beside_p_from_where_it_is(stepped):
+    """An excess of 0.5 adds half the identity: the second then lacks 5/8 of its unit."""
+    script = [([0.1, 0.9], 1.0), ([-0.1, 0.75], 1.0)]
+    found, asked = feasible(stepped, script, ONE_GAIN, Point(LACKING, 0.5))
+    assert asked[0].y == [pytest.approx(1.05 * 0.625 + 1e-3), 0.5]
+    assert [one.slope for one in asked] == [[60.0, 0.0], [300.0, 0.0]]
+    np.testing.assert_array_equal(asked[0].directions, [UNITS, *ONE_GAIN])
+    assert found.excess == 0.75
+
+
+def test_what_f_lacks_is_an_eigenvalue_over_its_unit(stepped):
+    units = np.array([[[2.0, 1.0], [1.0, 4.0]]] * 3)
+    _, asked = stepped(
+        lambda barrier: knot_search._feasible(barrier, Point(LACKING), units, NO_GAIN, "price"),
+        [([-1.0], 1.0)],
+    )
+    roots = np.roots([7.0, 10.0, 3.0])  # det(F - x unit) of the second
+    assert asked[0].y == [pytest.approx(1.05 * -roots.min() + 1e-3)]
+
+
+@pytest.mark.parametrize(
+    ("script", "steps", "moves"),
+    [
+        ([([0.1], 200.0)] * 9, 4, 4),
+        ([([0.1], 200.0), ([0.2], 199.0)], 2, 2),
+        ([([0.1], 200.0), None], 2, 1),
+    ],
+)
+def test_four_steps_at_most_go_to_the_centre(script, steps, moves, stepped):
+    found, asked = stepped(
+        lambda barrier: knot_search._centred(barrier, Point(LACKING, 0.5), ONE_GAIN, "price"), script
+    )
+    assert len(asked) == steps and asked[0].y == [0.5]
+    assert all(one.slope == [0.0] and one.price == "price" and one.directions is ONE_GAIN for one in asked)
+    np.testing.assert_array_equal(found.P, LACKING + moves)
+    assert found.excess == script[moves - 1][0][0]
+    found, asked = stepped(
+        lambda barrier: knot_search._centred(barrier, Point(LACKING), NO_GAIN, "price"), [([], 1.0)]
+    )
+    assert found.excess == 0.0 and asked[0].y == asked[0].slope == []
+
+
+def test_a_search_is_told_its_units_its_gain_and_its_price(grid, monkeypatch):
+    asked = {}
+
+    def feasible(barrier, start, units, gain, price):
+        asked["feasible"] = barrier, start, units, gain, price
+        return asked["point"]
+
+    def centred(barrier, point, gain, price):
+        asked["centred"] = barrier, point, gain, price
+        return "centred"
+
+    monkeypatch.setattr(knot_search, "_feasible", feasible)
+    monkeypatch.setattr(knot_search, "_centred", centred)
+    quiet = StateSpace(0.5 * np.eye(2), 0.1 * np.eye(2), 0.1 * np.eye(2), np.zeros((2, 2)), TS)
+    start, unit = point(grid), 5 * np.eye(4)
+    for delta, gains in (((1, 1), 1), ((0, 0), 0), ((0, 1), 0), ((1, 0), 1)):
+        one = replace(grid, delta=delta, loop_at=lambda v: quiet)
+        asked["point"] = "point"
+        assert knot_search.found_at(one, start, 0.3, unit) == "centred"
+        barrier, begun, units, gain, price = asked["feasible"]
+        assert begun is start and gain.shape == (gains, 12, 4, 4)
+        assert asked["centred"] == (barrier, "point", gain, price)
+        wanted = one.barrier(0.3)
+        np.testing.assert_array_equal(barrier.next, wanted.next)
+        np.testing.assert_array_equal(price, wanted.price(grid.cost))
+        np.testing.assert_array_equal(units, one.F(start, 0.0))
+        if gains:
+            np.testing.assert_array_equal(gain[0], one.gain_direction())
+        asked["point"] = None
+        assert knot_search.found_at(one, start, 0.3, unit) is None

@@ -211,10 +211,8 @@ class _Work:
     def scaled(self, G: StateSpace, scaling: Scaling) -> StateSpace:
         """D G D⁻¹ for a plant or a closed loop (D = I on controls and measurements)."""
         left, right = scaling.systems(self.plant)
-        extra = G.n_outputs - left.n_outputs
-        if extra:
-            left = append(left, gain(np.eye(extra)))
-            right = append(right, gain(np.eye(G.n_inputs - right.n_inputs)))
+        left = append(left, gain(np.eye(G.n_outputs - left.n_outputs)))
+        right = append(right, gain(np.eye(G.n_inputs - right.n_inputs)))
         return balanced(series(left, series(G, right)))
 
     def controller(self, scaling: Scaling, **options) -> HinfResult:
@@ -243,14 +241,12 @@ class _Work:
         """
         M = loop.response(self.omega)
         shape = start.log_parameters.shape
-        blocks = len(shape) and shape[0]
+        blocks = shape[0]
         low, high = np.log(SLOWEST), np.log(FASTEST)
         spread = np.zeros(shape)
-        if shape[1] > 1 and np.ptp(start.log_parameters[:, 1:]) == 0:
-            spread[:, 1::2], spread[:, 2::2] = (
-                np.log(3.0),
-                -np.log(3.0),
-            )  # away from the stationary point z = p
+        corners = start.log_parameters[:, 1:]
+        if corners.size and np.ptp(corners) == 0:  # away from the stationary point z = p
+            spread[:, 1::2], spread[:, 2::2] = np.log(3.0), -np.log(3.0)
 
         def objective(x):
             scaling = Scaling(np.clip(x.reshape(shape), low, high))
@@ -316,7 +312,7 @@ def _polish(work: _Work, scaling: Scaling, level: float, budget: int, workers: M
         for move in moves:
             along = np.zeros_like(x)
             along[move] = direction[move] * size
-            trials = [Scaling(x + along), Scaling(x - along)][: max(budget, 0)]
+            trials = [Scaling(x + along), Scaling(x - along)][:budget]
             for trial, value in zip(
                 trials, workers(partial(work.improved, level * (1 - 1e-5)), trials), strict=True
             ):

@@ -71,8 +71,7 @@ class KnotBarrier(Barrier):
         """The Hessian's blocks: those on the diagonal, of which the lower triangles count, and those below
         it."""
         size, terms = len(self.twice), self.next.shape[1]
-        diagonal = [np.zeros((size, size)) for _ in range(terms)]
-        beside = []
+        diagonal, beside = [np.zeros((size, size))], []
 
         def pair(k: int) -> np.ndarray:
             here = np.flatnonzero(self.segment == k)
@@ -84,7 +83,7 @@ class KnotBarrier(Barrier):
         with ThreadPoolExecutor(HALVES) as threads:
             for k, H in enumerate(threads.map(pair, range(terms - 1))):
                 diagonal[k] += H[:size, :size]
-                diagonal[k + 1] += H[size:, size:]
+                diagonal.append(H[size:, size:].copy())
                 beside.append(H[size:, :size].copy())
         return diagonal, beside
 
@@ -247,7 +246,7 @@ class KnotGrid:
 
     def bent_at(self, point: Point, knots: np.ndarray) -> tuple[KnotGrid, Point]:
         """The same P between ``knots`` (m,), which hold the grid's own."""
-        k = np.clip(np.searchsorted(self.knots, knots) - 1, 0, len(self.knots) - 2)
+        k = np.maximum(np.searchsorted(self.knots, knots) - 1, 0)
         share = (knots - self.knots[k]) / np.diff(self.knots)[k]
         P = np.tensordot(_between(k, share, len(self.knots)), point.P, 1)
         return replace(self, knots=knots), replace(point, P=P)

@@ -105,8 +105,8 @@ class Family:
 def relevant(family: Family, rows: slice, columns: slice) -> Family:
     """The family from the inputs ``columns`` to the outputs ``rows``, without the states that these neither
     reach nor are moved by at any speed. ``rows`` ends before the probes."""
-    loops = [family.at(float(v)) for v in refined(family.nodes, 2)]
-    n_z = loops[0].n_outputs - family.n_probes
+    loops = [family.at(float(v)) for v in family.nodes]
+    [n_z] = {G.n_outputs - family.n_probes for G in loops}
 
     def any_of(parts: list[np.ndarray]) -> np.ndarray:
         return np.max([np.abs(part) for part in parts], axis=0) > 0
@@ -182,7 +182,7 @@ class Storage:
         pairs = []
         for sign in (1, -1):
             reached = [self._segment(v + sign * step) for v in (low + reserve, high - reserve)]
-            far = reached[sign > 0]
+            far = sign * max(sign * k for k in reached)
             if reached[0] == reached[1]:
                 first, last = min(own, far), max(own, far)
                 pairs += [(P, P) for P in self.P[first + 1 : last + 1]]
@@ -521,11 +521,11 @@ def _rows(X: np.ndarray) -> np.ndarray:
 def _frozen(parts: list[tuple[np.ndarray, np.ndarray]], Ts: float) -> np.ndarray | None:
     """Strict solutions of the bounded-real Riccati equation at every speed, (k, n, n), all with the same
     slack; None when a frozen gain is not below 1."""
-    n = len(parts[0][0])
     for slack in SLACKS:
-        extra, out = np.sqrt(slack) * np.eye(n), []
+        out = []
         for M, N in parts:
-            m = M.shape[1] - n
+            n, m = len(M), M.shape[1] - len(M)
+            extra = np.sqrt(slack) * np.eye(n)
             B, C = np.hstack([M[:, n:], extra]), np.vstack([N[:, :n], extra])
             D = sl.block_diag(N[:, n:], np.zeros((n, n)))
             if hinf_norm(StateSpace(M[:, :n], B, C, D, Ts), rtol=1e-3).upper >= 1:

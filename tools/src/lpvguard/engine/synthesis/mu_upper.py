@@ -67,10 +67,9 @@ def upper_bound(
         if best <= infimum * (1 + 2 * rtol) or best < 1e-14 or level - best < 1e-3 * rtol * level:
             break
         level = best + 0.05 * (level - best)
-    left, right, D_left, D_right, G = kept
     return (
         size * np.sqrt(max(best, 0.0)),
-        size * np.sqrt(max(infimum, 0.0)),
+        size * np.sqrt(infimum),
         left @ np.linalg.cholesky(D_left),
         right @ np.linalg.cholesky(D_right),
         size * right @ G @ left.conj().T,
@@ -147,11 +146,9 @@ def _newton_model(
     coupled = first @ rest.conj()
     with np.errstate(divide="ignore", invalid="ignore"):  # a double value: the caller sees no finite step
         curvature = second + 2 * np.real((coupled / (value - values[:-1])) @ coupled.conj().T)
-    sizes = np.stack([np.maximum(member * s, 0.0) @ weight for s in (1.0, -1.0)])
-    with np.errstate(divide="ignore", invalid="ignore"):
-        ratios = sizes[0] / sizes[1]
-    low = value * np.sqrt(np.min(ratios[sizes[1] > 0], initial=np.inf))
-    return value, slope, curvature, float(low) if np.isfinite(low) else 0.0
+    out, into = (member > 0) @ weight, (member < 0) @ weight
+    heard = into > 0
+    return value, slope, curvature, value * float(np.sqrt(np.min(out[heard] / into[heard])))
 
 
 def _spread(scales: np.ndarray, sizes: list[int]) -> np.ndarray:
