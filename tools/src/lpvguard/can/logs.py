@@ -14,8 +14,10 @@ from __future__ import annotations
 
 import ctypes
 import gzip
+import mmap
 import re
 import zlib
+from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -511,12 +513,50 @@ def _raw_table(path: Path, table) -> Frames:
 # -------------------------------------------------------------------------------------------------------- MF4
 
 
+def _require_ended_lists(path: Path) -> None:
+    """ValueError where a list of an MDF file comes back to a block of before: asammdf follows the lists of
+    groups, of their channels and of their data by the address of the next block, and would never end.
+
+    MDF 4 has addresses of 8 bytes: the next block's, and then that of the first block below, from byte 24;
+    MDF 3 has them of 4 bytes, from byte 4.
+    """
+    with path.open("rb") as file:
+        if file.read(3) != b"MDF":
+            return  # asammdf refuses it
+        content = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+    version = int.from_bytes(content[28:30], "little")
+    first, following, width = (88, 24, 8) if version >= 400 else (68, 4, 4)
+
+    def address(at: int) -> int:
+        return int.from_bytes(content[at : at + width], "little")
+
+    def blocks(at: int) -> Iterator[int]:
+        seen = set()
+        while at:
+            if at in seen:
+                raise ValueError("a list of blocks without an end")
+            seen.add(at)
+            yield at
+            at = address(at + following)
+
+    with content:
+        for group in blocks(address(first)):
+            for channels in blocks(address(group + following + width)):
+                deque(blocks(address(channels + following + width)), maxlen=0)
+            data = address(group + following + 2 * width)
+            if content[data : data + 4] == b"##HL":
+                data = address(data + following)
+            if content[data : data + 4] == b"##DL":
+                deque(blocks(data), maxlen=0)
+
+
 def _read_mf4(path: Path) -> Frames | Table:
     try:
         from asammdf import MDF
     except ImportError:
         raise InputError(path, "", "reading MF4 needs the package asammdf", "pip install asammdf") from None
     try:
+        _require_ended_lists(path)
         with MDF(path) as mdf:
             places = [
                 (g, entry)
