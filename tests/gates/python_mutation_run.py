@@ -88,6 +88,7 @@ MEASURED = {
     "engine/validation/branch.py": 420,
     "engine/validation/delta.py": 116,
     "engine/validation/lft.py": 330,
+    "engine/validation/lmi.py": 618,
     "engine/validation/local_search.py": 504,
     "engine/validation/posed.py": 295,
     "engine/validation/problem.py": 115,
