@@ -69,6 +69,7 @@ MEASURED = {
     "engine/synthesis/mu.py": 45,
     "engine/synthesis/mu_interval.py": 390,
     "engine/synthesis/mu_lower.py": 687,
+    "engine/synthesis/mu_upper.py": 638,
     "engine/synthesis/norms.py": 249,
     "engine/synthesis/nu_gap.py": 121,
     "engine/synthesis/partition.py": 213,
