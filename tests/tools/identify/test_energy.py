@@ -558,6 +558,18 @@ def test_another_memory_than_the_project_files_is_refused(identified, tmp_path):
         stage.load(copy)
 
 
+@pytest.mark.parametrize("inflation", [[1.0], "1.0", True, 0, float("inf")])
+def test_an_inflation_that_is_no_positive_factor_is_refused(inflation, identified, tmp_path):
+    """Found by fuzz/foreign_input.py in a folder that was sealed anew."""
+    copy = tmp_path / "copy"
+    shutil.copytree(identified, copy)
+    data = json.loads((copy / "weights.json").read_text())
+    (copy / "weights.json").write_text(json.dumps(data | {"inflation": inflation}))
+    artefacts.seal(copy)
+    with pytest.raises(InputError, match=r"weights\.json: .*(inflation: .* a positive factor|Infinity)"):
+        stage.load(copy)
+
+
 # --------------------------------------------------------------------------------------------------- findings
 
 

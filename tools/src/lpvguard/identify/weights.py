@@ -150,13 +150,20 @@ class Weights:
             raise InputError(
                 source, "W_delta", "one weight", "a list, one a Delta: identify the drives again"
             )
+        inflation = data["inflation"]
+        if (
+            isinstance(inflation, bool)
+            or not isinstance(inflation, int | float)
+            or not 0 < inflation < np.inf
+        ):
+            raise InputError(source, "inflation", repr(inflation), "a positive factor")
         lists = {key: [weight(e, f"{key}[{j}]") for j, e in enumerate(data[key])] for key in LISTED}
         return cls(
             **lists,
             gamma_w=weight(data["gamma_w"], "gamma_w"),
             floored=data["floored_rad_s"],
             disturbance_set=data["disturbance_set"],
-            inflation=data["inflation"],
+            inflation=float(inflation),
             silent=tuple(data.get("silent_bins", ())),
         )
 
