@@ -558,15 +558,21 @@ def test_another_memory_than_the_project_files_is_refused(identified, tmp_path):
         stage.load(copy)
 
 
-@pytest.mark.parametrize("inflation", [[1.0], "1.0", True, 0, float("inf")])
-def test_an_inflation_that_is_no_positive_factor_is_refused(inflation, identified, tmp_path):
-    """Found by fuzz/foreign_input.py in a folder that was sealed anew."""
+@pytest.mark.parametrize(
+    "change",
+    [
+        *({"inflation": x} for x in ([1.0], "1.0", True, 0, float("inf"))),
+        {"W_delta": []},
+    ],
+)
+def test_weights_without_a_positive_inflation_or_w_delta_are_refused(change, identified, tmp_path):
+    """Found by fuzz/foreign_input.py in folders that were sealed anew."""
     copy = tmp_path / "copy"
     shutil.copytree(identified, copy)
     data = json.loads((copy / "weights.json").read_text())
-    (copy / "weights.json").write_text(json.dumps(data | {"inflation": inflation}))
+    (copy / "weights.json").write_text(json.dumps(data | change))
     artefacts.seal(copy)
-    with pytest.raises(InputError, match=r"weights\.json: .*(inflation: .* a positive factor|Infinity)"):
+    with pytest.raises(InputError, match=r"weights\.json: .*(inflation: .* a positive|Infinity|no weight)"):
         stage.load(copy)
 
 

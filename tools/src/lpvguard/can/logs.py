@@ -14,22 +14,16 @@ from __future__ import annotations
 
 import ctypes
 import gzip
-import mmap
 import re
 import zlib
-from collections import deque
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..base import artefacts, native
 from ..base.errors import InputError
-
-if TYPE_CHECKING:
-    import can
+from .endless import python_can_reader, require_ended_lists
 
 EXTENDED = 0x80000000
 """Flag in ``Frames.id``: 29-bit identifier."""
@@ -336,38 +330,11 @@ def parse_candump_slowly(text: np.ndarray) -> Frames:
 # ------------------------------------------------------------------------------------------------- python-can
 
 
-def _require_advance(objects: bytes) -> None:
-    """ValueError where an object of a BLF container has no bytes: a reader that goes on by its size stays
-    there for ever."""
-    at = objects.find(b"LOBJ", 0, 8)
-    while at >= 0:
-        size = int.from_bytes(objects[at + 8 : at + 12], "little")
-        if size == 0:
-            raise ValueError("an object without bytes")
-        at = objects.find(b"LOBJ", at + size, at + size + 8)
-
-
-def _python_can_reader(path: Path) -> can.io.generic.MessageReader:
-    """python-can's reader of a log, that of BLF with `_require_advance`."""
-    import can  # costs 0.2 s, and is not needed for candump
-
-    reader = can.LogReader(path)
-    if isinstance(reader, can.BLFReader):
-        parse = reader._parse_data
-
-        def parse_what_advances(data: bytes) -> Iterator[can.Message]:
-            _require_advance(data)
-            return parse(data)
-
-        reader._parse_data = parse_what_advances  # type: ignore[method-assign]
-    return reader
-
-
 def _read_python_can(path: Path) -> Frames:
     rows: list[tuple[int, int, str, bytes]] = []
     left_out = {"error reports": 0, "remote frames": 0}
     try:
-        with _python_can_reader(path) as reader:
+        with python_can_reader(path) as reader:
             for message in reader:
                 if message.is_error_frame:
                     left_out["error reports"] += 1
@@ -513,50 +480,13 @@ def _raw_table(path: Path, table) -> Frames:
 # -------------------------------------------------------------------------------------------------------- MF4
 
 
-def _require_ended_lists(path: Path) -> None:
-    """ValueError where a list of an MDF file comes back to a block of before: asammdf follows the lists of
-    groups, of their channels and of their data by the address of the next block, and would never end.
-
-    MDF 4 has addresses of 8 bytes: the next block's, and then that of the first block below, from byte 24;
-    MDF 3 has them of 4 bytes, from byte 4.
-    """
-    with path.open("rb") as file:
-        if file.read(3) != b"MDF":
-            return  # asammdf refuses it
-        content = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
-    version = int.from_bytes(content[28:30], "little")
-    first, following, width = (88, 24, 8) if version >= 400 else (68, 4, 4)
-
-    def address(at: int) -> int:
-        return int.from_bytes(content[at : at + width], "little")
-
-    def blocks(at: int) -> Iterator[int]:
-        seen = set()
-        while at:
-            if at in seen:
-                raise ValueError("a list of blocks without an end")
-            seen.add(at)
-            yield at
-            at = address(at + following)
-
-    with content:
-        for group in blocks(address(first)):
-            for channels in blocks(address(group + following + width)):
-                deque(blocks(address(channels + following + width)), maxlen=0)
-            data = address(group + following + 2 * width)
-            if content[data : data + 4] == b"##HL":
-                data = address(data + following)
-            if content[data : data + 4] == b"##DL":
-                deque(blocks(data), maxlen=0)
-
-
 def _read_mf4(path: Path) -> Frames | Table:
     try:
         from asammdf import MDF
     except ImportError:
         raise InputError(path, "", "reading MF4 needs the package asammdf", "pip install asammdf") from None
     try:
-        _require_ended_lists(path)
+        require_ended_lists(path)
         with MDF(path) as mdf:
             places = [
                 (g, entry)

@@ -146,9 +146,12 @@ class Weights:
             )
             return FittedWeight(fit, omega, bound)
 
-        if isinstance(data["W_delta"], dict):
+        if isinstance(data["W_delta"], dict) or not data["W_delta"]:
             raise InputError(
-                source, "W_delta", "one weight", "a list, one a Delta: identify the drives again"
+                source,
+                "W_delta",
+                "one weight" if data["W_delta"] else "no weight",
+                "a list, one a Delta: identify the drives again",
             )
         inflation = data["inflation"]
         if (
