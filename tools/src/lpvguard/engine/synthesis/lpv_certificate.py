@@ -105,7 +105,7 @@ class Family:
 def relevant(family: Family, rows: slice, columns: slice) -> Family:
     """The family from the inputs ``columns`` to the outputs ``rows``, without the states that these neither
     reach nor are moved by at any speed. ``rows`` ends before the probes."""
-    loops = [family.at(float(v)) for v in family.nodes]
+    loops = [family.at(float(v)) for v in refined(family.nodes, 2)]
     [n_z] = {G.n_outputs - family.n_probes for G in loops}
 
     def any_of(parts: list[np.ndarray]) -> np.ndarray:
