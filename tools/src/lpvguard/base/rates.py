@@ -8,20 +8,20 @@ from __future__ import annotations
 
 from typing import Any
 
-from scipy.stats import beta, chi2
+from scipy.special import betaincinv, gammaincinv
 
 
 def rate(count: int, of: int) -> dict[str, Any]:
     """The share ``count`` of ``of`` with its interval by Clopper and Pearson; None where there is nothing."""
-    low = float(beta.ppf(0.025, count, of - count + 1)) if count else 0.0
-    high = float(beta.ppf(0.975, count + 1, of - count)) if count < of else 1.0
+    low = float(betaincinv(count, of - count + 1, 0.025)) if count else 0.0
+    high = float(betaincinv(count + 1, of - count, 0.975)) if count < of else 1.0
     return {"count": count, "of": of, "interval": [low, high] if of else None}
 
 
 def per_hour(count: int, hours: float) -> dict[str, Any]:
     """Events an hour with their interval (Poisson, by Garwood); None where there is no driving."""
-    low = float(chi2.ppf(0.025, 2 * count)) / 2 if count else 0.0
-    high = float(chi2.ppf(0.975, 2 * count + 2)) / 2
+    low = float(gammaincinv(count, 0.025)) if count else 0.0
+    high = float(gammaincinv(count + 1, 0.975))
     return {
         "rate": count / hours if hours else None,
         "interval": [low / hours, high / hours] if hours else None,

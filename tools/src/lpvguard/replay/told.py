@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import asdict
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from .run import Alarm
+if TYPE_CHECKING:
+    from .run import Alarm
 
 
 def alarm_sentence(alarm: Alarm | dict[str, Any]) -> str:
     """Test, place, margin and the bound that broke, of an alarm or of its object in the JSON of `replay`."""
-    a = asdict(alarm) if isinstance(alarm, Alarm) else alarm
+    a = alarm if isinstance(alarm, dict) else asdict(alarm)
     if a["test"] == "energy":
         return (
             f"energy test, v = {a['speed_mps']:.1f} m/s: ratio {a['margin']:.2f} > {a['threshold']:.2f} "
