@@ -131,6 +131,7 @@ def test_no_check_refuses_the_codec_as_it_is(mutated):
                 check(codec)
 
 
+@pytest.mark.slow("15 s: 200 mutants of the codec")
 def test_every_mutant_of_the_codec_is_noticed(mutated):
     """All of them with LPVGUARD_FULL=1, else so many that are drawn."""
     codec, mutants = mutated

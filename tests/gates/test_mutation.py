@@ -89,6 +89,7 @@ def test_what_a_case_asks_about_is_killed_and_the_rest_survives(ran):
     assert len({(m.site.function, m.key) for m in mutants}) == len(mutants) > 20
 
 
+@pytest.mark.slow("13 s: a program with its mutants")
 def test_a_loop_that_does_not_end_is_killed(ran):
     mutants, survived = ran
     [endless] = [m for m in mutants if m.key.endswith("i < 3; --i) {")]

@@ -217,6 +217,7 @@ def test_findings_name_every_survivor_once_and_what_is_noted_in_vain(ran):
     ]
 
 
+@pytest.mark.slow("13 s: a module with its mutants")
 def test_a_sample_meets_the_tests_that_import_its_file_before_the_others(tree, tmp_path):
     far = tree / "tests" / "tools" / "engine" / "test_validation_far.py"
     far.write_text(

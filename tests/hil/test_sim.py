@@ -170,6 +170,7 @@ def test_a_lost_actuator_is_found(simulator, scenario):
     assert run["first_invalid_s"] is not None and 40.0 < run["first_invalid_s"] < 70.0
 
 
+@pytest.mark.slow("12 s: a run on a kernel's bus")
 @pytest.mark.serial
 def test_a_real_can_interface_carries_the_same_frames(simulator, truck_folder, scenario):
     fault = scenario(15.0, can_fault("VDC2", "lost"))
@@ -220,6 +221,7 @@ def test_bad_scenarios_are_refused_by_field(simulator, tmp_path, change, says):
         simulator.run(load_scenario(str(path)))
 
 
+@pytest.mark.slow("6 s: another vehicle's simulator is compiled")
 def test_unknown_scenarios_and_vehicles_without_controller_are_refused(vehicle):
     with pytest.raises(InputError, match="nominal"):
         load_scenario("no_such_scenario")

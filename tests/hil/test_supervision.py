@@ -146,6 +146,7 @@ def reactions(simulator, path, log, from_s: float = 0.0, **options) -> Reactions
     return supervision(simulator, facts, tomllib.loads(path.read_text()), log, from_s)
 
 
+@pytest.mark.slow("7 s: 26 runs")
 @pytest.mark.parametrize("fault", BUS_FAULTS, ids=lambda c: f"{c.message} {c.name}")
 def test_the_firmware_says_what_the_frames_require(fault, simulator, tmp_path):
     """The fault table again, with each fault at random for ten seconds: whatever comes of it, at the very

@@ -29,6 +29,7 @@ with open(sys.argv[2], "wb") as out:
 """
 
 
+@pytest.mark.slow("10 s: a drive on a kernel's bus")
 @pytest.mark.serial
 def test_what_is_played_is_what_candump_logs_and_ingest_reads(tmp_path):
     (tmp_path / "player.py").write_text(PLAYER)

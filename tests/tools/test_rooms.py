@@ -348,6 +348,7 @@ def imported_tests(text: str) -> list[str]:
     return [name for name in named if re.match(r"(test_|conftest\b)", name.rpartition(".")[2])]
 
 
+@pytest.mark.slow("3 s: every file is read")
 def test_no_test_imports_from_another_test():
     """What two tests need stands in a module of tests/."""
     found = {path.name: imported_tests(path.read_text(encoding="utf-8")) for path in TESTS.rglob("*.py")}

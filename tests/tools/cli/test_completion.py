@@ -52,6 +52,7 @@ def test_zsh_is_offered_verbs_with_what_they_do(lpvguard, on_path):
     assert '"identify":"Find the unfalsified bounds' in done.stdout
 
 
+@pytest.mark.slow("6 s: a shell starts the command")
 def test_fish_asks_the_program_that_answers_it(lpvguard, on_path):
     script = lpvguard("completion", "fish").stdout
     assert script.startswith("complete --command lpvguard ") and "_LPVGUARD_COMPLETE=complete_fish" in script

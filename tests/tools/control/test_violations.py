@@ -121,6 +121,7 @@ def lpvtools_example(rho: float) -> StateSpace:
     return zero_order_hold(lft(open_loop, StateSpace([[0.0]], [[Ki]], [[1.0]], [[Kp]])), TS)
 
 
+@pytest.mark.slow("3 s: a search for the worst run")
 def test_the_published_example_of_lpvtools_is_bracketed_by_its_published_bounds(monkeypatch):
     """For |d rho/dt| <= 0.1 its manual proves at most 1.8925, and without a bound on the rate 63.87. It shows
     1.2968 with the frozen loops' worst Δ; ours, also a constant, comes with a history chosen for it."""

@@ -35,6 +35,7 @@ DATA = Path(os.environ.get("LPVGUARD_DATA", ROOT.parent / "shared/data"))
 # ------------------------------------------------------------------------------------------------------ forms
 
 
+@pytest.mark.slow("4 s: a log in seven forms")
 @pytest.mark.parametrize("form", ["log", "log.gz", "asc", "blf", "mf4", "csv", "parquet"])
 def test_every_form_of_raw_log_gives_the_same_drive(form, car, tmp_path):
     log = write_log(form, other_car(), tmp_path / "drive")

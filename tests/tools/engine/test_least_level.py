@@ -90,6 +90,7 @@ def test_a_level_at_a_moving_speed_is_above_the_frozen_one_and_proved_anew(movin
     assert lpv.prove(least_level.weighed(one, DELTA, 0.5 * found.level, found.gain), storage, RATE) is None
 
 
+@pytest.mark.slow("8 s: random speed histories")
 def test_every_delta_keeps_the_level_along_random_speed_histories(moving):
     """Delta: constants, and all-passes that turn by a quarter at the resonance, where they take damping."""
     one, found = moving

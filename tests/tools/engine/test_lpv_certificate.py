@@ -32,6 +32,7 @@ def proved():
     return lpv.find(family(0.4))
 
 
+@pytest.mark.slow("5 s: random speed histories")
 def test_a_rate_is_proved_and_the_gain_holds_along_random_speed_histories(proved):
     assert proved.rate > 0.05 and proved.proof.margin > 0
     one, random, largest = family(0.4), np.random.default_rng(1), 0.0
@@ -60,6 +61,7 @@ def test_the_stored_function_is_proved_anew_and_an_altered_one_is_not(proved):
     )
 
 
+@pytest.mark.slow("3 s: two certificates")
 def test_a_storage_function_of_the_loop_itself_is_proved_too_and_none_holds_for_the_other_direction(proved):
     primal = lpv._polynomial(family(0.4))
     assert proved.storage.adjoint and not primal.storage.adjoint and primal.rate > 0.05
@@ -122,6 +124,7 @@ def test_nothing_is_found_for_a_loop_whose_frozen_gain_is_not_below_one():
     assert lpv.find(family(1.2)) is None
 
 
+@pytest.mark.slow("3 s: a certificate on many knots")
 def test_a_peak_between_the_knots_is_seen():
     """The proof rests on cells, not on the grid: a resonance that only speeds between the knots have is found
     out."""

@@ -93,6 +93,7 @@ def gain_of_a_run(one: GeneralisedPlant, rate: float, omega: float, random: np.r
     return energy[0] / energy[1]
 
 
+@pytest.mark.slow("5 s: runs with a Delta")
 def test_no_run_with_a_delta_at_the_proved_rate_has_a_gain_above_1():
     largest = []
     for seed in range(4):

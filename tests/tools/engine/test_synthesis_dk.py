@@ -185,6 +185,7 @@ def test_k_inf_is_the_reference_gamma(case):
             assert result.gamma == pytest.approx(objective["gamma_K_inf"], rel=1e-4)
 
 
+@pytest.mark.slow("6 s: the paper's case is solved")
 def test_table_ii_meets_the_references_at_lower_order(rows):
     """μ at most the best level known for these weights, at a fraction of its order, wherever a controller can
     have that level: the references are rounded to three digits.
@@ -232,6 +233,7 @@ def test_each_difference_to_the_paper_is_one_sentence_that_the_weights_explain(c
     assert "rounded" in told[5] and rows[5].floor.value > rows[5].reference
 
 
+@pytest.mark.slow("4 s: a case is solved")
 def test_the_files_of_a_case_hold_every_row_with_its_difference_and_no_time(case, rows):
     files = case_files("paper_case.toml", case, rows)
     table = json.loads(files["table2.json"])["rows"]

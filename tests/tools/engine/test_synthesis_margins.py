@@ -55,6 +55,7 @@ def nearest(values, otherwise: float) -> float:
     return min(values, default=otherwise)
 
 
+@pytest.mark.slow("9 s: python-control on random loops")
 def test_random_loops_have_the_margins_of_python_control():
     stable = 0
     for seed in SEEDS:

@@ -193,6 +193,7 @@ def study(g80, synthetic, identified, core):
     return BaselineStudy(stored, drives, core, left_out=names, injection=few), names
 
 
+@pytest.mark.slow("10 s: two evaluations")
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_drive_under_test_takes_part_in_nothing(study, kind):
     """Whatever its statistics and cases are, parameters and threshold for it stay the same."""

@@ -150,6 +150,7 @@ def test_a_drive_twice_is_named_also_when_it_was_cut(project, drives):
         require_unspoiled(project, [*drives, twin])
 
 
+@pytest.mark.slow("3 s: every reading fitted")
 def test_another_cars_drive_is_named_and_left_out(project, drives):
     random = np.random.default_rng(8)
     other = KnownCar(3.9, 0.004, 0.009, 0.1, 0.0, 0.0).drive(random, 11.0, 60.0, "other")

@@ -30,6 +30,7 @@ def test_levels_are_the_largest_scores_and_ever_fewer(n):
     assert len(rank) == 1 or rank[0] >= n / 2
 
 
+@pytest.mark.slow("3 s: random lives")
 @pytest.mark.parametrize("eta", [0.05, 0.3])
 @pytest.mark.parametrize("n", SIZES)
 def test_all_tails_hold_with_the_stated_probability(n, eta):

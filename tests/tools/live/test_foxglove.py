@@ -99,6 +99,7 @@ def heard(server: FoxgloveServer) -> None:
     raise AssertionError("no subscription reached the server")
 
 
+@pytest.mark.slow("6 s: a server and its client")
 def test_a_client_reads_what_the_recording_of_replay_says(server, replayer, faulty):
     frames, path = faulty
     recorded = replayer.received(frames, path)

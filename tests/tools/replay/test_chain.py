@@ -54,6 +54,7 @@ def test_bound_and_calibration_drives_are_disjoint_and_listed(identified):
     )
 
 
+@pytest.mark.slow("3 s: an identification")
 def test_identify_twice_gives_the_same_bytes(g80, synthetic, identified, tmp_path):
     again = tmp_path / "again"
     stage.save(*stage.identify(g80, synthetic), again)

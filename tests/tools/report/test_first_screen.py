@@ -130,6 +130,7 @@ def answers(case: Case, page: str) -> Reader:
     return reader
 
 
+@pytest.mark.slow("9 s: a page of two outputs")
 def test_a_reader_finds_the_answers_on_the_first_screen(case, page):
     reader = answers(case, page)
     assert "weak" in reader.found["alarms"].text and reader.found["headline"].text.startswith("Falsified")
