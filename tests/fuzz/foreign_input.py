@@ -136,22 +136,23 @@ def messages() -> list[can.Message]:
 def good_logs(folder: Path) -> dict[str, bytes]:
     """Name of a kind of log -> a small good one."""
     folder.mkdir(parents=True)
-    for suffix in ("log", "asc", "blf", "trc", "csv"):
+    raw = ("log", "asc", "blf", "trc", "csv", "mf4")
+    for suffix in raw:
         with can.Logger(folder / f"raw.{suffix}") as log:
             for message in messages():
                 if suffix not in ("trc", "csv") or not (message.is_fd or message.is_error_frame):
                     log.on_message_received(message)
-    logs = {f"raw.{s}": (folder / f"raw.{s}").read_bytes() for s in ("log", "asc", "blf", "trc", "csv")}
+    logs = {f"raw.{s}": (folder / f"raw.{s}").read_bytes() for s in raw}
     logs["raw.log.gz"] = gzip.compress(logs["raw.log"], mtime=0)
     text = "# speeds\nt,v,delta\n" + "".join(f"{0.01 * k:.2f},{10 + k},{0.01 * k}\n" for k in range(30))
     logs["table.csv"] = text.encode()
     t = np.arange(30) * 0.01
     pa.parquet.write_table(pa.table({"t": t, "v": t + 10}), folder / "table.parquet")
     logs["table.parquet"] = (folder / "table.parquet").read_bytes()
-    with MDF() as mdf:
-        mdf.append([Signal(t + 10, t, name="v", unit="m/s")])
-        mdf.save(folder / "table.mf4")
-    logs["table.mf4"] = (folder / "table.mf4").read_bytes()
+    for version, suffix in (("4.10", "mf4"), ("3.30", "mdf")):
+        with MDF(version=version) as mdf:
+            mdf.append([Signal(t + 10, t, name="v", unit="m/s")])
+            logs[f"table.{suffix}"] = mdf.save(folder / f"table.{suffix}").read_bytes()
     return logs
 
 

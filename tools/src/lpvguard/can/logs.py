@@ -23,7 +23,7 @@ import numpy as np
 
 from ..base import artefacts, native
 from ..base.errors import InputError
-from .endless import python_can_reader, require_ended_lists
+from .damaged import python_can_reader, require_sound_blocks
 
 EXTENDED = 0x80000000
 """Flag in ``Frames.id``: 29-bit identifier."""
@@ -486,7 +486,7 @@ def _read_mf4(path: Path) -> Frames | Table:
     except ImportError:
         raise InputError(path, "", "reading MF4 needs the package asammdf", "pip install asammdf") from None
     try:
-        require_ended_lists(path)
+        require_sound_blocks(path)
         with MDF(path) as mdf:
             places = [
                 (g, entry)
