@@ -1,4 +1,5 @@
-"""A campaign of damaged foreign input: logs, CAN databases, project files, signal maps, identifications.
+"""A campaign of damaged foreign input: logs, CAN databases, project files, signal maps, drives,
+identifications.
 
     python foreign_input.py IDENTIFICATION FOLDER SEED CASES
 
@@ -16,13 +17,16 @@ import re
 import shutil
 import sys
 from collections.abc import Callable, Iterable, Iterator
+from functools import partial
 from pathlib import Path
 
 import can
 import numpy as np
 import pyarrow as pa
+import pyarrow.csv
 import pyarrow.parquet
 from asammdf import MDF, Signal
+from scipy.io import savemat
 
 from lpvguard.base import artefacts
 from lpvguard.base.errors import InputError
@@ -30,9 +34,10 @@ from lpvguard.can.dbc import dbc_text
 from lpvguard.can.decode import load_database
 from lpvguard.can.logs import candump_frames, parse_candump_slowly, read_log
 from lpvguard.drives.signal_map import load_signal_map
+from lpvguard.drives.tables import read_drive
 from lpvguard.identify import run as stage
 from lpvguard.vehicle.nominal import NominalModel
-from lpvguard.vehicle.project import load_project
+from lpvguard.vehicle.project import Project, load_project
 from made import ROOT
 
 HANG_S = 120
@@ -156,6 +161,19 @@ def good_logs(folder: Path) -> dict[str, bytes]:
     return logs
 
 
+def good_drives(folder: Path, project: Project) -> dict[str, bytes]:
+    """Name of a form of drive -> a short one with the columns that the project records."""
+    t = np.arange(60) * project.Ts_s
+    columns = {"t": t} | {s.column: 0.01 * np.sin(t) for s in project.recorded}
+    columns[project.speed.column] += 10.0
+    pa.csv.write_csv(pa.table(columns), folder / "drive.csv")
+    pa.parquet.write_table(pa.table(columns), folder / "drive.parquet")
+    savemat(folder / "drive.mat", columns)
+    savemat(folder / "packed.mat", columns, do_compression=True)
+    names = ("drive.csv", "drive.parquet", "drive.mat", "packed.mat")
+    return {name: (folder / name).read_bytes() for name in names}
+
+
 def read_candump_twice(path: Path) -> None:
     """Both readers of candump say the same."""
     log, text = read_log(path), np.frombuffer(path.read_bytes(), np.uint8)
@@ -232,6 +250,11 @@ def main(identification: Path, folder: Path, seed: int, cases: int) -> None:
         b'terms = [{ message = "STEER", signal = "ANGLE", wrap = 6.28 }, { signal = "FRACTION" }]\n',
         load_signal_map,
     )
+    project = load_project(shipped / "g80.toml")
+    kinds |= {
+        name: (good, partial(read_drive, project=project))
+        for name, good in good_drives(folder / "good", project).items()
+    }
     for k, (name, (good, read)) in enumerate(kinds.items()):
         path = folder / name
         campaign(

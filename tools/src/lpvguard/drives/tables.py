@@ -20,8 +20,6 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pa_parquet
-from scipy.io import loadmat
-from scipy.io.matlab import MatReadError
 
 from ..base import artefacts
 from ..base.errors import InputError
@@ -29,6 +27,7 @@ from ..base.parallel import Map
 from ..can.delimited import read_csv
 from ..can.logs import INDEX
 from ..vehicle.project import Project, Signal
+from .matlab import read_matlab
 
 TABLE_SUFFIXES = (".csv", ".parquet", ".mat")
 EXPERIMENTS = INDEX
@@ -257,7 +256,7 @@ def _read_table(path: Path) -> pa.Table:
         if path.suffix == ".parquet":
             return pa_parquet.read_table(path)
         if path.suffix == ".mat":
-            return _of_matlab(path)
+            return read_matlab(path)
         table, skipped = read_csv(path.read_bytes(), ["", "NA", "null"])
         if skipped:
             raise InputError(path, "line 1", "comments before the header", "a header line first")
@@ -269,22 +268,6 @@ def _read_table(path: Path) -> pa.Table:
             f"cannot be parsed ({str(error).splitlines()[0]})",
             "a CSV with one header line, Parquet, or MATLAB variables",
         ) from None
-
-
-def _of_matlab(path: Path) -> pa.Table:
-    """The vectors of numbers among MATLAB's variables; InputError where their lengths differ, and for files
-    of version 7.3, which are HDF5."""
-    expected = "vectors of one length, a variable a column (save -v7)"
-    try:
-        found = loadmat(path, squeeze_me=True)
-    except (ValueError, NotImplementedError, MatReadError) as error:
-        raise InputError(path, "", f"cannot be parsed ({error})", expected) from None
-    columns = {n: v for n, v in found.items() if getattr(v, "ndim", 0) == 1 and v.dtype.kind in "fiu"}
-    if len({len(v) for v in columns.values()}) > 1:
-        lengths = ", ".join(f"{n} {len(v)}" for n, v in columns.items())
-        raise InputError(path, "", f"variables of different lengths ({lengths})", expected)
-    # MATLAB's file keeps the machine's byte order; Arrow takes the native one.
-    return pa.table({n: v.astype(v.dtype.newbyteorder("=")) for n, v in columns.items()})
 
 
 def _line(index: int) -> str:

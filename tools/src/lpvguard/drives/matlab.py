@@ -1,0 +1,97 @@
+"""Drives of MATLAB's files: a vector of numbers a column, as `save -v7` writes it.
+
+scipy takes a damaged number for the place of a type in its tables, from whatever memory lies there. So a
+variable's description is read here first, and scipy reads the variables that are sound vectors of numbers.
+"""
+
+from __future__ import annotations
+
+import zlib
+from math import prod
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+from scipy.io import loadmat
+
+from ..base.errors import InputError
+
+EXPECTED = "vectors of one length, a variable a column (save -v7)"
+_SIZES = {1: 1, 2: 1, 3: 2, 4: 2, 5: 4, 6: 4, 7: 4, 9: 8, 12: 8, 13: 8}
+"""Type of numbers in the file -> bytes of one."""
+_INT8, _INT32, _UINT32, _MATRIX, _COMPRESSED, _UTF8 = 1, 5, 6, 14, 15, 16
+_NUMBERS = range(6, 16)
+"""Classes of arrays of numbers: double, single, and integers of 8 to 64 bits."""
+_COMPLEX = 0x800
+_DESCRIBED = 4096
+"""Bytes of a compressed variable that hold its description."""
+_DENSEST = 1032
+"""No byte of zlib's becomes more bytes."""
+
+
+def read_matlab(path: Path) -> pa.Table:
+    """The vectors of numbers among the variables; InputError where their lengths differ, where one is
+    damaged, and for files of version 7.3, which are HDF5."""
+    try:
+        found = loadmat(path, squeeze_me=True, variable_names=_vectors(path.read_bytes()))
+    except MemoryError:
+        raise
+    except Exception as error:  # scipy has no exception of its own for a broken file
+        raise InputError(path, "", f"cannot be parsed ({type(error).__name__}: {error})", EXPECTED) from None
+    columns = {n: v for n, v in found.items() if getattr(v, "ndim", 0) == 1 and v.dtype.kind in "fiu"}
+    if len({len(v) for v in columns.values()}) > 1:
+        lengths = ", ".join(f"{n} {len(v)}" for n, v in columns.items())
+        raise InputError(path, "", f"variables of different lengths ({lengths})", EXPECTED)
+    # MATLAB's file keeps the machine's byte order; Arrow takes the native one.
+    return pa.table({n: v.astype(v.dtype.newbyteorder("=")) for n, v in columns.items()})
+
+
+def _vectors(content: bytes) -> list[str] | None:
+    """Names of the vectors of numbers in a file of version 5 (to 7.2); None for another version, of which
+    scipy decides. ValueError for one that is damaged."""
+    order = {b"IM": "<", b"MI": ">"}.get(content[126:128])
+    if order is None or 0 in content[:4] or int(np.frombuffer(content, order + "u2", 1, 124)[0]) >> 8 != 1:
+        return None
+    names, at = [], 128
+    while at < len(content):
+        kind, start, size = _tag(content, at, order)
+        element, room = content[start : start + size], size
+        if len(element) < size:
+            raise ValueError("a variable ends behind the file")
+        at = start + size
+        if kind == _COMPRESSED:
+            room = _DENSEST * size
+            element = zlib.decompressobj().decompress(element, _DESCRIBED)
+            kind, start, size = _tag(element, 0, order)
+            element = element[start:]
+        if kind != _MATRIX or size > room:
+            raise ValueError(f"a variable of type {kind} with {size} bytes")
+        if name := _vector(element, size, order):
+            names.append(name)
+    return names
+
+
+def _tag(content: bytes, at: int, order: str) -> tuple[int, int, int]:
+    """Type of an element, where its data begin, and how many bytes they are."""
+    first, second = (int(word) for word in np.frombuffer(content, order + "u4", 2, at))
+    return (first & 0xFFFF, at + 4, first >> 16) if first >> 16 else (first, at + 8, second)
+
+
+def _vector(element: bytes, size: int, order: str) -> str:
+    """The name of a variable of so many bytes that is a vector of numbers, or "" for another one. ValueError
+    where its parts have other types or sizes than its description says."""
+    at, parts = 0, []
+    for types in ({_UINT32}, {_INT32}, {_INT8, _UTF8}):
+        kind, start, length = _tag(element, at, order)
+        if kind not in types or start + length > len(element):
+            raise ValueError(f"a description of type {kind} with {length} bytes")
+        parts.append(element[start : start + length])
+        at = -(-(start + length) // 8) * 8
+    flags = int(np.frombuffer(parts[0], order + "u4", 1)[0])
+    if flags & 0xFF not in _NUMBERS or flags & _COMPLEX:
+        return ""
+    sides = np.frombuffer(parts[1], order + "i4").tolist()
+    kind, start, length = _tag(element, at, order)
+    if length != prod(sides) * _SIZES.get(kind, -1) or start + length > size:
+        raise ValueError(f"{sides} numbers of type {kind} in {length} bytes")
+    return parts[2].decode() if len([n for n in sides if n != 1]) == 1 else ""
