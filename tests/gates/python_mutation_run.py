@@ -96,6 +96,7 @@ MEASURED = {
     "engine/validation/quadratic.py": 419,
     "engine/validation/relaxation.py": 433,
     "engine/validation/s1.py": 981,
+    "engine/validation/s2.py": 888,
     "engine/validation/well_posed.py": 97,
     "identify/calibration.py": 279,
     "identify/energy.py": 454,
