@@ -332,6 +332,38 @@ def test_the_bound_from_below_is_the_least_gain_of_a_block(silent):
     assert len(gains) == 2 - silent
 
 
+def test_a_block_outside_of_the_largest_singular_vectors_says_nothing_of_the_bound():
+    """Its part of both is zero to the last digit."""
+    member = np.array([[1, 0, -1, 0], [0, 1, 0, -1]], float)
+    for gains in ([2.0, 1.0], [1.0, 2.0], [2.0, 0.0]):
+        with np.errstate(all="raise"):
+            found = mu_upper._newton_model(
+                np.diag(gains).astype(complex), np.zeros(2), [1, 1], [1, 1], member
+            )
+        assert (found[0], found[3]) == (2.0, 2.0)
+
+
+@pytest.mark.parametrize("blocks", [((1, 2), (1, 1)), ((2, 1), (1, 1))], ids=["low", "wide"])
+def test_newtons_model_of_a_matrix_of_fewer_rows_or_columns_is_that_of_its_singular_value(blocks):
+    structure = Structure(tuple(Block("full", rows, cols) for rows, cols in blocks))
+    M, x, h = matrix(structure.blocks, 3), np.array([0.3, -0.2]), 1e-5
+    rows, cols = [r.stop - r.start for r in structure.row], [c.stop - c.start for c in structure.col]
+    member = np.zeros((2, sum(M.shape)))
+    for k, (r, c) in enumerate(zip(structure.row, structure.col, strict=True)):
+        member[k, r], member[k, len(M) + c.start : len(M) + c.stop] = 1.0, -1.0
+
+    def value(x):
+        return np.linalg.norm(
+            np.diag(np.exp(np.repeat(x, rows))) @ M @ np.diag(np.exp(-np.repeat(x, cols))), 2
+        )
+
+    found, slope, *_ = mu_upper._newton_model(M, x, rows, cols, member)
+    assert found == pytest.approx(value(x))
+    np.testing.assert_allclose(
+        slope, [(value(x + h * e) - value(x - h * e)) / (2 * h) for e in np.eye(2)], rtol=1e-6
+    )
+
+
 # ---------------------------------------------------------------- start, level, gap
 
 
@@ -362,6 +394,15 @@ def test_balancing_goes_on_until_a_sweep_changes_less_than_a_hundredth(monkeypat
     np.testing.assert_allclose(
         mu_upper._balance(uneven, Structure((ONE, Block("full", 2, 2)))), [np.sqrt(2), 1.0]
     )
+
+
+def test_balancing_ends_near_its_limit_and_not_at_it():
+    """Of these three blocks three sweeps are enough; a fourth one still moves them a little."""
+    M = np.array([[1.0, 2.0, 0.1], [0.3, 1.0, 5.0], [4.0, 0.2, 1.0]])
+    d, off = mu_upper._balance(M, Structure((ONE,) * 3)), M * (1 - np.eye(3))
+    ratio = np.linalg.norm(off.T * d, axis=1) / np.linalg.norm(off / d, axis=1)
+    moved = np.abs(np.sqrt(ratio) / d - 1).max()
+    assert 1e-9 < moved < 1e-2
 
 
 def test_the_level_of_dense_scalings_is_a_generalised_eigenvalue(monkeypatch):

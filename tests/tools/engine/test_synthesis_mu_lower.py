@@ -181,8 +181,8 @@ def test_a_complex_perturbation_is_divided_by_the_largest_eigenvalue():
 
 
 def test_each_eigenvalue_of_a_mixed_perturbation_is_made_real_and_the_least_size_counts(monkeypatch):
-    M, parts, asked = np.array([[1.0, 2.0], [0.0, 3.0]]), [0.5, np.array([[1j]])], []
-    families = [lambda s: np.diag([1.0, 1j]) + s, lambda s: np.diag([2.0, 1.0]) + s]
+    M, parts, asked = np.array([[0.0, 1.0], [3.0, 0.0]]), [0.5, np.array([[1j]])], []
+    families = [lambda s: np.diag([1.0, 1j])[::-1] + s, lambda s: np.diag([2.0, 1.0])[::-1] + s]
     told = iter([None, 4.0, 0.5j, 0.5])
     monkeypatch.setattr(mu_lower, "_free_parameters", lambda *given: given == (SCALARS, parts) and families)
 
@@ -224,22 +224,24 @@ class Family:
         return np.atleast_2d(self.of(s, len(self.asked)))
 
 
-@pytest.mark.parametrize(("size", "phase"), [(2.0, 0.3), (3.0, -1.4), (0.1, 2.6)])
+@pytest.mark.parametrize(("size", "phase"), [(2.0, 0.3), (3.0, -1.4), (0.1, 2.6), (2.0, 1.2)])
 def test_secant_steps_of_half_a_unit_at_most_take_an_eigenvalue_to_the_real_axis(size, phase):
-    """M is 2; beside the eigenvalue that is followed there is one of another phase."""
+    """M is 2 and turns the order; beside the eigenvalue that is followed are its opposite, a small one, and
+    one of another phase."""
 
     def value(s, n=0):
         return 2 * size * np.exp(1j * (phase + s))
 
-    vary = Family(lambda s, n: np.diag([-9 * size, size * np.exp(1j * (phase + s))]))
-    delta = mu_lower._make_real(2 * np.eye(2), vary, value(0.0))
+    others = np.array([-9.0, -np.exp(1j * phase), 0.01j]) * size
+    vary = Family(lambda s, n: np.diag([*others, size * np.exp(1j * (phase + s))])[::-1])
+    delta = mu_lower._make_real(2 * np.eye(4)[::-1], vary, value(0.0))[::-1]
     *asked, last = vary.asked
     assert last == asked[-1] and asked[0] == 1e-4
     for before, now, after in zip([0.0, *asked[:-2]], asked[:-1], asked[1:], strict=True):
         slope = (value(now).imag - value(before).imag) / (now - before)
         assert after - now == pytest.approx(np.clip(-value(now).imag / slope, -0.5, 0.5), 1e-4, 1e-12)
     assert abs(value(last).imag) < 1e-12 * size
-    np.testing.assert_allclose(delta[1, 1], 0.5, rtol=1e-12)
+    np.testing.assert_allclose(delta[3, 3], 0.5, rtol=1e-12)
     assert delta[0, 0] == pytest.approx(-9 * size / value(last).real)
 
 
@@ -487,6 +489,14 @@ def test_every_run_of_the_power_iteration_is_one_of_its_own(structure, steps):
         q = uniform[:, s] if s % 2 else np.ones(len(structure.blocks))
         for one, other in zip(found[s], reference(N, structure, b[:, s], q, steps), strict=True):
             np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-12)
+
+
+def test_a_power_iteration_whose_runs_move_along_the_negative_real_axis_goes_on():
+    two = Structure((Block("full", 1, 1), Block("full", 1, 1)))
+    N = matrix(two, 1) / 10
+    vectors = np.linalg.svd(N)[2].conj()
+    for one, b in zip(mu_lower._power_iteration(N, two, 0, 4), vectors, strict=True):
+        np.testing.assert_allclose(one, reference(N, two, b, [], 4), rtol=1e-9)
 
 
 def test_the_power_iteration_ends_where_no_run_moves(monkeypatch):

@@ -324,6 +324,10 @@ def test_a_proof_ahead_does_not_end_a_ray(monkeypatch):
     for end in np.linspace(2.1, 3.9, 10):
         tried, length = tried_along(monkeypatch, end, 1e-3, 4.0)
         assert len(tried) % 2 == 1 and tried[-1] <= length <= end
+    # 16 fails and 12.8 proves what is within a hundred thousandth of it.
+    end = 16 * (1 - 5e-6)
+    tried, length = tried_along(monkeypatch, end, 3.2, np.inf)
+    assert tried == pytest.approx([0, 25.6, 3.2, 16, 6.4, 12.8, end]) and length == end
 
 
 def test_a_ray_without_a_proof_has_no_length_and_an_inverse_all_the_same(monkeypatch):

@@ -180,6 +180,165 @@ def test_s2_a_dual_is_the_schur_complement_and_its_factor(seed):
     assert point._form(forms[2], z) == pytest.approx((z.conj() @ forms[2] @ z).real, rel=1e-12)
 
 
+@pytest.mark.parametrize("missing", [0, 60, 61])
+def test_s2_the_blocks_multiplier_is_quartered_sixty_times_until_there_is_a_dual(missing, monkeypatch):
+    point, asked = point_of(0.0, -1.0, -1.0, 0.0), []
+
+    def factor(mu, p):
+        asked.append(mu.tolist())
+        return (np.nan if len(asked) <= missing else 9.0), np.eye(1), np.zeros(1)
+
+    monkeypatch.setattr(point, "_factor", factor)
+    at = s2._Dual(np.array([0.5, 3.0]))
+    assert point._maximise_dual(0.0, 0.1, 0.1, 0.0, 1.0, at) is (missing < 61)
+    assert asked == [[0.5, 3.0 * 0.25**k] for k in range(min(missing, 60) + 1)]
+    assert at.mu.tolist() == asked[-1]
+
+
+def climbed(
+    monkeypatch, g, *, values, mu=(0.5, 2.0), k=(0j, 0j), b=4.0, steps=1, **limits
+) -> tuple[list, s2._Dual]:
+    """Multipliers whose duals, the ``values`` in turn, are asked in so many steps from ``mu`` at p = 0.25:
+    of forms g at a dual's point (0, 1) whose change with the point is k; limits: when to stop."""
+    monkeypatch.setattr(s2, "_MAX_NEWTON", steps)
+    forms = np.zeros((4, 2, 2), complex)
+    for form, corner, side in zip(forms[1:3], (g[0], g[1] + 0.25 * b), k, strict=True):
+        form[:] = [[0.0, side], [np.conj(side), corner]]
+    forms[3, 1, 1] = b
+    point, asked, left = s2._Point(forms, 10.0, 0.1), [], iter(values)
+
+    def factor(mu, p):
+        assert p == 0.25
+        asked.append(mu.copy())
+        return next(left), np.eye(1), np.zeros(1)
+
+    monkeypatch.setattr(point, "_factor", factor)
+    at = s2._Dual(np.array(mu))
+    limits = {"fine": 0.0, "coarse": 1e-3, "beyond": np.inf, "enough": np.inf} | limits
+    assert point._maximise_dual(0.25, *limits.values(), at) is True
+    np.testing.assert_array_equal(at.z, [0.0, 1.0])
+    return asked, at
+
+
+@pytest.mark.parametrize(
+    ("g", "limits", "stops"),
+    [
+        ((-1.0, -0.25), {}, False),
+        ((-1.0, -0.25), {"enough": 1.0}, False),
+        ((-1.0, -0.25), {"enough": 0.99}, True),
+        ((9.0, -0.25), {"enough": 0.99}, True),
+        ((-1.0, -0.25), {"fine": 1.0}, True),
+        ((-1.0, -0.25), {"fine": 0.99}, False),
+        ((-1.0, -0.25), {"coarse": 1.0, "beyond": 0.99}, True),
+        ((-1.0, -0.25), {"coarse": 0.99, "beyond": 0.99}, False),
+        ((-1.0, -0.25), {"coarse": 1.0, "beyond": 1.0}, False),
+        ((0.0, -0.5), {"fine": 1.0}, True),
+        ((-2.0, 0.0), {"fine": 1.0}, True),
+        ((0.5, -1.0), {"fine": 2.0}, False),
+        ((-9.0, 0.1), {"fine": 9.0}, False),
+    ],
+)
+def test_s2_a_dual_is_enough_where_its_bound_or_the_gap_to_its_points_cost_is(g, limits, stops, monkeypatch):
+    """The bound is p + 0.75 = 1; a point inside both forms costs -mu g more than it."""
+    asked, at = climbed(monkeypatch, g, values=[0.75, 1e9], **limits)
+    assert len(asked) == (1 if stops else 2)
+    assert at.slope == 1 - 2 * 4
+
+
+def test_s2_a_dual_is_climbed_for_so_many_steps_at_most(monkeypatch):
+    asked, _ = climbed(monkeypatch, (1.0, 1.0), values=np.arange(9.0), steps=5)
+    assert len(asked) == 1 + 5
+
+
+def corrected(mu, slack, g, curvature, fine=0.0) -> tuple[float, np.ndarray]:
+    """Barrier and step of an interior-point method, predictor first, from its whole linear system."""
+    n = len(mu)
+    whole = np.block([[curvature, -np.eye(n)], [np.diag(slack), np.diag(mu)]])
+
+    def newton(eps: float) -> np.ndarray:
+        return np.linalg.solve(whole, np.concatenate([g + slack, eps - mu * slack]))
+
+    now, move = np.concatenate([mu, slack]), newton(0.0)
+    ahead = now + min([1.0, *(-x / dx for x, dx in zip(now, move, strict=True) if dx < 0)]) * move
+    mean = mu @ slack / n
+    left = ahead[:n] @ ahead[n:] / n
+    eps = max(mean * max((left / mean) ** 3, 1e-3), fine / 20)
+    return eps, newton(eps)[:n]
+
+
+@pytest.mark.parametrize("fine", [1e-9, 3.0])
+@pytest.mark.parametrize("seed", range(3))
+def test_s2_a_dual_is_climbed_by_newtons_step_of_its_own_derivatives(seed, fine, monkeypatch):
+    monkeypatch.setattr(s2, "_MAX_NEWTON", 1)
+    forms, _ = drawn(seed, 4)
+    point, asked, p, mu = s2._Point(forms, 1.0, 0.1), [], 0.02, np.array([0.3, 0.2])
+    factor = point._factor
+    monkeypatch.setattr(point, "_factor", lambda mu, p: asked.append(mu.copy()) or factor(mu, p))
+    at = s2._Dual(mu.copy())
+    assert point._maximise_dual(p, fine, 0.5, np.inf, np.inf, at)
+    pair = forms[1], forms[2] - p * forms[3]
+    S = forms[0] + mu[0] * pair[0] + mu[1] * pair[1]
+    z = np.append(-np.linalg.solve(S[:3, :3], S[:3, 3]), 1.0)
+    np.testing.assert_allclose(at.z, z, rtol=1e-9)
+    g = np.array([np.vdot(z, q @ z).real for q in pair])
+    sides = np.array([(q @ z)[:3] for q in pair])
+    curvature = 2 * (sides.conj() @ np.linalg.solve(S[:3, :3], sides.T)).real
+    _, step = corrected(mu, np.maximum(-g, 0.5 / mu), g, curvature, fine)
+    whole = min([1.0, *(-0.95 * m / s for m, s in zip(mu, step, strict=True) if s < 0)])
+    np.testing.assert_allclose(asked[1], mu + whole * step, rtol=1e-9)
+
+
+@pytest.mark.parametrize("taken", [True, False])
+def test_s2_a_step_is_taken_where_the_dual_and_its_barrier_rise(taken, monkeypatch):
+    """By a millionth; the barrier is the logarithm of the multipliers' product."""
+    mu, g = np.array([0.5, 3.0]), np.array([1.0, 1.0])
+    eps, step = corrected(mu, 1.0 / mu, g, np.zeros((2, 2)))
+
+    def values():
+        yield 7.0
+        rise = eps * np.log(np.prod(mu + step) / np.prod(mu))
+        while True:
+            yield 7.0 - rise + (1e-6 if taken else -1e-6)
+            rise = np.inf
+
+    asked, _ = climbed(monkeypatch, g, values=values(), mu=mu, coarse=1.0)
+    np.testing.assert_allclose(asked[1], mu + step, rtol=1e-12)
+    assert (len(asked) == 2) == taken
+
+
+def test_s2_a_step_that_leads_to_no_dual_is_shortened_forty_times_and_ends_the_climb(monkeypatch):
+    asked, at = climbed(monkeypatch, (1.0, -1.0), values=[0.75, *[np.nan] * 99], steps=3)
+    assert len(asked) == 1 + 40
+    moved = np.array(asked[1:15]) - asked[0]
+    np.testing.assert_allclose(moved[1:], 0.4 * moved[:-1], rtol=1e-8)
+    np.testing.assert_array_equal(at.mu, [0.5, 2.0])
+
+
+def test_s2_a_step_that_is_not_finite_is_not_tried(monkeypatch):
+    with np.errstate(invalid="ignore"):
+        asked, _ = climbed(monkeypatch, (1.0, 1.0), values=[0.75, 9.0], k=(np.nan, 0j))
+    assert len(asked) == 1
+
+
+@pytest.mark.parametrize("merit", [8.0, -8.0])
+@pytest.mark.parametrize(
+    ("less", "taken"), [(0.9e-12, True), (1e-12, True), (1.1e-12, False), (-1e-13, True), (1.0, False)]
+)
+def test_s2_a_step_may_lose_a_trillionth_of_its_merit(merit, less, taken, monkeypatch):
+    """With no barrier a dual is its merit."""
+    monkeypatch.setattr(s2.np, "log", lambda x: 0.0 * x)
+    values = [merit, *[merit - less * abs(merit)] * 99]
+    assert (len(climbed(monkeypatch, (1.0, 1.0), values=values)[0]) == 2) == taken
+
+
+def test_s2_the_first_multiplier_to_reach_zero_counts():
+    x = np.array([1.0, 2.0, 4.0])
+    with np.errstate(all="raise"):
+        assert s2._to_zero(x, np.array([-2.0, -1.0, -16.0])) == 0.25
+        assert s2._to_zero(x, np.array([0.0, -0.5, 3.0])) == 4.0
+        assert s2._to_zero(x, np.array([0.0, 2.0, 0.5])) == np.inf
+
+
 def test_s2_an_offer_is_taken_where_it_is_allowed_and_cheaper():
     z = np.array([0.3j, 1.0])
     for q0, qw, a, b, size in (
@@ -274,7 +433,8 @@ def test_s2_a_dual_is_sought_as_finely_as_the_cost_asks(monkeypatch):
         v.at.z = np.ones(2)
         point._evaluate(v)
         [given] = asked
-        assert given[:5] == pytest.approx((5.0, 1e-3 * scale, 0.02 * scale, 1.05 * cost, enough + 3.0))
+        assert given[:4] == pytest.approx((5.0, 1e-3 * scale, 0.02 * scale, 1.05 * cost))
+        assert given[4] == enough + 3.0
         assert given[5] is v.at and v.at.mu.tolist() == [1e-3 * scale, 0.7]
         assert v.known and v.lower == 0.625 and offered == [v.at.z]
     monkeypatch.setattr(point, "_maximise_dual", lambda *_: False)
@@ -478,11 +638,14 @@ def points_for(data: s2._Data, seed: int = 8) -> np.ndarray:
 
 @pytest.mark.parametrize("unit", [1.0, 1e6])
 def test_s2_has_coordinates_in_which_all_signals_together_are_a_sphere(unit):
-    """|.|^2 of what each signal does to e and of w over gamma_w: |theta|^2 beside a constant."""
+    """|.|^2 of what each signal does to e, or to gamma_w where that is more, and of w over gamma_w: |theta|^2
+    beside a constant."""
     data = data_of()
-    data = replace(data, h_s=unit * data.h_s)
+    data = replace(data, h_s=unit * data.h_s, e=data.e * [[0.01], [2.0], [2.0]])
     maps = s2._Maps.of(data)
     size_e = np.linalg.norm(data.e, axis=1)
+    assert (size_e < data.gamma).tolist() == [True, False, False]
+    size_e[0] = data.gamma[0]
     share_i = np.linalg.norm(data.h_i @ data.c.T, axis=1) / size_e
     share_s = np.linalg.norm(data.c @ data.h_s, axis=(1, 2)) / size_e
 
@@ -514,6 +677,8 @@ def test_s2_puts_its_problem_in_units_of_what_the_start_costs():
     nu = np.sum(np.abs(xi[:, 1:]) ** 2, axis=1) / np.sum(np.abs(eta) ** 2, axis=1)
     np.testing.assert_allclose(a / b * cost, data.lam_s * nu, rtol=1e-10)
     np.testing.assert_allclose(np.trace(forms[:, 2], axis1=1, axis2=2), 1.0)
+    _, dearer = s2._problem(data, replace(maps, eta=1e-3 * maps.eta), start)
+    np.testing.assert_allclose(dearer - cost, (1e6 - 1) * data.lam_s * block, rtol=1e-10)
     # What costs nothing at the start has a unit of one, and what has no state costs no division.
     still = replace(maps, xi=maps.xi * [[1.0] * 3 + [0.0]], eta=maps.eta * [[1.0] * 3 + [0.0]])
     with np.errstate(all="raise"):
@@ -548,12 +713,15 @@ def test_s2_starts_on_the_rim_of_the_ball_on_the_way_to_the_least_disturbance():
         b1, z = s2._inside_ball(maps, 1.1 * none)
     np.testing.assert_allclose(b1, least, rtol=1e-12)
     np.testing.assert_array_equal(z, 5 * [[0.0, 0.0, 1.0]])
-    assert np.isnan(s2._inside_ball(maps, 0.999 * least)[1]).all()
-    # No more than the least: all the way, and a ball of that size counts.
+    # No more than the least, or less: all the way.
     one = np.array([[[1.0, 0.0, 2.0], [0.0, 1.0, 3.0], [0.0, 0.0, 4.0]]], complex)
-    b1, z = s2._inside_ball(one, np.array([4.0]))
-    assert b1 == 4.0
-    np.testing.assert_allclose(z, [[-2.0, -3.0, 1.0]])
+    for gamma in (4.0, 3.0):
+        b1, z = s2._inside_ball(one, np.array([gamma]))
+        assert b1 == 4.0
+        np.testing.assert_allclose(z, [[-2.0, -3.0, 1.0]])
+    # A ball of just the size of w without any signal: none of the way.
+    b1, z = s2._inside_ball(np.array([[[1.0, 4.0], [0.0, 3.0]]], complex), np.array([5.0]))
+    assert b1 == 3.0 and not z[0, 0] and z[0, 1] == 1.0
 
 
 @pytest.mark.parametrize("weak, b1", [(1.1e-12, 0.0), (0.9e-12, 1.0)])
@@ -597,7 +765,6 @@ def test_s2_gives_back_what_its_kernel_found_and_nothing_where_no_disturbance_is
     assert gap == s2.GAP and len(forms) == 4
     want = s2._inside_ball(maps.w, gamma)[1]
     np.testing.assert_array_equal(start, want[where])
-    want[1] = [0, 0, 0, 1]
     all_forms, cost = s2._problem(data, maps, want)
     np.testing.assert_array_equal(forms, all_forms[where])
     cap = 1 / np.array([np.linalg.svd(h)[1][0] for h in data.h_s])
@@ -625,6 +792,10 @@ def test_s2_says_at_the_cap_where_the_bounds_stay_apart_or_the_size_is_the_caps(
     for low, at_cap in ((1 - 0.99e-2, False), (1 - 1.01e-2, True)):
         found, *_ = answered(monkeypatch, data, low=low, gap=1e-3)
         assert found.at_cap.tolist() == [at_cap]
+    one = replace(data, h_s=np.eye(2)[None].astype(complex))
+    for share, at_cap in ((1.0, True), (1 + 1e-15, False)):
+        monkeypatch.setattr(s2, "NEAR_CAP", share * answered(monkeypatch, one, low=1.0)[0].nu_s[0])
+        assert answered(monkeypatch, one, low=1.0)[0].at_cap.tolist() == [at_cap]
     near = found.nu_s[0] * np.linalg.norm(data.h_s[0], 2)
     for share, at_cap in ((0.99989, False), (0.99991, True)):
         # h_s over a factor and xi_s times it are the same d: the size over its cap is what counts.
@@ -674,6 +845,24 @@ def test_s2_takes_its_arguments_by_shape_and_names_each_that_is_not_positive_or_
         replace(data, u=np.array([0.0, 1, 1])).check(None)
 
 
+def test_s2_a_least_disturbance_of_just_what_is_allowed_is_enough(monkeypatch):
+    data, inside = data_of(), s2._inside_ball
+    monkeypatch.setattr(s2, "_inside_ball", lambda w, gamma: (gamma.copy(), inside(w, gamma)[1]))
+    assert np.isfinite(answered(monkeypatch, data)[0].upper).all()
+
+
+def test_s2_takes_lists_and_a_point_without_an_error(monkeypatch):
+    data = data_of()
+    arguments = (data.e, data.u, data.x_nom, data.h_i, data.h_s, data.c, data.gamma)
+    given = answered(monkeypatch, replace(data, lam_i=np.ones(3), lam_s=np.ones(3)))[0]
+    np.testing.assert_array_equal(s2.solve(*(a.tolist() for a in arguments)).upper, given.upper)
+    monkeypatch.undo()
+    data.e[1] = 0.0
+    with np.errstate(all="raise", under="ignore"):
+        found = s2.solve(*arguments)
+    assert found.lower[1] == found.upper[1] == found.nu_s[1] == 0.0 and found.duals[1] == 1
+
+
 def test_s2_prices_are_one_where_none_are_given(monkeypatch):
     data = replace(data_of(), lam_i=np.ones(3), lam_s=np.ones(3))
     given = answered(monkeypatch, data)[0]
@@ -707,6 +896,9 @@ def test_s2_kernel_takes_one_to_fifteen_free_variables_and_as_many_points_as_the
             np.testing.assert_array_equal(getattr(both, field)[k], getattr(alone, field)[0])
         a, b = (np.vdot(both.z[k], q @ both.z[k]).real for q in form[2:])
         assert both.p[k] == pytest.approx(a / b, rel=1e-9), "the size of the point"
+        attained = both.p[k] + np.vdot(both.z[k], form[0] @ both.z[k]).real
+        assert both.upper[k] == pytest.approx(attained, rel=1e-9)
+        assert (1 - 1.01 * s2.GAP) * attained < both.lower[k] < both.upper[k]
         assert 2 <= both.duals[k] <= 240
     assert both.duals.dtype.kind == "i"
 

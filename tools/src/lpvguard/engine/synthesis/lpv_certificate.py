@@ -196,7 +196,8 @@ class Storage:
     def cut(self, low: float, high: float, step: float) -> float:
         """Where to cut low..high: in the middle, or at a speed inside from which a knot is ``step`` away, the
         nearest to the middle."""
-        bends = np.concatenate([self.knots[1:-1] - step, self.knots[1:-1] + step])
+        inner = self.knots[1:-1]
+        bends = np.concatenate([inner - step, inner + step])
         middle, reserve = 0.5 * (low + high), INSIDE * np.spacing(high)
         bends = bends[(bends > low + reserve) & (bends < high - reserve)]
         return float(min(bends, key=lambda v: abs(v - middle), default=middle))
@@ -279,7 +280,7 @@ class _End:
     @cached_property
     def sizes(self) -> tuple[float, float]:
         """Largest row sum of |P|, and the square of the norm of S."""
-        return float(np.abs(self.P).sum(axis=1).max()), float(np.linalg.norm(self.S, 2) ** 2)
+        return float(np.linalg.norm(self.P, np.inf)), float(np.linalg.norm(self.S, 2) ** 2)
 
 
 def _share(
@@ -323,11 +324,11 @@ def _cell_slack(family: Family, storage: Storage, one: _End, two: _End, rate: fl
         remainder = 0.25 * _weighed(dM.T @ dP @ dM, sum(s[:n].T @ dP @ s[:n] for s in S), inverse)
         reached = [s.T @ q @ left for s in S for q in Q]
         remainder += _crossed(reached, bound, right, inverse)
-        pressed = bound.T @ sum(np.abs(left.T @ q @ left) for q in Q) @ bound
-        remainder += (right.T * pressed.sum(axis=1)) @ right
-        for end, f, q in zip((one, two), F, Q, strict=False):
+        pressed = bound.T @ sum(np.abs(left.T @ q @ left) for q in Q) @ bound.sum(axis=1)
+        remainder += (right.T * pressed) @ right
+        for end, f, q in zip((one, two), F, Q, strict=True):
             on_P, on_Q = end.sizes
-            size = on_P + on_Q * np.abs(q).sum(axis=1).max()
+            size = on_P + on_Q * np.linalg.norm(q, np.inf)
             value = np.linalg.eigvalsh(f - remainder)[0] - 4 * len(f) * EPS * size
             if not value > 0:
                 return None
@@ -353,7 +354,7 @@ def _positive(X: np.ndarray) -> bool:
 
 def _absolute(X: np.ndarray) -> np.ndarray:
     """|X| of a symmetric X: -|X| <= X <= |X|."""
-    values, vectors = np.linalg.eigh(0.5 * (X + X.T))
+    values, vectors = np.linalg.eigh((X + X.T) / 2)
     return (vectors * np.abs(values)) @ vectors.T
 
 
@@ -555,6 +556,6 @@ def _even(basis, parts, frozen):
     wide = [sl.block_diag(T, np.eye(M.shape[1] - n)) for M, _ in parts]
     return (
         basis @ T,
-        [(np.linalg.solve(T, M @ W), N @ W) for (M, N), W in zip(parts, wide, strict=False)],
+        [(np.linalg.solve(T, M @ W), N @ W) for (M, N), W in zip(parts, wide, strict=True)],
         T.T @ frozen @ T,
     )

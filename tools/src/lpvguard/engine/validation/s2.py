@@ -77,6 +77,12 @@ def solve_forms(forms: np.ndarray, z0: np.ndarray, p_max, *, gap: float = GAP) -
     return FormsResult(out[:, 0], out[:, 1], out[:, 2], z, out[:, 3].astype(int))
 
 
+def _to_zero(x: np.ndarray, step: np.ndarray) -> float:
+    """How many steps take the first of the positive ``x`` to zero; inf where none falls."""
+    falling = step < 0.0
+    return float(min(-x[falling] / step[falling], default=np.inf))
+
+
 @dataclass
 class _Dual:
     mu: np.ndarray
@@ -130,7 +136,7 @@ class _Point:
         if np.isnan(value):
             return False
         pair = (self.qw, self.a - p * self.b)
-        slack = np.zeros(2)
+        slack = coarse / mu
         for it in range(_MAX_NEWTON):
             z = np.append(-np.linalg.solve(c.conj().T, y), 1.0)
             g = np.array([self._form(q, z) for q in pair])
@@ -142,20 +148,19 @@ class _Point:
             if np.all(g <= 0.0) and (gap <= fine or (gap <= coarse and p + value > beyond)):
                 break
             if it == 0:
-                slack = np.maximum(-g, coarse / mu)
+                slack = np.maximum(-g, slack)
             hessian = 2.0 * np.array([[np.vdot(v, w).real for v in u] for w in u]) + np.diag(slack / mu)
             mean = 0.5 * float(mu @ slack)
             step = np.linalg.solve(hessian, g)
             move = -slack - slack / mu * step
-            both, steps = np.concatenate([mu, slack]), np.concatenate([step, move])
-            reach = min([1.0, *(-both[steps < 0.0] / steps[steps < 0.0])])
+            reach = min(1.0, _to_zero(np.concatenate([mu, slack]), np.concatenate([step, move])))
             left = 0.5 * float((mu + reach * step) @ (slack + reach * move))
             eps = max(mean * max((left / mean) ** 3, 1e-3), 0.05 * fine)
             step = np.linalg.solve(hessian, g + eps / mu)
             move = eps / mu - slack - slack / mu * step
-            if not np.all(np.isfinite(step)):
+            if not np.isfinite(step.sum()):
                 break
-            length = min([1.0, *(-0.95 * mu[step < 0.0] / step[step < 0.0])])
+            length = min(1.0, 0.95 * _to_zero(mu, step))
             merit, before = value + eps * np.log(mu[0] * mu[1]), mu.copy()
             for _ in range(40):
                 mu[:] = before + length * step
@@ -206,11 +211,9 @@ class _Point:
         self._offer(start)
         first = _Interval(0.0, min(self.p_max, self.cost), 0.0, -1.0, False, _Dual(np.ones(2)))
         self._evaluate(first)
-        closed, duals = np.inf, 1
-        heap = [(first.lower, 0, first)]
-        while heap:
-            if heap[0][0] >= self.cost * (1.0 - self.gap) or duals >= _MAX_DUALS:
-                break
+        duals = 1
+        heap = [(first.lower, duals, first)]
+        while heap[0][0] < self.cost * (1.0 - self.gap) and duals < _MAX_DUALS:
             right = heapq.heappop(heap)[2]
             left = _Interval(
                 right.lo,
@@ -226,12 +229,9 @@ class _Point:
             right.lo_slope = left.at.slope if left.known else -1.0
             right.lower = self._bound(right)
             for serial, child in ((2 * duals, left), (2 * duals + 1, right)):
-                if child.lower < self.cost * (1.0 - self.gap):
-                    heapq.heappush(heap, (child.lower, serial, child))
-                else:
-                    closed = min(closed, child.lower)
-        closed = min([closed, *(item[0] for item in heap)])
-        return (min(closed, self.cost), self.cost, self.p, duals), start if self.z is None else self.z
+                heapq.heappush(heap, (child.lower, serial, child))
+        lower = min(heap[0][0], self.cost)
+        return (lower, self.cost, self.p, duals), start if self.z is None else self.z
 
 
 @dataclass(frozen=True)
@@ -321,7 +321,7 @@ class _Maps:
         d = n_x + 1
         to_d = np.concatenate([data.h_i[:, :, None], data.h_s], axis=2)
         gain = data.c @ to_d
-        size_e = np.maximum(np.linalg.norm(e, axis=1), 1e-300)
+        size_e = np.maximum(np.linalg.norm(e, axis=1), data.gamma)
         unit_i = np.linalg.norm(gain[:, :, 0], axis=1) / size_e
         unit_s = np.linalg.norm(gain[:, :, 1:], axis=(1, 2)) / size_e
         scale = np.concatenate([unit_i[:, None], np.repeat(unit_s[:, None], n_x, axis=1)], axis=1)
@@ -341,7 +341,7 @@ class _Maps:
 
 def _at(maps: np.ndarray, z: np.ndarray) -> np.ndarray:
     """``maps`` (K, m, n) times ``z`` (K, n)."""
-    return (maps @ z[:, :, None])[:, :, 0]
+    return (maps @ z[:, :, None]).reshape(maps.shape[:2])
 
 
 def _problem(data: _Data, maps: _Maps, start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -400,9 +400,7 @@ def solve(
     maps = _Maps.of(data)
     # A point inside the ball: from the least-squares point towards the one with the smallest w.
     b1, start = _inside_ball(maps.w, gamma)
-    feasible = np.isfinite(start).all(axis=1)
-    start = np.where(feasible[:, None], start, 0.0)
-    start[:, -1] = 1.0
+    feasible = b1 <= gamma
     forms, trivial = _problem(data, maps, start)
     cap_s = 1.0 / np.linalg.norm(h_s, 2, axis=(1, 2))
     p_max = lam_s * cap_s**2 * (1.0 - 1e-9) / trivial
@@ -428,20 +426,18 @@ def solve(
 
 
 def _inside_ball(w_map: np.ndarray, gamma: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(B1, z) per point: B1 = min |w|; z the point nearest to theta = 0 on the way to it with |w| <= gamma,
-    NaN if none."""
+    """(B1, z) per point: B1 = min |w|; z the point nearest to theta = 0 on the way to it with |w| <= gamma;
+    where gamma < B1 all the way."""
     w_t, w_theta = w_map[:, :, -1], w_map[:, :, :-1]
     u, s, vh = np.linalg.svd(w_theta, full_matrices=False)
     keep = s > 1e-12 * s[:, :1]
-    along = np.swapaxes(u.conj(), 1, 2) @ w_t[:, :, None]
-    along = np.where(keep, along[:, :, 0], 0.0)
-    rest = w_t - (u @ along[:, :, None])[:, :, 0]
+    along = np.where(keep, _at(np.swapaxes(u.conj(), 1, 2), w_t), 0.0)
+    rest = w_t - _at(u, along)
     b1 = np.linalg.norm(rest, axis=1)
     room = np.sqrt(np.maximum((gamma - b1) * (gamma + b1), 0.0))
     size = np.linalg.norm(along, axis=1)
     # A hair inside, so that rounding does not put the start outside.
     fraction = np.where(size > room, 1.0 - (1.0 - 1e-9) * room / np.maximum(size, 1e-300), 0.0)
     inverse = np.divide(1.0, s, out=np.zeros_like(s), where=keep)
-    theta = -(np.swapaxes(vh.conj(), 1, 2) @ (inverse * along)[:, :, None])[:, :, 0] * fraction[:, None]
-    z = np.concatenate([theta, np.ones((len(gamma), 1))], axis=1)
-    return b1, np.where((b1 <= gamma)[:, None], z, np.nan)
+    theta = -_at(np.swapaxes(vh.conj(), 1, 2), inverse * along) * fraction[:, None]
+    return b1, np.concatenate([theta, np.ones((len(gamma), 1))], axis=1)
