@@ -399,7 +399,9 @@ def test_balancing_goes_on_until_a_sweep_changes_less_than_a_hundredth(monkeypat
 def test_balancing_ends_near_its_limit_and_not_at_it():
     """Of these three blocks three sweeps are enough; a fourth one still moves them a little."""
     M = np.array([[1.0, 2.0, 0.1], [0.3, 1.0, 5.0], [4.0, 0.2, 1.0]])
-    d, off = mu_upper._balance(M, Structure((ONE,) * 3)), M * (1 - np.eye(3))
+    each = [slice(k, k + 1) for k in range(3)]
+    d = mu_upper._balance(M, SimpleNamespace(blocks=each, row=each, col=each))
+    off = M * (1 - np.eye(3))
     ratio = np.linalg.norm(off.T * d, axis=1) / np.linalg.norm(off / d, axis=1)
     moved = np.abs(np.sqrt(ratio) / d - 1).max()
     assert 1e-9 < moved < 1e-2
