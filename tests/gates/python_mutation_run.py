@@ -218,14 +218,15 @@ def surviving(
     places: dict[Mutant, tuple[int, int]],
     near: bool = False,
 ) -> list[Mutant]:
-    """``near``: of the tests about a folder only those that import the files themselves. To note what all the
-    others reach takes minutes."""
+    """``near``: file by file, of the tests about its folder only those that import it themselves. Among all
+    of them the time that one mutant may take leaves some out, and to note what they reach takes minutes."""
     alive: set[tuple[str, int, int]] = set()
-    for folder in sorted({folder_of(m.file) for m in mutants}):
-        files: dict[str, list[tuple[int, int]]] = {}
-        for mutant in mutants:
-            if folder_of(mutant.file) == folder:
-                files.setdefault(mutant.file, []).append(places[mutant])
+    together: dict[str, dict[str, list[tuple[int, int]]]] = {}
+    for mutant in sorted(mutants, key=lambda m: m.file):
+        group = together.setdefault(mutant.file if near else folder_of(mutant.file), {})
+        group.setdefault(mutant.file, []).append(places[mutant])
+    for files in together.values():
+        folder = folder_of(next(iter(files)))
         tests = [str(path) for path in asked_about(tree, folder, files if near else ())]
         if not tests:
             alive |= {(name, *place) for name, there in files.items() for place in there}
@@ -292,7 +293,7 @@ def python_mutation_findings(
             print(f"{', '.join(files)}: {len(mutants)} mutants, {len(listed)} of them listed, {sample} drawn")
             rest = [m for m in mutants if m not in set(listed)]
             mutants = sorted(random.Random(6).sample(rest, min(sample, len(rest))), key=lambda m: m.number)
-        left = mutants if all_of else surviving(tree, scratch, mutants, places, near=True)
+        left = surviving(tree, scratch, mutants, places, near=True)
         survived = surviving(tree, scratch, left, places)
     except RuntimeError as error:
         return [str(error)]

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+import python_mutation_run as run
 from mutation_run import Mutant, command
 from python_mutation import Mutants
 from python_mutation_run import (
@@ -235,6 +236,26 @@ def test_a_sample_meets_the_tests_that_import_its_file_before_the_others(tree, t
     finally:
         far.unlink()
     assert findings and not any("unused" in finding for finding in findings)
+
+
+@pytest.mark.parametrize("full", [False, True])
+def test_near_tests_are_asked_first_and_file_by_file(full, monkeypatch, tmp_path):
+    """Both files lie in one folder, so that all of its tests are asked about both at once."""
+    tasks = []
+
+    def answer(tree, scratch, task):
+        if "tests" not in task:
+            return [[name, "f", 1, [["x + 1", "x - 1"]]] for name in task["files"]]
+        tasks.append((sorted(task["files"]), len(task["tests"])))
+        return [[name, *at, True, 1] for name, places in task["files"].items() for at in places]
+
+    names = ["engine/synthesis/dk.py", "engine/synthesis/mu.py"]
+    monkeypatch.setattr(run, "asked_worker", answer)
+    monkeypatch.setattr(run, "touched", lambda tree, known: known)
+    findings = python_mutation_findings(ROOT, tmp_path, full, "", measured=dict.fromkeys(names, 1))
+    assert [files for files, _ in tasks] == [[names[0]], [names[1]], names]
+    assert all(0 < near < tasks[2][1] for _, near in tasks[:2])
+    assert sum(finding.startswith("survived: ") for finding in findings) == 2
 
 
 def test_the_gate_draws_where_it_is_not_asked_for_all(tree, tmp_path, capsys):
