@@ -34,6 +34,20 @@ def test_a_blf_log_whose_reader_would_stay_at_an_object_without_bytes_is_refused
         read_log(path)
 
 
+def links(version: str) -> tuple[int, int, int]:
+    """Where an MDF file has its first group's address, a block the next one's, and their bytes."""
+    return (88, 24, 8) if version[0] == "4" else (68, 4, 4)
+
+
+def first_block(content: bytes, version: str, depth: int) -> int:
+    """Address of the first group (0) of an MDF file, of that one's first channel group (1) or channel (2)."""
+    first, following, width = links(version)
+    at = int.from_bytes(content[first : first + width], "little")
+    for _ in range(depth):
+        at = int.from_bytes(content[at + following + width : at + following + 2 * width], "little")
+    return at
+
+
 @pytest.mark.parametrize(
     ("level", "version"),
     [(level, version) for level in ("groups", "channel groups", "channels") for version in ("3.30", "4.10")]
@@ -47,15 +61,14 @@ def test_an_mdf_file_whose_list_comes_back_to_its_beginning_is_refused(level, ve
         mdf.append([asammdf.Signal(samples=t, timestamps=t, name="x")])
         mdf.save(path, compression=0)
     content = bytearray(path.read_bytes())
-    first, following, width = (88, 24, 8) if version[0] == "4" else (68, 4, 4)
-    at = int.from_bytes(content[first : first + width], "little")
-    for _ in range(["groups", "channel groups", "channels"].index(level) if level != "data" else 0):
-        at = int.from_bytes(content[at + following + width : at + following + 2 * width], "little")
+    _, following, width = links(version)
     if level == "data":  # a list of blocks of data that has itself for the next
         at = len(content)
         content += b"##DL" + bytes(12) + (1).to_bytes(8, "little") + at.to_bytes(8, "little") + bytes(24)
-        group = int.from_bytes(content[first : first + width], "little")
+        group = first_block(content, version, 0)
         content[group + following + 2 * width : group + following + 3 * width] = at.to_bytes(width, "little")
+    else:
+        at = first_block(content, version, ["groups", "channel groups", "channels"].index(level))
     content[at + following : at + following + width] = at.to_bytes(width, "little")
     path.write_bytes(content)
     with pytest.raises(InputError, match=r"cannot be read \(ValueError: a list of blocks without an end\)"):
@@ -64,11 +77,9 @@ def test_an_mdf_file_whose_list_comes_back_to_its_beginning_is_refused(level, ve
 
 def first_channel(content: bytes, version: str) -> int:
     """Address of the second channel of an MDF file's first group: the one behind its time."""
-    first, following, width = (88, 24, 8) if version[0] == "4" else (68, 4, 4)
-    at = int.from_bytes(content[first : first + width], "little")
-    for _ in range(2):
-        at = int.from_bytes(content[at + following + width : at + following + 2 * width], "little")
-    return int.from_bytes(content[at + following : at + following + width], "little")
+    _, following, width = links(version)
+    at = first_block(content, version, 2) + following
+    return int.from_bytes(content[at : at + width], "little")
 
 
 MDF_4_FIELDS = 24 + 8 * 8  # behind the links of a channel that asammdf writes

@@ -6,6 +6,7 @@ variable's description is read here first, and scipy reads the variables that ar
 
 from __future__ import annotations
 
+import io
 import zlib
 from math import prod
 from pathlib import Path
@@ -33,7 +34,8 @@ def read_matlab(path: Path) -> pa.Table:
     """The vectors of numbers among the variables; InputError where their lengths differ, where one is
     damaged, and for files of version 7.3, which are HDF5."""
     try:
-        found = loadmat(path, squeeze_me=True, variable_names=_vectors(path.read_bytes()))
+        content = path.read_bytes()
+        found = loadmat(io.BytesIO(content), squeeze_me=True, variable_names=_vectors(content))
     except MemoryError:
         raise
     except Exception as error:  # scipy has no exception of its own for a broken file
