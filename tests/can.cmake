@@ -36,8 +36,10 @@ foreach(test IN ITEMS unit/test_can unit/test_j1939 unit/test_uds unit/test_host
   set_tests_properties(${kind}.${name} PROPERTIES LABELS ${kind} TIMEOUT 120)
   lpvg_counted(${kind}.${name} ${program})
 endforeach()
-add_dependencies(unit_tests test_can test_j1939 test_uds test_hostile_bus)
-set_property(TEST unit.can unit.j1939 unit.uds unit.hostile_bus APPEND PROPERTY LABELS core_unit)
+foreach(target IN ITEMS unit_tests sanitized_tests)
+  add_dependencies(${target} test_can test_j1939 test_uds test_hostile_bus)
+endforeach()
+set_property(TEST unit.can unit.j1939 unit.uds unit.hostile_bus APPEND PROPERTY LABELS core_unit sanitized)
 
 # The committed corpus, then three million random frames. With clang there is `fuzz_can` too, for a campaign:
 #     fuzz_can -runs=10200000 -max_len=160 -seed=7 CORPUS_OF_YOUR_OWN tests/fuzz/corpus/can
