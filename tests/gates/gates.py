@@ -76,6 +76,8 @@ IMPORTS_ALLOWED = re.compile(r"mem(cpy|set|move|cmp)|(sqrt|fabs)f?")
 FULL = os.environ.get("LPVGUARD_FULL") == "1"
 CATCH_MAIN = os.environ.get("LPVG_CATCH_MAIN", "")
 """main() of the test programs as the build has it that runs the gates (tests/catch.cmake)."""
+DEFAULT_BUILD = os.environ.get("LPVG_DEFAULT_BUILD", "")
+"""Folder of that build, in which the cores stand that it needs."""
 ONE_CORE = "lpvguard_g80"
 """Library in which the bugs are looked for that are planted for a variant of the build."""
 LEAST_COVERAGE = {"regions": 0.998, "branches": 0.999, "conditions": 0.998}  # whatever coverage.json says
@@ -132,8 +134,8 @@ def build_core(tree: Path, scratch: Path, variant: str, target: str) -> tuple[Pa
 
 
 EVERY_BUILD = [f"{compiler}-{real}-Release" for compiler in COMPILERS for real in ("float", "double")]
-FEW_BUILDS = ["gcc-float-Release", "clang-double-Release"]
-"""Each compiler once, and each number type: what runs without LPVGUARD_FULL=1."""
+FEW_BUILDS = ["clang-double-Release"]
+"""What runs without LPVGUARD_FULL=1: the furthest from the preset default, in which warnings are errors."""
 
 
 def warnings(tree: Path, scratch: Path, only: str = "") -> list[str]:
@@ -226,20 +228,28 @@ def symbols(archive: Path, which: str) -> set[str]:
 
 
 def imports(tree: Path, scratch: Path, only: str = "") -> list[str]:
-    findings = []
-    for variant in [only] if only else [*EVERY_BUILD, "gcc-float-Debug"] if FULL else FEW_BUILDS:
+    """Of the archives that it builds, and without ``only`` of those that stand in `DEFAULT_BUILD`."""
+    variants = [only] if only else [*EVERY_BUILD, "gcc-float-Debug"] if FULL else FEW_BUILDS
+    archives: dict[Path, str] = {}
+    for variant in variants:
         folder, broken = build_core(tree, scratch, variant, ONE_CORE if only else "all")
-        archives = sorted(folder.rglob("liblpvguard_*.a"))
-        if broken or not archives:
+        here = sorted(folder.rglob("liblpvguard_*.a"))
+        if broken or not here:
             return broken or [f"no archive in {folder}"]
-        for archive in archives:
-            # What one object lacks and another one of the archive has is no import.
-            missing = symbols(archive, "--undefined-only") - symbols(archive, "--defined-only")
-            findings += [
-                f"{archive.name} ({variant}) imports {s}"
-                for s in sorted(missing)
-                if not IMPORTS_ALLOWED.fullmatch(s)
-            ]
+        archives |= dict.fromkeys(here, variant)
+    if DEFAULT_BUILD and not only:
+        shipped = {f"liblpvguard_{folder.name}.a" for folder in vehicle_folders(tree)}
+        archives |= {a: "default" for a in sorted(Path(DEFAULT_BUILD).glob("*.a")) if a.name in shipped}
+    findings = []
+    for archive, variant in archives.items():
+        # What one object lacks and another one of the archive has is no import.
+        missing = symbols(archive, "--undefined-only") - symbols(archive, "--defined-only")
+        findings += [
+            f"{archive.name} ({variant}) imports {s}"
+            for s in sorted(missing)
+            if not IMPORTS_ALLOWED.fullmatch(s)
+        ]
+    print(f"archives: {', '.join(f'{archive.name} ({variant})' for archive, variant in archives.items())}")
     return findings
 
 
@@ -362,7 +372,7 @@ def misra(tree: Path, scratch: Path, only: str = "") -> list[str]:
 def misra_cpp(tree: Path, scratch: Path, only: str = "") -> list[str]:
     """``only``: of one file."""
     folder, findings = export(tree, scratch, "hand_truck")
-    return findings or misra_cpp_findings(tree, folder, only)
+    return findings or misra_cpp_findings(tree, folder, FULL, only)
 
 
 FUNCTION = re.compile(r"^(?:LPVG_NODISCARD )?(?:const )?(\w+)\*? (lpvg_\w+)\(", re.MULTILINE)
@@ -487,8 +497,10 @@ def configure(tree: Path, folder: Path, preset: str, *settings: str) -> list[str
 def built(
     tree: Path, folder: Path, preset: str, only: list[str], settings: tuple[str, ...] = ()
 ) -> list[str]:
-    """All unit tests, or those named ``only`` (a self-test need not build the others)."""
-    targets = [f"test_{name.replace('.', '_')}" for name in only] or ["unit_tests"]
+    """The unit tests labelled sanitized, all with `FULL`, or those named ``only`` (a self-test need not build
+    the others)."""
+    every = "unit_tests" if FULL else "sanitized_tests"
+    targets = [f"test_{name.replace('.', '_')}" for name in only] or [every]
     return configure(tree, folder, preset, *settings) or failed(
         "build", "cmake", "--build", folder, "--target", *targets
     )
@@ -500,7 +512,8 @@ RESULTS = "core_unit.xml"
 def ran(folder: Path, only: list[str]) -> list[str]:
     """What `built` built. What all of them say stands in `RESULTS` in the folder."""
     which = f"^unit\\.({'|'.join(map(re.escape, only))})$" if only else "."
-    words = ["ctest", "--test-dir", folder, "-L", "core_unit", "-R", which, "-j2", "--no-tests=error"]
+    label = "core_unit" if only or FULL else "^sanitized$"
+    words = ["ctest", "--test-dir", folder, "-L", label, "-R", which, "-j2", "--no-tests=error"]
     return failed("tests", *words, "--output-on-failure", *([] if only else ["--output-junit", RESULTS]))
 
 
@@ -513,7 +526,7 @@ def unit_tests(
 
 
 def double(tree: Path, scratch: Path, only: str = "") -> list[str]:
-    wanted = [only] if only else [] if FULL else ["model.toy", "monitor.toy", "controller.hand_toy"]
+    wanted = [only] if only else [] if FULL else ["model.toy", "monitor.toy", "controller.toy"]
     return unit_tests(tree, scratch / "build", "double", *wanted)
 
 
@@ -990,7 +1003,7 @@ PLANTS: dict[str, list[Plant]] = {
             "const Real next = x + change;",
             "const Real next = static_cast<float>(x + change);",
             r"tests:(.|\n)*the law equals a dense recursion",
-            "controller.hand_toy",
+            "controller.toy",
         ),
     ],
     "big_endian": [

@@ -13,6 +13,8 @@ from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 
+from mutation_run import changed_files
+
 RULES = 179
 CLANG_TIDY = "clang-tidy-19"
 BY_TOOL = ("gcc", "clang", "tidy", "absent")
@@ -20,6 +22,10 @@ BY_WORD = ("argued", "deviation", "unchecked")
 ROW = re.compile(
     r"^\| (?:Dir )?(\d+\.\d+\.\d+) \| (mandatory|required|advisory) \| (\w+) \| (.+) \|$", re.MULTILINE
 )
+CONCERNS_ALL = re.compile(
+    r"lib/(?:src|include)/.*\.hp{0,2}$|lib/MISRA_CPP\.md$|tools/src/lpvguard/core/|tests/gates/misra_cpp\.py$"
+)
+"""Paths whose change concerns every source."""
 COMMENT = re.compile(r"//[^\n]*|/\*.*?\*/", re.DOTALL)
 TIDY_FINDING = re.compile(r"^(\S+:\d+):\d+: (?:warning|error): (.+)$", re.MULTILINE)
 
@@ -44,8 +50,18 @@ def rows_of(table: Path) -> list[Row]:
     return [Row(*groups) for groups in ROW.findall(table.read_text())]
 
 
-def misra_cpp_findings(tree: Path, vehicle: Path, only: str = "") -> list[str]:
-    """Findings on lib/src of ``tree``, or on its file ``only``, one sentence each.
+def units_of_change(tree: Path, units: list[Path]) -> list[Path]:
+    """Of the sources ``units`` those of which a change can alter what a compiler says (`changed_files`): all,
+    where it touches a header, what writes one, the table, this file, or git cannot say."""
+    changed = changed_files(tree)
+    if changed is None or any(CONCERNS_ALL.match(path) for path in changed):
+        return units
+    return [unit for unit in units if str(unit.relative_to(tree)) in changed]
+
+
+def misra_cpp_findings(tree: Path, vehicle: Path, full: bool, only: str = "") -> list[str]:
+    """Findings on lib/src of ``tree``, or on its file ``only``, one sentence each. Compilers and clang-tidy
+    are asked about all sources where ``full``, else about those of `units_of_change`.
 
     ``vehicle``: the generated folder that it is compiled for.
     """
@@ -63,7 +79,9 @@ def misra_cpp_findings(tree: Path, vehicle: Path, only: str = "") -> list[str]:
     ]
     sources = sorted((tree / "lib" / "src").glob(only or "*.[ch]pp"))
     findings += absent([row for row in rows if row.by == "absent"], sources)
-    units = [path for path in sources if path.suffix == ".cpp"]
+    every = [path for path in sources if path.suffix == ".cpp"]
+    units = every if full or only else units_of_change(tree, every)
+    print(f"compilers and clang-tidy: {len(units)} of {len(every)} sources; LPVGUARD_FULL=1 asks all")
     eigen = subprocess.run(
         ["pkg-config", "--cflags-only-I", "eigen3"], stdout=subprocess.PIPE, text=True, check=True
     ).stdout.split()
@@ -105,6 +123,9 @@ def tidy(checks: list[str], units: list[Path], options: list[str]) -> list[str]:
     known = subprocess.run(
         [CLANG_TIDY, chosen, "--list-checks"], stdout=subprocess.PIPE, text=True, check=True
     ).stdout.split()
+    found = [f"MISRA_CPP.md: {CLANG_TIDY} knows no {check}" for check in checks if check not in known]
+    if not units:
+        return found
     done = subprocess.run(
         [CLANG_TIDY, chosen, "--quiet", *map(str, units), "--", *options],
         stdout=subprocess.PIPE,
@@ -112,6 +133,4 @@ def tidy(checks: list[str], units: list[Path], options: list[str]) -> list[str]:
         text=True,
         check=False,
     )
-    return [f"MISRA_CPP.md: {CLANG_TIDY} knows no {check}" for check in checks if check not in known] + [
-        f"{Path(place).name}: {what}" for place, what in TIDY_FINDING.findall(done.stdout)
-    ]
+    return found + [f"{Path(place).name}: {what}" for place, what in TIDY_FINDING.findall(done.stdout)]
