@@ -58,9 +58,10 @@ LONG_FIXTURES = {
 """Fixtures that make every test that asks for them long, and why."""
 MARKERS = (
     "requirement(id): verifies this requirement of lib/REQUIREMENTS.md",
-    "slow(reason): not part of tools/test --fast: over 3 processor seconds of its own; says what takes them",
+    "second: not part of tools/test --fast: over one processor second; mutants meet it",
+    "slow(reason): the same from 3 on; mutants do not meet it; says what takes them",
     "long(reason): part of tools/test --full (LPVGUARD_FULL=1) alone, else skipped and counted; says why",
-    "serial: on vcan0, with an emulator or in real time; no other test runs beside it",
+    "serial: on vcan0, with an emulator or in real time; no other test runs beside it, and none in --fast",
     *(f"{kind}: a kind of test, the first folder below tests/" for kind in KINDS),
 )
 
@@ -117,11 +118,20 @@ def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo) -> None:
         item.user_properties.append(("cpu", f"{cpu_seconds() - item.stash[BEGAN]:.2f}"))
 
 
-@pytest.fixture(scope="session", autouse=True)
-def _collected(request, record_testsuite_property) -> None:
-    """How many tests there are, whether they run or not, for tools/summarise_tests.py. (Workers of
-    pytest-xdist cannot say it.)"""
-    record_testsuite_property("collected", request.config.stash[COLLECTED])
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    """How many tests there are, whether they run or not, beside the JUnit file for tools/summarise_tests.py.
+    Of workers of pytest-xdist the process that leads them hears it."""
+    config = session.config
+    count = config.stash.get(COLLECTED, 0)
+    if hasattr(config, "workeroutput"):
+        config.workeroutput["collected"] = count
+    elif config.option.xmlpath:
+        Path(config.option.xmlpath).with_suffix(".collected").write_text(f"{count}\n")
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_testnodedown(node) -> None:
+    node.config.stash[COLLECTED] = getattr(node, "workeroutput", {}).get("collected", 0)
 
 
 def measured_folder() -> Path:

@@ -14,11 +14,11 @@ RUNNERS = ("ctest", "sanitized", "pytest", "pytest_serial")
 """Names of the JUnit files. ``sanitized``: the unit tests that gate.sanitize ran, which says so itself where
 it could not."""
 
-SLOW_FROM_S = 3.0
-"""A test that takes more processor seconds than this, without its fixtures, is to be marked slow."""
+SLOW_FROM_S = 1.0
+"""A test that takes more processor seconds than this, without its fixtures, is to be marked second or slow."""
 
-COLLECTED = "collected"
-"""Property of a JUnit file: tests that pytest found, before any was left out (tests/conftest.py)."""
+COLLECTED = "pytest.collected"
+"""File with the number of tests that pytest found, before any was left out (tests/conftest.py)."""
 
 
 def suite_of(runner: str, case: ElementTree.Element) -> str:
@@ -71,10 +71,9 @@ def main() -> int:
     dear: list[str] = []
     notes: list[str] = []
     skips: dict[tuple[str, str], list[str]] = defaultdict(list)
-    collected = 0
     for runner in RUNNERS:
         path = arguments.results / f"{runner}.xml"
-        if not path.is_file() and runner == "sanitized":
+        if not path.is_file() and (runner == "sanitized" or (runner == "pytest_serial" and arguments.fast is not None)):
             continue
         if not path.is_file():
             counts["failed"] += 1
@@ -89,7 +88,6 @@ def main() -> int:
             counts["failed"] += 1
             notes.append(f"FAILED {runner}: it broke off while it wrote {path.name} ({error})")
             continue
-        collected += sum(int(p.get("value", 0)) for p in root.iter("property") if p.get("name") == COLLECTED)
         failed_before = counts["failed"]
         for case in root.iter("testcase"):
             name = f"{case.get('classname', '')}::{case.get('name', '')}"
@@ -137,10 +135,9 @@ def main() -> int:
     if not counts["passed"]:
         counts["failed"] += 1
     if arguments.fast is not None:
-        print(
-            f"fast: {sum(number.values())} of {collected + arguments.fast} tests; "
-            f"the slow ones run with tools/test alone"
-        )
+        found = arguments.results / COLLECTED
+        tests = arguments.fast + (int(found.read_text()) if found.is_file() else 0)
+        print(f"fast: {sum(number.values())} of {tests} tests; the others run with tools/test alone")
     print(f"{counts['passed']} passed, {counts['failed']} failed, {counts['skipped']} skipped")
     return 1 if counts["failed"] else 0
 
