@@ -75,7 +75,7 @@ def compare(emulated, host):
 
 
 @pytest.mark.serial
-@pytest.mark.slow("an emulator on vcan0")
+@pytest.mark.long("38 s: an emulator on vcan0")
 def test_the_emulated_ecu_sends_the_hosts_frames_through_loss_and_bus_off(on_vcan, short, simulator):
     (host,) = on_vcan([short], "--ecu-process")
     first, again = on_vcan([short, short], "--target", "cortex-r5f")

@@ -110,6 +110,7 @@ def test_what_is_published_is_what_the_run_reports(lcm_simulator, tmp_path):
     )  # yaw rate, while its message is lost
 
 
+@pytest.mark.second
 def test_the_bus_of_an_lcm_log_is_the_candump_log_and_replays_to_the_same_verdicts(
     lcm_simulator, lpvguard, truck_folder, tmp_path
 ):
@@ -132,6 +133,7 @@ def test_the_bus_of_an_lcm_log_is_the_candump_log_and_replays_to_the_same_verdic
     assert replayed["verdict_final"] == run["verdict_final"] == "invalid"
 
 
+@pytest.mark.second
 def test_the_causes_of_an_alarm_are_in_the_result_on_the_bus_and_over_lcm(lcm_simulator, tmp_path):
     url = f"file://{tmp_path / 'run.lcm'}?mode=w"
     run = lcm_simulator.run(load_scenario("brake_gain_40"), lcm=url, report_only=True)
@@ -170,7 +172,7 @@ sleep 1; kill -INT $logger; wait $logger || true
 
 
 @pytest.mark.serial
-@pytest.mark.slow("30 s of simulated time on vcan0")
+@pytest.mark.long("30 s: two processes on vcan0")
 def test_two_processes_on_vcan_recorded_and_replayed_give_the_same_verdicts(
     lcm_simulator, scenario, truck_folder, tmp_path
 ):

@@ -277,7 +277,7 @@ sys.exit(done.returncode)
 @pytest.mark.parametrize(
     "kind",
     [
-        pytest.param("table", marks=pytest.mark.slow("4 s: a kernel is started")),
+        pytest.param("table", marks=pytest.mark.long("17 s: another kernel is started")),
         pytest.param("log", marks=pytest.mark.long("another kernel is started")),
     ],
 )

@@ -27,6 +27,7 @@ def check(run, hours: int) -> None:
         assert 0 <= hour["valid"] <= hour["judged"] < hour["ticks"] and hour["engaged"] < hour["ticks"]
 
 
+@pytest.mark.second
 def test_hours_of_random_faults_keep_every_rule(truck_folder):
     run = soak(truck_folder, "host", HOURS)
     check(run, HOURS)

@@ -155,7 +155,7 @@ def test_babbling_with_an_identifier_of_ours(loop, truck_folder, tmp_path):
 
 
 @pytest.mark.serial
-@pytest.mark.slow("in real time on vcan0")
+@pytest.mark.long("11 s: in real time on vcan0")
 def test_after_bus_off_the_driver_restarts_and_the_loop_is_live_within_1_s(loop):
     fault = '[[can_fault]]\nmessage = "VDC2"\nkind = "bus_off"\nstart_s = 4.05\nend_s = 4.15'
     _, got, _ = loop(7.0, more=fault)

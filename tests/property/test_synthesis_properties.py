@@ -27,6 +27,7 @@ def stable(seed, n, m, p, spread):
     )
 
 
+@pytest.mark.second
 @quick
 @given(seeds, st.integers(1, 8), st.integers(1, 3), st.integers(1, 3), st.floats(0, 4))
 def test_no_frequency_lies_above_the_bracket_and_one_attains_it(seed, n, m, p, spread):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -105,6 +106,7 @@ def lft_point(seed):
     )
 
 
+@pytest.mark.second
 @slow
 @given(SEEDS)
 def test_lft_unitary_and_scaling_invariance(seed):
@@ -138,6 +140,7 @@ def test_lft_unitary_and_scaling_invariance(seed):
     assert scaled.lower <= base.upper * (1 + 1e-6) + 1e-14 and base.lower <= scaled.upper * (1 + 1e-6) + 1e-14
 
 
+@pytest.mark.second
 @slow
 @given(SEEDS)
 def test_lft_falls_as_gamma_grows_and_never_exceeds_the_truth(seed):

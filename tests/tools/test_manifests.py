@@ -204,6 +204,7 @@ STAND_INS = {
 FOLDERS = {"zephyr": LIB / "zephyr", "esp-idf": LIB}
 
 
+@pytest.mark.second
 @pytest.mark.parametrize("vehicle", ["g80", "truck"])
 @pytest.mark.parametrize("kind", STAND_INS)
 def test_the_build_files_of_a_module_compile_a_vehicle(kind, vehicle, tmp_path):

@@ -137,6 +137,7 @@ def test_the_pictures_of_files_have_their_numbers(tmp_path):
         plots.excitation(None)
 
 
+@pytest.mark.second
 def test_the_pictures_of_a_campaign_and_of_a_simulation_have_their_numbers(tmp_path):
     rows = [
         {"kind": "gain", "severity": x, "runs": 10, "visible_runs": 10, "found": {"monitor": n}}

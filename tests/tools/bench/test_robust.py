@@ -62,7 +62,7 @@ def test_a_weight_that_is_too_small_is_named_with_speed_frequency_and_both_numbe
         assert np.abs(FEW / d["omega_rad_s"] - 1).min() < 1e-3
 
 
-@pytest.mark.slow("4.5 s: a faulty truck measured over speed")
+@pytest.mark.long("10 s: a faulty truck measured over speed")
 def test_a_fault_of_the_truck_is_in_the_table_and_the_table_is_as_described(truck, few):
     loop = loop_with(truck, 0.5)
     table = robust.true_table(loop, [0.5], map)

@@ -73,7 +73,7 @@ def test_encode_saturates_and_rounds(m, s, codec):
 # --------------------------------------------------------------------------------------------------- frames
 
 
-@pytest.mark.slow("5 s: a million frames")
+@pytest.mark.long("7 s: a million frames")
 def test_a_million_random_frames_unpack_and_pack(codec):
     for m in GENERATED:
         check_frames(codec, m, -(-FRAMES // len(GENERATED)))

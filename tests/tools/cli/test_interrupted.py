@@ -23,11 +23,12 @@ def interrupted(*words: object) -> dict:
     return json.loads(done.stdout)
 
 
+@pytest.mark.second
 @pytest.mark.parametrize(
     "command",
     [
         "replay",
-        pytest.param("export", marks=pytest.mark.slow("4 s: a process for every step")),
+        pytest.param("export", marks=pytest.mark.long("12 s: a process for every step")),
         pytest.param("campaign", marks=pytest.mark.long("25 s: a process for every step")),
     ],
 )
@@ -38,7 +39,7 @@ def test_no_step_at_which_a_command_ends_leaves_a_torn_result(command):
     assert found["runs"] >= (30 if FULL else 10) and found["torn"] == [] and found["missed"] == []
 
 
-@pytest.mark.slow("8 s: a process for every instant")
+@pytest.mark.long("14 s: a process for every instant")
 def test_no_random_instant_does():
     count = 200 if FULL else 8
     found = interrupted("kills", 1, count)

@@ -221,6 +221,7 @@ def test_a_folder_that_is_not_what_its_manifest_lists_is_neither_replaced_nor_re
         assert status == 2 and f"car/{name}" in said and contents(here) == before, said
 
 
+@pytest.mark.second
 def test_what_is_ours_is_replaced_and_ends_the_same(run, here):
     before = contents(here)
     assert run(*["export", "--vehicle", "car.toml", "idn", "-o", "car"])[0] == 0

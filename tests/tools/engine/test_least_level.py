@@ -70,6 +70,7 @@ def test_the_weights_stand_where_they_belong():
     np.testing.assert_array_equal(H.A, G.A)
 
 
+@pytest.mark.second
 def test_no_gain_proves_a_level_below_the_frozen_one(moving):
     one, found = moving
     least = max(frozen_level(one, v) for v in (1.0, 2.0, 3.0))
@@ -78,6 +79,7 @@ def test_no_gain_proves_a_level_below_the_frozen_one(moving):
         assert lpv.prove(below, found.storage, RATE) is None
 
 
+@pytest.mark.second
 def test_a_level_at_a_moving_speed_is_above_the_frozen_one_and_proved_anew(moving):
     one, found = moving
     assert found.level > max(frozen_level(one, v) for v in (1.0, 2.0, 3.0))

@@ -314,6 +314,7 @@ def companion(G):
     return StateSpace(rows, numbers(solve(T, exact(G.B))), numbers(times(exact(G.C), T)), G.D)
 
 
+@pytest.mark.second
 @pytest.mark.parametrize("fast", [500.0, 2e4])
 @pytest.mark.parametrize("n", [4, 6, 8, 10, 12])
 def test_slow_weights_and_companion_forms_give_the_gamma_of_a_calm_realisation(n, fast):

@@ -338,6 +338,7 @@ def test_the_centre_has_no_gradient_along_its_level_set():
 # ---------------------------------------------------------------- mu on an interval
 
 
+@pytest.mark.second
 @pytest.mark.parametrize("seed", range(3))
 def test_the_singular_frequencies_are_those_of_phi(seed):
     """Where Phi changes its sign on a grid there is one, at which the least |eigenvalue| vanishes. There may

@@ -66,6 +66,7 @@ def relaxed_feasible(cp, limits, n):
     return excess.value <= 0
 
 
+@pytest.mark.second
 @pytest.mark.parametrize("name", ["one output", "P12", "P12 and a wide P22"])
 def test_common_size_matches_bisection_over_semidefinite_programs(name):
     cp = pytest.importorskip("cvxpy")
@@ -394,6 +395,7 @@ def test_repeated_blocks_are_settled_by_boxes():
     substitute(problem, s, 1.001 * np.linalg.norm(w))
 
 
+@pytest.mark.second
 @pytest.mark.parametrize(
     "blocks",
     [

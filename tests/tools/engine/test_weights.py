@@ -106,6 +106,7 @@ def test_an_exact_third_order_weight_is_recovered(zeros, poles, gain):
     assert fit.worst_ratio_db <= 0.01
 
 
+@pytest.mark.second
 @pytest.mark.parametrize("order", [1, 2, 3, 4])
 @pytest.mark.parametrize("shape", ["rise", "fall", "hump", "walk"])
 def test_no_weight_of_that_order_is_tighter(order, shape):
@@ -145,6 +146,7 @@ def test_states_that_gain_nothing_are_not_added():
 # ---------------------------------------------------------------- difficult bounds
 
 
+@pytest.mark.second
 def test_cliff_of_60_db_within_a_thousandth_is_bounded_though_not_tightly():
     omega, bound = np.array([1.0, 1.001]), np.array([1.0, 1000.0])
     check(fit_overbound(omega, bound), omega, bound, gap_db=3.0)

@@ -166,6 +166,7 @@ def test_an_alarm_stands_where_the_core_says_so(core, g80, synthetic):
 # ------------------------------------------------------------------------------------------- what is promised
 
 
+@pytest.mark.second
 def test_one_threshold_for_all_tests_keeps_alpha_and_two_do_not():
     """10 calibration drives, independent tests: by either, the joint threshold lets 1/11 alarm, the two 1 -
     (10/11)^2 = 21/121. A third test's scores, all below its floor, change neither."""
@@ -297,6 +298,7 @@ def test_a_recordings_score_is_its_largest_and_one_that_sets_the_bounds_does_not
         assert Calibration.from_dict(json.loads(json.dumps(c.to_dict()))) == c
 
 
+@pytest.mark.second
 def test_thresholds_by_recordings_keep_alpha_where_those_by_pieces_do_not():
     """19 recordings of 10 pieces that share a level, alpha 0.05: the next recording alarms in 1 of 20."""
     random, trials = np.random.default_rng(4), 2000
@@ -419,7 +421,7 @@ def test_21_pieces_of_two_recordings_buy_no_alpha_and_the_sentence_says_why(fold
         assert calibration["threshold"] == max(calibration["scores"].values())
 
 
-@pytest.mark.slow("5 s: an identification and its evaluation")
+@pytest.mark.long("8 s: an identification and its evaluation")
 def test_short_and_unexcited_drives_are_counted_and_named(folder, g80, core):
     def change(name: str, lines: list[str]) -> list[str]:
         if name == "synthetic_06":

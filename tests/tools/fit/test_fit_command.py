@@ -35,6 +35,7 @@ def folder(tmp_path):
     return tmp_path
 
 
+@pytest.mark.second
 def test_the_project_file_gets_the_numbers_and_keeps_its_comments(lpvguard, folder):
     done = lpvguard(
         "fit", "--vehicle", "g80", folder / "drives", "-o", folder / "fit", "--json", folder / "f.json"

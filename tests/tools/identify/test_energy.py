@@ -497,6 +497,7 @@ def test_identification_coefficients_and_core_of_different_structures_are_refuse
 # ----------------------------------------------------------------------------------------- sigma, calibration
 
 
+@pytest.mark.second
 def test_no_identification_drive_alarms_also_when_cut_and_scores_are_the_cores(
     identified, synthetic, g80, core
 ):

@@ -54,7 +54,7 @@ def test_the_core_holds_the_weights_and_finds_no_bound_drive_outside(stored, cor
         assert run.energy.max() <= 1.001
 
 
-@pytest.mark.parametrize("share", [1.0, 0.1])
+@pytest.mark.parametrize("share", [1.0, pytest.param(0.1, marks=pytest.mark.long("6 s: another sigma"))])
 def test_a_cut_drive_far_below_the_energy_tests_bound_asks_for_no_larger_sigma(
     stored, core, few_truck_drives, share
 ):
@@ -72,6 +72,7 @@ def test_a_cut_drive_far_below_the_energy_tests_bound_asks_for_no_larger_sigma(
     assert (asking > 0) == (share < 1)
 
 
+@pytest.mark.long("6 s: the pictures of a page")
 def test_the_page_draws_one_line_an_output(stored):
     estimator = Estimator.of(stored.project, NominalModel(stored.project))
     page = "".join(bound_sections(OfIdentification(stored, estimator)))

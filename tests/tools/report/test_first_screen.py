@@ -165,6 +165,7 @@ def test_the_change_test_alone_falsifies_nothing(tests_of_drives, said):
     assert outcome(told) == said
 
 
+@pytest.mark.second
 def test_every_drive_has_a_row_linked_to_its_section(page):
     rows = re.findall(
         r'<tr data-drive="(\w+)" data-ratio="[^"]*" data-alarms="\d+"><td><a href="#(\w+)">', page
@@ -215,7 +216,7 @@ def test_neighbouring_speeds_with_the_same_bins_are_said_together():
     assert regions(cells(SEEN, []), lambda c: False) == []
 
 
-@pytest.mark.slow("5 s: an identification")
+@pytest.mark.long("7 s: an identification")
 def test_drives_that_the_model_leaves_unexplained_stand_on_the_first_screen(
     case, page, tmp_path, monkeypatch
 ):

@@ -51,6 +51,7 @@ def test_every_artist_placed_by_data_is_read_back():
     assert ends[np.isfinite(ends)].tolist() == [2.5, 4.0, 3.5, 6.0]
 
 
+@pytest.mark.second
 def test_a_table_has_every_finite_point_and_the_page_the_extremes_of_long_lines():
     x = np.arange(10 * MOST_POINTS, dtype=float)
     y = np.sin(x)
@@ -82,7 +83,7 @@ def test_pictures_are_kept_only_while_asked():
     assert found == [one] and standalone(one).startswith("<svg xmlns=")
 
 
-@pytest.mark.slow("5 s: a page with its pictures")
+@pytest.mark.long("13 s: a page with its pictures")
 def test_every_picture_of_the_page_is_written_as_svg_and_csv(case, page, tmp_path):
     def write() -> None:
         write_report(

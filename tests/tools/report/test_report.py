@@ -41,6 +41,7 @@ def without_scripts(page: str) -> str:
     return re.sub(r"<script.*?</script>", "", page, flags=re.DOTALL)
 
 
+@pytest.mark.second
 def test_the_window_error_is_shown_per_bin(case, page):
     text = page[page.index("<h3>Window error</h3>") :]
     shown = re.findall(r"<td>([^<]*)</td>", text[: text.index("</table>")])
@@ -53,7 +54,7 @@ def test_the_window_error_is_shown_per_bin(case, page):
         )
 
 
-@pytest.mark.slow("4 s: an identification and two pages")
+@pytest.mark.long("11 s: an identification and two pages")
 def test_bounds_of_the_plain_dft_have_a_page_without_a_core(tmp_path):
     document = vehicle(1).model_dump(by_alias=True)
     document["frames"] |= {"estimator": "dft", "length_s": 8.0}
@@ -74,6 +75,7 @@ def test_bounds_of_the_plain_dft_have_a_page_without_a_core(tmp_path):
     assert all(0 < float(rows[name]) <= 1 for name in result.bound_drives)
 
 
+@pytest.mark.second
 def test_has_every_section_in_order(page):
     assert re.findall("<h2>(.*?)</h2>", page) == TITLES
     told = without_scripts(page)
@@ -82,6 +84,7 @@ def test_has_every_section_in_order(page):
         assert f"Counterpart of {figure}" in page
 
 
+@pytest.mark.second
 def test_needs_nothing_from_outside(page):
     told = without_scripts(page)
     assert not re.search(
@@ -92,6 +95,7 @@ def test_needs_nothing_from_outside(page):
     assert policy and policy.group(1).startswith("default-src 'none';") and "http" not in policy.group(1)
 
 
+@pytest.mark.second
 def test_references_within_the_page_resolve_and_are_unique(page):
     told = without_scripts(page)
     ids = re.findall(r' id="([^"]+)"', told)
@@ -105,6 +109,7 @@ def test_same_input_gives_the_same_bytes(case, page, tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == ["again.html"]
 
 
+@pytest.mark.second
 def test_names_every_drive_with_its_part_and_those_left_out_with_their_reason(case, page):
     assert case.stored.manifest["drives"]["left_out"], "the case must leave a drive out"
     for name, reason in case.stored.manifest["drives"]["left_out"].items():
@@ -114,6 +119,7 @@ def test_names_every_drive_with_its_part_and_those_left_out_with_their_reason(ca
         assert f"<h3>{name} " in page
 
 
+@pytest.mark.second
 def test_alarms_are_listed_with_their_evidence(case, page):
     replay = case.replayer.replay(case.drives.load("weak")[0])
     assert replay.alarms, "half the gain must alarm"
@@ -122,7 +128,7 @@ def test_alarms_are_listed_with_their_evidence(case, page):
     assert "alarm at, s" in page
 
 
-@pytest.mark.slow("5 s: another page")
+@pytest.mark.long("8 s: another page")
 def test_a_campaign_is_told_with_every_severity_and_whoever_was_best(case, tmp_path):
     detectors = {"monitor": "lpvguard", "rms": "residual RMS", "cusum": "CUSUM", "nis": "NIS"}
 
@@ -295,7 +301,7 @@ def test_a_campaign_is_told_with_every_severity_and_whoever_was_best(case, tmp_p
     )
 
 
-@pytest.mark.slow("5 s: an evaluation and two more pages")
+@pytest.mark.long("15 s: an evaluation and two more pages")
 def test_evaluation_and_a_core_of_another_identification_are_told(case, page, tmp_path):
     assert "carries the numbers of this identification" in page
     stored = stage.load(case.stored.folder)
@@ -355,7 +361,7 @@ def test_evaluation_and_a_core_of_another_identification_are_told(case, page, tm
     assert "Each left out of its own threshold: " not in held_out
 
 
-@pytest.mark.slow("4 s: another page")
+@pytest.mark.long("6 s: another page")
 def test_a_weight_that_is_nearest_its_bound_at_infinity_is_shown(case, page, tmp_path):
     weights = copy.deepcopy(case.stored.weights)
     weights["W_delta"][0]["certificate"]["min_ratio_at"] = "inf"  # as Certificate.to_dict writes it

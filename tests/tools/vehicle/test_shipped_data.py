@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from lpvguard.drives.ingest import ingest
 from lpvguard.drives.signal_map import Column, SignalMap, Term
@@ -13,6 +14,7 @@ from lpvguard.vehicle.project import load_project
 RAW = {"v": ("linear_vel_x", "m/s"), "delta": ("steering_angle", "rad"), "r": ("angular_vel_z", "rad/s")}
 
 
+@pytest.mark.long("13 s: the race car fitted to its laps")
 def test_the_race_cars_model_explains_its_laps(race_car, tmp_path):
     """Each lap with a trim of its own, for the steering's differs by day."""
     car = load_project("f1tenth")
