@@ -58,7 +58,7 @@ LONG_FIXTURES = {
 """Fixtures that make every test that asks for them long, and why."""
 MARKERS = (
     "requirement(id): verifies this requirement of lib/REQUIREMENTS.md",
-    "second: not part of tools/test --fast: over one processor second; mutants meet it",
+    "unhurried: not part of tools/test --fast: over half a processor second; mutants meet it",
     "slow(reason): the same from 3 on; mutants do not meet it; says what takes them",
     "long(reason): part of tools/test --full (LPVGUARD_FULL=1) alone, else skipped and counted; says why",
     "serial: on vcan0, with an emulator or in real time; no other test runs beside it, and none in --fast",

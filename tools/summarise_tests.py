@@ -15,7 +15,7 @@ RUNNERS = ("ctest", "sanitized", "pytest", "pytest_serial")
 it could not."""
 
 SLOW_FROM_S = 1.0
-"""A test that takes more processor seconds than this, without its fixtures, is to be marked second or slow."""
+"""What takes more processor seconds than this, without its fixtures, is to be marked unhurried or slow."""
 
 COLLECTED = "pytest.collected"
 """File with the number of tests that pytest found, before any was left out (tests/conftest.py)."""
@@ -71,9 +71,10 @@ def main() -> int:
     dear: list[str] = []
     notes: list[str] = []
     skips: dict[tuple[str, str], list[str]] = defaultdict(list)
+    may_lack = {"sanitized", "pytest_serial"} if arguments.fast is not None else {"sanitized"}
     for runner in RUNNERS:
         path = arguments.results / f"{runner}.xml"
-        if not path.is_file() and (runner == "sanitized" or (runner == "pytest_serial" and arguments.fast is not None)):
+        if not path.is_file() and runner in may_lack:
             continue
         if not path.is_file():
             counts["failed"] += 1

@@ -123,7 +123,7 @@ def mutated(tmp_path_factory: pytest.TempPathFactory) -> tuple[ctypes.CDLL, list
     return ctypes.CDLL(str(folder / "mutated.so")), mutants_of(SOURCE, sites, 0)
 
 
-@pytest.mark.second
+@pytest.mark.unhurried
 def test_no_check_refuses_the_codec_as_it_is(mutated):
     codec, _ = mutated
     for m in GENERATED:

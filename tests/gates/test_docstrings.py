@@ -89,7 +89,7 @@ def of_package() -> dict[str, list[str]]:
     }
 
 
-@pytest.mark.second
+@pytest.mark.unhurried
 def test_every_public_docstring_says_what_it_has_to():
     found = [finding for of_module in of_package().values() for finding in of_module]
     assert found == []

@@ -96,7 +96,7 @@ def test_a_loop_that_does_not_end_is_killed(ran):
     assert endless not in survived
 
 
-@pytest.mark.second
+@pytest.mark.unhurried
 def test_the_table_and_the_findings_count_every_survivor_once(ran):
     mutants, survived = ran
     equivalent = {"small.cpp": {"lpvg_limited": {"if (y > 30) {  ->  if (y >= 30) {": "30 becomes 30"}}}
@@ -109,7 +109,7 @@ def test_the_table_and_the_findings_count_every_survivor_once(ran):
     assert sorted(f.split(": ")[0] for f in findings) == ["survived", "survived"]
 
 
-@pytest.mark.second
+@pytest.mark.unhurried
 def test_what_no_longer_survives_is_told_and_refutes_an_argument(ran):
     mutants, survived = ran
     killed = next(m for m in mutants if m not in survived)
@@ -122,7 +122,7 @@ def test_what_no_longer_survives_is_told_and_refutes_an_argument(ran):
         assert not any("take it out" in f for f in judged(mutants, survived, {}, notes, {"small.cpp"}))
 
 
-@pytest.mark.second
+@pytest.mark.unhurried
 def test_more_than_a_twentieth_cannot_be_argued_away(ran):
     mutants, survived = ran
     notes: dict[str, dict[str, str]] = {}

@@ -238,7 +238,7 @@ def test_a_sample_meets_the_tests_that_import_its_file_before_the_others(tree, t
     assert findings and not any("unused" in finding for finding in findings)
 
 
-@pytest.mark.second
+@pytest.mark.unhurried
 @pytest.mark.parametrize("full", [False, True])
 def test_near_tests_are_asked_first_and_file_by_file(full, monkeypatch, tmp_path):
     """Both files lie in one folder, so that all of its tests are asked about both at once."""
@@ -259,7 +259,7 @@ def test_near_tests_are_asked_first_and_file_by_file(full, monkeypatch, tmp_path
     assert sum(finding.startswith("survived: ") for finding in findings) == 2
 
 
-@pytest.mark.second
+@pytest.mark.unhurried
 def test_the_gate_draws_where_it_is_not_asked_for_all(tree, tmp_path, capsys):
     findings = python_mutation_findings(
         tree, tmp_path, full=False, only="", sample=5, measured={SMALL: N_SMALL}
@@ -281,7 +281,7 @@ def test_a_file_with_another_number_of_mutants_than_when_all_ran_is_told(tree, t
     assert findings == [f"{SMALL}: {N_SMALL + 1} mutants, and {N_SMALL} when all had run: run all again"]
 
 
-@pytest.mark.second
+@pytest.mark.unhurried
 def test_a_test_that_fails_without_a_mutant_is_told(tree, tmp_path):
     tests = tree / "tests" / "tools" / "engine" / "test_validation_wrong.py"
     tests.write_text("def test_wrong():\n    assert 1 == 2\n")

@@ -85,7 +85,7 @@ def test_another_question_is_found(text, another):
     assert bool(ANOTHER_FULL.search(text)) == another
 
 
-@pytest.mark.second
+@pytest.mark.unhurried
 def test_c_and_cpp_are_formatted():
     files = c_files()
     assert len(files) > 50

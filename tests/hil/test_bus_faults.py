@@ -44,7 +44,7 @@ def test_foreign_frames_change_no_output(simulator, tmp_path):
     assert [line for line in logs[0] if "18FFEE00" not in line] == logs[1]
 
 
-@pytest.mark.second
+@pytest.mark.unhurried
 def test_the_command_prints_the_table(lpvguard, truck_folder):
     done = lpvguard("bench", "can", "--coefficients", truck_folder, "--json", "-")
     assert done.returncode == 0, done.stderr

@@ -113,6 +113,7 @@ def test_scenarios_expect_what_follows_from_the_bounds(name, simulator, replayer
         assert name in NO_VERDICT_FOLLOWS or "sensor_fault" in tables or ratio(tables) > 1.0
 
 
+@pytest.mark.unhurried
 def test_the_core_sees_in_the_written_drive_what_the_ecu_saw(simulator, replayer, tmp_path):
     scenario = load_scenario("brake_gain_40")
     run = simulator.run(scenario, out=tmp_path, report_only=True)

@@ -64,6 +64,7 @@ def changes(guard: list, field: str, names: tuple[str, ...]) -> list[list]:
     return [[g.utime / 1e6, names[getattr(g, field)]] for g in firsts]
 
 
+@pytest.mark.unhurried
 def test_what_is_published_is_what_the_run_reports(lcm_simulator, tmp_path):
     run = lcm_simulator.run(load_scenario("dead_yaw_sensor"), lcm=f"file://{tmp_path / 'run.lcm'}?mode=w")
     said = heard(tmp_path / "run.lcm")
@@ -110,7 +111,7 @@ def test_what_is_published_is_what_the_run_reports(lcm_simulator, tmp_path):
     )  # yaw rate, while its message is lost
 
 
-@pytest.mark.second
+@pytest.mark.unhurried
 def test_the_bus_of_an_lcm_log_is_the_candump_log_and_replays_to_the_same_verdicts(
     lcm_simulator, lpvguard, truck_folder, tmp_path
 ):
@@ -133,7 +134,7 @@ def test_the_bus_of_an_lcm_log_is_the_candump_log_and_replays_to_the_same_verdic
     assert replayed["verdict_final"] == run["verdict_final"] == "invalid"
 
 
-@pytest.mark.second
+@pytest.mark.unhurried
 def test_the_causes_of_an_alarm_are_in_the_result_on_the_bus_and_over_lcm(lcm_simulator, tmp_path):
     url = f"file://{tmp_path / 'run.lcm'}?mode=w"
     run = lcm_simulator.run(load_scenario("brake_gain_40"), lcm=url, report_only=True)
@@ -364,6 +365,7 @@ def test_a_python_client_leads_a_run_and_what_it_did_can_be_run_again(
     assert simulator.run(scenario)["frames_hash"] != run["frames_hash"]
 
 
+@pytest.mark.unhurried
 def test_what_goes_wrong_is_said(lpvguard, scenario, tmp_path):
     done = lpvguard("sim", "nominal", "--paused", "--lcm", f"file://{tmp_path / 'x.lcm'}?mode=w")
     assert done.returncode == 2 and "--paused" in done.stderr and "no client can reach" in done.stderr

@@ -107,6 +107,7 @@ def as_the_bus_carries_it(project, table: Drive) -> Drive:
     return Drive(table.name, table.t, carried(project.speed, table.v), u, y)
 
 
+@pytest.mark.unhurried
 def test_a_table_on_the_bus_replays_as_the_table(g80, g80_replayer, synthetic):
     """Every synthetic drive: the verdicts of the table itself; and, frame by frame, those of what the bus
     carries of it. The thresholds stand 1 % higher: the drive that set one lies at it by definition, to either
@@ -145,6 +146,7 @@ def test_a_table_on_the_bus_replays_as_the_table(g80, g80_replayer, synthetic):
     assert compared > 1000 and different < 0.01 * compared
 
 
+@pytest.mark.unhurried
 @pytest.mark.parametrize("suffix", [".asc", ".blf", ".mf4", ".csv", ".log.gz"])
 def test_every_form_of_log_gives_the_same_answer(on_bus, g80_replayer, tmp_path, suffix):
     on_bus = only(on_bus, on_bus.t_ns < 30 * 10**9)
@@ -234,6 +236,7 @@ def test_logs_that_cannot_be_judged_say_why(on_bus, g80, g80_replayer, tmp_path)
         Replayer(without, g80_replayer.core).replay_frames(on_bus, Path("x.log"))
 
 
+@pytest.mark.unhurried
 def test_the_command_reports_reception_and_its_status_is_that_of_the_verdict(
     lpvguard, recorded, truck_folder, tmp_path
 ):

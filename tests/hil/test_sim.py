@@ -253,6 +253,7 @@ def test_expectations_find_what_is_missing(simulator, scenario):
         assert says in next(missed(reacts, run | {"supervision": changes}, 0.01))
 
 
+@pytest.mark.unhurried
 def test_the_command_writes_json_and_its_status_says_whether_expectations_were_met(
     lpvguard, truck_folder, tmp_path
 ):

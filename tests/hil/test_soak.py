@@ -27,7 +27,7 @@ def check(run, hours: int) -> None:
         assert 0 <= hour["valid"] <= hour["judged"] < hour["ticks"] and hour["engaged"] < hour["ticks"]
 
 
-@pytest.mark.second
+@pytest.mark.unhurried
 def test_hours_of_random_faults_keep_every_rule(truck_folder):
     run = soak(truck_folder, "host", HOURS)
     check(run, HOURS)
@@ -81,6 +81,7 @@ def test_the_memory_sanitizer_finds_nothing(truck_folder, tmp_path):
     assert f"digest {plain.hours[-1]['digest']} " in done.stdout
 
 
+@pytest.mark.unhurried
 def test_a_table_and_curves(tmp_path, capsys):
     run_bench("soak", ["--hours", "1", "--figure", str(tmp_path / "soak.svg")])
     said = capsys.readouterr().out

@@ -27,7 +27,7 @@ def stable(seed, n, m, p, spread):
     )
 
 
-@pytest.mark.second
+@pytest.mark.unhurried
 @quick
 @given(seeds, st.integers(1, 8), st.integers(1, 3), st.integers(1, 3), st.floats(0, 4))
 def test_no_frequency_lies_above_the_bracket_and_one_attains_it(seed, n, m, p, spread):
@@ -38,6 +38,7 @@ def test_no_frequency_lies_above_the_bracket_and_one_attains_it(seed, n, m, p, s
     assert np.isclose(np.linalg.norm(G.response([bracket.peak_frequency])[0], 2), bracket.lower, rtol=1e-6)
 
 
+@pytest.mark.unhurried
 @quick
 @given(seeds, st.integers(1, 5), st.floats(0.1, 10))
 def test_the_norm_is_homogeneous_and_submultiplicative(seed, n, factor):
@@ -48,6 +49,7 @@ def test_the_norm_is_homogeneous_and_submultiplicative(seed, n, factor):
     assert hinf_norm(series(H, G)).lower <= hinf_norm(H).upper * hinf_norm(G).upper
 
 
+@pytest.mark.unhurried
 @settings(max_examples=15, deadline=None, derandomize=True)
 @given(seeds, st.integers(1, 7), st.booleans())
 def test_no_controller_beats_gamma_and_the_returned_one_comes_near(seed, n, discrete):

@@ -70,6 +70,7 @@ def test_s1_and_margin_never_exceed_the_truth(seed, n_y):
     assert s1.margin(e, z, abs(delta), np.abs(w)) <= 1 + 1e-9
 
 
+@pytest.mark.unhurried
 @fast
 @given(SEEDS, st.integers(1, 4))
 def test_margin_is_homogeneous_monotone_and_order_free(seed, n_y):
@@ -106,7 +107,7 @@ def lft_point(seed):
     )
 
 
-@pytest.mark.second
+@pytest.mark.unhurried
 @slow
 @given(SEEDS)
 def test_lft_unitary_and_scaling_invariance(seed):
@@ -140,7 +141,7 @@ def test_lft_unitary_and_scaling_invariance(seed):
     assert scaled.lower <= base.upper * (1 + 1e-6) + 1e-14 and base.lower <= scaled.upper * (1 + 1e-6) + 1e-14
 
 
-@pytest.mark.second
+@pytest.mark.unhurried
 @slow
 @given(SEEDS)
 def test_lft_falls_as_gamma_grows_and_never_exceeds_the_truth(seed):
@@ -155,6 +156,7 @@ def test_lft_falls_as_gamma_grows_and_never_exceeds_the_truth(seed):
         last = s.upper
 
 
+@pytest.mark.unhurried
 @slow
 @given(SEEDS)
 def test_every_returned_delta_re_simulates_the_data(seed):
@@ -171,6 +173,7 @@ def test_every_returned_delta_re_simulates_the_data(seed):
     assert np.linalg.norm(s.w) <= 0.11 * (1 + 1e-8)
 
 
+@pytest.mark.unhurried
 @slow
 @given(SEEDS)
 def test_random_explanations_are_never_below_the_certified_bound(seed):

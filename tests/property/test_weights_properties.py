@@ -62,7 +62,7 @@ def test_a_fit_is_above_the_bound_and_its_claims_hold_on_a_fine_grid(sample):
     assert fit.certificate["ok"] and fit.lp_optimum_db <= fit.worst_ratio_db
 
 
-@pytest.mark.second
+@pytest.mark.unhurried
 @FEW
 @given(bounds(20), st.floats(-6, 6), st.floats(-4, 4))
 def test_units_do_not_matter(sample, log_gain, log_unit):
@@ -93,6 +93,7 @@ def test_the_optimum_is_no_worse_than_a_weight_that_is_known_to_fit(truth, seed,
     assert fit.worst_ratio_db <= 20 * math.log10(known.max_ratio / known.min_ratio) + 0.01
 
 
+@pytest.mark.unhurried
 @MANY
 @given(stable_weights(), bounds())
 def test_certified_extremes_are_those_of_a_local_search(weight, sample):
@@ -116,7 +117,7 @@ def test_certified_extremes_are_those_of_a_local_search(weight, sample):
         assert sign * math.log(found) >= best - 1e-3  # and is sharp, up to what the search misses
 
 
-@pytest.mark.second
+@pytest.mark.unhurried
 @MANY
 @given(bounds(12), st.floats(1e-3, 0.5))
 def test_a_lowered_fit_is_rejected(sample, by):

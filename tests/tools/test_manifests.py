@@ -131,6 +131,7 @@ def run(*words: object, **options) -> str:
     return done.stdout + done.stderr
 
 
+@pytest.mark.unhurried
 def test_the_port_of_vcpkg_installs_what_a_consumer_finds(tmp_path):
     """portfile.cmake itself, with a stand-in for the function that vcpkg gives it."""
     port = tmp_path / "port.cmake"
@@ -204,7 +205,7 @@ STAND_INS = {
 FOLDERS = {"zephyr": LIB / "zephyr", "esp-idf": LIB}
 
 
-@pytest.mark.second
+@pytest.mark.unhurried
 @pytest.mark.parametrize("vehicle", ["g80", "truck"])
 @pytest.mark.parametrize("kind", STAND_INS)
 def test_the_build_files_of_a_module_compile_a_vehicle(kind, vehicle, tmp_path):

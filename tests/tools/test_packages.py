@@ -229,6 +229,7 @@ def uncovered(packages: set[str]) -> tuple[list[str], list[str]]:
     return lost, open_
 
 
+@pytest.mark.unhurried
 def test_what_the_build_asks_for_is_of_a_package_on_the_lists():
     lost, open_ = uncovered(listed())
     assert lost == []

@@ -66,6 +66,7 @@ def test_a_build_that_differs_is_refused(tmp_path):
         release().require_same([tmp_path / "a" / "core.a"], [tmp_path / "b" / "core.a"])
 
 
+@pytest.mark.unhurried
 def test_the_papers_name_what_is_installed():
     module = release()
     parts = module.components(ROOT)

@@ -240,7 +240,7 @@ def exists(stop: tuple[str, str]) -> bool:
     return True
 
 
-@pytest.mark.second
+@pytest.mark.unhurried
 def test_rooms_import_only_what_stands_below_them_and_in_no_circle():
     assert faults(PACKAGE) == []
 
@@ -296,7 +296,7 @@ def test_a_planted_fault_is_found(planted, file, text, said):
     assert any(said in fault for fault in faults(planted, ("low", "high")))
 
 
-@pytest.mark.second
+@pytest.mark.unhurried
 def test_nothing_is_longer_than_allowed():
     assert long_ones(PACKAGE) == {}
 
@@ -313,7 +313,7 @@ def test_a_planted_long_function_is_found_unless_it_says_why(tmp_path):
     assert long_ones(tmp_path) == {"a.py": MODULE_LINES + 1}
 
 
-@pytest.mark.second
+@pytest.mark.unhurried
 def test_no_public_class_name_is_defined_twice():
     """One type for one noun: a reader who knows a name knows what it is in every room."""
     assert shared_class_names(PACKAGE) == {}

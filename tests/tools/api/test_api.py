@@ -28,7 +28,7 @@ def found(identified):
     return lpvguard.load(identified)
 
 
-@pytest.mark.second
+@pytest.mark.unhurried
 def test_the_names_are_there_whatever_was_imported_before_and_cost_the_command_line_nothing():
     script = """
 import sys, lpvguard
@@ -114,7 +114,7 @@ def test_replay_gives_frames_and_series_as_tables(vehicle, synthetic, tmp_path):
     assert np.array_equal(back["verdict_code"], said.summary.run.verdict)
 
 
-@pytest.mark.second
+@pytest.mark.unhurried
 def test_push_by_push_the_monitor_says_what_it_says_in_one_run(g80, vehicle, core, synthetic):
     drive = read_drive(synthetic / "synthetic_01.csv", g80).before_sample(3000)
     run = core.monitor().run_drive(drive)

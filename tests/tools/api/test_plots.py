@@ -121,6 +121,7 @@ def test_a_drive_whose_name_is_no_id_is_drawn(weak):
     assert ids(svg) and not any(" " in name for name in ids(svg))
 
 
+@pytest.mark.unhurried
 def test_the_pictures_of_files_have_their_numbers(tmp_path):
     omega, size = [0.1, 1.0, 10.0], [0.03, 0.02, 0.01]
     fig5 = {"omega_rad_s": omega, "signals": [["W_C", size, "rad/s"]], "objectives": [["W_t", size]]}
@@ -137,7 +138,7 @@ def test_the_pictures_of_files_have_their_numbers(tmp_path):
         plots.excitation(None)
 
 
-@pytest.mark.second
+@pytest.mark.unhurried
 def test_the_pictures_of_a_campaign_and_of_a_simulation_have_their_numbers(tmp_path):
     rows = [
         {"kind": "gain", "severity": x, "runs": 10, "visible_runs": 10, "found": {"monitor": n}}

@@ -33,7 +33,7 @@ def test_points_repeat_with_their_seed_and_lie_between_b1_and_the_error():
     assert np.all(first["gamma_w"] >= b1) and np.all(first["gamma_w"] < np.linalg.norm(first["e"], axis=1))
 
 
-@pytest.mark.second
+@pytest.mark.unhurried
 @pytest.mark.parametrize("fraction", memory.FRACTIONS)
 def test_no_draw_exceeds_the_bound_that_its_memory_allows(fraction):
     t, bound = memory.draw(fraction, 1000, seed=5)
@@ -42,7 +42,7 @@ def test_no_draw_exceeds_the_bound_that_its_memory_allows(fraction):
         assert (t > 1 + 0.02 * (bound - 1)).any()
 
 
-@pytest.mark.second
+@pytest.mark.unhurried
 def test_alarms_without_disturbance_come_with_memory():
     found = memory.rows(1000, seed=1)
     largest, share = [r.largest for r in found], [r.share_above_1 for r in found]

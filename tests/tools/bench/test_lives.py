@@ -43,7 +43,7 @@ def test_a_life_beyond_its_set_is_found_and_the_false_are_told_apart(normal):
     assert drifting_lives(never, 100, 20, 300, 1)["in_time"]["count"] < 10
 
 
-@pytest.mark.second
+@pytest.mark.unhurried
 def test_the_pool_is_of_core_run_drives_whose_scores_grow_with_wear():
     pool = make_pool(6, 0.0, 1)
     assert pool.scores.shape == (6, len(GAINS))
@@ -53,7 +53,7 @@ def test_the_pool_is_of_core_run_drives_whose_scores_grow_with_wear():
     np.testing.assert_array_equal(pool.scores[:3], make_pool(3, 0.0, 1).scores)
 
 
-@pytest.mark.second
+@pytest.mark.unhurried
 def test_the_command_prints_and_writes_the_table(tmp_path, capsys):
     out = tmp_path / "lives.json"
     small = ["--drives", "12", "--lives", "20", "--recordings", "30", "--json", str(out)]

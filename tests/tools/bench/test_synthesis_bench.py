@@ -12,7 +12,7 @@ from made import ROOT
 CASE = ROOT / "tests" / "data" / "paper_case.toml"
 
 
-@pytest.mark.second
+@pytest.mark.unhurried
 def test_the_table_measures_three_syntheses_at_the_papers_order():
     rows = bench.run(CASE, repeats=1)
     assert [(r.job, r.states) for r in rows] == [

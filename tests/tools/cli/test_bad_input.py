@@ -179,7 +179,7 @@ def test_identify_refuses_drives_without_any_counted_frame(lpvguard, tmp_path):
     )
 
 
-@pytest.mark.second
+@pytest.mark.unhurried
 @pytest.mark.parametrize("split", ["train", "valid"])
 def test_identify_refuses_drives_of_which_nothing_calibrates(split, lpvguard, synthetic, tmp_path):
     """Every drive sets the bounds; or the only one that calibrates is never judged."""

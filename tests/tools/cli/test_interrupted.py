@@ -23,7 +23,7 @@ def interrupted(*words: object) -> dict:
     return json.loads(done.stdout)
 
 
-@pytest.mark.second
+@pytest.mark.unhurried
 @pytest.mark.parametrize(
     "command",
     [

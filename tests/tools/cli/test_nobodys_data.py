@@ -221,7 +221,7 @@ def test_a_folder_that_is_not_what_its_manifest_lists_is_neither_replaced_nor_re
         assert status == 2 and f"car/{name}" in said and contents(here) == before, said
 
 
-@pytest.mark.second
+@pytest.mark.unhurried
 def test_what_is_ours_is_replaced_and_ends_the_same(run, here):
     before = contents(here)
     assert run(*["export", "--vehicle", "car.toml", "idn", "-o", "car"])[0] == 0
@@ -243,6 +243,7 @@ def test_what_is_ours_is_replaced_and_ends_the_same(run, here):
     assert status == 2 and "experiments.csv" in said, "an index that the user filled in is his"
 
 
+@pytest.mark.unhurried
 def test_the_second_of_two_runs_is_refused_while_the_first_holds_the_folder(run, here):
     before = contents(here)
     script = (

@@ -71,7 +71,7 @@ def test_profiles_stay_in_the_range_and_move_at_the_largest_rate_and_no_faster(r
     assert np.ptp(profiles[0]) == pytest.approx(1.0, abs=0.5 * rate * TS + 0.02)
 
 
-@pytest.mark.second
+@pytest.mark.unhurried
 def test_growth_is_found_from_the_rate_on_at_which_it_begins():
     """The periodic triangle decides: below some rate the loop is stable in every cell it passes."""
     loop = Loop(OverSpeed(injected(turning(0.6, 0.01))), 1, TS)

@@ -230,7 +230,7 @@ columns.lka_cmd = {{ unit = "raw", message = "STEERING_LKA", signal = "STEER_TOR
         assert np.abs(got[name][:rows] - want[name]).max() <= tolerance, name
 
 
-@pytest.mark.second
+@pytest.mark.unhurried
 @needs_rav4
 def test_decoding_is_ten_times_the_python_loop():
     from lpvguard.bench.can import bench_decode

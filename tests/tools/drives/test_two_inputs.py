@@ -23,6 +23,7 @@ def explained(car, drive) -> float:
     return float(1 - error[inside].var() / drive.y[inside].var())
 
 
+@pytest.mark.unhurried
 def test_the_model_needs_both_inputs_to_explain_the_drives(short, tmp_path):
     car = load_project("vectoring")
     rows = fixture.write_drives(car, tmp_path, car.seed, lambda _: None)

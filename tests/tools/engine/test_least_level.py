@@ -70,7 +70,7 @@ def test_the_weights_stand_where_they_belong():
     np.testing.assert_array_equal(H.A, G.A)
 
 
-@pytest.mark.second
+@pytest.mark.unhurried
 def test_no_gain_proves_a_level_below_the_frozen_one(moving):
     one, found = moving
     least = max(frozen_level(one, v) for v in (1.0, 2.0, 3.0))
@@ -79,7 +79,7 @@ def test_no_gain_proves_a_level_below_the_frozen_one(moving):
         assert lpv.prove(below, found.storage, RATE) is None
 
 
-@pytest.mark.second
+@pytest.mark.unhurried
 def test_a_level_at_a_moving_speed_is_above_the_frozen_one_and_proved_anew(moving):
     one, found = moving
     assert found.level > max(frozen_level(one, v) for v in (1.0, 2.0, 3.0))
@@ -139,6 +139,7 @@ def test_without_delta_the_level_is_the_first_that_leaves_room_above_the_norm(pe
     assert level is None or norm <= least_level.ROOMY * level
 
 
+@pytest.mark.unhurried
 def test_a_level_whose_storage_function_is_not_proved_is_left_for_the_next(monkeypatch):
     """At level 1 the frozen gain leaves room; the proof fails there and holds at 2.5."""
     alone = lpv.relevant(family(turn=0.0, performance=0.5), slice(1, 2), slice(1, 2))

@@ -65,7 +65,7 @@ def test_the_floor_is_the_least_scaled_norm_of_any_controller(seed, blocks, rtol
     assert not limits.floor_exceeds(plant, 0.7, want * (1 + 1e-3))
 
 
-@pytest.mark.second
+@pytest.mark.unhurried
 def test_the_floor_is_as_near_as_was_asked():
     plant = made(1, (ONE,))
     near, far = limits.mu_floor(plant, 0.7), limits.mu_floor(plant, 0.7, rtol=1e-1)

@@ -71,7 +71,7 @@ def test_a_storage_function_of_the_loop_itself_is_proved_too_and_none_holds_for_
         assert lpv.prove(family(0.4), turned, one.rate) is None
 
 
-@pytest.mark.second
+@pytest.mark.unhurried
 @pytest.mark.parametrize("adjoint", [True, False])
 def test_a_cell_bounds_what_the_loop_loses_between_its_ends(proved, adjoint):
     """F at random speeds and steps of a wide cell is nowhere less than what the cell promises."""

@@ -34,7 +34,7 @@ def largest_on_grid(loop, blocks, omega) -> float:
 OF_REAL = pytest.mark.long("10 s: with a real block each loop takes ten times as long")
 
 
-@pytest.mark.second
+@pytest.mark.unhurried
 @pytest.mark.parametrize(
     ("blocks", "seed"),
     [

@@ -190,7 +190,7 @@ def least(G: StateSpace, point: PointBound, level: float, omega) -> np.ndarray:
     return np.array([np.linalg.eigvalsh(point.fixed + level**2 * point.scaled - N)[0] for N in found])
 
 
-@pytest.mark.second
+@pytest.mark.unhurried
 @pytest.mark.parametrize("seed", [0, 1, 2, 8, 18])
 @pytest.mark.parametrize("share", [0.5, 0.8, 0.95])
 @pytest.mark.parametrize("b", [20.0, np.inf])

@@ -53,7 +53,7 @@ def worst_for_demand(n: int = 120) -> np.ndarray:
     return w / np.linalg.norm(w)
 
 
-@pytest.mark.second
+@pytest.mark.unhurried
 @pytest.mark.parametrize("kappa", [1.0, 1.5, 2.0])
 def test_no_disturbance_of_the_proved_energy_leaves_the_range_or_exceeds_the_gain(kappa):
     one = loop(kappa)

@@ -199,7 +199,7 @@ def test_table_ii_meets_the_references_at_lower_order(rows):
     assert "paper" in format_table(rows).splitlines()[0] and len(format_table(rows).splitlines()) == 10
 
 
-@pytest.mark.second
+@pytest.mark.unhurried
 def test_no_controller_goes_below_the_floor(case, rows):
     """K_inf's floor is the DC formula; every certified level and every static gain stands above its floor."""
     for row in rows:
@@ -223,7 +223,7 @@ def test_no_controller_goes_below_the_floor(case, rows):
     )
 
 
-@pytest.mark.second
+@pytest.mark.unhurried
 def test_each_difference_to_the_paper_is_one_sentence_that_the_weights_explain(case, rows):
     told = differences(case, rows)
     assert all(text.count(". ") == 0 and text.endswith(".") for text in told)
@@ -252,7 +252,7 @@ def test_the_files_of_a_case_hold_every_row_with_its_difference_and_no_time(case
     assert drawn(files)["fig5.svg"].count("</svg>") == 1
 
 
-@pytest.mark.second
+@pytest.mark.unhurried
 @pytest.mark.parametrize("structure, dt", [("K_i", 0.0), ("K_is", TS)])
 def test_the_worst_delta_is_stable_of_size_one_and_reaches_the_certificate(case, rows, structure, dt):
     row = rows[STRUCTURES.index(structure)]
@@ -266,7 +266,7 @@ def test_the_worst_delta_is_stable_of_size_one_and_reaches_the_certificate(case,
     assert np.linalg.norm(closed.response([worst.frequency])[0], 2) == pytest.approx(worst.gain, rel=1e-9)
 
 
-@pytest.mark.second
+@pytest.mark.unhurried
 def test_away_from_dc_the_worst_delta_takes_the_phases_it_needs(case, rows):
     """At 0.3 rad/s no Δ of size 1 among many random ones raises the gain further, and its own gain is that of
     a complex matrix."""
@@ -287,7 +287,7 @@ def test_away_from_dc_the_worst_delta_takes_the_phases_it_needs(case, rows):
         assert np.linalg.norm(M[4:, 4:] + M[4:, :4] @ delta @ inner, 2) <= worst.gain * (1 + 1e-9)
 
 
-@pytest.mark.second
+@pytest.mark.unhurried
 def test_the_certificate_lies_above_mu_at_every_frequency(case, rows):
     row = rows[2]
     plant = case_plant(case, {"A_t": row.A_t, "A_u": row.A_u}, "K_is")
@@ -297,7 +297,7 @@ def test_the_certificate_lies_above_mu_at_every_frequency(case, rows):
         assert mu_bounds(M, blocks).upper <= row.upper * (1 + 1e-6)
 
 
-@pytest.mark.second
+@pytest.mark.unhurried
 def test_the_worst_perturbation_found_makes_the_loop_singular(case, rows):
     row = rows[1]
     performance = row.result.performance
@@ -309,7 +309,7 @@ def test_the_worst_perturbation_found_makes_the_loop_singular(case, rows):
     )
 
 
-@pytest.mark.second
+@pytest.mark.unhurried
 def test_sampling_and_one_sample_of_delay_keep_the_level(case, rows):
     for row in rows[:3]:
         objective = {"A_t": row.A_t, "A_u": row.A_u}
@@ -319,7 +319,7 @@ def test_sampling_and_one_sample_of_delay_keep_the_level(case, rows):
             assert certify(plant, K, scaling).upper <= row.upper * (1 + 2e-3)
 
 
-@pytest.mark.second
+@pytest.mark.unhurried
 def test_a_tampered_controller_loses_its_certificate(case, rows):
     row = rows[1]
     plant = case_plant(case, {"A_t": row.A_t, "A_u": row.A_u}, "K_i")
@@ -329,7 +329,7 @@ def test_a_tampered_controller_loses_its_certificate(case, rows):
     assert certify(plant, StateSpace(-K.A, K.B, K.C, K.D)).upper == np.inf
 
 
-@pytest.mark.second
+@pytest.mark.unhurried
 def test_design_in_discrete_time_reaches_the_continuous_level(case, rows):
     plant = case_plant(case, OBJECTIVE, "K_i", dt=0.01)
     result = dk_synthesis(plant)

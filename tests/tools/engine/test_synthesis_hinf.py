@@ -230,6 +230,7 @@ def test_a_badly_conditioned_realisation_gives_the_same_gamma(kind, dt):
     check_certificate(plant.transformed(T), 2, 2, result)
 
 
+@pytest.mark.unhurried
 def test_an_optimum_that_cannot_be_bracketed_is_not_claimed(monkeypatch):
     """Where rounding hides every level of a singular problem, the controller and its certificate still come
     back."""
@@ -314,7 +315,7 @@ def companion(G):
     return StateSpace(rows, numbers(solve(T, exact(G.B))), numbers(times(exact(G.C), T)), G.D)
 
 
-@pytest.mark.second
+@pytest.mark.unhurried
 @pytest.mark.parametrize("fast", [500.0, 2e4])
 @pytest.mark.parametrize("n", [4, 6, 8, 10, 12])
 def test_slow_weights_and_companion_forms_give_the_gamma_of_a_calm_realisation(n, fast):
@@ -339,6 +340,7 @@ def test_slow_weights_and_companion_forms_give_the_gamma_of_a_calm_realisation(n
         check_certificate(other, 1, 1, got)
 
 
+@pytest.mark.unhurried
 @pytest.mark.parametrize("size", [1e6, 1e8, 1e10])
 def test_what_rounding_of_the_plant_hides_is_not_claimed(size):
     """Dense coordinates of this condition move the slow poles by more than their size: the plant as given is

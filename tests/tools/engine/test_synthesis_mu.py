@@ -132,7 +132,7 @@ def conic_upper_bound(M, blocks):
     return size * np.sqrt(high)
 
 
-@pytest.mark.second
+@pytest.mark.unhurried
 @pytest.mark.parametrize(
     "seed, blocks",
     [
@@ -153,7 +153,7 @@ def test_the_upper_bound_is_the_infimum_over_d_and_g(seed, blocks):
     check_delta(M, blocks, bounds)
 
 
-@pytest.mark.second
+@pytest.mark.unhurried
 @pytest.mark.parametrize("seed", [0, 1, 3])
 def test_the_lower_bound_of_real_blocks_is_the_reciprocal_of_the_size_of_delta(seed):
     """Also where every real block ends inside its bound."""
@@ -199,7 +199,7 @@ def test_solve_names_the_bad_field(change, where):
         solve_mu(problem | change)
 
 
-@pytest.mark.second
+@pytest.mark.unhurried
 @pytest.mark.parametrize("seed", [102, 301])
 def test_the_lower_bound_of_a_mixed_problem_is_the_best_of_a_dense_search(seed):
     """Two real scalars and a full block: every (δ1, δ2) on a grid, the full block by its singular value."""

@@ -103,6 +103,7 @@ def test_the_bracket_is_the_level_and_the_rounding_and_exact_without_input_or_ou
         assert (still.lower, still.upper) == (2.0, 2.0)
 
 
+@pytest.mark.unhurried
 def test_the_norm_does_not_settle_for_a_level_below_the_peak(monkeypatch):
     """A resonance away from every pole's frequency in the start: each level finds it higher."""
     G = system(5)
@@ -338,7 +339,7 @@ def test_the_centre_has_no_gradient_along_its_level_set():
 # ---------------------------------------------------------------- mu on an interval
 
 
-@pytest.mark.second
+@pytest.mark.unhurried
 @pytest.mark.parametrize("seed", range(3))
 def test_the_singular_frequencies_are_those_of_phi(seed):
     """Where Phi changes its sign on a grid there is one, at which the least |eigenvalue| vanishes. There may

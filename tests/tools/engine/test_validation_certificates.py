@@ -181,6 +181,7 @@ def test_many_certificates_reach_as_each_alone():
                 )
 
 
+@pytest.mark.unhurried
 @pytest.mark.parametrize("seed", range(4))
 def test_a_rays_length_is_where_the_best_level_falls_to_zero(seed, monkeypatch):
     """Two forms: at each length the best level is that of a scan, and it is zero at the end of the ray."""

@@ -66,7 +66,7 @@ def relaxed_feasible(cp, limits, n):
     return excess.value <= 0
 
 
-@pytest.mark.second
+@pytest.mark.unhurried
 @pytest.mark.parametrize("name", ["one output", "P12", "P12 and a wide P22"])
 def test_common_size_matches_bisection_over_semidefinite_programs(name):
     cp = pytest.importorskip("cvxpy")
@@ -113,6 +113,7 @@ def test_repeated_block_beats_no_grid_point_and_is_beaten_by_none(block_type, ro
         substitute(problem, s, gamma)
 
 
+@pytest.mark.unhurried
 @pytest.mark.parametrize(
     "blocks, left",
     [
@@ -352,6 +353,7 @@ def test_a_weight_on_one_block_does_not_hide_the_cost_of_another(weight):
     assert s.lower <= alone.upper and s.upper >= alone.lower * (1 - 2e-3)
 
 
+@pytest.mark.unhurried
 @pytest.mark.parametrize("unit", [1.0, 1e-5])
 def test_the_last_block_is_zero_only_where_a_zero_was_found(unit):
     # The least-squares point breaks the real block, so the search starts without a cost to compare zero with.
@@ -395,7 +397,7 @@ def test_repeated_blocks_are_settled_by_boxes():
     substitute(problem, s, 1.001 * np.linalg.norm(w))
 
 
-@pytest.mark.second
+@pytest.mark.unhurried
 @pytest.mark.parametrize(
     "blocks",
     [

@@ -323,6 +323,7 @@ def test_margin_on_three_active_discs_has_full_accuracy(engine, angles, accuracy
     np.testing.assert_allclose(s1.margin(e, z, w_delta[:, None], w_w), t, rtol=accuracy)
 
 
+@pytest.mark.unhurried
 def test_margin_of_dense_degenerate_cases_is_bracketed(engine):
     # Collinear centres, equal discs, a silent output: pairs and triples nearly coincide there.
     rng = np.random.default_rng(11)

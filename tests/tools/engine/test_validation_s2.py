@@ -117,7 +117,7 @@ CASES = {
 }
 
 
-@pytest.mark.second
+@pytest.mark.unhurried
 @pytest.mark.parametrize("name", CASES)
 def test_s2_engines_take_the_same_steps(name, monkeypatch):
     """The same bounds to the last digits, after as many duals: what either does differently moves them."""

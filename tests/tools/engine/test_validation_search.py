@@ -199,6 +199,7 @@ def test_the_local_search_finds_the_least_of_a_convex_problem():
     assert z[0] == pytest.approx(0.75 * (1 - 2j), abs=1e-4)
 
 
+@pytest.mark.unhurried
 def test_first_points_of_repeated_blocks_keep_the_constant_constraints():
     assert repeated_starts(two_points()) == []
     forms = [

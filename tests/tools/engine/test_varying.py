@@ -138,6 +138,7 @@ def test_an_all_pass_has_gain_1_everywhere_and_its_sign_at_zero(sign, corner):
     assert append(one, one).n_inputs == 2
 
 
+@pytest.mark.unhurried
 @pytest.mark.parametrize("moves", [1, 2])
 def test_the_favoured_places_are_the_best_of_all_that_move_so_little(moves):
     random, places, length = np.random.default_rng(8), 4, 6

@@ -106,7 +106,7 @@ def test_an_exact_third_order_weight_is_recovered(zeros, poles, gain):
     assert fit.worst_ratio_db <= 0.01
 
 
-@pytest.mark.second
+@pytest.mark.unhurried
 @pytest.mark.parametrize("order", [1, 2, 3, 4])
 @pytest.mark.parametrize("shape", ["rise", "fall", "hump", "walk"])
 def test_no_weight_of_that_order_is_tighter(order, shape):
@@ -146,7 +146,7 @@ def test_states_that_gain_nothing_are_not_added():
 # ---------------------------------------------------------------- difficult bounds
 
 
-@pytest.mark.second
+@pytest.mark.unhurried
 def test_cliff_of_60_db_within_a_thousandth_is_bounded_though_not_tightly():
     omega, bound = np.array([1.0, 1.001]), np.array([1.0, 1000.0])
     check(fit_overbound(omega, bound), omega, bound, gap_db=3.0)
@@ -181,6 +181,7 @@ def test_the_unit_of_the_bound_does_not_matter(gain):
     assert other.weight.magnitude(omega) / gain == pytest.approx(one.weight.magnitude(omega), rel=1e-3)
 
 
+@pytest.mark.unhurried
 def test_same_input_same_bytes():
     omega = np.geomspace(0.01, 100, 50)
     bound = np.exp(np.random.default_rng(1).standard_normal(50))
@@ -469,6 +470,7 @@ def test_the_32_bounds_of_the_bench_are_covered_tightly_by_few_linear_programs(e
     )  # 57.5 and 108
 
 
+@pytest.mark.unhurried
 def test_the_exact_weights_of_the_bench_come_back_within_a_hundredth_of_a_db():
     rows = list(bench.exact_weights())
     assert len(rows) == 4 and all(r["order"] == 3 and r["distance_db"] <= 0.01 for r in rows)

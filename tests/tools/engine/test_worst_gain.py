@@ -28,7 +28,7 @@ def loop_of(seed: int, size: float = 0.2) -> StateSpace:
     return series(weight, G)
 
 
-@pytest.mark.second
+@pytest.mark.unhurried
 @pytest.mark.parametrize("seed", [1, 2, 3])
 @pytest.mark.parametrize("dt", [0.0, 0.1])
 def test_no_delta_of_size_1_exceeds_it_and_one_comes_close(seed, dt):
@@ -129,7 +129,7 @@ def test_the_scalings_of_a_level_prove_its_gain_and_no_smaller_one(seed, gamma):
         assert np.linalg.norm(M[rows:, cols:] + M[rows:, :cols] @ delta @ inner, 2) <= point.value
 
 
-@pytest.mark.second
+@pytest.mark.unhurried
 @pytest.mark.parametrize("seed", range(3))
 def test_the_level_at_which_mu_is_one_is_the_gain_of_its_scalings(seed):
     M, structure = matrix(seed), Structure(MIXED)

@@ -78,6 +78,7 @@ def test_cusum_is_pages_recursion_from_zero_at_each_start(truck, error):
         assert s[k] == pytest.approx(g.max(), rel=1e-9, abs=1e-9)
 
 
+@pytest.mark.unhurried
 @pytest.mark.parametrize("q", [0.003, 0.3])
 def test_the_innovations_of_the_process_that_the_filter_assumes_are_chi_square(truck, q):
     """Simulated with the covariances of the module's docstring, nu' S^-1 nu has the mean n_y and nu is
@@ -216,7 +217,7 @@ def test_the_drive_under_test_takes_part_in_nothing(study, kind):
             found.largest, found.merits = largest, merits
 
 
-@pytest.mark.second
+@pytest.mark.unhurried
 def test_no_setting_of_the_grid_finds_more_on_the_drives_of_the_search(study):
     found, names = study
 
@@ -229,7 +230,7 @@ def test_no_setting_of_the_grid_finds_more_on_the_drives_of_the_search(study):
         assert finds(best) == max(finds(b) for b in GRID if b.kind == kind) > 0
 
 
-@pytest.mark.second
+@pytest.mark.unhurried
 def test_an_alarm_in_the_last_seconds_is_counted(study):
     """Every sample from ``piece_starts`` on belongs to a piece, the drive's remainder after whole minutes
     too."""
@@ -239,7 +240,7 @@ def test_an_alarm_in_the_last_seconds_is_counted(study):
     assert alarmed(np.r_[np.full(len(pieces) - 1, -np.inf), 2.0], 1.0) == (1, len(pieces))
 
 
-@pytest.mark.second
+@pytest.mark.unhurried
 def test_the_largest_statistic_is_that_of_each_piece_and_none_is_left_out(study, g80, synthetic):
     found, names = study
     drive, e, yhat = identify.DriveSet(g80, NominalModel(g80), list_experiments(synthetic)).load(names[0])
@@ -251,7 +252,7 @@ def test_the_largest_statistic_is_that_of_each_piece_and_none_is_left_out(study,
         assert value == statistics[i * length : end].max()
 
 
-@pytest.mark.second
+@pytest.mark.unhurried
 def test_components_have_the_size_of_1_on_the_bound_setting_drives(study, g80, synthetic, identified):
     found, _ = study
     drives = identify.DriveSet(g80, NominalModel(g80), list_experiments(synthetic))
@@ -266,7 +267,7 @@ def test_components_have_the_size_of_1_on_the_bound_setting_drives(study, g80, s
     np.testing.assert_allclose(found.bank.sizes[b], np.sqrt(squares / count))
 
 
-@pytest.mark.second
+@pytest.mark.unhurried
 def test_without_scores_a_baseline_never_alarms(study):
     """No drive on which it spoke calibrates it, and 0 is no threshold."""
     found, names = study

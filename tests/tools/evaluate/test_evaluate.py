@@ -166,7 +166,7 @@ def test_an_alarm_stands_where_the_core_says_so(core, g80, synthetic):
 # ------------------------------------------------------------------------------------------- what is promised
 
 
-@pytest.mark.second
+@pytest.mark.unhurried
 def test_one_threshold_for_all_tests_keeps_alpha_and_two_do_not():
     """10 calibration drives, independent tests: by either, the joint threshold lets 1/11 alarm, the two 1 -
     (10/11)^2 = 21/121. A third test's scores, all below its floor, change neither."""
@@ -298,7 +298,7 @@ def test_a_recordings_score_is_its_largest_and_one_that_sets_the_bounds_does_not
         assert Calibration.from_dict(json.loads(json.dumps(c.to_dict()))) == c
 
 
-@pytest.mark.second
+@pytest.mark.unhurried
 def test_thresholds_by_recordings_keep_alpha_where_those_by_pieces_do_not():
     """19 recordings of 10 pieces that share a level, alpha 0.05: the next recording alarms in 1 of 20."""
     random, trials = np.random.default_rng(4), 2000

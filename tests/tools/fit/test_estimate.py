@@ -50,7 +50,7 @@ def test_known_parameters_are_found_within_honest_standard_errors(g80):
         assert np.all(inside >= SEEDS - 2) and np.sum(inside) >= 6 * SEEDS - 5
 
 
-@pytest.mark.second
+@pytest.mark.unhurried
 def test_one_car_is_found_from_far_away_guesses(g80):
     random = np.random.default_rng(1)
     car = KnownCar.drawn(random)
@@ -61,7 +61,7 @@ def test_one_car_is_found_from_far_away_guesses(g80):
     assert np.allclose(np.diag(found.correlation), 1.0)
 
 
-@pytest.mark.second
+@pytest.mark.unhurried
 def test_a_trim_a_drive_is_found_and_its_mean_is_the_projects(g80):
     random = np.random.default_rng(2)
     car = KnownCar.drawn(random)

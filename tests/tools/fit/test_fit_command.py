@@ -35,7 +35,7 @@ def folder(tmp_path):
     return tmp_path
 
 
-@pytest.mark.second
+@pytest.mark.unhurried
 def test_the_project_file_gets_the_numbers_and_keeps_its_comments(lpvguard, folder):
     done = lpvguard(
         "fit", "--vehicle", "g80", folder / "drives", "-o", folder / "fit", "--json", folder / "f.json"
@@ -65,6 +65,7 @@ def test_the_same_drives_give_the_same_bytes(lpvguard, folder):
         assert (folder / "a" / file).read_bytes() == (folder / "b" / file).read_bytes()
 
 
+@pytest.mark.unhurried
 def test_a_wrong_unit_is_refused_by_name_before_the_range_of_the_signal(lpvguard, folder):
     path = folder / "drives" / "at_10.csv"
     rows = np.loadtxt(path, delimiter=",", skiprows=1)

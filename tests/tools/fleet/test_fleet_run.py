@@ -93,7 +93,7 @@ def test_pieces_of_a_recording_have_one_score_and_the_estimate_is_the_fault(repl
     assert estimate.delay_s == pytest.approx(0.0, abs=0.03)
 
 
-@pytest.mark.second
+@pytest.mark.unhurried
 def test_wear_is_found_and_the_state_goes_on_where_it_was(lpvguard, synthetic, tables, tmp_path):
     drives, columns = tables
     before, after = worn(drives, 0.8), worn(drives, 0.7, "older")
@@ -171,7 +171,7 @@ def test_a_foreign_state_is_refused_by_the_name_of_what_differs(state, name):
         state.require(Path("s"), {name: "other" if isinstance(own, str) else own / 2})
 
 
-@pytest.mark.second
+@pytest.mark.unhurried
 def test_bad_input_is_one_error_and_leaves_the_state(lpvguard, synthetic, tables, state, tmp_path):
     drives, columns = tables
     folder = write_drives(tmp_path / "life", dict(list(drives.items())[:1]), columns)
@@ -207,6 +207,7 @@ def test_bad_input_is_one_error_and_leaves_the_state(lpvguard, synthetic, tables
     assert "was counted with other tables" in refused(*with_state)
 
 
+@pytest.mark.unhurried
 def test_the_exported_table_compiles_and_has_the_cores_constants(state, tmp_path):
     from lpvguard.fleet.export import header
 

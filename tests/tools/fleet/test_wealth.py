@@ -49,6 +49,7 @@ def test_the_recursion_is_the_integral_over_two_order_statistics():
     assert simultaneous_tails(1, 0.05) == pytest.approx([1 - beta.ppf(0.05, 1, 1)])
 
 
+@pytest.mark.unhurried
 @pytest.mark.parametrize("n", SIZES)
 def test_no_law_within_the_tails_lets_a_bet_grow_and_one_beyond_does(n):
     tails, random = simultaneous_tails(n, 0.05), np.random.default_rng(1)
@@ -74,6 +75,7 @@ def many_lives(table: LifeTable, places, recordings: int, lives: int) -> np.ndar
     return first
 
 
+@pytest.mark.unhurried
 @pytest.mark.parametrize("n", [11, 100])
 def test_the_worst_law_alarms_in_a_life_at_most_at_the_stated_rate(n):
     alpha, lives = 0.2, 4000

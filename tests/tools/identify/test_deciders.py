@@ -177,6 +177,7 @@ def test_evidence_is_the_largest_of_all_speeds_by_bin(g80):
     assert met.evidence(2) == pytest.approx([3.0 / 2.5, 0.0])
 
 
+@pytest.mark.unhurried
 def test_a_silent_bin_raises_no_alarm_and_the_bands_below_do_not_where_all_are(
     identified, synthetic, g80, core
 ):

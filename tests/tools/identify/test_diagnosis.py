@@ -80,6 +80,7 @@ def test_the_spread_is_that_of_healthy_drives(g80):
         DiagnosisScales.of(g80, 1 / UNIT, [])
 
 
+@pytest.mark.unhurried
 def test_what_a_drive_keeps_is_told_from_what_changes_in_it(g80):
     deviation = np.array([0.1, 0.0, 0.03, 0.02])
     assert scaled(g80, deviation).kept.tolist() == [0.99]

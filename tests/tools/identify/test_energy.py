@@ -238,6 +238,7 @@ def drive_within(project, model, test, delta, seconds, rng, *, gain=1.0, coheren
     return t, v, u, yhat + gain * explained + w
 
 
+@pytest.mark.unhurried
 def test_no_alarm_where_delta_and_the_disturbance_are_within_the_bounds(truck):
     """Ten hours in full; the ratio comes close to 1, so the bound is not slack by construction. With a Delta
     that remembers for as long as the lower bands only those are heard; all are with one that forgets as fast
@@ -428,6 +429,7 @@ def test_weights_of_different_order_are_padded_and_each_keeps_its_magnitude(sepa
         np.testing.assert_allclose(on_circle(sections, test.rho, theta), np.abs(W), rtol=1e-7)
 
 
+@pytest.mark.unhurried
 def test_with_a_delta_an_output_none_within_the_bounds_alarms_where_a_common_one_would(separate):
     """Delta_j differ from output to output; the same data refute every common Delta of these weights."""
     project, model, _, core, test = separate
@@ -497,7 +499,7 @@ def test_identification_coefficients_and_core_of_different_structures_are_refuse
 # ----------------------------------------------------------------------------------------- sigma, calibration
 
 
-@pytest.mark.second
+@pytest.mark.unhurried
 def test_no_identification_drive_alarms_also_when_cut_and_scores_are_the_cores(
     identified, synthetic, g80, core
 ):
@@ -601,6 +603,7 @@ def test_alarms_of_the_energy_test_stand_in_the_replay_beside_those_of_frames(co
     assert {a.test for a in only_frames.alarms} == {"frame"} and not only_frames.over.any()
 
 
+@pytest.mark.unhurried
 def test_brakes_at_four_tenths_are_found_by_the_energy_test_alone_in_a_minute(truck, tmp_path):
     """Excited 60 s drives of the simulated truck, at random speeds; 24 seeds in full."""
     project, _, core, _ = truck

@@ -370,7 +370,7 @@ def test_a_draw_by_hash_is_uniform():
     assert abs(drawn.mean() - 0.5) < 0.03 and abs(np.quantile(drawn, 0.9) - 0.9) < 0.03
 
 
-@pytest.mark.second
+@pytest.mark.unhurried
 def test_spectra_are_thinned_to_the_stated_cap_and_keep_the_largest(monkeypatch, drives, found):
     monkeypatch.setattr(passes, "LARGEST_SPECTRA", 5)
     monkeypatch.setattr(passes, "DRAWN_SPECTRA", 15)

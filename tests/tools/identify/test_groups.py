@@ -71,7 +71,7 @@ def test_groups_are_stored_and_without_a_column_nothing_changes():
     assert plain.claim() == calibrate(scores, 0.1).claim() and "group" not in plain.claim()
 
 
-@pytest.mark.second
+@pytest.mark.unhurried
 def test_the_alpha_of_a_group_is_kept_where_the_pooled_threshold_fails_it():
     """Nine in ten recordings are of a calm group. The pooled threshold lets most of the others alarm."""
     random, trials, alpha = np.random.default_rng(6), 1500, 0.1
@@ -103,6 +103,7 @@ def test_a_recording_is_of_one_group():
     assert listed.groups == {"b": "dry", "a": "dry"} and listed.named("b") == "day"
 
 
+@pytest.mark.unhurried
 def test_the_column_is_read_and_each_drive_is_judged_by_the_threshold_of_its_group(
     identified, synthetic, g80, tmp_path
 ):

@@ -211,6 +211,7 @@ def test_a_vehicle_whose_only_sin_is_rounding_is_not_falsified(coarse, monkeypat
     assert min(falsified(without, drive) for drive in gentle[1:]) > 0, "without the floor it is"
 
 
+@pytest.mark.unhurried
 def test_frames_of_rounding_are_within_the_floor_whatever_the_drive(coarse):
     """The theorem on frames, without the core: an error of rounding alone has a margin of 1 at most."""
     project = fleet.vehicle()

@@ -34,7 +34,7 @@ def column(watch: Watch, name: str) -> np.ndarray:
     return watch._ring.rows(0, 10**9)[:, watch.columns.index(name)]
 
 
-@pytest.mark.second
+@pytest.mark.unhurried
 @pytest.mark.parametrize("size", [37, 5000])
 def test_what_is_shown_is_what_replay_says_of_the_same_frames(replayer, faulty, size):
     frames, path = faulty

@@ -58,6 +58,7 @@ def test_the_columns_mean_what_the_header_says(tmp_path):
     assert np.corrcoef(r, delta)[0, 1] > 0.9
 
 
+@pytest.mark.unhurried
 def test_the_amplitudes_of_the_programs(tmp_path):
     telegraph = generate(
         tmp_path / "t.csv", "--program", "telegraph", "--amplitude-low", 1, "--amplitude-high", 1

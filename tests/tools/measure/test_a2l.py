@@ -257,7 +257,7 @@ def test_headers_without_a_slave_are_refused(tmp_path):
         if_data(XcpAccess(1, 2), 10_000, False, tmp_path)
 
 
-@pytest.mark.second
+@pytest.mark.unhurried
 def test_the_command_writes_it_and_renews_its_own(image, truck_elf, truck_text, lpvguard, tmp_path):
     out = tmp_path / "truck.a2l"
     done = lpvguard("a2l", "--vehicle", "truck", "--elf", truck_elf, "--instance", "ecu", "-o", out)

@@ -124,6 +124,7 @@ def test_excited_samples_follow_the_definition():
     np.testing.assert_array_equal(excited_samples(u, 0.02, 0.004), direct)
 
 
+@pytest.mark.unhurried
 def test_replay_json_has_every_field_and_exit_status_says_what_was_found(
     lpvguard, vehicle, synthetic, g80, tmp_path
 ):

@@ -14,6 +14,7 @@ from lpvguard.replay.run import Recorded
 from lpvguard.replay.series import margin_column
 
 
+@pytest.mark.unhurried
 def test_the_table_of_the_command_is_what_the_core_said(lpvguard, replayer, vehicle, synthetic, tmp_path):
     path, out = synthetic / "synthetic_01.csv", tmp_path / "series"
     done = lpvguard("replay", "--vehicle", "g80", "--coefficients", vehicle, path, "--table", out)
@@ -60,6 +61,7 @@ def test_a_series_is_refused_where_two_would_have_one_name_and_where_nothing_is_
     assert not out.exists()
 
 
+@pytest.mark.unhurried
 def test_an_mcap_recording_is_read_back_with_the_same_verdicts_margins_and_alarms(
     lpvguard, replayer, vehicle, alarmed, tmp_path
 ):
@@ -83,6 +85,7 @@ def test_an_mcap_recording_is_read_back_with_the_same_verdicts_margins_and_alarm
     assert alarms[0][1]["message"].startswith(f"{said.alarms[0].test} test")
 
 
+@pytest.mark.unhurried
 def test_an_mf4_has_margins_as_channels_with_units_and_no_time_of_day(
     lpvguard, replayer, vehicle, alarmed, tmp_path
 ):

@@ -26,7 +26,7 @@ def wandering(
     return rms * x / x.std()
 
 
-@pytest.mark.second
+@pytest.mark.unhurried
 def test_ten_hours_straight_on_are_neither_an_alarm_nor_evidence(g80):
     random, Ts = np.random.default_rng(1), g80.Ts_s
     samples = round(HOURS * 3600 / Ts)

@@ -165,7 +165,7 @@ def test_the_change_test_alone_falsifies_nothing(tests_of_drives, said):
     assert outcome(told) == said
 
 
-@pytest.mark.second
+@pytest.mark.unhurried
 def test_every_drive_has_a_row_linked_to_its_section(page):
     rows = re.findall(
         r'<tr data-drive="(\w+)" data-ratio="[^"]*" data-alarms="\d+"><td><a href="#(\w+)">', page

@@ -51,7 +51,7 @@ def test_every_artist_placed_by_data_is_read_back():
     assert ends[np.isfinite(ends)].tolist() == [2.5, 4.0, 3.5, 6.0]
 
 
-@pytest.mark.second
+@pytest.mark.unhurried
 def test_a_table_has_every_finite_point_and_the_page_the_extremes_of_long_lines():
     x = np.arange(10 * MOST_POINTS, dtype=float)
     y = np.sin(x)
@@ -76,6 +76,7 @@ def test_mathematical_text_is_said_in_characters():
     assert plain(r"$|W_\Delta|$, ceiling $\bar\nu(\omega)$") == "|W_Δ|, ceiling ν̄(ω)"
 
 
+@pytest.mark.unhurried
 def test_pictures_are_kept_only_while_asked():
     with kept() as found:
         one = drawn("a", np.array([1.0]), np.array([1.0]))

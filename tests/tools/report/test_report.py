@@ -41,7 +41,7 @@ def without_scripts(page: str) -> str:
     return re.sub(r"<script.*?</script>", "", page, flags=re.DOTALL)
 
 
-@pytest.mark.second
+@pytest.mark.unhurried
 def test_the_window_error_is_shown_per_bin(case, page):
     text = page[page.index("<h3>Window error</h3>") :]
     shown = re.findall(r"<td>([^<]*)</td>", text[: text.index("</table>")])
@@ -75,7 +75,7 @@ def test_bounds_of_the_plain_dft_have_a_page_without_a_core(tmp_path):
     assert all(0 < float(rows[name]) <= 1 for name in result.bound_drives)
 
 
-@pytest.mark.second
+@pytest.mark.unhurried
 def test_has_every_section_in_order(page):
     assert re.findall("<h2>(.*?)</h2>", page) == TITLES
     told = without_scripts(page)
@@ -84,7 +84,7 @@ def test_has_every_section_in_order(page):
         assert f"Counterpart of {figure}" in page
 
 
-@pytest.mark.second
+@pytest.mark.unhurried
 def test_needs_nothing_from_outside(page):
     told = without_scripts(page)
     assert not re.search(
@@ -95,7 +95,7 @@ def test_needs_nothing_from_outside(page):
     assert policy and policy.group(1).startswith("default-src 'none';") and "http" not in policy.group(1)
 
 
-@pytest.mark.second
+@pytest.mark.unhurried
 def test_references_within_the_page_resolve_and_are_unique(page):
     told = without_scripts(page)
     ids = re.findall(r' id="([^"]+)"', told)
@@ -109,7 +109,7 @@ def test_same_input_gives_the_same_bytes(case, page, tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == ["again.html"]
 
 
-@pytest.mark.second
+@pytest.mark.unhurried
 def test_names_every_drive_with_its_part_and_those_left_out_with_their_reason(case, page):
     assert case.stored.manifest["drives"]["left_out"], "the case must leave a drive out"
     for name, reason in case.stored.manifest["drives"]["left_out"].items():
@@ -119,7 +119,7 @@ def test_names_every_drive_with_its_part_and_those_left_out_with_their_reason(ca
         assert f"<h3>{name} " in page
 
 
-@pytest.mark.second
+@pytest.mark.unhurried
 def test_alarms_are_listed_with_their_evidence(case, page):
     replay = case.replayer.replay(case.drives.load("weak")[0])
     assert replay.alarms, "half the gain must alarm"
