@@ -87,6 +87,7 @@ def clocks_asserted(source: str) -> list[int]:
     )
 
 
+@pytest.mark.unhurried
 @pytest.mark.parametrize("path", sorted(TESTS.rglob("*.py")), ids=lambda p: str(p.relative_to(TESTS)))
 def test_no_test_asserts_a_clock(path):
     assert clocks_asserted(path.read_text()) == []
