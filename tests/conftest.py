@@ -34,6 +34,8 @@ from order import dearest_file_first
 COLLECTED = pytest.StashKey[int]()
 BEGAN = pytest.StashKey[float]()
 TESTS = Path(__file__).resolve().parent
+SERIAL = (TESTS / "hil", TESTS / "tools" / "live")
+"""Folders of tests marked serial, in which alone tools/test looks for them."""
 KINDS = ("unit", "property", "golden", "fault", "hil", "fuzz", "gates", "tools")
 FEW_DRIVES = {
     "BOUND_SPEEDS": (8.3, 12.0, 17.0, 21.7),
@@ -81,6 +83,8 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
             raise pytest.UsageError(f"{item.path}: {kind} is no kind of test ({', '.join(KINDS)})")
         if (slow := item.get_closest_marker("slow")) and not slow.args:
             raise pytest.UsageError(f"{item.nodeid}: slow without the reason")
+        if item.get_closest_marker("serial") and not any(item.path.is_relative_to(path) for path in SERIAL):
+            raise pytest.UsageError(f"{item.nodeid}: serial outside of {', '.join(p.name for p in SERIAL)}")
         item.add_marker(kind)
         for name in SLOW_FIXTURES.keys() & set(item.fixturenames):
             item.add_marker(pytest.mark.slow(SLOW_FIXTURES[name]))

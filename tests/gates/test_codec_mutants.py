@@ -35,7 +35,7 @@ from parts import require
 Check = Callable[[ctypes.CDLL], None]
 
 TESTS = Path(__file__).resolve().parents[1]
-DRAWN, N_FRAMES = 200, 1000
+DRAWN, N_FRAMES = 100, 1000
 SWITCH = """#include "mutant_switch.h"
 #include <stdlib.h>
 int lpvg_mutant = -1;
@@ -132,7 +132,7 @@ def test_no_check_refuses_the_codec_as_it_is(mutated):
                 check(codec)
 
 
-@pytest.mark.slow("15 s: 200 mutants of the codec")
+@pytest.mark.slow("7 s: 100 mutants of the codec")
 def test_every_mutant_of_the_codec_is_noticed(mutated):
     """All of them with LPVGUARD_FULL=1, else so many that are drawn."""
     codec, mutants = mutated

@@ -281,7 +281,7 @@ def test_a_file_with_another_number_of_mutants_than_when_all_ran_is_told(tree, t
     assert findings == [f"{SMALL}: {N_SMALL + 1} mutants, and {N_SMALL} when all had run: run all again"]
 
 
-@pytest.mark.unhurried
+@pytest.mark.long("12 s: a module with its mutants")
 def test_a_test_that_fails_without_a_mutant_is_told(tree, tmp_path):
     tests = tree / "tests" / "tools" / "engine" / "test_validation_wrong.py"
     tests.write_text("def test_wrong():\n    assert 1 == 2\n")

@@ -170,7 +170,7 @@ def test_a_lost_actuator_is_found(simulator, scenario):
     assert run["first_invalid_s"] is not None and 40.0 < run["first_invalid_s"] < 70.0
 
 
-@pytest.mark.slow("12 s: a run on a kernel's bus")
+@pytest.mark.long("12 s: a run on a kernel's bus")
 @pytest.mark.serial
 def test_a_real_can_interface_carries_the_same_frames(simulator, truck_folder, scenario):
     fault = scenario(15.0, can_fault("VDC2", "lost"))

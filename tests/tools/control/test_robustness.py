@@ -4,7 +4,7 @@ the same loops, and refused when altered."""
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 
 import pytest
@@ -28,24 +28,18 @@ from lpvguard.control.slow_delta import (
 )
 from lpvguard.engine.synthesis.margins import margins, of_system
 from lpvguard.engine.synthesis.statespace import gain, series
-from lpvguard.identify import run as identification
 from lpvguard.report.sections.design import design_section
 from lpvguard.vehicle.nominal import NominalModel
 
 
 @pytest.fixture(scope="module")
-def stored(few_truck_identified):
-    """The truck identified on few drives, with few nodes and an objective that leaves room below 1."""
-    one = identification.load(few_truck_identified)
-    settings = one.project.design.model_copy(
-        update={"nodes": 3, "A_t": 40.0, "A_u": 1e-6, "synthesised_for": None}
-    )
-    return replace(one, project=one.project.model_copy(update={"design": settings}))
+def stored(six_node_truck):
+    return six_node_truck
 
 
 @pytest.fixture(scope="module")
-def result(stored):
-    return stage.design(stored, moving_speed=False)
+def result(few_truck_designed):
+    return few_truck_designed[0]
 
 
 @pytest.fixture(scope="module")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+
 import control
 import numpy as np
 import pytest
@@ -21,7 +23,7 @@ from lpvguard.engine.synthesis.margins import (
 from lpvguard.engine.synthesis.norms import hinf_norm
 from lpvguard.engine.synthesis.statespace import StateSpace, lft, to_discrete, zero_order_hold
 
-SEEDS = range(80)
+SEEDS = range(80 if os.environ.get("LPVGUARD_FULL") == "1" else 40)
 """Of random loops: even ones continuous, odd ones discrete; two in three are stable when closed."""
 
 
@@ -55,7 +57,7 @@ def nearest(values, otherwise: float) -> float:
     return min(values, default=otherwise)
 
 
-@pytest.mark.slow("9 s: python-control on random loops")
+@pytest.mark.slow("5 s: python-control on random loops")
 def test_random_loops_have_the_margins_of_python_control():
     stable = 0
     for seed in SEEDS:
@@ -85,7 +87,7 @@ def test_random_loops_have_the_margins_of_python_control():
             assert control.disk_margins(theirs, grid, skew=skew)[0] >= radius.value * (1 - 1e-6), (seed, name)
         assert found["Ms"].value == pytest.approx(1 / found["disk_S"].value)
         assert found["Mt"].value == pytest.approx(1 / found["disk_T"].value)
-    assert stable >= 50
+    assert stable >= 0.6 * len(SEEDS)
 
 
 def test_the_peak_of_s_is_its_h_infinity_norm():

@@ -158,7 +158,7 @@ def test_another_cars_drive_is_named_and_left_out(project, drives):
     assert found.certain == set() and found.explained == drives
 
 
-@pytest.mark.slow("8 s: every reading fitted")
+@pytest.mark.long("8 s: every reading fitted")
 def test_noise_without_a_car_is_refused(project, drives):
     random = np.random.default_rng(9)
     noise = [replace(d, y=0.05 * random.standard_normal(d.y.shape)) for d in drives]

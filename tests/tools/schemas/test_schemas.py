@@ -93,7 +93,7 @@ def test_an_identification_is_as_described(identified, vehicle, file):
         assert errors("manifest", json.loads((vehicle / "MANIFEST.json").read_text())) == []
 
 
-@pytest.mark.slow("7 s: an identification and its evaluation")
+@pytest.mark.long("10 s: an identification and its evaluation")
 def test_a_replay_with_alarms_and_an_evaluation_are_as_described(
     g80, synthetic, identified, core, few_baselines
 ):
