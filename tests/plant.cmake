@@ -10,5 +10,6 @@ target_compile_definitions(test_plant PRIVATE LPVGUARD_TRUCK_TOML="${CMAKE_CURRE
 target_compile_options(test_plant PRIVATE -Wall -Wextra -Wconversion -Wdouble-promotion -Werror -ffp-contract=off)
 add_test(NAME unit.plant COMMAND test_plant)
 add_test(NAME unit.plant_frequency_response COMMAND lpvguard_plant_tool frequency-response)
-set_tests_properties(unit.plant unit.plant_frequency_response PROPERTIES LABELS "unit;slow")
+set_tests_properties(unit.plant PROPERTIES LABELS "unit;slow")
+set_tests_properties(unit.plant_frequency_response PROPERTIES LABELS "unit;slow;long")
 set_property(GLOBAL APPEND PROPERTY lpvg_slow_programs test_plant)

@@ -121,8 +121,8 @@ def main() -> int:
     if arguments.long:
         counts["skipped"] += arguments.long
         notes.append(
-            f"SKIPPED {arguments.long} of ctest: LPVGUARD_FULL: unit tests of further vehicles, and all with "
-            "subnormal numbers as zero"
+            f"SKIPPED {arguments.long} of ctest: LPVGUARD_FULL: unit tests of further vehicles, all with "
+            "subnormal numbers as zero, and the plant's frequency response"
         )
     notes += [
         f"SKIPPED {names[0] if len(names) == 1 else f'{len(names)} of {suite}'}: {why}"

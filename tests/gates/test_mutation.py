@@ -52,6 +52,9 @@ AT_THE_BORDER = {f"if (y > 30) {{  ->  if (y {new}) {{" for new in (">= 30", "> 
 """What no case asks about; the first is no change at all."""
 
 
+LONG = pytest.mark.long("10 s: a program with its mutants")
+
+
 @pytest.fixture(scope="module")
 def clang() -> str:
     name = f"clang++-{CLANG}"
@@ -81,7 +84,7 @@ def ran(clang: str, tmp_path_factory: pytest.TempPathFactory) -> tuple[list[Muta
     return mutants, surviving(mutants, reached_by([program], folder), folder)
 
 
-@pytest.mark.slow("10 s: a program with its mutants")
+@LONG
 def test_what_a_case_asks_about_is_killed_and_the_rest_survives(ran):
     mutants, survived = ran
     assert {m.key for m in survived if m.site.function == "lpvg_limited"} == AT_THE_BORDER
@@ -89,14 +92,14 @@ def test_what_a_case_asks_about_is_killed_and_the_rest_survives(ran):
     assert len({(m.site.function, m.key) for m in mutants}) == len(mutants) > 20
 
 
-@pytest.mark.slow("13 s: a program with its mutants")
+@LONG
 def test_a_loop_that_does_not_end_is_killed(ran):
     mutants, survived = ran
     [endless] = [m for m in mutants if m.key.endswith("i < 3; --i) {")]
     assert endless not in survived
 
 
-@pytest.mark.unhurried
+@LONG
 def test_the_table_and_the_findings_count_every_survivor_once(ran):
     mutants, survived = ran
     equivalent = {"small.cpp": {"lpvg_limited": {"if (y > 30) {  ->  if (y >= 30) {": "30 becomes 30"}}}
@@ -109,7 +112,7 @@ def test_the_table_and_the_findings_count_every_survivor_once(ran):
     assert sorted(f.split(": ")[0] for f in findings) == ["survived", "survived"]
 
 
-@pytest.mark.unhurried
+@LONG
 def test_what_no_longer_survives_is_told_and_refutes_an_argument(ran):
     mutants, survived = ran
     killed = next(m for m in mutants if m not in survived)
@@ -122,7 +125,7 @@ def test_what_no_longer_survives_is_told_and_refutes_an_argument(ran):
         assert not any("take it out" in f for f in judged(mutants, survived, {}, notes, {"small.cpp"}))
 
 
-@pytest.mark.unhurried
+@LONG
 def test_more_than_a_twentieth_cannot_be_argued_away(ran):
     mutants, survived = ran
     notes: dict[str, dict[str, str]] = {}

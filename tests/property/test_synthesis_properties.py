@@ -16,7 +16,8 @@ from lpvguard.engine.synthesis.norms import hinf_norm
 from lpvguard.engine.synthesis.statespace import StateSpace, gain, lft, series
 
 seeds = st.integers(0, 2**32 - 1)
-quick = settings(max_examples=40, deadline=None, derandomize=True)
+FULL = os.environ.get("LPVGUARD_FULL") == "1"
+quick = settings(max_examples=40 if FULL else 20, deadline=None, derandomize=True)
 
 
 def stable(seed, n, m, p, spread):
@@ -81,7 +82,7 @@ def test_mu_is_homogeneous_invariant_to_scalings_and_between_radius_and_norm(see
     assert np.isclose(mu_bounds(factor * M, blocks).upper, factor * b.upper, rtol=1e-6)
 
 
-@settings(quick, max_examples=40 if os.environ.get("LPVGUARD_FULL") == "1" else 10)
+@settings(quick, max_examples=40 if FULL else 10)
 @given(seeds)
 @pytest.mark.slow("5 s: real mu of random matrices")
 def test_a_real_scalar_is_never_worse_than_a_complex_one(seed):

@@ -39,7 +39,7 @@ def listed(folder, rows):
         writer.writerows(rows)
 
 
-@pytest.mark.slow("15 s: three identifications of short drives")
+@pytest.mark.long("9 s: three identifications of short drives")
 def test_an_unexplained_drive_is_named_with_its_cost_and_leaves_only_by_hand(lpvguard, spoiled, tmp_path):
     folder, rows = spoiled
 

@@ -138,7 +138,7 @@ def test_a_reader_finds_the_answers_on_the_first_screen(case, page):
     assert page.index('id="glance"') < page.index("<svg", page.index('id="glance"'))
 
 
-@pytest.mark.slow("20 s: the measured drives replayed twice and their page")
+@pytest.mark.long("12 s: the measured drives replayed twice and their page")
 def test_a_reader_of_the_measured_drives_finds_the_answers(g80, measured, measured_identified, tmp_path):
     stored = stage.load(measured_identified)
     export_vehicle(stored, tmp_path / "g80")

@@ -59,7 +59,15 @@ def test_units_and_signs_follow_from_the_wheelbase(tmp_path, name):
 
 
 @pytest.mark.slow("2 s a template: a fit")
-@pytest.mark.parametrize("model", TEMPLATES)
+@pytest.mark.parametrize(
+    "model",
+    [
+        name
+        if name in ("bicycle", "table-1")
+        else pytest.param(name, marks=pytest.mark.long("3 s: another fit"))
+        for name in TEMPLATES
+    ],
+)
 def test_every_template_is_a_project_that_can_be_fitted(tmp_path, model, lpvguard):
     logs = write_logs(tmp_path, n=3)
     done = lpvguard("new", "mine", *logs, "--model", model, "--wheelbase", 2.8, "-o", tmp_path / "out")
