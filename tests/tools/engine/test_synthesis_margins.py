@@ -87,7 +87,7 @@ def test_random_loops_have_the_margins_of_python_control():
             assert control.disk_margins(theirs, grid, skew=skew)[0] >= radius.value * (1 - 1e-6), (seed, name)
         assert found["Ms"].value == pytest.approx(1 / found["disk_S"].value)
         assert found["Mt"].value == pytest.approx(1 / found["disk_T"].value)
-    assert stable >= 0.6 * len(SEEDS)
+    assert stable >= 50 / 80 * len(SEEDS)
 
 
 def test_the_peak_of_s_is_its_h_infinity_norm():
