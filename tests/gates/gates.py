@@ -58,7 +58,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from misra_cpp import misra_cpp_findings
-from mutation_run import changed_files, listed_table, mutation_findings
+from mutation_run import changed_files, listed_table, may_concern, mutation_findings
 from python_mutation_run import python_listed_table, python_mutation_findings
 from references import references
 
@@ -142,8 +142,7 @@ COMPILED = re.compile(r"(?:lib|firmware_sim)/|CMake|tools/src/lpvguard/core/|tes
 
 def few_builds(tree: Path) -> list[str]:
     """What the gates on warnings and imports build without LPVGUARD_FULL=1."""
-    changed = changed_files(tree)
-    if changed is None or any(COMPILED.match(path) for path in changed):
+    if may_concern(changed_files(tree), COMPILED):
         return [ONE_BUILD]
     print(
         "no source that a compiler reads is known to have changed: LPVGUARD_FULL=1 builds by every compiler"
@@ -263,6 +262,8 @@ def imports(tree: Path, scratch: Path, only: str = "") -> list[str]:
             for s in sorted(missing)
             if not IMPORTS_ALLOWED.fullmatch(s)
         ]
+    if not archives:
+        findings.append(f"no archive of a core in {DEFAULT_BUILD or 'LPVG_DEFAULT_BUILD'}")
     print(f"archives: {', '.join(f'{archive.name} ({variant})' for archive, variant in archives.items())}")
     return findings
 

@@ -13,7 +13,7 @@ from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 
-from mutation_run import changed_files
+from mutation_run import changed_files, may_concern
 
 RULES = 179
 CLANG_TIDY = "clang-tidy-19"
@@ -54,7 +54,7 @@ def units_of_change(tree: Path, units: list[Path]) -> list[Path]:
     """Of the sources ``units`` those of which a change can alter what a compiler says (`changed_files`): all,
     where it touches a header, what writes one, the table, this file, or git cannot say."""
     changed = changed_files(tree)
-    if changed is None or any(CONCERNS_ALL.match(path) for path in changed):
+    if may_concern(changed, CONCERNS_ALL):
         return units
     return [unit for unit in units if str(unit.relative_to(tree)) in changed]
 

@@ -124,6 +124,11 @@ def changed_files(tree: Path) -> set[str] | None:
     return set(names.split())
 
 
+def may_concern(changed: set[str] | None, paths: re.Pattern[str]) -> bool:
+    """Whether one of `changed_files` is among ``paths``; where git cannot say, it may be."""
+    return changed is None or any(paths.match(path) for path in changed)
+
+
 def chosen(tree: Path, names: list[str], full: bool, only: str) -> tuple[list[str], int]:
     """Files to mutate, and how many of their mutants (0: all)."""
     if only or full:
