@@ -135,7 +135,8 @@ def pytest_sessionfinish(session: pytest.Session) -> None:
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_testnodedown(node) -> None:
-    node.config.stash[COLLECTED] = getattr(node, "workeroutput", {}).get("collected", 0)
+    if output := getattr(node, "workeroutput", None):  # a worker that broke off has none
+        node.config.stash[COLLECTED] = output["collected"]
 
 
 def measured_folder() -> Path:

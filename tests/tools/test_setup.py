@@ -349,7 +349,8 @@ GOOD = '<testsuite><testcase name="a.b" time="1"/></testsuite>'
             "SKIPPED clean-room ./tools/test: no root",
         ),
         (GOOD, "", ["--clean-room", "failed"], "3 passed, 1 failed, 0 skipped", "FAILED clean-room"),
-        (GOOD, "", ["--fast", "7"], "3 passed, 0 failed, 0 skipped", "fast: 3 of 7 tests"),
+        (GOOD, "", ["--fast", "7"], "3 passed, 0 failed, 0 skipped", "fast: 3 of 16 tests"),
+        (GOOD, "", ["--long", "4"], "3 passed, 0 failed, 4 skipped", "SKIPPED 4 of ctest: LPVGUARD_FULL: "),
         (
             '<testsuite><testcase name="hil.x" status="notrun">'
             '<skipped message="SKIP_REGULAR_EXPRESSION_MATCHED"/>'
@@ -376,6 +377,7 @@ def test_the_closing_line_counts_what_broke_off_and_gives_reasons(
 ):
     for runner, text in (("ctest", ctest), ("pytest", GOOD), ("pytest_serial", GOOD)):
         (tmp_path / f"{runner}.xml").write_text(text)
+    (tmp_path / "pytest.collected").write_text("9\n")
     if status:
         (tmp_path / "ctest.status").write_text(status)
     done = subprocess.run(
