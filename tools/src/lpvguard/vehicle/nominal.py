@@ -16,7 +16,7 @@ import ctypes
 import operator
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import cached_property, reduce
+from functools import cached_property, lru_cache, reduce
 from typing import Any, TypeVar
 
 import numpy as np
@@ -65,6 +65,12 @@ _FUNCTIONS: dict[str, tuple[Callable[..., Any], int, int]] = {
 """Functions of an expression: what each does, and how many values it takes at least and at most."""
 
 
+@lru_cache(maxsize=1024)
+def _parsed(expression: str) -> ast.expr:
+    """Its syntax tree; a fit asks for the same few thousands of times."""
+    return ast.parse(expression, mode="eval").body
+
+
 def evaluate(expression: float | str, names: Mapping[str, Speed | float], where: str) -> Speed | float:
     """Value of an arithmetic expression of + - * / **, abs, min, max and sqrt over ``names``; InputError
     names ``where`` and the culprit."""
@@ -99,7 +105,7 @@ def evaluate(expression: float | str, names: Mapping[str, Speed | float], where:
         return function(*values)
 
     try:
-        tree = ast.parse(expression, mode="eval")
+        body = _parsed(expression)
     except (SyntaxError, ValueError, RecursionError, MemoryError):  # a NUL; brackets in brackets
         raise InputError(
             where,
@@ -108,7 +114,7 @@ def evaluate(expression: float | str, names: Mapping[str, Speed | float], where:
             "+ - * / ** and abs, min, max, sqrt over v and parameters",
         ) from None
     try:
-        return walk(tree.body)
+        return walk(body)
     except (ArithmeticError, RecursionError) as error:
         raise InputError(where, expression, f"has no value ({error})", "a finite number") from None
 
@@ -315,6 +321,11 @@ class NominalModel:
         return first, 2 * second
 
     @cached_property
+    def least_state_of_output(self) -> np.ndarray:
+        """Pseudoinverse (n, n_y) of C."""
+        return np.linalg.pinv(self.C)
+
+    @cached_property
     def slowest_pole(self) -> float:
         """Smallest |Re lambda| over the speed range [rad/s]."""
         return float(-self._abscissa.max())
@@ -451,7 +462,7 @@ class RunningModel:
     def __init__(self, model: NominalModel, y_first: np.ndarray):
         """Started at the measured ``y_first`` (n_y,), with the least state that has that output."""
         self._model = model
-        self._x = np.linalg.pinv(model.C) @ (np.asarray(y_first, float) - model.output_offset)
+        self._x = model.least_state_of_output @ (np.asarray(y_first, float) - model.output_offset)
         self._before: np.ndarray | None = None
 
     def run(self, v: np.ndarray, u: np.ndarray) -> np.ndarray:
