@@ -290,15 +290,18 @@ class _Along:
 
     def _summed(self, x: np.ndarray) -> np.ndarray:
         """Running sums (m, N + 1) of x (m, N) at usable samples."""
-        return np.pad(np.cumsum(np.where(self.usable, x, 0.0), axis=1), ((0, 0), (1, 0)))
+        total = np.zeros((len(x), x.shape[1] + 1))
+        np.cumsum(np.where(self.usable, x, 0.0), axis=1, out=total[:, 1:])
+        return total
 
     def _over(self, total: np.ndarray, n: int) -> np.ndarray:
         """Of running sums (..., N + 1) those over the newest n samples (..., M); of fewer where there are not
         as many."""
         begin = self.first + 1 - n
         before = total[..., max(0, begin) : max(0, total.shape[-1] - n)]
-        missing = [(0, 0)] * (total.ndim - 1) + [(len(self.run) - before.shape[-1], 0)]
-        return total[..., self.first + 1 :] - np.pad(before, missing)
+        newest = total[..., self.first + 1 :].copy()
+        newest[..., newest.shape[-1] - before.shape[-1] :] -= before
+        return newest
 
     def _mean_square(self, process_ratio: float, window_s: float) -> np.ndarray:
         """Mean square of the innovations over the last window_s; -inf where the window is not within the run
