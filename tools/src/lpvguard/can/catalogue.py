@@ -9,7 +9,9 @@ Raw values follow SAE J1939-71: of n bits the top codes say "not available" and 
 
 from __future__ import annotations
 
+from functools import cache
 from importlib import resources
+from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -234,10 +236,17 @@ class Catalogue(StrictModel):
 
 
 def load_catalogue(path: Path | None = None) -> Catalogue:
-    """The shipped catalogue, or the one at ``path``. InputError names the file, the field and what was
-    expected."""
-    source = path or resources.files(__package__).joinpath("catalogue.toml")
-    where = path or "catalogue.toml"
+    """The shipped catalogue, which a process reads once, or the one at ``path``. InputError names the file,
+    the field and what was expected."""
+    return _shipped() if path is None else _read(path, path)
+
+
+@cache
+def _shipped() -> Catalogue:
+    return _read(resources.files(__package__).joinpath("catalogue.toml"), "catalogue.toml")
+
+
+def _read(source: Traversable | Path, where: str | Path) -> Catalogue:
     return checked(
         Catalogue,
         read_toml(source, "a CAN catalogue", where),

@@ -33,6 +33,7 @@ table: such a sample is refused.
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
@@ -129,19 +130,19 @@ class _Watch:
     def __post_init__(self) -> None:
         self.changes = [(-1, OFF)]
         self.taken: list[tuple[int, list[int]]] = []
-        self.window: list[bool] = []
+        self.window = deque[bool](maxlen=WINDOW)
 
     def go(self, t: int, state: int) -> None:
         if state == OFF:
-            self.in_row, self.counter, self.values, self.window = 0, None, None, []
+            self.in_row, self.counter, self.values = 0, None, None
+            self.window.clear()
         if state != self.state:
             self.state = state
             self.changes.append((t, state))
 
     def pass_time(self, t: int) -> None:
-        held, off = (
-            self.accepted + n * self.period + self.period // 2 + 1 for n in (HOLD_MISSED, OFF_MISSED)
-        )
+        due = self.accepted + self.period // 2 + 1
+        held, off = due + HOLD_MISSED * self.period, due + OFF_MISSED * self.period
         if t >= held and self.state == LIVE:
             self.go(held, HOLD)
         if t >= off:
@@ -162,7 +163,7 @@ class _Watch:
             self.in_row, self.values = 0, None
         elif self.score == SCORE_OFF or self.fast:
             self.go(t, OFF)
-        self.window = [*self.window, True][-WINDOW:]
+        self.window.append(True)
         if self.state != OFF and sum(self.window) >= WINDOW_BAD:
             self.go(t, OFF)
 
@@ -171,12 +172,13 @@ class _Watch:
         self.taken.append((t, values))
         if self.state != OFF:
             self.score = max(0, self.score - 1)
-            self.window = [*self.window, False][-WINDOW:]
+            self.window.append(False)
             self.go(t, LIVE)
             return
         self.in_row += 1
         if self.in_row == RECOVER_FRAMES:
-            self.score, self.in_row, self.window = 0, 0, []
+            self.score, self.in_row = 0, 0
+            self.window.clear()
             self.go(t, LIVE)
 
 
@@ -191,15 +193,16 @@ def _watched(
     if message.e2e:
         unreadable |= (e2e_crc(data, message.e2e.data_id) != data[:, 0]) | ((data[:, 1] & 0x0F) >= COUNTERS)
     outside = np.zeros(len(t_us), bool)
-    per_us = []
+    rates = []  # column, raw steps a microsecond
     rules = [s.supervise for s in signals if s.supervise is not None]
-    for signal, rule, column in zip(signals, rules, raw.T, strict=True):
+    for k, (signal, rule, column) in enumerate(zip(signals, rules, raw.T, strict=True)):
         outside |= (
             (column < math.ceil((rule.min - signal.offset) / signal.scale))
             | (column > math.floor((rule.max - signal.offset) / signal.scale))
             | (column >= (signal.raw_error_min or 1 << signal.length))
         )
-        per_us.append(rule.max_rate / signal.scale * 1e-6 if rule.max_rate else math.inf)
+        if rule.max_rate:
+            rates.append((k, rule.max_rate / signal.scale * 1e-6))
     watch, reports = _Watch(message.period_ms * 1000), list(bus_off_us)
     for t, wrong, counter, beyond, values in zip(
         t_us.tolist(),
@@ -222,10 +225,8 @@ def _watched(
             watch.counter = counter
         if not wrong and not beyond and watch.values is not None:
             since = max(t - watch.accepted, watch.period)
-            beyond = any(
-                abs(a - b) > rate * since + 1
-                for a, b, rate in zip(values, watch.values, per_us, strict=False)
-            )
+            for k, rate in rates:
+                beyond = beyond or abs(values[k] - watch.values[k]) > rate * since + 1
         if wrong or beyond:
             watch.bad(t)
         else:
