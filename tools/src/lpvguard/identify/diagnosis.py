@@ -196,9 +196,10 @@ def _surplus(theta: np.ndarray, errors: np.ndarray, found: np.ndarray) -> np.nda
     factor = _inverse_factor(np.moveaxis(found, 0, -1)[..., None] + errors)
     white = [sum(m * t for m, t in zip(row, theta.swapaxes(0, 1), strict=False)) for row in factor]
     u = [sum(factor[i][k] * white[i] for i in range(k, PARTS)) for k in range(PARTS)]
-    for k, m in zip(*np.tril_indices(PARTS), strict=True):
-        inverse = sum(_products(factor[i][k], factor[i][m]) for i in range(k, PARTS))
-        surplus[:, k, m] = surplus[:, m, k] = _products(u[k], u[m]) - inverse
+    for k in range(PARTS):
+        for m in range(k + 1):
+            inverse = sum(_products(factor[i][k], factor[i][m]) for i in range(k, PARTS))
+            surplus[:, k, m] = surplus[:, m, k] = _products(u[k], u[m]) - inverse
     return surplus
 
 
