@@ -14,8 +14,9 @@ from .errors import InputError
 
 Model = TypeVar("Model", bound=BaseModel)
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-Fraction = Annotated[float, Field(gt=0, lt=1)]
 """A finite number above zero."""
+Fraction = Annotated[float, Field(gt=0, lt=1)]
+"""A number above zero and below one."""
 
 
 class StrictModel(BaseModel):
