@@ -432,19 +432,23 @@ def too_many(mutants: list[Mutant], survived: list[Mutant], equivalent: Noted) -
     )
 
 
-def listed_table(tree: Path, scratch: Path, names: list[str]) -> list[str]:
-    """The table of all mutants of the files ``names`` of lib/src as the two lists have it, without a run.
+def table_of_lists(mutants: list[Mutant], equivalent: Noted, known: Noted) -> list[str]:
+    """The table of ``mutants`` as the two lists have it, without a run.
 
     What is not listed counts as killed, which LPVGUARD_FULL=1 holds against the tests.
     """
+    listed = [m for m in mutants if stands_in(m, equivalent) or stands_in(m, known)]
+    return table(mutants, listed, equivalent, known)
+
+
+def listed_table(tree: Path, scratch: Path, names: list[str]) -> list[str]:
+    """`table_of_lists` of all mutants of the files ``names`` of lib/src."""
     work, build = scratch / "mutated", scratch / "build"
     mirror(tree, work, with_switch(tree))
     configure(work, build)
     sites = find_sites(tree, work, build, names)
-    equivalent, known = noted(tree, EQUIVALENT), noted(tree, OPEN)
     mutants = [m for name in names for m in mutants_of(name, sites[name], 0)]
-    listed = [m for m in mutants if stands_in(m, equivalent) or stands_in(m, known)]
-    return table(mutants, listed, equivalent, known)
+    return table_of_lists(mutants, noted(tree, EQUIVALENT), noted(tree, OPEN))
 
 
 def mutation_findings(tree: Path, scratch: Path, names: list[str], full: bool, only: str) -> list[str]:

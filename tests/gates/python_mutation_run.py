@@ -29,6 +29,7 @@ from mutation_run import (
     noted,
     stands_in,
     table,
+    table_of_lists,
     too_many,
 )
 
@@ -256,19 +257,10 @@ def changed_since(mutants: list[Mutant], measured: Mapping[str, int]) -> list[st
     ]
 
 
-def table_of_lists(tree: Path, mutants: list[Mutant]) -> list[str]:
-    """The table of ``mutants`` as the two lists have it, without a run.
-
-    What is not listed counts as killed, which LPVGUARD_FULL=1 holds against the tests.
-    """
-    equivalent, known = noted(tree, EQUIVALENT), noted(tree, OPEN)
-    listed = [m for m in mutants if stands_in(m, equivalent) or stands_in(m, known)]
-    return table(mutants, listed, equivalent, known)
-
-
 def python_listed_table(tree: Path, scratch: Path) -> list[str]:
     """`table_of_lists` of all mutants of the measured files."""
-    return table_of_lists(tree, mutants_of(tree, scratch, sorted(MEASURED))[0])
+    mutants, _ = mutants_of(tree, scratch, sorted(MEASURED))
+    return table_of_lists(mutants, noted(tree, EQUIVALENT), noted(tree, OPEN))
 
 
 def python_mutation_findings(

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 import python_mutation_run as run
-from mutation_run import Mutant, command
+from mutation_run import Mutant, command, table_of_lists
 from python_mutation import Mutants
 from python_mutation_run import (
     ASKED,
@@ -22,7 +22,6 @@ from python_mutation_run import (
     noted,
     python_mutation_findings,
     surviving,
-    table_of_lists,
     target_files,
 )
 
@@ -358,5 +357,5 @@ def test_measured_files_have_the_mutants_that_ran_and_the_lists_and_the_readme_n
             for function, reasons in functions.items():
                 assert {(file, function, key) for key in reasons} <= there
                 assert all(reasons.values())
-    measured = table_of_lists(ROOT, [m for m in mutants if m.file in MEASURED])
+    measured = table_of_lists([m for m in mutants if m.file in MEASURED], *lists)
     assert "\n".join(measured) in (ROOT / "tests" / "README.md").read_text()
