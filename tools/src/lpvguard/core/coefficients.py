@@ -120,7 +120,7 @@ def _model_reals(project: Project, model: NominalModel) -> dict[str, ArrayLike]:
         "base": model.table.base,
         "cell": model.table.cell,
         "C": model.C,
-        "C_pinv": np.linalg.pinv(model.C),
+        "C_pinv": model.least_state_of_output,
     }
 
 
