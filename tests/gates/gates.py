@@ -37,8 +37,9 @@ each found.
 
 Builds stay in the scratch folder, so that a second run compiles only what changed. Gates may share one, and a
 gate that builds and its self-test do, but not at once. A planted bug is looked for in the one variant of the
-build, in the one file, or with the one unit test, that has to find it. Each run plants one bug of a gate; all
-are planted with LPVGUARD_FULL=1 in the environment (tools/test --full sets it).
+build, in the one file, or with the one unit test, that has to find it. Whether every bug still fits its file is
+asked always. One is planted where a change touches a gate, a build file or a file of that gate's bugs; all are
+with LPVGUARD_FULL=1 in the environment (tools/test --full sets it).
 """
 
 from __future__ import annotations
@@ -1148,6 +1149,14 @@ def copy_of(source: Path, target: Path) -> Path:
     return target
 
 
+BEHIND_EVERY_GATE = re.compile(r"tests/gates/|(.*/)?CMake|.*\.cmake$")
+
+
+def may_change_what_is_found(changed: set[str] | None, plants: list[Plant]) -> bool:
+    """Whether with these `changed_files` a gate may find other ones of its bugs than before."""
+    return may_concern(changed, BEHIND_EVERY_GATE) or any(plant.file in changed for plant in plants)
+
+
 def planted_now(tree: Path, plants: list[Plant]) -> list[Plant]:
     """All with LPVGUARD_FULL=1; else one of those that cost little, drawn by the hash of their files."""
     if FULL:
@@ -1167,6 +1176,9 @@ def self_test(gate: str, source: Path, scratch: Path) -> list[str]:
     ]
     if missed:
         return missed
+    if not FULL and not may_change_what_is_found(changed_files(source), plants):
+        print("skipped: LPVGUARD_FULL: no change touches a gate, a build file or a file of its bugs")
+        return []
     now = planted_now(tree, plants)
     if not now:
         print("skipped: LPVGUARD_FULL: every planted bug takes builds of everything")
