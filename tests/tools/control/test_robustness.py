@@ -25,6 +25,7 @@ from lpvguard.control.slow_delta import (
     NodeSlowness,
     Slowness,
     require_slowness,
+    slowness,
 )
 from lpvguard.engine.synthesis.margins import margins, of_system
 from lpvguard.engine.synthesis.statespace import gain, series
@@ -83,6 +84,12 @@ def test_a_saved_design_is_proved_anew(stored, result, tmp_path):
         stage.verify(tmp_path / "design" / "controller.json", stored, workers=run)
 
 
+def test_workers_change_no_bit_of_what_they_share(stored, result):
+    with workers(2) as run:
+        assert slowness(stored, result.schedule, result.scaling, workers=run) == result.beside.slow_delta
+
+
+@pytest.mark.long("35 s: a design")
 def test_workers_change_no_byte_of_a_design(stored, result, tmp_path):
     with workers(2) as run:
         shared = stage.design(stored, moving_speed=False, workers=run)
