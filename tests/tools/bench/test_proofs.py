@@ -49,7 +49,7 @@ def test_no_drawn_loop_is_above_what_is_proved_and_a_bolder_claim_is_refuted(des
         row["stability_level"] *= 0.3
     for row in stated["limits"]["rows"]:
         row["energy"] = row["energy"] and 10 * row["energy"]
-    bold = {row.claim: row for row in proofs.claim_rows(Trials(stored, document, SAMPLES, 1), 4 * len(names))}
+    bold = {row.claim: row for row in proofs.claim_rows(Trials(stored, document, SAMPLES, 1), 2 * len(names))}
     refuted = [name for name, row in bold.items() if row.above]
     assert refuted == [names[1], names[2], names[4], names[5], names[6]]
 
