@@ -15,7 +15,7 @@ import ast
 import ctypes
 import operator
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property, lru_cache, reduce
 from typing import Any, TypeVar
 
@@ -438,8 +438,7 @@ class NominalModel:
     @cached_property
     def table(self) -> SpeedTable:
         """The entries over speed that identification and the core run on."""
-
-        return tabulate(self.discrete_entries, *self.speed_range)
+        return _table_of(_ByText(f"{self.Ts} {self._settings.model_dump_json()}", self))
 
     def discrete_entries(self, v: np.ndarray) -> np.ndarray:
         """Ad, B_old, B_new row by row at speeds v (m,): (m, n_entries)."""
@@ -460,6 +459,20 @@ class NominalModel:
             entries[:, a:b].reshape(m, n, n_u),
             entries[:, b:].reshape(m, n, n_u),
         )
+
+
+@dataclass(frozen=True)
+class _ByText:
+    """A model that counts as the one with the same ``text``, which says all that its table depends on."""
+
+    text: str
+    model: NominalModel = field(compare=False)
+
+
+@lru_cache(maxsize=16)
+def _table_of(one: _ByText) -> SpeedTable:
+    """Made once for all models of a project: it takes most of the time in which one is made."""
+    return tabulate(one.model.discrete_entries, *one.model.speed_range)
 
 
 class RunningModel:
