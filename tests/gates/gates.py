@@ -37,9 +37,9 @@ each found.
 
 Builds stay in the scratch folder, so that a second run compiles only what changed. Gates may share one, and a
 gate that builds and its self-test do, but not at once. A planted bug is looked for in the one variant of the
-build, in the one file, or with the one unit test, that has to find it. Whether every bug still fits its file is
-asked always. One is planted where a change touches a gate, a build file or a file of that gate's bugs; all are
-with LPVGUARD_FULL=1 in the environment (tools/test --full sets it).
+build, in the one file, or with the one unit test, that has to find it. Whether every bug still fits its file
+is asked always. One is planted where a change touches a gate, a build file or a file of that gate's bugs; all
+are with LPVGUARD_FULL=1 in the environment (tools/test --full sets it).
 """
 
 from __future__ import annotations
