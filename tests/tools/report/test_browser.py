@@ -1,6 +1,6 @@
-"""The page in a browser: headless Chromium opens it, zooms every picture (of a wide page with LPVGUARD_FULL=1),
-sorts and searches, and finds no error, no request to anybody, nothing missing and no text over other
-text."""
+"""The page in a browser: headless Chromium opens it, zooms every picture, sorts and searches, and finds no
+error, no request to anybody, nothing missing and no text over other text. A wide page's pictures are zoomed
+with LPVGUARD_FULL=1."""
 
 from __future__ import annotations
 
