@@ -179,7 +179,7 @@ def append(*systems: StateSpace) -> StateSpace:
     def join(part: str) -> np.ndarray:
         # scipy.linalg.block_diag takes ten times as long for systems of a few states.
         blocks = [getattr(g, part) for g in systems]
-        whole = np.zeros([sum(sizes) for sizes in zip(*(b.shape for b in blocks), strict=True)])
+        whole = np.zeros([sum(b.shape[axis] for b in blocks) for axis in (0, 1)])
         row = column = 0
         for b in blocks:
             whole[row : row + len(b), column : column + b.shape[1]] = b
