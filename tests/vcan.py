@@ -1,4 +1,4 @@
-"""Commands on a real vcan0, lent by tools/with-vcan where the kernel has none."""
+"""Commands on a real vcan0, lent by tools/with-vcan where the kernel has none, or in a network of their own."""
 
 from __future__ import annotations
 
@@ -13,9 +13,12 @@ from parts import require
 ROOT = Path(__file__).resolve().parents[1]
 
 
-def with_vcan(*words: object, timeout: float = 300) -> subprocess.CompletedProcess[str]:
+def with_vcan(
+    *words: object, timeout: float = 300, interfaces: str = "vcan0"
+) -> subprocess.CompletedProcess[str]:
     """Runs a command there with this checkout's Python package; its output as text, its status unchecked.
-    Skips the test where no kernel has SocketCAN and none can be lent.
+    Skips the test where no kernel has SocketCAN and none can be lent. ``interfaces``: none, and there is lo
+    alone, with multicast.
 
     A run there is in real time, or takes an emulator or UML for itself: its test is marked serial.
     """
@@ -23,7 +26,12 @@ def with_vcan(*words: object, timeout: float = 300) -> subprocess.CompletedProce
     require("uml")
     command = [ROOT / "tools" / "with-vcan", "env", f"PYTHONPATH={ROOT / 'tools' / 'src'}", *words]
     done = subprocess.run(
-        [str(w) for w in command], capture_output=True, text=True, timeout=timeout, check=False
+        [str(w) for w in command],
+        capture_output=True,
+        text=True,
+        timeout=timeout,
+        check=False,
+        env={**os.environ, "WITH_VCAN_IFACES": interfaces},
     )
     if done.returncode == 125 and "no AF_CAN here" in done.stderr:
         pytest.skip(done.stderr.strip())
