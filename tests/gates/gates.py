@@ -286,8 +286,10 @@ def headers(tree: Path, scratch: Path, only: str = "") -> list[str]:
                     compiler = pair[0 if language == "c" else 1]
                     what = f"{header} as {standard} by {compiler}"
                     command = [compiler, f"-std={standard}", *WARNINGS, "-I", include, "-I", folder, unit]
-                    findings += failed(what, *command, "-fsyntax-only")
-                    if "eigen" in run(*command, "-M")[1].lower():
+                    read = scratch / "read"
+                    read.write_text("")
+                    findings += failed(what, *command, "-fsyntax-only", "-MD", "-MF", read)
+                    if "eigen" in read.read_text().lower():
                         findings.append(f"{what}: Eigen is visible")
     return findings
 
