@@ -10,6 +10,7 @@ import pytest
 
 from lpvguard.base import artefacts
 from lpvguard.base.errors import InputError
+from lpvguard.base.parallel import workers
 from lpvguard.control import design as stage
 from lpvguard.control import moving_speed, plants
 from lpvguard.control.plants import fig1_weights, frozen_plant
@@ -81,7 +82,8 @@ def test_robust_performance_is_proved_at_every_node_and_midway(designed):
 
 def test_the_certificate_is_proved_anew_and_an_altered_coefficient_is_refused(stored, designed, tmp_path):
     _, path = designed
-    stage.verify(path, stored)
+    with workers(2) as two:
+        stage.verify(path, stored, workers=two)
     document = json.loads(path.read_text())
     random = np.random.default_rng(3)
     for key in ("a", "B", "u_max"):

@@ -78,12 +78,6 @@ def test_neighbours_lie_within_the_nu_margin_and_midpoints_nearer(found):
         assert 0 < node.nu_gap_midpoint < node.nu_gap_next < node.nu_margin <= 1
 
 
-def test_a_saved_design_is_proved_anew(stored, result, tmp_path):
-    stage.save(result, stored, tmp_path / "design")
-    with workers(2) as run:
-        stage.verify(tmp_path / "design" / "controller.json", stored, workers=run)
-
-
 def test_workers_change_no_bit_of_what_they_share(stored, result):
     with workers(2) as run:
         assert slowness(stored, result.schedule, result.scaling, workers=run) == result.beside.slow_delta
