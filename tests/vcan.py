@@ -1,4 +1,4 @@
-"""Commands on a real vcan0, lent by tools/with-vcan where the kernel has none, or in a network of their own."""
+"""Commands on a real vcan0, lent by tools/with-vcan where the kernel has none, or on lo alone."""
 
 from __future__ import annotations
 
