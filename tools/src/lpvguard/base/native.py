@@ -19,7 +19,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -153,11 +153,35 @@ def compile_object(
     flags: Sequence[str] = REPRODUCIBLE_FLAGS,
     include_dirs: Iterable[Path | str] = (),
     compiler: str | None = None,
+    first: Callable[[], Path | None] = lambda: None,
 ) -> Path:
     """Path of the object file of one source, for ``compile_executable``; C sources are compiled as C++.
     Otherwise as ``compile_shared``. Objects of a program that is built in variants are then compiled once,
-    and several at a time. ``compiler``: another one than this machine's own."""
-    return _compile([source], (*flags, "-x", "c++", "-c"), include_dirs, Path(source).stem, ".o", compiler)
+    and several at a time. ``compiler``: another one than this machine's own. ``first``: a `precompiled`
+    header that the source includes, asked for where there is something to compile."""
+    kind = (*flags, "-x", "c++", "-c")
+    return _compile([source], kind, include_dirs, Path(source).stem, ".o", compiler, first)
+
+
+def precompiled(
+    header: Path, *, flags: Sequence[str], include_dirs: Iterable[Path | str], version: bytes
+) -> Path | None:
+    """A header that says the same as ``header``, compiled beforehand by GCC for sources with the same flags;
+    objects keep their bytes. None with another compiler: clang refuses one whose files were touched since.
+
+    ``version``: what the header's own system headers say of theirs. Raises as ``compile_shared``.
+    """
+    compiler = find_compiler(cxx=True)
+    if "Free Software Foundation" not in _compiler_version(compiler):
+        return None
+    name = f"{header.stem}-{hashlib.sha256(version).hexdigest()[:8]}"
+    kind = (*flags, "-x", "c++-header")
+    text = _compile([header], kind, include_dirs, name, ".hpp.gch", compiler).with_suffix("")
+    if not text.is_file():  # GCC reads it where it does not take what was compiled
+        with _usable(text.parent), tempfile.NamedTemporaryFile("w", dir=text.parent, delete=False) as file:
+            file.write(f'#include "{header.resolve()}"\n')
+        os.replace(file.name, text)
+    return text
 
 
 def _compile(
@@ -167,6 +191,7 @@ def _compile(
     name: str,
     suffix: str,
     compiler: str | None = None,
+    first: Callable[[], Path | None] = lambda: None,
 ) -> Path:
     paths = [Path(s).resolve() for s in sources]
     includes = [Path(p).resolve() for p in include_dirs]
@@ -184,7 +209,11 @@ def _compile(
     with ExitStack() as held:
         with _usable(target.parent):  # of processes that start together one compiles
             held.enter_context(locked_file(Path(f"{target}.lock")))
-        return target if target.is_file() else _compile_to(target, compiler, flags, includes, paths)
+        if target.is_file():
+            return target
+        header = first()
+        read_first = () if header is None else ("-include", str(header))
+        return _compile_to(target, compiler, (*flags, *read_first), includes, paths)
 
 
 def _compile_to(
@@ -196,8 +225,9 @@ def _compile_to(
         handle, temporary = tempfile.mkstemp(suffix=suffix, prefix=f".{name}-", dir=target.parent)
     os.close(handle)
     command = [compiler, *flags, *(f"-I{p}" for p in includes), *map(str, paths), "-o", temporary]
+    command += [] if suffix in (".o", ".gch") else ["-lm"]
     try:
-        done = subprocess.run([*command, "-lm"], capture_output=True, text=True, check=False)
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
         if done.returncode != 0:
             raise NativeError(f"{' '.join(command)}\n{done.stderr.strip()[:2000]}")
         os.chmod(temporary, 0o755)

@@ -132,7 +132,8 @@ def core_objects(
     their own on top. ``source_root``: a lib/ other than the package's. NativeError as of ``compile_object``.
     """
     root, folder = source_root or library_root(), Path(folder)
-    common = (*CORE_FLAGS, "-isystem", eigen_include(), *(["-DLPVG_DOUBLE"] if double else []))
+    eigen, header = eigen_include(), root / "src" / "eigen.hpp"
+    common = (*CORE_FLAGS, "-isystem", eigen, *(["-DLPVG_DOUBLE"] if double else []))
     of_no_vehicle = [root / "include", root / "src"]
     of_vehicle = [*of_no_vehicle, folder]
     jobs = [
@@ -141,10 +142,22 @@ def core_objects(
     ]
     jobs += [(source, common, of_vehicle) for source in sorted(folder.glob("*.c"))]
     jobs += [(source, (*common, *flags), of_vehicle) for source in more]
+
+    def eigen_first() -> Path | None:
+        """Eigen's header is half of what a source that includes it takes to compile."""
+        version = Path(eigen) / "Eigen" / "src" / "Core" / "util" / "Macros.h"
+        if not version.is_file():
+            return None
+        told = version.read_bytes()
+        return native.precompiled(header, flags=common, include_dirs=of_no_vehicle, version=told)
+
+    def compiled(job: tuple[Path, Sequence[str], list[Path]]) -> Path:
+        source, own_flags, includes = job
+        first = eigen_first if f'"{header.name}"' in source.read_text(encoding="utf-8") else lambda: None
+        return native.compile_object(source, flags=own_flags, include_dirs=includes, first=first)
+
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        return list(
-            pool.map(lambda job: native.compile_object(job[0], flags=job[1], include_dirs=job[2]), jobs)
-        )
+        return list(pool.map(compiled, jobs))
 
 
 @dataclass(frozen=True)
