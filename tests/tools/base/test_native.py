@@ -104,3 +104,29 @@ def test_a_cache_that_cannot_be_written_is_named(tmp_path, monkeypatch):
     assert native._load_kernel.__wrapped__("candump") is None
     with pytest.raises(InputError, match="/proc: cannot be written"):  # there, and nothing can be made in it
         native._compile_to(Path("/proc/one.so"), "cc", (), [], [one])
+
+
+def test_a_header_that_is_compiled_beforehand_changes_no_byte_of_an_object(tmp_path, cache, monkeypatch):
+    """Nor does one that cannot be read, and a source's error is told with either."""
+    folder = tmp_path / "sources"  # not above the cache, whose headers would count as its own
+    folder.mkdir()
+    header = source(folder, "#pragma once\nstatic int value() { return 7; }\n", "value.hpp")
+    text = '#include "value.hpp"\nint f() { return value(); }\n'
+    read_first = []
+
+    def precompiled():
+        found = native.precompiled(header, flags=("-O1",), include_dirs=(), version=b"1")
+        read_first.append(found)
+        return found
+
+    objects = []
+    for first in (lambda: None, precompiled, lambda: tmp_path / "absent.hpp"):
+        monkeypatch.setenv("LPVGUARD_CACHE", str(cache / str(len(objects))))
+        cpp = source(folder, text, "f.cpp")
+        objects.append(native.compile_object(cpp, flags=("-O1",), first=first).read_bytes())
+        with pytest.raises(native.NativeError, match="lost"):
+            bad = source(folder, text + "int g() { return lost; }\n", "g.cpp")
+            native.compile_object(bad, flags=("-O1",), first=first)
+    assert objects[0] == objects[1] == objects[2]
+    (made, again) = read_first
+    assert made == again and (made is None or made.with_suffix(".hpp.gch").is_file())

@@ -211,9 +211,12 @@ def _compile(
             held.enter_context(locked_file(Path(f"{target}.lock")))
         if target.is_file():
             return target
-        header = first()
-        read_first = () if header is None else ("-include", str(header))
-        return _compile_to(target, compiler, (*flags, *read_first), includes, paths)
+        try:
+            if header := first():
+                return _compile_to(target, compiler, (*flags, "-include", str(header)), includes, paths)
+        except NativeError:
+            pass  # some kernels refuse GCC the address of that header; a source's own error comes again
+        return _compile_to(target, compiler, flags, includes, paths)
 
 
 def _compile_to(
