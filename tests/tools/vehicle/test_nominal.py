@@ -16,7 +16,7 @@ from lpvguard.drives.frames import Estimator
 from lpvguard.engine.overbound.weight import Weight
 from lpvguard.identify.change import ChangeTest
 from lpvguard.identify.energy import EnergyTest
-from lpvguard.vehicle.nominal import NominalModel, evaluate
+from lpvguard.vehicle.nominal import NominalModel, evaluate, tabulate
 from lpvguard.vehicle.project import load_project
 
 
@@ -73,6 +73,19 @@ def test_speed_table_error_is_as_stated_between_its_nodes(g80_model):
     exact = np.concatenate([m.reshape(len(v), -1) for m in (exact.Ad, exact.B_old, exact.B_new)], axis=1)
     worst = np.abs(g80_model.table.at(v) - exact).max(axis=0) / np.abs(exact).max(axis=0)
     assert worst.max() <= 1.05 * g80_model.table.error <= 1.05e-6
+
+
+def test_the_error_of_a_table_that_no_number_of_cells_makes_exact_is_that_of_all_its_points():
+    """A bump between the few points of a cell that refuse most tables, and a kink that they refuse."""
+
+    def entries(v):
+        return np.column_stack([v + 0.1 * np.exp(-(((v - 63.06) / 0.01) ** 2)), v + 0.01 * np.abs(v - 0.5)])
+
+    table = tabulate(entries, 0.0, 64.0)
+    v = 63.0 + np.linspace(0.0, 1.0, 33)
+    off = np.abs(table.at(v) - entries(v)) / np.abs(entries(np.linspace(0.0, 64.0, 101))).max(axis=0)
+    assert len(table.cell) == 64 and off.max() > 5e-4
+    assert table.error >= off.max() * (1 - 1e-9)
 
 
 def test_outside_its_range_the_model_runs_at_the_nearest_speed_but_refuses_a_frequency_response(g80_model):

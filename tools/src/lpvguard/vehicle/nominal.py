@@ -180,21 +180,23 @@ def tabulate(
     to_cubic = np.linalg.inv(np.vander(nodes, 4, increasing=True))
     check = np.linspace(0.0, 1.0, 33)
     error = np.nan
-    for count in (2, 4, 8, 16, 32, 64) if cells is None else (cells,):
+    counts = (2, 4, 8, 16, 32, 64) if cells is None else (cells,)
+    for count in counts:
         width = (high - low) / count
         left = low + width * np.arange(count)
         at_nodes = entries((left[:, None] + width * nodes).ravel())[:, varying].reshape(count, 4, -1)
         cell = np.einsum("ij,cjv->cvi", to_cubic, at_nodes)
         if cells is not None:
             break
-        # All points are asked where a few of them find no error that is too large.
-        for some in (check[::8], check):
-            exact = entries((left[:, None] + width * some).ravel())[:, varying].reshape(count, len(some), -1)
-            table = np.einsum("cvi,pi->cpv", cell, np.vander(some, 4, increasing=True))
-            error = float(np.max(np.abs(table - exact) / np.maximum(size[varying], np.finfo(float).tiny)))
+        # A few points of a cell refuse most tables; what is told of the one that is kept is the error of all.
+        for points in (check,) if count == counts[-1] else (check[::8], check):
+            exact = entries((left[:, None] + width * points).ravel())[:, varying]
+            table = np.einsum("cvi,pi->cpv", cell, np.vander(points, 4, increasing=True))
+            off = np.abs(table - exact.reshape(table.shape))
+            error = float(np.max(off / np.maximum(size[varying], np.finfo(float).tiny)))
             if error > TABLE_TOLERANCE:
                 break
-        else:
+        if error <= TABLE_TOLERANCE:
             break
     return SpeedTable((low, high), samples[0], varying, cell, error)
 
