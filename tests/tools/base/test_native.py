@@ -119,8 +119,16 @@ def test_a_header_that_is_compiled_beforehand_changes_no_byte_of_an_object(tmp_p
         read_first.append(found)
         return found
 
+    compilations = []
+    compile_to = native._compile_to
+
+    def counted(target, *given):
+        compilations.append(target.suffix)
+        return compile_to(target, *given)
+
+    monkeypatch.setattr(native, "_compile_to", counted)
     objects = []
-    for first in (lambda: None, precompiled, lambda: tmp_path / "absent.hpp"):
+    for first in (None, precompiled, lambda: tmp_path / "absent.hpp"):
         monkeypatch.setenv("LPVGUARD_CACHE", str(cache / str(len(objects))))
         cpp = source(folder, text, "f.cpp")
         objects.append(native.compile_object(cpp, flags=("-O1",), first=first).read_bytes())
@@ -128,5 +136,7 @@ def test_a_header_that_is_compiled_beforehand_changes_no_byte_of_an_object(tmp_p
             bad = source(folder, text + "int g() { return lost; }\n", "g.cpp")
             native.compile_object(bad, flags=("-O1",), first=first)
     assert objects[0] == objects[1] == objects[2]
+    if read_first[0] is not None:  # one source, then one with an error that is told without a header
+        assert compilations == [".o"] * 2 + [".gch"] + [".o"] * 3 + [".o"] * 4
     (made, again) = read_first
     assert made == again and (made is None or made.with_suffix(".hpp.gch").is_file())

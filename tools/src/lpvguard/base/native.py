@@ -153,7 +153,7 @@ def compile_object(
     flags: Sequence[str] = REPRODUCIBLE_FLAGS,
     include_dirs: Iterable[Path | str] = (),
     compiler: str | None = None,
-    first: Callable[[], Path | None] = lambda: None,
+    first: Callable[[], Path | None] | None = None,
 ) -> Path:
     """Path of the object file of one source, for ``compile_executable``; C sources are compiled as C++.
     Otherwise as ``compile_shared``. Objects of a program that is built in variants are then compiled once,
@@ -166,8 +166,9 @@ def compile_object(
 def precompiled(
     header: Path, *, flags: Sequence[str], include_dirs: Iterable[Path | str], version: bytes
 ) -> Path | None:
-    """A header that says the same as ``header``, compiled beforehand by GCC for sources with the same flags;
-    objects keep their bytes. None with another compiler: clang refuses one whose files were touched since.
+    """What GCC is to include in the place of ``header``, which it has compiled for sources with the same
+    flags; objects keep their bytes. None with another compiler: clang refuses one whose files were touched
+    since.
 
     ``version``: what the header's own system headers say of theirs. Raises as ``compile_shared``.
     """
@@ -176,12 +177,7 @@ def precompiled(
         return None
     name = f"{header.stem}-{hashlib.sha256(version).hexdigest()[:8]}"
     kind = (*flags, "-x", "c++-header")
-    text = _compile([header], kind, include_dirs, name, ".hpp.gch", compiler).with_suffix("")
-    if not text.is_file():  # GCC reads it where it does not take what was compiled
-        with _usable(text.parent), tempfile.NamedTemporaryFile("w", dir=text.parent, delete=False) as file:
-            file.write(f'#include "{header.resolve()}"\n')
-        os.replace(file.name, text)
-    return text
+    return _compile([header], kind, include_dirs, name, ".hpp.gch", compiler).with_suffix("")
 
 
 def _compile(
@@ -191,7 +187,7 @@ def _compile(
     name: str,
     suffix: str,
     compiler: str | None = None,
-    first: Callable[[], Path | None] = lambda: None,
+    first: Callable[[], Path | None] | None = None,
 ) -> Path:
     paths = [Path(s).resolve() for s in sources]
     includes = [Path(p).resolve() for p in include_dirs]
@@ -212,10 +208,10 @@ def _compile(
         if target.is_file():
             return target
         try:
-            if header := first():
+            if first and (header := first()):
                 return _compile_to(target, compiler, (*flags, "-include", str(header)), includes, paths)
         except NativeError:
-            pass  # some kernels refuse GCC the address of that header; a source's own error comes again
+            pass  # GCC does not take every compiled header everywhere; a source's own error comes again
         return _compile_to(target, compiler, flags, includes, paths)
 
 

@@ -143,18 +143,19 @@ def core_objects(
     jobs += [(source, common, of_vehicle) for source in sorted(folder.glob("*.c"))]
     jobs += [(source, (*common, *flags), of_vehicle) for source in more]
 
-    def eigen_first() -> Path | None:
+    def eigen_first(source: Path) -> Path | None:
         """Eigen's header is half of what a source that includes it takes to compile."""
         version = Path(eigen) / "Eigen" / "src" / "Core" / "util" / "Macros.h"
-        if not version.is_file():
+        if f'"{header.name}"' not in source.read_text(encoding="utf-8") or not version.is_file():
             return None
         told = version.read_bytes()
         return native.precompiled(header, flags=common, include_dirs=of_no_vehicle, version=told)
 
     def compiled(job: tuple[Path, Sequence[str], list[Path]]) -> Path:
         source, own_flags, includes = job
-        first = eigen_first if f'"{header.name}"' in source.read_text(encoding="utf-8") else lambda: None
-        return native.compile_object(source, flags=own_flags, include_dirs=includes, first=first)
+        return native.compile_object(
+            source, flags=own_flags, include_dirs=includes, first=lambda: eigen_first(source)
+        )
 
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         return list(pool.map(compiled, jobs))
