@@ -273,7 +273,7 @@ def headers(tree: Path, scratch: Path, only: str = "") -> list[str]:
     """``only``: one header of lib/include."""
     findings = []
     scratch.mkdir(parents=True, exist_ok=True)
-    include = tree / "lib" / "include"
+    include, read = tree / "lib" / "include", scratch / "read"
     public = [str(h.relative_to(include)) for h in sorted(include.rglob("*.h"))]
     for folder in vehicle_folders(tree):
         for header in public + [h.name for h in sorted(folder.glob("*.h"))]:
@@ -286,7 +286,6 @@ def headers(tree: Path, scratch: Path, only: str = "") -> list[str]:
                     compiler = pair[0 if language == "c" else 1]
                     what = f"{header} as {standard} by {compiler}"
                     command = [compiler, f"-std={standard}", *WARNINGS, "-I", include, "-I", folder, unit]
-                    read = scratch / "read"
                     read.write_text("")
                     findings += failed(what, *command, "-fsyntax-only", "-MD", "-MF", read)
                     if "eigen" in read.read_text().lower():
@@ -1169,18 +1168,18 @@ def planted_now(tree: Path, plants: list[Plant]) -> list[Plant]:
 
 
 def self_test(gate: str, source: Path, scratch: Path) -> list[str]:
-    tree = copy_of(source, scratch / "tree")
     plants = PLANTS[gate]
     missed = [
         f"{plant.file} no longer holds {plant.old!r}: plant another bug"
         for plant in plants
-        if plant.old not in (tree / plant.file).read_text()
+        if plant.old not in (source / plant.file).read_text()
     ]
     if missed:
         return missed
     if not FULL and not may_change_what_is_found(changed_files(source), plants):
         print("skipped: LPVGUARD_FULL: no change touches a gate, a build file or a file of its bugs")
         return []
+    tree = copy_of(source, scratch / "tree")
     now = planted_now(tree, plants)
     if not now:
         print("skipped: LPVGUARD_FULL: every planted bug takes builds of everything")
