@@ -849,7 +849,12 @@ TEST_CASE("a table that cannot be is refused by what is wrong", "[unit][REQ-DIAG
     }
     CHECK(diagnosis.table == nullptr);
     const Table good = table_with();
+    // In double there may be bytes between words and reals that belong to neither.
+    constexpr std::size_t words_end = 8U * (offsetof(Table, words) + sizeof(Table::words)), reals_begin = 8U * offsetof(Table, reals);
     for (std::size_t bit = 8U * offsetof(Table, words.sample_period_us); bit < 8U * sizeof good; bit += 7U) {
+        if (bit >= words_end && bit < reals_begin) {
+            continue;
+        }
         Table flipped = good;
         reinterpret_cast<unsigned char*>(&flipped)[bit / 8U] ^= static_cast<unsigned char>(1U << (bit % 8U));
         CHECK(lpvg_diagnosis_table_check(&flipped) == lpvg_status_bad_crc);

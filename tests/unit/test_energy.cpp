@@ -591,7 +591,7 @@ TEST_CASE("a bound that is not finite excuses nothing, in no direction that it i
 // Makes what was written to the right sums what the newest sample left, as far as the monitor can tell.
 static void take_as_computed(lpvg_monitor_t& monitor, const lpvg_energy_t& before) {
     for (std::size_t b = 0; b < LPVG_NBANDS; ++b) {
-        uint32_t now[sizeof before.band[b].right / sizeof(uint32_t)], then[sizeof now / sizeof now[0]];
+        uint32_t now[sizeof before.band[b].right / (sizeof(uint32_t))], then[sizeof now / sizeof now[0]];
         std::memcpy(now, monitor.energy.band[b].right, sizeof now);
         std::memcpy(then, before.band[b].right, sizeof then);
         for (std::size_t i = 0; i < sizeof now / sizeof now[0]; ++i) {
