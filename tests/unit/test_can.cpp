@@ -805,6 +805,16 @@ TEST_CASE("cross-checks: a deviation of exactly the limit is none; long violatio
     CHECK(self.flags == 0U);
 }
 
+TEST_CASE("cross-checks: a thousandth above a limit is a violation, a thousandth below is none", "[unit][can][REQ-CAN-6]") {
+    for (const float share : {0.999F, 1.001F}) {
+        lpvg_can_plausibility_t self{};
+        const float ay = share * kLimits.lateral_mps2, dv = share * kLimits.yaw_rps * kLimits.track_m;
+        REQUIRE(lpvg_can_plausibility(&self, &kLimits, 0.0F, ay, 15.0F, dv) == lpvg_status_ok);
+        CHECK(self.score[0] == (share > 1.0F ? 1U : 0U));
+        CHECK(self.score[1] == (share > 1.0F ? 1U : 0U));
+    }
+}
+
 TEST_CASE("cross-checks leave out what cannot be judged", "[unit][can][REQ-CAN-6]") {
     lpvg_can_plausibility_t self{};
     struct Case {

@@ -319,6 +319,76 @@ TEST_CASE("the estimate solves the normal equations, as elimination in double do
     }
 }
 
+TEST_CASE("the sums are what double says of every output, each with its own prior", "[unit][change][REQ-MON-16]") {
+    const lpvg_coeff_t coeff = sealed([](lpvg_coeff_t& c) {
+        c = free_estimates();
+        for (std::size_t j = 0; j < LPVG_NY; ++j) {
+            const Real more = static_cast<Real>(3U * j);
+            const Real prior[6] = {more + Real(20), Real(1), Real(-2), more + Real(30), Real(3), more + Real(10)};
+            std::copy(std::begin(prior), std::end(prior), std::begin(c.reals.change_prior[j]));
+        }
+    });
+    const lpvg_coeff_reals_t& r = coeff.reals;
+    const Fault fault = {0.3, 0.004, 0.2};
+    constexpr uint32_t blocks = 500U;
+    double A[LPVG_NY][6], along[LPVG_NY][parts] = {};
+    for (std::size_t j = 0; j < LPVG_NY; ++j) {
+        std::fill(std::begin(A[j]), std::end(A[j]), 0.0);
+        double before = 0.0;
+        for (uint32_t k = 0; k < blocks; ++k) {
+            double e = 0.0, yhat = 0.0;
+            for (uint32_t i = 0; i < n_block; ++i) {
+                const double at = n_block * k + i;
+                yhat += nominal(at, j) / n_block;
+                e += (fault.gain * nominal(at, j) - fault.delay * slope(at, j) + fault.bias) / n_block;
+            }
+            const double phi[parts] = {yhat * static_cast<double>(r.change_unit[j][0]),
+                                       (before - yhat) * static_cast<double>(r.change_unit[j][1]), 1.0};
+            before = yhat;
+            if (k == 0U) {
+                continue;
+            }
+            const double kept = 1.0 - static_cast<double>(r.change_forget);
+            for (std::size_t a = 0, at = 0; a < parts; ++a) {
+                along[j][a] = kept * along[j][a] + phi[a] * e;
+                for (std::size_t b = a; b < parts; ++b, ++at) {
+                    A[j][at] = kept * A[j][at] + phi[a] * phi[b];
+                }
+            }
+        }
+    }
+    Fed fed(coeff);
+    fed.run(blocks - 1U, fault);
+    Real signal[n_block][2U * LPVG_NY];
+    for (uint32_t i = 0; i < n_block; ++i) {
+        for (std::size_t j = 0; j < LPVG_NY; ++j) {
+            const double at = n_block * (blocks - 1U) + i;
+            signal[i][j] = static_cast<Real>(fault.gain * nominal(at, j) - fault.delay * slope(at, j) + fault.bias);
+            signal[i][LPVG_NY + j] = static_cast<Real>(nominal(at, j));
+        }
+    }
+    lpvg_change_take(&fed.change, signal[0]);
+    for (std::size_t j = 0; j < LPVG_NY; ++j) {
+        (void)lpvg_change_judge(&fed.change, &fed.coeff);
+        for (std::size_t i = 0; i < 6U; ++i) {
+            CHECK(static_cast<double>(fed.change.output[j].gram[i]) == Approx(A[j][i]).epsilon(1e-4).margin(2e-3));
+        }
+        // (A + prior) theta = along.
+        const double theta[parts] = {static_cast<double>(fed.change.estimate[0]) / static_cast<double>(r.change_unit[j][0]),
+                                     static_cast<double>(fed.change.estimate[1]) /
+                                         (static_cast<double>(r.change_unit[j][1]) * static_cast<double>(r.change_block_s)),
+                                     static_cast<double>(fed.change.estimate[2])};
+        const std::size_t place[parts][parts] = {{0U, 1U, 2U}, {1U, 3U, 4U}, {2U, 4U, 5U}};
+        for (std::size_t a = 0; a < parts; ++a) {
+            double sum = 0.0;
+            for (std::size_t b = 0; b < parts; ++b) {
+                sum += (A[j][place[a][b]] + static_cast<double>(r.change_prior[j][place[a][b]])) * theta[b];
+            }
+            CHECK(sum == Approx(along[j][a]).epsilon(1e-4).margin(2e-3));
+        }
+    }
+}
+
 TEST_CASE("a block that comes before every output has judged the last one starts the sums behind it", "[unit][change][REQ-MON-16]") {
     Fed fed(free_estimates());
     fed.run(3U, Fault{});

@@ -145,7 +145,7 @@ TEST_CASE("a value that the algorithm does not allow is refused", "[unit][coeff]
         poles("a pole at z = -1", Real(2.5), Real(1));
     }
     spoilt("a corner at DC", [](lpvg_coeff_reals_t& r) { r.energy_corner[0] = Real(0); });
-    spoilt("corners that fall", [](lpvg_coeff_reals_t& r) { r.energy_corner[1] = Real(0.99) * r.energy_corner[0]; });
+    spoilt("corners that fall", [](lpvg_coeff_reals_t& r) { r.energy_corner[1] = Real(0.999) * r.energy_corner[0]; });
     spoilt("a corner above Nyquist", [](lpvg_coeff_reals_t& r) { r.energy_corner[LPVG_NBANDS - 2] = Real(1); });
     for (std::size_t b = 0; b < LPVG_NBANDS; ++b) {
         spoilt("no forgetting", [b](lpvg_coeff_reals_t& r) { r.energy_forget[b] = Real(0); });
@@ -280,12 +280,34 @@ TEST_CASE("values at the edge of what is allowed are accepted", "[unit][coeff][R
             std::fill(std::begin(c.reals.B_w[b]), std::end(c.reals.B_w[b]), small);
         }
         std::fill(std::begin(c.reals.energy_corner), std::end(c.reals.energy_corner), small);
+        c.reals.energy_corner[LPVG_NBANDS - 2] = Real(0.999);
         for (std::size_t b = 0; b < LPVG_NBANDS; ++b) {
             std::fill(std::begin(c.reals.energy_scale[b]), std::end(c.reals.energy_scale[b]), small);
             std::fill(std::begin(c.reals.energy_start[b]), std::end(c.reals.energy_start[b]), Real(0));
         }
     });
     CHECK(lpvg_coeff_check(&coeff) == lpvg_status_ok);
+}
+
+TEST_CASE("a section is accepted where its poles are inside the unit circle, and not on or outside", "[unit][coeff][REQ-COEF-4]") {
+    // In z: the roots of z^2 - 2 z + 1 + a1 (z - 1) + a2.
+    const struct {
+        double a1, a2;
+    } near[] = {{0.5, 0.001}, {0.5, 0.499}, {2.499, 0.999}, {3.9, 3.85}};
+    for (const auto& c : near) {
+        for (const double off : {-0.002, 0.0, 0.002}) {
+            const double a1 = c.a1 + (c.a1 > 1.0 ? off : 0.0), a2 = c.a2 + (c.a1 > 1.0 ? 0.0 : off);
+            // z^2 + p z + q has both roots inside where |q| < 1 and |p| < 1 + q (Jury).
+            const double p = a1 - 2.0, q = 1.0 - a1 + a2;
+            const bool inside = std::abs(q) < 1.0 && std::abs(p) < 1.0 + q;
+            CAPTURE(a1, a2);
+            const lpvg_coeff_t coeff = sealed([=](lpvg_coeff_t& changed) {
+                changed.reals.energy_W[LPVG_NDELTA - 1][0][3] = static_cast<Real>(a1);
+                changed.reals.energy_W[LPVG_NDELTA - 1][0][4] = static_cast<Real>(a2);
+            });
+            CHECK(lpvg_coeff_check(&coeff) == (inside ? lpvg_status_ok : lpvg_status_bad_value));
+        }
+    }
 }
 
 TEST_CASE("words and numbers are walked by themselves, whatever lies between and behind them", "[unit][coeff][REQ-COEF-2][REQ-COEF-3]") {

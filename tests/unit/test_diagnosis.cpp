@@ -772,6 +772,23 @@ TEST_CASE("state that cannot be ends the diagnosis", "[unit][REQ-DIAG-5]") {
     }
 }
 
+TEST_CASE("state that cannot be leaves a cause that was found", "[unit][REQ-DIAG-5]") {
+    Followed f(table_with());
+    f.run(20.0, healthy);
+    f.alarms = true;
+    f.run(60.0, [](double t, std::size_t j) { return (j == 0U ? 0.7 : 0.8) * nominal(t, j); });
+    REQUIRE(f.done());
+    lpvg_found_t found[ny];
+    std::copy(std::begin(f.diagnosis.found), std::end(f.diagnosis.found), found);
+    f.diagnosis.output[0].gram[0] += Real(1);
+    f.run(2.0 * block_s, healthy);
+    CHECK(f.diagnosis.known <= 1U);
+    for (std::size_t j = 0; j < ny; ++j) {
+        CHECK(f.diagnosis.found[j].cause == lpvg_cause_gain);
+        CHECK(f.diagnosis.found[j].value == found[j].value);
+    }
+}
+
 TEST_CASE("a signal that overflows is other", "[unit][REQ-DIAG-5]") {
     const double huge = 100.0 * std::sqrt(static_cast<double>(std::numeric_limits<Real>::max()));
     for (const lpvg_found_t& found :
@@ -806,6 +823,7 @@ TEST_CASE("a table that cannot be is refused by what is wrong", "[unit][REQ-DIAG
               t.words.blocks = 65536U;
               t.words.cell_blocks = t.words.sample_period_us = 1U;
               t.reals.correlated[0] = t.reals.fits = t.reals.interval = Real(0.5);
+              t.reals.kept[0] = t.reals.still[0] = Real(0.999);
           }) == lpvg_status_ok);
     diagnosis = lpvg_diagnosis_t{};
     const std::pair<uint32_t lpvg_diagnosis_words_t::*, uint32_t> words[] = {

@@ -499,11 +499,11 @@ TEST_CASE("each refusal says what it refuses, in the order of the requests, besi
     node.find({dtc_a, dtc_b});
     node.step();  // the broadcast of DM1 begins
     node.messages.clear();
-    node.step({request_of(65227U, 0xFCU), request_of(65262U, 0xFCU), request_of(65263U, 0xFCU)});
+    node.step({request_of(65227U, 0xFCU), request_of(65262U, 0xFCU), request_of(65263U, 0xFCU, 0x21U)});
     const auto refused = node.of(59392U);
     REQUIRE(refused.size() == 2U);
     CHECK(refused[0].data == Bytes{1U, 0xFFU, 0xFFU, 0xFFU, tool, 0xEEU, 0xFEU, 0x00U});
-    CHECK(refused[1].data == Bytes{1U, 0xFFU, 0xFFU, 0xFFU, tool, 0xEFU, 0xFEU, 0x00U});
+    CHECK(refused[1].data == Bytes{1U, 0xFFU, 0xFFU, 0xFFU, 0x21U, 0xEFU, 0xFEU, 0x00U});
 }
 
 TEST_CASE("refusals beyond the places of a step are counted", "[unit][j1939][REQ-J1939-3]") {
@@ -881,11 +881,12 @@ TEST_CASE("DM4 and DM25 hold the freeze frames, the newest first, and DM24 says 
     CHECK(Bytes(two.begin() + 1, two.begin() + 5) == code(904U, 9U, 1U));
     CHECK(Bytes(two.begin() + 5, two.begin() + 17) == Bytes{0xFF, 0xFF, 0, 0xFF, 0xFA, 0, 0, 0xFF, 0xFF, 0xFF, 0xFA, 1U});
     CHECK(Bytes(two.begin() + 17, two.end()) == dm25);
-    node.findings.freeze = {0, 62.75F, -1.0F, 0U, 0U, 0U, 0U};
+    node.findings.freeze = {1'000, 62.75F, -1.0F, 0U, 0U, 0U, 0U};
     node.find({dtc_c});
     node.step();
     const Bytes third = node.ask(64951U).at(0).data;
     CHECK(Bytes(third.begin() + 5, third.begin() + 10) == Bytes{0, 0, 0, 0xFF, 0xFA});
+    CHECK(Bytes(third.begin() + 12, third.begin() + 16) == Bytes{1, 0, 0, 0});  // a whole millisecond
 
     // Eight of many, the newest.
     for (uint8_t i = 0U; i < 10U; ++i) {

@@ -106,6 +106,9 @@ TEST_CASE("one level or recording more than there can be is refused, and so is e
     };
     CHECK(loaded(1U, LPVG_LIFE_MOST) == lpvg_status_ok);
     CHECK(loaded(1U, LPVG_LIFE_MOST + 1U) == lpvg_status_bad_value);
+    constexpr std::size_t changed_at = LPVG_LIFE_BYTES / 4U - 2U;
+    CHECK(loaded(changed_at, 0U) == lpvg_status_ok);
+    CHECK(loaded(changed_at, 1U) == lpvg_status_bad_value);  // after the last recording, of none
     for (std::size_t i = 0; i < LPVG_LIFE_BETS; ++i) {
         CHECK(loaded(2U + i, bits(std::numeric_limits<float>::quiet_NaN())) == lpvg_status_bad_value);
     }
@@ -148,8 +151,10 @@ TEST_CASE("a table that cannot be is refused by what is wrong", "[unit][REQ-LIFE
     not_allowed();
     table.alarm = 1.0f;
     not_allowed();
-    table.level[1] = table.level[0] - 0.01f;
-    not_allowed();
+    for (std::size_t i = 1; i < golden_table_100.n_levels; ++i) {
+        table.level[i] = table.level[i - 1U] - 0.01f;
+        not_allowed();
+    }
     for (float* factor : {&table.factor[0][0], &table.factor[2][1], &table.factor[8][2]}) {
         *factor = -0.01f;
         not_allowed();

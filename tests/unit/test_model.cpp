@@ -130,6 +130,42 @@ TEST_CASE("outside the scheduling range the nearest speed is used", "[unit][mode
     }
 }
 
+TEST_CASE("a start takes each input for what it was before", "[unit][model][REQ-MOD-1]") {
+    const lpvg_coeff_reals_t& r = lpvg_coeff.reals;
+    Real u[LPVG_NU];
+    for (std::size_t i = 0; i < LPVG_NU; ++i) {
+        u[i] = r.input_offset[i] + static_cast<Real>(i + 1U);
+    }
+    lpvg_model_t model{};
+    lpvg_model_start(&model, &lpvg_coeff, u, r.output_offset);
+    for (const auto& past : model.past) {
+        for (std::size_t i = 0; i < LPVG_NU; ++i) {
+            CHECK(past[i] == u[i] - r.input_offset[i]);
+        }
+    }
+}
+
+TEST_CASE("a speed has the cubic of its own cell, up to the cell's end", "[unit][model][REQ-MOD-1]") {
+    lpvg_coeff_t steps = lpvg_coeff;  // entry = number of the cell + place in it
+    for (std::size_t c = 0; c < LPVG_NCELLS; ++c) {
+        for (auto& p : steps.reals.cell[c]) {
+            p[0] = static_cast<Real>(2U * c);
+            p[1] = Real(1);
+            p[2] = p[3] = Real(0);
+        }
+    }
+    const lpvg_coeff_reals_t& r = steps.reals;
+    const Real width = (r.speed_max - r.speed_min) / static_cast<Real>(LPVG_NCELLS);
+    for (std::size_t c = 0; c < LPVG_NCELLS; ++c) {
+        for (const Real x : {Real(0.01), Real(0.5), Real(0.99)}) {
+            lpvg_model_t model = started();
+            lpvg_model_advance(&model, &steps, r.speed_min + (static_cast<Real>(c) + x) * width, Inputs(0).u);
+            const auto entry = static_cast<double>(model.entry[lpvg_coeff.words.varying_entry[0]]);
+            CHECK(entry == Approx(2.0 * static_cast<double>(c) + static_cast<double>(x)).margin(2e-3));
+        }
+    }
+}
+
 TEST_CASE("entries join at the cell borders", "[unit][model][REQ-MOD-1]") {
     const lpvg_coeff_reals_t& r = lpvg_coeff.reals;
     double worst = 0.0;

@@ -597,6 +597,7 @@ TEST_CASE("entries that are allocated or cleared are empty, and none stands behi
     REQUIRE(slave.mode(1U) == done);
     REQUIRE(slave.on(0xE2, {0U, 6U}) == done);
     REQUIRE(slave.write(2U, low) == done);  // the last entry alone is enough
+    CHECK(slave.write(2U, low) == sequence);  // and none follows it
     REQUIRE(slave.on(0xDE, {}, 1U) == Bytes{0xFF, 0});
     REQUIRE(slave.event() == 1U);
     CHECK(slave.frame(0) == Bytes{0, 0x40, 0x41});
