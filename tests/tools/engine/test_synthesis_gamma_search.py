@@ -225,6 +225,10 @@ def test_every_fourth_step_and_the_third_of_two_that_hardly_help_is_the_middle()
     t = (1 - 0.2) / (10.0 - 0.2)
     assert second == pytest.approx(0.1 + 0.9 * (t + 0.02 * (0.5 - t)))
     assert third == pytest.approx(second + 0.5 * (1 - second)), "two have hardly helped"
+    # Of a root near the high end the other side is below.
+    first, second = shares([1.8], -9.0, 2.0)
+    t = 10.0 / 10.8
+    assert second == pytest.approx(first * (t - 0.02 * (t - 0.5)))
     # Where each step halves the bracket at least, every fourth is a bisection, and none goes past the root.
     asked = shares([2.0] * 7, 0.5, 2.0, low=2.0, high=2 * np.exp(3))
     ratios = np.array(asked) / [1.0, *asked[:-1]]

@@ -199,7 +199,7 @@ class GammaProblem:
             ):
                 t = (1 - low_value) / (high_value - low_value)
                 # aim a little past the root, so that the next step has it from the other side
-                past = 0.3 * rtol + (0.02 * width * (0.5 - t) if stalled else 0.0)
+                past = 0.3 * rtol + (0.02 * width * abs(0.5 - t) if stalled else 0.0)
                 middle = np.clip(
                     a + t * width + (past if t < 0.5 else -past), a + 1e-4 * width, b - 1e-4 * width
                 )
