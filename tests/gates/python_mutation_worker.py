@@ -45,7 +45,10 @@ from python_mutation import Mutants, Site
 LONGEST_S = 2.0
 """Processor time of a test that is asked, with its fixtures, while its lines are noted."""
 MOST_S = 5.0
-"""Processor time of the tests that one mutant meets; those left reach much that lies elsewhere."""
+"""Processor time of the most direct tests that one mutant meets; others reach much that lies elsewhere."""
+CHEAP_S = 1.0
+"""Processor time of the cheapest tests that it meets besides: beside other work the direct ones take longer,
+and fewer of them are asked."""
 GENEROUS = 10
 MEMORY = 2 << 30
 """Address space beyond what the process has when a mutant is put in [byte]."""
@@ -365,7 +368,8 @@ def fate(mutants: Mutants, site: int, index: int, asked: list[Case], living: Liv
 
 
 def asked_about(lines: range, name: str, known: list[Case]) -> list[Case]:
-    """The tests that reach one of the lines, the cheapest first: of them the most direct ones, in `MOST_S`.
+    """The tests that reach one of the lines, the cheapest first: of them the most direct ones, in `MOST_S`,
+    and the cheapest others, in `CHEAP_S`.
 
     Of what a direct test reaches much lies in the file ``name``: what is asked there it notices most likely.
     """
@@ -373,13 +377,18 @@ def asked_about(lines: range, name: str, known: list[Case]) -> list[Case]:
     def directness(case: Case) -> float:
         return len(case.reached[name]) / sum(map(len, case.reached.values()))
 
-    out, left = [], MOST_S
+    def first(those: list[Case], left: float) -> list[Case]:
+        out = []
+        for case in those:
+            if case.seconds <= left:
+                left -= case.seconds
+                out.append(case)
+        return out
+
     reaching = [case for case in known if case.reached.get(name, set()).intersection(lines)]
-    for case in sorted(reaching, key=directness, reverse=True):
-        if case.seconds <= left:
-            left -= case.seconds
-            out.append(case)
-    return sorted(out, key=by_cost)
+    direct = first(sorted(reaching, key=directness, reverse=True), MOST_S)
+    others = sorted((case for case in reaching if case not in direct), key=by_cost)
+    return sorted([*direct, *first(others, CHEAP_S)], key=by_cost)
 
 
 class Loop:
