@@ -675,6 +675,9 @@ TEST_CASE("the smallest codes and rates count", "[unit][can][REQ-CAN-4]") {
     CHECK(event(0U, 0U, 10U) == lpvg_can_event_gradient);  // 1 a second and one of rounding, in a microsecond less than a second
     CHECK(event(1U, 0U, 10U) == lpvg_can_event_absent);
     CHECK(event(0U, 1U, 10U) == lpvg_can_event_invalid);
+    REQUIRE(lpvg_can_init(&self, &rule, 1U, 0) == lpvg_status_ok);
+    CHECK(event(0U, 0U, 0U) == lpvg_can_event_recovering);
+    CHECK(event(0U, 0U, 1U) == lpvg_can_event_recovering);  // from zero too
 }
 
 TEST_CASE("a signal is read wherever it begins", "[unit][can]") {
@@ -806,13 +809,12 @@ TEST_CASE("cross-checks: a deviation of exactly the limit is none; long violatio
 }
 
 TEST_CASE("cross-checks: a thousandth above a limit is a violation, a thousandth below is none", "[unit][can][REQ-CAN-6]") {
-    for (const float share : {0.999F, 1.001F}) {
-        lpvg_can_plausibility_t self{};
-        const float ay = share * kLimits.lateral_mps2, dv = share * kLimits.yaw_rps * kLimits.track_m;
-        REQUIRE(lpvg_can_plausibility(&self, &kLimits, 0.0F, ay, 15.0F, dv) == lpvg_status_ok);
-        CHECK(self.score[0] == (share > 1.0F ? 1U : 0U));
-        CHECK(self.score[1] == (share > 1.0F ? 1U : 0U));
-    }
+    const float r = GENERATE(0.0F, 0.8F), share = GENERATE(0.999F, 1.001F), v = 15.0F;
+    lpvg_can_plausibility_t self{};
+    const float ay = r * v + share * kLimits.lateral_mps2, dv = (r + share * kLimits.yaw_rps) * kLimits.track_m;
+    REQUIRE(lpvg_can_plausibility(&self, &kLimits, r, ay, v, dv) == lpvg_status_ok);
+    CHECK(self.score[0] == (share > 1.0F ? 1U : 0U));
+    CHECK(self.score[1] == (share > 1.0F ? 1U : 0U));
 }
 
 TEST_CASE("cross-checks leave out what cannot be judged", "[unit][can][REQ-CAN-6]") {

@@ -326,6 +326,8 @@ TEST_CASE("the sums are what double says of every output, each with its own prio
             const Real more = static_cast<Real>(3U * j);
             const Real prior[6] = {more + Real(20), Real(1), Real(-2), more + Real(30), Real(3), more + Real(10)};
             std::copy(std::begin(prior), std::end(prior), std::begin(c.reals.change_prior[j]));
+            c.reals.change_unit[j][0] = Real(1) + Real(0.5) * static_cast<Real>(j);
+            c.reals.change_unit[j][1] = Real(20) + Real(5) * static_cast<Real>(j);
         }
     });
     const lpvg_coeff_reals_t& r = coeff.reals;

@@ -167,6 +167,13 @@ TEST_CASE("a value that the algorithm does not allow is refused", "[unit][coeff]
             }
         });
     }
+    if (LPVG_NDELTA > 1) {
+        spoilt("hardly a sum of outputs that have no common Delta", [](lpvg_coeff_reals_t& r) {
+            std::fill(std::begin(r.energy_direction[0]), std::end(r.energy_direction[0]), Real(0));
+            r.energy_direction[0][0] = Real(0.999);
+            r.energy_direction[0][LPVG_NY - 1] = Real(0.001);
+        });
+    }
     spoilt("a direction too short", [](lpvg_coeff_reals_t& r) {
         for (Real& a : r.energy_direction[LPVG_NDIRECTIONS - 1]) {
             a *= Real(0.99);
@@ -226,6 +233,7 @@ TEST_CASE("the least value that the algorithm allows is accepted", "[unit][coeff
         [](lpvg_coeff_t& c) { c.words.sample_period_us = 1U; },
         [](lpvg_coeff_t& c) { c.words.energy_rearm = 1U; },
         [](lpvg_coeff_t& c) { c.words.change_rearm = 1U; },
+        [](lpvg_coeff_t& c) { c.reals.speed_min = Real(0.999) * c.reals.speed_max; },
     };
     for (const auto& change : least) {
         const lpvg_coeff_t coeff = sealed(change);
@@ -261,6 +269,26 @@ TEST_CASE("a prior is accepted exactly where a decomposition in double finds it 
     CHECK(wrong == 0U);
     CHECK(definite > 50U);
     CHECK(other > 50U);
+    // A thousandth or three from where it is none any more: by the last entry, then by the third with the fourth as makes the rest harmless.
+    for (int k = 0; k < 40; ++k) {
+        const bool good = k % 2 == 0;
+        const double off = good ? 1.003 : 0.997, sign = k % 4 < 2 ? 1.0 : -1.0;
+        double A[6] = {entry(1.0, 2.0), entry(0.5, 0.9), sign * entry(0.5, 0.9), entry(2.0, 3.0), entry(0.5, 0.9), 0.0};
+        if (k < 20) {
+            const double first = A[0] * A[3] - A[1] * A[1], cross = A[0] * A[4] - A[1] * A[2];
+            A[5] = (off * cross * cross / first + A[2] * A[2]) / A[0];
+        } else {
+            A[3] = off * A[1] * A[1] / A[0];
+            A[4] = A[1] * A[2] / A[0];
+            A[5] = 2.0 * A[2] * A[2] / A[0];
+        }
+        CAPTURE(k);
+        const lpvg_coeff_t coeff = sealed([&](lpvg_coeff_t& c) {
+            std::transform(std::begin(A), std::end(A), std::begin(c.reals.change_prior[LPVG_NY - 1]),
+                           [](double a) { return static_cast<Real>(a); });
+        });
+        CHECK(lpvg_coeff_check(&coeff) == (good ? lpvg_status_ok : lpvg_status_bad_value));
+    }
 }
 
 TEST_CASE("values at the edge of what is allowed are accepted", "[unit][coeff][REQ-COEF-4]") {
@@ -281,6 +309,8 @@ TEST_CASE("values at the edge of what is allowed are accepted", "[unit][coeff][R
         }
         std::fill(std::begin(c.reals.energy_corner), std::end(c.reals.energy_corner), small);
         c.reals.energy_corner[LPVG_NBANDS - 2] = Real(0.999);
+        std::fill(std::begin(c.reals.energy_forget), std::end(c.reals.energy_forget), Real(0.999));
+        c.reals.change_forget = Real(0.999);
         for (std::size_t b = 0; b < LPVG_NBANDS; ++b) {
             std::fill(std::begin(c.reals.energy_scale[b]), std::end(c.reals.energy_scale[b]), small);
             std::fill(std::begin(c.reals.energy_start[b]), std::end(c.reals.energy_start[b]), Real(0));

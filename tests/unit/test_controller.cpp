@@ -438,6 +438,7 @@ TEST_CASE("foreign, damaged and impossible controller coefficients are refused b
         {"period", lpvg_status_bad_value, [](lpvg_control_coeff_t& c) { c.words.sample_period_us = 0U; }},
         {"speed", lpvg_status_bad_value, [](lpvg_control_coeff_t& c) { c.reals.speed_min = Real(0); }},
         {"speeds", lpvg_status_bad_value, [](lpvg_control_coeff_t& c) { c.reals.speed_max = c.reals.speed_min; }},
+        {"hardly a range of speeds", lpvg_status_ok, [](lpvg_control_coeff_t& c) { c.reals.speed_min = Real(0.999) * c.reals.speed_max; }},
         {"first limit", lpvg_status_bad_value, [](lpvg_control_coeff_t& c) { c.reals.u_max[0][0] = Real(0); }},
         {"last limit", lpvg_status_bad_value, [](lpvg_control_coeff_t& c) { c.reals.u_max[LPVG_NG - 1][nu - 1] = Real(-1); }},
         {"least limit", lpvg_status_ok,
@@ -536,6 +537,27 @@ TEST_CASE("every step in which a limit changed the demand is counted, however li
     }
     CHECK(control.limited == expected);
     CHECK((std::fabs(scale) < Real(1) || expected > 0U));
+}
+
+TEST_CASE("a demand that alone is limited counts, whichever it is and whichever way", "[unit][controller][REQ-CTL-2]") {
+    const Real scale = GENERATE(Real(1), Real(-1));
+    for (std::size_t only = 0; only < nu; ++only) {
+        const lpvg_control_coeff_t coeff = sealed([only](lpvg_control_coeff_t& c) {
+            for (std::size_t i = 0; i < nu; ++i) {
+                c.reals.rate_max[i] = i == only ? Real(1e-6) : Real(1e6);
+                for (auto& limits : c.reals.u_max) {
+                    limits[i] = Real(1e6);
+                }
+            }
+        });
+        lpvg_control_t control = ready(coeff);
+        const std::vector<Real> still(nm, Real(0)), m(nm, scale);
+        REQUIRE(lpvg_control_step(&control, mid_speed(), still.data(), true) == lpvg_status_ok);
+        for (int k = 0; k < 20; ++k) {
+            REQUIRE(lpvg_control_step(&control, mid_speed(), m.data(), true) == lpvg_status_ok);
+        }
+        CHECK(control.limited >= 18U);
+    }
 }
 
 TEST_CASE("damaged speeds of the nodes are as the lowest speed: nothing beside the nodes is read", "[unit][controller][REQ-CTL-6]") {

@@ -823,7 +823,7 @@ TEST_CASE("a table that cannot be is refused by what is wrong", "[unit][REQ-DIAG
               t.words.blocks = 65536U;
               t.words.cell_blocks = t.words.sample_period_us = 1U;
               t.reals.correlated[0] = t.reals.fits = t.reals.interval = Real(0.5);
-              t.reals.kept[0] = t.reals.still[0] = Real(0.999);
+              t.reals.kept[0] = t.reals.still[0] = t.reals.excited = Real(0.999);
           }) == lpvg_status_ok);
     diagnosis = lpvg_diagnosis_t{};
     const std::pair<uint32_t lpvg_diagnosis_words_t::*, uint32_t> words[] = {

@@ -166,6 +166,8 @@ TEST_CASE("the actuator may be off by its tolerance, and by no more", "[unit][ec
     bench.pressure *= 1.01F;
     bench.run(2);
     CHECK(bench.ecu.deviations == 2U);
+    with.actuator.tolerance *= 0.999F;
+    CHECK(waiting().ecu.deviations > 0U);
 }
 
 TEST_CASE("limits and priorities that make no sense are refused", "[unit][ecu][REQ-ECU-6]") {

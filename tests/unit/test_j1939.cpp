@@ -555,6 +555,20 @@ TEST_CASE("DM1: one code in a frame, every second, and at once when a code comes
     CHECK(node.of(65226U).size() == 1U);
 }
 
+TEST_CASE("DM1: a code goes at once though another went just before", "[unit][j1939][REQ-J1939-4]") {
+    Node node;
+    node.run(500'000);
+    node.find({dtc_a, dtc_b});
+    node.run(2'500'000);
+    node.find({dtc_b});
+    node.step();
+    node.messages.clear();
+    node.find({});
+    node.step();
+    REQUIRE(node.of(65226U).size() == 1U);
+    CHECK(node.of(65226U)[0].data == codes_message(0U, {}));
+}
+
 TEST_CASE("DM1: a microsecond before its second nothing is told, and other messages do not move it", "[unit][j1939][REQ-J1939-4]") {
     Node node;
     node.step();

@@ -131,16 +131,17 @@ TEST_CASE("outside the scheduling range the nearest speed is used", "[unit][mode
 }
 
 TEST_CASE("a start takes each input for what it was before", "[unit][model][REQ-MOD-1]") {
-    const lpvg_coeff_reals_t& r = lpvg_coeff.reals;
+    lpvg_coeff_t coeff = lpvg_coeff;
     Real u[LPVG_NU];
     for (std::size_t i = 0; i < LPVG_NU; ++i) {
-        u[i] = r.input_offset[i] + static_cast<Real>(i + 1U);
+        coeff.reals.input_offset[i] = static_cast<Real>(i + 1U);
+        u[i] = static_cast<Real>(3U * (i + 1U));
     }
     lpvg_model_t model{};
-    lpvg_model_start(&model, &lpvg_coeff, u, r.output_offset);
+    lpvg_model_start(&model, &coeff, u, coeff.reals.output_offset);
     for (const auto& past : model.past) {
         for (std::size_t i = 0; i < LPVG_NU; ++i) {
-            CHECK(past[i] == u[i] - r.input_offset[i]);
+            CHECK(past[i] == static_cast<Real>(2U * (i + 1U)));
         }
     }
 }

@@ -347,6 +347,18 @@ TEST_CASE("the ends of the scheduling range belong to it", "[unit][monitor][REQ-
     CHECK(frames > 0U);
 }
 
+TEST_CASE("a thousandth beyond the ends of the scheduling range is out of it", "[unit][monitor][REQ-MON-7]") {
+    Drive drive;
+    drive.speed = GENERATE(Real(0.999) * lpvg_coeff.reals.speed_min, Real(1.001) * lpvg_coeff.reals.speed_max);
+    drive.settle();
+    std::size_t frames = 0;
+    drive.run(2U * longest(), [&](const lpvg_frame_t& frame) {
+        ++frames;
+        CHECK(frame.reason > lpvg_reason_not_excited);
+    });
+    CHECK(frames > 0U);
+}
+
 TEST_CASE("a speed exactly on the tolerance counts", "[unit][monitor][REQ-MON-7]") {
     // 6 and 10 m/s in turn: mean 8 and a quarter of it are exact in binary.
     lpvg_coeff_t coeff = frames_only([](lpvg_coeff_t& c) { c.reals.speed_tolerance = Real(0.25); });
