@@ -155,9 +155,11 @@ TEST_CASE("a table that cannot be is refused by what is wrong", "[unit][REQ-LIFE
         table.level[i] = table.level[i - 1U] - 0.01f;
         not_allowed();
     }
-    for (float* factor : {&table.factor[0][0], &table.factor[2][1], &table.factor[8][2]}) {
-        *factor = -0.01f;
-        not_allowed();
+    for (auto& factors : table.factor) {
+        for (float& factor : factors) {
+            factor = -0.01f;
+            not_allowed();
+        }
     }
     table.level[1] = table.level[0];  // the last that is allowed
     table.factor[0][0] = 0.0f;
