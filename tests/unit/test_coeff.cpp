@@ -269,7 +269,7 @@ TEST_CASE("a prior is accepted exactly where a decomposition in double finds it 
     CHECK(wrong == 0U);
     CHECK(definite > 50U);
     CHECK(other > 50U);
-    // A thousandth or three from where it is none any more: by the last entry, then by the third with the fourth as makes the rest harmless.
+    // Three thousandths from where it is none any more: by the last entry, then by the fourth with a fifth that makes the rest harmless.
     for (int k = 0; k < 40; ++k) {
         const bool good = k % 2 == 0;
         const double off = good ? 1.003 : 0.997, sign = k % 4 < 2 ? 1.0 : -1.0;
