@@ -19,8 +19,9 @@
 // Accuracy (tests/unit/test_margin.cpp, against a certified long double reference). The evaluation of E_j - d Z_j itself
 // rounds, by a part of |E_j|/B_j; no method in one number type avoids that. What is returned is therefore lowered by
 // 6 units of rounding of max |E_j|/B_j: rounding alone never raises an alarm. In float t* is never above the exact margin,
-// and at most 1e-6 of max |E_j|/B_j below it. Relative to t* that is 1e-6 (1 + max W |Z_j|/B_j) at most. With one Delta an
-// output nothing cancels: t* is lowered by 6 units of its own size, and is at most 1.1e-6 of itself below.
+// and at most 1.1e-6 of max |E_j|/B_j below it. Relative to t* that is 1.1e-6 (1 + max W |Z_j|/B_j) at most. With one Delta an
+// output nothing cancels: t* is lowered by 6 units of its own size, and is at most 1.1e-6 of itself below. On a processor for
+// which subnormal numbers are zero, t* is at most 1e-6 of max |E_j|/B_j above the exact margin.
 // Range: |E_j|/B_j from 1e-9 to 1e9, and W |Z_j|/B_j up to 2e4. The units of an output scale E_j, Z_j and B_j together, from
 // 1e-30 to 1e30. Beyond, a candidate may be lost and results err upward; what is not finite reads infinity.
 #pragma once
