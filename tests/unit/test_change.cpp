@@ -36,6 +36,15 @@ struct Fed {
 
     // Every output takes the next block; the largest ratio.
     Real take(const Fault& fault) {
+        offer(fault);
+        return judged();
+    }
+    Real take(const Real* signal) {
+        lpvg_change_take(&change, signal);
+        return judged();
+    }
+    // The next block, which no output has judged yet.
+    void offer(const Fault& fault) {
         Real signal[n_block][2U * LPVG_NY];
         for (auto& row : signal) {
             for (std::size_t j = 0; j < LPVG_NY; ++j) {
@@ -45,10 +54,9 @@ struct Fed {
             }
             ++k;
         }
-        return take(signal[0]);
+        lpvg_change_take(&change, signal[0]);
     }
-    Real take(const Real* signal) {
-        lpvg_change_take(&change, signal);
+    Real judged() {
         Real largest = Real(0);
         while (change.pending > 0U) {
             largest = std::max(largest, lpvg_change_judge(&change, &coeff));
@@ -361,15 +369,7 @@ TEST_CASE("the sums are what double says of every output, each with its own prio
     }
     Fed fed(coeff);
     fed.run(blocks - 1U, fault);
-    Real signal[n_block][2U * LPVG_NY];
-    for (uint32_t i = 0; i < n_block; ++i) {
-        for (std::size_t j = 0; j < LPVG_NY; ++j) {
-            const double at = n_block * (blocks - 1U) + i;
-            signal[i][j] = static_cast<Real>(fault.gain * nominal(at, j) - fault.delay * slope(at, j) + fault.bias);
-            signal[i][LPVG_NY + j] = static_cast<Real>(nominal(at, j));
-        }
-    }
-    lpvg_change_take(&fed.change, signal[0]);
+    fed.offer(fault);
     for (std::size_t j = 0; j < LPVG_NY; ++j) {
         (void)lpvg_change_judge(&fed.change, &fed.coeff);
         for (std::size_t i = 0; i < 6U; ++i) {
