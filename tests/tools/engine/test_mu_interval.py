@@ -7,8 +7,7 @@ from lpvguard.engine.blocks import Block
 from lpvguard.engine.synthesis.cases import case_plant, read_case
 from lpvguard.engine.synthesis.dk import dk_synthesis
 from lpvguard.engine.synthesis.errors import SynthesisError
-from lpvguard.engine.synthesis.mu import mu_bounds
-from lpvguard.engine.synthesis.mu_interval import mu_interval
+from lpvguard.engine.synthesis.mu import mu_bounds, mu_interval
 from lpvguard.engine.synthesis.norms import hinf_norm
 from lpvguard.engine.synthesis.statespace import StateSpace, lft, to_discrete
 from lpvguard.problems.solve import solve_problem
@@ -120,6 +119,6 @@ def test_a_bad_problem_is_refused_with_its_field(changes, where):
 
 
 def test_more_cells_than_allowed_are_an_error(monkeypatch):
-    monkeypatch.setattr("lpvguard.engine.synthesis.mu_interval.MOST_CELLS", 2)
+    monkeypatch.setattr("lpvguard.engine.synthesis.frequency_cells.MOST_CELLS", 2)
     with pytest.raises(SynthesisError, match="cells do not cover"):
-        mu_interval(loop_of(1), REAL, 0.0, np.inf)
+        mu_interval(loop_of(1), FULL, 0.0, np.inf)

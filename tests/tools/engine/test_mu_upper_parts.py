@@ -524,6 +524,7 @@ def test_the_centre_of_dense_scalings_has_no_slope_along_any_direction_of_equal_
     np.testing.assert_allclose(Z @ S, np.eye(len(S)), atol=1e-8)
     slope = np.array([np.real(np.trace(Z @ f)) for f in F])
     slope[:n] += [np.real(np.trace(np.linalg.solve(D, e))) for e in structure.left]
+    slope[n:] -= mu_upper.G_WEIGHT * x[n:]
     slope -= trace * (slope @ trace) / (trace @ trace)
     assert np.abs(slope).max() < 1e-6
 

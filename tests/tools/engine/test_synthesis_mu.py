@@ -11,6 +11,8 @@ import pytest
 from lpvguard.engine.blocks import Block
 from lpvguard.engine.synthesis.errors import SynthesisError
 from lpvguard.engine.synthesis.mu import mu_bounds
+from lpvguard.engine.synthesis.mu_upper import upper_bound
+from lpvguard.engine.synthesis.structure import Structure
 from lpvguard.problems.synthesis import solve_mu
 
 
@@ -147,9 +149,9 @@ def conic_upper_bound(M, blocks):
 )
 def test_the_upper_bound_is_the_infimum_over_d_and_g(seed, blocks):
     M = random_matrix(blocks, seed)
-    bounds = mu_bounds(M, blocks)
-    assert bounds.upper == pytest.approx(conic_upper_bound(M, blocks), rel=1e-4)
-    assert bounds.lower <= bounds.upper
+    conic, bounds = conic_upper_bound(M, blocks), mu_bounds(M, blocks)
+    assert upper_bound(M, Structure(tuple(blocks)), 1e-8)[0] == pytest.approx(conic, rel=1e-4)
+    assert bounds.lower <= bounds.upper <= conic * (1 + 1e-4)
     check_delta(M, blocks, bounds)
 
 
@@ -168,10 +170,10 @@ def test_the_lower_bound_of_real_blocks_is_the_reciprocal_of_the_size_of_delta(s
 def test_the_scalings_prove_the_upper_bound():
     blocks = [Block("repeated_real", 2, 2), full(2, 1)]
     M = random_matrix(blocks, 7)
-    b = mu_bounds(M, blocks)
-    skew = 1j * (b.G @ M)
-    X = M.conj().T @ b.D_left @ M + skew + skew.conj().T - b.upper**2 * b.D_right
-    assert np.linalg.eigvalsh(X).max() <= 1e-6 * np.linalg.norm(b.D_right, 2) * b.upper**2
+    upper, _, left, right, G = upper_bound(M, Structure(tuple(blocks)), 1e-8)
+    skew, D_right = 1j * (G @ M), right @ right.conj().T
+    X = M.conj().T @ left @ left.conj().T @ M + skew + skew.conj().T - upper**2 * D_right
+    assert np.linalg.eigvalsh(X).max() <= 1e-6 * np.linalg.norm(D_right, 2) * upper**2
 
 
 def test_zero_and_nilpotent_matrices_have_mu_zero():

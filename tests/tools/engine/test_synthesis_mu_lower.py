@@ -83,22 +83,13 @@ def test_the_size_of_a_perturbation_is_that_of_its_largest_block():
 
 
 @pytest.mark.parametrize(
-    ("loop", "singular"),
-    [
-        ([1.0], True),
-        ([1 - 0.9e-9], True),
-        ([1 - 1.1e-9], False),
-        ([0.5, 1 - 0.9e-9], True),
-        ([0.5, 1 - 1.1e-9], False),
-        ([-3.0, 1 - 3.9e-9], True),
-        ([-3.0, 1 - 4.1e-9], False),
-        ([1 - 1.862645149230957, 1 - 2.0**-29], True),  # just a billionth
-    ],
+    ("moved", "singular"), [(0.0, True), (0.9e-11, True), (3e-11, False), (1e-9, False), (0.1, False)]
 )
-def test_a_loop_is_singular_to_a_billionth_of_its_size_or_of_one(loop, singular):
-    M = np.column_stack([np.diag(loop), np.ones(len(loop))])
-    delta = np.vstack([np.eye(len(loop)), np.zeros(len(loop))])
-    assert mu_lower._is_singular(M, delta) is singular
+@pytest.mark.parametrize("scale", [1.0, 1e6])
+def test_a_loop_is_singular_where_entries_of_m_move_by_rounding(moved, singular, scale):
+    """det(I − M) = 0.5 − 0.5 = 0 in any units of the two signals."""
+    M = np.array([[0.5, scale], [0.5 / scale, 0.0]]) * (1 + moved)
+    assert mu_lower._is_singular(M, np.eye(2)) is singular
 
 
 # ---------------------------------------------------------------- candidates
@@ -130,15 +121,17 @@ def test_a_candidate_is_kept_where_it_attains_more_than_asked_and_makes_the_loop
     monkeypatch.setattr(
         mu_lower, "_is_singular", lambda _, delta: delta is told["delta"] and told["singular"]
     )
-    assert mu_lower._checked("M", FULL, ["parts"]) == (0.25, told["delta"], ["parts"])
-    assert mu_lower._checked("M", FULL, ["parts"], 0.2) == (0.25, told["delta"], ["parts"])
-    assert mu_lower._checked("M", FULL, ["parts"], 0.25) is None
+    assert mu_lower._checked("M", FULL, [1.0]) == (0.25, told["delta"], [1.0])
+    assert mu_lower._checked("M", FULL, [1.0], 0.2) == (0.25, told["delta"], [1.0])
+    assert mu_lower._checked("M", FULL, [1.0], 0.25) is None
     told["singular"] = False
-    assert mu_lower._checked("M", FULL, ["parts"]) is None
+    assert mu_lower._checked("M", FULL, [1.0]) is None
     told |= {"singular": True, "value": 0.0}
-    assert mu_lower._checked("M", FULL, ["parts"]) is None
+    assert mu_lower._checked("M", FULL, [1.0]) is None
     told |= {"value": 0.25, "delta": None}
-    assert mu_lower._checked("M", FULL, ["parts"]) is None
+    assert mu_lower._checked("M", FULL, [1.0]) is None
+    told |= {"value": 0.25, "delta": np.eye(2)}
+    assert mu_lower._checked("M", FULL, [np.array([[np.nan]])]) is None, "extreme scalings left no candidate"
 
 
 def test_an_upper_bound_is_attained_by_the_blocks_of_its_singular_vectors(monkeypatch):

@@ -9,8 +9,8 @@ import scipy.linalg as sl
 from scipy.optimize import minimize
 
 from lpvguard.engine.blocks import Block
+from lpvguard.engine.synthesis import frequency_cells as interval
 from lpvguard.engine.synthesis import mu, mu_lower, mu_upper, norms
-from lpvguard.engine.synthesis import mu_interval as interval
 from lpvguard.engine.synthesis.errors import SynthesisError
 from lpvguard.engine.synthesis.statespace import StateSpace, to_discrete
 from lpvguard.engine.synthesis.structure import Structure
@@ -132,7 +132,7 @@ def searches(monkeypatch) -> dict:
     asked = {}
     left, right = np.array([[2.0, 1j], [0.0, 1.0]]), np.array([[1.0, 0.5j], [0.0, 3.0]])
 
-    def upper_bound(M, structure, rtol):
+    def upper_bound(M, structure, rtol, target=0.0):
         asked["upper"] = M, structure.blocks, rtol
         return asked["is"], 3.0, left, right, np.full((2, 2), 5.0)
 
@@ -147,26 +147,25 @@ def searches(monkeypatch) -> dict:
 
 def test_both_bounds_are_those_of_their_searches_in_order(searches):
     left, right, asked = (searches[k] for k in ("left", "right", "asked"))
-    asked["is"] = 2.0
-    found = mu.mu_bounds([[1, 0], [0, 1]], list(FOUR[:2]))
-    assert (found.upper, found.lower, found.infimum) == (2.0, 2.0, 2.0)
-    np.testing.assert_array_equal(found.D_left, [[5.0, 1j], [-1j, 1.0]])
-    np.testing.assert_array_equal(found.D_right, [[1.25, 1.5j], [-1.5j, 9.0]])
-    assert found.G[0, 0] == 5.0 and found.delta[0, 0] == 7.0
+    asked["is"] = 3.0
+    bounds = mu.mu_bounds([[1, 0], [0, 1]], list(FOUR[:2]))
+    assert bounds.upper == pytest.approx(3.0, rel=1e-9) and bounds.lower == 2.5 and bounds.delta[0, 0] == 7.0
+    (part,) = bounds.proof
+    np.testing.assert_array_equal(part.point.left, [[5.0, 1j], [-1j, 1.0]])
+    np.testing.assert_array_equal(part.point.scaled, [[1.25, 1.5j], [-1.5j, 9.0]])
     M, blocks, rtol = asked["upper"]
     assert M.dtype == complex and blocks == FOUR[:2] and rtol == 1e-8
     M, blocks, *factors, enough, starts = asked["lower"]
     assert M.dtype == complex and blocks == FOUR[:2] and factors[0] is left and factors[1] is right
-    assert enough == pytest.approx(2.0 * (1 - 1e-9), rel=1e-12) and starts == 40
+    assert enough == pytest.approx(bounds.upper * (1 - 1e-9), rel=1e-12) and starts == 40
     mu.mu_bounds(np.eye(2), FOUR[:2], 1e-3)
     assert asked["upper"][2] == 1e-3
 
 
-def test_below_an_upper_bound_of_zero_nothing_is_searched_for(searches):
-    searches["asked"]["is"] = 0.0
-    found = mu.mu_bounds(np.eye(2), FOUR[:2])
-    assert found.upper == found.lower == found.infimum == 0.0 and found.delta is None
-    assert "lower" not in searches["asked"]
+def test_scalings_that_prove_nothing_are_replaced_by_none(searches):
+    searches["asked"]["is"] = 0.5
+    bounds = mu.mu_bounds(np.eye(2), FOUR[:2])
+    assert bounds.upper == pytest.approx(1.0, rel=1e-9) and (bounds.proof[0].point.left == np.eye(2)).all()
 
 
 def test_a_lower_bound_alone_starts_eight_times(searches):
@@ -372,12 +371,12 @@ def test_the_singular_frequencies_are_those_of_phi(seed):
 
 
 def test_the_centre_of_a_cell_is_geometric_where_its_ends_are_far_apart_but_not_at_zero():
-    assert interval._centre(1.0, 4.0, 7.0) == 2.0
-    assert interval._centre(0.0, 4.0, 7.0) == 2.0
-    assert interval._centre(0.1, 1.1, 7.0) == pytest.approx(0.6)
-    assert interval._centre(0.1, 1.0, 7.0) == pytest.approx(0.55), "a tenth is not above a tenth"
-    assert interval._centre(0.11, 1.0, 7.0) == pytest.approx(np.sqrt(0.11))
-    assert interval._centre(2.0, np.inf, 7.0) == 7.0 and interval._centre(5.0, np.inf, 7.0) == 10.0
+    assert interval.middle(1.0, 4.0, 7.0) == 2.0
+    assert interval.middle(0.0, 4.0, 7.0) == 2.0
+    assert interval.middle(0.1, 1.1, 7.0) == pytest.approx(0.6)
+    assert interval.middle(0.1, 1.0, 7.0) == pytest.approx(0.55), "a tenth is not above a tenth"
+    assert interval.middle(0.11, 1.0, 7.0) == pytest.approx(np.sqrt(0.11))
+    assert interval.middle(2.0, np.inf, 7.0) == 7.0 and interval.middle(5.0, np.inf, 7.0) == 10.0
 
 
 @pytest.mark.parametrize("dt", [0.0, 0.2])
@@ -389,26 +388,23 @@ def test_the_bound_on_an_interval_is_the_norm_there(dt):
     gains = np.abs(loop.response(grid)[:, 0, 0])
     for low, high in ((0.0, last), (0.0, 0.8), (0.9, 1.4), (1.3, last), (0.2, 5.0)):
         inside = (grid >= low) & (grid <= high)
-        found = interval.mu_interval(loop, [Block("full", 1, 1)], low, high)
+        found = mu.mu_interval(loop, [Block("full", 1, 1)], low, high)
         assert gains[inside].max() <= found.upper <= 1.01 * gains[inside].max()
-        assert found.largest <= found.upper and low <= found.omega <= high and found.cells >= 1
+        assert found.lower <= found.upper and low <= found.omega <= high and found.proof
         at = np.abs(loop.response([found.omega])[0, 0, 0])
-        assert found.largest == pytest.approx(at, rel=1e-3)
+        assert found.lower == pytest.approx(at, rel=1e-9)
 
 
-def test_the_largest_bound_on_an_interval_is_mus_at_its_frequency():
-    """The first scalings prove 0.4 % more."""
+def test_the_lower_bound_on_an_interval_is_mus_at_its_frequency():
     loop = system(7, n=4, m=3, p=3)
-    found = interval.mu_interval(loop, FULL, 0.0, np.inf)
+    found = mu.mu_interval(loop, FULL, 0.0, np.inf)
     M = loop.response([found.omega])[0]
-    assert found.largest == pytest.approx(mu_upper.upper_bound(M, Structure(FULL), 1e-8)[0], rel=1.1e-4)
+    assert found.lower == pytest.approx(mu_upper.upper_bound(M, Structure(FULL), 1e-8)[0], rel=1e-6)
 
 
 @pytest.mark.parametrize(("low", "high"), [(-0.1, 1.0), (1.0, 1.0), (2.0, 1.0), (0.0, 17.0), (np.nan, 1.0)])
 def test_an_interval_lies_between_zero_and_half_the_rate(low, high):
     loop = to_discrete(StateSpace([[-1.0]], [[1.0]], [[1.0]], [[0.0]]), 0.2)
     with pytest.raises(SynthesisError, match="low, high"):
-        interval.mu_interval(loop, [Block("full", 1, 1)], low, high)
-    assert interval.mu_interval(loop, [Block("full", 1, 1)], 0.0, np.pi / 0.2).upper == pytest.approx(
-        1.0, rel=5e-3
-    )
+        mu.mu_interval(loop, [Block("full", 1, 1)], low, high)
+    assert mu.mu_interval(loop, [Block("full", 1, 1)], 0.0, np.pi / 0.2).upper == pytest.approx(1.0, rel=5e-3)

@@ -7,7 +7,8 @@ from scipy.optimize import minimize
 
 from lpvguard.engine.blocks import Block
 from lpvguard.engine.synthesis import worst_gain as parts
-from lpvguard.engine.synthesis.mu_interval import PointBound, mu_interval
+from lpvguard.engine.synthesis.frequency_cells import PointBound
+from lpvguard.engine.synthesis.mu import mu_interval
 from lpvguard.engine.synthesis.mu_upper import upper_bound
 from lpvguard.engine.synthesis.norms import hinf_norm
 from lpvguard.engine.synthesis.statespace import StateSpace, append, gain, series, to_discrete

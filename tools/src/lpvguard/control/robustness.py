@@ -22,7 +22,7 @@ from ..core.scheduled import Scheduled
 from ..engine.synthesis.dk import Scaling
 from ..engine.synthesis.interconnection import GeneralisedPlant
 from ..engine.synthesis.margins import SKEWS
-from ..engine.synthesis.mu_interval import mu_interval
+from ..engine.synthesis.mu import mu_interval
 from ..engine.synthesis.norms import hinf_norm
 from ..engine.synthesis.nu_gap import nu_gap, nu_margin
 from ..engine.synthesis.statespace import StateSpace, lft

@@ -13,8 +13,7 @@ from lpvguard.base.errors import InputError
 from lpvguard.engine.blocks import Block
 from lpvguard.engine.synthesis.errors import SynthesisError
 from lpvguard.engine.synthesis.hinf import hinf_synthesis
-from lpvguard.engine.synthesis.mu import mu_bounds
-from lpvguard.engine.synthesis.mu_interval import mu_interval
+from lpvguard.engine.synthesis.mu import MuBounds, mu_bounds, mu_interval
 from lpvguard.engine.synthesis.statespace import StateSpace
 
 
@@ -54,37 +53,58 @@ def solve_hinf(problem: dict) -> dict:
 
 
 def solve_mu(problem: dict) -> dict:
-    """Answer to kind ``mu``: mu_upper and mu_lower for the fields M and blocks.
+    """Answer kind ``mu``: both bounds of μ for the fields M and blocks.
 
-    ``delta`` makes I − M Δ singular at size 1/mu_lower; it is null for mu_lower = 0. Raises SynthesisError,
-    naming the field, on what cannot be answered.
+    Returns
+    -------
+    dict
+        ``mu_upper`` (proved), ``mu_lower``, and ``delta``, which makes I − M Δ singular at size 1/mu_lower.
+        ``gap`` is mu_upper/mu_lower − 1; ``resolved`` tells whether it is at most 1 %. ``delta`` and ``gap``
+        are null for mu_lower = 0.
+
+    Raises
+    ------
+    SynthesisError
+        It names the field that cannot be answered.
     """
     name = str(problem.get("id", "mu"))
-    M = _complex_matrix(problem, "M", name)
-    blocks = _blocks(problem, name)
-    bounds = mu_bounds(M, blocks)
-    delta = (
-        None if bounds.delta is None else np.stack([bounds.delta.real, bounds.delta.imag], axis=-1).tolist()
-    )
-    return {"mu_upper": bounds.upper, "mu_lower": bounds.lower, "delta": delta}
+    return _bounds(mu_bounds(_complex_matrix(problem, "M", name), _blocks(problem, name)))
 
 
 def solve_mu_interval(problem: dict) -> dict:
-    """Answer to kind ``mu_interval``: a bound of mu at every frequency between ``low`` and ``high`` [rad/s].
+    """Answer kind ``mu_interval``: both bounds of μ between ``low`` and ``high`` [rad/s].
 
-    Fields: A, B, C, D, dt (default 0), blocks, low (default 0), high (default or null: infinite, of a
-    discrete system pi / dt). Raises SynthesisError, naming the field, on what cannot be answered.
+    The fields are A, B, C, D, dt (default 0), blocks, low (default 0), high (default or null: infinite, of a
+    discrete system pi / dt).
+
+    Returns
+    -------
+    dict
+        As ``solve_mu``, with the frequency ``omega`` [rad/s] of ``mu_lower`` (null: infinite) and the number
+        ``cells`` of boxes and intervals that the proof of ``mu_upper`` is made of.
+
+    Raises
+    ------
+    SynthesisError
+        It names the field that cannot be answered.
     """
     name = str(problem.get("id", "mu_interval"))
     loop, blocks = _system(problem, name), _blocks(problem, name)
     last = np.pi / loop.dt if loop.dt else np.inf
     high = last if problem.get("high") is None else _number(problem, "high", name, last)
-    found = mu_interval(loop, blocks, _number(problem, "low", name, 0.0), high)
+    bounds = mu_interval(loop, blocks, _number(problem, "low", name, 0.0), high)
+    return _bounds(bounds) | {"omega": _finite(bounds.omega), "cells": len(bounds.proof)}
+
+
+def _bounds(bounds: MuBounds) -> dict:
+    """Return the fields of an answer that both kinds of μ have."""
+    delta = bounds.delta
     return {
-        "mu_upper": found.upper,
-        "largest_at_one_frequency": found.largest,
-        "omega": _finite(found.omega),
-        "cells": found.cells,
+        "mu_upper": bounds.upper,
+        "mu_lower": bounds.lower,
+        "gap": _finite(bounds.gap),
+        "resolved": bounds.resolved,
+        "delta": None if delta is None else np.stack([delta.real, delta.imag], axis=-1).tolist(),
     }
 
 

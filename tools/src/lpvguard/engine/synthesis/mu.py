@@ -1,14 +1,14 @@
-"""Structured singular value: the D,G upper bound to its infimum, and a lower bound by a perturbation that is
-checked.
+"""Structured singular value of a matrix and of a loop, from both sides.
 
 μ(M) = 1 / min{ max_i σ̄(Δ_i) : det(I − M Δ) = 0 } over Δ = diag(Δ_1, Δ_2, ...). Δ is (Σ rows) × (Σ cols) and
 M (Σ cols) × (Σ rows) of the blocks: full complex, or δ I with δ complex or real.
 
-Upper bound: the least β with  Mᴴ D_L M + j (G M − Mᴴ G) ≼ β² D_R  (Fan, Tits & Doyle 1991), found by
-Newton's method where full blocks leave the largest singular value simple, else by the method of centres.
-Both bound the infimum from below, so the returned number is within ``rtol`` of it. It is exact for up to
-three full complex blocks. Lower bound: the Δ of that singular value, else the mixed power iteration (Young &
-Doyle 1990) from many starts at once. Δ is scaled so that I − M Δ is singular, and that is verified.
+Upper bound: the least β with  Mᴴ D_L M + j (G M − Mᴴ G) ≼ β² D_R  (Fan, Tits & Doyle 1991). It is exact for
+up to three full complex blocks. Real blocks are bounded on boxes of their parameters besides (``real_mu``),
+which closes the gap that D and G leave. Over an interval the bound is proved between frequencies too.
+Lower bound: a Δ with I − M Δ singular, checked.
+
+Every upper bound comes with its proof: scalings, and where they hold. ``MuBounds.verified`` tests them anew.
 """
 
 from __future__ import annotations
@@ -17,51 +17,199 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy.linalg as sl
 
 from lpvguard.engine.blocks import Block
 from lpvguard.engine.synthesis.errors import SynthesisError
+from lpvguard.engine.synthesis.frequency_cells import PointBound, continuous_interval, cover, quadratic
 from lpvguard.engine.synthesis.mu_lower import lower_bound
-from lpvguard.engine.synthesis.mu_upper import upper_bound
+from lpvguard.engine.synthesis.mu_upper import POINT_RTOL, upper_bound
+from lpvguard.engine.synthesis.real_boxes import ParameterBox, Part, Prover
+from lpvguard.engine.synthesis.real_mu import ZERO, real_mu
+from lpvguard.engine.synthesis.statespace import StateSpace
 from lpvguard.engine.synthesis.structure import Structure
+
+REAL_RTOL, ONE_REAL_RTOL = 2e-3, 1e-6
+"""Gap between the bounds that is aimed at with real blocks, and with one real scalar alone."""
+RESOLVED = 1e-2
+"""Gap between the bounds up to which μ counts as known."""
+INFLATIONS = (0.0, 1e-14, 1e-12, 1e-10, 1e-8, 1e-6)
+"""Shares by which the bound of one frequency is raised until its scalings prove it within rounding."""
+COMPLEX_STARTS, INTERVAL_STARTS = 40, 8
+"""Starts of the search for a lower bound, of a matrix and of a loop's peak."""
+EMPTY = ParameterBox(np.zeros(0), np.zeros(0))
 
 
 @dataclass(frozen=True)
 class MuBounds:
-    """lower ≤ μ ≤ upper. ``infimum``: a value that no D scaling goes below, proved when all blocks are full,
-    else 0. ``delta`` (Σrows, Σcols) makes I − M Δ singular with max_i σ̄(Δ_i) = 1/lower; None when lower = 0.
-    ``D_left``, ``D_right``: the scaling of ``upper``.
+    """Bounds of μ at one frequency or over an interval.
+
+    Attributes
+    ----------
+    upper : float
+        Proved by ``proof``.
+    lower : float
+        Attained at ``omega`` by ``delta``, shape (Σrows, Σcols), which makes I − M Δ singular with
+        max_i σ̄(Δ_i) = 1 / ``lower``; ``delta`` is None for a lower bound of 0.
+    omega : float
+        Frequency in rad/s; of a matrix 0.
+    proof : tuple of Part
+        In continuous time, of a discrete loop by the bilinear map.
+    size : float
+        ‖M‖, the largest over the interval where that was looked at; a bound far below it counts as 0.
     """
 
     upper: float
     lower: float
-    infimum: float
+    omega: float
     delta: np.ndarray | None
-    D_left: np.ndarray
-    D_right: np.ndarray
-    G: np.ndarray
+    proof: tuple[Part, ...]
+    size: float
+
+    @property
+    def gap(self) -> float:
+        """Share by which the upper bound exceeds the lower; 0 for an upper bound of at most ``ZERO`` size."""
+        if self.upper <= ZERO * self.size:
+            return 0.0
+        return self.upper / self.lower - 1 if self.lower > 0 else np.inf
+
+    @property
+    def resolved(self) -> bool:
+        """Whether the gap is at most ``RESOLVED``."""
+        return bool(self.gap <= RESOLVED)
 
 
 def mu_bounds(M: np.ndarray, blocks: Sequence[Block], rtol: float = 1e-8) -> MuBounds:
-    """Both bounds of μ for a complex matrix ``M`` (Σcols, Σrows) and a sequence of Block.
+    """Bound μ of a complex matrix from both sides.
 
-    Raises SynthesisError when M is not finite or its shape is not that of the blocks.
+    Parameters
+    ----------
+    M : ndarray, shape (Σcols, Σrows)
+    blocks : sequence of Block
+    rtol : float
+        Accuracy of the scalings' bound. With real blocks the gap aimed at is ``REAL_RTOL``.
+
+    Raises
+    ------
+    SynthesisError
+        M is not finite, its shape is not that of the blocks, or no bound could be proved.
     """
     M = np.asarray(M, dtype=complex)
-    blocks = tuple(blocks)
-    shape = (sum(b.cols for b in blocks), sum(b.rows for b in blocks))
+    structure = Structure(tuple(blocks))
+    shape = structure.n_rows, structure.n_cols
     if M.shape != shape:
         raise SynthesisError(
             "mu", "M", f"shape {M.shape}", f"{shape}, the sums of the blocks' inputs and outputs"
         )
     if not np.all(np.isfinite(M)):
         raise SynthesisError("mu", "M", "a NaN or infinite entry", "finite numbers")
-    structure = Structure(blocks)
-    upper, infimum, left, right, G = upper_bound(M, structure, rtol)
-    lower, delta = (
-        lower_bound(M, structure, left, right, upper * (1 - 1e-9), 40) if upper > 0 else (0.0, None)
+    size = float(np.linalg.norm(M, 2))
+    if size == 0:
+        return MuBounds(0.0, 0.0, 0.0, None, (), 0.0)
+    prover = Prover(M, structure)
+    upper, part, left, right = _scaled_bound(prover, M, rtol)
+    if structure.complex_only:
+        lower, delta = lower_bound(M, structure, left, right, upper * (1 - 1e-9), COMPLEX_STARTS)
+        proof: tuple[Part, ...] = (part,)
+    else:
+        real = real_mu(M, structure, 0.0, 0.0, _aim(structure, REAL_RTOL))
+        lower, delta, proof = real.lower, real.delta, (part,)
+        if real.upper < upper:
+            upper, proof = real.upper, real.proof
+    return _required(prover, MuBounds(upper, min(lower, upper), 0.0, delta, proof, size), 0.0, 0.0)
+
+
+def mu_interval(
+    loop: StateSpace, blocks: Sequence[Block], low: float, high: float, rtol: float = REAL_RTOL
+) -> MuBounds:
+    """Bound μ of a loop at every frequency of an interval.
+
+    Parameters
+    ----------
+    loop : StateSpace
+        Stable, with Σcols outputs and Σrows inputs.
+    blocks : sequence of Block
+    low, high : float
+        Interval in rad/s. The last may be infinite, or in discrete time pi / dt.
+    rtol : float
+        Gap aimed at.
+
+    Raises
+    ------
+    SynthesisError
+        The loop is not stable or of another shape than the blocks, or no bound could be proved.
+    """
+    structure = Structure(tuple(blocks))
+    G, first, last, unwarped = continuous_interval("mu_interval", loop, structure, low, high)
+    if structure.complex_only:
+        bounds = _complex_interval(loop, structure, low, high, rtol)
+    else:
+        real = real_mu(G, structure, first, last, _aim(structure, rtol))
+        bounds = MuBounds(real.upper, real.lower, unwarped(real.omega), real.delta, real.proof, real.size)
+    return _required(Prover(G, structure), bounds, first, last)
+
+
+def _aim(structure: Structure, rtol: float) -> float:
+    """Return the gap aimed at: D and G are exact for one real scalar alone."""
+    return min(rtol, ONE_REAL_RTOL) if structure.n_rows == 1 else rtol
+
+
+def _scaled_bound(prover: Prover, M: np.ndarray, rtol: float) -> tuple[float, Part, np.ndarray, np.ndarray]:
+    """Return the D, G bound of M, its proof, and factors of D_left and D_right.
+
+    The bound is raised until its scalings prove it within rounding; scalings that do not are replaced by 1.
+    """
+    structure = prover.structure
+    value, _, left, right, skew = upper_bound(M, structure, rtol)
+    n_real = sum(b.kind == "repeated_real" for b in structure.blocks)
+    one = np.eye(structure.n_rows), np.eye(structure.n_cols), np.zeros_like(skew)
+    norm = float(np.linalg.norm(M, 2))
+    for least, (a, b, G) in ((value, (left, right, skew)), (norm, one)):
+        D_left, D_right = a @ a.conj().T, b @ b.conj().T
+        for share in INFLATIONS:
+            upper = max(least, np.finfo(float).tiny) * (1 + share)
+            edge = np.full(n_real, 1 / upper)
+            point = PointBound(1.0, D_left, np.zeros_like(D_right), D_right, G / upper)
+            part = Part(ParameterBox(-edge, edge), 0.0, 0.0, point)
+            if prover.verified([part], upper, 0.0, 0.0):
+                return float(upper), part, left, right
+    raise SynthesisError(
+        "mu", "mu_upper", "no scalings prove a bound within rounding", "a matrix of like units"
     )
-    D_left, D_right = left @ left.conj().T, right @ right.conj().T
-    return MuBounds(upper, min(lower, upper), min(infimum, upper), delta, D_left, D_right, G)
+
+
+def _complex_interval(
+    loop: StateSpace, structure: Structure, low: float, high: float, rtol: float
+) -> MuBounds:
+    """Bound μ over an interval without real blocks; arguments as in ``mu_interval``."""
+
+    def at(M: np.ndarray, _: float) -> PointBound:
+        value, _, left, right, skew = upper_bound(M, structure, POINT_RTOL)
+        right = right @ right.conj().T
+        return PointBound(value, left @ left.conj().T, np.zeros_like(right), right, skew)
+
+    def held(M: np.ndarray, point: PointBound) -> float:
+        return float(np.sqrt(max(sl.eigvalsh(quadratic(M, point), point.scaled)[-1], 0.0)))
+
+    bound = cover("mu_interval", loop, structure, low, high, rtol, at, held)
+    M = loop.response([bound.omega])[0]
+    upper, _, left, right, _ = upper_bound(M, structure, POINT_RTOL)
+    lower, delta = lower_bound(M, structure, left, right, upper * (1 - POINT_RTOL), INTERVAL_STARTS)
+    proof = tuple(Part(EMPTY, c.low, c.high, c.point) for c in bound.cells)
+    return MuBounds(bound.upper, lower, bound.omega, delta, proof, float(np.linalg.norm(M, 2)))
+
+
+def _required(prover: Prover, bounds: MuBounds, low: float, high: float) -> MuBounds:
+    """Return ``bounds`` if its proof holds on [``low``, ``high``] and its Δ is singular; else an error."""
+    if not prover.verified(bounds.proof, bounds.upper, low, high):
+        raise SynthesisError(
+            "mu",
+            "mu_upper",
+            f"not proved: the scalings of {bounds.upper:.6g} do not hold within rounding; mu is at least "
+            f"{bounds.lower:.6g}",
+            "a loop whose signals and states are scaled to like sizes",
+        )
+    return bounds
 
 
 def mu_lower(

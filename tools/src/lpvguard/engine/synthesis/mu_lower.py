@@ -7,17 +7,19 @@ where blocks are complex or mixed.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 import scipy.linalg as sl
 
 from lpvguard.engine.blocks import Block
 from lpvguard.engine.synthesis.mu_upper import simple_infimum
+from lpvguard.engine.synthesis.real_crossings import is_singular
 from lpvguard.engine.synthesis.structure import Structure
 
 ATTAINED_RTOL = 1e-10
 """Of an upper bound that is attained."""
+SINGULAR_RTOL = 1e-11
 TINY = 1e-300
 Parts = list[np.ndarray | complex]
 """A Δ of unit size block by block: a matrix of a full block, the number of a repeated one."""
@@ -33,8 +35,11 @@ def lower_bound(
     enough: float,
     starts: int,
     steps: int = 200,
+    vectors: Sequence[np.ndarray] = (),
 ) -> tuple[float, np.ndarray | None]:
     """Largest β found with I − M Δ singular and max σ̄(Δ_i) = 1/β, and that Δ; (0, None) when none was found.
+
+    ``vectors``, each of shape (Σrows,): x near one of M Δ x = x, as the upper bound's scalings leave it.
 
     The factors of the upper bound's scalings commute with Δ, so the iteration runs on the scaled,
     well-balanced matrix.
@@ -46,6 +51,7 @@ def lower_bound(
     N = left.conj().T @ M @ np.linalg.inv(right.conj().T)
     scaled = N / np.linalg.norm(N, 2)
     candidates = _power_iteration(scaled, structure, starts, steps)
+    candidates[:0] = [_parts_of(M, structure, x, enough) for x in vectors]
     tried = (_checked(M, structure, parts) for parts in candidates + _vertices(structure, candidates[-1]))
     found = sorted((one for one in tried if one), key=lambda one: -one[0])
     if structure.complex_only:
@@ -64,8 +70,25 @@ def lower_bound(
     return found[0][:2] if found else (0.0, None)
 
 
+def _parts_of(M: np.ndarray, structure: Structure, x: np.ndarray, level: float) -> Parts:
+    """Return the Δ of unit size that takes M x nearest to ``level`` x, block by block."""
+    z = M @ x
+    parts: Parts = []
+    for block, r, c in _places(structure):
+        if block.kind == "full":
+            parts.append(_rank_one(x[c], z[r]))
+        elif block.kind == "repeated_complex":
+            parts.append(_phase(np.vdot(z[r], x[c])))
+        else:
+            ratio = np.vdot(z[r], x[c]).real / max(np.linalg.norm(z[r]) ** 2, TINY)
+            parts.append(float(np.clip(level * ratio, -1, 1)))
+    return parts
+
+
 def _checked(M: np.ndarray, structure: Structure, parts: Parts, least: float = 0.0) -> _Found | None:
     """What ``parts`` attain; None where that is not above ``least`` or wrong."""
+    if not all(np.isfinite(part).all() for part in parts):  # of extreme scalings
+        return None
     value, delta = _make_singular(M, structure, parts)
     return (value, delta, parts) if delta is not None and value > least and _is_singular(M, delta) else None
 
@@ -357,6 +380,5 @@ def _make_real(M: np.ndarray, vary: Callable[[float], np.ndarray], start: comple
 
 
 def _is_singular(M: np.ndarray, delta: np.ndarray) -> bool:
-    """det(I − M Δ) = 0 within rounding."""
-    sigma = np.linalg.svd(np.eye(len(M)) - M @ delta, compute_uv=False)
-    return bool(sigma[-1] <= 1e-9 * max(sigma[0], 1.0))
+    """det(I − M Δ) = 0 for an M of which each entry moved by ``SINGULAR_RTOL`` at most."""
+    return is_singular(M, delta, SINGULAR_RTOL * np.abs(M))

@@ -14,22 +14,31 @@ from lpvguard.engine.synthesis.structure import Structure
 
 NEWTON_STEPS, SHORTEST_STEP = 25, 1e-6
 """Of the search where the largest singular value is simple, before the method of centres takes over."""
+POINT_RTOL = 1e-4
+"""Of the bound at one of many frequencies."""
+WEAK = 1e-5
+"""Couplings of M below this share of its norm make no scalings more extreme."""
+G_WEIGHT = 0.1
+"""Weight of |G|² in the centre that is searched for."""
+UNFELT = 1e-10
+"""Entries of a G's part of Φ below this count as zero: where M is real, G has no part in it."""
 
 
 def upper_bound(
-    M: np.ndarray, structure: Structure, rtol: float
+    M: np.ndarray, structure: Structure, rtol: float, target: float = 0.0
 ) -> tuple[float, float, np.ndarray, np.ndarray, np.ndarray]:
     """β for M (Σcols, Σrows), the infimum's lower bound, factors L of D_left and D_right (D = L Lᴴ), and G.
 
     D_left is (Σcols, Σcols), D_right (Σrows, Σrows), G (Σrows, Σcols). The search ends when β is within
-    ``rtol`` (relative) of the infimum, or when rounding lets it go no lower.
+    ``rtol`` (relative) of the infimum, or when rounding lets it go no lower. With a ``target`` it ends below
+    that β: the scalings are then the centre of those that prove ``target``, far from the borders of that set.
 
     After each centre its D + |G| is absorbed into the matrix (N ← Lᴴ N L⁻ᴴ, D + |G| = L Lᴴ). The next one so
     starts in well-scaled coordinates even where ever worse conditioned scalings approach the infimum. D alone
     would leave an ever larger G where a real block's D vanishes beside it.
     """
     d = _balance(M, structure)
-    left, right = (_spread(d, [getattr(b, side) for b in structure.blocks]) for side in ("cols", "rows"))
+    left, right = _both_sides(d, structure)
     size = float(np.linalg.norm(left @ M @ np.linalg.inv(right), 2))
     G = np.zeros((structure.n_cols, structure.n_rows), complex)
     if size == 0:
@@ -40,16 +49,15 @@ def upper_bound(
     n_d = len(structure.left)
     D_left, D_right = np.eye(structure.n_rows, dtype=complex), np.eye(structure.n_cols, dtype=complex)
     level, best, infimum = 1.1, np.inf, 0.0
+    goal = (target / size) ** 2 if target else -np.inf
     kept = left, right, D_left, D_right, G
     for _ in range(300):
-        N = left.conj().T @ M @ np.linalg.inv(right.conj().T) / size
-        quad = N.conj().T @ structure.left @ N
-        skew = 1j * (structure.skew @ N)
-        skew = skew + np.conj(np.swapaxes(skew, 1, 2))
+        quad, skew = _forms(left.conj().T @ M @ np.linalg.inv(right.conj().T) / size, structure)
         x = structure.coordinates(D_right, G)
         F = np.concatenate([level * structure.right - quad, -skew])
+        felt = np.r_[np.ones(n_d, bool), np.abs(skew).max((1, 2), initial=0.0) > UNFELT]
         try:
-            x, Z = _centre(x, F, structure, trace)
+            x[felt], Z = _centre(x[felt], F[felt], structure, trace[felt])
         except np.linalg.LinAlgError:  # the set has no interior left within rounding: ``best`` is its level
             break
         D_left, D_right = (np.tensordot(x[:n_d], basis, 1) for basis in (structure.left, structure.right))
@@ -61,12 +69,13 @@ def upper_bound(
         L, R = np.linalg.inv(L), np.linalg.inv(R)
         D_left, D_right, G = L @ D_left @ L.conj().T, R @ D_right @ R.conj().T, R @ G @ L.conj().T
         value = _level(M, left, right, D_left, D_right, G, size)
-        if value < best:
+        if value < best or (level == goal and value < goal):
             best, kept = value, (left, right, D_left, D_right, G)
         left, right, D_left, D_right, G = kept
-        if best <= infimum * (1 + 2 * rtol) or best < 1e-14 or level - best < 1e-3 * rtol * level:
+        settled = best <= infimum * (1 + 2 * rtol) or best < 1e-14 or level - best < 1e-3 * rtol * level
+        if (level == goal) if best < goal else settled:
             break
-        level = best + 0.05 * (level - best)
+        level = goal if best < goal else best + 0.05 * (level - best)
     return (
         size * np.sqrt(max(best, 0.0)),
         size * np.sqrt(infimum),
@@ -74,6 +83,12 @@ def upper_bound(
         right @ np.linalg.cholesky(D_right),
         size * right @ G @ left.conj().T,
     )
+
+
+def _forms(N: np.ndarray, structure: Structure) -> tuple[np.ndarray, np.ndarray]:
+    """Return Nᴴ E N of each D's basis and j (E N − Nᴴ E) of each G's, for N (Σcols, Σrows)."""
+    skew = 1j * (structure.skew @ N)
+    return N.conj().T @ structure.left @ N, skew + np.conj(np.swapaxes(skew, 1, 2))
 
 
 def simple_infimum(
@@ -151,15 +166,33 @@ def _newton_model(
     return value, slope, curvature, value * float(np.sqrt(np.min(out[heard] / into[heard])))
 
 
+def balance(M: np.ndarray, structure: Structure) -> tuple[np.ndarray, np.ndarray]:
+    """Return D_left (Σcols, Σcols) and D_right (Σrows, Σrows) that even out the blocks' norms of M.
+
+    Couplings below ``WEAK`` of the norm count as that large, so that rounding makes no extreme scalings.
+    """
+    return _both_sides(_balance(M, structure, WEAK * float(np.linalg.norm(M))) ** 2, structure)
+
+
+def _both_sides(scales: np.ndarray, structure: Structure) -> tuple[np.ndarray, np.ndarray]:
+    """Return the blocks' ``scales`` as diagonal matrices (Σcols, Σcols) and (Σrows, Σrows)."""
+    rows, cols = ([getattr(b, side) for b in structure.blocks] for side in ("cols", "rows"))
+    return _spread(scales, rows), _spread(scales, cols)
+
+
 def _spread(scales: np.ndarray, sizes: list[int]) -> np.ndarray:
     """Diagonal complex matrix with each of ``scales`` repeated ``sizes`` times."""
     return np.diag(np.repeat(scales, sizes)).astype(complex)
 
 
-def _balance(M: np.ndarray, structure: Structure) -> np.ndarray:
-    """Start scalings d_i (Osborne 1960) that even out the Frobenius norms of the blocks' rows and columns."""
+def _balance(M: np.ndarray, structure: Structure, least: float = 0.0) -> np.ndarray:
+    """Start scalings d_i (Osborne 1960) that even out the Frobenius norms of the blocks' rows and columns.
+
+    Norms below ``least`` count as that large.
+    """
     k = len(structure.blocks)
     size = np.array([[np.linalg.norm(M[r, c]) for c in structure.col] for r in structure.row])
+    size = np.maximum(size, least)
     d = np.ones(k)
     for _ in range(50):
         before = d.copy()
@@ -196,8 +229,10 @@ def _level(
 def _centre(
     x: np.ndarray, F: np.ndarray, structure: Structure, trace: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Analytic centre of {S(x) = Σ x_k F_k ≻ 0, D(x) ≻ 0, tr D_left = const} by damped Newton; x and S⁻¹
-    there.
+    """Return the centre of {S(x) = Σ x_k F_k ≻ 0, D(x) ≻ 0, tr D_left = const}, and S⁻¹ there.
+
+    Damped Newton steps lead to the least of −log det S − log det D + ½ ``G_WEIGHT`` |G|². Without the last
+    term a G that lifts all of S would grow without limit.
     """
     n_d = len(structure.left)
 
@@ -215,6 +250,8 @@ def _centre(
         WS, WD = WS.reshape(len(F), -1), WD.reshape(n_d, -1)
         H = np.real(WS @ WS.conj().T)
         H[:n_d, :n_d] += np.real(WD @ WD.conj().T)
+        g[n_d:] += G_WEIGHT * x[n_d:]
+        H[n_d:, n_d:] += G_WEIGHT * np.eye(len(x) - n_d)
         scale = 1 / np.sqrt(np.diag(H))
         K = np.zeros((len(x) + 1,) * 2)
         K[:-1, :-1] = H * scale * scale[:, None]

@@ -6,7 +6,7 @@ At one frequency γ bounds it where scalings D, G of the blocks of Δ give (skew
 
 With D and G given the least γ is a largest eigenvalue of a Schur complement. The scalings of μ with the
 performance rows divided by γ lower γ, until neither moves. Between frequencies the bound is proved by the
-cells of mu_interval.
+cells of frequency_cells.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from dataclasses import replace
 import numpy as np
 
 from lpvguard.engine.blocks import Block
-from lpvguard.engine.synthesis.mu_interval import POINT_RTOL, IntervalBound, PointBound, cover, quadratic
-from lpvguard.engine.synthesis.mu_upper import upper_bound
+from lpvguard.engine.synthesis.frequency_cells import IntervalBound, PointBound, cover, quadratic
+from lpvguard.engine.synthesis.mu_upper import POINT_RTOL, upper_bound
 from lpvguard.engine.synthesis.statespace import StateSpace
 from lpvguard.engine.synthesis.structure import Structure
 
@@ -31,11 +31,11 @@ LARGEST = 1e6
 def worst_gain(
     loop: StateSpace, blocks: Sequence[Block], performance: Block, low: float, high: float, rtol: float = 2e-3
 ) -> IntervalBound:
-    """The bound for ``loop`` from ``low`` to ``high`` [rad/s], frequencies as in ``mu_interval``. Its first
+    """The bound for ``loop`` from ``low`` to ``high`` [rad/s], frequencies as in ``cover``. Its first
     outputs and inputs are those of Δ, the last those of the full ``performance`` block (z, then [w; n; r_c]).
 
     ``upper`` is inf where scalings do not show the loop stable for every Δ of size 1. SynthesisError as
-    ``mu_interval``.
+    ``cover``.
     """
     structure = Structure((*blocks, performance))
     rows, cols = structure.n_rows - performance.cols, structure.n_cols - performance.rows

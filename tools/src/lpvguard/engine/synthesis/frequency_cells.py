@@ -1,0 +1,324 @@
+"""Bounds proved on a whole interval of frequencies, by cells laid side by side (THEORY 6.2).
+
+At one frequency the bound β holds with scalings D, G where
+
+    Φ(ω) = β² D_R − M(jω)ᴴ D_L M(jω) − j (G M(jω) − M(jω)ᴴ G) ≻ 0.
+
+With D and G kept, Φ stays positive definite up to the nearest frequency at which it is singular. Those
+frequencies are imaginary eigenvalues of one Hamiltonian matrix. Rounding moves such eigenvalues off the
+axis, so all near it are taken, and Φ itself is tested between them and at both ends. Rounding of M and of the
+products is allowed for in each test. No value between grid points is assumed.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from lpvguard.engine.synthesis.errors import SynthesisError
+from lpvguard.engine.synthesis.statespace import EPS, StateSpace, balanced, balancing, to_continuous
+from lpvguard.engine.synthesis.structure import Structure
+
+SHORT = 0.999
+"""Of the way to a frequency where Φ is singular, that a cell goes."""
+NEAR, ROUNDED = 1e-2, 1e-8
+"""Real part, over the eigenvalue's size and over the matrix's norm, up to which an eigenvalue may be one on
+the imaginary axis that rounding moved: a double one moves by about sqrt(eps) of the norm."""
+MOST_CELLS = 3000
+CLEARLY = 0.95
+"""Of the largest bound: below it a cell is wide with any scalings, and those at hand will do."""
+
+
+@dataclass(frozen=True)
+class FrequencyCell:
+    """Scalings that prove a bound from ``low`` to ``high`` [rad/s, continuous time]."""
+
+    low: float
+    high: float
+    point: PointBound
+
+
+@dataclass(frozen=True)
+class IntervalBound:
+    """A bound that holds at every frequency of an interval.
+
+    Attributes
+    ----------
+    upper : float
+    largest : float
+        Largest bound that was computed at one frequency, at ``omega`` [rad/s].
+    omega : float
+    cells : tuple of FrequencyCell
+        They cover the interval, each at the level ``upper``.
+    """
+
+    upper: float
+    largest: float
+    omega: float
+    cells: tuple[FrequencyCell, ...]
+
+
+@dataclass(frozen=True)
+class PointBound:
+    """A bound at one frequency and its scalings: Φ = fixed + β² scaled − Mᴴ left M − j (skew M − Mᴴ skew) is
+    positive definite for every β above ``value``.
+
+    left (Σcols, Σcols), fixed and scaled (Σrows, Σrows), skew (Σrows, Σcols).
+    """
+
+    value: float
+    left: np.ndarray
+    fixed: np.ndarray
+    scaled: np.ndarray
+    skew: np.ndarray
+
+
+def cover(
+    name: str,
+    loop: StateSpace,
+    structure: Structure,
+    low: float,
+    high: float,
+    rtol: float,
+    at: Callable[[np.ndarray, float], PointBound],
+    held: Callable[[np.ndarray, PointBound], float],
+) -> IntervalBound:
+    """Cover the interval from ``low`` to ``high`` [rad/s] by cells.
+
+    Length: half of it is this docstring.
+
+    Parameters
+    ----------
+    name : str
+        Who asks, in errors.
+    loop : StateSpace
+        Stable, with Σcols outputs and Σrows inputs.
+    structure : Structure
+    low, high : float
+        The last may be infinite, or in discrete time pi / dt.
+    rtol : float
+        ``upper`` exceeds ``largest`` by this share.
+    at : callable
+        M (Σcols, Σrows) and the largest bound so far to the bound at that frequency.
+    held : callable
+        M and a bound elsewhere to what its scalings prove at M; inf: nothing.
+
+    Raises
+    ------
+    SynthesisError
+        For a loop that is not stable, of another shape than the blocks, or whose cells do not cover the
+        interval.
+
+    Notes
+    -----
+    The search begins where the scalings of one frequency prove the least of all poles' frequencies, near the
+    peak. Where a neighbour's scalings prove clearly less than the largest bound, none are searched for.
+    """
+    G, first, last, unwarped = continuous_interval(name, loop, structure, low, high)
+    size = float(np.abs(G.poles()).max()) if G.order else 1.0
+    todo: list[tuple[float, float, PointBound | None]] = [(first, last, None)]
+    start = _likely_peak(G, at, held, first, last, size)
+    level, largest, where = 0.0, -1.0, 0.0
+    cells: list[FrequencyCell] = []
+    while todo:
+        a, b, known = todo.pop()
+        if len(cells) == MOST_CELLS:
+            raise SynthesisError(
+                name, f"{unwarped(a):g} rad/s", f"{len(cells)} cells do not cover it", "a smoother loop"
+            )
+        centre = start if known is None else middle(a, b, size)
+        M = G.response([centre])[0]
+        if known is not None and (value := held(M, known)) <= CLEARLY * largest:
+            point = replace(known, value=value)
+        else:
+            point = at(M, max(largest, 0.0))
+        if point.value > largest:
+            largest, where = point.value, centre
+        if np.isinf(largest):
+            return IntervalBound(np.inf, np.inf, unwarped(where), tuple(cells))
+        level = max(level, point.value * (1 + rtol), 1e-12)
+        left, right = cell(G, point, level, centre, a, b, partial(_positive_on, G, point, level))
+        cells.append(FrequencyCell(left, right, point))
+        if left > a:
+            todo.append((a, left, point))
+        if right < b:
+            todo.append((right, b, point))
+    return IntervalBound(float(level), float(largest), unwarped(where), tuple(cells))
+
+
+def continuous_interval(
+    name: str, loop: StateSpace, structure: Structure, low: float, high: float
+) -> tuple[StateSpace, float, float, Callable[[float], float]]:
+    """Return the balanced loop in continuous time with its interval, and the map of its frequencies back.
+
+    Parameters, errors and units are those of ``cover``.
+    """
+    _require_loop(name, loop, structure)
+    last = np.pi / loop.dt if loop.dt else np.inf
+    if not 0 <= low < high <= last * (1 + 4 * EPS):
+        raise SynthesisError(name, "low, high", f"{low:g}, {high:g}", f"0 <= low < high <= {last:g} rad/s")
+    G = balanced(to_continuous(balanced(loop)))
+
+    def warped(omega: float) -> float:
+        if not loop.dt:
+            return omega
+        return np.inf if omega >= last * (1 - 4 * EPS) else 2 / loop.dt * np.tan(0.5 * omega * loop.dt)
+
+    def unwarped(omega: float) -> float:
+        return float(2 / loop.dt * np.arctan(0.5 * omega * loop.dt)) if loop.dt else omega
+
+    return G, warped(low), warped(high), unwarped
+
+
+def _positive_on(G: StateSpace, point: PointBound, level: float, omega: float) -> bool:
+    return is_positive(G.response([omega])[0], response_rounding(G, omega), point, level)
+
+
+def response_rounding(G: StateSpace, omega: float) -> np.ndarray:
+    """Return how much rounding of the entries of A, B, C, D moves each entry of G(jω), shape (p, m).
+
+    An error of first order, entry by entry: it does not depend on the units of the states.
+    """
+    moved = np.abs(G.D)
+    if G.order and np.isfinite(omega):
+        inverse = np.linalg.inv(1j * omega * np.eye(G.order) - G.A)
+        left, right = np.abs(G.C @ inverse), np.abs(inverse @ G.B)
+        pencil = np.abs(G.A) + omega * np.eye(G.order)
+        moved = moved + left @ pencil @ right + np.abs(G.C) @ right + left @ np.abs(G.B)
+    return 16 * EPS * moved
+
+
+def _require_loop(name: str, loop: StateSpace, structure: Structure) -> None:
+    shape = (structure.n_rows, structure.n_cols)
+    if loop.D.shape != shape:
+        raise SynthesisError(
+            name, "loop", f"{loop.D.shape} system", f"{shape}, the sums of the blocks' sides"
+        )
+    if not loop.stability_margin() > 0:
+        raise SynthesisError(name, "loop", "not stable", "a stable loop")
+
+
+def _likely_peak(
+    G: StateSpace,
+    at: Callable[[np.ndarray, float], PointBound],
+    held: Callable[[np.ndarray, PointBound], float],
+    a: float,
+    b: float,
+    size: float,
+) -> float:
+    """Of the middle of [a, b] and the frequencies of poles in it, that at which the scalings of the middle
+    prove the least."""
+    between = middle(a, b, size)
+    omega = np.abs(G.poles())
+    omega = np.unique(np.r_[between, omega[(omega > a) & (omega < b)]])
+    if len(omega) == 1:
+        return between
+    point = at(G.response([between])[0], 0.0)
+    if np.isinf(point.value):
+        return between
+    return float(omega[np.argmax([held(M, point) for M in G.response(omega)])])
+
+
+def quadratic(M: np.ndarray, point: PointBound) -> np.ndarray:
+    """Mᴴ left M + j (skew M − Mᴴ skewᴴ) (Σrows, Σrows) of M (Σcols, Σrows), Hermitian to the last bit."""
+    N = M.conj().T @ point.left @ M + 1j * (point.skew @ M - M.conj().T @ point.skew.conj().T)
+    return 0.5 * (N + N.conj().T)
+
+
+def middle(a: float, b: float, size: float) -> float:
+    """Return a frequency between ``a`` and ``b`` [rad/s]; ``size`` is that of the fastest pole."""
+    if np.isinf(b):
+        return max(2 * a, size)
+    return float(np.sqrt(a * b)) if a > 0.1 * b else 0.5 * (a + b)
+
+
+def is_positive(M: np.ndarray, moved: np.ndarray, point: PointBound, level: float) -> bool:
+    """Tell whether Φ ≻ 0 at M and at every matrix within rounding of it.
+
+    Parameters
+    ----------
+    M : ndarray, shape (Σcols, Σrows)
+        Response at one frequency.
+    moved : ndarray, shape (Σcols, Σrows)
+        Rounding of each entry of M.
+    point : PointBound
+        The scalings.
+    level : float
+        β.
+    """
+    try:
+        factor = np.linalg.inv(np.linalg.cholesky(point.fixed + level**2 * point.scaled))
+    except np.linalg.LinAlgError:
+        return False
+    if not (np.isfinite(M).all() and np.isfinite(factor).all()):
+        return False
+    with np.errstate(over="ignore", invalid="ignore"):  # scalings of no use
+        N, skew = M @ factor.conj().T, factor @ point.skew
+        turned = 1j * skew @ N
+        phi = np.eye(len(factor)) - N.conj().T @ point.left @ N - turned - turned.conj().T
+        # First order in the change of M, and the rounding of the products themselves.
+        moved = (moved + 4 * EPS * np.abs(M)) @ np.abs(factor).T
+        change = np.abs(N).T @ np.abs(point.left) @ moved + np.abs(skew) @ moved
+    return bool(np.isfinite(phi).all()) and bool(np.linalg.eigvalsh(phi)[0] > 2 * np.linalg.norm(change))
+
+
+def cell(
+    G: StateSpace,
+    point: PointBound,
+    level: float,
+    centre: float,
+    a: float,
+    b: float,
+    positive: Callable[[float], bool],
+) -> tuple[float, float]:
+    """Return the part of [a, b] about ``centre`` on which Φ is positive definite.
+
+    Between two neighbours of ``_singular`` Φ keeps its signs, so one test by ``positive`` decides each gap.
+    """
+    singular = _singular(G, point, level)
+
+    def reach(edges: np.ndarray, end: float) -> float:
+        inside = centre
+        for edge, after in itertools.pairwise([*edges, end]):
+            beyond = 2 * edge if np.isinf(after) else 0.5 * (edge + after)
+            if not positive(beyond):
+                short = edge / SHORT if np.isinf(inside) else inside + SHORT * (edge - inside)
+                return float(short if positive(short) else inside)
+            inside = beyond
+        return end if positive(end) else inside
+
+    below, above = (singular[side] for side in ((singular < centre) & (singular > a), singular > centre))
+    return reach(below[::-1], a), reach(above[above < b], b)
+
+
+def _singular(G: StateSpace, point: PointBound, level: float) -> np.ndarray:
+    """Return the frequencies (K,), rising, at which Φ may be singular.
+
+    They are eigenvalues on or near the imaginary axis of the Hamiltonian matrix of x' = A x + B u with the
+    adjoint state p' = -Aᴴ p - Cᴴ q, where Φ u = 0. Extreme scalings would leave it without digits, so inputs
+    are scaled to make fixed + level² scaled the identity, and outputs to make left the identity.
+    """
+    right = np.linalg.inv(np.linalg.cholesky(point.fixed + level**2 * point.scaled)).conj().T
+    root = np.linalg.cholesky(point.left + np.finfo(float).tiny * np.eye(len(point.left)))
+    real = not (right.imag.any() or root.imag.any())
+    B, C, D = G.B @ right, root.conj().T @ G.C, root.conj().T @ G.D @ right
+    A = G.A
+    if real and G.order:
+        t = balancing(StateSpace(A, B.real, C.real, D.real))
+        A, B, C = A * t / t[:, None], B / t[:, None], C * t
+    jG = 1j * right.conj().T @ point.skew @ np.linalg.inv(root.conj().T)
+    n = G.order
+    q_u = D + jG.conj().T
+    infinity = np.eye(len(right)) - D.conj().T @ D - D.conj().T @ jG.conj().T - jG @ D
+    u = np.linalg.solve(infinity, np.hstack([q_u.conj().T @ C, B.conj().T]))
+    free = np.block([[A, np.zeros((n, n))], [-C.conj().T @ C, -A.T]])
+    hamiltonian = free + np.vstack([B, -C.conj().T @ q_u]) @ u
+    if not hamiltonian.imag.any():  # as without G, and with D of full blocks: at a quarter of the cost
+        hamiltonian = hamiltonian.real
+    values = np.linalg.eigvals(hamiltonian)
+    room = NEAR * np.abs(values) + ROUNDED * float(np.linalg.norm(hamiltonian))
+    return np.unique(values.imag[(np.abs(values.real) <= room) & (values.imag >= 0)])

@@ -1,0 +1,303 @@
+"""Proof of μ < β by D, G scalings on boxes of real parameters and cells of frequencies (THEORY 6.2).
+
+μ(M(jω)) < β on an interval of frequencies exactly when I − M(jω) Δ is regular there for every Δ of size 1/β.
+The real parameters δ of such Δ fill a box. On a part of it, centre c and half widths r,
+
+    I − M Δ = (I − M Δ_c)(I − M_c Δ̃),   M_c = (I − M Δ_c)⁻¹ M S,   Δ = Δ_c + S Δ̃,
+
+with S = r for real blocks and 1/β for complex ones, and Δ̃ of size 1. Scalings D, G of M_c prove the part
+(``mu_upper``). Where none are found the part is halved (de Gaston & Safonov 1988; Newlin & Young 1997). As
+parts shrink, the gap that real blocks leave vanishes. A proof holds for every larger β, because its boxes
+then contain what is asked.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from lpvguard.engine.synthesis.frequency_cells import (
+    FrequencyCell,
+    PointBound,
+    cell,
+    is_positive,
+    middle,
+    response_rounding,
+)
+from lpvguard.engine.synthesis.mu_upper import balance, upper_bound
+from lpvguard.engine.synthesis.real_crossings import ROUNDING
+from lpvguard.engine.synthesis.statespace import StateSpace
+from lpvguard.engine.synthesis.structure import Structure
+
+CHECKS = 60
+"""Frequencies over the decades of the poles at which each proof is tested besides."""
+WIDE = 4.0
+"""Ratio of a part's frequencies above which they are halved before its box is."""
+
+
+@dataclass(frozen=True)
+class ParameterBox:
+    """A box of real parameters, ``low`` ≤ δ ≤ ``high``, each of shape (k,)."""
+
+    low: np.ndarray
+    high: np.ndarray
+
+    @property
+    def centre(self) -> np.ndarray:
+        """Centre, shape (k,)."""
+        return 0.5 * (self.low + self.high)
+
+    @property
+    def radius(self) -> np.ndarray:
+        """Half widths, shape (k,)."""
+        return 0.5 * (self.high - self.low)
+
+    def within(self, size: float) -> ParameterBox | None:
+        """Return the part with |δ_i| ≤ ``size``; None where there is none."""
+        low, high = np.maximum(self.low, -size), np.minimum(self.high, size)
+        return ParameterBox(low, high) if (low < high).all() else None
+
+    def halves(self, k: int) -> tuple[ParameterBox, ParameterBox]:
+        """Return the two halves across parameter ``k``."""
+        middle = self.centre[k]
+        low, high = self.low.copy(), self.high.copy()
+        low[k] = high[k] = middle
+        return ParameterBox(self.low, high), ParameterBox(low, self.high)
+
+
+class Shift:
+    """The change of a loop to the Δ̃ of one box.
+
+    Parameters
+    ----------
+    structure : Structure
+    box : ParameterBox
+        Of the real blocks' parameters, in their order.
+    size : float
+        Size of complex blocks, 1/β.
+    """
+
+    def __init__(self, structure: Structure, box: ParameterBox, size: float):
+        self.offset = np.zeros((structure.n_cols, structure.n_rows))
+        self.scale = np.full(structure.n_cols, size)
+        real = iter(zip(box.centre, box.radius, strict=True))
+        for block, r, c in zip(structure.blocks, structure.row, structure.col, strict=True):
+            if block.kind == "repeated_real":
+                centre, radius = next(real)
+                self.offset[c, r] = centre * np.eye(block.rows)
+                self.scale[c] = radius
+
+    def matrix(self, M: np.ndarray, moved: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return M_c of M, shape (Σcols, Σrows), and the rounding of its entries from ``moved`` of M's."""
+        opened = np.linalg.inv(np.eye(len(M)) - M @ self.offset)
+        shifted = opened @ M * self.scale
+        entries = np.abs(opened) @ moved
+        return shifted, entries * self.scale + entries @ np.abs(self.offset) @ np.abs(shifted)
+
+    def system(self, G: StateSpace) -> StateSpace:
+        """Return the loop whose response is M_c of that of ``G``."""
+        opened = np.linalg.inv(np.eye(G.n_outputs) - G.D @ self.offset)
+        fed = self.offset @ opened
+        return StateSpace(
+            G.A + G.B @ fed @ G.C,
+            (G.B @ fed @ G.D + G.B) * self.scale,
+            opened @ G.C,
+            opened @ G.D * self.scale,
+        )
+
+
+def proved_at(
+    M: np.ndarray, moved: np.ndarray, structure: Structure, slack: float, nearby: PointBound | None
+) -> PointBound | None:
+    """Find scalings that prove μ(M) < 1.
+
+    Parameters
+    ----------
+    M : ndarray, shape (Σcols, Σrows)
+    moved : ndarray, shape (Σcols, Σrows)
+        Rounding of its entries.
+    structure : Structure
+    slack : float
+        Share by which the bound should fall below 1; the search ends there.
+    nearby : PointBound or None
+        Scalings to try first.
+
+    Returns
+    -------
+    PointBound or None
+        None where the scalings that were found prove nothing.
+    """
+    if not np.isfinite(M).all():
+        return None
+    left, right = balance(M, structure)
+    alone = PointBound(1.0, left, np.zeros_like(right), right, np.zeros((len(right), len(left))))
+    for simple in (nearby, alone):
+        if simple is not None and is_positive(M, moved, simple, 1.0):
+            return simple
+    _, _, left, right, skew = upper_bound(M, structure, 0.25 * slack, 1.0)
+    right = right @ right.conj().T
+    point = PointBound(1.0, left @ left.conj().T, np.zeros_like(right), right, skew)
+    return point if is_positive(M, moved, point, 1.0) else None
+
+
+@dataclass(frozen=True)
+class Part:
+    """A box on frequencies from ``low`` to ``high`` [rad/s], continuous time.
+
+    ``point`` are the scalings that prove it; of a part to be proved, those of a neighbour, if any.
+    """
+
+    box: ParameterBox
+    low: float
+    high: float
+    point: PointBound | None = None
+
+
+class Prover:
+    """Proof of μ < β, part by part.
+
+    Parameters
+    ----------
+    loop : StateSpace or ndarray
+        A loop in continuous time, or M, shape (Σcols, Σrows), at one frequency.
+    structure : Structure
+    slack : float
+        As in ``proved_at``.
+    """
+
+    def __init__(self, loop: StateSpace | np.ndarray, structure: Structure, slack: float = 0.0):
+        self.loop, self.structure, self.slack = loop, structure, slack
+        poles = np.abs(loop.poles()) if isinstance(loop, StateSpace) and loop.order else np.ones(1)
+        self.slowest, self.fastest = float(poles.min()), float(poles.max())
+        self.checked = np.zeros(0)
+        if isinstance(loop, StateSpace):
+            decades = np.geomspace(0.1 * self.slowest, 10 * self.fastest, CHECKS)
+            self.checked = np.unique(np.concatenate([poles, np.abs(loop.poles().imag), decades]))
+
+    def response(self, omega: float) -> tuple[np.ndarray, np.ndarray]:
+        """Return M at ``omega`` [rad/s] and the rounding of its entries, both of shape (Σcols, Σrows)."""
+        if isinstance(self.loop, StateSpace):
+            return self.loop.response([omega])[0], response_rounding(self.loop, omega)
+        return self.loop, ROUNDING * np.abs(self.loop)
+
+    def advance(self, part: Part, beta: float) -> tuple[Part | None, list[Part], float]:
+        """Prove one cell of ``part`` at level ``beta``.
+
+        Returns
+        -------
+        proved : Part or None
+            None where no scalings were found.
+        rest : list of Part
+            What remains to be proved.
+        omega : float
+            Frequency [rad/s] at which scalings were looked for.
+        """
+        shift = Shift(self.structure, part.box, 1 / beta)
+        omega = self._centre(part)
+        try:
+            M, moved = shift.matrix(*self.response(omega))
+        except np.linalg.LinAlgError:  # the centre of the box is singular
+            return None, self._halves(part, None), omega
+        point = proved_at(M, moved, self.structure, self.slack, part.point)
+        if point is None:
+            return None, self._halves(part, M), omega
+        low, high = self._reached(shift, FrequencyCell(part.low, part.high, point), omega)
+        cut = low > part.low or high < part.high
+        if (cut and self._is_narrow(part)) or not self._holds(shift, low, high, point):
+            return None, self._halves(part, M), omega
+        rest = [replace(part, high=low, point=point)] if low > part.low else []
+        rest += [replace(part, low=high, point=point)] if high < part.high else []
+        return Part(part.box, low, high, point), rest, omega
+
+    def verified(self, parts: Sequence[Part], beta: float, low: float, high: float) -> bool:
+        """Tell whether ``parts`` prove μ < ``beta`` from ``low`` to ``high`` [rad/s].
+
+        Each part's scalings are tested anew on its box and frequencies, and the parts together contain every
+        Δ of size 1/β at every frequency.
+        """
+        for part in parts:
+            if part.point is None:
+                return False
+            shift = Shift(self.structure, part.box, 1 / beta)
+            omega = self._centre(part)
+            if not self._positive(shift, part.point, omega):
+                return False
+            if not self._holds(shift, part.low, part.high, part.point):
+                return False
+            if self._reached(shift, FrequencyCell(part.low, part.high, part.point), omega) != (
+                part.low,
+                part.high,
+            ):
+                return False
+        size = np.full(sum(b.kind == "repeated_real" for b in self.structure.blocks), 1 / beta)
+        corners = [(np.append(p.box.low, p.low), np.append(p.box.high, p.high)) for p in parts]
+        return _contain(corners, np.append(-size, low), np.append(size, high))
+
+    def _reached(self, shift: Shift, asked: FrequencyCell, omega: float) -> tuple[float, float]:
+        """Frequencies of the cell about ``omega``, within those of ``asked``, that its scalings prove."""
+        if not isinstance(self.loop, StateSpace):
+            return asked.low, asked.high
+
+        positive = partial(self._positive, shift, asked.point)
+        return cell(shift.system(self.loop), asked.point, 1.0, omega, asked.low, asked.high, positive)
+
+    def _positive(self, shift: Shift, point: PointBound, omega: float) -> bool:
+        try:
+            return is_positive(*shift.matrix(*self.response(omega)), point, 1.0)
+        except np.linalg.LinAlgError:  # the centre of the box is singular
+            return False
+
+    def _holds(self, shift: Shift, low: float, high: float, point: PointBound) -> bool:
+        """Tell whether the scalings hold at those frequencies of ``checked`` that lie in [low, high]."""
+        inside = self.checked[(self.checked >= low) & (self.checked <= high)]
+        return all(self._positive(shift, point, omega) for omega in inside)
+
+    def _is_narrow(self, part: Part) -> bool:
+        """Tell whether M hardly changes over ``part``: ever smaller cells would not end at its borders."""
+        return (
+            part.high <= max(part.low * (1 + self.slack), self.slack * self.slowest)
+            or part.low * self.slack >= self.fastest
+        )
+
+    def _centre(self, part: Part) -> float:
+        """Return a frequency [rad/s] of ``part``: its middle; of a narrow one the end where M is real."""
+        if part.low == part.high or (part.low == 0.0 and self._is_narrow(part)):
+            return part.low
+        if np.isinf(part.high) and self._is_narrow(part):
+            return part.high
+        return middle(part.low, part.high, self.fastest)
+
+    def _halves(self, part: Part, M: np.ndarray | None) -> list[Part]:
+        """Halve the frequencies of a wide part, else its box across the parameter that moves M most."""
+        if part.high > max(WIDE * part.low, self.slowest) and part.low < self.fastest:
+            omega = middle(part.low, part.high, self.fastest)
+            return [replace(part, high=omega, point=None), replace(part, low=omega, point=None)]
+        weight = part.box.radius
+        if M is not None:
+            s = self.structure
+            weight = np.array(
+                [
+                    np.linalg.norm(M[r]) * np.linalg.norm(M[:, c])
+                    for block, r, c in zip(s.blocks, s.row, s.col, strict=True)
+                    if block.kind == "repeated_real"
+                ]
+            )
+        return [replace(part, box=half, point=None) for half in part.box.halves(int(np.argmax(weight)))]
+
+
+def _contain(boxes: Sequence[tuple[np.ndarray, np.ndarray]], low: np.ndarray, high: np.ndarray) -> bool:
+    """Tell whether ``boxes`` (low, high) contain the box from ``low`` to ``high`` together, all (d,)."""
+    near = [(a, b) for a, b in boxes if (a <= high).all() and (b >= low).all()]
+    if any((a <= low).all() and (b >= high).all() for a, b in near):
+        return True
+    for a, b in near:
+        for axis in range(len(low)):
+            for face in (a[axis], b[axis]):
+                if low[axis] < face < high[axis]:
+                    first, second = high.copy(), low.copy()
+                    first[axis] = second[axis] = face
+                    return _contain(near, low, first) and _contain(near, second, high)
+    return False
