@@ -29,6 +29,7 @@ MAY_IMPORT = (
     "replay",
     "fleet",
     "loop",
+    "problems",
 )
 
 
