@@ -36,7 +36,7 @@ from lpvguard.engine.synthesis.statespace import StateSpace
 GRID, PEAKS = 100, 3
 DATA_RTOL = 1e-11
 """Relative change of the entries, in balanced coordinates, that a certificate may need to be exact."""
-BELOW = (1e-8, 1e-7, 1e-6, 3e-6, 1e-5, 3e-5, 1e-4, 3e-4, 1e-3)
+BELOW = (1e-7, 1e-6, 1e-5, 3e-5, 1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2)
 """Shares below the claimed optimum at which trajectories are looked for."""
 
 
