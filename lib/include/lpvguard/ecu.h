@@ -53,6 +53,7 @@
 #include "lpvguard/diagnosis.h"
 #include "lpvguard/j1939.h"
 #include "lpvguard/monitor.h"
+#include "lpvguard/watch.h"
 
 #if LPVG_NK > 0
 
@@ -80,6 +81,12 @@ LPVG_EXTERN_C_BEGIN
 #define LPVG_ECU_WAIT_US 500000U  ///< From the end of a cause to engagement                    [us]
 #define LPVG_ECU_RELEASES_MAX 3U  ///< Releases by faults after which the next one locks.
 #define LPVG_ECU_RELEASES_US 60000000U  ///< Time without one that forgets them                       [us]
+#define LPVG_ECU_ENGAGEMENTS_MAX 60U  ///< Engagements within an hour, whatever ended them; the next one locks.
+#define LPVG_ECU_SLOTS 16U  ///< They are counted in so many slots of LPVG_ECU_SLOT_US.
+#define LPVG_ECU_SLOT_US 240000000U  ///< One slot less than all of them is an hour                 [us]
+#define LPVG_ECU_CALM_US 10000000U  ///< Released, live, and no test falsifies: then an invalid verdict may be acknowledged [us]
+#define LPVG_ECU_PROBE_SHARE 0.25F  ///< Share of u_max at which an engagement begins                 [-]
+#define LPVG_ECU_PROBE_US 500000U  ///< Evidence for so long raises it to 1                          [us]
 
 #define LPVG_ECU_CAUSE_NOT_ASKED 0x0001U  ///< Nobody asks for engagement.
 #define LPVG_ECU_CAUSE_MESSAGE 0x0002U  ///< A needed message is not live.
@@ -92,6 +99,7 @@ LPVG_EXTERN_C_BEGIN
 #define LPVG_ECU_CAUSE_OVERRIDE 0x0400U  ///< The driver brakes, or ABS acts.
 #define LPVG_ECU_CAUSE_PERMISSION 0x0800U  ///< The vehicle does not ask for control, or another command goes first.
 #define LPVG_ECU_CAUSE_ACTUATOR 0x1000U  ///< The actuator does not do what is demanded.
+#define LPVG_ECU_CAUSE_OFTEN 0x4000U  ///< Engaged LPVG_ECU_ENGAGEMENTS_MAX times within the last hour.
 #define LPVG_ECU_CAUSE_CORRUPT 0x2000U  ///< Coefficients, kept values or state are damaged; until init.
 #define LPVG_ECU_CAUSE_WAIT 0x0100U  ///< The other causes have gone less than LPVG_ECU_WAIT_US ago.
 #define LPVG_ECU_CAUSE_LOCKED 0x0200U  ///< Waiting for lpvg_ecu_acknowledge.
@@ -104,6 +112,7 @@ LPVG_EXTERN_C_BEGIN
 #define LPVG_ECU_CAUSES_ORDINARY (LPVG_ECU_CAUSE_NOT_ASKED | LPVG_ECU_CAUSE_RANGE | LPVG_ECU_CAUSE_OVERRIDE | LPVG_ECU_CAUSE_PERMISSION)
 
 #define LPVG_ECU_ROUND_US 5000000U  ///< Longest round of the coefficients; damage is found within two       [us]
+#define LPVG_ECU_ACTUATOR_US 500000U  ///< Time constant of the check of the actuator                [us]
 #define LPVG_ECU_PEDAL_PERCENT 2.0F  ///< The driver brakes beyond this pedal position                    [%]
 
 /// What the newest step says of itself on the bus.
@@ -113,10 +122,12 @@ typedef enum lpvg_ecu_engagement_t {
     lpvg_ecu_locked = 2  ///< Released, until it is acknowledged.
 } lpvg_ecu_engagement_t;
 
-/// Limits of the check of the actuator against the demand. All > 0.
+/// Limits of the check of the actuator against the demand, whose mean squares forget with LPVG_ECU_ACTUATOR_US. All are finite, and > 0 where
+/// nothing else is said. An actuator stuck at 0 must violate them at the largest demand: tolerance < (1 - relative) u_max.
 typedef struct lpvg_ecu_actuator_limits_t {
     float lag_s;  ///< from demand to measured value, as a first-order lag                [s]
-    float tolerance;  ///< allowed |measured value - lagged demand|                            [input unit]
+    float tolerance;  ///< allowed rms of measured value - lagged demand, whatever the demand  [input unit]
+    float relative;  ///< the same as a share of the rms of the lagged demand, 0 .. below 1     [-]
     uint16_t confirm;  ///< samples by which violations must outnumber agreements
 } lpvg_ecu_actuator_limits_t;
 
@@ -183,11 +194,15 @@ typedef struct lpvg_ecu_kept_t {
     lpvg_real_t speed_min;  ///< lowest of the controller's scheduling range                [m/s]
     lpvg_real_t speed_max;  ///< highest of it                                              [m/s]
     lpvg_real_t demand;  ///< newest                                                     [input unit]
+    lpvg_watch_limits_t watch;  ///< limits of the check of the response
+    int64_t now_us;  ///< of the newest step, the caller's clock; init's before the first [us]
     uint32_t period_us;  ///< sample period                                                [us]
     bool engage;  ///< asked for
     bool locked;  ///< until acknowledged
     bool standby;  ///< a request other than control has been seen since init
     bool corrupt;  ///< until init
+    bool falsified;  ///< the verdict is invalid, until acknowledged
+    bool on_trial;  ///< an invalid verdict was acknowledged, and none has been valid since
 } lpvg_ecu_kept_t;
 
 typedef struct lpvg_ecu_t {
@@ -201,18 +216,26 @@ typedef struct lpvg_ecu_t {
     lpvg_can_plausibility_t plausibility;
     lpvg_bus_signals_t signals;
     float expected;  ///< demand through the actuator's lag                           [input unit]
+    float deviation_square;  ///< mean square of measured value - expected                [input unit squared]
+    float expected_square;  ///< mean square of expected                                   [input unit squared]
     uint16_t deviations;  ///< score of the check of the actuator
     bool actuator_failed;  ///< as that check stands
     lpvg_control_t control;
     lpvg_monitor_t monitor;
     lpvg_bus_report_t report;  ///< as sent by the newest step
     lpvg_ecu_fault_t fault;  ///< gravest active
-    int64_t now_us;  ///< of the newest step, the caller's clock; init's before the first [us]
     int64_t core_us;  ///< of the newest step, the ECU's own time                      [us]
     lpvg_ecu_clock_t clock;
     int64_t dm1_us;  ///< core_us when DM1 was sent                                   [us]
     int64_t caused_us;  ///< core_us when waiting began, the newest time             [us]
     int64_t released_us;  ///< core_us of the newest release by a fault                    [us]
+    int64_t doubted_us;  ///< core_us of the newest step that was engaged, not live, or in which a test falsified [us]
+    int64_t slot_us;  ///< core_us when the current slot began                           [us]
+    uint8_t engagements[LPVG_ECU_SLOTS];  ///< of each slot, a ring
+    uint8_t slot;  ///< the current one
+    lpvg_watch_t watch;  ///< of the response, while engaged
+    lpvg_real_t share;  ///< of u_max that the demand may take                             [-]
+    bool watched;  ///< the watch runs: the newest step was engaged
     uint16_t causes;  ///< LPVG_ECU_CAUSE_* of the newest step, report_only ones included
     uint16_t lock_causes;  ///< what locked, 0 where nothing has since init
     uint8_t releases;  ///< by faults, as LPVG_ECU_RELEASES_MAX counts them
