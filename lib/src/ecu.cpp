@@ -300,17 +300,25 @@ void judge_speed(lpvg_ecu_t& self) {
     self.in_range = self.signals.speed >= r.speed_min - beyond && self.signals.speed <= r.speed_max + beyond;
 }
 
-// Whether the actuator does what was demanded up to the newest step.
-void judge_actuator(lpvg_ecu_t& self) {
+// Whether the actuator does what was demanded up to the newest step, by its gain and by its distance. Nothing is compared while a message is
+// missing and until what was demanded meanwhile has died out; the means begin anew behind that.
+void judge_actuator(lpvg_ecu_t& self, bool live) {
     const lpvg_ecu_actuator_limits_t& limits = self.kept.config.actuator;
     const float period = static_cast<float>(self.kept.period_us) * 1e-6F;
     self.expected += (static_cast<float>(self.control.u[0]) - self.expected) * period / (limits.lag_s + period);
+    self.live_us = live ? self.live_us : self.core_us;
+    if (self.core_us - self.live_us < int64_t{LPVG_ECU_ACTUATOR_US}) {
+        self.expected_square = self.deviation_square = self.deviation_along = 0.0F;
+        return;
+    }
     const float deviation = self.signals.measured - self.expected;
     const float share = period / (1e-6F * static_cast<float>(LPVG_ECU_ACTUATOR_US) + period);
     self.expected_square += (self.expected * self.expected - self.expected_square) * share;
     self.deviation_square += (deviation * deviation - self.deviation_square) * share;
-    const float allowed = limits.tolerance + limits.relative * std::sqrt(self.expected_square);
-    const bool agrees = self.deviation_square <= allowed * allowed;
+    self.deviation_along += (deviation * self.expected - self.deviation_along) * share;
+    const float size = std::sqrt(self.expected_square), widest = size + limits.tolerance;
+    const float along = (limits.relative * size + limits.tolerance) * size;
+    const bool agrees = std::fabs(self.deviation_along) <= along && self.deviation_square <= widest * widest;
     self.actuator_failed = lpvg_can_confirm(&self.deviations, self.actuator_failed, !agrees, limits.confirm);
 }
 
@@ -498,6 +506,23 @@ uint8_t verdict(const lpvg_ecu_t& self, lpvg_verdict_t said) {
 
 bool invalid_releases(const lpvg_ecu_t& self) { return (self.kept.config.report_only & LPVG_ECU_CAUSE_INVALID) == 0U; }
 
+// Evidence widens the demand's limit steadily. A demand that rests at the limit without evidence widens it by a step, which the watch can
+// judge.
+void widen_demand(lpvg_ecu_t& self, uint32_t step) {
+    const bool pressed = self.control.limited != self.limited;
+    self.limited = self.control.limited;
+    self.pressed_us = pressed && !self.watch.evidence ? self.pressed_us + step : 0U;
+    Real wider = Real(0);
+    if (self.watch.evidence) {
+        wider = (Real(1) - static_cast<Real>(LPVG_ECU_PROBE_SHARE)) / static_cast<Real>(LPVG_ECU_PROBE_US) * static_cast<Real>(step);
+    } else if (self.pressed_us >= LPVG_ECU_PROBE_US) {
+        wider = static_cast<Real>(LPVG_ECU_PROBE_SHARE);
+        self.pressed_us = 0U;
+    }
+    const Real share = self.share + wider;
+    self.share = share < Real(1) ? share : Real(1);
+}
+
 // The watch runs while the demand acts. An engagement begins with a share of the demand's limit, which evidence raises.
 void watch_response(lpvg_ecu_t& self, bool sampled, uint32_t step) {
     if (!sampled || !self.control.engaged) {
@@ -512,11 +537,7 @@ void watch_response(lpvg_ecu_t& self, bool sampled, uint32_t step) {
         self.watched = true;
     }
     lpvg_watch_take(&self.watch, &self.kept.watch, self.kept.coeff, &self.monitor.model, e, self.control.u);
-    if (self.watch.evidence && !self.watch.violated) {
-        constexpr Real slope = (Real(1) - static_cast<Real>(LPVG_ECU_PROBE_SHARE)) / static_cast<Real>(LPVG_ECU_PROBE_US);
-        const Real share = self.share + slope * static_cast<Real>(step);
-        self.share = share < Real(1) ? share : Real(1);
-    }
+    widen_demand(self, step);
 }
 
 // A falsified model stays so until it is acknowledged, and locks. Time without doubt begins with the release.
@@ -665,11 +686,11 @@ extern "C" lpvg_status_t lpvg_ecu_step(lpvg_ecu_t* self, int64_t now_us, const l
 
     if (live) {
         judge_speed(*self);
-        judge_actuator(*self);
         // The limits have been checked by init.
         (void)(lpvg_can_plausibility(&self->plausibility, &self->kept.config.plausibility, self->signals.yaw_rate, self->signals.lateral,
                                      static_cast<float>(self->signals.speed), self->signals.wheel_difference) == lpvg_status_ok);
     }
+    judge_actuator(*self, live);
     take_request(*self);
     if (self->kept.corrupt) {
         self->causes = causes_of(*self, live);

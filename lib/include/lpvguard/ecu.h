@@ -86,7 +86,7 @@ LPVG_EXTERN_C_BEGIN
 #define LPVG_ECU_SLOT_US 240000000U  ///< One slot less than all of them is an hour                 [us]
 #define LPVG_ECU_CALM_US 10000000U  ///< Released, live, and no test falsifies: then an invalid verdict may be acknowledged [us]
 #define LPVG_ECU_PROBE_SHARE 0.25F  ///< Share of u_max at which an engagement begins                 [-]
-#define LPVG_ECU_PROBE_US 500000U  ///< Evidence for so long raises it to 1                          [us]
+#define LPVG_ECU_PROBE_US 500000U  ///< Evidence for so long raises it to 1; so does each so long at the limit by another such share [us]
 
 #define LPVG_ECU_CAUSE_NOT_ASKED 0x0001U  ///< Nobody asks for engagement.
 #define LPVG_ECU_CAUSE_MESSAGE 0x0002U  ///< A needed message is not live.
@@ -122,12 +122,13 @@ typedef enum lpvg_ecu_engagement_t {
     lpvg_ecu_locked = 2  ///< Released, until it is acknowledged.
 } lpvg_ecu_engagement_t;
 
-/// Limits of the check of the actuator against the demand, whose mean squares forget with LPVG_ECU_ACTUATOR_US. All are finite, and > 0 where
+/// Limits of the check of the actuator against the lagged demand of rms x. Means forget with LPVG_ECU_ACTUATOR_US. The deviation violates
+/// where its part along the demand is above relative x + tolerance, or its rms above x + tolerance. All are finite, and > 0 where
 /// nothing else is said. An actuator stuck at 0 must violate them at the largest demand: tolerance < (1 - relative) u_max.
 typedef struct lpvg_ecu_actuator_limits_t {
     float lag_s;  ///< from demand to measured value, as a first-order lag                [s]
-    float tolerance;  ///< allowed rms of measured value - lagged demand, whatever the demand  [input unit]
-    float relative;  ///< the same as a share of the rms of the lagged demand, 0 .. below 1     [-]
+    float tolerance;  ///< absolute part of the allowed deviation                               [input unit]
+    float relative;  ///< part in proportion to the rms x of the lagged demand, 0 .. below 1    [-]
     uint16_t confirm;  ///< samples by which violations must outnumber agreements
 } lpvg_ecu_actuator_limits_t;
 
@@ -216,6 +217,8 @@ typedef struct lpvg_ecu_t {
     lpvg_can_plausibility_t plausibility;
     lpvg_bus_signals_t signals;
     float expected;  ///< demand through the actuator's lag                           [input unit]
+    int64_t live_us;  ///< core_us of the newest step that was not live                    [us]
+    float deviation_along;  ///< mean of (measured value - expected) expected                [input unit squared]
     float deviation_square;  ///< mean square of measured value - expected                [input unit squared]
     float expected_square;  ///< mean square of expected                                   [input unit squared]
     uint16_t deviations;  ///< score of the check of the actuator
@@ -235,6 +238,8 @@ typedef struct lpvg_ecu_t {
     uint8_t slot;  ///< the current one
     lpvg_watch_t watch;  ///< of the response, while engaged
     lpvg_real_t share;  ///< of u_max that the demand may take                             [-]
+    uint32_t limited;  ///< control.limited of the newest step
+    uint32_t pressed_us;  ///< how long the demand has rested at its limit without evidence    [us]
     bool watched;  ///< the watch runs: the newest step was engaged
     uint16_t causes;  ///< LPVG_ECU_CAUSE_* of the newest step, report_only ones included
     uint16_t lock_causes;  ///< what locked, 0 where nothing has since init
