@@ -249,6 +249,7 @@ void plausibility_step(lpvg_can_plausibility_t& self, uint8_t check, float devia
 }
 
 bool finite(float x) { return x - x == 0.0F; }
+bool positive(float x) { return x > 0.0F && finite(x); }
 
 }  // namespace
 
@@ -357,8 +358,8 @@ lpvg_status_t lpvg_can_e2e_check(const lpvg_can_frame_t* frame, uint16_t data_id
 
 lpvg_status_t lpvg_can_plausibility(lpvg_can_plausibility_t* self, const lpvg_can_plausibility_limits_t* limits, float yaw_rate,
                                     float lateral, float speed, float wheel_difference) {
-    if (self == nullptr || limits == nullptr || !(limits->track_m > 0.0F) || !(limits->speed_min_mps > 0.0F) ||
-        !(limits->lateral_mps2 > 0.0F) || !(limits->yaw_rps > 0.0F) || limits->confirm == 0U) {
+    if (self == nullptr || limits == nullptr || !positive(limits->track_m) || !positive(limits->speed_min_mps) ||
+        !positive(limits->lateral_mps2) || !positive(limits->yaw_rps) || limits->confirm == 0U) {
         return lpvg_status_bad_argument;
     }
     if (!finite(yaw_rate) || !finite(speed) || speed < limits->speed_min_mps) {

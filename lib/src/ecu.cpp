@@ -130,6 +130,7 @@ void restore(lpvg_ecu_t& self, bool kept) {
     if (!kept) {
         std::memset(&self.kept, 0, sizeof self.kept);
         self.kept.period_us = LPVG_ECU_WINDOW_US / 100U;
+        self.kept.now_us = self.now_us;
     }
     self.kept.corrupt = true;
     self.control.u[0] = self.kept.demand;
@@ -172,7 +173,7 @@ bool coefficients_well(lpvg_ecu_t& self) {
 // Takes a step at now_us, `step` after the newest one on the ECU's own time.
 void tick(lpvg_ecu_t& self, int64_t now_us, uint32_t step) {
     lpvg_ecu_clock_t& clock = self.clock;
-    self.kept.now_us = now_us;
+    self.kept.now_us = self.now_us = now_us;
     if (clock.started) {
         self.core_us += step;
         pace(self, step);
@@ -602,7 +603,7 @@ extern "C" lpvg_status_t lpvg_ecu_init(lpvg_ecu_t* self, const lpvg_coeff_t* coe
     self->kept.config = *config;
     self->kept.engage = config->engage;
     self->kept.period_us = coeff->words.sample_period_us;
-    self->kept.now_us = self->core_us = now_us;
+    self->kept.now_us = self->now_us = self->core_us = now_us;
     self->kept.coeff = coeff;
     self->kept.control = control;
     self->kept.rate_max = control->reals.rate_max[0];

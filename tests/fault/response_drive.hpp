@@ -19,7 +19,9 @@ constexpr std::array<Release, 8> releases = {Release::vdc2_gap, Release::guard_i
 class ResponseDrive {
 public:
     ResponseDrive(const lpvguard_plant::PlantParameters& parameters, double speed_mps, std::uint64_t seed)
-        : plant_(parameters, straight(speed_mps), seed) {}
+        : plant_(parameters, straight(speed_mps), seed) {
+        bench.answers = false;
+    }
 
     void step() {
         const lpvguard_plant::Sensors& s = plant_.sensors();

@@ -115,6 +115,20 @@ void replay_authenticated(Bench& bench) {
     bus->replay();
 }
 
+std::function<void(Bench&)> brakes_of(float gain) {
+    return [gain](Bench& bench) { bench.brake_gain = gain; };
+}
+
+std::function<void(Bench&)> response_of(float gain) {
+    return [gain](Bench& bench) { bench.response = gain; };
+}
+
+// The command goes from side to side every second.
+void excited(Bench& bench) {
+    bench.command = bench.k / 100 % 2 == 0 ? 0.05F : -0.05F;
+    bench.step();
+}
+
 template <int steps>
 void lost_for_60_ms_of(Bench& bench) {
     bench.send_vdc2 = bench.k % steps >= 6;
@@ -162,6 +176,14 @@ const Row rows[] = {
          b.pressure = static_cast<float>(b.ecu.control.u[0]) - 2.2F;
      },
      step},
+    {"brakes stuck at 0.3 bar of demand", "release, lock", 10, 2'000.0, brakes_of(0.0F), step},
+    {"brakes with half the gain at 0.3 bar", "release, lock", 10, 2'000.0, brakes_of(0.5F), step},
+    {"brakes with twice the gain at 0.3 bar", "release, lock", 10, 2'000.0, brakes_of(2.0F), step},
+    {"brakes reversed at 0.3 bar", "release, lock", 10, 2'000.0, brakes_of(-1.0F), step},
+    {"the vehicle's response reversed", "release, lock", 10, 1'500.0, response_of(-1.0F), excited},
+    {"the vehicle does not respond", "release, lock", 10, 1'500.0, response_of(0.0F), excited},
+    {"the vehicle responds with 0.3 of the gain", "release, lock", 10, 5'000.0, response_of(0.3F), excited},
+    {"the vehicle responds with 3 times the gain", "release, lock", 10, 5'000.0, response_of(3.0F), excited},
     {"kept values or state damaged", "release until init", 10, 10.0, [](Bench& b) { b.ecu.inverted[5] ^= 4U; }, step},
     {"coefficients damaged", "release until init", 997, 10'010.0,
      [](Bench& b) { const_cast<lpvg_coeff_t*>(b.ecu.kept.coeff)->reals.threshold *= lpvg_real_t(2); }, step},

@@ -191,7 +191,7 @@ LPVG_NODISCARD lpvg_status_t lpvg_can_e2e_protect(lpvg_can_frame_t* frame, uint1
 /// pointer is NULL or dlc is out of range. *counter is written only with ok.
 LPVG_NODISCARD lpvg_status_t lpvg_can_e2e_check(const lpvg_can_frame_t* frame, uint16_t data_id, uint8_t* counter);
 
-/// Limits of the cross-checks between signals of different sensors. All > 0.
+/// Limits of the cross-checks between signals of different sensors. All > 0 and finite.
 typedef struct lpvg_can_plausibility_limits_t {
     float track_m;            ///< Distance of the two wheels whose speeds are compared                 [m]
     float speed_min_mps;      ///< Below it nothing is judged                                           [m/s]
@@ -211,7 +211,7 @@ typedef struct lpvg_can_plausibility_t {
 
 /// One sample of the cross-checks. Yaw rate [rad/s] and lateral acceleration [m/s2] are positive to the left; speed is in m/s.
 /// wheel_difference = right wheel - left wheel of one unbraked axle [m/s]. A check whose inputs are not finite is left out, and so
-/// is every check below speed_min_mps: its score stays. Returns ok; bad_argument (NULL, or a limit that is not > 0).
+/// is every check below speed_min_mps: its score stays. Returns ok; bad_argument (NULL, or a limit that is not > 0, or infinite).
 LPVG_NODISCARD lpvg_status_t lpvg_can_plausibility(lpvg_can_plausibility_t* self, const lpvg_can_plausibility_limits_t* limits,
                                                    float yaw_rate, float lateral, float speed, float wheel_difference);
 

@@ -128,8 +128,8 @@ typedef enum lpvg_ecu_engagement_t {
 typedef struct lpvg_ecu_actuator_limits_t {
     float lag_s;  ///< from demand to measured value, as a first-order lag                [s]
     float tolerance;  ///< absolute part of the allowed deviation                               [input unit]
-    float relative;  ///< part in proportion to the rms x of the lagged demand, 0 .. below 1    [-]
     uint16_t confirm;  ///< samples by which violations must outnumber agreements
+    float relative;  ///< part in proportion to the rms x of the lagged demand, 0 .. below 1    [-]
 } lpvg_ecu_actuator_limits_t;
 
 /// Zero is safe: not asked, and every cause releases.
@@ -196,7 +196,7 @@ typedef struct lpvg_ecu_kept_t {
     lpvg_real_t speed_max;  ///< highest of it                                              [m/s]
     lpvg_real_t demand;  ///< newest                                                     [input unit]
     lpvg_watch_limits_t watch;  ///< limits of the check of the response
-    int64_t now_us;  ///< of the newest step, the caller's clock; init's before the first [us]
+    int64_t now_us;  ///< of the newest step, the caller's clock                          [us]
     uint32_t period_us;  ///< sample period                                                [us]
     bool engage;  ///< asked for
     bool locked;  ///< until acknowledged
@@ -227,6 +227,7 @@ typedef struct lpvg_ecu_t {
     lpvg_monitor_t monitor;
     lpvg_bus_report_t report;  ///< as sent by the newest step
     lpvg_ecu_fault_t fault;  ///< gravest active
+    int64_t now_us;  ///< of the newest step, the caller's clock; init's before the first; for reading: a step takes the kept one [us]
     int64_t core_us;  ///< of the newest step, the ECU's own time                      [us]
     lpvg_ecu_clock_t clock;
     int64_t dm1_us;  ///< core_us when DM1 was sent                                   [us]
