@@ -36,14 +36,16 @@ extern "C" void lpvg_watch_limits(lpvg_watch_limits_t* limits, const lpvg_coeff_
     const Real period = static_cast<Real>(coeff->words.sample_period_us) * Real(1e-6);
     const Real turn = static_cast<Real>(LPVG_WATCH_CORNER_RPS) * period;
     limits->share = turn / (Real(1) + turn);
-    limits->forget = period / (static_cast<Real>(LPVG_WATCH_MEMORY_S) + period);
+    limits->forget[0] = period / (static_cast<Real>(LPVG_WATCH_SHORT_S) + period);
+    limits->forget[1] = period / (static_cast<Real>(LPVG_WATCH_LONG_S) + period);
+    const Real coherence = static_cast<Real>(LPVG_WATCH_COHERENCE_S) / period + Real(1);
     for (std::size_t j = 0; j < ny; ++j) {
         // Power of the disturbance a sample: of each band sigma^2 over the samples of its memory.
         Real power = Real(0);
         for (std::size_t b = 1; b + 1U < LPVG_NBANDS; ++b) {
             power += r.energy_forget[b] / (r.energy_scale[b][j] * r.energy_scale[b][j]);
         }
-        limits->disturbance[j] = std::sqrt(power / limits->forget);
+        limits->disturbance[j] = std::sqrt(power * coherence);
         limits->gain[j] = largest_gain(r, j);
     }
 }
@@ -64,14 +66,16 @@ extern "C" void lpvg_watch_take(lpvg_watch_t* self, const lpvg_watch_limits_t* l
     lpvguard::step_model(model->entry, self->x, self->past, u);
     self->violated = false;
     self->evidence = false;
-    for (std::size_t j = 0; j < ny; ++j) {
-        const Real error = quick[static_cast<int>(j)], response = quick[static_cast<int>(ny + j)];
-        self->P[j] += error * response - limits->forget * self->P[j];
-        self->Q[j] += response * response - limits->forget * self->Q[j];
-        const Real limit = limits->gain[j] * self->Q[j] + limits->disturbance[j] * std::sqrt(self->Q[j]);
-        if (limits->gain[j] < Real(1)) {
-            self->violated = self->violated || !(std::fabs(self->P[j]) <= limit);
-            self->evidence = self->evidence || self->Q[j] > limit;
+    const auto error = quick.head<LPVG_NY>(), response = quick.tail<LPVG_NY>();
+    for (std::size_t m = 0; m < LPVG_WATCH_MEMORIES; ++m) {
+        Eigen::Map<Outputs> P(self->P[m]), Q(self->Q[m]);
+        P += error * response - limits->forget[m] * P;
+        Q += response * response - limits->forget[m] * Q;
+        for (std::size_t j = 0; j < ny; ++j) {
+            const Real q = self->Q[m][j], limit = limits->gain[j] * q + limits->disturbance[j] * std::sqrt(q);
+            const bool watched = limits->gain[j] < Real(1);
+            self->violated = self->violated || (watched && !(std::fabs(self->P[m][j]) <= limit));
+            self->evidence = self->evidence || (watched && q > limit);
         }
     }
 }

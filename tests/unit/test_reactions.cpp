@@ -123,9 +123,9 @@ std::function<void(Bench&)> response_of(float gain) {
     return [gain](Bench& bench) { bench.response = gain; };
 }
 
-// The command goes from side to side every second.
+// The command goes from side to side every two seconds.
 void excited(Bench& bench) {
-    bench.command = bench.k / 100 % 2 == 0 ? 0.05F : -0.05F;
+    bench.command = bench.k / 200 % 2 == 0 ? 0.05F : -0.05F;
     bench.step();
 }
 
