@@ -123,9 +123,9 @@ std::function<void(Bench&)> response_of(float gain) {
     return [gain](Bench& bench) { bench.response = gain; };
 }
 
-// The command goes from side to side every two seconds.
 void excited(Bench& bench) {
-    bench.command = bench.k / 200 % 2 == 0 ? 0.05F : -0.05F;
+    const auto t = 0.01F * static_cast<float>(bench.k);
+    bench.command = 0.06F * (std::sin(t) + std::sin(0.5F * t) + std::sin(2.0F * t));
     bench.step();
 }
 
