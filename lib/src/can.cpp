@@ -131,19 +131,25 @@ lpvg_can_event_t judge_protection(const lpvg_can_rule_t& rule, lpvg_can_watch_t&
     return lpvg_can_event_accepted;
 }
 
+// Counts an arrival of a window of `size` that must take `periods`; bit `flag` of `fast` says that the newest whole one did not.
+void count_window(lpvg_can_watch_t& watch, int64_t t_us, int64_t& begin_us, uint8_t& arrivals, uint32_t size, int64_t least_us, uint8_t flag) {
+    ++arrivals;
+    if (arrivals >= size) {
+        watch.fast = static_cast<uint8_t>(t_us - begin_us < least_us ? watch.fast | flag : watch.fast & ~flag);
+        begin_us = t_us;
+        arrivals = 0U;
+    }
+}
+
 // Whether the newest arrivals came faster than one sender sends.
 void count_arrival(const lpvg_can_rule_t& rule, lpvg_can_watch_t& watch, int64_t t_us) {
     if (watch.has_arrival == 0U) {
-        watch.t_window_us = t_us;
+        watch.t_window_us = watch.t_rate_us = t_us;
         return;
     }
-    ++watch.arrivals;
-    if (watch.arrivals >= LPVG_CAN_ARRIVALS) {
-        const int64_t least_us = static_cast<int64_t>(LPVG_CAN_ARRIVALS_PERIODS) * rule.period_us;
-        watch.fast = t_us - watch.t_window_us < least_us ? 1U : 0U;
-        watch.t_window_us = t_us;
-        watch.arrivals = 0U;
-    }
+    const int64_t period = rule.period_us;
+    count_window(watch, t_us, watch.t_window_us, watch.arrivals, LPVG_CAN_ARRIVALS, LPVG_CAN_ARRIVALS_PERIODS * period, 1U);
+    count_window(watch, t_us, watch.t_rate_us, watch.rate_arrivals, LPVG_CAN_RATE_ARRIVALS, LPVG_CAN_RATE_PERIODS * period, 2U);
 }
 
 lpvg_can_event_t judge(const lpvg_can_rule_t& rule, lpvg_can_watch_t& watch, const lpvg_can_frame_t& frame,
@@ -183,14 +189,23 @@ void note(lpvg_can_watch_t& watch, bool bad) {
     watch.window_bad = static_cast<uint8_t>(watch.window_bad + (bad ? 1U : 0U) - (oldest_bad ? 1U : 0U));
 }
 
-void take_bad(lpvg_can_watch_t& watch) {
+// Whether a frame of a second sender explains the event: itself, or the genuine one behind it.
+bool foreign(lpvg_can_event_t event) {
+    return event == lpvg_can_event_early || event == lpvg_can_event_repeated || event == lpvg_can_event_sequence;
+}
+
+void take_bad(lpvg_can_watch_t& watch, lpvg_can_event_t event) {
     if (watch.score < LPVG_CAN_SCORE_OFF) {
         ++watch.score;
+    }
+    if (foreign(event)) {
+        const uint32_t sum = watch.foreign + LPVG_CAN_FOREIGN_ADD;
+        watch.foreign = static_cast<uint8_t>(sum < LPVG_CAN_FOREIGN_OFF ? sum : LPVG_CAN_FOREIGN_OFF);
     }
     if (watch.state == lpvg_can_state_off) {
         watch.good_in_row = 0U;
         watch.has_raw = 0U;
-    } else if (watch.score >= LPVG_CAN_SCORE_OFF || watch.fast != 0U) {
+    } else if (watch.score >= LPVG_CAN_SCORE_OFF || watch.foreign >= LPVG_CAN_FOREIGN_OFF || watch.fast != 0U) {
         switch_off(watch);
     }
     note(watch, true);
@@ -212,11 +227,13 @@ lpvg_can_event_t take_good(lpvg_can_watch_t& watch, int64_t t_us, const uint16_t
             return lpvg_can_event_recovering;
         }
         watch.score = 0U;
+        watch.foreign = 0U;
         watch.good_in_row = 0U;
         watch.window = 0U;
         watch.window_bad = 0U;
     } else {
         watch.score = static_cast<uint8_t>(watch.score - (watch.score > 0U ? 1U : 0U));
+        watch.foreign = static_cast<uint8_t>(watch.foreign - (watch.foreign > 0U ? 1U : 0U));
         note(watch, false);
     }
     watch.state = lpvg_can_state_live;
@@ -321,7 +338,7 @@ lpvg_can_event_t lpvg_can_receive(lpvg_can_supervisor_t* self, const lpvg_can_fr
     if (event == lpvg_can_event_accepted) {
         event = take_good(watch, frame->t_us, raw);
     } else {
-        take_bad(watch);
+        take_bad(watch, event);
     }
     add(watch.count[event], 1U);
     return event;

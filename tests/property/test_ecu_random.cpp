@@ -36,6 +36,7 @@ public:
 
     // A frame of it, with all its values there or not. Returns whether it may be used.
     bool take(const lpvg_can_frame_t& frame, int64_t t_us, bool complete) {
+        out_of_step_ = false;
         const bool soon = arrived_ && t_us - arrival_us_ < rule_.gap_min_us;
         count_arrival(t_us);
         arrived_ = true;
@@ -43,10 +44,11 @@ public:
         const bool good = !soon && !fast_ && protection_good(frame) && complete;
         score_ = good ? std::max(0, score_ - 1) : std::min<int>(LPVG_CAN_SCORE_OFF, score_ + 1);
         if (!good) {
+            foreign_ = std::min<int>(LPVG_CAN_FOREIGN_OFF, foreign_ + (soon || fast_ || out_of_step_ ? LPVG_CAN_FOREIGN_ADD : 0));
             in_row_ = 0;
             bad_.push_back(true);
             trim();
-            if (fast_ || score_ == LPVG_CAN_SCORE_OFF || std::count(bad_.begin(), bad_.end(), true) >= LPVG_CAN_WINDOW_BAD) {
+            if (fast_ || score_ == LPVG_CAN_SCORE_OFF || foreign_ == LPVG_CAN_FOREIGN_OFF || std::count(bad_.begin(), bad_.end(), true) >= LPVG_CAN_WINDOW_BAD) {
                 go_off();
             }
             return false;
@@ -56,9 +58,10 @@ public:
             if (++in_row_ < static_cast<int>(LPVG_CAN_RECOVER_FRAMES)) {
                 return false;
             }
-            score_ = 0;
+            score_ = foreign_ = 0;
             bad_.clear();
         } else {
+            foreign_ = std::max(0, foreign_ - 1);
             bad_.push_back(false);
             trim();
         }
@@ -76,14 +79,20 @@ public:
     lpvg_can_state_t state = lpvg_can_state_off;
 
 private:
+    // Of every eighth and every 64th arrival: whether as many took less than 6, or 58, periods.
     void count_arrival(int64_t t_us) {
-        if (!arrived_) {
-            block_us_ = t_us;
-        } else if (++in_block_ == static_cast<int>(LPVG_CAN_ARRIVALS)) {
-            fast_ = t_us - block_us_ < static_cast<int64_t>(LPVG_CAN_ARRIVALS_PERIODS) * rule_.period_us;
-            block_us_ = t_us;
-            in_block_ = 0;
+        arrivals_us_.push_back(t_us);
+        const std::size_t n = arrivals_us_.size() - 1U;
+        const auto faster = [&](std::size_t window, int64_t periods) {
+            return t_us - arrivals_us_[n - window] < periods * static_cast<int64_t>(rule_.period_us);
+        };
+        if (n > 0U && n % LPVG_CAN_ARRIVALS == 0U) {
+            short_fast_ = faster(LPVG_CAN_ARRIVALS, LPVG_CAN_ARRIVALS_PERIODS);
         }
+        if (n > 0U && n % LPVG_CAN_RATE_ARRIVALS == 0U) {
+            long_fast_ = faster(LPVG_CAN_RATE_ARRIVALS, LPVG_CAN_RATE_PERIODS);
+        }
+        fast_ = short_fast_ || long_fast_;
     }
 
     bool protection_good(const lpvg_can_frame_t& frame) {
@@ -96,7 +105,8 @@ private:
         }
         const int step = counter_ < 0 ? 1 : (counter + 15 - counter_) % 15;
         counter_ = counter;
-        return step >= 1 && step <= static_cast<int>(LPVG_CAN_COUNTER_STEP);
+        out_of_step_ = step < 1 || step > static_cast<int>(LPVG_CAN_COUNTER_STEP);
+        return !out_of_step_;
     }
 
     void trim() {
@@ -106,9 +116,10 @@ private:
     }
 
     const lpvg_can_rule_t& rule_;
-    int64_t good_us_ = 0, arrival_us_ = 0, block_us_ = 0;
-    int score_ = 0, in_row_ = 0, in_block_ = 0, counter_ = -1;
-    bool arrived_ = false, fast_ = false;
+    int64_t good_us_ = 0, arrival_us_ = 0;
+    std::vector<int64_t> arrivals_us_;
+    int score_ = 0, foreign_ = 0, in_row_ = 0, counter_ = -1;
+    bool arrived_ = false, fast_ = false, short_fast_ = false, long_fast_ = false, out_of_step_ = false;
     std::deque<bool> bad_;
 };
 

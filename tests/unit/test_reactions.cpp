@@ -52,6 +52,41 @@ std::function<void(Bench&)> followed_by(Follower follower) {
     };
 }
 
+// Behind every n-th GUARD_IN follows a frame with the counter of the next one.
+template <int n>
+void thinned(Bench& bench) {
+    auto count = std::make_shared<int>(0);
+    bench.filter = [count](const Frames& frames) {
+        Frames out;
+        for (const auto& frame : frames) {
+            out.push_back(frame);
+            if (frame.id == LPVG_CAN_GUARD_IN_ID && ++*count % n == 0) {
+                lpvg_can_frame_t foreign = frame;
+                auto next = static_cast<uint8_t>((frame.data[1] % 16U + 1U) % LPVG_CAN_COUNTERS);
+                REQUIRE(lpvg_can_e2e_protect(&foreign, LPVG_CAN_GUARD_IN_E2E_DATA_ID, &next) == lpvg_status_ok);
+                foreign.t_us += tick_us / 2;
+                out.push_back(foreign);
+            }
+        }
+        return out;
+    };
+}
+
+void thinned_vdc2(Bench& bench) {
+    auto count = std::make_shared<int>(0);
+    bench.filter = [count](const Frames& frames) {
+        Frames out;
+        for (const auto& frame : frames) {
+            out.push_back(frame);
+            if (frame.id == LPVG_CAN_VDC2_ID && ++*count % 5 == 0) {
+                out.push_back(frame);
+                out.back().t_us += tick_us / 2;
+            }
+        }
+        return out;
+    };
+}
+
 // What was sent so many periods ago: counter and checksum are right, and so is the sequence for a receiver of these frames alone.
 class Recording {
 public:
@@ -158,6 +193,9 @@ const Row rows[] = {
     {"GUARD_IN, a second sender with counter + 1", "release", 10, 130.0, [](Bench& b) { b.second_sender = true; }, step},
     {"GUARD_IN, every frame sent twice", "release", 10, 130.0, followed_by([](const lpvg_can_frame_t& frame) { return frame; }), step},
     {"GUARD_IN, a recording sent beside it", "release", 10, 130.0, [](Bench& b) { followed_by(Recording())(b); }, step},
+    {"GUARD_IN, a foreign frame with the next counter behind every fifth", "release", 10, 1'100.0, thinned<5>, step},
+    {"GUARD_IN, a foreign frame with the next counter behind every fifteenth", "release", 10, 10'000.0, thinned<15>, step},
+    {"VDC2, a foreign frame behind every fifth", "release", 10, 1'300.0, thinned_vdc2, step},
     {"GUARD_IN, a recording in its place, where it is authenticated", "release", 10, 50.0, replay_authenticated, step},
     {"VDC2 lost for 60 ms of every 200 ms", "release, while it lasts", 20, 220.0, nothing, lost_for_60_ms_of<20>},
     {"VDC2 lost for 60 ms of every 2 s", "release, then lock", 200, 8'100.0, nothing, lost_for_60_ms_of<200>, 12.0F, true},
