@@ -131,25 +131,32 @@ lpvg_can_event_t judge_protection(const lpvg_can_rule_t& rule, lpvg_can_watch_t&
     return lpvg_can_event_accepted;
 }
 
-// Counts an arrival of a window of `size` that must take `periods`; bit `flag` of `fast` says that the newest whole one did not.
-void count_window(lpvg_can_watch_t& watch, int64_t t_us, int64_t& begin_us, uint8_t& arrivals, uint32_t size, int64_t least_us, uint8_t flag) {
-    ++arrivals;
-    if (arrivals >= size) {
-        watch.fast = static_cast<uint8_t>(t_us - begin_us < least_us ? watch.fast | flag : watch.fast & ~flag);
-        begin_us = t_us;
-        arrivals = 0U;
-    }
-}
+constexpr uint8_t fast_short = 1U, fast_long = 2U;
 
-// Whether the newest arrivals came faster than one sender sends.
+// Whether the newest arrivals came faster than one sender sends: over a few, then over many, which begin anew behind a burst.
 void count_arrival(const lpvg_can_rule_t& rule, lpvg_can_watch_t& watch, int64_t t_us) {
+    const int64_t period = rule.period_us;
     if (watch.has_arrival == 0U) {
         watch.t_window_us = watch.t_rate_us = t_us;
         return;
     }
-    const int64_t period = rule.period_us;
-    count_window(watch, t_us, watch.t_window_us, watch.arrivals, LPVG_CAN_ARRIVALS, LPVG_CAN_ARRIVALS_PERIODS * period, 1U);
-    count_window(watch, t_us, watch.t_rate_us, watch.rate_arrivals, LPVG_CAN_RATE_ARRIVALS, LPVG_CAN_RATE_PERIODS * period, 2U);
+    ++watch.arrivals;
+    ++watch.rate_arrivals;
+    if (watch.arrivals >= LPVG_CAN_ARRIVALS) {
+        watch.fast = static_cast<uint8_t>(watch.fast & fast_long);
+        if (t_us - watch.t_window_us < LPVG_CAN_ARRIVALS_PERIODS * period) {
+            watch.fast = fast_short;
+            watch.t_rate_us = t_us;
+            watch.rate_arrivals = 0U;
+        }
+        watch.t_window_us = t_us;
+        watch.arrivals = 0U;
+    }
+    if (watch.rate_arrivals >= LPVG_CAN_RATE_ARRIVALS) {
+        watch.fast = static_cast<uint8_t>(t_us - watch.t_rate_us < LPVG_CAN_RATE_PERIODS * period ? watch.fast | fast_long : watch.fast & fast_short);
+        watch.t_rate_us = t_us;
+        watch.rate_arrivals = 0U;
+    }
 }
 
 lpvg_can_event_t judge(const lpvg_can_rule_t& rule, lpvg_can_watch_t& watch, const lpvg_can_frame_t& frame,

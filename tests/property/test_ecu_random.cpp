@@ -79,18 +79,22 @@ public:
     lpvg_can_state_t state = lpvg_can_state_off;
 
 private:
-    // Of every eighth and every 64th arrival: whether as many took less than 6, or 58, periods.
+    // Of every eighth arrival whether as many took less than 6 periods, and of the 64th after the newest such burst whether they took less
+    // than 58.
     void count_arrival(int64_t t_us) {
         arrivals_us_.push_back(t_us);
         const std::size_t n = arrivals_us_.size() - 1U;
-        const auto faster = [&](std::size_t window, int64_t periods) {
-            return t_us - arrivals_us_[n - window] < periods * static_cast<int64_t>(rule_.period_us);
+        const auto faster = [&](std::size_t begin, int64_t periods) {
+            return t_us - arrivals_us_[begin] < periods * static_cast<int64_t>(rule_.period_us);
         };
         if (n > 0U && n % LPVG_CAN_ARRIVALS == 0U) {
-            short_fast_ = faster(LPVG_CAN_ARRIVALS, LPVG_CAN_ARRIVALS_PERIODS);
+            short_fast_ = faster(n - LPVG_CAN_ARRIVALS, LPVG_CAN_ARRIVALS_PERIODS);
+            long_fast_ = long_fast_ && !short_fast_;
+            rate_begin_ = short_fast_ ? n : rate_begin_;
         }
-        if (n > 0U && n % LPVG_CAN_RATE_ARRIVALS == 0U) {
-            long_fast_ = faster(LPVG_CAN_RATE_ARRIVALS, LPVG_CAN_RATE_PERIODS);
+        if (n - rate_begin_ == LPVG_CAN_RATE_ARRIVALS) {
+            long_fast_ = faster(rate_begin_, LPVG_CAN_RATE_PERIODS);
+            rate_begin_ = n;
         }
         fast_ = short_fast_ || long_fast_;
     }
@@ -118,6 +122,7 @@ private:
     const lpvg_can_rule_t& rule_;
     int64_t good_us_ = 0, arrival_us_ = 0;
     std::vector<int64_t> arrivals_us_;
+    std::size_t rate_begin_ = 0U;
     int score_ = 0, foreign_ = 0, in_row_ = 0, counter_ = -1;
     bool arrived_ = false, fast_ = false, short_fast_ = false, long_fast_ = false, out_of_step_ = false;
     std::deque<bool> bad_;

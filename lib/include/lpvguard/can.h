@@ -33,7 +33,7 @@
 /// LPVG_CAN_WINDOW_BAD - 1 in VALID, and INIT and INVALID end with LPVG_CAN_RECOVER_FRAMES good frames in a row. The limit on
 /// arrivals finds a second sender: a frame inserted between the genuine ones doubles the rate, whatever it holds. One that inserts fewer is
 /// found by the rate over more arrivals, from one frame in nine on. In a message with a counter each inserted frame makes a genuine one wrong:
-/// a second sender is found from one frame in fifteen on.
+/// a second sender is found from one frame in fifteen on, within 2 s from one in ten on.
 ///
 /// Limits: standard J1939 messages have neither counter nor checksum. Of them loss, babbling, absent or erroneous values, range
 /// and gradient are found. A repeated or swapped frame of such a message looks valid.
@@ -69,7 +69,7 @@ extern "C" {
 #define LPVG_CAN_RATE_ARRIVALS 64u  ///< Arrivals over which the mean rate is measured.
 #define LPVG_CAN_RATE_PERIODS 58u  ///< They must take at least so many periods: the tolerance of the rate is 10 %.
 #define LPVG_CAN_FOREIGN_ADD 16u  ///< What a frame adds that a second sender explains.
-#define LPVG_CAN_FOREIGN_OFF 48u  ///< So high a score switches off.
+#define LPVG_CAN_FOREIGN_OFF 96u  ///< So high a score switches off.
 #define LPVG_CAN_COUNTER_STEP 5u  ///< Largest step of a counter that is read as loss and not as a wrong sequence.
 #define LPVG_CAN_REORDER_US 5000   ///< A frame may carry a time this much before the newest time seen (it waited in a queue).
 #define LPVG_CAN_NO_INDEX 0xFFu
@@ -156,9 +156,9 @@ typedef struct lpvg_can_watch_t {
     uint8_t window_bad;     ///< Bad ones of them                                                       0 .. 16
     uint8_t arrivals;       ///< Since t_window_us                                                      0 .. 7
     uint8_t fast;           ///< Bit 0: the newest LPVG_CAN_ARRIVALS came too fast; bit 1: the newest LPVG_CAN_RATE_ARRIVALS
-    int64_t t_rate_us;      ///< Arrival before those over which the rate is measured                   [us]
+    int64_t t_rate_us;      ///< Arrival before those over which the rate is measured; the newest too fast one, if later [us]
     uint8_t rate_arrivals;  ///< Since t_rate_us                                                        0 .. 63
-    uint8_t foreign;        ///< Score of frames of a second sender                                     0 .. 48
+    uint8_t foreign;        ///< Score of frames of a second sender                                     0 .. 96
     uint8_t score;          ///< Of bad frames                                                          0 .. 5
     uint8_t good_in_row;    ///< While off                                                              0 .. 5
     uint8_t counter;        ///< Of the newest frame with a right checksum                              0 .. 14

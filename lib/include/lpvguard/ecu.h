@@ -16,12 +16,24 @@
 /// newest good frame.
 ///
 /// Engagement: the causes LPVG_ECU_CAUSE_* release while they last, but for those that `report_only` of the configuration names.
-/// After a release by anything but the asker the loop engages again LPVG_ECU_WAIT_US after its causes have gone. A cause of
-/// LPVG_ECU_CAUSES_LATCHING that ends an engagement locks it. So does the release by a fault after LPVG_ECU_RELEASES_MAX others, none of
-/// them a LPVG_ECU_RELEASES_US after the one before. A lock ends by lpvg_ecu_acknowledge only. The speed leaves the controller's
+/// After a release by any cause the loop engages again LPVG_ECU_WAIT_US after its causes have gone. A cause of LPVG_ECU_CAUSES_LATCHING
+/// that ends an engagement locks it. After LPVG_ECU_RELEASES_MAX releases by faults, each within LPVG_ECU_RELEASES_US of the one before,
+/// the next one locks. After LPVG_ECU_ENGAGEMENTS_MAX engagements within an hour, whatever ended them, the next one locks instead. An
+/// acknowledgement forgets none of these counts. The speed leaves the controller's
 /// range LPVG_ECU_SPEED_HYSTERESIS_MPS beyond its ends, so that noise at an end does not release, and is back within them.
 /// What "no excitation" means for the monitor, verdict not_judged, permits engagement, and so does degraded. Outside the range a valid
 /// verdict is reported as not_judged: it is about other speeds.
+///
+/// Evidence: a start, a gap, a release and a lock void the monitor's evidence: the verdict is valid only from frames that began since. The watch
+/// (watch.h) judges the response from the first engaged sample on; what it finds makes the verdict invalid. An engagement begins with
+/// LPVG_ECU_PROBE_SHARE of u_max. Evidence of the watch raises that to 1 within LPVG_ECU_PROBE_US. A demand that rests at the limit for
+/// that long without evidence gets a step of another such share, which the watch can judge.
+///
+/// Invalid: unless it is only reported, an invalid verdict stays and locks until it is acknowledged; time does not end it. An acknowledgement is
+/// refused while a latching cause stands, and while the hour's engagements are used up. An invalid verdict is acknowledged only after
+/// LPVG_ECU_CALM_US without engagement in which every message was live and no test falsified. That speaks against sensors and
+/// disturbances alone: the response is judged on trial, by the next engagement. When that ends invalid before a verdict was valid, no
+/// further acknowledgement is taken until init.
 ///
 /// Permission: the vehicle asks for control by its message (bus.h). Control counts after any other request has been seen since init.
 /// While another command on the actuator has a higher priority than `priority`, while the brake pedal is beyond
@@ -108,7 +120,7 @@ LPVG_EXTERN_C_BEGIN
 #define LPVG_ECU_CAUSES_OPTIONAL (LPVG_ECU_CAUSE_UNJUDGED | LPVG_ECU_CAUSE_INVALID | LPVG_ECU_CAUSE_IMPLAUSIBLE | LPVG_ECU_CAUSE_ACTUATOR)
 /// What locks when it ends an engagement.
 #define LPVG_ECU_CAUSES_LATCHING (LPVG_ECU_CAUSE_INVALID | LPVG_ECU_CAUSE_IMPLAUSIBLE | LPVG_ECU_CAUSE_ACTUATOR)
-/// Releases that are no fault and are not counted.
+/// Releases that are no fault: LPVG_ECU_RELEASES_MAX does not count them, LPVG_ECU_ENGAGEMENTS_MAX does.
 #define LPVG_ECU_CAUSES_ORDINARY (LPVG_ECU_CAUSE_NOT_ASKED | LPVG_ECU_CAUSE_RANGE | LPVG_ECU_CAUSE_OVERRIDE | LPVG_ECU_CAUSE_PERMISSION)
 
 #define LPVG_ECU_ROUND_US 5000000U  ///< Longest round of the coefficients; damage is found within two       [us]
@@ -268,8 +280,8 @@ LPVG_NODISCARD lpvg_status_t lpvg_ecu_init(lpvg_ecu_t* self, const lpvg_coeff_t*
 /// Asks for engagement or release from the next step on. Nothing for NULL.
 void lpvg_ecu_engage(lpvg_ecu_t* self, bool engage);
 
-/// Ends a lock from the next step on, unless a cause of LPVG_ECU_CAUSES_LATCHING that releases is still there. Returns whether the
-/// loop is not locked any more; false for NULL.
+/// Ends a lock from the next step on, unless what stands forbids it (see Invalid above). Returns whether the loop is not locked any more;
+/// false for NULL.
 bool lpvg_ecu_acknowledge(lpvg_ecu_t* self);
 
 /// One sample period. frames_in [n_in] may be NULL when n_in is 0; a time stamp after now_us counts as now_us.

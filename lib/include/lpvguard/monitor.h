@@ -68,7 +68,7 @@ LPVG_EXTERN_C_BEGIN
 
 typedef enum lpvg_verdict_t {
     lpvg_verdict_unknown = 0,     ///< No frame has ended yet. Zero: cleared memory never reads "valid".
-    lpvg_verdict_valid = 1,       ///< Within the last hold time a frame with evidence counted, none falsified, nothing changed.
+    lpvg_verdict_valid = 1,       ///< Within the last hold time a frame with evidence counted that began since the newest start, none falsified, nothing changed.
     lpvg_verdict_invalid = 2,     ///< A frame or the energy test falsified the model within the last hold time.
     lpvg_verdict_not_judged = 3,  ///< Frames ended, but none within the hold time is evidence: see lpvg_reason_t.
     lpvg_verdict_stale = 4,       ///< The newest sample is older than five sample periods.

@@ -4,7 +4,7 @@
 /// F a high-pass of corner LPVG_WATCH_CORNER_RPS that begins at rest on the first e. Sums forget with LPVG_WATCH_SHORT_S, for a fault that
 /// comes, and with LPVG_WATCH_LONG_S, for one that shows little. For each of both memories and each output j
 ///
-///     P_j = sum of F e_j F phi_j      Q_j = sum of (F phi_j)^2      |P_j| <= gain_j Q_j + disturbance_j sqrt(Q_j)            (T25)
+///     P_j = sum of F e_j F phi_j      Q_j = sum of (F phi_j)^2      |P_j| <= gain_j Q_j + disturbance_j sqrt(Q_j)            (T46)
 ///
 /// A vehicle whose response is 1 + d_j times the nominal one has P_j = d_j Q_j + sum of F w_j F phi_j. A violation therefore refutes every
 /// constant |d_j| <= gain_j whose disturbance has a part along F phi_j of at most disturbance_j (THEORY 7.14).
