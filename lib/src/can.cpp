@@ -196,16 +196,18 @@ void note(lpvg_can_watch_t& watch, bool bad) {
     watch.window_bad = static_cast<uint8_t>(watch.window_bad + (bad ? 1U : 0U) - (oldest_bad ? 1U : 0U));
 }
 
-// Whether a frame of a second sender explains the event: itself, or the genuine one behind it.
-bool foreign(lpvg_can_event_t event) {
-    return event == lpvg_can_event_early || event == lpvg_can_event_repeated || event == lpvg_can_event_sequence;
+// Whether a frame of a second sender explains a bad one: that itself, or a genuine one whose counter it used. A frame that jitter makes early
+// has the next counter.
+bool foreign(const lpvg_can_rule_t& rule, const lpvg_can_watch_t& watch, const lpvg_can_frame_t& frame, lpvg_can_event_t event) {
+    const bool same = rule.e2e != 0U && watch.has_counter != 0U && (frame.data[1] & 0x0FU) == watch.counter;
+    return event == lpvg_can_event_repeated || event == lpvg_can_event_sequence || (event == lpvg_can_event_early && same);
 }
 
-void take_bad(lpvg_can_watch_t& watch, lpvg_can_event_t event) {
+void take_bad(lpvg_can_watch_t& watch, bool from_foreign) {
     if (watch.score < LPVG_CAN_SCORE_OFF) {
         ++watch.score;
     }
-    if (foreign(event)) {
+    if (from_foreign) {
         const uint32_t sum = watch.foreign + LPVG_CAN_FOREIGN_ADD;
         watch.foreign = static_cast<uint8_t>(sum < LPVG_CAN_FOREIGN_OFF ? sum : LPVG_CAN_FOREIGN_OFF);
     }
@@ -345,7 +347,7 @@ lpvg_can_event_t lpvg_can_receive(lpvg_can_supervisor_t* self, const lpvg_can_fr
     if (event == lpvg_can_event_accepted) {
         event = take_good(watch, frame->t_us, raw);
     } else {
-        take_bad(watch, event);
+        take_bad(watch, foreign(self->rules[i], watch, *frame, event));
     }
     add(watch.count[event], 1U);
     return event;

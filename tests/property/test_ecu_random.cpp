@@ -37,6 +37,7 @@ public:
     // A frame of it, with all its values there or not. Returns whether it may be used.
     bool take(const lpvg_can_frame_t& frame, int64_t t_us, bool complete) {
         out_of_step_ = false;
+        const int counter_before = counter_;
         const bool soon = arrived_ && t_us - arrival_us_ < rule_.gap_min_us;
         count_arrival(t_us);
         arrived_ = true;
@@ -44,7 +45,7 @@ public:
         const bool good = !soon && !fast_ && protection_good(frame) && complete;
         score_ = good ? std::max(0, score_ - 1) : std::min<int>(LPVG_CAN_SCORE_OFF, score_ + 1);
         if (!good) {
-            foreign_ = std::min<int>(LPVG_CAN_FOREIGN_OFF, foreign_ + (soon || fast_ || out_of_step_ ? LPVG_CAN_FOREIGN_ADD : 0));
+            foreign_ = std::min<int>(LPVG_CAN_FOREIGN_OFF, foreign_ + (foreign(frame, soon || fast_, counter_before) ? LPVG_CAN_FOREIGN_ADD : 0));
             in_row_ = 0;
             bad_.push_back(true);
             trim();
@@ -97,6 +98,11 @@ private:
             rate_begin_ = n;
         }
         fast_ = short_fast_ || long_fast_;
+    }
+
+    // An early frame may come from jitter, unless it repeats the counter.
+    bool foreign(const lpvg_can_frame_t& frame, bool early, int counter) const {
+        return early ? rule_.e2e != 0U && counter == frame.data[1] % 16 : out_of_step_;
     }
 
     bool protection_good(const lpvg_can_frame_t& frame) {

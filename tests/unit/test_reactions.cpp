@@ -52,20 +52,22 @@ std::function<void(Bench&)> followed_by(Follower follower) {
     };
 }
 
-// Behind every n-th GUARD_IN follows a frame with the counter of the next one.
+// Behind every n-th GUARD_IN, 2 ms before the next one, comes a frame with that one's counter: the genuine frame is the early one.
 template <int n>
 void thinned(Bench& bench) {
     auto count = std::make_shared<int>(0);
-    bench.filter = [count](const Frames& frames) {
-        Frames out;
+    auto waiting = std::make_shared<Frames>();
+    bench.filter = [count, waiting](const Frames& frames) {
+        Frames out = *waiting;
+        waiting->clear();
         for (const auto& frame : frames) {
             out.push_back(frame);
             if (frame.id == LPVG_CAN_GUARD_IN_ID && ++*count % n == 0) {
                 lpvg_can_frame_t foreign = frame;
                 auto next = static_cast<uint8_t>((frame.data[1] % 16U + 1U) % LPVG_CAN_COUNTERS);
                 REQUIRE(lpvg_can_e2e_protect(&foreign, LPVG_CAN_GUARD_IN_E2E_DATA_ID, &next) == lpvg_status_ok);
-                foreign.t_us += tick_us / 2;
-                out.push_back(foreign);
+                foreign.t_us += tick_us - 2'000;
+                waiting->push_back(foreign);
             }
         }
         return out;
