@@ -153,7 +153,8 @@ void count_arrival(const lpvg_can_rule_t& rule, lpvg_can_watch_t& watch, int64_t
         watch.arrivals = 0U;
     }
     if (watch.rate_arrivals >= LPVG_CAN_RATE_ARRIVALS) {
-        watch.fast = static_cast<uint8_t>(t_us - watch.t_rate_us < LPVG_CAN_RATE_PERIODS * period ? watch.fast | fast_long : watch.fast & fast_short);
+        watch.fast = static_cast<uint8_t>(t_us - watch.t_rate_us < LPVG_CAN_RATE_PERIODS * period ? watch.fast | fast_long
+                                                                                                  : watch.fast & fast_short);
         watch.t_rate_us = t_us;
         watch.rate_arrivals = 0U;
     }
@@ -196,8 +197,8 @@ void note(lpvg_can_watch_t& watch, bool bad) {
     watch.window_bad = static_cast<uint8_t>(watch.window_bad + (bad ? 1U : 0U) - (oldest_bad ? 1U : 0U));
 }
 
-// Whether a frame of a second sender explains a bad one: that itself, or a genuine one whose counter it used. A frame that jitter makes early
-// has the next counter.
+// Whether a frame of a second sender explains a bad one: that itself, or a genuine one whose counter it used. A frame that jitter makes
+// early has the next counter.
 bool foreign(const lpvg_can_rule_t& rule, const lpvg_can_watch_t& watch, const lpvg_can_frame_t& frame, lpvg_can_event_t event) {
     const bool same = rule.e2e != 0U && watch.has_counter != 0U && (frame.data[1] & 0x0FU) == watch.counter;
     return event == lpvg_can_event_repeated || event == lpvg_can_event_sequence || (event == lpvg_can_event_early && same);

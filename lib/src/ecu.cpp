@@ -301,8 +301,8 @@ void judge_speed(lpvg_ecu_t& self) {
     self.in_range = self.signals.speed >= r.speed_min - beyond && self.signals.speed <= r.speed_max + beyond;
 }
 
-// Whether the actuator does what was demanded up to the newest step, by its gain and by its distance. Nothing is compared while a message is
-// missing and until what was demanded meanwhile has died out; the means begin anew behind that.
+// Whether the actuator does what was demanded up to the newest step, by its gain and by its distance. Nothing is compared while a message
+// is missing and until what was demanded meanwhile has died out; the means begin anew behind that.
 void judge_actuator(lpvg_ecu_t& self, bool live) {
     const lpvg_ecu_actuator_limits_t& limits = self.kept.config.actuator;
     const float period = static_cast<float>(self.kept.period_us) * 1e-6F;

@@ -12,7 +12,17 @@
 constexpr double steering_ratio = 20.0;
 
 // How a release begins and ends. The cause lasts `steps` sample periods.
-enum class Release { cold, vdc2_gap, guard_in_gap, pedal, abs, request, priority, asker, clock_gap };
+enum class Release {
+    cold,
+    vdc2_gap,
+    guard_in_gap,
+    pedal,
+    abs,
+    request,
+    priority,
+    asker,
+    clock_gap
+};
 constexpr std::array<Release, 8> releases = {Release::vdc2_gap, Release::guard_in_gap, Release::pedal, Release::abs,
                                              Release::request,  Release::priority,     Release::asker, Release::clock_gap};
 

@@ -1,6 +1,6 @@
-// How long the loop acts on a vehicle whose response to the demand is wrong: from a cold start, and after each kind of release during which it
-// goes wrong. The table in lib/REQUIREMENTS.md is made of it: `LPVGUARD_RESPONSES=lib/REQUIREMENTS.md test_response` writes the table, and
-// without that the test compares it.
+// How long the loop acts on a vehicle whose response to the demand is wrong: from a cold start, and after each kind of release during which
+// it goes wrong. The table in lib/REQUIREMENTS.md is made of it: `LPVGUARD_RESPONSES=lib/REQUIREMENTS.md test_response` writes the table,
+// and without that the test compares it.
 #include "../long_form.hpp"
 #include "../marked_table.hpp"
 #include "response_drive.hpp"
@@ -58,7 +58,8 @@ double engaged_s(const Case& which, double response, double speed_mps, std::uint
     return 0.01 * engaged;
 }
 
-// At most this long, whatever the release; a healthy truck is engaged again at most 1 s later than wait and measurement of the period ask for.
+// At most this long, whatever the release; a healthy truck is engaged again at most 1 s later than wait and measurement of the period ask
+// for.
 bool within_limit(double response, double seconds) {
     const double most = response <= 0.0 ? 3.0 : 20.0;
     return response == 1.0 ? seconds >= 60.0 - 2.4 : seconds <= most;

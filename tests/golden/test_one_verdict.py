@@ -1,7 +1,7 @@
-"""One verdict for one drive: float, double, and either with fused multiply-add say the same of every sample.
+"""One verdict for one drive: float, double, and either with fused multiply-add say the same of each sample.
 
-A threshold is the score of a calibration drive, raised by ROUNDING. Without that margin, rounding decides whether
-the drive that set the threshold falsifies the model.
+A threshold is the score of a calibration drive, raised by ROUNDING. Without that margin, rounding decides
+whether the drive that set the threshold falsifies the model.
 """
 
 from __future__ import annotations
@@ -10,7 +10,6 @@ import platform
 
 import numpy as np
 import pytest
-
 from lpvguard.core import compiled
 from lpvguard.core.compiled import Core, library_root
 from lpvguard.drives.tables import list_experiments, read_drive

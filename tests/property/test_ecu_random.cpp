@@ -45,11 +45,13 @@ public:
         const bool good = !soon && !fast_ && protection_good(frame) && complete;
         score_ = good ? std::max(0, score_ - 1) : std::min<int>(LPVG_CAN_SCORE_OFF, score_ + 1);
         if (!good) {
-            foreign_ = std::min<int>(LPVG_CAN_FOREIGN_OFF, foreign_ + (foreign(frame, soon || fast_, counter_before) ? LPVG_CAN_FOREIGN_ADD : 0));
+            foreign_ =
+                std::min<int>(LPVG_CAN_FOREIGN_OFF, foreign_ + (foreign(frame, soon || fast_, counter_before) ? LPVG_CAN_FOREIGN_ADD : 0));
             in_row_ = 0;
             bad_.push_back(true);
             trim();
-            if (fast_ || score_ == LPVG_CAN_SCORE_OFF || foreign_ == LPVG_CAN_FOREIGN_OFF || std::count(bad_.begin(), bad_.end(), true) >= LPVG_CAN_WINDOW_BAD) {
+            if (fast_ || score_ == LPVG_CAN_SCORE_OFF || foreign_ == LPVG_CAN_FOREIGN_OFF ||
+                std::count(bad_.begin(), bad_.end(), true) >= LPVG_CAN_WINDOW_BAD) {
                 go_off();
             }
             return false;

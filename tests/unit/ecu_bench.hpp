@@ -110,12 +110,12 @@ public:
     lpvg_status_t status = lpvg_status_ok;
     int64_t k = 0;
     int64_t now_us = 0, next_frame_us = 0;  // true time of the newest step, and of the next frames
-    int64_t clock_off_us = 0;               // the steps' clock less true time
+    int64_t clock_off_us = 0;  // the steps' clock less true time
     float speed = 12.0F, yaw_rate = 0.0F, lateral = 0.0F, wheel_angle = 0.0F, command = 0.05F;
     float brake_gain = 1.0F;  // of the pressure to the demand
     float pressure = 0.0F, pedal_percent = 0.0F;
     uint8_t early_request = LPVG_BUS_REQUEST_RELEASE, request = LPVG_BUS_REQUEST_CONTROL, other_priority = 0U, abs_active = 0U;
-    bool answers = true;    // the demand moves the vehicle; what follows is added to that
+    bool answers = true;  // the demand moves the vehicle; what follows is added to that
     float response = 1.0F;  // of the vehicle to the demand, over the nominal one
     bool send_vdc2 = true, send_guard_in = true, send_ebc2 = true, send_ebc1 = true, spoil_guard_in = false, brakes_work = true,
          second_sender = false;
@@ -222,5 +222,5 @@ private:
     uint8_t counter_ = 0;
 };
 
-constexpr int to_live = 41;     // EBC2's fifth frame is the 41st tick's
+constexpr int to_live = 41;  // EBC2's fifth frame is the 41st tick's
 constexpr int wait_steps = LPVG_ECU_WAIT_US / tick_us;

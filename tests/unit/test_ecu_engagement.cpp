@@ -163,7 +163,8 @@ TEST_CASE("a falsified model and contradicting sensors lock until they are ackno
     CHECK_FALSE(lpvg_ecu_acknowledge(nullptr));
 }
 
-TEST_CASE("an invalid verdict that comes back on trial is not acknowledged again, one after a valid verdict is", "[unit][ecu][REQ-ECU-12]") {
+TEST_CASE("an invalid verdict that comes back on trial is not acknowledged again, one after a valid verdict is",
+          "[unit][ecu][REQ-ECU-12]") {
     const bool was_valid = GENERATE(false, true);
     Bench bench = engaged_bench();
     const auto falsify = [&] {

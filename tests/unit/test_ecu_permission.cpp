@@ -179,10 +179,16 @@ TEST_CASE("limits and priorities that make no sense are refused", "[unit][ecu][R
     lpvg_ecu_config_t with = bench_config;
     with.priority = which == 0 ? 4U : 3U;
     with.actuator.lag_s = which == 1 ? 0.0F : which == 4 ? -0.1F : which == 9 ? infinite : 0.1F;
-    with.actuator.tolerance = which == 2 ? NAN : which == 5 ? 0.0F : which == 6 ? -0.1F : which == 10 ? infinite : which == 11 ? u_max : 0.1F;
+    with.actuator.tolerance = which == 2    ? NAN
+                              : which == 5  ? 0.0F
+                              : which == 6  ? -0.1F
+                              : which == 10 ? infinite
+                              : which == 11 ? u_max
+                                            : 0.1F;
     with.actuator.confirm = which == 3 ? 0U : 1U;
     with.actuator.relative = which == 8 ? 0.0F : which == 12 ? 1.0F : which == 13 ? NAN : 0.25F;
     with.plausibility.lateral_mps2 = which == 14 ? infinite : 1.5F;
     lpvg_ecu_t ecu;
-    CHECK(lpvg_ecu_init(&ecu, &lpvg_coeff, &lpvg_control_coeff, &with, 0) == (which == 7 || which == 8 ? lpvg_status_ok : lpvg_status_bad_argument));
+    CHECK(lpvg_ecu_init(&ecu, &lpvg_coeff, &lpvg_control_coeff, &with, 0) ==
+          (which == 7 || which == 8 ? lpvg_status_ok : lpvg_status_bad_argument));
 }

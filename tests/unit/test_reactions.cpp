@@ -338,7 +338,8 @@ std::string flicker_row(const Flicker& flicker) {
 }
 
 TEST_CASE("every cause waits, counts and locks, and the table of them is the one of the requirements", "[unit][reactions][REQ-ECU-18]") {
-    std::string text = "| cause, 0.2 s of every 2 s | from its end to engagement [ms] | engagements | until locked [ms] |\n| --- | --- | --- | --- |\n";
+    std::string text =
+        "| cause, 0.2 s of every 2 s | from its end to engagement [ms] | engagements | until locked [ms] |\n| --- | --- | --- | --- |\n";
     for (const Flicker& flicker : flickers) {
         text += flicker_row(flicker);
     }

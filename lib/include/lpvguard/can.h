@@ -31,9 +31,9 @@
 ///
 /// The window is the one of AUTOSAR's E2E state machine: its size is LPVG_CAN_WINDOW in every state, the largest number of errors is
 /// LPVG_CAN_WINDOW_BAD - 1 in VALID, and INIT and INVALID end with LPVG_CAN_RECOVER_FRAMES good frames in a row. The limit on
-/// arrivals finds a second sender: a frame inserted between the genuine ones doubles the rate, whatever it holds. One that inserts fewer is
-/// found by the rate over more arrivals, from one frame in nine on. In a message with a counter each inserted frame makes a genuine one wrong:
-/// a second sender is found from one frame in fifteen on, within 2 s from one in ten on.
+/// arrivals finds a second sender: a frame inserted between the genuine ones doubles the rate, whatever it holds. The rate over more
+/// arrivals finds one that inserts a frame in nine. In a message with a counter each inserted frame makes a genuine one wrong: a second
+/// sender is found from one frame in fifteen on, within 2 s from one in ten on.
 ///
 /// Limits: standard J1939 messages have neither counter nor checksum. Of them loss, babbling, absent or erroneous values, range
 /// and gradient are found. A repeated or swapped frame of such a message looks valid.
@@ -155,8 +155,8 @@ typedef struct lpvg_can_watch_t {
     uint16_t window;        ///< Newest frames, 1: bad; the newest is bit 0
     uint8_t window_bad;     ///< Bad ones of them                                                       0 .. 16
     uint8_t arrivals;       ///< Since t_window_us                                                      0 .. 7
-    uint8_t fast;           ///< Bit 0: the newest LPVG_CAN_ARRIVALS came too fast; bit 1: the newest LPVG_CAN_RATE_ARRIVALS
-    int64_t t_rate_us;      ///< Arrival before those over which the rate is measured; the newest too fast one, if later [us]
+    uint8_t fast;           ///< Came too fast: 1 the newest LPVG_CAN_ARRIVALS, 2 LPVG_CAN_RATE_ARRIVALS
+    int64_t t_rate_us;      ///< Arrival at which the window of the rate began                      [us]
     uint8_t rate_arrivals;  ///< Since t_rate_us                                                        0 .. 63
     uint8_t foreign;        ///< Score of frames of a second sender                                     0 .. 96
     uint8_t score;          ///< Of bad frames                                                          0 .. 5

@@ -24,16 +24,16 @@
 /// What "no excitation" means for the monitor, verdict not_judged, permits engagement, and so does degraded. Outside the range a valid
 /// verdict is reported as not_judged: it is about other speeds.
 ///
-/// Evidence: a start, a gap, a release and a lock void the monitor's evidence: the verdict is valid only from frames that began since. The watch
-/// (watch.h) judges the response from the first engaged sample on; what it finds makes the verdict invalid. An engagement begins with
+/// Evidence: a start, a gap, a release and a lock void the monitor's evidence: the verdict is valid only from frames that began since. The
+/// watch (watch.h) judges the response from the first engaged sample on; what it finds makes the verdict invalid. An engagement begins with
 /// LPVG_ECU_PROBE_SHARE of u_max. Evidence of the watch raises that to 1 within LPVG_ECU_PROBE_US. A demand that rests at the limit for
 /// that long without evidence gets a step of another such share, which the watch can judge.
 ///
-/// Invalid: unless it is only reported, an invalid verdict stays and locks until it is acknowledged; time does not end it. An acknowledgement is
-/// refused while a latching cause stands, and while the hour's engagements are used up. An invalid verdict is acknowledged only after
-/// LPVG_ECU_CALM_US without engagement in which every message was live and no test falsified. That speaks against sensors and
-/// disturbances alone: the response is judged on trial, by the next engagement. When that ends invalid before a verdict was valid, no
-/// further acknowledgement is taken until init.
+/// Invalid: unless it is only reported, an invalid verdict stays and locks until it is acknowledged; time does not end it. An
+/// acknowledgement is refused while a latching cause stands, and while the hour's engagements are used up. An invalid verdict is
+/// acknowledged only after LPVG_ECU_CALM_US without engagement in which every message was live and no test falsified. That speaks against
+/// sensors and disturbances alone: the response is judged on trial, by the next engagement. When that ends invalid before a verdict was
+/// valid, no further acknowledgement is taken until init.
 ///
 /// Permission: the vehicle asks for control by its message (bus.h). Control counts after any other request has been seen since init.
 /// While another command on the actuator has a higher priority than `priority`, while the brake pedal is beyond

@@ -68,7 +68,7 @@ LPVG_EXTERN_C_BEGIN
 
 typedef enum lpvg_verdict_t {
     lpvg_verdict_unknown = 0,     ///< No frame has ended yet. Zero: cleared memory never reads "valid".
-    lpvg_verdict_valid = 1,       ///< Within the last hold time a frame with evidence counted that began since the newest start, none falsified, nothing changed.
+    lpvg_verdict_valid = 1,       ///< Within the last hold time a frame with evidence counted, none falsified, nothing changed.
     lpvg_verdict_invalid = 2,     ///< A frame or the energy test falsified the model within the last hold time.
     lpvg_verdict_not_judged = 3,  ///< Frames ended, but none within the hold time is evidence: see lpvg_reason_t.
     lpvg_verdict_stale = 4,       ///< The newest sample is older than five sample periods.
@@ -178,7 +178,7 @@ typedef struct lpvg_monitor_t {
     lpvg_real_t by_pairs;                     ///< what they found (margin.hpp)                       [-]
     int64_t t_us;                             ///< time of the newest accepted sample                 [us]
     int64_t t_evidence_us, t_falsified_us, t_changed_us;  ///< ends of the newest frames with evidence / that falsified; newest change [us]
-    int64_t t_void_us;                        ///< frames that ended until then are no evidence         [us]
+    int64_t t_void_us;  ///< frames that ended until then are no evidence       [us]
     bool running, has_evidence, has_falsified, has_changed, refused;  ///< started; which times are known; the newest sample was refused
     uint32_t bad_samples, out_of_order, restarts;  ///< samples refused; samples ignored; starts anew
     uint32_t repairs;  ///< times that its state could not be, saturating

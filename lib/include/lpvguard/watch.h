@@ -62,7 +62,8 @@ void lpvg_watch_limits(lpvg_watch_limits_t* limits, const lpvg_coeff_t* coeff);
 /// From rest, at the first engaged sample, whose nominal error is e [LPVG_NY].
 void lpvg_watch_start(lpvg_watch_t* self, const lpvg_real_t* e);
 
-/// Takes the nominal error e [LPVG_NY] of a sample and the demand u [LPVG_NU] applied from it on. `model` is the monitor's, after that sample.
+/// Takes the nominal error e [LPVG_NY] of a sample and the demand u [LPVG_NU] applied from it on. `model` is the monitor's, after that
+/// sample.
 void lpvg_watch_take(lpvg_watch_t* self, const lpvg_watch_limits_t* limits, const lpvg_coeff_t* coeff, const lpvg_model_t* model,
                      const lpvg_real_t* e, const lpvg_real_t* u);
 

@@ -6,10 +6,11 @@ import re
 import subprocess
 
 import pytest
-
 from lpvguard.core.compiled import library_root
 
-EXAMPLES = re.findall(r"```c\n(.*?)```", (library_root() / "README.md").read_text(encoding="utf-8"), re.DOTALL)
+EXAMPLES = re.findall(
+    r"```c\n(.*?)```", (library_root() / "README.md").read_text(encoding="utf-8"), re.DOTALL
+)
 
 
 def test_there_is_an_example_for_either_object():
@@ -23,6 +24,16 @@ def test_the_examples_compile_without_a_warning(tmp_path, vehicle, text):
     source.write_text(text, encoding="utf-8")
     root = library_root()
     include = [f"-I{root / 'include'}", f"-I{root / 'vehicles' / vehicle}"]
-    command = ["cc", "-std=c99", "-pedantic", "-Wall", "-Wextra", "-Werror", "-fsyntax-only", *include, source]
+    command = [
+        "cc",
+        "-std=c99",
+        "-pedantic",
+        "-Wall",
+        "-Wextra",
+        "-Werror",
+        "-fsyntax-only",
+        *include,
+        source,
+    ]
     run = subprocess.run(command, capture_output=True, text=True, check=False)
     assert run.returncode == 0, run.stderr
