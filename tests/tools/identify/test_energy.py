@@ -11,8 +11,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.signal import lfilter, sosfreqz
-
 from lpvguard.base import artefacts
 from lpvguard.base.errors import InputError
 from lpvguard.core.coefficients import build_coefficients, vehicle_files
@@ -23,13 +21,15 @@ from lpvguard.drives.tables import read_drive
 from lpvguard.engine.overbound.weight import Weight
 from lpvguard.identify import run as stage
 from lpvguard.identify.bounds import nominal_error
+from lpvguard.identify.calibration import ROUNDING
 from lpvguard.identify.change import ChangeTest
-from lpvguard.identify.energy import ROUNDING, EnergyTest, fan, in_delta
+from lpvguard.identify.energy import EnergyTest, fan, in_delta
 from lpvguard.loop.generate import PROGRAMMES, plant_tool
 from lpvguard.loop.sim import steady_scenario
 from lpvguard.replay.run import Replayer
 from lpvguard.vehicle.nominal import NominalModel
 from lpvguard.vehicle.project import load_project, parse_project
+from scipy.signal import lfilter, sosfreqz
 
 FULL = os.environ.get("LPVGUARD_FULL") == "1"
 

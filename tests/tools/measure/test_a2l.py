@@ -10,8 +10,6 @@ from itertools import pairwise
 from pathlib import Path
 
 import pytest
-from pya2l.parser import A2lParser
-
 from lpvguard.base.errors import InputError
 from lpvguard.core import targets
 from lpvguard.core.compiled import VERDICTS, library_root, shipped_vehicle
@@ -21,6 +19,7 @@ from lpvguard.measure.image import read_instance
 from lpvguard.measure.xcp_access import XcpAccess, if_data
 from lpvguard.vehicle.project import load_project
 from parts import require
+from pya2l.parser import A2lParser
 
 INCLUDE = library_root() / "include" / "lpvguard"
 BYTES = {"UBYTE": 1, "UWORD": 2, "ULONG": 4, "A_INT64": 8, "FLOAT32_IEEE": 4}
@@ -139,7 +138,7 @@ def test_places_are_what_the_program_takes_on_the_target(name, truck, tmp_path):
         f"const Row rows[] = {{\n{rows}}}; }}\n"
         "int main() {\n"
         "    const lpvg_ecu_config_t config = {true, 0U, 0U, {2.07F, 5.0F, 1.5F, 0.15F, 100U}, "
-        "{0.14F, 1.0F, 30U}};\n"
+        "{0.14F, 0.04F, 30U, 0.25F}};\n"
         "    const auto status = lpvg_ecu_init(&ecu, &lpvg_coeff, &lpvg_control_coeff, &config, 0);\n"
         "    if (status != lpvg_status_ok) { return 1; }\n"
         "    for (const Row& row : rows) {\n        char text[200];\n        Text line(text, sizeof text);\n"

@@ -41,7 +41,7 @@ from ..drives.frames import Estimator
 from ..engine.overbound.certificate import verify_overbound
 from ..engine.overbound.weight import Weight
 from ..vehicle.project import Project
-from .calibration import Calibration, Recordings, calibrate
+from .calibration import ROUNDING, Calibration, Recordings, calibrate
 
 FAN_BITS = 4
 """2^4 directions for two outputs, evenly over the half circle in units of sigma."""
@@ -53,8 +53,6 @@ float adds finely enough."""
 UNBOUNDED = 1e6
 """What the core's B_w and sigma are raised by where nothing is claimed: far beyond what a vehicle does, and
 within the range of float (lib/src/margin.hpp)."""
-ROUNDING = 1e-3
-"""What float may add to a ratio: a threshold never lies nearer to 1 (test_energy.py measures it)."""
 
 
 def fan(n_y: int) -> np.ndarray:
@@ -386,7 +384,7 @@ class EnergyTest:
             "energy_forget": -np.expm1(-2 * self.Ts / self.memories_s),
             "energy_start": self.start,
             "energy_direction": self.directions,
-            "energy_threshold": self.calibration.carried,
+            "energy_threshold": self.calibration.exported,
         }
         return (
             {"NWEIGHT": self.W.shape[1], "NDIRECTIONS": len(self.directions), "NBANDS": len(self.F)},
