@@ -1,9 +1,9 @@
 """Random H∞ problems whose optimum is known by algebra, in coordinates that hide it.
 
 A four-block problem of normalised coprime factors has γ² = 1 + λ_max(XZ) (Glover & McFarlane 1989). A zero of
-the plant in the right half plane sets γ by interpolation. The optimum depends neither on the coordinates of the
-state, nor on units of control and measurement, nor on an all-pass behind the outputs, nor on states that no
-input reaches.
+the plant in the right half plane sets γ by interpolation. The optimum depends neither on the coordinates of
+the state, nor on units of control and measurement, nor on an all-pass behind the outputs, nor on states that
+no input reaches.
 """
 
 from __future__ import annotations
@@ -52,7 +52,8 @@ def interpolation(rng: np.random.Generator) -> HinfCase:
     a, b = rng.uniform(1.0, 4.0, 2)
     A = np.array([[0.0, 1.0, 0.0], [-a * b, -a - b, 0.0], [zero, -1.0, -lag]])
     C = np.array([[0.0, 0.0, 1.0], [zero, -1.0, 0.0]])
-    plant = StateSpace(A, [[0.0, 0.0], [0.0, 1.0], [1.0, 0.0]], C, [[0.0, 0.0], [1.0, 0.0]])
+    B, D = np.array([[0.0, 0.0], [0.0, 1.0], [1.0, 0.0]]), np.array([[0.0, 0.0], [1.0, 0.0]])
+    plant = StateSpace(A, B, C, D)
     return HinfCase(plant, 1, 1, 1 / (zero + lag))
 
 
@@ -86,7 +87,7 @@ def companion_weight(rng: np.random.Generator) -> HinfCase:
     n, den = len(poles), np.poly(poles)
     num = den * (-1.0) ** np.arange(n + 1)
     A = np.vstack([np.eye(n)[1:], -den[:0:-1]])
-    weight = StateSpace(A, np.eye(n)[:, -1:], (num - den)[None, :0:-1], [[1.0]])
+    weight = StateSpace(A, np.eye(n)[:, -1:], (num - den)[None, :0:-1], np.eye(1))
     rest = gain(np.eye(case.plant.n_outputs - 1))
     return replace(case, plant=series(append(weight, rest), case.plant))
 

@@ -40,8 +40,9 @@ from lpvguard.engine.synthesis.statespace import (
 
 MAX_WORK = 1000
 """Controllers tried times states: bounds the time of a problem whose optimum is out of reach."""
-PERTURBED, DETERMINED = 2, 1e-4
-"""Changes of the data that are tried, and the change of the optimum up to which the data determine it."""
+PERTURBED, DETERMINED, DEDUCTED = 3, 1e-3, 3.0
+"""Changes of the data that are tried; up to which change of the optimum the data determine it; how many
+times that change is deducted from what a dual certificate proves."""
 LEVEL_RTOL = 1e-4
 """To which the optimum below a given level is found."""
 
@@ -183,7 +184,7 @@ def proved_lower_bound(plant: StateSpace, n_control: int, n_measurement: int, ga
         posed = _posed(plant, n_control, n_measurement, coordinates)
         problem, basis = posed.problem, posed.basis / (first * second)[:, None]
         dual = proved_level(problem.P, problem.control, problem.filter, gamma, basis, given)
-        value = max(value, dual * (1 - moved))
+        value = max(value, min(dual, gamma) * (1 - DEDUCTED * moved))
     return LowerBound(value, moved, size)
 
 
