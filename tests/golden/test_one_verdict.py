@@ -10,6 +10,7 @@ import platform
 
 import numpy as np
 import pytest
+
 from lpvguard.core import compiled
 from lpvguard.core.compiled import Core, library_root
 from lpvguard.drives.tables import list_experiments, read_drive

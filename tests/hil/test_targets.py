@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 from lpvguard.base.errors import InputError
 from lpvguard.bench import core as bench
 from lpvguard.core import targets

@@ -6,6 +6,7 @@ import re
 import subprocess
 
 import pytest
+
 from lpvguard.core.compiled import library_root
 
 EXAMPLES = re.findall(

@@ -11,6 +11,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter, sosfreqz
+
 from lpvguard.base import artefacts
 from lpvguard.base.errors import InputError
 from lpvguard.core.coefficients import build_coefficients, vehicle_files
@@ -29,7 +31,6 @@ from lpvguard.loop.sim import steady_scenario
 from lpvguard.replay.run import Replayer
 from lpvguard.vehicle.nominal import NominalModel
 from lpvguard.vehicle.project import load_project, parse_project
-from scipy.signal import lfilter, sosfreqz
 
 FULL = os.environ.get("LPVGUARD_FULL") == "1"
 

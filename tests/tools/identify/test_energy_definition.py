@@ -10,13 +10,14 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.signal import sosfilt
+
 from lpvguard.base.errors import InputError
 from lpvguard.drives.frames import Estimator
 from lpvguard.engine.overbound.weight import Weight
 from lpvguard.identify import energy
 from lpvguard.identify.calibration import ROUNDING
 from lpvguard.identify.energy import SMALLEST_SIGMA, EnergyTest, fan
-from scipy.signal import sosfilt
 
 TS, MEMORY, BAND_HZ, SETTLE = 0.1, 3.0, (0.5, 2.0), 4
 N = 60

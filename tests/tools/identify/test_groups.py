@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 from lpvguard.base.errors import InputError
 from lpvguard.drives.tables import Experiment, list_experiments
 from lpvguard.evaluate.judged import JudgedDrives

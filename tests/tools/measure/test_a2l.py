@@ -10,6 +10,8 @@ from itertools import pairwise
 from pathlib import Path
 
 import pytest
+from pya2l.parser import A2lParser
+
 from lpvguard.base.errors import InputError
 from lpvguard.core import targets
 from lpvguard.core.compiled import VERDICTS, library_root, shipped_vehicle
@@ -19,7 +21,6 @@ from lpvguard.measure.image import read_instance
 from lpvguard.measure.xcp_access import XcpAccess, if_data
 from lpvguard.vehicle.project import load_project
 from parts import require
-from pya2l.parser import A2lParser
 
 INCLUDE = library_root() / "include" / "lpvguard"
 BYTES = {"UBYTE": 1, "UWORD": 2, "ULONG": 4, "A_INT64": 8, "FLOAT32_IEEE": 4}
