@@ -197,11 +197,12 @@ void note(lpvg_can_watch_t& watch, bool bad) {
     watch.window_bad = static_cast<uint8_t>(watch.window_bad + (bad ? 1U : 0U) - (oldest_bad ? 1U : 0U));
 }
 
-// Whether a frame of a second sender explains a bad one: that itself, or a genuine one whose counter it used. A frame that jitter makes
-// early has the next counter.
+// Whether a bad frame shows a second sender: its counter is the newest accepted one's, and it comes sooner behind that than a sender
+// repeats. A frame that jitter makes early has the next counter, and one that is sent again in the place of the next keeps the period.
 bool foreign(const lpvg_can_rule_t& rule, const lpvg_can_watch_t& watch, const lpvg_can_frame_t& frame, lpvg_can_event_t event) {
     const bool same = rule.e2e != 0U && watch.has_counter != 0U && (frame.data[1] & 0x0FU) == watch.counter;
-    return event == lpvg_can_event_repeated || event == lpvg_can_event_sequence || (event == lpvg_can_event_early && same);
+    const bool soon = 4 * (frame.t_us - watch.t_accepted_us) < 3 * static_cast<int64_t>(rule.period_us);
+    return same && soon && (event == lpvg_can_event_repeated || event == lpvg_can_event_early);
 }
 
 void take_bad(lpvg_can_watch_t& watch, bool from_foreign) {

@@ -102,9 +102,10 @@ private:
         fast_ = short_fast_ || long_fast_;
     }
 
-    // An early frame may come from jitter, unless it repeats the counter.
+    // A second frame with one counter, sooner behind the good one than a sender repeats.
     bool foreign(const lpvg_can_frame_t& frame, bool early, int counter) const {
-        return early ? rule_.e2e != 0U && counter == frame.data[1] % 16 : out_of_step_;
+        const bool soon = arrival_us_ - good_us_ < int64_t{3} * rule_.period_us / 4;
+        return rule_.e2e != 0U && counter == frame.data[1] % 16 && soon && (early || out_of_step_);
     }
 
     bool protection_good(const lpvg_can_frame_t& frame) {

@@ -23,8 +23,8 @@
 ///     live, hold -- LPVG_CAN_WINDOW_BAD of the newest LPVG_CAN_WINDOW frames were bad -> off
 ///     any  -- LPVG_CAN_ARRIVALS frames within LPVG_CAN_ARRIVALS_PERIODS periods -> off, until as many have taken longer
 ///     any  -- LPVG_CAN_RATE_ARRIVALS frames within LPVG_CAN_RATE_PERIODS periods -> off, until as many have taken longer
-///     live, hold -- score of frames of a second sender reaches LPVG_CAN_FOREIGN_OFF -> off   (LPVG_CAN_FOREIGN_ADD each frame that is
-///                   repeated, early or not, or out of sequence, -1 each good one, 0 at least)
+///     live, hold -- score of frames of a second sender reaches LPVG_CAN_FOREIGN_OFF -> off   (LPVG_CAN_FOREIGN_ADD each frame with
+///                   the counter of the newest good one less than 3/4 of a period behind it, -1 each good one, 0 at least)
 ///     any  -- bus-off, seen as an error frame ----------------------> off
 ///
 /// Period number k counts as missed when the newest accepted frame is older than k + 1/2 periods.

@@ -127,7 +127,7 @@ LPVG_NODISCARD lpvg_status_t lpvg_control_step(lpvg_control_t* self, lpvg_real_t
 LPVG_NODISCARD lpvg_status_t lpvg_control_step_after(lpvg_control_t* self, lpvg_real_t speed, const lpvg_real_t* m, bool engaged,
                                                      uint32_t elapsed_us);
 
-/// The same with `share` of u_max as the limit on the demand, 0 .. 1.
+/// The same with `share` of u_max as the limit on the demand, 0 .. 1. Returns as lpvg_control_step.
 LPVG_NODISCARD lpvg_status_t lpvg_control_step_within(lpvg_control_t* self, lpvg_real_t speed, const lpvg_real_t* m, bool engaged,
                                                       uint32_t elapsed_us, lpvg_real_t share);
 

@@ -56,14 +56,14 @@ typedef struct lpvg_watch_t {
     bool evidence;  ///< a vehicle that did not respond would have violated with the newest sums of an output
 } lpvg_watch_t;
 
-/// The limits of a vehicle whose coefficients have passed lpvg_coeff_check.
+/// The limits of a vehicle whose coefficients have passed lpvg_coeff_check. NULL is not checked.
 void lpvg_watch_limits(lpvg_watch_limits_t* limits, const lpvg_coeff_t* coeff);
 
-/// From rest, at the first engaged sample, whose nominal error is e [LPVG_NY].
+/// From rest, at the first engaged sample, whose nominal error is e [LPVG_NY]. NULL is not checked.
 void lpvg_watch_start(lpvg_watch_t* self, const lpvg_real_t* e);
 
 /// Takes the nominal error e [LPVG_NY] of a sample and the demand u [LPVG_NU] applied from it on. `model` is the monitor's, after that
-/// sample.
+/// sample. NULL is not checked.
 void lpvg_watch_take(lpvg_watch_t* self, const lpvg_watch_limits_t* limits, const lpvg_coeff_t* coeff, const lpvg_model_t* model,
                      const lpvg_real_t* e, const lpvg_real_t* u);
 
