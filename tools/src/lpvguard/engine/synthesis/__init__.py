@@ -9,7 +9,10 @@
 | ``riccati``, ``central`` | the two Riccati equations at a level γ, and the central controller |
 | ``gamma_search`` | the search for the optimum γ |
 | ``direct_terms``, ``zeros``, ``singular`` | what singular problems leave out of reach; their reduction |
-| ``mu`` | structured singular value of a matrix, from both sides: ``mu_upper``, ``mu_lower`` |
+| ``hinf_lower`` | levels that no controller goes below, by a dual certificate and at single frequencies |
+| ``mu`` | structured singular value of a matrix and of a loop, from both sides: ``mu_upper``, ``mu_lower`` |
+| ``real_mu`` | real parameters: ``real_crossings`` finds a Δ, ``real_boxes`` proves the level |
+| ``frequency_cells`` | bounds between frequencies, for ``mu`` and ``worst_gain`` |
 | ``interconnection`` | Fig. 1's generalised plant from weights, three uncertainty structures |
 | ``dk`` | D-K iteration, order reduction, ``certify`` for any controller |
 | ``margins`` | gain, phase, delay and disk margins of one loop, and those promised for a set of loops |
