@@ -569,7 +569,8 @@ void run_monitor(lpvg_ecu_t& self, bool live, uint32_t step) {
         sampled = lpvg_monitor_push(&self.monitor, &sample) == lpvg_status_ok;
         self.refused = self.refused || !sampled;
     }
-    const lpvg_verdict_t said = lpvg_monitor_verdict(&self.monitor, self.core_us);
+    // Damage may have hit the monitor's pointer to its coefficients.
+    const lpvg_verdict_t said = self.kept.corrupt ? lpvg_verdict_fault : lpvg_monitor_verdict(&self.monitor, self.core_us);
     watch_response(self, sampled, step);
     judge_falsified(self, said, live);
     self.report.verdict = verdict(self, said);
