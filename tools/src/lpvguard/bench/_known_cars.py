@@ -63,16 +63,14 @@ CARS = {
 
 
 @dataclass(frozen=True)
-class Deviation:
+class DriveDeviations:
     """What drives differ by: gain and delay of every drive, (D,) ratios and (D,) [s]."""
 
     gain: np.ndarray
     delay_s: np.ndarray
 
 
-def yaw_rates(
-    car: Car, Ts: float, v: np.ndarray, angle: np.ndarray, side_force: np.ndarray
-) -> np.ndarray:
+def yaw_rates(car: Car, Ts: float, v: np.ndarray, angle: np.ndarray, side_force: np.ndarray) -> np.ndarray:
     """Yaw rates (D, N) [rad/s] of cars that begin straight.
 
     Parameters
@@ -223,9 +221,9 @@ def _power(omega: np.ndarray, band_hz: tuple[float, float]) -> float:
     return float(spectrum_of(omega, band_hz).sum())
 
 
-def deviations_drawn(count: int, gain: float, delay_s: float, random: np.random.Generator) -> Deviation:
+def deviations_drawn(count: int, gain: float, delay_s: float, random: np.random.Generator) -> DriveDeviations:
     """Normal deviations of ``count`` drives with standard deviations of gain and delay, (count,) each."""
-    return Deviation(gain * random.standard_normal(count), delay_s * random.standard_normal(count))
+    return DriveDeviations(gain * random.standard_normal(count), delay_s * random.standard_normal(count))
 
 
 def band_noise(
@@ -244,7 +242,7 @@ def known_drives(
     count: int,
     duration_s: float,
     random: np.random.Generator,
-    deviation: Deviation | None = None,
+    deviation: DriveDeviations | None = None,
 ) -> list[Drive]:
     """Drives of a car; each has its own mean speed, amplitude, bias and disturbance.
 
@@ -265,6 +263,8 @@ def known_drives(
     r += BIAS_RPS * random.standard_normal((count, 1)) + NOISE_RPS * random.standard_normal((count, n))
     first = round(START_S / Ts)
     return [
-        Drive(f"drive_{k:03d}", t[first:] - t[first], v[k, first:], delta[k, first:, None], r[k, first:, None])
+        Drive(
+            f"drive_{k:03d}", t[first:] - t[first], v[k, first:], delta[k, first:, None], r[k, first:, None]
+        )
         for k in range(count)
     ]

@@ -106,4 +106,6 @@ def multibody_error(
     def rates(v: np.ndarray, angle: np.ndarray) -> np.ndarray:
         return np.array(list(workers(partial(yaw_rate, model.Ts), list(zip(v, angle, strict=True)))))
 
-    return spectral_error(model, omega, speed, amplitude, *multisine_response(model.Ts, speed, amplitude, 1, rates))
+    return spectral_error(
+        model, omega, speed, amplitude, *multisine_response(model.Ts, speed, amplitude, 1, rates)
+    )

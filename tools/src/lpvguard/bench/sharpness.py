@@ -10,6 +10,9 @@ read at every frequency, speed and amplitude of the band:
 In the second table drives deviate by a random gain and delay. Further drives are counted that lie within the
 band everywhere. The interval is Clopper and Pearson's, 95 %. ``sine``: the largest ratio to the response to
 single sines, a waveform that no drive has.
+
+With ``--drives`` every group of measured drives is left out once. ``largest`` is the ratio of a drive's own
+error to the band of the others, ``refuted`` the same less the error's own interval.
 """
 
 from __future__ import annotations
@@ -17,6 +20,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 from scipy.stats import beta
@@ -28,12 +32,13 @@ from ..drives.tables import Drive
 from ..identify.bounds import nominal_error
 from ..identify.error_band import LEVEL, WAVEFORM, ErrorBand, error_band
 from ..identify.error_domain import ErrorDomain
-from ..identify.error_prior import Scales
+from ..identify.error_prior import USUAL, PriorScales
 from ..identify.error_sums import ErrorSums, error_sums, joined
 from ..vehicle.nominal import NominalModel
 from ..vehicle.project import Project, load_project
 from . import parser, show
 from ._known_cars import CARS, best_linear_error, deviations_drawn, known_drives, true_error
+from ._left_out import left_out, left_out_table
 
 FEWEST, MOST = 5, 40
 """Drives of a set."""
@@ -124,7 +129,7 @@ def one_set(project: Project, deviating: bool, job: tuple[str, int]) -> SetResul
     )
 
 
-def band_of(project: Project, sums: ErrorSums, seed: int, scales: Scales = Scales()) -> ErrorBand:
+def band_of(project: Project, sums: ErrorSums, seed: int, scales: PriorScales = USUAL) -> ErrorBand:
     """Band of the first output at the project's bins."""
     estimator = Estimator.of(project, NominalModel(project))
     domain = ErrorDomain.of(estimator, project.frame_test.excited_std)
@@ -140,7 +145,7 @@ def sensitivity(project: Project, seed: int) -> dict[str, float]:
     out = {}
     for label, field in SENSITIVITY.items():
         for factor in (0.5, 2.0):
-            upper = band_of(project, sums, seed, replace(Scales(), **{field: factor})).upper
+            upper = band_of(project, sums, seed, replace(USUAL, **{field: factor})).upper
             out[f"{label} x {factor:g}"] = float(np.exp(np.abs(np.log(upper / usual)).max()))
     return out
 
@@ -187,6 +192,19 @@ def _lines(rows: list[SetResult]) -> Iterator[str]:
                 )
 
 
+def _measured(vehicle: str, folder: Path, seed: int, jobs: int) -> tuple[str, dict]:
+    """Table and numbers of measured drives."""
+    with workers(jobs) as over:
+        rows, bands = left_out(load_project(vehicle), folder, seed, over)
+    numbers = {
+        "left_out": [asdict(r) for r in rows],
+        "omega_rad_s": bands[0].omega,
+        "bound": [b.bound for b in bands],
+        "hyperparameters": [b.hyper for b in bands],
+    }
+    return left_out_table(rows, bands), numbers
+
+
 def main(argv: list[str]) -> None:
     """`lpvguard bench sharpness`."""
     options = parser("sharpness", __doc__)
@@ -194,9 +212,18 @@ def main(argv: list[str]) -> None:
     options.add_argument("--seed", type=int, default=0, help="first seed of the sets (0)")
     options.add_argument("--jobs", type=int, default=1, help="worker processes (1)")
     options.add_argument("--no-sensitivity", action="store_true", help="leave the prior's sensitivity out")
+    options.add_argument("--drives", type=Path, help="measured drives: every group is left out once")
+    options.add_argument(
+        "--vehicle", default="g80", help="vehicle of --drives: a name or a project file (g80)"
+    )
     given = options.parse_args(argv)
     if given.sets < 1 or given.seed < 0:
-        raise InputError("bench sharpness", "--sets, --seed", f"{given.sets}, {given.seed}", "from 1 and 0 on")
+        raise InputError(
+            "bench sharpness", "--sets, --seed", f"{given.sets}, {given.seed}", "from 1 and 0 on"
+        )
+    if given.drives is not None:
+        show(*_measured(given.vehicle, given.drives, given.seed, given.jobs), given.json_out)
+        return
     project = load_project("g80")
     jobs = [(name, given.seed + k) for name in CARS for k in range(given.sets)]
     with workers(given.jobs) as over:

@@ -18,8 +18,8 @@ def bench(
     name: Annotated[
         str,
         typer.Argument(
-            help="can, chain, core, fleet, lives, proofs, robust, soak, steer, synthesis, validation or "
-            "weights; NAME -- --help for options."
+            help="can, chain, core, fleet, lives, proofs, robust, sharpness, soak, steer, synthesis, "
+            "validation or weights; NAME -- --help for options."
         ),
     ],
 ) -> None:

@@ -1,4 +1,4 @@
-"""Predictive band of a further drive's model error: true, and as sharp as the drives allow (THEORY 7.6.1).
+"""Predictive band of a further drive's model error: true, and as sharp as the drives allow (THEORY 7.14).
 
 Hyperparameters come from the marginal likelihood, and their uncertainty is carried on: the band rests on
 draws of hyperparameters, of the common error and of a further drive's deviation. Its width is one factor on
@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .error_domain import ErrorDomain
-from .error_prior import ErrorPrior, Hyperparameters, OutputSums, Scales, hyperparameters
+from .error_prior import USUAL, ErrorPrior, Hyperparameters, OutputSums, PriorScales, hyperparameters
 from .error_sums import AMPLITUDE_CELLS_PER_KNOT, SPEED_CELLS, ErrorSums, deviations
 
 LEVEL = 0.01
@@ -42,6 +42,7 @@ class ErrorBand:
     centre : (G, S, A) complex, posterior mean.
     sd : (G, S, A) standard deviation of a further drive's error about it.
     k : factor on ``sd``.
+    mean : (p,) posterior mean of the lag values.
     hyper : most probable hyperparameters, by name.
     """
 
@@ -51,6 +52,7 @@ class ErrorBand:
     centre: np.ndarray
     sd: np.ndarray
     k: float
+    mean: np.ndarray
     hyper: dict[str, float]
 
     @property
@@ -93,7 +95,7 @@ def error_band(
     output: int,
     omega: np.ndarray,
     seed: int,
-    scales: Scales = Scales(),
+    scales: PriorScales = USUAL,
     level: float = LEVEL,
 ) -> ErrorBand:
     """Band of a further drive's error at frequencies ``omega`` (G,) [rad/s]."""
@@ -120,7 +122,8 @@ def error_band(
     sd = np.hypot(sd, INTERPOLATION * variation)
     shape = (len(omega), SPEED_NODES, AMPLITUDE_NODES)
     named = {n: prior.size(hyper.x, n) for n in prior.names}
-    return ErrorBand(omega, speed, amplitude, centre.reshape(shape), sd.reshape(shape), k, named)
+    shaped = centre.reshape(shape), sd.reshape(shape)
+    return ErrorBand(omega, speed, amplitude, *shaped, k, values.mean(axis=0), named)
 
 
 def _draws(
@@ -133,7 +136,7 @@ def _draws(
         normal = random.standard_normal((DRAWS_EACH, posterior.root.shape[1]))
         values.append(posterior.mean + normal @ posterior.root.T)
         variance = prior.deviation(x)
-        if "group_gain" in prior.names:
+        if prior.groups:
             variance = variance + prior.deviation(x, group=True)
         own.append(np.sqrt(variance) * random.standard_normal((DRAWS_EACH, len(variance))))
     return np.concatenate(values), np.concatenate(own)

@@ -1,4 +1,4 @@
-"""Domain of the regularised model error model: lags, speed and amplitude (THEORY 7.6.1).
+"""Domain of the regularised model error model: lags, speed and amplitude (THEORY 7.14).
 
 The error of output j follows the nominal output by an impulse response over lags,
 

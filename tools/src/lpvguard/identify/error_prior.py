@@ -1,4 +1,4 @@
-"""Gaussian prior of the model error and its marginal likelihood over sums of drives (THEORY 7.6.1)."""
+"""Gaussian prior of the model error and its marginal likelihood over sums of drives (THEORY 7.14)."""
 
 from __future__ import annotations
 
@@ -53,12 +53,16 @@ LARGEST = 4.0
 
 
 @dataclass(frozen=True)
-class Scales:
+class PriorScales:
     """Factors on the medians of the prior: all sizes of the common error, of deviations, of ignorance."""
 
     common: float = 1.0
     deviation: float = 1.0
     ignorance: float = 1.0
+
+
+USUAL = PriorScales()
+"""The prior as its constants have it."""
 
 
 class ErrorPrior:
@@ -67,8 +71,9 @@ class ErrorPrior:
     A hyperparameter vector holds logarithms of ratios to SIZES, in their order.
     """
 
-    def __init__(self, domain: ErrorDomain, groups: bool, scales: Scales = Scales()):
+    def __init__(self, domain: ErrorDomain, groups: bool, scales: PriorScales = USUAL):
         self.domain, self.scales = domain, scales
+        self.groups = groups
         self.names = [n for n in SIZES if groups or not n.startswith("group_")]
 
     @cached_property
@@ -97,7 +102,9 @@ class ErrorPrior:
         value = SIZES[name] * float(np.exp(x[self.names.index(name)]))
         if name in ("common", "speed", "amplitude", "speed_amplitude"):
             return value * self.scales.common
-        return value if name in ("dynamic", "direct", "decay", "speed_decay") else value * self.scales.deviation
+        return (
+            value if name in ("dynamic", "direct", "decay", "speed_decay") else value * self.scales.deviation
+        )
 
     def root(self, x: np.ndarray) -> np.ndarray:
         """(p, r) matrix whose product with its transpose is the covariance of the lag values of all features.
@@ -169,7 +176,7 @@ class OutputSums:
         names = sorted(set(sums.groups))
         self.members = [np.flatnonzero([g == n for g in sums.groups]) for n in names]
 
-    def reduced(self, drive: np.ndarray, group: np.ndarray | None) -> tuple[np.ndarray, np.ndarray, float]:
+    def reduced(self, drive: np.ndarray, group: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray, float]:
         """Sums with the deviations of drives and groups integrated out.
 
         Parameters
@@ -206,17 +213,52 @@ class OutputSums:
 
     def posterior(self, prior: ErrorPrior, x: np.ndarray) -> Posterior:
         """Posterior under hyperparameters of logarithms x (H,)."""
-        group = prior.deviation(x, group=True) if "group_gain" in prior.names else None
-        gram, cross, logs = self.reduced(prior.deviation(x), group)
-        L = prior.root(x)
-        M = L.T @ gram @ L
+        return self._solved(prior, x)[0]
+
+    def evidence_slope(self, prior: ErrorPrior, x: np.ndarray) -> tuple[float, np.ndarray]:
+        """Logarithm of the marginal likelihood and its derivatives (H,) by the logarithms x (H,).
+
+        With the prior's root R, posterior mean m and covariance P, reduced sums S and c, and the logarithm of
+        the likelihood's part of deviations l, a change by dR, dS, dc and dl changes it by
+
+            (c - S m)' dR w - tr(M^-1 R' S dR) + m' dc - m' dS m / 2 - tr(P dS) / 2 + dl,   m = R w
+        """
+        found, R, gram, cross, logs = self._solved(prior, x)
+        variances = self._variances(prior, x)
+        P = found.root @ found.root.T
+        left = cross - gram @ found.mean
+        # S R M^-1 = S R - S P S R, and R' (c - S m) = w.
+        by_root = np.outer(left, R.T @ left) - gram @ (R - P @ (gram @ R))
+        by_gram = -0.5 * (np.outer(found.mean, found.mean) + P)
+        slope = np.empty(len(x))
+        for k, h in enumerate(STEP * np.eye(len(x))):
+            after = self._variances(prior, x + h)
+            if all(np.array_equal(u, v) for u, v in zip(variances, after, strict=True)):
+                slope[k] = (by_root * (prior.root(x + h) - R)).sum() / STEP
+                continue
+            new_gram, new_cross, new_logs = self.reduced(*after)
+            change = (by_gram * (new_gram - gram)).sum() + found.mean @ (new_cross - cross) + new_logs - logs
+            slope[k] = change / STEP
+        return found.evidence, slope
+
+    @staticmethod
+    def _variances(prior: ErrorPrior, x: np.ndarray) -> list[np.ndarray]:
+        return [prior.deviation(x, group) for group in ((False, True) if prior.groups else (False,))]
+
+    def _solved(
+        self, prior: ErrorPrior, x: np.ndarray
+    ) -> tuple[Posterior, np.ndarray, np.ndarray, np.ndarray, float]:
+        """Posterior, the prior's root and the reduced sums of `reduced`."""
+        gram, cross, logs = self.reduced(*self._variances(prior, x))
+        R = prior.root(x)
+        M = R.T @ gram @ R
         M[np.diag_indices_from(M)] += 1.0
         C = np.linalg.cholesky(M)
-        inner = L.T @ cross
+        inner = R.T @ cross
         solved = cho_solve((C, True), inner)
         evidence = 0.5 * inner @ solved - np.log(np.diag(C)).sum() + logs - 0.5 * self.square
-        root = solve_triangular(C, L.T, lower=True).T
-        return Posterior(L @ solved, root, float(evidence))
+        root = solve_triangular(C, R.T, lower=True).T
+        return Posterior(R @ solved, root, float(evidence)), R, gram, cross, logs
 
 
 def _root_of(covariance: np.ndarray) -> np.ndarray:
@@ -254,23 +296,21 @@ def hyperparameters(prior: ErrorPrior, sums: OutputSums) -> Hyperparameters:
     """Maximum of marginal likelihood times prior, with Laplace's covariance."""
     n, limit = len(prior.names), LARGEST * SPREAD
 
-    def loss(x: np.ndarray) -> float:
-        return 0.5 * float(x @ x) / SPREAD**2 - sums.posterior(prior, x).evidence
+    def loss(x: np.ndarray) -> tuple[float, np.ndarray]:
+        evidence, slope = sums.evidence_slope(prior, x)
+        return 0.5 * float(x @ x) / SPREAD**2 - evidence, x / SPREAD**2 - slope
 
-    def slope(x: np.ndarray) -> np.ndarray:
-        here = loss(x)
-        return np.array([(loss(x + h) - here) / STEP for h in STEP * np.eye(n)])
-
+    scale = max(1.0, abs(loss(np.zeros(n))[0]))
     fit = minimize(
         loss,
         np.zeros(n),
-        jac=slope,
+        jac=True,
         method="L-BFGS-B",
         bounds=[(-limit, limit)] * n,
-        options={"maxiter": 100, "ftol": TOLERANCE / max(1.0, abs(loss(np.zeros(n))))},
+        options={"maxiter": 200, "ftol": TOLERANCE / scale},
     )
     apart = CURVATURE_STEP * np.eye(n)
-    hessian = np.array([slope(fit.x + h) - slope(fit.x - h) for h in apart]) / (2 * CURVATURE_STEP)
+    hessian = np.array([loss(fit.x + h)[1] - loss(fit.x - h)[1] for h in apart]) / (2 * CURVATURE_STEP)
     values, vectors = np.linalg.eigh(0.5 * (hessian + hessian.T))
     # The prior alone has the curvature 1 / SPREAD^2.
     return Hyperparameters(fit.x, vectors / np.sqrt(np.maximum(values, 0.5 / SPREAD**2)))

@@ -1,4 +1,4 @@
-"""Sums of a drive for the regularised model error model: all that is kept of it (THEORY 7.6.1).
+"""Sums of a drive for the regularised model error model: all that is kept of it (THEORY 7.14).
 
 Signals of a drive are decimated and whitened by the drive's own autoregression of its residue. Offsets that
 are constant and linear in speed are projected out. Sums of drives add; what a drive deviates by is kept a
@@ -109,7 +109,9 @@ def noise_filter(residue: np.ndarray, counted: np.ndarray) -> tuple[np.ndarray, 
     return np.r_[1.0, -a], float(lags[0] - a @ lags[1:])
 
 
-def projected_input(domain: ErrorDomain, yhat: np.ndarray, instrument: np.ndarray, s: np.ndarray) -> np.ndarray:
+def projected_input(
+    domain: ErrorDomain, yhat: np.ndarray, instrument: np.ndarray, s: np.ndarray
+) -> np.ndarray:
     """(N,) part of the nominal output that follows an instrument: first stage of two-stage least squares.
 
     Parameters
