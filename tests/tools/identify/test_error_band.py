@@ -212,9 +212,9 @@ def test_deviations_that_groups_share_count_as_the_groups():
 @pytest.mark.slow("4 s: the hyperparameters of a band")
 def test_a_vehicle_that_responds_sooner_than_its_model_is_held():
     random = np.random.default_rng(8)
-    drives = [drive_of(random, 0.0, delay=-3, speed=v) for v in np.linspace(6, 14, 6)]
+    drives = [drive_of(random, 0.0, delay=-6, speed=v) for v in np.linspace(6, 14, 6)]
     band = error_band(DOMAIN, sums_of(*drives), 0, DOMAIN.omega, 1)
-    truth = np.exp(3j * DOMAIN.omega * DOMAIN.Ts) - 1
+    truth = np.exp(6j * DOMAIN.omega * DOMAIN.Ts) - 1
     middle = (band.speed > 6) & (band.speed < 14)
     assert (np.abs(truth)[:, None, None] <= band.upper).all()
     assert np.abs(band.centre[:6, middle] - truth[:6, None, None]).max() < 0.05

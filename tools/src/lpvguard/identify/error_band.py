@@ -99,7 +99,7 @@ def error_band(
     level: float = LEVEL,
 ) -> ErrorBand:
     """Band of a further drive's error at frequencies ``omega`` (G,) [rad/s]."""
-    groups = len(set(sums.groups)) > 1
+    groups = 1 < len(set(sums.groups)) < len(sums.groups)
     prior, of_output = ErrorPrior(domain, groups, scales), OutputSums(domain, sums, output)
     hyper = hyperparameters(prior, of_output)
     speed = np.linspace(*domain.speed_range, SPEED_NODES)
