@@ -161,7 +161,10 @@ def test_evidence_and_posterior_are_those_of_the_dense_gaussian(groups):
         evidence, slope = of_output.evidence_slope(prior, x)
         assert evidence == found.evidence
         steps = 1e-3 * np.eye(len(x))
-        apart = [of_output.posterior(prior, x + h).evidence - of_output.posterior(prior, x - h).evidence for h in steps]
+        apart = [
+            of_output.posterior(prior, x + h).evidence - of_output.posterior(prior, x - h).evidence
+            for h in steps
+        ]
         assert slope == pytest.approx(np.array(apart) / 2e-3, rel=1e-3, abs=1e-3)
     assert values[0] != values[1]
 

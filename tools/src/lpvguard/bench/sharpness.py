@@ -26,11 +26,11 @@ import numpy as np
 from scipy.stats import beta
 
 from ..base.errors import InputError
-from ..base.parallel import workers
+from ..base.parallel import Map, workers
 from ..drives.frames import Estimator
 from ..drives.tables import Drive
 from ..identify.bounds import nominal_error
-from ..identify.error_band import LEVEL, WAVEFORM, ErrorBand, error_band
+from ..identify.error_band import LEVEL, WAVEFORM, ErrorBand, driven_amplitudes, error_band
 from ..identify.error_domain import ErrorDomain
 from ..identify.error_prior import USUAL, PriorScales
 from ..identify.error_sums import ErrorSums, error_sums, joined
@@ -39,6 +39,7 @@ from ..vehicle.project import Project, load_project
 from . import parser, show
 from ._known_cars import CARS, best_linear_error, deviations_drawn, known_drives, true_error
 from ._left_out import left_out, left_out_table
+from ._multibody import multibody_drives, multibody_error, multibody_project
 
 FEWEST, MOST = 5, 40
 """Drives of a set."""
@@ -47,6 +48,8 @@ GAIN, DELAY_S = 0.02, 0.008
 """Standard deviations of drives' gains and delays, where they deviate."""
 FURTHER = 20
 """Further drives that each set is asked about."""
+MULTIBODY_CELLS = (5, 3)
+"""Speeds and amplitudes at which the multi-body car's error is measured."""
 SENSITIVITY = {"sizes": "common", "deviations": "deviation", "ignorance": "ignorance"}
 """Medians of the prior that are halved and doubled."""
 
@@ -150,6 +153,52 @@ def sensitivity(project: Project, seed: int) -> dict[str, float]:
     return out
 
 
+def multibody_rows(sets: int, seed: int, over: Map) -> list[SetResult]:
+    """Results of sets that are drawn from one pool of drives of the multi-body car."""
+    project = multibody_project()
+    model = NominalModel(project)
+    estimator = Estimator.of(project, model)
+    domain = ErrorDomain.of(estimator, project.frame_test.excited_std)
+    drives = multibody_drives(project, seed, over)
+    sums = [sums_of(project, [d]) for d in drives]
+    speed = np.linspace(*domain.speed_range, MULTIBODY_CELLS[0])
+    ends = driven_amplitudes(domain, joined(sums).histogram, speed) * [WAVEFORM, 1 / WAVEFORM]
+    amplitude = np.array([np.geomspace(a, b, MULTIBODY_CELLS[1]) for a, b in ends])
+    delta = multibody_error(model, domain.omega, speed, amplitude, over)
+    return [_multibody_set(domain, sums, delta, (speed, amplitude), seed + k) for k in range(sets)]
+
+
+def _multibody_set(
+    domain: ErrorDomain,
+    sums: list[ErrorSums],
+    delta: np.ndarray,
+    cells: tuple[np.ndarray, np.ndarray],
+    seed: int,
+) -> SetResult:
+    random = np.random.default_rng([seed, 3])
+    count = int(random.integers(FEWEST, len(sums) + 1))
+    chosen = joined([sums[k] for k in np.sort(random.permutation(len(sums))[:count])])
+    band = error_band(domain, chosen, 0, domain.omega, seed, cells=cells)
+    low, high = driven_amplitudes(domain, chosen.histogram, cells[0]).T[:, :, None]
+    driven = (cells[1] >= low * WAVEFORM) & (cells[1] <= high / WAVEFORM)
+    ratio = (np.abs(delta) / band.upper)[:, driven]
+    largest, bound = (x[:, driven].max(axis=1) for x in (np.abs(delta), band.upper))
+    return SetResult(
+        "multibody",
+        seed,
+        count,
+        False,
+        float(ratio.max()),
+        float((largest / bound).max()),
+        float("nan"),
+        float((ratio > 1).mean()),
+        float(np.median(1 / ratio)),
+        float(np.median(bound / largest)),
+        0,
+        0,
+    )
+
+
 def proportion(within: int, of: int) -> tuple[float, float]:
     """95 % interval of a proportion by Clopper and Pearson."""
     low = 0.0 if within == 0 else float(beta.ppf(0.025, within, of - within + 1))
@@ -212,6 +261,7 @@ def main(argv: list[str]) -> None:
     options.add_argument("--seed", type=int, default=0, help="first seed of the sets (0)")
     options.add_argument("--jobs", type=int, default=1, help="worker processes (1)")
     options.add_argument("--no-sensitivity", action="store_true", help="leave the prior's sensitivity out")
+    options.add_argument("--multibody", action="store_true", help="the multi-body car besides, 15 minutes")
     options.add_argument("--drives", type=Path, help="measured drives: every group is left out once")
     options.add_argument(
         "--vehicle", default="g80", help="vehicle of --drives: a name or a project file (g80)"
@@ -228,6 +278,8 @@ def main(argv: list[str]) -> None:
     jobs = [(name, given.seed + k) for name in CARS for k in range(given.sets)]
     with workers(given.jobs) as over:
         rows = [r for dev in (False, True) for r in over(partial(one_set, project, dev), jobs)]
+        if given.multibody:
+            rows += multibody_rows(given.sets, given.seed, over)
     changes = {} if given.no_sensitivity else sensitivity(project, given.seed)
     result = {"sets": [asdict(r) for r in rows], "sensitivity": changes, "level": LEVEL}
     show(table(rows, changes), result, given.json_out)

@@ -89,6 +89,13 @@ def driven_amplitudes(domain: ErrorDomain, histogram: np.ndarray, speed: np.ndar
     return out
 
 
+def band_cells(domain: ErrorDomain, histogram: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Speeds (S,) over the model's range [m/s], and amplitudes (S, A) over what was driven about each."""
+    speed = np.linspace(*domain.speed_range, SPEED_NODES)
+    ends = driven_amplitudes(domain, histogram, speed)
+    return speed, np.array([np.geomspace(a, b, AMPLITUDE_NODES) for a, b in ends])
+
+
 def error_band(
     domain: ErrorDomain,
     sums: ErrorSums,
@@ -96,16 +103,22 @@ def error_band(
     omega: np.ndarray,
     seed: int,
     scales: PriorScales = USUAL,
-    level: float = LEVEL,
+    cells: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> ErrorBand:
-    """Band of a further drive's error at frequencies ``omega`` (G,) [rad/s]."""
+    """Band of a further drive's error.
+
+    Parameters
+    ----------
+    omega : (G,) frequencies [rad/s].
+    seed : of the draws.
+    cells : speeds (S,) [m/s] and amplitudes (S, A) [input unit]; None for the model's range of speed and what
+        was driven there.
+    """
     groups = 1 < len(set(sums.groups)) < len(sums.groups)
     prior, of_output = ErrorPrior(domain, groups, scales), OutputSums(domain, sums, output)
     hyper = hyperparameters(prior, of_output)
-    speed = np.linspace(*domain.speed_range, SPEED_NODES)
-    ends = driven_amplitudes(domain, sums.histogram, speed)
-    amplitude = np.array([np.geomspace(a, b, AMPLITUDE_NODES) for a, b in ends])
-    s = np.repeat(domain.relative_speed(speed), AMPLITUDE_NODES)
+    speed, amplitude = band_cells(domain, sums.histogram) if cells is None else cells
+    s = np.repeat(domain.relative_speed(speed), amplitude.shape[1])
     features = domain.features(s, amplitude.ravel())
     random = np.random.default_rng(seed)
     values, own = _draws(prior, of_output, hyper, random)
@@ -117,10 +130,10 @@ def error_band(
     centre = error.mean(axis=1)
     sd = np.sqrt((np.abs(error - centre[:, None]) ** 2).mean(axis=1))
     needed = ((np.abs(error) - np.abs(centre)[:, None]) / sd[:, None]).max(axis=(0, 2))
-    k = max(0.0, float(np.quantile(needed, 1 - level, method="higher")))
+    k = max(0.0, float(np.quantile(needed, 1 - LEVEL, method="higher")))
     variation = np.abs(centre - centre.mean(axis=1, keepdims=True)).max(axis=1, keepdims=True)
     sd = np.hypot(sd, INTERPOLATION * variation)
-    shape = (len(omega), SPEED_NODES, AMPLITUDE_NODES)
+    shape = (len(omega), *amplitude.shape)
     named = {n: prior.size(hyper.x, n) for n in prior.names}
     shaped = centre.reshape(shape), sd.reshape(shape)
     return ErrorBand(omega, speed, amplitude, *shaped, k, values.mean(axis=0), named)

@@ -176,7 +176,9 @@ class OutputSums:
         names = sorted(set(sums.groups))
         self.members = [np.flatnonzero([g == n for g in sums.groups]) for n in names]
 
-    def reduced(self, drive: np.ndarray, group: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray, float]:
+    def reduced(
+        self, drive: np.ndarray, group: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray, float]:
         """Sums with the deviations of drives and groups integrated out.
 
         Parameters
