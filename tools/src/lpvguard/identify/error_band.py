@@ -22,7 +22,7 @@ HYPER_DRAWS, DRAWS_EACH = 64, 64
 """Draws of hyperparameters, and of errors under each."""
 SPEED_NODES, AMPLITUDE_NODES = 9, 4
 """Speeds over the range, and amplitudes over what was driven about a speed, at which the band is read."""
-INTERPOLATION = 0.05
+INTERPOLATION = 0.1
 """Standard error of the error between speeds and amplitudes, over its largest variation with them."""
 WAVEFORM = 1.5
 """Factor between amplitudes at which inputs of one rms and different waveform act alike."""
@@ -122,11 +122,13 @@ def error_band(
     features = domain.features(s, amplitude.ravel())
     random = np.random.default_rng(seed)
     values, own = _draws(prior, of_output, hyper, random)
-    lags = values.reshape(len(values), features.shape[1], -1)
-    lags = np.einsum("cf,nfl->ncl", features, lags) + (own @ deviations(domain).T)[:, None]
+    lags = np.einsum("cf,nfl->ncl", features, values.reshape(len(values), features.shape[1], -1))
     response = domain.response(omega)
-    # (G, N, C): a further drive's error in every draw.
-    error = np.einsum("gl,ncl->gnc", response, lags, optimize=True)
+    # (G, N, C): the common error in every draw, and that of a further drive.
+    common = np.einsum("gl,ncl->gnc", response, lags, optimize=True)
+    # A drive deviates by a factor on its response: where that exceeds the model's, by so much more.
+    factor = np.maximum(1.0, np.abs(1 + common.mean(axis=1)))
+    error = common + (response @ deviations(domain) @ own.T)[:, :, None] * factor[:, None]
     centre = error.mean(axis=1)
     sd = np.sqrt((np.abs(error - centre[:, None]) ** 2).mean(axis=1))
     needed = ((np.abs(error) - np.abs(centre)[:, None]) / sd[:, None]).max(axis=(0, 2))

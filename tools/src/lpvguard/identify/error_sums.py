@@ -70,27 +70,26 @@ class ErrorSums:
 
     def plus(self, other: ErrorSums) -> ErrorSums:
         """Sums over the drives of both, these first."""
-        return ErrorSums(
-            *(getattr(self, n) + getattr(other, n) for n in ("gram", "cross", "square", "samples")),
-            np.concatenate([self.drive_gram, other.drive_gram]),
-            np.concatenate([self.drive_cross, other.drive_cross]),
-            self.histogram + other.histogram,
-            self.groups + other.groups,
-        )
+        return joined([self, other])
 
 
 def joined(parts: list[ErrorSums]) -> ErrorSums:
     """Sums over all drives of the parts, in their order."""
     return ErrorSums(
-        *(
-            reduce(np.add, (getattr(p, name) for p in parts))
-            for name in ("gram", "cross", "square", "samples")
-        ),
-        np.concatenate([p.drive_gram for p in parts]),
-        np.concatenate([p.drive_cross for p in parts]),
-        reduce(np.add, (p.histogram for p in parts)),
-        tuple(g for p in parts for g in p.groups),
+        gram=sum_of([p.gram for p in parts]),
+        cross=sum_of([p.cross for p in parts]),
+        square=sum_of([p.square for p in parts]),
+        samples=sum_of([p.samples for p in parts]),
+        drive_gram=np.concatenate([p.drive_gram for p in parts]),
+        drive_cross=np.concatenate([p.drive_cross for p in parts]),
+        histogram=sum_of([p.histogram for p in parts]),
+        groups=tuple(g for p in parts for g in p.groups),
     )
+
+
+def sum_of(arrays: list[np.ndarray]) -> np.ndarray:
+    """Sum of arrays of one shape, one after another."""
+    return reduce(np.add, arrays)
 
 
 def noise_filter(residue: np.ndarray, counted: np.ndarray) -> tuple[np.ndarray, float]:
