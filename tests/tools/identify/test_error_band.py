@@ -102,7 +102,7 @@ def test_sums_of_two_drives_are_those_of_each_added():
     random = np.random.default_rng(2)
     a, b = (sums_of(drive_of(random, seconds=30.0)) for _ in range(2))
     both, other = a.plus(b), joined([a, b])
-    for name in ("gram", "cross", "square", "samples", "drive_gram", "drive_cross", "histogram"):
+    for name in ("gram", "cross", "square", "samples", "drive_gram", "drive_cross", "drive_own", "histogram"):
         assert np.array_equal(getattr(both, name), getattr(other, name))
     assert both.gram[0] == pytest.approx(a.gram[0] + b.gram[0])
     assert both.drive_gram.shape[0] == 2 and both.groups == ("", "")
@@ -120,13 +120,13 @@ def test_missing_and_unexcited_samples_do_not_count():
 @pytest.mark.parametrize("groups", [("a", "a", "b"), ("", "", "")])
 def test_evidence_and_posterior_are_those_of_the_dense_gaussian(groups):
     random = np.random.default_rng(4)
-    n, T = 50, deviations(DOMAIN)
+    n = 50
     prior = ErrorPrior(DOMAIN, len(set(groups)) > 1)
     p = len(prior.root(np.zeros(len(prior.names))))
     X = random.standard_normal((3, n, p)) * 0.3
     y = random.standard_normal((3, n))
     gram, cross = np.einsum("dni,dnj->ij", X, X), np.einsum("dni,dn->i", X, y)
-    own = X[:, :, : len(T)] @ T
+    own = 3 * random.standard_normal((3, n, DIRECTIONS))
     sums = ErrorSums(
         gram[None],
         cross[None],
@@ -134,10 +134,11 @@ def test_evidence_and_posterior_are_those_of_the_dense_gaussian(groups):
         np.array([y.size]),
         np.einsum("dni,dnj->dij", X, own)[:, None],
         np.einsum("dni,dn->di", own, y)[:, None],
+        np.einsum("dni,dnj->dij", own, own)[:, None],
         np.zeros((16, 20)),
         groups,
     )
-    of_output = OutputSums(DOMAIN, sums, 0)
+    of_output = OutputSums(sums, 0)
     everything = X.reshape(-1, p)
     values = []
     for x in (np.zeros(len(prior.names)), random.standard_normal(len(prior.names))):
@@ -277,9 +278,10 @@ def test_hyperparameters_of_no_data_are_the_priors():
         np.zeros(1),
         np.zeros((1, 1, p, DIRECTIONS)),
         np.zeros((1, 1, DIRECTIONS)),
+        np.zeros((1, 1, DIRECTIONS, DIRECTIONS)),
         np.zeros((16, 20)),
         ("",),
     )
-    hyper = hyperparameters(prior, OutputSums(DOMAIN, empty, 0))
+    hyper = hyperparameters(prior, OutputSums(empty, 0))
     assert np.abs(hyper.x).max() < 1e-3
     assert np.allclose(hyper.root @ hyper.root.T, np.eye(len(hyper.x)), atol=0.02)

@@ -89,8 +89,7 @@ def _beside(
 ) -> LeftOut:
     """A drive's own error, that of the others' mean and its own deviation, beside their band."""
     T, cells = deviations(domain), sums.histogram.sum()
-    own = T.T @ sums.drive_gram[0, j, : len(T)]
-    covariance = np.linalg.pinv(own, rcond=1e-10, hermitian=True)
+    covariance = np.linalg.pinv(sums.drive_own[0, j], rcond=1e-10, hermitian=True)
     deviation = covariance @ (sums.drive_cross[0, j] - band.mean @ sums.drive_gram[0, j])
     response = domain.response(band.omega) @ T
     quantile = np.sqrt(chi2.ppf(1 - DOUBT, DIRECTIONS))
@@ -98,9 +97,10 @@ def _beside(
     share = sums.histogram.sum(axis=1) / cells
     middle = -1 + (2 * np.arange(len(share)) + 1) / len(share)
     node = int(np.argmin(np.abs(domain.relative_speed(band.speed) - share @ middle)))
-    size = np.abs(band.centre[:, node] + (response @ deviation)[:, None])
+    factor = 1 + band.centre[:, node]
+    size = np.abs(band.centre[:, node] + factor * (response @ deviation)[:, None])
     ratio = size / band.upper[:, node]
-    least = np.maximum(size - spread[:, None], 0) / band.upper[:, node]
+    least = np.maximum(size - np.abs(factor) * spread[:, None], 0) / band.upper[:, node]
     return LeftOut(
         drive,
         group,

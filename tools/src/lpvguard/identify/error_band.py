@@ -22,7 +22,7 @@ HYPER_DRAWS, DRAWS_EACH = 64, 64
 """Draws of hyperparameters, and of errors under each."""
 SPEED_NODES, AMPLITUDE_NODES = 9, 4
 """Speeds over the range, and amplitudes over what was driven about a speed, at which the band is read."""
-INTERPOLATION = 0.1
+INTERPOLATION = 0.15
 """Standard error of the error between speeds and amplitudes, over its largest variation with them."""
 WAVEFORM = 1.5
 """Factor between amplitudes at which inputs of one rms and different waveform act alike."""
@@ -115,7 +115,7 @@ def error_band(
         was driven there.
     """
     groups = 1 < len(set(sums.groups)) < len(sums.groups)
-    prior, of_output = ErrorPrior(domain, groups, scales), OutputSums(domain, sums, output)
+    prior, of_output = ErrorPrior(domain, groups, scales), OutputSums(sums, output)
     hyper = hyperparameters(prior, of_output)
     speed, amplitude = band_cells(domain, sums.histogram) if cells is None else cells
     s = np.repeat(domain.relative_speed(speed), amplitude.shape[1])
@@ -126,9 +126,9 @@ def error_band(
     response = domain.response(omega)
     # (G, N, C): the common error in every draw, and that of a further drive.
     common = np.einsum("gl,ncl->gnc", response, lags, optimize=True)
-    # A drive deviates by a factor on its response: where that exceeds the model's, by so much more.
-    factor = np.maximum(1.0, np.abs(1 + common.mean(axis=1)))
-    error = common + (response @ deviations(domain) @ own.T)[:, :, None] * factor[:, None]
+    # A drive deviates by a factor on its response.
+    factor = 1 + common.mean(axis=1, keepdims=True)
+    error = common + (response @ deviations(domain) @ own.T)[:, :, None] * factor
     centre = error.mean(axis=1)
     sd = np.sqrt((np.abs(error - centre[:, None]) ** 2).mean(axis=1))
     needed = ((np.abs(error) - np.abs(centre)[:, None]) / sd[:, None]).max(axis=(0, 2))

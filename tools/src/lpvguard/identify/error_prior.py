@@ -10,7 +10,7 @@ from scipy.linalg import block_diag, cho_solve, solve_triangular
 from scipy.optimize import minimize
 
 from .error_domain import AMPLITUDE_KNOTS, SPEED_DEGREE, UNIT_LAGS, ErrorDomain
-from .error_sums import DIRECTIONS, ErrorSums, deviations
+from .error_sums import DIRECTIONS, ErrorSums
 
 SIZES = {
     "common": 0.1,
@@ -166,13 +166,11 @@ class Posterior:
 class OutputSums:
     """Sums of one output, ready for any hyperparameters."""
 
-    def __init__(self, domain: ErrorDomain, sums: ErrorSums, output: int):
+    def __init__(self, sums: ErrorSums, output: int):
         self.gram, self.cross = sums.gram[output], sums.cross[output]
         self.square, self.samples = float(sums.square[output]), float(sums.samples[output])
         self.drive_gram, self.drive_cross = sums.drive_gram[:, output], sums.drive_cross[:, output]
-        T = deviations(domain)
-        self.own = np.einsum("li,dlj->dij", T, self.drive_gram[:, : len(T)])
-        self._directions = T
+        self.own = sums.drive_own[:, output]
         names = sorted(set(sums.groups))
         self.members = [np.flatnonzero([g == n for g in sums.groups]) for n in names]
 

@@ -53,8 +53,9 @@ class ErrorSums:
     cross : (n_y, p) products of regressors and error.
     square : (n_y,) sums of squares of the error.
     samples : (n_y,) counted samples.
-    drive_gram : (D, n_y, p, 3) a drive's ``gram`` times its directions of deviation.
-    drive_cross : (D, n_y, 3) a drive's ``cross`` in these directions.
+    drive_gram : (D, n_y, p, 3) products of regressors and a drive's signals of deviation.
+    drive_cross : (D, n_y, 3) products of error and signals of deviation.
+    drive_own : (D, n_y, 3, 3) products of signals of deviation.
     histogram : (S, A) counted steps by cells of speed and log amplitude.
     groups : (D,) names of the drives' groups.
     """
@@ -65,6 +66,7 @@ class ErrorSums:
     samples: np.ndarray
     drive_gram: np.ndarray
     drive_cross: np.ndarray
+    drive_own: np.ndarray
     histogram: np.ndarray
     groups: tuple[str, ...]
 
@@ -82,6 +84,7 @@ def joined(parts: list[ErrorSums]) -> ErrorSums:
         samples=sum_of([p.samples for p in parts]),
         drive_gram=np.concatenate([p.drive_gram for p in parts]),
         drive_cross=np.concatenate([p.drive_cross for p in parts]),
+        drive_own=np.concatenate([p.drive_own for p in parts]),
         histogram=sum_of([p.histogram for p in parts]),
         groups=tuple(g for p in parts for g in p.groups),
     )
@@ -158,7 +161,7 @@ def error_sums(
     v, amplitude = signals[2 * n_y], domain.amplitude(drive, model)[every]
     inside = estimator.settled(drive.v)[every] & (amplitude >= domain.lowest_knot)
     counted, s = counted_samples(domain, inside), domain.relative_speed(v)
-    features, T = domain.features(s, amplitude), deviations(domain)
+    features = domain.features(s, amplitude)
     p = features.shape[1] * len(domain.lags)
     out = ErrorSums(
         np.zeros((n_y, p, p)),
@@ -167,6 +170,7 @@ def error_sums(
         np.zeros(n_y),
         np.zeros((1, n_y, p, DIRECTIONS)),
         np.zeros((1, n_y, DIRECTIONS)),
+        np.zeros((1, n_y, DIRECTIONS, DIRECTIONS)),
         _histogram(domain, s[counted], amplitude[counted]),
         (group,),
     )
@@ -175,43 +179,47 @@ def error_sums(
         if outside:
             z = projected_input(domain, z, signals[-1], s)
         lagged = lagged_signals(domain, z)
-        whitened = _whitened(signals[j], lagged, lagged @ T, s, counted)
+        whitened = _whitened(domain, signals[j], lagged, z, s, counted)
         if whitened is None:
             continue
-        y, L, offsets = whitened
+        y, L, own, offsets = whitened
         X = (features[counted][:, :, None] * L[:, None, :]).reshape(len(y), -1)
         left, sizes, _ = np.linalg.svd(offsets, full_matrices=False)
         orthogonal = left[:, sizes > LEAST_OFFSET * sizes[0]]
-        X -= orthogonal @ (orthogonal.T @ X)
-        y = y - orthogonal @ (orthogonal.T @ y)
+        X, y, own = (x - orthogonal @ (orthogonal.T @ x) for x in (X, y, own))
         out.gram[j], out.cross[j] = X.T @ X, X.T @ y
         out.square[j], out.samples[j] = y @ y, len(y) - orthogonal.shape[1]
-        # The first feature is 1: its lags are the first of the regressors.
-        out.drive_gram[0, j] = out.gram[j][:, : len(T)] @ T
-        out.drive_cross[0, j] = out.cross[j][: len(T)] @ T
+        out.drive_gram[0, j], out.drive_cross[0, j], out.drive_own[0, j] = X.T @ own, y @ own, own.T @ own
     return out
 
 
 def _whitened(
-    e: np.ndarray, lagged: np.ndarray, own: np.ndarray, s: np.ndarray, counted: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
-    """Error (n,), lagged signals (n, L) and offsets (n, 2) of counted samples, whitened, unit noise.
+    domain: ErrorDomain,
+    e: np.ndarray,
+    lagged: np.ndarray,
+    z: np.ndarray,
+    s: np.ndarray,
+    counted: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray] | None:
+    """Counted samples of error (n,), lagged signals (n, L), deviations (n, 3) and offsets (n, 2), whitened.
 
-    The residue is that of the drive's own gain, delay and second difference, linear in speed. None where
-    the nominal output or the residue is silent.
+    The noise has unit variance. The residue is that of the drive's own gain, delay and second difference,
+    linear in speed. A drive deviates by a factor on its response, so signals of deviation are taken of the
+    nominal output z (N,) and the error that these explain. None where z or the residue is silent.
     """
-    ones = np.column_stack([np.ones_like(s), s])
-    X = np.column_stack([ones, own, s[:, None] * own])
+    T = deviations(domain)
+    ones, own = np.column_stack([np.ones_like(s), s]), lagged @ T
+    X = np.column_stack([own, s[:, None] * own, ones])
     theta = np.linalg.lstsq(X[counted], e[counted], rcond=1e-10)[0]
-    residue = e - X @ theta
-    whiten, variance = noise_filter(residue, counted)
+    whiten, variance = noise_filter(e - X @ theta, counted)
     if not (variance > 0 and np.any(lagged[counted])):
         return None
-    y, offsets, L = (lfilter(whiten, [1.0], x, axis=0)[counted] for x in (e, ones, lagged))
-    own_white = lfilter(whiten, [1.0], X, axis=0)[counted]
-    left = y - own_white @ np.linalg.lstsq(own_white, y, rcond=1e-10)[0]
+    explained = X[:, : 2 * DIRECTIONS] @ theta[: 2 * DIRECTIONS]
+    response = lagged_signals(domain, z + explained) @ T
+    y, L, D, offsets, X = (lfilter(whiten, [1.0], x, axis=0)[counted] for x in (e, lagged, response, ones, X))
+    left = y - X @ np.linalg.lstsq(X, y, rcond=1e-10)[0]
     scale = np.sqrt(max(left @ left / (len(y) - X.shape[1] - NOISE_ORDER), 1e-300))
-    return y / scale, L / scale, offsets
+    return y / scale, L / scale, D / scale, offsets
 
 
 def _histogram(domain: ErrorDomain, s: np.ndarray, a: np.ndarray) -> np.ndarray:
