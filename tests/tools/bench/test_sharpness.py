@@ -14,6 +14,7 @@ from lpvguard.bench._known_cars import (
     CARS,
     Car,
     DriveDeviations,
+    band_noise,
     best_linear_error,
     known_drives,
     true_error,
@@ -87,3 +88,37 @@ def test_the_bound_of_a_set_holds_the_known_error_and_is_near_it(tmp_path, capsy
 def test_numbers_of_sets_that_cannot_be_are_refused(options):
     with pytest.raises(InputError, match="from 1 and 0 on"):
         sharpness.main(options)
+
+
+@pytest.fixture
+def two_days(tmp_path):
+    """Four drives of one day, and two of another on which the car turned 1.8 times as far."""
+    random, Ts = np.random.default_rng(5), PROJECT.Ts_s
+    n = round(40 / Ts)
+    v = 10 + 0.4 * band_noise(random, (6, n), (0.004, 0.02), Ts)
+    delta = 0.03 * band_noise(random, (6, n), (0.05, 3.0), Ts)
+    noise = 3e-3 * band_noise(random, (6, n), (0.03, 1.0), Ts) + 5e-4 * random.standard_normal((6, n))
+    rows = ["experiment,split,group"]
+    for k, gain in enumerate((1.0, 1.02, 0.98, 1.01, 1.8, 1.82)):
+        r = gain * MODEL.simulate(v[k], delta[k, :, None], np.zeros(1))[:, 0] + noise[k]
+        columns = np.column_stack([Ts * np.arange(n), v[k], delta[k], r])
+        np.savetxt(tmp_path / f"d{k}.csv", columns, delimiter=",", header="t,v,delta,r", comments="")
+        rows.append(f"d{k},train,{'monday' if k < 4 else 'tuesday'}")
+    (tmp_path / "experiments.csv").write_text("\n".join(rows) + "\n")
+    return tmp_path
+
+
+@pytest.mark.slow("12 s: three bands")
+def test_a_group_unlike_the_others_refutes_their_band(two_days, capsys):
+    sharpness.main(["--drives", str(two_days)])
+    lines = capsys.readouterr().out.splitlines()
+    rows = {line.split()[0]: line.split() for line in lines if line.startswith("d")}
+    assert all(float(rows[name][-1]) > 1 for name in ("d4", "d5"))
+    assert lines[-1].endswith(f"{sum(float(r[-1]) > 1 for r in rows.values())} refute")
+
+
+def test_measured_drives_of_one_group_are_refused(two_days):
+    index = two_days / "experiments.csv"
+    index.write_text(index.read_text().replace("tuesday", "monday"))
+    with pytest.raises(InputError, match="at least two"):
+        sharpness.main(["--drives", str(two_days)])
