@@ -91,7 +91,7 @@ def joined(parts: list[ErrorSums]) -> ErrorSums:
 
 
 def sum_of(arrays: list[np.ndarray]) -> np.ndarray:
-    """Sum of arrays of one shape, one after another."""
+    """Sum of arrays of one shape, entry by entry, in their order."""
     return reduce(np.add, arrays)
 
 
@@ -104,8 +104,8 @@ def noise_filter(residue: np.ndarray, counted: np.ndarray) -> tuple[np.ndarray, 
     counted : (N,) bool, samples that count.
     """
     x = np.where(counted, residue, 0.0)
-    pairs = [np.maximum((counted[k:] & counted[: len(x) - k]).sum(), 1) for k in range(NOISE_ORDER + 1)]
-    lags = np.array([x[: len(x) - k] @ x[k:] for k in range(NOISE_ORDER + 1)]) / pairs[0]
+    count = max(1, int(counted.sum()))
+    lags = np.array([x[: len(x) - k] @ x[k:] for k in range(NOISE_ORDER + 1)]) / count
     lags[0] = lags[0] * (1 + 1e-6) + 1e-30
     a = solve_toeplitz(lags[:-1], lags[1:])
     return np.r_[1.0, -a], float(lags[0] - a @ lags[1:])
