@@ -256,13 +256,11 @@ def _screen_bytes(digits: bytes, length: int) -> bytes | None:
 
     Digits are hexadecimal, or binary with ``-i``. Backticks of ``-S`` say that the last byte stands first.
     """
-    plain = digits.translate(None, b" `")
-    if len(plain) == 2 * length:
-        data = bytes.fromhex(plain.decode())
-    elif len(plain) == 8 * length and not plain.strip(b"01"):
-        data = int(plain, 2).to_bytes(length, "big")
-    else:
+    groups = digits.replace(b"`", b" ").split()
+    widths = {len(group) for group in groups}
+    if len(groups) != length or (not widths <= {2} and not widths <= {8}):
         return None
+    data = bytes(int(group, 2 if widths == {8} else 16) for group in groups)
     return data[::-1] if b"`" in digits else data
 
 

@@ -220,6 +220,4 @@ def _possible(recordings: list[Recording], names: dict[str, str], factors: list[
     speed, angle, lateral = (
         float(np.quantile(x, 0.99)) for x in (scaled[0], scaled[1] / ratio, scaled[0] * scaled[2])
     )
-    return (
-        speed <= FASTEST_MPS and angle <= LARGEST_ROAD_WHEEL_RAD and lateral <= LARGEST_LATERAL_MPS2
-    )
+    return speed <= FASTEST_MPS and angle <= LARGEST_ROAD_WHEEL_RAD and lateral <= LARGEST_LATERAL_MPS2
