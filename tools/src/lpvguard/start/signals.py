@@ -34,11 +34,21 @@ NOT = {
 """By role: what lowers a name's rank. Commands, derivatives and other things share a word."""
 SI = {"speed": "m/s", "input": "rad", "output": "rad/s"}
 GUESSED_UNITS = {
-    "speed": ("m/s", "km/h", "mph"),
+    "speed": ("m/s", "km/h"),
     "input": ("rad", "deg"),
     "output": ("rad/s", "deg/s"),
 }
-"""The likelier first."""
+"""The likelier first. Data never tell mph from a car that understeers: only a name or a stated unit does."""
+UNIT_MARKS = {
+    "speed": {"m/s": r"mps|m_s|ms", "km/h": r"k(m_?h|mph|ph)", "mph": r"mph"},
+    "input": {"rad": r"rad", "deg": r"deg|degrees?|grad"},
+    "output": {"rad/s": r"rad(_?p?_?s(ec)?)?", "deg/s": r"(deg|grad)(_?p?_?s(ec)?)?|dps"},
+}
+"""By role: the last words of a name that state its unit."""
+FASTEST_MPS = 90.0
+LARGEST_LATERAL_MPS2 = 12.0
+LARGEST_ROAD_WHEEL_RAD = 0.8
+"""What no road car exceeds."""
 AS_KNOWN = (0.7, 1.45)
 """The wheelbase that the data read, over the known one, where units are right; understeer lengthens it."""
 STEERING_RATIO = (10.0, 24.0)
@@ -89,6 +99,10 @@ def proposed(
     names, why = {}, {}
     for role in ROLES:
         names[role], why[role] = _named(role, common, recordings, chosen.get(role))
+    if names["input"] == names["output"]:
+        raise InputError(
+            "new", "--input, --output", f"{names['input']} is both", "a steering angle and a yaw rate"
+        )
     length, correlation = rolled_length(recordings, names)
     units, ratio, said = _units(recordings, names, abs(length), wheelbase_m)
     sign = -1.0 if correlation < 0 else 1.0
@@ -175,6 +189,8 @@ def _units(
                     [f"no wheelbase given: units as assumed read {metres:.3g} m; compare it with the car's"],
                 )
             share = metres / wheelbase_m
+            if not _possible(recordings, names, factors, share if ratio_free else 1.0):
+                continue
             if not ratio_free and AS_KNOWN[0] <= share <= AS_KNOWN[1]:
                 return found, 1.0, [f"the data read a wheelbase of {metres:.3g} m in these units"]
             if ratio_free and STEERING_RATIO[0] <= share <= STEERING_RATIO[1]:
@@ -184,13 +200,24 @@ def _units(
         "new",
         ", ".join(names.values()),
         f"read a wheelbase of {length:.3g} in their own units, in no units {wheelbase_m:g} m",
-        "--speed, --input and --output that name speed, steering angle and yaw rate of this car",
+        "--speed, --input and --output of this car, with their units in names or database (speed_mph)",
     )
 
 
 def _unit_in_name(role: str, name: str) -> tuple[str, ...]:
-    """The unit that a name ends with, or all that are likely."""
-    low = name.lower()
-    marks = {"km/h": r"k(m/?h|ph)", "mph": r"mph", "deg": r"deg\b|deg$", "deg/s": r"deg_?p?s|dps"}
-    marked = tuple(u for u in GUESSED_UNITS[role] if u in marks and re.search(marks[u], low))
+    """The unit that the last words of a name state, or all that are likely."""
+    words = re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_")
+    marked = tuple(u for u, mark in UNIT_MARKS[role].items() if re.search(rf"(^|_)({mark})$", words))
     return marked or GUESSED_UNITS[role]
+
+
+def _possible(recordings: list[Recording], names: dict[str, str], factors: list[float], ratio: float) -> bool:
+    """Whether a road car can reach the speeds, angles and lateral accelerations of the recordings."""
+    scaled = [
+        np.concatenate([np.abs(r.values[names[role]]) for r in recordings]) * factor
+        for role, factor in zip(ROLES, factors, strict=True)
+    ]
+    speed, angle, lateral = (
+        float(np.quantile(x, 0.99)) for x in (scaled[0], scaled[1] / ratio, scaled[0] * scaled[2])
+    )
+    return speed <= FASTEST_MPS and angle <= LARGEST_ROAD_WHEEL_RAD and lateral <= LARGEST_LATERAL_MPS2
