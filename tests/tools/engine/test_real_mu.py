@@ -62,6 +62,11 @@ def test_an_interval_is_exact_where_the_loop_is_real(problem, value):
     assert value * (1 - 1e-9) <= answer["mu_upper"] <= value * (1 + (3e-3 if several else 2e-6))
 
 
+def test_a_loop_without_a_gain_has_mu_zero():
+    answer = solve_problem(interval([[-1]], [[0]], [[1]]))
+    assert answer["status"] == "ok" and answer["resolved"] and answer["mu_upper"] < 1e-300
+
+
 def test_a_real_scalar_that_is_never_real_on_the_interval_counts_as_zero():
     answer = solve_problem(interval([[-1]], [[1]], [[1]], low=0.5, high=2.0))
     assert answer["mu_lower"] == 0.0 and answer["resolved"] and 0 < answer["mu_upper"] < 1e-5
