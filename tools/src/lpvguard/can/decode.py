@@ -73,6 +73,27 @@ def _sound_dbc(path: Path) -> Database | None:
     return database
 
 
+def contradicting_range(signal: Signal) -> str:
+    """Return in words why the range of a signal cannot be meant, empty where it can.
+
+    A range that begins above the least value of the raw bits and ends above the greatest, or the other way
+    round, forbids values that occur and allows ones that cannot: raw ends where physical ones belong.
+    """
+    least, most = signal.minimum, signal.maximum
+    if signal.is_float or least is None or most is None or not least < most:
+        return ""
+    whole = 2**signal.length
+    ends = (-whole // 2, whole // 2 - 1) if signal.is_signed else (0, whole - 1)
+    low, high = sorted(float(signal.offset) + float(signal.scale) * end for end in ends)
+    room = abs(float(signal.scale))
+    if (least > low + room and most > high + room) or (least < low - room and most < high - room):
+        return (
+            f"signal {signal.name}: the database's range [{least:g}|{most:g}] contradicts its bits, which "
+            f"reach from {low:g} to {high:g}; it is set aside"
+        )
+    return ""
+
+
 def _encoding(path: Path) -> str | None:
     """Of a text form that does not say it: UTF-8 where the bytes are that, else what Vector's tools write.
     Units need it ("°/s")."""
