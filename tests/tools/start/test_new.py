@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ from lpvguard.base.errors import InputError
 from lpvguard.drives.ingest import ingest
 from lpvguard.drives.tables import list_experiments, read_drive
 from lpvguard.start.run import new
-from lpvguard.start.signals import ranked
+from lpvguard.start.signals import Recording, proposed, ranked
 from lpvguard.start.templates import TEMPLATES
 from lpvguard.vehicle.project import load_project
 from made import ROOT
@@ -269,3 +270,23 @@ def test_the_command_says_what_to_do_next(tmp_path, lpvguard):
     assert done.returncode == 0 and "no wheelbase given" in done.stderr
     assert f"lpvguard fit --vehicle {tmp_path}/out/mine.toml" in done.stderr
     assert not (ROOT / "mine.toml").exists()
+
+
+@pytest.mark.parametrize("bit", ["Steering_Angle_Sign", "LW1_Vorzeichen", "VZ", "Direction"])
+def test_a_magnitude_beside_its_sign_is_refused(bit):
+    """As the buses of the VW group have them; without its sign it would be taken for the signal."""
+    t = np.arange(0.0, 60.0, 0.1)
+    delta = 0.02 * np.sin(0.5 * t)
+    values = {
+        "A.Speed": 10 + 0 * t,
+        "B.Steering_Angle": np.abs(delta),
+        f"B.{bit}": (delta < 0) + 0.0,
+        "C.Yaw_Rate": 4 * delta,
+    }
+    units = {"A.Speed": "m/s", "B.Steering_Angle": "rad", f"B.{bit}": "", "C.Yaw_Rate": "rad/s"}
+    log = Recording("a", t, values, units)
+    chosen = {"speed": "A.Speed", "input": "B.Steering_Angle", "output": "C.Yaw_Rate"}
+    with pytest.raises(InputError, match=f"never negative and B.{bit} lies beside it"):
+        proposed([log], chosen, 2.7)
+    signed = replace(log, values=values | {"B.Steering_Angle": delta})
+    assert proposed([signed], chosen, None)["input"].name == "B.Steering_Angle"

@@ -53,6 +53,8 @@ AS_KNOWN = (0.7, 1.45)
 """The wheelbase that the data read, over the known one, where units are right; understeer lengthens it."""
 STEERING_RATIO = (10.0, 24.0)
 LONGEST_LAG_S = 0.6
+SIGN_BIT = re.compile(r"sign|sgn|vorzeichen|(?:^|_)vz(?:_|$)|direction|richtung")
+"""In the name of a bit that tells the sign of a magnitude beside it."""
 
 
 @dataclass(frozen=True)
@@ -103,6 +105,8 @@ def proposed(
         raise InputError(
             "new", "--input, --output", f"{names['input']} is both", "a steering angle and a yaw rate"
         )
+    for role in ("input", "output"):
+        _require_sign(role, names[role], common, recordings)
     length, correlation = rolled_length(recordings, names)
     units, ratio, said = _units(recordings, names, abs(length), wheelbase_m)
     sign = -1.0 if correlation < 0 else 1.0
@@ -116,6 +120,24 @@ def proposed(
         factor = {"speed": 1.0, "input": sign / ratio, "output": 1.0}[role]
         found[role] = Proposal(role, names[role], units[role], factor, why[role])
     return found
+
+
+def _require_sign(role: str, name: str, common: list[str], recordings: list[Recording]) -> None:
+    """Raise InputError where a signal is a magnitude whose sign stands in a bit of its message."""
+    if min(float(r.values[name].min()) for r in recordings) < 0:
+        return
+    message, _, signal = name.rpartition(".")
+    for other in common:
+        beside, _, bit = other.rpartition(".")
+        values = np.concatenate([r.values[other] for r in recordings])
+        is_bit = values.min() == 0 and values.max() == 1
+        if beside == message and other != name and is_bit and SIGN_BIT.search(bit.lower()):
+            raise InputError(
+                "new",
+                f"--{role}",
+                f"{name} is never negative and {other} lies beside it: a magnitude and its sign in two signals",
+                f"one signal with its sign, as a table in which {signal} is turned round where {bit} says so",
+            )
 
 
 def _named(
