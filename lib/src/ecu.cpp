@@ -438,8 +438,8 @@ bool allowed(lpvg_ecu_t& self, bool live) {
         self.caused_us = self.core_us;
     }
     const bool wait = self.core_us - self.caused_us < LPVG_ECU_WAIT_US;
-    const bool free = releasing == 0U && !wait && !self.kept.locked;
-    const bool permitted = free && (self.permitted || may_begin(self));
+    const bool unhindered = releasing == 0U && !wait && !self.kept.locked;
+    const bool permitted = unhindered && (self.permitted || may_begin(self));
     const uint32_t more = (wait ? LPVG_ECU_CAUSE_WAIT : 0U) | (self.kept.locked ? LPVG_ECU_CAUSE_LOCKED : 0U) |
                           (!permitted && engaged_often(self) ? LPVG_ECU_CAUSE_OFTEN : 0U);
     self.causes = static_cast<uint16_t>(self.causes | more);

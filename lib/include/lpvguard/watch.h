@@ -47,7 +47,7 @@ typedef struct lpvg_watch_limits_t {
 } lpvg_watch_limits_t;
 
 typedef struct lpvg_watch_t {
-    lpvg_real_t x[LPVG_NX];  ///< state of the model that the demand alone drives
+    lpvg_real_t x[LPVG_NX];  ///< state of the model that the demand alone drives [mixed]
     lpvg_real_t past[LPVG_DELAY + 1][LPVG_NU];  ///< demands, the newest first                  [input unit]
     lpvg_real_t slow[2 * LPVG_NY];  ///< what F takes away from e, then phi                     [output unit]
     lpvg_real_t P[LPVG_WATCH_MEMORIES][LPVG_NY];  ///< sums of F e_j F phi_j                                 [output unit squared]

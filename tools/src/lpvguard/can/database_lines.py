@@ -42,7 +42,9 @@ def read_sound_lines(text: str) -> tuple[Database, list[str]]:
     body = _HEAD + "".join(line + "\n" for line in lines)
     kept = _sound(body, others, left_out)
     database = _parsed(body + "".join(line + "\n" for _, line in kept))
-    assert database is not None, "sound statements are readable together"
+    if database is None:  # statements that are sound one by one, and not together
+        database = _parsed(_HEAD)
+        left_out = [*left_out, *((number, line) for block in blocks for number, line in block)]
     return database, [f"line {number}: {line.strip()[:80]}" for number, line in sorted(left_out)]
 
 
