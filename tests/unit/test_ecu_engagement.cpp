@@ -233,6 +233,22 @@ TEST_CASE("an engagement begins with a share of the demand, which evidence raise
     CHECK(bench.ecu.share == probe);
 }
 
+TEST_CASE("a demand that rests at its limit without evidence widens the limit by a step", "[unit][ecu][REQ-ECU-17]") {
+    Bench bench;
+    bench.command = 0.0F;  // the demand stays small: no evidence
+    bench.run_until_engaged();
+    const auto probe = static_cast<lpvg_real_t>(LPVG_ECU_PROBE_SHARE);
+    const lpvg_real_t before = bench.ecu.share;
+    int steps = 0;
+    for (; bench.ecu.share < before + probe && steps < 1000; ++steps) {
+        REQUIRE(bench.ecu.share == before);
+        ++bench.ecu.control.limited;  // as if the limit had cut the demand
+        bench.step();
+    }
+    CHECK(bench.ecu.share == before + probe);
+    CHECK(steps == static_cast<int>(LPVG_ECU_PROBE_US / tick_us));
+}
+
 TEST_CASE("a lock ends by acknowledging whether or not engagement is asked for", "[unit][ecu][REQ-ECU-12]") {
     Bench bench = engaged_bench();
     bench.lock();

@@ -43,7 +43,7 @@ def read_sound_lines(text: str) -> tuple[Database, list[str]]:
     kept = _sound(body, others, left_out)
     database = _parsed(body + "".join(line + "\n" for _, line in kept))
     if database is None:  # statements that are sound one by one, and not together
-        database = _parsed(_HEAD)
+        database = _database(_HEAD)
         left_out = [*left_out, *((number, line) for block in blocks for number, line in block)]
     return database, [f"line {number}: {line.strip()[:80]}" for number, line in sorted(left_out)]
 
@@ -91,11 +91,16 @@ def _sound(
 
 def _parsed(text: str) -> Database | None:
     """The database of a DBC, None where cantools cannot read it."""
+    try:
+        return _database(text)
+    except Exception:  # cantools raises many classes for a wrong text
+        return None
+
+
+def _database(text: str) -> Database:
+    """The database of a DBC that cantools can read."""
     from cantools.database.can import Database
 
     database = Database(strict=False)
-    try:
-        database.add_dbc_string(text)
-    except Exception:  # cantools raises many classes for a wrong text
-        return None
+    database.add_dbc_string(text)
     return database
