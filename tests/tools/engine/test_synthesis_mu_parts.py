@@ -142,6 +142,7 @@ def searches(monkeypatch) -> dict:
 
     monkeypatch.setattr(mu, "upper_bound", upper_bound)
     monkeypatch.setattr(mu, "lower_bound", lower_bound)
+    monkeypatch.setattr(mu, "_require_attained", lambda *_: None)
     return asked | {"left": left, "right": right, "asked": asked}
 
 

@@ -21,8 +21,14 @@ import scipy.linalg as sl
 
 from lpvguard.engine.blocks import Block
 from lpvguard.engine.synthesis.errors import SynthesisError
-from lpvguard.engine.synthesis.frequency_cells import PointBound, continuous_interval, cover, quadratic
-from lpvguard.engine.synthesis.mu_lower import lower_bound
+from lpvguard.engine.synthesis.frequency_cells import (
+    PointBound,
+    continuous_interval,
+    cover,
+    quadratic,
+    response_rounding,
+)
+from lpvguard.engine.synthesis.mu_lower import SINGULAR_RTOL, attained, lower_bound
 from lpvguard.engine.synthesis.mu_upper import POINT_RTOL, upper_bound
 from lpvguard.engine.synthesis.real_boxes import ParameterBox, Part, Prover
 from lpvguard.engine.synthesis.real_mu import ZERO, real_mu
@@ -116,11 +122,18 @@ def mu_bounds(M: np.ndarray, blocks: Sequence[Block], rtol: float = 1e-8) -> MuB
         lower, delta, proof = real.lower, real.delta, (part,)
         if real.upper < upper:
             upper, proof = real.upper, real.proof
-    return _required(prover, MuBounds(upper, min(lower, upper), 0.0, delta, proof, size), 0.0, 0.0)
+    bounds = MuBounds(upper, min(lower, upper), 0.0, delta, proof, size)
+    _require_attained(structure, bounds, M, np.zeros(M.shape))
+    return _required(prover, bounds, 0.0, 0.0)
 
 
 def mu_interval(
-    loop: StateSpace, blocks: Sequence[Block], low: float, high: float, rtol: float = REAL_RTOL
+    loop: StateSpace,
+    blocks: Sequence[Block],
+    low: float,
+    high: float,
+    rtol: float = REAL_RTOL,
+    least: float = 0.0,
 ) -> MuBounds:
     """Bound μ of a loop at every frequency of an interval.
 
@@ -133,6 +146,8 @@ def mu_interval(
         Interval in rad/s. The last may be infinite, or in discrete time pi / dt.
     rtol : float
         Gap aimed at.
+    least : float
+        Level from which the search begins: ``upper`` is that level where it can be proved.
 
     Raises
     ------
@@ -142,10 +157,12 @@ def mu_interval(
     structure = Structure(tuple(blocks))
     G, first, last, unwarped = continuous_interval("mu_interval", loop, structure, low, high)
     if structure.complex_only:
-        bounds = _complex_interval(loop, structure, low, high, rtol)
+        bounds = _complex_interval(loop, structure, low, high, rtol, least)
     else:
-        real = real_mu(G, structure, first, last, _aim(structure, rtol))
+        real = real_mu(G, structure, first, last, _aim(structure, rtol), least)
         bounds = MuBounds(real.upper, real.lower, unwarped(real.omega), real.delta, real.proof, real.size)
+    M = loop.response([bounds.omega])[0]
+    _require_attained(structure, bounds, M, response_rounding(loop, bounds.omega))
     return _required(Prover(G, structure), bounds, first, last)
 
 
@@ -179,7 +196,7 @@ def _scaled_bound(prover: Prover, M: np.ndarray, rtol: float) -> tuple[float, Pa
 
 
 def _complex_interval(
-    loop: StateSpace, structure: Structure, low: float, high: float, rtol: float
+    loop: StateSpace, structure: Structure, low: float, high: float, rtol: float, least: float
 ) -> MuBounds:
     """Bound μ over an interval without real blocks; arguments as in ``mu_interval``."""
 
@@ -191,7 +208,7 @@ def _complex_interval(
     def held(M: np.ndarray, point: PointBound) -> float:
         return float(np.sqrt(max(sl.eigvalsh(quadratic(M, point), point.scaled)[-1], 0.0)))
 
-    bound = cover("mu_interval", loop, structure, low, high, rtol, at, held)
+    bound = cover("mu_interval", loop, structure, low, high, rtol, at, held, least)
     M = loop.response([bound.omega])[0]
     upper, _, left, right, _ = upper_bound(M, structure, POINT_RTOL)
     lower, delta = lower_bound(M, structure, left, right, upper * (1 - POINT_RTOL), INTERVAL_STARTS)
@@ -200,7 +217,7 @@ def _complex_interval(
 
 
 def _required(prover: Prover, bounds: MuBounds, low: float, high: float) -> MuBounds:
-    """Return ``bounds`` if its proof holds on [``low``, ``high``] and its Δ is singular; else an error."""
+    """Return ``bounds`` if its proof holds on [``low``, ``high``]; else an error."""
     if not prover.verified(bounds.proof, bounds.upper, low, high):
         raise SynthesisError(
             "mu",
@@ -210,6 +227,22 @@ def _required(prover: Prover, bounds: MuBounds, low: float, high: float) -> MuBo
             "a loop whose signals and states are scaled to like sizes",
         )
     return bounds
+
+
+def _require_attained(structure: Structure, bounds: MuBounds, M: np.ndarray, moved: np.ndarray) -> None:
+    """Raise SynthesisError unless Δ attains the lower bound at M; ``moved`` is rounding of its entries."""
+    if bounds.delta is None and bounds.lower == 0:
+        return
+    moved = np.maximum(moved, SINGULAR_RTOL * np.abs(M))
+    proved = 0.0 if bounds.delta is None else attained(M, structure, bounds.delta, moved)
+    if not bounds.lower <= proved * (1 + SINGULAR_RTOL):
+        raise SynthesisError(
+            "mu",
+            "mu_lower",
+            f"not proved: the Delta of {bounds.lower:.6g} attains {proved:.6g} within rounding; the scalings "
+            f"say that mu is at most {bounds.upper:.6g}",
+            "a loop whose signals and states are scaled to like sizes",
+        )
 
 
 def mu_lower(
