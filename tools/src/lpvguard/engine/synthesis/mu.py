@@ -123,8 +123,8 @@ def mu_bounds(M: np.ndarray, blocks: Sequence[Block], rtol: float = 1e-8) -> MuB
         if real.upper < upper:
             upper, proof = real.upper, real.proof
     bounds = MuBounds(upper, min(lower, upper), 0.0, delta, proof, size)
-    _require_attained(structure, bounds, M, np.zeros(M.shape))
-    return _required(prover, bounds, 0.0, 0.0)
+    _require(prover, bounds, 0.0, 0.0, M, np.zeros(M.shape))
+    return bounds
 
 
 def mu_interval(
@@ -161,9 +161,9 @@ def mu_interval(
     else:
         real = real_mu(G, structure, first, last, _aim(structure, rtol), least)
         bounds = MuBounds(real.upper, real.lower, unwarped(real.omega), real.delta, real.proof, real.size)
-    M = loop.response([bounds.omega])[0]
-    _require_attained(structure, bounds, M, response_rounding(loop, bounds.omega))
-    return _required(Prover(G, structure), bounds, first, last)
+    M, moved = loop.response([bounds.omega])[0], response_rounding(loop, bounds.omega)
+    _require(Prover(G, structure), bounds, first, last, M, moved)
+    return bounds
 
 
 def _aim(structure: Structure, rtol: float) -> float:
@@ -216,33 +216,28 @@ def _complex_interval(
     return MuBounds(bound.upper, lower, bound.omega, delta, proof, float(np.linalg.norm(M, 2)))
 
 
-def _required(prover: Prover, bounds: MuBounds, low: float, high: float) -> MuBounds:
-    """Return ``bounds`` if its proof holds on [``low``, ``high``]; else an error."""
-    if not prover.verified(bounds.proof, bounds.upper, low, high):
-        raise SynthesisError(
-            "mu",
-            "mu_upper",
-            f"not proved: the scalings of {bounds.upper:.6g} do not hold within rounding; mu is at least "
-            f"{bounds.lower:.6g}",
-            "a loop whose signals and states are scaled to like sizes",
-        )
-    return bounds
+def _require(
+    prover: Prover, bounds: MuBounds, low: float, high: float, M: np.ndarray, moved: np.ndarray
+) -> None:
+    """Raise SynthesisError unless both bounds are proved; it says which one is not and which one is known.
 
-
-def _require_attained(structure: Structure, bounds: MuBounds, M: np.ndarray, moved: np.ndarray) -> None:
-    """Raise SynthesisError unless Δ attains the lower bound at M; ``moved`` is rounding of its entries."""
-    if bounds.delta is None and bounds.lower == 0:
+    The proof of the upper bound must hold on [``low``, ``high``] [rad/s], and Δ must attain the lower bound
+    at M, whose entries have the rounding ``moved``.
+    """
+    upper = prover.verified(bounds.proof, bounds.upper, low, high)
+    lower = bounds.lower == 0 or _attains(M, prover.structure, bounds.delta, bounds.lower, moved)
+    if upper and lower:
         return
-    moved = np.maximum(moved, SINGULAR_RTOL * np.abs(M))
-    proved = 0.0 if bounds.delta is None else attained(M, structure, bounds.delta, moved)
-    if not bounds.lower <= proved * (1 + SINGULAR_RTOL):
-        raise SynthesisError(
-            "mu",
-            "mu_lower",
-            f"not proved: the Delta of {bounds.lower:.6g} attains {proved:.6g} within rounding; the scalings "
-            f"say that mu is at most {bounds.upper:.6g}",
-            "a loop whose signals and states are scaled to like sizes",
-        )
+    wrong = [] if upper else [f"the scalings of {bounds.upper:.6g} do not hold within rounding"]
+    wrong += [] if lower else [f"Delta does not attain {bounds.lower:.6g} within rounding"]
+    known = f"; mu is at least {bounds.lower:.6g}" if lower else ""
+    known += f"; mu is at most {bounds.upper:.6g}" if upper else ""
+    raise SynthesisError(
+        "mu",
+        "mu_lower" if upper else "mu_upper",
+        f"not proved: {', and '.join(wrong)}{known}",
+        "a loop whose signals and states are scaled to like sizes",
+    )
 
 
 def mu_lower(
@@ -257,6 +252,19 @@ def mu_lower(
 
     ``left`` (Σcols, Σcols) and ``right`` (Σrows, Σrows) make leftᴴ M right⁻ᴴ a well-scaled image of M, which
     speeds the search up. They are factors as ``upper_bound`` gives them. The search ends early at a value of
-    ``enough``.
+    ``enough``. A Δ that does not attain its value within rounding counts as none.
     """
-    return lower_bound(np.asarray(M, dtype=complex), Structure(tuple(blocks)), left, right, enough, starts)
+    M, structure = np.asarray(M, dtype=complex), Structure(tuple(blocks))
+    value, delta = lower_bound(M, structure, left, right, enough, starts)
+    held = _attains(M, structure, delta, value, np.zeros(M.shape))
+    return (value, delta) if held else (0.0, None)
+
+
+def _attains(
+    M: np.ndarray, structure: Structure, delta: np.ndarray | None, value: float, moved: np.ndarray
+) -> bool:
+    """Tell whether Δ proves the lower bound ``value`` at M; ``moved`` is rounding of its entries."""
+    if delta is None:
+        return False
+    moved = np.maximum(moved, SINGULAR_RTOL * np.abs(M))
+    return bool(value <= attained(M, structure, delta, moved) * (1 + SINGULAR_RTOL))
