@@ -6,6 +6,7 @@ from __future__ import annotations
 import json
 import os
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -134,6 +135,35 @@ def test_lft_answer_is_attained_and_holds_the_side_questions():
     assert a["nu_s_min"] == pytest.approx(a["nu"][0], rel=1e-4) and a["t_minmax"] == pytest.approx(
         a["nu"][0], rel=1e-4
     )
+
+
+LFT_MARGIN = LFT | {"kind": "lft_margin", "W_delta": [0.2], "W_w": [0.2, 0.3]}
+
+
+@pytest.mark.parametrize("problem", [LFT, LFT | {"lambda_w": [0.5, 0.5]}, LFT_MARGIN])
+@pytest.mark.parametrize(
+    "planted",
+    [
+        pytest.param(lambda s: {"upper": (1 - 1e-5) * s.upper}, id="upper too small"),
+        pytest.param(lambda s: {"lower": (1 + 1e-5) * s.upper}, id="lower above upper"),
+        pytest.param(lambda s: {"w": 2.0 * s.w}, id="larger w"),
+        pytest.param(lambda s: {"nu": 1.01 * s.nu}, id="larger nu"),
+    ],
+)
+def test_an_interval_that_its_explanation_does_not_attain_is_an_error(problem, planted, monkeypatch):
+    from lpvguard.engine.validation import lft
+
+    assert solve.solve_problem(problem)["status"] == "ok"
+    name = "margin" if problem["kind"] == "lft_margin" else "optimum"
+    right = getattr(lft, name)
+
+    def wrong(*args, **options):
+        solution = right(*args, **options)
+        return replace(solution, **planted(solution))
+
+    monkeypatch.setattr(lft, name, wrong)
+    answer = solve.solve_problem(problem)
+    assert answer["status"] == "error" and "_upper: not proved" in answer["error"]
 
 
 def test_lambda_w_p12_p22_and_a_missing_side_answer():
