@@ -116,6 +116,22 @@ def test_bad_problems_get_an_error_that_names_the_place_and_stop_nothing(problem
         assert word in answers[0]["error"]
 
 
+@pytest.mark.parametrize(
+    "planted",
+    [
+        pytest.param(lambda r: {"nu": 0.999 * r.nu}, id="nu"),
+        pytest.param(lambda r: {"delta": 0.999 * r.delta, "nu": 0.999 * r.nu}, id="nu and delta"),
+        pytest.param(lambda r: {"w": 1.001 * r.w}, id="w"),
+        pytest.param(lambda r: {"b1": 0.321 + 0 * r.b1}, id="B1"),
+    ],
+)
+def test_a_nu_that_its_delta_and_w_do_not_attain_is_an_error(planted, monkeypatch):
+    right = solve.s1.solve
+    monkeypatch.setattr(solve.s1, "solve", lambda *a: replace(right(*a), **planted(right(*a))))
+    answer = solve.solve_problem(MULTIPLICATIVE | {"gamma_w": 0.32})
+    assert answer["status"] == "error" and "nu: not proved" in answer["error"]
+
+
 def test_a_margin_takes_one_W_delta_or_one_an_output():
     common, each = (
         solve.solve_problem(MULTIPLICATIVE | {"kind": "margin", "W_delta": W, "W_w": [0.3, 0.2]})["t"]
