@@ -70,7 +70,6 @@ MEASURED = {
     "engine/synthesis/lpv_certificate.py": 797,
     "engine/synthesis/margins.py": 859,
     "engine/synthesis/mu.py": 45,
-    "engine/synthesis/mu_interval.py": 390,
     "engine/synthesis/mu_lower.py": 687,
     "engine/synthesis/mu_upper.py": 638,
     "engine/synthesis/norms.py": 249,
