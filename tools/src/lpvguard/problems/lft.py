@@ -80,7 +80,7 @@ def _require_attained(f: Fields, name: str, s: Solution, cost: float, size: floa
         return
     raise f.error(
         f"{name}_lower, {name}_upper",
-        f"not proved: {s.lower:.9g} and {s.upper:.9g}, where the explanation found costs {cost:.9g} with |w| = "
+        f"not proved: {s.lower:.9g} and {s.upper:.9g}, where the explanation costs {cost:.9g} with |w| = "
         f"{size:.9g}",
         "data scaled to like sizes",
     )

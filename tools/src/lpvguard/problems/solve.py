@@ -77,8 +77,8 @@ def _solve_multiplicative(f: Fields) -> dict:
 def _require_explained(f: Fields, e: np.ndarray, z: np.ndarray, r: s1.S1Result) -> None:
     """Raise InputError unless delta of size nu and w within gamma_w, which is no less than B1, explain E."""
     gamma, nu = f.number("gamma_w"), abs(complex(r.delta))
-    left, size = np.linalg.norm(e - r.delta * z - r.w), np.linalg.norm(r.w)
-    terms = EXPLAINED_RTOL * (np.linalg.norm(e) + nu * np.linalg.norm(z))
+    left, size = (float(np.linalg.norm(x)) for x in (e - r.delta * z - r.w, r.w))
+    terms = EXPLAINED_RTOL * float(np.linalg.norm(e) + nu * np.linalg.norm(z))
     held = left <= terms and max(size, float(r.b1)) <= gamma * (1 + EXPLAINED_RTOL) + terms
     if not (held and abs(nu - float(r.nu)) <= EXPLAINED_RTOL * nu):
         what = f"not proved: nu {float(r.nu):.9g}, |delta| {nu:.9g}, |w| {size:.9g}, off by {left:.3g}"
