@@ -42,7 +42,7 @@ function(lpvguard_sources DIR OUT)
   if(EXISTS "${DIR}/lpvguard_bus.c")
     # life, can, authentication, j1939, uds, xcp and the codec depend on no vehicle: in an image of several vehicles the linker takes the first
     # one's.
-    list(APPEND parts ecu can authentication j1939 uds xcp)
+    list(APPEND parts ecu watch can authentication j1939 uds xcp)
     list(APPEND own lpvguard_bus.c lpvg_can_codec.c)
   endif()
   list(TRANSFORM parts REPLACE "(.+)" "${root}/src/\\1.cpp")

@@ -10,6 +10,16 @@ target_compile_definitions(test_plant PRIVATE LPVGUARD_TRUCK_TOML="${CMAKE_CURRE
 target_compile_options(test_plant PRIVATE -Wall -Wextra -Wconversion -Wdouble-promotion -Werror -ffp-contract=off)
 add_test(NAME unit.plant COMMAND test_plant)
 add_test(NAME unit.plant_frequency_response COMMAND lpvguard_plant_tool frequency-response)
+if(TARGET lpvguard::truck)  # the plant alone has no ECU
+  add_executable(test_response ${CMAKE_CURRENT_LIST_DIR}/fault/test_response.cpp ${unit_tests}/heap_counter.cpp)
+  target_link_libraries(test_response PRIVATE lpvguard::truck lpvguard_plant lpvg_catch)
+  target_compile_definitions(test_response PRIVATE LPVGUARD_TRUCK_TOML="${CMAKE_CURRENT_LIST_DIR}/../firmware_sim/plant/truck.toml"
+    LPVG_REQUIREMENTS="${PROJECT_SOURCE_DIR}/lib/REQUIREMENTS.md")
+  target_compile_options(test_response PRIVATE -Wall -Wextra -Werror -ffp-contract=off)
+  add_test(NAME fault.response COMMAND test_response)
+  set_tests_properties(fault.response PROPERTIES LABELS "fault;slow" TIMEOUT 900)
+  set_property(GLOBAL APPEND PROPERTY lpvg_slow_programs test_response)
+endif()
 set_tests_properties(unit.plant PROPERTIES LABELS "unit;slow")
 set_tests_properties(unit.plant_frequency_response PROPERTIES LABELS "unit;slow;long")
 set_property(GLOBAL APPEND PROPERTY lpvg_slow_programs test_plant)

@@ -6,7 +6,7 @@
  *   report    a taken tick sends one report, protected, with the next counter
  *   live      supervision is live again SETTLED_MS after the newest fault of the bus or the clock
  *   not_live  it is not while a needed message has been lost longer than LOST_MS
- *   verdict   none that is about the vehicle while supervision has not been live for STALE_MS
+ *   verdict   neither valid nor degraded while supervision has not been live for STALE_MS; invalid stays until it is acknowledged
  *   release   the demand is zero RELEASE_MS after the end of an engagement
  *   alarm     none begins but for a fault of the vehicle, up to ALARM_MS after its end
  *   missed    a fault of the vehicle during FOUND_MS of engaged driving, without another fault, ends with an alarm
@@ -364,8 +364,8 @@ static void send_frames(int64_t tick) {
     vdc2.longitudinal_acceleration = lpvg_can_vdc2_longitudinal_acceleration_encode(0.0f);
     packed = lpvg_can_vdc2_pack(&vdc2, &frame) == lpvg_status_ok;
     send_message(0u, &frame);
-    /* Released for half a second after the start and where the loop is locked: then acknowledged. */
-    request_ms = engagement == (uint8_t)lpvg_ecu_locked && request_ms > 20000 ? 0 : request_ms + TICK_MS;
+    /* Released for half a second after the start and where the loop is locked: then acknowledged, when the vehicle has no fault. */
+    request_ms = engagement == (uint8_t)lpvg_ecu_locked && request_ms > 20000 && wear.left_ms <= 0 ? 0 : request_ms + TICK_MS;
     guard.control_request = request_ms < 250   ? LPVG_BUS_REQUEST_RELEASE
                             : request_ms < 500 ? LPVG_BUS_REQUEST_ACKNOWLEDGE
                                                : LPVG_BUS_REQUEST_CONTROL;
@@ -393,6 +393,7 @@ static void send_frames(int64_t tick) {
 
 static int32_t dead_ms, released_ms;
 static int64_t alarm_us;
+static uint8_t said; /* by the tick before */
 
 /* Of either test that falsifies, and of the change test; a verdict holds longer. */
 static int64_t newest_alarm_us(void) {
@@ -414,14 +415,16 @@ static void judge(void) {
     hour.judged += valid || alarm ? 1u : 0u;
     broken[rule_live] += fault.quiet_ms > SETTLED_MS && !live ? 1u : 0u;
     broken[rule_not_live] += fault.kind == fault_lost && fault.lost_ms > LOST_MS && live ? 1u : 0u;
-    broken[rule_verdict] += dead_ms > STALE_MS && (valid || alarm) ? 1u : 0u;
+    broken[rule_verdict] += dead_ms > STALE_MS && (valid || verdict == (uint8_t)lpvg_verdict_degraded) ? 1u : 0u;
     broken[rule_release] += released_ms > RELEASE_MS && (demand > 0.001f || demand < -0.001f) ? 1u : 0u;
-    if (newest_alarm_us() != alarm_us) {
-        hour.alarms += newest_alarm_us() - alarm_us > 1000000 ? 1u : 0u; /* one that goes on is one */
+    if (newest_alarm_us() != alarm_us || (verdict == (uint8_t)lpvg_verdict_invalid && said != verdict)) {
+        /* One that goes on is one; the watch of the response ends in invalid without a time of the monitor. */
+        hour.alarms += newest_alarm_us() == alarm_us || newest_alarm_us() - alarm_us > 1000000 ? 1u : 0u;
         alarm_us = newest_alarm_us();
         wear.alarmed = wear.alarmed || wear.left_ms > 0;
         broken[rule_alarm] += wear.since_ms >= ALARM_MS ? 1u : 0u;
     }
+    said = verdict;
 }
 
 static void tick(int64_t number) {
@@ -481,6 +484,14 @@ static void write_hour(uint32_t number) {
     write_line();
 }
 
+/* Ignition off and on between two hours: an invalid verdict that came again after an acknowledgement stands until then. */
+static void restart(const bus_t* bus) {
+    broken[rule_report] += firmware_init(&firmware, bus, &firmware_config, now_us + clock_off_us) == lpvg_status_ok ? 0u : 1u;
+    counter_due = 0u;
+    alarm_us = 0;
+    fault.quiet_ms = request_ms = dead_ms = 0;
+}
+
 int main(void) {
     const bus_t bus = {NULL, take_from_firmware, give_to_firmware};
     const lpvg_real_t still[LPVG_NY] = {0};
@@ -498,6 +509,9 @@ int main(void) {
         return 2;
     }
     for (number = 1u; number <= SOAK_HOURS; ++number) {
+        if (number > 1u) {
+            restart(&bus);
+        }
         start_hour();
         for (hour.ticks = 0u; hour.ticks < SOAK_HOUR_MS / TICK_MS; ++hour.ticks) {
             now_us += TICK_MS * 1000;

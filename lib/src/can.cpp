@@ -131,18 +131,32 @@ lpvg_can_event_t judge_protection(const lpvg_can_rule_t& rule, lpvg_can_watch_t&
     return lpvg_can_event_accepted;
 }
 
-// Whether the newest arrivals came faster than one sender sends.
+constexpr uint8_t fast_short = 1U, fast_long = 2U;
+
+// Whether the newest arrivals came faster than one sender sends: over a few, then over many, which begin anew behind a burst.
 void count_arrival(const lpvg_can_rule_t& rule, lpvg_can_watch_t& watch, int64_t t_us) {
+    const int64_t period = rule.period_us;
     if (watch.has_arrival == 0U) {
-        watch.t_window_us = t_us;
+        watch.t_window_us = watch.t_rate_us = t_us;
         return;
     }
     ++watch.arrivals;
+    ++watch.rate_arrivals;
     if (watch.arrivals >= LPVG_CAN_ARRIVALS) {
-        const int64_t least_us = static_cast<int64_t>(LPVG_CAN_ARRIVALS_PERIODS) * rule.period_us;
-        watch.fast = t_us - watch.t_window_us < least_us ? 1U : 0U;
+        watch.fast = static_cast<uint8_t>(watch.fast & fast_long);
+        if (t_us - watch.t_window_us < LPVG_CAN_ARRIVALS_PERIODS * period) {
+            watch.fast = fast_short;
+            watch.t_rate_us = t_us;
+            watch.rate_arrivals = 0U;
+        }
         watch.t_window_us = t_us;
         watch.arrivals = 0U;
+    }
+    if (watch.rate_arrivals >= LPVG_CAN_RATE_ARRIVALS) {
+        watch.fast = static_cast<uint8_t>(t_us - watch.t_rate_us < LPVG_CAN_RATE_PERIODS * period ? watch.fast | fast_long
+                                                                                                  : watch.fast & fast_short);
+        watch.t_rate_us = t_us;
+        watch.rate_arrivals = 0U;
     }
 }
 
@@ -183,14 +197,26 @@ void note(lpvg_can_watch_t& watch, bool bad) {
     watch.window_bad = static_cast<uint8_t>(watch.window_bad + (bad ? 1U : 0U) - (oldest_bad ? 1U : 0U));
 }
 
-void take_bad(lpvg_can_watch_t& watch) {
+// Whether a bad frame shows a second sender: its counter is the newest accepted one's, and it comes sooner behind that than a sender
+// repeats. A frame that jitter makes early has the next counter, and one that is sent again in the place of the next keeps the period.
+bool foreign(const lpvg_can_rule_t& rule, const lpvg_can_watch_t& watch, const lpvg_can_frame_t& frame, lpvg_can_event_t event) {
+    const bool same = rule.e2e != 0U && watch.has_counter != 0U && (frame.data[1] & 0x0FU) == watch.counter;
+    const bool soon = 4 * (frame.t_us - watch.t_accepted_us) < 3 * static_cast<int64_t>(rule.period_us);
+    return same && soon && (event == lpvg_can_event_repeated || event == lpvg_can_event_early);
+}
+
+void take_bad(lpvg_can_watch_t& watch, bool from_foreign) {
     if (watch.score < LPVG_CAN_SCORE_OFF) {
         ++watch.score;
+    }
+    if (from_foreign) {
+        const uint32_t sum = watch.foreign + LPVG_CAN_FOREIGN_ADD;
+        watch.foreign = static_cast<uint8_t>(sum < LPVG_CAN_FOREIGN_OFF ? sum : LPVG_CAN_FOREIGN_OFF);
     }
     if (watch.state == lpvg_can_state_off) {
         watch.good_in_row = 0U;
         watch.has_raw = 0U;
-    } else if (watch.score >= LPVG_CAN_SCORE_OFF || watch.fast != 0U) {
+    } else if (watch.score >= LPVG_CAN_SCORE_OFF || watch.foreign >= LPVG_CAN_FOREIGN_OFF || watch.fast != 0U) {
         switch_off(watch);
     }
     note(watch, true);
@@ -212,11 +238,13 @@ lpvg_can_event_t take_good(lpvg_can_watch_t& watch, int64_t t_us, const uint16_t
             return lpvg_can_event_recovering;
         }
         watch.score = 0U;
+        watch.foreign = 0U;
         watch.good_in_row = 0U;
         watch.window = 0U;
         watch.window_bad = 0U;
     } else {
         watch.score = static_cast<uint8_t>(watch.score - (watch.score > 0U ? 1U : 0U));
+        watch.foreign = static_cast<uint8_t>(watch.foreign - (watch.foreign > 0U ? 1U : 0U));
         note(watch, false);
     }
     watch.state = lpvg_can_state_live;
@@ -249,6 +277,7 @@ void plausibility_step(lpvg_can_plausibility_t& self, uint8_t check, float devia
 }
 
 bool finite(float x) { return x - x == 0.0F; }
+bool positive(float x) { return x > 0.0F && finite(x); }
 
 }  // namespace
 
@@ -320,7 +349,7 @@ lpvg_can_event_t lpvg_can_receive(lpvg_can_supervisor_t* self, const lpvg_can_fr
     if (event == lpvg_can_event_accepted) {
         event = take_good(watch, frame->t_us, raw);
     } else {
-        take_bad(watch);
+        take_bad(watch, foreign(self->rules[i], watch, *frame, event));
     }
     add(watch.count[event], 1U);
     return event;
@@ -357,8 +386,8 @@ lpvg_status_t lpvg_can_e2e_check(const lpvg_can_frame_t* frame, uint16_t data_id
 
 lpvg_status_t lpvg_can_plausibility(lpvg_can_plausibility_t* self, const lpvg_can_plausibility_limits_t* limits, float yaw_rate,
                                     float lateral, float speed, float wheel_difference) {
-    if (self == nullptr || limits == nullptr || !(limits->track_m > 0.0F) || !(limits->speed_min_mps > 0.0F) ||
-        !(limits->lateral_mps2 > 0.0F) || !(limits->yaw_rps > 0.0F) || limits->confirm == 0U) {
+    if (self == nullptr || limits == nullptr || !positive(limits->track_m) || !positive(limits->speed_min_mps) ||
+        !positive(limits->lateral_mps2) || !positive(limits->yaw_rps) || limits->confirm == 0U) {
         return lpvg_status_bad_argument;
     }
     if (!finite(yaw_rate) || !finite(speed) || speed < limits->speed_min_mps) {

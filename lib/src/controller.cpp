@@ -190,6 +190,11 @@ extern "C" lpvg_status_t lpvg_control_step(lpvg_control_t* self, lpvg_real_t spe
 
 extern "C" lpvg_status_t lpvg_control_step_after(lpvg_control_t* self, lpvg_real_t speed, const lpvg_real_t* m, bool engaged,
                                                  uint32_t elapsed_us) {
+    return lpvg_control_step_within(self, speed, m, engaged, elapsed_us, Real(1));
+}
+
+extern "C" lpvg_status_t lpvg_control_step_within(lpvg_control_t* self, lpvg_real_t speed, const lpvg_real_t* m, bool engaged,
+                                                  uint32_t elapsed_us, lpvg_real_t share) {
     if (self == nullptr || m == nullptr) {
         return lpvg_status_bad_argument;
     }
@@ -218,7 +223,7 @@ extern "C" lpvg_status_t lpvg_control_step_after(lpvg_control_t* self, lpvg_real
     Real excess[nu];
     bool limited = false;
     for (std::size_t i = 0; i < nu; ++i) {
-        const Real target = !active ? Real(0) : towards(Real(0), v[i], limit_at(r, at, i));
+        const Real target = !active ? Real(0) : towards(Real(0), v[i], share * limit_at(r, at, i));
         self->u[i] = towards(self->u[i], target, r.rate_max[i] * elapsed);
         excess[i] = self->u[i] - v[i];
         limited = limited || excess[i] < Real(0) || excess[i] > Real(0);

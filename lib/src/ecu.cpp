@@ -39,9 +39,9 @@ bool follows(uint64_t step, uint64_t period) { return 2U * step >= period && 2U 
 uint32_t step_us(lpvg_ecu_t& self, int64_t now_us) {
     lpvg_ecu_clock_t& clock = self.clock;
     if (!clock.started) {
-        return now_us >= self.now_us && now_us <= INT64_MAX / 2 ? self.kept.period_us : 0U;
+        return now_us >= self.kept.now_us && now_us <= INT64_MAX / 2 ? self.kept.period_us : 0U;
     }
-    const uint64_t step = elapsed_us(now_us, self.now_us);
+    const uint64_t step = elapsed_us(now_us, self.kept.now_us);
     if (step <= LPVG_ECU_JUMP_US && 2U * step >= self.kept.period_us) {
         return static_cast<uint32_t>(step);
     }
@@ -130,6 +130,7 @@ void restore(lpvg_ecu_t& self, bool kept) {
     if (!kept) {
         std::memset(&self.kept, 0, sizeof self.kept);
         self.kept.period_us = LPVG_ECU_WINDOW_US / 100U;
+        self.kept.now_us = self.now_us;
     }
     self.kept.corrupt = true;
     self.control.u[0] = self.kept.demand;
@@ -172,7 +173,7 @@ bool coefficients_well(lpvg_ecu_t& self) {
 // Takes a step at now_us, `step` after the newest one on the ECU's own time.
 void tick(lpvg_ecu_t& self, int64_t now_us, uint32_t step) {
     lpvg_ecu_clock_t& clock = self.clock;
-    self.now_us = now_us;
+    self.kept.now_us = self.now_us = now_us;
     if (clock.started) {
         self.core_us += step;
         pace(self, step);
@@ -183,8 +184,18 @@ void tick(lpvg_ecu_t& self, int64_t now_us, uint32_t step) {
     clock.in_step = 0U;
 }
 
-bool actuator_limits_good(const lpvg_ecu_actuator_limits_t& limits) {
-    return limits.lag_s > 0.0F && limits.tolerance > 0.0F && limits.confirm > 0U;
+// Finite, and broken by an actuator that is stuck at 0 under the largest demand.
+bool actuator_limits_good(const lpvg_ecu_actuator_limits_t& limits, Real u_max) {
+    return limits.lag_s > 0.0F && std::isfinite(limits.lag_s) && limits.tolerance > 0.0F && limits.relative >= 0.0F &&
+           limits.tolerance < (1.0F - limits.relative) * static_cast<float>(u_max) && limits.confirm > 0U;
+}
+
+Real largest_limit(const lpvg_control_coeff_t& control) {
+    Real largest = Real(0);
+    for (const auto& node : control.reals.u_max) {
+        largest = node[0] > largest ? node[0] : largest;
+    }
+    return largest;
 }
 
 void receive(lpvg_ecu_t& self, const lpvg_can_frame_t* frames, std::size_t n) {
@@ -194,7 +205,7 @@ void receive(lpvg_ecu_t& self, const lpvg_can_frame_t* frames, std::size_t n) {
     for (std::size_t i = dropped; i < n; ++i) {  // the newest
         lpvg_can_frame_t frame = frames[i];
         // Nothing arrives later than now: a driver's wrong time stamp must not carry the supervisor's clock away.
-        const uint64_t age_us = elapsed_us(self.now_us, frame.t_us);
+        const uint64_t age_us = elapsed_us(self.kept.now_us, frame.t_us);
         frame.t_us = age_us < static_cast<uint64_t>(self.core_us) ? self.core_us - static_cast<int64_t>(age_us) : 0;
         uint8_t index = LPVG_CAN_NO_INDEX;
         if (lpvg_can_receive(&self.supervisor, &frame, &index) == lpvg_can_event_accepted) {
@@ -290,21 +301,63 @@ void judge_speed(lpvg_ecu_t& self) {
     self.in_range = self.signals.speed >= r.speed_min - beyond && self.signals.speed <= r.speed_max + beyond;
 }
 
-// Whether the actuator does what was demanded up to the newest step.
-void judge_actuator(lpvg_ecu_t& self) {
+// Whether the actuator does what was demanded up to the newest step, by its gain and by its distance. Nothing is compared while a message
+// is missing and until what was demanded meanwhile has died out; the means begin anew behind that.
+void judge_actuator(lpvg_ecu_t& self, bool live) {
     const lpvg_ecu_actuator_limits_t& limits = self.kept.config.actuator;
     const float period = static_cast<float>(self.kept.period_us) * 1e-6F;
     self.expected += (static_cast<float>(self.control.u[0]) - self.expected) * period / (limits.lag_s + period);
+    self.live_us = live ? self.live_us : self.core_us;
+    if (self.core_us - self.live_us < int64_t{LPVG_ECU_ACTUATOR_US}) {
+        self.expected_square = self.deviation_square = self.deviation_along = 0.0F;
+        return;
+    }
     const float deviation = self.signals.measured - self.expected;
-    const bool agrees = deviation <= limits.tolerance && deviation >= -limits.tolerance;
+    const float share = period / (1e-6F * static_cast<float>(LPVG_ECU_ACTUATOR_US) + period);
+    self.expected_square += (self.expected * self.expected - self.expected_square) * share;
+    self.deviation_square += (deviation * deviation - self.deviation_square) * share;
+    self.deviation_along += (deviation * self.expected - self.deviation_along) * share;
+    const float size = std::sqrt(self.expected_square), widest = size + limits.tolerance;
+    const float along = (limits.relative * size + limits.tolerance) * size;
+    const bool agrees = std::fabs(self.deviation_along) <= along && self.deviation_square <= widest * widest;
     self.actuator_failed = lpvg_can_confirm(&self.deviations, self.actuator_failed, !agrees, limits.confirm);
 }
 
+// Whether the loop has been engaged as often as it may in the last hour.
+bool engaged_often(const lpvg_ecu_t& self) {
+    uint32_t sum = 0U;
+    for (const uint8_t engagements : self.engagements) {
+        sum += engagements;
+    }
+    return sum >= LPVG_ECU_ENGAGEMENTS_MAX;
+}
+
+// The slot of now; a step moves by less than one.
+void move_slot(lpvg_ecu_t& self) {
+    if (self.core_us - self.slot_us >= int64_t{LPVG_ECU_SLOT_US}) {
+        self.slot_us += int64_t{LPVG_ECU_SLOT_US};
+        self.slot = static_cast<uint8_t>((self.slot + 1U) % LPVG_ECU_SLOTS);  // a power of two: within the ring after any damage
+        self.engagements[self.slot] = 0U;
+    }
+}
+
+// What an acknowledgement may not end: a cause that stands, or an invalid verdict that nothing speaks against.
+bool stands(const lpvg_ecu_t& self) {
+    const uint32_t measured = self.causes & ~static_cast<uint32_t>(self.kept.config.report_only);
+    const bool calm = self.core_us - self.doubted_us >= int64_t{LPVG_ECU_CALM_US};
+    return (measured & (LPVG_ECU_CAUSES_LATCHING & ~LPVG_ECU_CAUSE_INVALID)) != 0U || engaged_often(self) ||
+           (self.kept.falsified && (self.kept.on_trial || !calm));
+}
+
 void end_lock(lpvg_ecu_t& self) {
-    const uint32_t releasing = self.causes & ~static_cast<uint32_t>(self.kept.config.report_only);
-    if ((releasing & LPVG_ECU_CAUSES_LATCHING) == 0U) {
-        self.kept.locked = false;
-        self.releases = 0U;
+    if (!self.kept.locked || stands(self)) {
+        return;
+    }
+    self.kept.locked = false;
+    if (self.kept.falsified) {
+        self.kept.falsified = false;
+        self.kept.on_trial = true;
+        self.monitor.has_falsified = false;
     }
 }
 
@@ -346,17 +399,32 @@ uint16_t causes_of(const lpvg_ecu_t& self, bool live) {
     return static_cast<uint16_t>(causes);
 }
 
-// What ends an engagement locks, if it must not come back by itself.
+void lock(lpvg_ecu_t& self, uint32_t causes) {
+    self.kept.locked = true;
+    self.lock_causes = static_cast<uint16_t>(causes);
+}
+
+// What ends an engagement voids the evidence, and locks if it must not come back by itself.
 void note_release(lpvg_ecu_t& self, uint32_t causes) {
+    lpvg_monitor_void(&self.monitor);
     if ((causes & ~LPVG_ECU_CAUSES_ORDINARY) != 0U) {
         const bool recent = self.core_us - self.released_us < LPVG_ECU_RELEASES_US;
         self.releases = static_cast<uint8_t>(recent ? self.releases + 1U : 1U);
         self.released_us = self.core_us;
     }
     if ((causes & LPVG_ECU_CAUSES_LATCHING) != 0U || self.releases > LPVG_ECU_RELEASES_MAX) {
-        self.kept.locked = true;
-        self.lock_causes = static_cast<uint16_t>(causes);
+        lock(self, causes);
     }
+}
+
+// Counts an engagement that begins; one too many locks instead. Returns whether it may begin.
+bool may_begin(lpvg_ecu_t& self) {
+    if (engaged_often(self)) {
+        lock(self, LPVG_ECU_CAUSE_OFTEN);
+        return false;
+    }
+    ++self.engagements[self.slot % LPVG_ECU_SLOTS];
+    return true;
 }
 
 // Whether this step is engaged.
@@ -366,13 +434,16 @@ bool allowed(lpvg_ecu_t& self, bool live) {
     if (releasing != 0U && self.permitted) {
         note_release(self, releasing);
     }
-    if ((releasing & ~(LPVG_ECU_CAUSE_NOT_ASKED | LPVG_ECU_CAUSE_PERMISSION)) != 0U && self.was_engaged) {
+    if (releasing != 0U && self.was_engaged) {
         self.caused_us = self.core_us;
     }
     const bool wait = self.core_us - self.caused_us < LPVG_ECU_WAIT_US;
-    const uint32_t more = (wait ? LPVG_ECU_CAUSE_WAIT : 0U) | (self.kept.locked ? LPVG_ECU_CAUSE_LOCKED : 0U);
+    const bool unhindered = releasing == 0U && !wait && !self.kept.locked;
+    const bool permitted = unhindered && (self.permitted || may_begin(self));
+    const uint32_t more = (wait ? LPVG_ECU_CAUSE_WAIT : 0U) | (self.kept.locked ? LPVG_ECU_CAUSE_LOCKED : 0U) |
+                          (!permitted && engaged_often(self) ? LPVG_ECU_CAUSE_OFTEN : 0U);
     self.causes = static_cast<uint16_t>(self.causes | more);
-    self.permitted = (releasing | more) == 0U;
+    self.permitted = permitted;
     self.was_engaged = self.was_engaged || self.permitted;
     return self.permitted;
 }
@@ -405,7 +476,7 @@ void run_controller(lpvg_ecu_t& self, bool live, uint32_t step) {
     lpvg_real_t m[LPVG_NM];
     m[0] = self.signals.reference;
     std::memcpy(&m[1], self.signals.y, sizeof self.signals.y);
-    const lpvg_status_t status = lpvg_control_step_after(&self.control, self.signals.speed, m, allowed(self, live), step);
+    const lpvg_status_t status = lpvg_control_step_within(&self.control, self.signals.speed, m, allowed(self, live), step, self.share);
     if (demand_well(self, step)) {
         self.kept.demand = self.control.u[0];
     } else {
@@ -416,14 +487,14 @@ void run_controller(lpvg_ecu_t& self, bool live, uint32_t step) {
     self.refused = live && status != lpvg_status_ok;
 }
 
-// The monitor's verdict is about samples of the exported period: none is valid while that is not measured.
-uint8_t verdict(const lpvg_ecu_t& self) {
-    if (self.kept.corrupt) {
+// The monitor's verdict is about samples of the exported period: none is valid while that is not measured. A verdict that was invalid
+// stays so until it is acknowledged.
+uint8_t verdict(const lpvg_ecu_t& self, lpvg_verdict_t said) {
+    if (self.kept.corrupt || self.clock.pace == lpvg_ecu_pace_bad) {
         return lpvg_verdict_fault;
     }
-    const lpvg_verdict_t said = lpvg_monitor_verdict(&self.monitor, self.core_us);
-    if (self.clock.pace == lpvg_ecu_pace_bad) {
-        return lpvg_verdict_fault;
+    if (self.kept.falsified) {
+        return lpvg_verdict_invalid;
     }
     if (said != lpvg_verdict_valid && said != lpvg_verdict_degraded) {
         return static_cast<uint8_t>(said);
@@ -434,19 +505,75 @@ uint8_t verdict(const lpvg_ecu_t& self) {
     return static_cast<uint8_t>(self.in_range ? said : lpvg_verdict_not_judged);
 }
 
+bool invalid_releases(const lpvg_ecu_t& self) { return (self.kept.config.report_only & LPVG_ECU_CAUSE_INVALID) == 0U; }
+
+// Evidence widens the demand's limit steadily. A demand that rests at the limit without evidence widens it by a step, which the watch can
+// judge.
+void widen_demand(lpvg_ecu_t& self, uint32_t step) {
+    const bool pressed = self.control.limited != self.limited;
+    self.limited = self.control.limited;
+    self.pressed_us = pressed && !self.watch.evidence ? self.pressed_us + step : 0U;
+    Real wider = Real(0);
+    if (self.watch.evidence) {
+        wider = (Real(1) - static_cast<Real>(LPVG_ECU_PROBE_SHARE)) / static_cast<Real>(LPVG_ECU_PROBE_US) * static_cast<Real>(step);
+    } else if (self.pressed_us >= LPVG_ECU_PROBE_US) {
+        wider = static_cast<Real>(LPVG_ECU_PROBE_SHARE);
+        self.pressed_us = 0U;
+    }
+    const Real share = self.share + wider;
+    self.share = share < Real(1) ? share : Real(1);
+}
+
+// The watch runs while the demand acts. An engagement begins with a share of the demand's limit, which evidence raises.
+void watch_response(lpvg_ecu_t& self, bool sampled, uint32_t step) {
+    if (!sampled || !self.control.engaged) {
+        self.watched = false;
+        self.watch.violated = false;
+        self.share = invalid_releases(self) ? static_cast<Real>(LPVG_ECU_PROBE_SHARE) : Real(1);
+        return;
+    }
+    const Real* const e = self.monitor.signal[self.monitor.newest];
+    if (!self.watched) {
+        lpvg_watch_start(&self.watch, e);
+        self.watched = true;
+    }
+    lpvg_watch_take(&self.watch, &self.kept.watch, self.kept.coeff, &self.monitor.model, e, self.control.u);
+    widen_demand(self, step);
+}
+
+// A falsified model stays so until it is acknowledged, and locks. Time without doubt begins with the release.
+void judge_falsified(lpvg_ecu_t& self, lpvg_verdict_t said, bool live) {
+    const bool anew = self.monitor.has_falsified && self.monitor.t_falsified_us > self.doubted_us;
+    if (!live || self.control.engaged || anew) {
+        self.doubted_us = self.core_us;
+    }
+    if (invalid_releases(self) && (said == lpvg_verdict_invalid || self.watch.violated)) {
+        self.kept.falsified = true;
+        self.kept.locked = true;
+        self.lock_causes = static_cast<uint16_t>(self.lock_causes | LPVG_ECU_CAUSE_INVALID);
+    }
+    if (said == lpvg_verdict_valid && self.control.engaged) {
+        self.kept.on_trial = false;
+    }
+}
+
 // A gap is what the monitor expects where measurements are old, or of another period: it restarts behind it.
-void run_monitor(lpvg_ecu_t& self, bool live) {
+void run_monitor(lpvg_ecu_t& self, bool live, uint32_t step) {
+    bool sampled = false;
     if (live && self.clock.pace != lpvg_ecu_pace_bad && !self.kept.corrupt) {
         lpvg_sample_t sample{};
         sample.t_us = self.core_us;
         sample.speed = self.signals.speed;
         std::memcpy(sample.u, self.control.u, sizeof sample.u);
         std::memcpy(sample.y, self.signals.y, sizeof sample.y);
-        if (lpvg_monitor_push(&self.monitor, &sample) != lpvg_status_ok) {
-            self.refused = true;
-        }
+        sampled = lpvg_monitor_push(&self.monitor, &sample) == lpvg_status_ok;
+        self.refused = self.refused || !sampled;
     }
-    self.report.verdict = verdict(self);
+    // Damage may have hit the monitor's pointer to its coefficients.
+    const lpvg_verdict_t said = self.kept.corrupt ? lpvg_verdict_fault : lpvg_monitor_verdict(&self.monitor, self.core_us);
+    watch_response(self, sampled, step);
+    judge_falsified(self, said, live);
+    self.report.verdict = verdict(self, said);
     self.report.statistic = static_cast<float>(lpvg_monitor_frame(&self.monitor)->statistic);
 }
 
@@ -455,8 +582,7 @@ void run_monitor(lpvg_ecu_t& self, bool live) {
 extern "C" lpvg_status_t lpvg_ecu_init(lpvg_ecu_t* self, const lpvg_coeff_t* coeff, const lpvg_control_coeff_t* control,
                                        const lpvg_ecu_config_t* config, int64_t now_us) {
     if (self == nullptr || config == nullptr || now_us < 0 || now_us > INT64_MAX / 2 ||
-        (config->report_only & ~LPVG_ECU_CAUSES_OPTIONAL) != 0U || config->priority > priority_max || !limits_good(config->plausibility) ||
-        !actuator_limits_good(config->actuator)) {
+        (config->report_only & ~LPVG_ECU_CAUSES_OPTIONAL) != 0U || config->priority > priority_max || !limits_good(config->plausibility)) {
         return lpvg_status_bad_argument;
     }
     lpvg_status_t status = lpvg_coeff_check(coeff);
@@ -470,21 +596,26 @@ extern "C" lpvg_status_t lpvg_ecu_init(lpvg_ecu_t* self, const lpvg_coeff_t* coe
     if (status != lpvg_status_ok) {
         return status;
     }
+    const Real u_max = largest_limit(*control);
+    if (!actuator_limits_good(config->actuator, u_max)) {
+        return lpvg_status_bad_argument;
+    }
     std::memset(self, 0, sizeof *self);
     self->kept.config = *config;
     self->kept.engage = config->engage;
     self->kept.period_us = coeff->words.sample_period_us;
-    self->now_us = self->core_us = now_us;
+    self->kept.now_us = self->now_us = self->core_us = now_us;
     self->kept.coeff = coeff;
     self->kept.control = control;
     self->kept.rate_max = control->reals.rate_max[0];
     self->kept.speed_min = control->reals.speed_min;
     self->kept.speed_max = control->reals.speed_max;
-    for (const auto& node : control->reals.u_max) {
-        self->kept.u_max = node[0] > self->kept.u_max ? node[0] : self->kept.u_max;
-    }
+    self->kept.u_max = u_max;
+    lpvg_watch_limits(&self->kept.watch, coeff);
+    self->share = invalid_releases(*self) ? static_cast<Real>(LPVG_ECU_PROBE_SHARE) : Real(1);
     self->dm1_us = now_us - dm1_period_us;
     self->caused_us = now_us - LPVG_ECU_WAIT_US;
+    self->slot_us = self->doubted_us = now_us;
     self->explained = LPVG_CAN_FMI_CONDITION;
     self->signals.speed = self->signals.reference = static_cast<lpvg_real_t>(NAN);
     for (lpvg_real_t& y : self->signals.y) {
@@ -549,6 +680,7 @@ extern "C" lpvg_status_t lpvg_ecu_step(lpvg_ecu_t* self, int64_t now_us, const l
     }
     receive(*self, frames_in, n_in);
     lpvg_can_advance(&self->supervisor, self->core_us);
+    move_slot(*self);
     const lpvg_bus_need_t& need = worst_need(*self);
     const lpvg_can_state_t supervision = lpvg_can_state(&self->supervisor, need.index);
     const bool live = supervision == lpvg_can_state_live;
@@ -556,11 +688,11 @@ extern "C" lpvg_status_t lpvg_ecu_step(lpvg_ecu_t* self, int64_t now_us, const l
 
     if (live) {
         judge_speed(*self);
-        judge_actuator(*self);
         // The limits have been checked by init.
         (void)(lpvg_can_plausibility(&self->plausibility, &self->kept.config.plausibility, self->signals.yaw_rate, self->signals.lateral,
                                      static_cast<float>(self->signals.speed), self->signals.wheel_difference) == lpvg_status_ok);
     }
+    judge_actuator(*self, live);
     take_request(*self);
     if (self->kept.corrupt) {
         self->causes = causes_of(*self, live);
@@ -569,7 +701,7 @@ extern "C" lpvg_status_t lpvg_ecu_step(lpvg_ecu_t* self, int64_t now_us, const l
     } else {
         run_controller(*self, live, step);
     }
-    run_monitor(*self, live);
+    run_monitor(*self, live, step);
     self->report.demand = static_cast<float>(self->kept.demand);
     const lpvg_ecu_engagement_t released = self->kept.locked ? lpvg_ecu_locked : lpvg_ecu_released;
     self->report.engagement = static_cast<uint8_t>(self->control.engaged ? lpvg_ecu_engaged : released);
@@ -609,7 +741,7 @@ extern "C" lpvg_status_t lpvg_ecu_findings(const lpvg_ecu_t* self, lpvg_j1939_fi
     const bool alarming = said == lpvg_verdict_invalid || said == lpvg_verdict_degraded;
     const bool recorded = alarming && newest < LPVG_NRECORDS;
     const lpvg_frame_t& frame = recorded ? self->monitor.record[newest] : self->monitor.frame;
-    findings->freeze.t_us = self->now_us;
+    findings->freeze.t_us = self->kept.now_us;
     findings->freeze.statistic = static_cast<float>(frame.statistic);
     findings->freeze.speed = static_cast<float>(self->signals.speed);
     findings->freeze.causes = self->causes;

@@ -4,15 +4,13 @@
 #include <limits>
 
 #include "acceptance.hpp"
-#include "eigen.hpp"
+#include "model_step.hpp"
 
 namespace {
 
 using Real = lpvg_real_t;
-template <int Rows, int Cols>
-using Matrix = Eigen::Matrix<Real, Rows, Cols, Cols == 1 ? Eigen::ColMajor : Eigen::RowMajor>;
-template <int Rows, int Cols>
-using ConstMap = Eigen::Map<const Matrix<Rows, Cols>>;
+using lpvguard::ConstMap;
+using lpvguard::Matrix;
 
 constexpr int nx = LPVG_NX, nu = LPVG_NU, ny = LPVG_NY;
 constexpr Real no_speed = std::numeric_limits<Real>::lowest();  // a small negative one is a reading that sensors give
@@ -63,14 +61,6 @@ extern "C" void lpvg_model_output(const lpvg_model_t* self, const lpvg_coeff_t* 
 
 extern "C" void lpvg_model_advance(lpvg_model_t* self, const lpvg_coeff_t* coeff, lpvg_real_t speed, const lpvg_real_t* u) {
     set_speed(self, coeff, speed);
-    // With a delay of d samples u_{k-d} is past[d] with this input as the newest, and u_{k-d-1} is past[d] before.
-    const Matrix<nu, 1> u_old = ConstMap<nu, 1>(self->past[LPVG_DELAY]);
-    for (std::size_t d = LPVG_DELAY; d > 0; --d) {
-        Eigen::Map<Matrix<nu, 1>>(self->past[d]) = ConstMap<nu, 1>(self->past[d - 1]);
-    }
-    Eigen::Map<Matrix<nu, 1>>(self->past[0]) = ConstMap<nu, 1>(u) - ConstMap<nu, 1>(coeff->reals.input_offset);
-    const Real* entry = self->entry;
-    const Matrix<nx, 1> next = ConstMap<nx, nx>(entry) * ConstMap<nx, 1>(self->x) + ConstMap<nx, nu>(entry + nx * nx) * u_old +
-                               ConstMap<nx, nu>(entry + nx * (nx + nu)) * ConstMap<nu, 1>(self->past[LPVG_DELAY]);
-    Eigen::Map<Matrix<nx, 1>>(self->x) = next;
+    const Matrix<nu, 1> deviation = ConstMap<nu, 1>(u) - ConstMap<nu, 1>(coeff->reals.input_offset);
+    lpvguard::step_model(self->entry, self->x, self->past, deviation.data());
 }

@@ -285,11 +285,11 @@ bool judge(lpvg_monitor_t& self, std::size_t b) {
         bin.next_history = bin.next_history + 1U < of_last ? bin.next_history + 1U : 0U;
         frame.statistic = statistic(bin, coeff.words.confirm, of_last);
         frame.falsified = !(frame.statistic <= r.threshold);
-        if (frame.evidence > r.threshold) {
+        if (!(frame.evidence > r.threshold)) {
+            frame.reason = lpvg_reason_not_excited;
+        } else if (frame.t_end_us > self.t_void_us) {
             self.has_evidence = true;
             self.t_evidence_us = frame.t_end_us;
-        } else {
-            frame.reason = lpvg_reason_not_excited;
         }
         if (frame.falsified) {
             falsified_at(self, frame.t_end_us);
@@ -393,14 +393,21 @@ void take_block(lpvg_monitor_t& self, lpvg_reason_t reason) {
     }
 }
 
-void start(lpvg_monitor_t& self, const lpvg_sample_t& sample) {
-    lpvg_model_start(&self.model, self.coeff, sample.u, sample.y);
-    lpvg_energy_start(&self.energy, self.coeff);
-    lpvg_change_start(&self.change);
+// Every bin begins a new frame, and nothing from before speaks for the model.
+void void_evidence(lpvg_monitor_t& self, int64_t t_us) {
     for (lpvg_bin_t& bin : self.bin) {
         bin.n = 0U;
         bin.has_before = false;
     }
+    self.has_evidence = false;
+    self.t_void_us = t_us;
+}
+
+void start(lpvg_monitor_t& self, const lpvg_sample_t& sample) {
+    lpvg_model_start(&self.model, self.coeff, sample.u, sample.y);
+    lpvg_energy_start(&self.energy, self.coeff);
+    lpvg_change_start(&self.change);
+    void_evidence(self, sample.t_us);
     self.n_block = 0U;
     self.settled = 0U;
     self.running = true;
@@ -567,6 +574,12 @@ extern "C" lpvg_verdict_t lpvg_monitor_verdict(const lpvg_monitor_t* self, int64
         return lpvg_verdict_valid;
     }
     return self->frame.sequence == 0U ? lpvg_verdict_unknown : lpvg_verdict_not_judged;
+}
+
+extern "C" void lpvg_monitor_void(lpvg_monitor_t* self) {
+    if (self != nullptr && self->coeff != nullptr) {
+        void_evidence(*self, self->t_us);
+    }
 }
 
 extern "C" lpvg_reason_t lpvg_monitor_reason(const lpvg_monitor_t* self) { return self == nullptr ? lpvg_reason_none : self->frame.reason; }

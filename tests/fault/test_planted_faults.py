@@ -33,9 +33,9 @@ MUTANTS = {
         "signal[j] = sample->y[j] + yhat[j];",
     ),
     "input one sample late": (
-        "model.cpp",
-        "const Matrix<nu, 1> u_old = ConstMap<nu, 1>(self->past[LPVG_DELAY]);",
-        "const Matrix<nu, 1> u_old = ConstMap<nu, 1>(self->past[0]);",
+        "model_step.hpp",
+        "const Matrix<nu, 1> u_old = ConstMap<nu, 1>(past[LPVG_DELAY]);",
+        "const Matrix<nu, 1> u_old = ConstMap<nu, 1>(past[0]);",
     ),
     "model offset forgotten": ("model.cpp", "+ ConstMap<ny, 1>(r.output_offset);", ";"),
 }

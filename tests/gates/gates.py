@@ -744,8 +744,8 @@ PLANTS: dict[str, list[Plant]] = {
         ),
         Plant(
             "lib/src/model.cpp",
-            "next;\n",
-            "next;\n    int rounded = self->x[0]; (void)rounded;\n",
+            "    set_speed(self, coeff, speed);\n",
+            "    set_speed(self, coeff, speed);\n    int rounded = self->x[0]; (void)rounded;\n",
             r"clang(.|\n)*-Wfloat-conversion",
             "clang-float-Release",
         ),

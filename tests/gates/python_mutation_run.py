@@ -61,7 +61,6 @@ MEASURED = {
     "engine/synthesis/dk.py": 568,
     "engine/synthesis/errors.py": 0,
     "engine/synthesis/gamma_search.py": 393,
-    "engine/synthesis/hinf.py": 285,
     "engine/synthesis/interconnection.py": 520,
     "engine/synthesis/knot_search.py": 377,
     "engine/synthesis/least_level.py": 227,
@@ -69,11 +68,7 @@ MEASURED = {
     "engine/synthesis/limits.py": 196,
     "engine/synthesis/lpv_certificate.py": 797,
     "engine/synthesis/margins.py": 859,
-    "engine/synthesis/mu.py": 45,
-    "engine/synthesis/mu_lower.py": 687,
-    "engine/synthesis/mu_upper.py": 638,
     "engine/synthesis/norms.py": 249,
-    "engine/synthesis/nu_gap.py": 121,
     "engine/synthesis/partition.py": 213,
     "engine/synthesis/riccati.py": 534,
     "engine/synthesis/saturation.py": 427,
@@ -85,8 +80,6 @@ MEASURED = {
     "engine/synthesis/structure.py": 103,
     "engine/synthesis/table.py": 12,
     "engine/synthesis/varying.py": 346,
-    "engine/synthesis/worst_case.py": 226,
-    "engine/synthesis/worst_gain.py": 138,
     "engine/synthesis/zeros.py": 183,
     "engine/validation/branch.py": 420,
     "engine/validation/delta.py": 116,
@@ -100,8 +93,6 @@ MEASURED = {
     "engine/validation/s1.py": 981,
     "engine/validation/s2.py": 888,
     "engine/validation/well_posed.py": 97,
-    "identify/calibration.py": 279,
-    "identify/energy.py": 454,
 }
 """Files whose mutants have all run and are sorted, and how many those were: another number is a finding. The
 gate leaves out a new file until it stands here, unless it is asked for by its name, and says so."""

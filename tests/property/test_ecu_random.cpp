@@ -2,7 +2,8 @@
 // the calls only, says of every step whether it is taken, what supervision it has, which causes it names, and whether it is engaged or
 // locked. The verdict is the ECU's own; what must hold of it:
 //
-//     valid only in the range, with a good sample period, and with samples of the newest five periods; fault with a bad period
+//     valid only in the range, with a good sample period, with samples of the newest five periods, and no sooner than the shortest frame
+//     after the newest release, gap or missing message; fault with a bad period; invalid until acknowledged
 //
 // The demand keeps its limits. Every other drive has trouble seldom, so that the monitor gets to judge. 10^6 steps; 10^7 with
 // LPVGUARD_FULL=1.
@@ -35,6 +36,8 @@ public:
 
     // A frame of it, with all its values there or not. Returns whether it may be used.
     bool take(const lpvg_can_frame_t& frame, int64_t t_us, bool complete) {
+        out_of_step_ = false;
+        const int counter_before = counter_;
         const bool soon = arrived_ && t_us - arrival_us_ < rule_.gap_min_us;
         count_arrival(t_us);
         arrived_ = true;
@@ -42,10 +45,13 @@ public:
         const bool good = !soon && !fast_ && protection_good(frame) && complete;
         score_ = good ? std::max(0, score_ - 1) : std::min<int>(LPVG_CAN_SCORE_OFF, score_ + 1);
         if (!good) {
+            foreign_ =
+                std::min<int>(LPVG_CAN_FOREIGN_OFF, foreign_ + (foreign(frame, soon || fast_, counter_before) ? LPVG_CAN_FOREIGN_ADD : 0));
             in_row_ = 0;
             bad_.push_back(true);
             trim();
-            if (fast_ || score_ == LPVG_CAN_SCORE_OFF || std::count(bad_.begin(), bad_.end(), true) >= LPVG_CAN_WINDOW_BAD) {
+            if (fast_ || score_ == LPVG_CAN_SCORE_OFF || foreign_ == LPVG_CAN_FOREIGN_OFF ||
+                std::count(bad_.begin(), bad_.end(), true) >= LPVG_CAN_WINDOW_BAD) {
                 go_off();
             }
             return false;
@@ -55,9 +61,10 @@ public:
             if (++in_row_ < static_cast<int>(LPVG_CAN_RECOVER_FRAMES)) {
                 return false;
             }
-            score_ = 0;
+            score_ = foreign_ = 0;
             bad_.clear();
         } else {
+            foreign_ = std::max(0, foreign_ - 1);
             bad_.push_back(false);
             trim();
         }
@@ -75,14 +82,30 @@ public:
     lpvg_can_state_t state = lpvg_can_state_off;
 
 private:
+    // Of every eighth arrival whether as many took less than 6 periods, and of the 64th after the newest such burst whether they took less
+    // than 58.
     void count_arrival(int64_t t_us) {
-        if (!arrived_) {
-            block_us_ = t_us;
-        } else if (++in_block_ == static_cast<int>(LPVG_CAN_ARRIVALS)) {
-            fast_ = t_us - block_us_ < static_cast<int64_t>(LPVG_CAN_ARRIVALS_PERIODS) * rule_.period_us;
-            block_us_ = t_us;
-            in_block_ = 0;
+        arrivals_us_.push_back(t_us);
+        const std::size_t n = arrivals_us_.size() - 1U;
+        const auto faster = [&](std::size_t begin, int64_t periods) {
+            return t_us - arrivals_us_[begin] < periods * static_cast<int64_t>(rule_.period_us);
+        };
+        if (n > 0U && n % LPVG_CAN_ARRIVALS == 0U) {
+            short_fast_ = faster(n - LPVG_CAN_ARRIVALS, LPVG_CAN_ARRIVALS_PERIODS);
+            long_fast_ = long_fast_ && !short_fast_;
+            rate_begin_ = short_fast_ ? n : rate_begin_;
         }
+        if (n - rate_begin_ == LPVG_CAN_RATE_ARRIVALS) {
+            long_fast_ = faster(rate_begin_, LPVG_CAN_RATE_PERIODS);
+            rate_begin_ = n;
+        }
+        fast_ = short_fast_ || long_fast_;
+    }
+
+    // A second frame with one counter, sooner behind the good one than a sender repeats.
+    bool foreign(const lpvg_can_frame_t& frame, bool early, int counter) const {
+        const bool soon = arrival_us_ - good_us_ < int64_t{3} * rule_.period_us / 4;
+        return rule_.e2e != 0U && counter == frame.data[1] % 16 && soon && (early || out_of_step_);
     }
 
     bool protection_good(const lpvg_can_frame_t& frame) {
@@ -95,7 +118,8 @@ private:
         }
         const int step = counter_ < 0 ? 1 : (counter + 15 - counter_) % 15;
         counter_ = counter;
-        return step >= 1 && step <= static_cast<int>(LPVG_CAN_COUNTER_STEP);
+        out_of_step_ = step < 1 || step > static_cast<int>(LPVG_CAN_COUNTER_STEP);
+        return !out_of_step_;
     }
 
     void trim() {
@@ -105,9 +129,11 @@ private:
     }
 
     const lpvg_can_rule_t& rule_;
-    int64_t good_us_ = 0, arrival_us_ = 0, block_us_ = 0;
-    int score_ = 0, in_row_ = 0, in_block_ = 0, counter_ = -1;
-    bool arrived_ = false, fast_ = false;
+    int64_t good_us_ = 0, arrival_us_ = 0;
+    std::vector<int64_t> arrivals_us_;
+    std::size_t rate_begin_ = 0U;
+    int score_ = 0, foreign_ = 0, in_row_ = 0, counter_ = -1;
+    bool arrived_ = false, fast_ = false, short_fast_ = false, long_fast_ = false, out_of_step_ = false;
     std::deque<bool> bad_;
 };
 
@@ -128,25 +154,51 @@ public:
         measure(step);
         receive(frames);
         state = std::min(std::min(vdc2_.state, guard_in_.state), std::min(ebc1_.state, ebc2_.state));
+        lagged_ += (demand - lagged_) * 0.01F / (bench_config.actuator.lag_s + 0.01F);
         if (state == lpvg_can_state_live) {
-            judge(demand);
+            judge();
             newest_live_us_ = core_us_;
+        } else {
+            not_live_us_ = void_us_ = core_us_;
         }
+        if (core_us_ - not_live_us_ < LPVG_ECU_ACTUATOR_US) {
+            along_ = off_ = size_ = 0.0F;
+        }
+        void_us_ = in_pace(step) ? void_us_ : core_us_;
         take_request();
+        const bool before = engaged;
         decide(verdict);
+        void_us_ = before && !engaged ? core_us_ : void_us_;
+    }
+
+    // What the tests of the step said: its verdict, whether the monitor alone finds the model valid, and its newest falsification.
+    void hear(lpvg_verdict_t reported, bool valid, int64_t falsified_us) {
+        if (state != lpvg_can_state_live || engaged || falsified_us > doubted_us_) {
+            doubted_us_ = core_us_;
+        }
+        falsified_ = falsified_ || reported == lpvg_verdict_invalid;
+        locked = locked || falsified_;
+        on_trial_ = on_trial_ && !(valid && engaged);
     }
 
     void ask(bool engage) { asked_ = engage; }
 
     void acknowledge() {
-        if ((causes & LPVG_ECU_CAUSES_LATCHING) == 0U) {
+        const bool refuted = falsified_ && (on_trial_ || core_us_ - doubted_us_ < LPVG_ECU_CALM_US);
+        if (locked && (causes & (LPVG_ECU_CAUSE_IMPLAUSIBLE | LPVG_ECU_CAUSE_ACTUATOR)) == 0U && !refuted && !often()) {
             locked = false;
-            releases_ = 0;
+            on_trial_ = on_trial_ || falsified_;
+            falsified_ = false;
         }
     }
 
     // Whether nothing forbids the verdict `valid`.
-    bool may_be_valid() const { return pace == lpvg_ecu_pace_good && in_range_ && core_us_ - newest_live_us_ <= 5 * tick_us; }
+    bool may_be_valid() const {
+        const int64_t shortest = *std::min_element(lpvg_coeff.words.frame_length, lpvg_coeff.words.frame_length + LPVG_NBINS);
+        return pace == lpvg_ecu_pace_good && in_range_ && !falsified_ && core_us_ - newest_live_us_ <= 5 * tick_us &&
+               core_us_ - void_us_ >= shortest * tick_us;
+    }
+    bool must_be_invalid() const { return falsified_ && pace != lpvg_ecu_pace_bad; }
 
     bool taken = false, engaged = false, locked = false;
     lpvg_can_state_t state = lpvg_can_state_off;
@@ -253,14 +305,28 @@ private:
         return score == confirm || (before && score > 0);
     }
 
-    void judge(float demand) {
+    // Engagements of the slot of now and of the fifteen before.
+    bool often() const {
+        constexpr int64_t slot_us = LPVG_ECU_SLOT_US;
+        const auto counts = [this](int64_t begin_us) { return core_us_ / slot_us - begin_us / slot_us < int64_t{LPVG_ECU_SLOTS}; };
+        return std::count_if(begins_.begin(), begins_.end(), counts) >= int64_t{LPVG_ECU_ENGAGEMENTS_MAX};
+    }
+
+    void judge() {
         const lpvg_control_reals_t& r = lpvg_control_coeff.reals;
         const auto beyond = static_cast<lpvg_real_t>(in_range_ ? LPVG_ECU_SPEED_HYSTERESIS_MPS : 0.0F);
         in_range_ = speed_ >= r.speed_min - beyond && speed_ <= r.speed_max + beyond;
         // In the numbers of the core: where a violation begins, rounding decides.
         const lpvg_ecu_actuator_limits_t& actuator = bench_config.actuator;
-        lagged_ += (demand - lagged_) * 0.01F / (actuator.lag_s + 0.01F);
-        actuator_failed_ = failed(deviations_, actuator_failed_, std::fabs(pressure_ - lagged_) > actuator.tolerance, actuator.confirm);
+        if (core_us_ - not_live_us_ >= LPVG_ECU_ACTUATOR_US) {
+            const float share = 0.01F / (1e-6F * static_cast<float>(LPVG_ECU_ACTUATOR_US) + 0.01F), off = pressure_ - lagged_;
+            size_ += (lagged_ * lagged_ - size_) * share;
+            off_ += (off * off - off_) * share;
+            along_ += (off * lagged_ - along_) * share;
+            const float rms = std::sqrt(size_), widest = rms + actuator.tolerance;
+            const bool violation = std::fabs(along_) > (actuator.relative * rms + actuator.tolerance) * rms || off_ > widest * widest;
+            actuator_failed_ = failed(deviations_, actuator_failed_, violation, actuator.confirm);
+        }
         if (speed_ >= lpvg_real_t(bench_config.plausibility.speed_min_mps)) {
             const float off = yaw_rate_ * static_cast<float>(speed_) - lateral_;
             const bool violation = std::fabs(off) > bench_config.plausibility.lateral_mps2;
@@ -298,12 +364,18 @@ private:
             }
             locked = locked || (causes & LPVG_ECU_CAUSES_LATCHING) != 0U || releases_ > static_cast<int>(LPVG_ECU_RELEASES_MAX);
         }
-        if (was_engaged_ && (causes & ~(LPVG_ECU_CAUSE_NOT_ASKED | LPVG_ECU_CAUSE_PERMISSION)) != 0U) {
+        if (was_engaged_ && causes != 0U) {
             caused_us_ = core_us_;
         }
         name(core_us_ - caused_us_ < LPVG_ECU_WAIT_US, LPVG_ECU_CAUSE_WAIT);
+        const bool begins = !engaged && causes == 0U && !locked;
+        locked = locked || (begins && often());
         name(locked, LPVG_ECU_CAUSE_LOCKED);
         engaged = causes == 0U;
+        name(!engaged && often(), LPVG_ECU_CAUSE_OFTEN);
+        if (begins && engaged) {
+            begins_.push_back(core_us_);
+        }
         was_engaged_ = was_engaged_ || engaged;
     }
 
@@ -314,10 +386,12 @@ private:
     int64_t now_us_ = 0, core_us_ = 0, bus_us_ = 0, refused_us_ = 0, newest_live_us_ = 0;
     int64_t released_us_ = -int64_t{LPVG_ECU_RELEASES_US}, caused_us_ = -int64_t{LPVG_ECU_WAIT_US};
     int in_step_ = 0, releases_ = 0, deviations_ = 0, contradictions_ = 0, request_ = -1, other_priority_ = -1;
-    float yaw_rate_ = NAN, lateral_ = NAN, pressure_ = NAN, pedal_ = NAN, lagged_ = 0.0F;
+    int64_t not_live_us_ = 0, void_us_ = 0, doubted_us_ = 0;
+    std::vector<int64_t> begins_;  // of engagements
+    float yaw_rate_ = NAN, lateral_ = NAN, pressure_ = NAN, pedal_ = NAN, lagged_ = 0.0F, along_ = 0.0F, off_ = 0.0F, size_ = 0.0F;
     lpvg_real_t speed_ = lpvg_real_t(NAN);
     bool asked_ = true, standby_ = false, acknowledging_ = false, in_range_ = false, was_engaged_ = false, abs_ = true;
-    bool actuator_failed_ = false, implausible_ = false;
+    bool actuator_failed_ = false, implausible_ = false, falsified_ = false, on_trial_ = false;
 };
 
 // What goes wrong, for how long. Several at once, or none for a while.
@@ -350,6 +424,7 @@ public:
     explicit Drive(unsigned seed) : random_(seed), seldom_(seed % 2U == 0U) {
         const lpvg_real_t nothing[LPVG_NY] = {};
         lpvg_model_start(&vehicle_, &lpvg_coeff, nothing, nothing);
+        bench_.answers = false;
     }
 
     // Everything up to the next call, and the call. False where the ECU is not what the oracle says.
@@ -469,6 +544,8 @@ private:
             return true;
         }
         const lpvg_ecu_t& ecu = bench_.ecu;
+        oracle_.hear(static_cast<lpvg_verdict_t>(ecu.report.verdict), lpvg_monitor_verdict(&ecu.monitor, ecu.core_us) == lpvg_verdict_valid,
+                     ecu.monitor.has_falsified ? ecu.monitor.t_falsified_us : -1);
         const auto demand = static_cast<double>(ecu.control.u[0]);
         const int64_t counted_us = std::min<int64_t>(oracle_.elapsed_us, 3 * half_period_us);
         const double change = static_cast<double>(lpvg_control_coeff.reals.rate_max[0]) * 1e-6 * static_cast<double>(counted_us) * rounding;
@@ -480,6 +557,7 @@ private:
         released_by |= was_engaged && !oracle_.engaged ? oracle_.causes : 0U;
         return ecu.causes == oracle_.causes && bench_.engaged() == oracle_.engaged && ecu.kept.locked == oracle_.locked &&
                ecu.report.supervision == oracle_.state && (!is_valid || oracle_.may_be_valid()) &&
+               (!oracle_.must_be_invalid() || ecu.report.verdict == lpvg_verdict_invalid) &&
                (oracle_.pace != lpvg_ecu_pace_bad || ecu.report.verdict == lpvg_verdict_fault) &&
                std::fabs(demand) <= largest_limit(lpvg_control_coeff.reals, 0) * rounding && std::fabs(demand - before) <= change &&
                (oracle_.engaged || std::fabs(demand) <= std::fmax(0.0, std::fabs(before) - change / rounding) * rounding + 1e-6);
@@ -537,7 +615,7 @@ TEST_CASE("whatever happens, a step is what time, frames and newest verdict say"
     CAPTURE(steps, counts.engaged, counts.locked, counts.valid, counts.invalid, counts.refused, counts.released_by);
     CHECK(counts.engaged > steps / 5U);
     CHECK(counts.locked > steps / 100U);
-    CHECK(counts.valid > steps / 20U);
+    CHECK(counts.valid > steps / 25U);
     CHECK(counts.invalid > 0U);
     CHECK(counts.refused > 0U);
     // LPVG_ECU_CAUSE_UNJUDGED never comes alone: what leaves no verdict releases in the same step.

@@ -1,5 +1,5 @@
-// An ECU and the frames of a truck that drives straight on while a yaw rate is asked for. The bus runs on true time; steps come when
-// a test says, and their clock may be off from it.
+// An ECU and the frames of a vehicle that answers the demand as the nominal model does, while a yaw rate is asked for. The bus runs on true
+// time; steps come when a test says, and their clock may be off from it.
 #pragma once
 
 #include "../catch.hpp"
@@ -16,7 +16,7 @@
 
 constexpr int64_t tick_us = 10'000;
 
-const lpvg_ecu_config_t bench_config = {true, 0U, 0U, {2.07F, 5.0F, 1.5F, 0.15F, 100U}, {0.14F, 1.0F, 30U}};
+const lpvg_ecu_config_t bench_config = {true, 0U, 0U, {2.07F, 5.0F, 1.5F, 0.15F, 100U}, {0.14F, 0.04F, 30U, 0.25F}};
 
 struct BenchReport {
     float demand = NAN, statistic = NAN, verdict = NAN, supervision = NAN, engagement = NAN;
@@ -27,6 +27,8 @@ public:
     explicit Bench(const lpvg_ecu_config_t& with = bench_config, const lpvg_coeff_t& coeff = lpvg_coeff,
                    const lpvg_control_coeff_t& control = lpvg_control_coeff) {
         REQUIRE(lpvg_ecu_init(&ecu, &coeff, &control, &with, 0) == lpvg_status_ok);
+        const lpvg_real_t nothing[LPVG_NU + LPVG_NY] = {};
+        lpvg_model_start(&vehicle_, &lpvg_coeff, nothing, nothing);
     }
 
     // Writes what is kept as the ECU does, its second copy included.
@@ -108,10 +110,13 @@ public:
     lpvg_status_t status = lpvg_status_ok;
     int64_t k = 0;
     int64_t now_us = 0, next_frame_us = 0;  // true time of the newest step, and of the next frames
-    int64_t clock_off_us = 0;               // the steps' clock less true time
+    int64_t clock_off_us = 0;  // the steps' clock less true time
     float speed = 12.0F, yaw_rate = 0.0F, lateral = 0.0F, wheel_angle = 0.0F, command = 0.05F;
+    float brake_gain = 1.0F;  // of the pressure to the demand
     float pressure = 0.0F, pedal_percent = 0.0F;
     uint8_t early_request = LPVG_BUS_REQUEST_RELEASE, request = LPVG_BUS_REQUEST_CONTROL, other_priority = 0U, abs_active = 0U;
+    bool answers = true;  // the demand moves the vehicle; what follows is added to that
+    float response = 1.0F;  // of the vehicle to the demand, over the nominal one
     bool send_vdc2 = true, send_guard_in = true, send_ebc2 = true, send_ebc1 = true, spoil_guard_in = false, brakes_work = true,
          second_sender = false;
     BenchReport report;
@@ -120,13 +125,27 @@ public:
     uint8_t fmi = 0, lamps = 0;
 
 private:
+    struct Motion {
+        float yaw_rate = 0.0F, wheel_angle = 0.0F;
+    };
+
+    // The outputs of the nominal model, which goes on by a sample period.
+    Motion move() {
+        lpvg_real_t y[LPVG_NY];
+        lpvg_model_output(&vehicle_, &lpvg_coeff, y);
+        const lpvg_real_t u[LPVG_NU] = {ecu.control.u[0] * static_cast<lpvg_real_t>(response)};
+        lpvg_model_advance(&vehicle_, &lpvg_coeff, static_cast<lpvg_real_t>(speed), u);
+        return {static_cast<float>(y[0]), static_cast<float>(y[1])};
+    }
+
     void send(std::vector<lpvg_can_frame_t>& in, int64_t t_us) {
         lpvg_can_frame_t frame{};
         frame.t_us = t_us + clock_off_us;
+        const Motion motion = answers ? move() : Motion{};
         lpvg_can_vdc2_t vdc2{};
-        vdc2.steering_wheel_angle = lpvg_can_vdc2_steering_wheel_angle_encode(20.0F * wheel_angle);
-        vdc2.yaw_rate = lpvg_can_vdc2_yaw_rate_encode(yaw_rate);
-        vdc2.lateral_acceleration = lpvg_can_vdc2_lateral_acceleration_encode(lateral);
+        vdc2.steering_wheel_angle = lpvg_can_vdc2_steering_wheel_angle_encode(20.0F * (wheel_angle + motion.wheel_angle));
+        vdc2.yaw_rate = lpvg_can_vdc2_yaw_rate_encode(yaw_rate + motion.yaw_rate);
+        vdc2.lateral_acceleration = lpvg_can_vdc2_lateral_acceleration_encode(lateral + motion.yaw_rate * speed);
         vdc2.longitudinal_acceleration = lpvg_can_vdc2_longitudinal_acceleration_encode(0.0F);
         REQUIRE(lpvg_can_vdc2_pack(&vdc2, &frame) == lpvg_status_ok);
         newest_vdc2 = vdc2;
@@ -135,7 +154,7 @@ private:
         }
         lpvg_can_guard_in_t guard{};
         // The brakes: what was demanded a period ago, through a lag of 0.14 s.
-        pressure += brakes_work ? (static_cast<float>(ecu.control.u[0]) - pressure) * 0.01F / 0.15F : 0.0F;
+        pressure += brakes_work ? (brake_gain * static_cast<float>(ecu.control.u[0]) - pressure) * 0.01F / 0.15F : 0.0F;
         guard.dp_measured = lpvg_can_guard_in_dp_measured_encode(pressure);
         guard.control_request = t_us < 200'000 ? early_request : request;
         guard.other_priority = other_priority;
@@ -199,8 +218,9 @@ private:
     }
 
     std::vector<lpvg_can_frame_t> late_;
+    lpvg_model_t vehicle_{};
     uint8_t counter_ = 0;
 };
 
-constexpr int to_live = 41;     // EBC2's fifth frame is the 41st tick's
+constexpr int to_live = 41;  // EBC2's fifth frame is the 41st tick's
 constexpr int wait_steps = LPVG_ECU_WAIT_US / tick_us;

@@ -284,6 +284,126 @@ TEST_CASE("as many messages as there is room for", "[unit][can][REQ-CAN-8]") {
     }
 }
 
+namespace {
+
+constexpr int64_t kRulePeriod = 10'000;
+
+// A supervisor of one protected message of two bytes.
+struct Protected {
+    lpvg_can_rule_t rule = {1U, 0xFFFFFFFFU, static_cast<uint32_t>(kRulePeriod), 0U, 0x0123U, 1U, 2U, 0U, nullptr};
+    lpvg_can_supervisor_t self;
+
+    Protected() { REQUIRE(lpvg_can_init(&self, &rule, 1U, 0) == lpvg_status_ok); }
+
+    lpvg_can_event_t send(int64_t t_us, int64_t counter) {
+        lpvg_can_frame_t frame{};
+        frame.id = 1U;
+        frame.dlc = 2U;
+        frame.t_us = t_us;
+        auto next = static_cast<uint8_t>(counter % LPVG_CAN_COUNTERS);
+        REQUIRE(lpvg_can_e2e_protect(&frame, 0x0123U, &next) == lpvg_status_ok);
+        uint8_t index = 0U;
+        return lpvg_can_receive(&self, &frame, &index);
+    }
+    bool off() const { return lpvg_can_state(&self, 0U) == lpvg_can_state_off; }
+};
+
+// Genuine frames, and after_us behind each nth of them a frame whose counter is `ahead` of it. Returns how many periods until off.
+int64_t periods_until_off(Protected& bus, int64_t every, int64_t after_us, int64_t ahead) {
+    for (int64_t k = 1; k <= 20; ++k) {
+        bus.send(kRulePeriod * k, k);
+    }
+    REQUIRE_FALSE(bus.off());
+    for (int64_t k = 21; k <= 420; ++k) {
+        bus.send(kRulePeriod * k, k);
+        if (bus.off()) {
+            return k - 20;
+        }
+        if (k % every == 0) {
+            bus.send(kRulePeriod * k + after_us, k + ahead);
+        }
+        if (bus.off()) {
+            return k - 20;
+        }
+    }
+    return INT64_MAX;
+}
+
+}  // namespace
+
+TEST_CASE("a thin second sender is found by the counters of its frames", "[unit][can][REQ-CAN-9]") {
+    const int64_t every = GENERATE(5, 10);
+    Protected bus;
+    const int64_t periods = periods_until_off(bus, every, kRulePeriod / 2, 1);
+    CAPTURE(every);
+    CHECK(periods <= 20 * every);
+}
+
+TEST_CASE("a frame that repeats a counter late, or any other that is bad, is no second sender", "[unit][can][REQ-CAN-9]") {
+    Protected bus;
+    for (int64_t k = 1; k <= 400; ++k) {
+        bus.send(kRulePeriod * k, k);
+        if (k > 20 && k % 20 == 0) {
+            CHECK(bus.send(kRulePeriod * k + kRulePeriod * 9 / 10, k) == lpvg_can_event_repeated);
+        }
+        if (k > 20 && k % 20 == 10) {
+            CHECK(bus.send(kRulePeriod * k + kRulePeriod / 4, k + 12) == lpvg_can_event_sequence);
+        }
+        CHECK((k <= 5 || !bus.off()));
+    }
+    CHECK(bus.self.watch[0].foreign == 0U);
+}
+
+TEST_CASE("a score of a second sender's frames falls with good frames", "[unit][can][REQ-CAN-9]") {
+    Protected bus;
+    for (int64_t k = 1; k <= 20; ++k) {
+        bus.send(kRulePeriod * k, k);
+    }
+    CHECK(bus.send(kRulePeriod * 20 + kRulePeriod / 4, 20) == lpvg_can_event_repeated);
+    CHECK(bus.self.watch[0].foreign == LPVG_CAN_FOREIGN_ADD);
+    for (int64_t k = 21; k <= 23; ++k) {
+        bus.send(kRulePeriod * k, k);
+    }
+    CHECK(bus.self.watch[0].foreign == LPVG_CAN_FOREIGN_ADD - 3U);
+}
+
+TEST_CASE("a bad frame counts as a second sender's by the counter alone, with whatever else it breaks", "[unit][can][REQ-CAN-9]") {
+    Protected bus;
+    bus.rule.gap_min_us = static_cast<uint32_t>(kRulePeriod / 2);
+    CHECK(bus.send(kRulePeriod / 4, LPVG_CAN_COUNTERS) == lpvg_can_event_recovering);
+    CHECK(bus.send(kRulePeriod / 2, 0) == lpvg_can_event_early);
+    CHECK(bus.self.watch[0].foreign == LPVG_CAN_FOREIGN_ADD);
+    Protected fresh;
+    fresh.rule.gap_min_us = static_cast<uint32_t>(kRulePeriod / 2);
+    lpvg_can_frame_t frame{};
+    frame.id = 1U;
+    uint8_t index = 0U;
+    CHECK(lpvg_can_receive(&fresh.self, &frame, &index) == lpvg_can_event_length);
+    frame.t_us = kRulePeriod / 4;
+    CHECK(lpvg_can_receive(&fresh.self, &frame, &index) == lpvg_can_event_early);  // before any counter
+    CHECK(fresh.self.watch[0].foreign == 0U);
+    fresh.rule.e2e = 0U;
+    frame.t_us = kRulePeriod / 3;
+    CHECK(lpvg_can_receive(&fresh.self, &frame, &index) == lpvg_can_event_early);
+    CHECK(fresh.self.watch[0].foreign == 0U);
+}
+
+TEST_CASE("a mean rate that is a sixth too high switches off, and the right one back on", "[unit][can][REQ-CAN-9]") {
+    Protected bus;
+    const int64_t fast = kRulePeriod * 6 / 7;
+    int64_t t_us = 0, k = 1;
+    int64_t sent = 0;
+    for (; sent < 3 * int64_t{LPVG_CAN_RATE_ARRIVALS} && (sent < 20 || !bus.off()); ++sent, ++k) {
+        bus.send(t_us += fast, k);
+    }
+    CHECK(bus.off());
+    CHECK(sent <= LPVG_CAN_RATE_ARRIVALS + 1);
+    for (sent = 0; sent < 3 * int64_t{LPVG_CAN_RATE_ARRIVALS} && bus.off(); ++sent, ++k) {
+        bus.send(t_us += kRulePeriod, k);
+    }
+    CHECK_FALSE(bus.off());
+}
+
 TEST_CASE("silence while recovering begins the count anew", "[unit][can][REQ-CAN-3]") {
     CanBus bus;
     bus.run(1, 3);

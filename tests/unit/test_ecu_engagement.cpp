@@ -148,14 +148,105 @@ TEST_CASE("a falsified model and contradicting sensors lock until they are ackno
     bench.ecu.monitor.has_falsified = false;
     bench.ecu.plausibility = {};
     bench.run(300);
-    CHECK(bench.ecu.causes == LPVG_ECU_CAUSE_LOCKED);
-    CHECK(bench.spn == LPVG_ECU_SPN_LOCKED);
+    CHECK(bench.ecu.causes == (LPVG_ECU_CAUSE_LOCKED | (invalid ? LPVG_ECU_CAUSE_INVALID | LPVG_ECU_CAUSE_WAIT : 0U)));
+    CHECK(bench.spn == (invalid ? LPVG_ECU_SPN_INVALID : LPVG_ECU_SPN_LOCKED));
     CHECK(bench.fmi == LPVG_CAN_FMI_CONDITION);
     CHECK_FALSE(bench.engaged());
+    if (invalid) {  // silence is no evidence
+        CHECK_FALSE(lpvg_ecu_acknowledge(&bench.ecu));
+        bench.run(static_cast<int>(LPVG_ECU_CALM_US / tick_us));
+        CHECK(bench.ecu.report.verdict == lpvg_verdict_invalid);
+    }
     CHECK(lpvg_ecu_acknowledge(&bench.ecu));
-    bench.step();
+    bench.run(wait_steps + 1);
     CHECK(bench.engaged());
     CHECK_FALSE(lpvg_ecu_acknowledge(nullptr));
+}
+
+TEST_CASE("an invalid verdict that comes back on trial is not acknowledged again, one after a valid verdict is",
+          "[unit][ecu][REQ-ECU-12]") {
+    const bool was_valid = GENERATE(false, true);
+    Bench bench = engaged_bench();
+    const auto falsify = [&] {
+        bench.ecu.monitor.has_falsified = true;
+        bench.ecu.monitor.t_falsified_us = bench.ecu.core_us;
+        bench.run(2);
+        CHECK_FALSE(bench.engaged());
+        bench.run(static_cast<int>(LPVG_ECU_CALM_US / tick_us) + 1);
+    };
+    falsify();
+    REQUIRE(lpvg_ecu_acknowledge(&bench.ecu));
+    bench.run(wait_steps + 1);
+    REQUIRE(bench.engaged());
+    CHECK(bench.ecu.kept.on_trial);
+    if (was_valid) {
+        bench.ecu.monitor.has_evidence = true;
+        bench.ecu.monitor.t_evidence_us = bench.ecu.core_us;
+        bench.step();
+    }
+    CHECK(bench.ecu.kept.on_trial != was_valid);
+    falsify();
+    CHECK(lpvg_ecu_acknowledge(&bench.ecu) == was_valid);
+}
+
+TEST_CASE("evidence from before a gap or a release makes no verdict valid", "[unit][ecu][REQ-ECU-17]") {
+    const bool gap = GENERATE(false, true);
+    Bench bench = engaged_bench();
+    const auto speak = [&] {
+        bench.ecu.monitor.has_evidence = true;
+        bench.ecu.monitor.t_evidence_us = bench.ecu.core_us;
+        bench.step();
+    };
+    speak();
+    REQUIRE(bench.ecu.report.verdict == lpvg_verdict_valid);
+    if (gap) {
+        bench.send_vdc2 = false;
+        bench.run(6);
+        bench.send_vdc2 = true;
+    } else {
+        bench.request = LPVG_BUS_REQUEST_RELEASE;
+        bench.run(1);
+        bench.request = LPVG_BUS_REQUEST_CONTROL;
+    }
+    for (int i = 0; i < 1500; ++i) {
+        bench.step();
+        REQUIRE(bench.ecu.report.verdict != lpvg_verdict_valid);
+    }
+    CHECK(bench.engaged());
+}
+
+TEST_CASE("an engagement begins with a share of the demand, which evidence raises and a release takes back", "[unit][ecu][REQ-ECU-17]") {
+    Bench bench = engaged_bench();
+    const auto probe = static_cast<lpvg_real_t>(LPVG_ECU_PROBE_SHARE);
+    CHECK(bench.ecu.share == probe);
+    int steps = 0;
+    for (; bench.ecu.share < lpvg_real_t(1) && steps < 300; ++steps) {
+        const auto limit = static_cast<double>(bench.ecu.share * bench.ecu.kept.u_max);
+        bench.step();
+        CHECK(std::fabs(static_cast<double>(bench.ecu.control.u[0])) <= limit * 1.001);
+    }
+    CHECK(steps > static_cast<int>(LPVG_ECU_PROBE_US / tick_us));
+    CHECK(steps < 200);
+    bench.pedal_percent = 10.0F;
+    bench.run(12);
+    CHECK_FALSE(bench.engaged());
+    CHECK(bench.ecu.share == probe);
+}
+
+TEST_CASE("a demand that rests at its limit without evidence widens the limit by a step", "[unit][ecu][REQ-ECU-17]") {
+    Bench bench;
+    bench.command = 0.0F;  // the demand stays small: no evidence
+    bench.run_until_engaged();
+    const auto probe = static_cast<lpvg_real_t>(LPVG_ECU_PROBE_SHARE);
+    const lpvg_real_t before = bench.ecu.share;
+    int steps = 0;
+    for (; bench.ecu.share < before + probe && steps < 1000; ++steps) {
+        REQUIRE(bench.ecu.share == before);
+        ++bench.ecu.control.limited;  // as if the limit had cut the demand
+        bench.step();
+    }
+    CHECK(bench.ecu.share == before + probe);
+    CHECK(steps == static_cast<int>(LPVG_ECU_PROBE_US / tick_us));
 }
 
 TEST_CASE("a lock ends by acknowledging whether or not engagement is asked for", "[unit][ecu][REQ-ECU-12]") {
@@ -164,14 +255,14 @@ TEST_CASE("a lock ends by acknowledging whether or not engagement is asked for",
     bench.ecu.releases = 2U;
     lpvg_ecu_engage(&bench.ecu, false);
     bench.step();
-    CHECK(bench.ecu.causes == (LPVG_ECU_CAUSE_NOT_ASKED | LPVG_ECU_CAUSE_LOCKED));
+    CHECK(bench.ecu.causes == (LPVG_ECU_CAUSE_NOT_ASKED | LPVG_ECU_CAUSE_LOCKED | LPVG_ECU_CAUSE_WAIT));
     CHECK(lpvg_ecu_acknowledge(&bench.ecu));
-    CHECK(bench.ecu.releases == 0U);
+    CHECK(bench.ecu.releases == 2U);  // acknowledging forgets no release
     bench.step();
-    CHECK(bench.ecu.causes == LPVG_ECU_CAUSE_NOT_ASKED);
+    CHECK(bench.ecu.causes == (LPVG_ECU_CAUSE_NOT_ASKED | LPVG_ECU_CAUSE_WAIT));
 }
 
-TEST_CASE("what is found while nothing is engaged does not lock", "[unit][ecu][REQ-ECU-12]") {
+TEST_CASE("a model that is falsified while nothing is engaged is not engaged before it is acknowledged", "[unit][ecu][REQ-ECU-12]") {
     lpvg_ecu_config_t waiting = bench_config;
     waiting.engage = false;
     Bench bench(waiting);
@@ -179,9 +270,12 @@ TEST_CASE("what is found while nothing is engaged does not lock", "[unit][ecu][R
     bench.ecu.monitor.has_falsified = true;
     bench.ecu.monitor.t_falsified_us = bench.ecu.core_us;
     bench.run(2);
-    CHECK(bench.ecu.causes == (LPVG_ECU_CAUSE_NOT_ASKED | LPVG_ECU_CAUSE_INVALID));
+    CHECK(bench.ecu.causes == (LPVG_ECU_CAUSE_NOT_ASKED | LPVG_ECU_CAUSE_INVALID | LPVG_ECU_CAUSE_LOCKED));
     bench.ecu.monitor.has_falsified = false;
     lpvg_ecu_engage(&bench.ecu, true);
+    bench.run(static_cast<int>(LPVG_ECU_CALM_US / tick_us));
+    CHECK_FALSE(bench.engaged());
+    CHECK(lpvg_ecu_acknowledge(&bench.ecu));
     bench.run(2);
     CHECK(bench.engaged());
 }
@@ -247,15 +341,43 @@ TEST_CASE("the wait is over when all of it has passed", "[unit][ecu][REQ-ECU-12]
     CHECK(bench.ecu.causes == (over ? 0U : LPVG_ECU_CAUSE_WAIT));
 }
 
-TEST_CASE("asking and the speed's range release without being counted", "[unit][ecu][REQ-ECU-12]") {
+TEST_CASE("asking releases without being counted as a fault, and waits as every cause does", "[unit][ecu][REQ-ECU-12]") {
     Bench bench = engaged_bench();
     for (unsigned i = 0; i < 2U * LPVG_ECU_RELEASES_MAX; ++i) {
         lpvg_ecu_engage(&bench.ecu, false);
         bench.step();
-        CHECK(bench.ecu.causes == LPVG_ECU_CAUSE_NOT_ASKED);
+        CHECK(bench.ecu.causes == (LPVG_ECU_CAUSE_NOT_ASKED | LPVG_ECU_CAUSE_WAIT));
         lpvg_ecu_engage(&bench.ecu, true);
+        bench.run(wait_steps - 1);
+        CHECK_FALSE(bench.engaged());
         bench.step();
         CHECK(bench.engaged());
     }
     CHECK(bench.ecu.releases == 0U);
+}
+
+TEST_CASE("the sixtieth engagement of an hour is the last, whatever ended them and whoever acknowledges", "[unit][ecu][REQ-ECU-18]") {
+    const int kind = GENERATE(0, 1, 2, 3);
+    Bench bench = engaged_bench();
+    int engagements = 1;
+    const int64_t begin_us = bench.ecu.core_us;
+    for (bool before = true; bench.ecu.core_us - begin_us < 3'600'000'000; before = bench.engaged()) {
+        const bool flickers = bench.k % 100 < 10;
+        bench.other_priority = kind == 0 && flickers ? 2U : 0U;
+        bench.pedal_percent = kind == 1 && flickers ? 10.0F : 0.0F;
+        bench.abs_active = kind == 2 && flickers ? 1U : 0U;
+        bench.request = kind == 3 && flickers ? LPVG_BUS_REQUEST_RELEASE : LPVG_BUS_REQUEST_CONTROL;
+        if (bench.k % 300 == 299) {
+            (void)lpvg_ecu_acknowledge(&bench.ecu);
+        }
+        bench.step();
+        engagements += bench.engaged() && !before ? 1 : 0;
+        if (!long_form() && bench.ecu.core_us - begin_us > 300'000'000) {
+            break;
+        }
+    }
+    CHECK(engagements == static_cast<int>(LPVG_ECU_ENGAGEMENTS_MAX));
+    CHECK(bench.ecu.kept.locked);
+    CHECK(bench.ecu.lock_causes == LPVG_ECU_CAUSE_OFTEN);
+    CHECK(has(bench, LPVG_ECU_CAUSE_OFTEN));
 }

@@ -51,6 +51,7 @@ TEST_CASE("damaged coefficients of either kind release by the kept rate", "[unit
     } else {
         control.reals.rate_max[0] *= lpvg_real_t(2);
     }
+    bench.command = 0.12F;  // for a demand that takes more than a step to run down
     auto before = static_cast<double>(bench.ecu.kept.demand);
     std::size_t wrong = 0;
     int steps = 0;
@@ -445,6 +446,7 @@ TEST_CASE("after damage the demand runs to zero by the kept rate, a late step co
     lpvg_ecu_config_t with = bench_config;
     with.report_only = LPVG_ECU_CAUSES_OPTIONAL;
     Bench bench(with);
+    bench.answers = false;
     bench.command = 0.2F * sign;
     bench.run_until_engaged();
     const double rate = static_cast<double>(lpvg_control_coeff.reals.rate_max[0]);

@@ -110,6 +110,8 @@ TEST_CASE("a verdict that speaks for the vehicle is said of speeds in the range,
     };
     CHECK(says() == (degraded ? lpvg_verdict_degraded : lpvg_verdict_valid));
     bench.ecu.clock.pace = lpvg_ecu_pace_unknown;
+    CHECK(says() == (degraded ? lpvg_verdict_unknown : lpvg_verdict_not_judged));  // the release voids the evidence
+    bench.ecu.clock.pace = lpvg_ecu_pace_unknown;
     CHECK(says() == lpvg_verdict_unknown);
     bench.ecu.clock.pace = lpvg_ecu_pace_good;
     bench.speed = 7.0F;
@@ -152,7 +154,7 @@ TEST_CASE("a late step releases at once; the loop comes back when the period has
     for (; !bench.engaged() && t_us < begin_us + 2 * window_us; t_us += tick_us) {
         bench.step_at(t_us);
     }
-    CHECK(bench.now_us - begin_us == window_us / 2 + static_cast<int64_t>(LPVG_ECU_WAIT_US));
+    CHECK(bench.now_us - begin_us == window_us / 2 + static_cast<int64_t>(LPVG_ECU_WAIT_US) - tick_us);
     CHECK(bench.ecu.core_us == bench.now_us);
     const int64_t sooner_us = bench.now_us + 3 * tick_us / 2;  // the latest step that is in time
     bench.step_at(sooner_us);

@@ -237,6 +237,35 @@ TEST_CASE("invalid is held for the longest frame after the last falsifying one",
     CHECK(recovered - last_falsified == period_us() * (longest() + 1));
 }
 
+TEST_CASE("a frame that ended before its evidence was made void gives none", "[unit][monitor][REQ-MON-5]") {
+    Drive drive;
+    drive.settle();
+    REQUIRE(drive.verdict() == lpvg_verdict_valid);
+    lpvg_monitor_void(&drive.monitor);
+    CHECK(drive.verdict() == lpvg_verdict_not_judged);
+    // Frames are judged a step or more behind their end. The second drive is the first, with its evidence void just before one is judged.
+    Drive first, second;
+    first.settle();
+    second.settle();
+    const int64_t known_us = first.monitor.t_evidence_us;
+    while (first.monitor.t_evidence_us == known_us) {
+        REQUIRE(first.step() == lpvg_status_ok);
+        if (first.monitor.t_evidence_us == known_us) {
+            REQUIRE(second.step() == lpvg_status_ok);
+        }
+    }
+    REQUIRE(first.monitor.t_evidence_us <= second.monitor.t_us);
+    lpvg_monitor_void(&second.monitor);
+    REQUIRE(second.step() == lpvg_status_ok);
+    CHECK_FALSE(second.monitor.has_evidence);
+    drive.run(4U * longest());
+    CHECK(drive.verdict() == lpvg_verdict_valid);
+    lpvg_monitor_void(nullptr);
+    lpvg_monitor_t cleared{};
+    lpvg_monitor_void(&cleared);
+    CHECK(cleared.t_void_us == 0);
+}
+
 TEST_CASE("a quiet vehicle is not judged, for want of excitation", "[unit][monitor][REQ-MON-6]") {
     Drive drive;
     drive.amplitude = 0.0;

@@ -52,6 +52,43 @@ std::function<void(Bench&)> followed_by(Follower follower) {
     };
 }
 
+// Behind every n-th GUARD_IN, 2 ms before the next one, comes a frame with that one's counter: the genuine frame is the early one.
+template <int n>
+void thinned(Bench& bench) {
+    auto count = std::make_shared<int>(0);
+    auto waiting = std::make_shared<Frames>();
+    bench.filter = [count, waiting](const Frames& frames) {
+        Frames out = *waiting;
+        waiting->clear();
+        for (const auto& frame : frames) {
+            out.push_back(frame);
+            if (frame.id == LPVG_CAN_GUARD_IN_ID && ++*count % n == 0) {
+                lpvg_can_frame_t foreign = frame;
+                auto next = static_cast<uint8_t>((frame.data[1] % 16U + 1U) % LPVG_CAN_COUNTERS);
+                REQUIRE(lpvg_can_e2e_protect(&foreign, LPVG_CAN_GUARD_IN_E2E_DATA_ID, &next) == lpvg_status_ok);
+                foreign.t_us += tick_us - 2'000;
+                waiting->push_back(foreign);
+            }
+        }
+        return out;
+    };
+}
+
+void thinned_vdc2(Bench& bench) {
+    auto count = std::make_shared<int>(0);
+    bench.filter = [count](const Frames& frames) {
+        Frames out;
+        for (const auto& frame : frames) {
+            out.push_back(frame);
+            if (frame.id == LPVG_CAN_VDC2_ID && ++*count % 5 == 0) {
+                out.push_back(frame);
+                out.back().t_us += tick_us / 2;
+            }
+        }
+        return out;
+    };
+}
+
 // What was sent so many periods ago: counter and checksum are right, and so is the sequence for a receiver of these frames alone.
 class Recording {
 public:
@@ -115,6 +152,20 @@ void replay_authenticated(Bench& bench) {
     bus->replay();
 }
 
+std::function<void(Bench&)> brakes_of(float gain) {
+    return [gain](Bench& bench) { bench.brake_gain = gain; };
+}
+
+std::function<void(Bench&)> response_of(float gain) {
+    return [gain](Bench& bench) { bench.response = gain; };
+}
+
+void excited(Bench& bench) {
+    const auto t = 0.01F * static_cast<float>(bench.k);
+    bench.command = 0.06F * (std::sin(t) + std::sin(0.5F * t) + std::sin(2.0F * t));
+    bench.step();
+}
+
 template <int steps>
 void lost_for_60_ms_of(Bench& bench) {
     bench.send_vdc2 = bench.k % steps >= 6;
@@ -144,6 +195,9 @@ const Row rows[] = {
     {"GUARD_IN, a second sender with counter + 1", "release", 10, 130.0, [](Bench& b) { b.second_sender = true; }, step},
     {"GUARD_IN, every frame sent twice", "release", 10, 130.0, followed_by([](const lpvg_can_frame_t& frame) { return frame; }), step},
     {"GUARD_IN, a recording sent beside it", "release", 10, 130.0, [](Bench& b) { followed_by(Recording())(b); }, step},
+    {"GUARD_IN, a foreign frame with the next counter behind every fifth", "release", 10, 1'100.0, thinned<5>, step},
+    {"GUARD_IN, a foreign frame with the next counter behind every tenth", "release", 10, 2'000.0, thinned<10>, step},
+    {"VDC2, a foreign frame behind every fifth", "release", 10, 1'300.0, thinned_vdc2, step},
     {"GUARD_IN, a recording in its place, where it is authenticated", "release", 10, 50.0, replay_authenticated, step},
     {"VDC2 lost for 60 ms of every 200 ms", "release, while it lasts", 20, 220.0, nothing, lost_for_60_ms_of<20>},
     {"VDC2 lost for 60 ms of every 2 s", "release, then lock", 200, 8'100.0, nothing, lost_for_60_ms_of<200>, 12.0F, true},
@@ -162,6 +216,14 @@ const Row rows[] = {
          b.pressure = static_cast<float>(b.ecu.control.u[0]) - 2.2F;
      },
      step},
+    {"brakes stuck at 0.3 bar of demand", "release, lock", 10, 2'000.0, brakes_of(0.0F), step},
+    {"brakes with half the gain at 0.3 bar", "release, lock", 10, 2'000.0, brakes_of(0.5F), step},
+    {"brakes with twice the gain at 0.3 bar", "release, lock", 10, 2'000.0, brakes_of(2.0F), step},
+    {"brakes reversed at 0.3 bar", "release, lock", 10, 2'000.0, brakes_of(-1.0F), step},
+    {"the vehicle's response reversed", "release, lock", 10, 1'500.0, response_of(-1.0F), excited},
+    {"the vehicle does not respond", "release, lock", 10, 1'500.0, response_of(0.0F), excited},
+    {"the vehicle responds with 0.3 of the gain", "release, lock", 10, 5'000.0, response_of(0.3F), excited},
+    {"the vehicle responds with 3 times the gain", "release, lock", 10, 5'000.0, response_of(3.0F), excited},
     {"kept values or state damaged", "release until init", 10, 10.0, [](Bench& b) { b.ecu.inverted[5] ^= 4U; }, step},
     {"coefficients damaged", "release until init", 997, 10'010.0,
      [](Bench& b) { const_cast<lpvg_coeff_t*>(b.ecu.kept.coeff)->reals.threshold *= lpvg_real_t(2); }, step},
@@ -211,6 +273,78 @@ std::string table() {
 }
 
 }  // namespace
+
+// The causes that come back: what begins and ends one, and whether it is a fault.
+struct Flicker {
+    const char* cause;
+    std::function<void(Bench&, bool)> set;
+};
+
+const Flicker flickers[] = {
+    {"not asked", [](Bench& b, bool on) { lpvg_ecu_engage(&b.ecu, !on); }},
+    {"no request", [](Bench& b, bool on) { b.request = on ? LPVG_BUS_REQUEST_RELEASE : LPVG_BUS_REQUEST_CONTROL; }},
+    {"another command", [](Bench& b, bool on) { b.other_priority = on ? 1U : 0U; }},
+    {"brake pedal", [](Bench& b, bool on) { b.pedal_percent = on ? 10.0F : 0.0F; }},
+    {"ABS", [](Bench& b, bool on) { b.abs_active = on ? 1U : 0U; }},
+    {"speed", [](Bench& b, bool on) { b.speed = on ? 22.3F : 21.95F; }},
+    {"message", [](Bench& b, bool on) { b.send_vdc2 = !on; }},
+    {"verdict unknown", [](Bench& b, bool on) { b.ecu.report.verdict = on ? uint8_t{lpvg_verdict_unknown} : b.ecu.report.verdict; }},
+    {"verdict invalid",
+     [](Bench& b, bool on) {
+         b.ecu.monitor.has_falsified = on;
+         b.ecu.monitor.t_falsified_us = b.ecu.core_us;
+     }},
+    {"sensors",
+     [](Bench& b, bool on) {
+         b.ecu.plausibility.flags = on ? LPVG_CAN_IMPLAUSIBLE_WHEELS : 0U;
+         b.ecu.plausibility.score[1] = on ? 1U : 0U;
+     }},
+    {"actuator",
+     [](Bench& b, bool on) {
+         b.ecu.actuator_failed = on;
+         b.ecu.deviations = on ? 2U : 0U;
+     }},
+};
+
+// A cause that lasts 0.2 s of every two seconds, for ten minutes: from its end to engagement, engagements, and how it ends.
+std::string flicker_row(const Flicker& flicker) {
+    Bench bench;
+    bench.speed = 21.95F;
+    bench.run_until_engaged();
+    bench.run(30);
+    int engagements = 1;
+    int64_t ended_us = 0, longest_us = 0, locked_us = 0;
+    const int64_t begin_us = bench.now_us;
+    bool before = true;
+    for (int k = 0; k < 60'000; ++k) {
+        flicker.set(bench, k % 200 < 20);
+        ended_us = k % 200 == 20 ? bench.now_us : ended_us;
+        bench.step();
+        if (bench.engaged() && !before) {
+            ++engagements;
+            longest_us = std::max(longest_us, bench.now_us - ended_us);
+        }
+        locked_us = bench.ecu.kept.locked && locked_us == 0 ? bench.now_us - begin_us : locked_us;
+        before = bench.engaged();
+    }
+    CAPTURE(flicker.cause, engagements);
+    CHECK(bench.ecu.kept.locked);
+    CHECK(engagements <= static_cast<int>(LPVG_ECU_ENGAGEMENTS_MAX));
+    CHECK((engagements == 1 || longest_us >= LPVG_ECU_WAIT_US));
+    std::ostringstream row;
+    row << "| " << flicker.cause << " | " << (engagements > 1 ? std::to_string(longest_us / 1000) : "–") << " | " << engagements << " | "
+        << locked_us / 1000 << " |\n";
+    return row.str();
+}
+
+TEST_CASE("every cause waits, counts and locks, and the table of them is the one of the requirements", "[unit][reactions][REQ-ECU-18]") {
+    std::string text =
+        "| cause, 0.2 s of every 2 s | from its end to engagement [ms] | engagements | until locked [ms] |\n| --- | --- | --- | --- |\n";
+    for (const Flicker& flicker : flickers) {
+        text += flicker_row(flicker);
+    }
+    MarkedTable("flickers", "test_reactions").require(text, "LPVGUARD_FLICKERS");
+}
 
 TEST_CASE("every cause releases within its time, and the table of them is the one of the requirements", "[unit][reactions][REQ-ECU-16]") {
     MarkedTable("reactions", "test_reactions").require(table(), "LPVGUARD_REACTIONS");

@@ -22,13 +22,18 @@
 ///     live, hold -- score of bad frames reaches LPVG_CAN_SCORE_OFF -> off      (+1 each bad, -1 each good, 0 at least)
 ///     live, hold -- LPVG_CAN_WINDOW_BAD of the newest LPVG_CAN_WINDOW frames were bad -> off
 ///     any  -- LPVG_CAN_ARRIVALS frames within LPVG_CAN_ARRIVALS_PERIODS periods -> off, until as many have taken longer
+///     any  -- LPVG_CAN_RATE_ARRIVALS frames within LPVG_CAN_RATE_PERIODS periods -> off, until as many have taken longer
+///     live, hold -- score of frames of a second sender reaches LPVG_CAN_FOREIGN_OFF -> off   (LPVG_CAN_FOREIGN_ADD each frame with
+///                   the counter of the newest good one less than 3/4 of a period behind it, -1 each good one, 0 at least)
 ///     any  -- bus-off, seen as an error frame ----------------------> off
 ///
 /// Period number k counts as missed when the newest accepted frame is older than k + 1/2 periods.
 ///
 /// The window is the one of AUTOSAR's E2E state machine: its size is LPVG_CAN_WINDOW in every state, the largest number of errors is
 /// LPVG_CAN_WINDOW_BAD - 1 in VALID, and INIT and INVALID end with LPVG_CAN_RECOVER_FRAMES good frames in a row. The limit on
-/// arrivals finds a second sender: a frame inserted between the genuine ones doubles the rate, whatever it holds.
+/// arrivals finds a second sender: a frame inserted between the genuine ones doubles the rate, whatever it holds. The rate over more
+/// arrivals finds one that inserts a frame in nine. In a message with a counter each inserted frame makes a genuine one wrong: a second
+/// sender is found from one frame in fifteen on, within 2 s from one in ten on.
 ///
 /// Limits: standard J1939 messages have neither counter nor checksum. Of them loss, babbling, absent or erroneous values, range
 /// and gradient are found. A repeated or swapped frame of such a message looks valid.
@@ -61,6 +66,10 @@ extern "C" {
 #define LPVG_CAN_WINDOW_BAD 8u  ///< So many bad ones of them switch off.
 #define LPVG_CAN_ARRIVALS 8u  ///< Arrivals whose time is measured.
 #define LPVG_CAN_ARRIVALS_PERIODS 6u  ///< They must take at least so many periods.
+#define LPVG_CAN_RATE_ARRIVALS 64u  ///< Arrivals over which the mean rate is measured.
+#define LPVG_CAN_RATE_PERIODS 58u  ///< They must take at least so many periods: the tolerance of the rate is 10 %.
+#define LPVG_CAN_FOREIGN_ADD 16u  ///< What a frame adds that a second sender explains.
+#define LPVG_CAN_FOREIGN_OFF 96u  ///< So high a score switches off.
 #define LPVG_CAN_COUNTER_STEP 5u  ///< Largest step of a counter that is read as loss and not as a wrong sequence.
 #define LPVG_CAN_REORDER_US 5000   ///< A frame may carry a time this much before the newest time seen (it waited in a queue).
 #define LPVG_CAN_NO_INDEX 0xFFu
@@ -146,7 +155,10 @@ typedef struct lpvg_can_watch_t {
     uint16_t window;        ///< Newest frames, 1: bad; the newest is bit 0
     uint8_t window_bad;     ///< Bad ones of them                                                       0 .. 16
     uint8_t arrivals;       ///< Since t_window_us                                                      0 .. 7
-    uint8_t fast;           ///< The newest LPVG_CAN_ARRIVALS came too fast
+    uint8_t fast;           ///< Came too fast: 1 the newest LPVG_CAN_ARRIVALS, 2 LPVG_CAN_RATE_ARRIVALS
+    int64_t t_rate_us;      ///< Arrival at which the window of the rate began                      [us]
+    uint8_t rate_arrivals;  ///< Since t_rate_us                                                        0 .. 63
+    uint8_t foreign;        ///< Score of frames of a second sender                                     0 .. 96
     uint8_t score;          ///< Of bad frames                                                          0 .. 5
     uint8_t good_in_row;    ///< While off                                                              0 .. 5
     uint8_t counter;        ///< Of the newest frame with a right checksum                              0 .. 14
@@ -191,7 +203,7 @@ LPVG_NODISCARD lpvg_status_t lpvg_can_e2e_protect(lpvg_can_frame_t* frame, uint1
 /// pointer is NULL or dlc is out of range. *counter is written only with ok.
 LPVG_NODISCARD lpvg_status_t lpvg_can_e2e_check(const lpvg_can_frame_t* frame, uint16_t data_id, uint8_t* counter);
 
-/// Limits of the cross-checks between signals of different sensors. All > 0.
+/// Limits of the cross-checks between signals of different sensors. All > 0 and finite.
 typedef struct lpvg_can_plausibility_limits_t {
     float track_m;            ///< Distance of the two wheels whose speeds are compared                 [m]
     float speed_min_mps;      ///< Below it nothing is judged                                           [m/s]
@@ -211,7 +223,7 @@ typedef struct lpvg_can_plausibility_t {
 
 /// One sample of the cross-checks. Yaw rate [rad/s] and lateral acceleration [m/s2] are positive to the left; speed is in m/s.
 /// wheel_difference = right wheel - left wheel of one unbraked axle [m/s]. A check whose inputs are not finite is left out, and so
-/// is every check below speed_min_mps: its score stays. Returns ok; bad_argument (NULL, or a limit that is not > 0).
+/// is every check below speed_min_mps: its score stays. Returns ok; bad_argument (NULL, or a limit that is not > 0, or infinite).
 LPVG_NODISCARD lpvg_status_t lpvg_can_plausibility(lpvg_can_plausibility_t* self, const lpvg_can_plausibility_limits_t* limits,
                                                    float yaw_rate, float lateral, float speed, float wheel_difference);
 

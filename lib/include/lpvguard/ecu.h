@@ -16,12 +16,24 @@
 /// newest good frame.
 ///
 /// Engagement: the causes LPVG_ECU_CAUSE_* release while they last, but for those that `report_only` of the configuration names.
-/// After a release by anything but the asker the loop engages again LPVG_ECU_WAIT_US after its causes have gone. A cause of
-/// LPVG_ECU_CAUSES_LATCHING that ends an engagement locks it. So does the release by a fault after LPVG_ECU_RELEASES_MAX others, none of
-/// them a LPVG_ECU_RELEASES_US after the one before. A lock ends by lpvg_ecu_acknowledge only. The speed leaves the controller's
+/// After a release by any cause the loop engages again LPVG_ECU_WAIT_US after its causes have gone. A cause of LPVG_ECU_CAUSES_LATCHING
+/// that ends an engagement locks it. After LPVG_ECU_RELEASES_MAX releases by faults, each within LPVG_ECU_RELEASES_US of the one before,
+/// the next one locks. After LPVG_ECU_ENGAGEMENTS_MAX engagements within an hour, whatever ended them, the next one locks instead. An
+/// acknowledgement forgets none of these counts. The speed leaves the controller's
 /// range LPVG_ECU_SPEED_HYSTERESIS_MPS beyond its ends, so that noise at an end does not release, and is back within them.
 /// What "no excitation" means for the monitor, verdict not_judged, permits engagement, and so does degraded. Outside the range a valid
 /// verdict is reported as not_judged: it is about other speeds.
+///
+/// Evidence: a start, a gap, a release and a lock void the monitor's evidence: the verdict is valid only from frames that began since. The
+/// watch (watch.h) judges the response from the first engaged sample on; what it finds makes the verdict invalid. An engagement begins with
+/// LPVG_ECU_PROBE_SHARE of u_max. Evidence of the watch raises that to 1 within LPVG_ECU_PROBE_US. A demand that rests at the limit for
+/// that long without evidence gets a step of another such share, which the watch can judge.
+///
+/// Invalid: unless it is only reported, an invalid verdict stays and locks until it is acknowledged; time does not end it. An
+/// acknowledgement is refused while a latching cause stands, and while the hour's engagements are used up. An invalid verdict is
+/// acknowledged only after LPVG_ECU_CALM_US without engagement in which every message was live and no test falsified. That speaks against
+/// sensors and disturbances alone: the response is judged on trial, by the next engagement. When that ends invalid before a verdict was
+/// valid, no further acknowledgement is taken until init.
 ///
 /// Permission: the vehicle asks for control by its message (bus.h). Control counts after any other request has been seen since init.
 /// While another command on the actuator has a higher priority than `priority`, while the brake pedal is beyond
@@ -53,6 +65,7 @@
 #include "lpvguard/diagnosis.h"
 #include "lpvguard/j1939.h"
 #include "lpvguard/monitor.h"
+#include "lpvguard/watch.h"
 
 #if LPVG_NK > 0
 
@@ -80,6 +93,12 @@ LPVG_EXTERN_C_BEGIN
 #define LPVG_ECU_WAIT_US 500000U  ///< From the end of a cause to engagement                    [us]
 #define LPVG_ECU_RELEASES_MAX 3U  ///< Releases by faults after which the next one locks.
 #define LPVG_ECU_RELEASES_US 60000000U  ///< Time without one that forgets them                       [us]
+#define LPVG_ECU_ENGAGEMENTS_MAX 60U  ///< Engagements within an hour, whatever ended them; the next one locks.
+#define LPVG_ECU_SLOTS 16U  ///< They are counted in so many slots of LPVG_ECU_SLOT_US.
+#define LPVG_ECU_SLOT_US 240000000U  ///< One slot less than all of them is an hour                 [us]
+#define LPVG_ECU_CALM_US 10000000U  ///< Released, live, and no test falsifies: then an invalid verdict may be acknowledged [us]
+#define LPVG_ECU_PROBE_SHARE 0.25F  ///< Share of u_max at which an engagement begins                 [-]
+#define LPVG_ECU_PROBE_US 500000U  ///< Evidence for so long raises it to 1; so does each so long at the limit by another such share [us]
 
 #define LPVG_ECU_CAUSE_NOT_ASKED 0x0001U  ///< Nobody asks for engagement.
 #define LPVG_ECU_CAUSE_MESSAGE 0x0002U  ///< A needed message is not live.
@@ -92,6 +111,7 @@ LPVG_EXTERN_C_BEGIN
 #define LPVG_ECU_CAUSE_OVERRIDE 0x0400U  ///< The driver brakes, or ABS acts.
 #define LPVG_ECU_CAUSE_PERMISSION 0x0800U  ///< The vehicle does not ask for control, or another command goes first.
 #define LPVG_ECU_CAUSE_ACTUATOR 0x1000U  ///< The actuator does not do what is demanded.
+#define LPVG_ECU_CAUSE_OFTEN 0x4000U  ///< Engaged LPVG_ECU_ENGAGEMENTS_MAX times within the last hour.
 #define LPVG_ECU_CAUSE_CORRUPT 0x2000U  ///< Coefficients, kept values or state are damaged; until init.
 #define LPVG_ECU_CAUSE_WAIT 0x0100U  ///< The other causes have gone less than LPVG_ECU_WAIT_US ago.
 #define LPVG_ECU_CAUSE_LOCKED 0x0200U  ///< Waiting for lpvg_ecu_acknowledge.
@@ -100,10 +120,11 @@ LPVG_EXTERN_C_BEGIN
 #define LPVG_ECU_CAUSES_OPTIONAL (LPVG_ECU_CAUSE_UNJUDGED | LPVG_ECU_CAUSE_INVALID | LPVG_ECU_CAUSE_IMPLAUSIBLE | LPVG_ECU_CAUSE_ACTUATOR)
 /// What locks when it ends an engagement.
 #define LPVG_ECU_CAUSES_LATCHING (LPVG_ECU_CAUSE_INVALID | LPVG_ECU_CAUSE_IMPLAUSIBLE | LPVG_ECU_CAUSE_ACTUATOR)
-/// Releases that are no fault and are not counted.
+/// Releases that are no fault: LPVG_ECU_RELEASES_MAX does not count them, LPVG_ECU_ENGAGEMENTS_MAX does.
 #define LPVG_ECU_CAUSES_ORDINARY (LPVG_ECU_CAUSE_NOT_ASKED | LPVG_ECU_CAUSE_RANGE | LPVG_ECU_CAUSE_OVERRIDE | LPVG_ECU_CAUSE_PERMISSION)
 
 #define LPVG_ECU_ROUND_US 5000000U  ///< Longest round of the coefficients; damage is found within two       [us]
+#define LPVG_ECU_ACTUATOR_US 500000U  ///< Time constant of the check of the actuator                [us]
 #define LPVG_ECU_PEDAL_PERCENT 2.0F  ///< The driver brakes beyond this pedal position                    [%]
 
 /// What the newest step says of itself on the bus.
@@ -113,11 +134,14 @@ typedef enum lpvg_ecu_engagement_t {
     lpvg_ecu_locked = 2  ///< Released, until it is acknowledged.
 } lpvg_ecu_engagement_t;
 
-/// Limits of the check of the actuator against the demand. All > 0.
+/// Limits of the check of the actuator against the lagged demand of rms x. Means forget with LPVG_ECU_ACTUATOR_US. The deviation violates
+/// where its part along the demand is above relative x + tolerance, or its rms above x + tolerance. All are finite, and > 0 where
+/// nothing else is said. An actuator stuck at 0 must violate them at the largest demand: tolerance < (1 - relative) u_max.
 typedef struct lpvg_ecu_actuator_limits_t {
     float lag_s;  ///< from demand to measured value, as a first-order lag                [s]
-    float tolerance;  ///< allowed |measured value - lagged demand|                            [input unit]
+    float tolerance;  ///< absolute part of the allowed deviation                               [input unit]
     uint16_t confirm;  ///< samples by which violations must outnumber agreements
+    float relative;  ///< part in proportion to the rms x of the lagged demand, 0 .. below 1    [-]
 } lpvg_ecu_actuator_limits_t;
 
 /// Zero is safe: not asked, and every cause releases.
@@ -183,11 +207,15 @@ typedef struct lpvg_ecu_kept_t {
     lpvg_real_t speed_min;  ///< lowest of the controller's scheduling range                [m/s]
     lpvg_real_t speed_max;  ///< highest of it                                              [m/s]
     lpvg_real_t demand;  ///< newest                                                     [input unit]
+    lpvg_watch_limits_t watch;  ///< limits of the check of the response
+    int64_t now_us;  ///< of the newest step, the caller's clock                          [us]
     uint32_t period_us;  ///< sample period                                                [us]
     bool engage;  ///< asked for
     bool locked;  ///< until acknowledged
     bool standby;  ///< a request other than control has been seen since init
     bool corrupt;  ///< until init
+    bool falsified;  ///< the verdict is invalid, until acknowledged
+    bool on_trial;  ///< an invalid verdict was acknowledged, and none has been valid since
 } lpvg_ecu_kept_t;
 
 typedef struct lpvg_ecu_t {
@@ -201,18 +229,31 @@ typedef struct lpvg_ecu_t {
     lpvg_can_plausibility_t plausibility;
     lpvg_bus_signals_t signals;
     float expected;  ///< demand through the actuator's lag                           [input unit]
+    int64_t live_us;  ///< core_us of the newest step that was not live                    [us]
+    float deviation_along;  ///< mean of (measured value - expected) expected                [input unit squared]
+    float deviation_square;  ///< mean square of measured value - expected                [input unit squared]
+    float expected_square;  ///< mean square of expected                                   [input unit squared]
     uint16_t deviations;  ///< score of the check of the actuator
     bool actuator_failed;  ///< as that check stands
     lpvg_control_t control;
     lpvg_monitor_t monitor;
     lpvg_bus_report_t report;  ///< as sent by the newest step
     lpvg_ecu_fault_t fault;  ///< gravest active
-    int64_t now_us;  ///< of the newest step, the caller's clock; init's before the first [us]
+    int64_t now_us;  ///< of the newest step, the caller's clock; init's before the first; for reading: a step takes the kept one [us]
     int64_t core_us;  ///< of the newest step, the ECU's own time                      [us]
     lpvg_ecu_clock_t clock;
     int64_t dm1_us;  ///< core_us when DM1 was sent                                   [us]
     int64_t caused_us;  ///< core_us when waiting began, the newest time             [us]
     int64_t released_us;  ///< core_us of the newest release by a fault                    [us]
+    int64_t doubted_us;  ///< core_us of the newest step that was engaged, not live, or in which a test falsified [us]
+    int64_t slot_us;  ///< core_us when the current slot began                           [us]
+    uint8_t engagements[LPVG_ECU_SLOTS];  ///< of each slot, a ring
+    uint8_t slot;  ///< the current one
+    lpvg_watch_t watch;  ///< of the response, while engaged
+    lpvg_real_t share;  ///< of u_max that the demand may take                             [-]
+    uint32_t limited;  ///< control.limited of the newest step
+    uint32_t pressed_us;  ///< how long the demand has rested at its limit without evidence    [us]
+    bool watched;  ///< the watch runs: the newest step was engaged
     uint16_t causes;  ///< LPVG_ECU_CAUSE_* of the newest step, report_only ones included
     uint16_t lock_causes;  ///< what locked, 0 where nothing has since init
     uint8_t releases;  ///< by faults, as LPVG_ECU_RELEASES_MAX counts them
@@ -239,8 +280,8 @@ LPVG_NODISCARD lpvg_status_t lpvg_ecu_init(lpvg_ecu_t* self, const lpvg_coeff_t*
 /// Asks for engagement or release from the next step on. Nothing for NULL.
 void lpvg_ecu_engage(lpvg_ecu_t* self, bool engage);
 
-/// Ends a lock from the next step on, unless a cause of LPVG_ECU_CAUSES_LATCHING that releases is still there. Returns whether the
-/// loop is not locked any more; false for NULL.
+/// Ends a lock from the next step on, unless what stands forbids it (see Invalid above). Returns whether the loop is not locked any more;
+/// false for NULL.
 bool lpvg_ecu_acknowledge(lpvg_ecu_t* self);
 
 /// One sample period. frames_in [n_in] may be NULL when n_in is 0; a time stamp after now_us counts as now_us.

@@ -64,6 +64,7 @@ LPVG_EXTERN_C_BEGIN
 #define lpvg_monitor_reason LPVG_SYM(monitor_reason)
 #define lpvg_monitor_frame LPVG_SYM(monitor_frame)
 #define lpvg_monitor_take_record LPVG_SYM(monitor_take_record)
+#define lpvg_monitor_void LPVG_SYM(monitor_void)
 
 typedef enum lpvg_verdict_t {
     lpvg_verdict_unknown = 0,     ///< No frame has ended yet. Zero: cleared memory never reads "valid".
@@ -177,6 +178,7 @@ typedef struct lpvg_monitor_t {
     lpvg_real_t by_pairs;                     ///< what they found (margin.hpp)                       [-]
     int64_t t_us;                             ///< time of the newest accepted sample                 [us]
     int64_t t_evidence_us, t_falsified_us, t_changed_us;  ///< ends of the newest frames with evidence / that falsified; newest change [us]
+    int64_t t_void_us;  ///< frames that ended until then are no evidence       [us]
     bool running, has_evidence, has_falsified, has_changed, refused;  ///< started; which times are known; the newest sample was refused
     uint32_t bad_samples, out_of_order, restarts;  ///< samples refused; samples ignored; starts anew
     uint32_t repairs;  ///< times that its state could not be, saturating
@@ -206,6 +208,10 @@ const lpvg_frame_t* lpvg_monitor_frame(const lpvg_monitor_t* self);
 /// Moves the oldest recorded falsifying frame into *record and frees its place. False when there is none or for NULL.
 /// While LPVG_NRECORDS frames wait, further ones are only counted.
 bool lpvg_monitor_take_record(lpvg_monitor_t* self, lpvg_frame_t* record);
+
+/// Voids the evidence: every bin begins a new frame, and the verdict is valid only from frames that began after the call. What falsified
+/// and what changed stays. So does a gap in the samples. Nothing for NULL or before init.
+void lpvg_monitor_void(lpvg_monitor_t* self);
 
 LPVG_EXTERN_C_END
 #endif

@@ -432,3 +432,60 @@ def test_candumps_screen_with_time_stamps_is_read_as_its_log(tmp_path, monkeypat
     assert len(one) == 4 and one.left_out == other.left_out and one.channels == other.channels
     for key in ("t_ns", "id", "channel", "length", "data"):
         assert np.array_equal(getattr(one, key), getattr(other, key)), key
+
+
+def test_candumps_binary_and_swapped_screens_are_read_as_its_log(tmp_path):
+    (tmp_path / "screen.log").write_text(
+        " (1.000000)  can0  123   [2]  00001010 11110001\n"
+        " (1.100000)  can0  123   [2]  F1`0A\n"
+        " (1.200000)  can0  123   [8]  00000000 11110001\n"
+        " (1.300000)  can0  123   [3]  0A F1\n"
+    )
+    log = read_log(tmp_path / "screen.log")
+    assert isinstance(log, Frames)
+    assert log.data[:, :2].tolist() == [
+        [0x0A, 0xF1],
+        [0x0A, 0xF1],
+    ] and log.length.tolist() == [2, 2]
+    assert log.left_out == {
+        "lines that are no frame": 2,
+        "first line that is no frame": 3,
+    }
+
+
+BAD_LINES = {
+    "extended without flag": ("BO_ 316495015 OTHER: 8 A", "BO_ 316495015"),
+    "number without zero": (
+        'BO_ 5 OTHER: 8 A\n SG_ X : 0|8@1+ (.25,0) [0|255] "" A',
+        "SG_ X",
+    ),
+    "name with digit": (
+        'BO_ 5 OTHER: 8 A\n SG_ 2ND : 0|8@1+ (1,0) [0|255] "" A',
+        "SG_ 2ND",
+    ),
+    "values of no signal": ('VAL_ 291 GONE 0 "off" 1 "on" ;', "VAL_ 291 GONE"),
+}
+
+
+@pytest.mark.parametrize("case", BAD_LINES)
+def test_a_bad_line_of_a_database_costs_that_line(tmp_path, case):
+    bad, named = BAD_LINES[case]
+    path = tmp_path / "car.dbc"
+    path.write_text(
+        'VERSION ""\n\nBU_: A\n\nBO_ 291 STEER: 8 A\n SG_ V : 32|16@1+ (0.01,0) [0|655.35] "km/h" A\n\n'
+        + bad
+        + '\n\nBO_ 7 LAST: 8 A\n SG_ W : 0|8@1- (1,0) [0|0] "" A\n'
+    )
+    with pytest.warns(UserWarning, match=named):
+        database = load_database(path)
+    assert database.get_message_by_name("STEER").signals[0].scale == 0.01
+    assert database.get_message_by_name("LAST").signals[0].is_signed
+
+
+def test_a_comment_without_a_name_costs_nothing(tmp_path):
+    path = tmp_path / "car.dbc"
+    path.write_text(
+        'VERSION ""\n\nBU_: A\n\nBO_ 291 STEER: 8 A\n SG_ V : 32|16@1+ (1,0) [0|9] "" A\n\n'
+        'CM_ SG_ 291 "a comment\nof two lines";\n'
+    )
+    assert [m.name for m in load_database(path).messages] == ["STEER"]

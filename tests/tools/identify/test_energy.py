@@ -23,8 +23,9 @@ from lpvguard.drives.tables import read_drive
 from lpvguard.engine.overbound.weight import Weight
 from lpvguard.identify import run as stage
 from lpvguard.identify.bounds import nominal_error
+from lpvguard.identify.calibration import ROUNDING
 from lpvguard.identify.change import ChangeTest
-from lpvguard.identify.energy import ROUNDING, EnergyTest, fan, in_delta
+from lpvguard.identify.energy import EnergyTest, fan, in_delta
 from lpvguard.loop.generate import PROGRAMMES, plant_tool
 from lpvguard.loop.sim import steady_scenario
 from lpvguard.replay.run import Replayer

@@ -16,7 +16,8 @@ from lpvguard.base.errors import InputError
 from lpvguard.drives.frames import Estimator
 from lpvguard.engine.overbound.weight import Weight
 from lpvguard.identify import energy
-from lpvguard.identify.energy import ROUNDING, SMALLEST_SIGMA, EnergyTest, fan
+from lpvguard.identify.calibration import ROUNDING
+from lpvguard.identify.energy import SMALLEST_SIGMA, EnergyTest, fan
 
 TS, MEMORY, BAND_HZ, SETTLE = 0.1, 3.0, (0.5, 2.0), 4
 N = 60
@@ -183,7 +184,8 @@ def test_the_core_gets_the_numbers_of_the_definition(test):
     np.testing.assert_allclose(test.memories_s, memories)
     np.testing.assert_allclose(reals["energy_forget"], [1 - math.exp(-2 * TS / m) for m in memories])
     np.testing.assert_allclose(reals["energy_scale"] * test.sigma, 1.0)
-    assert reals["energy_threshold"] == 1.0 + ROUNDING and reals["energy_above"].tolist() == [0.7]
+    assert reals["energy_threshold"] == pytest.approx((1.0 + ROUNDING) ** 2)
+    assert reals["energy_above"].tolist() == [0.7]
     np.testing.assert_array_equal(reals["energy_start"], test.start)
     assert test.at_rest().start.tolist() == np.zeros((3, 2)).tolist()
     assert test.rho == pytest.approx(math.exp(-TS / MEMORY)) and test.bands == energy.band_names(3)

@@ -139,7 +139,7 @@ def test_places_are_what_the_program_takes_on_the_target(name, truck, tmp_path):
         f"const Row rows[] = {{\n{rows}}}; }}\n"
         "int main() {\n"
         "    const lpvg_ecu_config_t config = {true, 0U, 0U, {2.07F, 5.0F, 1.5F, 0.15F, 100U}, "
-        "{0.14F, 1.0F, 30U}};\n"
+        "{0.14F, 0.04F, 30U, 0.25F}};\n"
         "    const auto status = lpvg_ecu_init(&ecu, &lpvg_coeff, &lpvg_control_coeff, &config, 0);\n"
         "    if (status != lpvg_status_ok) { return 1; }\n"
         "    for (const Row& row : rows) {\n        char text[200];\n        Text line(text, sizeof text);\n"
@@ -210,7 +210,7 @@ def test_a_field_without_description_or_unit_is_refused(truck_elf, tmp_path):
     ecu = (INCLUDE / "ecu.h").read_text()
     for pattern, said in (
         (r"  ///< as that check stands", "lpvg_ecu_t.actuator_failed: not described"),
-        (r" +\[input unit\](?=\n    uint16_t deviations)", "lpvg_ecu_t.expected: no unit"),
+        (r" +\[input unit\](?=\n    int64_t live_us)", "lpvg_ecu_t.expected: no unit"),
     ):
         planted, n = re.subn(pattern, "", ecu)
         assert n == 1

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ from lpvguard.base.errors import InputError
 from lpvguard.drives.ingest import ingest
 from lpvguard.drives.tables import list_experiments, read_drive
 from lpvguard.start.run import new
-from lpvguard.start.signals import ranked
+from lpvguard.start.signals import Recording, proposed, ranked
 from lpvguard.start.templates import TEMPLATES
 from lpvguard.vehicle.project import load_project
 from made import ROOT
@@ -38,7 +39,6 @@ def write_logs(folder, names=("time", "speed", "steering_angle", "yaw_rate"), sc
 UNITS = {
     "SI": ((1.0, 1.0, 1.0), ("m/s", "rad", "rad/s"), 1.0),
     "km/h": ((3.6, 1.0, 1.0), ("km/h", "rad", "rad/s"), 1.0),
-    "mph": ((1 / 0.44704, 1.0, 1.0), ("mph", "rad", "rad/s"), 1.0),
     "degrees": ((1.0, 180 / np.pi, 1.0), ("m/s", "deg", "rad/s"), 1.0),
     "turned round": ((1.0, -1.0, 1.0), ("m/s", "rad", "rad/s"), -1.0),
     "steering wheel": ((1.0, 16.0, 1.0), ("m/s", "rad", "rad/s"), 1 / 16),
@@ -56,6 +56,46 @@ def test_units_and_signs_follow_from_the_wheelbase(tmp_path, name):
     drive = read_drive(tmp_path / "out" / "drives" / "log_0.csv", project)
     assert abs(drive.v.mean() - 6.0) < 0.3 and project.Ts_s == 0.02
     assert [e.split for e in list_experiments(tmp_path / "out" / "drives")] == ["train", "valid"]
+
+
+NAMED_UNITS = {
+    "mph": (("speed_mph", "steering_angle", "yaw_rate"), (1 / 0.44704, 1.0, 1.0), ("mph", "rad", "rad/s")),
+    "radps": (("speed", "steering_angle", "yaw_rate_radps"), (1.0, 1.0, 1.0), ("m/s", "rad", "rad/s")),
+    "dps": (("speed", "steering_angle", "yaw_rate_dps"), (1.0, 1.0, 180 / np.pi), ("m/s", "rad", "deg/s")),
+    "brackets": (
+        ("Speed [km/h]", "Steering angle [deg]", "yaw_rate [deg/s]"),
+        (3.6, 180 / np.pi, 180 / np.pi),
+        ("km/h", "deg", "deg/s"),
+    ),
+}
+
+
+@pytest.mark.parametrize("case", NAMED_UNITS)
+def test_the_unit_in_a_name_is_read_as_words(tmp_path, case):
+    names, scale, units = NAMED_UNITS[case]
+    logs = write_logs(tmp_path, ("time", *names), scale)
+    made = new("mine", logs, tmp_path / "out", wheelbase_m=2.8)
+    assert tuple(p.unit for p in made.proposals.values()) == units
+
+
+def test_miles_an_hour_without_a_word_are_refused(tmp_path):
+    logs = write_logs(tmp_path, scale=(1 / 0.44704, 1.0, 1.0))
+    with pytest.raises(InputError, match="speed_mph"):
+        new("mine", logs, tmp_path / "out", wheelbase_m=2.8)
+
+
+def test_kilometres_an_hour_and_degrees_are_no_impossible_car(tmp_path):
+    scale = (3.6, 15 * 180 / np.pi, 180 / np.pi)
+    logs = write_logs(tmp_path, scale=scale)
+    made = new("mine", logs, tmp_path / "out", wheelbase_m=2.8)
+    assert tuple(p.unit for p in made.proposals.values()) == ("km/h", "deg", "deg/s")
+    assert abs(made.proposals["input"].factor * 15 - 1) < 0.25
+
+
+def test_one_column_is_never_input_and_output(tmp_path):
+    logs = write_logs(tmp_path)
+    with pytest.raises(InputError, match="yaw_rate is both"):
+        new("mine", logs, tmp_path / "out", wheelbase_m=2.8, chosen={"input": "yaw_rate"})
 
 
 @pytest.mark.slow("2 s a template: a fit")
@@ -230,3 +270,23 @@ def test_the_command_says_what_to_do_next(tmp_path, lpvguard):
     assert done.returncode == 0 and "no wheelbase given" in done.stderr
     assert f"lpvguard fit --vehicle {tmp_path}/out/mine.toml" in done.stderr
     assert not (ROOT / "mine.toml").exists()
+
+
+@pytest.mark.parametrize("bit", ["Steering_Angle_Sign", "LW1_Vorzeichen", "VZ", "Direction"])
+def test_a_magnitude_beside_its_sign_is_refused(bit):
+    """As the buses of the VW group have them; without its sign it would be taken for the signal."""
+    t = np.arange(0.0, 60.0, 0.1)
+    delta = 0.02 * np.sin(0.5 * t)
+    values = {
+        "A.Speed": 10 + 0 * t,
+        "B.Steering_Angle": np.abs(delta),
+        f"B.{bit}": (delta < 0) + 0.0,
+        "C.Yaw_Rate": 4 * delta,
+    }
+    units = {"A.Speed": "m/s", "B.Steering_Angle": "rad", f"B.{bit}": "", "C.Yaw_Rate": "rad/s"}
+    log = Recording("a", t, values, units)
+    chosen = {"speed": "A.Speed", "input": "B.Steering_Angle", "output": "C.Yaw_Rate"}
+    with pytest.raises(InputError, match=f"never negative and B.{bit} lies beside it"):
+        proposed([log], chosen, 2.7)
+    signed = replace(log, values=values | {"B.Steering_Angle": delta})
+    assert proposed([signed], chosen, None)["input"].name == "B.Steering_Angle"

@@ -18,3 +18,7 @@ class InputError(ValueError):
     def __reduce__(self):
         """Errors come back from workers whole."""
         return InputError, (self.source, self.where, self.what, self.expected)
+
+
+class InputWarning(UserWarning):
+    """A part of the input was left out: what, where and why."""

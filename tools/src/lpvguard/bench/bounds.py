@@ -1,4 +1,4 @@
-"""Bounds of μ against problems whose value is known by algebra: false, loose and refused answers, counted.
+"""Bounds of μ and of the H∞ optimum where they are known by algebra: false, loose, refused answers, counted.
 
 Each family draws its problems from a seed; ``solve`` answers them as it answers anybody's. An answer is false
 where its upper bound lies below the value or its lower bound above it, by more than rounding. It is loose
@@ -13,13 +13,20 @@ from dataclasses import asdict, dataclass
 from functools import partial
 
 from lpvguard.base.parallel import workers as parallel_map
-from lpvguard.bench import parser, show
-from lpvguard.bench._mu_families import FAMILIES, Family, problems
+from lpvguard.bench import _hinf_families, _mu_families, parser, show
+from lpvguard.bench._mu_families import Family, problems
 from lpvguard.problems.solve import solve_problem
 
 FALSE_RTOL = 1e-7
 """Rounding of the value and of the answer, relative."""
 LOOSE = 1.01
+FAMILIES: dict[str, list[Family]] = {**_mu_families.FAMILIES, "hinf": _hinf_families.PROBLEMS}
+BOUNDS = {
+    "mu": ("mu_lower", "mu_upper"),
+    "mu_interval": ("mu_lower", "mu_upper"),
+    "hinf": ("gamma_lower", "gamma_achieved"),
+}
+"""Fields of an answer by kind."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +56,7 @@ def _outcome(family: Family, seed: int, index: int) -> tuple[bool, bool, bool, f
     answer = solve_problem({"id": index, **problem})
     if answer["status"] != "ok":
         return False, False, True, 1.0
-    upper, lower = answer["mu_upper"], answer["mu_lower"]
+    lower, upper = (answer[field] for field in BOUNDS[problem["kind"]])
     false = upper < value * (1 - FALSE_RTOL) or lower > value * (1 + FALSE_RTOL)
     ratio = upper / value if value > 0 else 1.0
     return false, ratio > LOOSE or not answer["resolved"], False, ratio

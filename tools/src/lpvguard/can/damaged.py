@@ -10,6 +10,8 @@ from math import prod
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from .asc_dialects import AscLines
+
 if TYPE_CHECKING:
     import can
 
@@ -31,11 +33,13 @@ def _require_advance(objects: bytes) -> None:
 
 
 def python_can_reader(path: Path) -> can.io.generic.MessageReader:
-    """python-can's reader of a log; that of BLF raises ValueError (`_require_advance`) where it would never
-    end."""
+    """Return python-can's reader of a log. That of BLF raises ValueError (`_require_advance`) where it would
+    never end; that of ASC reads further dialects (``AscLines``)."""
     import can  # costs 0.2 s, and is not needed for candump
 
     reader = can.LogReader(path)
+    if isinstance(reader, can.ASCReader):
+        reader.file = AscLines(reader.file)  # type: ignore[assignment]
     if isinstance(reader, can.BLFReader):
         parse = reader._parse_data
 

@@ -7,14 +7,16 @@ only when frames with the address of the database are in the log.
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..base.errors import InputError
+from ..base.errors import InputError, InputWarning
 from .catalogue import j1939_data_max
+from .database_lines import read_sound_lines
 from .dbc import dbc_text
 from .logs import EXTENDED, Frames
 
@@ -48,12 +50,48 @@ def load_database(path: Path) -> Database:
     try:
         found = cantools.database.load_file(path, strict=False, encoding=_encoding(Path(path)))
     except Exception as error:  # one exception class for each form of database
+        sound = _sound_dbc(Path(path))
+        if sound is not None:
+            return sound
         raise InputError(
             path, "", f"cannot be read ({str(error).splitlines()[0]})", "a CAN database"
         ) from None
     if not isinstance(found, Database):
         raise InputError(path, "--dbc", "describes diagnostics, no messages", "a CAN database")
     return found
+
+
+def _sound_dbc(path: Path) -> Database | None:
+    """The messages of a DBC that can be read, with a warning for what cannot; None where none can."""
+    if path.suffix.lower() != ".dbc":
+        return None
+    database, left_out = read_sound_lines(path.read_text(_encoding(path), errors="replace"))
+    if not database.messages:
+        return None
+    for line in left_out:
+        warnings.warn(f"{path}: left out, cannot be read: {line}", InputWarning, stacklevel=1)
+    return database
+
+
+def contradicting_range(signal: Signal) -> str:
+    """Return in words why the range of a signal cannot be meant, empty where it can.
+
+    A range that begins above the least value of the raw bits and ends above the greatest, or the other way
+    round, forbids values that occur and allows ones that cannot: raw ends where physical ones belong.
+    """
+    least, most = signal.minimum, signal.maximum
+    if signal.is_float or least is None or most is None or not least < most:
+        return ""
+    whole = 2**signal.length
+    ends = (-whole // 2, whole // 2 - 1) if signal.is_signed else (0, whole - 1)
+    low, high = sorted(float(signal.offset) + float(signal.scale) * end for end in ends)
+    room = abs(float(signal.scale))
+    if (least > low + room and most > high + room) or (least < low - room and most < high - room):
+        return (
+            f"signal {signal.name}: the database's range [{least:g}|{most:g}] contradicts its bits, which "
+            f"reach from {low:g} to {high:g}; it is set aside"
+        )
+    return ""
 
 
 def _encoding(path: Path) -> str | None:

@@ -230,19 +230,38 @@ _HEAD = 1 << 16
 _SCREEN = re.compile(
     rb"^ *(\([0-9]{1,10}\.[0-9]{1,9}\)) +(\S{1,15}) +(?:[RT]X [-B] [-E] +)?"
     rb"([0-9A-Fa-f]{3}|[0-9A-Fa-f]{8}) +\[([0-9]{1,2})\] *"
-    rb"(?:(remote request)|((?:[0-9A-Fa-f]{2} ?)*))[^\r\n]*",
+    rb"(?:(remote request)|((?:(?:[01]{8}|[0-9A-Fa-f]{2})[ `]?)*))[^\r\n]*",
     re.MULTILINE,
 )
 """A line of candump's screen with time stamps: (seconds) interface identifier [length] bytes."""
 
 
 def _as_logged(match: re.Match[bytes]) -> bytes:
-    """The same line as candump -l writes it; a length of two digits is that of a CAN FD frame."""
-    stamp, interface, identifier, length, remote, data = match.groups()
+    """The same line as candump -l writes it; a length of two digits is that of a CAN FD frame.
+
+    A line whose bytes are not as many as its length says stays as it is, and is no frame.
+    """
+    stamp, interface, identifier, length, remote, digits = match.groups()
     if remote:
         return b"%b %b %b#R%b" % (stamp, interface, identifier, length)
+    data = _screen_bytes(digits, int(length))
+    if data is None:
+        return match[0]
     mark = b"##0" if len(length) == 2 else b"#"
-    return b"%b %b %b%b%b" % (stamp, interface, identifier, mark, data.replace(b" ", b""))
+    return b"%b %b %b%b%b" % (stamp, interface, identifier, mark, data.hex().upper().encode())
+
+
+def _screen_bytes(digits: bytes, length: int) -> bytes | None:
+    """Bytes (length,) of candump's screen; None where the digits are of another number of bytes.
+
+    Digits are hexadecimal, or binary with ``-i``. Backticks of ``-S`` say that the last byte stands first.
+    """
+    groups = digits.replace(b"`", b" ").split()
+    widths = {len(group) for group in groups}
+    if len(groups) != length or (not widths <= {2} and not widths <= {8}):
+        return None
+    data = bytes(int(group, 2 if widths == {8} else 16) for group in groups)
+    return data[::-1] if b"`" in digits else data
 
 
 def parse_candump(text: np.ndarray, library: ctypes.CDLL) -> Frames:

@@ -13,16 +13,17 @@ from __future__ import annotations
 
 import difflib
 import re
+import warnings
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..base.errors import InputError
+from ..base.errors import InputError, InputWarning
 from ..vehicle.project import CanPlace, Checksum, OwnMessage, Project
 from .catalogue import E2E_BITS, OWN_NODE, BusSignal, Catalogue, Message
 from .codegen import ANY_PRIORITY
-from .decode import is_j1939, load_database, signal_pieces
+from .decode import contradicting_range, is_j1939, load_database, signal_pieces
 from .logs import EXTENDED
 from .protection import CANFD_LENGTHS, PROTECTIONS, Place, Protection
 
@@ -242,8 +243,11 @@ def _carry(signal: CarSignal, name: str, start: int, where: str) -> Carried:
 
 def _accepted(signal: CarSignal, low: float, high: float) -> dict[str, float] | None:
     """The database's range, whose ends are rounded, within what the raw values reach, ``low`` to ``high``;
-    None where it states none."""
+    None where it states none that can be meant."""
     if signal.minimum is None or signal.maximum is None or not signal.minimum < signal.maximum:
+        return None
+    if why := contradicting_range(signal):
+        warnings.warn(why, InputWarning, stacklevel=1)
         return None
     rounding = _ROUNDING * abs(float(signal.scale))
     least, most = max(low, float(signal.minimum) - rounding), min(high, float(signal.maximum) + rounding)

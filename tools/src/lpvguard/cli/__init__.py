@@ -10,11 +10,13 @@ import errno
 import os
 import signal
 import sys
+import warnings
+from collections.abc import Callable
 from typing import Any
 
 from typer.completion import completion_init  # type: ignore[attr-defined]  # Typer states no exports
 
-from ..base.errors import InputError
+from ..base.errors import InputError, InputWarning
 from ..base.system import ENDING_SIGNALS, open_standard_streams
 from . import (  # noqa: F401 - each adds its verb, in the order of --help
     a2l,
@@ -82,9 +84,22 @@ def _refused(error: OSError) -> InputError:
     return InputError(place, "", f"cannot be used ({what})", "a file or folder that the system lets be used")
 
 
+def _shown_plainly(usual: Callable[..., None]) -> Callable[..., None]:
+    """Return a display of warnings that says what was left out without a place in our code."""
+
+    def show(message: Any, category: type[Warning], *place: Any) -> None:
+        if issubclass(category, InputWarning):
+            print(f"{PROGRAM}: warning: {message}", file=sys.stderr)
+        else:
+            usual(message, category, *place)
+
+    return show
+
+
 def main() -> None:
     """Entry point of the console script."""
     open_standard_streams()
+    warnings.showwarning = _shown_plainly(warnings.showwarning)
     for number in ENDING_SIGNALS:
         if signal.getsignal(number) == signal.SIG_DFL:  # nohup ignores SIGHUP
             signal.signal(number, _end)

@@ -18,7 +18,7 @@ def bench(
     name: Annotated[
         str,
         typer.Argument(
-            help="bounds, can, chain, core, fleet, lives, proofs, robust, soak, steer, synthesis, "
+            help="bounds, can, chain, core, fleet, lives, proofs, robust, sharpness, soak, steer, synthesis, "
             "validation or weights; NAME -- --help for options."
         ),
     ],

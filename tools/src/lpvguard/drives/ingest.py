@@ -15,6 +15,7 @@ Next    tables.py reads the tables
 from __future__ import annotations
 
 import difflib
+import warnings
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,8 +24,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..base import artefacts
-from ..base.errors import InputError
-from ..can.decode import decode_signal, find_frames, is_j1939, load_database, own_database
+from ..base.errors import InputError, InputWarning
+from ..can.decode import (
+    contradicting_range,
+    decode_signal,
+    find_frames,
+    is_j1939,
+    load_database,
+    own_database,
+)
 from ..can.logs import Frames, Series, Table, read_log, stem
 from .resample import NS, LogClock, Piece, Source, TableMaker, clock_of, describe, in_order, within_limits
 from .signal_map import SignalMap, Term, load_signal_map
@@ -32,7 +40,7 @@ from .tables import index_text
 from .units import unit_factor
 
 if TYPE_CHECKING:  # cantools takes long to import
-    from cantools.database.can import Database, Message
+    from cantools.database.can import Database, Message, Signal
 
 _WRAP_SHARE = 0.75
 """A signal that moves by more than this share of its range between two samples is reported as a suspected
@@ -83,6 +91,17 @@ def _of_several(messages: list[Message], frames: Frames, given: Inputs, where: s
     return messages[0]
 
 
+def _warn_of_range(message: str, signal: Signal, outside: int, count: int) -> None:
+    """Warn where values of a drive lie outside the database's range, which the ECU takes for its own."""
+    if not outside:
+        return
+    why = contradicting_range(signal) or (
+        f"signal {signal.name}: the database's range [{signal.minimum:g}|{signal.maximum:g}] leaves them "
+        "out; an ECU that is generated from it refuses such frames"
+    )
+    warnings.warn(f"message {message}: {outside} of {count} values: {why}", InputWarning, stacklevel=1)
+
+
 def _from_frames(frames: Frames, given: Inputs, column: str, term: Term) -> Source:
     map_path, where = given.map_path, f"columns.{column}"
     if term.message is None:
@@ -127,6 +146,7 @@ def _from_frames(frames: Frames, given: Inputs, column: str, term: Term) -> Sour
         tolerance = 1e-9 * max(abs(float(low)), abs(float(high)))
         outside = (samples.value < float(low) - tolerance) | (samples.value > float(high) + tolerance)
         report["outside_the_range_of_the_database"] = int(outside.sum())
+        _warn_of_range(message.name, signal, int(outside.sum()), len(outside))
         if term.wrap is None:
             leaps = np.abs(np.diff(samples.value)) > _WRAP_SHARE * (float(high) - float(low))
             report["suspected_wraps"] = int(leaps.sum())

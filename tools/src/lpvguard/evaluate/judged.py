@@ -18,9 +18,8 @@ from pathlib import Path
 from ..base.errors import InputError
 from ..core.compiled import TESTS
 from ..drives.tables import Experiment, list_experiments, table_hashes
-from ..identify.calibration import Calibration, Recordings, calibrate, joint_scores
+from ..identify.calibration import ROUNDING, Calibration, Recordings, calibrate, joint_scores
 from ..identify.change import FLOOR, calibrated_change
-from ..identify.energy import ROUNDING
 from ..identify.run import DriveSet, StoredIdentification
 from .comparison import HELD_OUT, LEFT_ONE_OUT, MONITOR
 

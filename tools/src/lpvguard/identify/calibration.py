@@ -32,6 +32,9 @@ from ..base.errors import InputError
 from ..core.compiled import Run
 from ..drives.tables import EXPERIMENTS, Experiment
 
+ROUNDING = 1e-3
+"""Relative margin of an exported threshold for rounding: float, double and fused multiply-add differ by less
+(tests/golden/test_one_verdict.py)."""
 FEWEST_FOR_ALPHA = 9
 """Below this many recordings no alpha is stated at all (THEORY 7.3)."""
 
@@ -154,6 +157,11 @@ class Calibration:
         ``group``."""
         own = [] if self.group else [g.threshold for g in self.groups.values() if g.threshold is not None]
         return max([self.threshold, *own])
+
+    @property
+    def exported(self) -> float:
+        """The carried threshold with the margin for rounding, as the core compares with it."""
+        return self.carried * (1 + ROUNDING)
 
     def of_group(self, group: str | None) -> Calibration:
         """With the threshold for drives of a group: its own, or the pooled one, without alpha, where it has

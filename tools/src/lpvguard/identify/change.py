@@ -179,7 +179,7 @@ class ChangeTest:
             "change_prior": self.prior[:, UPPER[0], UPPER[1]],
             "change_scale": 1 / self.size,
             "change_forget": 1 - self.keep,
-            "change_threshold": self.calibration.carried,
+            "change_threshold": self.calibration.exported,
         }
         words = {"change_rearm": len(self.unit) * int(np.ceil(self.memory_s / (BLOCK * self.Ts)))}
         return {}, words, {name: np.array(value) for name, value in reals.items()}

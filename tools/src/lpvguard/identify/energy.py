@@ -41,7 +41,7 @@ from ..drives.frames import Estimator
 from ..engine.overbound.certificate import verify_overbound
 from ..engine.overbound.weight import Weight
 from ..vehicle.project import Project
-from .calibration import Calibration, Recordings, calibrate
+from .calibration import ROUNDING, Calibration, Recordings, calibrate
 
 FAN_BITS = 4
 """2^4 directions for two outputs, evenly over the half circle in units of sigma."""
@@ -55,8 +55,6 @@ UNBOUNDED = 1e6
 within the range of float (lib/src/margin.hpp)."""
 STATED_RTOL = 1e-8
 """Largest relative difference between stored numbers and those that the weights give."""
-ROUNDING = 1e-3
-"""What float may add to a ratio: a threshold never lies nearer to 1 (test_energy.py measures it)."""
 
 
 def fan(n_y: int) -> np.ndarray:
@@ -388,7 +386,7 @@ class EnergyTest:
             "energy_forget": -np.expm1(-2 * self.Ts / self.memories_s),
             "energy_start": self.start,
             "energy_direction": self.directions,
-            "energy_threshold": self.calibration.carried,
+            "energy_threshold": self.calibration.exported,
         }
         return (
             {"NWEIGHT": self.W.shape[1], "NDIRECTIONS": len(self.directions), "NBANDS": len(self.F)},

@@ -283,7 +283,7 @@ class StoredIdentification:
             model,
             Estimator.of(self.project, model),
             self.fitted,
-            self.calibration.carried,
+            self.calibration.exported,
             self.energy_of_core,
             self.change_of_core,
         )

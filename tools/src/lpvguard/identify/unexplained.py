@@ -129,7 +129,7 @@ def _alarms(
 ) -> int:
     if result.energy is None or result.change is None:
         raise not_for_the_core(result.project)
-    reader, carried = DriveReader(result.project, result.model), result.calibration.carried
+    reader, carried = DriveReader(result.project, result.model), result.calibration.exported
     coefficients = coefficients_of(
         result.project,
         result.model,

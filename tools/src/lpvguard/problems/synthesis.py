@@ -12,32 +12,66 @@ import numpy as np
 from lpvguard.base.errors import InputError
 from lpvguard.engine.blocks import Block
 from lpvguard.engine.synthesis.errors import SynthesisError
-from lpvguard.engine.synthesis.hinf import hinf_synthesis
+from lpvguard.engine.synthesis.hinf import hinf_synthesis, proved_lower_bound
+from lpvguard.engine.synthesis.hinf_lower import DATA_RTOL
 from lpvguard.engine.synthesis.mu import MuBounds, mu_bounds, mu_interval
 from lpvguard.engine.synthesis.statespace import StateSpace
 
+RESOLVED = 1.01
+"""Achieved over proved level up to which an H∞ answer counts as resolved."""
+ZERO = 1e-9
+"""An achieved level below this share of the plant's gain counts as zero."""
+UNDETERMINED = 1e-2
+"""Relative change of the optimum by the last digits of the data, above which no answer is given."""
+
 
 def solve_hinf(problem: dict) -> dict:
-    """Answer to kind ``hinf``: the H-infinity controller of a plant, its levels and its certificate.
+    """Answer kind ``hinf``: the H∞ controller of a plant, its certified level and what is proved below it.
 
-    Fields: A, B, C, D, n_control, n_measurement, dt (default 0). Raises SynthesisError, naming the field, on
-    what cannot be answered.
+    The fields are A, B, C, D, n_control, n_measurement, dt (default 0).
+
+    Returns
+    -------
+    dict
+        ``gamma_achieved``, the proved norm of the closed loop with the ``controller``. ``gamma_lower``, a
+        proved level that no controller goes below. ``gamma``, the optimum that the Riccati equations claim,
+        between both. ``resolved``: both are within 1 %. ``note`` says what is singular or not proved.
+
+    Raises
+    ------
+    SynthesisError
+        It names the field that cannot be answered. So it does where the last digits of the data decide on
+        the optimum.
     """
     name = str(problem.get("id", "hinf"))
     plant = _system(problem, name)
     counts = _count(problem, "n_control", name), _count(problem, "n_measurement", name)
     try:
-        result = hinf_synthesis(plant, *counts)
+        result = hinf_synthesis(plant, *counts, thorough=True)
+        lower = proved_lower_bound(plant, *counts, result.gamma)
     except (np.linalg.LinAlgError, ArithmeticError) as exc:
         raise SynthesisError(
             name, "arithmetic", str(exc), "a plant whose signals are scaled to order one"
         ) from exc
+    proved, achieved = min(lower.value, result.certificate.lower), result.gamma_achieved
+    resolved = achieved <= max(RESOLVED * proved, ZERO * lower.size)
+    if not resolved and lower.moved > UNDETERMINED:
+        raise SynthesisError(
+            name,
+            "A, B, C, D",
+            f"a relative change of {DATA_RTOL:g} of the entries moves the optimum by {lower.moved:.2g} of "
+            f"itself; known is {proved:.6g} <= optimum <= {achieved:.6g}",
+            "data in coordinates whose digits determine it: balanced or modal states",
+        )
+    notes = list(result.notes)
+    if not resolved:
+        notes.append(f"not proved: the optimum lies between {proved:.6g} and {achieved:.6g}")
     K = result.controller
     return {
-        "gamma": result.gamma,
-        "gamma_lower": result.gamma_lower,
-        "gamma_achieved": result.gamma_achieved,
-        "resolved": result.resolved,
+        "gamma": float(np.clip(result.gamma, proved, achieved)),
+        "gamma_lower": proved,
+        "gamma_achieved": achieved,
+        "resolved": resolved,
         "controller": {
             "A": K.A.tolist(),
             "B": K.B.tolist(),
@@ -48,7 +82,7 @@ def solve_hinf(problem: dict) -> dict:
         "norm_lower": result.certificate.lower,
         "peak_frequency": _finite(result.certificate.peak_frequency),
         "regularisation": result.regularisation,
-        "note": "; ".join(result.notes),
+        "note": "; ".join(notes),
     }
 
 

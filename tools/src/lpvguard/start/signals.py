@@ -34,15 +34,27 @@ NOT = {
 """By role: what lowers a name's rank. Commands, derivatives and other things share a word."""
 SI = {"speed": "m/s", "input": "rad", "output": "rad/s"}
 GUESSED_UNITS = {
-    "speed": ("m/s", "km/h", "mph"),
+    "speed": ("m/s", "km/h"),
     "input": ("rad", "deg"),
     "output": ("rad/s", "deg/s"),
 }
-"""The likelier first."""
+"""The likelier first. Data never tell mph from a car that understeers: only a name or a stated unit does."""
+UNIT_MARKS = {
+    "speed": {"m/s": r"mps|m_s|ms", "km/h": r"k(m_?h|mph|ph)", "mph": r"mph"},
+    "input": {"rad": r"rad", "deg": r"deg|degrees?|grad"},
+    "output": {"rad/s": r"rad(_?p?_?s(ec)?)?", "deg/s": r"(deg|grad)(_?p?_?s(ec)?)?|dps"},
+}
+"""By role: the last words of a name that state its unit."""
+FASTEST_MPS = 90.0
+LARGEST_LATERAL_MPS2 = 12.0
+LARGEST_ROAD_WHEEL_RAD = 0.8
+"""What no road car exceeds."""
 AS_KNOWN = (0.7, 1.45)
 """The wheelbase that the data read, over the known one, where units are right; understeer lengthens it."""
 STEERING_RATIO = (10.0, 24.0)
 LONGEST_LAG_S = 0.6
+SIGN_BIT = re.compile(r"sign|sgn|vorzeichen|(?:^|_)vz(?:_|$)|direction|richtung")
+"""In the name of a bit that tells the sign of a magnitude beside it."""
 
 
 @dataclass(frozen=True)
@@ -89,6 +101,12 @@ def proposed(
     names, why = {}, {}
     for role in ROLES:
         names[role], why[role] = _named(role, common, recordings, chosen.get(role))
+    if names["input"] == names["output"]:
+        raise InputError(
+            "new", "--input, --output", f"{names['input']} is both", "a steering angle and a yaw rate"
+        )
+    for role in ("input", "output"):
+        _require_sign(role, names[role], common, recordings)
     length, correlation = rolled_length(recordings, names)
     units, ratio, said = _units(recordings, names, abs(length), wheelbase_m)
     sign = -1.0 if correlation < 0 else 1.0
@@ -102,6 +120,24 @@ def proposed(
         factor = {"speed": 1.0, "input": sign / ratio, "output": 1.0}[role]
         found[role] = Proposal(role, names[role], units[role], factor, why[role])
     return found
+
+
+def _require_sign(role: str, name: str, common: list[str], recordings: list[Recording]) -> None:
+    """Raise InputError where a signal is a magnitude whose sign stands in a bit of its message."""
+    if min(float(r.values[name].min()) for r in recordings) < 0:
+        return
+    message, _, signal = name.rpartition(".")
+    for other in common:
+        beside, _, bit = other.rpartition(".")
+        values = np.concatenate([r.values[other] for r in recordings])
+        is_bit = values.min() == 0 and values.max() == 1
+        if beside == message and other != name and is_bit and SIGN_BIT.search(bit.lower()):
+            raise InputError(
+                "new",
+                f"--{role}",
+                f"{name} is never negative and {other} lies beside it: a magnitude and its sign apart",
+                f"one signal with its sign, as a table in which {signal} is turned round where {bit} says so",
+            )
 
 
 def _named(
@@ -175,6 +211,8 @@ def _units(
                     [f"no wheelbase given: units as assumed read {metres:.3g} m; compare it with the car's"],
                 )
             share = metres / wheelbase_m
+            if not _possible(recordings, names, factors, share if ratio_free else 1.0):
+                continue
             if not ratio_free and AS_KNOWN[0] <= share <= AS_KNOWN[1]:
                 return found, 1.0, [f"the data read a wheelbase of {metres:.3g} m in these units"]
             if ratio_free and STEERING_RATIO[0] <= share <= STEERING_RATIO[1]:
@@ -184,13 +222,24 @@ def _units(
         "new",
         ", ".join(names.values()),
         f"read a wheelbase of {length:.3g} in their own units, in no units {wheelbase_m:g} m",
-        "--speed, --input and --output that name speed, steering angle and yaw rate of this car",
+        "--speed, --input and --output of this car, with their units in names or database (speed_mph)",
     )
 
 
 def _unit_in_name(role: str, name: str) -> tuple[str, ...]:
-    """The unit that a name ends with, or all that are likely."""
-    low = name.lower()
-    marks = {"km/h": r"k(m/?h|ph)", "mph": r"mph", "deg": r"deg\b|deg$", "deg/s": r"deg_?p?s|dps"}
-    marked = tuple(u for u in GUESSED_UNITS[role] if u in marks and re.search(marks[u], low))
+    """The unit that the last words of a name state, or all that are likely."""
+    words = re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_")
+    marked = tuple(u for u, mark in UNIT_MARKS[role].items() if re.search(rf"(^|_)({mark})$", words))
     return marked or GUESSED_UNITS[role]
+
+
+def _possible(recordings: list[Recording], names: dict[str, str], factors: list[float], ratio: float) -> bool:
+    """Whether a road car can reach the speeds, angles and lateral accelerations of the recordings."""
+    scaled = [
+        np.concatenate([np.abs(r.values[names[role]]) for r in recordings]) * factor
+        for role, factor in zip(ROLES, factors, strict=True)
+    ]
+    speed, angle, lateral = (
+        float(np.quantile(x, 0.99)) for x in (scaled[0], scaled[1] / ratio, scaled[0] * scaled[2])
+    )
+    return speed <= FASTEST_MPS and angle <= LARGEST_ROAD_WHEEL_RAD and lateral <= LARGEST_LATERAL_MPS2

@@ -9,6 +9,7 @@
 | ``riccati``, ``central`` | the two Riccati equations at a level γ, and the central controller |
 | ``gamma_search`` | the search for the optimum γ |
 | ``direct_terms``, ``zeros``, ``singular`` | what singular problems leave out of reach; their reduction |
+| ``hinf_lower`` | levels that no controller goes below, by a dual certificate and at single frequencies |
 | ``mu`` | structured singular value of a matrix or loop, from both sides: ``mu_upper``, ``mu_lower`` |
 | ``frequency_cells`` | bounds proved on whole intervals of frequencies, by cells |
 | ``real_mu`` | μ with real parameters: the level that is proved a little above a Δ that is checked |

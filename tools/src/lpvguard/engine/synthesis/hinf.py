@@ -20,6 +20,7 @@ import numpy as np
 from lpvguard.engine.synthesis.coordinates import frail_pole, modal_coordinates, schur_coordinates
 from lpvguard.engine.synthesis.errors import SynthesisError
 from lpvguard.engine.synthesis.gamma_search import GAMMA_RTOL, GammaProblem
+from lpvguard.engine.synthesis.hinf_lower import DATA_RTOL, frequency_level, proved_level
 from lpvguard.engine.synthesis.norms import NormBracket, hinf_norm
 from lpvguard.engine.synthesis.partition import (
     absorb_feedthrough,
@@ -39,6 +40,9 @@ from lpvguard.engine.synthesis.statespace import (
 
 MAX_WORK = 1000
 """Controllers tried times states: bounds the time of a problem whose optimum is out of reach."""
+PERTURBED, DETERMINED, DEDUCTED = 3, 1e-3, 3.0
+"""Changes of the data that are tried; up to which change of the optimum the data determine it; how many
+times that change is deducted from what a dual certificate proves."""
 LEVEL_RTOL = 1e-4
 """To which the optimum below a given level is found."""
 
@@ -51,9 +55,8 @@ class HinfResult:
     """A controller with its certificate.
 
     gamma: the optimum (infimum over stabilising controllers) by the Riccati equations. resolved: whether the
-    controller comes within the back-off of it. Where not, gamma is a claim; what is known is gamma_lower ≤
-    optimum ≤ gamma_achieved. gamma_lower: what single frequencies allow at best; gamma less the width of its
-    bracket where resolved. gamma_achieved ≥ ‖F_l(P, K)‖∞: upper end of the bracket of the closed loop's norm
+    controller comes within the back-off of it. gamma is a claim of those equations; ``proved_lower_bound``
+    proves a level below it. gamma_achieved ≥ ‖F_l(P, K)‖∞: upper end of the bracket of the closed loop's norm
     on the plant as given; ``certificate`` is the whole bracket, its peak frequency in rad/s. regularisation:
     ε of the controller's design plant, 0 for a regular problem. notes: what was singular.
 
@@ -66,7 +69,6 @@ class HinfResult:
     gamma_achieved: float
     certificate: NormBracket
     basis: np.ndarray
-    gamma_lower: float
     resolved: bool = True
     regularisation: float = 0.0
     notes: tuple[str, ...] = ()
@@ -80,6 +82,7 @@ def hinf_synthesis(
     rtol: float = GAMMA_RTOL,
     guess: float | None = None,
     level: float | None = None,
+    thorough: bool = False,
 ) -> HinfResult:
     """Controller u = K y with ‖F_l(P, K)‖∞ ≤ (1 + backoff) γ_opt, certified; u the last inputs, y the last
     outputs.
@@ -88,7 +91,8 @@ def hinf_synthesis(
     change. Singular problems are regularised and the result says so. ``backoff`` keeps the controller's poles
     slow: at the optimum itself they run off to infinity. ``rtol``: width of the bracket of γ_opt; ``guess``:
     a level near it, which only saves time. ``level``, above γ_opt, stands in the place of both: what the
-    controller may reach.
+    controller may reach. ``thorough``: the best of all coordinates of the state, even if the first seems
+    resolved.
     """
     best: HinfResult | None = None
     failures: list[SynthesisError | np.linalg.LinAlgError] = []
@@ -104,7 +108,7 @@ def hinf_synthesis(
             continue
         if best is None or result.gamma_achieved < best.gamma_achieved:
             best = result
-        if best.resolved:
+        if best.resolved and not thorough:
             return best
     if best is not None:
         return best
@@ -128,6 +132,81 @@ def improved_level(
 def optimal_level(plant: StateSpace, n_control: int, n_measurement: int, rtol: float) -> float:
     """γ_opt to ``rtol``; SynthesisError where no level can be reached."""
     return _posed(plant, n_control, n_measurement, schur_coordinates).problem.optimum(rtol)
+
+
+@dataclass(frozen=True)
+class LowerBound:
+    """What is proved of the optimum from below.
+
+    Attributes
+    ----------
+    value : float
+        A level that no controller goes below.
+    moved : float
+        Largest relative change of the optimum that a relative change ``DATA_RTOL`` of the data made.
+    size : float
+        Largest gain from w to z at zero and at the frequencies of the poles.
+    """
+
+    value: float
+    moved: float
+    size: float
+
+
+def proved_lower_bound(plant: StateSpace, n_control: int, n_measurement: int, gamma: float) -> LowerBound:
+    """Prove a lower bound of the H∞ optimum on the numbers of the plant as given.
+
+    Parameters
+    ----------
+    plant : StateSpace
+    n_control, n_measurement : int
+        As in ``hinf_synthesis``.
+    gamma : float
+        The optimum that the Riccati equations claim.
+
+    Notes
+    -----
+    Single frequencies always count. The dual certificate allows for a relative change ``DATA_RTOL`` of the
+    data, so it counts only where such a change moves the optimum by less than ``DETERMINED``.
+    """
+    value, size = frequency_level(plant, n_control, n_measurement), _gain(plant, n_control, n_measurement)
+    moved = max(_moved_optimum(plant, n_control, n_measurement, gamma, seed) for seed in range(PERTURBED))
+    if moved > DETERMINED:
+        return LowerBound(value, moved, size)
+    _, shifted = move_pole_at_minus_one(plant, n_control, n_measurement)
+    first = balancing(shifted) if plant.order else np.ones(0)
+    image = to_continuous(scaled_states(shifted, first))
+    second = balancing(image) if plant.order else np.ones(0)
+    given, _ = partition(scaled_states(image, second), n_control, n_measurement)
+    for coordinates in (schur_coordinates, modal_coordinates):
+        if value >= gamma * (1 - LEVEL_RTOL) or not plant.order:
+            break
+        posed = _posed(plant, n_control, n_measurement, coordinates)
+        problem, basis = posed.problem, posed.basis / (first * second)[:, None]
+        dual = proved_level(problem.P, problem.control, problem.filter, gamma, basis, given)
+        value = max(value, min(dual, gamma) * (1 - DEDUCTED * moved))
+    return LowerBound(value, moved, size)
+
+
+def _gain(plant: StateSpace, n_control: int, n_measurement: int) -> float:
+    """Return the largest σ̄ from w to z at zero and at the frequencies of the poles, where it is finite."""
+    rates = np.abs(np.log(plant.poles() + 0j).imag) / plant.dt if plant.dt else np.abs(plant.poles())
+    M = plant.response(np.append(rates, 0.0))[:, :-n_measurement, :-n_control]
+    return float(np.linalg.norm(M[np.isfinite(M).all((1, 2))], 2, axis=(1, 2)).max(initial=0.0))
+
+
+def _moved_optimum(plant: StateSpace, n_control: int, n_measurement: int, gamma: float, seed: int) -> float:
+    """Return the relative change of the optimum by a change of the data, inf where no optimum is found."""
+    random = np.random.default_rng(seed)
+    A, B, C, D = (
+        part * (1 + DATA_RTOL * random.choice([-1.0, 1.0], part.shape))
+        for part in (plant.A, plant.B, plant.C, plant.D)
+    )
+    try:
+        other = optimal_level(StateSpace(A, B, C, D, plant.dt), n_control, n_measurement, 0.1 * LEVEL_RTOL)
+    except (SynthesisError, np.linalg.LinAlgError):
+        return np.inf
+    return abs(other / gamma - 1) if gamma > 0 else abs(other)
 
 
 @dataclass(frozen=True)
@@ -244,7 +323,6 @@ class _Trials:
                 norm.upper,
                 norm,
                 posed.basis * t,
-                claim * (1 - GAMMA_RTOL),
                 regularisation=epsilon,
                 notes=tuple(posed.problem.notes),
             )
@@ -275,14 +353,13 @@ class _Trials:
 
 def _unresolved(best: HinfResult, posed: _Posed, gamma: float) -> HinfResult:
     """``best`` with what is known of the optimum, in numbers and in words: none came close to ``gamma``."""
-    lower = min(posed.problem.certain, best.certificate.lower)
     fastest = np.abs(best.controller.poles()).max(initial=0.0)
     note = (
-        f"not resolved: the optimum lies between {lower:.4g} and {best.gamma_achieved:.4g}; the Riccati "
-        f"equations claim {gamma:.4g}, and the best controller has poles up to {fastest:.3g}"
+        f"not resolved: the best controller achieves {best.gamma_achieved:.4g} and has poles up to "
+        f"{fastest:.3g}; the Riccati equations claim {gamma:.4g}"
     )
     notes = (*best.notes, note, *filter(None, [frail_pole(posed.plant)]))
-    return replace(best, gamma_lower=lower, resolved=False, notes=notes)
+    return replace(best, resolved=False, notes=notes)
 
 
 def _expected(plant: StateSpace) -> str:

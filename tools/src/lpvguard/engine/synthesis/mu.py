@@ -8,7 +8,7 @@ up to three full complex blocks. Real blocks are bounded on boxes of their param
 which closes the gap that D and G leave. Over an interval the bound is proved between frequencies too.
 Lower bound: a Δ with I − M Δ singular, checked.
 
-Every upper bound comes with its proof: scalings, and where they hold. ``MuBounds.verified`` tests them anew.
+Every upper bound comes with its proof: scalings, and where they hold. ``Prover.verified`` tests them anew.
 """
 
 from __future__ import annotations
@@ -43,6 +43,8 @@ INFLATIONS = (0.0, 1e-14, 1e-12, 1e-10, 1e-8, 1e-6)
 """Shares by which the bound of one frequency is raised until its scalings prove it within rounding."""
 COMPLEX_STARTS, INTERVAL_STARTS = 40, 8
 """Starts of the search for a lower bound, of a matrix and of a loop's peak."""
+NOTHING = 1e-300
+"""An upper bound of at most this is 0."""
 EMPTY = ParameterBox(np.zeros(0), np.zeros(0))
 
 
@@ -75,7 +77,7 @@ class MuBounds:
     @property
     def gap(self) -> float:
         """Share by which the upper bound exceeds the lower; 0 for an upper bound of at most ``ZERO`` size."""
-        if self.upper <= ZERO * self.size:
+        if self.upper <= max(ZERO * self.size, NOTHING):
             return 0.0
         return self.upper / self.lower - 1 if self.lower > 0 else np.inf
 

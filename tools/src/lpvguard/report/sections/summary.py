@@ -278,6 +278,7 @@ def _energy_words(test: EnergyTest, project: Project) -> str:
         f"{test.memories_s[-1]:.3g} s and the constant {above} for W<sub>Δ</sub>, judged "
         f"{test.settle * test.Ts:.3g} s after entering the range; σ: {escape(test.sigma_text(project))}; "
         f"{len(test.directions)} direction(s); W<sub>Δ</sub> as a filter proved above its bound on the "
-        f"circle |z| = {test.rho:.6g} (least ratio {least:.9g}); threshold "
-        f"{c.carried:.4g}: {c.claim()}"
+        f"circle |z| = {test.rho:.6g} (least ratio {least:.9g}); holds for every causal Δ of gain 1 that "
+        "forgets within the memory, above the corners for Δ times that constant, so that an error of exactly "
+        f"W<sub>Δ</sub> ŷ may exceed it there; threshold {c.carried:.4g}: {c.claim()}"
     )

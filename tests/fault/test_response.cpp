@@ -1,0 +1,97 @@
+// How long the loop acts on a vehicle whose response to the demand is wrong: from a cold start, and after each kind of release during which
+// it goes wrong. The table in lib/REQUIREMENTS.md is made of it: `LPVGUARD_RESPONSES=lib/REQUIREMENTS.md test_response` writes the table,
+// and without that the test compares it.
+#include "../long_form.hpp"
+#include "../marked_table.hpp"
+#include "response_drive.hpp"
+
+#include <cstdio>
+#include <sstream>
+#include <string>
+
+#include "lpvguard_plant/parameters.hpp"
+
+namespace {
+
+constexpr int before_steps = 3'000, after_steps = 6'000, acknowledge_steps = 300;
+constexpr std::array<double, 3> speeds_mps = {8.0, 15.0, 21.0};
+constexpr std::array<double, 6> responses = {-1.0, 0.0, 0.3, 2.0, 3.0, 1.0};
+
+struct Case {
+    const char* name;
+    Release kind;
+    int steps;
+};
+const Case cases[] = {
+    {"cold start", Release::cold, 0},
+    {"VDC2 lost for 60 ms", Release::vdc2_gap, 6},
+    {"VDC2 lost for 0.5 s", Release::vdc2_gap, 50},
+    {"VDC2 lost for 5 s", Release::vdc2_gap, 500},
+    {"GUARD_IN lost for 0.5 s", Release::guard_in_gap, 50},
+    {"brake pedal for 0.5 s", Release::pedal, 50},
+    {"ABS for 0.5 s", Release::abs, 50},
+    {"no request for 0.5 s", Release::request, 50},
+    {"another command for 0.5 s", Release::priority, 50},
+    {"not asked for 0.5 s", Release::asker, 50},
+    {"no step for 0.5 s", Release::clock_gap, 50},
+};
+
+const lpvguard_plant::PlantParameters& truck() {
+    static const auto parameters = lpvguard_plant::load_parameters(LPVGUARD_TRUCK_TOML);
+    return parameters;
+}
+
+// Seconds engaged in the minute after the release, in which an acknowledgement is asked for every 3 s.
+double engaged_s(const Case& which, double response, double speed_mps, std::uint64_t seed) {
+    ResponseDrive drive(truck(), speed_mps, seed);
+    if (which.kind != Release::cold) {
+        drive.run(before_steps);
+        REQUIRE(drive.bench.engaged());
+    }
+    drive.response = response;
+    drive.release(which.kind, which.steps);
+    int engaged = 0;
+    for (int k = 0; k < after_steps; k += acknowledge_steps) {
+        engaged += drive.engaged_steps(acknowledge_steps);
+        (void)lpvg_ecu_acknowledge(&drive.bench.ecu);
+    }
+    return 0.01 * engaged;
+}
+
+// At most this long, whatever the release; a healthy truck is engaged again at most 1 s later than wait and measurement of the period ask
+// for.
+bool within_limit(double response, double seconds) {
+    const double most = response <= 0.0 ? 3.0 : 20.0;
+    return response == 1.0 ? seconds >= 60.0 - 2.4 : seconds <= most;
+}
+
+std::string table() {
+    std::ostringstream text;
+    text << "| release | × -1 | × 0 | × 0.3 | × 2 | × 3 | healthy |\n| --- | --- | --- | --- | --- | --- | --- |\n";
+    const std::uint64_t seeds = long_form() ? 5U : 1U;
+    for (const Case& each : cases) {
+        text << "| " << each.name;
+        for (const double response : responses) {
+            double extreme = response == 1.0 ? 60.0 : 0.0;
+            for (const double speed_mps : speeds_mps) {
+                for (std::uint64_t seed = 1; seed <= seeds; ++seed) {
+                    const double seconds = engaged_s(each, response, speed_mps, seed);
+                    CAPTURE(each.name, response, speed_mps, seed, seconds);
+                    CHECK(within_limit(response, seconds));
+                    extreme = seed > 1U ? extreme : response == 1.0 ? std::fmin(extreme, seconds) : std::fmax(extreme, seconds);
+                }
+            }
+            char number[16];
+            std::snprintf(number, sizeof number, " | %.2f", extreme);
+            text << number;
+        }
+        text << " |\n";
+    }
+    return text.str();
+}
+
+}  // namespace
+
+TEST_CASE("a vehicle whose response is wrong is not engaged for long, whatever came before", "[fault][ecu][REQ-ECU-17][REQ-ECU-18]") {
+    MarkedTable("responses", "test_response").require(table(), "LPVGUARD_RESPONSES");
+}

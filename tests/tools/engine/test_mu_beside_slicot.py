@@ -1,0 +1,33 @@
+"""Bounds of μ beside those of SLICOT's AB13MD (Fan, Tits & Doyle's D, G bound), where slycot is installed."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from lpvguard.engine.blocks import Block
+from lpvguard.engine.synthesis.mu import mu_bounds
+
+slycot = pytest.importorskip("slycot", reason="slycot (SLICOT's AB13MD) is not installed")
+
+
+@pytest.mark.unhurried
+@pytest.mark.parametrize("seed", range(12))
+def test_no_bound_is_above_slicots_nor_its_bound_below_ours(seed):
+    """Both hold for the same M; ours is at most 0.1 % above theirs, and no Δ of ours refutes theirs."""
+    random = np.random.default_rng(seed)
+    kinds = random.integers(1, 3, random.integers(1, 5))
+    sizes = np.where(kinds == 1, 1, random.integers(1, 3, len(kinds)))
+    blocks = [
+        Block("repeated_real" if kind == 1 else "full", int(size), int(size))
+        for kind, size in zip(kinds, sizes, strict=True)
+    ]
+    n = int(sizes.sum())
+    M = random.standard_normal((n, n)) + 1j * random.standard_normal((n, n)) * (seed % 3 > 0)
+    theirs, *_ = slycot.ab13md(M, sizes, kinds)
+    bounds = mu_bounds(M, blocks)
+    if n == 1 and kinds[0] == 1:  # AB13MD answers 0 for a real scalar, as its documentation says
+        assert bounds.upper == pytest.approx(abs(M[0, 0]) if M[0, 0].imag == 0 else 0.0, abs=1e-5)
+        return
+    assert bounds.upper <= theirs * 1.001
+    assert bounds.lower <= theirs * (1 + 1e-6)

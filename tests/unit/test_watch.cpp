@@ -1,0 +1,129 @@
+// The watch of the response: its limits, and a violation exactly where a gain error is beyond them.
+#include "../catch.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <vector>
+
+#include "lpvguard/watch.h"
+
+namespace {
+
+constexpr std::size_t ny = LPVG_NY;
+constexpr double period_s = 0.01;
+
+// A vehicle at rest whose nominal error is `gain` times its response to the demand, plus an offset that was there before.
+class Vehicle {
+public:
+    explicit Vehicle(const lpvg_coeff_t& coeff = lpvg_coeff) : coeff_(coeff) {
+        const lpvg_real_t nothing[LPVG_NU + LPVG_NY] = {};
+        lpvg_model_start(&model_, &coeff_, nothing, nothing);
+        lpvg_model_advance(&model_, &coeff_, lpvg_real_t(15), nothing);
+        lpvg_watch_limits(&limits, &coeff_);
+        for (std::size_t j = 0; j < ny; ++j) {
+            e_[j] = offset;
+        }
+        lpvg_watch_start(&watch, e_);
+    }
+
+    // A sample: the watch's verdicts, and what they must be by the definition in double. True where both agree, or rounding decides.
+    bool step(double demand, double gain) {
+        lpvg_real_t phi[ny];
+        lpvg_model_output(&model_, &coeff_, phi);
+        for (std::size_t j = 0; j < ny; ++j) {
+            e_[j] = static_cast<lpvg_real_t>(gain) * phi[j] + offset;
+        }
+        const lpvg_real_t u[LPVG_NU] = {static_cast<lpvg_real_t>(demand)};
+        lpvg_watch_take(&watch, &limits, &coeff_, &model_, e_, u);
+        lpvg_model_advance(&model_, &coeff_, lpvg_real_t(15), u);
+        bool violated = false, evidence = false, close = false;
+        for (std::size_t j = 0; j < ny; ++j) {
+            const double lag = 1.0 - 1.0 / (1.0 + static_cast<double>(LPVG_WATCH_CORNER_RPS) * period_s);
+            slow_[j] += lag * (static_cast<double>(phi[j]) - slow_[j]);
+            const double quick = static_cast<double>(phi[j]) - slow_[j];
+            for (std::size_t m = 0; m < LPVG_WATCH_MEMORIES; ++m) {
+                const double memory_s = static_cast<double>(m == 0U ? LPVG_WATCH_SHORT_S : LPVG_WATCH_LONG_S);
+                double& q = sums_[m][j];
+                q = q * memory_s / (memory_s + period_s) + quick * quick;
+                const double limit = static_cast<double>(limits.gain[j]) * q + static_cast<double>(limits.disturbance[j]) * std::sqrt(q);
+                violated = violated || std::fabs(gain) * q > limit;
+                evidence = evidence || q > limit;
+                close = close || std::fabs(std::fabs(gain) * q - limit) <= 1e-2 * limit || std::fabs(q - limit) <= 1e-2 * limit;
+            }
+        }
+        return close || (violated == watch.violated && evidence == watch.evidence);
+    }
+
+    lpvg_watch_limits_t limits{};
+    lpvg_watch_t watch{};
+
+private:
+    static constexpr lpvg_real_t offset = lpvg_real_t(0.05);
+    const lpvg_coeff_t& coeff_;
+    lpvg_model_t model_{};
+    lpvg_real_t e_[ny] = {};
+    double slow_[ny] = {}, sums_[LPVG_WATCH_MEMORIES][ny] = {};
+};
+
+}  // namespace
+
+TEST_CASE("a constant gain error violates exactly beyond the limit", "[unit][watch][REQ-ECU-17]") {
+    const double sign = GENERATE(-1.0, 1.0);
+    const double factor = GENERATE(0.0, 0.5, 0.9, 1.5, 3.0, 6.0);
+    const double demand = GENERATE(1e-4, 0.2, 1.0);
+    Vehicle vehicle;
+    const double size = factor * static_cast<double>(*std::min_element(vehicle.limits.gain, vehicle.limits.gain + ny));
+    CAPTURE(sign, size, demand);
+    int wrong = 0, violations = 0, evidence = 0;
+    for (int k = 0; k < 3000; ++k) {
+        wrong += vehicle.step(demand * std::sin(0.02 * k), sign * size) ? 0 : 1;
+        violations += vehicle.watch.violated ? 1 : 0;
+        evidence += vehicle.watch.evidence ? 1 : 0;
+    }
+    CHECK(wrong == 0);
+    if (factor < 1.0) {
+        CHECK(violations == 0);
+    }
+    if (demand > 0.5) {
+        CHECK(evidence > 2000);
+        CHECK((violations > 2000) == (factor > 1.0));
+    }
+    if (demand < 0.1) {
+        CHECK(evidence == 0);
+    }
+}
+
+TEST_CASE("the largest gain is the certificate's, or the healthy one, or the output is not watched", "[unit][watch][REQ-ECU-17]") {
+    lpvg_coeff_t coeff = lpvg_coeff;
+    lpvg_watch_limits_t limits{};
+    for (auto& bin : coeff.reals.W_delta) {
+        std::fill(std::begin(bin), std::end(bin), lpvg_real_t(0.9));
+    }
+    coeff.reals.W_delta[LPVG_NBINS - 1][0] = lpvg_real_t(0.6);
+    const auto set_healthy = [&](std::size_t j, double gain) {
+        coeff.reals.change_scale[j][0] = coeff.reals.change_threshold * coeff.reals.change_unit[j][0] / static_cast<lpvg_real_t>(gain);
+    };
+    set_healthy(0U, 0.1);
+    set_healthy(1U, 0.3);
+    lpvg_watch_limits(&limits, &coeff);
+    CHECK(limits.gain[0] == lpvg_real_t(0.6));
+    CHECK(static_cast<double>(limits.gain[1]) == Approx(LPVG_NDELTA > 1 ? 0.3 : 0.6).epsilon(1e-5));
+    coeff.reals.W_delta[LPVG_NBINS - 1][0] = lpvg_real_t(0.7);
+    set_healthy(0U, 0.7);
+    lpvg_watch_limits(&limits, &coeff);
+    CHECK(limits.gain[0] == lpvg_real_t(1));
+}
+
+TEST_CASE("what is not watched neither violates nor is evidence, and what is not a number violates", "[unit][watch][REQ-ECU-17]") {
+    Vehicle blind;
+    std::fill(std::begin(blind.limits.gain), std::end(blind.limits.gain), lpvg_real_t(1));
+    Vehicle damaged;
+    damaged.watch.P[1][0] = lpvg_real_t(NAN);
+    for (int k = 0; k < 300; ++k) {
+        (void)blind.step(1.0, -2.0);
+        CHECK_FALSE(blind.watch.violated);
+        CHECK_FALSE(blind.watch.evidence);
+        (void)damaged.step(1.0, 0.0);
+        CHECK(damaged.watch.violated);
+    }
+}

@@ -1,0 +1,106 @@
+"""Reads a DBC of which some lines are wrong: a wrong line costs its signal or message, not the file."""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:  # cantools takes long to import
+    from cantools.database.can import Database
+
+_HEAD = 'VERSION ""\n\nNS_ :\n\nBS_:\n\nBU_:\n\n'
+_KEPT = re.compile(r"\s*(BO_|SG_|VAL_|SIG_VALTYPE_|SG_MUL_VAL_|BA_DEF_|BA_DEF_DEF_|BA_)\s")
+"""Statements that decide how a frame is decoded; comments, senders and networks do not."""
+
+
+def read_sound_lines(text: str) -> tuple[Database, list[str]]:
+    """Read the statements of a DBC that cantools can read.
+
+    Parameters
+    ----------
+    text
+        The whole DBC.
+
+    Returns
+    -------
+    database
+        Messages, signals, value names and attributes of the sound statements.
+    left_out
+        A sentence for each other statement: line number and text.
+    """
+    blocks: list[list[tuple[int, str]]] = []
+    others: list[tuple[int, str]] = []
+    for number, line in _statements(text):
+        if line.startswith("BO_ "):
+            blocks.append([(number, line)])
+        elif line.lstrip().startswith("SG_ ") and blocks:
+            blocks[-1].append((number, line))
+        elif _KEPT.match(line):
+            others.append((number, line))
+    left_out: list[tuple[int, str]] = []
+    lines = [line for block in blocks for line in _sound_block(block, left_out)]
+    body = _HEAD + "".join(line + "\n" for line in lines)
+    kept = _sound(body, others, left_out)
+    database = _parsed(body + "".join(line + "\n" for _, line in kept))
+    if database is None:  # statements that are sound one by one, and not together
+        database = _database(_HEAD)
+        left_out = [*left_out, *((number, line) for block in blocks for number, line in block)]
+    return database, [f"line {number}: {line.strip()[:80]}" for number, line in sorted(left_out)]
+
+
+def _statements(text: str) -> list[tuple[int, str]]:
+    """Line number and text of each statement; quoted text may run over several lines."""
+    statements: list[tuple[int, str]] = []
+    quoted = False
+    for number, line in enumerate(text.splitlines(), start=1):
+        begins = re.match(r"\s*(BO_|SG_|CM_|VAL_|BA_)", line) is not None
+        if quoted and not begins:
+            statements[-1] = (statements[-1][0], statements[-1][1] + "\n" + line)
+        else:
+            statements.append((number, line))
+            quoted = False
+        quoted ^= line.replace('\\"', "").count('"') % 2 == 1
+    return statements
+
+
+def _sound_block(block: list[tuple[int, str]], left_out: list[tuple[int, str]]) -> list[str]:
+    """The lines of one message that can be read; none where the message itself cannot."""
+    if _parsed(_HEAD + "\n".join(line for _, line in block)) is not None:
+        return [line for _, line in block]
+    header, signals = block[0], block[1:]
+    if _parsed(_HEAD + header[1]) is None:
+        left_out.append(header)
+        return []
+    kept = _sound(_HEAD + header[1] + "\n", signals, left_out)
+    return [header[1], *(line for _, line in kept)]
+
+
+def _sound(
+    head: str, statements: list[tuple[int, str]], left_out: list[tuple[int, str]]
+) -> list[tuple[int, str]]:
+    """The statements that can be read after ``head``, by halving where they cannot."""
+    if not statements or _parsed(head + "".join(line + "\n" for _, line in statements)) is not None:
+        return statements
+    if len(statements) == 1:
+        left_out.append(statements[0])
+        return []
+    half = len(statements) // 2
+    first = _sound(head, statements[:half], left_out)
+    return first + _sound(head + "".join(line + "\n" for _, line in first), statements[half:], left_out)
+
+
+def _parsed(text: str) -> Database | None:
+    """The database of a DBC, None where cantools cannot read it."""
+    try:
+        return _database(text)
+    except Exception:  # cantools raises many classes for a wrong text
+        return None
+
+
+def _database(text: str) -> Database:
+    """The database of a DBC that cantools can read."""
+    from cantools.database.can import Database
+
+    database = Database(strict=False)
+    database.add_dbc_string(text)
+    return database

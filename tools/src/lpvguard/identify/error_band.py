@@ -1,0 +1,157 @@
+"""Predictive band of a further drive's model error: true, and as sharp as the drives allow (THEORY 7.15).
+
+Hyperparameters come from the marginal likelihood, and their uncertainty is carried on: the band rests on
+draws of hyperparameters, of the common error and of a further drive's deviation. Its width is one factor on
+the standard deviation, the least with which a further drive lies within at all frequencies, speeds and
+amplitudes at once with the stated confidence.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from .error_domain import ErrorDomain
+from .error_prior import USUAL, ErrorPrior, Hyperparameters, OutputSums, PriorScales, hyperparameters
+from .error_sums import AMPLITUDE_CELLS_PER_KNOT, SPEED_CELLS, ErrorSums, deviations
+
+LEVEL = 0.01
+"""1 - confidence that a further drive lies within the band everywhere."""
+HYPER_DRAWS, DRAWS_EACH = 64, 64
+"""Draws of hyperparameters, and of errors under each."""
+SPEED_NODES, AMPLITUDE_NODES = 9, 4
+"""Speeds over the range, and amplitudes over what was driven about a speed, at which the band is read."""
+INTERPOLATION = 0.15
+"""Standard error of the error between speeds and amplitudes, over its largest variation with them."""
+WAVEFORM = 1.5
+"""Factor between amplitudes at which inputs of one rms and different waveform act alike."""
+RARE = 0.02
+"""Share of the samples about a speed with amplitudes beyond either end of what counts as driven."""
+
+
+@dataclass(frozen=True)
+class ErrorBand:
+    """Band of one output's error over frequency, speed and amplitude.
+
+    Attributes
+    ----------
+    omega : (G,) [rad/s].
+    speed : (S,) [m/s].
+    amplitude : (S, A) [input unit].
+    centre : (G, S, A) complex, posterior mean.
+    sd : (G, S, A) standard deviation of a further drive's error about it.
+    k : factor on ``sd``.
+    mean : (p,) posterior mean of the lag values.
+    hyper : most probable hyperparameters, by name.
+    """
+
+    omega: np.ndarray
+    speed: np.ndarray
+    amplitude: np.ndarray
+    centre: np.ndarray
+    sd: np.ndarray
+    k: float
+    mean: np.ndarray
+    hyper: dict[str, float]
+
+    @property
+    def upper(self) -> np.ndarray:
+        """(G, S, A) bound of |delta| by frequency, speed and amplitude."""
+        return np.abs(self.centre) + self.k * self.sd
+
+    @property
+    def bound(self) -> np.ndarray:
+        """(G,) bound of |delta| over all speeds and amplitudes."""
+        return self.upper.max(axis=(1, 2))
+
+
+def driven_amplitudes(domain: ErrorDomain, histogram: np.ndarray, speed: np.ndarray) -> np.ndarray:
+    """(S, 2) lowest and highest amplitude that was driven about each speed (S,) [m/s].
+
+    About a speed without samples it is that of the nearest speed with some. ``histogram``: of `ErrorSums`.
+    """
+    cells = AMPLITUDE_CELLS_PER_KNOT * (len(domain.amplitude_knots) - 1)
+    low, high = domain.amplitude_knots[[0, -1]]
+    edges = np.geomspace(low, high, cells + 1)
+    middle = -1 + (2 * np.arange(SPEED_CELLS) + 1) / SPEED_CELLS
+    filled = np.flatnonzero(histogram.sum(axis=1) > 0)
+    if not len(filled):
+        return np.tile(domain.amplitude_knots[[0, 0]], (len(speed), 1))
+    out = np.empty((len(speed), 2))
+    for k, s in enumerate(domain.relative_speed(speed)):
+        nearest = filled[np.argmin(np.abs(middle[filled] - s))]
+        about = np.abs(middle - middle[nearest]) < 2.5 / SPEED_CELLS
+        share = np.cumsum(histogram[about].sum(axis=0))
+        share = share / share[-1]
+        ends = edges[[np.searchsorted(share, RARE), 1 + np.searchsorted(share, 1 - RARE)]]
+        out[k] = np.maximum(ends, domain.least_amplitude) * [1 / WAVEFORM, WAVEFORM]
+    return out
+
+
+def band_cells(domain: ErrorDomain, histogram: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Speeds (S,) over the model's range [m/s], and amplitudes (S, A) over what was driven about each."""
+    speed = np.linspace(*domain.speed_range, SPEED_NODES)
+    ends = driven_amplitudes(domain, histogram, speed)
+    return speed, np.array([np.geomspace(a, b, AMPLITUDE_NODES) for a, b in ends])
+
+
+def error_band(
+    domain: ErrorDomain,
+    sums: ErrorSums,
+    output: int,
+    omega: np.ndarray,
+    seed: int,
+    scales: PriorScales = USUAL,
+    cells: tuple[np.ndarray, np.ndarray] | None = None,
+) -> ErrorBand:
+    """Band of a further drive's error.
+
+    Parameters
+    ----------
+    omega : (G,) frequencies [rad/s].
+    seed : of the draws.
+    cells : speeds (S,) [m/s] and amplitudes (S, A) [input unit]; None for the model's range of speed and what
+        was driven there.
+    """
+    groups = 1 < len(set(sums.groups)) < len(sums.groups)
+    prior, of_output = ErrorPrior(domain, groups, scales), OutputSums(sums, output)
+    hyper = hyperparameters(prior, of_output)
+    speed, amplitude = band_cells(domain, sums.histogram) if cells is None else cells
+    s = np.repeat(domain.relative_speed(speed), amplitude.shape[1])
+    features = domain.features(s, amplitude.ravel())
+    random = np.random.default_rng(seed)
+    values, own = _draws(prior, of_output, hyper, random)
+    lags = np.einsum("cf,nfl->ncl", features, values.reshape(len(values), features.shape[1], -1))
+    response = domain.response(omega)
+    # (G, N, C): the common error in every draw, and that of a further drive.
+    common = np.einsum("gl,ncl->gnc", response, lags, optimize=True)
+    # A drive deviates by a factor on its response.
+    factor = 1 + common.mean(axis=1, keepdims=True)
+    error = common + (response @ deviations(domain) @ own.T)[:, :, None] * factor
+    centre = error.mean(axis=1)
+    sd = np.sqrt((np.abs(error - centre[:, None]) ** 2).mean(axis=1))
+    needed = ((np.abs(error) - np.abs(centre)[:, None]) / sd[:, None]).max(axis=(0, 2))
+    k = max(0.0, float(np.quantile(needed, 1 - LEVEL, method="higher")))
+    variation = np.abs(centre - centre.mean(axis=1, keepdims=True)).max(axis=1, keepdims=True)
+    sd = np.hypot(sd, INTERPOLATION * variation)
+    shape = (len(omega), *amplitude.shape)
+    named = {n: prior.size(hyper.x, n) for n in prior.names}
+    shaped = centre.reshape(shape), sd.reshape(shape)
+    return ErrorBand(omega, speed, amplitude, *shaped, k, values.mean(axis=0), named)
+
+
+def _draws(
+    prior: ErrorPrior, sums: OutputSums, hyper: Hyperparameters, random: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray]:
+    """Draws (N, p) of the common error's lag values and (N, 3) of a further drive's deviation."""
+    values, own = [], []
+    for x in hyper.draws(HYPER_DRAWS, random):
+        posterior = sums.posterior(prior, x)
+        normal = random.standard_normal((DRAWS_EACH, posterior.root.shape[1]))
+        values.append(posterior.mean + normal @ posterior.root.T)
+        variance = prior.deviation(x)
+        if prior.groups:
+            variance = variance + prior.deviation(x, group=True)
+        own.append(np.sqrt(variance) * random.standard_normal((DRAWS_EACH, len(variance))))
+    return np.concatenate(values), np.concatenate(own)

@@ -1,0 +1,142 @@
+"""Domain of the regularised model error model: lags, speed and amplitude (THEORY 7.15).
+
+The error of output j follows the nominal output by an impulse response over lags,
+
+    e_j(t) = sum_k g_j(k; s, a) yhat_j(t - k) + offset + disturbance
+
+s is the relative speed, a the amplitude of the first input. g is a sum of features of (s, a), each with
+values at knots of the lag; between knots it is linear. Knots are one step apart at small lags and then
+grow geometrically. Lags below 0 let the vehicle respond sooner than the model does.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.polynomial.chebyshev import chebvander
+from scipy.ndimage import uniform_filter1d
+from scipy.signal import firwin, oaconvolve
+
+from ..drives.frames import Estimator
+from ..drives.tables import Drive
+from ..vehicle.nominal import NominalModel
+
+UNIT_LAGS = (-2, 5)
+"""First and last of the knots that are one step apart [steps]."""
+KNOT_RATIO = 1.35
+"""Ratio of one knot to the one before, beyond the last of UNIT_LAGS."""
+MEMORY_RAD = 1.5
+"""Longest lag times the lowest bin's frequency [rad]."""
+OVERSAMPLING = 2.5
+"""Nyquist frequency of the decimated signals over the highest bin's frequency, at least."""
+SLOW = 0.05
+"""Share of the highest speed below which the scale of speed turns from logarithmic to linear."""
+SPEED_DEGREE = 6
+"""Highest degree of the polynomials of speed."""
+AMPLITUDE_RATIO, AMPLITUDE_KNOTS = 2.5, 6
+"""Ratio of neighbouring knots of amplitude, and how many there are."""
+AMPLITUDE_WINDOW_S = 10.0
+"""Time about a sample over which the input's amplitude is taken [s]."""
+
+
+@dataclass(frozen=True)
+class ErrorDomain:
+    """Lags, speeds and amplitudes over which the error is estimated.
+
+    Attributes
+    ----------
+    Ts : sampling period of the drives [s].
+    decimation : samples of the drives that make one step.
+    omega : (K,) frequencies of the bins without DC [rad/s].
+    speed_range : lowest and highest speed of the model [m/s].
+    least_amplitude : amplitude below which a sample does not count [input unit].
+    """
+
+    Ts: float
+    decimation: int
+    omega: np.ndarray
+    speed_range: tuple[float, float]
+    least_amplitude: float
+
+    @classmethod
+    def of(cls, estimator: Estimator, excited_std: float) -> ErrorDomain:
+        """Domain of an estimator's bins; ``excited_std`` [input unit] scalar."""
+        omega = estimator.omega[estimator.cycles > 0]
+        decimation = max(1, int(np.pi / (OVERSAMPLING * omega[-1] * estimator.Ts)))
+        return cls(estimator.Ts, decimation, omega, estimator.speed_range, np.sqrt(2) * excited_std)
+
+    @property
+    def step_s(self) -> float:
+        """Period of the decimated signals [s]."""
+        return self.Ts * self.decimation
+
+    @cached_property
+    def lags(self) -> np.ndarray:
+        """(L,) knots of the lag [steps], rising."""
+        knots = list(range(UNIT_LAGS[0], UNIT_LAGS[1] + 1))
+        longest = MEMORY_RAD / self.omega[0] / self.step_s
+        while knots[-1] < longest:
+            knots.append(max(knots[-1] + 1, round(KNOT_RATIO * knots[-1])))
+        return np.array(knots)
+
+    @cached_property
+    def taps(self) -> np.ndarray:
+        """(L, M) weights of the lags from lags[0] to the end of the last knot's hat, by knot."""
+        end = 2 * self.lags[-1] - self.lags[-2]
+        every = np.arange(self.lags[0], end)
+        knots = np.r_[self.lags, end]
+        return np.array([np.interp(every, knots, row) for row in np.eye(len(self.lags), len(knots))])
+
+    def response(self, omega: np.ndarray) -> np.ndarray:
+        """(G, L) frequency response of each knot's taps at ``omega`` (G,) [rad/s]."""
+        every = self.lags[0] + np.arange(self.taps.shape[1])
+        return np.exp(-1j * np.outer(omega, every) * self.step_s) @ self.taps.T
+
+    @property
+    def lowest_knot(self) -> float:
+        """Lowest knot of the amplitude [input unit]: below it samples do not count."""
+        return self.least_amplitude / AMPLITUDE_RATIO
+
+    @cached_property
+    def amplitude_knots(self) -> np.ndarray:
+        """(A,) knots of the amplitude [input unit]."""
+        return self.lowest_knot * AMPLITUDE_RATIO ** np.arange(AMPLITUDE_KNOTS)
+
+    def relative_speed(self, v: np.ndarray) -> np.ndarray:
+        """s of speeds v [m/s], -1 and 1 at the ends of the range, in the shape of v.
+
+        s is linear in log(v + SLOW * highest speed): dynamics change with 1/v, most at low speed.
+        """
+        low, high = self.speed_range
+        slow = SLOW * high
+        place = np.log(np.maximum(v, low) + slow)
+        first, last = np.log(low + slow), np.log(high + slow)
+        return (2 * place - first - last) / (last - first)
+
+    def features(self, s: np.ndarray, a: np.ndarray) -> np.ndarray:
+        """(N, F) features of relative speed and amplitude.
+
+        Chebyshev's polynomials of s, hats h_i over log a, and s h_i; s and a (N,), a in the input's unit.
+        Beyond the outer knots the hats are constant.
+        """
+        place = np.log(np.maximum(a, self.lowest_knot) / self.lowest_knot) / np.log(AMPLITUDE_RATIO)
+        knots = np.arange(AMPLITUDE_KNOTS)
+        hats = np.column_stack([np.interp(place, knots, row) for row in np.eye(AMPLITUDE_KNOTS)])
+        return np.column_stack([chebvander(s, SPEED_DEGREE), hats, s[:, None] * hats])
+
+    def decimated(self, signals: np.ndarray) -> np.ndarray:
+        """Every ``decimation``-th sample of signals (m, N), low-passed without delay: (m, N')."""
+        if self.decimation == 1:
+            return signals
+        half = 10 * self.decimation
+        low_pass = firwin(2 * half + 1, 0.85 / self.decimation)
+        padded = np.pad(signals, ((0, 0), (half, half)), mode="edge")
+        return oaconvolve(padded, low_pass[None], mode="valid", axes=1)[:, :: self.decimation]
+
+    def amplitude(self, drive: Drive, model: NominalModel) -> np.ndarray:
+        """(N,) sqrt(2) times the rms of the first input about each sample [input unit]."""
+        width = max(1, round(AMPLITUDE_WINDOW_S / self.Ts))
+        square = uniform_filter1d((drive.u[:, 0] - model.input_offset[0]) ** 2, width, mode="nearest")
+        return np.sqrt(2 * np.maximum(square, 0.0))
