@@ -29,6 +29,7 @@ ORDER = (
     "start",
     "core",
     "measure",
+    "fmu",
     "identify",
     "control",
     "replay",

@@ -218,13 +218,14 @@ def marked(value: Any, kind: str, *, each: bool = False) -> Any:
 
 
 def _carries_mark(text: str, kind: str) -> bool:
-    """Whether the text is JSON, HTML, C, a CAN database or an A2L with the mark of ``kind``."""
+    """Whether the text is JSON, HTML, C, a CAN database, an A2L or an FMU with the mark of ``kind``."""
     head = text[:2000]
     if re.search(rf'<meta name="generator" content="{re.escape(mark(kind))}">', head):
         return True
     if kind == "dbc" and head.startswith('VERSION "lpvguard"\n\nNS_ :\n'):
         return True
-    if kind == "a2l" and head.startswith("ASAP2_VERSION 1 60\n/begin PROJECT lpvguard "):
+    begins = {"a2l": "ASAP2_VERSION 1 60\n/begin PROJECT lpvguard ", "fmu": "PK\3\4"}.get(kind)
+    if begins and head.startswith(begins) and "lpvguard" in head:
         return True
     if head.startswith(f"/* {mark(kind)}: generated, do not edit."):
         return True
@@ -504,10 +505,13 @@ def _publish(work: Path, place: Path) -> None:
 
 
 def write_file(target: Path, text: str, kind: str) -> None:
-    """Write the text file of ``lpvguard kind`` whole or not at all. A device or pipe is written to, never
-    replaced."""
-    target, data = Path(target), text.encode()
-    if target.exists() and not target.is_file() and not target.is_dir():
+    """Write a text file as ``write_bytes`` does."""
+    write_bytes(target, text.encode(), kind)
+
+
+def write_bytes(target: Path, data: bytes, kind: str) -> None:
+    """Write the file of ``lpvguard kind`` whole or not at all. A device or pipe is never replaced."""
+    if (target := Path(target)).exists() and not target.is_file() and not target.is_dir():
         with _written(target):
             target.write_bytes(data)
         return
