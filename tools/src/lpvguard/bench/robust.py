@@ -52,6 +52,7 @@ def main(argv: list[str]) -> None:
     given = options.parse_args(argv)
     stored = identify.load(given.identification)
     document = designed.require_designed_for(stored, given.design / "controller.json")
+    designed.require_exported_with(given.design / "controller.json", given.vehicle)
     schedule = Scheduled.read(document)
     asked = amplitudes(given.amplitudes, design_settings(stored).amplitudes)
     runs = certified_runs(stored, document, CompiledController(given.vehicle), given.draws)
