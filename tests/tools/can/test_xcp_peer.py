@@ -11,7 +11,7 @@ import can
 import pytest
 
 from lpvguard.base import native
-from lpvguard.measure.xcp_access import OPTIONAL_COMMANDS, XcpAccess, if_data
+from lpvguard.extras.measure.xcp_access import OPTIONAL_COMMANDS, XcpAccess, if_data
 
 pytest.importorskip("pyxcp", reason="pip install pyxcp")
 from pyxcp.transport.can import CanInterfaceBase
