@@ -1,6 +1,7 @@
 // life.cpp -- see life.h.
 //
-// No product is added to anything, so that no compiler can contract the two. Python has the same operations (tools/src/lpvguard/extras/fleet).
+// No product is added to anything, so that no compiler can contract the two. Python has the same operations
+// (tools/src/lpvguard/extras/fleet).
 #include "lpvguard/life.h"
 
 #include <cmath>
