@@ -405,7 +405,7 @@ def test_every_stop_of_the_walks_exists():
         assert 3 <= len(stops) <= 8 and len(stops) == len(re.findall(r"^\d+\. ", walk, re.MULTILINE)), walk
         assert [stop for stop in stops if not exists(stop)] == []
     assert not exists(("tools/src/lpvguard/drives/tables.py", "no_such_function")) and not exists(
-        ("lib/src/ecu.cpp", "no_such_function")
+        ("lib/src/guard/ecu.cpp", "no_such_function")
     )
 
 

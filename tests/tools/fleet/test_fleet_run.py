@@ -228,8 +228,9 @@ def test_the_exported_table_compiles_and_has_the_cores_constants(state, tmp_path
         '    printf("%u %d\\n", (unsigned)lpvg_g80_life_table.crc32,\n'
         "           (int)lpvg_life_table_check(&lpvg_g80_life_table));\n    return 0;\n}\n"
     )
-    life, program = library_root() / "src/life.cpp", tmp_path / "main"
-    flags = ["-I", str(library_root() / "include"), "-Wall", "-Wextra", "-Werror"]
+    life, program = library_root() / "src/services/life.cpp", tmp_path / "main"
+    includes = [f"-I{library_root() / folder}" for folder in ("include", "src")]
+    flags = [*includes, "-Wall", "-Wextra", "-Werror"]
     c = ["gcc", "-std=c99", "-pedantic", "-c", str(tmp_path / "main.c"), "-o", str(tmp_path / "main.o")]
     subprocess.run([*c, *flags], check=True)
     subprocess.run(

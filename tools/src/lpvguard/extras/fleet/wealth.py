@@ -7,7 +7,7 @@ bet's expected factor is then at most 1 for whatever law has such tails (T36). W
 supermartingale from 1, so it reaches 1/alpha with probability at most alpha, in a life of any length (T37).
 
 Money is put on the bets step by step, for a change may begin late. Arithmetic is that of the core
-(lib/src/life.cpp), in 32-bit floats and its order, so that both have the same bits. Factors are rounded down
+(life.cpp), in 32-bit floats and its order, so that both have the same bits. Factors are rounded down
 by more than the rounding of a step adds.
 """
 

@@ -1,8 +1,8 @@
 """What the supervision of the bus must say, from the frames on the bus and the message table alone (rules:
 lib/include/lpvguard/can.h).
 
-Written from the rules, not from lib/src/can.cpp, so that one can be held against the other. Per message, with
-its period from the table, starting off:
+Written from the rules, not from can.cpp of the core, so that one can be held against the other. Per message,
+with its period from the table, starting off:
 
     off -> live         RECOVER_FRAMES good frames in a row
     live -> hold -> off the newest good frame is older than HOLD_MISSED + 1/2, OFF_MISSED + 1/2 periods; a

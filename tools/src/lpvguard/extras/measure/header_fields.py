@@ -17,6 +17,8 @@ _STRUCT = re.compile(r"^typedef struct (\w+) \{\n(.*?)^\} \1;", re.MULTILINE | r
 _DECLARATION = re.compile(
     r"^\s*(?:const\s+)?[A-Za-z_]\w*\*?\s+(?P<names>\*?\w[^;]*);\s*(?:///<\s?(?P<text>.*))?$"
 )
+_WRAPPED = re.compile(r",\n\s*(?=\w)")
+"""Where a declaration goes on in the next line."""
 _UNIT = re.compile(r"\s*\[(?P<unit>[^\[\]]*)\]")
 _RANGE = re.compile(r"(?<![\w.])(?P<low>-?\d+) \.\. (?P<high>-?\d+)(?![\w.])")
 
@@ -47,7 +49,7 @@ def described_fields(include: Path) -> dict[str, dict[str, Described]]:
 def _fields(body: str) -> Iterator[tuple[str, str]]:
     """Name and comment of every field of a struct's body."""
     before: list[str] = []
-    for line in body.splitlines():
+    for line in _WRAPPED.sub(", ", body).splitlines():
         if line.strip().startswith("//"):
             before += [line.strip().removeprefix("///").strip()] if line.strip().startswith("///") else []
             continue

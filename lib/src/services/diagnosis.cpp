@@ -5,8 +5,8 @@
 
 #include <cmath>
 
-#include "coefficient_checks.hpp"
-#include "eigen.hpp"
+#include "diagnosis_checks.hpp"
+#include "monitor/eigen.hpp"
 
 namespace {
 

@@ -3,7 +3,7 @@
 
 #include <cstring>
 
-#include "crc32.hpp"
+#include "monitor/crc32.hpp"
 #include "freeze_bytes.hpp"
 
 namespace {

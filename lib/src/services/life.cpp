@@ -7,7 +7,7 @@
 #include <cmath>
 #include <cstring>
 
-#include "crc32.hpp"
+#include "monitor/crc32.hpp"
 
 namespace {
 

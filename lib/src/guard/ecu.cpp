@@ -7,8 +7,9 @@
 #include <cstring>
 #include <utility>
 
-#include "acceptance.hpp"
-#include "begin.hpp"
+#include "control_begin.hpp"
+#include "monitor/acceptance.hpp"
+#include "monitor/begin.hpp"
 
 namespace {
 

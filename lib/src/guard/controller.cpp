@@ -6,8 +6,8 @@
 #include <cmath>
 #include <utility>
 
-#include "begin.hpp"
-#include "coefficient_checks.hpp"
+#include "control_begin.hpp"
+#include "control_checks.hpp"
 
 namespace {
 
