@@ -32,6 +32,7 @@ MAIN = (
     "replay",
     "evaluate",
     "report",
+    "robust",
     "api",
 )
 """The main path and what it stands on."""
