@@ -140,12 +140,17 @@ def test_a_planted_fault_is_found(tmp_path, old, new, found):
     assert [f for f in findings(path, path.name) if f.startswith(found)] != []
 
 
+def room_of(name: str) -> str:
+    """The folder in which a module stands, for a side room without that of all side rooms."""
+    return name.removeprefix("extras/").split("/")[0]
+
+
 def main() -> None:
     """The findings, and how many each room has."""
     found = of_package()
-    rooms = Counter(dict.fromkeys((name.split("/")[0] for name in found if "/" in name), 0))
+    rooms = Counter(dict.fromkeys((room_of(name) for name in found if "/" in name), 0))
     for name, of_module in found.items():
-        rooms[name.split("/")[0]] += len(of_module)
+        rooms[room_of(name)] += len(of_module)
         print("\n".join(of_module), end="\n" * bool(of_module))
     print("\n".join(f"{count:5} {room}" for room, count in rooms.most_common()))
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import subprocess
 import zipfile
 from pathlib import Path
+from xml.etree import ElementTree
 
 import fmpy
 import numpy as np
@@ -13,12 +15,13 @@ from fmpy.fmi2 import FMU2Slave
 from fmpy.fmi3 import FMU3Slave
 from fmpy.validation import validate_fmu
 
-from lpvguard.core.compiled import CAUSES, VERDICTS
+from lpvguard.core.compiled import CAUSES, VERDICTS, eigen_include
 from lpvguard.drives.tables import read_drive
-from lpvguard.fmu.package import monitor_fmu
+from lpvguard.extras.fmu.package import monitor_fmu
 
 pytestmark = pytest.mark.slow("6 s: the core is compiled and runs under fmpy")
 VERSIONS = (2, 3)
+BUILD = ("SourceFile", "IncludeDirectory", "PreprocessorDefinition")
 RESULTS = ("verdict", "cause", "margin", "energy_ratio", "change_ratio", "cause_value")
 
 
@@ -182,6 +185,18 @@ def test_an_output_cannot_be_set(running):
     reference = running.references["margin"]
     with pytest.raises(FMICallException):
         (running.fmu.setReal if running.version == 2 else running.fmu.setFloat64)([reference], [1.0])
+
+
+def test_the_sources_compile_as_their_build_description_says(fmus, tmp_path):
+    with zipfile.ZipFile(fmus[3]) as archive:
+        archive.extractall(tmp_path)
+    root = ElementTree.parse(tmp_path / "sources/buildDescription.xml")
+    words = [[node.get("name") for node in root.iter(tag)] for tag in BUILD]
+    sources, includes, defines = words
+    options = [f"-I{folder}" for folder in (*includes, eigen_include())] + [f"-D{name}" for name in defines]
+    command = ["g++", "-std=c++17", "-fsyntax-only", "-x", "c++", *options, *sources]
+    done = subprocess.run(command, cwd=tmp_path / "sources", capture_output=True, text=True, check=False)
+    assert done.returncode == 0 and len(sources) > 6, done.stderr
 
 
 def test_the_command_writes_the_same_bytes_twice_and_sources_that_are_the_cores(lpvguard, vehicle, tmp_path):

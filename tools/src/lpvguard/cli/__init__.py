@@ -18,7 +18,7 @@ from typer.completion import completion_init  # type: ignore[attr-defined]  # Ty
 
 from ..base.errors import InputError, InputWarning
 from ..base.system import ENDING_SIGNALS, open_standard_streams
-from . import (  # noqa: F401 - each adds its verb, in the order of --help
+from . import (  # noqa: F401 - each adds its verb; sections.py has their order in --help
     a2l,
     bench,
     campaign,

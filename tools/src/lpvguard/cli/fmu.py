@@ -21,7 +21,7 @@ def fmu(
 ) -> None:
     """Pack a vehicle's monitor as a co-simulation FMU for simulation tools."""
     from ..core.compiled import shipped_vehicle
-    from ..fmu.package import monitor_fmu
+    from ..extras.fmu.package import monitor_fmu
 
     project = project_of(vehicle)
     folder = coefficients or shipped_vehicle(project.name)

@@ -45,7 +45,7 @@ def library_root() -> Path:
     """The folder lib/ of the C core: of the source tree when run from it, else the copy that the wheel
     carries."""
     for candidate in (PACKAGE.parents[2] / "lib", PACKAGE / "_lib"):
-        if (candidate / "src" / "monitor.cpp").is_file():
+        if (candidate / "src" / "monitor" / "monitor.cpp").is_file():
             return candidate
     raise InputError(
         PACKAGE, "lib", "the C core's sources are missing", "lib/ beside tools/, or an installed package"
@@ -61,7 +61,7 @@ ALARMING = ("invalid", "degraded")
 """Verdicts that a test's alarm makes."""
 REASONS = _enum("monitor.h", "lpvg_reason_t")
 TESTS = _enum("monitor.h", "lpvg_test_t")
-CAUSES = _enum("diagnosis.h", "lpvg_cause_t")
+CAUSES = _enum("cause.h", "lpvg_cause_t")
 STATUSES = _enum("status.h", "lpvg_status_t")
 SUPERVISION = _enum("can.h", "lpvg_can_state_t")
 EVENTS = _enum("can.h", "lpvg_can_event_t")
@@ -132,13 +132,13 @@ def core_objects(
     their own on top. ``source_root``: a lib/ other than the package's. NativeError as of ``compile_object``.
     """
     root, folder = source_root or library_root(), Path(folder)
-    eigen, header = eigen_include(), root / "src" / "eigen.hpp"
+    eigen, header = eigen_include(), root / "src" / "monitor" / "eigen.hpp"
     common = (*CORE_FLAGS, "-isystem", eigen, *(["-DLPVG_DOUBLE"] if double else []))
     of_no_vehicle = [root / "include", root / "src"]
     of_vehicle = [*of_no_vehicle, folder]
     jobs = [
         (source, common, of_no_vehicle if source.stem in OF_NO_VEHICLE else of_vehicle)
-        for source in sorted((root / "src").glob("*.cpp"))
+        for source in sorted((root / "src").rglob("*.cpp"))
     ]
     jobs += [(source, common, of_vehicle) for source in sorted(folder.glob("*.c"))]
     jobs += [(source, (*common, *flags), of_vehicle) for source in more]
@@ -146,7 +146,7 @@ def core_objects(
     def eigen_first(source: Path) -> Path | None:
         """Eigen's header is half of what a source that includes it takes to compile."""
         version = Path(eigen) / "Eigen" / "src" / "Core" / "util" / "Macros.h"
-        if f'"{header.name}"' not in source.read_text(encoding="utf-8") or not version.is_file():
+        if f'{header.name}"' not in source.read_text(encoding="utf-8") or not version.is_file():
             return None
         told = version.read_bytes()
         return native.precompiled(header, flags=common, include_dirs=of_no_vehicle, version=told)

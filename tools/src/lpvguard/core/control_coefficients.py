@@ -13,12 +13,12 @@ Reads   controller.json, written by `lpvguard design`:
             L (NG, NU, NK, NU)          anti-windup injection, A - L C stable at every node and between
             u_max (NG, NU)              largest |demand| [input unit]
             rate_max (NU,)              its largest change [input unit/s]
-            certificates                optional, kept in the manifest as it is
+
+The manifest of the generated folder names that file by its hash; its certificates stay in it.
 """
 
 from __future__ import annotations
 
-import hashlib
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -44,8 +44,7 @@ ARRAYS = ("speeds", "a", "B", "L", "u_max", "rate_max")
 
 @dataclass(frozen=True)
 class ControllerCoefficients(Sealed):
-    """A scheduled controller as the core takes it. ``origin`` goes into the manifest: its file's hash, its
-    certificates."""
+    """A scheduled controller as the core takes it. ``origin`` goes into the manifest: its file's hash."""
 
     LAYOUT = CONTROL
     Ts_s: float
@@ -135,10 +134,7 @@ def load_controller(path: Path) -> ControllerCoefficients:
             raise InputError(path, key, "not an array of numbers", "nested lists of equal lengths") from None
     if not isinstance(document["Ts_s"], (int, float)):
         raise InputError(path, "Ts_s", repr(document["Ts_s"]), "a number of seconds")
-    origin = {
-        "sha256": hashlib.sha256(path.read_bytes()).hexdigest(),
-        "certificates": document.get("certificates"),
-    }
+    origin = {"sha256": artefacts.file_hash(path)}
     return build_controller(float(document["Ts_s"]), *arrays, origin=origin, where=path)
 
 

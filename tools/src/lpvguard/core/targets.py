@@ -380,7 +380,7 @@ def _host_lines(vehicle: Path, program: Program) -> list[str]:
 
 def _sources(vehicle: Path) -> tuple[list[Path], list[Path]]:
     """Sources of the core and of the vehicle."""
-    return sorted((library_root() / "src").glob("*.cpp")), sorted(Path(vehicle).glob("*.c"))
+    return sorted((library_root() / "src").rglob("*.cpp")), sorted(Path(vehicle).glob("*.c"))
 
 
 def _build(
@@ -443,7 +443,7 @@ def _build_key(
         *(h for folder in program.folders for h in sorted(folder.glob("*.h*"))),
         *sorted(vehicle.glob("*.h")),
         *sorted((core / "include").rglob("*.h")),
-        *sorted((core / "src").glob("*.hpp")),
+        *sorted((core / "src").rglob("*.hpp")),
     ):
         key.update(path.name.encode() + b"\0" + path.read_bytes() + b"\0")
     return key.hexdigest()[:24]

@@ -356,7 +356,7 @@ def _library(name: str, take: str, *generated: tuple[str, str]) -> Path:
             folder / SOURCE,
             *own,
             folder / "take.cpp",
-            root / "src" / "can.cpp",
+            root / "src" / "guard" / "can.cpp",
             Path(__file__).with_name("receiver.cpp"),
         ]
         try:
