@@ -45,6 +45,8 @@ ORDER = (
 )
 """Lowest first: a room imports only from rooms before it, and of those only what its MAY_IMPORT names."""
 MODULE_LINES, FUNCTION_LINES = 600, 60
+"""The sections of numpydoc do not count."""
+SECTIONS = re.compile(r"\n\n[A-Z]\w+\n-{4,}\n.*", re.DOTALL)
 REASON = re.compile(r"^\s*Length: \S", re.MULTILINE)
 """A line of the docstring that says why a module or function is longer."""
 PICTURE = (
@@ -160,14 +162,22 @@ def faults(package: Path, order: tuple[str, ...] = ORDER) -> list[str]:
     return wrong + ["circle: " + " -> ".join(circle) for circle in circles(graph)]
 
 
+def lines_of(node: ast.Module | ast.ClassDef | ast.FunctionDef, lines: int) -> int:
+    """``lines`` without the sections of numpydoc in the docstrings of a node and of what it holds."""
+    documented = [n for n in ast.walk(node) if isinstance(n, (ast.Module, ast.ClassDef, ast.FunctionDef))]
+    sections = (SECTIONS.search(ast.get_docstring(n) or "") for n in documented)
+    return lines - sum(found[0].count("\n") for found in sections if found)
+
+
 def long_ones(package: Path) -> dict[str, int]:
     """ "module.py" or "module.py:function" -> lines, of all that are longer than allowed without a reason."""
     found = {}
     for path in sorted(package.rglob("*.py")):
         name, text = str(path.relative_to(package)), path.read_text(encoding="utf-8")
         tree = ast.parse(text)
-        if len(text.splitlines()) > MODULE_LINES and not REASON.search(ast.get_docstring(tree) or ""):
-            found[name] = len(text.splitlines())
+        lines = lines_of(tree, len(text.splitlines()))
+        if lines > MODULE_LINES and not REASON.search(ast.get_docstring(tree) or ""):
+            found[name] = lines
 
         def functions(node: ast.AST, above: str, name: str = name) -> None:
             for child in ast.iter_child_nodes(node):
@@ -177,7 +187,7 @@ def long_ones(package: Path) -> dict[str, int]:
                     else getattr(child, "name", above)
                 )
                 if isinstance(child, ast.FunctionDef):
-                    lines = child.end_lineno - child.lineno + 1
+                    lines = lines_of(child, child.end_lineno - child.lineno + 1)
                     if lines > FUNCTION_LINES and not REASON.search(ast.get_docstring(child) or ""):
                         found[f"{name}:{inner}"] = lines
                 functions(child, inner)
