@@ -103,6 +103,9 @@ ROOMS = (
     "vehicle",
     "core",
     "drives",
+    "can",
+    "replay",
+    "report",
 )
 """Rooms whose offered functions and classes have numpydoc's form."""
 FORM = {
