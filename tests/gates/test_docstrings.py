@@ -106,6 +106,12 @@ ROOMS = (
     "can",
     "replay",
     "report",
+    "evaluate",
+    "api",
+    "fit",
+    "start",
+    "fleet",
+    "live",
 )
 """Rooms whose offered functions and classes have numpydoc's form."""
 FORM = {
