@@ -112,6 +112,11 @@ ROOMS = (
     "start",
     "fleet",
     "live",
+    "loop",
+    "sources",
+    "measure",
+    "problems",
+    "bench",
 )
 """Rooms whose offered functions and classes have numpydoc's form."""
 FORM = {

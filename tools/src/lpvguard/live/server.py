@@ -140,9 +140,20 @@ def application(watch: Watch) -> tornado.web.Application:
 
 
 async def serve(watch: Watch, port: int, ready: Any = None, until: asyncio.Event | None = None) -> None:
-    """Serves the page on the loopback interface until ``until`` or an interrupt. ``ready`` gets its URL.
+    """Serve the page of a watch until told to end.
 
-    InputError where the port (0: any free one) is taken."""
+    Parameters
+    ----------
+    watch : Watch
+    port : int, 0 is any free one
+    ready : Any, optional
+    until : asyncio.Event or None, optional
+
+    Raises
+    ------
+    InputError
+        If the port is taken.
+    """
     try:
         sockets = bind_sockets(port, LOOPBACK)
     except (OSError, OverflowError) as error:
