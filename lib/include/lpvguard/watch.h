@@ -1,8 +1,8 @@
 /// @file watch.h -- does the vehicle respond to the demand as modelled, within seconds of engagement?
 ///
 /// phi is the nominal model's response to the demand alone, from rest at the first engaged sample; e is the monitor's nominal error, and
-/// F a high-pass of corner LPVG_WATCH_CORNER_RPS that begins at rest on the first e. Sums forget with LPVG_WATCH_SHORT_S, for a fault that
-/// comes, and with LPVG_WATCH_LONG_S, for one that shows little. For each of both memories and each output j
+/// F a high-pass of corner LPVG_WATCH_CORNER_RPS that begins at rest on the first of both. Sums forget with LPVG_WATCH_SHORT_S, for a fault
+/// that comes, and with LPVG_WATCH_LONG_S, for one that shows little. For each of both memories and each output j
 ///
 ///     P_j = sum of F e_j F phi_j      Q_j = sum of (F phi_j)^2      |P_j| <= gain_j Q_j + disturbance_j sqrt(Q_j)            (T46)
 ///
@@ -12,6 +12,8 @@
 /// gain_j is the least W_delta,j of all bins: a larger constant error lies outside of the certificate set. Where that set contains
 /// gains above LPVG_WATCH_GAIN_MAX, the largest gain that the change test calls healthy stands for it. An output without either is
 /// not watched. disturbance_j is the energy test's sigma_j between its outer corners, in the time LPVG_WATCH_COHERENCE_S.
+///
+/// While the model has not settled since its start, e holds what that left over: the sums begin behind it, and F at rest there.
 ///
 /// The sums are *evidence* where a vehicle that did not respond at all, P_j = -Q_j, would have violated.
 ///
@@ -63,9 +65,9 @@ void lpvg_watch_limits(lpvg_watch_limits_t* limits, const lpvg_coeff_t* coeff);
 void lpvg_watch_start(lpvg_watch_t* self, const lpvg_real_t* e);
 
 /// Takes the nominal error e [LPVG_NY] of a sample and the demand u [LPVG_NU] applied from it on. `model` is the monitor's, after that
-/// sample. NULL is not checked.
+/// sample; `settled`: the sums have begun. NULL is not checked.
 void lpvg_watch_take(lpvg_watch_t* self, const lpvg_watch_limits_t* limits, const lpvg_coeff_t* coeff, const lpvg_model_t* model,
-                     const lpvg_real_t* e, const lpvg_real_t* u);
+                     bool settled, const lpvg_real_t* e, const lpvg_real_t* u);
 
 LPVG_EXTERN_C_END
 #endif
