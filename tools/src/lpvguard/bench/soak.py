@@ -49,7 +49,8 @@ def soak(
     vehicle: Path, target: str, hours: int, *, hour_ms: int = HOUR_MS, seed: int = SEED, faults: bool = True
 ) -> Soak:
     """Runs a generated folder with a controller, a bus and a diagnosis; ``hour_ms`` [ms] simulated time stand
-    for an hour. Without ``faults`` the speed stays within the controller's range. InputError as `run_program`."""
+    for an hour. Without ``faults`` the speed stays within the controller's range. InputError as
+    `run_program`."""
     root = firmware_root()
     header = header_text(hours, hour_ms, seed, faults)
     sources = (root / "ports" / "soak.c", root / "ecu" / "firmware.c")
