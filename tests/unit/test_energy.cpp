@@ -19,7 +19,7 @@ constexpr double pi = 3.141592653589793;
 double rho() { return std::sqrt(1.0 - static_cast<double>(lpvg_coeff.reals.energy_forget[0])); }
 uint32_t memory() { return static_cast<uint32_t>(std::ceil(1.0 / -std::log(rho()))); }
 
-// W_delta a constant, b(z) = value (z^2) over z^2; sigma the same for all outputs.
+// W_delta a constant, b(z) = value (z^2) over z^2; sigma the same for all outputs; nothing remembered at a restart.
 void with_constant_weight(lpvg_coeff_t& c, double weight, double sigma) {
     for (std::size_t d = 0; d < LPVG_NDELTA; ++d) {
         for (auto& section : c.reals.energy_W[d]) {
@@ -33,6 +33,9 @@ void with_constant_weight(lpvg_coeff_t& c, double weight, double sigma) {
     }
     for (auto& band : c.reals.energy_scale) {
         std::fill(std::begin(band), std::end(band), static_cast<Real>(1.0 / sigma));
+    }
+    for (auto& band : c.reals.energy_start) {
+        std::fill(std::begin(band), std::end(band), Real(0));
     }
 }
 
@@ -62,7 +65,7 @@ void hear_only(lpvg_coeff_t& c, std::size_t band) {
 struct Fed {
     lpvg_coeff_t coeff;
     lpvg_energy_t energy;
-    explicit Fed(const lpvg_coeff_t& c) : coeff(c) { lpvg_energy_start(&energy, &coeff); }
+    explicit Fed(const lpvg_coeff_t& c) : coeff(c) { lpvg_energy_start(&energy); }
 
     // e_j = error[j] * z_e and yhat_j = nominal[j] * z_n; the largest ratio over the whole fan.
     double take(const double* error, double z_e, const double* nominal, double z_n) {
@@ -179,7 +182,7 @@ TEST_CASE("errors of opposite sign under one nominal output are seen by the join
     for (uint32_t k = 0; k < 6U * memory(); ++k) {
         CHECK(fed.take(same, std::sin(step * k), same, std::sin(step * k)) <= 1.0);
     }
-    lpvg_energy_start(&fed.energy, &fed.coeff);
+    lpvg_energy_start(&fed.energy);
     for (uint32_t k = 0; k < 6U * memory(); ++k) {
         (void)fed.take(opposite, std::sin(step * k), same, std::sin(step * k));
     }
@@ -231,13 +234,7 @@ namespace {
 // Sums, sections and bands as energy.h and coeff.h define them, in double and by z instead of d = z - 1.
 class Definition {
 public:
-    explicit Definition(const lpvg_coeff_t& c) : r_(c.reals) {
-        for (std::size_t b = 0; b < LPVG_NBANDS; ++b) {
-            for (std::size_t j = 0; j < LPVG_NY; ++j) {
-                right_[b][j][j] = static_cast<double>(r_.energy_start[b][j]);
-            }
-        }
-    }
+    explicit Definition(const lpvg_coeff_t& c) : r_(c.reals) {}
 
     void take(const Real* signal, bool settled) {
         double whole[3][LPVG_NY];
@@ -263,9 +260,12 @@ public:
                 band[0][what][j] = rest;
             }
         }
+        double constant[LPVG_NY];
         for (std::size_t j = 0; j < LPVG_NY; ++j) {
-            band[LPVG_NBANDS - 1U][2][j] = static_cast<double>(r_.energy_above[delta_of(j)]) * band[LPVG_NBANDS - 1U][1][j];
+            constant[j] = static_cast<double>(r_.energy_above[delta_of(j)]) * band[LPVG_NBANDS - 1U][1][j];
         }
+        add(above_, constant, 1.0 - static_cast<double>(r_.energy_forget[LPVG_NBANDS - 1U]));
+        fading_ *= std::sqrt(1.0 - static_cast<double>(r_.energy_forget[0]));
         for (std::size_t b = 0; b < LPVG_NBANDS; ++b) {
             const double keep = 1.0 - static_cast<double>(r_.energy_forget[b]);
             add(right_[b], band[b][2], keep);
@@ -277,10 +277,13 @@ public:
     }
 
     // Of direction a: the largest of the bands' ratios, and what it would be of a vehicle that does not answer.
-    std::pair<double, double> judged(const Real* a) const {
+    std::pair<double, double> judged(const Real* a) {
         double largest = 0.0, dead = 0.0;
         for (std::size_t b = 0; b < LPVG_NBANDS; ++b) {
-            const double allowed = norm(right_[b], a, b) + 1.0, ratio = norm(left_[b], a, b) / allowed;
+            const double weighted = norm(right_[b], a, b), constant = b == LPVG_NBANDS - 1U ? norm(above_, a, b) : 0.0;
+            const double allowed = std::max(weighted, constant) + fading_ * remembered(a, b) + 1.0, ratio = norm(left_[b], a, b) / allowed;
+            constant_is_larger = constant_is_larger || constant > weighted;
+            weighted_is_larger = weighted_is_larger || (b == LPVG_NBANDS - 1U && weighted > constant);
             if (ratio > largest) {
                 largest = ratio;
                 dead = norm(nominal_[b], a, b) / allowed;
@@ -289,10 +292,8 @@ public:
         return {largest, dead};
     }
 
-private:
-    using Gram = double[LPVG_NY][LPVG_NY];
-
-    static std::size_t delta_of(std::size_t j) { return LPVG_NDELTA == 1 ? 0U : j; }
+    // What was the larger right side above the corners, so far.
+    bool constant_is_larger = false, weighted_is_larger = false;
 
     // (b0 d^2 + b1 d + b2) / (d^2 + a1 d + a2); past: the newest two values in and out.
     static double weighted(const Real* c, double x, double (&past)[4]) {
@@ -304,6 +305,11 @@ private:
         past[2] = y;
         return y;
     }
+
+private:
+    using Gram = double[LPVG_NY][LPVG_NY];
+
+    static std::size_t delta_of(std::size_t j) { return LPVG_NDELTA == 1 ? 0U : j; }
 
     static void add(Gram& gram, const double* x, double keep) {
         for (std::size_t i = 0; i < LPVG_NY; ++i) {
@@ -323,10 +329,19 @@ private:
         return std::sqrt(std::max(sum, 0.0));
     }
 
+    double remembered(const Real* a, std::size_t b) const {
+        double sum = 0.0;
+        for (std::size_t j = 0; j < LPVG_NY; ++j) {
+            sum += std::abs(static_cast<double>(a[j] * r_.energy_scale[b][j])) * std::sqrt(static_cast<double>(r_.energy_start[b][j]));
+        }
+        return sum;
+    }
+
     const lpvg_coeff_reals_t& r_;
     double past_[LPVG_NWEIGHT][LPVG_NY][4] = {};
     std::pair<double, double> low_[LPVG_NBANDS - 1][3][LPVG_NY] = {};  // the newest value in, and out
-    Gram left_[LPVG_NBANDS] = {}, right_[LPVG_NBANDS] = {}, nominal_[LPVG_NBANDS] = {};
+    Gram left_[LPVG_NBANDS] = {}, right_[LPVG_NBANDS] = {}, nominal_[LPVG_NBANDS] = {}, above_ = {};
+    double fading_ = 1.0;  // rho^(T - t0 + 1)
 };
 
 // Every section, output, band and direction differs from every other.
@@ -362,8 +377,12 @@ lpvg_coeff_t with_all_different() {
 
 TEST_CASE("ratio and evidence are what their definition says in double, of every direction", "[unit][energy][REQ-MON-14]") {
     const std::size_t loud = GENERATE(range(std::size_t{0}, std::size_t{LPVG_NBANDS}));
+    const Real constant = GENERATE(Real(0.5), Real(4));  // below and above what W_delta lets through
     lpvg_coeff_t coeff = with_all_different();
     hear_only(coeff, loud);
+    for (Real& above : coeff.reals.energy_above) {
+        above *= constant;
+    }
     Fed fed(coeff);
     Definition definition(fed.coeff);
     std::uint32_t random = 1U;
@@ -392,8 +411,53 @@ TEST_CASE("ratio and evidence are what their definition says in double, of every
         }
     }
     CHECK(strongest > 0.5);
+    CHECK((constant > Real(1) ? definition.constant_is_larger : definition.weighted_is_larger));
     CHECK(off_ratio <= 1e-4);
     CHECK(off_evidence <= 1e-4);
+}
+
+TEST_CASE("an error of exactly W_delta yhat that rings on is within the bound in every band", "[unit][energy][REQ-MON-14]") {
+    // The weight rings for a part of the lower bands' memory. A sine at its resonance ends at once.
+    const double share = GENERATE(0.05, 0.2, 0.6), periods = GENERATE(0.5, 3.0, 30.0), above = GENERATE(0.01, 1.0);
+    const double radius = std::exp(-1.0 / (share * memory())), turn = 2.0 * pi * periods / memory();
+    const lpvg_coeff_t coeff = sealed([&](lpvg_coeff_t& c) {
+        with_constant_weight(c, 1.0, 1e-3);
+        for (std::size_t d = 0; d < LPVG_NDELTA; ++d) {
+            const double resonance[5] = {0.5, 0.5, 0.4 * (1.0 - 2.0 * radius * std::cos(turn) + radius * radius),
+                                         2.0 - 2.0 * radius * std::cos(turn), 1.0 - 2.0 * radius * std::cos(turn) + radius * radius};
+            std::copy(std::begin(resonance), std::end(resonance), c.reals.energy_W[d][0]);
+            c.reals.energy_above[d] = static_cast<Real>(above);
+        }
+    });
+    Fed fed(coeff);
+    double past[4] = {}, worst = 0.0;
+    const double all[4] = {1.0, 1.0, 1.0, 1.0};
+    for (uint32_t k = 0; k < 8U * memory(); ++k) {
+        const double nominal = k < 5U * memory() ? std::sin(turn * k) : 0.0;
+        worst = std::max(worst, fed.take(all, Definition::weighted(coeff.reals.energy_W[0][0], nominal, past), all, nominal));
+    }
+    CHECK(worst <= 1.0);
+    CHECK(worst > 0.5);
+}
+
+TEST_CASE("what the error may owe to yhat is the larger right norm and what is remembered", "[unit][energy][REQ-MON-14]") {
+    const bool constant = GENERATE(false, true);
+    Fed fed(with_all_different());
+    for (std::size_t b = 0; b < LPVG_NBANDS; ++b) {
+        std::fill(std::begin(fed.energy.band[b].right), std::end(fed.energy.band[b].right), constant ? Real(4) : Real(9));
+    }
+    auto& reals = fed.coeff.reals;
+    std::fill(std::begin(reals.energy_above), std::end(reals.energy_above), Real(0.5));
+    std::fill(std::begin(fed.energy.above), std::end(fed.energy.above), Real(4) * (constant ? Real(9) : Real(4)));
+    fed.energy.fading = Real(0.25);
+    for (std::uint32_t b = 0; b < LPVG_NBANDS; ++b) {
+        fed.energy.strongest = b;
+        const double larger = constant && b + 1U < LPVG_NBANDS ? 2.0 : 3.0;
+        for (std::uint32_t j = 0; j < LPVG_NY; ++j) {
+            const double remembered = 0.5 * std::sqrt(static_cast<double>(fed.coeff.reals.energy_start[b][j]));
+            CHECK(lpvg_energy_explained(&fed.energy, &fed.coeff, j) == Approx(larger + remembered));
+        }
+    }
 }
 
 TEST_CASE("a sum that rounding made negative counts as none", "[unit][energy][REQ-MON-14]") {
@@ -402,7 +466,10 @@ TEST_CASE("a sum that rounding made negative counts as none", "[unit][energy][RE
         return;
     }
     Fed fed(with_all_different());
-    const auto& reals = fed.coeff.reals;
+    auto& reals = fed.coeff.reals;
+    for (auto& band : reals.energy_start) {
+        std::fill(std::begin(band), std::end(band), Real(0));
+    }
     const auto& a = reals.energy_direction[LPVG_NDIRECTIONS - 1];
     for (std::size_t b = 0; b < LPVG_NBANDS; ++b) {
         const Real first = a[0] * reals.energy_scale[b][0], second = a[1] * reals.energy_scale[b][1];
@@ -418,7 +485,7 @@ TEST_CASE("a sum that rounding made negative counts as none", "[unit][energy][RE
     CHECK(lpvg_energy_judge(&fed.energy, &fed.coeff) == Approx(1.0).epsilon(1e-5));
 }
 
-TEST_CASE("a restart stays sound because the right sum starts with what Delta may remember", "[unit][energy][REQ-MON-14]") {
+TEST_CASE("a restart stays sound because the right side holds what Delta may remember", "[unit][energy][REQ-MON-14]") {
     // Delta of gain 1 on |z| = rho: (rho / z)^delay. At the restart it still holds what came before.
     const double all[4] = {1.0, 1.0, 1.0, 1.0}, weight = 0.8, step = 2.0 * pi * 3.0 / words().frame_length[LPVG_NBINS / 2];
     const uint32_t delay = memory() / 4U;
@@ -433,7 +500,7 @@ TEST_CASE("a restart stays sound because the right sum starts with what Delta ma
         }
         for (std::size_t b = 0; b < LPVG_NBANDS; ++b) {
             for (Real& start : coeff.reals.energy_start[b]) {
-                start = remembered ? static_cast<Real>(1.1 * LPVG_NY) * probe.energy.band[b].right[0] : Real(0);
+                start = remembered ? Real(1.1) * probe.energy.band[b].right[0] : Real(0);
             }
         }
         Fed fed(coeff);
@@ -443,7 +510,7 @@ TEST_CASE("a restart stays sound because the right sum starts with what Delta ma
             const double z = k < 4U * memory() ? std::sin(step * k) : 0.0;  // the input ends as the sums restart
             if (k == 4U * memory()) {
                 const lpvg_energy_t before = fed.energy;
-                lpvg_energy_start(&fed.energy, &coeff);
+                lpvg_energy_start(&fed.energy);
                 std::memcpy(fed.energy.F, before.F, sizeof before.F);  // F itself is settled: only the sums are at rest
                 std::memcpy(fed.energy.W, before.W, sizeof before.W);
                 worst = 0.0;
@@ -504,9 +571,9 @@ TEST_CASE("the monitor judges after the settling time, and alarms once a memory"
     CHECK(drive.monitor.frame.sequence > 0U);
     const lpvg_energy_band_t& loudest = drive.monitor.energy.band[drive.monitor.energy.strongest];
     CHECK(record.E[0][0] == std::sqrt(loudest.left[0]));
-    CHECK(record.Z[0][0] == std::sqrt(loudest.right[0]));
+    CHECK(record.Z[0][0] == Approx(std::sqrt(loudest.right[0])));
     CHECK(record.E[LPVG_NY - 1][0] == std::sqrt(loudest.left[LPVG_NGRAM - 1]));
-    CHECK(record.Z[LPVG_NY - 1][0] == std::sqrt(loudest.right[LPVG_NGRAM - 1]));
+    CHECK(record.Z[LPVG_NY - 1][0] == Approx(std::sqrt(loudest.right[LPVG_NGRAM - 1])));
     for (std::size_t j = 0; j < LPVG_NY; ++j) {
         CHECK(record.E[j][0] > Real(0));
         CHECK(record.Z[j][0] > Real(0));
@@ -585,6 +652,20 @@ TEST_CASE("a bound that is not finite excuses nothing, in no direction that it i
     for (const auto& a : lpvg_coeff.reals.energy_direction) {
         const Real ratio = lpvg_energy_judge(&fed.energy, &fed.coeff);
         CHECK((a[0] == Real(0) || ratio == std::numeric_limits<Real>::infinity()));
+    }
+}
+
+TEST_CASE("above the corners neither right side hides that the other is not finite", "[unit][energy][REQ-MON-15]") {
+    const Real what = GENERATE(std::numeric_limits<Real>::quiet_NaN(), std::numeric_limits<Real>::infinity());
+    const Real other = GENERATE(Real(0), Real(4));
+    const bool constant = GENERATE(false, true);
+    Fed fed(lpvg_coeff);
+    lpvg_energy_band_t& band = fed.energy.band[LPVG_NBANDS - 1];
+    std::fill(std::begin(fed.energy.above), std::end(fed.energy.above), constant ? what : other);
+    std::fill(std::begin(band.right), std::end(band.right), constant ? other : what);
+    for (std::size_t d = 0; d < LPVG_NDIRECTIONS; ++d) {
+        CHECK(lpvg_energy_judge(&fed.energy, &fed.coeff) == std::numeric_limits<Real>::infinity());
+        CHECK(fed.energy.strongest == LPVG_NBANDS - 1U);
     }
 }
 

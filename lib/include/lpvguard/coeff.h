@@ -72,10 +72,10 @@ typedef struct lpvg_coeff_reals_t {
     lpvg_real_t scale[LPVG_NBINS];                            ///< 2 / sum(window), at DC 1 / sum(window) [-], within (0, inf)
     lpvg_real_t energy_corner[LPVG_NBANDS - 1];               ///< g of the low-pass g (z + 1) / (z - 1 + 2 g) at each corner, not falling [-], within (0, 1)
     lpvg_real_t energy_W[LPVG_NDELTA][LPVG_NWEIGHT][5];       ///< sections of W_delta on |z| = rho, b0 b1 b2 a1 a2, stable (energy.cpp) [-]
-    lpvg_real_t energy_above[LPVG_NDELTA];                    ///< what stands for W_delta above the last corner [-], within (0, inf)
+    lpvg_real_t energy_above[LPVG_NDELTA];                    ///< W_above, beside W_delta above the last corner [-], within (0, inf)
     lpvg_real_t energy_scale[LPVG_NBANDS][LPVG_NY];           ///< 1 / sigma_j of each band [1/output unit], within (0, inf)
     lpvg_real_t energy_forget[LPVG_NBANDS];                   ///< 1 - rho^2, rho of the band [-], within (0, 1)
-    lpvg_real_t energy_start[LPVG_NBANDS][LPVG_NY];           ///< right sum at rest [output unit squared], within [0, inf)
+    lpvg_real_t energy_start[LPVG_NBANDS][LPVG_NY];           ///< what is remembered at a restart [output unit squared], within [0, inf)
     lpvg_real_t energy_direction[LPVG_NDIRECTIONS][LPVG_NY];  ///< a, in units of sigma, sum |a_j| = 1; of a single output where NDELTA > 1 [-]
     lpvg_real_t energy_threshold;                             ///< calibrated threshold of the energy test's ratio [-], within [1, inf)
     lpvg_real_t change_block_s;                               ///< a block of LPVG_NBLOCK samples [s], within (0, inf)

@@ -11,7 +11,7 @@
 ///     t* = max over j of |E_j| / (B_w,j + W_delta,j |Z_j|)
 ///
 /// With t* > 1 no complex number d (no d_j) within W_delta and no disturbance within B_w explain this frame in this bin.
-/// It does not refute every causal Delta of a certificate. Of those only the energy test speaks, given its sigma.
+/// It does not refute every causal Delta of a certificate. Of those that forget fast enough the energy test speaks, given its sigma.
 ///
 /// A frame *counts* when the model had settled and the speed kept two limits: the scheduling range, and `speed_tolerance` around
 /// the frame's mean. The bin's *statistic* is the k-th largest margin of its last m counted frames. A statistic above `threshold`
@@ -102,8 +102,8 @@ typedef struct lpvg_sample_t {
 
 /// One frame of one bin, as it was judged; or, among the records only, an alarm of the energy test. Of an alarm, `bin` is
 /// band * LPVG_NDIRECTIONS + direction (energy.h). Both `margin` and `statistic` are the ratio, and `evidence` is the ratio that a
-/// vehicle which did not respond would have shown. `speed` is the sample's. E[j][0] is the norm of F e_j and Z[j][0] that of
-/// F W_delta yhat_j; the imaginary parts are 0.
+/// vehicle which did not respond would have shown. `speed` is the sample's. E[j][0] is the norm of F e_j and Z[j][0]
+/// lpvg_energy_explained; the imaginary parts are 0.
 /// Of an alarm of the change test `bin` is the output times 3 plus the part of the estimate (0 gain, 1 delay, 2 bias). `evidence` is the
 /// ratio of a lost output, a gain of -1. E[0] holds gain and delay of that output, Z[0][0] its bias; the rest is 0.
 typedef struct lpvg_frame_t {
@@ -159,7 +159,7 @@ typedef struct lpvg_monitor_t {
     const lpvg_coeff_t* coeff;
     lpvg_model_t model;
     lpvg_energy_t energy;                     ///< `energy.ratio` may be read
-    uint32_t energy_sum;                      ///< of the words of its filters and right sums, after the newest sample
+    uint32_t energy_sum;                      ///< of the words of its filters, right sums and `fading`, after the newest sample
     uint32_t energy_quiet;                    ///< judgements since the energy test's last exceedance, energy_rearm at most
     lpvg_change_t change;                     ///< `change.ratio` and `change.estimate` may be read
     uint32_t change_quiet;                    ///< judgements since the change test's last exceedance, change_rearm at most

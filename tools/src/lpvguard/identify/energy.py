@@ -13,17 +13,19 @@ Where the weight falls with frequency, a gain >= 1 is applied first.
 
 **F** is the filter of each band in turn (T21). L_1 ... L_m are first-order low-passes of the corners, lowest
 first. Band 0 is L_1 ... L_m, band b is (1 - L_b) L_(b+1) ... L_m, band m is 1 - L_m; they sum to 1. The
-corners are the frames' f_min_hz and f_max_hz, or the setting ``band_hz``. Above the last corner the constant
-``above`` = max(1, sup W_delta) stands for W_delta. The memory there is memory_s * f_first / f_last (T22).
+corners are the frames' f_min_hz and f_max_hz, or the setting ``band_hz``. The memory of the last band is
+memory_s * f_first / f_last (T22). In that band the right side is the larger of || F W_delta yhat || and
+|| F W_above yhat ||, where W_above = ``above`` = max(1, sup W_delta above the last corner) (T19a).
 
 **sigma_j** of a band belongs to the inequality of output j alone, from rest. It is the least number with
 which that holds at every sample of every drive that set the bounds or the noise. A common factor per band
 then makes the fan of directions a hold too. Every direction is a condition by itself; the core tests one a
 judgement.
 
-**Starting in the middle** of a drive, the left sum begins at zero and the right sum at ``start``. That is the
-largest energy met on the identification drives. Transients of the model and of F are not covered by that; the
-common factors cover drives cut at random.
+**Starting in the middle** of a drive, all sums begin at zero. The right side gets what Delta, W_delta and F
+may remember, which fades with rho: sum_j |a_j| rho^(T - t0 + 1) sqrt(start_j) (remembered.py). ``start`` is
+the largest that the identification drives show. The model's transient is not covered by that; the common
+factors cover drives cut at random.
 """
 
 from __future__ import annotations
@@ -42,6 +44,7 @@ from ..engine.overbound.certificate import verify_overbound
 from ..engine.overbound.weight import Weight
 from ..vehicle.project import Project
 from .calibration import ROUNDING, Calibration, Recordings, calibrate
+from .remembered import remembered
 
 FAN_BITS = 4
 """2^4 directions for two outputs, evenly over the half circle in units of sigma."""
@@ -133,19 +136,19 @@ def _raised(
 
 
 def _norm_in(sums: np.ndarray, directions: np.ndarray) -> np.ndarray:
-    """sqrt(a' G a) (n, D) of matrices (n, n_y, n_y) in directions (D, n_y)."""
+    """sqrt(a' G a) (..., D) of matrices (..., n_y, n_y) in directions (D, n_y)."""
     products = directions[:, :, None] * directions[:, None, :]
-    found = sums.reshape(len(sums), -1) @ products.reshape(len(directions), -1).T
-    return np.sqrt(np.maximum(found, 0.0))
+    squared = sums.reshape(*sums.shape[:-2], -1) @ products.reshape(len(directions), -1).T
+    return np.sqrt(np.maximum(squared, 0.0))
 
 
 @dataclass(frozen=True)
 class EnergyTest:
     """Filters, sigma and calibration in B bands, one more than ``band_hz`` has corners. Units: ``sigma`` (B,
-    n_y) the outputs', ``start`` (B, n_y) their squares.
+    n_y) the outputs', ``start`` (B, n_y) their squares: of what is remembered at a restart.
 
     ``F`` (B, S, 6): sections in z per band. ``W`` (n_delta, S, 6): sections in z per Delta; ``above``
-    (n_delta,): the constant in its place above the corners. ``gain`` (n_delta,): what W_delta was raised by
+    (n_delta,): the constant beside it above the corners. ``gain`` (n_delta,): what W_delta was raised by
     to stay above its bound when warped, with a certificate each. ``joint`` (B,): the common factor >= 1 in
     in sigma that the fan, or a cut drive, asked for. ``directions`` (D, n_y) in units of sigma. ``silent``:
     bands that set no threshold and raise no alarm, since no frame of the drives shows evidence.
@@ -256,39 +259,59 @@ class EnergyTest:
             for signal, per_band in zip(project.outputs, self.sigma.T, strict=False)
         )
 
+    @property
+    def claim_text(self) -> str:
+        """What a ratio above 1 refutes, and under which assumptions (THEORY 7.2)."""
+        slow, fast = self.memories_s[0], self.memories_s[-1]
+        constant = ", ".join(f"{x:.3g}" for x in self.above)
+        blocks = "a Delta for each output" if self.single else "one Delta for all outputs"
+        return (
+            f"given sigma, a ratio above 1 refutes every error Delta W_delta yhat with {blocks}, linear, "
+            f"time-invariant, causal and |Delta(z)| <= 1 for |z| >= {self.rho:.6g} ({slow:g} s); above the "
+            f"corners for |z| >= {np.exp(-self.Ts / fast):.6g} ({fast:.3g} s), and there every such error "
+            f"Delta {constant} yhat too; {self.settle * self.Ts:.3g} s after a restart if the model has "
+            "settled and the driving before left no more in the filters than the identification's drives did"
+        )
+
     def at_rest(self) -> EnergyTest:
-        """With nothing remembered at the start."""
+        """For whole drives, before which there was nothing to remember."""
         return replace(self, start=np.zeros_like(self.start))
 
     def norms(
         self, e: np.ndarray, yhat: np.ndarray, v: np.ndarray
     ) -> Iterator[tuple[int, int, np.ndarray, np.ndarray]]:
-        """Per stretch in speed range and band: first judged sample, band, left and right matrices of products
-        (n, n_y, n_y)."""
+        """Per stretch in speed range and band: first judged sample, band, left (n, n_y, n_y) and right (R, n,
+        n_y, n_y) matrices of products. The right norm is the largest of R: two above the corners, else
+        one."""
         for first, band, *sides in self._sides(e, yhat, v):
             yield first, band, *self._matrices(band, *sides)
 
     def _matrices(self, band: int, left: np.ndarray, right: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Left and right matrices of products (n, n_y, n_y) of a stretch in one band, from its `_sides`."""
-        of_left = self._sums(band, left[:, None] * left, np.diag(np.zeros_like(self.start[band])))
-        of_right = self._sums(band, right[:, None] * right, np.diag(self.start[band]))[..., self.settle :]
-        return np.moveaxis(of_left, -1, 0), np.moveaxis(of_right, -1, 0)
+        """Left and right matrices of products of a stretch in one band, from its `_sides`."""
+        of_left = self._sums(band, left[:, None] * left)
+        of_right = self._sums(band, right[:, :, None] * right[:, None])[..., self.settle :]
+        return np.moveaxis(of_left, -1, 0), np.moveaxis(of_right, -1, 1)
+
+    def _stretches(self, v: np.ndarray) -> Iterator[slice]:
+        """Runs of samples within the speed range that are longer than it takes to settle."""
+        inside = (v >= self.speed_range[0]) & (v <= self.speed_range[1])
+        for first, end in runs(inside):
+            if end - first > self.settle:
+                yield slice(first, end)
 
     def _sides(
         self, e: np.ndarray, yhat: np.ndarray, v: np.ndarray
     ) -> Iterator[tuple[int, int, np.ndarray, np.ndarray]]:
-        """Per stretch in speed range and band: first judged sample, band, F e from there on (n_y, n), and F
-        W_delta yhat from ``settle`` samples before."""
-        inside = (v >= self.speed_range[0]) & (v <= self.speed_range[1])
-        for first, end in runs(inside):
-            if end - first <= self.settle:
-                continue
+        """Per stretch in speed range and band: first judged sample, band, F e from there on (n_y, n), and
+        from ``settle`` samples before F W_delta yhat, above the corners F W_above yhat too (R, n_y, n)."""
+        for stretch in self._stretches(v):
+            first = stretch.start
             error, explained, nominal = (
-                np.ascontiguousarray(x.T)
-                for x in (e[first:end], self.weighted(yhat[first:end]), yhat[first:end])
+                np.ascontiguousarray(x.T) for x in (e[stretch], self.weighted(yhat[stretch]), yhat[stretch])
             )
+            constant = self.above[:, None] * nominal
             for band, F in enumerate(self.F):
-                allowed = explained if band < len(self.F) - 1 else self.above[:, None] * nominal
+                allowed = explained[None] if band < len(self.F) - 1 else np.stack([explained, constant])
                 yield first + self.settle, band, sosfilt(F, error)[:, self.settle :], sosfilt(F, allowed)
 
     def weighted(self, yhat: np.ndarray) -> np.ndarray:
@@ -298,17 +321,23 @@ class EnergyTest:
             return sosfilt(self.W[0], yhat, axis=0)
         return np.column_stack([sosfilt(W, column) for W, column in zip(self.W, yhat.T, strict=True)])
 
-    def _sums(self, band: int, products: np.ndarray, start: np.ndarray) -> np.ndarray:
-        """Forgetting sums over the last axis, of what ``start`` was before it."""
-        kept = np.exp(-2 * self.Ts / self.memories_s[band])
-        return lfilter([1.0], [1.0, -kept], products, zi=kept * start[..., None])[0]
+    def _sums(self, band: int, products: np.ndarray) -> np.ndarray:
+        """Forgetting sums over the last axis."""
+        return lfilter([1.0], [1.0, -np.exp(-2 * self.Ts / self.memories_s[band])], products)
+
+    def _memory(self, band: int, samples: int, a: np.ndarray) -> np.ndarray:
+        """What is remembered of before the restart (samples, D) in directions ``a`` (D, n_y), from the first
+        judged sample on."""
+        fading = self.rho ** (self.settle + 1 + np.arange(samples))
+        return np.outer(fading, np.abs(a) @ np.sqrt(self.start[band]))
 
     def ratios(self, e: np.ndarray, yhat: np.ndarray, v: np.ndarray) -> Iterator[tuple[int, int, np.ndarray]]:
         """Per stretch in speed range and band: first judged sample, band, left side over right (n, D) in
         every direction."""
         for first, band, left, right in self.norms(e, yhat, v):
             a = self.directions / self.sigma[band]
-            yield first, band, _norm_in(left, a) / (_norm_in(right, a) + 1.0)
+            allowed = _norm_in(right, a).max(axis=0) + self._memory(band, len(left), a)
+            yield first, band, _norm_in(left, a) / (allowed + 1.0)
 
     def needs(self, e: np.ndarray, yhat: np.ndarray, v: np.ndarray) -> dict[str, np.ndarray]:
         """What a drive asks of sigma: per output (B, n_y) and jointly (B,), and the largest norms met; NaN
@@ -324,28 +353,42 @@ class EnergyTest:
 
     def _needs_in(self, band: int, left: np.ndarray, right: np.ndarray) -> dict[str, np.ndarray]:
         """`needs` of a stretch in one band, from its `_sides`."""
-        start = self.start[band]
         if self.single:
-            left, right = self._sums(band, left**2, np.zeros_like(start)), self._sums(band, right**2, start)
-            diagonals = left, right[:, self.settle :]
+            diagonals = self._sums(band, left**2), self._sums(band, right**2)[..., self.settle :]
         else:
             left, right = self._matrices(band, left, right)
-            diagonals = tuple(np.einsum("njj->jn", x) for x in (left, right))
-        error, bound = (np.sqrt(x) for x in diagonals)
+            diagonals = tuple(np.einsum("...njj->...jn", x) for x in (left, right))
+        error, bound = np.sqrt(diagonals[0]), np.sqrt(diagonals[1].max(axis=0))
+        bound += self._memory(band, bound.shape[1], np.eye(len(bound))).T
         needed = {"sigma": (error - bound).max(axis=1)}
         if self.single:
             joint = (needed["sigma"] / self.sigma[band]).max()
         else:
             a = self.directions / self.sigma[band]
-            error_in, bound_in = (_norm_in(x, a) for x in (left, right))
-            joint = (error_in - bound_in).max()
+            allowed = _norm_in(right, a).max(axis=0) + self._memory(band, len(left), a)
+            joint = (_norm_in(left, a) - allowed).max()
         return needed | {"error": error.max(axis=1), "bound": bound.max(axis=1), "joint": joint}
+
+    def memory_met(self, e: np.ndarray, yhat: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """Largest norm (B, n_y) that would be remembered at a restart at any sample of a drive; NaN where
+        nothing is judged. Of both sides: F W_delta yhat, above the corners F W_above yhat too, and F e."""
+        largest = np.full(self.sigma.shape, np.nan)
+        rho = np.exp(-self.Ts / self.memories_s)
+        for stretch in self._stretches(v):
+            for j, (error, nominal) in enumerate(zip(e[stretch].T, yhat[stretch].T, strict=True)):
+                W, above = self.W[min(j, len(self.W) - 1)], self.above[min(j, len(self.W) - 1)]
+                for band, F in enumerate(self.F):
+                    right = remembered(np.concatenate([W, F]), nominal, self.settle, self.rho, rho[band])
+                    if band == len(self.F) - 1:
+                        right = max(right, remembered(F, above * nominal, self.settle, self.rho, rho[band]))
+                    left = remembered(F, error, self.settle, self.rho, None)
+                    largest[band, j] = np.fmax(largest[band, j], left + right)
+        return largest
 
     def with_sigma(self, needs: dict[str, np.ndarray], floor: np.ndarray | float = 0.0) -> EnergyTest:
         """sigma per band and output from ``needs`` over all identification drives, at least ``floor`` (B,
-        n_y), what the sensors cannot tell; and what Delta may remember at the start: the largest energy met,
-        for each output; n_y times where one Delta is common, because products of different outputs start at
-        zero."""
+        n_y), what the sensors cannot tell; and the square of what is remembered at a restart, the largest
+        met."""
         size = np.maximum(needs["error"], needs["bound"])
         if not (size > 0).all():
             raise InputError(
@@ -356,7 +399,7 @@ class EnergyTest:
                 f"and more within {self.speed_range[0]:g}..{self.speed_range[1]:g} m/s",
             )
         sigma = np.maximum(np.maximum(needs["sigma"], SMALLEST_SIGMA * size), floor)
-        return replace(self, sigma=sigma, start=sigma.shape[1] / len(self.W) * needs["bound"] ** 2)
+        return replace(self, sigma=sigma, start=needs["memory"] ** 2)
 
     def with_joint(self, needs: dict[str, np.ndarray]) -> EnergyTest:
         """sigma raised until the fan of directions holds too; ``needs`` met with sigma per output, NaN where

@@ -1,0 +1,36 @@
+"""The energy test of the float core against the double reference, from the weight in s on."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import reference
+
+from lpvguard.base import artefacts
+from lpvguard.drives.tables import read_drive
+
+
+@pytest.mark.requirement("REQ-MON-14")
+@pytest.mark.parametrize("share", [1.0, 0.01], ids=["as identified", "with a small constant"])
+def test_the_ratio_of_the_float_core(share, core, g80, synthetic):
+    """``share``: of the constant above the corners, so that either right side is the larger one."""
+    drive = read_drive(synthetic / "synthetic_02.csv", g80)
+    inside = (drive.v >= reference.SPEED[0]) & (drive.v <= reference.SPEED[1])
+    first = int(np.argmax(inside))
+    end = first + int(np.argmin(np.r_[inside[first:], False]))
+    assert end - first > 2000
+    manifest = artefacts.read_manifest(core.folder, "vehicle")
+    stored, fitted = manifest["energy_test"], manifest["weights"]["W_delta"][0]["weight"]
+    test = {key: np.ravel(stored[key]) for key in ("sigma", "start", "band_hz")}
+    test |= {key: stored[key] for key in ("memory_s", "settle_samples")}
+    num = np.array(fitted["num"]) * manifest["final_inflation"] * stored["gain"][0]
+    constant = share * stored["above"][0]
+    yhat = reference.nominal(drive.v[:end], drive.u[:end, 0], drive.y[0, 0])[first:]
+    e = drive.y[first:end, 0] - yhat
+    wanted = reference.energy_ratios(e, yhat, (num, np.array(fitted["den"])), constant, test)
+    reals = core.compiled[1].copy()
+    core.fields(reals)["energy_above"][:] = constant
+    run = core.monitor(reals=reals, seal=True).run(drive.t[:end], drive.v[:end], drive.u[:end], drive.y[:end])
+    judged = np.flatnonzero(run.energy != np.r_[0.0, run.energy[:-1]])
+    assert len(judged) > 0.5 * (end - first - stored["settle_samples"])
+    np.testing.assert_allclose(run.energy[judged], wanted[judged - first], rtol=3e-4)
