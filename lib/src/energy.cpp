@@ -4,8 +4,7 @@
 // their relative precision in float, however slow the poles are. So does the forgetting as x - k x with k = 1 - rho^2.
 //
 // The bands are made by a low-pass at each corner and differences, so they sum to the signal itself. W_delta commutes with them and acts
-// first, once for all bands. The constant W_above acts on the norm of F yhat. With one Delta an output the directions are single outputs,
-// and each has its own W_delta.
+// first, once for all bands. With one Delta an output the directions are single outputs, and each has its own W_delta.
 #include "lpvguard/energy.h"
 
 #include <cmath>
@@ -51,31 +50,14 @@ void add(Real* gram, const Real* x, Real forget) {
     }
 }
 
-// Where each output has its own Delta, every direction is one output.
-constexpr bool joint = LPVG_NDELTA == 1;
-
-// Direction a in a band, divided by the band's sigma. `output` is the first that it looks at, and the only one where not `joint`.
-struct Direction {
-    Row<ny> a;
-    std::size_t output;
-};
-
-Direction direction(const lpvg_coeff_reals_t& r, std::size_t index, std::size_t band) {
-    const Real* const a = r.energy_direction[index];
-    std::size_t output = 0;
-    while (output + 1U < LPVG_NY && a[output] == Real(0)) {
-        ++output;
-    }
-    return {Eigen::Map<const Row<ny>>(a) * Eigen::Map<const Row<ny>>(r.energy_scale[band]), output};
+// Direction a in a band, divided by the band's sigma.
+Row<ny> direction(const lpvg_coeff_reals_t& r, std::size_t index, std::size_t band) {
+    return Eigen::Map<const Row<ny>>(r.energy_direction[index]) * Eigen::Map<const Row<ny>>(r.energy_scale[band]);
 }
 
 // sqrt(a' G a); rounding may leave a small negative number where a direction carries nothing. What is not finite stays so.
-Real norm(const Real* gram, const Direction& along) {
-    const Real* const a = along.a.data();
-    if (!joint) {
-        const Real sum = gram[along.output * (2U * LPVG_NY + 1U - along.output) / 2U];
-        return sum <= Real(0) ? Real(0) : std::abs(a[along.output]) * std::sqrt(sum);
-    }
+Real norm(const Real* gram, const Row<ny>& along) {
+    const Real* const a = along.data();
     Real sum = Real(0);
     std::size_t k = 0;
     for (std::size_t i = 0; i < LPVG_NY; ++i) {
@@ -88,22 +70,10 @@ Real norm(const Real* gram, const Direction& along) {
     return sum <= Real(0) ? Real(0) : std::sqrt(Real(2) * sum);
 }
 
-// The largest right norm in direction a of a band. Zero times the lesser norm keeps what is not finite.
-Real right_norm(const lpvg_energy_t& self, const lpvg_coeff_reals_t& r, std::size_t band, const Direction& along) {
-    const Real weighted = norm(self.band[band].right, along);
-    if (band != last) {
-        return weighted;
-    }
-    const Real constant = r.energy_above[joint ? 0U : along.output] * norm(self.above, along);
-    return constant > weighted ? constant + Real(0) * weighted : weighted + Real(0) * constant;
-}
-
-// The right side of (T19b) less sigma, in direction a of a band.
-inline Real explained(const lpvg_energy_t& self, const lpvg_coeff_reals_t& r, std::size_t band, const Direction& along) {
-    const Real* const start = r.energy_start[band];
-    const Real remembered = joint ? (along.a.abs() * Eigen::Map<const Row<ny>>(start).sqrt()).sum()
-                                  : std::abs(along.a[static_cast<int>(along.output)]) * std::sqrt(start[along.output]);
-    return right_norm(self, r, band, along) + std::sqrt(self.fading) * remembered;
+// The right side in direction a of a band.
+Real right_side(const lpvg_energy_t& self, const lpvg_coeff_reals_t& r, std::size_t band, const Row<ny>& a) {
+    const Real remembered = (a.abs() * Eigen::Map<const Row<ny>>(r.energy_start[band])).sum();
+    return norm(self.band[band].right, a) + std::sqrt(self.fading) * remembered + Real(1);
 }
 
 }  // namespace
@@ -130,18 +100,18 @@ extern "C" void lpvg_energy_advance(lpvg_energy_t* self, const lpvg_coeff_t* coe
         filtered[b - 1U] = low_pass<3 * ny>(r.energy_corner[b - 1U], filtered[b], self->F[b - 1U]);
         filtered[b] -= filtered[b - 1U];
     }
-    self->fading -= r.energy_forget[0] * self->fading;
+    const Real fades = r.energy_forget[0];
+    self->fading -= fades * self->fading;
     for (std::size_t b = 0; b < LPVG_NBANDS; ++b) {
         lpvg_energy_band_t& band = self->band[b];
         const Real* const x = filtered[b].data();
-        const Real forget = r.energy_forget[b];
-        add(band.right, x + (2 * ny), forget);
+        add(band.right, x + (2 * ny), fades);
         if (settled) {
+            const Real forget = r.energy_forget[b];
             add(band.left, x, forget);
             add(band.nominal, x + ny, forget);
         }
     }
-    add(self->above, filtered[last].data() + ny, r.energy_forget[last]);
 }
 
 extern "C" lpvg_real_t lpvg_energy_judge(lpvg_energy_t* self, const lpvg_coeff_t* coeff) {
@@ -150,9 +120,9 @@ extern "C" lpvg_real_t lpvg_energy_judge(lpvg_energy_t* self, const lpvg_coeff_t
     self->ratio = Real(0);
     self->strongest = 0U;
     for (uint32_t b = 0; b < LPVG_NBANDS; ++b) {
-        const Direction along = direction(coeff->reals, self->direction, b);
-        const Real right = explained(*self, coeff->reals, b, along) + Real(1);
-        const Real quotient = norm(self->band[b].left, along) / right;
+        const Row<ny> a = direction(coeff->reals, self->direction, b);
+        const Real right = right_side(*self, coeff->reals, b, a);
+        const Real quotient = norm(self->band[b].left, a) / right;
         const Real ratio = quotient < beyond && right < beyond ? quotient : beyond;
         if (ratio > self->ratio) {
             self->ratio = ratio;
@@ -164,12 +134,6 @@ extern "C" lpvg_real_t lpvg_energy_judge(lpvg_energy_t* self, const lpvg_coeff_t
 
 extern "C" lpvg_real_t lpvg_energy_evidence(const lpvg_energy_t* self, const lpvg_coeff_t* coeff) {
     const lpvg_energy_band_t& band = self->band[self->strongest];
-    const Direction along = direction(coeff->reals, self->direction, self->strongest);
-    return norm(band.nominal, along) / (explained(*self, coeff->reals, self->strongest, along) + Real(1));
-}
-
-extern "C" lpvg_real_t lpvg_energy_explained(const lpvg_energy_t* self, const lpvg_coeff_t* coeff, uint32_t output) {
-    Direction unit{Row<ny>::Zero(), output};
-    unit.a[static_cast<int>(output)] = Real(1);
-    return explained(*self, coeff->reals, self->strongest, unit);
+    const Row<ny> a = direction(coeff->reals, self->direction, self->strongest);
+    return norm(band.nominal, a) / right_side(*self, coeff->reals, self->strongest, a);
 }

@@ -324,9 +324,9 @@ void record_energy(lpvg_monitor_t& self, const lpvg_sample_t& sample) {
     alarm.speed = sample.speed;
     alarm.margin = alarm.statistic = self.energy.ratio;
     alarm.evidence = lpvg_energy_evidence(&self.energy, self.coeff);
-    for (uint32_t j = 0; j < ny; ++j) {
+    for (std::size_t j = 0; j < ny; ++j) {
         alarm.E[j][0] = output_norm(self.energy.band[self.energy.strongest].left, j);
-        alarm.Z[j][0] = lpvg_energy_explained(&self.energy, self.coeff, j);
+        alarm.Z[j][0] = output_norm(self.energy.band[self.energy.strongest].right, j);
     }
     record(self, alarm);
 }
@@ -417,8 +417,7 @@ void start(lpvg_monitor_t& self, const lpvg_sample_t& sample) {
 // Of the energy test's filters and right sums. A flip in them could blind it for many times its memory: a large bound decays slowly. One in
 // a left sum falsifies, or is forgotten with the memory.
 uint32_t sum_of(const lpvg_energy_t& energy) {
-    uint32_t sum = lpvguard::sum_of_words(energy.F) + lpvguard::sum_of_words(energy.W) + lpvguard::sum_of_words(energy.above) +
-                   lpvguard::sum_of_words(energy.fading);
+    uint32_t sum = lpvguard::sum_of_words(energy.F) + lpvguard::sum_of_words(energy.W) + lpvguard::sum_of_words(energy.fading);
     for (const lpvg_energy_band_t& band : energy.band) {
         sum += lpvguard::sum_of_words(band.right);
     }

@@ -70,10 +70,10 @@ def weight_in_z(num: np.ndarray, den: np.ndarray, rho: float) -> tuple[np.ndarra
 
 
 def energy_ratios(
-    e: np.ndarray, yhat: np.ndarray, weight: tuple[np.ndarray, np.ndarray], constant: float, test: dict
+    e: np.ndarray, yhat: np.ndarray, weight: tuple[np.ndarray, np.ndarray], test: dict
 ) -> np.ndarray:
     """Largest ratio of three bands at each sample (N,), 0 until the sums have settled. ``test``: corners
-    [Hz], memory [s], samples to settle, sigma (3,) and what is remembered (3,), squared."""
+    [Hz], memory [s], samples to settle, sigma (3,) and what is remembered (3,)."""
     memory, (low, high) = test["memory_s"], test["band_hz"]
     rho = np.exp(-TS / memory)
     explained = recursion(*weight_in_z(*weight, rho), yhat)
@@ -96,13 +96,8 @@ def energy_ratios(
 
     ratios, settle = np.zeros(len(e)), test["settle_samples"]
     fading = rho ** (np.arange(len(e)) + 1.0)
-    for band, (left, right, other) in enumerate(
-        zip(bands(e), bands(explained), bands(constant * yhat), strict=True)
-    ):
+    for band, (left, right) in enumerate(zip(bands(e), bands(explained), strict=True)):
         rate = rho if band < 2 else np.exp(-TS / (memory * low / high))
-        allowed = norms(right, rate, 0)
-        if band == 2:
-            allowed = np.maximum(allowed, norms(other, rate, 0))
-        allowed += fading * np.sqrt(test["start"][band]) + test["sigma"][band]
+        allowed = norms(right, rho, 0) + fading * test["start"][band] + test["sigma"][band]
         ratios = np.maximum(ratios, norms(left, rate, settle) / allowed)
     return ratios

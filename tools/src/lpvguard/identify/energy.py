@@ -3,9 +3,9 @@
 
     || sum_j a_j F e_j || <= || sum_j a_j F W_delta yhat_j || + sum_j |a_j| sigma_j                (T19)
 
-for every real a and at every time T, with ||x||^2 = sum_{t <= T} rho^(2 (T - t)) x(t)^2. With one Delta_j an
-output (S1_diagonal) a is a unit vector, and W_delta,j filters yhat_j. THEORY 7.2 states the assumptions, the
-proof, and what an exceedance refutes.
+for every real a and at every time T, with ||x||^2 = sum_{t <= T} rho^(2 (T - t)) x(t)^2. On the left the last
+band forgets faster. With one Delta_j an output (S1_diagonal) a is a unit vector, and W_delta,j filters
+yhat_j. THEORY 7.2 states the assumptions, the proof, and what an exceedance refutes.
 
 **The weight** is a filter with the fitted weight's magnitude on |z| = rho, at the warped frequency (2/Ts)
 tan(omega Ts/2) (T20). ``verify_overbound`` proves it above the samples of nu at their warped frequencies.
@@ -13,9 +13,8 @@ Where the weight falls with frequency, a gain >= 1 is applied first.
 
 **F** is the filter of each band in turn (T21). L_1 ... L_m are first-order low-passes of the corners, lowest
 first. Band 0 is L_1 ... L_m, band b is (1 - L_b) L_(b+1) ... L_m, band m is 1 - L_m; they sum to 1. The
-corners are the frames' f_min_hz and f_max_hz, or the setting ``band_hz``. The memory of the last band is
-memory_s * f_first / f_last (T22). In that band the right side is the larger of || F W_delta yhat || and
-|| F W_above yhat ||, where W_above = ``above`` = max(1, sup W_delta above the last corner) (T19a).
+corners are the frames' f_min_hz and f_max_hz, or the setting ``band_hz``. The left memory of the last band is
+memory_s * f_first / f_last (T22).
 
 **sigma_j** of a band belongs to the inequality of output j alone, from rest. It is the least number with
 which that holds at every sample of every drive that set the bounds or the noise. A common factor per band
@@ -23,7 +22,7 @@ then makes the fan of directions a hold too. Every direction is a condition by i
 judgement.
 
 **Starting in the middle** of a drive, all sums begin at zero. The right side gets what Delta, W_delta and F
-may remember, which fades with rho: sum_j |a_j| rho^(T - t0 + 1) sqrt(start_j) (remembered.py). ``start`` is
+may remember, which fades with rho: sum_j |a_j| rho^(T - t0 + 1) start_j (T19b, remembered.py). ``start`` is
 the largest that the identification drives show. The model's transient is not covered by that; the common
 factors cover drives cut at random.
 """
@@ -136,22 +135,22 @@ def _raised(
 
 
 def _norm_in(sums: np.ndarray, directions: np.ndarray) -> np.ndarray:
-    """sqrt(a' G a) (..., D) of matrices (..., n_y, n_y) in directions (D, n_y)."""
+    """sqrt(a' G a) (n, D) of matrices (n, n_y, n_y) in directions (D, n_y)."""
     products = directions[:, :, None] * directions[:, None, :]
-    squared = sums.reshape(*sums.shape[:-2], -1) @ products.reshape(len(directions), -1).T
-    return np.sqrt(np.maximum(squared, 0.0))
+    found = sums.reshape(len(sums), -1) @ products.reshape(len(directions), -1).T
+    return np.sqrt(np.maximum(found, 0.0))
 
 
 @dataclass(frozen=True)
 class EnergyTest:
-    """Filters, sigma and calibration in B bands, one more than ``band_hz`` has corners. Units: ``sigma`` (B,
-    n_y) the outputs', ``start`` (B, n_y) their squares: of what is remembered at a restart.
+    """Filters, sigma and calibration in B bands, one more than ``band_hz`` has corners. ``sigma`` and
+    ``start`` (B, n_y) have the outputs' units; ``start`` is what is remembered at a restart.
 
-    ``F`` (B, S, 6): sections in z per band. ``W`` (n_delta, S, 6): sections in z per Delta; ``above``
-    (n_delta,): the constant beside it above the corners. ``gain`` (n_delta,): what W_delta was raised by
-    to stay above its bound when warped, with a certificate each. ``joint`` (B,): the common factor >= 1 in
-    in sigma that the fan, or a cut drive, asked for. ``directions`` (D, n_y) in units of sigma. ``silent``:
-    bands that set no threshold and raise no alarm, since no frame of the drives shows evidence.
+    ``F`` (B, S, 6): sections in z per band. ``W`` (n_delta, S, 6): sections in z per Delta. ``gain``
+    (n_delta,): what W_delta was raised by to stay above its bound when warped, with a certificate each.
+    ``joint`` (B,): the common factor >= 1 in sigma that the fan, or a cut drive, asked for. ``directions``
+    (D, n_y) in units of sigma. ``silent``: bands that set no threshold and raise no alarm, since no frame
+    of the drives shows evidence.
     """
 
     Ts: float
@@ -161,7 +160,6 @@ class EnergyTest:
     speed_range: tuple[float, float]
     F: np.ndarray
     W: np.ndarray
-    above: np.ndarray
     gain: np.ndarray
     certificate: list[dict]
     directions: np.ndarray
@@ -190,7 +188,7 @@ class EnergyTest:
         corners = settings.band_hz or (project.frames.f_min_hz, project.frames.f_max_hz)
         memory = settings.memory_s or 1.0 / project.frames.f_min_hz
         corner_rad = np.array([2 / Ts * np.tan(np.pi * f * Ts) for f in corners])
-        low_rad, high_rad = corner_rad[0], corner_rad[-1]
+        low_rad = corner_rad[0]
         if not memory * low_rad > 1:
             raise InputError(
                 f"vehicle {project.name}",
@@ -203,7 +201,6 @@ class EnergyTest:
         rho = np.exp(-Ts / memory)
         settle = max(estimator.settle, int(np.ceil(FEWEST_SETTLED / low_rad / Ts)))
         each = (len(corners) + 1, project.n_y)
-        beyond = np.geomspace(high_rad, 1e4 * high_rad, 1000)
         return cls(
             Ts,
             memory,
@@ -217,7 +214,6 @@ class EnergyTest:
                     for W in raised
                 ]
             ),
-            np.array([max(1.0, inflation * float(W.magnitude(beyond).max())) for W in raised]),
             np.array(gain),
             list(certificate),
             fan(project.n_y) if project.n_delta == 1 else np.eye(project.n_y),
@@ -228,7 +224,7 @@ class EnergyTest:
 
     @property
     def memories_s(self) -> np.ndarray:
-        """Time constants of the forgetting (B,)."""
+        """Time constants of the left sums' forgetting (B,); of the right sums' it is the first."""
         return self.memory_s * np.array([*[1.0] * len(self.band_hz), self.band_hz[0] / self.band_hz[-1]])
 
     @property
@@ -243,7 +239,7 @@ class EnergyTest:
 
     @property
     def rho(self) -> float:
-        """Of the bands in which W_delta is a filter."""
+        """Of Delta and the right sums."""
         return float(np.exp(-self.Ts / self.memory_s))
 
     @property
@@ -262,15 +258,12 @@ class EnergyTest:
     @property
     def claim_text(self) -> str:
         """What a ratio above 1 refutes, and under which assumptions (THEORY 7.2)."""
-        slow, fast = self.memories_s[0], self.memories_s[-1]
-        constant = ", ".join(f"{x:.3g}" for x in self.above)
         blocks = "a Delta for each output" if self.single else "one Delta for all outputs"
         return (
             f"given sigma, a ratio above 1 refutes every error Delta W_delta yhat with {blocks}, linear, "
-            f"time-invariant, causal and |Delta(z)| <= 1 for |z| >= {self.rho:.6g} ({slow:g} s); above the "
-            f"corners for |z| >= {np.exp(-self.Ts / fast):.6g} ({fast:.3g} s), and there every such error "
-            f"Delta {constant} yhat too; {self.settle * self.Ts:.3g} s after a restart if the model has "
-            "settled and the driving before left no more in the filters than the identification's drives did"
+            f"time-invariant, causal and |Delta(z)| <= 1 for |z| >= {self.rho:.6g} (memory {self.memory_s:g} "
+            "s), in every band; after a restart if the model has settled and the driving before it left no "
+            "more in Delta, W_delta and the filters than the identification's drives could"
         )
 
     def at_rest(self) -> EnergyTest:
@@ -280,17 +273,16 @@ class EnergyTest:
     def norms(
         self, e: np.ndarray, yhat: np.ndarray, v: np.ndarray
     ) -> Iterator[tuple[int, int, np.ndarray, np.ndarray]]:
-        """Per stretch in speed range and band: first judged sample, band, left (n, n_y, n_y) and right (R, n,
-        n_y, n_y) matrices of products. The right norm is the largest of R: two above the corners, else
-        one."""
+        """Per stretch in speed range and band: first judged sample, band, left and right matrices of products
+        (n, n_y, n_y)."""
         for first, band, *sides in self._sides(e, yhat, v):
             yield first, band, *self._matrices(band, *sides)
 
     def _matrices(self, band: int, left: np.ndarray, right: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Left and right matrices of products of a stretch in one band, from its `_sides`."""
+        """Left and right matrices of products (n, n_y, n_y) of a stretch in one band, from its `_sides`."""
         of_left = self._sums(band, left[:, None] * left)
-        of_right = self._sums(band, right[:, :, None] * right[:, None])[..., self.settle :]
-        return np.moveaxis(of_left, -1, 0), np.moveaxis(of_right, -1, 1)
+        of_right = self._sums(0, right[:, None] * right)[..., self.settle :]
+        return np.moveaxis(of_left, -1, 0), np.moveaxis(of_right, -1, 0)
 
     def _stretches(self, v: np.ndarray) -> Iterator[slice]:
         """Runs of samples within the speed range that are longer than it takes to settle."""
@@ -302,17 +294,17 @@ class EnergyTest:
     def _sides(
         self, e: np.ndarray, yhat: np.ndarray, v: np.ndarray
     ) -> Iterator[tuple[int, int, np.ndarray, np.ndarray]]:
-        """Per stretch in speed range and band: first judged sample, band, F e from there on (n_y, n), and
-        from ``settle`` samples before F W_delta yhat, above the corners F W_above yhat too (R, n_y, n)."""
+        """Per stretch in speed range and band: first judged sample, band, F e from there on (n_y, n), and F
+        W_delta yhat from ``settle`` samples before."""
         for stretch in self._stretches(v):
-            first = stretch.start
-            error, explained, nominal = (
-                np.ascontiguousarray(x.T) for x in (e[stretch], self.weighted(yhat[stretch]), yhat[stretch])
-            )
-            constant = self.above[:, None] * nominal
+            error, explained = (np.ascontiguousarray(x.T) for x in (e[stretch], self.weighted(yhat[stretch])))
             for band, F in enumerate(self.F):
-                allowed = explained[None] if band < len(self.F) - 1 else np.stack([explained, constant])
-                yield first + self.settle, band, sosfilt(F, error)[:, self.settle :], sosfilt(F, allowed)
+                yield (
+                    stretch.start + self.settle,
+                    band,
+                    sosfilt(F, error)[:, self.settle :],
+                    sosfilt(F, explained),
+                )
 
     def weighted(self, yhat: np.ndarray) -> np.ndarray:
         """W_delta yhat_j (N, n_y) of the nominal output (N, n_y), from rest: each by the W_delta of its
@@ -322,21 +314,21 @@ class EnergyTest:
         return np.column_stack([sosfilt(W, column) for W, column in zip(self.W, yhat.T, strict=True)])
 
     def _sums(self, band: int, products: np.ndarray) -> np.ndarray:
-        """Forgetting sums over the last axis."""
+        """Sums over the last axis, with the forgetting of a band's left side; of band 0 it is rho."""
         return lfilter([1.0], [1.0, -np.exp(-2 * self.Ts / self.memories_s[band])], products)
 
     def _memory(self, band: int, samples: int, a: np.ndarray) -> np.ndarray:
         """What is remembered of before the restart (samples, D) in directions ``a`` (D, n_y), from the first
         judged sample on."""
         fading = self.rho ** (self.settle + 1 + np.arange(samples))
-        return np.outer(fading, np.abs(a) @ np.sqrt(self.start[band]))
+        return np.outer(fading, np.abs(a) @ self.start[band])
 
     def ratios(self, e: np.ndarray, yhat: np.ndarray, v: np.ndarray) -> Iterator[tuple[int, int, np.ndarray]]:
         """Per stretch in speed range and band: first judged sample, band, left side over right (n, D) in
         every direction."""
         for first, band, left, right in self.norms(e, yhat, v):
             a = self.directions / self.sigma[band]
-            allowed = _norm_in(right, a).max(axis=0) + self._memory(band, len(left), a)
+            allowed = _norm_in(right, a) + self._memory(band, len(left), a)
             yield first, band, _norm_in(left, a) / (allowed + 1.0)
 
     def needs(self, e: np.ndarray, yhat: np.ndarray, v: np.ndarray) -> dict[str, np.ndarray]:
@@ -354,41 +346,37 @@ class EnergyTest:
     def _needs_in(self, band: int, left: np.ndarray, right: np.ndarray) -> dict[str, np.ndarray]:
         """`needs` of a stretch in one band, from its `_sides`."""
         if self.single:
-            diagonals = self._sums(band, left**2), self._sums(band, right**2)[..., self.settle :]
+            diagonals = self._sums(band, left**2), self._sums(0, right**2)[:, self.settle :]
         else:
             left, right = self._matrices(band, left, right)
-            diagonals = tuple(np.einsum("...njj->...jn", x) for x in (left, right))
-        error, bound = np.sqrt(diagonals[0]), np.sqrt(diagonals[1].max(axis=0))
+            diagonals = tuple(np.einsum("njj->jn", x) for x in (left, right))
+        error, bound = (np.sqrt(x) for x in diagonals)
         bound += self._memory(band, bound.shape[1], np.eye(len(bound))).T
         needed = {"sigma": (error - bound).max(axis=1)}
         if self.single:
             joint = (needed["sigma"] / self.sigma[band]).max()
         else:
             a = self.directions / self.sigma[band]
-            allowed = _norm_in(right, a).max(axis=0) + self._memory(band, len(left), a)
+            allowed = _norm_in(right, a) + self._memory(band, len(left), a)
             joint = (_norm_in(left, a) - allowed).max()
         return needed | {"error": error.max(axis=1), "bound": bound.max(axis=1), "joint": joint}
 
     def memory_met(self, e: np.ndarray, yhat: np.ndarray, v: np.ndarray) -> np.ndarray:
-        """Largest norm (B, n_y) that would be remembered at a restart at any sample of a drive; NaN where
-        nothing is judged. Of both sides: F W_delta yhat, above the corners F W_above yhat too, and F e."""
+        """Largest norm (B, n_y) that would be remembered at a restart at any sample of a drive: of F W_delta
+        yhat and of F e. NaN where nothing is judged."""
         largest = np.full(self.sigma.shape, np.nan)
-        rho = np.exp(-self.Ts / self.memories_s)
         for stretch in self._stretches(v):
             for j, (error, nominal) in enumerate(zip(e[stretch].T, yhat[stretch].T, strict=True)):
-                W, above = self.W[min(j, len(self.W) - 1)], self.above[min(j, len(self.W) - 1)]
+                W = self.W[min(j, len(self.W) - 1)]
                 for band, F in enumerate(self.F):
-                    right = remembered(np.concatenate([W, F]), nominal, self.settle, self.rho, rho[band])
-                    if band == len(self.F) - 1:
-                        right = max(right, remembered(F, above * nominal, self.settle, self.rho, rho[band]))
-                    left = remembered(F, error, self.settle, self.rho, None)
+                    right = remembered(np.concatenate([W, F]), nominal, self.rho)
+                    left = remembered(F, error, self.rho, settle=self.settle)
                     largest[band, j] = np.fmax(largest[band, j], left + right)
         return largest
 
     def with_sigma(self, needs: dict[str, np.ndarray], floor: np.ndarray | float = 0.0) -> EnergyTest:
         """sigma per band and output from ``needs`` over all identification drives, at least ``floor`` (B,
-        n_y), what the sensors cannot tell; and the square of what is remembered at a restart, the largest
-        met."""
+        n_y), what the sensors cannot tell; and what is remembered at a restart, the largest met."""
         size = np.maximum(needs["error"], needs["bound"])
         if not (size > 0).all():
             raise InputError(
@@ -399,7 +387,7 @@ class EnergyTest:
                 f"and more within {self.speed_range[0]:g}..{self.speed_range[1]:g} m/s",
             )
         sigma = np.maximum(np.maximum(needs["sigma"], SMALLEST_SIGMA * size), floor)
-        return replace(self, sigma=sigma, start=needs["memory"] ** 2)
+        return replace(self, sigma=sigma, start=needs["memory"])
 
     def with_joint(self, needs: dict[str, np.ndarray]) -> EnergyTest:
         """sigma raised until the fan of directions holds too; ``needs`` met with sigma per output, NaN where
@@ -422,7 +410,6 @@ class EnergyTest:
         reals = {
             "energy_corner": tangent / (1 + tangent),
             "energy_W": in_delta(self.W),
-            "energy_above": self.above,
             "energy_scale": 1 / sigma,
             "energy_forget": -np.expm1(-2 * self.Ts / self.memories_s),
             "energy_start": self.start,
@@ -443,7 +430,6 @@ class EnergyTest:
             "bands": list(self.bands),
             "settle_samples": self.settle,
             "gain": self.gain,
-            "above": self.above,
             "certificate": self.certificate,
             "directions": self.directions,
             "sigma": self.sigma,
@@ -454,6 +440,8 @@ class EnergyTest:
 
     def restored(self, data: dict, where: str) -> EnergyTest:
         """With the stored sigma and calibration; InputError when ``data`` belongs to other filters."""
+        if "above" in data:  # its `start` were squares
+            raise InputError(where, "above", "an identification of before", "one of this version: identify")
         stored = (data["memory_s"], *data["band_hz"], data["settle_samples"], *data.get("bands", ()))
         if stored != (self.memory_s, *self.band_hz, self.settle, *self.bands):
             raise InputError(

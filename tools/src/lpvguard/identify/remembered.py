@@ -1,9 +1,8 @@
 """What filters remember at a restart: the norm of their response to what came before it (THEORY 7.2).
 
-A filter was fed with x up to a restart. Its response x0 to that past goes on. With rho_b, the forgetting of a
-band's sums, and rho >= rho_b, that of what is remembered, the least m is sought with
+A filter was fed with x up to a restart. Its response x0 to that past goes on. The least m is sought with
 
-    || x0 || (T) <= rho^(T - t0 + 1) m    at every T >= t0 + settle,
+    || x0 || (T) <= rho^(T - t0 + 1) m    at every T >= t0,
 
 where t0 is the first sample after the restart. The energy from before t0 is a forgetting sum. That from t0 on
 is a quadratic form in the filter's state, summed exactly by a discrete Lyapunov equation.
@@ -44,43 +43,40 @@ def free_response(sections: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.array(after).reshape(len(unit), -1).T, np.concatenate(response)
 
 
-def response_energy(sections: np.ndarray, settle: int, rho: float, rho_band: float | None) -> np.ndarray:
-    """Energy (2 S, 2 S) of the free response, a quadratic form in the state, by which rho^(2 (n + 1)) is
-    multiplied at most from n = ``settle`` samples after the state on.
+def response_energy(sections: np.ndarray, rho: float, settle: int = 0) -> np.ndarray:
+    """Energy (2 S, 2 S) of the free response, a quadratic form in the state, over rho^(2 (n + 1)) of n more
+    samples.
 
     Parameters
     ----------
     sections : ndarray (S, 6)
         Filter in z, its poles below ``rho``.
-    settle : int
-        Samples.
     rho : float
-        Forgetting a sample of what is remembered.
-    rho_band : float or None
-        Forgetting of the sums, at most ``rho``. None: the sums begin after ``settle`` samples.
+        Forgetting a sample.
+    settle : int
+        Samples of the response that do not count.
     """
     A, C = free_response(sections)
-    # The rows C A^k, k = 0 .. settle - 1, and A^settle.
-    unit = np.eye(len(C)).reshape(-1, len(sections), 2)
-    early, after = zip(*(sosfilt(sections, np.zeros(settle), zi=state) for state in unit), strict=True)
-    late = solve_discrete_lyapunov((A / rho).T, np.outer(C, C)) / rho**2
-    power = np.array(after).reshape(len(unit), -1).T / rho**settle
-    energy = power.T @ late @ power
-    if rho_band is not None:
-        kept = rho_band ** (settle - np.arange(settle)) / rho ** (settle + 1)
-        energy += (np.array(early) * kept) @ (np.array(early) * kept).T
-    return energy
+    power = np.linalg.matrix_power(A / rho, settle)
+    return power.T @ solve_discrete_lyapunov((A / rho).T, np.outer(C, C)) @ power / rho**2
 
 
-def remembered(sections: np.ndarray, x: np.ndarray, settle: int, rho: float, rho_band: float | None) -> float:
-    """Largest m over restarts before each sample of ``x`` (N,), which the filter is fed with from rest.
+def remembered(sections: np.ndarray, x: np.ndarray, rho: float, settle: int | None = None) -> float:
+    """Largest m over restarts before each sample of an input that the filter is fed with from rest.
 
-    The other parameters are those of `response_energy`. None for ``rho_band`` leaves out the energy from
-    before the restart, too.
+    Parameters
+    ----------
+    sections : ndarray (S, 6)
+        Filter in z, its poles below ``rho``.
+    x : ndarray (N,)
+        Input.
+    rho : float
+        Forgetting a sample.
+    settle : int or None
+        Samples after the restart at which the sum begins. None: it counts what came before, too.
     """
     states, y = section_states(sections, x)
-    energy = np.einsum("in,ij,jn->n", states, response_energy(sections, settle, rho, rho_band), states)
-    if rho_band is not None:
-        before = lfilter([0.0, 1.0], [1.0, -(rho_band**2)], y**2)
-        energy += before * (rho_band / rho) ** (2 * (settle + 1))
+    energy = np.einsum("in,ij,jn->n", states, response_energy(sections, rho, settle or 0), states)
+    if settle is None:
+        energy += lfilter([0.0, 1.0], [1.0, -(rho**2)], y**2)
     return float(np.sqrt(max(energy.max(), 0.0)))

@@ -46,9 +46,9 @@ class Alarm:
     are its DFT of error and nominal output. "energy": the energy test's ratio (``margin``) exceeded its
     threshold, after a memory without that. Then bin_rad_s and W_delta, of a frame (n_delta,), are None.
     ``band`` is one of core.band_names; ``direction`` (n_y,) says which sum of outputs, in units of sigma.
-    B_w holds the band's sigma, E the norms of F e_j and Z what of them the right side of (T19b) explains
-    without sigma. "change": the change test's ratio did, of one ``part`` (core.CHANGE_PARTS) of the
-    ``estimate`` of ``output``; B_w, E and Z are empty.
+    B_w holds the band's sigma, E the norms of F e_j and Z those of F W_delta yhat_j. "change": the change
+    test's ratio did, of one ``part`` (core.CHANGE_PARTS) of the ``estimate`` of ``output``; B_w, E and Z are
+    empty.
     """
 
     t_s: float

@@ -13,12 +13,10 @@ def alarm_sentence(alarm: Alarm | dict[str, Any]) -> str:
     """Test, place, margin and the bound that broke, of an alarm or of its object in the JSON of `replay`."""
     a = alarm if isinstance(alarm, dict) else asdict(alarm)
     if a["test"] == "energy":
-        constant = ", or the constant beside it," if a["band"] == "above" else ""
         return (
             f"energy test, v = {a['speed_mps']:.1f} m/s: ratio {a['margin']:.2f} > {a['threshold']:.2f} "
             f"{a['band']} the corners, in direction ({_listed(a['direction'])}); ||F e|| = {_listed(a['E'])} "
-            f"against {_listed(a['Z'])} that W_delta{constant} and the time before a restart explain + sigma "
-            f"{_listed(a['B_w'])}"
+            f"against ||F W_delta yhat|| {_listed(a['Z'])} + sigma {_listed(a['B_w'])} + what a restart leaves"
         )
     if a["test"] == "change":
         return (
