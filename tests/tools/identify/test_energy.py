@@ -459,13 +459,11 @@ def test_what_a_drive_asks_of_sigma_is_the_most_that_its_norms_do(structure):
         key: np.full(shape, -np.inf)
         for key, shape in [("sigma", (3, 2)), ("error", (3, 2)), ("bound", (3, 2)), ("joint", 3)]
     }
-    for _, band, left, rights in test.norms(e, yhat, v):
+    for _, band, left, right in test.norms(e, yhat, v):
         fading = test.rho ** np.arange(test.settle + 1, test.settle + 1 + len(left))
 
-        def explained(a, rights=rights, band=band, fading=fading):
-            return np.max([size(G, a) for G in rights], axis=0) + fading * (
-                np.abs(a) @ test.start[band] ** 0.5
-            )
+        def explained(a, right=right, band=band, fading=fading):
+            return size(right, a) + fading * (np.abs(a) @ test.start[band])
 
         for j, a in enumerate(np.eye(2)):
             error, bound = size(left, a), explained(a)
@@ -621,9 +619,11 @@ def test_sigma_is_the_least_for_each_output_and_then_for_the_joint_form():
     v = np.full(len(t), 15.0)
     alone = test.with_sigma(test.needs(e, yhat, v) | {"memory": test.memory_met(e, yhat, v)})
     single = np.abs(alone.directions).max(axis=1) == 1.0
-    for _, _, ratios in alone.at_rest().ratios(e, yhat, v):
+    for _, band, ratios in alone.at_rest().ratios(e, yhat, v):
         peak = ratios.max(axis=0)
-        assert peak[single] == pytest.approx([1.0, 1.0], abs=1e-9) and peak.max() > 1.5
+        if band < 2:  # above, the right side remembers longer and explains each output whole
+            assert peak[single] == pytest.approx([1.0, 1.0], abs=1e-9)
+        assert peak[single].max() < 1.0 + 1e-9 and peak.max() > 1.5
     joint = alone.with_joint(alone.at_rest().needs(e, yhat, v))
     assert joint.joint.min() > 1.5 and joint.sigma == pytest.approx(alone.sigma * joint.joint[:, None])
     for _, _, ratios in joint.at_rest().ratios(e, yhat, v):
@@ -677,11 +677,9 @@ def test_alarms_of_the_energy_test_stand_in_the_replay_beside_those_of_frames(co
     alarm = next(a for a in replay.alarms if a.test == "energy")
     assert alarm.t_s > 60.0 and replay.over[round(alarm.t_s / g80.Ts_s)]
     assert alarm.bin_rad_s is None and alarm.W_delta is None and alarm.direction == [1.0]
-    assert alarm.margin == pytest.approx(alarm.E[0] / (alarm.Z[0] + alarm.B_w[0]), rel=1e-4)
-    assert alarm.margin > alarm.threshold
-    assert (
-        alarm.band == "above" and alarm.evidence < 1
-    )  # the gain jumps; that nothing responds there is allowed
+    settled = alarm.E[0] / (alarm.Z[0] + alarm.B_w[0])  # a minute after the restart little is remembered
+    assert 0.95 * settled < alarm.margin < settled and alarm.margin > alarm.threshold
+    assert alarm.band == "between"
     only_frames = Replayer(g80, core, energy_threshold=1e6, change_threshold=1e6).replay(
         inject(drive, Fault("gain", 0.5), 60.0, g80.Ts_s)
     )
