@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ..base.optional import optional
 from ..base.parallel import workers
 from ..control.exported import export_chosen
 from ..drives.frames import Estimator
@@ -19,7 +20,6 @@ from ..identify.calibration import Calibration
 from ..identify.weights import Weights
 from ..vehicle.nominal import NominalModel
 from ..vehicle.project import Project, load_project
-from .optional import optional
 
 if TYPE_CHECKING:
     import pandas

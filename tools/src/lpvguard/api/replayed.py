@@ -12,6 +12,7 @@ import pyarrow as pa
 from scipy.io import savemat
 
 from ..base.errors import InputError
+from ..base.optional import optional
 from ..core.compiled import REASONS
 from ..drives.tables import Drive
 from ..replay.opened import replayer_for
@@ -19,7 +20,6 @@ from ..replay.recordings import KINDS, write_series
 from ..replay.run import Alarm, Recorded, Replay, Replayer
 from ..vehicle.project import Project
 from .identified import project_of
-from .optional import optional
 
 if TYPE_CHECKING:
     import pandas
