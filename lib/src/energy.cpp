@@ -70,10 +70,9 @@ Real norm(const Real* gram, const Row<ny>& along) {
     return sum <= Real(0) ? Real(0) : std::sqrt(Real(2) * sum);
 }
 
-// The right side in direction a of a band.
-Real right_side(const lpvg_energy_t& self, const lpvg_coeff_reals_t& r, std::size_t band, const Row<ny>& a) {
-    const Real remembered = (a.abs() * Eigen::Map<const Row<ny>>(r.energy_start[band])).sum();
-    return norm(self.band[band].right, a) + std::sqrt(self.fading) * remembered + Real(1);
+// The right side in direction a of a band; `faded` is rho^(T - t0 + 1).
+inline Real right_side(const lpvg_energy_band_t& band, const Real* start, Real faded, const Row<ny>& a) {
+    return norm(band.right, a) + faded * (a.abs() * Eigen::Map<const Row<ny>>(start)).sum() + Real(1);
 }
 
 }  // namespace
@@ -119,9 +118,10 @@ extern "C" lpvg_real_t lpvg_energy_judge(lpvg_energy_t* self, const lpvg_coeff_t
     self->next_direction = self->direction + 1U < LPVG_NDIRECTIONS ? self->direction + 1U : 0U;
     self->ratio = Real(0);
     self->strongest = 0U;
+    const Real faded = std::sqrt(self->fading);
     for (uint32_t b = 0; b < LPVG_NBANDS; ++b) {
         const Row<ny> a = direction(coeff->reals, self->direction, b);
-        const Real right = right_side(*self, coeff->reals, b, a);
+        const Real right = right_side(self->band[b], coeff->reals.energy_start[b], faded, a);
         const Real quotient = norm(self->band[b].left, a) / right;
         const Real ratio = quotient < beyond && right < beyond ? quotient : beyond;
         if (ratio > self->ratio) {
@@ -135,5 +135,5 @@ extern "C" lpvg_real_t lpvg_energy_judge(lpvg_energy_t* self, const lpvg_coeff_t
 extern "C" lpvg_real_t lpvg_energy_evidence(const lpvg_energy_t* self, const lpvg_coeff_t* coeff) {
     const lpvg_energy_band_t& band = self->band[self->strongest];
     const Row<ny> a = direction(coeff->reals, self->direction, self->strongest);
-    return norm(band.nominal, a) / right_side(*self, coeff->reals, self->strongest, a);
+    return norm(band.nominal, a) / right_side(band, coeff->reals.energy_start[self->strongest], std::sqrt(self->fading), a);
 }
