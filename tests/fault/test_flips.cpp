@@ -163,7 +163,6 @@ const std::vector<Field> model_fields = {
     LPVG_REAL(scale),
     LPVG_REAL(energy_corner),
     LPVG_REAL(energy_W),
-    LPVG_REAL(energy_above),
     LPVG_REAL(energy_scale),
     LPVG_REAL(energy_forget),
     LPVG_REAL(energy_start),

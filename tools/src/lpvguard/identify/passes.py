@@ -319,14 +319,16 @@ def _first_samples(reader: DriveReader, name: str, samples: int, cuts: int) -> l
 
 
 def energy_pass(reader: DriveReader, test: EnergyTest, cuts: int, experiment: Experiment) -> Part:
-    """What a drive asks of sigma: whole, from rest; with its first samples cut, from what Delta may
-    remember. With ``cuts`` it is whole only where there are directions of several outputs: sigma covers a
-    single output's."""
+    """What a drive asks of sigma: whole, from rest; with its first samples cut, with what may be remembered.
+    Without ``cuts`` also what it shows of that. With ``cuts`` it is whole only where there are directions of
+    several outputs: sigma covers a single output's."""
     drive, e, yhat = reader.read(experiment)
 
     def parts() -> Iterator[Part]:
         if not cuts or not test.single:
             yield test.at_rest().needs(e, yhat, drive.v)
+        if not cuts:
+            yield {"memory": test.memory_met(e, yhat, drive.v)}
         for cut in _first_samples(reader, experiment.name, len(drive.t), cuts)[1:]:
             rest = drive.from_sample(cut)
             yield test.needs(*nominal_error(rest, reader.model), rest.v)
