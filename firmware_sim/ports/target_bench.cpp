@@ -19,7 +19,7 @@
 #include <initializer_list>
 
 #include "lpvguard/ecu.h"
-#include "margin.hpp"
+#include "monitor/margin.hpp"
 #include "target_input.h"
 #include "text.hpp"
 #if __has_include("lpvguard_diagnosis.c")
@@ -31,6 +31,7 @@
 #include "dense_controller.hpp"
 #include "lpvg_can_codec.h"
 #include "lpvguard/authentication.h"
+#include "lpvguard/j1939.h"
 #include "lpvguard/xcp.h"
 #endif
 

@@ -9,9 +9,9 @@ import subprocess
 import pytest
 
 from lpvguard.base.errors import InputError
-from lpvguard.bench import run as run_bench
-from lpvguard.bench.soak import SEED, header_text, soak
 from lpvguard.core.compiled import eigen_include, firmware_root, library_root
+from lpvguard.extras.bench import run as run_bench
+from lpvguard.extras.bench.soak import SEED, header_text, soak
 from parts import require
 
 FULL = os.environ.get("LPVGUARD_FULL") == "1"

@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 
 from lpvguard.base.errors import InputError
-from lpvguard.bench import core as bench
 from lpvguard.core import targets
 from lpvguard.core.compiled import eigen_include, shipped_vehicle
+from lpvguard.extras.bench import core as bench
 from parts import require
 
 # What the core's objects may take from libraries: moving memory, and integer division where the processor has

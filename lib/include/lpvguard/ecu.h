@@ -62,9 +62,9 @@
 #define LPVGUARD_ECU_H
 
 #include "lpvguard/bus.h"
+#include "lpvguard/cause.h"
 #include "lpvguard/controller.h"
-#include "lpvguard/diagnosis.h"
-#include "lpvguard/j1939.h"
+#include "lpvguard/findings.h"
 #include "lpvguard/monitor.h"
 #include "lpvguard/watch.h"
 
