@@ -215,6 +215,8 @@ const std::vector<Field> state_fields = {
     LPVG_STATE(now_us),
     LPVG_STATE(clock),
     LPVG_STATE(dm1_us),
+    LPVG_STATE(watch),
+    LPVG_STATE(share),
     LPVG_STATE(causes),
 };
 
