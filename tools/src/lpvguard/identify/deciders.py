@@ -1,7 +1,7 @@
-"""What decides the bounds and the thresholds of an identification, in words, and where a bin is silent.
+"""Frames that decide the bounds and thresholds of an identification, in words, and silent bins.
 
-A frame that alone decides a bound or a threshold is worth a look: a crash, a slide or a wrong sample may have
-made it. Nothing is dropped in silence: experiments.csv sets a drive aside, with its reason.
+A frame that alone decides a bound or a threshold deserves a look: a crash, a slide or a wrong sample may have
+caused it. Nothing is dropped in silence: experiments.csv sets a drive aside, with its reason.
 """
 
 from __future__ import annotations
@@ -16,22 +16,32 @@ from .model_error import FEWEST_FRAMES
 from .run import Identification
 
 ONE_FRAME = 1.1
-"""One frame is said to decide a number that is larger by this factor than it would be without it."""
+"""Ratio of a number to its value without one frame from which that frame decides it."""
 OUTLYING, FEWEST_TO_COMPARE = 3.5, 5
 """A score lies outside the others whose logarithm is so many standard deviations above their median, the
 deviation by the median one (Iglewicz and Hoaglin's modified z-score); among so many scores at least."""
 
 
 class Decision(NamedTuple):
-    """``text``: what decides a number, in words. ``alone``: one frame does, which is worth a warning."""
+    """``text`` says what decides a number. ``alone``: one frame does, which is worth a warning."""
 
     text: str
     alone: bool
 
 
 def decides_bounds(result: Identification) -> list[Decision]:
-    """Of every nu and B_w above 0, and of B_w above its floor: the drive, and the time of the frame that
-    decides it. Where one frame does: what it would be without that one and those that overlap it."""
+    """Name the drive and time that decide every nu and B_w above 0 and above its floor.
+
+    Where one frame decides alone, the text has the bound without it and those that overlap it.
+
+    Parameters
+    ----------
+    result : Identification
+
+    Returns
+    -------
+    list of Decision
+    """
     Ts, said = result.project.Ts_s, []
     for key, of in result.origins.decided.items():
         shared = of.largest.shape[1] == 1 and key == "nu"
@@ -52,8 +62,18 @@ def decides_bounds(result: Identification) -> list[Decision]:
 
 
 def decides_thresholds(result: Identification) -> list[Decision]:
-    """Of every threshold: the drive, the time and the bin or band that decide it. Where one frame does: what
-    the threshold would be without it."""
+    """Name the drive, time and bin or band that decide every threshold.
+
+    Where one frame decides alone, the text has the threshold without it.
+
+    Parameters
+    ----------
+    result : Identification
+
+    Returns
+    -------
+    list of Decision
+    """
     return [_decides(result, test, c) for test, c in _tests(result).items()]
 
 
@@ -82,7 +102,7 @@ def _decides(result: Identification, test: str, c: Calibration) -> Decision:
 
 
 def _where(result: Identification, test: str, drive: str) -> str:
-    """Where the score of a ``drive`` comes from, in words that go on; nothing without a core."""
+    """Origin of a ``drive``'s score as a continuation; nothing without a core."""
     peak = result.origins.peaks[drive].get(test)
     if peak is None:
         return ""
@@ -95,8 +115,18 @@ def _where(result: Identification, test: str, drive: str) -> str:
 
 
 def outlying(result: Identification) -> list[str]:
-    """A sentence for each calibration drive whose score in a test lies outside the others', as a crash makes
-    it. The drive calibrates all the same."""
+    """Name each calibration drive whose score lies outside the others', as after a crash.
+
+    The drive still calibrates.
+
+    Parameters
+    ----------
+    result : Identification
+
+    Returns
+    -------
+    list of str, sentences
+    """
     said = []
     for test, c in _tests(result).items():
         scores = {drive: s for drive, s in c.scores.items() if s > 0}
@@ -121,7 +151,16 @@ def _all_silent(result: Identification) -> bool:
 
 
 def unresolved(result: Identification) -> list[str]:
-    """A sentence for each output of which the sensor, and no drive, sets a disturbance bound."""
+    """Name each output whose disturbance bound comes from the sensor and no drive.
+
+    Parameters
+    ----------
+    result : Identification
+
+    Returns
+    -------
+    list of str, sentences
+    """
     said, bounds = [], result.bounds
     for j, signal in enumerate(result.project.outputs):
         bins = np.flatnonzero(bounds.B_w[:, j] <= bounds.B_w_floor[:, j])
@@ -136,7 +175,16 @@ def unresolved(result: Identification) -> list[str]:
 
 
 def silence(result: Identification) -> list[str]:
-    """A sentence for each silent bin, and one for silent bands of the energy test."""
+    """Name the silent bins, and the silent bands of the energy test.
+
+    Parameters
+    ----------
+    result : Identification
+
+    Returns
+    -------
+    list of str, sentences
+    """
     said = []
     for k in result.weights.silent:
         few = f"fewer than {FEWEST_FRAMES} frames one after another set its bounds"

@@ -326,8 +326,8 @@ class Simulator:
 
         seed         None: the scenario's
         bus          memory, or socketcan:INTERFACE
-        out          a folder for NAME-SEED.log (candump -L), .frames.csv, .telemetry.csv and .drive.csv,
-                     which `lpvguard replay` reads
+        out          folder for NAME-SEED.log (candump -L), .frames.csv, .telemetry.csv and .drive.csv (a
+        drive table)
         ecu_process  the firmware is a separate process; it needs SocketCAN
         target       host, or an emulated processor, which needs SocketCAN too. The object of the latter has
                      ``ecu``: the target, the hash of the ELF file and the instructions of the ticks
@@ -339,7 +339,7 @@ class Simulator:
 
         The same scenario, seed and vehicle give the same bytes except for real_time_factor. That is simulated
         time
-        over one core's processor time. With the firmware in another process it is over elapsed time. Raises
+        over one core's processor time, or over elapsed time with the firmware in another process. Raises
         InputError
         where the simulator refuses the scenario or the bus.
         """
