@@ -117,6 +117,7 @@ ROOMS = (
     "measure",
     "problems",
     "bench",
+    "control",
 )
 """Rooms whose offered functions and classes have numpydoc's form."""
 FORM = {

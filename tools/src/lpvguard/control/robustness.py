@@ -1,8 +1,8 @@
-"""What a design's loop has at every node of its speeds beside mu (THEORY 7.10).
+"""Robustness of a design's loop at every node of its speeds besides mu (THEORY 7.10).
 
-Bounds that hold between frequencies, the worst-case gain, disk margins at the vehicle's input, and the
-nu-gap to the neighbouring vehicles. All of it is about frozen speeds, the coefficients as the core runs
-them and the nominal vehicle. Worst-case gain and mu are bounds over every Delta of size 1.
+It has bounds between frequencies, the worst-case gain, disk margins at the vehicle's input, and the nu-gap to
+the neighbouring vehicles. All of it is about frozen speeds, the core's coefficients and the nominal vehicle.
+Worst-case gain and mu are bounds over every Delta of size 1.
 """
 
 from __future__ import annotations
@@ -45,10 +45,10 @@ class NodeRobustness:
     """One node, ``v_mps``.
 
     mu_interval: bound of mu proved at every frequency. worst_gain: bound of the gain from [w; n; r_c] to z
-    over every Delta of size 1 (None: none was proved); worst_gain_found: what one such Delta reaches
-    (None: none was found). disk_S, disk_T, disk_balanced: disk margins at the vehicle's input (T27).
-    nu_margin: b(P, K). nu_gap_next, nu_gap_midpoint: nu-gap to the vehicle at the next node and midway to
-    it (None at the last node).
+    over every Delta of size 1 (None: none proved); worst_gain_found: gain with one such Delta (None: none
+    found).
+    disk_S, disk_T, disk_balanced: disk margins at the vehicle's input (T27). nu_margin: b(P, K). nu_gap_next,
+    nu_gap_midpoint: nu-gap to the vehicle at the next node and midway to it (None at the last node).
     """
 
     v_mps: float
@@ -65,14 +65,14 @@ class NodeRobustness:
 
 @dataclass(frozen=True)
 class Robustness:
-    """``nodes``; ``unit_u``, ``units_y`` (n_y,): what the nu-gap counts as 1 of input and outputs."""
+    """``nodes``; ``unit_u``, ``units_y`` (n_y,): units of input and outputs for the nu-gap."""
 
     nodes: tuple[NodeRobustness, ...]
     unit_u: float
     units_y: tuple[float, ...]
 
     def to_dict(self) -> dict:
-        """As controller.json holds it."""
+        """Entry of controller.json."""
         return {
             "claim": "frozen speeds, LTI Delta of size 1: mu_interval and worst_gain hold at every frequency "
             "between 0 and half the sampling frequency; disk margins are those of the nominal loop; "
@@ -90,7 +90,7 @@ def robustness(
     progress: Progress = lambda _: None,
     workers: Map = map,
 ) -> Robustness:
-    """The numbers of every node; ``scaling`` helps the search for the worst Delta, ``workers`` share the
+    """Robustness of every node; ``scaling`` helps the search for the worst Delta, ``workers`` share the
     nodes."""
     unit_u, units_y = _units(NominalModel(stored.project), schedule, workers)
     return _with_units(stored, schedule, scaling, unit_u, units_y, progress, workers)
@@ -105,15 +105,18 @@ def require_robustness(
     progress: Progress = lambda _: None,
     workers: Map = map,
 ) -> None:
-    """InputError unless ``stated`` (certificates.robustness of ``path``) is what is computed anew, in its
-    units; None claims nothing."""
+    """Raise InputError unless ``stated`` (certificates.robustness of ``path``) is computed again, in its
+    units.
+
+    None claims nothing.
+    """
     if stated is not None:
         units = stated["unit_u"], tuple(stated["units_y"])
         compare(path, stated, _with_units(stored, schedule, scaling, *units, progress, workers))
 
 
 def compare(path: Path, stated: dict, found: Robustness) -> None:
-    """InputError naming the node and the number of ``stated`` that is not that of ``found``."""
+    """Raise InputError for the node and the number of ``stated`` that differs from ``found``."""
     if len(stated["nodes"]) != len(found.nodes):
         raise InputError(
             path, "certificates.robustness.nodes", f"{len(stated['nodes'])} rows", f"{len(found.nodes)} nodes"
@@ -163,8 +166,10 @@ def _with_units(
 
 @dataclass(frozen=True)
 class _Asked:
-    """A node: its generalised plant, controller and vehicle, and the vehicles at the next node and
-    midway to it (none at the last)."""
+    """A node: its generalised plant, controller and vehicle, and its neighbours' vehicles.
+
+    These are at the next node and midway to it; the last node has none.
+    """
 
     v: float
     plant: GeneralisedPlant
@@ -197,7 +202,7 @@ def _node(scaling: Scaling, unit_u: float, units_y: tuple[float, ...], at: _Aske
 
 
 def _feedback(K: StateSpace) -> StateSpace:
-    """The controller from the outputs alone; its first input is the reference."""
+    """The controller without the reference, its first input."""
     return K.select(slice(None), slice(1, None))
 
 
@@ -226,8 +231,10 @@ def _controller_in_units(K: StateSpace, unit_u: float, units_y: tuple[float, ...
 
 
 def _units(model: NominalModel, schedule: Scheduled, workers: Map) -> tuple[float, tuple[float, ...]]:
-    """The units in which nu-gaps between neighbours are smallest beside b(P, K), by a search from those of
-    a stationary vehicle at its limit in the middle of the range."""
+    """Units with the smallest nu-gaps between neighbours relative to b(P, K).
+
+    The search starts from those of a stationary vehicle at its limit in the middle of the range.
+    """
     speeds = [float(v) for v in schedule.speeds]
     middle = speeds[len(speeds) // 2]
     P = vehicle_at(model, middle)
