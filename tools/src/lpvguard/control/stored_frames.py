@@ -64,8 +64,7 @@ class SplitWeights:
 
 
 class StoredFrames:
-    """Frames of the bound-setting drives: the stored sample and, with the drives, those that decide the
-    bounds.
+    """Frames of the bound-setting drives: the stored sample, with the drives also the deciding frames.
 
     Parameters
     ----------

@@ -1,7 +1,8 @@
-"""A bound as its samples: checked, without bins that have no data, in units near one.
+"""A bound by its samples: checked, without bins that have no data, in units near one.
 
 Between samples the bound is linear in (ln w, ln bound). Below the first sample and above the last it is
-constant."""
+constant.
+"""
 
 from __future__ import annotations
 

@@ -23,7 +23,7 @@ from lpvguard.engine.synthesis.statespace import StateSpace
 from lpvguard.engine.synthesis.structure import Structure
 
 STEPS = 12
-"""At one frequency."""
+"""Steps at one frequency."""
 LARGEST = 1e6
 """Times the nominal gain; above it the gain counts as unbounded."""
 
@@ -31,11 +31,28 @@ LARGEST = 1e6
 def worst_gain(
     loop: StateSpace, blocks: Sequence[Block], performance: Block, low: float, high: float, rtol: float = 2e-3
 ) -> IntervalBound:
-    """The bound for ``loop`` from ``low`` to ``high`` [rad/s], frequencies as in ``cover``. Its first
-    outputs and inputs are those of Δ, the last those of the full ``performance`` block (z, then [w; n; r_c]).
+    """Bound the gain from disturbances to errors over every Δ of size 1 and a range of frequencies.
 
-    ``upper`` is inf where scalings do not show the loop stable for every Δ of size 1. SynthesisError as
-    ``cover``.
+    Parameters
+    ----------
+    loop : StateSpace, whose first outputs and inputs are Δ's, the last those of ``performance``
+    blocks : Sequence[Block], of Δ
+    performance : Block, full, z to [w; n; r_c]
+    low, high : float, rad/s, as in `cover`
+    rtol : float, default 0.002
+
+    Returns
+    -------
+    IntervalBound, upper is inf if scalings do not prove stability for every Δ of size 1
+
+    Raises
+    ------
+    SynthesisError
+        If `cover` raises it.
+
+    References
+    ----------
+    THEORY 7.10.
     """
     structure = Structure((*blocks, performance))
     rows, cols = structure.n_rows - performance.cols, structure.n_cols - performance.rows

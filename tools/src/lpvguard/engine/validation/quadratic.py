@@ -1,4 +1,4 @@
-"""The quadratic problem, not convex, that is left of an LFT point: least sizes p for signals z.
+"""The non-convex quadratic problem of an LFT point: least sizes p for signals z.
 
 min sum_j p_j over z = (theta, 1) and p >= 0 subject to :class:`Form` s. A full block or the disturbance's
 ball is a form. A repeated block is a form and an equation a z = delta b z with one scalar delta.
@@ -44,7 +44,8 @@ class Quadratic:
     """min sum_j p_j over z = (theta, 1) of length ``n`` and p >= 0 (``params`` of them) subject to ``forms``.
 
     ``repeated``: indices of the forms of repeated blocks. ``boxed``: sizes that one repeated block alone
-    decides. The box of that block bounds the size, so it needs no direction of its own.
+    decides.
+    The box of that block bounds the size, so it needs no separate direction.
     """
 
     def __init__(self, forms: Sequence[Form], params: int, n: int):
