@@ -62,11 +62,9 @@ def _evaluate_drive(
     injection: Injection,
     item: tuple[Experiment, Recordings, dict[str, Calibration]],
 ) -> tuple[dict, Found, CauseOutcomes]:
-    """Row of one drive, outcomes per detector and case from every start, and the causes that EXPORTED names.
+    """Row of one drive, outcomes per detector and case, and the causes that EXPORTED names.
 
-    The recordings and calibrations are the drive's own, for MONITOR and each test. There is no outcome where
-    the
-    drive does not qualify for faults.
+    Recordings and calibrations are the drive's own. A drive without qualified stretches has no outcomes.
     """
     experiment, recordings, calibrations = item
     project, thresholds = reader.project, {what: c.threshold for what, c in calibrations.items()}

@@ -337,11 +337,10 @@ class Simulator:
         paused       wait until a client says resume
         report_only  findings do not release, as in ``drive``; not on an emulated processor
 
-        The same scenario, seed and vehicle give the same bytes except for real_time_factor. That is simulated
-        time
-        over one core's processor time, or over elapsed time with the firmware in another process. Raises
-        InputError
-        where the simulator refuses the scenario or the bus.
+        The same scenario, seed and vehicle give the same bytes except for real_time_factor: simulated time
+        over processor
+        time, or over elapsed time with another process. Raises InputError where the simulator refuses its
+        input.
         """
         seed = scenario.seed if seed is None else seed
         emulated = None if target == "host" else self.emulated(target)

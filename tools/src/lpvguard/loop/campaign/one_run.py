@@ -181,10 +181,7 @@ def _tools(folder: Path, detectors: Detectors) -> tuple[Simulator, Simulator, Re
 
 
 def run_planned(context: Context, planned: PlannedRun) -> dict[str, Any]:
-    """One run: simulated, replayed through the core, judged by every detector and off line.
-
-    It becomes a row of the Parquet files.
-    """
+    """One run, simulated, replayed and judged by every detector: a row of the Parquet files."""
     simulator, free_truck, replayer, bank = context.tools
     drawn = Drawn.of(float(simulator.u_max.min()), context.seed, planned)
     with tempfile.TemporaryDirectory() as scratch:

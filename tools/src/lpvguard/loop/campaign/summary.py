@@ -43,12 +43,11 @@ def summarise(
 
     ``severities``, ``kinds``, ``average``, ``visible``: faults of the truck in their first way; ``bus``: of
     the bus.
-    ``ways``: faults that begin in several ways. ``matched`` uses thresholds with at most alpha of the runs
-    within
-    the bounds alarming, and at most alpha of the faulty runs before their fault, by the rule of
-    identify/calibration.py. With enough runs for alpha (``matched_stated``) these are equal false alarms in
-    the
-    loop; ``matched_claim`` says so, or "counts only".
+    ``ways``: faults that begin in several ways. At thresholds ``matched`` at most alpha of the runs within
+    the bounds
+    alarm, and of the faulty runs before their fault. With enough runs for alpha (``matched_stated``) these
+    are equal
+    false alarms in the loop; ``matched_claim`` says so, or "counts only".
     """
     rows = table.to_pylist()
     kinds = {k.name: k for k in faults.KINDS}
