@@ -98,28 +98,8 @@ def test_every_public_docstring_says_what_it_has_to():
     assert found == []
 
 
-ROOMS = (
-    "base",
-    "vehicle",
-    "core",
-    "drives",
-    "can",
-    "replay",
-    "report",
-    "evaluate",
-    "api",
-    "fit",
-    "start",
-    "fleet",
-    "live",
-    "loop",
-    "sources",
-    "measure",
-    "problems",
-    "bench",
-    "control",
-)
-"""Rooms whose offered functions and classes have numpydoc's form."""
+UNDONE = ("engine.synthesis.hinf", "engine.synthesis.mu", "identify.energy", "identify.error_")
+"""Beginnings of the modules whose docstrings have not got numpydoc's form yet."""
 FORM = {
     *("GL06", "GL07", "GL08"),  # sections: unknown, out of order; no docstring
     *("SS01", "SS02", "SS03", "SS06"),  # summary: missing, lower case, no full stop, several lines
@@ -153,7 +133,7 @@ def taken(path: Path, modules: dict[str, ast.Module]) -> Iterator[tuple[str, str
 
 
 def room(module: str) -> str:
-    return module.split(":")[0].split(".")[1] if "." in module else ""
+    return next((part for part in module.split(":")[0].split(".")[1:] if part != "extras"), "")
 
 
 def offered() -> Iterator[tuple[str, Path, ast.ClassDef | Function, ast.AST]]:
@@ -203,7 +183,8 @@ def breaches(place: str, path: Path, node: ast.ClassDef | Function, around: ast.
 
 @pytest.mark.unhurried
 def test_what_a_room_offers_has_numpydoc_form():
-    found = [breach for what in offered() if room(what[0]) in ROOMS for breach in breaches(*what)]
+    done = (what for what in offered() if not what[0].removeprefix("lpvguard.").startswith(UNDONE))
+    found = [breach for what in done for breach in breaches(*what)]
     assert found == []
 
 
@@ -308,12 +289,17 @@ def test_a_planted_fault_is_found(tmp_path, old, new, found):
     assert [f for f in findings(path, path.name) if f.startswith(found)] != []
 
 
+def room_of(name: str) -> str:
+    """The folder in which a module stands, for a side room without that of all side rooms."""
+    return name.removeprefix("extras/").split("/")[0]
+
+
 def main() -> None:
     """The findings, and how many each room has."""
     found = of_package()
-    rooms = Counter(dict.fromkeys((name.split("/")[0] for name in found if "/" in name), 0))
+    rooms = Counter(dict.fromkeys((room_of(name) for name in found if "/" in name), 0))
     for name, of_module in found.items():
-        rooms[name.split("/")[0]] += len(of_module)
+        rooms[room_of(name)] += len(of_module)
         print("\n".join(of_module), end="\n" * bool(of_module))
     print("\n".join(f"{count:5} {room}" for room, count in rooms.most_common()))
 

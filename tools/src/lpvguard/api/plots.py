@@ -65,8 +65,7 @@ class BlindMap:
         """Table with a row a cell.
 
         Columns: speeds [m/s], frequency [rad/s], state, counted frames, smallest visible gain errors
-        (typical, at the
-        strongest frame, at any excitation), alarms.
+        (typical, at the strongest frame, at any excitation), alarms.
         """
         text = io.StringIO()
         table = csv.writer(text, lineterminator="\n")

@@ -12,6 +12,7 @@ import pyarrow as pa
 from scipy.io import savemat
 
 from ..base.errors import InputError
+from ..base.optional import optional
 from ..core.compiled import REASONS
 from ..drives.tables import Drive
 from ..replay.opened import replayer_for
@@ -19,7 +20,6 @@ from ..replay.recordings import KINDS, write_series
 from ..replay.run import Alarm, Recorded, Replay, Replayer
 from ..vehicle.project import Project
 from .identified import project_of
-from .optional import optional
 
 if TYPE_CHECKING:
     import pandas
@@ -61,9 +61,8 @@ class Replayed:
         """Table of the judged frames, in the order of judgement. Needs pandas.
 
         t_end_s (of the frame) and t_judged_s are seconds after the first sample. margin is t*, evidence that
-        of a
-        vehicle that does not respond. reason "none" means that it counted. The other columns are omega_rad_s,
-        speed_mps and falsified.
+        of a vehicle that does not respond. reason "none" means that it counted. The other columns are
+        omega_rad_s, speed_mps and falsified.
         """
         f, t0 = self.summary.run.frames, self.summary.start_s
         return optional("pandas", "pandas").DataFrame(

@@ -329,13 +329,14 @@ def marked(value: Any, kind: str, *, each: bool = False) -> Any:
 
 
 def _carries_mark(text: str, kind: str) -> bool:
-    """Whether the text is JSON, HTML, C, a CAN database or an A2L with the mark of ``kind``."""
+    """Whether the text is JSON, HTML, C, a CAN database, an A2L or an FMU with the mark of ``kind``."""
     head = text[:2000]
     if re.search(rf'<meta name="generator" content="{re.escape(mark(kind))}">', head):
         return True
     if kind == "dbc" and head.startswith('VERSION "lpvguard"\n\nNS_ :\n'):
         return True
-    if kind == "a2l" and head.startswith("ASAP2_VERSION 1 60\n/begin PROJECT lpvguard "):
+    begins = {"a2l": "ASAP2_VERSION 1 60\n/begin PROJECT lpvguard ", "fmu": "PK\3\4"}.get(kind)
+    if begins and head.startswith(begins) and "lpvguard" in head:
         return True
     if head.startswith(f"/* {mark(kind)}: generated, do not edit."):
         return True
@@ -640,8 +641,7 @@ def new_folder(target: Path, kind: str, vehicle: str | None = None) -> Iterator[
     """Give a scratch folder that takes the target's place when the block succeeds.
 
     The block writes the files and a manifest of this kind. The folder is then sealed. It vanishes when the
-    block
-    fails.
+    block fails.
 
     Parameters
     ----------
@@ -699,14 +699,26 @@ def _publish(work: Path, place: Path) -> None:
 
 
 def write_file(target: Path, text: str, kind: str) -> None:
-    """Write a text file whole or not at all.
+    """Write a text file as ``write_bytes`` does.
+
+    Parameters
+    ----------
+    target : Path
+    text : str
+    kind : str, the command that writes it
+    """
+    write_bytes(target, text.encode(), kind)
+
+
+def write_bytes(target: Path, data: bytes, kind: str) -> None:
+    """Write a file whole or not at all.
 
     A device or pipe is written to, never replaced.
 
     Parameters
     ----------
     target : Path
-    text : str
+    data : bytes
     kind : str, the command that writes it
 
     Raises
@@ -714,7 +726,7 @@ def write_file(target: Path, text: str, kind: str) -> None:
     InputError
         If the target may not be replaced or cannot be written.
     """
-    target, data = Path(target), text.encode()
+    target = Path(target)
     if target.exists() and not target.is_file() and not target.is_dir():
         with _written(target):
             target.write_bytes(data)

@@ -45,8 +45,7 @@ CONNECT_TIMEOUT_S = 20
 
 def _bounded(submit: Callable[..., Any], wait: Callable[[Any], Any], limit: Callable[[], int]) -> Map:
     """A map from ``submit(function, item)``, which returns a handle, ``wait(handle)`` and the most handles at
-    a
-    time."""
+    a time."""
 
     def run(function: Callable[[Item], Result], items: Iterable[Item], /) -> Iterator[Result]:
         rest = iter(items)

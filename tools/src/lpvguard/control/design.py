@@ -7,11 +7,10 @@ take a whole period to compute. The delay then belongs to the controller, which 
 One scaling D and one level serve all speeds, so that neighbouring controllers differ little
 (engine/synthesis/scheduling.py). D-K iteration at the design speed gives the first D; the best for the worst
 speed replaces it. The controllers are reduced to as few common poles as possible, with numerators
-interpolated
-over speed (schedule.py). The certified controller is that of the core: float32 coefficients, interpolated,
-closed with the nominal model and the weights. mu certifies frozen speeds: the nodes and midway between them.
-Storage functions certify robust stability and robust performance, each for every speed history up to a stated
-rate of change (engine/synthesis/lpv_certificate.py).
+interpolated over speed (schedule.py). The certified controller is that of the core: float32 coefficients,
+interpolated, closed with the nominal model and the weights. mu certifies frozen speeds: the nodes and midway
+between them. Storage functions certify robust stability and robust performance, each for every speed history
+up to a stated rate of change (engine/synthesis/lpv_certificate.py).
 """
 
 from __future__ import annotations
@@ -55,8 +54,10 @@ PATIENCE = 2
 """Pairs tried beyond the best number so far."""
 CERTIFICATE_RTOL = 1e-6
 """Largest relative difference between a stated level and the one proved again."""
-LOWER_RTOL, PEAK_RTOL = 1e-3, 1e-3
+LOWER_RTOL, PEAK_RTOL = 1e-4, 1e-3
 """The same for the lower bound, which a search finds, and for the gain at the stated peak, which is flat."""
+FLOOR_RTOL = 1e-9
+"""Rounding of the DC floor."""
 OFF_GRID = 24
 """Seeded speeds between the nodes at which the design is checked, in addition to nodes and midpoints."""
 DESIGN_SHARES, FROZEN_SHARES, VERIFY_SHARES = (9, 1, 1), (1, 15, 1), (4, 1, 4)
@@ -155,8 +156,7 @@ def frozen_optimum(stored: StoredIdentification) -> tuple[float, float]:
     """Compute the largest optimum over single frozen speeds.
 
     An optimum is the least bound of mu that D-K iteration finds for one speed alone, at some of the nodes,
-    with the
-    certified A_t and A_u.
+    with the certified A_t and A_u.
 
     Parameters
     ----------
@@ -296,8 +296,7 @@ def _with_fewest_poles(
     """Schedule with the fewest pairs of common poles, at most ``most``, or None.
 
     More pairs lower the worst level by less than ``order_loss`` of it. The result is None where no number of
-    pairs
-    stabilises every speed. ``worst_level`` of a schedule is inf above the given level.
+    pairs stabilises every speed. ``worst_level`` of a schedule is inf above the given level.
     """
     best, found, found_pairs = np.inf, None, 0
     for pairs in range(FEWEST_PAIRS, most + 1):
@@ -322,8 +321,7 @@ def _sound_order(
     """Largest order at which every controller of the family keeps ``level``.
 
     The last states of ``rank`` can be rounding alone, with an unstable loop. Raises InputError where no order
-    keeps
-    the level.
+    keeps the level.
     """
     for order in range(rank, 0, -1):
         loops = zip(plants, at_order(order), strict=True)
@@ -470,8 +468,7 @@ def verify(
     """Prove the certificates of a controller.json again for its coefficients and these weights.
 
     ``workers`` share the speeds. Raises InputError that names the speed of an unstable loop or a wrong
-    number, or an
-    objective or input limit that differs from the project's.
+    number, or an objective or input limit that differs from the project's.
     """
     settings = stored.project.design
     document = artefacts.read_json(path)
@@ -494,6 +491,7 @@ def verify(
     require_premise(stored)
     model, weights = NominalModel(stored.project), fig1_weights(stored, settings)
     _require_settings(path, stated, schedule, settings, model)
+    _require_floor(path, stated, dc_floor(weights))
     rows = [*stated["speeds"], stated["off_grid"]]
     loops = {
         row["v_mps"]: plant_at(stored, model, weights, row["v_mps"], False, settings.structure)
@@ -522,6 +520,27 @@ def _require_settings(
         raise InputError(
             path, "u_max", f"{schedule.u_max.tolist()}", f"{limits.tolist()}, of the project's limits"
         )
+
+
+def _require_floor(path: Path, stated: dict, floor: float) -> None:
+    """InputError unless the DC floor is ``floor``, and the largest A_t lies within what it leaves."""
+    largest = stated["largest_A_t"]
+    wanted = {"dc_floor": (stated["dc_floor"], floor)}
+    if largest is not None:
+        wanted["largest_A_t.product"] = largest["product"], largest["A_t"] * floor
+        if not (largest["worst"] < 1 and 0 < largest["A_t"] < largest["failed"] <= (1 + FLOOR_RTOL) / floor):
+            raise InputError(
+                path,
+                "certificates.largest_A_t",
+                f"A_t {largest['A_t']:.6g} with mu {largest['worst']:.6g}, failed {largest['failed']:.6g}",
+                f"mu below 1, and A_t below one that failed, up to {1 / floor:.6g}",
+            )
+    for name, (value, want) in wanted.items():
+        same = (
+            value is None if np.isnan(want) else value is not None and abs(value - want) <= FLOOR_RTOL * want
+        )
+        if not same:
+            raise InputError(path, f"certificates.{name}", f"{value}", f"{want:.9g}, of these weights")
 
 
 def _compare(

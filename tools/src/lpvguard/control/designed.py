@@ -57,6 +57,28 @@ def require_designed_for(stored: StoredIdentification, controller: Path) -> dict
     return document
 
 
+def require_exported_with(controller: Path, vehicle: Path) -> None:
+    """Require that a generated folder was exported with a controller.json, byte for byte.
+
+    Its certificates are then those that `export` proved for the folder's coefficients.
+
+    Parameters
+    ----------
+    controller : Path
+    vehicle : Path, generated folder
+
+    Raises
+    ------
+    InputError
+        If it was not.
+    """
+    exported = artefacts.read_manifest(vehicle, "vehicle").get("controller", {}).get("sha256")
+    if exported != artefacts.file_hash(controller):
+        raise InputError(
+            vehicle, "controller.sha256", "is of another controller", f"a folder exported with {controller}"
+        )
+
+
 def faulted_performance(
     path: Path, stored: StoredIdentification, v: float, applied: StateSpace, measured: StateSpace
 ) -> float:

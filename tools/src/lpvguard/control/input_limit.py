@@ -5,8 +5,7 @@
 G_1k(0; v) [rad/s per input unit] is the nominal model's DC gain from input k to its first output, the yaw
 rate. Held at their limits with any signs, the inputs give v |yaw rate| <= a_max in the steady state: by the
 triangle inequality each of n_u inputs may take an equal share. The rule limits changes of the input. It
-leaves
-out offsets of the model, transients and the model's error.
+leaves out offsets of the model, transients and the model's error.
 
 The core interpolates linearly between nodes. Where the rule falls as 1 / v^2 it is convex in v, and a line
 through its values lies above it. Every node is therefore lowered by the least factor that keeps the lines of
@@ -24,8 +23,7 @@ POINTS = 1024
 """Points of a cell between two nodes at which the line is compared with the rule."""
 ROOM = 1e-5
 """Share of the limit that the lateral acceleration allows, with a margin for speeds between the points and
-for
-rounding of float in the core."""
+for rounding of float in the core."""
 
 
 def turning_limit(model: NominalModel, a_max: float, v: np.ndarray) -> np.ndarray:

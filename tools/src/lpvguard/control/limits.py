@@ -2,8 +2,7 @@
 
 A row holds for every LTI Delta within W_delta, and as long as the demand that the controller wants stays
 within kappa times its limit. The loop is then stable, and the gain from [w; n; r_c] to z is bounded. Every
-[w;
-n; r_c] of at most an energy keeps the demand there and the rate limit untouched.
+[w; n; r_c] of at most an energy keeps the demand there and the rate limit untouched.
 """
 
 from __future__ import annotations
@@ -30,7 +29,7 @@ KAPPAS = (1.0, 1.5, 2.0, np.inf)
 """Wanted demand over its limit; 1: the limit is never reached, inf: any demand."""
 SPEEDS = 4
 """Nodes, ends included."""
-ENERGY_RTOL, LEVEL_RTOL = 1e-3, 1e-4
+ENERGY_RTOL, LEVEL_RTOL = 1e-5, 1e-4
 """Largest relative differences between stated numbers and those proved anew."""
 
 
@@ -176,7 +175,8 @@ def _require_row(
     constants = np.array(row["stability_constants"], float)
     level = loop.stability().proved(loop.ones, 1.0, constants) if loop.stable else np.inf
     stated_level = np.inf if row["stability_level"] is None else row["stability_level"]
-    if stated_level != level and not abs(level - stated_level) <= LEVEL_RTOL * level:
+    same = stated_level == level or abs(level - stated_level) <= LEVEL_RTOL * level
+    if not same or (stated_level < 1) != (level < 1):
         refuse("stability_level", level)
     if row["gain"] is not None:
         constants = np.array(row["gain_constants"], float)

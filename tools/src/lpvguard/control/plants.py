@@ -55,8 +55,7 @@ def state_uncertainty(stored: StoredIdentification, settings: DesignSettings) ->
     """Weights of class S2 at the identified gamma_w: W_delta_i dimensionless, W_delta_s in 1/s.
 
     They are searched once for each lambda_s. xi_s adds to the state's derivative and needs inverted dynamics,
-    which
-    windows only approximate. Raises InputError where the frames are too inexact.
+    which windows only approximate. Raises InputError where the frames are too inexact.
     """
     error = stored.bounds["window_error_median"]
     worst = int(np.nanargmax(error))
@@ -187,8 +186,7 @@ def plant_at(
     """Discrete generalised plant at speed v [m/s], the model's input delay included.
 
     delayed: with one more sample of delay before the control input, for the controller's computation. probes:
-    as in
-    ``generalised_plant``.
+    as in ``generalised_plant``.
     """
     A, B = (m[0] for m in model.matrices(np.array([v])))
     late = whole_delay(model)

@@ -7,6 +7,7 @@ Worst-case gain and mu are bounds over every Delta of size 1.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
@@ -32,10 +33,14 @@ from ..identify.run import StoredIdentification
 from ..vehicle.nominal import NominalModel
 from .plants import design_settings, fig1_weights, plant_at, vehicle_at
 
-FOUND_RTOL, EXACT_RTOL = 2e-3, 1e-4
+FOUND_RTOL, EXACT_RTOL = 2e-3, 1e-5
 """Largest relative difference between a stated number and the one computed anew: of a bound that cells or a
 search find, and of a norm."""
 LOOSE = {"mu_interval", "worst_gain", "worst_gain_found"}
+UPPER = ("mu_interval", "worst_gain")
+"""Upper bounds: a stated one may exceed the one proved anew by FOUND_RTOL, and may not be below it."""
+PROVED_RTOL = 1e-9
+"""Rounding of a stated upper bound."""
 SCALING_NODES, SCALING_STEPS = 3, 60
 """Pairs of neighbours for which the units of the nu-gap are searched, and steps of that search."""
 
@@ -46,9 +51,9 @@ class NodeRobustness:
 
     mu_interval: bound of mu proved at every frequency. worst_gain: bound of the gain from [w; n; r_c] to z
     over every Delta of size 1 (None: none proved); worst_gain_found: gain with one such Delta (None: none
-    found).
-    disk_S, disk_T, disk_balanced: disk margins at the vehicle's input (T27). nu_margin: b(P, K). nu_gap_next,
-    nu_gap_midpoint: nu-gap to the vehicle at the next node and midway to it (None at the last node).
+    found). disk_S, disk_T, disk_balanced: disk margins at the vehicle's input (T27). nu_margin: b(P, K).
+    nu_gap_next, nu_gap_midpoint: nu-gap to the vehicle at the next node and midway to it (None at the last
+    node).
     """
 
     v_mps: float
@@ -108,11 +113,12 @@ def require_robustness(
     """Raise InputError unless ``stated`` (certificates.robustness of ``path``) is computed again, in its
     units.
 
-    None claims nothing.
+    None claims nothing. An upper bound below the one computed again is proved as stated.
     """
     if stated is not None:
         units = stated["unit_u"], tuple(stated["units_y"])
-        compare(path, stated, _with_units(stored, schedule, scaling, *units, progress, workers))
+        found = _with_units(stored, schedule, scaling, *units, progress, workers, stated["nodes"])
+        compare(path, stated, found)
 
 
 def compare(path: Path, stated: dict, found: Robustness) -> None:
@@ -123,8 +129,11 @@ def compare(path: Path, stated: dict, found: Robustness) -> None:
         )
     for row, node in zip(stated["nodes"], found.nodes, strict=True):
         for name, want in asdict(node).items():
-            value, rtol = row[name], FOUND_RTOL if name in LOOSE else EXACT_RTOL
-            same = value is want if None in (value, want) else abs(value - want) <= rtol * abs(want)
+            above = FOUND_RTOL if name in LOOSE else EXACT_RTOL
+            below = PROVED_RTOL if name in UPPER else above
+            value = row[name]
+            room = 0.0 if want is None else abs(want)
+            same = value is want if None in (value, want) else -below * room <= value - want <= above * room
             if not same:
                 raise InputError(
                     path,
@@ -142,6 +151,7 @@ def _with_units(
     units_y: tuple[float, ...],
     progress: Progress,
     workers: Map,
+    stated: Sequence[dict] = (),
 ) -> Robustness:
     settings, model = design_settings(stored), NominalModel(stored.project)
     weights, speeds = fig1_weights(stored, settings), [float(v) for v in schedule.speeds]
@@ -156,6 +166,7 @@ def _with_units(
                 for after in speeds[k + 1 : k + 2]
                 for other in (after, 0.5 * (v + after))
             ),
+            {name: stated[k][name] for name in UPPER} if k < len(stated) else {},
         )
         for k, v in enumerate(speeds)
     ]
@@ -168,7 +179,8 @@ def _with_units(
 class _Asked:
     """A node: its generalised plant, controller and vehicle, and its neighbours' vehicles.
 
-    These are at the next node and midway to it; the last node has none.
+    These are at the next node and midway to it; the last node has none. ``stated`` holds upper bounds by name
+    to prove.
     """
 
     v: float
@@ -176,13 +188,31 @@ class _Asked:
     K: StateSpace
     P: StateSpace
     neighbours: tuple[StateSpace, ...]
+    stated: dict[str, float | None]
+
+    def proved(self, name: str, bound: Callable[[float], float]) -> float:
+        """Return the upper bound ``name`` as stated if it is proved, else the one computed anew.
+
+        ``bound`` is the upper bound by the level from which its search begins. It is asked for the stated
+        level only where that is less than what it finds by itself.
+        """
+        value, stated = bound(0.0), self.stated.get(name)
+        near = stated is not None and value * (1 - FOUND_RTOL) <= stated < value
+        return bound(stated) if near and stated is not None else value
 
 
 def _node(scaling: Scaling, unit_u: float, units_y: tuple[float, ...], at: _Asked) -> NodeRobustness:
     plant, K = at.plant, at.K
     loop, last = lft(plant.system, K), np.pi / plant.system.dt
     performance = plant.performance_block
-    gain = worst_gain(loop, plant.blocks, performance, 0.0, last).upper
+    gain = at.proved(
+        "worst_gain",
+        lambda least: worst_gain(loop, plant.blocks, performance, 0.0, last, least=least).upper,
+    )
+    mu = at.proved(
+        "mu_interval",
+        lambda least: mu_interval(loop, [*plant.blocks, performance], 0.0, last, least=least).upper,
+    )
     try:
         found = worst_case(plant, K, scaling if plant.blocks else None).gain
     except ArithmeticError:
@@ -191,7 +221,7 @@ def _node(scaling: Scaling, unit_u: float, units_y: tuple[float, ...], at: _Aske
     gaps = [nu_gap(here, _in_units(other, unit_u, units_y)).upper for other in at.neighbours]
     return NodeRobustness(
         at.v,
-        mu_interval(loop, [*plant.blocks, performance], 0.0, last).upper,
+        mu,
         gain if np.isfinite(gain) else None,
         found,
         **{f"disk_{name}": _disk(at.P, back, skew) for name, skew in SKEWS.items()},

@@ -5,8 +5,7 @@ A controller of the order of an H-infinity design differs from speed to speed mo
 poles common to all speeds serves them all with few more states. The poles are those of one system: all nodes'
 demands side by side, each with separate inputs, summed into one output, truncated in balanced coordinates
 with weights (Enns 1984). Given them, every B is a linear least-squares fit. Both are weighted by the effect
-of a
-deviation of K on the scaled closed loop,
+of a deviation of K on the scaled closed loop,
 
     D P12 (1 - K P22)^-1  dK  (1 - P22 K)^-1 P21 D^-1.
 

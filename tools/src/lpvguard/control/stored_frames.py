@@ -42,9 +42,8 @@ class Split:
     """Error of every stored frame divided among uncertainty and disturbance, as maxima per bin.
 
     nu_i (K,): input-multiplicative; nu_s (K,) [1/s]: on the state, None in class S1; B_w (K, n_y):
-    disturbance,
-    jointly covering where the project requires it. NaN: no frame. ``at_cap``: frames whose best nu_s was the
-    well-posedness cap, explained by nu_i alone instead.
+    disturbance, jointly covering where the project requires it. NaN: no frame. ``at_cap``: frames whose best
+    nu_s was the well-posedness cap, explained by nu_i alone instead.
     """
 
     gamma_w: np.ndarray

@@ -1,9 +1,8 @@
 """True and promised margins of the loop at a speed and an amplitude of the demand (THEORY 7.5).
 
 True: the loop closed around a measured response, with the controller at that speed. Promised: the least
-margins
-over all certified loops, the nominal model with |delta| <= W_delta. W_delta is taken at
-(2/Ts) tan(omega Ts/2), as in Tustin's map of the plant.
+margins over all certified loops, the nominal model with |delta| <= W_delta. W_delta is taken at (2/Ts)
+tan(omega Ts/2), as in Tustin's map of the plant.
 
 A measured response goes from the demand of a sample to the outputs at the sample instants, before the demand
 changes. It contains hold, actuator delay and actuator lag. The controller's one sample of delay is in the
@@ -136,8 +135,7 @@ def within_use(model: NominalModel, v: float, asked: Sequence[float]) -> list[fl
     """Reduce amplitudes of the demand to the edge of use.
 
     There the predicted steady lateral acceleration v |G_r(0)| u is LATERAL_ACCELERATION_MAX; the yaw rate r
-    is the
-    first output.
+    is the first output.
 
     Parameters
     ----------

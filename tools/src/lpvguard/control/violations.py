@@ -6,8 +6,7 @@ Delta is an all-pass of at most first order in each scalar block, so of gain 1 a
 history is a sequence over the samples. The search climbs from triangles over the range. One simulation of the
 loop and one of its adjoint give the gain's derivative by the speed of every sample. Dynamic programming finds
 the admissible history that the derivative favours most (Frank and Wolfe 1956). A violation found is
-admissible
-and simulated, so it refutes. Finding none proves nothing.
+admissible and simulated, so it refutes. Finding none proves nothing.
 """
 
 from __future__ import annotations
@@ -123,8 +122,7 @@ class SpeedGrid:
         """Speeds (T,) [m/s] of places (T,), rounded to whole ones.
 
         Rounding half up is monotone and keeps whole differences. No sample then moves by more than ``moves``
-        unless the
-        places do.
+        unless the places do.
         """
         whole = np.clip(np.floor(places + 0.5), 0, self.places - 1)
         return np.minimum(self.low + self.unit * whole, self.high)
@@ -312,8 +310,7 @@ def fastest_growth(
     """Search for growth of a loop of `injected` over one period.
 
     It tries the history with the largest gain from Delta's outputs, closed to a period, and triangles with
-    drawn
-    Delta.
+    drawn Delta.
 
     Parameters
     ----------

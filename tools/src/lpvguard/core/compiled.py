@@ -62,7 +62,7 @@ def library_root() -> Path:
         If there is none.
     """
     for candidate in (PACKAGE.parents[2] / "lib", PACKAGE / "_lib"):
-        if (candidate / "src" / "monitor.cpp").is_file():
+        if (candidate / "src" / "monitor" / "monitor.cpp").is_file():
             return candidate
     raise InputError(
         PACKAGE, "lib", "the C core's sources are missing", "lib/ beside tools/, or an installed package"
@@ -78,7 +78,7 @@ ALARMING = ("invalid", "degraded")
 """Verdicts of a test's alarm."""
 REASONS = _enum("monitor.h", "lpvg_reason_t")
 TESTS = _enum("monitor.h", "lpvg_test_t")
-CAUSES = _enum("diagnosis.h", "lpvg_cause_t")
+CAUSES = _enum("cause.h", "lpvg_cause_t")
 STATUSES = _enum("status.h", "lpvg_status_t")
 SUPERVISION = _enum("can.h", "lpvg_can_state_t")
 EVENTS = _enum("can.h", "lpvg_can_event_t")
@@ -188,13 +188,13 @@ def core_objects(
         If there is no compiler, or a source does not compile.
     """
     root, folder = source_root or library_root(), Path(folder)
-    eigen, header = eigen_include(), root / "src" / "eigen.hpp"
+    eigen, header = eigen_include(), root / "src" / "monitor" / "eigen.hpp"
     common = (*CORE_FLAGS, "-isystem", eigen, *(["-DLPVG_DOUBLE"] if double else []))
     of_no_vehicle = [root / "include", root / "src"]
     of_vehicle = [*of_no_vehicle, folder]
     jobs = [
         (source, common, of_no_vehicle if source.stem in OF_NO_VEHICLE else of_vehicle)
-        for source in sorted((root / "src").glob("*.cpp"))
+        for source in sorted((root / "src").rglob("*.cpp"))
     ]
     jobs += [(source, common, of_vehicle) for source in sorted(folder.glob("*.c"))]
     jobs += [(source, (*common, *flags), of_vehicle) for source in more]
@@ -202,7 +202,7 @@ def core_objects(
     def eigen_first(source: Path) -> Path | None:
         """Precompile Eigen's header, which takes half of a source's compile time."""
         version = Path(eigen) / "Eigen" / "src" / "Core" / "util" / "Macros.h"
-        if f'"{header.name}"' not in source.read_text(encoding="utf-8") or not version.is_file():
+        if f'{header.name}"' not in source.read_text(encoding="utf-8") or not version.is_file():
             return None
         told = version.read_bytes()
         return native.precompiled(header, flags=common, include_dirs=of_no_vehicle, version=told)
@@ -222,11 +222,9 @@ class FrameLog:
     """Frames judged by the core during a run, in the order of judgement.
 
     Arrays are over frames; E and Z are (F, n_y). t_judged_s is the time of the sample at which the core
-    judged:
-    frames that end together are judged one after the other. Alarms of the other tests have the same form
-    (lpvg_frame_t in monitor.h). For the energy test, bin is band and direction, and E and Z hold norms. For
-    the
-    change test, bin is output and part, and E and Z hold the estimate.
+    judged: frames that end together are judged one after the other. Alarms of the other tests have the same
+    form (lpvg_frame_t in monitor.h). For the energy test, bin is band and direction, and E and Z hold norms.
+    For the change test, bin is output and part, and E and Z hold the estimate.
     """
 
     t_judged_s: np.ndarray
@@ -282,11 +280,9 @@ class CauseLog:
     """Causes that the core found during a run, in the order of time; arrays over outputs of alarms (C,).
 
     t_found_s and t_alarm_s: time of the finding and of the alarm's block. output: index. cause: code of
-    CAUSES.
-    value, low, high: in the cause's unit (diagnosis.h). onset_s: time from the onset to the alarm [s].
-    before:
-    the onset may precede the kept record. final: from the whole record; otherwise preliminary, from its first
-    half.
+    CAUSES. value, low, high: in the cause's unit (diagnosis.h). onset_s: time from the onset to the alarm
+    [s]. before: the onset may precede the kept record. final: from the whole record; otherwise preliminary,
+    from its first half.
     """
 
     t_found_s: np.ndarray
@@ -434,8 +430,7 @@ class Core:
         """Start a monitor with the compiled-in coefficients, or with the given ones.
 
         ``words`` (W,) and ``reals`` (R,) are flat, as in ``compiled``. ``seal`` renews their CRC. Raises
-        InputError
-        with the core's status when init refuses the coefficients.
+        InputError with the core's status when init refuses the coefficients.
         """
         compiled_words, compiled_reals = self.compiled
         arguments: tuple[ctypes.c_void_p | None, ctypes.c_void_p | None] = (None, None)

@@ -13,12 +13,12 @@ Reads   controller.json, written by `lpvguard design`:
             L (NG, NU, NK, NU)          anti-windup injection, A - L C stable at every node and between
             u_max (NG, NU)              largest |demand| [input unit]
             rate_max (NU,)              its largest change [input unit/s]
-            certificates                optional, kept in the manifest unchanged
+
+The manifest of the generated folder names that file by its hash.
 """
 
 from __future__ import annotations
 
-import hashlib
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -50,7 +50,7 @@ class ControllerCoefficients(Sealed):
     ----------
     Ts_s : float, s
     speeds : ndarray (NG,), m/s
-    origin : dict[str, Any], hash of its file and certificates, for the manifest
+    origin : dict[str, Any], hash of its file, for the manifest
     """
 
     LAYOUT = CONTROL
@@ -199,10 +199,7 @@ def load_controller(path: Path) -> ControllerCoefficients:
             raise InputError(path, key, "not an array of numbers", "nested lists of equal lengths") from None
     if not isinstance(document["Ts_s"], (int, float)):
         raise InputError(path, "Ts_s", repr(document["Ts_s"]), "a number of seconds")
-    origin = {
-        "sha256": hashlib.sha256(path.read_bytes()).hexdigest(),
-        "certificates": document.get("certificates"),
-    }
+    origin = {"sha256": artefacts.file_hash(path)}
     return build_controller(float(document["Ts_s"]), *arrays, origin=origin, where=path)
 
 

@@ -148,7 +148,7 @@ class Input:
         return (
             f"// Made by lpvguard.core.targets: speed, inputs, outputs, one row a sample.\n#pragma once\n"
             f"#define TARGET_INPUT_SAMPLES {len(rows)}U\n"
-            f"static const lpvg_real_t target_input[TARGET_INPUT_SAMPLES][{rows.shape[1]}] = {{\n{text}}};\n"
+            f"static const float target_input[TARGET_INPUT_SAMPLES][{rows.shape[1]}] = {{\n{text}}};\n"
         )
 
 
@@ -292,6 +292,68 @@ def emulated_ecu(name: str, vehicle: Path) -> EmulatedEcu:
 def image_with_debug_information(name: str, vehicle: Path, program: Program) -> Path:
     """ELF of a program with the core, built as for an ECU, with -g. Raises InputError as `run_target`."""
     return _build(_target(name), vehicle, program, (*LANGUAGE, "-g"))[0]
+
+
+@dataclass(frozen=True)
+class Verdicts:
+    """What an image of the monitor alone says of drives: a list of (sample, verdict) a drive, where the
+    verdict changes. ``rom`` as of `run_target`; ``ram_bytes`` of the monitor."""
+
+    changes: list[list[tuple[int, int]]]
+    rom: dict[str, int]
+    ram_bytes: int
+
+
+def run_verdicts(
+    name: str, vehicle: Path, drives: Sequence[Input], *, double: bool = False, fused: bool = False
+) -> Verdicts:
+    """Run the monitor alone over drives on a target.
+
+    Parameters
+    ----------
+    name : str, the target
+    vehicle : Path, generated folder
+    drives : Sequence[Input]
+    double : bool, numbers are double, default False
+    fused : bool, fuse multiply and add where the processor can, default False
+
+    Returns
+    -------
+    Verdicts
+
+    Raises
+    ------
+    InputError
+        If tools are missing, or the program does not build or fails.
+    """
+    target = _target(name)
+    numbers = ("-DLPVG_DOUBLE",) if double else ()
+    language = (*LANGUAGE, "-ffp-contract=fast" if fused else SAME_BITS, *numbers)
+    whole = Input(*(np.concatenate([getattr(drive, field) for drive in drives]) for field in ("v", "u", "y")))
+    starts = np.cumsum([0, *(len(drive.v) for drive in drives)])
+    header = whole.header() + (
+        f"#define TARGET_DRIVES {len(drives)}U\n"
+        "static const unsigned long target_drives[TARGET_DRIVES + 1U] = "
+        f"{{{', '.join(f'{start}UL' for start in starts)}}};\n"
+    )
+    program = Program("verdicts", (firmware_root() / "ports" / "verdicts.cpp",), {"target_input.h": header})
+    elf, _ = _build(target, vehicle, program, language)
+    changes: list[list[tuple[int, int]]] = []
+    ram_bytes, ended = 0, False
+    for line in run_image(name, elf):
+        kind, *words = line.split()
+        if kind == "size":
+            ram_bytes = int(words[1])
+        elif kind == "drive":
+            changes.append([])
+        elif kind == "verdict":
+            changes[-1].append((int(words[0]), int(words[1])))
+        ended = kind == "end"
+    if not ended:
+        raise InputError(
+            f"target {name}", f"run of {elf.name}", "it did not come to its end", "a last line `end`"
+        )
+    return Verdicts(changes, _sections(elf)["rom"], ram_bytes)
 
 
 def run_program(name: str, vehicle: Path, program: Program, *, timeout_s: float = TIMEOUT_S) -> list[str]:
@@ -455,7 +517,7 @@ def _host_lines(vehicle: Path, program: Program) -> list[str]:
 
 def _sources(vehicle: Path) -> tuple[list[Path], list[Path]]:
     """Sources of the core and the vehicle."""
-    return sorted((library_root() / "src").glob("*.cpp")), sorted(Path(vehicle).glob("*.c"))
+    return sorted((library_root() / "src").rglob("*.cpp")), sorted(Path(vehicle).glob("*.c"))
 
 
 def _build(
@@ -517,7 +579,7 @@ def _build_key(
         *(h for folder in program.folders for h in sorted(folder.glob("*.h*"))),
         *sorted(vehicle.glob("*.h")),
         *sorted((core / "include").rglob("*.h")),
-        *sorted((core / "src").glob("*.hpp")),
+        *sorted((core / "src").rglob("*.hpp")),
     ):
         key.update(path.name.encode() + b"\0" + path.read_bytes() + b"\0")
     return key.hexdigest()[:24]

@@ -2,8 +2,7 @@
 
 In: arrays of E, Z, matrices, weights and plants. Out: unfalsified bounds of a frame (`validation`),
 overbounding weights (`overbound`), controllers, norms and mu with certificates (`synthesis`). MAY_IMPORT
-lists
-what a room may import.
+lists what a room may import.
 """
 
 MAY_IMPORT = ("base", "vehicle")

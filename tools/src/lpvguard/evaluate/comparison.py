@@ -202,8 +202,7 @@ def refutable_rows(detectors: list[DetectorColumn]) -> list[list[str]]:
     """Format the found faults counted from when they are refutable.
 
     A row has the number of starts, and per detector the number found and the median time. A negative time
-    means an
-    earlier alarm.
+    means an earlier alarm.
 
     Parameters
     ----------

@@ -8,8 +8,7 @@ The monitor is compared with all tests at one threshold, calibrated jointly (cal
 alarms by any test on a further drive with probability at most alpha, as a baseline does. The table also has
 each test alone at alpha, and all as exported: each at its own threshold, together at most three times alpha.
 Where fewer drives calibrate than alpha needs, no rate is stated, and the detectors are compared by counts
-only
-(`stated_rates`).
+only (`stated_rates`).
 
 false_alarms.py defines false alarms, detection.py defines found faults, and baseline_study.py tunes the
 baselines.

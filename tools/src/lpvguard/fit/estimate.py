@@ -47,8 +47,7 @@ class Estimate:
     """Values and covariance of the unknowns: theta (p,), covariance (p, p), trims (n_drives, n_u).
 
     The trims are less the common input_offset; trim_errors has the same shape. Both have no columns where the
-    trim
-    is common, and are NaN where nothing is judged.
+    trim is common, and are NaN where nothing is judged.
     """
 
     unknowns: Unknowns

@@ -9,8 +9,7 @@ Writes a folder with
 
 Drives of the bound-setting splits are fitted; the others are only judged. A certain fault of a drive (a sign,
 a unit, columns, a shift in time) is an InputError. A drive that may be of another car, or beyond the model,
-is
-left out with a finding.
+is left out with a finding.
 """
 
 from __future__ import annotations

@@ -1,11 +1,9 @@
 """Reasons why drives do not fit: signs, units, columns and delays that contradict the project file.
 
 A *reading* is a drive with one change: a sign, a unit, two columns, a shift in time. Where the recorded
-drives
-leave much unexplained, every reading is tried within the ranges of [fit]. A reading that leaves a quarter or
-less, and little, names the fault. Ranges decide what can be distinguished: speed in km/h acts like a
-wheelbase
-of 3.6 times the size, so a wide range for the wheelbase hides it.
+drives leave much unexplained, every reading is tried within the ranges of [fit]. A reading that leaves a
+quarter or less, and little, names the fault. Ranges decide what can be distinguished: speed in km/h acts like
+a wheelbase of 3.6 times the size, so a wide range for the wheelbase hides it.
 """
 
 from __future__ import annotations
@@ -143,8 +141,7 @@ def shifts(project: Project, theta: np.ndarray, drive: Drive) -> Iterator[Readin
     """Readings with the outputs moved to where they follow the inputs best.
 
     Best is the largest product over the overlap, and the largest correlation, which a short overlap after a
-    long
-    shift does not hide. Shifts within the range of the delay are left out. ``theta`` (p,): unknowns.
+    long shift does not hide. Shifts within the range of the delay are left out. ``theta`` (p,): unknowns.
     """
     model = Unknowns.of(project).model(theta)
     yhat, judged = model.simulate(drive.v, drive.u, drive.y[0]), judged_samples(model, drive.v)
@@ -308,8 +305,7 @@ def _require_no_common_fault(unknowns: Unknowns, drives: list[Drive], left: list
     """Raise InputError when one reading explains the drives together, and the recorded drives do not.
 
     Where many of them are beyond any model, a reading may leave up to MUCH. The recorded drives and every
-    other
-    reading must then leave almost everything unexplained.
+    other reading must then leave almost everything unexplained.
     """
     now = _together(left)
     tried: list[tuple[bool, float, int, Reading]] = []

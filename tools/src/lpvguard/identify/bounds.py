@@ -6,8 +6,7 @@ Drives are streamed: every pass reduces a drive to maxima per bin (``reduce_...`
 E, Z, B1, B2, gamma_w and B_w have the outputs' units.
 
 Rule of step 4 (T8): a ceiling nu_bar(omega) on the uncertainty is set in advance. The disturbance bound
-covers
-what the frames need beyond it,
+covers what the frames need beyond it,
 
     gamma_w(omega_k) = max over frames of sqrt(B1^2 + |Z|^2 max(0, |delta0| - nu_bar)^2),   gamma_w(0) = B2(0)
 
@@ -266,10 +265,8 @@ def reduce_disturbance(
     """Reduce a drive's frames to the maxima of steps 2-4, before smoothing.
 
     ``E`` (K, n_y) is the largest |E_j|. For zero-input drives it bounds the sensors' noise (W_n), for others
-    the
-    disturbance of class S0. ``Y`` (K,) is the largest |E + Z| of the first output, the yaw rate: it bounds
-    the
-    commands in such drives (W_C; paper, section V).
+    the disturbance of class S0. ``Y`` (K,) is the largest |E + Z| of the first output, the yaw rate: it
+    bounds the commands in such drives (W_C; paper, section V).
 
     Parameters
     ----------

@@ -12,8 +12,7 @@ has that property, and alpha is not stated.
 Where experiments.csv names groups, a group with enough recordings for alpha has its own threshold, from its
 recordings alone (Mondrian conformal prediction). A further recording of that group then alarms with
 probability at most alpha. Any other group has the pooled threshold. Its alpha holds for a further recording
-of
-any group if all are judged by it, and not for that group alone.
+of any group if all are judged by it, and not for that group alone.
 
 The core carries one threshold: the largest of all, with which every claim holds, or that of a named group.
 """
@@ -278,8 +277,7 @@ class Peak:
     band.
 
     ``place`` is None if unknown. ``without`` is the drive's score without that frame and those of its bin
-    that
-    overlap it; None for tests without frames.
+    that overlap it; None for tests without frames.
     """
 
     t_s: float
@@ -293,8 +291,7 @@ def require_calibration(
     """Raise InputError where nothing calibrates: there is no drive for it, or no test has ``judged`` any.
 
     ``drives`` are all but those that set the bounds or have no input. ``left_out`` is the reason by drive
-    without
-    frames. A threshold without a drive would not be measured.
+    without frames. A threshold without a drive would not be measured.
     """
     names = list(drives)
     if not names:
@@ -382,9 +379,9 @@ def joint_score(scores: Mapping[str, float | None], floors: Mapping[str, float])
     Every score is in units of the bound-setting drives. A margin and a ratio of the energy test are the least
     inflation of the bounds that agrees with the data. A ratio of the change test is over the largest met. One
     threshold T therefore serves for the largest. A test alarms above the larger of T and its floor, so a
-    score
-    below the floor does not count. A monitor of all tests with T alarms on a further drive, by any, with
-    probability at most alpha. With a threshold per test that probability is at most alpha times their number.
+    score below the floor does not count. A monitor of all tests with T alarms on a further drive, by any,
+    with probability at most alpha. With a threshold per test that probability is at most alpha times their
+    number.
 
     Parameters
     ----------

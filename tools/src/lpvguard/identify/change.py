@@ -182,8 +182,7 @@ class ChangeTest:
         """The test with sizes from the estimates ``met`` on all bound-setting drives.
 
         A part's rms is over all blocks, its largest is one block. Sizes by the rms therefore leave no part
-        half blind
-        for one block (tools/DESIGN_LOG.md).
+        half blind for one block (tools/DESIGN_LOG.md).
         """
         rms = np.sqrt(met.squares / max(1, met.count))
         ratio = np.divide(met.largest, rms, out=np.ones_like(rms), where=rms > 0).max()

@@ -10,8 +10,7 @@ errors. Both are enlarged until 95 % of a drive's windows lie within the 95 % re
 
 A drive keeps a share of the spread: past values of theta predict future ones. The share comes from KEPT. It
 must put 95 % of the windows within the 95 % region, by the spread of the other drives. Among such shares it
-is
-that with the likeliest windows, each given the past of its drive.
+is that with the likeliest windows, each given the past of its drive.
 """
 
 from __future__ import annotations
@@ -54,8 +53,7 @@ ROUGHER, STILLER, STILLEST = 4.0, 0.05, 0.01
 twentieth of the least, and less than a hundredth of what the model says."""
 KEPT = (0.0, 0.9, 0.99)
 """Shares of the spread that one drive may keep. Of two windows a share below 0.9 makes no interval half as
-wide:
-it counts as none."""
+wide: it counts as none."""
 GAP = 3
 """Windows, each of which begins in the middle of the one before, from the end of a past to the window it
 foretells: half a window lies between them, as before an alarm in the mean."""
@@ -68,9 +66,8 @@ class Windows:
     """Sums over W windows of a drive's settled blocks.
 
     n (W,) blocks; gram (W, n_y, 4, 4), along (W, n_y, 4), square (W, n_y) of e; rough, moved, still (W, n_y):
-    mean
-    squares of noise in blocks, of the changes of yhat and of y; correlated (W, n_y): variance factor of the
-    residue's correlation.
+    mean squares of noise in blocks, of the changes of yhat and of y; correlated (W, n_y): variance factor of
+    the residue's correlation.
     """
 
     n: np.ndarray
@@ -126,8 +123,7 @@ def windows_of(
     """Windows of a drive, each starting half the blocks after the last; e, yhat (N, n_y), v (N,).
 
     ``unit`` (n_y, 2): 1 / size of yhat and of its change over a block. A single shorter window of at least
-    half the
-    length is allowed.
+    half the length is allowed.
     """
     ends = np.arange(FIRST_BLOCK_END, len(e), BLOCK)[1:]
     at = ends[:, None] + np.arange(1 - BLOCK, 1)
@@ -179,9 +175,8 @@ def _spread(theta: np.ndarray, errors: np.ndarray, start: np.ndarray | None = No
     """Second moments (n_y, 4, 4) of a random theta about 0, by expectation and maximisation.
 
     The estimates are (W, n_y, 4) with ``errors`` (W, n_y, 4, 4). ``start`` (n_y, 4, 4) are those of nearly
-    the same
-    windows. With S_w = found + errors_w and u_w = S_w^-1 theta_w a step adds found (mean of u u' - S^-1)
-    found.
+    the same windows. With S_w = found + errors_w and u_w = S_w^-1 theta_w a step adds found (mean of u u' -
+    S^-1) found.
     """
     theta = np.ascontiguousarray(np.moveaxis(theta, 0, -1))
     errors = np.ascontiguousarray(errors.transpose(2, 3, 1, 0))
@@ -356,8 +351,7 @@ class DiagnosisScales:
         """Least change of gain, delay [s] and bias (n_y, 3) that an interval can distinguish from none.
 
         It does not fall with the length of the record or of the drive before: healthy vehicles differ by as
-        much. For a
-        gain g it is that of (g - 1)/g, because g scales the spread.
+        much. For a gain g it is that of (g - 1)/g, because g scales the spread.
         """
         spread = (1 - self.kept**2)[:, None, None] * self.spread
         alone = self.interval / np.sqrt(np.einsum("jii->ji", np.linalg.inv(spread)))
@@ -388,8 +382,7 @@ def _of_others(
     """Spread (W, n_y, 4, 4) per window of the drives but its own; with one drive its own.
 
     ``windows`` are the numbers of each drive's windows, in the order of ``theta`` and ``errors``; ``spread``
-    is that
-    of all.
+    is that of all.
     """
     found = np.empty_like(errors)
     for first, end in pairwise(np.cumsum([0, *windows])):
@@ -406,10 +399,8 @@ def _needed(
     region.
 
     Also the half width of an interval, in standard deviations. It is Student's t with as many degrees of
-    freedom as
-    drives, because about 0 each drive gives one. It is larger where COVERED of the windows' gains, delays or
-    biases
-    need it, all others being free. ``others``: see _of_others.
+    freedom as drives, because about 0 each drive gives one. It is larger where COVERED of the windows' gains,
+    delays or biases need it, all others being free. ``others``: see _of_others.
     """
     information = np.linalg.inv(others + errors)
     alone = (information @ theta[..., None])[..., 0]
@@ -427,8 +418,7 @@ def _kept(
     """Share (n_y,) of KEPT with the likeliest windows; 0 where no drive is long enough.
 
     With it COVERED of the windows lie within the region predicted from their past. ``others``: see
-    _of_others;
-    ``correlated``: not ``enlarged`` yet.
+    _of_others; ``correlated``: not ``enlarged`` yet.
     """
     noise, told, first = enlarged * correlated, [], 0
     for drive in drives:

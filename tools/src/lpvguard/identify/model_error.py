@@ -17,8 +17,7 @@ frame counts by its excitation: those in which a swept sine was elsewhere hardly
 Length: sums over frames, lines over pools of cells and the bound are one estimator, read together.
 
 Only sums over frames are kept of a drive. Drives are added in the order of their names, so the result does
-not
-depend on their order in a folder.
+not depend on their order in a folder.
 """
 
 from __future__ import annotations
@@ -136,10 +135,8 @@ class Sums(NamedTuple):
     """Sums over frames, (G, P, n_y, C, A, ...).
 
     ``ee`` of |E|^2; ``fourth`` of |R|^4; ``ze``, ``re`` (..., 2) of s^k conj(Z) E and s^k conj(R) E; ``zz``,
-    ``rr``,
-    ``rz`` (..., 3) of s^k |Z|^2, s^k |R|^2 and s^k conj(R) Z; ``ree`` (..., 3), ``rze`` (..., 4), ``rzz``
-    (..., 5)
-    of s^k |R|^2 times |E|^2, conj(Z) E and |Z|^2.
+    ``rr``, ``rz`` (..., 3) of s^k |Z|^2, s^k |R|^2 and s^k conj(R) Z; ``ree`` (..., 3), ``rze`` (..., 4),
+    ``rzz`` (..., 5) of s^k |R|^2 times |E|^2, conj(Z) E and |Z|^2.
     """
 
     fourth: np.ndarray
@@ -415,8 +412,8 @@ class ErrorEstimate:
         """Estimate from sums with the best length of frames.
 
         Best are the lengths with the narrowest pool, among these that with the least standard error of the
-        converged
-        ones. If none has converged, it is the one with the least change by doubling, in standard errors.
+        converged ones. If none has converged, it is the one with the least change by doubling, in standard
+        errors.
         """
         pools = _pools(sums)
         pool = _chosen(pools)
@@ -575,8 +572,7 @@ def _joined(second: np.ndarray, fourth: np.ndarray) -> np.ndarray:
     left.
 
     ``second`` and ``fourth`` (N, K) are their sums of |R|^2 and |R|^4. The group with the fewest frames is
-    joined
-    first, with the smaller of its neighbours.
+    joined first, with the smaller of its neighbours.
     """
     every = np.arange(second.shape[1])
     groups = np.broadcast_to(every, second.shape)
@@ -719,10 +715,8 @@ def uncertainty_bound(project: Project, grid: ErrorGrid, estimate: ErrorEstimate
     """(G, n_delta): bound that W_delta must cover (T31, T32).
 
     Up to the last informative frequency it is the largest |delta_c| + k se of all cells. Where a cell would
-    not
-    have refuted a vehicle that does not respond, it is at most 1 + rho unless |delta_c| - k se is larger.
-    Beyond the
-    last informative frequency it is at least 1 + rho.
+    not have refuted a vehicle that does not respond, it is at most 1 + rho unless |delta_c| - k se is larger.
+    Beyond the last informative frequency it is at least 1 + rho.
     """
     upper, lower = (x.max(axis=(2, 3)) for x in (estimate.upper, estimate.lower))
     dead = beyond(project, grid)

@@ -65,8 +65,7 @@ class Origins:
     """Origins of bounds and thresholds.
 
     evidence (K,): largest of the bound-setting drives by bin; empty without a core. peaks: origin of the
-    scores by
-    calibration drive and test. decided: frames that decide nu and B_w.
+    scores by calibration drive and test. decided: frames that decide nu and B_w.
     """
 
     evidence: np.ndarray = field(default_factory=lambda: np.zeros(0))
@@ -78,8 +77,7 @@ class OverDrives:
     """Passes over the drives, mapped by ``workers`` and joined on arrival.
 
     ``left_out``: reason by drive without a counted frame; ``spectra``, ``met``: samples joined so far;
-    ``origins``:
-    origins of bounds and thresholds found so far.
+    ``origins``: origins of bounds and thresholds found so far.
     """
 
     def __init__(self, reader: DriveReader, workers: Map, progress: Progress):
@@ -227,8 +225,7 @@ class OverDrives:
         """Weights with their final inflation, and the tests with their thresholds.
 
         The plain DFT has the frame test only. Raises InputError where nothing calibrates; ``folder`` is that
-        of the
-        drives, for its message.
+        of the drives, for its message.
         """
         project, model, estimator = self.reader.project, self.reader.model, self.reader.estimator
         alpha, recordings = project.frame_test.alpha, Recordings.listed(drives.setting, drives.others)
@@ -297,8 +294,7 @@ class OverDrives:
         bound-setting drives.
 
         Drives count whole or with their first samples cut. A factor above 1 is rounded up by 1e-4. Also
-        returns the
-        drives on which, so cut, the core's energy ratio stays below FAR_BELOW.
+        returns the drives on which, so cut, the core's energy ratio stays below FAR_BELOW.
         """
         worst, far = 1.0, set()
         judged = self._judged("inflation", weights, core, None, CUTS, drives.setting)
@@ -312,10 +308,8 @@ class OverDrives:
         """Bins in which no bound-setting drive shows evidence above 1, after `_inflated` judged them.
 
         There a vehicle that does not respond would not be refuted. nu is 0 at zero frequency, which is silent
-        only
-        where all others are. Silent are also bins of fewer than FEWEST_FRAMES successive ``frames``: a
-        further frame
-        exceeds so few too often.
+        only where all others are. Silent are also bins of fewer than FEWEST_FRAMES successive ``frames``: a
+        further frame exceeds so few too often.
         """
         estimator = self.reader.estimator
         self.origins.evidence = self.met.evidence(estimator.n_bins) / inflated.inflation
@@ -336,8 +330,7 @@ class OverDrives:
         """Energy test of the ``inflated`` weights, with sigma for all directions and cut drives.
 
         ``first`` is that of the previous weights. Drives ``far`` below its bound need nothing more if each
-        output has
-        its own direction and the weights are the same.
+        output has its own direction and the weights are the same.
         """
         test = energy_filters(self.reader.project, self.reader.estimator, inflated)
         chosen = drives.setting + drives.noise

@@ -61,8 +61,7 @@ class DriveReader:
     """Reads drives and takes their frames; it is sent to a worker.
 
     The drives read first are kept, up to KEPT_BYTES, with read-only arrays. A worker begins with none. It has
-    one
-    reader for all copies of this one.
+    one reader for all copies of this one.
 
     Parameters
     ----------
@@ -240,8 +239,7 @@ class Judged(NamedTuple):
     [s].
 
     ``peaks``: origins of the scores by test; none without a core. ``energy_of_cuts``: largest ratio of the
-    energy
-    test with its first samples cut; 0: not judged.
+    energy test with its first samples cut; 0: not judged.
     """
 
     worst: float

@@ -50,8 +50,7 @@ def noise_deviation(y: np.ndarray, settled: np.ndarray) -> float:
     without any.
 
     (y_0 - y_1 - y_2 + y_3)/2 of a block has the noise's variance, independent of its mean and slope. The
-    median
-    ignores rare jumps.
+    median ignores rare jumps.
     """
     blocks = len(y) // BLOCK
     whole = settled[: BLOCK * blocks].reshape(blocks, BLOCK).all(axis=1)

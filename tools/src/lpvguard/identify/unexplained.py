@@ -134,8 +134,7 @@ def cost(
     """Compute the cost of unexplained drives by an identification without them.
 
     Every fault of the project's settings is injected into each calibration drive from its first sample on (a
-    frozen
-    output: from a third of the drive on).
+    frozen output: from a third of the drive on).
 
     Parameters
     ----------

@@ -8,15 +8,12 @@ exceeds the threshold exactly when
 
 t* being the exact margin of validation.s1, of the project's structure. With one output this is g |Z| >
 threshold (B_w + W_delta |Z|). At any excitation, g below threshold x W_delta stays invisible; with a Delta
-per
-output this is the least W_delta,j. A delay tau has g = |1 - exp(-j omega tau)| = 2 |sin(omega tau / 2)|. Only
-the phase of g is free here. The vehicle's ordinary nominal error adds and can raise or hide the fault.
+per output this is the least W_delta,j. A delay tau has g = |1 - exp(-j omega tau)| = 2 |sin(omega tau / 2)|.
+Only the phase of g is free here. The vehicle's ordinary nominal error adds and can raise or hide the fault.
 
 Both lists are made for the strongest excitation met (the best case of any drive) and for PERCENTILE (reached
-by
-one counted frame in ten). t*(-Z, Z) orders excitation: for one output as |Z| does, for several without
-weighing
-their units.
+by one counted frame in ten). t*(-Z, Z) orders excitation: for one output as |Z| does, for several without
+weighing their units.
 """
 
 from __future__ import annotations
@@ -66,10 +63,8 @@ class Excitation:
         """Excitation of the F counted frames of drive ``name``.
 
         bin_of (F,); ``speed`` (F,): mean of each frame [m/s]; Z (F, n_y) [output units]; ``number`` (F,)
-        identifies the
-        frames of a bin. ``speed_range`` [m/s] is cut into SPEED_CELLS equal cells. The bounds are W_delta (K,
-        n_delta)
-        and B_w (K, n_y).
+        identifies the frames of a bin. ``speed_range`` [m/s] is cut into SPEED_CELLS equal cells. The bounds
+        are W_delta (K, n_delta) and B_w (K, n_y).
         """
         K = len(W_delta)
         cell = np.searchsorted(_edges(speed_range), speed, side="right") - 1
@@ -122,12 +117,9 @@ def visibility(
     """Smallest visible errors per speed cell and bin; JSON-able, None where no frame counts.
 
     omega (K,) [rad/s], 0 at DC; W_delta (K, n_delta) as in ``met``, ``inflation`` the factor on it and on B_w
-    since;
-    ``silent``: bins that raise no alarm, so nothing is visible there. ``at_percentile`` and ``at_strongest``
-    list
-    the cells. The lists of a cell run over the bins: ``frames``, ``excitation`` |Z| [output units],
-    ``gain_error``
-    [-], ``delay_s`` (None at DC and where no delay is large enough).
+    since; ``silent``: bins that raise no alarm, so nothing is visible there. ``at_percentile`` and
+    ``at_strongest`` list the cells. The lists of a cell run over the bins: ``frames``, ``excitation`` |Z|
+    [output units], ``gain_error`` [-], ``delay_s`` (None at DC and where no delay is large enough).
     """
     edges = _edges(speed_range)
 

@@ -43,7 +43,7 @@ def markdown() -> str:
     """The page FORMATS.md: tables and TOML files by hand (tables.md), the settings and the JSON from their
     schemas."""
     from ..drives.signal_map import SignalMap
-    from ..loop.sim import Expectation
+    from ..extras.loop.sim import Expectation
     from ..vehicle.project import Project
 
     text = [resources.files(__package__).joinpath("tables.md").read_text(encoding="utf-8").rstrip(), ""]

@@ -143,8 +143,7 @@ class ModelSettings(StrictModel):
     """Continuous-time nominal model.
 
     Entries of A and B are numbers or expressions in v, the parameters and ``let``, of + - * / ** and abs,
-    min,
-    max, sqrt.
+    min, max, sqrt.
 
     Attributes
     ----------
@@ -223,8 +222,7 @@ class NuCeiling(StrictModel):
         return self
 
     def at(self, f_hz: np.ndarray) -> np.ndarray:
-        """Ceiling (F,) at ``f_hz`` (F,) [Hz]: linear in log f, constant outside; 0 at
-        DC."""
+        """Ceiling (F,) at ``f_hz`` (F,) [Hz]: linear in log f, constant outside; 0 at DC."""
         f = np.asarray(f_hz, float)
         safe = np.where(f > 0, f, self.f_hz[0])
         return np.where(f > 0, np.interp(np.log(safe), np.log(self.f_hz), self.nu), 0.0)

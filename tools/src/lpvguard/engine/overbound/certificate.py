@@ -6,10 +6,9 @@ convex (q <= 0 or q >= 1) or concave (0 < q < 1). A straight line L lies above i
 where it is convex, a tangent where it is concave.
 
 N - r^2 L D is then a polynomial. If all its Bernstein coefficients on [a, b] are >= 0, the polynomial is >=
-0,
-because it is a convex combination of them. Then |W| >= r bound on [a, b]. Where a coefficient is negative the
-interval is halved. L and the Bernstein coefficients converge quadratically, so the search ends. [0, w_1] is a
-piece with q = 0; [w_K, inf) becomes one in 1/y.
+0, because it is a convex combination of them. Then |W| >= r bound on [a, b]. Where a coefficient is negative
+the interval is halved. L and the Bernstein coefficients converge quadratically, so the search ends. [0, w_1]
+is a piece with q = 0; [w_K, inf) becomes one in 1/y.
 
 The coefficients of N and D follow from those of W in rational arithmetic. All other rounding errors are
 subtracted (up to one rounding of the frequency). A proved ratio is 5e-10 below the one attained: a weight
@@ -47,9 +46,14 @@ _ROUNDING = 1e-13
 class Certificate:
     """Proved facts about a weight and a bound.
 
-    ``min_ratio`` <= |W|/bound <= ``max_ratio`` for all 0 <= w <= ``omega_max``. ``*_at`` (rad/s) is where the
-    extreme is attained within 1e-9. ``omega_max`` is inf, or the last sample when W is strictly proper.
-    ``intervals``: Bernstein tests made. ``without_data``: frequencies of NaN samples, bridged by the bound.
+    Attributes
+    ----------
+    ok, stable, minimum_phase : bool
+    min_ratio, max_ratio : float, min_ratio <= |W|/bound <= max_ratio for all 0 <= w <= omega_max
+    min_ratio_at, max_ratio_at : float, rad/s, where the extreme is attained within 1e-9
+    omega_max : float, rad/s, inf, or the last sample when W is strictly proper
+    intervals : int, Bernstein tests made
+    without_data : tuple of float, rad/s, frequencies of NaN samples, bridged by the bound
     """
 
     ok: bool

@@ -240,8 +240,7 @@ def _program(
 
     Each row is divided by D_old, or by 1e-5 of its sum |d_i| y^i where that is more. The solver's tolerance
     is then relative even in a sharp resonance. Where a strictly proper weight may leave the bound, N only
-    stays
-    positive.
+    stays positive.
     """
     t = 10.0 ** (level_db / 20.0)
     size = powers @ np.abs(bottom)

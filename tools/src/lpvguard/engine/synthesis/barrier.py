@@ -21,11 +21,9 @@ class Barrier:
     """Barrier of the inequalities F_i(P) > 0: value and derivatives of log det F_i.
 
     F_i(P) = E' (sum_k phi_ik P_k) E - M_i' (sum_k next_ik P_k) M_i - N_i' N_i + diag(0, I). parts: (M, N) per
-    i; phi,
-    next (count, terms); P (terms, n, n) symmetric, as a vector its upper triangles row by row. M is near E
-    where
-    sampling is fast. All is therefore computed from D = M - E and phi - next. Products of M would leave only
-    rounding of slow states, whose P is large.
+    i; phi, next (count, terms); P (terms, n, n) symmetric, as a vector its upper triangles row by row. M is
+    near E where sampling is fast. All is therefore computed from D = M - E and phi - next. Products of M
+    would leave only rounding of slow states, whose P is large.
     """
 
     def __init__(self, parts: list[tuple[np.ndarray, np.ndarray]], phi: np.ndarray, next_: np.ndarray):

@@ -40,8 +40,7 @@ class ConstantScalings:
     """Constant scalings of a stable discrete ``system``, whose first signals belong to the blocks.
 
     The blocks have ``rows`` and ``cols`` signals; the others are performance. The first ``fixed`` blocks keep
-    the
-    constant 1.
+    the constant 1.
     """
 
     def __init__(self, system: StateSpace, rows: Sequence[int], cols: Sequence[int], fixed: int = 0):
@@ -56,8 +55,7 @@ class ConstantScalings:
         """The scaled loop.
 
         ``sizes`` (blocks,) are gains of the block's uncertainty, ``rest`` is the factor of the other outputs,
-        and
-        ``log_constants`` (free,) are the logarithms of the constants.
+        and ``log_constants`` (free,) are the logarithms of the constants.
         """
         left, right = self._factors(sizes, rest, log_constants)
         G = self.system
@@ -153,8 +151,7 @@ class ConstantScalings:
         value.
 
         The responses are N (k, rows, columns); ``values``, U: eigenvalues, ascending, and eigenvectors of N
-        N^H. With the
-        rows P_i and columns Q_i of block i, d(N N^H) = P_i N N^H + N N^H P_i - 2 N Q_i N^H.
+        N^H. With the rows P_i and columns Q_i of block i, d(N N^H) = P_i N N^H + N N^H P_i - 2 N Q_i N^H.
         """
         largest, u = values[:, -1], U[:, :, -1]
         sigma = np.sqrt(largest)[:, None, None]

@@ -7,8 +7,7 @@ frequency, DC and infinity included (Doyle 1985; Packard & Doyle 1993). K and D 
 synthesis for the scaled plant gives K. A fit of Π (s/z + 1)/(s/p + 1) that lowers the scaled singular values
 over the whole band gives D. The reported number is the certified norm of the final scaled loop: the proof
 needs no fit of frequency-wise scalings. D(s) covers an LTI Δ; slow_delta says how slowly Δ may vary. A
-constant
-D (degree 0) covers Δ that varies arbitrarily fast.
+constant D (degree 0) covers Δ that varies arbitrarily fast.
 """
 
 from __future__ import annotations

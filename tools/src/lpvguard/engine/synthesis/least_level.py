@@ -9,13 +9,12 @@ for all v in the range and |v+ - v| <= rate Ts. Then every LTI Delta within the 
 z below beta, from rest: beta = 1 is robust performance, and beta is robust performance with z weighted by 1 /
 beta. g is the gain of the scaling D, whose shape is given (``tuned``: the best at frozen speeds).
 
-``find_level`` searches a P that is linear between knots, and g, by the barrier method (knot_search.py).
-It also demands the inequality at speeds between the knots, because knots alone would not imply it elsewhere.
-A moving speed cannot be reached from the frozen solutions: their P follows the speed wherever little is lost.
+``find_level`` searches a P that is linear between knots, and g, by the barrier method (knot_search.py). It
+also demands the inequality at speeds between the knots, because knots alone would not imply it elsewhere. A
+moving speed cannot be reached from the frozen solutions: their P follows the speed wherever little is lost.
 The search therefore begins at rate 0 with P0 + v P1 + P2 / v near them. The rate doubles step by step, each
 from the P before. P also has a cost, ``COST``. Where a proof fails, its speeds are added. ``prove`` proves
-the
-claim for all speeds.
+the claim for all speeds.
 """
 
 from __future__ import annotations
@@ -105,8 +104,7 @@ def tuned(
     """Search the D with the least frozen gain over several loops.
 
     A pattern search begins at the best start. Unless every block of Delta is one row eta and one column xi, D
-    is the
-    first start.
+    is the first start.
 
     Parameters
     ----------

@@ -9,8 +9,7 @@ The loop is x+ = A(v) x + B(v) w, z = C(v) x + D(v) w with v+ - v in [-a Ts, a T
 x' P(v) x is a storage function: the gain from w to z is below 1 for every speed history with |dv/dt| <= a,
 from rest. The adjoint loop, x+ = A' x + C' z, w = B' x + D' z with time reversed, has the same gain over the
 same histories: a storage function of either is enough. A controller whose B follows the speed moves its
-states
-with the speed. In the adjoint these are read through B instead, and the states stay.
+states with the speed. In the adjoint these are read through B instead, and the states stay.
 
 ``find`` tries the adjoint first, then the loop. A barrier method on a grid of speeds finds P0 + v P1 +
 P2 / v, in which F is linear. If there is none, strict bounded-real Riccati equations give another P.
@@ -26,8 +25,7 @@ loss of F between them:
   vehicle's zero-order hold over the cell (``NominalModel.hold_bounds``).
 
 A failing cell is cut in two, down to ``SMALLEST_CELL``. Near a knot it is cut where speeds begin to reach
-across
-it, because the parts then have fewer slopes. Every test is by eigenvalues with a margin for rounding.
+across it, because the parts then have fewer slopes. Every test is by eigenvalues with a margin for rounding.
 """
 
 from __future__ import annotations
@@ -58,8 +56,7 @@ FIRST_RATE, LARGEST_RATE, SMALLEST_RATE = 0.25, 8.0, 0.015
 less than the largest."""
 SHARES = (0.95, 0.7, 0.5)
 """Shares of the grid's rate that are tried in the proof between its speeds; the last one for Riccati
-solutions,
-which vary irregularly between the knots."""
+solutions, which vary irregularly between the knots."""
 GRIDS = (1, 2, 4)
 """Speeds of the search in every interval between nodes; more of them after a failed proof."""
 KNOTS = 16
@@ -196,10 +193,8 @@ class Storage:
         """Pairs of matrices at ``low`` and ``high`` of one segment that bound P(v+).
 
         For every v between and |v+ - v| <= ``step``, P(v+) is a mean of points on the pairs' chords at v.
-        Where v + step,
-        or v - step, lies in one segment for all v, the chords are P there and P at the knots between.
-        Elsewhere they are
-        P(v) and a step along the slope of every segment between.
+        Where v + step, or v - step, lies in one segment for all v, the chords are P there and P at the knots
+        between. Elsewhere they are P(v) and a step along the slope of every segment between.
         """
         reserve = INSIDE * np.spacing(high)
         own = self._segment(0.5 * (low + high))
@@ -572,10 +567,8 @@ def _coordinates(loops: list[StateSpace]) -> np.ndarray:
     """Basis in which the sums over the loops of both Gramians are nearly equal and diagonal.
 
     States are first scaled to similar Gramians. Each Gramian has HIDDEN of its largest entry added, so that
-    states
-    that are hardly reached or observed do not make the basis singular. Factors are never multiplied out,
-    because
-    scales of states may differ by more than the number range.
+    states that are hardly reached or observed do not make the basis singular. Factors are never multiplied
+    out, because scales of states may differ by more than the number range.
     """
     reach = _rows(np.hstack([_reached(G.A, G.B) for G in loops]))
     seen = _rows(np.hstack([_reached(G.A.T, G.C.T) for G in loops]))
@@ -635,8 +628,7 @@ def _even(basis, parts, frozen):
     """Coordinates in which the frozen solutions' mean is diagonal and their dissipation in a step even.
 
     Slow states lose little of their storage in a step. In other coordinates the barrier's curvature would
-    drown in
-    theirs.
+    drown in theirs.
     """
     n = len(basis)
     lost = unmoved(parts).F(frozen).mean(axis=0)[:n, :n]

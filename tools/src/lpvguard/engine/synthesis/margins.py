@@ -129,8 +129,7 @@ def of_samples(omega: np.ndarray, L: np.ndarray) -> Response:
     """Interpolate a response by a cubic spline of L over log omega, constant beyond the samples.
 
     The error falls with the fourth power of the samples' distance. A sixteenth of the error at every second
-    sample
-    of the spline through the others therefore estimates it.
+    sample of the spline through the others therefore estimates it.
 
     Parameters
     ----------
@@ -170,8 +169,21 @@ def of_samples(omega: np.ndarray, L: np.ndarray) -> Response:
 
 
 def of_system(loop: StateSpace) -> tuple[Response, np.ndarray]:
-    """The response of a single loop and a first grid (K,) [rad/s]. SynthesisError unless it has one input,
-    one output and stable poles."""
+    """Return the response of a single loop and a first grid for its margins.
+
+    Parameters
+    ----------
+    loop : StateSpace
+
+    Returns
+    -------
+    tuple of Response and ndarray (K,), rad/s
+
+    Raises
+    ------
+    SynthesisError
+        If it has not one input, one output and stable poles, or is not well posed.
+    """
     if loop.D.shape != (1, 1):
         raise SynthesisError("loop", "L", f"{loop.D.shape} system", "one input and one output")
     if loop.stability_margin() <= 0:

@@ -20,8 +20,12 @@ SMALLEST = 1e-100
 
 @dataclass(frozen=True)
 class NormBracket:
-    """lower = σ̄(G) at ``peak_frequency`` (rad/s, possibly inf or 0) ≤ ‖G‖∞ ≤ upper; both inf when G is
-    unstable.
+    """Bracket of an H∞ norm: lower ≤ ‖G‖∞ ≤ upper, both inf when G is unstable.
+
+    Attributes
+    ----------
+    lower, upper : float
+    peak_frequency : float, rad/s, where σ̄(G) is lower, possibly inf or 0
     """
 
     lower: float
@@ -33,12 +37,9 @@ def hinf_norm(G: StateSpace, rtol: float = 1e-6) -> NormBracket:
     """Bracket ‖G‖∞ with upper ≤ (1 + rtol) lower, plus the rounding of G at its peak.
 
     DC and infinite (or Nyquist) frequency are included. Where rounding of A may lift G above that at DC or at
-    the
-    frequency of a pole, upper is that level. The response is evaluated wherever an eigenvalue of the
-    Hamiltonian
-    comes near the axis, and between such neighbours. Near means 1e-3 of its size, far more than rounding
-    moves it.
-    A crossing that rounding has pushed off the axis is therefore still found.
+    the frequency of a pole, upper is that level. The response is evaluated wherever an eigenvalue of the
+    Hamiltonian comes near the axis, and between such neighbours. Near means 1e-3 of its size, far more than
+    rounding moves it. A crossing that rounding has pushed off the axis is therefore still found.
 
     Parameters
     ----------
@@ -99,10 +100,8 @@ def _sizes(H: StateSpace, omega: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """σ̄(H(jω)) at each of ``omega`` (k,), and its change by rounding of A's entries.
 
     The rounding is a few units in the last place of each entry, to first order, so that the states' units do
-    not
-    matter. It is far below any rtol unless the loop is nearly unstable or its signals are many decades apart.
-    A slow
-    pole hidden by A's large entries shows at its own frequency.
+    not matter. It is far below any rtol unless the loop is nearly unstable or its signals are many decades
+    apart. A slow pole hidden by A's large entries shows at its own frequency.
     """
     response = np.broadcast_to(H.D.astype(complex), (len(omega), *H.D.shape)).copy()
     moved, finite = np.zeros(len(omega)), np.isfinite(omega)

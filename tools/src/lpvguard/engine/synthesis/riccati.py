@@ -163,12 +163,9 @@ def stabilising_solution(
     axis.
 
     A balancing that uses every entry is tried first. Where rounding replaces zeros (X exactly singular) it
-    makes X1
-    nearly singular, and a balancing that ignores such entries is used. Where H is much larger than the A of
-    its
-    ``side`` (nearly free controls) the answer is trusted only when it is well conditioned. Otherwise the
-    extended
-    pencil at ``gamma`` decides, which never forms the inverse that made H large.
+    makes X1 nearly singular, and a balancing that ignores such entries is used. Where H is much larger than
+    the A of its ``side`` (nearly free controls) the answer is trusted only when it is well conditioned.
+    Otherwise the extended pencil at ``gamma`` decides, which never forms the inverse that made H large.
     """
     best: tuple[RiccatiSolution | None, float] = None, np.inf
     for floor in (0.0, EPS):

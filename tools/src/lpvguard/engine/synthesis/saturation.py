@@ -1,11 +1,10 @@
 """A loop with limited demand and anti-windup: sector bounds of the dead zone (THEORY 7.12).
 
 The controller wants u = C x and gets v = u − q, where q is the dead zone of u: zero within u_max, and the
-excess
-beyond. It runs x⁺ = A x + B m − L q. While |u| ≤ κ u_max the dead zone lies in the
-sector from 0 to s = 1 − 1/κ, so q = ½ s (u + p) with |p| ≤ |u| sample by sample. p is one more block of
-uncertainty, memoryless: constants commute with it, as D(s) commutes with an LTI Δ. With the loop's outputs
-and inputs so scaled a matrix Q ≻ 0 with
+excess beyond. It runs x⁺ = A x + B m − L q. While |u| ≤ κ u_max the dead zone lies in the sector from 0 to s
+= 1 − 1/κ, so q = ½ s (u + p) with |p| ≤ |u| sample by sample. p is one more block of uncertainty, memoryless:
+constants commute with it, as D(s) commutes with an LTI Δ. With the loop's outputs and inputs so scaled a
+matrix Q ≻ 0 with
 
     diag(Q, I) − [A B; C D] diag(Q, I) [A B; C D]ᵀ ≻ 0
 

@@ -4,8 +4,7 @@ Three measures keep neighbours alike. One scaling D, the best for the worst poin
 points: central controllers of neighbouring plants at the same level are neighbours, but not near each plant's
 own optimum. The plant's own coordinates are kept: the central controller's state estimates the plant's. One
 projection serves all, from the sums over the points of the closed loops' Gramians (the frozen-parameter
-average
-of Wood, Goddard & Glover 1996). Separate truncation would keep different states of each.
+average of Wood, Goddard & Glover 1996). Separate truncation would keep different states of each.
 """
 
 from __future__ import annotations

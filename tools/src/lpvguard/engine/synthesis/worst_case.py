@@ -29,6 +29,8 @@ GRID = np.r_[0.0, np.geomspace(1e-3, 1e2, 61)]
 REFINED = 4
 """Frequencies, those of largest gain, at which the search goes on to the end."""
 GAIN_RTOL = 1e-6
+LEAST_LEVEL = 1e-12
+"""Share of ‖M‖ that stands for a gain of zero."""
 
 
 @dataclass(frozen=True)
@@ -74,8 +76,7 @@ def worst_case(
     """Search and verify the worst Δ over frequencies.
 
     Verified are stability, size 1, and the closed loop's stability and gain. Without blocks Δ is of size 0 ×
-    0, and
-    the gain is the nominal peak.
+    0, and the gain is the nominal peak.
 
     Parameters
     ----------
@@ -148,9 +149,10 @@ class _Search:
             for sizes in ([b.cols for b in self.blocks], [b.rows for b in self.blocks])
         )
         level, best = float(np.linalg.norm(M[self.a :, self.b :], 2)), np.zeros((self.b, self.a), complex)
+        least = max(LEAST_LEVEL * float(np.linalg.norm(M, 2)), float(np.finfo(float).tiny))
         for _ in range(steps):
             scaled = M.copy()
-            scaled[self.a :] /= max(level, 1e-300)
+            scaled[self.a :] /= max(level, least)
             _, delta = mu_lower(scaled, self.blocks, np.diag(left), np.diag(right), np.inf, starts=4)
             if delta is None:
                 break

@@ -65,9 +65,8 @@ def verify(
 ) -> Verification:
     """Build Delta from (xi, w), close the loop with it and check that it re-simulates the data.
 
-    ``p`` holds P11, P12, P21, P22 and eta0 = P13 u; ``nu`` (tau,). The loop is closed by solving
-    (I - P11 Delta) eta = P12 w + eta0 again, so xi is only used to build Delta. Raises InputError when a
-    block is
+    ``p`` holds P11, P12, P21, P22 and eta0 = P13 u; ``nu`` (tau,). The loop is closed by solving (I - P11
+    Delta) eta = P12 w + eta0 again, so xi is only used to build Delta. Raises InputError when a block is
     larger than its nu, or the data are not reproduced: no explanation leaves this package unverified.
     """
     eta = p["P11"] @ xi + p["P12"] @ w + p["eta0"]

@@ -137,8 +137,7 @@ def _last_block_is_free(problem: Lft, gamma_w: float, gap: float, max_nodes: int
     """Whether an explanation without the last block was found: its smallest disturbance is at most gamma_w.
 
     Only for structures with repeated blocks. Otherwise the least-squares point of
-    :meth:`quadratic.Quadratic.zero`
-    decides.
+    :meth:`quadratic.Quadratic.zero` decides.
     """
     last = len(problem.blocks) - 1
     try:

@@ -5,8 +5,7 @@ Hermitian D >= 0 (the D-scaling of a repeated block); a free group has no sign (
 block). The traces of all groups with a sign sum to one. A positive x proves that the forms z^* Q_j z (and
 their matrix versions) cannot all be <= 0 at once: the S-procedure. The method is Newton's on a log barrier.
 The forms have at most about ten rows. Each iterate is feasible, so every bound from it is rigorous whenever
-the
-iteration stops.
+the iteration stops.
 """
 
 from __future__ import annotations

@@ -110,8 +110,7 @@ class Posed:
         blocks, are 0.
 
         Each direction has a separate unit: values that the data hold at zero are rounding in it. Raises
-        InputError when
-        the data need a dead block.
+        InputError when the data need a dead block.
         """
         unit = np.linalg.norm(scaled[:, :-1], axis=0)
         left, right = scaled[held, :-1] / unit, -scaled[held, -1]

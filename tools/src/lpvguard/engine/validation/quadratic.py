@@ -21,9 +21,9 @@ CANCELLED = 1e-12
 class Form:
     """|a z|^2 <= (constant + sizes[param]) slope |b z|^2, and for a repeated block a z = delta b z as well.
 
-    ``a`` (r, n), ``b`` (r', n); r = r' for a repeated block, whose kind is ``repeated``.
-    ``param`` -1: the constant alone; it is inf when a repeated block has no bound (its own cap is infinite).
-    ``parts``: the signals that a is stacked from, when there are several.
+    ``a`` (r, n), ``b`` (r', n); r = r' for a repeated block, whose kind is ``repeated``. ``param`` -1: the
+    constant alone; it is inf when a repeated block has no bound (its own cap is infinite). ``parts``: the
+    signals that a is stacked from, when there are several.
     """
 
     a: np.ndarray
@@ -44,8 +44,7 @@ class Quadratic:
     """min sum_j p_j over z = (theta, 1) of length ``n`` and p >= 0 (``params`` of them) subject to ``forms``.
 
     ``repeated``: indices of the forms of repeated blocks. ``boxed``: sizes that one repeated block alone
-    decides.
-    The box of that block bounds the size, so it needs no separate direction.
+    decides. The box of that block bounds the size, so it needs no separate direction.
     """
 
     def __init__(self, forms: Sequence[Form], params: int, n: int):

@@ -2,12 +2,11 @@
 
 Two facts make the branch and bound short. First, a certificate y found at sizes p stays valid for every p'
 with sum_j y_j Q_j(p') >= 0. That is a convex set that contains [0, p]. A cone of directions is therefore
-bounded
-at its edges, with an error of second order in its angle (Tuy). Second, a certificate is an eigenvalue problem
-in
-the length along a ray. Each multiplier vector is therefore used up to the largest length that it proves
-(Dinkelbach). With the scalars of repeated blocks as linear constraints, a certificate is affine in them too.
-A box is therefore bounded at its corners, again with an error of second order (:meth:`Relaxation.tangent`).
+bounded at its edges, with an error of second order in its angle (Tuy). Second, a certificate is an eigenvalue
+problem in the length along a ray. Each multiplier vector is therefore used up to the largest length that it
+proves (Dinkelbach). With the scalars of repeated blocks as linear constraints, a certificate is affine in
+them too. A box is therefore bounded at its corners, again with an error of second order
+(:meth:`Relaxation.tangent`).
 """
 
 from __future__ import annotations
@@ -214,9 +213,8 @@ class Relaxation:
         other forms give multipliers y on its kernel. Finsler: some Y makes the certificate Q(y, p) + Y^* A(c)
         + A(c)^* Y positive on the whole space. With the same y and Y it is affine in the scalars and the
         sizes. It therefore holds over the box when it holds at the corners, and |delta|^2 lies above its
-        tangent at
-        c. Y's part outside the kernel is free: a ladder of penalties on |A z|^2 is tried, and the best corner
-        bound kept.
+        tangent at c. Y's part outside the kernel is free: a ladder of penalties on |A z|^2 is tried, and the
+        best corner bound kept.
         """
         if self._plain is None or not node.boxes:
             return None

@@ -33,9 +33,17 @@ feasible."""
 
 @dataclass(frozen=True)
 class S1Result:
-    """Per point: all arrays have the leading shape of E, ``w`` has the shape of E.
+    """Explanation of every point in class S1.
 
-    ``nu`` is inf and ``feasible`` False where gamma_w < B1; everything is NaN where an input was not finite.
+    Everything is NaN where an input was not finite.
+
+    Attributes
+    ----------
+    b1 : ndarray (...), smallest disturbance [output units]
+    feasible : ndarray (...) of bool, False where gamma_w < B1
+    nu : ndarray (...), |delta|, inf where not feasible
+    delta : ndarray (...) of complex
+    w : ndarray (..., n_y) of complex, output units
     """
 
     b1: np.ndarray
@@ -295,8 +303,7 @@ def tradeoff(e, z, gamma_w, lambda_nu, lambda_w) -> TradeoffResult:
     """Minimise (8): lambda_nu nu^2 + sum_j lambda_w,j |w_j|^2 subject to |w| <= gamma_w.
 
     The cost is an isotropic quadratic in delta. Its minimiser is therefore the unconstrained one, projected
-    on the
-    disc of explanations.
+    on the disc of explanations.
 
     Parameters
     ----------
@@ -437,7 +444,7 @@ def margin(e, z, w_delta, w_w) -> np.ndarray:
     quadratic. With n_delta = n_y each output has its own delta: the largest |E_j| / (W_w,j + W_delta,j
     |Z_j|). At
     t > 1 no complex delta and w within the bounds explain the frame. A causal Delta with memory may
-    (lpvguard.bench._memory).
+    (tools/README.md).
 
     Parameters
     ----------

@@ -8,8 +8,7 @@ G_d = int_0^Ts e^{As} ds makes nu_s a rate (1/s), G_d = I a size per sample. At 
 quadratic problem with two constraints. Its dual has no gap as long as nu_s < 1/sigma_max(H_s), H_s = (z I -
 A_d)^-1 G_d. At that cap an allowed Delta_s makes the loop singular. The optimum over nu_s is found by branch
 and bound in base/_native/s2.c, with a numpy version here. ``solve_forms`` is the kernel for any problem with
-one
-full block and plain quadratics.
+one full block and plain quadratics.
 """
 
 from __future__ import annotations
@@ -242,8 +241,7 @@ class S2Result:
     ``nu_i``, ``nu_s`` (K,): the sizes. ``xi`` (K, 1 + n_x), ``w`` (K, n_y): the signals. ``duals``: dual
     problems used. Points with gamma_w < B1 have inf bounds and NaN signals. ``at_cap`` marks points whose
     best nu_s is the well-posedness cap itself, or whose bounds did not meet near it. Their numbers do not
-    bound
-    the vehicle: they show that the class does not fit.
+    bound the vehicle: they show that the class does not fit.
     """
 
     lower: np.ndarray

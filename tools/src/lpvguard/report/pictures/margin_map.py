@@ -145,8 +145,7 @@ def margin_map(
     """Margin of one drive over time and bins, with its alarms; below it speed and verdict.
 
     ``t``, ``v`` (N,) are time [s] and speed [m/s]. ``omega``, ``lengths`` (K,) are bins [rad/s] and frame
-    lengths
-    [samples]. ``speed_range`` is that of the model [m/s].
+    lengths [samples]. ``speed_range`` is that of the model [m/s].
     """
     K = len(omega)
     map_in, speed_in, verdict_in, gap_in, below_in = 0.135 * K, 0.72, 0.13, 0.13, 0.45

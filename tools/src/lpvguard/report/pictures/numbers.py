@@ -61,10 +61,8 @@ class Cells:
     """Frames of a drive, sorted by bin, then by time.
 
     ``bin`` (F,), ``end`` (F,) the sample after the frame's last [samples after the drive's first], ``margin``
-    (F,),
-    ``reason`` (F,) index into ``reasons``. ``lengths`` (K,) [samples] of the bins, ``Ts`` [s], ``threshold``
-    of the
-    margin.
+    (F,), ``reason`` (F,) index into ``reasons``. ``lengths`` (K,) [samples] of the bins, ``Ts`` [s],
+    ``threshold`` of the margin.
     """
 
     bin: np.ndarray

@@ -44,8 +44,7 @@ def _small(drive: Told) -> str:
     """The drive's course as a small picture.
 
     Bars show the largest statistic over threshold, a dashed line the threshold, triangles larger values, and
-    a
-    strip below the verdict.
+    a strip below the verdict.
     """
     base = HEIGHT - STRIP - 1
     scale = (base - LINE) / 1.0
