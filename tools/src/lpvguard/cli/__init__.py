@@ -77,7 +77,7 @@ def _end(number: int, _: Any) -> None:
 
 
 def _refused(error: OSError) -> InputError:
-    """What the operating system refuses, as an error of the file that it names."""
+    """Convert an error of the operating system into one about the file that it names."""
     what = error.strerror or str(error)
     if error.errno == errno.ENOSPC:
         scratch = "standard output or a scratch file"
