@@ -187,7 +187,7 @@ def excitation(found: Identified, *runs: Replayed) -> Picture:
     Picture
     """
     if not runs:
-        raise InputError("excitation", "runs", "none", "what lpvguard.replay returned")
+        raise InputError("excitation", "runs", "none", "results of lpvguard.replay")
     frames = [run.summary.run.frames for run in runs]
     bin_of = np.concatenate([f.bin[f.counted] for f in frames])
     Z = np.concatenate([f.Z[f.counted] for f in frames])

@@ -107,7 +107,7 @@ class Replayed:
         columns = {
             name.replace("/", "_").replace(".", "_"): column.to_numpy()
             for name, column in zip(self.arrow.column_names, self.arrow.columns, strict=True)
-            if name != "verdict"  # verdict_code says it in numbers
+            if name != "verdict"  # verdict_code has its number
         }
         savemat(path, columns)
 

@@ -141,7 +141,7 @@ class Layout:
         """Sizes by dimension from flat words (W,)."""
         at = next(
             i for i, field in enumerate(self.words) if field.name == "sizes"
-        )  # what stands before it is scalar
+        )  # the fields before it are scalar
         return dict(zip(self.dimensions, map(int, words[at : at + len(self.dimensions)]), strict=False))
 
     def split(self, part: str, flat: np.ndarray, sizes: dict[str, int]) -> dict[str, np.ndarray]:

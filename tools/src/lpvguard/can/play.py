@@ -156,7 +156,7 @@ def values_of_drive(project, drive, catalogue: Catalogue | None = None) -> dict[
             f"vehicle {project.name}",
             "can",
             "the car's own bus, which is only read",
-            "a raw log of it to play, or a vehicle on the bus of the CAN catalogue",
+            "a raw log, or a vehicle on the bus of the CAN catalogue",
         )
     columns = [
         (project.speed, drive.v),

@@ -119,6 +119,6 @@ def main() -> None:
     except OSError as error:
         if not isinstance(error, BrokenPipeError):
             complain(_refused(error))
-        # What is left for standard output would fail once more at the end.
+        # The buffered output would fail again at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
         sys.exit(2)

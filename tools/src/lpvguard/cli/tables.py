@@ -120,9 +120,7 @@ def print_fleet(result: dict[str, Any]) -> None:
         rate, hourly = share_words(v["alarmed"]), hourly_words(v["alarmed_per_judged_h"])
         console.print(f"{name}: new recordings with an alarm of their own: {rate}; a judged hour: {hourly}")
         if v["changed_at"] is not None:
-            console.print(
-                f"{name}: changed, says recording {v['changed_at']}, {v['changed_by']}{_estimated(v)}"
-            )
+            console.print(f"{name}: changed by recording {v['changed_at']}, {v['changed_by']}{_estimated(v)}")
     left_out = {**calibration["left_out"], **result["left_out"]}
     for v in result["vehicles"].values():
         left_out |= v["left_out"]
@@ -256,7 +254,7 @@ def print_tests(result: Identification) -> None:
         )
     if result.diagnosis is not None:
         console.print(
-            "causes: what no record names, since healthy vehicles differ as much: "
+            "causes: smaller changes have no name, because healthy vehicles differ as much: "
             f"{result.diagnosis.least_text(result.project)}"
         )
 

@@ -279,7 +279,7 @@ def _family(
     some = evenly(len(plants), SCALING_SPEEDS)
     scaling, level = common_scaling([plants[k] for k in some], start, workers)
     progress(Counted("controllers over speed", 2, 4))
-    # Never more than half of what is left below 1.
+    # At most half of the margin below 1.
     backed_off = level * (1 + backoff)
     level = min(backed_off, 0.5 * (1 + level)) if level < 1 else backed_off
     at_order, rank = common_family(plants, scaling, level, workers)
@@ -563,7 +563,7 @@ def _compare(
             raise InputError(
                 path,
                 f"certificate at {v:g} m/s, {name}",
-                f"{value:.7g} when proved anew, not {row[name]:.7g}",
+                f"{value:.7g} when proved again, not {row[name]:.7g}",
                 "the coefficients and weights that were certified",
             )
     if not abs(at_peak - row["mu_upper"]) <= PEAK_RTOL * row["mu_upper"]:

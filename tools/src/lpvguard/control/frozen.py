@@ -55,7 +55,7 @@ class FrozenProblem:
     ) -> PlantWeights:
         """The ten weights. ``fitted`` replaces the identified W_w and W_delta (for K_is ``with_state``)."""
         chosen = self.settings.model_copy(update={"structure": structure, "A_t": A_t, "A_u": A_u})
-        # K_is has weights of its own, which replace those of class S1 below.
+        # K_is has its own weights, which replace those of class S1 below.
         weights = fig1_weights(
             self.stored, chosen.model_copy(update={"structure": "K_i"}) if structure == "K_is" else chosen
         )

@@ -168,7 +168,7 @@ def _require_row(
         raise InputError(
             path,
             f"certificates.limits at {row['v_mps']:g} m/s, kappa {row['kappa']}, {name}",
-            f"{value} when proved anew, not {row[name]}",
+            f"{value} when proved again, not {row[name]}",
             "the constants, coefficients and weights that were certified",
         )
 

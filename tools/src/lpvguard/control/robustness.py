@@ -138,7 +138,7 @@ def compare(path: Path, stated: dict, found: Robustness) -> None:
                 raise InputError(
                     path,
                     f"certificates.robustness at {node.v_mps:g} m/s, {name}",
-                    f"{want} when computed anew, not {value}",
+                    f"{want} when computed again, not {value}",
                     "the coefficients and weights that were certified",
                 )
 

@@ -175,7 +175,7 @@ class _RowFit:
         size = np.sqrt(np.mean(np.abs(seen) ** 2, axis=0))
         K = np.einsum("k,kj,kmc->kcjm", self.left, seen / size, self.right).reshape(self.response.size, -1)
         wanted = np.einsum("k,km,kmc->kc", self.left, self.response, self.right).ravel()
-        # By measurement: one that the loop must hardly use weighs its columns up by orders of magnitude.
+        # Per measurement: one that the loop hardly needs gets columns that are orders of magnitude larger.
         largest = np.linalg.norm(K, axis=0).reshape(len(a), -1).max(axis=0)
         ridge = RIDGE * np.diag(np.tile(largest, len(a)))
         return np.vstack([_stacked(K), ridge]), np.append(_stacked(wanted), np.zeros(len(ridge))), size
@@ -223,7 +223,7 @@ def _recovery(
     wanted = -shown @ np.linalg.solve(
         z[:, None, None] * eye - A_p + B_p @ F, np.broadcast_to(B_p, (len(z), *B_p.shape))
     )
-    # With L the demand under limits is (1 + wanted)^-1 of what it would be: a deviation counts by that.
+    # Under limits L scales the demand by (1 + wanted)^-1, which weights a deviation.
     weight = np.linalg.norm(np.linalg.inv(np.eye(n_u) + wanted), axis=1)
     L = np.empty((n_u, len(a), n_u))
     for i in range(n_u):

@@ -159,7 +159,7 @@ def _dc_bound(problem: FrozenProblem, c: Cell) -> float:
 def _run(problem: FrozenProblem, c: Cell, signals: np.ndarray, wanted: np.ndarray) -> WorstRun:
     weights, v = problem.weights(c.structure, c.A_t, c.A_u), problem.settings.design_speed_mps
     bins = problem.frames.estimator.omega
-    # Within the band of the data: beyond it neither Δ nor what it would do was ever measured.
+    # Within the band of the data: beyond it Δ and its effect were never measured.
     band = np.r_[0.0, np.geomspace(0.1 * bins[1], bins[-1], 60)]
     worst = worst_case(
         problem.plant(c.structure, weights, v), c.controller, c.result.performance.scaling, band

@@ -378,7 +378,7 @@ class _Along:
         """(3 n_y, M) ratios with an onset n samples ago; -inf where these are not usable."""
         cross, power = self._once(self._onsets, process_ratio)
         fits, of = self._over(cross, n), self._over(power, n)
-        # Differences of sums round; a direction that nothing excites says nothing.
+        # Differences of sums round; a direction without excitation has no statistic.
         least = 1e-9 * power[:, -1:] + np.finfo(float).tiny
         ratio = np.where(of > least, fits**2 / np.maximum(of, least), 0.0)
         return np.where(self.run >= n, ratio, -np.inf)

@@ -302,7 +302,7 @@ def cause_sentences(table: dict) -> list[str]:
     known, single = table["known"], table["no_single_cause"]
     large = table["can_be_named"]
     of_large = (
-        "of those larger than what healthy vehicles differ by: right "
+        "of those larger than the difference of healthy vehicles: right "
         f"{_share(large[RIGHT], large['found'])}, wrong {_share(large[WRONG], large['found'])}"
         if large
         else "how much healthy vehicles differ is not known: no diagnosis in the identification"

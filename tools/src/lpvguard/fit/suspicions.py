@@ -394,6 +394,6 @@ def _error(name: str, reading: Reading, then: float, now: float) -> InputError:
     return InputError(
         name,
         reading.where,
-        f"{reading.what}: read so, the model leaves {then:.1%} of the output; as it is, {as_it_is}",
+        f"{reading.what}: with this change the model leaves {then:.1%} of the output; without it, {as_it_is}",
         reading.expected,
     )

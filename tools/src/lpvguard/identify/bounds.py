@@ -391,7 +391,7 @@ def front(E: np.ndarray, Z: np.ndarray, gamma_w: np.ndarray) -> np.ndarray:
         room = np.sqrt(np.maximum(gamma[:, None] ** 2 - b1**2, 0.0))
         high = centre - room / z + _slack(centre, least_z, gamma[:, None])
     open_blocks = (size > gamma[:, None]) & (z > 0) & (high >= low.max(axis=1, keepdims=True))
-    # So many gamma_w at once that their open blocks hold about as many frames as there are.
+    # The open blocks of the gamma_w handled at once hold about as many frames as there are.
     turns = np.cumsum(open_blocks.sum(axis=1)) // len(firsts)
     for turn in np.unique(turns):
         some = np.flatnonzero(turns == turn)

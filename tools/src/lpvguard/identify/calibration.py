@@ -122,8 +122,8 @@ class GroupThreshold:
         """Claim on a further recording of the ``group``."""
         if self.alpha is None:
             return (
-                f"group {group}: {self.recordings} recordings are too few for a threshold of its own, so it "
-                "has the pooled one, and alpha is not stated for it"
+                f"group {group}: {self.recordings} recordings are too few for its own threshold; it has "
+                "the pooled one without alpha"
             )
         return (
             f"group {group}: threshold {self.threshold:.4g}, alpha {self.alpha:g} from {self.recordings} "
@@ -306,7 +306,7 @@ def require_calibration(
         raise InputError(
             folder,
             f"drives that calibrate ({len(names)})",
-            f"nothing calibrates: no test judges any of them ({reason})",
+            f"nothing calibrates: no test judges a drive ({reason})",
             "at least one with a frame of a bin that speaks, or with settled driving for the other tests",
         )
 

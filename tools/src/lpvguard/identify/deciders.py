@@ -92,7 +92,7 @@ def _decides(result: Identification, test: str, c: Calibration) -> Decision:
         return Decision(f"{test} test: no drive decides the threshold {c.carried:.4g}, its floor", False)
     said = f"{test} test: {drive} decides the threshold {c.carried:.4g}{_where(result, test, drive)}"
     peak = result.origins.peaks[drive].get(test)
-    if peak is None or peak.without is None:  # without a core nothing says where
+    if peak is None or peak.without is None:  # without a core the place is unknown
         return Decision(said, False)
     alpha = result.project.frame_test.alpha
     left = calibrate(c.scores | {drive: peak.without}, alpha, recordings=c.recordings).carried
@@ -137,8 +137,8 @@ def outlying(result: Identification) -> list[str]:
         deviation = 1.4826 * float(np.median(np.abs(size - middle)))
         least = middle + max(OUTLYING * deviation, np.log(ONE_FRAME))
         said += [
-            f"{test} test: {drive} lies outside the other drives that calibrate: {s:.4g} beside a median of "
-            f"{np.exp(middle):.3g}{_where(result, test, drive)}; it calibrates as they do, unless "
+            f"{test} test: the score of {drive} lies outside the calibration drives': {s:.4g} to a median of "
+            f"{np.exp(middle):.3g}{_where(result, test, drive)}; the drive calibrates unless "
             f"{EXPERIMENTS} sets it aside"
             for drive, s in scores.items()
             if np.log(s) > least
@@ -167,7 +167,7 @@ def unresolved(result: Identification) -> list[str]:
         if len(bins):
             step, noise = bounds.resolution.step[j], bounds.resolution.noise[j]
             said.append(
-                f"B_w of {signal.name} is what its sensor cannot tell, and the drives ask for no more, at "
+                f"B_w of {signal.name} is the limit of its sensor, and the drives need no more, at "
                 f"{', '.join(_hertz(result, k) for k in bins.tolist())}: steps of {step:.3g} {signal.unit}, "
                 f"noise of {noise:.3g} {signal.unit}"
             )

@@ -144,7 +144,7 @@ def premise(stored: StoredIdentification) -> Premise:
     if settings is not None and settings.structure == "K_inf":
         W = np.zeros_like(W)
     judging = error.judging
-    # What a frame cannot tell is no objection: beyond 1 + rho nothing was claimed from it.
+    # An uninformative frame is no objection: it supported no claim beyond 1 + rho.
     told = np.isfinite(judging.se) & (judging.k * judging.se < 1)
 
     def least(against: np.ndarray) -> Least | None:

@@ -36,7 +36,7 @@ def grid_step(y: np.ndarray) -> float:
         return np.nan
     gaps = np.where(gaps > SAME * (values[-1] - values[0]), gaps, 0.0)
     least = gaps[gaps > 0].min()
-    # The smallest gaps are one step each; all values together tell the step to more digits.
+    # The smallest gaps are one step each; all values together give more digits of the step.
     step = gaps[(gaps > 0) & (gaps < 1.5 * least)].mean()
     at = np.r_[0.0, np.cumsum(np.rint(gaps / step))]
     middle = at - at.mean()

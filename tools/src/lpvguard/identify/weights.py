@@ -322,7 +322,7 @@ def fit_bound(
     InputError
         If no weight of the project's order fits.
     """
-    # What the weight is proved against: the floor applied.
+    # The proof is against the bound with the floor.
     return _fitted(
         project, fitting_grid(estimator), np.where(np.isnan(bound), np.nan, np.fmax(bound, floor)), name
     )

@@ -120,10 +120,10 @@ def _what(unit: str, cause: str, numbers: Sequence[float]) -> str:
     if cause == "noise":
         return f"is noisy, with a standard deviation of {value:.3g} {unit}"
     if cause == "bias":
-        return f"{value:+.3g} {unit} beside what the model says ({low:+.3g} to {high:+.3g})"
+        return f"{value:+.3g} {unit} off the nominal output ({low:+.3g} to {high:+.3g})"
     if cause == "delay":
         near, far = sorted((abs(low), abs(high)))
-        when = "later" if value > 0 else "sooner"
-        return f"{abs(value):.2f} s {when} than the model says ({near:.2f} to {far:.2f})"
-    turned = "turned round: " if cause == "sign" else ""
-    return f"{turned}{value:.2f} of what the model says ({low:.2f} to {high:.2f})"
+        when = "later" if value > 0 else "earlier"
+        return f"{abs(value):.2f} s {when} than the nominal output ({near:.2f} to {far:.2f})"
+    turned = "inverted: " if cause == "sign" else ""
+    return f"{turned}{value:.2f} of the nominal output ({low:.2f} to {high:.2f})"

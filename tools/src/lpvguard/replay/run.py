@@ -545,7 +545,7 @@ def bus_frames(path: Path, project: Project) -> Frames:
         raise InputError(
             path,
             "",
-            "a drive table does not say what a gate is on the bus",
+            "a drive table has no value of a gate for the bus",
             "a raw log, for a vehicle with gates",
         )
     drive = read_drive(path, project).present

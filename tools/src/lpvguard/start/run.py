@@ -221,7 +221,7 @@ def _limits(role: str, proposal: Proposal, recordings: list[Recording]) -> tuple
 
 def _signal_map(proposals: dict[str, Proposal], limits: dict[str, tuple[float, float]], Ts: float) -> str:
     lines = [
-        "# Signal map: what `lpvguard ingest` makes drive tables of. Left turn positive.",
+        "# Signal map for `lpvguard ingest`. Left turns are positive.",
         "schema = 1",
         f"Ts_s = {Ts:g}",
     ]

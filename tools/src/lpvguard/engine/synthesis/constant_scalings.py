@@ -130,7 +130,7 @@ class ConstantScalings:
         left, right = self._factors(sizes, rest, log_constants)
         N = left[:, None] * self._grid * right
         gram = N @ np.conj(np.swapaxes(N, 1, 2))
-        # What is below the largest by so much has no part in the mean; sigma^2 is at most the trace.
+        # Values so far below the largest do not change the mean; sigma^2 is at most the trace.
         diagonal = np.diagonal(gram, axis1=1, axis2=2).real
         counts = diagonal.sum(axis=1) >= diagonal.max() * EPS ** (2 / POWER)
         N, frequencies = N[counts], len(N)

@@ -167,7 +167,7 @@ class GammaProblem:
         """
         sides = self.control, self.filter
         bound, level, value = self._lowest, self.floor, None
-        if self.axis or bound * (1 - LIMIT_RTOL) <= level:  # near the floor rounding hides what is reached
+        if self.axis or bound * (1 - LIMIT_RTOL) <= level:  # near the floor rounding hides the reached level
             return level, None
         for _ in range(20):
             if bound <= level:

@@ -123,7 +123,7 @@ def relevant(family: Family, rows: slice, columns: slice) -> Family:
     def any_of(parts: list[np.ndarray]) -> np.ndarray:
         return np.max([np.abs(part) for part in parts], axis=0) > 0
 
-    # What is affine between nodes and zero at two speeds is zero. The vehicle's rows are taken as full.
+    # An entry that is affine between nodes and zero at two speeds is zero. The vehicle's rows count as full.
     moves: np.ndarray = any_of([G.A for G in loops])
     moves[family.vehicle] |= any_of([G.C[n_z:] for G in loops]).any(axis=0)
     entered: np.ndarray = np.asarray(any_of([G.B[:, columns] for G in loops]).any(axis=1))

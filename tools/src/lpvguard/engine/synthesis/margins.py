@@ -327,7 +327,7 @@ def _refined(response: Response, omega: np.ndarray) -> tuple[np.ndarray, np.ndar
     for _ in range(ROUNDS):
         with np.errstate(all="ignore"):
             moved = np.maximum(*(np.abs(np.log(x[1:] / x[:-1])) for x in (L, 1 + L)))
-        # Near a zero of L its logarithm never settles: what is small beside 1 need not be resolved.
+        # Near a zero of L its logarithm never settles: values far below 1 need no resolution.
         small = (np.abs(L[1:]) < 1e-3) & (np.abs(L[:-1]) < 1e-3)
         wide = (moved > STEP) & ~small & (np.diff(omega) > 1e-12 * omega[1:])
         if not wide.any():

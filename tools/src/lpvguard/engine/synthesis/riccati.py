@@ -131,7 +131,7 @@ def hamiltonian(side: Side, gamma: float) -> np.ndarray:
     H = np.block([[side.A, np.zeros((n, n))], [-side.C1.T @ side.C1, -side.A.T]])
     left = np.vstack([B, -side.C1.T @ D])
     out = H - left @ F
-    # what is left where terms cancel is rounding; balancing would blow it up
+    # cancelled terms leave rounding, which balancing would amplify
     terms = np.abs(H) + np.abs(left) @ np.abs(F)
     out[np.abs(out) <= 500 * EPS * terms] = 0.0
     out[n:, :n] -= side.weight**2 * np.eye(n)
@@ -224,7 +224,7 @@ def _pencil_solution(side: Side, gamma: float, t: np.ndarray) -> tuple[RiccatiSo
     Q = sl.qr(M[:, 2 * n :], mode="full")[0][:, m + p :].T
     try:
         S, _, alpha, beta, _, V = sl.ordqz(Q @ M[:, : 2 * n], Q[:, : 2 * n], sort="lhp", output="real")
-    except ValueError:  # eigenvalues of both sides too close to be told apart
+    except ValueError:  # eigenvalues of both sides too close to separate
         return None, 0.0
     stable = np.count_nonzero(alpha.real * beta < 0)
     if stable != n or np.any(np.abs(alpha.real) <= 20 * EPS * np.linalg.norm(S) + 1e-11 * np.abs(alpha.imag)):

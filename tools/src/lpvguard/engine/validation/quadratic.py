@@ -89,7 +89,7 @@ class Quadratic:
         """
         if not deltas:
             return z, None
-        # Rows of a block in units of its own: sizes of blocks may be 1e10 apart.
+        # Rows of a block in its own units: sizes of blocks may be 1e10 apart.
         scaled, sizes = [], []
         for k, d in deltas.items():
             f = self.forms[k]
@@ -158,7 +158,7 @@ class Quadratic:
         """A point (n,) that needs no size at all, when there is one: the optimum is then exactly zero."""
         if any(f.repeated and f.param < 0 for f in self.forms):
             return None
-        # Each signal in units of its own: xi and w may be 1e14 apart, or their weights, and one must not hide
+        # Each signal in its own units: xi and w may be 1e14 apart, or their weights, and one must not hide
         # in the other's rounding.
         wanted = [
             a / (np.linalg.norm(a) or 1.0) for f in self.forms if f.param >= 0 for a in f.parts or (f.a,)

@@ -423,7 +423,7 @@ def _margin_numpy(e, z, w_delta, w_w):
                 tuple(np.choose(worst, [d[o[slot]][field] for o in order]) for field in range(4))
                 for slot in range(3)
             )
-            # Where the third disc holds the point of the worst pair this is at most that pair's level.
+            # If the third disc holds the point of the worst pair, this is at most that pair's level.
             joint = np.minimum(_reach(first, second, third), _triple(first, second, third))
             best = np.fmax(best, joint)  # NaN with a Z = 0, and where the third disc never leaves the first
     finite = np.isfinite(e).all(-1) & np.isfinite(z).all(-1) & np.isfinite(w_delta) & np.isfinite(w_w).all(-1)

@@ -185,7 +185,7 @@ def run_planned(context: Context, planned: PlannedRun) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as scratch:
         path = Path(scratch) / "scenario.toml"
         telemetry = path.with_suffix(".csv")
-        # Left alone, the truck does not know of the command: this run tells its free motion and the demand.
+        # Without control the truck ignores the command: this run gives its free motion and the demand.
         path.write_text(drawn.text(planned.tables, UNIT), encoding="utf-8")
         _, left_alone = free_truck.drive(path, telemetry=telemetry)
         free = read_telemetry(telemetry)

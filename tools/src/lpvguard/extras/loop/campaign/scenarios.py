@@ -75,7 +75,7 @@ def plan(size: Size, trucks: list[tuple[str, float]]) -> list[PlannedRun]:
         PlannedRun(n, "within", 0.0, n % len(trucks), 0.0, *trucks[n % len(trucks)]) for n in range(runs)
     ]
     chosen = [(kind, x) for kind in faults.KINDS for x in kind.values for _ in range(size.repeats)]
-    # First every fault as it comes first, so that a number means the same whatever further ways there are.
+    # Every fault in its first way comes first, so that further ways do not change the numbers.
     ordered = [(kind, x, kind.ways[0]) for kind, x in chosen]
     ordered += [(kind, x, way) for n in (1, 2) for kind, x in chosen for way in kind.ways[n : n + 1]]
     return within + [

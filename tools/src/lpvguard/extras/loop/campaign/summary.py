@@ -237,7 +237,7 @@ def _missed(summary: dict[str, Any]) -> Iterator[str]:
         if said["count"] < said["of"]:
             yield (
                 f"{bus} bus: in {said['of'] - said['count']} of {said['of']} runs the supervision did not "
-                "say what the frames require"
+                "report the required states"
             )
     due = summary["due"]
     if due["count"] < due["of"]:
