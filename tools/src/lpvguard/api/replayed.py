@@ -32,8 +32,8 @@ class Replayed:
     Attributes
     ----------
     summary : Replay
-    arrow : pyarrow.Table, time series for polars (`polars.from_arrow`) and Parquet, columns of
-    replay/series.py
+    arrow : pyarrow.Table
+        Time series for polars (`polars.from_arrow`) and Parquet, columns of replay/series.py.
     omega : ndarray (K,), rad/s, frequencies of the bins
     drive : Drive, the judged record
     replayer : Replayer, the core that judged it

@@ -29,8 +29,8 @@ class Scheduled:
     ----------
     Ts : float, s
     speeds : ndarray (G,), m/s, equally spaced
-    a : ndarray (n,), first columns of the pairs of A - I, then of a single state if n is odd, for every
-    demand
+    a : ndarray (n,)
+        First columns of the pairs of A - I, then of a single state if n is odd, for every demand.
     B : ndarray (G, n_u, n, 1 + n_y)
     L : ndarray (G, n_u, n, n_u)
     u_max : ndarray (G, n_u), largest |demand| [input unit]

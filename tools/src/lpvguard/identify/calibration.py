@@ -140,8 +140,8 @@ class Calibration:
     threshold : float, pooled; the largest score where no claim can be made
     scores : dict[str, float], by drive
     alpha : float or None, probability of an alarm on a further recording, None without a claim
-    conditional_bound : float or None, bound on that probability with 95 % confidence over calibration
-    recordings
+    conditional_bound : float or None
+        Bound on that probability with 95 % confidence over calibration recordings.
     recordings : Recordings
     groups : dict[str, GroupThreshold], by group of experiments.csv
     group : str or None, group of this threshold (``of_group``), None: pooled

@@ -736,8 +736,8 @@ class ModelError:
     setting : ErrorEstimate, of the drives that set the bounds
     bound : ndarray (G, n_delta), bound from ``setting``
     judging : ErrorEstimate or None, of the drives that judge the bound
-    left_out : list of float, per fold the least ratio of the others' bound to its |delta_c| - k se, inf: no
-    demand
+    left_out : list of float
+        Per fold the least ratio of the others' bound to its |delta_c| - k se, inf: no demand.
     """
 
     grid: ErrorGrid

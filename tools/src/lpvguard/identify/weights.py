@@ -91,8 +91,8 @@ class Weights:
     floored : dict, frequencies [rad/s] by weight where B_w has nothing above the sensor's share (step 7)
     disturbance_set : str
     inflation : float
-    silent : tuple of int, bins without evidence above 1, which set no threshold and raise no alarm (THEORY
-    7.1)
+    silent : tuple of int
+        Bins without evidence above 1, which set no threshold and raise no alarm (THEORY 7.1).
     """
 
     W_w: list[FittedWeight]

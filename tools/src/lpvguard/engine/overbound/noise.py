@@ -28,8 +28,8 @@ def subtract_noise(
 
     Returns
     -------
-    tuple of ndarray (K,) and list of float, the values and the frequencies [rad/s] where only the floor is
-    left
+    tuple of ndarray (K,) and list of float
+        The values and the frequencies [rad/s] where only the floor is left.
 
     Raises
     ------

@@ -76,8 +76,8 @@ class Family:
 
     Attributes
     ----------
-    at : Callable, speed [m/s] -> StateSpace, whose last ``n_probes`` outputs are the vehicle's state and
-    inputs
+    at : Callable
+        Speed [m/s] -> StateSpace, whose last ``n_probes`` outputs are the vehicle's state and inputs.
     nodes : ndarray (K,), m/s, between them all but the vehicle is affine
     vehicle : slice, rows of [A B] that are Xi(v) times the probes
     n_probes : int

@@ -32,8 +32,8 @@ def frequency_response(
 
     Returns
     -------
-    tuple of driven frequencies, ndarray (K,) [rad/s], and response, ndarray (K, n_y) of complex [output per
-    bar]
+    tuple of ndarray (K,) and ndarray (K, n_y) of complex
+        Driven frequencies [rad/s] and response [output per bar].
 
     Raises
     ------
