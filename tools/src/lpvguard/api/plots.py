@@ -37,7 +37,7 @@ from .identified import Identified
 from .replayed import Replayed
 
 ROW_PX, AROUND_PX = 31, 250
-"""Height of a row of the map, and of what stands around them [px]."""
+"""Height of a row of the map, and of its frame [px]."""
 
 
 @dataclass(frozen=True)

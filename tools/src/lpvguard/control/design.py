@@ -48,8 +48,8 @@ from .plants import design_settings, fig1_weights, plant_at, vehicle_at
 from .schedule import FrozenLoop, fit_by_pairs
 
 FEWEST_PAIRS, MOST_PAIRS = 2, 19
-"""Of poles, for each demand: fewer than the vehicle and the reference model have between them cannot do the
-job."""
+"""Numbers of pole pairs for each demand; fewer than those of vehicle and reference model together do not
+suffice."""
 PATIENCE = 2
 """Pairs tried beyond the best number so far."""
 CERTIFICATE_RTOL = 1e-6
@@ -61,7 +61,8 @@ FLOOR_RTOL = 1e-9
 OFF_GRID = 24
 """Seeded speeds between the nodes at which the design is checked, in addition to nodes and midpoints."""
 DESIGN_SHARES, FROZEN_SHARES, VERIFY_SHARES = (9, 1, 1), (1, 15, 1), (4, 1, 4)
-"""Rough shares of the work: frozen and moving speed, margins; up to the poles, poles, proofs; frozen and
+"""Approximate shares of the work: frozen and moving speed, margins; up to the poles, poles, proofs; frozen
+and
 moving, margins."""
 A_T_RTOL, STEPS = 0.01, 8
 LARGER_STEP = 0.8

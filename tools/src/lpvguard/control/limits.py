@@ -30,7 +30,7 @@ KAPPAS = (1.0, 1.5, 2.0, np.inf)
 SPEEDS = 4
 """Nodes, ends included."""
 ENERGY_RTOL, LEVEL_RTOL = 1e-5, 1e-4
-"""Largest relative differences between stated numbers and those proved anew."""
+"""Largest relative differences between stated numbers and those proved again."""
 
 
 @dataclass(frozen=True)

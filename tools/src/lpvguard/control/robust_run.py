@@ -27,7 +27,7 @@ from ..engine.synthesis.worst_case import close_delta, worst_case
 QUANTISATION = 1e-4
 """Stated effect of float32 in z, relative to the input's norm; it is measured, too."""
 STEPS, WORST_STEPS, DECAY = 3000, 12000, 1000
-"""Samples of a draw, of the worst case, and of these how many at the end without input."""
+"""Samples of a draw and of the worst case, and the samples at the latter's end without input."""
 POLES_RAD_S = (0.02, 60.0)
 """Range of the sampled Delta's poles."""
 

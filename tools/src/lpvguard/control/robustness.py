@@ -34,15 +34,15 @@ from ..vehicle.nominal import NominalModel
 from .plants import design_settings, fig1_weights, plant_at, vehicle_at
 
 FOUND_RTOL, EXACT_RTOL = 2e-3, 1e-5
-"""Largest relative difference between a stated number and the one computed anew: of a bound that cells or a
-search find, and of a norm."""
+"""Largest relative difference between stated and computed numbers: of a bound by cells or a search, and of
+a norm."""
 LOOSE = {"mu_interval", "worst_gain", "worst_gain_found"}
 UPPER = ("mu_interval", "worst_gain")
-"""Upper bounds: a stated one may exceed the one proved anew by FOUND_RTOL, and may not be below it."""
+"""Upper bounds: a stated one may exceed the proved one by FOUND_RTOL, and may not be below it."""
 PROVED_RTOL = 1e-9
 """Rounding of a stated upper bound."""
 SCALING_NODES, SCALING_STEPS = 3, 60
-"""Pairs of neighbours for which the units of the nu-gap are searched, and steps of that search."""
+"""Pairs of neighbours for which the units of the nu-gap are searched, and steps of the search."""
 
 
 @dataclass(frozen=True)

@@ -34,7 +34,7 @@ ROUNDS = 3
 DRAWN = 12
 """Number of Delta drawn for the triangles."""
 LADDER, PRECISION = 4.0, 1.3
-"""Factors between rates tried: at first, and at the end."""
+"""Factors between tried rates: at first, and at the end."""
 
 
 @dataclass(frozen=True)

@@ -26,8 +26,10 @@ LITTLE, SURE = 0.1, 0.02
 """Shares of the output's variance. A drive that leaves no more than LITTLE is explained; with an unknown at
 the end of its range, no more than SURE."""
 MUCH, NOTHING = 0.6, 0.9
-"""Shares of the same, in the mean over drives: where one reading alone leaves no more than MUCH, and the
-drives as they are and every other reading NOTHING and more, that reading is named."""
+"""Shares of the same, averaged over drives, at which one reading is named.
+
+It leaves no more than MUCH. The recorded drives and every other reading leave NOTHING or more.
+"""
 BETTER = 0.25
 """A reading is better if it leaves no more than this share of the recorded drive's remainder."""
 AS_GOOD = 1.5

@@ -222,7 +222,7 @@ class Deciders:
 
 
 FIRST, REST = "_first", "_rest"
-"""What a part has of a bound beside its value, for Deciders."""
+"""Fields of a part for Deciders, in addition to a bound's value."""
 
 
 def _decided(key: str, values: np.ndarray, s: FrameSet, estimator: Estimator, out: Part) -> None:

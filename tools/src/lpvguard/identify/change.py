@@ -38,9 +38,11 @@ PRIOR = 0.2
 SMALLEST = 1e-2
 """Floor of a part's size over the rms of yhat_j: an error of 1 % does not count."""
 FLOOR, UNSTATED_FLOOR = 0.05, 1.1
-"""Of the threshold, and of one that no alpha is stated for: that stays above the largest on the drives that
-set the bounds. The core drops a block beside which it has no time (change.h), the definition here none: on
-the largest ratios of three vehicles' drives that made 6 % at most."""
+"""Least threshold, and least one without alpha, which stays above the largest of the bound-setting drives.
+
+The core drops a block for which it has no time (change.h), the definition here none. On the largest ratios of
+three vehicles' drives that made 6 % at most.
+"""
 UPPER = ((0, 0, 0, 1, 1, 2), (0, 1, 2, 1, 2, 2))
 """Rows and columns of the upper triangle of a symmetric matrix of three."""
 

@@ -18,8 +18,10 @@ from .run import Identification
 ONE_FRAME = 1.1
 """Ratio of a number to its value without one frame from which that frame decides it."""
 OUTLYING, FEWEST_TO_COMPARE = 3.5, 5
-"""A score lies outside the others whose logarithm is so many standard deviations above their median, the
-deviation by the median one (Iglewicz and Hoaglin's modified z-score); among so many scores at least."""
+"""Number of deviations above the median of the scores' logarithms from which a score is an outlier.
+
+The deviation is the median one (Iglewicz and Hoaglin's modified z-score), among at least so many scores.
+"""
 
 
 class Decision(NamedTuple):

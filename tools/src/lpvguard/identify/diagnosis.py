@@ -36,8 +36,8 @@ from .change import BLOCK, FIRST_BLOCK_END, block_means
 WINDOW_S = 10.0
 """Settled driving after an alarm from which causes are judged."""
 DELAYS, MOST_STRIDE, REACH_S = 6, 4, 0.5
-"""Delays that are tried (LPVG_DIAGNOSIS_DELAYS), blocks between them at most, and how far they reach at
-least, where the stride allows."""
+"""Delays that are tried (LPVG_DIAGNOSIS_DELAYS), most blocks between them, and their least reach, if
+possible."""
 CELL_S = 0.8
 """Cell of the ring before an alarm, which dates the onset."""
 PARTS = 4
@@ -49,8 +49,10 @@ FITS = float(chi2.ppf(0.99, PARTS - 1))
 MARGIN = 2.0
 """Margin of the best cause over the next: chi-squared, a likelihood ratio of e."""
 ROUGHER, STILLER, STILLEST = 4.0, 0.05, 0.01
-"""Noise is four times the largest healthy mean square within blocks; a frozen output moves by less than a
-twentieth of the least, and less than a hundredth of what the model says."""
+"""Noise is four times the largest healthy mean square within blocks.
+
+A frozen output moves by less than a twentieth of the least, and less than a hundredth of the model's.
+"""
 KEPT = (0.0, 0.9, 0.99)
 """Shares of the spread that one drive may keep. Of two windows a share below 0.9 makes no interval half as
 wide: it counts as none."""
@@ -58,7 +60,7 @@ GAP = 3
 """Windows, each of which begins in the middle of the one before, from the end of a past to the window it
 foretells: half a window lies between them, as before an alarm in the mean."""
 STEPS, FEWER_STEPS = 200, 20
-"""Of expectation and maximisation, from nothing, and from what nearly the same windows gave."""
+"""Steps of expectation and maximisation, from nothing, and from the result of nearly the same windows."""
 
 
 @dataclass(frozen=True)

@@ -43,7 +43,7 @@ from .passes import DriveReader
 PERIODS = (4, 8, 16, 32)
 """Lengths of frames; each doubles the one before."""
 AR_ORDER, AR_FLOOR = 8, 1e-6
-"""Order of the whitening filter, and the white share that keeps it from amplifying what is 60 dB below."""
+"""Order of the whitening filter, and the white share that limits its gain to 60 dB."""
 STEP = 10 ** (1 / 12)
 """Approximate distance between frequencies of the grid."""
 HIGHEST = 0.2
@@ -51,8 +51,8 @@ HIGHEST = 0.2
 FEWEST_FRAMES = 8
 """A cell with fewer independent frames is pooled with its neighbour."""
 LEAST_FRAMES, FEW_LEVEL = 3.0, 1e-4
-"""What the pool of all cells must have to say anything, and the level at which fewer than FEWEST_FRAMES are
-judged by the F distribution."""
+"""Fewest frames in the pool of all cells, and the level of the F distribution for fewer than
+FEWEST_FRAMES."""
 INDEPENDENT = 1 / 1.056
 """Independent frames per Hann frame at half overlap."""
 LEVEL = 0.05

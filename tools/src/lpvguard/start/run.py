@@ -34,7 +34,7 @@ from .templates import TEMPLATES, Scale
 
 COLUMNS = {"speed": "v", "input": "delta", "output": "r"}
 SPIKE, USUAL = 2.0, 0.999
-"""So many times the largest of this share of the samples is no measurement."""
+"""A sample above SPIKE times the largest of the share USUAL of the samples is no measurement."""
 LONGEST_STEP_S = 0.5
 """A longer step between samples is a gap, as for `ingest`, and not a slow rate."""
 RATES_HZ = (1000.0, 500.0, 200.0, 100.0, 50.0, 40.0, 25.0, 20.0, 10.0, 5.0)

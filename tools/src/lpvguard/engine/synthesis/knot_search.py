@@ -25,7 +25,7 @@ from lpvguard.engine.synthesis.statespace import StateSpace
 from lpvguard.engine.synthesis.storage_grid import parts_in
 
 FIRST_WEIGHT, NEXT_FACTOR = 10.0, 5.0
-"""Weight of what F lacks over the number of its rows: at first, and its factor once near the centre."""
+"""Weight of F's deficit over the number of its rows: at first, and its factor once near the centre."""
 STEPS = 60
 """Steps of Newton's method after which a rate counts as not found."""
 OUT_OF_REACH = 2.0

@@ -54,8 +54,10 @@ COST = 1e-4
 It acts against log det F from about 1e4 times that mean on. Gains of P beyond are lost between the speeds.
 """
 KNOT_PARTS, SPEED_PARTS = 2, 4
-"""Segments of P in every interval between nodes, and parts of a segment between the speeds asked: with knots
-at the nodes alone there is no P for the truck's rate."""
+"""Segments of P in every interval between nodes, and parts of a segment between the speeds.
+
+With knots at the nodes alone there is no P for the truck's rate.
+"""
 COARSE_SHARE = 0.25
 """Share of the rate up to which the nodes are enough knots; the cost of a step grows with the knots."""
 GRID_SHARE = 0.99

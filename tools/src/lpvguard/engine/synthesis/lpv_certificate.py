@@ -52,8 +52,9 @@ FIRST_CELLS = 2
 MOST_CELLS = 1000
 """Cells after which a proof is given up: it would take too long to be repeated at every export."""
 FIRST_RATE, LARGEST_RATE, SMALLEST_RATE = 0.25, 8.0, 0.015
-"""Rates |dv/dt| tried [m/s^2]: from the first by factors of four, no further than these; a truck brakes with
-less than the largest."""
+"""Rates |dv/dt| tried [m/s^2]: the first one, then by factors of four, up to these; a truck brakes with less
+than
+the largest."""
 SHARES = (0.95, 0.7, 0.5)
 """Shares of the grid's rate that are tried in the proof between its speeds; the last one for Riccati
 solutions, which vary irregularly between the knots."""

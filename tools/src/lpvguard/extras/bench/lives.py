@@ -37,7 +37,8 @@ DURATION_S = 110.0
 SPEEDS_MPS = (5.0, 15.5)
 SIZES = (11, 100)
 DRIFT, LEAST_GAIN, STATED_GAIN, WITHIN = 100, 0.9, 0.92, 30
-"""Recordings over which the gain falls, to what; found in time is within so many after the stated gain."""
+"""Recordings over which the gain falls, its end value, and the gain and recordings that define "found in
+time"."""
 HEALTHY_BEFORE = (0, 500)
 WORST = 0.05
 AGAIN = 100

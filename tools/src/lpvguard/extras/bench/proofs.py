@@ -26,7 +26,7 @@ from ._trials import NEAR, Trial, Trials
 
 LOOPS, SEED, SAMPLES = 500, 21, 3000
 LARGEST_MPS2, SMALLEST_MPS2 = 50.0, 0.015
-"""Rates between which a violation is searched for; a vehicle brakes with a fifth of the largest."""
+"""Range of rates in the search for a violation; a vehicle brakes with a fifth of the largest."""
 WANTED = 0.5
 """Proved rate over least violating rate."""
 

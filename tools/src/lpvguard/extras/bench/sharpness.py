@@ -42,7 +42,7 @@ from ._left_out import left_out, left_out_table
 from ._multibody import multibody_drives, multibody_error, multibody_project
 
 FEWEST, MOST = 5, 40
-"""Drives of a set."""
+"""Fewest and most drives of a set."""
 SHORTEST_S, LONGEST_S = 60.0, 150.0
 GAIN, DELAY_S = 0.02, 0.008
 """Standard deviations of drives' gains and delays, where they deviate."""

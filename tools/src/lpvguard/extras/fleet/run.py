@@ -24,7 +24,7 @@ from .state import FleetState, Member, Terms
 from .wealth import Life
 
 JUDGED_S, ALPHA, ETA = 60.0, 0.05, 0.05
-"""What is taken where nothing is stated."""
+"""Defaults."""
 CALIBRATED = "calibrated"
 
 

@@ -50,7 +50,7 @@ from ...core.compiled import SUPERVISION
 from ...vehicle.project import Project
 
 OFF, HOLD, LIVE = (SUPERVISION.index(state) for state in ("off", "hold", "live"))
-"""lpvg_can_state_t, the worse the smaller."""
+"""lpvg_can_state_t; a smaller value is worse."""
 HOLD_MISSED, OFF_MISSED = 3, 5
 SCORE_OFF, RECOVER_FRAMES, COUNTER_STEP = 5, 5, 5
 WINDOW, WINDOW_BAD = 16, 8

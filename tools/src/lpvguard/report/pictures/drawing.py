@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 Arguments = ParamSpec("Arguments")
 
 INK, RULE, PAPER = "#010203", "#040506", "#070809"
-"""Stand-ins that become CSS variables; no other element may use them."""
+"""Placeholders for CSS variables; no other element may use them."""
 BLUE, SKY, GREEN, RED, ORANGE, PINK, POINTS = (
     "#1b84c6",
     "#56b4e9",

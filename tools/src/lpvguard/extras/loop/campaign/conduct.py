@@ -30,7 +30,7 @@ LINE_SHARE = 0.6
 LINE_KEPT = 0.7
 """Least share of its amplitude that a steady line keeps from one window to the next."""
 WINDOW_S, HIGHEST_RADPS, BAND_GAP_RADPS = 20.0, 60.0, 1.0
-"""Of a search for lines: its windows, where it ends, and how far above the commanded band it begins."""
+"""Search for lines: its windows, its upper end, and the start of its range above the commanded band."""
 LOBE = 2
 """Half the main lobe of a Hann window in samples of its spectrum."""
 
