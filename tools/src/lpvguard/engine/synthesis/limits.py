@@ -1,4 +1,4 @@
-"""What no controller can do: a lower bound of μ over all controllers of a plant, frequency by frequency.
+"""Lower bound of μ over all controllers of a plant, frequency by frequency.
 
 At one frequency a controller is any matrix Q in M = M11 + M12 Q M21, and for a given D (Parrott 1978)
 
@@ -32,10 +32,13 @@ BOXES_AT_ONCE, MOST_ROUNDS = 128, 150
 
 @dataclass(frozen=True)
 class Floor:
-    """No controller, whatever its order, has a D-scaled μ bound below ``value`` at ``frequency`` [rad/s], |ln
-    d_i| ≤ WIDEST.
+    """Lower bound of every controller's D-scaled μ bound.
 
-    ``at``: the least bound that was met while searching, value ≤ infimum ≤ at.
+    Attributes
+    ----------
+    value : float, the bound, for |ln d_i| ≤ WIDEST and any order
+    at : float, least bound met in the search, value ≤ infimum ≤ at
+    frequency : float, rad/s
     """
 
     value: float
@@ -44,8 +47,22 @@ class Floor:
 
 
 def mu_floor(plant: GeneralisedPlant, omega=GRID, rtol: float = 2e-5) -> Floor:
-    """The highest floor over the frequencies ``omega`` [rad/s] (those above Nyquist are left out), to
-    ``rtol``."""
+    """Compute the highest floor over frequencies.
+
+    Parameters
+    ----------
+    plant : GeneralisedPlant
+    omega : array_like (K,), rad/s, those above Nyquist are left out
+    rtol : float, relative accuracy, default 2e-05
+
+    Returns
+    -------
+    Floor
+
+    References
+    ----------
+    THEORY 6, (T14); Parrott 1978.
+    """
     omega = np.atleast_1d(np.asarray(omega, dtype=float))
     omega = omega[omega * plant.system.dt <= np.pi]
     best = Floor(0.0, 0.0, float(omega[0]))
@@ -104,7 +121,7 @@ class _Frequency:
         return min(least, values.min(initial=np.inf), best), best
 
     def exceeds(self, level: float) -> bool:
-        """Whether the infimum over D is known to lie above ``level``."""
+        """Whether the infimum over D is known to exceed ``level``."""
         low, high = np.full((1, self.dim), -WIDEST), np.full((1, self.dim), WIDEST)
         values, new = self.bound(low, high), 1
         for _ in range(MOST_ROUNDS):

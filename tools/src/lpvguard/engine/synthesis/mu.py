@@ -54,17 +54,13 @@ class MuBounds:
 
     Attributes
     ----------
-    upper : float
-        Proved by ``proof``.
-    lower : float
-        Attained at ``omega`` by ``delta``, shape (Σrows, Σcols), which makes I − M Δ singular with
-        max_i σ̄(Δ_i) = 1 / ``lower``; ``delta`` is None for a lower bound of 0.
-    omega : float
-        Frequency in rad/s; of a matrix 0.
-    proof : tuple of Part
-        In continuous time, of a discrete loop by the bilinear map.
-    size : float
-        ‖M‖, the largest over the interval where that was looked at; a bound far below it counts as 0.
+    upper : float, proved by ``proof``
+    lower : float, attained at ``omega`` by ``delta``
+    omega : float, rad/s, for a matrix 0
+    delta : ndarray (Σrows, Σcols) of complex, or None for a lower bound of 0
+        It makes I − M Δ singular with max_i σ̄(Δ_i) = 1 / ``lower``.
+    proof : tuple of Part, in continuous time, for a discrete loop by the bilinear map
+    size : float, ‖M‖, the largest over the interval where evaluated; a bound far below it counts as 0
     """
 
     upper: float
@@ -92,15 +88,22 @@ def mu_bounds(M: np.ndarray, blocks: Sequence[Block], rtol: float = 1e-8) -> MuB
 
     Parameters
     ----------
-    M : ndarray, shape (Σcols, Σrows)
-    blocks : sequence of Block
-    rtol : float
-        Accuracy of the scalings' bound. With real blocks the gap aimed at is ``REAL_RTOL``.
+    M : ndarray (Σcols, Σrows) of complex
+    blocks : Sequence[Block]
+    rtol : float, accuracy of the scalings' bound, default 1e-8; with real blocks the target is ``REAL_RTOL``
+
+    Returns
+    -------
+    MuBounds
 
     Raises
     ------
     SynthesisError
-        M is not finite, its shape is not that of the blocks, or no bound could be proved.
+        If M is not finite, its shape does not fit the blocks, or no bound could be proved.
+
+    References
+    ----------
+    THEORY 6.
     """
     M = np.asarray(M, dtype=complex)
     structure = Structure(tuple(blocks))
@@ -141,20 +144,24 @@ def mu_interval(
 
     Parameters
     ----------
-    loop : StateSpace
-        Stable, with Σcols outputs and Σrows inputs.
-    blocks : sequence of Block
-    low, high : float
-        Interval in rad/s. The last may be infinite, or in discrete time pi / dt.
-    rtol : float
-        Gap aimed at.
-    least : float
-        Level from which the search begins: ``upper`` is that level where it can be proved.
+    loop : StateSpace, stable, with Σcols outputs and Σrows inputs
+    blocks : Sequence[Block]
+    low, high : float, rad/s, high may be infinite, or in discrete time pi / dt
+    rtol : float, target of the gap
+    least : float, start of the search, default 0.0; ``upper`` is that level where it can be proved
+
+    Returns
+    -------
+    MuBounds
 
     Raises
     ------
     SynthesisError
-        The loop is not stable or of another shape than the blocks, or no bound could be proved.
+        If the loop is not stable, its shape does not fit the blocks, or no bound could be proved.
+
+    References
+    ----------
+    THEORY 6.
     """
     structure = Structure(tuple(blocks))
     G, first, last, unwarped = continuous_interval("mu_interval", loop, structure, low, high)

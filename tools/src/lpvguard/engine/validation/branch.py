@@ -54,7 +54,7 @@ class Incumbent:
         self.offer(polish(self._problem, z))
 
     def start(self, points: Sequence[np.ndarray]) -> float:
-        """Offer the points and what a local search makes of them; the least cost before any search."""
+        """Offer the points and their local improvements; returns the least cost before any search."""
         for z in points:
             self.offer(z)
         raw = self.cost

@@ -98,7 +98,7 @@ def real_matrix(rng: np.random.Generator) -> tuple[Problem, float]:
 
 
 def repeated(rng: np.random.Generator) -> tuple[Problem, float]:
-    """Repeated scalars alone or side by side: the largest |eigenvalue|, real ones for real scalars."""
+    """Repeated scalars, alone or together: μ is the largest |eigenvalue|, of real ones for real scalars."""
     parts, blocks, best = [], [], 0.0
     for _ in range(int(rng.integers(1, 4))):
         size = int(rng.integers(1, 4))
@@ -222,7 +222,7 @@ def several_real(rng: np.random.Generator) -> tuple[Problem, float]:
 
 
 def repeated_real(rng: np.random.Generator) -> tuple[Problem, float]:
-    """One real scalar that stands twice or three times: M is triangular in disguise."""
+    """One real scalar, two or three times: M is triangular in other coordinates."""
     drawn = [_lags(rng) if rng.random() < 0.6 else _twins(rng) for _ in range(int(rng.integers(2, 4)))]
     A, B, C, D = _joined(rng, [part[:3] for part in drawn], True)
     T = np.linalg.qr(rng.standard_normal(D.shape))[0]
@@ -278,6 +278,6 @@ FAMILIES: dict[str, list[Family]] = {
 
 
 def problems(family: Family, count: int, seed: int, first: int = 0) -> Iterator[tuple[Problem, float]]:
-    """Yield ``count`` problems of ``family`` with their μ, from the one of number ``first`` on."""
+    """Yield ``count`` problems of ``family`` with their μ, from number ``first`` on."""
     for index in range(first, first + count):
         yield family(np.random.default_rng([seed, index]))

@@ -1,9 +1,9 @@
-"""Bounds of μ and of the H∞ optimum where they are known by algebra: false, loose, refused answers, counted.
+"""Bounds of μ and of the H∞ optimum with known values: false, loose and refused answers, counted.
 
-Each family draws its problems from a seed; ``solve`` answers them as it answers anybody's. An answer is false
+Each family draws its problems from a seed, and ``solve`` answers them like any problem. An answer is false
 where its upper bound lies below the value or its lower bound above it, by more than rounding. It is loose
-where it does not say that it is, or where its bounds are more than 1 % apart with at most four real scalars.
-A refused problem got an error. The same seed gives the same table.
+where it does not say so, or where its bounds are more than 1 % apart with at most four real scalars. A
+refused problem got an error. The same seed gives the same table.
 """
 
 from __future__ import annotations

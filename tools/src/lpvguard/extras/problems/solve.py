@@ -226,10 +226,8 @@ def compare(problem: dict, answer: dict) -> Comparison:
 
     ``|x - ref| <= rtol max(|ref|, 1e-9 scale)``, arrays by their largest element, scale = ||E|| for B1 and 1
     otherwise; brackets and mu by one-sided rules. A reference with status ``error`` wants an error. One floor
-    is
-    added to the written rule: a B1 below the rounding of its own data (DATA_ROUNDING ||E||) cannot be
-    distinguished
-    from zero, and the reference values there are rounding themselves.
+    is added to the written rule: a B1 below the rounding of its own data (DATA_ROUNDING ||E||) cannot be
+    distinguished from zero, and the reference values there are rounding themselves.
     """
     ref = problem.get("answer") if isinstance(problem, dict) else None
     if not isinstance(ref, dict):

@@ -35,8 +35,7 @@ def visit(
     """Replay a drive, keep its counted frames and longest stretches in ``visits``, and return its summary.
 
     yhat (N, n_y) is the nominal output. ``key`` is the id of its section and name of its picture, unique on
-    the
-    page.
+    the page.
     """
     replay = replayer.replay(drive)
     frames = replay.run.frames
