@@ -182,6 +182,27 @@ def test_an_interval_that_its_explanation_does_not_attain_is_an_error(problem, p
     assert answer["status"] == "error" and "_upper: not proved" in answer["error"]
 
 
+@pytest.mark.parametrize("problem", [LFT, LFT | {"lambda_w": [0.5, 0.5]}, LFT_MARGIN])
+def test_a_lower_bound_that_is_not_proved_anew_is_an_error(problem, monkeypatch):
+    from lpvguard.engine.validation import lft
+
+    stem = "t" if problem["kind"] == "lft_margin" else "J"
+    right, search = solve.solve_problem(problem), lft.minimise
+    monkeypatch.setattr(lft, "_one_block", lambda *_: None)
+    for above, proved in ((0.999, True), (1.001, False)):
+
+        def planted(*args, above=above, **options):
+            interval = search(*args, **options)
+            return replace(interval, lower=above * interval.upper)
+
+        monkeypatch.setattr(lft, "minimise", planted)
+        answer = solve.solve_problem(problem)
+        if proved:
+            assert 0.999 * right[f"{stem}_lower"] <= answer[f"{stem}_lower"] <= right[f"{stem}_upper"]
+        else:
+            assert "the lower bound: not proved" in answer["error"]
+
+
 def test_lambda_w_p12_p22_and_a_missing_side_answer():
     rich = LFT | {
         "P12": [[[0.1, 0], [0, 0.1]]],
