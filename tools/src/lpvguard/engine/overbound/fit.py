@@ -39,8 +39,7 @@ class OverboundFit:
     """A fitted weight and how good it is.
 
     ``worst_ratio_db``: proved upper limit of sup |W|/bound, 20 log10.
-    ``lp_optimum_db``: level proved infeasible for this order, up to the LP solver's 1e-9. The fit is within
-    ``worst_ratio_db - lp_optimum_db`` of the best there is.
+    ``lp_optimum_db``: the LP solver finds no weight of this order below it, to its 1e-9. It bounds nothing.
     ``inflation``: the final scalar gain, already in ``weight``.
     ``certificate``: ``Certificate.to_dict()``.
     ``ratios_db``: worst ratio reached per order tried.
