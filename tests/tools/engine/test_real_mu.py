@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from lpvguard.bench import _mu_families
 from lpvguard.bench._mu_families import problems
 from lpvguard.bench.bounds import FAMILIES, bench_bounds, table
 from lpvguard.engine.blocks import Block
@@ -104,6 +105,23 @@ def test_no_answer_is_false_loose_or_refused(kind, family, monkeypatch):
     assert (row.count, row.false) == (COUNT, 0), row
     assert row.loose == 0, row
     assert row.unresolved + row.refused <= (1 if family.__name__ == "dense_companion_weight" else 0), row
+
+
+@pytest.mark.parametrize(
+    ("family", "seed", "index"),
+    [
+        pytest.param("similar", 77, 23, id="blocks in units 1e8 apart: mu is not zero"),
+        pytest.param("repeated_real", 2026, 9, id="eigenvalues that are nearly real all around 0"),
+        pytest.param("interval_polynomial", 2026, 17, id="rows of M that vanish at 0"),
+    ],
+)
+def test_what_once_resisted_is_resolved(family, seed, index):
+    problem, value = next(problems(getattr(_mu_families, family), 1, seed, index))
+    answer = solve_problem({"id": index, **problem})
+    assert answer["resolved"] and answer["gap"] < 3e-3
+    assert (
+        answer["mu_lower"] <= value * (1 + 1e-7) and value * (1 - 1e-7) <= answer["mu_upper"] <= 1.003 * value
+    )
 
 
 @pytest.mark.long("60 min: ten thousand problems of each kind")
