@@ -172,7 +172,7 @@ def _proof_table(stored: StoredIdentification) -> str:
             "weight",
             "order",
             "worst |W|/bound, dB",
-            "no weight of this order below, dB",
+            "no weight of this order found below, dB",
             "smallest |W|/bound proved",
             "at, rad/s",
             "proved up to, rad/s",
