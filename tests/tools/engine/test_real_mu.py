@@ -8,9 +8,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lpvguard.extras.bench import _mu_families
-from lpvguard.extras.bench._mu_families import problems
-from lpvguard.extras.bench.bounds import FAMILIES, bench_bounds, table
 from lpvguard.engine.blocks import Block
 from lpvguard.engine.synthesis import mu
 from lpvguard.engine.synthesis.frequency_cells import continuous_interval
@@ -19,6 +16,7 @@ from lpvguard.engine.synthesis.real_boxes import ParameterBox, Part, Prover
 from lpvguard.engine.synthesis.real_crossings import least_parameters, nearest_parameters
 from lpvguard.engine.synthesis.statespace import StateSpace
 from lpvguard.engine.synthesis.structure import Structure
+from lpvguard.extras.bench import _mu_families
 from lpvguard.extras.bench._mu_families import problems
 from lpvguard.extras.bench.bounds import FAMILIES, bench_bounds, table
 from lpvguard.extras.problems.solve import solve_problem
