@@ -32,8 +32,8 @@ def found(identified):
 def test_the_names_are_there_whatever_was_imported_before_and_cost_the_command_line_nothing():
     script = """
 import sys, lpvguard
-assert not {"pandas", "pyarrow", "scipy", "lpvguard.api.identified"} & set(sys.modules)
-import lpvguard.identify.run, lpvguard.replay.run
+assert not {"pandas", "pyarrow", "scipy", "lpvguard.api.identification"} & set(sys.modules)
+import lpvguard.identify.identification, lpvguard.replay.replayer
 assert callable(lpvguard.identify) and callable(lpvguard.replay)
 assert lpvguard.Monitor.__name__ == "Monitor"
 try:

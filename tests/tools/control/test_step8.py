@@ -24,8 +24,8 @@ from lpvguard.drives.tables import list_experiments
 from lpvguard.engine.synthesis.limits import Floor
 from lpvguard.engine.synthesis.table import cell
 from lpvguard.engine.validation import s1
-from lpvguard.identify import run as identification
-from lpvguard.identify.run import StoredIdentification
+from lpvguard.identify import identification as identification
+from lpvguard.identify.identification import StoredIdentification
 from lpvguard.identify.weights import fit_uncertainty
 from lpvguard.report.design_pictures import drawn
 from lpvguard.report.sections.design import design_section

@@ -14,7 +14,7 @@ from lpvguard.evaluate.baseline_study import BaselineStudy, Merit, alarmed
 from lpvguard.evaluate.baselines import GRID, KINDS, Bank, Baseline, Scales, Sizes, regressors
 from lpvguard.evaluate.comparison import DUEL_HEAD, duel_rows, duels
 from lpvguard.evaluate.detection import Injection, median_time, ranking
-from lpvguard.identify import run as identify
+from lpvguard.identify import identification as identify
 from lpvguard.vehicle.nominal import NominalModel
 from lpvguard.vehicle.project import load_project
 

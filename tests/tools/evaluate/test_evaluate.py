@@ -13,14 +13,14 @@ import pytest
 from lpvguard.base.errors import InputError
 from lpvguard.drives.faults import Fault, inject
 from lpvguard.drives.tables import Drive, index_text, list_experiments, read_drive
-from lpvguard.evaluate import run as stage
+from lpvguard.evaluate import evaluation as stage
 from lpvguard.evaluate.comparison import equal_rates
 from lpvguard.evaluate.detection import FaultOutcome, Injection, JudgedClock, margins, refutable
 from lpvguard.evaluate.false_alarms import alarmed_pieces, alarming, piece_starts
-from lpvguard.evaluate.judged import FLOORS
-from lpvguard.identify import run as identify
+from lpvguard.evaluate.judged_drives import FLOORS
+from lpvguard.identify import identification as identify
 from lpvguard.identify.calibration import Calibration, Recordings, calibrate, joint_scores
-from lpvguard.replay.run import Replay, Replayer
+from lpvguard.replay.replayer import Replay, Replayer
 from lpvguard.vehicle.nominal import NominalModel
 from lpvguard.vehicle.project import EvaluationSettings
 

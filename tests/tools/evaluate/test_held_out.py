@@ -16,11 +16,11 @@ from lpvguard.base.errors import InputError
 from lpvguard.base.rates import per_hour, rate
 from lpvguard.cli.evaluation_tables import print_evaluation
 from lpvguard.drives.tables import list_experiments
-from lpvguard.evaluate.judged import calibrations_of, drives_to_judge
-from lpvguard.evaluate.run import evaluate
-from lpvguard.identify import run as identify
+from lpvguard.evaluate.evaluation import evaluate
+from lpvguard.evaluate.judged_drives import calibrations_of, drives_to_judge
+from lpvguard.identify import identification as identify
 from lpvguard.identify.calibration import Recordings
-from lpvguard.replay.run import Replayer
+from lpvguard.replay.replayer import Replayer
 from lpvguard.vehicle.nominal import NominalModel
 from lpvguard.vehicle.project import EvaluationSettings
 

@@ -11,10 +11,10 @@ import pytest
 
 from lpvguard.base.errors import InputError
 from lpvguard.drives.tables import Experiment, list_experiments
-from lpvguard.evaluate.judged import JudgedDrives
-from lpvguard.identify import run as identify
+from lpvguard.evaluate.judged_drives import JudgedDrives
+from lpvguard.identify import identification as identify
 from lpvguard.identify.calibration import ROUNDING, Calibration, Recordings, calibrate
-from lpvguard.identify.run import DriveSet
+from lpvguard.identify.identification import DriveSet
 from lpvguard.vehicle.nominal import NominalModel
 
 SIZES = {"dry": 19, "wet": 12, "snow": 3}

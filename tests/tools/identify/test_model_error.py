@@ -16,7 +16,8 @@ from lpvguard.drives.tables import Drive, list_experiments
 from lpvguard.engine.validation import s1
 from lpvguard.identify import model_error
 from lpvguard.identify.bounds import FrameSet, fold, nominal_error, remainder
-from lpvguard.identify.chosen import Chosen
+from lpvguard.identify.drive_set import Chosen
+from lpvguard.identify.identification import _quiet, identify
 from lpvguard.identify.model_error import (
     BIASED,
     INSTRUMENTAL,
@@ -35,7 +36,6 @@ from lpvguard.identify.model_error import (
 )
 from lpvguard.identify.over_drives import OverDrives
 from lpvguard.identify.passes import DriveReader
-from lpvguard.identify.run import _quiet, identify
 from lpvguard.identify.weights import SMALLEST_NU
 from lpvguard.vehicle.nominal import NominalModel
 from lpvguard.vehicle.project import Project, parse_project

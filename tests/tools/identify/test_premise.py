@@ -16,7 +16,7 @@ from lpvguard.control import design as step8
 from lpvguard.control.frozen import FrozenProblem
 from lpvguard.control.plants import design_settings, fig1_weights, frozen_plant
 from lpvguard.drives.frames import Estimator
-from lpvguard.identify import run as identification
+from lpvguard.identify import identification as identification
 from lpvguard.identify.premise import Least, Premise, premise, require_premise, weight_met
 from lpvguard.identify.weights import Weights, energy_filters
 from lpvguard.vehicle.nominal import NominalModel

@@ -11,11 +11,11 @@ from lpvguard.core.compiled import Core
 from lpvguard.drives.frames import Estimator
 from lpvguard.drives.tables import list_experiments, read_drive
 from lpvguard.identify.export import export_vehicle
+from lpvguard.identify.identification import load
 from lpvguard.identify.over_drives import CUTS, FAR_BELOW
 from lpvguard.identify.passes import DriveReader, energy_pass, judge
-from lpvguard.identify.run import load
 from lpvguard.identify.weights import coefficients_of
-from lpvguard.report.drawn import OfIdentification
+from lpvguard.report.identification_pictures import OfIdentification
 from lpvguard.report.sections.bounds import bound_sections
 from lpvguard.vehicle.nominal import NominalModel
 

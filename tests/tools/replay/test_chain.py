@@ -16,9 +16,9 @@ from lpvguard.core.compiled import Core, shipped_vehicle
 from lpvguard.drives.faults import Fault, inject
 from lpvguard.drives.tables import list_experiments, read_drive
 from lpvguard.evaluate.detection import Injection
-from lpvguard.evaluate.run import evaluate
-from lpvguard.identify import run as stage
-from lpvguard.replay.run import Replayer, excited_samples
+from lpvguard.evaluate.evaluation import evaluate
+from lpvguard.identify import identification as stage
+from lpvguard.replay.replayer import Replayer, excited_samples
 
 FIELDS = {
     "run",

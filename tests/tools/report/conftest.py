@@ -11,9 +11,9 @@ from report_case import Case, vehicle, write_drives
 
 from lpvguard.core.compiled import Core
 from lpvguard.drives.tables import list_experiments
-from lpvguard.identify import run as stage
+from lpvguard.identify import identification as stage
 from lpvguard.identify.export import export_vehicle
-from lpvguard.replay.run import Replayer
+from lpvguard.replay.replayer import Replayer
 from lpvguard.vehicle.nominal import NominalModel
 from made import digest_of
 

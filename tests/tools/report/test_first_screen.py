@@ -13,9 +13,9 @@ from report_case import DRIVES, Case
 
 from lpvguard.core.compiled import Core
 from lpvguard.drives.tables import list_experiments
-from lpvguard.identify import run as stage
+from lpvguard.identify import identification as stage
 from lpvguard.identify.export import export_vehicle
-from lpvguard.replay.run import Replayer
+from lpvguard.replay.replayer import Replayer
 from lpvguard.report.blindness import LEVEL, cells, regions, speed_row
 from lpvguard.report.sections.overview import outcome
 from lpvguard.vehicle.nominal import NominalModel

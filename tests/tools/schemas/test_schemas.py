@@ -15,11 +15,11 @@ from lpvguard.can.dbc import dbc_text
 from lpvguard.drives.faults import Fault, inject
 from lpvguard.drives.ingest import ingest
 from lpvguard.drives.tables import list_experiments
-from lpvguard.evaluate.run import evaluate
+from lpvguard.evaluate.evaluation import evaluate
 from lpvguard.extras.loop.sim import load_scenario
 from lpvguard.extras.problems.solve import solve_problems
-from lpvguard.identify import run as identify
-from lpvguard.replay.run import Replayer
+from lpvguard.identify import identification as identify
+from lpvguard.replay.replayer import Replayer
 from lpvguard.vehicle.nominal import NominalModel
 from lpvguard.vehicle.project import EvaluationSettings
 from made import ROOT

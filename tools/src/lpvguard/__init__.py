@@ -28,23 +28,23 @@ __version__ = "0.2.0"
 
 if TYPE_CHECKING:
     from .api import plots as plots
-    from .api.identified import Identified as Identified
-    from .api.identified import identify as identify
-    from .api.identified import load as load
+    from .api.drive_replay import Replayed as Replayed
+    from .api.drive_replay import replay as replay
+    from .api.identification import Identified as Identified
+    from .api.identification import identify as identify
+    from .api.identification import load as load
     from .api.monitor import Monitor as Monitor
-    from .api.replayed import Replayed as Replayed
-    from .api.replayed import replay as replay
     from .base.errors import InputError as InputError
 else:
     from . import identify, replay
 
     _PLACES = {
-        "Identified": ".api.identified",
-        "identify": ".api.identified",
-        "load": ".api.identified",
+        "Identified": ".api.identification",
+        "identify": ".api.identification",
+        "load": ".api.identification",
         "Monitor": ".api.monitor",
-        "Replayed": ".api.replayed",
-        "replay": ".api.replayed",
+        "Replayed": ".api.drive_replay",
+        "replay": ".api.drive_replay",
         "InputError": ".base.errors",
     }
     """Loaded when asked for: the command line starts without them."""

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from ..core.compiled import REASONS, STATUSES, VERDICTS
 from ..vehicle.project import Project
-from .replayed import opened
+from .drive_replay import opened
 
 
 @dataclass(frozen=True)

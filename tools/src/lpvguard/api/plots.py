@@ -25,7 +25,7 @@ from ..base.errors import InputError
 from ..drives.frames import Estimator
 from ..report import design_pictures
 from ..report.blindness import MapCell, cells
-from ..report.drawn import OfIdentification, drive_map
+from ..report.identification_pictures import OfIdentification, drive_map
 from ..report.page import map_page
 from ..report.pictures.detectors import time_to_find
 from ..report.pictures.drawing import Picture
@@ -33,8 +33,8 @@ from ..report.pictures.over_time import Stretch, model_in_time
 from ..report.sections.campaign import drawn_campaign
 from ..report.sections.closed_loop import drawn_run
 from ..vehicle.nominal import NominalModel
-from .identified import Identified
-from .replayed import Replayed
+from .drive_replay import Replayed
+from .identification import Identified
 
 ROW_PX, AROUND_PX = 31, 250
 """Height of a row of the map, and of what stands around them [px]."""

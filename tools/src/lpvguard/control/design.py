@@ -36,13 +36,13 @@ from ..engine.synthesis.errors import SynthesisError
 from ..engine.synthesis.norms import hinf_norm
 from ..engine.synthesis.scheduling import closed_scaled, common_family, common_scaling
 from ..engine.synthesis.statespace import StateSpace, series
+from ..identify.identification import StoredIdentification
 from ..identify.model_error import last_telling
 from ..identify.premise import premise, require_premise
-from ..identify.run import StoredIdentification
 from ..vehicle.design_settings import DesignSettings
 from ..vehicle.nominal import NominalModel
-from .beside import NOTHING, Beside, beside, require_beside
-from .designed import stated_scaling
+from .controller_file import stated_scaling
+from .further_certificates import NOTHING, Beside, beside, require_beside
 from .input_limit import input_limit
 from .moving_speed import Moving, certified, moving_certificates, moving_to_dict, require_moving, tuning
 from .plants import design_settings, fig1_weights, plant_at, vehicle_at

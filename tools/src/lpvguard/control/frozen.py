@@ -12,7 +12,7 @@ from ..base.progress import Counted, Progress
 from ..engine.synthesis.interconnection import STRUCTURES, GeneralisedPlant, PlantWeights
 from ..engine.synthesis.statespace import StateSpace
 from ..engine.synthesis.table import Cell, cell, to_csv
-from ..identify.run import StoredIdentification
+from ..identify.identification import StoredIdentification
 from ..identify.weights import FittedWeight
 from ..vehicle.nominal import NominalModel
 from .plants import design_settings, fig1_weights, plant_at, weight_system

@@ -22,7 +22,7 @@ from ..base.sampling import evenly
 from ..core.scheduled import Scheduled
 from ..engine.synthesis.dk import Scaling
 from ..engine.synthesis.saturation import LimitedLoop
-from ..identify.run import StoredIdentification
+from ..identify.identification import StoredIdentification
 from ..vehicle.nominal import NominalModel
 from .plants import design_settings, fig1_weights, plant_at
 

@@ -33,7 +33,7 @@ from ..engine.synthesis.lpv_certificate import (
 )
 from ..engine.synthesis.scheduling import closed_scaled
 from ..engine.synthesis.statespace import StateSpace, lft
-from ..identify.run import StoredIdentification
+from ..identify.identification import StoredIdentification
 from ..vehicle.nominal import NominalModel
 from .plants import design_settings, fig1_weights, frozen_plant, plant_at
 

@@ -14,7 +14,7 @@ import numpy as np
 from ..base.errors import InputError
 from ..engine.synthesis import interconnection as fig1
 from ..engine.synthesis.statespace import StateSpace, append, gain, series, zero_order_hold
-from ..identify.run import StoredIdentification
+from ..identify.identification import StoredIdentification
 from ..identify.weights import FittedWeight
 from ..vehicle.design_settings import DesignSettings
 from ..vehicle.nominal import NominalModel

@@ -29,7 +29,7 @@ from ..engine.synthesis.nu_gap import nu_gap, nu_margin
 from ..engine.synthesis.statespace import StateSpace, lft
 from ..engine.synthesis.worst_case import worst_case
 from ..engine.synthesis.worst_gain import worst_gain
-from ..identify.run import StoredIdentification
+from ..identify.identification import StoredIdentification
 from ..vehicle.nominal import NominalModel
 from .plants import design_settings, fig1_weights, plant_at, vehicle_at
 

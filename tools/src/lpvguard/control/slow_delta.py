@@ -22,7 +22,7 @@ from ..engine.synthesis.dk import Scaling
 from ..engine.synthesis.interconnection import GeneralisedPlant
 from ..engine.synthesis.slow_delta import SlowLoop
 from ..engine.synthesis.statespace import StateSpace
-from ..identify.run import StoredIdentification
+from ..identify.identification import StoredIdentification
 from ..vehicle.nominal import NominalModel
 from .plants import design_settings, fig1_weights, plant_at
 

@@ -24,7 +24,7 @@ from ..base.progress import Counted, Progress
 from ..drives.frames import Estimator
 from ..engine.validation import s1, s2
 from ..identify.bounds import FrameSet, counted_frames, explain, reduce_disturbance
-from ..identify.run import DriveSet, StoredIdentification
+from ..identify.identification import DriveSet, StoredIdentification
 from ..identify.weights import (
     SMALLEST_NU,
     FittedWeight,

@@ -27,7 +27,7 @@ from ..engine.synthesis.margins import (
     of_samples,
 )
 from ..engine.synthesis.statespace import StateSpace
-from ..identify.run import StoredIdentification
+from ..identify.identification import StoredIdentification
 from ..identify.weights import Weights
 from ..vehicle.nominal import NominalModel
 from .input_limit import turning_limit

@@ -1,4 +1,4 @@
-"""The passes of an identification over its drives: mapped by workers, joined as they come (run.py)."""
+"""The passes of an identification over its drives: mapped by workers, joined as they come."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ from ..drives.tables import (
 from .bounds import Bounds, Deciders, Part, covering, fold, front_grid, undominated
 from .calibration import Calibration, Peak, Recordings, calibrate, require_calibration
 from .change import ChangeTest
-from .chosen import Chosen
-from .chosen import DriveSet as DriveSet
 from .diagnosis import DiagnosisScales
+from .drive_set import Chosen
+from .drive_set import DriveSet as DriveSet
 from .energy import EnergyTest
 from .model_error import FEWEST_FRAMES, FOLDS, ErrorGrid, ModelError, Sums, model_error_pass
 from .passes import (

@@ -1,7 +1,7 @@
 """Raw CAN logs through the compiled receiver: supervision and decoder of lib/, as the ECU would have run
 them.
 
-can/logs.py reads the logs; run.py feeds the monitor with the samples.
+can/logs.py reads the logs; replayer.py feeds the monitor with the samples.
 
 Ticks are one sample period of the vehicle apart. A tick sees the newest accepted value of every signal, as in
 lpvg_ecu_step; nothing is interpolated. There is a sample where every message that carries a signal of the

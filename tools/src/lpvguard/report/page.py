@@ -14,11 +14,12 @@ from pathlib import Path
 
 from .. import __version__
 from ..base import artefacts
-from ..identify.run import DriveSet, StoredIdentification
-from ..replay.run import Alarm, Replayer
+from ..identify.identification import DriveSet, StoredIdentification
+from ..replay.replayer import Alarm, Replayer
 from ..vehicle.project import Project
 from .blindness import cells
-from .drawn import OfIdentification
+from .drive_summary import Told
+from .identification_pictures import OfIdentification
 from .pictures.drawing import files, kept, shared
 from .sections.bounds import bound_sections
 from .sections.campaign import campaign_section
@@ -31,7 +32,6 @@ from .sections.overview import blind_map, overview_section
 from .sections.summary import summary_section
 from .sections.tradeoff import tradeoff_section
 from .sections.visibility import visibility_section
-from .told import Told
 from .visits import Visits
 
 LIBRARIES = ("bokeh", "bokeh-api")

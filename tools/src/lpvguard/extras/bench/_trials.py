@@ -16,7 +16,7 @@ from functools import cached_property, partial
 import numpy as np
 
 from ...base.sampling import evenly
-from ...control import designed
+from ...control import controller_file
 from ...control.limits import largest_step
 from ...control.moving_speed import scaled_families
 from ...control.plants import frozen_plant
@@ -38,7 +38,7 @@ from ...engine.synthesis.saturation import limited_loop
 from ...engine.synthesis.statespace import StateSpace, append
 from ...engine.synthesis.varying import History, OverSpeed, close
 from ...engine.synthesis.worst_case import close_delta, worst_case
-from ...identify.run import StoredIdentification
+from ...identify.identification import StoredIdentification
 
 CONSTRUCTED = 4
 """Nodes at which mu's lower bound constructs a Delta."""
@@ -71,7 +71,7 @@ class Trials:
     def __init__(self, stored: StoredIdentification, document: dict, samples: int, seed: int):
         self.stored, self.samples = stored, samples
         self.stated, self.schedule = document["certificates"], Scheduled.read(document)
-        self.scaling = designed.stated_scaling(document)
+        self.scaling = controller_file.stated_scaling(document)
         self.random = np.random.default_rng(seed)
         self.Ts, self.seed = self.schedule.Ts, seed
         self.unscaled = Scaling(np.zeros((len(self.scaling.log_parameters), 1)))

@@ -20,10 +20,10 @@ from typing import Any
 
 from ...base.parallel import Map, workers
 from ...control import design
-from ...control.exported import export_chosen
+from ...control.controller_export import export_chosen
 from ...control.moving_speed import moving_certificates
 from ...engine.synthesis.cases import case_plant, read_case
-from ...identify import run as identify
+from ...identify import identification as identify
 from ...vehicle.project import load_project
 from . import parser, show
 from ._peers import Peers

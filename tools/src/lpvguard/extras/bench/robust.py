@@ -15,15 +15,15 @@ from typing import Any
 import numpy as np
 
 from ...base.parallel import Map, workers
-from ...control import designed
+from ...control import controller_file
 from ...control.plants import design_settings, frozen_plant
 from ...control.robust_run import QUANTISATION, CompiledController, RobustRun, run
 from ...control.true_loop import CertifiedLoop, MeasuredResponse, TrueLoop
 from ...core.scheduled import Scheduled
 from ...engine.synthesis.dk import certify
 from ...engine.synthesis.margins import NAMES, LoopMargins, shown
-from ...identify import run as identify
-from ...identify.run import StoredIdentification
+from ...identify import identification as identify
+from ...identify.identification import StoredIdentification
 from ..loop.response import frequency_response
 from ..loop.sim import Simulator, load_scenario
 from . import numbers_of, parser, show
@@ -51,8 +51,8 @@ def main(argv: list[str]) -> None:
     )
     given = options.parse_args(argv)
     stored = identify.load(given.identification)
-    document = designed.require_designed_for(stored, given.design / "controller.json")
-    designed.require_exported_with(given.design / "controller.json", given.vehicle)
+    document = controller_file.require_designed_for(stored, given.design / "controller.json")
+    controller_file.require_exported_with(given.design / "controller.json", given.vehicle)
     schedule = Scheduled.read(document)
     asked = amplitudes(given.amplitudes, design_settings(stored).amplitudes)
     runs = certified_runs(stored, document, CompiledController(given.vehicle), given.draws)
@@ -93,7 +93,7 @@ def certified_runs(
     rows = []
     for k, v in enumerate(map(float, speeds)):
         plant = frozen_plant(stored, v)
-        scaling = designed.stated_scaling(document) if plant.blocks else None
+        scaling = controller_file.stated_scaling(document) if plant.blocks else None
         proved = certify(plant, schedule.at(v), scaling)
         share, seed = -(-draws // len(speeds)), stored.project.seed + k
         rows.append(run(compiled, plant, schedule.at(v), v, proved, share, seed))

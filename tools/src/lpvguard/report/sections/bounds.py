@@ -8,10 +8,10 @@ from html import escape
 import numpy as np
 
 from ...drives.frames import Estimator
+from ...identify.identification import StoredIdentification
 from ...identify.model_error import claim, last_telling
-from ...identify.run import StoredIdentification
 from ...identify.weights import DC_STAND_IN, SMALLEST_NU
-from ..drawn import OfIdentification
+from ..identification_pictures import OfIdentification
 from ..markup import captioned
 from ..pictures.over_bins import POINTS_PER_BIN
 from .summary import premise_of

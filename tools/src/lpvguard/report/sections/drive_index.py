@@ -9,8 +9,8 @@ from itertools import groupby
 import numpy as np
 
 from ...core.compiled import VERDICTS
+from ..drive_summary import COLUMNS, Told
 from ..pictures.margin_map import VERDICT_COLOURS
-from ..told import COLUMNS, Told
 from .overview import place
 
 HEAD = (

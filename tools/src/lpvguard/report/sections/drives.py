@@ -11,13 +11,13 @@ from ...drives.tables import Drive
 from ...engine.validation import s1
 from ...fit.quality import of_drive
 from ...identify.bounds import counted_frames
-from ...identify.run import DriveSet, StoredIdentification
+from ...identify.identification import DriveSet, StoredIdentification
 from ...identify.unexplained import left_unexplained
-from ...replay.run import Alarm, Replay, Replayer, excited_samples
-from ..drawn import drive_map
+from ...replay.replayer import Alarm, Replay, Replayer, excited_samples
+from ..drive_summary import Told, course, nearest
+from ..identification_pictures import drive_map
 from ..markup import captioned, html_table, number
 from ..pictures.margin_map import REASON_WORDS, map_key
-from ..told import Told, course, nearest
 from ..visits import Visits, longest_run
 from .drive_index import drive_index
 

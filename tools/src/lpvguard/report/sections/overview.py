@@ -12,12 +12,12 @@ from ...base.claims import claim_words, worst_frozen
 from ...base.errors import InputError
 from ...drives.tables import EXPERIMENTS
 from ...evaluate.comparison import HELD_OUT
+from ...identify.identification import StoredIdentification
 from ...identify.premise import premise
-from ...identify.run import StoredIdentification
-from ...replay.run import Alarm
+from ...replay.replayer import Alarm
 from ..blindness import BLIND, EMPTY, LEVEL, PROVED, VIOLATED, MapCell, Region, cells, regions, speed_row
+from ..drive_summary import Nearest, Told
 from ..markup import number, yes_or_no
-from ..told import Nearest, Told
 
 ALARMS_SHOWN = 4
 UNEXPLAINED_SHOWN = 3

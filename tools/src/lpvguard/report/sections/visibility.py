@@ -8,7 +8,7 @@ import numpy as np
 
 from ...drives.frames import Estimator
 from ...identify.visibility import STATED_GAINS
-from ..drawn import OfIdentification
+from ..identification_pictures import OfIdentification
 from ..markup import captioned, html_table, number, unit_of_norm, yes_or_no
 from ..visits import Visits
 

@@ -7,7 +7,7 @@ the baselines.
     trucks.py      which trucks lie within the bounds by their own frequency response; mu of faulted loops
     one_run.py     one run: simulated, replayed through the core, judged by every detector and off line
     summary.py     the tables from the rows of the runs, and the claims that the campaign contradicts
-    run.py         the campaign: it keeps what is done, and goes on where it was stopped
+    chunked_runs.py  the campaign: it keeps what is done, and goes on where it was stopped
 
 A campaign has two groups of runs of DURATION_S each. Every run is a scenario of its own, drawn from the
 campaign's seed and the number of the run:

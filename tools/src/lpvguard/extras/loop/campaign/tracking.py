@@ -19,7 +19,7 @@ import numpy as np
 from ....control.plants import design_settings, fig1_weights
 from ....engine.synthesis.interconnection import PlantWeights
 from ....engine.synthesis.statespace import StateSpace
-from ....identify.run import StoredIdentification
+from ....identify.identification import StoredIdentification
 from .conduct import STEERING_RADPS, band_rms
 
 

@@ -13,7 +13,7 @@ from ..core.control_coefficients import read_controller
 from ..core.scheduled import Scheduled
 from ..engine.synthesis.dk import Scaling, certify
 from ..engine.synthesis.statespace import StateSpace, series
-from ..identify.run import StoredIdentification
+from ..identify.identification import StoredIdentification
 from .plants import frozen_plant
 
 

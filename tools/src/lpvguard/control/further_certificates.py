@@ -10,7 +10,7 @@ from ..base.parallel import Map
 from ..base.progress import Progress, parts
 from ..core.scheduled import Scheduled
 from ..engine.synthesis.dk import Scaling
-from ..identify.run import StoredIdentification
+from ..identify.identification import StoredIdentification
 from .limits import Limits, limits, require_limits
 from .robustness import Robustness, require_robustness, robustness
 from .slow_delta import Slowness, require_slowness, slowness

@@ -15,11 +15,11 @@ from ..base.errors import InputError
 from ..base.optional import optional
 from ..core.compiled import REASONS
 from ..drives.tables import Drive
-from ..replay.opened import replayer_for
 from ..replay.recordings import KINDS, write_series
-from ..replay.run import Alarm, Recorded, Replay, Replayer
+from ..replay.replayer import Alarm, Recorded, Replay, Replayer
+from ..replay.vehicle_core import replayer_for
 from ..vehicle.project import Project
-from .identified import project_of
+from .identification import project_of
 
 if TYPE_CHECKING:
     import pandas

@@ -13,9 +13,9 @@ import numpy as np
 
 from ..base.optional import optional
 from ..base.parallel import workers
-from ..control.exported import export_chosen
+from ..control.controller_export import export_chosen
 from ..drives.frames import Estimator
-from ..identify import run as stage
+from ..identify import identification as stage
 from ..identify.calibration import Calibration
 from ..identify.weights import Weights
 from ..vehicle.nominal import NominalModel

@@ -54,9 +54,9 @@ from ..vehicle.project import Project, parse_project
 from .bounds import FRONT_POINTS, Bounds, Part, fold
 from .calibration import Calibration
 from .change import ChangeTest
-from .chosen import Chosen
-from .chosen import DriveSet as DriveSet
 from .diagnosis import DiagnosisScales
+from .drive_set import Chosen
+from .drive_set import DriveSet as DriveSet
 from .energy import EnergyTest
 from .model_error import ModelError
 from .model_fit import drive_fit, require_better_than_none

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..drives.tables import Drive
 from ..identify.unexplained import Unexplained
-from ..replay.run import Alarm, Replay, Replayer
+from ..replay.replayer import Alarm, Replay, Replayer
 
 COLUMNS = 60
 """Columns of a drive's course in small."""
