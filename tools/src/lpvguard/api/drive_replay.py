@@ -87,7 +87,7 @@ class Replayed:
         savemat(path, columns)
 
 
-def replay(
+def replay_drive(
     vehicle: str | Path | Project,
     log: str | Path,
     *,
@@ -100,12 +100,12 @@ def replay(
     folder of `lpvguard export` (None: the shipped one). ``channel``: of a raw log with several. Raises
     InputError that names file, place and what was expected.
     """
-    replayer = opened(vehicle, coefficients)
+    replayer = open_core(vehicle, coefficients)
     recorded = replayer.read_file(Path(log), channel)
-    return replayed(replayer, recorded)
+    return replay_recorded(replayer, recorded)
 
 
-def replayed(replayer: Replayer, recorded: Recorded) -> Replayed:
+def replay_recorded(replayer: Replayer, recorded: Recorded) -> Replayed:
     """A recorded drive through an opened core."""
     summary = replayer.replay_recorded(recorded)
     return Replayed(
@@ -113,7 +113,7 @@ def replayed(replayer: Replayer, recorded: Recorded) -> Replayed:
     )
 
 
-def opened(vehicle: str | Path | Project, coefficients: str | Path | None) -> Replayer:
+def open_core(vehicle: str | Path | Project, coefficients: str | Path | None) -> Replayer:
     """The compiled core of a vehicle. InputError where it was made with other settings than the project's."""
     project = project_of(vehicle)
     called = vehicle if not isinstance(vehicle, Project) else f"vehicle {project.name}"

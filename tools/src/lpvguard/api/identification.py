@@ -116,7 +116,7 @@ class Identified:
         return pandas.DataFrame(flat, index=pandas.Index(self.omega, name="omega_rad_s"))
 
 
-def identify(
+def identify_drives(
     vehicle: str | Path | Project, drives: str | Path, *, jobs: int = 1, scheduler: str | None = None
 ) -> Identified:
     """Find bounds, weights and thresholds, as `lpvguard identify` does; ``jobs``: processes that share the
