@@ -22,17 +22,15 @@ import numpy as np
 
 from ..base import artefacts
 from ..base.errors import InputError
-from ..drives.frames import Estimator
 from ..report import design_pictures
 from ..report.blindness import MapCell, cells
-from ..report.identification_pictures import OfIdentification, drive_map
+from ..report.identification_pictures import IdentificationPictures, drive_map
 from ..report.page import map_page
 from ..report.pictures.detectors import time_to_find
 from ..report.pictures.drawing import Picture
 from ..report.pictures.over_time import Stretch, model_in_time
 from ..report.sections.campaign import drawn_campaign
 from ..report.sections.closed_loop import drawn_run
-from ..vehicle.nominal import NominalModel
 from .drive_replay import Replayed
 from .identification import Identified
 
@@ -76,10 +74,10 @@ class BlindMap:
 
 
 @contextmanager
-def _opened(found: Identified) -> Iterator[OfIdentification]:
+def _opened(found: Identified) -> Iterator[IdentificationPictures]:
     """What is drawn of an identification; it reads the folder while it draws."""
     with found.opened() as stored:
-        yield OfIdentification(stored, Estimator.of(stored.project, NominalModel(stored.project)))
+        yield IdentificationPictures(stored, stored.estimator)
 
 
 def _id(name: str) -> str:

@@ -32,7 +32,7 @@ class Nearest:
 
 
 @dataclass(frozen=True)
-class Told:
+class DriveSummary:
     """A replayed drive as overview, index and its own section need it.
 
     ``key``: id of its section. ``role``: what the identification did with it, HTML. ``relevant_s`` and
@@ -96,7 +96,7 @@ def _ratios(replay: Replay, replayer: Replayer) -> tuple[tuple[str, np.ndarray],
 
 
 def course(replay: Replay, replayer: Replayer, t0: float) -> tuple[np.ndarray, np.ndarray]:
-    """Course and verdict of ``Told``, each (COLUMNS,); ``t0``: time of the drive's first sample [s]."""
+    """Course and verdict of a DriveSummary, each (COLUMNS,); ``t0``: time of the drive's first sample [s]."""
     frames, samples = replay.run.frames, len(replay.run.verdict)
     ratio = np.full(COLUMNS, -np.inf)
     counted = frames.counted

@@ -24,7 +24,7 @@ from .pictures.model_error import model_error
 from .pictures.over_bins import Clouds, disturbance_design, excitation, pareto, weights_over_bounds
 
 
-class OfIdentification:
+class IdentificationPictures:
     """The pictures of an identification. Each takes its name, its own on a page."""
 
     def __init__(self, stored: StoredIdentification, estimator: Estimator):

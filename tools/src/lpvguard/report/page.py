@@ -18,8 +18,8 @@ from ..identify.identification import DriveSet, StoredIdentification
 from ..replay.replayer import Alarm, Replayer
 from ..vehicle.project import Project
 from .blindness import cells
-from .drive_summary import Told
-from .identification_pictures import OfIdentification
+from .drive_summary import DriveSummary
+from .identification_pictures import IdentificationPictures
 from .pictures.drawing import files, kept, shared
 from .sections.bounds import bound_sections
 from .sections.campaign import campaign_section
@@ -112,23 +112,23 @@ def _identification_sections(
 ) -> Iterator[str]:
     """The sections that every page has. The drives are read first: some sections show what they hold."""
     visits = Visits()
-    told: list[Told] = []
+    summaries: list[DriveSummary] = []
     rows: list[list[str]] = []
     for name in drives.experiments:
         progress(name)
         drive, _, yhat = drives.load(name)
         if replayer is not None:
-            told.append(visit(visits, stored, replayer, drive, yhat, f"d{len(told)}"))
+            summaries.append(visit(visits, stored, replayer, drive, yhat, f"d{len(summaries)}"))
         else:
             rows.append(visit_plain(visits, stored, drives, drive))
     progress("pictures")
-    drawn = OfIdentification(stored, drives.reader.estimator)
-    yield overview_section(stored, told, replayer is not None, design, evaluation)
+    drawn = IdentificationPictures(stored, drives.reader.estimator)
+    yield overview_section(stored, summaries, replayer is not None, design, evaluation)
     yield summary_section(stored, replayer, drives)
     yield from bound_sections(drawn)
     yield time_section(visits, stored, drives)
     yield visibility_section(visits, drawn)
-    yield drive_section(told, replayer.threshold) if replayer is not None else plain_section(rows)
+    yield drive_section(summaries, replayer.threshold) if replayer is not None else plain_section(rows)
 
 
 def map_page(stored: StoredIdentification, alarms: list[Alarm]) -> str:

@@ -14,7 +14,7 @@ from ...identify.bounds import counted_frames
 from ...identify.identification import DriveSet, StoredIdentification
 from ...identify.unexplained import left_unexplained
 from ...replay.replayer import Alarm, Replay, Replayer, excited_samples
-from ..drive_summary import Told, course, nearest
+from ..drive_summary import DriveSummary, course, nearest
 from ..identification_pictures import drive_map
 from ..markup import captioned, html_table, number
 from ..pictures.margin_map import REASON_WORDS, map_key
@@ -31,7 +31,7 @@ def visit(
     drive: Drive,
     yhat: np.ndarray,
     key: str,
-) -> Told:
+) -> DriveSummary:
     """Replay a drive, keep its counted frames and longest stretches in ``visits``, and return what to tell.
 
     yhat (N, n_y): nominal output. ``key``: id of its section and name of its picture, its own on the page.
@@ -51,7 +51,7 @@ def visit(
     groups = stored.manifest["drives"]
     sets_bounds = drive.name in groups["bounds"]
     used = sets_bounds or drive.name in groups["calibration"]
-    return Told(
+    return DriveSummary(
         key,
         drive.name,
         stored.manifest["drivers"][drive.name],
@@ -222,9 +222,8 @@ def _drive_page(
 {_causes(replay)}</div>"""
 
 
-def drive_section(told: list[Told], threshold: float) -> str:
-    """The section: the index of drives, how to read the maps, then the drives one by one, as ``visit`` told
-    them."""
+def drive_section(summaries: list[DriveSummary], threshold: float) -> str:
+    """The section: the index of drives, how to read the maps, then the drives one by one."""
     key = captioned(
         map_key("key"),
         "<b>How to read the maps.</b> Time runs to the right, a line per bin, DC at the bottom. Each cell is "
@@ -243,5 +242,5 @@ def drive_section(told: list[Told], threshold: float) -> str:
         "not; the verdict “valid” asks for evidence within the longest frame, so a drive can be judged all "
         "along and its verdict still be “not judged”.",
     )
-    sections = "".join(d.section for d in told)
-    return f"<h2>Margin over time and frequency, drive by drive</h2>{drive_index(told)}{key}{sections}"
+    sections = "".join(d.section for d in summaries)
+    return f"<h2>Margin over time and frequency, drive by drive</h2>{drive_index(summaries)}{key}{sections}"

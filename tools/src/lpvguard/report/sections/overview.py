@@ -16,7 +16,7 @@ from ...identify.identification import StoredIdentification
 from ...identify.premise import premise
 from ...replay.replayer import Alarm
 from ..blindness import BLIND, EMPTY, LEVEL, PROVED, VIOLATED, MapCell, Region, cells, regions, speed_row
-from ..drive_summary import Nearest, Told
+from ..drive_summary import DriveSummary, Nearest
 from ..markup import number, yes_or_no
 
 ALARMS_SHOWN = 4
@@ -31,23 +31,23 @@ NEVER = 2.0
 
 def overview_section(
     stored: StoredIdentification,
-    told: list[Told],
+    summaries: list[DriveSummary],
     replayed: bool,
     design: Path | None,
     evaluation: dict | None,
 ) -> str:
-    """The section. ``told``: the replayed drives, none unless ``replayed``; ``design``: folder written by
+    """The section. ``summaries``: the replayed drives, none unless ``replayed``; ``design``: folder of
     `lpvguard design`; ``evaluation``: JSON of `lpvguard evaluate`."""
-    alarms = [(d, a) for d in told for a in d.alarms]
+    alarms = [(d, a) for d in summaries for a in d.alarms]
     grid = cells(stored.visibility, (a for _, a in alarms))
     shown = blind_map(stored, grid, (a for _, a in alarms))
-    return f"""<h2>At a glance</h2>{_headline(grid, told, replayed)}
+    return f"""<h2>At a glance</h2>{_headline(grid, summaries, replayed)}
 <div class="glance" id="glance"><div class="wide">{_good_for(grid)}{shown}</div>
-<div class="cards">{_alarms(told, alarms, _independence(stored, told, evaluation))}\
-{_promise(stored, design)}{_to_do(grid, told)}</div></div>"""
+<div class="cards">{_alarms(summaries, alarms, _independence(stored, summaries, evaluation))}\
+{_promise(stored, design)}{_to_do(grid, summaries)}</div></div>"""
 
 
-def _headline(grid: list[list[MapCell]], told: list[Told], replayed: bool) -> str:
+def _headline(grid: list[list[MapCell]], summaries: list[DriveSummary], replayed: bool) -> str:
     """Whether the model held, and how much of its range that says anything about, in a sentence."""
     flat = [c for row in grid for c in row]
     proved = sum(c.state == PROVED for c in flat)
@@ -55,23 +55,23 @@ def _headline(grid: list[list[MapCell]], told: list[Told], replayed: bool) -> st
     sees = f'<span class="{"" if proved else "no"}">{sees}frequency.</span>'
     if not replayed:
         return f'<p id="headline"><b>Not replayed.</b> {sees}</p>'
-    hours = sum(d.judged_s for d in told) / 3600
-    words = outcome(told)
-    held = yes_or_no(not any(drive.alarms for drive in told), words, words)
+    hours = sum(d.judged_s for d in summaries) / 3600
+    words = outcome(summaries)
+    held = yes_or_no(not any(drive.alarms for drive in summaries), words, words)
     return f'<p id="headline" data-proved="{proved}">{held}, {hours:.2f} h judged. {sees}</p>'
 
 
-def outcome(told: list[Told]) -> str:
+def outcome(summaries: list[DriveSummary]) -> str:
     """What the alarms of the drives say of the model, as text; those of the change test refute no bound
     (THEORY 7.7)."""
-    alarms = [a for drive in told for a in drive.alarms]
+    alarms = [a for drive in summaries for a in drive.alarms]
     if not alarms:
-        return f"Not falsified: no alarm on {len(told)} drives"
+        return f"Not falsified: no alarm on {len(summaries)} drives"
     refuted = any(a.test != "change" for a in alarms)
-    of = sum(bool(drive.alarms) for drive in told)
+    of = sum(bool(drive.alarms) for drive in summaries)
     word = "Falsified" if refuted else "Changed, not falsified"
     found = "1 alarm" if len(alarms) == 1 else f"{len(alarms)} alarms"
-    return f"{word}: {found} on {of} of {len(told)} drives"
+    return f"{word}: {found} on {of} of {len(summaries)} drives"
 
 
 # ------------------------------------------------------------------------------------ good for, and blind to
@@ -213,7 +213,7 @@ def place(test: str, omega: float | None, band: str | None = None) -> str:
     return f"{test} test, {_frequency(omega, ' rad/s')}"
 
 
-def _alarm_row(drive: Told, alarm: Alarm) -> str:
+def _alarm_row(drive: DriveSummary, alarm: Alarm) -> str:
     ratio = alarm.statistic / alarm.threshold
     return (
         f'<tr data-drive="{escape(drive.name)}" data-t="{alarm.t_s:.2f}" data-ratio="{ratio:.4g}">'
@@ -223,7 +223,7 @@ def _alarm_row(drive: Told, alarm: Alarm) -> str:
     )
 
 
-def _nearest_words(drive: Told, near: Nearest, quiet: list[tuple[Told, Nearest]]) -> str:
+def _nearest_words(drive: DriveSummary, near: Nearest, quiet: list[tuple[DriveSummary, Nearest]]) -> str:
     """The drive that came nearest to an alarm of all ``quiet`` ones, and those that came as near."""
     data = {
         "drive": escape(drive.name),
@@ -244,10 +244,12 @@ def _nearest_words(drive: Told, near: Nearest, quiet: list[tuple[Told, Nearest]]
     )
 
 
-def _independence(stored: StoredIdentification, told: list[Told], evaluation: dict | None) -> str:
+def _independence(
+    stored: StoredIdentification, summaries: list[DriveSummary], evaluation: dict | None
+) -> str:
     """What the alarms, or their absence, are worth: whether drives set what they are judged by."""
     groups = stored.manifest["drives"]
-    others = len({d.name for d in told} - set(groups["bounds"]) - set(groups["calibration"]))
+    others = len({d.name for d in summaries} - set(groups["bounds"]) - set(groups["calibration"]))
     words = (
         f"{others} of the drives set neither bounds nor threshold."
         if others
@@ -267,19 +269,19 @@ def _independence(stored: StoredIdentification, told: list[Told], evaluation: di
     )
 
 
-def _alarms(told: list[Told], alarms: list[tuple[Told, Alarm]], worth: str) -> str:
+def _alarms(summaries: list[DriveSummary], alarms: list[tuple[DriveSummary, Alarm]], worth: str) -> str:
     """Card: what alarmed and why, what that is ``worth``, HTML, and the drive that came nearest."""
-    if not told:
+    if not summaries:
         return (
             '<div class="card" id="alarms"><h3>Alarms</h3><p>Not replayed: the core computes Hann frames '
             "only. The exact margins stand drive by drive below.</p></div>"
         )
     worst = sorted(alarms, key=lambda one: -one[1].statistic / one[1].threshold)
-    first: dict[str, tuple[Told, Alarm]] = {}
+    first: dict[str, tuple[DriveSummary, Alarm]] = {}
     for drive, alarm in worst:
         first.setdefault(drive.name, (drive, alarm))
     shown = list(first.values())[:ALARMS_SHOWN]
-    head = f"{len(alarms)} on {len(first)} of {len(told)} drives" if alarms else "None"
+    head = f"{len(alarms)} on {len(first)} of {len(summaries)} drives" if alarms else "None"
     table = (
         '<div class="scroll"><table><thead><tr><th>drive</th><th>worst alarm</th><th>threshold</th>'
         "<th>at</th><th>speed</th></tr></thead>"
@@ -288,7 +290,7 @@ def _alarms(told: list[Told], alarms: list[tuple[Told, Alarm]], worth: str) -> s
         else ""
     )
     more = f"<p>{len(first) - len(shown)} more drives with alarms.</p>" if len(first) > len(shown) else ""
-    quiet = [(d, d.nearest) for d in told if not d.alarms and d.nearest is not None]
+    quiet = [(d, d.nearest) for d in summaries if not d.alarms and d.nearest is not None]
     nearest = max(quiet, key=lambda one: one[1].ratio, default=None)
     words = (
         _nearest_words(*nearest, quiet)
@@ -345,10 +347,10 @@ vehicle within |δ| ≤ W<sub>Δ</sub>. {
     }</p><p>{held}</p></div>"""
 
 
-def _unexplained(told: list[Told]) -> str:
+def _unexplained(summaries: list[DriveSummary]) -> str:
     """The drives that the model does not explain, the worst first, and what to do with them; "" without."""
     found = sorted(
-        ((d, d.unexplained) for d in told if d.unexplained is not None), key=lambda one: one[1].vaf
+        ((d, d.unexplained) for d in summaries if d.unexplained is not None), key=lambda one: one[1].vaf
     )
     if not found:
         return ""
@@ -365,14 +367,14 @@ def _unexplained(told: list[Told]) -> str:
     )
 
 
-def _to_do(grid: list[list[MapCell]], told: list[Told]) -> str:
+def _to_do(grid: list[list[MapCell]], summaries: list[DriveSummary]) -> str:
     """Card: what would make blind cells see, and drives that cost sight."""
     level = _percent(LEVEL)
     flat = [c for row in grid for c in row]
     louder = regions(grid, lambda c: c.state == BLIND and c.floor <= LEVEL)
     empty = regions(grid, lambda c: c.state == EMPTY)
     never = sum(c.state == BLIND and c.floor > LEVEL for c in flat)
-    lines = [line for line in [_unexplained(told)] if line]
+    lines = [line for line in [_unexplained(summaries)] if line]
     if empty:
         lines.append(f"Drive there, nothing was counted:{_listed('to-drive', empty)}")
     if louder:
