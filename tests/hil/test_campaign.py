@@ -20,7 +20,6 @@ from lpvguard.base.errors import InputError
 from lpvguard.base.parallel import workers
 from lpvguard.base.rates import rate
 from lpvguard.core.compiled import Core
-from lpvguard.drives.tables import list_experiments
 from lpvguard.evaluate import baseline_study
 from lpvguard.evaluate.baselines import Baseline
 from lpvguard.evaluate.detection import Injection
@@ -46,9 +45,7 @@ ENDING_SPNS = {520204, 520205}
 @pytest.fixture(scope="module")
 def stored(truck, truck_drives, truck_identified):
     """The truck identified as it is shipped, and its drives."""
-    return identify.load(truck_identified), identify.DriveSet(
-        truck, NominalModel(truck), list_experiments(truck_drives)
-    )
+    return identify.load(truck_identified), identify.DriveSet(truck, NominalModel(truck), truck_drives)
 
 
 @pytest.fixture(scope="module")

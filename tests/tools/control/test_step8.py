@@ -20,7 +20,6 @@ from lpvguard.control.frozen import FrozenProblem
 from lpvguard.control.stored_frames import NEAR, StoredFrames, deciding
 from lpvguard.control.worst_run import respond, worst_runs
 from lpvguard.drives.frames import Estimator
-from lpvguard.drives.tables import list_experiments
 from lpvguard.engine.synthesis.limits import Floor
 from lpvguard.engine.synthesis.table import cell
 from lpvguard.engine.validation import s1
@@ -38,9 +37,7 @@ FULL = os.environ.get("LPVGUARD_FULL") == "1"
 
 @pytest.fixture(scope="module")
 def drives(common_truck, few_truck_drives):
-    return identification.DriveSet(
-        common_truck, NominalModel(common_truck), list_experiments(few_truck_drives)
-    )
+    return identification.DriveSet(common_truck, NominalModel(common_truck), few_truck_drives)
 
 
 def better_known(stored: StoredIdentification) -> StoredIdentification:

@@ -183,7 +183,7 @@ def test_measured_bound_drives_keep_their_margins(measured, g80):
 def test_measured_drives_are_judged_and_seldom_alarm_and_faults_are_found(
     measured, measured_identified, g80, g80_model, few_baselines
 ):
-    drives = stage.DriveSet(g80, g80_model, list_experiments(measured))
+    drives = stage.DriveSet(g80, g80_model, measured)
     table = evaluate(stage.load(measured_identified), drives, Core(shipped_vehicle("g80")))
     core = Core(shipped_vehicle("g80"))
     for e in list_experiments(measured):

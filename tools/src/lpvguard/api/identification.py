@@ -14,11 +14,9 @@ import numpy as np
 from ..base.optional import optional
 from ..base.parallel import workers
 from ..control.controller_export import export_chosen
-from ..drives.frames import Estimator
 from ..identify import identification as stage
 from ..identify.calibration import Calibration
 from ..identify.weights import Weights
-from ..vehicle.nominal import NominalModel
 from ..vehicle.project import Project, load_project
 
 if TYPE_CHECKING:
@@ -136,5 +134,5 @@ def load(folder: str | Path) -> Identified:
     """Read the folder of `lpvguard identify`; every weight is proved above its bound anew, and a changed file
     is an InputError."""
     stored = stage.load(Path(folder))
-    omega = Estimator.of(stored.project, NominalModel(stored.project)).omega
+    omega = stored.estimator.omega
     return Identified(stored.project, stored.folder, omega, stored.fitted, stored.calibration, stored.bounds)

@@ -145,18 +145,16 @@ def stored_with_drives(
 ) -> tuple[StoredIdentification, DriveSet]:
     """The identification and the drives that it was made from. ``vehicle`` None: of whatever vehicle.
     InputError where a drive is not the file that was identified."""
-    from ..drives.tables import list_experiments
     from ..identify import identification as stage
-    from ..vehicle.nominal import NominalModel
 
     stored = stage.load(identification) if vehicle is None else stored_for(identification, vehicle)
-    experiments = list_experiments(folder)
-    for e in experiments:
+    drives = stage.DriveSet(stored.project, stored.model, folder)
+    for e in drives.experiments.values():
         if stored.manifest["sha256"].get(e.name) != artefacts.file_hash(e.path):
             raise InputError(
                 e.path, "", "is not the file that was identified", f"the drives of {identification}"
             )
-    return stored, stage.DriveSet(stored.project, NominalModel(stored.project), experiments)
+    return stored, drives
 
 
 def complain(error: InputError) -> None:

@@ -14,7 +14,7 @@ from ..core.scheduled import Scheduled
 from ..engine.synthesis.dk import Scaling, certify
 from ..engine.synthesis.statespace import StateSpace, series
 from ..identify.identification import StoredIdentification
-from .plants import frozen_plant
+from .plants import DesignProblem
 
 
 def stated_scaling(document: dict) -> Scaling:
@@ -54,7 +54,7 @@ def faulted_performance(
     outputs] before the controller. The bound is inf where the loop is unstable.
     """
     document = artefacts.read_json(path)
-    plant, K = frozen_plant(stored, v), Scheduled.read(document).at(v)
+    plant, K = DesignProblem.of(stored).plant(v), Scheduled.read(document).at(v)
     return certify(
         plant, series(applied, series(K, measured)), stated_scaling(document) if plant.blocks else None
     ).upper

@@ -136,7 +136,7 @@ class CertifiedLoop:
     def __init__(self, stored: StoredIdentification, schedule: Scheduled):
         require_certified_by_W_delta(stored)
         self.stored, self.schedule = stored, schedule
-        self.model = NominalModel(stored.project)
+        self.model: NominalModel = stored.model
         self.outputs = [signal.name for signal in stored.project.outputs]
 
     def amplitudes(self, v: float, asked: Sequence[float]) -> list[float]:

@@ -16,7 +16,7 @@ import numpy as np
 
 from ...base.parallel import Map, workers
 from ...control import controller_file
-from ...control.plants import design_settings, frozen_plant
+from ...control.plants import DesignProblem, design_settings
 from ...control.robust_run import QUANTISATION, CompiledController, RobustRun, run
 from ...control.true_loop import CertifiedLoop, MeasuredResponse, TrueLoop
 from ...core.scheduled import Scheduled
@@ -88,11 +88,11 @@ def certified_runs(
 ) -> list[RobustRun]:
     """The compiled controller in the nominal loop with sampled and worst Delta at some of its speeds;
     ``draws``: of all speeds together."""
-    schedule = Scheduled.read(document)
+    schedule, problem = Scheduled.read(document), DesignProblem.of(stored)
     speeds = schedule.speeds[:: max(1, (len(schedule.speeds) - 1) // 3)]
     rows = []
     for k, v in enumerate(map(float, speeds)):
-        plant = frozen_plant(stored, v)
+        plant = problem.plant(v)
         scaling = controller_file.stated_scaling(document) if plant.blocks else None
         proved = certify(plant, schedule.at(v), scaling)
         share, seed = -(-draws // len(speeds)), stored.project.seed + k
