@@ -358,6 +358,7 @@ void end_lock(lpvg_ecu_t& self) {
     if (self.kept.falsified) {
         self.kept.falsified = false;
         self.kept.on_trial = true;
+        self.trial_us = 0U;
         self.monitor.has_falsified = false;
     }
 }
@@ -525,8 +526,12 @@ void widen_demand(lpvg_ecu_t& self, uint32_t step) {
     self.share = share < Real(1) ? share : Real(1);
 }
 
-// The watch runs while the demand acts. An engagement begins with a share of the demand's limit, which evidence raises.
+// The watch runs while the demand acts, and judges from LPVG_ECU_SETTLE_US after the newest gap on. An engagement begins with a share of
+// the demand's limit, which evidence raises.
 void watch_response(lpvg_ecu_t& self, bool sampled, uint32_t step) {
+    const bool settled = self.settled_us >= LPVG_ECU_SETTLE_US;
+    const bool going = sampled && self.clock.pace != lpvg_ecu_pace_unknown;
+    self.settled_us = going ? self.settled_us + (settled ? 0U : step) : 0U;
     if (!sampled || !self.control.engaged) {
         self.watched = false;
         self.watch.violated = false;
@@ -538,12 +543,13 @@ void watch_response(lpvg_ecu_t& self, bool sampled, uint32_t step) {
         lpvg_watch_start(&self.watch, e);
         self.watched = true;
     }
-    lpvg_watch_take(&self.watch, &self.kept.watch, self.kept.coeff, &self.monitor.model, e, self.control.u);
+    lpvg_watch_take(&self.watch, &self.kept.watch, self.kept.coeff, &self.monitor.model, settled, e, self.control.u);
     widen_demand(self, step);
 }
 
-// A falsified model stays so until it is acknowledged, and locks. Time without doubt begins with the release.
-void judge_falsified(lpvg_ecu_t& self, lpvg_verdict_t said, bool live) {
+// A falsified model stays so until it is acknowledged, and locks. Time without doubt begins with the release. A trial ends with a valid
+// verdict, or with evidence of the watch for as long as its acknowledgement asked for.
+void judge_falsified(lpvg_ecu_t& self, lpvg_verdict_t said, bool live, uint32_t step) {
     const bool anew = self.monitor.has_falsified && self.monitor.t_falsified_us > self.doubted_us;
     if (!live || self.control.engaged || anew) {
         self.doubted_us = self.core_us;
@@ -553,8 +559,9 @@ void judge_falsified(lpvg_ecu_t& self, lpvg_verdict_t said, bool live) {
         self.kept.locked = true;
         self.lock_causes = static_cast<uint16_t>(self.lock_causes | LPVG_ECU_CAUSE_INVALID);
     }
-    if (said == lpvg_verdict_valid && self.control.engaged) {
-        self.kept.on_trial = false;
+    if (self.kept.on_trial && self.control.engaged) {
+        self.trial_us += self.watched && self.watch.evidence ? step : 0U;
+        self.kept.on_trial = said != lpvg_verdict_valid && self.trial_us < LPVG_ECU_CALM_US;
     }
 }
 
@@ -573,7 +580,7 @@ void run_monitor(lpvg_ecu_t& self, bool live, uint32_t step) {
     // Damage may have hit the monitor's pointer to its coefficients.
     const lpvg_verdict_t said = self.kept.corrupt ? lpvg_verdict_fault : lpvg_monitor_verdict(&self.monitor, self.core_us);
     watch_response(self, sampled, step);
-    judge_falsified(self, said, live);
+    judge_falsified(self, said, live, step);
     self.report.verdict = verdict(self, said);
     self.report.statistic = static_cast<float>(lpvg_monitor_frame(&self.monitor)->statistic);
 }

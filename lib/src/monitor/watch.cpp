@@ -56,12 +56,12 @@ extern "C" void lpvg_watch_start(lpvg_watch_t* self, const lpvg_real_t* e) {
 }
 
 extern "C" void lpvg_watch_take(lpvg_watch_t* self, const lpvg_watch_limits_t* limits, const lpvg_coeff_t* coeff, const lpvg_model_t* model,
-                                const lpvg_real_t* e, const lpvg_real_t* u) {
+                                bool settled, const lpvg_real_t* e, const lpvg_real_t* u) {
     Signals signal;
     signal.head<LPVG_NY>() = Eigen::Map<const Outputs>(e);
     signal.tail<LPVG_NY>() = (ConstMap<LPVG_NY, LPVG_NX>(&coeff->reals.C[0][0]) * ConstMap<LPVG_NX, 1>(self->x)).array();
     Eigen::Map<Signals> slow(self->slow);
-    slow += limits->share * (signal - slow);
+    slow += (settled ? limits->share : Real(1)) * (signal - slow);
     const Signals quick = signal - slow;
     lpvguard::step_model(model->entry, self->x, self->past, u);
     self->violated = false;

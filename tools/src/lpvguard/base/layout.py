@@ -1,7 +1,7 @@
-"""The layout of the coefficients: what a vehicle's generated structs hold, stated here and nowhere else.
+"""Layout of the coefficients: the one description of a vehicle's generated structs.
 
-A coefficient struct of the core is 32-bit words, then numbers, under one CRC-32. From the tables COEFF
-(model, estimator, monitor), CONTROL (controller) and DIAGNOSIS (causes of alarms) come
+A coefficient struct of the core is 32-bit words, then numbers, under one CRC-32. The tables COEFF (model,
+estimator, monitor), CONTROL (controller) and DIAGNOSIS (causes of alarms) give
 
     lib/include/lpvguard/coeff.h, controller.h, diagnosis.h   the structs, between the marks ``layout``
     lib/src: the files of CHECKS                 sizes and ranges that the core checks in ``lpvg_coeff_check``
@@ -10,10 +10,10 @@ A coefficient struct of the core is 32-bit words, then numbers, under one CRC-32
                                                  order, shapes and ranges of what is exported
     core/compiled.py                             names and shapes of what is read back
 
-``python -m lpvguard.base.layout`` in a checkout writes the first three; tests/tools/base/test_layout.py fails
-when they differ from the tables. What holds between items of arrays (stable sections, even frames) is checked
-in coeff.cpp and said in a field's meaning. A change of the tables needs a higher ``schema`` of its struct,
-and every vehicle exported again.
+``python -m lpvguard.base.layout`` in a checkout writes the first three. tests/tools/base/test_layout.py fails
+when they differ from the tables. coeff.cpp checks conditions between items of arrays (stable sections, even
+frames), and the field's meaning states them. A change of the tables needs a higher ``schema`` of its struct
+and a new export of every vehicle.
 """
 
 from __future__ import annotations
@@ -270,7 +270,7 @@ def _struct(name: str, kind: str, fields: tuple[Field, ...]) -> list[str]:
 
 
 def header_block(layout: Layout) -> str:
-    """The generated part of the struct's header."""
+    """Generated part of the struct's header."""
     lines = [
         BEGIN,
         f"#define {layout.macro}_MAGIC 0x{layout.magic:08X}U",
@@ -361,7 +361,7 @@ def checks_source(file: str) -> str:
 
 
 def _escaped(text: str) -> str:
-    """Text for a cell of a table."""
+    """Escape text for a cell of a table."""
     return text.replace("|", "\\|")
 
 
@@ -411,8 +411,10 @@ def manual() -> str:
 
 
 def generated(library: Path) -> dict[Path, str]:
-    """Path -> text of every file that follows from the tables, below the core's folder ``library``.
-    InputError where a header has lost its marks."""
+    """Path -> text of every generated file below the core's folder ``library``.
+
+    Raises InputError when a header has lost its marks.
+    """
     files = {library / "src" / file: checks_source(file) for file in CHECKS}
     files[library / "COEFFICIENTS.md"] = manual()
     for layout in LAYOUTS:
@@ -427,7 +429,7 @@ def generated(library: Path) -> dict[Path, str]:
 
 
 def main() -> None:
-    """Writes the generated files of the checkout."""
+    """Write the generated files of the checkout."""
     for path, text in generated(Path(__file__).resolve().parents[4] / "lib").items():
         path.write_text(text, encoding="utf-8")
 

@@ -30,6 +30,7 @@ from . import (  # noqa: F401 - each adds its verb; sections.py has their order 
     export,
     fit,
     fleet,
+    fmu,
     generate,
     identify,
     ingest,
@@ -64,6 +65,7 @@ MAY_IMPORT = (
     "report",
     "live",
     "problems",
+    "fmu",
     "bench",
 )
 

@@ -39,7 +39,18 @@ def names() -> list[str]:
 
 
 def run(name: str, argv: list[str]) -> None:
-    """Run a bench with its own options; InputError for an unknown name."""
+    """Run a bench with its own options.
+
+    Parameters
+    ----------
+    name : str, of the bench
+    argv : list of str, its options
+
+    Raises
+    ------
+    InputError
+        If there is no such bench.
+    """
     if name not in names():
         raise InputError("bench", name, "no such bench", " or ".join(names()))
     import_module(f"{__name__}.{name}").main(argv)

@@ -12,6 +12,7 @@ from __future__ import annotations
 import json
 import sys
 import tempfile
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -21,8 +22,9 @@ import numpy as np
 from ...base.artefacts import write_files
 from ...base.errors import InputError
 from ...core.coefficients import build_coefficients, vehicle_files
+from ...core.compiled import shipped_vehicle
 from ...core.control_coefficients import ControllerCoefficients, build_controller
-from ...core.targets import TARGETS, Input, run_host, run_target
+from ...core.targets import TARGETS, Input, run_host, run_target, run_verdicts
 from ...drives.frames import Estimator
 from ...engine.overbound.weight import Weight
 from ...identify.change import ChangeTest
@@ -38,6 +40,8 @@ RAM_BYTES = 12_288
 RECORDED_FRAMES = 4  # in that RAM, at least
 ROM_BYTES = 57_344  # of all parts that this image links, the diagnosis of 9.2 kB included
 STACK_BYTES = 2048
+MONITOR_ROM_BYTES = 16_384  # of an image of the monitor alone, for the shipped g80
+MONITOR_RAM_BYTES = 4_096
 XCP_IDLE = 0.02  # of the step, where the XCP slave has nothing to do
 TRUCK_FRAMES = 4  # of its own that the truck sends in a step, at most
 DENSE_TO_CONTROLLER = 5.0
@@ -176,14 +180,12 @@ def bench_core(targets: tuple[str, ...] = tuple(TARGETS), *, clock_mhz: float = 
         host = run_host(folder, drive)
         rows = []
         for name in targets:
-            run = run_target(name, folder, drive, same_bits=False)
+            run = count(name, folder, drive)
             run["bit_identical"] = (
                 run_target(name, folder, drive, same_bits=True)["results"] == host["results"]
             )
             del run["results"]
             step = run["parts"]["ecu_step"]
-            run["rom_total"] = sum(run["rom"].values())
-            run["worst_to_median"] = step["worst"] / step["median"]
             run["dense_to_controller"] = dense_to_controller(run)
             run["load_percent"] = (
                 100 * step["worst"] * CYCLES_PER_INSTRUCTION / (clock_mhz * 1e6 * project.Ts_s)
@@ -197,6 +199,17 @@ def bench_core(targets: tuple[str, ...] = tuple(TARGETS), *, clock_mhz: float = 
         "samples": len(drive.v),
         "targets": rows,
     }
+
+
+def count(target: str, folder: Path, drive: Input) -> dict[str, Any]:
+    """What `run_target` counts of the build that an ECU project makes, with ``rom_total``,
+    ``worst_to_median`` of the step, and ``monitor_only``."""
+    run = run_target(target, folder, drive, same_bits=False)
+    step = run["parts"]["ecu_step"]
+    run["rom_total"] = sum(run["rom"].values())
+    run["worst_to_median"] = step["worst"] / step["median"]
+    run["monitor_only"] = monitor_only(target)
+    return run
 
 
 def dense_to_controller(run: dict[str, Any]) -> float:
@@ -247,55 +260,44 @@ BUDGET = ("<!-- budget: written by `lpvguard bench core --guide`, do not edit --
 """Marks the table in the integration guide."""
 
 
-def budget_rows(report: dict[str, Any]) -> list[list[str]]:
-    """The guide's table, without the names of its rows: a column a target, after one of the budgets."""
-    rows = [
-        [
-            "budget",
-            f"{WORST_STEP} (Cortex-M4F)",
-            "",
-            f"{WORST_TO_MEDIAN:g}",
-            f"{RAM_BYTES}",
-            f"{ROM_BYTES} (Cortex-M4F)",
-            f"{STACK_BYTES}",
-            f"{INIT}",
-            *[""] * 13,
-        ]
-    ]
-    for run in report["targets"]:
-        step = run["parts"]["ecu_step"]
-        stack = max(part["stack"] for part in run["parts"].values())
-        rows.append(
-            [
-                run["title"],
-                *(
-                    str(n)
-                    for n in (
-                        step["worst"],
-                        step["median"],
-                        f"{run['worst_to_median']:.2f}",
-                        run["structs"]["ecu"],
-                        run["rom_total"],
-                        stack,
-                        run["parts"]["ecu_init"]["worst"],
-                        run["parts"]["ecu_step_full"]["worst"],
-                        run["parts"]["auth_pair"]["worst"],
-                        run["parts"]["j1939_step"]["worst"],
-                        run["structs"]["j1939"],
-                        run["parts"]["diagnosis_take"]["worst"],
-                        run["parts"]["diagnosis_work"]["worst"],
-                        run["structs"]["diagnosis"],
-                        run["parts"]["xcp_idle"]["worst"],
-                        run["parts"]["xcp_event"]["worst"],
-                        run["parts"]["xcp_upload"]["worst"],
-                        run["parts"]["xcp_list"]["worst"],
-                        f"{run['load_percent']:.2f} %",
-                    )
-                ),
-                run["elf_sha256"][:16],
-            ]
-        )
-    return rows
+def monitor_only(target: str) -> dict[str, int]:
+    """Bytes of ``rom`` and ``ram`` that an image takes which calls the monitor of the shipped g80 and nothing
+    else of the core."""
+    at_rest = Input(np.full(2, 10.0), np.zeros((2, 1)), np.zeros((2, 1)))
+    alone = run_verdicts(target, shipped_vehicle("g80"), [at_rest], fused=True)
+    return {"rom": sum(alone.rom.values()), "ram": alone.ram_bytes}
+
+
+def _part(name: str, count: str = "worst") -> Callable[[dict[str, Any]], str]:
+    return lambda run: str(run["parts"][name][count])
+
+
+GUIDE_ROWS: tuple[tuple[str, str, Callable[[dict[str, Any]], str]], ...] = (
+    ("worst step [instr]", f"{WORST_STEP} (Cortex-M4F)", _part("ecu_step")),
+    ("median [instr]", "", _part("ecu_step", "median")),
+    ("worst/median", f"{WORST_TO_MEDIAN:g}", lambda run: f"{run['worst_to_median']:.2f}"),
+    ("monitor in it, worst [instr]", "", _part("monitor_push")),
+    ("controller in it, worst [instr]", "", _part("control_step")),
+    ("watch in it, worst [instr]", "", _part("watch_take")),
+    ("RAM [B]", f"{RAM_BYTES}", lambda run: str(run["structs"]["ecu"])),
+    ("ROM [B]", f"{ROM_BYTES} (Cortex-M4F)", lambda run: str(run["rom_total"])),
+    ("stack [B]", f"{STACK_BYTES}", lambda run: str(max(p["stack"] for p in run["parts"].values()))),
+    ("init [instr]", f"{INIT}", _part("ecu_init")),
+    ("step, full bus [instr]", "", _part("ecu_step_full")),
+    ("authenticated message [instr]", "", _part("auth_pair")),
+    ("J1939 step, beside [instr]", "", _part("j1939_step")),
+    ("J1939 RAM [B]", "", lambda run: str(run["structs"]["j1939"])),
+    ("diagnosis, a sample [instr]", "", _part("diagnosis_take")),
+    ("diagnosis, a call beside [instr]", "", _part("diagnosis_work")),
+    ("diagnosis RAM [B]", "", lambda run: str(run["structs"]["diagnosis"])),
+    ("XCP idle, a frame [instr]", "", _part("xcp_idle")),
+    ("XCP idle, a step [instr]", "", _part("xcp_event")),
+    ("XCP upload [instr]", "", _part("xcp_upload")),
+    ("XCP list of 56 entries, a step [instr]", "", _part("xcp_list")),
+    ("monitor alone, g80: ROM [B]", f"{MONITOR_ROM_BYTES}", lambda run: str(run["monitor_only"]["rom"])),
+    ("monitor alone, g80: RAM [B]", f"{MONITOR_RAM_BYTES}", lambda run: str(run["monitor_only"]["ram"])),
+)
+"""Of the guide's table: the row's name, its budget, and what a target needs."""
 
 
 def write_guide(path: Path, report: dict[str, Any]) -> None:
@@ -305,32 +307,15 @@ def write_guide(path: Path, report: dict[str, Any]) -> None:
     _, end, after = rest.partition(BUDGET[1])
     if not end:
         raise InputError(path, "", "no place for the table", f"{BUDGET[0].strip()} and {BUDGET[1]}")
-    head = [
-        "target",
-        "worst step [instr]",
-        "median [instr]",
-        "worst/median",
-        "RAM [B]",
-        "ROM [B]",
-        "stack [B]",
-        "init [instr]",
-        "step, full bus [instr]",
-        "authenticated message [instr]",
-        "J1939 step, beside [instr]",
-        "J1939 RAM [B]",
-        "diagnosis, a sample [instr]",
-        "diagnosis, a call beside [instr]",
-        "diagnosis RAM [B]",
-        "XCP idle, a frame [instr]",
-        "XCP idle, a step [instr]",
-        "XCP upload [instr]",
-        "XCP list of 56 entries, a step [instr]",
-        f"of {report['clock_mhz']:g} MHz",
-        "ELF",
+    targets, clock = report["targets"], f"of {report['clock_mhz']:g} MHz"
+    rows = [
+        ["target", "budget", *(run["title"] for run in targets)],
+        ["---"] * (2 + len(targets)),
+        *([name, budget, *map(measured, targets)] for name, budget, measured in GUIDE_ROWS),
+        [clock, "", *(f"{run['load_percent']:.2f} %" for run in targets)],
+        ["ELF", "", *(run["elf_sha256"][:16] for run in targets)],
     ]
-    columns = [head, *budget_rows(report)]
-    first, *rows = zip(*columns, strict=True)
-    table = "".join(f"| {' | '.join(row)} |\n" for row in (first, ["---"] * len(columns), *rows))
+    table = "".join(f"| {' | '.join(row)} |\n" for row in rows)
     path.write_text(before + begin + table + end + after, encoding="utf-8")
 
 

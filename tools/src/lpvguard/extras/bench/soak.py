@@ -39,11 +39,20 @@ class Soak:
         return [{k: v for k, v in hour.items() if k not in OF_A_TARGET} for hour in self.hours]
 
 
-def soak(vehicle: Path, target: str, hours: int, *, hour_ms: int = HOUR_MS, seed: int = SEED) -> Soak:
+def header_text(hours: int, hour_ms: int, seed: int, faults: bool) -> str:
+    """The text of soak_input.h."""
+    numbers = {"HOURS": hours, "HOUR_MS": hour_ms, "SEED": seed, "FAULTS": int(faults)}
+    return "".join(f"#define SOAK_{name} {value}u\n" for name, value in numbers.items())
+
+
+def soak(
+    vehicle: Path, target: str, hours: int, *, hour_ms: int = HOUR_MS, seed: int = SEED, faults: bool = True
+) -> Soak:
     """Runs a generated folder with a controller, a bus and a diagnosis; ``hour_ms`` [ms] simulated time stand
-    for an hour. InputError as `run_program`."""
+    for an hour. Without ``faults`` the speed stays within the controller's range. InputError as
+    `run_program`."""
     root = firmware_root()
-    header = f"#define SOAK_HOURS {hours}u\n#define SOAK_HOUR_MS {hour_ms}u\n#define SOAK_SEED {seed}u\n"
+    header = header_text(hours, hour_ms, seed, faults)
     sources = (root / "ports" / "soak.c", root / "ecu" / "firmware.c")
     program = Program("soak", sources, {"soak_input.h": header}, (root / "ecu",))
     timeout_s = 60.0 + hours * hour_ms * 1e-3 / SPEEDS_OF_A_TARGET
@@ -106,6 +115,7 @@ def main(argv: list[str]) -> None:
     options.add_argument("--hours", type=int, default=24)
     options.add_argument("--seed", type=int, default=SEED)
     options.add_argument("--targets", default="host", help=f"comma between: host, {', '.join(TARGETS)}")
+    options.add_argument("--healthy", action="store_true", help="no faults, and speeds within the range")
     options.add_argument("--figure", type=Path, help="draw the curves there, .svg or .png")
     given = options.parse_args(argv)
     for name in ("hours", "seed"):
@@ -114,7 +124,10 @@ def main(argv: list[str]) -> None:
     if given.figure is not None:
         require_replaceable_file(given.figure, "bench soak")
     vehicle = shipped_vehicle("truck")
-    runs = [soak(vehicle, name, given.hours, seed=given.seed) for name in given.targets.split(",")]
+    runs = [
+        soak(vehicle, name, given.hours, seed=given.seed, faults=not given.healthy)
+        for name in given.targets.split(",")
+    ]
     if given.figure is not None:
         draw(runs, given.figure)
     show(table(runs), [asdict(run) for run in runs], given.json_out)

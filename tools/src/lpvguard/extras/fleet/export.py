@@ -1,5 +1,4 @@
-"""The calibration set's table for the core: a C header that defines an lpvg_life_table_t
-(lib/include/lpvguard/life.h)."""
+"""C header with the calibration set's lpvg_life_table_t for the core (lib/include/lpvguard/life.h)."""
 
 from __future__ import annotations
 
@@ -17,7 +16,7 @@ MAGIC, SCHEMA = 0x4546494C, 1
 
 
 def padded(table: LifeTable) -> tuple[np.ndarray, np.ndarray]:
-    """Levels (LEVELS,) and factors (LEVELS + 1, bets) of the core, float32; 0 above those that there are."""
+    """Levels (LEVELS,) and factors (LEVELS + 1, bets) of the core, float32, padded with 0."""
     levels = np.zeros(LEVELS, np.float32)
     factors = np.zeros((LEVELS + 1, len(POWERS)), np.float32)
     levels[: len(table.levels)] = table.levels
@@ -26,7 +25,7 @@ def padded(table: LifeTable) -> tuple[np.ndarray, np.ndarray]:
 
 
 def crc32(table: LifeTable, judged_s: float) -> int:
-    """As the core computes it: of all words before it, low byte first."""
+    """CRC-32 as in the core: over all words before it, low byte first."""
     levels, factors = padded(table)
     words = struct.pack("<4I", MAGIC, SCHEMA, table.n, len(table.levels))
     numbers = np.concatenate([[judged_s, table.alarm], levels, factors.ravel()]).astype("<f4")
@@ -39,7 +38,7 @@ def _number(value: float) -> str:
 
 
 def definition(table: LifeTable, judged_s: float, name: str) -> str:
-    """C text that defines the table, called ``name``; strict C99, and C++17."""
+    """C text that defines the table under ``name``; strict C99, and C++17."""
     levels, factors = padded(table)
     rows = ",\n     ".join("{" + ", ".join(map(_number, row)) + "}" for row in factors.tolist())
     return (
@@ -53,7 +52,16 @@ def definition(table: LifeTable, judged_s: float, name: str) -> str:
 
 
 def header(state: FleetState) -> str:
-    """The C header of `lpvguard fleet --export`."""
+    """Write the C header of `lpvguard fleet --export`.
+
+    Parameters
+    ----------
+    state : FleetState
+
+    Returns
+    -------
+    str
+    """
     vehicle = state.terms.vehicle
     guard = f"LPVGUARD_LIFE_TABLE_{vehicle.upper()}_H"
     return (

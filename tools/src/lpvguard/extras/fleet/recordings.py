@@ -1,8 +1,7 @@
-"""`lpvguard fleet`: recordings of vehicles in their order, each scored once, and the wealth after it.
+"""`lpvguard fleet`: scores each recording of the vehicles once, in order, and updates their wealth.
 
-The calibration set is fixed with the first call and kept in the state. A recording that the state has
-counted is not counted again; where its tables are others now it is refused. So the same folder may be given
-again when it has grown.
+The first call fixes the calibration set in the state. A counted recording is not counted again; it is refused
+if its tables differ. The same folder may therefore be given again when it has grown.
 """
 
 from __future__ import annotations
@@ -30,7 +29,7 @@ CALIBRATED = "calibrated"
 
 
 def terms_of(replayer: Replayer, judged_s: float | None, alpha: float | None, eta: float | None) -> Terms:
-    """With what is taken where None is stated. InputError for a length that is no time."""
+    """Terms with defaults for None. InputError for an impossible length."""
     length = JUDGED_S if judged_s is None else judged_s
     if not replayer.project.Ts_s <= length < np.inf:
         raise InputError("fleet", "judged_s", f"{length:g}", f"{replayer.project.Ts_s:g} s at least, finite")
@@ -45,7 +44,14 @@ def terms_of(replayer: Replayer, judged_s: float | None, alpha: float | None, et
 
 @dataclass(frozen=True)
 class Listed:
-    """The drives of a folder in the order of a life, the vehicle of each, and drives set aside with why."""
+    """Drives of a folder in the order of a life.
+
+    Attributes
+    ----------
+    folder : Path
+    experiments : list[Experiment]
+    vehicle, left_out : dict[str, str], vehicle of each drive, and reason of each drive set aside
+    """
 
     folder: Path
     experiments: list[Experiment]
@@ -54,9 +60,13 @@ class Listed:
 
     @classmethod
     def of(cls, folder: Path, order: str | None = None, by: str | None = None) -> Listed:
-        """``order``: column of experiments.csv by whose text the drives follow each other; None: the order
-        there. ``by``: column that names the vehicle; None: the folder is one vehicle. InputError where pieces
-        of a recording are of several vehicles, or a table is listed twice."""
+        """Drives in the order of the text in column ``order`` of experiments.csv, by default in its own
+        order.
+
+        Column ``by`` names the vehicle; by default the folder is one vehicle. Raises InputError where pieces
+        of a
+        recording are of several vehicles, or a table is listed twice.
+        """
         experiments = list_experiments(folder)
         if order is not None:
             key = index_column(folder, order)
@@ -81,10 +91,11 @@ def calibrated_state(
     workers: Map = map,
     progress: Callable[[str], None] = lambda _: None,
 ) -> tuple[FleetState, dict[str, str]]:
-    """A new state from a folder of drives that calibrate, and the recordings left out with why.
+    """New state from a folder of calibrating drives, and the reasons of recordings left out.
 
-    Drives that set the bounds are left out, by their split and by the hashes in the generated folder. So are
-    recordings that are too short. InputError where none is left."""
+    Left out are drives that set the bounds, by their split and by the hashes in the generated folder, and
+    recordings that are too short. Raises InputError where none remains.
+    """
     manifest = artefacts.read_manifest(replayer.core.folder, "vehicle").get("identification", {})
     names = manifest.get("drives", {}).get("bounds", [])
     setting = {manifest["sha256"][n] for n in names}
@@ -108,7 +119,7 @@ def calibrated_state(
 
 
 def too_short(recording: Scored, terms: Terms) -> str:
-    """Why a recording has no score."""
+    """Reason why a recording has no score."""
     return f"{recording.judged_s:.1f} s of judged driving, less than {terms.judged_s:g} s"
 
 
@@ -120,10 +131,26 @@ def begun(
     workers: Map = map,
     progress: Callable[[str], None] = lambda _: None,
 ) -> tuple[FleetState, dict[str, str]]:
-    """The state in the file ``path``, or a new one from a folder that calibrates, and what was left out.
+    """Read the state from a file, or make a new one from calibrating drives.
 
-    ``stated``: judged_s, alpha and eta; None asks for nothing. InputError where there is neither, or both,
-    and where the file is of other terms."""
+    Parameters
+    ----------
+    replayer : Replayer
+    path : Path or None, state file
+    calibration : Path or None, folder of drives that calibrate
+    stated : Mapping, judged_s, alpha and eta, or None
+    workers : Map
+    progress : Callable, reports progress
+
+    Returns
+    -------
+    tuple of FleetState and dict, reason by recording left out
+
+    Raises
+    ------
+    InputError
+        If there is neither or both, or the file has other terms.
+    """
     terms = terms_of(replayer, **stated)
     kept = FleetState.read(path) if path is not None and path.exists() else None
     if kept is not None and path is not None:
@@ -138,7 +165,7 @@ def begun(
 
 @dataclass
 class _Told:
-    """What is said of a vehicle, recording by recording."""
+    """Results of a vehicle, recording by recording."""
 
     rows: list[dict[str, Any]]
     left_out: dict[str, str]
@@ -153,11 +180,28 @@ def follow(
     workers: Map = map,
     progress: Callable[[str], None] = lambda _: None,
 ) -> tuple[FleetState, dict[str, Any]]:
-    """The state after a folder's recordings, and the object of `lpvguard fleet --json`. ``left_out``: of
-    those that calibrate.
+    """Update a state with a folder's recordings.
 
-    InputError for a recording that was counted with other tables, a table that calibrated, or one that was
-    counted under another name; the state is then as it was."""
+    On an error the state stays unchanged.
+
+    Parameters
+    ----------
+    replayer : Replayer
+    state : FleetState
+    listed : Listed
+    left_out : dict[str, str], reason by calibration recording left out
+    workers : Map
+    progress : Callable, reports progress
+
+    Returns
+    -------
+    tuple of FleetState and dict, the object of `lpvguard fleet --json`
+
+    Raises
+    ------
+    InputError
+        If a recording was counted with other tables or under another name, or a table calibrated.
+    """
     told = {name: _Told([], {}) for name in dict.fromkeys(listed.vehicle[e.name] for e in listed.experiments)}
     new = []
     for e in listed.experiments:
@@ -187,7 +231,7 @@ def follow(
 
 
 def _seen(state: FleetState) -> dict[str, str]:
-    """Tables that may not be counted again: hash -> what it did."""
+    """Use by hash of tables that may not be counted again."""
     did = {h: CALIBRATED for tables in state.calibrated.values() for h in tables.values()}
     for name, member in state.members.items():
         for recording, tables in member.counted.items():
@@ -209,7 +253,7 @@ def _row(recording: Scored, place: int, after: Member) -> dict[str, Any]:
 
 
 def _calibration(state: FleetState, left_out: dict[str, str]) -> dict[str, Any]:
-    """What the calibration set permits: its size, levels and factors, and the earliest alarm of a life."""
+    """Limits of the calibration set: its size, levels and factors, and the earliest alarm of a life."""
     table = state.table
     return {
         "recordings": table.n,
@@ -251,5 +295,14 @@ def _summary(
 
 
 def changed(result: dict[str, Any]) -> list[str]:
-    """The vehicles whose wealth has alarmed, of what `follow` gave."""
+    """List the vehicles whose wealth has alarmed.
+
+    Parameters
+    ----------
+    result : dict, of `follow`
+
+    Returns
+    -------
+    list of str
+    """
     return [name for name, v in result["vehicles"].items() if v["changed_at"] is not None]

@@ -1,12 +1,14 @@
-"""The score of a recording: the mean of the change test's ratio over a fixed length of judged driving.
+"""Score of a recording: the mean of the change test's ratio over a fixed length of judged driving.
 
 A sample is judged where the speed is in range, the model settled, and the core has a ratio. A recording is a
-drive, or the successive drives that experiments.csv says are pieces of one; their judged samples follow each
-other. Only the first ``judged_s`` seconds count, so that long recordings have no larger scores by their
-length. A recording that is shorter has no score; who reads it counts it by name.
+drive, or successive drives that experiments.csv names as pieces of one, with their judged samples in
+sequence.
+Only the first ``judged_s`` seconds count, so that the length of a recording does not raise its score. A
+shorter
+recording has no score; it is reported by name.
 
-The ratio is the compiled core's. Its mean shows what stays, where its maximum shows what was worst. Beside it
-stand sums for least squares over the same samples: an estimate of gain, delay and bias.
+The ratio is the compiled core's. Its mean shows lasting changes, its maximum the worst moment. Sums for least
+squares over the same samples give an estimate of gain, delay and bias.
 """
 
 from __future__ import annotations
@@ -30,11 +32,15 @@ from ...replay.replayer import Replayer
 
 @dataclass(frozen=True)
 class ScoredDrive:
-    """What a drive gives to the score of its recording, of at most so many judged seconds.
+    """Contribution of a drive to its recording's score.
 
-    ratios (M,): of the judged samples. products (n_y, 3, 3), along (n_y, 3): sums of regressors and error
-    over whole blocks of them, the delay's regressor per second. alarmed: the core's verdict was invalid or
-    degraded up to the last of those samples. sha256: of its table.
+    Attributes
+    ----------
+    drive, recording, sha256 : str, names, and hash of the table
+    ratios : ndarray (M,), of the judged samples
+    products : ndarray (n_y, 3, 3), sums of regressors over whole blocks, the delay's per second
+    along : ndarray (n_y, 3), sums of regressors times error over whole blocks
+    alarmed : bool, the verdict was invalid or degraded up to the last of those samples
     """
 
     drive: str
@@ -47,7 +53,8 @@ class ScoredDrive:
 
     @classmethod
     def of(cls, replayer: Replayer, drive: Drive, most: int) -> ScoredDrive:
-        """Of a drive that was read, ``most`` judged samples at most; its recording and table have no name."""
+        """Contribution of a drive, with ``most`` judged samples at most; its recording and table have no
+        name."""
         run = replayer.replay(drive).run
         judged = np.flatnonzero(replayer.estimator.settled(drive.v) & (run.change > 0))[:most]
         usable = np.zeros(len(drive.t), bool)
@@ -67,7 +74,7 @@ class ScoredDrive:
 
 @dataclass(frozen=True)
 class DriveEstimate:
-    """e = gain yhat - delay_s dyhat/dt + bias of an output, by least squares over a recording."""
+    """Least-squares estimate of an output over a recording: e = gain yhat - delay_s dyhat/dt + bias."""
 
     output: str
     gain: float
@@ -77,8 +84,10 @@ class DriveEstimate:
 
 @dataclass(frozen=True)
 class Scored:
-    """A recording: its drives with the hashes of their tables, judged time that counts [s], and the score,
-    None where that time is short."""
+    """A recording: its drives with hashes of their tables, judged time that counts [s], and the score.
+
+    The score is None where that time is short.
+    """
 
     name: str
     sha256: dict[str, str]
@@ -89,7 +98,7 @@ class Scored:
 
 
 def _piece(replayer: Replayer, most: int, experiment: Experiment) -> ScoredDrive | InputError:
-    """Of a drive's file; an error is returned, so that another process can hand it over."""
+    """Piece of a drive's file; errors are returned, so that they pass between processes."""
     try:
         recorded = replayer.read_file(experiment.path)
     except InputError as error:
@@ -106,7 +115,7 @@ def pieces_of(
     workers: Map = map,
     progress: Callable[[str], None] = lambda _: None,
 ) -> list[ScoredDrive]:
-    """A piece of every drive, in their order. InputError for a drive that cannot be read."""
+    """Pieces of every drive, in order. InputError for a drive that cannot be read."""
     most = round(judged_s / replayer.project.Ts_s)
     found = []
     for piece in workers(partial(_piece, replayer, most), experiments):
@@ -118,7 +127,7 @@ def pieces_of(
 
 
 def scored(replayer: Replayer, pieces: Iterable[ScoredDrive], judged_s: float) -> list[Scored]:
-    """The recordings that the pieces are of, in the order of their first ones.
+    """Recordings of the pieces, in the order of their first ones.
 
     The piece in which the length is reached gives its first samples to the score, and its sums in proportion.
     """
@@ -153,7 +162,7 @@ def _scored(replayer: Replayer, name: str, pieces: list[ScoredDrive], most: int)
 
 
 def require_new(path: Path, scores: Iterable[Scored], seen: dict[str, str]) -> None:
-    """InputError where a table is one that ``seen`` (hash -> what it did) names."""
+    """Raise InputError where ``seen`` (use by hash) names a table."""
     for recording in scores:
         for drive, digest in recording.sha256.items():
             if digest in seen:

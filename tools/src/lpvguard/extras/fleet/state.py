@@ -1,8 +1,8 @@
-"""The state of a fleet between calls: a small JSON file, sealed, written whole or not at all.
+"""State of a fleet between calls: a small JSON file, sealed, written whole or not at all.
 
-It holds what the calibration recordings were, so that their set stays fixed, and of each vehicle its wealth
-and the recordings that it counted. A state that was changed by hand, or is of another vehicle, generated
-folder, length or rate, is refused by what differs.
+It holds the calibration recordings, so that their set stays fixed, and each vehicle's wealth and counted
+recordings. A state is refused if it was changed by hand or is of another vehicle, generated folder, length or
+rate; the error names the difference.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ SCHEMA = 1
 
 @dataclass(frozen=True)
 class Terms:
-    """What a wealth is about: ``vehicle`` of the project file, ``coefficients``: digest of the generated
-    folder, judged driving a recording [s], and both rates."""
+    """Conditions of a wealth: vehicle, digest of the generated folder, judged driving a recording [s],
+    both rates."""
 
     vehicle: str
     coefficients: str
@@ -35,14 +35,14 @@ class Terms:
 
 @dataclass(frozen=True)
 class Member:
-    """A vehicle: its life, what its first alarm was, and the recordings counted, each with its tables."""
+    """A vehicle: its life, its first alarm's cause, and the counted recordings with their tables."""
 
     life: Life = field(default_factory=Life)
     changed_by: str | None = None
     counted: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
 
     def after(self, recording: str, sha256: Mapping[str, str], place: int, table: LifeTable) -> Member:
-        """After a further recording with these tables, whose score is at ``place``."""
+        """Member after a further recording with these tables, whose score is at ``place``."""
         life = self.life.after(place, table)
         first = recording if life.changed_at and not self.life.changed_at else self.changed_by
         return Member(life, first, {**self.counted, recording: dict(sha256)})
@@ -50,7 +50,7 @@ class Member:
 
 @dataclass(frozen=True)
 class FleetState:
-    """calibration: recording -> score; calibrated: recording -> drive -> SHA-256 of its table."""
+    """State of a fleet. calibration: score by recording; calibrated: SHA-256 by recording and drive."""
 
     terms: Terms
     calibration: Mapping[str, float]
@@ -63,7 +63,7 @@ class FleetState:
         return LifeTable.of(self.calibration.values(), self.terms.alpha, self.terms.eta)
 
     def with_member(self, vehicle: str, member: Member) -> FleetState:
-        """With another state of one vehicle."""
+        """State with another state of one vehicle."""
         return replace(self, members={**self.members, vehicle: member})
 
     def to_dict(self) -> dict[str, Any]:
@@ -97,7 +97,7 @@ class FleetState:
 
     @classmethod
     def read(cls, path: Path) -> FleetState:
-        """From a file that `write` wrote. InputError where it is none, of another schema, or was changed."""
+        """State from a file of `write`. InputError for another file, another schema, or a changed one."""
         found = artefacts.read_json(path)
         if not isinstance(found, dict) or (found.get("kind"), found.get("schema")) != (KIND, SCHEMA):
             raise InputError(path, "kind, schema", "not those of a fleet's state", f"{KIND!r}, {SCHEMA}")
@@ -111,7 +111,7 @@ class FleetState:
         return cls(Terms(**found["terms"]), found["calibration"], found["calibrated"], members)
 
     def require(self, path: Path, asked: Mapping[str, Any]) -> None:
-        """InputError unless the terms are those ``asked`` for, by name; None asks for nothing."""
+        """Raise InputError unless the terms are those ``asked`` for, by name; None asks for nothing."""
         for name, value in asked.items():
             own = getattr(self.terms, name)
             if value is not None and value != own:

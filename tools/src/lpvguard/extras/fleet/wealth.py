@@ -1,14 +1,14 @@
 """Wealth of a vehicle over its life: a conformal test martingale of a fixed calibration set (THEORY 7.8).
 
-n scores calibrate, of recordings like those of a healthy life. A further score is compared with LEVELS of
-them at most: the largest, the second, the fourth, and so on. Its *place* is the number of levels below it.
+n scores calibrate, from recordings like those of a healthy life. A further score is compared with at most
+LEVELS of them: the largest, the second, the fourth, and so on. Its *place* is the number of levels below it.
 With probability 1 - eta over the calibration set, all true tails are within `simultaneous_tails` (T35). Every
-bet's expected factor is then at most 1 for whatever law has such tails (T36). Wealth is a non-negative
+bet's expected factor is then at most 1 for any law with such tails (T36). Wealth is a non-negative
 supermartingale from 1, so it reaches 1/alpha with probability at most alpha, in a life of any length (T37).
 
-Money is put on the bets step by step, for a change may begin late. Arithmetic is that of the core
-(life.cpp), in 32-bit floats and its order, so that both have the same bits. Factors are rounded down
-by more than the rounding of a step adds.
+Money is put on the bets step by step, because a change may begin late. Arithmetic is that of the core
+(lib/src/services/life.cpp), in 32-bit floats and the same order, so that both have the same bits. Factors are
+rounded down by more than the rounding of a step adds.
 """
 
 from __future__ import annotations
@@ -23,28 +23,39 @@ from scipy.stats import beta, binom
 from ...base.errors import InputError
 
 LEVELS = 8
-"""Of the calibration scores a new one is compared with so many at most."""
+"""Most calibration scores that a new one is compared with."""
 POWERS = (0.1, 0.3, 0.6)
-"""The bets: each is on tails t becoming t ** power."""
+"""The bets: each assumes that tails t become t ** power."""
 START = 64
-"""After so many recordings half of the money is on the bets."""
+"""Number of recordings after which half of the money is on the bets."""
 MOST = 2**24 - 1 - START
-"""Recordings that are counted. Floats count no further; from then on no money is added."""
+"""Most recordings that are counted: floats count no further. From then on no money is added."""
 ROUNDED_DOWN = 1 - 2.0**-20
-"""Of every factor. A step of floats adds less than 2 ** -22 of the wealth."""
+"""Relative rounding of every factor. A step of floats adds less than 2 ** -22 of the wealth."""
 CEILING = np.float32(1e30)
-"""A bet's wealth is cut here."""
+"""Largest wealth of a bet."""
 
 
 def ranks(n: int) -> np.ndarray:
-    """Ranks (K,) of the levels among n sorted scores, the largest is n; ascending."""
+    """Return the ranks of the levels among n sorted scores; the largest is n.
+
+    Parameters
+    ----------
+    n : int, number of scores
+
+    Returns
+    -------
+    ndarray (K,) of int, ascending
+    """
     above = 2 ** np.arange(LEVELS)
     return (n + 1 - above[above <= max(1, (n + 1) // 2)])[::-1]
 
 
 def _all_hold(n: int, rank: np.ndarray, low: np.ndarray) -> float:
-    """Probability that each order statistic ``rank`` (K,) of n uniform numbers is at least ``low`` (K,), both
-    ascending: fewer than rank numbers lie below each low."""
+    """Probability that each order statistic ``rank`` (K,) of n uniform numbers is at least ``low`` (K,).
+
+    Both are ascending: fewer than rank numbers lie below each low.
+    """
     law, before = np.r_[1.0, np.zeros(n)], 0.0
     counts = np.arange(n + 1)
     for k, x in zip(rank, low, strict=True):
@@ -57,10 +68,30 @@ def _all_hold(n: int, rank: np.ndarray, low: np.ndarray) -> float:
 
 
 def simultaneous_tails(n: int, eta: float) -> np.ndarray:
-    """Upper bounds (K,) of the probabilities that a further score exceeds the levels (T35), descending.
+    """Bound the probabilities that a further score exceeds the levels.
 
-    With probability 1 - eta over n independent scores all hold. Each is the bound of Clopper and Pearson, all
-    at one rate, which is exact by a recursion over the levels. InputError without a score."""
+    With probability 1 - eta over n independent scores all bounds hold. Each is the bound of Clopper and
+    Pearson,
+    all at one rate, which is exact by a recursion over the levels.
+
+    Parameters
+    ----------
+    n : int, number of scores
+    eta : float
+
+    Returns
+    -------
+    ndarray (K,), descending
+
+    Raises
+    ------
+    InputError
+        If n is 0.
+
+    References
+    ----------
+    THEORY 7.8, (T35).
+    """
     if n < 1:
         raise InputError("calibration", "", "no score", "at least one")
     rank = ranks(n)
@@ -75,20 +106,54 @@ def simultaneous_tails(n: int, eta: float) -> np.ndarray:
 
 
 def factors(tails: np.ndarray) -> np.ndarray:
-    """What each bet is multiplied by at each place, (K + 1, bets), float32 (T36); ``tails`` (K,)."""
+    """Compute the factor of each bet at each place.
+
+    Parameters
+    ----------
+    tails : ndarray (K,), of `simultaneous_tails`
+
+    Returns
+    -------
+    ndarray (K + 1, bets) of float32
+
+    References
+    ----------
+    THEORY 7.8, (T36).
+    """
     edges = np.r_[1.0, tails, 0.0][:, None]
     ideal = -np.diff(edges ** np.array(POWERS), axis=0) / -np.diff(edges, axis=0)
     return np.nextafter((ideal * ROUNDED_DOWN).astype(np.float32), np.float32(0))
 
 
 def alarm_wealth(alpha: float) -> np.float32:
-    """1/alpha, not rounded down."""
+    """Return the wealth that alarms, 1/alpha, not rounded down.
+
+    Parameters
+    ----------
+    alpha : float
+
+    Returns
+    -------
+    float32
+
+    References
+    ----------
+    THEORY 7.8, (T37).
+    """
     return np.nextafter(np.float32(1 / alpha), np.float32(np.inf))
 
 
 @dataclass(frozen=True)
 class LifeTable:
-    """What a calibration set gives: ``levels`` (K,) ascending float32, ``factors`` (K + 1, bets) float32."""
+    """Table of a calibration set.
+
+    Attributes
+    ----------
+    n : int, number of scores
+    alpha, eta : float
+    levels : ndarray (K,) of float32, ascending
+    factors : ndarray (K + 1, bets) of float32
+    """
 
     n: int
     alpha: float
@@ -98,8 +163,10 @@ class LifeTable:
 
     @classmethod
     def of(cls, scores: Iterable[float], alpha: float, eta: float) -> LifeTable:
-        """From the scores of the recordings that calibrate, in whatever order. InputError for a score that is
-        not finite, for none, and for rates outside (0, 1)."""
+        """Table from calibration scores in any order.
+
+        Raises InputError for no score, a score that is not finite, and rates outside (0, 1).
+        """
         sorted_scores = np.sort(np.array(list(scores), np.float32))
         for name, value in (("alpha", alpha), ("eta", eta)):
             if not 0 < value < 1:
@@ -116,12 +183,14 @@ class LifeTable:
         return alarm_wealth(self.alpha)
 
     def place(self, score: np.ndarray | float) -> np.ndarray:
-        """How many levels are below each score (N,), or below one; an equal score is not above a level."""
+        """Number of levels below each score (N,), or below one; an equal score is not above a level."""
         return np.searchsorted(self.levels, np.asarray(score, np.float32), side="left")
 
     def earliest(self, life: Life) -> int | None:
-        """Further recordings above all n with which the wealth of a life alarms first; 0: it has; None: not
-        within MOST."""
+        """Number of further recordings above all n scores until the wealth of a life alarms.
+
+        It is 0 where it has alarmed, and None if it cannot within MOST.
+        """
         count = 0
         while not life.changed_at:
             if count >= 1000:
@@ -131,14 +200,28 @@ class LifeTable:
 
 
 def put_aside(recordings: int) -> np.float32:
-    """Share of the money that is not on the bets yet, float32."""
+    """Share of the money not yet on the bets, float32."""
     start = np.float32(START)
     return start / (start + np.float32(min(recordings, MOST)))
 
 
 def stepped(bets: np.ndarray, recordings: int, factor: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """One recording: wealth of the bets (..., bets) after ``recordings``, times ``factor`` (..., bets) of the
-    place; and the whole wealth (...). float32, operation by operation as the core."""
+    """Update the wealth by one recording, in float32 and the core's order of operations.
+
+    Parameters
+    ----------
+    bets : ndarray (..., bets), wealth of the bets
+    recordings : int, before this one
+    factor : ndarray (..., bets), of the place
+
+    Returns
+    -------
+    tuple of the bets' wealth, ndarray (..., bets), and the whole wealth, ndarray (...)
+
+    References
+    ----------
+    THEORY 7.8, (T36).
+    """
     rest = put_aside(recordings + 1)
     added = (put_aside(recordings) - rest) / np.float32(len(POWERS))
     bets = np.minimum((bets + added) * factor, CEILING)
@@ -150,8 +233,14 @@ def stepped(bets: np.ndarray, recordings: int, factor: np.ndarray) -> tuple[np.n
 
 @dataclass(frozen=True)
 class Life:
-    """The state of a vehicle. ``bets``: wealth of each. ``changed_at``: number of the recording with which
-    the wealth first reached 1/alpha; 0: never."""
+    """Wealth of a vehicle.
+
+    Attributes
+    ----------
+    recordings : int, counted so far
+    bets : Sequence[float], wealth of each bet
+    changed_at : int, recording at which the wealth first reached 1/alpha; 0: never
+    """
 
     recordings: int = 0
     bets: Sequence[float] = (0.0,) * len(POWERS)
@@ -159,14 +248,14 @@ class Life:
 
     @property
     def wealth(self) -> float:
-        """The whole wealth; 1 at first."""
+        """The whole wealth, 1 at the start."""
         whole = np.float32(self.bets[0])
         for bet in self.bets[1:]:
             whole = whole + np.float32(bet)
         return float(whole + put_aside(self.recordings))
 
     def after(self, place: int, table: LifeTable) -> Life:
-        """After a recording whose score is at ``place``."""
+        """Life after a recording whose score is at ``place``."""
         bets, whole = stepped(np.array(self.bets, np.float32), self.recordings, table.factors[place])
         count = min(self.recordings + 1, MOST)
         changed = self.changed_at or (count if whole >= table.alarm else 0)

@@ -1,7 +1,7 @@
-"""The messages of an MCAP recording as they come, for Foxglove and PlotJuggler on this machine.
+"""Live messages of an MCAP recording, for Foxglove and PlotJuggler on this machine.
 
-The server is Foxglove's own (package foxglove-sdk). It offers nothing but reading. Its queue for a client is
-BACKLOG messages; a client that is slower loses the oldest of them, and nobody waits for it.
+The server is Foxglove's own (package foxglove-sdk) and only allows reading. Its queue for a client is BACKLOG
+messages. A slower client loses the oldest of them, and nothing waits for it.
 """
 
 from __future__ import annotations
@@ -21,10 +21,20 @@ BACKLOG = 16_384
 
 
 class FoxgloveServer:
-    """A listener of a watch that tells clients of Foxglove's WebSocket; it ends with ``stop``."""
+    """Listener of a watch that serves clients of Foxglove's WebSocket until ``stop``.
+
+    Parameters
+    ----------
+    replayer : Replayer
+    port : int, 0 is any free one
+
+    Raises
+    ------
+    InputError
+        If the port is taken.
+    """
 
     def __init__(self, replayer: Replayer, port: int):
-        """``port``: 0 is any free one. InputError where it is taken."""
         # The server knows its channels through the context while somebody holds it.
         self._context = context = foxglove.Context()
         self._channels = {
@@ -50,7 +60,7 @@ class FoxgloveServer:
         return any(channel.has_sinks() for channel in self._channels.values())
 
     def hear(self, series: pa.Table, alarms: list[Alarm]) -> None:
-        """Hands the messages of a piece over to the clients' queues."""
+        """Queue the messages of a piece for the clients."""
         for message in messages(series, alarms):
             content = json.dumps(message.content).encode()
             self._channels[message.topic].log(content, log_time=message.t_ns)

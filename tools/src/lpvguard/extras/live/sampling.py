@@ -1,6 +1,6 @@
-"""Frames as they come through the compiled receiver: samples a tick, as the ECU on that bus would have them.
+"""Live frames through the compiled receiver: samples a tick, as on the ECU.
 
-The clock is that of replay/receive.py. Only its phase is from the first FIRST_S of frames instead of all.
+The clock is that of replay/receive.py. Only its phase comes from the first FIRST_S of frames instead of all.
 """
 
 from __future__ import annotations
@@ -14,16 +14,16 @@ from ...replay.receive import CLOCK_JUMP_S, PAUSE_S, Receiver, RunningReceiver, 
 FIRST_S = 1.0
 """Frames of this long [s] set the phase of the ticks."""
 REORDER_S = 1.0
-"""Time by which a frame may be older than the newest one before the clock counts as begun anew [s]."""
+"""A frame older than the newest by more than this restarts the clock [s]."""
 HELD = 100_000
-"""Frames that are held while the phase is unknown; beyond, the oldest are dropped."""
+"""Most frames held while the phase is unknown; beyond, the oldest are dropped."""
 
 
 class Sampler:
-    """Samples of a vehicle out of frames as they come."""
+    """Samples of a vehicle from live frames."""
 
     def __init__(self, receiver: Receiver, channel: str | None):
-        """``channel``: the interface that counts; None: the first that carries a message of the vehicle."""
+        """``channel``: the interface that counts; None: the first with a message of the vehicle."""
         self._receiver, self._channel = receiver, channel
         self._period_us = round(receiver.project.Ts_s * 1e6)
         self.jumps = 0
@@ -41,8 +41,10 @@ class Sampler:
         self._newest_ns = -1
 
     def take(self, frames: Frames) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-        """Samples that ``frames`` complete, a piece a stretch of the clock: t (N,) [s], values (N, columns),
-        present (N,)."""
+        """Samples that ``frames`` complete, a piece a stretch of the clock: t (N,) [s], values, present (N,).
+
+        The values have shape (N, columns).
+        """
         frames = self._of_channel(frames)
         found = []
         while len(frames):
@@ -97,7 +99,7 @@ class Sampler:
         return t, values, present
 
     def _begun(self, frames: Frames) -> bool:
-        """Fixes phase and start of the ticks, once FIRST_S of frames are there."""
+        """Fix phase and start of the ticks, once FIRST_S of frames are there."""
         ours = self._receiver.ours(frames)
         if not ours.any() or frames.t_ns[-1] - frames.t_ns[ours][0] < FIRST_S * 1e9:
             return False
@@ -116,7 +118,7 @@ class Sampler:
 
 
 def _after(first: Frames, second: Frames) -> Frames:
-    """The frames of one channel, ``second`` after ``first``."""
+    """Frames of one channel, ``second`` after ``first``."""
     width = max(first.data.shape[1], second.data.shape[1])
     data = [np.pad(f.data, ((0, 0), (0, width - f.data.shape[1]))) for f in (first, second)]
     pairs = [(getattr(first, k), getattr(second, k)) for k in ("t_ns", "id", "length")]

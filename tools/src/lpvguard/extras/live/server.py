@@ -1,7 +1,8 @@
-"""The page of `lpvguard live`: one process, for browsers of this machine, which only read.
+"""The page of `lpvguard live`: one process, for browsers of this machine, read only.
 
-A browser asks for what it shows next when it has drawn the last. So a slow one asks less often and skips what
-it missed; nothing is queued for anybody. Every answer is bounded: MOST_ROWS rows of series.
+A browser asks for the next view when it has drawn the last. A slow one asks less often and skips views;
+nothing
+is queued. Every answer is bounded: MOST_ROWS rows of series.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from .watch import Watch
 
 LOOPBACK = "127.0.0.1"
 NAMES = (LOOPBACK, "localhost")
-"""What a browser may call this server; anything else is another site's page that asks through a browser."""
+"""Names by which a browser may call this server; others come from another site's page."""
 MOST_ROWS = 1200
 LONGEST_S = 86_400.0
 POLICY = (
@@ -47,12 +48,12 @@ class _Handler(tornado.web.RequestHandler):
         self.watch = watch
 
     def prepare(self) -> None:
-        """Refuses requests under another name than this machine's."""
+        """Refuse requests under another name than this machine's."""
         if urlsplit(f"//{self.request.host}").hostname not in NAMES:
             raise tornado.web.HTTPError(403)
 
     def set_default_headers(self) -> None:
-        """What a browser may load, and that it keeps nothing."""
+        """Limit what a browser may load, and forbid caching."""
         for name, value in (
             ("Content-Security-Policy", POLICY),
             ("X-Content-Type-Options", "nosniff"),
@@ -63,7 +64,7 @@ class _Handler(tornado.web.RequestHandler):
             self.set_header(name, value)
 
     def number(self, name: str, default: float | None = None) -> float | None:
-        """A finite number of the query. 400 where it is none."""
+        """A finite number of the query; status 400 for any other."""
         text = self.get_query_argument(name, None)
         if text is None:
             return default
@@ -90,13 +91,13 @@ class _File(_Handler):
 
 class _What(_Handler):
     def get(self) -> None:
-        """What does not change."""
+        """Constants of the page."""
         self.write(self.watch.what())
 
 
 class _View(_Handler):
     def get(self) -> None:
-        """What the page shows: query span [s], until [s] (none: now)."""
+        """A view of the page: query span [s], until [s] (none: now)."""
         span = self.number("span", 60.0)
         assert span is not None
         self.write(self.watch.view(min(max(span, 1.0), LONGEST_S), self.number("until"), MOST_ROWS))
@@ -139,9 +140,20 @@ def application(watch: Watch) -> tornado.web.Application:
 
 
 async def serve(watch: Watch, port: int, ready: Any = None, until: asyncio.Event | None = None) -> None:
-    """Serves the page on the loopback interface until ``until`` or an interrupt. ``ready`` gets its URL.
+    """Serve the page of a watch until told to end.
 
-    InputError where the port (0: any free one) is taken."""
+    Parameters
+    ----------
+    watch : Watch
+    port : int, 0 is any free one
+    ready : Any, optional
+    until : asyncio.Event or None, optional
+
+    Raises
+    ------
+    InputError
+        If the port is taken.
+    """
     try:
         sockets = bind_sockets(port, LOOPBACK)
     except (OSError, OverflowError) as error:

@@ -1,7 +1,7 @@
-"""Where frames come from as they come: a simulation's LCM channel, a CAN interface, a growing candump log.
+"""Live sources of frames: a simulation's LCM channel, a CAN interface, a growing candump log.
 
-Nothing here keeps more than MOST frames or BLOCK bytes. What comes faster than it is taken waits in the
-kernel's or LCM's own queue, whose overflow is counted where the source tells.
+Nothing here keeps more than MOST frames or BLOCK bytes. Other frames wait in the kernel's or LCM's own queue.
+Its overflow is counted where the source reports it.
 """
 
 from __future__ import annotations
@@ -17,33 +17,50 @@ from ...base.errors import InputError
 from ...can.logs import EXTENDED, Frames, candump_frames
 
 WAIT_S = 0.1
-"""Time after which a source without a frame says so [s]."""
+"""Time without a frame after which a source reports it [s]."""
 RETRY_S = 1.0
-"""Time after which an interface or a log that went away is tried again [s]."""
+"""Time between two tries of a lost interface or log [s]."""
 MOST = 4096
-"""Frames that a source hands over at once."""
+"""Most frames that a source returns at once."""
 QUEUE = 100_000
-"""Frames that may wait in LCM's queue."""
+"""Most frames in LCM's queue."""
 BLOCK = 1 << 18
-"""Bytes that are read of a log at once."""
+"""Most bytes read of a log at once."""
 EXPECTED = "an LCM URL (udpm://...), socketcan:INTERFACE, or the path of a candump log that grows"
 
 
 class FrameSource(Protocol):
-    """Frames as they come. ``lost``: frames that the source knows it lost on the way; ``trouble``: why there
-    are none at the moment, empty when nothing is known."""
+    """A live source of frames.
+
+    ``lost`` counts frames that the source knows it lost. ``trouble`` explains missing frames; empty if
+    unknown.
+    """
 
     name: str
     lost: int
     trouble: str
 
     def pieces(self) -> Iterator[Frames | None]:
-        """Frames in the order in which they came; None where none came for WAIT_S. Without end."""
+        """Frames in the order of arrival, without end; None where none came for WAIT_S."""
         ...
 
 
 def open_source(where: str) -> FrameSource:
-    """The source that ``where`` names. InputError where it is none, or cannot be opened."""
+    """Open a live source of frames.
+
+    Parameters
+    ----------
+    where : str, LCM address, interface or path of a log
+
+    Returns
+    -------
+    FrameSource
+
+    Raises
+    ------
+    InputError
+        If it is none of these, or cannot be opened.
+    """
     if where.startswith("socketcan:"):
         return CanSource(where.removeprefix("socketcan:"))
     if "://" in where:
@@ -94,7 +111,7 @@ class CanSource:
             ) from None
 
     def pieces(self) -> Iterator[Frames | None]:
-        """Frames that the interface hears; None where none came within WAIT_S, or while it is away."""
+        """Frames on the interface; None where none came within WAIT_S, or while it is away."""
         while True:
             try:
                 self._bus = self._bus or self._open()
@@ -112,7 +129,7 @@ class CanSource:
         return self._can.Bus(self._interface, interface="socketcan", fd=True)
 
     def _heard(self, bus) -> list[tuple[int, int, bytes]]:
-        """What came within WAIT_S after the first wait."""
+        """Frames within WAIT_S after the first wait."""
         frames: list[tuple[int, int, bytes]] = []
         message = bus.recv(WAIT_S)
         ends = time.monotonic() + WAIT_S / 4
@@ -125,7 +142,7 @@ class CanSource:
 
 
 class LogSource:
-    """A candump log that another program writes; one that is begun anew is read anew."""
+    """A candump log that another program writes; a restarted one is read again."""
 
     def __init__(self, path: Path):
         if not path.is_file():
@@ -134,7 +151,7 @@ class LogSource:
         self._path = path
 
     def pieces(self) -> Iterator[Frames | None]:
-        """Frames of the lines that were added; None where none was, or while the log is away."""
+        """Frames of the added lines; None without any, or while the log is away."""
         while True:
             try:
                 yield from self._until_replaced()
@@ -144,7 +161,7 @@ class LogSource:
                 yield None
 
     def _until_replaced(self) -> Iterator[Frames | None]:
-        """The file's frames until another stands in its place, or it is shorter than it was."""
+        """Frames of the file until another replaces it, or it shrinks."""
         with self._path.open("rb") as stream:
             inode, rest = self._path.stat().st_ino, b""
             self.trouble = ""

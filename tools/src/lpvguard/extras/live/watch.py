@@ -1,7 +1,8 @@
-"""What the compiled core says of frames as they come, the newest WINDOW of it kept in rings.
+"""Answers of the compiled core to live frames, the newest WINDOW of it kept in rings.
 
-One thread takes frames from the source and judges them (`Watch.run`). Readers take copies of a few numbers
-under a lock; nobody that reads can make the source wait for longer than such a copy.
+One thread takes frames from the source and judges them (`Watch.run`). Readers copy a few numbers under a
+lock;
+no reader delays the source for longer than such a copy.
 """
 
 from __future__ import annotations
@@ -27,9 +28,9 @@ from .sampling import Sampler
 from .sources import FrameSource
 
 ALARMS = 1000
-"""Alarms that are kept, the newest."""
+"""Most alarms kept, the newest."""
 LISTED = 100
-"""Alarms that a reader gets at once, the newest."""
+"""Most alarms that a reader gets at once, the newest."""
 SILENT_S = 1.0
 """Time without a frame after which the source counts as silent [s]."""
 
@@ -43,7 +44,7 @@ class Ring:
         """Rows ever put in; the oldest that is kept has the number max(0, count - rows)."""
 
     def put(self, new: np.ndarray) -> None:
-        """Adds rows (N, columns), in place of the oldest."""
+        """Add rows (N, columns) in place of the oldest."""
         size = len(self._rows)
         kept = new[-size:]
         at = (self.count + len(new) - len(kept) + np.arange(len(kept))) % size
@@ -51,8 +52,7 @@ class Ring:
         self.count += len(new)
 
     def rows(self, first: int, end: int, step: int = 1) -> np.ndarray:
-        """A copy (N, columns) of the rows numbered ``first`` to before ``end``, those that are kept, every
-        ``step``-th."""
+        """Copy (N, columns) of every ``step``-th kept row from number ``first`` to before ``end``."""
         first = max(first, self.count - len(self._rows), 0)
         numbers = np.arange(first + -first % step, min(end, self.count), step)
         return self._rows[numbers % len(self._rows)]
@@ -70,19 +70,29 @@ class Ring:
 
 
 class Listener(Protocol):
-    """Who hears every judged piece at once, beside those that ask for a view."""
+    """Receiver of every judged piece."""
 
     def listens(self) -> bool:
-        """Whether anybody hears at the moment."""
+        """Whether anybody listens now."""
         ...
 
     def hear(self, series: pa.Table, alarms: list[Alarm]) -> None:
-        """A piece of the time series (replay/series.py) and its alarms, on the clock of the page."""
+        """Take a piece of the time series (replay/series.py) and its alarms, on the clock of the page."""
         ...
 
 
 class Watch:
-    """A source, judged by the compiled core of a vehicle, and the newest ``window_s`` [s] of what it said."""
+    """A source judged by the compiled core of a vehicle, with its newest answers.
+
+    Parameters
+    ----------
+    replayer : Replayer
+    source : FrameSource
+    window_s : float, s of answers that are kept
+    channel : str, optional, interface of a log with several
+    clock : Callable, s, measures the source's silence
+    listener : Listener, optional, receives the judged pieces
+    """
 
     def __init__(
         self,
@@ -93,8 +103,6 @@ class Watch:
         clock: Callable[[], float] = time.monotonic,
         listener: Listener | None = None,
     ):
-        """``channel``: the interface of a log with several. ``clock`` [s] tells how long the source is
-        silent. ``listener``: hears what is judged."""
         project = replayer.project
         self.replayer, self.source, self._clock, self._listener = replayer, source, clock, listener
         self._receiver = Receiver(project, command=project.can is None)
@@ -127,7 +135,7 @@ class Watch:
         self.failed = ""
 
     def run(self) -> None:
-        """Takes and judges frames until ``stop``, in a thread of its own."""
+        """Take and judge frames until ``stop``, in its own thread."""
         try:
             for frames in self.source.pieces():
                 if self._stop.is_set():
@@ -139,11 +147,11 @@ class Watch:
             raise
 
     def stop(self) -> None:
-        """Ends ``run`` with the next piece."""
+        """End ``run`` at the next piece."""
         self._stop.set()
 
     def take(self, frames: Frames) -> None:
-        """Judges what ``frames`` complete."""
+        """Judge the samples that ``frames`` complete."""
         self._heard_at = self._clock()
         for t, values, present in self._sampler.take(frames):
             self._judge(t, values, present)
@@ -183,11 +191,11 @@ class Watch:
             self._listener.hear(self.replayer.series_of(piece, yhat, run, 0.0), found)
 
     def silent_s(self) -> float | None:
-        """Time since the newest frame [s]; None: none ever came."""
+        """Time since the newest frame [s]; None before the first."""
         return None if self._heard_at is None else self._clock() - self._heard_at
 
     def what(self) -> dict[str, Any]:
-        """What does not change: names, units, bins, thresholds."""
+        """Constants: names, units, bins, thresholds."""
         project, replayer = self.replayer.project, self.replayer
         return {
             "title": project.title,
@@ -206,7 +214,7 @@ class Watch:
         }
 
     def _command_of(self) -> str | None:
-        """The output that the driver's command on the bus is for; None where the bus carries none."""
+        """Output that the driver's command on the bus is for; None without a command."""
         if self._receiver.columns == len(self.signals):
             return None
         wanted = REFERENCE.signal.removesuffix("_command")
@@ -214,7 +222,7 @@ class Watch:
         return next(found, None)
 
     def view(self, span_s: float, until: float | None, most: int) -> dict[str, Any]:
-        """The ``span_s`` [s] before ``until`` [s] (None: now), of the series at most ``most`` rows."""
+        """The ``span_s`` [s] before ``until`` [s] (None: now), with at most ``most`` rows of the series."""
         with self._lock:
             count = self._ring.count
             newest = self._ring.rows(count - 1, count)
@@ -253,8 +261,8 @@ class Watch:
         }
 
     def _bins(self, newest: np.ndarray, judged: np.ndarray) -> dict[str, list[float | None]]:
-        """Per bin the newest frame's statistic, t* and evidence, its age's time, and the largest statistic of
-        the window."""
+        """Per bin the newest frame's statistic, t*, evidence and time, and the largest statistic of the
+        window."""
         n_bins = len(self._newest)
         last, largest = np.full((n_bins, 5), np.nan), np.full(n_bins, np.nan)
         for row in newest[np.isfinite(newest[:, 0])]:
@@ -269,7 +277,7 @@ class Watch:
         }
 
     def _can(self) -> dict[str, Any]:
-        """What became of the frames since the source's clock began, and which needed messages are live."""
+        """Outcome of the frames since the source's clock began, and the live needed messages."""
         counts, live = self._sampler.counts, self._sampler.live
         if counts is None or live is None:
             return {"messages": {}, "other": {}, "live": {}}
@@ -278,8 +286,10 @@ class Watch:
         return {**self._receiver.counted(counts), "live": states}
 
     def drive(self, begin: float, end: float) -> tuple[list[str], np.ndarray]:
-        """The longest stretch without a gap between ``begin`` and ``end`` [s]: the columns of a drive table
-        and its numbers (N, columns); N is 0 where there is no sample."""
+        """Longest stretch without a gap between ``begin`` and ``end`` [s], as a drive table.
+
+        Returns columns and numbers (N, columns); N is 0 without a sample.
+        """
         project = self.replayer.project
         with self._lock:
             rows = self._ring.rows(self._ring.find(begin), self._ring.find(end))
@@ -297,5 +307,5 @@ class Watch:
 
 
 def _numbers(values: np.ndarray) -> list[float | None]:
-    """For JSON: rounded for a picture, None for what is no number."""
+    """Numbers for JSON, rounded for a picture; None for one that is not finite."""
     return [round(x, 5) if np.isfinite(x) else None for x in values.tolist()]

@@ -1,5 +1,4 @@
-"""The fault table at firmware level. Each row says what goes wrong on the bus of the closed loop, what the
-firmware must make of it, and by when.
+"""Fault table of the bus: each fault in the closed loop, the firmware's required reaction, and its deadline.
 
 Each row is a run of the simulator in which one fault of the scenario files (firmware_sim/sim/scenario.hpp)
 starts at START_S. Times are those of the firmware's ticks: a state shows in the first report after it was
@@ -24,11 +23,11 @@ _SETTLED_S = 1.0
 
 @dataclass(frozen=True)
 class BusFault:
-    """A fault of a message, and what the firmware must make of it.
+    """A fault of a message, and the firmware's required reaction.
 
     periods              length of the fault in periods of the message
     seen, seen_within    kind of event that must be counted first, and within how many periods; "": the fault
-                         leaves no trace, as can.h says
+                         leaves no trace (can.h)
     state, within        worst state that must show, and within how many periods; "live": no other may show
     """
 
@@ -74,8 +73,10 @@ BUS_FAULTS = [
 
 
 def run_fault(simulator: Simulator, fault: BusFault, **options: Any) -> dict[str, Any]:
-    """One row of the table; ``options`` go to Simulator.run. ``missed``: what did not come in time, one
-    sentence each."""
+    """One row of the table; ``options`` go to Simulator.run.
+
+    ``missed`` holds a sentence for each late or missing reaction.
+    """
     period_s = load_catalogue().message(fault.message).period_ms / 1000
     # A frame that is due at the very end is good again; the last delayed one comes later still.
     window_s = fault.periods * period_s - simulator.project.Ts_s / 2
@@ -110,7 +111,17 @@ def run_fault(simulator: Simulator, fault: BusFault, **options: Any) -> dict[str
 
 
 def table(simulator: Simulator, tell: Callable[[str], None] = lambda _: None) -> list[dict[str, Any]]:
-    """Every fault, in order."""
+    """Run every fault of the bus.
+
+    Parameters
+    ----------
+    simulator : Simulator
+    tell : Callable, reports progress
+
+    Returns
+    -------
+    list of dict, rows in the order of the faults
+    """
     rows = []
     for fault in BUS_FAULTS:
         tell(f"{fault.name}, {fault.message}")
@@ -119,7 +130,18 @@ def table(simulator: Simulator, tell: Callable[[str], None] = lambda _: None) ->
 
 
 def as_text(rows: list[dict[str, Any]]) -> str:
-    """The table for people; times in ms after the fault's start, the last ones after its end."""
+    """Format the table of bus faults.
+
+    Times are in ms after the fault's start, the last ones after its end.
+
+    Parameters
+    ----------
+    rows : list of dict, of `table`
+
+    Returns
+    -------
+    str
+    """
     head = (
         f"{'fault':<18} {'message':<9} {'period':>6} {'first seen as':<14} {'at':>5} "
         f"{'state':<5} {'at':>5} {'limit':>6} {'live again':>11}  missed"
@@ -140,8 +162,8 @@ def as_text(rows: list[dict[str, Any]]) -> str:
 
 
 def _first_seen(messages: dict[str, Any], message: str) -> tuple[str, float | None]:
-    """The first event other than good frames, of the message or of none, with its time; of several at once
-    the earliest checked."""
+    """First event other than good frames, of the message or of none, with its time; among several the
+    first checked."""
     seen = [
         (t, EVENTS.index(kind), kind)
         for name in (message, "other")
@@ -157,7 +179,7 @@ def _after(t_s: float | None, from_s: float) -> float | None:
 
 
 def _missed(fault: BusFault, row: dict[str, Any], period_ms: float) -> Iterator[str]:
-    """What a row did not show in time, a sentence each."""
+    """Late and missing reactions of a row, a sentence each."""
     if row["seen"] != fault.seen:
         yield f"first seen as {row['seen'] or 'nothing'}, not as {fault.seen or 'nothing'}"
     elif fault.seen and row["seen_after_ms"] > fault.seen_within * period_ms:

@@ -1,9 +1,8 @@
 """`lpvguard generate`: seeded synthetic drives of a vehicle, as a drive folder.
 
-`car` is the stand-in for the measured car (drives/fixture.py). `truck` runs the simulated truck of
-firmware_sim/plant, which shares nothing with the nominal model, at held speeds over the model's range: sines
-swept from 0.1 to 30 rad/s at the edges of the amplitudes of use, brake manoeuvres between them, and
-zero-input runs.
+`car` replaces the measured car (drives/fixture.py). `truck` runs the simulated truck of firmware_sim/plant,
+which shares nothing with the nominal model, at held speeds over the model's range. It drives sines swept from
+0.1 to 30 rad/s at the edges of the amplitudes of use, brake manoeuvres between them, and zero-input runs.
 """
 
 from __future__ import annotations
@@ -25,12 +24,14 @@ SWEEP_DURATION_S = 599.0
 MANOEUVRE_BAR = (0.25, 1.0)
 """Least and largest amplitude of a manoeuvre's demand."""
 SWEEPS_BAR = (0.24, 0.24, 0.24, 0.24, 0.8, 2.1, 2.1, 2.1)
-"""Amplitudes of the swept sines: from where kingpin friction rules to the edge of use, 4 m/s2 of lateral
-acceleration (2.06 bar). The small one is driven four times, because road and wind are as large
-there; the large one three times, because tyres make the error depend on the speed there."""
+"""Amplitudes of the swept sines, from dominant kingpin friction to the edge of use, 4 m/s2 of lateral
+acceleration
+(2.06 bar). The small one is driven four times, because road and wind are as large there. The large one is
+driven three times, because tyres make the error depend on the speed there."""
 EDGE_SWEEPS_BAR = (2.1, 2.1, 2.1)
-"""More of them at the least and the largest speed, where the error is largest and a line over all speeds can
-be wrong by most."""
+"""Further ones at the least and the largest speed. The error, and its distance from a line over all speeds,
+is
+largest there."""
 ZERO_INPUT_DURATION_S = 240.0
 # Just inside 8 to 22 m/s: the speed sensor's noise must not put samples out of range.
 BOUND_SPEEDS = (8.1, 10.0, 12.0, 14.0, 16.0, 18.0, 20.0, 21.9)
@@ -40,8 +41,17 @@ PROGRAMMES = ("pulses", "telegraph", "multisine")
 
 
 def plant_tool() -> Path:
-    """The plant's tool, compiled on first use from firmware_sim/plant. InputError where the sources are
-    absent."""
+    """Compile the plant's tool from firmware_sim/plant on first use.
+
+    Returns
+    -------
+    Path
+
+    Raises
+    ------
+    InputError
+        If the sources are absent.
+    """
     root = firmware_root() / "plant"
     sources = [*sorted((root / "src").glob("*.cpp")), *sorted((root / "tool").glob("*.cpp"))]
     flags = ("-std=c++17", "-O2", "-ffp-contract=off", f'-DLPVGUARD_TRUCK_TOML="{root / "truck.toml"}"')
@@ -60,7 +70,7 @@ def plant_tool() -> Path:
 
 @dataclass(frozen=True)
 class _Planned:
-    """One drive of the truck: its split, programme, held speed [m/s], duration [s] and amplitudes [bar]."""
+    """One drive of the truck: split, programme, held speed [m/s], duration [s] and amplitudes [bar]."""
 
     split: str
     programme: str
@@ -70,7 +80,8 @@ class _Planned:
 
 
 def _truck_plan() -> list[_Planned]:
-    """Bound-setting sweeps have every amplitude at every speed; those that calibrate take turns."""
+    """Plan of the drives: bound-setting sweeps have every amplitude at every speed; calibrating ones take
+    turns."""
     plan = [_Planned("train", p, v, DURATION_S) for v in BOUND_SPEEDS for p in PROGRAMMES]
     sweeps = [(v, u) for v in BOUND_SPEEDS for u in SWEEPS_BAR]
     sweeps += [(v, u) for v in (BOUND_SPEEDS[0], BOUND_SPEEDS[-1]) for u in EDGE_SWEEPS_BAR]
@@ -113,7 +124,24 @@ def _truck(project: Project, folder: Path, seed: int, tell: Callable[[str], None
 
 
 def generate(project: Project, target: Path, seed: int, tell: Callable[[str], None] = lambda _: None) -> int:
-    """Write the drive folder whole or not at all; returns the number of drives."""
+    """Write a drive folder of synthetic drives, whole or not at all.
+
+    Parameters
+    ----------
+    project : Project
+    target : Path, new folder
+    seed : int
+    tell : Callable, reports progress
+
+    Returns
+    -------
+    int, number of drives
+
+    Raises
+    ------
+    InputError
+        If the project names no generator, or the folder may not be replaced.
+    """
     makers = {"car": fixture.write_drives, "truck": _truck}
     if project.data.generator not in makers:
         raise InputError(f"vehicle {project.name}", "data.generator", "not set", " or ".join(makers))

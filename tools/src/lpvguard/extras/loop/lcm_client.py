@@ -61,8 +61,7 @@ def generator() -> str:
 
 @cache
 def message_types() -> ModuleType:
-    """The package ``lpvguard_lcm`` with a class for each message type, made by lcm-gen into the cache on
-    first use."""
+    """The package ``lpvguard_lcm`` with a class for each message type, which lcm-gen makes on first use."""
     sources = sorted((firmware_root() / "lcm").glob("*.lcm"))
     digest = hashlib.sha256(b"\0".join(s.read_bytes() for s in sources)).hexdigest()[:24]
     folder = native.cache_dir() / f"lcm-{digest}"
@@ -87,14 +86,22 @@ def message_types() -> ModuleType:
 
 
 def constants(type_name: str) -> dict[str, int]:
-    """Constants of a message type by name in lower case, as its .lcm file states them: the actions of
-    control_t, the states of status_t."""
+    """Constants of a message type by lower-case name: the actions of control_t, the states of status_t."""
     members = vars(getattr(message_types(), type_name))
     return {name.lower(): value for name, value in members.items() if name.isupper()}
 
 
 def state_name(status: Any) -> str:
-    """Name of a status_t's state."""
+    """Name the state of a status_t.
+
+    Parameters
+    ----------
+    status : status_t
+
+    Returns
+    -------
+    str
+    """
     return next(name for name, value in constants("status_t").items() if value == status.state)
 
 
@@ -107,7 +114,7 @@ def _lcm() -> ModuleType:
 
 
 def decode(channel: str, data: bytes) -> Any:
-    """The message that ``data`` is, by its channel. InputError when it is of another type or version."""
+    """Decode a message by its channel. InputError when it is of another type or version."""
     try:
         return getattr(message_types(), CHANNELS[channel]).decode(data)
     except ValueError as error:
@@ -115,8 +122,21 @@ def decode(channel: str, data: bytes) -> Any:
 
 
 def read_log(path: Path) -> Iterator[tuple[str, Any]]:
-    """(channel, message) of every message of ours in a log as lcm-logger writes it, in the order of the
-    log."""
+    """Read our messages of a log of lcm-logger, in its order.
+
+    Parameters
+    ----------
+    path : Path
+
+    Yields
+    ------
+    tuple (channel, message)
+
+    Raises
+    ------
+    InputError
+        If the file is no such log.
+    """
     lcm = _lcm()
     if not path.is_file():
         raise InputError(path, "", "no such file", "a log of lcm-logger")
@@ -130,13 +150,31 @@ def read_log(path: Path) -> Iterator[tuple[str, Any]]:
 
 
 def log_line(frame: Any) -> str:
-    """A bus_t as a line of candump -L, as `lpvguard sim -o` writes it."""
+    """Write a bus_t as a line of candump -L, as `lpvguard sim -o` does.
+
+    Parameters
+    ----------
+    frame : bus_t
+
+    Returns
+    -------
+    str
+    """
     flags = (EXTENDED if frame.extended else 0) | (ERROR_REPORT if frame.error else 0)
     return candump_line(frame.utime, "can0", frame.id | flags, frame.data[: frame.dlc])
 
 
 def watch(messages: Iterable[tuple[str, Any]]) -> Iterator[str]:
-    """A line of text for whatever changes in ``messages``; ends with the run."""
+    """Word every change in a stream of messages, until the run ends.
+
+    Parameters
+    ----------
+    messages : Iterable of (channel, message)
+
+    Yields
+    ------
+    str, a line
+    """
     newest: dict[str, Any] = {}
 
     def changed(what: str, value: Any) -> bool:
@@ -177,12 +215,23 @@ def watch(messages: Iterable[tuple[str, Any]]) -> Iterator[str]:
 
 
 class Client:
-    """Hears channels of a simulation, and leads it. One thread; nothing is dropped here, however late it is
-    read, unless ``queue`` limits what waits."""
+    """Reads channels of a simulation and controls it, in one thread.
+
+    No message is dropped, however late it is read, unless ``queue`` limits the waiting ones.
+
+    Parameters
+    ----------
+    url : str, as LCM reads it
+    channels : Iterable[str], by default all
+    queue : int, most waiting messages of a channel, 0 for any number, default 0
+
+    Raises
+    ------
+    InputError
+        If it cannot be opened.
+    """
 
     def __init__(self, url: str, channels: Iterable[str] = CHANNELS, queue: int = 0):
-        """``url`` as LCM reads it; ``queue``: messages of a channel that may wait (0: any number). InputError
-        when it cannot be opened."""
         try:
             self._lcm = _lcm().LCM(url)
         except RuntimeError as error:
@@ -194,23 +243,24 @@ class Client:
             self._lcm.subscribe(channel, self._hear).set_queue_capacity(queue)
 
     def messages(self, timeout_s: float) -> Iterator[tuple[str, Any]]:
-        """(channel, message) as they come, until ``timeout_s`` [s] have passed without one."""
+        """Yield (channel, message) until ``timeout_s`` [s] have passed without one."""
         while self._heard or self._lcm.handle_timeout(round(timeout_s * 1e3)) > 0:
             while self._heard:
                 yield self._heard.popleft()
 
     def waiting(self, timeout_s: float, most: int) -> list[tuple[str, Any]]:
-        """Up to ``most`` (channel, message) that wait; where none does, waits ``timeout_s`` [s] for one."""
+        """Up to ``most`` waiting (channel, message); without any it waits ``timeout_s`` [s] for one."""
         left_ms = round(timeout_s * 1e3)
         while len(self._heard) < most and self._lcm.handle_timeout(left_ms) > 0:
             left_ms = 0
         return [self._heard.popleft() for _ in range(min(most, len(self._heard)))]
 
     def command(self, action: Action, entry: str = "", *, ticks: int = 1, timeout_s: float = 5.0) -> Any:
-        """Sends a control_t (firmware_sim/lcm/lpvguard_control.lcm) and returns the status_t that answers it.
+        """Send a control_t (firmware_sim/lcm/lpvguard_control.lcm) and return the answering status_t.
 
-        ``messages`` yields what comes meanwhile. InputError when the command is refused, or when no answer
-        comes within ``timeout_s`` [s].
+        Other messages remain for ``messages``. Raises InputError when the command is refused, or when no
+        answer comes
+        within ``timeout_s`` [s].
         """
         types = message_types()
         asked = types.control_t()

@@ -1,8 +1,9 @@
 """The simulated truck's frequency response from the demand, measured with sines (`plant response`).
 
 The demand is held over each sample, and the outputs are read at the sample instants. Hold, brake delay and
-brake lag are therefore in the response. Road and wind are calm. Measured are the true outputs, without noise
-and number grids. The controller's own sample of delay is not in it (control/true_loop.py).
+brake lag are therefore in the response. Road and wind are calm. The measured outputs are the true ones,
+without
+noise and number grids. The controller's own sample of delay is not in it (control/true_loop.py).
 """
 
 from __future__ import annotations
@@ -21,11 +22,24 @@ from .generate import plant_tool
 def frequency_response(
     tables: str, v: float, amplitude: float, omega: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The frequencies driven (K,) [rad/s] and the response there (K, n_y), complex, output per bar.
+    """Measure the truck's frequency response from the demand.
 
-    ``tables``: variation and faults of the truck, as scenario tables, "" for the truck itself; ``v``: speed
-    [m/s]; ``amplitude``: of the demand [bar]; ``omega`` (K,): wanted, met within 0.05 %, since whole periods
-    take whole samples. InputError when the truck cannot be driven so.
+    Parameters
+    ----------
+    tables : str, variation and faults as scenario tables, "" for the truck itself
+    v : float, m/s
+    amplitude : float, bar, of the demand
+    omega : ndarray (K,), rad/s, wanted; met within 0.05 %, because whole periods take whole samples
+
+    Returns
+    -------
+    tuple of driven frequencies, ndarray (K,) [rad/s], and response, ndarray (K, n_y) of complex [output per
+    bar]
+
+    Raises
+    ------
+    InputError
+        If the truck cannot be driven so.
     """
     tool = plant_tool()
     with tempfile.TemporaryDirectory() as scratch:

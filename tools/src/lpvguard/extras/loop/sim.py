@@ -1,9 +1,9 @@
-"""`lpvguard sim`: the closed loop on a PC -- simulated truck, CAN frames, the compiled ECU loop -- and what
-it was to show.
+"""`lpvguard sim`: the closed loop on a PC -- simulated truck, CAN frames, the compiled ECU loop -- and its
+expectations.
 
-The simulator (firmware_sim/) is compiled on first use with the vehicle's generated folder, into the cache
-that `replay` uses too. A scenario file says how the truck is driven and what breaks
-(firmware_sim/sim/scenario.hpp); its table ``expect`` says what must be said and by when, and is judged here:
+The simulator (firmware_sim/) is compiled on first use with the vehicle's generated folder, into the cache of
+`replay`. A scenario file states the driving and the faults (firmware_sim/sim/scenario.hpp). Its table
+``expect`` states the required answers and their deadlines, and is judged here:
 
     [expect]
     verdict = "never_invalid"     # or "any"; or "invalid": not before fault_start_s, then in within_judged_s
@@ -57,19 +57,29 @@ from ...vehicle.project import Project, Signal, parse_project
 Controller = Literal["designed", "feedforward", "off"]
 RECOVERY_S = 1.0
 """Time after a bus fault within which supervision must be live again: five frames of the slowest message, and
-a reserve."""
+a
+reserve."""
 
 REPORT_ONLY = ("--reactions", "report")
 """Findings are reported and do not release."""
 LCM_LINK = ("-Wl,--no-as-needed", "-llcm")
 FLAGS = ("-std=c++17", "-O2", "-ffp-contract=off", "-fno-math-errno")
 OF_NO_VEHICLE = {"command", "live_scenario", "memory_bus", "scenario", "socketcan_bus"}
-"""Sources of firmware_sim/sim that know the bus, one for all vehicles, and no sizes: compiled once."""
+"""Sources of firmware_sim/sim without a vehicle's sizes, compiled once for all vehicles."""
 Seconds = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 
 
 class Expectation(StrictModel):
-    """The table ``expect`` of a scenario; see the module's docstring."""
+    """Table ``expect`` of a scenario (the module's docstring).
+
+    Attributes
+    ----------
+    verdict, supervision : str
+    fault_start_s, fault_end_s : float or None, s
+    within_judged_s : float or None, s of judged driving
+    within_periods : int or None, periods
+    tracking_ratio_max : float or None, tracking_rms / command_rms
+    """
 
     verdict: Literal["never_invalid", "invalid", "any"]
     supervision: Literal["live", "reacts"]
@@ -88,8 +98,7 @@ class Expectation(StrictModel):
         return self
 
     def reaction_s(self, Ts_s: float) -> tuple[float, float] | None:
-        """(from when, by when) [s] the supervision must leave live, at a sample period ``Ts_s`` [s]; None: it
-        must stay live."""
+        """Times [s] from and by which the supervision must leave live, or None where it must stay live."""
         if self.supervision == "live" or self.fault_start_s is None or self.within_periods is None:
             return None
         return self.fault_start_s, self.fault_start_s + self.within_periods * Ts_s
@@ -97,7 +106,16 @@ class Expectation(StrictModel):
 
 @dataclass(frozen=True)
 class Scenario:
-    """A scenario file: its name, path, what it expects, its seed."""
+    """A scenario file.
+
+    Attributes
+    ----------
+    name : str
+    path : Path
+    title : str
+    seed : int
+    expect : Expectation
+    """
 
     name: str
     path: Path
@@ -112,7 +130,21 @@ def shipped_scenarios() -> list[str]:
 
 
 def load_scenario(name: str) -> Scenario:
-    """A scenario by shipped name or by path. InputError names the file, the field and what was expected."""
+    """Load a scenario by shipped name or by path.
+
+    Parameters
+    ----------
+    name : str
+
+    Returns
+    -------
+    Scenario
+
+    Raises
+    ------
+    InputError
+        If a field is refused; it names the file, the field and what was expected.
+    """
     path = Path(name)
     if path.suffix != ".toml":
         path = firmware_root() / "scenarios" / f"{name}.toml"
@@ -138,8 +170,8 @@ def steady_scenario(
     seed: int = 1,
     expect: str = 'verdict = "any"\nsupervision = "live"',
 ) -> str:
-    """Text of a scenario file: constant speed, a multisine yaw-rate command of 0.5 to 4 rad/s, further
-    ``tables``, what to ``expect``."""
+    """Text of a scenario: constant speed, a multisine yaw-rate command of 0.5 to 4 rad/s, and further
+    ``tables``."""
     return f"""\
 title = {json.dumps(title)}
 duration_s = {duration_s:g}
@@ -159,7 +191,7 @@ rms_radps = {rms_radps:g}
 
 
 def can_fault_table(message: str, kind: str, start_s: float, end_s: float, **more: float) -> str:
-    """The table of a scenario file for one fault on the bus; ``more``: its further keys."""
+    """Scenario table of one fault on the bus; ``more``: its further keys."""
     values = {"message": message, "kind": kind, "start_s": start_s, "end_s": end_s, **more}
     return "[[can_fault]]\n" + "".join(f"{key} = {json.dumps(value)}\n" for key, value in values.items())
 
@@ -167,12 +199,13 @@ def can_fault_table(message: str, kind: str, start_s: float, end_s: float, **mor
 def feedforward(
     project: Project, nodes: np.ndarray, u_max: np.ndarray, rate_max: np.ndarray
 ) -> ControllerCoefficients:
-    """The controller for comparison: the command over the nominal model's DC gain, nothing fed back, one
-    sample late as any controller.
+    """Controller for comparison: the command over the nominal DC gain, without feedback, one sample late.
 
-    Limits of the demand, those of the controller compared with: u_max (G, 1) [input unit] at its nodes (G,)
-    [m/s], rate_max (1,) [input unit/s]. Its nodes and the speeds midway are the nodes here, so the limits are
-    the same everywhere. InputError as of ``build_controller``.
+    It has the limits of the compared controller: u_max (G, 1) [input unit] at its nodes (G,) [m/s], rate_max
+    (1,)
+    [input unit/s]. Its nodes are these nodes and the speeds midway, so the limits are the same everywhere.
+    Raises
+    InputError as ``build_controller``.
     """
     model = NominalModel(project)
     speeds = np.linspace(nodes[0], nodes[-1], 2 * len(nodes) - 1)
@@ -200,14 +233,21 @@ def _replace_controller(folder: Path, controller: ControllerCoefficients, target
 
 
 class Simulator:
-    """The compiled simulator of one vehicle.
+    """Compiled simulator of one vehicle.
 
-    ``folder`` is a generated folder with a controller. Raises InputError when it has none or does not
-    compile.
+    Parameters
+    ----------
+    folder : Path, generated folder with a controller
+    controller : str, the folder's own ("designed"), or another one for comparison
+    lcm : bool, allow publishing and control over LCM (needs liblcm-dev and lcm-gen), default False
+
+    Raises
+    ------
+    InputError
+        If the folder has no controller or does not compile.
     """
 
     def __init__(self, folder: Path, *, controller: Controller = "designed", lcm: bool = False):
-        """``lcm``: the program can publish and be led over LCM (needs liblcm-dev and lcm-gen)."""
         self.folder, self.controller, self._lcm = Path(folder), controller, lcm
         self._emulated: dict[str, EmulatedEcu] = {}
         manifest = artefacts.read_manifest(self.folder, "vehicle")
@@ -248,7 +288,7 @@ class Simulator:
             ) from None
 
     def emulated(self, target: str) -> EmulatedEcu:
-        """The firmware built for an emulated processor with a CAN controller."""
+        """Firmware for an emulated processor with a CAN controller."""
         if target not in self._emulated:
             self._emulated[target] = emulated_ecu(target, self.folder)
         return self._emulated[target]
@@ -288,18 +328,20 @@ class Simulator:
         bus          memory, or socketcan:INTERFACE
         out          a folder for NAME-SEED.log (candump -L), .frames.csv, .telemetry.csv and .drive.csv,
                      which `lpvguard replay` reads
-        ecu_process  the firmware is a process of its own; it needs SocketCAN
+        ecu_process  the firmware is a separate process; it needs SocketCAN
         target       host, or an emulated processor, which needs SocketCAN too. The object of the latter has
                      ``ecu``: the target, the hash of the ELF file and the instructions of the ticks
-        pace         at most so many times real time
-        lcm          URL where the run is published and commands are taken (of a simulator made with ``lcm``).
-                     With ``out``, NAME-SEED.applied.toml is the scenario with what clients changed
+        pace         largest multiple of real time
+        lcm          URL for publishing and commands (for a simulator made with ``lcm``). With ``out``,
+                     NAME-SEED.applied.toml is the scenario with the clients' changes
         paused       wait until a client says resume
         report_only  findings do not release, as in ``drive``; not on an emulated processor
 
-        The same scenario, seed and vehicle give the same bytes but for real_time_factor. That is simulated
-        time over one core's processor time. Where the firmware is not in this process, it is over elapsed
-        time. InputError where the simulator refuses the scenario or the bus.
+        The same scenario, seed and vehicle give the same bytes except for real_time_factor. That is simulated
+        time
+        over one core's processor time. With the firmware in another process it is over elapsed time. Raises
+        InputError
+        where the simulator refuses the scenario or the bus.
         """
         seed = scenario.seed if seed is None else seed
         emulated = None if target == "host" else self.emulated(target)
@@ -336,12 +378,13 @@ class Simulator:
         log: Path | None = None,
         telemetry: Path | None = None,
     ) -> tuple[dict[str, Any], Drive]:
-        """One run of the scenario file ``path``: what happened, and the drive.
+        """One run of the scenario file ``path``: its facts, and the drive.
 
-        What happened is as the simulator prints it. The drive is what its monitor saw; samples that it was
-        not given are missing. ``log``: where every frame of the bus goes as candump -L writes it;
-        ``telemetry``: where the loop goes every 100 ms, CSV. Findings are only reported, so that the loop,
-        and what its monitor sees, goes on behind the first one.
+        The facts are the simulator's output. The drive is the monitor's input; samples that it did not get
+        are missing.
+        ``log``: file for every frame of the bus as candump -L writes it; ``telemetry``: CSV of the loop every
+        100 ms.
+        Findings are only reported, so that the loop goes on after the first one.
         """
         with tempfile.TemporaryDirectory() as scratch:
             table = Path(scratch) / f"{path.stem}.csv"
@@ -352,8 +395,8 @@ class Simulator:
             return facts, self._without_gaps(path.stem, pa_csv.read_csv(table))
 
     def _execute(self, scenario: Path, options: list[Any]) -> dict[str, Any]:
-        """What the simulator prints of a run of the scenario file with further options. InputError where it
-        refuses them."""
+        """Output of the simulator for a scenario file with further options. InputError where it refuses
+        them."""
         words = [self.program, scenario, "--parameters", firmware_root() / "plant" / "truck.toml"]
         words += ["--engage", "no" if self.controller == "off" else "yes", *options]
         done = subprocess.run([str(w) for w in words], capture_output=True, text=True, check=False)
@@ -426,7 +469,7 @@ class Simulator:
 
 
 def _joining(bus: str, program: Path) -> Path:
-    """The firmware that is a process of its own. InputError where it cannot join ``bus``."""
+    """Firmware in a separate process. InputError where it cannot join ``bus``."""
     if not bus.startswith("socketcan:"):
         raise InputError(bus, "bus", "joins nothing outside the simulator", "socketcan:INTERFACE")
     return program
@@ -434,7 +477,9 @@ def _joining(bus: str, program: Path) -> Path:
 
 def loop_objects(folder: Path, main: Path, *, lcm: bool = False) -> list[Path]:
     """Objects of a program ``main`` around the simulated loop of a generated folder with a controller.
-    NativeError where one does not compile."""
+
+    Raises NativeError where one does not compile.
+    """
     root = firmware_root()
     plant = [root / "plant" / "include", root / "plant" / "src", root / "plant" / "tool"]
     of_no_vehicle = [root / "sim", *_ecu_folders(root), *plant, library_root() / "include"]
@@ -469,18 +514,17 @@ def _ecu_folders(root: Path) -> list[Path]:
 
 
 def _ecu_sources(root: Path) -> list[Path]:
-    """Sources of the firmware that the simulator and the process on a CAN interface share."""
+    """Sources of the firmware for both the simulator and the process on a CAN interface."""
     return [*sorted((root / "ecu").glob("*.c")), *(s for p in _ports(root) for s in sorted(p.glob("*.cpp")))]
 
 
 def _ports(root: Path) -> list[Path]:
-    """Folders of what an ECU on Linux and its simulator share."""
+    """Folders shared by an ECU on Linux and its simulator."""
     return [root / "ports" / "ecu_process", root / "ports" / "linux"]
 
 
 def _lcm_publisher(root: Path, flags: tuple[str, ...], includes: list[Path]) -> Path:
-    """Object of the LCM publisher, with its message types made by lcm-gen. NativeError when that is
-    missing."""
+    """Object of the LCM publisher, with its message types. NativeError without lcm-gen."""
     # That of the library that is linked: C++ from another version's does not compile with it.
     found = subprocess.run(
         ["pkg-config", "--variable=prefix", "lcm"], capture_output=True, text=True, check=False
@@ -498,8 +542,8 @@ def _lcm_publisher(root: Path, flags: tuple[str, ...], includes: list[Path]) -> 
 
 
 def _reception(raw: dict[str, Any]) -> dict[str, Any]:
-    """The supervision's counters by message and kind ("other": frames of no rule), and when each kind was
-    first seen [s]."""
+    """Counters of the supervision by message and kind ("other": frames of no rule), and first time of each
+    kind [s]."""
     names = {m.id: m.name for m in load_catalogue().messages} | {0: "other"}
     messages = {}
     for identifier, state, counts, first_s in raw["rules"]:
@@ -533,7 +577,7 @@ def overlap(spans: list[list[float]], start: float, end: float) -> float:
 
 
 def missed(expect: Expectation, result: dict[str, Any], Ts_s: float) -> Iterator[str]:
-    """What a run did not show although its scenario expects it, one sentence each."""
+    """Expectations of a scenario that a run did not meet, one sentence each."""
     first = result["first_invalid_s"]
     if expect.verdict == "never_invalid" and first is not None:
         yield f"invalid at {first:g} s"
@@ -551,7 +595,7 @@ def missed(expect: Expectation, result: dict[str, Any], Ts_s: float) -> Iterator
 
 
 def _supervision_missed(expect: Expectation, changes: list[list], Ts_s: float) -> Iterator[str]:
-    """What the supervision did not say although the scenario expects it, one sentence each."""
+    """Expectations on the supervision that a run did not meet, one sentence each."""
     first_live = next((t for t, state in changes if state == "live"), None)
     if first_live is None:
         yield "supervision was never live"

@@ -1,8 +1,8 @@
-"""What the supervision of the bus must say, from the frames on the bus and the message table alone (rules:
+"""Required states of the bus supervision, from the frames and the message table alone (rules:
 lib/include/lpvguard/can.h).
 
-Written from the rules, not from can.cpp of the core, so that one can be held against the other. Per message,
-with its period from the table, starting off:
+It is written from the rules, not from lib/src/guard/can.cpp, so that each tests the other. Per message, with
+its period from the table, starting off:
 
     off -> live         RECOVER_FRAMES good frames in a row
     live -> hold -> off the newest good frame is older than HOLD_MISSED + 1/2, OFF_MISSED + 1/2 periods; a
@@ -25,8 +25,10 @@ A frame is bad when one of these holds:
 
 "Off" forgets counter and values.
 
-At every tick the ECU says the worst state of the messages that its vehicle needs, of what arrived up to it.
-It says off, too, where all are live but a newest good value is outside the range of the vehicle's own signal
+At every tick the ECU reports the worst state of the messages that its vehicle needs, from the frames up to
+it.
+It also reports off where all are live but a newest good value is outside the range of the vehicle's own
+signal
 table: such a sample is refused.
 """
 
@@ -58,19 +60,18 @@ ARRIVALS, ARRIVALS_PERIODS = 8, 6
 
 
 def needed_messages(project: Project) -> list[Message]:
-    """The messages without which the ECU of a vehicle cannot work: those that carry speed, outputs, the
-    command, and what the driver's brakes do."""
+    """Messages that the ECU of a vehicle needs: for speed, outputs, command, and the driver's brakes."""
     catalogue = load_catalogue()
     places = [project.speed.can, REFERENCE, OVERRIDE, *(s.can for s in project.outputs)]
     return [catalogue.message(name) for name in sorted({p.message for p in places if p is not None})]
 
 
 Limits = Mapping[tuple[str, str], tuple[float, float]]
-"""Least and largest bus value that a vehicle takes, by message and signal."""
+"""Least and largest accepted bus value by message and signal."""
 
 
 def limits(project: Project) -> dict[tuple[str, str], tuple[float, float]]:
-    """What the vehicle's signal table allows the signals that the bus carries to its monitor."""
+    """Limits by the vehicle's signal table for the monitor's signals on the bus."""
     found = {}
     for s in (project.speed, *project.outputs):
         if s.can is not None:
@@ -86,8 +87,10 @@ def required(
     bus_off_us: Sequence[int] = (),
     within: Limits = MappingProxyType({}),
 ) -> np.ndarray:
-    """(N,) what must be said at each tick of ``messages``. ``frames`` in the order of arrival;
-    ``bus_off_us``: times of the reports; ``within``: of the vehicle, see ``limits``."""
+    """Required state (N,) at each tick (N,) [us], from ``messages`` and ``frames`` in the order of arrival.
+
+    ``bus_off_us``: times of the reports; ``within``: limits of the vehicle, see ``limits``.
+    """
     worst, refused = np.full(len(ticks_us), LIVE), np.zeros(len(ticks_us), bool)
     for message in messages:
         at = np.flatnonzero(

@@ -1,10 +1,11 @@
-"""The description in ASAP2 (A2L) of a vehicle's object in an integrator's image, for any measurement tool.
+"""ASAP2 description (A2L) of a vehicle's object in an integrator's image, for any measurement tool.
 
 Place, type and size of a field come from the image's debug information. Text and unit come from the comment
-in the core's header. Ranges come from there, from the signal table where the field is one of its signals,
-from the enumeration, else from the number's type. Names of values come from the enumerations of the headers.
-Pointers are left out. Where the image has an XCP slave, its access may be described as well. The text depends
-on these alone; no time of day is in it.
+in the core's header. Ranges come from there, from the signal table for one of its signals, from the
+enumeration, else from the number's type. Names of values come from the enumerations of the headers. Pointers
+are left out. Access to an XCP slave in the image may be described as well. The text depends on these alone
+and
+has no time of day.
 """
 
 from __future__ import annotations
@@ -34,21 +35,21 @@ _TYPES = {
     ("float", 4): ("FLOAT32_IEEE", -3.4028234663852886e38, 3.4028234663852886e38),
     ("float", 8): ("FLOAT64_IEEE", -1.7976931348623157e308, 1.7976931348623157e308),
 }
-"""ASAP2's name and range of every type of number that the core has, by kind and bytes."""
+"""ASAP2's name and range of each number type of the core, by kind and bytes."""
 NO_YES = ("no", "yes")
 """Values of a bool."""
 _ENUM_IN_TEXT = re.compile(r"lpvg_\w+_t")
 _SHOWN = {"FLOAT32_IEEE": "%15.9", "FLOAT64_IEEE": "%24.17"}
-"""Width and digits that tell every number of the type from the next; of the rest no digits."""
+"""Width and digits that distinguish every number of the type; other types have no digits."""
 _DIMENSIONS = 3
-"""Of MATRIX_DIM in ASAP2 1.6: the one that runs fastest first."""
+"""Axes of MATRIX_DIM in ASAP2 1.6: the fastest first."""
 
 
 @dataclass(frozen=True)
 class Measurement:
-    """A field as the measurement tool sees it, or an element of an array whose elements differ in unit.
+    """A field as a measurement tool sees it, or an element of an array whose elements differ in unit.
 
-    ``dims`` are as in C: the last runs fastest. ``values`` names what 0, 1, ... mean, () for a number.
+    ``dims`` are as in C: the last runs fastest. ``values`` names the values 0, 1, ..., () for a number.
     """
 
     name: str
@@ -66,12 +67,28 @@ class Measurement:
 def a2l_text(
     project: Project, elf: Path, symbol: str, include: Path, xcp: XcpAccess | None = None
 ) -> tuple[str, int]:
-    """The A2L of the object ``symbol`` in the image ``elf``, and the number of its measurements.
+    """Write the A2L of an object in an image.
 
-    The object is the vehicle's lpvg_ecu_t, or the lpvg_monitor_t of a vehicle whose image has no controller.
-    ``include``: folder of the core's headers that the image was built with. ``xcp``: the slave's identifiers,
-    None: nothing is said of how to reach the image. Raises InputError where image or object are not as
-    needed, and where a field of the image has no description in the headers.
+    Parameters
+    ----------
+    project : Project
+    elf : Path, the image
+    symbol : str, the vehicle's lpvg_ecu_t, or its lpvg_monitor_t in an image without controller
+    include : Path, folder of the core's headers for the image
+    xcp : XcpAccess, optional, identifiers of the slave
+
+    Returns
+    -------
+    tuple of str and int, the text and the number of measurements
+
+    Raises
+    ------
+    InputError
+        If image or object do not fit, or the headers do not describe a field.
+
+    References
+    ----------
+    ASAM MCD-2 MC (ASAP2) 1.6.
     """
     prefix = f"lpvg_{project.name}_"
     instance = read_instance(elf, symbol, (f"{prefix}ecu_t", f"{prefix}monitor_t"))
@@ -106,7 +123,7 @@ class _Enums:
         return self.read[name]
 
     def named_by(self, field: PlacedField, text: str) -> str:
-        """The enumeration of a field: its type's, or the one that its text begins with; "" for none."""
+        """Enumeration of a field: its type's, or the one that its text begins with; "" for none."""
         found = _ENUM_IN_TEXT.match(text)
         name = field.enum or (found[0] if found else "")
         return name if name in self.headers else ""
@@ -134,7 +151,7 @@ def _description(
 def _measurements(
     project: Project, symbol: str, field: PlacedField, described: Described, enums: _Enums
 ) -> Iterator[Measurement]:
-    """One, or one an output where the field has an element for each and their units differ."""
+    """One, or one an output where the elements are per output and their units differ."""
     datatype, *limits = _TYPES[field.kind, field.bytes]
     enum = enums.named_by(field, described.text)
     values = NO_YES if field.kind == "bool" else enums[enum] if enum else ()
@@ -166,7 +183,7 @@ def _measurements(
 
 
 def _signals(project: Project, field: PlacedField, described: Described) -> list[Signal]:
-    """The signals of the table that a field holds; none for a quantity made of them."""
+    """Signals of the table in a field; none for a quantity made of them."""
     if field.struct.endswith("_bus_signals_t") and field.name in ("speed", "y"):
         return project.of_role("scheduling") if field.name == "speed" else list(project.outputs)
     return list(project.inputs) if described.unit == "input unit" else []
@@ -214,7 +231,7 @@ def _document(
 
 
 def _method(m: Measurement) -> str:
-    """Name of the conversion: of its enumeration, or of its unit and whether it is whole."""
+    """Name of the conversion: of its enumeration, or of its unit and type."""
     if m.values:
         return f"CM.{m.enum or 'no_yes'}"
     kind = m.datatype.split("_")[0].lower() if m.datatype in _SHOWN else "whole"

@@ -1,7 +1,7 @@
-"""What the core's headers say of the fields of their structs: text, unit and range.
+"""Descriptions of struct fields in the core's headers: text, unit and range.
 
 A field's description is its Doxygen comment: `///<` behind it, or the `///` lines in front. A unit is the
-last thing in square brackets, a range is written `0 .. 16`. Nothing of it is stated a second time anywhere.
+last text in square brackets, a range is written `0 .. 16`.
 """
 
 from __future__ import annotations
@@ -25,8 +25,7 @@ _RANGE = re.compile(r"(?<![\w.])(?P<low>-?\d+) \.\. (?P<high>-?\d+)(?![\w.])")
 
 @dataclass(frozen=True)
 class Described:
-    """A field as its header describes it: ``text`` without the unit, ``unit`` None where none is stated, and
-    the ``limits`` that the text names."""
+    """Description of a field: ``text`` without the unit, ``unit`` or None, and the ``limits`` in the text."""
 
     text: str
     unit: str | None
@@ -34,8 +33,10 @@ class Described:
 
 
 def described_fields(include: Path) -> dict[str, dict[str, Described]]:
-    """Struct -> field -> description, of all headers ``*.h`` in the folder ``include``, by the names that the
-    headers use. A field without a comment has the text "". Raises InputError where there is no struct."""
+    """Descriptions by struct and field, of all headers ``*.h`` in the folder ``include``.
+
+    A field without a comment has the text "". Raises InputError where there is no struct.
+    """
     found = {
         struct: {name: _described(text) for name, text in _fields(body)}
         for header in sorted(include.glob("*.h"))

@@ -1,4 +1,4 @@
-"""Where the fields of an object lie in an integrator's image: the ELF's debug information (DWARF)."""
+"""Positions of an object's fields in an integrator's image: the ELF's debug information (DWARF)."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _OP_ADDR = 0x03
 
 @dataclass(frozen=True)
 class PlacedField:
-    """A field with a value: ``path`` from the object on (`.monitor.bin[3].n`), and ``offset``.
+    """A field with a value: ``path`` in the object (`.monitor.bin[3].n`), and ``offset``.
 
     ``struct`` declares it under ``name``. An element has ``bytes`` and a ``kind``: float, signed, unsigned or
     bool. ``dims`` are those of the array of elements, () for one. ``enum`` names its type, None for a number.
@@ -39,10 +39,11 @@ class PlacedField:
 
 @dataclass(frozen=True)
 class Instance:
-    """An object of an image: its ``symbol``, the ``struct`` it is, ``address`` and ``bytes``.
+    """An object of an image: its ``symbol``, its ``struct``, ``address`` and ``bytes``.
 
     ``big_endian`` is the image. ``fields`` have a value, in the order of their offsets. ``pointers`` are
-    (offset, bytes); they mean nothing to who measures.
+    (offset,
+    bytes) without meaning for a measurement.
     """
 
     symbol: str
@@ -58,7 +59,8 @@ def read_instance(elf: Path, symbol: str, structs: tuple[str, ...]) -> Instance:
     """The object ``symbol`` of an image, which must be one of ``structs``.
 
     Raises InputError where the file is no ELF, has no debug information, or has no such object, several, or
-    one of another type.
+    one of
+    another type.
     """
     try:
         with elf.open("rb") as stream:
@@ -193,7 +195,7 @@ def _kind(kind: Any) -> str:
 
 
 def _indices(dims: tuple[int, ...]) -> list[str]:
-    """`[i][j]` of every element of an array in the order of memory; one empty text where it is none."""
+    """`[i][j]` of every element of an array in the order of memory; one empty text for a scalar."""
     texts = [""]
     for n in dims:
         texts = [f"{text}[{i}]" for text in texts for i in range(n)]

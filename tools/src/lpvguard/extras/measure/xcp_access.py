@@ -1,7 +1,7 @@
-"""How a measurement tool reaches the slave of lpvguard/xcp.h: IF_DATA XCPplus of ASAP2, for XCP on CAN.
+"""Access of a measurement tool to the slave of lpvguard/xcp.h: IF_DATA XCPplus of ASAP2, for XCP on CAN.
 
 The block's grammar is that of the standard (ASAM MCD-1 XCP, AML of protocol layer, DAQ and CAN), which tools
-know by themselves. Sizes and the event's name are those of the core's header.
+know. Sizes and the event's name are those of the core's header.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from pathlib import Path
 from ...base.errors import InputError
 
 EXTENDED = 0x80000000
-"""Set in an identifier of 29 bits, in the core and in ASAP2 alike."""
+"""Flag of an identifier of 29 bits, in the core and in ASAP2."""
 OPTIONAL_COMMANDS = (
     "GET_COMM_MODE_INFO",
     "GET_ID",
@@ -35,7 +35,7 @@ OPTIONAL_COMMANDS = (
     "ALLOC_ODT",
     "ALLOC_ODT_ENTRY",
 )
-"""What the slave answers beside CONNECT, DISCONNECT, GET_STATUS and SYNCH, which every slave has."""
+"""Commands of the slave besides the mandatory CONNECT, DISCONNECT, GET_STATUS and SYNCH."""
 _TIMEOUTS_MS = (1000, 200, 0, 0, 0, 0, 0)
 """T1 to T7: an answer; a checksum. Nothing is programmed."""
 _BYTES_OF_FRAME = 8
@@ -43,14 +43,19 @@ _BYTES_OF_FRAME = 8
 
 @dataclass(frozen=True)
 class XcpAccess:
-    """Identifiers of commands and answers, with EXTENDED where they have 29 bits."""
+    """Identifiers for XCP on CAN.
+
+    Attributes
+    ----------
+    commands, answers : int, with EXTENDED if they have 29 bits
+    """
 
     commands: int
     answers: int
 
     @classmethod
     def parse(cls, text: str) -> XcpAccess:
-        """From `COMMANDS:ANSWERS`, as in C (0x98EF27F9:0x98EFF927). Raises InputError."""
+        """Parse `COMMANDS:ANSWERS`, as in C (0x98EF27F9:0x98EFF927). Raises InputError."""
         want = (
             "COMMANDS:ANSWERS, two identifiers that differ, with 0x80000000 set where they have 29 bits, as "
             "0x98EF27F9:0x98EFF927"

@@ -30,7 +30,7 @@ class Fields:
         return self.problem.get(name) is not None
 
     def raw(self, name: str) -> Any:
-        """The field as JSON gave it; an error when it is missing."""
+        """The JSON value of the field; an error when it is missing."""
         if not self.has(name):
             raise self.error(name, "missing", "a value")
         return self.problem[name]

@@ -1,5 +1,4 @@
-"""Kinds ``lft`` and ``lft_margin`` of the problem interface: from JSON fields to
-:mod:`lpvguard.engine.validation.lft`."""
+"""Kinds ``lft`` and ``lft_margin`` of the problem interface, for :mod:`lpvguard.engine.validation.lft`."""
 
 from __future__ import annotations
 
@@ -16,14 +15,13 @@ from lpvguard.engine.validation.scaled_problem import Solution
 from lpvguard.extras.problems.fields import Fields, pairs
 
 GAP = 4e-4
-"""Relative distance of the two sides that the branch and bound works to; the interface asks for 1e-3."""
+"""Relative distance of the two sides at which the branch and bound stops; the interface requires 1e-3."""
 
 ATTAINED_RTOL = 1e-6
 """Rounding that is allowed between an upper bound and the explanation that attains it, as for its Delta."""
 
 SIDE_NODES = 800
-"""Nodes spent on ``nu_s_min`` and ``t_minmax``: they are reported by their attained values, which the first
-few nodes find."""
+"""Nodes for ``nu_s_min`` and ``t_minmax``, whose attained values the first few nodes find."""
 
 
 def _blocks(f: Fields) -> tuple[Block, ...]:
@@ -87,7 +85,7 @@ def _require_attained(f: Fields, name: str, s: Solution, cost: float, size: floa
 
 
 def _or_reason(answer: dict, name: str, solver: Callable[[], float]) -> None:
-    """Answer a side question of ``lft``; its failure is a null with a reason, not the problem's failure."""
+    """Answer a side question of ``lft``; a failure gives null with a reason."""
     try:
         answer[name] = float(solver())
     except InputError as exc:
@@ -98,7 +96,7 @@ def _or_reason(answer: dict, name: str, solver: Callable[[], float]) -> None:
 def solve_lft(f: Fields) -> dict:
     """Answer to kind ``lft``: the optimum of (8) as an interval, its explanation, and two side questions.
 
-    Raises InputError, naming the field, on what cannot be answered.
+    Raises InputError that names the field of an impossible problem.
     """
     problem = _problem(f)
     tau, n_w = len(problem.blocks), problem.p22.shape[1]
@@ -126,7 +124,7 @@ def solve_lft(f: Fields) -> dict:
 def solve_lft_margin(f: Fields) -> dict:
     """Answer to kind ``lft_margin``: the margin t as an interval, and its explanation.
 
-    Raises InputError, naming the field, on what cannot be answered.
+    Raises InputError that names the field of an impossible problem.
     """
     problem = _problem(f)
     w_delta = f.weights("W_delta", len(problem.blocks), positive=True)

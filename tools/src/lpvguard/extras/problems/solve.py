@@ -3,8 +3,7 @@
 Schema ``lpvguard.problems/1``: complex numbers are ``[re, im]``, matrices row-major nested lists. Kinds:
 ``zoh``, ``frequency_response``, ``multiplicative``, ``multiplicative_tradeoff``, ``margin``, ``lft``,
 ``lft_margin``, ``mu``, ``mu_interval``, ``hinf``. A bad problem gets ``{"id", "status": "error", "error":
-"<where, what; expected>"}`` and never stops the others. A problem that carries an ``answer`` is compared with
-it.
+"<where, what; expected>"}`` and never stops the others. A problem with an ``answer`` is compared with it.
 """
 
 from __future__ import annotations
@@ -33,7 +32,7 @@ EXPLAINED_RTOL = 1e-11
 """Rounding of an explanation by delta and w, relative to its terms."""
 
 DATA_ROUNDING = 4.0 * float(np.finfo(float).eps)
-"""Rounding of E and Z, relative, as it shows in B1."""
+"""Relative rounding of E and Z, as it shows in B1."""
 
 
 def _truck(f: Fields) -> tuple[float, float, float]:
@@ -147,7 +146,16 @@ _SOLVERS: dict[str, Callable[[Fields], dict]] = {
 
 
 def solve_problem(problem: Any) -> dict:
-    """Answer to one problem: never raises on bad input, whatever it is."""
+    """Answer one problem; bad input gives an error answer and never raises.
+
+    Parameters
+    ----------
+    problem : Any, JSON value
+
+    Returns
+    -------
+    dict
+    """
     if not isinstance(problem, dict):
         return {
             "id": None,
@@ -231,12 +239,14 @@ def _bracket_misses(stem: str, answer: dict, ref: dict, rtol: float) -> list[str
 
 
 def compare(problem: dict, answer: dict) -> Comparison:
-    """Compare an answer with the one the problem carries, by the rules of the interface.
+    """Compare an answer with the problem's own, by the rules of the interface.
 
     ``|x - ref| <= rtol max(|ref|, 1e-9 scale)``, arrays by their largest element, scale = ||E|| for B1 and 1
-    otherwise; brackets and mu by one-sided rules. A reference whose status is ``error`` wants an error. One
-    floor is added to the written rule: a B1 below the rounding of its own data (DATA_ROUNDING ||E||) cannot
-    be told from zero, and the reference values there are rounding themselves.
+    otherwise; brackets and mu by one-sided rules. A reference with status ``error`` wants an error. One floor
+    is
+    added to the written rule: a B1 below the rounding of its own data (DATA_ROUNDING ||E||) cannot be
+    distinguished
+    from zero, and the reference values there are rounding themselves.
     """
     ref = problem.get("answer") if isinstance(problem, dict) else None
     if not isinstance(ref, dict):
@@ -289,10 +299,19 @@ def _read(path: str) -> list:
 
 
 def run_solve(path_or_dash: str | os.PathLike, out: str | os.PathLike | None = None, jobs: int = 1) -> int:
-    """Solve a file of problems (``-``: standard input); exit status 0 ok, 1 any miss, 2 bad input.
+    """Solve a file of problems.
 
-    Answers go to ``out``, or to standard output when it is None or ``-``; misses and a summary to standard
-    error.
+    Misses and a summary go to standard error.
+
+    Parameters
+    ----------
+    path_or_dash : path, or ``-`` for standard input
+    out : path, optional, for the answers, by default or with ``-`` standard output
+    jobs : int, processes, default 1
+
+    Returns
+    -------
+    int, exit status: 0 ok, 1 any miss, 2 bad input
     """
     try:
         problems = _read(os.fspath(path_or_dash))

@@ -1,8 +1,7 @@
-"""The kinds ``hinf``, ``mu`` and ``mu_interval`` of the problem interface: a problem in, answer fields out.
+"""Kinds ``hinf``, ``mu`` and ``mu_interval`` of the problem interface.
 
-Fields as in solve.py: complex numbers are [re, im], matrices row-major nested lists. A
-problem that cannot be answered raises InputError (what, where, expected), which the caller turns into an
-error answer.
+Fields are as in lpvguard/extras/problems/solve.py: complex numbers are [re, im], matrices row-major nested
+lists. An impossible problem raises InputError (what, where, expected), which becomes an error answer.
 """
 
 from __future__ import annotations
@@ -18,11 +17,11 @@ from lpvguard.engine.synthesis.mu import MuBounds, mu_bounds, mu_interval
 from lpvguard.engine.synthesis.statespace import StateSpace
 
 RESOLVED = 1.01
-"""Achieved over proved level up to which an H∞ answer counts as resolved."""
+"""Largest ratio of the achieved to the proved level of a resolved H∞ answer."""
 ZERO = 1e-9
-"""An achieved level below this share of the plant's gain counts as zero."""
+"""Share of the plant's gain below which an achieved level counts as zero."""
 UNDETERMINED = 1e-2
-"""Relative change of the optimum by the last digits of the data, above which no answer is given."""
+"""Relative change of the optimum by the data's last digits above which no answer is given."""
 
 
 def solve_hinf(problem: dict) -> dict:
@@ -131,7 +130,7 @@ def solve_mu_interval(problem: dict) -> dict:
 
 
 def _bounds(bounds: MuBounds) -> dict:
-    """Return the fields of an answer that both kinds of μ have."""
+    """Fields of an answer that both kinds of μ share."""
     delta = bounds.delta
     return {
         "mu_upper": bounds.upper,

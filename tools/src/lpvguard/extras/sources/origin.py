@@ -1,4 +1,4 @@
-"""Where the files of a public repository are read: in a clone, in a plain folder, or fetched by git."""
+"""Origins of a public repository's files: a clone, a plain folder, or a fetch by git."""
 
 from __future__ import annotations
 
@@ -40,8 +40,7 @@ class Clone:
 
 
 class PlainFolder:
-    """A folder that holds the files at their paths, as an unpacked archive does. The hashes tell whether they
-    are of the right commit."""
+    """A folder with the files at their paths, like an unpacked archive. The hashes check the commit."""
 
     def __init__(self, folder: Path, repository: str):
         self.folder, self.repository = folder, repository
@@ -61,8 +60,10 @@ class PlainFolder:
 
 @contextmanager
 def origin_of(data: DataSet, folder: Path | None) -> Iterator[Origin]:
-    """What is read from ``folder``, a clone or a plain folder; None: from the repository, by git, over the
-    network. Only what is needed is fetched, into a scratch folder."""
+    """Open the origin of a data set: ``folder``, or by default its repository, by git over the network.
+
+    The folder is a clone or a plain one. Only the needed files are fetched, into a scratch folder.
+    """
     if folder is not None:
         if not folder.is_dir():
             raise InputError(folder, "--from", "no such folder", f"a clone of {data.repository}")

@@ -1,4 +1,4 @@
-"""`lpvguard data`: a public data set made anew from where it was published, each file held to its hash."""
+"""`lpvguard data`: rebuilds a public data set from its origin and compares each file with its hash."""
 
 from __future__ import annotations
 
@@ -19,18 +19,32 @@ from .origin import Origin, origin_of
 from .table import CanArrays, Copy, Csv, DataSet, Form, Matlab, PublicFile
 
 ARRAYS = ("address", "data", "src", "t")
-"""Files of a folder of CAN arrays, in the order in which their bytes are hashed."""
+"""Files of a folder of CAN arrays, in the order of hashing."""
 FRAME_BYTES = 8
-"""The arrays have lost trailing zeros: every frame gets them back up to this length."""
+"""Length up to which frames get back the trailing zeros that the arrays have lost."""
 
 
 def rebuild(
     name: str, data: DataSet, out: Path, source: Path | None, tell: Callable[[str], None]
 ) -> list[str]:
-    """Write the data set into the folder ``out``, whole or not at all; returns the names of its files.
+    """Write a data set into a folder, whole or not at all.
 
-    ``source`` as of :func:`origin_of`. Raises InputError for a file that is not the published one, and for
-    one that comes out otherwise than the table says.
+    Parameters
+    ----------
+    name : str, of the data set
+    data : DataSet
+    out : Path, new folder
+    source : Path or None, see :func:`origin_of`
+    tell : Callable, reports progress
+
+    Returns
+    -------
+    list of str, names of its files
+
+    Raises
+    ------
+    InputError
+        If a source or a result differs from the table's hash.
     """
     written = {}
     with artefacts.new_folder(out, "data") as folder, origin_of(data, source) as origin:
@@ -48,7 +62,7 @@ def rebuild(
 
 
 def made(f: PublicFile, form: Form, origin: Origin) -> bytes:
-    """The bytes of a file, made of its source; both held to their hashes."""
+    """Bytes of a file, made from its source; both are compared with their hashes."""
     form = f.form or form
     names = [f"{f.path}/{n}" for n in ARRAYS] if isinstance(form, CanArrays) else [f.path]
     parts = [origin.read(f.commit, n) for n in names]

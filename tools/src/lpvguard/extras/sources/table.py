@@ -1,7 +1,6 @@
-"""The table of public data sets: where each file was published, how it is made from that, and the hashes of
-both.
+"""Table of public data sets: origin, conversion and hashes of each file.
 
-The shipped table is ``public.toml``. A table of one's own has the same form: a section a data set.
+The shipped table is ``public.toml``. Another table has the same form: a section a data set.
 """
 
 from __future__ import annotations
@@ -23,14 +22,17 @@ Commit = Annotated[str, Field(pattern=r"^[0-9a-f]{40}$")]
 
 
 def _plain(path: str) -> bool:
-    """Whether a path names something below the folder that it is meant in."""
+    """Whether a path stays below its folder."""
     return not path.startswith("/") and ".." not in path.split("/") and "\\" not in path
 
 
 class MatlabColumn(StrictModel):
-    """A column made of a MATLAB variable, interpolated linearly to the grid. ``signal`` None: the time.
-    ``unwrap``: an angle [rad] whose turns are undone first. ``slope_samples``: its slope over so many samples
-    of the grid (least squares, quadratic)."""
+    """A column made of a MATLAB variable, interpolated linearly to the grid.
+
+    ``signal`` None: the time. ``unwrap``: an angle [rad], unwrapped first. ``slope_samples``: its slope over
+    so many
+    samples of the grid (least squares, quadratic).
+    """
 
     name: str
     signal: str | None = None
@@ -49,15 +51,18 @@ class Matlab(StrictModel):
 
 
 class Csv(StrictModel):
-    """Some columns of a CSV, its fields as they are; comments before the header stay."""
+    """Some columns of a CSV, with unchanged fields and comments before the header."""
 
     kind: Literal["csv"]
     columns: Annotated[list[str], Field(min_length=1)]
 
 
 class CanArrays(StrictModel):
-    """A candump log of four numpy arrays in one folder: address, data (bytes), src (number of the bus) and t
-    [s]. ``buses``: number -> channel; frames of others are left out."""
+    """A candump log of four numpy arrays in one folder.
+
+    They are address, data (bytes), src (number of the bus) and t [s]. ``buses``: number -> channel; frames of
+    others are left out.
+    """
 
     kind: Literal["can_arrays"]
     buses: Annotated[dict[str, str], Field(min_length=1)]
@@ -73,10 +78,12 @@ Form = Annotated[Matlab | Csv | CanArrays | Copy, Field(discriminator="kind")]
 
 
 class PublicFile(StrictModel):
-    """A file of a data set. ``name``: where it stands in the folder; ``path``: in the repository at
-    ``commit`` (of arrays, their folder); ``source_sha256``: of the bytes read there, parts in the order of
-    their names; ``sha256``: of the file as made. ``form`` None: the data set's. ``index``: its row of the
-    data set's index."""
+    """A file of a data set.
+
+    ``name``: place in the folder; ``path``: place in the repository at ``commit`` (for arrays their folder);
+    ``source_sha256``: of the bytes read there, parts in the order of their names; ``sha256``: of the result.
+    ``form`` None: the data set's. ``index``: its row of the data set's index.
+    """
 
     name: str
     commit: Commit
@@ -95,8 +102,12 @@ class PublicFile(StrictModel):
 
 
 class DataSet(StrictModel):
-    """A data set: ``repository`` is what git fetches, ``licence`` its SPDX name. ``index``: the name of a CSV
-    with the ``index`` of every file that has one, None for none."""
+    """A data set.
+
+    ``repository`` is fetched by git, ``licence`` is its SPDX name. ``index``: name of a CSV with the
+    ``index`` of
+    every file that has one, or None.
+    """
 
     title: str
     repository: str
@@ -118,8 +129,22 @@ class DataSet(StrictModel):
 
 
 def load_data_set(name: str, table: Path | None = None) -> DataSet:
-    """The data set of that name, of the shipped table or of a ``table`` of one's own. InputError where the
-    table is none, or has no such section."""
+    """Load a data set of a table.
+
+    Parameters
+    ----------
+    name : str
+    table : Path, optional, by default the shipped one
+
+    Returns
+    -------
+    DataSet
+
+    Raises
+    ------
+    InputError
+        If the file is no such table, or has no such section.
+    """
     document = read_toml(
         SHIPPED if table is None else table, EXPECTED, "public.toml" if table is None else table
     )

@@ -1,5 +1,7 @@
-"""The campaign: it prepares baselines and trucks, makes the runs in chunks, and summarises them. A campaign
-that was stopped goes on where it was, and ends with the same bytes."""
+"""The campaign: prepares baselines and trucks, makes the runs in chunks, and summarises them.
+
+A stopped campaign can be resumed and ends with the same bytes.
+"""
 
 from __future__ import annotations
 
@@ -34,8 +36,9 @@ from .tracking import TrackingBound
 
 CHUNK = 40
 SAME_RTOL = 3e-3
-"""Largest relative difference of bounds that count as the same: a fit of a weight ends at one of two ends,
-1.3e-3 apart, and the last digits of the linear algebra decide which."""
+"""Largest relative difference of bounds that count as the same. A fit of a weight ends at one of two ends,
+1.3e-3
+apart, and the last digits of the linear algebra decide which."""
 
 
 def campaign(
@@ -50,11 +53,28 @@ def campaign(
     workers: Map = map,
     progress: Progress = lambda _: None,
 ) -> dict[str, Any]:
-    """Run or go on with the campaign in ``out``; returns its summary.
+    """Run or resume a campaign.
 
-    ``folder``: generated folder with controller, of this identification; ``controller``: controller.json
-    written by `design`, for mu of the faulted loops. InputError when ``out`` holds another campaign, or one
-    of these belongs to another identification.
+    Parameters
+    ----------
+    stored : StoredIdentification
+    drives : DriveSet, the identification's drives
+    folder : Path, generated folder with controller, of this identification
+    out : Path, folder of the campaign
+    seed : int
+    size : Size
+    controller : Path, optional, controller.json of `design`, for mu of the faulted loops
+    workers : Map
+    progress : Callable, reports progress
+
+    Returns
+    -------
+    dict, its summary
+
+    Raises
+    ------
+    InputError
+        If ``out`` holds another campaign, or an input belongs to another identification.
     """
     core = Core(folder)
     replayer = Replayer(Simulator(folder).project, core)
@@ -87,7 +107,7 @@ def campaign(
 
 
 def _kept(out: artefacts.KeptFolder, name: str, make: Callable[[], Any]) -> Any:
-    """The JSON value of a file of the campaign's folder; made and written first where it is absent."""
+    """JSON value of a file of the campaign's folder; computed and written first where it is absent."""
     if not out.has(name):
         out.write(name, artefacts.to_json(make()).encode())
     return artefacts.read_json(out.folder / name)
@@ -96,7 +116,7 @@ def _kept(out: artefacts.KeptFolder, name: str, make: Callable[[], Any]) -> Any:
 def _run_all(
     out: artefacts.KeptFolder, context: Context, runs: list[PlannedRun], workers: Map, progress: Progress
 ) -> pa.Table:
-    """The rows of all runs: those of chunks that are kept in ``out``, and the others run and kept."""
+    """Rows of all runs: stored chunks of ``out``, and the others, which are run and stored."""
     chunks = [runs[i : i + CHUNK] for i in range(0, len(runs), CHUNK)]
     names = [f"chunks/{i:05d}.parquet" for i in range(len(chunks))]
     left = [(n, c) for n, c in zip(names, chunks, strict=True) if not out.has(n)]
@@ -113,7 +133,7 @@ def _run_all(
 
 
 def _require_same(stored: StoredIdentification, replayer: Replayer) -> None:
-    """InputError where the folder's bounds are not those of the identification."""
+    """Raise InputError where the folder's bounds are not those of the identification."""
     W_delta, B_w = stored.fitted.of_core(replayer.estimator.omega)
     pairs = (W_delta, replayer.W_delta), (B_w, replayer.B_w)
     if not all(np.allclose(mine, cores, rtol=SAME_RTOL) for mine, cores in pairs):
@@ -128,8 +148,10 @@ def _require_same(stored: StoredIdentification, replayer: Replayer) -> None:
 def _tune(
     stored: StoredIdentification, drives: DriveSet, core: Core, workers: Map, progress: Progress
 ) -> dict[str, Any]:
-    """The content of baselines.json: scales, alpha, and per kind the best parameters with their threshold and
-    the sizes of their components."""
+    """Content of baselines.json: scales, alpha, and the best parameters of each kind.
+
+    Each has its threshold and the sizes of its components.
+    """
     study = BaselineStudy(
         stored,
         drives,
@@ -156,8 +178,7 @@ def _tune(
 
 
 def _schema(row: dict[str, Any]) -> pa.Schema:
-    """Numbers may be null anywhere, so types go by name and value, not by what the first rows happen to
-    hold."""
+    """Schema of the rows: types go by name and value, because numbers may be null anywhere."""
     types = {int: pa.int64(), str: pa.string(), bool: pa.bool_()}
     return pa.schema([(name, types.get(type(value), pa.float64())) for name, value in row.items()])
 

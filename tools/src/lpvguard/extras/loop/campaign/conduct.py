@@ -1,6 +1,6 @@
-"""What the closed loop did in a run, measured from its signals, and what of it a certificate rules out.
+"""Conduct of the closed loop in a run, measured from its signals, and its contradictions of a certificate.
 
-Three things falsify the certificate when the truck of the run is within the bounds:
+Three findings falsify the certificate when the truck of the run is within the bounds:
 
     oscillates  the demand holds a steady line above the commanded band (``steady_line``), of at least
                 LEAST_BAR
@@ -8,11 +8,10 @@ Three things falsify the certificate when the truck of the run is within the bou
     loses track the error of the yaw rate up to STEERING_RADPS is larger, rms, than the certificate allows
                 with the run's command, disturbance and noise (tracking.py)
 
-The error is that to the reference model's answer to the command. What a user asks for is tighter than what is
-proved, and is counted beside it: the share TRACKED of the wanted yaw rate, TRACKED_WEAK where the truck's
-brakes have less than WEAK_BRAKES of the nominal gain, and the free motion of the same truck, left alone on
-the same road in the same wind, which is there however small the command is. The two are independent, and
-their powers add.
+The error is relative to the reference model's answer to the command. A user's wish is tighter than the proof
+and is counted too. Its limit is the share TRACKED of the wanted yaw rate and the free motion of the same
+truck. Where the brakes have less than WEAK_BRAKES of the nominal gain, the share is TRACKED_WEAK. Free motion
+is that without control on the same road in the same wind. The two are independent, and their powers add.
 """
 
 from __future__ import annotations
@@ -25,11 +24,11 @@ from typing import Any
 import numpy as np
 
 LEAST_BAR = 0.25
-"""The least amplitude of use: the bounds say nothing of smaller ones, where friction rules."""
+"""Least amplitude of use: the bounds do not cover smaller ones, where friction dominates."""
 LINE_SHARE = 0.6
-"""Of the demand's power above the commanded band that a steady line holds in its main lobe."""
+"""Least share of the demand's power above the commanded band in a steady line's main lobe."""
 LINE_KEPT = 0.7
-"""Of its amplitude that a line keeps from one window to the next, or it decays."""
+"""Least share of its amplitude that a steady line keeps from one window to the next."""
 WINDOW_S, HIGHEST_RADPS, BAND_GAP_RADPS = 20.0, 60.0, 1.0
 """Of a search for lines: its windows, where it ends, and how far above the commanded band it begins."""
 LOBE = 2
@@ -37,31 +36,42 @@ LOBE = 2
 
 SATURATED_S = 1.0
 BRIDGED_S = 0.1
-"""Noise takes a demand off its limit for an instant; what is shorter does not end a stretch."""
+"""Longest interruption of a stretch: noise takes a demand off its limit for an instant."""
 AT_LIMIT = 0.999
 
 STEERING_RADPS = 1.0
-"""Upper end of the steering task, above which little tracking is asked for."""
+"""Upper end of the steering task, above which little tracking is required."""
 TRACKED, TRACKED_WEAK, WEAK_BRAKES = 0.10, 0.15, 0.8
 
 
 @dataclass(frozen=True)
 class Line:
-    """A steady line of the demand: its least amplitude [bar] in the windows that hold it, and its frequency;
-    both 0 where there is none."""
+    """A steady line of the demand: its least amplitude [bar] over its windows, and its frequency; else 0,
+    0."""
 
     bar: float
     radps: float
 
 
 def steady_line(u: np.ndarray, Ts: float, commanded: float) -> Line:
-    """The largest line of the demand ``u`` (N,) [bar] that stays, BAND_GAP_RADPS and more above the highest
-    frequency ``commanded`` [rad/s]. ``Ts`` [s]: between samples.
+    """Find the largest steady line of a demand above the commanded band.
 
-    A window of WINDOW_S, every half window one, holds a line where its highest peak, no slope of what lies
-    below, has LINE_SHARE of the power up to HIGHEST_RADPS in its main lobe. It stays where three windows in
-    succession, 2 WINDOW_S in all, hold it within a tenth of its frequency and it keeps LINE_KEPT of its
-    amplitude. The response of a damped loop to noise has a broader peak, and a step's decays.
+    A window of WINDOW_S, every half window one, holds a line if its highest peak has LINE_SHARE of the power
+    up to
+    HIGHEST_RADPS in its main lobe. The peak must be no slope of a lower frequency's. The line is steady if
+    three
+    windows in succession hold it within a tenth of its frequency and it keeps LINE_KEPT of its amplitude. The
+    response of a damped loop to noise has a broader peak, and a step's decays.
+
+    Parameters
+    ----------
+    u : ndarray (N,), bar
+    Ts : float, s
+    commanded : float, rad/s, highest commanded frequency; the search starts BAND_GAP_RADPS above
+
+    Returns
+    -------
+    Line
     """
     length = round(WINDOW_S / Ts)
     starts = range(0, len(u) - length + 1, length // 2)
@@ -79,7 +89,7 @@ def steady_line(u: np.ndarray, Ts: float, commanded: float) -> Line:
 
 
 def _line(u: np.ndarray, Ts: float, above: float) -> Line:
-    """The line of one window; amplitude 0 where it holds none."""
+    """Line of one window; amplitude 0 without one."""
     window = np.hanning(len(u) + 1)[:-1]
     power = 2 * np.abs(np.fft.rfft(window * (u - u.mean()))) ** 2 / (len(u) * (window**2).sum())
     omega = 2 * np.pi * np.arange(len(power)) / (len(u) * Ts)
@@ -93,8 +103,7 @@ def _line(u: np.ndarray, Ts: float, above: float) -> Line:
 
 
 def longest_stretch(at_limit: np.ndarray, Ts: float) -> float:
-    """Longest time [s] that ``at_limit`` (N,) is True; what interrupts it for less than BRIDGED_S counts as
-    True."""
+    """Longest time [s] that ``at_limit`` (N,) is True; interruptions below BRIDGED_S are bridged."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], at_limit, [False]]).astype(int)))
     longest, begin, end = 0, 0, -len(at_limit)
     for a, b in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
@@ -110,8 +119,10 @@ def band_rms(
     highest: float,
     gain: Callable[[np.ndarray], np.ndarray] = np.ones_like,
 ) -> float:
-    """Rms of what ``x`` (N,) holds from DC to ``highest`` [rad/s], times ``gain`` (k,) at its frequencies
-    (k,) [rad/s]; ``Ts`` [s] between its samples."""
+    """Rms of ``x`` (N,) from DC to ``highest`` [rad/s], times ``gain`` (k,) at its frequencies (k,) [rad/s].
+
+    ``Ts`` [s] is the sample period.
+    """
     X = np.fft.rfft(x) / len(x)
     omega = 2 * np.pi * np.arange(len(X)) / (len(x) * Ts)
     power = np.abs(X) ** 2
@@ -123,14 +134,16 @@ def band_rms(
 
 
 def beyond_wish(row: dict[str, Any]) -> bool:
-    """Whether the row of a run has a larger error than a user asks for, TRACKED of the wanted yaw rate and
-    the free motion; no certificate promises this."""
+    """Whether a run's error exceeds a user's wish: TRACKED of the wanted yaw rate and the free motion.
+
+    No certificate promises this.
+    """
     share = TRACKED_WEAK if row["brake_gain"] < WEAK_BRAKES else TRACKED
     return bool(row["error_rms_radps"] > np.hypot(share * row["wanted_rms_radps"], row["free_rms_radps"]))
 
 
 def ruled_out(row: dict[str, Any]) -> Iterator[str]:
-    """What the row of a run holds that the certificate rules out for a truck within the bounds, in words."""
+    """Contradictions in a run's row to the certificate of a truck within the bounds, in words."""
     if row["line_bar"] >= LEAST_BAR:
         yield f"oscillates at {row['line_radps']:.3g} rad/s with {row['line_bar']:.3g} bar"
     if row["limited_stretch_s"] >= SATURATED_S:

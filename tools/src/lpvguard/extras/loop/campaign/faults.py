@@ -1,4 +1,4 @@
-"""The faults of a campaign: what breaks or varies, how it is written in a scenario file, and at which
+"""Faults of a campaign: kinds of faults and variations, their text in a scenario file, and their
 severities."""
 
 from __future__ import annotations
@@ -13,9 +13,10 @@ from ....vehicle.project import Way
 
 FAULT_FROM_S = 60.0
 RAMP_S = 20.0
-"""Until a growing fault is whole."""
+"""Time until a growing fault is whole."""
 WAYS: tuple[Way, ...] = ("step", "ramp", "start")
-"""How a fault of the truck alone comes: at once, growing for RAMP_S, or there from the start of the run."""
+"""Ways in which a fault of the truck alone begins: at once, growing for RAMP_S, or at the start of the
+run."""
 BUS_FAULT_UNTIL_S = 150.0
 
 
@@ -27,7 +28,7 @@ class Kind:
     begin and end [s], {until} for x seconds after the begin [s]. ``loop`` gives (applied, measured) for a
     severity where the fault is linear and time-invariant, else None. ``applied`` acts between controller and
     vehicle, ``measured`` between sensors and controller. ``response``: whether the truck's frequency response
-    tells of the fault.
+    shows the fault.
     """
 
     name: str
@@ -39,13 +40,13 @@ class Kind:
 
     @property
     def ways(self) -> tuple[Way, ...]:
-        """How it comes. A variation is there from the beginning; a fault of the bus comes at once."""
+        """Ways in which it begins: a variation at the start, a fault of the bus at once."""
         if "{start}" not in self.table:
             return ("start",)
         return WAYS[:1] if self.of_bus else WAYS
 
     def from_s(self, way: Way) -> float:
-        """When the fault starts [s]."""
+        """Start of the fault [s]."""
         return 0.0 if way == "start" else FAULT_FROM_S
 
     @property
@@ -59,7 +60,7 @@ class Kind:
         return "can_fault" in self.table
 
     def text(self, x: float, way: Way = "step") -> str:
-        """The scenario tables of the fault with severity ``x``, as it comes in this way."""
+        """Scenario tables of the fault with severity ``x`` in this way."""
         start_s = self.from_s(way)
         return self.table.format(
             x=f"{x:.9g}",
@@ -113,7 +114,7 @@ def _bus(message: str, kind: str, *more: str, end: str = "{end}") -> str:
 
 
 def _of_frames(message: str, kind: str, *shares: float, name: str = "", more: tuple[str, ...] = ()) -> Kind:
-    """A fault of the bus that befalls a share of a message's frames."""
+    """Fault of the bus in a share of a message's frames."""
     return Kind(
         f"{message} {name or kind.replace('_', ' ')}",
         "of the frames",

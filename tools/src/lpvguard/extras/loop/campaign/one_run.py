@@ -1,7 +1,6 @@
-"""One run of a campaign: simulated, replayed through the compiled core, judged by every detector and off
-line.
+"""One run of a campaign: simulated, replayed through the compiled core, and judged by every detector.
 
-What a fault should show is measured off line on the very samples of the run, in double precision, by the
+The visible effect of a fault is measured off line on the samples of the run, in double precision, by the
 estimator that set the bounds. Frames begin at every STRIDE-th start. An alarm is *due* by the time that class
 Offline derives. Runs in which a detector alarms before the fault do not count for it.
 """
@@ -35,23 +34,24 @@ from .tracking import TrackingBound
 
 FOUND_WITHIN_S = 60.0
 STRIDE = 10
-"""Samples between the starts of the frames that are measured off line."""
+"""Samples between the starts of the off-line frames."""
 TELEMETRY_S = 0.1
-"""Between rows of the simulator's telemetry."""
+"""Period of the rows of the simulator's telemetry."""
 VISIBLE_RATIO = 1.5
-"""A frame shows a fault when its t* is at least so many times the threshold."""
+"""Least t* over the threshold of a frame that shows a fault."""
 
 
 @dataclass(frozen=True)
 class Offline:
-    """What the samples of a run show, whatever the monitor says: frames of all bins, by the estimator that
-    set the bounds, in double.
+    """Evidence in the samples of a run, independent of the monitor: frames of all bins, in double.
 
-    visible_share: share with t* >= VISIBLE_RATIO times the threshold of the frames that lie wholly in excited
-    driving after the fault, 0 without any. due_s: when a monitor with these bounds must have alarmed [s after
-    the fault], None: never. It judges a frame every half frame; where t* >= VISIBLE_RATIO times the threshold
-    at every start of half a frame, one of these is judged, and ended, by the end of the last. median,
-    largest: of t* of the frames after the fault.
+    visible_share: share of the frames wholly in excited driving after the fault with t* >= VISIBLE_RATIO
+    times the
+    threshold, 0 without any. due_s: time by which a monitor with these bounds must have alarmed [s after the
+    fault], None: never. The monitor judges a frame every half frame. If t* is that large at every start of
+    half a
+    frame, one of these is judged by the end of the last. median, largest: of t* of the frames after the
+    fault.
     """
 
     visible_share: float
@@ -61,7 +61,7 @@ class Offline:
 
     @classmethod
     def of(cls, replayer: Replayer, drive: Drive, from_s: float) -> Offline:
-        """What the samples of ``drive`` show of a fault from ``from_s`` on [s of the run].
+        """Evidence in the samples of ``drive`` of a fault from ``from_s`` on [s of the run].
 
         The frames are judged with the bounds and the threshold of ``replayer``.
         """
@@ -97,8 +97,10 @@ class Offline:
 
 
 def first_stretch(starts: np.ndarray, above: np.ndarray, length: int) -> int | None:
-    """First of ``starts`` (STRIDE apart, but for gaps) from which all are ``above`` for ``length`` samples;
-    None: nowhere."""
+    """First of ``starts`` (S,) from which all are ``above`` (S,) for ``length`` samples, or None.
+
+    The starts are STRIDE apart, except for gaps.
+    """
     good = starts[above]
     edges = np.flatnonzero(np.diff(good) != STRIDE) + 1
     return next(
@@ -115,20 +117,20 @@ def first_sample(drive: Drive, run_s: float, Ts: float) -> int:
 
 
 Numbers = tuple[Any, ...]
-"""Numbers of an array, nested as its axes are."""
+"""Numbers of an array, nested by its axes."""
 
 
 @dataclass(frozen=True)
 class Detectors:
-    """The baselines: scales of Scales, in its order, and each baseline with its threshold and the sizes of
-    its components, none where it has none."""
+    """The baselines: values of Scales, and each baseline with its threshold and the sizes of its
+    components, if any."""
 
     scales: tuple[Numbers, ...]
     baselines: tuple[tuple[Baseline, float, Numbers], ...]
 
     @classmethod
     def of(cls, tuned: dict[str, Any]) -> Detectors:
-        """From the content of baselines.json."""
+        """Detectors from baselines.json."""
 
         def frozen(x: Any) -> Any:
             return tuple(map(frozen, x)) if isinstance(x, list) else x
@@ -141,7 +143,7 @@ class Detectors:
 
 @dataclass(frozen=True)
 class Context:
-    """What every worker needs; it builds simulator and core from ``folder`` (same path on every machine) and
+    """Inputs of every worker, which builds simulator and core from ``folder`` (same path everywhere) and
     its cache."""
 
     folder: Path
@@ -151,8 +153,10 @@ class Context:
 
     @cached_property
     def tools(self) -> tuple[Simulator, Simulator, Replayer, Bank]:
-        """Simulator, the same without controller, replayer and baseline detectors, built once in every
-        process and not pickled."""
+        """Simulator, the same without controller, replayer and baseline detectors.
+
+        They are built once in every process and not pickled.
+        """
         return _tools(self.folder, self.detectors)
 
     def __getstate__(self) -> dict:
@@ -177,8 +181,10 @@ def _tools(folder: Path, detectors: Detectors) -> tuple[Simulator, Simulator, Re
 
 
 def run_planned(context: Context, planned: PlannedRun) -> dict[str, Any]:
-    """One run: simulated, replayed through the core, judged by every detector and off line. A row of the
-    Parquet files."""
+    """One run: simulated, replayed through the core, judged by every detector and off line.
+
+    It becomes a row of the Parquet files.
+    """
     simulator, free_truck, replayer, bank = context.tools
     drawn = Drawn.of(float(simulator.u_max.min()), context.seed, planned)
     with tempfile.TemporaryDirectory() as scratch:
@@ -239,8 +245,10 @@ def run_planned(context: Context, planned: PlannedRun) -> dict[str, Any]:
 
 
 def _within_limit(simulator: Simulator, drawn: Drawn, tables: str, size: float, path: Path) -> float:
-    """``size`` of the command [rad/s], less where the loop would ask for more than ROOM of its limit: steps
-    take more than their tracking does. A run at half the size tells; ``path`` holds its scenario."""
+    """``size`` of the command [rad/s], reduced where the loop would need more than ROOM of its limit.
+
+    Steps need more than their tracking does. A run at half the size shows it; ``path`` holds its scenario.
+    """
     path.write_text(drawn.text(tables, size / 2), encoding="utf-8")
     facts, _ = simulator.drive(path)
     most = 0.5 * ROOM * float(simulator.u_max.min())
@@ -256,8 +264,10 @@ def conduct(
     left_alone: Drive,
     loop: dict[str, np.ndarray],
 ) -> dict[str, float]:
-    """The columns of a row that say what the closed loop did (conduct.py), and what ``tracking`` allows it.
-    ``free``, ``loop``: telemetry, columns (N,), of the truck ``left_alone`` and of the loop."""
+    """Columns of a row about the closed loop (conduct.py), and the limits that ``tracking`` allows.
+
+    ``free``, ``loop``: telemetry, columns (N,), of the truck ``left_alone`` and of the loop.
+    """
     u, Ts = drive.u[:, 0], simulator.project.Ts_s
     line = steady_line(u, Ts, drawn.command.highest)
     error = loop["wanted_radps"] - loop["yaw_rate_radps"]
@@ -282,7 +292,17 @@ def disturbed(free: dict[str, np.ndarray], measured: Drive) -> tuple[np.ndarray,
 
 
 def limited_stretch(simulator: Simulator, drive: Drive) -> float:
-    """Longest time [s] that the demand of ``drive`` is at the controller's limit."""
+    """Find the longest time that the demand of a drive is at the controller's limit.
+
+    Parameters
+    ----------
+    simulator : Simulator
+    drive : Drive
+
+    Returns
+    -------
+    float, s
+    """
     limit = np.interp(drive.v, simulator.nodes, simulator.u_max[:, 0])
     return longest_stretch(np.abs(drive.u[:, 0]) >= AT_LIMIT * limit, simulator.project.Ts_s)
 
@@ -296,11 +316,11 @@ def read_telemetry(path: Path) -> dict[str, np.ndarray]:
 def supervision(
     simulator: Simulator, facts: dict[str, Any], scenario: dict[str, Any], log: Path | None, from_s: float
 ) -> Reactions:
-    """What the ECU reported of its bus against what the frames on the bus require.
+    """The ECU's reports on its bus against the states that the frames require.
 
-    ``facts``, ``scenario``: as the simulator prints and was given them. ``log``: the frames; None: of a bus
-    without fault, which requires the supervision to be live. ``from_s`` [s]: from when on, but not before the
-    bus came up.
+    ``facts``, ``scenario``: the simulator's output and input. ``log``: the frames; None: a bus without fault,
+    where
+    the supervision must be live. ``from_s`` [s]: start of the comparison, but not before the bus came up.
     """
     project, Ts = simulator.project, simulator.project.Ts_s
     first, end = round(max(from_s, RECOVERY_S) / Ts), round(facts["duration_s"] / Ts)
@@ -319,8 +339,10 @@ def supervision(
 
 
 def _statistic(replayer: Replayer, replay: Replay, drive: Drive) -> np.ndarray:
-    """(N,) of the monitor: the largest of the frame test's statistic (where frames were judged) and the
-    ratios of the other tests, each over its threshold; -inf where none judged. Above 1: an alarm."""
+    """Statistic (N,) of the monitor: the largest over the tests, each over its threshold; above 1: an alarm.
+
+    The frame test counts where frames were judged. It is -inf where no test judged.
+    """
     frames, ratios = (
         replay.run.frames,
         (
@@ -335,8 +357,8 @@ def _statistic(replayer: Replayer, replay: Replay, drive: Drive) -> np.ndarray:
 
 
 def _judged(name: str, statistic: np.ndarray, threshold: float, clock: JudgedClock) -> dict[str, Any]:
-    """NAME_before, NAME_found_s at the threshold; largest statistic before the fault and within the time
-    allowed after it."""
+    """NAME_before, NAME_found_s at the threshold; largest statistic before the fault and in the allowed
+    time."""
     within = slice(clock.first, int(np.searchsorted(clock.seconds, FOUND_WITHIN_S, side="right")))
     before = float(statistic[: clock.first].max(initial=-np.inf))
     return {

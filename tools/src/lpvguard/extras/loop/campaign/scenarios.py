@@ -1,5 +1,7 @@
-"""The plan of a campaign: every run's number, truck and fault, and the scenario file of a run. What is drawn
-depends on the seed and the number of the run alone."""
+"""Plan of a campaign: every run's number, truck and fault, and its scenario file.
+
+A draw depends on the seed and the number of the run alone.
+"""
 
 from __future__ import annotations
 
@@ -14,30 +16,34 @@ from .conduct import LEAST_BAR, STEERING_RADPS
 from .faults import VARIATION
 
 DURATION_S = 180.0
-"""As long as the calibration drives of `generate`: a rate per drive means the same."""
+"""As long as the calibration drives of `generate`, so that a rate per drive means the same."""
 FIRST_FAULT = 1_000_000
-"""Number of the first run with a fault: what is drawn for it does not depend on the hours within."""
+"""Number of the first run with a fault: its draws do not depend on the hours within."""
 SPEEDS = (8.1, 21.9)
-"""[m/s] Of the runs: noise of the wheel speeds must not leave the controller's 8 to 22."""
+"""[m/s] Speeds of the runs: noise of the wheel speeds must not leave the controller's 8 to 22."""
 STEERING_RMS = 0.05
-"""[rad/s] Of the steering task's command, less where a truck cannot give it within the limit."""
+"""[rad/s] Rms of the steering task's command, reduced where the truck's limit requires it."""
 HIGHEST_COMMAND_RADPS = 4.0
 FAULT_BAR = 0.9
-"""Least of the largest demand of runs with a fault: enough to see one."""
+"""Least peak demand of runs with a fault, so that the fault can show."""
 ROOM = 0.85
-"""Of the controller's limit that a command asks for; the rest is for road, wind and noise. A certificate is
-about the loop within its limits."""
+"""Share of the controller's limit for a command; the rest is for road, wind and noise. A certificate covers
+the
+loop within its limits."""
 UNIT = 0.05
-"""[rad/s] Size of a command with which its demand is found."""
+"""[rad/s] Size of a command for which its demand is computed."""
 REFERENCE_RADPS = 3.0
-"""Of the simulator's reference model 9 / (s^2 + 5.4 s + 9) (firmware_sim/sim/command.hpp)."""
+"""Frequency of the simulator's reference model 9 / (s^2 + 5.4 s + 9) (firmware_sim/sim/command.hpp)."""
 
 
 @dataclass(frozen=True)
 class PlannedRun:
-    """One run. ``plant``: index of the truck of group "within", -1 elsewhere; ``tables``: its fault or
-    variation; ``gain``: least gain of a truck within the bounds, of the nominal one's; ``way``: how the fault
-    comes."""
+    """One run.
+
+    ``plant``: index of the truck of group "within", -1 elsewhere; ``tables``: its fault or variation;
+    ``gain``:
+    least gain of a truck within the bounds over the nominal one's; ``way``: way in which the fault begins.
+    """
 
     number: int
     kind: str
@@ -51,7 +57,13 @@ class PlannedRun:
 
 @dataclass(frozen=True)
 class Size:
-    """How much: hours of driving within the bounds, runs of each severity of each kind."""
+    """Size of a campaign.
+
+    Attributes
+    ----------
+    hours : float, h of driving within the bounds
+    repeats : int
+    """
 
     hours: float
     repeats: int
@@ -74,8 +86,8 @@ def plan(size: Size, trucks: list[tuple[str, float]]) -> list[PlannedRun]:
 
 
 def draw_variation(seed: int, candidate: int) -> str:
-    """A truck that differs from truck.toml in everything that a fleet's trucks differ in, some little, some
-    much."""
+    """A truck that differs from truck.toml in all properties that vary in a fleet, by small and large
+    amounts."""
     random = np.random.default_rng([seed, 1, candidate])
     reach = {
         "load_ratio": 0.2,
@@ -98,10 +110,13 @@ def draw_variation(seed: int, candidate: int) -> str:
 
 @dataclass(frozen=True)
 class Command:
-    """A yaw-rate command but for its size, the rms of a multisine or the amplitude of steps.
+    """A yaw-rate command without its size, the rms of a multisine or the amplitude of steps.
 
-    ``keys``: of a scenario file. ``highest``: upper end of the commanded band [rad/s], of steps that of the
-    reference model. ``size``: its own where it has one [rad/s].
+    Attributes
+    ----------
+    keys : str, of a scenario file
+    highest : float, rad/s, upper end of the commanded band, for steps that of the reference model
+    size : float or None, rad/s, its own size
     """
 
     keys: str
@@ -122,8 +137,15 @@ class Command:
 
 @dataclass(frozen=True)
 class Drawn:
-    """What is drawn for a run: speed knots (time [s], speed [m/s]), command, largest demand of the nominal
-    truck [bar], and the seed of noise, road and wind."""
+    """Draws of a run.
+
+    Attributes
+    ----------
+    profile : list of (time [s], speed [m/s]), knots
+    command : Command
+    demand_bar : float, bar, peak demand of the nominal truck
+    seed : int, of noise, road and wind
+    """
 
     profile: list[tuple[float, float]]
     command: Command
@@ -132,11 +154,11 @@ class Drawn:
 
     @classmethod
     def of(cls, limit_bar: float, seed: int, planned: PlannedRun) -> Drawn:
-        """Drawn from the campaign's seed and the run's number.
+        """Draws from the campaign's seed and the run's number.
 
-        The truck's largest demand lies between LEAST_BAR, of runs with a fault FAULT_BAR, and ROOM of the
-        controller's limit ``limit_bar``. So the amplitudes that were checked are covered, and no truck is
-        asked for more than it can give.
+        The truck's peak demand lies between LEAST_BAR (FAULT_BAR with a fault) and ROOM of the controller's
+        limit
+        ``limit_bar``. The checked amplitudes are then covered, and no truck exceeds its limits.
         """
         random = np.random.default_rng([seed, 2, planned.number])
         profile = speed_profile(random)
@@ -148,12 +170,13 @@ class Drawn:
         return cls(profile, command, planned.gain * demand, int(random.integers(1 << 31)))
 
     def size(self, model: NominalModel, unit: np.ndarray, Ts: float) -> float:
-        """Size of the command [rad/s] with which the nominal truck needs ``demand_bar``, or the command's own
-        where that is less. Its amplitude, as the bounds count it (sqrt 2 times the demand's rms), is at least
-        LEAST_BAR.
+        """Size of the command [rad/s] with which the nominal truck needs ``demand_bar``.
 
-        ``unit`` (N,): what the reference model makes of this command at size UNIT [rad/s], every ``Ts`` [s].
-        It is followed up to HIGHEST_COMMAND_RADPS at every speed of the run; above, no loop does.
+        The command's own size is an upper limit. Its amplitude (sqrt 2 times the demand's rms, as in the
+        bounds) is at
+        least LEAST_BAR. ``unit`` (N,) is the reference model's answer to this command at size UNIT [rad/s],
+        every ``Ts``
+        [s]. It is followed up to HIGHEST_COMMAND_RADPS at every speed of the run; above, no loop follows it.
         """
         wanted = np.fft.rfft(unit)
         omega = 2 * np.pi * np.arange(len(wanted)) / (len(unit) * Ts)
@@ -169,7 +192,7 @@ class Drawn:
         return size if self.command.size is None else min(size, self.command.size)
 
     def text(self, tables: str, size: float) -> str:
-        """The scenario file; ``tables``: faults and variation, ``size``: of the command [rad/s]."""
+        """Scenario file; ``tables``: faults and variation, ``size``: of the command [rad/s]."""
         knots = ", ".join(f"[{t:.6g}, {v:.6g}]" for t, v in self.profile)
         return (
             f"duration_s = {DURATION_S:g}\nseed = {self.seed}\n[command]\n{self.command.keys} = {size:.6g}\n"
@@ -178,8 +201,10 @@ class Drawn:
 
 
 def _command(random: np.random.Generator, within: bool) -> Command:
-    """The command of a run; those of trucks ``within`` the bounds also hold the steering task's. Their steps
-    are slow enough to be tracked, those of faulted trucks keep the monitor's frames excited."""
+    """Command of a run; trucks ``within`` the bounds also get those of the steering task.
+
+    Their steps are slow enough to be tracked. Those of faulted trucks keep the monitor's frames excited.
+    """
     wide = (
         Command.multisine("linear", 0.05, 2.0),
         Command.multisine("log", 0.5, HIGHEST_COMMAND_RADPS),

@@ -1,4 +1,4 @@
-"""The tables of a campaign from the rows of its runs.
+"""Tables of a campaign from the rows of its runs.
 
 A fault is *visible* in a run when t* is at least VISIBLE_RATIO (one_run.py) times the threshold in at least
 VISIBLE_SHARE of the frames that lie wholly in excited driving after its start. A visible fault must be found
@@ -29,23 +29,26 @@ from .scenarios import DURATION_S
 
 VISIBLE_SHARE, VISIBLE_FOUND = 0.1, 0.95
 LATENCY_S = 1.0
-"""From the end of a frame to the verdict that says so: a reserve."""
+"""Reserve from the end of a frame to its verdict."""
 ABOUT_BOUNDS = ("frame", "energy")
-"""Tests that are calibrated for a vehicle within the bounds. The change test is for the one identified: it
-may speak of any other truck."""
+"""Tests that are calibrated for a vehicle within the bounds. The change test is calibrated for the identified
+vehicle and may alarm for any other truck."""
 DETECTORS = (MONITOR, *BASELINE_KINDS)
 
 
 def summarise(
     table: pa.Table, stored: StoredIdentification, found: dict, levels: list[dict], tuned: dict
 ) -> dict[str, Any]:
-    """The campaign's tables from its rows; JSON-able. ``severities``, ``kinds``, ``average``, ``visible``:
-    faults of the truck, as they come first; ``bus``: of the bus. ``ways``: the faults that come in several.
+    """The campaign's tables from its rows; JSON-able.
 
-    ``matched``: with every detector's threshold such that by the rule of identify/calibration.py at most
-    alpha of the runs within the bounds alarm, and at most alpha of the faulty runs before their fault. Only
-    where there are runs enough for alpha (``matched_stated``) are these equal false alarms in the loop;
-    ``matched_claim`` says so, or "counts only".
+    ``severities``, ``kinds``, ``average``, ``visible``: faults of the truck in their first way; ``bus``: of
+    the bus.
+    ``ways``: faults that begin in several ways. ``matched`` uses thresholds with at most alpha of the runs
+    within
+    the bounds alarming, and at most alpha of the faulty runs before their fault, by the rule of
+    identify/calibration.py. With enough runs for alpha (``matched_stated``) these are equal false alarms in
+    the
+    loop; ``matched_claim`` says so, or "counts only".
     """
     rows = table.to_pylist()
     kinds = {k.name: k for k in faults.KINDS}
@@ -100,8 +103,8 @@ def summarise(
 def _matched(
     within: list[dict], faulty: list[dict], alpha: float
 ) -> tuple[dict[str, float], dict[str, float | None]]:
-    """Per detector the threshold of equal false alarms, and the rate that is stated for it: alpha, or None
-    where there are too few runs. See ``summarise``."""
+    """Threshold of equal false alarms per detector, and its rate: alpha, or None with too few runs
+    (``summarise``)."""
     before = [r for r in faulty if r["fault_s"] > 0]
     calibrations = {
         d: (
@@ -119,8 +122,10 @@ def _matched(
 def _severities(
     faulty: list[dict], matched: dict[str, float], levels: list[dict], found: dict
 ) -> list[dict[str, Any]]:
-    """A row per kind and severity of a fault of the truck, with mu of the faulted loop and the distance of
-    its response from the nominal one where they were computed."""
+    """A row per kind and severity of a fault of the truck.
+
+    It has mu of the faulted loop and the distance of its response from the nominal one, where computed.
+    """
     loops = {(row["kind"], row["severity"]): row for row in levels}
     response = {(row["kind"], row["severity"]): row["ratio"] for row in found["faulted"]}
     severities = []
@@ -138,7 +143,7 @@ def _severities(
 
 
 def _calibrated(stored: StoredIdentification) -> dict[str, dict[str, Any]]:
-    """Per test what its calibration states for a run, and for an hour of such runs."""
+    """Calibrated rate of each test for a run, and for an hour of such runs."""
     return {
         test: {
             "claim": c.claim(),
@@ -152,7 +157,7 @@ def _calibrated(stored: StoredIdentification) -> dict[str, dict[str, Any]]:
 
 
 def _due(rows: list[dict]) -> dict[str, Any]:
-    """Of the alarms that were due within the run, those that came by then."""
+    """Alarms due within the run, and those that came in time."""
     due = [
         r for r in rows if r["due_s"] is not None and r["fault_s"] + r["due_s"] + LATENCY_S <= r["duration_s"]
     ]
@@ -164,9 +169,12 @@ def _due(rows: list[dict]) -> dict[str, Any]:
 
 
 def by_way(rows: list[dict], matched: dict[str, float]) -> dict[str, dict[str, Any]]:
-    """Per way, of the ``rows`` of faults that come in several: runs; per detector the share of runs in which
-    the fault was found, averaged over kinds and severities, and the median time [s] over all runs. A time is
-    judged, excited driving since the fault's start."""
+    """Results per way of the ``rows`` of faults that begin in several ways.
+
+    They hold the runs, and per detector the share found, averaged over kinds and severities, and the median
+    time
+    [s] over all runs. A time is judged, excited driving since the fault's start.
+    """
     found = {}
     for way in dict.fromkeys(r["way"] for r in rows):
         mine = [r for r in rows if r["way"] == way]
@@ -183,14 +191,14 @@ def by_way(rows: list[dict], matched: dict[str, float]) -> dict[str, dict[str, A
 
 
 def _visible(faulty: list[dict]) -> dict[str, dict[str, Any]]:
-    """Per detector the visible faults that it found in time, of those before which it did not alarm."""
+    """Visible faults that each detector found in time, of those without an earlier alarm."""
     visible = [r for r in faulty if _is_visible(r)]
     counted = {d: [r for r in visible if not r[f"{d}_before"]] for d in DETECTORS}
     return {d: rate(sum(_found(r, d) for r in rows), len(rows)) for d, rows in counted.items()}
 
 
 def _average(severities: list[dict]) -> dict[str, dict[str, float]]:
-    """Per detector the share of runs in which the fault was found, averaged over the severities."""
+    """Share of runs with the fault found, per detector, averaged over the severities."""
     return {
         d: {
             "calibrated": float(np.mean([s["found"][d] / s["runs"] for s in severities])),
@@ -201,8 +209,8 @@ def _average(severities: list[dict]) -> dict[str, dict[str, float]]:
 
 
 def _is_invisible(severity: dict[str, Any]) -> bool:
-    """Whether a fault is visible in less than half of its runs although the loop is unstable with it, or not
-    proved to keep its performance."""
+    """Whether a fault is visible in less than half of its runs although the loop loses stability or
+    performance."""
     harmful = not severity["loop_stable"] or (severity["mu_upper"] is not None and severity["mu_upper"] >= 1)
     return severity["visible_runs"] < severity["runs"] / 2 and harmful
 
@@ -254,7 +262,7 @@ def _missed(summary: dict[str, Any]) -> Iterator[str]:
 
 
 def _calibration(scores: list[float], alpha: float) -> Calibration:
-    """Conformal calibration on healthy stretches; those on which the detector never spoke give no score."""
+    """Conformal calibration on healthy stretches; those without a statistic give no score."""
     return calibrate({str(i): s for i, s in enumerate(scores) if np.isfinite(s)}, alpha, floor=0.0)
 
 
@@ -272,8 +280,10 @@ def _alarms(row: dict, detector: str) -> bool:
 
 
 def _falsified(within: list[dict], tables: list[str]) -> dict[str, Any]:
-    """The runs of trucks within the bounds that did what the certificate rules out (conduct.py), each by
-    name, and their rate. ``tables``: of these trucks."""
+    """Names and rate of the runs of trucks within the bounds that contradict the certificate (conduct.py).
+
+    ``tables`` are of these trucks.
+    """
     runs = [
         {key: r[key] for key in ("number", "seed", "plant", "speed_mps")}
         | {"tables": tables[r["plant"]], "did": did}
@@ -284,8 +294,8 @@ def _falsified(within: list[dict], tables: list[str]) -> dict[str, Any]:
 
 
 def _within(rows: list[dict]) -> dict[str, Any]:
-    """Alarm rates of trucks within the bounds, per run of DURATION_S (the exchangeable unit), by detector and
-    test."""
+    """Alarm rates of trucks within the bounds per run of DURATION_S (the exchangeable unit), by detector
+    and test."""
     hours, judged = (sum(r[key] for r in rows) / 3600 for key in ("duration_s", "judged_s"))
     alarmed = {d: sum(_alarms(r, d) for r in rows) for d in DETECTORS}
     trucks: dict[int, bool] = {}
@@ -329,9 +339,12 @@ def _severity(kind: str, x: float, rows: list[dict], matched: dict[str, float]) 
 
 
 def _supervision(rows: list[dict]) -> dict[str, Any]:
-    """Runs in which all was as required, and reactions due and met. Not of trucks that alone are at fault:
-    one that leaves the controller's range of speeds is refused, which the ECU reports as "off" though its bus
-    is live."""
+    """Runs with all required states, and reactions due and met.
+
+    Faults of the truck alone are left out: a truck that leaves the controller's range of speeds is refused,
+    which
+    the ECU reports as "off" though its bus is live.
+    """
     return {
         "as_required": rate(sum(map(_as_required, rows)), len(rows)),
         "due": sum(r["supervision_due"] for r in rows),
@@ -340,7 +353,7 @@ def _supervision(rows: list[dict]) -> dict[str, Any]:
 
 
 def _as_required(row: dict) -> bool:
-    """Whether the supervision said at every tick what it had to, and nothing worse."""
+    """Whether the supervision reported the required state at every tick, and none worse."""
     return (
         row["supervision_met"] == row["supervision_due"]
         and row["supervision_late_s"] == 0.0 == row["supervision_unwarranted_s"]
@@ -348,10 +361,14 @@ def _as_required(row: dict) -> bool:
 
 
 def _bus_severity(kind: str, x: float, rows: list[dict]) -> dict[str, Any]:
-    """What the supervision made of a fault of the bus. Of the time since its begin ``away`` is the share for
-    which it could not be live, ``judged`` that in which the monitor judged excited driving: after every gap
-    the model has to settle first. ``alarmed``: runs in which a detector alarmed since, which need not be
-    wrong: see ``visible_runs``."""
+    """Reactions of the supervision to a fault of the bus.
+
+    ``away`` is the share of time since its begin with no live bus. ``judged`` is the share with judged,
+    excited
+    driving: after every gap the model has to settle first. ``alarmed`` counts runs with an alarm since, which
+    need
+    not be wrong: see ``visible_runs``.
+    """
     return {
         "kind": kind,
         "severity": x,
@@ -369,8 +386,10 @@ def _bus_severity(kind: str, x: float, rows: list[dict]) -> dict[str, Any]:
 
 
 def kind_row(name: str, rows: list[dict]) -> dict[str, Any]:
-    """A kind's average over its severities, and who is best (all that tie; nobody where nobody found a fault)
-    at calibrated and at matched thresholds."""
+    """Average of a kind over its severities, and the best detectors at calibrated and at matched thresholds.
+
+    All that tie are best; none where none found a fault.
+    """
     shares = {d: float(np.mean([s["found"][d] / s["runs"] for s in rows])) for d in DETECTORS}
     matched = {d: float(np.mean([s["matched"][d] / s["runs"] for s in rows])) for d in DETECTORS}
 

@@ -1,4 +1,4 @@
-"""Which trucks lie within the bounds by their own frequency response, and mu of the loops with a fault.
+"""Trucks within the bounds by their own frequency response, and mu of the loops with a fault.
 
 G is the truck's measured response to sines on a flat road without wind (`plant response`), w = 0, at OMEGA,
 at RESPONSE_SPEEDS and with amplitudes of RESPONSE_BAR, the last of which is reduced to the edge of use (the
@@ -6,8 +6,8 @@ lateral-acceleration limit). P is the nominal response. A truck is within the bo
 
     |delta_j| = |G_j / P_j - 1| <= W_delta,j
 
-everywhere there, W_delta as the certificate has it. Speeds and demands of the runs lie in what is checked
-(scenarios.py). Nothing here uses what the monitor says or what a run did.
+everywhere there, W_delta as in the certificate. Speeds and demands of the runs lie in the checked ranges
+(scenarios.py). Nothing here uses the monitor's answers or a run.
 """
 
 from __future__ import annotations
@@ -39,23 +39,25 @@ from .conduct import LEAST_BAR
 from .scenarios import HIGHEST_COMMAND_RADPS, draw_variation
 
 PLANTS = 24
-"""Trucks within the bounds that share the runs "within"."""
+"""Number of trucks within the bounds that share the runs "within"."""
 RESPONSE_SPEEDS = (8.0, 12.0, 17.0, 22.0)
 RESPONSE_BAR = (LEAST_BAR, 0.7, np.inf)
 OMEGA = (np.geomspace(1.0, 60.0, 28), np.geomspace(0.02, 1.0, 12, endpoint=False))
-"""[rad/s] The slow ones last: their periods take most of the time, and most trucks beyond the bounds are so
-above 1 rad/s."""
+"""[rad/s] Slow ones last: they take most of the time, and most trucks beyond the bounds show it above 1
+rad/s."""
 LOOP_SPEEDS = (8.5, 15.0, 21.5)
-"""Where mu of a faulted loop is computed; the largest is stated."""
+"""Speeds for mu of a faulted loop; the largest value counts."""
 
 
 @dataclass(frozen=True)
 class Distance:
-    """How far a truck is from the nominal model.
+    """Distance of a truck from the nominal model.
 
-    ratio: largest |delta_j| / W_delta,j; where it exceeds 1, of what was measured until then, so at least
-    that. output, omega_radps, speed_mps, amplitude_bar: where. least_gain: of a truck within the bounds,
-    least |G_1/P_1| at the edge of use up to the highest frequency of a command.
+    ratio: largest |delta_j| / W_delta,j; measurement ends where it exceeds 1, so it is then a lower bound.
+    output,
+    omega_radps, speed_mps, amplitude_bar: its place. least_gain: for a truck within the bounds, least
+    |G_1/P_1| at
+    the edge of use up to the highest frequency of a command.
     """
 
     ratio: float
@@ -68,20 +70,19 @@ class Distance:
 
 @dataclass(frozen=True)
 class CertifiedSet:
-    """The set of trucks that a certificate is about: a project's nominal model and its fitted weights."""
+    """Set of trucks of a certificate: a project's nominal model and its fitted weights."""
 
     project: Project
     fitted: Weights
 
     @classmethod
     def of(cls, stored: StoredIdentification) -> CertifiedSet:
-        """Those of an identification. InputError where the certificate is not about W_delta alone."""
+        """Set of an identification. InputError where the certificate is not about W_delta alone."""
         require_certified_by_W_delta(stored)
         return cls(stored.project, stored.fitted)
 
     def distance(self, tables: str) -> Distance:
-        """Of the truck with these variations and faults, given as scenario tables; measured until it exceeds
-        the bounds."""
+        """Distance of the truck with these scenario tables, measured until it exceeds the bounds."""
         model, outputs = NominalModel(self.project), [signal.name for signal in self.project.outputs]
         worst, least_gain = Distance(0.0, outputs[0], 0.0, 0.0, 0.0, None), np.inf
         for v, amplitude, wanted in self._points(model):
@@ -99,8 +100,8 @@ class CertifiedSet:
         return replace(worst, least_gain=least_gain)
 
     def checked(self) -> dict[str, Any]:
-        """What ``distance`` measures, JSON-able: speeds (S,) [m/s], amplitudes (S, A) [bar], frequencies (K,)
-        [rad/s]."""
+        """Measured speeds (S,) [m/s], amplitudes (S, A) [bar], frequencies (K,) [rad/s] of ``distance``,
+        JSON-able."""
         model = NominalModel(self.project)
         return {
             "speeds_mps": list(RESPONSE_SPEEDS),
@@ -118,8 +119,8 @@ class CertifiedSet:
 
 
 def plants(certified: CertifiedSet, seed: int, workers: Map, progress: Progress) -> dict[str, Any]:
-    """Trucks within the bounds, in the order drawn until there are PLANTS, and the distance of every faulted
-    truck that has a response."""
+    """The first PLANTS drawn trucks within the bounds, and the distance of every faulted truck with a
+    response."""
     candidates: list[dict[str, Any]] = []
     while sum(c["ratio"] <= 1 for c in candidates) < PLANTS:
         tables = [draw_variation(seed, len(candidates) + i) for i in range(8)]
@@ -149,8 +150,8 @@ def plants(certified: CertifiedSet, seed: int, workers: Map, progress: Progress)
 
 
 def loop_levels(stored: StoredIdentification, controller: Path, progress: Progress) -> list[dict[str, Any]]:
-    """Upper bound of mu of the certified loop with each linear fault in it, largest over LOOP_SPEEDS; None
-    where it is not stable."""
+    """Upper bound of mu of the certified loop with each linear fault, largest over LOOP_SPEEDS; None if
+    unstable."""
     found = []
     linear = [(kind, x, kind.loop) for kind in faults.KINDS if kind.loop for x in kind.values]
     for kind, x, loop in linear:
