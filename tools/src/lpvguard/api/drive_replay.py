@@ -32,8 +32,8 @@ class Replayed:
     Attributes
     ----------
     summary : Replay
-    arrow : pyarrow.Table, time series for polars (`polars.from_arrow`) and Parquet, columns of
-    replay/series.py
+    arrow : pyarrow.Table
+        Time series for polars (`polars.from_arrow`) and Parquet, columns of replay/series.py.
     omega : ndarray (K,), rad/s, frequencies of the bins
     drive : Drive, the judged record
     replayer : Replayer, the core that judged it
@@ -61,9 +61,8 @@ class Replayed:
         """Table of the judged frames, in the order of judgement. Needs pandas.
 
         t_end_s (of the frame) and t_judged_s are seconds after the first sample. margin is t*, evidence that
-        of a
-        vehicle that does not respond. reason "none" means that it counted. The other columns are omega_rad_s,
-        speed_mps and falsified.
+        of a vehicle that does not respond. reason "none" means that it counted. The other columns are
+        omega_rad_s, speed_mps and falsified.
         """
         f, t0 = self.summary.run.frames, self.summary.start_s
         return optional("pandas", "pandas").DataFrame(
@@ -111,7 +110,7 @@ class Replayed:
         columns = {
             name.replace("/", "_").replace(".", "_"): column.to_numpy()
             for name, column in zip(self.arrow.column_names, self.arrow.columns, strict=True)
-            if name != "verdict"  # verdict_code says it in numbers
+            if name != "verdict"  # verdict_code has its number
         }
         savemat(path, columns)
 

@@ -35,7 +35,7 @@ from .drive_replay import Replayed
 from .identification import Identified
 
 ROW_PX, AROUND_PX = 31, 250
-"""Height of a row of the map, and of what stands around them [px]."""
+"""Height of a row of the map, and of its frame [px]."""
 
 
 @dataclass(frozen=True)
@@ -63,8 +63,7 @@ class BlindMap:
         """Table with a row a cell.
 
         Columns: speeds [m/s], frequency [rad/s], state, counted frames, smallest visible gain errors
-        (typical, at the
-        strongest frame, at any excitation), alarms.
+        (typical, at the strongest frame, at any excitation), alarms.
         """
         text = io.StringIO()
         table = csv.writer(text, lineterminator="\n")
@@ -186,7 +185,7 @@ def excitation(found: Identified, *runs: Replayed) -> Picture:
     Picture
     """
     if not runs:
-        raise InputError("excitation", "runs", "none", "what lpvguard.replay returned")
+        raise InputError("excitation", "runs", "none", "results of lpvguard.replay")
     frames = [run.summary.run.frames for run in runs]
     bin_of = np.concatenate([f.bin[f.counted] for f in frames])
     Z = np.concatenate([f.Z[f.counted] for f in frames])

@@ -1,8 +1,7 @@
 """Fig. 1 of an identified vehicle: its settings, its weights and the generalised plant at a frozen speed.
 
 Everything is discrete from the start: the vehicle sampled exactly at Ts, the weights by Tustin's map. The
-model's input delay is whole samples in front of the vehicle; the performance weight W_u sees the demand at
-once.
+model's input delay is whole samples before the vehicle; the performance weight W_u has no delay.
 """
 
 from __future__ import annotations
@@ -22,11 +21,25 @@ from ..vehicle.nominal import NominalModel
 from .stored_frames import SplitWeights, StoredFrames
 
 LARGEST_WINDOW_ERROR = 0.1
-"""Median error of the state's uncertainty from frames, over bins, up to which K_is is designed from it."""
+"""Largest median error of the state's uncertainty from frames, over bins, for a design of K_is."""
 
 
 def design_settings(stored: StoredIdentification) -> DesignSettings:
-    """The project's [design] table; InputError without one."""
+    """Return the project's [design] table.
+
+    Parameters
+    ----------
+    stored : StoredIdentification
+
+    Returns
+    -------
+    DesignSettings
+
+    Raises
+    ------
+    InputError
+        If there is none.
+    """
     if stored.project.design is None:
         raise InputError(
             f"vehicle {stored.project.name}", "design", "no [design] table", "objectives for step 8"
@@ -40,7 +53,7 @@ def weight_system(weight: FittedWeight, inflation: float) -> StateSpace:
 
 
 def whole_delay(model: NominalModel) -> int:
-    """The model's input delay [samples]; InputError where it is not a whole number of them."""
+    """The model's input delay [samples]; InputError where it is not whole."""
     if model.delay_fraction:
         raise InputError(
             "model",
@@ -52,7 +65,7 @@ def whole_delay(model: NominalModel) -> int:
 
 
 def vehicle_at(model: NominalModel, v: float) -> StateSpace:
-    """The nominal vehicle from u to y at speed v [m/s], sampled with its input held, delay included."""
+    """Nominal vehicle from u to y at speed v [m/s], sampled with held input, delay included."""
     A, B = (m[0] for m in model.matrices(np.array([v])))
     free = StateSpace(A, B, model.C, np.zeros((model.n_y, B.shape[1])))
     held = zero_order_hold(free, model.Ts)
@@ -60,7 +73,7 @@ def vehicle_at(model: NominalModel, v: float) -> StateSpace:
 
 
 def delay_line(samples: int, dt: float) -> StateSpace:
-    """One signal, ``samples`` late."""
+    """One signal, delayed by ``samples``."""
     return StateSpace(
         np.eye(samples, k=1),
         np.eye(samples)[:, -1:],
@@ -72,9 +85,16 @@ def delay_line(samples: int, dt: float) -> StateSpace:
 
 @dataclass(frozen=True)
 class DesignProblem:
-    """The problem of Fig. 1 of an identified vehicle: model, weights and generalised plants over speed.
+    """Problem of Fig. 1 of an identified vehicle: model, weights and generalised plants over speed.
 
-    ``settings``: structure, A_t, A_u and shapes, the project's or others.
+    Attributes
+    ----------
+    stored : StoredIdentification
+    settings : DesignSettings, structure, A_t, A_u and shapes, the project's or others
+
+    References
+    ----------
+    Paper, Fig. 1 and section V.
     """
 
     stored: StoredIdentification
@@ -181,10 +201,10 @@ def plant_at(
     structure: str,
     probes: bool = False,
 ) -> fig1.GeneralisedPlant:
-    """The discrete generalised plant at speed v [m/s], the model's input delay included.
+    """Discrete generalised plant at speed v [m/s], the model's input delay included.
 
-    delayed: with one more sample of delay in front of the control input, that of the controller's
-    computation. probes: as in ``generalised_plant``.
+    delayed: with one more sample of delay before the control input, for the controller's computation. probes:
+    as in ``generalised_plant``.
     """
     A, B = (m[0] for m in model.matrices(np.array([v])))
     late = whole_delay(model)

@@ -311,11 +311,11 @@ def run_verdicts(
 
     Parameters
     ----------
-    name : str, of the target
+    name : str, the target
     vehicle : Path, generated folder
-    drives : sequence of Input
-    double : bool, numbers of the core are double
-    fused : bool, multiply and add are fused where the processor can
+    drives : Sequence[Input]
+    double : bool, numbers are double, default False
+    fused : bool, fuse multiply and add where the processor can, default False
 
     Returns
     -------
@@ -324,7 +324,7 @@ def run_verdicts(
     Raises
     ------
     InputError
-        As ``run_target``.
+        If tools are missing, or the program does not build or fails.
     """
     target = _target(name)
     numbers = ("-DLPVG_DOUBLE",) if double else ()

@@ -1,4 +1,4 @@
-"""The drives of an identification, by what they are for."""
+"""Drives of an identification by their role."""
 
 from __future__ import annotations
 
@@ -17,10 +17,20 @@ from .passes import DriveReader
 
 
 class DriveSet:
-    """The drives of a folder that are in use, but for those ``without``; read when asked for.
+    """Drives of a folder that are in use, read on request.
 
-    ``experiments``: by name, in the order of the folder's index. ``set_aside``: drive -> the reason that
-    the index states.
+    Parameters
+    ----------
+    project : Project
+    model : NominalModel
+    folder : Path, with experiments.csv
+    without : Collection[str], drives to leave out, default ()
+
+    Attributes
+    ----------
+    folder : Path
+    experiments : dict[str, Experiment], by name, in the order of the index
+    set_aside : dict[str, str], reason that the index states, by drive
     """
 
     def __init__(self, project: Project, model: NominalModel, folder: Path, without: Collection[str] = ()):
@@ -79,6 +89,6 @@ def require_calibration(
         reason = next((f"{n}: {left_out[n]}" for n in names if n in left_out), "every bin is silent")
         raise drives.error(
             f"drives that calibrate ({len(names)})",
-            f"nothing calibrates: no test judges any of them ({reason})",
+            f"nothing calibrates: no test judges a drive ({reason})",
             "at least one with a frame of a bin that speaks, or with settled driving for the other tests",
         )

@@ -80,7 +80,7 @@ def _write_mf4(path: Path, series: pa.Table) -> None:
     dense: list[Signal] = []
     margins: list[Signal] = []
     for name in series.column_names:
-        if name in ("t", "verdict"):  # verdict_code says it in numbers
+        if name in ("t", "verdict"):  # verdict_code has its number
             continue
         values = numbers(series[name])
         here = np.isfinite(values) if name.startswith(MARGIN) else np.ones(len(t), bool)

@@ -262,7 +262,7 @@ def _independence(
         return words
     of = evaluation["false_alarms"]["all"]
     which = (
-        "Of drives that the identification never saw"
+        "Drives that the identification never saw"
         if evaluation["mode"] == HELD_OUT
         else "Each left out of its own threshold"
     )
