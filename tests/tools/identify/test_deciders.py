@@ -12,7 +12,7 @@ from lpvguard.core.compiled import FrameLog, Run
 from lpvguard.drives.faults import Fault, inject
 from lpvguard.drives.frames import Estimator
 from lpvguard.drives.tables import read_drive
-from lpvguard.identify import run as stage
+from lpvguard.identify import identification as stage
 from lpvguard.identify.bounds import Deciders, FrameSet, fold, reduce_remainder
 from lpvguard.identify.calibration import Calibration, Peak, peaks
 from lpvguard.identify.deciders import Decision, decides_bounds, decides_thresholds, outlying, silence

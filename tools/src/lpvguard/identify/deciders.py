@@ -12,8 +12,8 @@ import numpy as np
 
 from ..drives.tables import EXPERIMENTS
 from .calibration import Calibration, calibrate
+from .identification import Identification
 from .model_error import FEWEST_FRAMES
-from .run import Identification
 
 ONE_FRAME = 1.1
 """Ratio of a number to its value without one frame from which that frame decides it."""

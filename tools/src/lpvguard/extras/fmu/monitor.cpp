@@ -1,7 +1,7 @@
 // monitor.cpp -- a vehicle's monitor as a co-simulation FMU: the functions of FMI 2.0 and of FMI 3.0 around lpvguard/monitor.h.
 //
 // A step takes the inputs that were set as the sample of its beginning. Its outputs are those of the core after that sample. The step
-// size is the sample period. model_description.py names the value references below.
+// size is the sample period. description.py names the value references below.
 #include <cmath>
 #include <cstdarg>
 #include <cstddef>
