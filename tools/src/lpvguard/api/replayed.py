@@ -16,7 +16,7 @@ from ..base.optional import optional
 from ..core.compiled import REASONS
 from ..drives.tables import Drive
 from ..replay.opened import replayer_for
-from ..replay.recordings import KINDS, write_series
+from ..replay.recordings import SUFFIX, write_series
 from ..replay.run import Alarm, Recorded, Replay, Replayer
 from ..vehicle.project import Project
 from .identified import project_of
@@ -90,10 +90,13 @@ class Replayed:
         InputError
             If the suffix is another one, or its package is not installed.
         """
-        kind = next((k for k in KINDS if Path(path).suffix.lower() == f".{k}"), None)
+        kind = next((k for k, suffix in SUFFIX.items() if Path(path).suffix.lower() == suffix), None)
         if kind is None:
-            raise InputError(path, "suffix", Path(path).suffix or "none", ", ".join(f".{k}" for k in KINDS))
-        write_series(Path(path), kind, self.arrow, self.summary.to_dict()["alarms"])
+            raise InputError(
+                path, "suffix", Path(path).suffix or "none", ", ".join(dict.fromkeys(SUFFIX.values()))
+            )
+        alarms = self.summary.to_dict()["alarms"]
+        write_series(Path(path), kind, self.arrow, alarms, self.replayer.project.name)
 
     def save_mat(self, path: str | Path) -> None:
         """Write the time series as MATLAB variables.
