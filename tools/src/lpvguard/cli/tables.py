@@ -244,9 +244,9 @@ def print_tests(result: Identification) -> None:
     if energy is not None:
         console.print(
             f"energy test: threshold {energy.calibration.carried:.4g} ({energy.calibration.claim()}), "
-            f"sigma {energy.sigma_text(result.project)}; above {energy.band_hz[-1]:g} Hz it bounds Delta "
-            "times a constant, and an error of exactly W_delta may exceed it"
+            f"sigma {energy.sigma_text(result.project)}"
         )
+        console.print(f"energy test: {energy.claim_text}")
     if change is not None:
         console.print(
             f"change test: threshold {change.calibration.carried:.4g} ({change.calibration.claim()}), "

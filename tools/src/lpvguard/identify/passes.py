@@ -332,13 +332,16 @@ def _first_samples(reader: DriveReader, name: str, samples: int, cuts: int) -> l
 def energy_pass(reader: DriveReader, test: EnergyTest, cuts: int, experiment: Experiment) -> Part:
     """Sigma that a drive needs: whole, from rest; with its first samples cut, from what Delta may remember.
 
-    With ``cuts`` it is whole only for directions of several outputs, because sigma covers a single output's.
+    Without ``cuts`` it also gives what the drive shows of that memory. With ``cuts`` it is whole only for
+    directions of several outputs, because sigma covers a single output's.
     """
     drive, e, yhat = reader.read(experiment)
 
     def parts() -> Iterator[Part]:
         if not cuts or not test.single:
             yield test.at_rest().needs(e, yhat, drive.v)
+        if not cuts:
+            yield {"memory": test.memory_met(e, yhat, drive.v)}
         for cut in _first_samples(reader, experiment.name, len(drive.t), cuts)[1:]:
             rest = drive.from_sample(cut)
             yield test.needs(*nominal_error(rest, reader.model), rest.v)

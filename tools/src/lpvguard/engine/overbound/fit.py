@@ -43,7 +43,7 @@ class OverboundFit:
     weight : Weight, with the inflation
     order : int
     worst_ratio_db : float, dB, proved upper limit of sup |W|/bound, 20 log10
-    lp_optimum_db : float, dB, level proved infeasible for this order, up to the LP solver's 1e-9
+    lp_optimum_db : float, dB, no bound: the LP solver finds no weight of this order below it, to 1e-9
     inflation : float, final scalar gain
     certificate : dict, of ``Certificate.to_dict()``
     ratios_db : dict[int, float], dB, worst ratio per order tried

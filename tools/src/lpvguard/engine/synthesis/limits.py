@@ -25,6 +25,8 @@ GRID = np.r_[0.0, np.geomspace(1e-3, 1e2, 16)]
 """rad/s"""
 KERNEL_RTOL = 1e-9
 """Singular values of M21 and M12 below this fraction of the largest are zero."""
+ROUNDING = 4 * float(np.finfo(float).eps)
+"""Of a product of two entries and its place in a sum."""
 WIDEST = 15.0
 """Largest |ln d| searched."""
 BOXES_AT_ONCE, MOST_ROUNDS = 128, 150
@@ -155,10 +157,18 @@ def _halves(low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _gain(image: np.ndarray, source: np.ndarray, left: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """max over v of ‖exp(left) image v‖ / ‖exp(right) source v‖ for each row of ``left`` and ``right``."""
+    """max over v of ‖exp(left) image v‖ / ‖exp(right) source v‖ for each row of ``left`` and ``right``.
+
+    What is returned is the ratio of one v that was found, less what rounding of its terms may add: a lower
+    bound, however v was found.
+    """
     if source.shape[1] == 0:
         return np.zeros(len(left))
     R = np.linalg.qr(np.exp(right)[:, :, None] * source, mode="r")
     scaled = np.exp(left)[:, :, None] * image
     adjoint = np.linalg.solve(np.conj(np.swapaxes(R, 1, 2)), np.conj(np.swapaxes(scaled, 1, 2)))
-    return np.linalg.norm(adjoint, 2, axis=(1, 2))
+    v = np.linalg.solve(R, np.linalg.svd(adjoint, full_matrices=False)[0][:, :, :1])[:, :, 0].T
+    moved = ROUNDING * len(v) * np.abs(v)
+    above = np.maximum(np.abs(image @ v) - np.abs(image) @ moved, 0.0).T * np.exp(left)
+    below = (np.abs(source @ v) + np.abs(source) @ moved).T * np.exp(right)
+    return np.linalg.norm(above, axis=1) / np.linalg.norm(below, axis=1)

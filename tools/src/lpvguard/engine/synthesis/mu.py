@@ -29,7 +29,7 @@ from lpvguard.engine.synthesis.frequency_cells import (
     response_rounding,
 )
 from lpvguard.engine.synthesis.mu_lower import SINGULAR_RTOL, attained, lower_bound
-from lpvguard.engine.synthesis.mu_upper import POINT_RTOL, upper_bound
+from lpvguard.engine.synthesis.mu_upper import POINT_RTOL, scaled_size, upper_bound
 from lpvguard.engine.synthesis.real_boxes import ParameterBox, Part, Prover
 from lpvguard.engine.synthesis.real_mu import ZERO, real_mu
 from lpvguard.engine.synthesis.statespace import StateSpace
@@ -60,7 +60,7 @@ class MuBounds:
     delta : ndarray (Σrows, Σcols) of complex, or None for a lower bound of 0
         It makes I − M Δ singular with max_i σ̄(Δ_i) = 1 / ``lower``.
     proof : tuple of Part, in continuous time, for a discrete loop by the bilinear map
-    size : float, ‖M‖, the largest over the interval where evaluated; a bound far below it counts as 0
+    size : float, ``scaled_size`` of M at ``omega``, or its largest; a bound far below it counts as 0
     """
 
     upper: float
@@ -114,7 +114,7 @@ def mu_bounds(M: np.ndarray, blocks: Sequence[Block], rtol: float = 1e-8) -> MuB
         )
     if not np.all(np.isfinite(M)):
         raise SynthesisError("mu", "M", "a NaN or infinite entry", "finite numbers")
-    size = float(np.linalg.norm(M, 2))
+    size = scaled_size(M, structure)
     if size == 0:
         return MuBounds(0.0, 0.0, 0.0, None, (), 0.0)
     prover = Prover(M, structure)
@@ -195,7 +195,8 @@ def _scaled_bound(prover: Prover, M: np.ndarray, rtol: float) -> tuple[float, Pa
         for share in INFLATIONS:
             upper = max(least, np.finfo(float).tiny) * (1 + share)
             edge = np.full(n_real, 1 / upper)
-            point = PointBound(1.0, D_left, np.zeros_like(D_right), D_right, G / upper)
+            with np.errstate(over="ignore"):  # an endless G proves nothing
+                point = PointBound(1.0, D_left, np.zeros_like(D_right), D_right, G / upper)
             part = Part(ParameterBox(-edge, edge), 0.0, 0.0, point)
             if prover.verified([part], upper, 0.0, 0.0):
                 return float(upper), part, left, right
@@ -222,7 +223,7 @@ def _complex_interval(
     upper, _, left, right, _ = upper_bound(M, structure, POINT_RTOL)
     lower, delta = lower_bound(M, structure, left, right, upper * (1 - POINT_RTOL), INTERVAL_STARTS)
     proof = tuple(Part(EMPTY, c.low, c.high, c.point) for c in bound.cells)
-    return MuBounds(bound.upper, lower, bound.omega, delta, proof, float(np.linalg.norm(M, 2)))
+    return MuBounds(bound.upper, lower, bound.omega, delta, proof, scaled_size(M, structure))
 
 
 def _require(

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 
 from lpvguard.base.errors import InputError
 from lpvguard.engine.validation import s2
-from lpvguard.engine.validation.branch import GAP, MAX_NODES, Incumbent, Interval, minimise
+from lpvguard.engine.validation.branch import GAP, MAX_NODES, SLACK, Incumbent, Interval, minimise, proves
 from lpvguard.engine.validation.posed import EDGE, ROUNDING, Posed, Solution, ball, block_form, pose
 from lpvguard.engine.validation.problem import Lft
 from lpvguard.engine.validation.quadratic import Form, Quadratic
@@ -91,7 +91,22 @@ def optimum(
     )
     if interval is None or not interval.upper - interval.lower <= 2.0 * gap * interval.upper:
         interval = minimise(quadratic_problem, gap=gap)
-    return posed.finish(interval, "gamma_w")
+    return posed.finish(_proved(quadratic_problem, interval, problem.source), "gamma_w")
+
+
+def _proved(problem: Quadratic, interval: Interval, source: str) -> Interval:
+    """Return the interval with a lower bound that is proved apart from its search, or raise InputError."""
+    if interval.z is None:
+        return interval
+    lower = interval.lower * (1.0 - SLACK)
+    if not proves(problem, lower, interval.upper):
+        raise InputError(
+            source,
+            "the lower bound",
+            f"not proved: a cost of at least {lower:.9g}; {interval.upper:.9g} is attained",
+            "data scaled to like sizes",
+        )
+    return replace(interval, lower=lower)
 
 
 def _one_block(problem: Quadratic, caps: np.ndarray, posed: Posed) -> Interval | None:
@@ -265,5 +280,7 @@ def margin(problem: Lft, w_delta: ArrayLike, w_w: ArrayLike, *, gap: float = GAP
     forms += [
         block_form(posed, i, param=0, slope=float(b) ** 2) for i, b in enumerate(delta) if i not in posed.dead
     ]
-    solution = posed.finish(minimise(Quadratic(forms, 1, posed.n), gap=2.0 * gap), "W_delta, W_w")
+    quadratic = Quadratic(forms, 1, posed.n)
+    interval = _proved(quadratic, minimise(quadratic, gap=2.0 * gap), problem.source)
+    solution = posed.finish(interval, "W_delta, W_w")
     return replace(solution, lower=float(np.sqrt(solution.lower)), upper=float(np.sqrt(solution.upper)))

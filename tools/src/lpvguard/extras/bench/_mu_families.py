@@ -124,6 +124,25 @@ def triangular(rng: np.random.Generator) -> tuple[Problem, float]:
     return _point(M, blocks, float(np.abs(m).max()))
 
 
+def similar(rng: np.random.Generator) -> tuple[Problem, float]:
+    """One of the families above in other units and coordinates of each block, which commute with Δ."""
+    family = (diagonal, rank_one, real_matrix, repeated, triangular)[int(rng.integers(5))]
+    problem, mu = family(rng)
+    blocks = problem["blocks"]
+    left, right = [], []
+    for b in blocks:
+        size = 10.0 ** rng.uniform(-4, 4)
+        if b["type"] == "full":  # any unitary factors; μ does not see them
+            left.append(size * np.linalg.qr(_complex(rng, b["rows"], b["rows"]))[0])
+            right.append(np.linalg.qr(_complex(rng, b["cols"], b["cols"]))[0] / size)
+        else:
+            T = size * _complex(rng, b["rows"], b["rows"])
+            left.append(T)
+            right.append(np.linalg.inv(T))
+    M = np.array(problem["M"]) @ [1, 1j]
+    return _point(block_diag(*left) @ M @ block_diag(*right), blocks, mu)
+
+
 # --- intervals ---
 
 
@@ -231,6 +250,48 @@ def repeated_real(rng: np.random.Generator) -> tuple[Problem, float]:
     return problem, max(max(crossings.values()) for *_, crossings in drawn)
 
 
+def coupled_real(rng: np.random.Generator) -> tuple[Problem, float]:
+    """N g with a lag g and N ≻ 0: N Δ has real eigenvalues, so only crossings count, and μ = λ_max(N) |g|."""
+    n = int(rng.integers(2, 5))
+    A, B, C, crossings = _lags(rng)
+    N = rng.standard_normal((n, n))
+    N = N @ N.T + 0.1 * np.eye(n)
+    one = np.eye(n)
+    problem = _disguised(rng, np.kron(one, A), np.kron(one, B), np.kron(N, C), np.zeros((n, n)), [1] * n)
+    problem["blocks"] = [_block("repeated_real")] * n
+    return problem, float(np.linalg.eigvalsh(N)[-1]) * max(crossings.values())
+
+
+def interval_polynomial(rng: np.random.Generator) -> tuple[Problem, float]:
+    """A stable polynomial with coefficients in intervals: four corners decide (Kharitonov 1978)."""
+    n = int(rng.integers(2, 5))
+    roots = -(10.0 ** rng.uniform(-0.7, 0.7, n)) + 0j
+    for k in range(0, n - 1, 2):
+        if rng.random() < 0.6:
+            roots[k] = roots[k].real + 1j * 10 ** rng.uniform(-0.7, 0.7)
+            roots[k + 1] = np.conj(roots[k])
+    a = np.real(np.poly(roots))[:0:-1]  # of s^0, s^1, ...
+    r = a * rng.uniform(0.2, 1.0, n)
+    signs = np.array(
+        [np.resize(s, n) for s in ([1, 1, -1, -1], [-1, -1, 1, 1], [1, -1, -1, 1], [-1, 1, 1, -1])]
+    )
+
+    def stable(level: float) -> bool:
+        corners = a + r * signs / level
+        return all(np.roots(np.append(1.0, c[::-1])).real.max() < 0 for c in corners)
+
+    low, high = 1e-3, float(np.max(r / a)) * 1e3
+    for _ in range(100):
+        middle = float(np.sqrt(low * high))
+        low, high = (low, middle) if stable(middle) else (middle, high)
+    A = np.vstack([np.eye(n)[1:], -a])
+    B = np.zeros((n, n))
+    B[-1] = 1.0
+    problem = _disguised(rng, A, B, -np.diag(r), np.zeros((n, n)), [1] * n)
+    problem["blocks"] = [_block("repeated_real")] * n
+    return problem, high
+
+
 def real_and_performance(rng: np.random.Generator) -> tuple[Problem, float]:
     """A real scalar beside a full block, coupled one way: the crossing or the peak of the gain."""
     A, B, C, crossings = _lags(rng) if rng.random() < 0.6 else _twins(rng)
@@ -272,8 +333,17 @@ def discrete(rng: np.random.Generator) -> tuple[Problem, float]:
 
 
 FAMILIES: dict[str, list[Family]] = {
-    "mu": [diagonal, rank_one, real_matrix, repeated, triangular],
-    "mu_interval": [one_real, several_real, repeated_real, real_and_performance, complex_blocks, discrete],
+    "mu": [diagonal, rank_one, real_matrix, repeated, triangular, similar],
+    "mu_interval": [
+        one_real,
+        several_real,
+        repeated_real,
+        coupled_real,
+        interval_polynomial,
+        real_and_performance,
+        complex_blocks,
+        discrete,
+    ],
 }
 
 
