@@ -927,37 +927,37 @@ PLANTS: dict[str, list[Plant]] = {
         ),
         Plant("lib/src/margin.hpp", "(T17)", "(T77)", r"margin\.hpp:1: THEORY has no equation \(T77\)"),
         Plant(
-            "lib/THEORY.md",
-            "    |g| > threshold/t*(−Z, Z)",
-            "|g| > threshold/t*(−Z, Z)",
+            "lib/theory/7-04-invisible-faults.md",
+            "\\tag{T25}",
+            "",
             r"THEORY has no equation \(T25\)",
         ),
         Plant(
-            "lib/THEORY.md", "| (T24) |", "| T24 |", r"\(T24\) has no row that says where it is implemented"
+            "lib/theory/10-code-and-tests.md", "| (T24) |", "| T24 |", r"\(T24\) has no row that says where it is implemented"
         ),
         Plant(
-            "lib/THEORY.md",
+            "lib/theory/10-code-and-tests.md",
             ":EnergyTest.memories_s`",
             ":EnergyTest.memory`",
             r"energy\.py does not define EnergyTest\.memory",
         ),
         Plant(
-            "lib/THEORY.md",
+            "lib/theory/7-03-calibration.md",
             "prediction [11]",
             "prediction [99]",
             r"work \[11\] is not cited(.|\n)*work \[99\] is not listed",
         ),
         Plant(
-            "lib/THEORY.md", "margin.hpp:dead`", "margin.hpp:living`", r"margin\.hpp does not define living"
+            "lib/theory/10-code-and-tests.md", "margin.hpp:dead`", "margin.hpp:living`", r"margin\.hpp does not define living"
         ),
         Plant(
-            "lib/THEORY.md",
+            "lib/theory/10-code-and-tests.md",
             "test_margin.cpp:REQ-MON-3`",
             "test_margin.cpp:REQ-MON-13`",
             r"test_margin\.cpp does not define REQ-MON-13",
         ),
         Plant(
-            "lib/THEORY.md", "drives/dft.py:spectra`", "drives/fft.py:spectra`", r"no file tools/.*fft\.py"
+            "lib/theory/10-code-and-tests.md", "drives/dft.py:spectra`", "drives/fft.py:spectra`", r"no file tools/.*fft\.py"
         ),
         Plant(
             "lib/README.md",
