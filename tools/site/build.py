@@ -101,6 +101,13 @@ def stage(tree: Path, source: Path) -> None:
         target = source / f"{name}.md"
         target.parent.mkdir(parents=True, exist_ok=True)
         target.write_text(rewritten(tree, path, pages, source), encoding="utf-8")
+    theory = source / f"{PAGES['lib/THEORY.md']}.md"
+    names = sorted(
+        (Path(path).stem for path in pages if path.startswith("lib/theory/")),
+        key=lambda name: [int(number) for number in re.findall(r"\d+", name)],
+    )
+    contents = "\n".join(["", "```{toctree}", ":hidden:", "", *names, "```", ""])
+    theory.write_text(theory.read_text(encoding="utf-8") + contents, encoding="utf-8")
     for name, text in generated.pages(tree).items():
         target = source / f"{name}.md"
         target.parent.mkdir(parents=True, exist_ok=True)

@@ -23,7 +23,7 @@ from pygments.lexers import TextLexer, get_lexer_for_filename
 from pygments.util import ClassNotFound
 from sphinx.application import Sphinx
 from sphinx.transforms.post_transforms import SphinxPostTransform
-from sphinx.util.docutils import SphinxRole
+from sphinx.util.docutils import SphinxDirective, SphinxRole
 
 TREE = Path(os.environ["LPVGUARD_TREE"])
 TAG = re.compile(r"\\tag\{(T\d+[ab]?)\}")
@@ -61,6 +61,19 @@ class Source(SphinxRole):
         node = nodes.reference("", words or path, refuri="")
         node["lpvguard_source"] = (path, 0)
         return [node], []
+
+
+class Example(SphinxDirective):
+    """The text of a script of ``tools/examples``, and a link to it."""
+
+    required_arguments = 1
+
+    def run(self) -> list[nodes.Node]:
+        path = f"tools/examples/{self.arguments[0]}"
+        text = (TREE / path).read_text(encoding="utf-8")
+        link = nodes.reference("", path, refuri="")
+        link["lpvguard_source"] = (path, 0)
+        return [nodes.paragraph("", "", link), nodes.literal_block(text, text, language="python")]
 
 
 def equations(source: Path) -> dict[str, str]:
@@ -158,8 +171,18 @@ def block_math(self: Any, node: nodes.math_block) -> None:
     raise nodes.SkipNode
 
 
-def source_pages(app: Sphinx) -> Iterator[tuple[str, dict[str, Any], str]]:
-    """A page for each file of the tree that some page links to."""
+CODE_PAGE = """<!DOCTYPE html>
+<html lang="en"><head><meta charset="utf-8"><title>{path}</title>
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<link rel="stylesheet" href="{root}_static/pygments.css"><link rel="stylesheet" href="{root}_static/site.css"></head>
+<body class="code"><p><a href="{root}index.html">{project}</a></p><h1>{path}</h1>{text}</body></html>
+"""
+
+
+def source_pages(app: Sphinx, exception: Exception | None) -> None:
+    """Writes a page for each file of the tree that some page links to."""
+    if exception is not None:
+        return
     formatter = HtmlFormatter(lineanchors="line", linenos="table", wrapcode=True)
     for path in sorted(app.lpvguard_sources):  # type: ignore[attr-defined]
         text = (TREE / path).read_text(encoding="utf-8")
@@ -167,8 +190,12 @@ def source_pages(app: Sphinx) -> Iterator[tuple[str, dict[str, Any], str]]:
             lexer = get_lexer_for_filename(path)
         except ClassNotFound:
             lexer = TextLexer()
-        body = f"<h1>{escape(path)}</h1>{highlight(text, lexer, formatter)}"
-        yield code_page(path), {"title": path, "body": body, "parents": []}, "page.html"
+        target = Path(app.outdir) / f"{code_page(path)}.html"
+        target.parent.mkdir(parents=True, exist_ok=True)
+        root = "../" * code_page(path).count("/")
+        shown = highlight(text, lexer, formatter)
+        page = CODE_PAGE.format(path=escape(path), root=root, project=app.config.project, text=shown)
+        target.write_text(page, encoding="utf-8")
 
 
 def prepare(app: Sphinx) -> None:
@@ -180,7 +207,8 @@ def prepare(app: Sphinx) -> None:
 def setup(app: Sphinx) -> dict[str, Any]:
     app.add_html_math_renderer("mathml", (inline_math, None), (block_math, None))
     app.add_role("source", Source())
+    app.add_directive("example", Example)
     app.add_post_transform(LinkToCode)
     app.connect("builder-inited", prepare)
-    app.connect("html-collect-pages", source_pages)
+    app.connect("build-finished", source_pages)
     return {"version": "1", "parallel_read_safe": False, "parallel_write_safe": False}
