@@ -19,6 +19,7 @@ each found.
                  lib/REQUIREMENTS.md is named by a test, and every one that a test names stands there
     references   every text, equation, requirement, file and symbol that the repository names is in it
                  (references.py)
+    prose        documents and public docstrings keep the rules of sentences (prose.py)
     options      every option is in the configure summary, and every preset's setting arrives there
     double       the unit tests pass with double as number type (a third of them; all with LPVGUARD_FULL=1)
     big_endian   acceptance of coefficients, and CAN, pass their unit tests on a big-endian processor
@@ -60,6 +61,7 @@ from pathlib import Path
 
 from misra_cpp import misra_cpp_findings
 from mutation_run import changed_files, listed_table, may_concern, mutation_findings
+from prose import prose
 from python_mutation_run import python_listed_table, python_mutation_findings
 from references import references
 
@@ -698,6 +700,7 @@ GATES: dict[str, Callable[..., list[str]]] = {
         manual,
         requirements,
         references,
+        prose,
         options,
         double,
         big_endian,
@@ -989,6 +992,21 @@ PLANTS: dict[str, list[Plant]] = {
             "(Table III; DESIGN 7, PLANT.md, paper (12), step 9, Fig. 7)",
             r"no step 9(.|\n)*no figure 7(.|\n)*no table III(.|\n)*no equation 12(.|\n)*"
             r"DESIGN is no text(.|\n)*PLANT\.md is no text",
+        ),
+    ],
+    "prose": [
+        Plant(
+            "tools/site/pages/index.md",
+            "lpvguard is research software.",
+            "Of research software it is one, and so it has no certificate and none of the words of a certificate "
+            "and nobody may take it to a public road or to a road beside.",
+            r"index\.md:\d+: long: 3\d words(.|\n)*index\.md:\d+: inversion",
+        ),
+        Plant(
+            "tools/src/lpvguard/api/optional.py",
+            '"""Packages that',
+            '"""Nor packages but for one that',
+            r"optional\.py:1: inversion(.|\n)*optional\.py:1: riddle: 'but for'",
         ),
     ],
     "options": [

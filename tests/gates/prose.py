@@ -19,9 +19,17 @@ from pathlib import Path
 MOST_WORDS = 25
 DOCUMENTS = (
     "README.md",
+    "data/README.md",
+    "firmware_sim/README.md",
+    "lib/COEFFICIENTS.md",
+    "lib/README.md",
+    "lib/THEORY.md",
+    "tests/README.md",
+    "tools/README.md",
+    "tools/site/pages/**/*.md",
 )
 """Patterns of the documents that the gate reads."""
-DOCSTRINGS = ()
+DOCSTRINGS = ("tools/src/lpvguard/api/*.py", "tools/site/*.py")
 """Patterns of the Python modules whose public docstrings the gate reads."""
 INVERSION = re.compile(
     r"(?:Of|Nor|Neither of|So (?:does|do|did|is|are|was|has|have)|Beside (?:it|them|this|these)"

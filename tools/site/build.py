@@ -37,6 +37,7 @@ PAGES = {
     "CONTRIBUTING.md": "howto/contribute",
     "CHANGELOG.md": "log/changelog",
     "tools/DESIGN_LOG.md": "log/design_log",
+    "tests/gates/MUTANTS.md": "log/mutants",
     "tools/FORMATS.md": "reference/formats",
 }
 """Page beside what it describes -> its name in the site."""
