@@ -40,6 +40,10 @@ RIDDLES = re.compile(
     r"|stands? (?:beside|in for)|what is not|that of which|nothing else than|by itself alone)\b",
     re.IGNORECASE,
 )
+ENDING = re.compile(
+    r"[.!?](?:[\"')\]]*)\s+(?=[\"'(\[]*(?:[A-Z0-9|`∎]|[^\x00-\x7f]|\w{1,2}_|[b-z]\d?²?[ ,]|se²|sd |code\b|lpvguard\b))"
+)
+"""End of a sentence, and what the next may begin with: a capital, a number, a symbol or a name of code."""
 ABBREVIATION = re.compile(r"\b(?:e\.g|i\.e|cf|vs|Fig|Figs|Eq|No|approx|min|max|St|Jr|Proc|IEEE|J)\.$")
 FENCE = re.compile(r"^(```+|~~~+)[^\n]*\n.*?^\1[ \t]*$", re.MULTILINE | re.DOTALL)
 
@@ -72,7 +76,7 @@ def sentences(words: str) -> list[str]:
     words = re.sub(r"https?://\S+", "address", re.sub(r"[*]{1,2}(?=\S)|(?<=\S)[*]{1,2}", "", words))
     words = re.sub(r"^(?:[-*+]|\d+\.|#+|>)\s+", "", words)
     out, rest = [], words
-    for m in re.finditer(r"[.!?](?:[\"')\]]*)\s+(?=[\"'(\[]*[A-ZΔΣΦ0-9|`]|code\b|lpvguard\b)", words):
+    for m in ENDING.finditer(words):
         piece = words[len(words) - len(rest) : m.end()]
         if not ABBREVIATION.search(piece.strip()):
             out.append(piece.strip())
