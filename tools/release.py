@@ -200,8 +200,8 @@ def require_same(once: list[Path], again: list[Path]) -> None:
 
 
 def requirements(tree: Path) -> list[str]:
-    """Names of the distributions that the package needs, with theirs, but for those of extras. Refused where
-    one is not installed."""
+    """Names of the distributions that the package needs, and of those that they need. Extras are left out.
+    Refused where one is not installed."""
     waiting = list(project_of(tree)["dependencies"])
     found: dict[str, str] = {}
     while waiting:

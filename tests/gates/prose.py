@@ -18,18 +18,34 @@ from pathlib import Path
 
 MOST_WORDS = 25
 DOCUMENTS = (
+    "CHANGELOG.md",
+    "CONTRIBUTING.md",
     "README.md",
     "data/README.md",
     "firmware_sim/README.md",
     "lib/COEFFICIENTS.md",
+    "lib/INTEGRATION.md",
+    "lib/MISRA.md",
+    "lib/MISRA_CPP.md",
     "lib/README.md",
     "lib/THEORY.md",
+    "lib/theory/*.md",
     "tests/README.md",
     "tools/README.md",
+    "tools/TUTORIAL.md",
     "tools/site/pages/**/*.md",
 )
 """Patterns of the documents that the gate reads."""
-DOCSTRINGS = ("tools/src/lpvguard/api/*.py", "tools/site/*.py")
+DOCSTRINGS = (
+    "tests/gates/prose.py",
+    "tests/gates/references.py",
+    "tools/release.py",
+    "tools/site/*.py",
+    "tools/src/lpvguard/api/*.py",
+    "tools/src/lpvguard/measure/*.py",
+    "tools/src/lpvguard/robust/*.py",
+    "tools/src/lpvguard/schemas/*.py",
+)
 """Patterns of the Python modules whose public docstrings the gate reads."""
 INVERSION = re.compile(
     r"(?:Of|Nor|Neither of|So (?:does|do|did|is|are|was|has|have)|Beside (?:it|them|this|these)"
@@ -45,12 +61,14 @@ ENDING = re.compile(
 )
 """End of a sentence, and what the next may begin with: a capital, a number, a symbol or a name of code."""
 ABBREVIATION = re.compile(r"\b(?:e\.g|i\.e|cf|vs|Fig|Figs|Eq|No|approx|min|max|St|Jr|Proc|IEEE|J)\.$")
+RST_TABLE = re.compile(r"^=+(?: +=+)+\n(?:.+\n)*=+(?: +=+)+$", re.MULTILINE)
 FENCE = re.compile(r"^(```+|~~~+)[^\n]*\n.*?^\1[ \t]*$", re.MULTILINE | re.DOTALL)
 
 
 def units(text: str) -> Iterator[tuple[int, str]]:
     """First line and words of every paragraph, list item, table cell and heading of a Markdown text."""
     text = FENCE.sub(lambda m: "\n" * m[0].count("\n"), text)
+    text = RST_TABLE.sub(lambda m: "\n" * m[0].count("\n"), text)
     text = re.sub(r"<!--.*?-->", lambda m: "\n" * m[0].count("\n"), text, flags=re.DOTALL)
     start, words = 0, ""
     for number, line in enumerate([*text.splitlines(), ""], 1):

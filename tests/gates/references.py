@@ -101,7 +101,7 @@ def matches(pattern: re.Pattern[str], text: str) -> tuple[re.Match[str], ...]:
 
 @cache
 def statements(text: str) -> list[ast.stmt]:
-    """Of a Python source."""
+    """Statements of a Python source."""
     return ast.parse(text).body
 
 

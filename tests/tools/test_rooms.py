@@ -40,6 +40,7 @@ ORDER = (
     "problems",
     "schemas",
     "bench",
+    "robust",
     "api",
     "cli",
 )

@@ -1,7 +1,6 @@
 """Builds the documentation site; `tools/docs` is the command.
 
-The sources are Markdown pages in ``tools/site/pages`` and pages that stand beside what they describe
-(``PAGES``). They are copied to OUT/source under the names of the site, with their links rewritten. Sphinx
+The sources are Markdown pages in ``tools/site/pages`` and the pages of other folders (``PAGES``). They are copied to OUT/source under the names of the site, with their links rewritten. Sphinx
 builds them to OUT/html with warnings as errors. Every internal link of the built pages is then followed.
 """
 

@@ -1,9 +1,8 @@
 /// @file coeff.h -- the coefficients of one vehicle, as `lpvguard export` writes them.
 ///
-/// The struct is data, not an interface to program against: link the generated `lpvguard_coeff.c` and pass
-/// `&lpvg_coeff` to the init functions. It consists of 32-bit words followed by numbers of type lpvg_real_t. Its CRC-32
-/// (ISO-HDLC) runs over the words and then the numbers, each least significant byte first, with `crc32` read as zero.
-/// It is therefore the same on every target.
+/// Link the generated `lpvguard_coeff.c` and pass `&lpvg_coeff` to the init functions. Do not program against the fields.
+/// The struct consists of 32-bit words, followed by numbers of type lpvg_real_t. The CRC-32 (ISO-HDLC) covers the words, then the
+/// numbers, each with its least significant byte first, and reads `crc32` as zero. It is therefore the same on every target.
 #ifndef LPVGUARD_COEFF_H
 #define LPVGUARD_COEFF_H
 
@@ -100,10 +99,10 @@ typedef struct lpvg_coeff_t {
 extern const lpvg_coeff_t lpvg_coeff;
 
 /// Checks magic, schema, sizes, estimator, CRC-32, finiteness and value ranges, in this order.
-/// Cost: one pass over the struct. Returns ok, or the status of the first check that fails.
+/// Cost: one pass over the struct. Returns ok, or the status of the first failed check.
 LPVG_NODISCARD lpvg_status_t lpvg_coeff_check(const lpvg_coeff_t* coeff);
 
-/// CRC-32 of the struct as lpvg_coeff_check expects it in `words.crc32`; 0 for NULL.
+/// Returns the CRC-32 of the struct, as lpvg_coeff_check expects it in `words.crc32`; 0 for NULL.
 uint32_t lpvg_coeff_crc32(const lpvg_coeff_t* coeff);
 
 LPVG_EXTERN_C_END

@@ -58,6 +58,17 @@ def test_of_one_full_block_it_is_the_norm():
         assert norm.lower * (1 - 1e-9) <= found.upper <= norm.upper * 1.0025
 
 
+@pytest.mark.parametrize("blocks", [FULL, REAL])
+def test_a_level_that_is_asked_for_is_proved_and_a_lower_one_is_not(blocks):
+    loop = loop_of(1)
+    found = mu_interval(loop, blocks, 0.0, np.inf)
+    at_peak = mu_bounds(loop.response([found.omega])[0], blocks, 1e-6).upper
+    for share in (1.0015, 1.3):
+        upper = mu_interval(loop, blocks, 0.0, np.inf, least=share * at_peak).upper
+        assert share * at_peak <= upper <= max(share * at_peak, 1.0021 * found.lower)
+    assert mu_interval(loop, blocks, 0.0, np.inf, least=0.999 * at_peak).upper > at_peak
+
+
 def test_a_peak_outside_of_the_interval_does_not_count():
     loop = StateSpace([[-0.01, 1.0], [-1.0, -0.01]], [[0.0], [1.0]], [[1.0, 0.0]], [[0.0]])
     block = [Block("full", 1, 1)]

@@ -11,8 +11,9 @@ import pytest
 from lpvguard.bench._mu_families import problems
 from lpvguard.bench.bounds import FAMILIES, bench_bounds, table
 from lpvguard.engine.blocks import Block
+from lpvguard.engine.synthesis import mu
 from lpvguard.engine.synthesis.frequency_cells import continuous_interval
-from lpvguard.engine.synthesis.mu import mu_bounds, mu_interval
+from lpvguard.engine.synthesis.mu import MuBounds, mu_bounds, mu_interval
 from lpvguard.engine.synthesis.real_boxes import ParameterBox, Part, Prover
 from lpvguard.engine.synthesis.real_crossings import least_parameters, nearest_parameters
 from lpvguard.engine.synthesis.statespace import StateSpace
@@ -209,6 +210,38 @@ def test_a_bound_whose_proof_fails_is_an_error_and_not_an_answer(monkeypatch):
         and "not proved" in answer["error"]
         and "mu is at least 1" in answer["error"]
     )
+
+
+FULL_PROBLEM = {
+    "id": 1,
+    "kind": "mu",
+    "M": [[2, 1], [1, 3]],
+    "blocks": [{"type": "full", "rows": 2, "cols": 2}],
+}
+
+
+@pytest.mark.parametrize(
+    "problem",
+    [
+        pytest.param(FULL_PROBLEM, id="full"),
+        pytest.param(FULL_PROBLEM | {"blocks": real(1, 1)}, id="real"),
+        pytest.param(LAG_CUBED, id="interval"),
+        pytest.param(interval([[0.5]], [[1]], [[0.5]], dt=1.0), id="discrete"),
+    ],
+)
+@pytest.mark.parametrize("factor", [1 + 1e-6, -1.0])
+def test_a_lower_bound_that_its_delta_does_not_attain_is_an_error(problem, factor, monkeypatch):
+    """Planted: a bound that is a millionth larger than what Δ attains, and a Δ of the other sign."""
+    assert solve_problem(problem)["status"] == "ok"
+
+    def planted(upper, lower, omega, delta, proof, size):
+        wrong = -delta if factor < 0 else delta
+        return MuBounds(upper, max(factor, 1.0) * lower, omega, wrong, proof, size)
+
+    monkeypatch.setattr(mu, "MuBounds", planted)
+    answer = solve_problem(problem)
+    assert answer["status"] == "error" and "mu_lower: not proved" in answer["error"]
+    assert "mu is at most" in answer["error"]
 
 
 def test_at_one_frequency_the_scalings_prove_the_bound_and_none_below_it():

@@ -47,7 +47,7 @@ def test() -> EnergyTest:
         W=section(0.6, 0.2, 0, 1, -0.4, 0)[None],
         above=np.array([0.7]),
         gain=np.ones(1),
-        certificate=[{}],
+        certificate=[{"ok": True, "min_ratio": 1.0, "max_ratio": 1.5}],
         directions=fan(2),
         sigma=random.uniform(0.5, 2.0, (3, 2)),
         start=random.uniform(0.1, 1.0, (3, 2)),
@@ -207,6 +207,28 @@ def test_a_stored_test_comes_back_and_another_one_is_refused(test):
     for name, value in (("memory_s", 3.1), ("band_hz", [0.5, 2.1]), ("settle_samples", 5), ("bands", ["a"])):
         with pytest.raises(InputError, match="here"):
             blank.restored(data | {name: value}, "here")
+
+
+@pytest.mark.parametrize(
+    ("planted", "name"),
+    [
+        (lambda d: {"sigma": [[0.0, *row[1:]] for row in d["sigma"]]}, "sigma"),
+        (lambda d: {"sigma": d["sigma"][1:]}, "sigma"),
+        (lambda d: {"start": [[-1e-9, *row[1:]] for row in d["start"]]}, "start"),
+        (lambda d: {"joint": [0.999, 1.0, 1.0]}, "joint"),
+        (lambda d: {"joint": [float("nan"), 1.0, 1.0]}, "joint"),
+        (lambda d: {"gain": [1.0 + 1e-7]}, "gain"),
+        (lambda d: {"above": [0.7 * (1 - 1e-7)]}, "above"),
+        (lambda d: {"certificate": [d["certificate"][0] | {"ok": False}]}, "certificate"),
+        (lambda d: {"certificate": [d["certificate"][0] | {"min_ratio": 1.001}]}, "certificate"),
+        (lambda d: {"certificate": [d["certificate"][0] | {"max_ratio": 1.499}]}, "certificate"),
+    ],
+)
+def test_a_stored_number_that_is_none_or_not_the_weights_is_refused(test, planted, name):
+    data = json.loads(json.dumps(test.to_dict(), default=np.ndarray.tolist))
+    test.restored(data, "here")
+    with pytest.raises(InputError, match=f"here: {name}"):
+        test.restored(data | planted(data), "here")
 
 
 @pytest.mark.parametrize("n_y", [1, 2, 3])

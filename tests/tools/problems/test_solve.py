@@ -6,6 +6,7 @@ from __future__ import annotations
 import json
 import os
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -115,6 +116,22 @@ def test_bad_problems_get_an_error_that_names_the_place_and_stop_nothing(problem
         assert word in answers[0]["error"]
 
 
+@pytest.mark.parametrize(
+    "planted",
+    [
+        pytest.param(lambda r: {"nu": 0.999 * r.nu}, id="nu"),
+        pytest.param(lambda r: {"delta": 0.999 * r.delta, "nu": 0.999 * r.nu}, id="nu and delta"),
+        pytest.param(lambda r: {"w": 1.001 * r.w}, id="w"),
+        pytest.param(lambda r: {"b1": 0.321 + 0 * r.b1}, id="B1"),
+    ],
+)
+def test_a_nu_that_its_delta_and_w_do_not_attain_is_an_error(planted, monkeypatch):
+    right = solve.s1.solve
+    monkeypatch.setattr(solve.s1, "solve", lambda *a: replace(right(*a), **planted(right(*a))))
+    answer = solve.solve_problem(MULTIPLICATIVE | {"gamma_w": 0.32})
+    assert answer["status"] == "error" and "nu: not proved" in answer["error"]
+
+
 def test_a_margin_takes_one_W_delta_or_one_an_output():
     common, each = (
         solve.solve_problem(MULTIPLICATIVE | {"kind": "margin", "W_delta": W, "W_w": [0.3, 0.2]})["t"]
@@ -134,6 +151,35 @@ def test_lft_answer_is_attained_and_holds_the_side_questions():
     assert a["nu_s_min"] == pytest.approx(a["nu"][0], rel=1e-4) and a["t_minmax"] == pytest.approx(
         a["nu"][0], rel=1e-4
     )
+
+
+LFT_MARGIN = LFT | {"kind": "lft_margin", "W_delta": [0.2], "W_w": [0.2, 0.3]}
+
+
+@pytest.mark.parametrize("problem", [LFT, LFT | {"lambda_w": [0.5, 0.5]}, LFT_MARGIN])
+@pytest.mark.parametrize(
+    "planted",
+    [
+        pytest.param(lambda s: {"upper": (1 - 1e-5) * s.upper}, id="upper too small"),
+        pytest.param(lambda s: {"lower": (1 + 1e-5) * s.upper}, id="lower above upper"),
+        pytest.param(lambda s: {"w": 2.0 * s.w}, id="larger w"),
+        pytest.param(lambda s: {"nu": 1.01 * s.nu}, id="larger nu"),
+    ],
+)
+def test_an_interval_that_its_explanation_does_not_attain_is_an_error(problem, planted, monkeypatch):
+    from lpvguard.engine.validation import lft
+
+    assert solve.solve_problem(problem)["status"] == "ok"
+    name = "margin" if problem["kind"] == "lft_margin" else "optimum"
+    right = getattr(lft, name)
+
+    def wrong(*args, **options):
+        solution = right(*args, **options)
+        return replace(solution, **planted(solution))
+
+    monkeypatch.setattr(lft, name, wrong)
+    answer = solve.solve_problem(problem)
+    assert answer["status"] == "error" and "_upper: not proved" in answer["error"]
 
 
 def test_lambda_w_p12_p22_and_a_missing_side_answer():

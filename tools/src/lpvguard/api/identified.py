@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ..base.optional import optional
 from ..base.parallel import workers
 from ..control.exported import export_chosen
 from ..drives.frames import Estimator
@@ -19,7 +20,6 @@ from ..identify.calibration import Calibration
 from ..identify.weights import Weights
 from ..vehicle.nominal import NominalModel
 from ..vehicle.project import Project, load_project
-from .optional import optional
 
 if TYPE_CHECKING:
     import pandas
@@ -46,9 +46,10 @@ class Identified:
 
     @property
     def bounds(self) -> pandas.DataFrame:
-        """A row a bin, indexed by its frequency [rad/s]: frames (how many counted), excitation (largest
-        nominal output), gamma_w, nu (one a Delta) and B_w (one an output), in the outputs' units; NaN: no
-        data. Needs pandas."""
+        """Table of the bounds: a row a bin, indexed by its frequency [rad/s].
+
+        Columns: frames (number that counted), excitation (largest nominal output), gamma_w, nu (one a Delta),
+        B_w (one an output). Units are those of the outputs; NaN stands for no data. Needs pandas."""
         columns = {k: self._bounds[k] for k in ("frames", "excitation", "gamma_w", "nu", "B_w")}
         return self._table(columns | {"frames": columns["frames"].astype(int)})
 
@@ -119,11 +120,28 @@ class Identified:
 def identify(
     vehicle: str | Path | Project, drives: str | Path, *, jobs: int = 1, scheduler: str | None = None
 ) -> Identified:
-    """Find bounds, weights and thresholds, as `lpvguard identify` does; ``jobs``: processes that share the
-    drives; ``scheduler``: address of a Dask scheduler whose workers share them.
+    """Find bounds, weights and thresholds, as `lpvguard identify` does.
 
-    ``vehicle``: a shipped vehicle's name, the path of a project file, or a Project. ``drives``: folder with
-    experiments.csv. Raises InputError that names file, place and what was expected.
+    Parameters
+    ----------
+    vehicle : str, Path or Project
+        Name of a shipped vehicle, path of a project file, or a project.
+    drives : str or Path
+        Folder with experiments.csv.
+    jobs : int
+        Processes that share the drives.
+    scheduler : str, optional
+        Address of a Dask scheduler whose workers share the drives.
+
+    Returns
+    -------
+    Identified
+        The identification, not stored yet.
+
+    Raises
+    ------
+    InputError
+        Names file, place and what was expected.
     """
     project = project_of(vehicle)
     with workers(jobs, scheduler) as run:

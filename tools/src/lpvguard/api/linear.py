@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ..base.optional import optional
 from ..core.control_coefficients import read_controller
 from ..core.scheduled import Scheduled
 from ..vehicle.nominal import NominalModel
 from ..vehicle.project import Project
 from .identified import Identified, project_of
-from .optional import optional
 
 if TYPE_CHECKING:
     import control

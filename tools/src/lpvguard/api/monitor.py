@@ -65,11 +65,26 @@ class Monitor:
         return self._replayer.project.Ts_s
 
     def push(self, t: float, v: float, u: ArrayLike, y: ArrayLike) -> Said:
-        """Push a sample: time t [s], speed v [m/s], inputs u (n_u,) and outputs y (n_y,) in the units of the
-        signal table; one input or output may be a number.
+        """Push a sample and return what the core says.
 
-        Values that the core refuses are no error: ``status`` says so, as on the ECU. ValueError for another
-        number of inputs or outputs.
+        Parameters
+        ----------
+        t : float
+            Time [s].
+        v : float
+            Speed [m/s].
+        u, y : array_like, shape (n_u,) and (n_y,)
+            Inputs and outputs in the units of the signal table. One value may be a number.
+
+        Returns
+        -------
+        Said
+            Verdict and status. A value that the core refuses is no error: the status says so, as on the ECU.
+
+        Raises
+        ------
+        ValueError
+            The number of inputs or outputs is not the vehicle's.
         """
         core = self._replayer.core
         row = [np.atleast_1d(np.asarray(x, float)) for x in (u, y)]

@@ -12,6 +12,7 @@ import pyarrow as pa
 from scipy.io import savemat
 
 from ..base.errors import InputError
+from ..base.optional import optional
 from ..core.compiled import REASONS
 from ..drives.tables import Drive
 from ..replay.opened import replayer_for
@@ -19,7 +20,6 @@ from ..replay.recordings import KINDS, write_series
 from ..replay.run import Alarm, Recorded, Replay, Replayer
 from ..vehicle.project import Project
 from .identified import project_of
-from .optional import optional
 
 if TYPE_CHECKING:
     import pandas
@@ -52,9 +52,9 @@ class Replayed:
     def frames(self) -> pandas.DataFrame:
         """A row a frame that the core looked at, in the order of judgement.
 
-        t_end_s (of the frame) and t_judged_s are seconds after the first sample. margin is t*, evidence that
-        of a vehicle that does not respond. reason "none": it counted. The other columns are omega_rad_s,
-        speed_mps and falsified. Needs pandas."""
+        The times t_end_s and t_judged_s are seconds after the first sample. The margin is t*, and the evidence
+        is the margin of a vehicle that does not respond. The reason "none" says that the frame counted. The
+        other columns are omega_rad_s, speed_mps and falsified. Needs pandas."""
         f, t0 = self.summary.run.frames, self.summary.start_s
         return optional("pandas", "pandas").DataFrame(
             {

@@ -76,7 +76,7 @@ def design(
         ),
     ] = False,
     largest_A_t: Annotated[
-        bool, typer.Option("--largest-A-t", help="Search the largest A_t with mu < 1 at every speed too.")
+        bool, typer.Option("--largest-A-t", help="Search the largest A_t with mu < 1 at speeds looked at.")
     ] = False,
     table: Annotated[
         bool, typer.Option(help="Table II, Figs. 5 and 6 beside the controller, where there is one Delta.")

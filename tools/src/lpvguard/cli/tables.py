@@ -279,10 +279,10 @@ def print_design(result: Design, structure: str) -> None:
 
     console.print(
         f"{structure}: {result.schedule.order} states (of {result.full_order} per speed before), "
-        f"{len(result.schedule.speeds)} nodes; worst mu {result.worst:.4f}"
+        f"{len(result.schedule.speeds)} nodes; worst mu at most {result.worst:.4f}"
     )
     speed, worst = result.off_grid
-    console.print(f"worst of {OFF_GRID} speeds off the grid: mu {worst.upper:.4f} at {speed:.4g} m/s")
+    console.print(f"worst of {OFF_GRID} speeds off the grid: mu at most {worst.upper:.4f} at {speed:.4g} m/s")
 
 
 def print_premise(found: Premise) -> None:
@@ -293,11 +293,11 @@ def print_premise(found: Premise) -> None:
 
 
 def print_largest_A_t(largest: LargestA_t | None) -> None:
-    """The largest A_t with mu below 1 at every speed; None: there is none in the range of the search."""
+    """The largest A_t found with mu below 1 at the speeds looked at; None: the search found none."""
     console.print(
-        "largest A_t: none with mu < 1 from half the DC floor's limit on"
+        "largest A_t: none found with mu < 1 from half the DC floor's limit on"
         if largest is None
-        else f"largest A_t with mu < 1 at every speed: {largest.A_t:.4g}, "
+        else f"largest A_t found with mu < 1 at every speed looked at: {largest.A_t:.4g}, "
         f"times the DC floor {largest.product:.3f} "
         f"(mu {largest.worst:.4f}; not reached at {largest.failed:.4g})"
     )
@@ -364,13 +364,15 @@ def print_summary(name: str, result: Design, out: Path) -> None:
     """What a design came to, in a line."""
     low, high = result.schedule.speeds[0], result.schedule.speeds[-1]
     held = "certified" if result.worst < 1 else "NOT certified"
+    speeds = len(result.certificates) + 1
     moving = [
         claim_words(claim, found.lpv.level, found.lpv.rate)
         for claim, found in result.moving.items()
         if found is not None
     ]
     console.print(
-        f"{name}: robust performance {held}, worst mu {result.worst:.4f} from {low:.4g} to {high:.4g} m/s; "
+        f"{name}: robust performance {held}, worst mu {result.worst:.4f} at {speeds} frozen speeds from "
+        f"{low:.4g} to {high:.4g} m/s; "
         f"of a moving speed {', '.join(moving) or 'nothing'}; written to {out}"
     )
 

@@ -55,8 +55,10 @@ PATIENCE = 2
 """Pairs tried beyond the best number so far."""
 CERTIFICATE_RTOL = 1e-6
 """Largest relative difference between a stated level and the one proved anew."""
-LOWER_RTOL, PEAK_RTOL = 1e-3, 1e-3
+LOWER_RTOL, PEAK_RTOL = 1e-4, 1e-3
 """The same for the lower bound, which a search finds, and for the gain at the stated peak, which is flat."""
+FLOOR_RTOL = 1e-9
+"""Rounding of the DC floor."""
 OFF_GRID = 24
 """Seeded speeds between the nodes at which the design is looked at besides nodes and midpoints."""
 DESIGN_SHARES, FROZEN_SHARES, VERIFY_SHARES = (9, 1, 1), (1, 15, 1), (4, 1, 4)
@@ -434,6 +436,7 @@ def verify(
     require_premise(stored)
     model, weights = NominalModel(stored.project), fig1_weights(stored, settings)
     _require_settings(path, stated, schedule, settings, model)
+    _require_floor(path, stated, dc_floor(weights))
     rows = [*stated["speeds"], stated["off_grid"]]
     loops = {
         row["v_mps"]: plant_at(stored, model, weights, row["v_mps"], False, settings.structure)
@@ -462,6 +465,27 @@ def _require_settings(
         raise InputError(
             path, "u_max", f"{schedule.u_max.tolist()}", f"{limits.tolist()}, of the project's limits"
         )
+
+
+def _require_floor(path: Path, stated: dict, floor: float) -> None:
+    """InputError unless the DC floor is ``floor``, and the largest A_t lies within what it leaves."""
+    largest = stated["largest_A_t"]
+    wanted = {"dc_floor": (stated["dc_floor"], floor)}
+    if largest is not None:
+        wanted["largest_A_t.product"] = largest["product"], largest["A_t"] * floor
+        if not (largest["worst"] < 1 and 0 < largest["A_t"] < largest["failed"] <= (1 + FLOOR_RTOL) / floor):
+            raise InputError(
+                path,
+                "certificates.largest_A_t",
+                f"A_t {largest['A_t']:.6g} with mu {largest['worst']:.6g}, failed {largest['failed']:.6g}",
+                f"mu below 1, and A_t below one that failed, up to {1 / floor:.6g}",
+            )
+    for name, (value, want) in wanted.items():
+        same = (
+            value is None if np.isnan(want) else value is not None and abs(value - want) <= FLOOR_RTOL * want
+        )
+        if not same:
+            raise InputError(path, f"certificates.{name}", f"{value}", f"{want:.9g}, of these weights")
 
 
 def _compare(

@@ -30,7 +30,7 @@ KAPPAS = (1.0, 1.5, 2.0, np.inf)
 """The wanted demand over its limit; 1: the limit is never reached, inf: any demand."""
 SPEEDS = 4
 """Nodes, ends included."""
-ENERGY_RTOL, LEVEL_RTOL = 1e-3, 1e-4
+ENERGY_RTOL, LEVEL_RTOL = 1e-5, 1e-4
 """Largest relative differences between stated numbers and those proved anew."""
 
 
@@ -173,7 +173,8 @@ def _require_row(
     constants = np.array(row["stability_constants"], float)
     level = loop.stability().proved(loop.ones, 1.0, constants) if loop.stable else np.inf
     stated_level = np.inf if row["stability_level"] is None else row["stability_level"]
-    if stated_level != level and not abs(level - stated_level) <= LEVEL_RTOL * level:
+    same = stated_level == level or abs(level - stated_level) <= LEVEL_RTOL * level
+    if not same or (stated_level < 1) != (level < 1):
         refuse("stability_level", level)
     if row["gain"] is not None:
         constants = np.array(row["gain_constants"], float)

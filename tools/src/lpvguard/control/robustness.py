@@ -7,6 +7,7 @@ them and the nominal vehicle. Worst-case gain and mu are bounds over every Delta
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
@@ -32,10 +33,14 @@ from ..identify.run import StoredIdentification
 from ..vehicle.nominal import NominalModel
 from .plants import design_settings, fig1_weights, plant_at, vehicle_at
 
-FOUND_RTOL, EXACT_RTOL = 2e-3, 1e-4
+FOUND_RTOL, EXACT_RTOL = 2e-3, 1e-5
 """Largest relative difference between a stated number and the one computed anew: of a bound that cells or a
 search find, and of a norm."""
 LOOSE = {"mu_interval", "worst_gain", "worst_gain_found"}
+UPPER = ("mu_interval", "worst_gain")
+"""Upper bounds: a stated one may exceed the one proved anew by FOUND_RTOL, and may not be below it."""
+PROVED_RTOL = 1e-9
+"""Rounding of a stated upper bound."""
 SCALING_NODES, SCALING_STEPS = 3, 60
 """Pairs of neighbours for which the units of the nu-gap are searched, and steps of that search."""
 
@@ -106,10 +111,11 @@ def require_robustness(
     workers: Map = map,
 ) -> None:
     """InputError unless ``stated`` (certificates.robustness of ``path``) is what is computed anew, in its
-    units; None claims nothing."""
+    units; None claims nothing. An upper bound below the one computed anew is proved as it is stated."""
     if stated is not None:
         units = stated["unit_u"], tuple(stated["units_y"])
-        compare(path, stated, _with_units(stored, schedule, scaling, *units, progress, workers))
+        found = _with_units(stored, schedule, scaling, *units, progress, workers, stated["nodes"])
+        compare(path, stated, found)
 
 
 def compare(path: Path, stated: dict, found: Robustness) -> None:
@@ -120,8 +126,11 @@ def compare(path: Path, stated: dict, found: Robustness) -> None:
         )
     for row, node in zip(stated["nodes"], found.nodes, strict=True):
         for name, want in asdict(node).items():
-            value, rtol = row[name], FOUND_RTOL if name in LOOSE else EXACT_RTOL
-            same = value is want if None in (value, want) else abs(value - want) <= rtol * abs(want)
+            above = FOUND_RTOL if name in LOOSE else EXACT_RTOL
+            below = PROVED_RTOL if name in UPPER else above
+            value = row[name]
+            room = 0.0 if want is None else abs(want)
+            same = value is want if None in (value, want) else -below * room <= value - want <= above * room
             if not same:
                 raise InputError(
                     path,
@@ -139,6 +148,7 @@ def _with_units(
     units_y: tuple[float, ...],
     progress: Progress,
     workers: Map,
+    stated: Sequence[dict] = (),
 ) -> Robustness:
     settings, model = design_settings(stored), NominalModel(stored.project)
     weights, speeds = fig1_weights(stored, settings), [float(v) for v in schedule.speeds]
@@ -153,6 +163,7 @@ def _with_units(
                 for after in speeds[k + 1 : k + 2]
                 for other in (after, 0.5 * (v + after))
             ),
+            {name: stated[k][name] for name in UPPER} if k < len(stated) else {},
         )
         for k, v in enumerate(speeds)
     ]
@@ -164,20 +175,38 @@ def _with_units(
 @dataclass(frozen=True)
 class _Asked:
     """A node: its generalised plant, controller and vehicle, and the vehicles at the next node and
-    midway to it (none at the last)."""
+    midway to it (none at the last). ``stated``: upper bounds by name that are to be proved."""
 
     v: float
     plant: GeneralisedPlant
     K: StateSpace
     P: StateSpace
     neighbours: tuple[StateSpace, ...]
+    stated: dict[str, float | None]
+
+    def proved(self, name: str, bound: Callable[[float], float]) -> float:
+        """Return the upper bound ``name`` as stated if it is proved, else the one computed anew.
+
+        ``bound`` is the upper bound by the level from which its search begins. It is asked for the stated
+        level only where that is less than what it finds by itself.
+        """
+        value, stated = bound(0.0), self.stated.get(name)
+        near = stated is not None and value * (1 - FOUND_RTOL) <= stated < value
+        return bound(stated) if near and stated is not None else value
 
 
 def _node(scaling: Scaling, unit_u: float, units_y: tuple[float, ...], at: _Asked) -> NodeRobustness:
     plant, K = at.plant, at.K
     loop, last = lft(plant.system, K), np.pi / plant.system.dt
     performance = plant.performance_block
-    gain = worst_gain(loop, plant.blocks, performance, 0.0, last).upper
+    gain = at.proved(
+        "worst_gain",
+        lambda least: worst_gain(loop, plant.blocks, performance, 0.0, last, least=least).upper,
+    )
+    mu = at.proved(
+        "mu_interval",
+        lambda least: mu_interval(loop, [*plant.blocks, performance], 0.0, last, least=least).upper,
+    )
     try:
         found = worst_case(plant, K, scaling if plant.blocks else None).gain
     except ArithmeticError:
@@ -186,7 +215,7 @@ def _node(scaling: Scaling, unit_u: float, units_y: tuple[float, ...], at: _Aske
     gaps = [nu_gap(here, _in_units(other, unit_u, units_y)).upper for other in at.neighbours]
     return NodeRobustness(
         at.v,
-        mu_interval(loop, [*plant.blocks, performance], 0.0, last).upper,
+        mu,
         gain if np.isfinite(gain) else None,
         found,
         **{f"disk_{name}": _disk(at.P, back, skew) for name, skew in SKEWS.items()},

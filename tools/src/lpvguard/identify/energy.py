@@ -53,6 +53,8 @@ float adds finely enough."""
 UNBOUNDED = 1e6
 """What the core's B_w and sigma are raised by where nothing is claimed: far beyond what a vehicle does, and
 within the range of float (lib/src/margin.hpp)."""
+STATED_RTOL = 1e-8
+"""Largest relative difference between stored numbers and those that the weights give."""
 
 
 def fan(n_y: int) -> np.ndarray:
@@ -419,6 +421,7 @@ class EnergyTest:
                 f"{stored}",
                 "those that project.json describes",
             )
+        self._require_stated(data, where)
         return replace(
             self,
             sigma=np.array(data["sigma"]),
@@ -426,3 +429,21 @@ class EnergyTest:
             joint=np.array(data["joint"]),
             calibration=Calibration.from_dict(data["calibration"]),
         )
+
+    def _require_stated(self, data: dict, where: str) -> None:
+        """InputError unless sigma can be one, and gain, ``above`` and certificates are those of the weights.
+
+        sigma, which the drives set, is positive, ``start`` not negative and ``joint`` at least 1.
+        """
+        least = {"sigma": np.finfo(float).tiny, "start": 0.0, "joint": 1.0}
+        for name, low in least.items():
+            value, wanted = np.array(data[name], float), getattr(self, name).shape
+            if value.shape != wanted or not (np.isfinite(value) & (value >= low)).all():
+                raise InputError(where, name, f"{data[name]}", f"finite numbers {wanted}, {low:g} at least")
+        for name in ("gain", "above"):
+            if not np.allclose(data[name], getattr(self, name), rtol=STATED_RTOL, atol=0):
+                raise InputError(where, name, f"{data[name]}", f"{getattr(self, name)}, of the weights")
+        for one, proved in zip(data["certificate"], self.certificate, strict=True):
+            held = one["ok"] and one["min_ratio"] <= proved["min_ratio"] * (1 + STATED_RTOL)
+            if not held or one["max_ratio"] < proved["max_ratio"] * (1 - STATED_RTOL):
+                raise InputError(where, "certificate", "is not proved of the weight", "the weights' own")

@@ -12,7 +12,7 @@ from ..base.errors import InputError
 from ..base.parallel import Map
 from ..core.coefficients import Coefficients, build_coefficients
 from ..drives.frames import Estimator
-from ..engine.overbound.certificate import verify_overbound
+from ..engine.overbound.certificate import Certificate, verify_overbound
 from ..engine.overbound.fit import OverboundFit, fit_overbound
 from ..engine.overbound.noise import subtract_noise
 from ..engine.overbound.weight import Weight
@@ -35,6 +35,8 @@ Less is left only where two weights happen to be equal, each of them a fit to so
 above what is left covers it. A floor far below would put a notch into the bound that no weight of low order
 follows.
 """
+RATIO_RTOL, RATIO_ATOL_DB = 1e-8, 1e-7
+"""Rounding of a proved ratio of weight over bound, and of its decibels."""
 LISTED = ("W_w", "W_n", "W_w_S0", "W_C", "W_delta")
 """Weights of which weights.json holds a list."""
 
@@ -133,6 +135,7 @@ class Weights:
                     f"{certificate.min_ratio_at:.4g} rad/s",
                     "a weight that overbounds its data",
                 )
+            _require_stated(source, name, entry, certificate)
             fit = OverboundFit(
                 loaded,
                 entry["order"],
@@ -169,6 +172,32 @@ class Weights:
             inflation=float(inflation),
             silent=tuple(data.get("silent_bins", ())),
         )
+
+
+def _require_stated(source: str, name: str, entry: dict, proved: Certificate) -> None:
+    """InputError unless an entry of weights.json states of its weight what ``proved`` says of it.
+
+    The upper limit of weight over bound may not be below the one proved, nor below the level that is stated
+    as out of reach for the order.
+    """
+    stated, highest = entry["certificate"], 20 * np.log10(proved.max_ratio)
+    checks = {
+        "worst_ratio_db": entry["worst_ratio_db"] >= highest - RATIO_ATOL_DB,
+        "lp_optimum_db": entry["lp_optimum_db"] <= entry["worst_ratio_db"] + RATIO_ATOL_DB,
+        "certificate.min_ratio": float(stated["min_ratio"]) <= proved.min_ratio * (1 + RATIO_RTOL),
+        "certificate.max_ratio": float(stated["max_ratio"]) >= proved.max_ratio * (1 - RATIO_RTOL),
+        "certificate.omega_max": float(stated["omega_max"]) <= proved.omega_max,
+        "certificate": stated["ok"] and stated["stable"] and stated["minimum_phase"],
+    }
+    for field, held in checks.items():
+        if not held:
+            raise InputError(
+                source,
+                f"{name}.{field}",
+                f"is not proved: weight over bound lies in {proved.min_ratio:.9g} .. {proved.max_ratio:.9g}, "
+                f"{highest:.6g} dB, up to {proved.omega_max:.4g} rad/s",
+                "what `lpvguard identify` wrote",
+            )
 
 
 def fitting_grid(estimator: Estimator) -> np.ndarray:

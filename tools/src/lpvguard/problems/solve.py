@@ -31,6 +31,9 @@ ANSWERS_SCHEMA = "lpvguard.answers/1"
 BRACKET_GAP = 1e-3
 """Largest relative distance between the two sides of a bracket that counts as answered."""
 
+EXPLAINED_RTOL = 1e-11
+"""Rounding of an explanation by delta and w, relative to its terms."""
+
 DATA_ROUNDING = 4.0 * float(np.finfo(float).eps)
 """Rounding of E and Z, relative, as it shows in B1."""
 
@@ -65,8 +68,21 @@ def _solve_multiplicative(f: Fields) -> dict:
     e, z = _bin(f)
     r = s1.solve(e, z, f.number("gamma_w"))
     feasible = bool(r.feasible)
+    if feasible:
+        _require_explained(f, e, z, r)
     answer = {"B1": float(r.b1), "feasible": feasible, "nu": float(r.nu) if feasible else None}
     return answer | ({"delta": pairs(r.delta), "w": pairs(r.w)} if feasible else {})
+
+
+def _require_explained(f: Fields, e: np.ndarray, z: np.ndarray, r: s1.S1Result) -> None:
+    """Raise InputError unless delta of size nu and w within gamma_w, which is no less than B1, explain E."""
+    gamma, nu = f.number("gamma_w"), abs(complex(r.delta))
+    left, size = (float(np.linalg.norm(x)) for x in (e - r.delta * z - r.w, r.w))
+    terms = EXPLAINED_RTOL * float(np.linalg.norm(e) + nu * np.linalg.norm(z))
+    held = left <= terms and max(size, float(r.b1)) <= gamma * (1 + EXPLAINED_RTOL) + terms
+    if not (held and abs(nu - float(r.nu)) <= EXPLAINED_RTOL * nu):
+        what = f"not proved: nu {float(r.nu):.9g}, |delta| {nu:.9g}, |w| {size:.9g}, off by {left:.3g}"
+        raise f.error("nu", what, "data scaled to like sizes")
 
 
 def _solve_multiplicative_tradeoff(f: Fields) -> dict:

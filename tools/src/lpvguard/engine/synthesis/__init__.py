@@ -10,9 +10,12 @@
 | ``gamma_search`` | the search for the optimum γ |
 | ``direct_terms``, ``zeros``, ``singular`` | what singular problems leave out of reach; their reduction |
 | ``hinf_lower`` | levels that no controller goes below, by a dual certificate and at single frequencies |
-| ``mu`` | structured singular value of a matrix and of a loop, from both sides: ``mu_upper``, ``mu_lower`` |
-| ``real_mu`` | real parameters: ``real_crossings`` finds a Δ, ``real_boxes`` proves the level |
-| ``frequency_cells`` | bounds between frequencies, for ``mu`` and ``worst_gain`` |
+| ``mu`` | structured singular value of a matrix or loop, from both sides: ``mu_upper``, ``mu_lower`` |
+| ``frequency_cells`` | bounds proved on whole intervals of frequencies, by cells |
+| ``real_mu`` | μ with real parameters: the level that is proved a little above a Δ that is checked |
+| ``real_boxes``, ``real_crossings`` | its proof on boxes of the parameters; its smallest real Δ |
+| ``worst_gain`` | the worst-case gain over every Δ of size 1, proved between frequencies |
+| ``nu_gap`` | the ν-gap between two plants, and the margin that belongs to it |
 | ``interconnection`` | Fig. 1's generalised plant from weights, three uncertainty structures |
 | ``dk`` | D-K iteration, order reduction, ``certify`` for any controller |
 | ``margins`` | gain, phase, delay and disk margins of one loop, and those promised for a set of loops |

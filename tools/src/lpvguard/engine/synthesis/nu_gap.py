@@ -3,6 +3,7 @@
 With normalised coprime factors G₁ = [N₁; M₁] and G̃₂ = [−M̃₂, Ñ₂] the chordal distance of two plants at a
 frequency is σ̄(G̃₂G₁). Where det(I + P₂ᴴP₁) has the right winding number the ν-gap is ‖G̃₂G₁‖∞, and 1 otherwise.
 A controller with b(P₁, K) > ν(P₁, P₂) stabilises P₂ too. Both norms are bracketed over all frequencies.
+The factors come from Riccati equations. So the distance of the plants' own responses is held against theirs.
 """
 
 from __future__ import annotations
@@ -22,6 +23,8 @@ from lpvguard.engine.synthesis.statespace import (
 )
 
 NORM_RTOL = 1e-6
+DISTANCE_ATOL = 1e-6
+"""Largest difference between the chordal distance of the plants and that of their factors, of at most 1."""
 
 
 def nu_gap(first: StateSpace, second: StateSpace) -> NormBracket:
@@ -42,6 +45,7 @@ def nu_gap(first: StateSpace, second: StateSpace) -> NormBracket:
     if _unstable_zeros(P1, P2) != P2.order:
         return NormBracket(1.0, 1.0, np.nan)
     found = hinf_norm(chordal, NORM_RTOL)
+    _require_distance(P1, P2, chordal, found.peak_frequency)
     where = found.peak_frequency
     return NormBracket(
         found.lower,
@@ -60,6 +64,35 @@ def nu_margin(plant: StateSpace, controller: StateSpace) -> float:
     measured = np.hstack([np.eye(p), plant.D, plant.D])
     D = np.vstack([measured, np.hstack([np.zeros((m, p + m)), np.eye(m)]), measured])
     return float(1 / hinf_norm(lft(StateSpace(plant.A, B, C, D, plant.dt), controller), NORM_RTOL).upper)
+
+
+def _require_distance(P1: StateSpace, P2: StateSpace, chordal: StateSpace, peak: float) -> None:
+    """Raise SynthesisError unless the plants' own distance is that of their factors.
+
+    It is looked at at ``peak`` [rad/s], zero, infinity, and the frequencies of the plants' poles.
+    """
+    omega = np.unique(np.concatenate([[0.0, peak, np.inf], np.abs(P1.poles()), np.abs(P2.poles())]))
+    omega = omega[[_has_response(P1, w) and _has_response(P2, w) for w in omega]]
+    of_factors = np.linalg.norm(chordal.response(omega), 2, axis=(1, 2))
+    for w, G1, G2, size in zip(omega, P1.response(omega), P2.response(omega), of_factors, strict=True):
+        distance = float(np.linalg.norm(_root(G2) @ (G2 - G1) @ _root(G1.conj().T).conj().T, 2))
+        if not abs(distance - size) <= DISTANCE_ATOL:
+            raise SynthesisError(
+                "nu_gap",
+                f"{w:.6g} rad/s",
+                f"not proved: the distance is {distance:.7g}, that of the factors {size:.7g}",
+                "plants whose inputs and outputs are scaled to like sizes",
+            )
+
+
+def _has_response(P: StateSpace, omega: float) -> bool:
+    """Tell whether P has no pole within rounding of j ``omega``."""
+    return not P.order or np.isinf(omega) or np.abs(P.poles() - 1j * omega).min() > 1e-9 * max(omega, 1.0)
+
+
+def _root(G: np.ndarray) -> np.ndarray:
+    """Return a root R of (I + G Gᴴ)⁻¹ = Rᴴ R, for G (p, m)."""
+    return np.linalg.inv(np.linalg.cholesky(np.eye(len(G)) + G @ G.conj().T))
 
 
 def _unstable_zeros(P1: StateSpace, P2: StateSpace) -> int:

@@ -128,9 +128,9 @@ def least_parameters(A: np.ndarray, b: np.ndarray, free: np.ndarray | None) -> t
 def nearest_parameters(
     A: np.ndarray, b: np.ndarray, free: np.ndarray | None, delta: np.ndarray, omega: float
 ) -> tuple[np.ndarray, float]:
-    """Solve A δ + free s = b for the δ nearest to ``delta``, shape (k,); s is weighed by 1 / ``omega``.
+    """Solve A δ + free s = b for the δ nearest to ``delta`` (k,); s is weighed by 1 / ``omega`` [rad/s].
 
-    A (2, k) or (1, k), b and free (2,) or (1,), and what is returned, are as in ``least_parameters``.
+    A, b, ``free`` and what is returned are as in ``least_parameters``: (2, k) or (1, k), (2,) or (1,), (2,).
     """
     if free is None:
         return delta + np.linalg.pinv(A) @ (b - A @ delta), 0.0

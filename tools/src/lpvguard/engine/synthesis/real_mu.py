@@ -59,7 +59,12 @@ class RealMu:
 
 
 def real_mu(
-    loop: StateSpace | np.ndarray, structure: Structure, low: float, high: float, rtol: float
+    loop: StateSpace | np.ndarray,
+    structure: Structure,
+    low: float,
+    high: float,
+    rtol: float,
+    least: float = 0.0,
 ) -> RealMu:
     """Bound μ of a loop that has real blocks.
 
@@ -73,13 +78,15 @@ def real_mu(
     rtol : float
         Share by which the upper bound should exceed the lower at most. Where the parts that are allowed do
         not suffice it exceeds it by more.
+    least : float
+        Level from which the search begins.
     """
     prover = Prover(loop, structure, 0.4 * rtol)
     grid = _grid(loop, low, high)
     size = max(float(np.linalg.norm(prover.response(omega)[0], 2)) for omega in grid)
     search = _LowerSearch(prover, low, high)
     search.start(grid)
-    level = max(search.best.value * (1 + rtol), ZERO * size, np.finfo(float).tiny)
+    level = max(search.best.value * (1 + rtol), ZERO * size, np.finfo(float).tiny, least)
     edge = np.full(len(search.real), 1 / level)
     todo, proof = [Part(ParameterBox(-edge, edge), low, high)], []
     tried, resisting, share, most = 0, 0, RAISE, MOST_PARTS if search.pure else MOST_MIXED

@@ -29,6 +29,8 @@ GRID = np.r_[0.0, np.geomspace(1e-3, 1e2, 61)]
 REFINED = 4
 """Frequencies, those of largest gain, at which the search goes on to the end."""
 GAIN_RTOL = 1e-6
+LEAST_LEVEL = 1e-12
+"""Share of ‖M‖ that stands for a gain of zero."""
 
 
 @dataclass(frozen=True)
@@ -113,9 +115,10 @@ class _Search:
             for sizes in ([b.cols for b in self.blocks], [b.rows for b in self.blocks])
         )
         level, best = float(np.linalg.norm(M[self.a :, self.b :], 2)), np.zeros((self.b, self.a), complex)
+        least = max(LEAST_LEVEL * float(np.linalg.norm(M, 2)), float(np.finfo(float).tiny))
         for _ in range(steps):
             scaled = M.copy()
-            scaled[self.a :] /= max(level, 1e-300)
+            scaled[self.a :] /= max(level, least)
             _, delta = mu_lower(scaled, self.blocks, np.diag(left), np.diag(right), np.inf, starts=4)
             if delta is None:
                 break

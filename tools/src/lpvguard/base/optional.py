@@ -5,7 +5,7 @@ from __future__ import annotations
 from importlib import import_module
 from typing import Any
 
-from ..base.errors import InputError
+from .errors import InputError
 
 
 def optional(module: str, extra: str) -> Any:
