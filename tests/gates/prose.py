@@ -5,8 +5,8 @@
     riddle      a phrase that sends the reader back: "but for", "other ones", "the one before"
     claims      a sentence with two semicolons: make each claim a sentence of its own
 
-Read are the documents of ``DOCUMENTS`` and the public docstrings of ``DOCSTRINGS``. Blocks of code, inline code,
-formulas and addresses do not count. A cell of a table, an item of a list and a heading end a sentence.
+The gate reads the documents of ``DOCUMENTS`` and the public docstrings of ``DOCSTRINGS``. Blocks of code,
+inline code, formulas and addresses do not count. A table cell, a list item and a heading end a sentence.
 """
 
 from __future__ import annotations
@@ -56,9 +56,8 @@ RIDDLES = re.compile(
     r"|stands? (?:beside|in for)|what is not|that of which|nothing else than|by itself alone)\b",
     re.IGNORECASE,
 )
-ENDING = re.compile(
-    r"[.!?](?:[\"')\]]*)\s+(?=[\"'(\[]*(?:[A-Z0-9|`∎]|[^\x00-\x7f]|\w{1,2}_|[b-z]\d?²?[ ,]|se²|sd |code\b|lpvguard\b))"
-)
+NEXT = r"[A-Z0-9|`∎]|[^\x00-\x7f]|\w{1,2}_|[b-z]\d?²?[ ,]|se²|sd |code\b|lpvguard\b"
+ENDING = re.compile(rf"[.!?](?:[\"')\]]*)\s+(?=[\"'(\[]*(?:{NEXT}))")
 """End of a sentence, and what the next may begin with: a capital, a number, a symbol or a name of code."""
 ABBREVIATION = re.compile(r"\b(?:e\.g|i\.e|cf|vs|Fig|Figs|Eq|No|approx|min|max|St|Jr|Proc|IEEE|J)\.$")
 RST_TABLE = re.compile(r"^=+(?: +=+)+\n(?:.+\n)*=+(?: +=+)+$", re.MULTILINE)

@@ -236,7 +236,9 @@ class Theory:
                 THEORY,
                 f"(T{number}) has no row that says where it is implemented and where tested",
             )
-        cited = {n for group in re.findall(r"\[(\d+(?:, \d+)*)\](?!\()", self.text) for n in group.split(", ")}
+        cited = {
+            n for group in re.findall(r"\[(\d+(?:, \d+)*)\](?!\()", self.text) for n in group.split(", ")
+        }
         for number in sorted(cited | set(self.works), key=int):
             found.see(
                 number in cited and number in self.works,

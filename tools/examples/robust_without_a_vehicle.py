@@ -1,6 +1,6 @@
 """Responses of five motors -> uncertainty set -> weight -> controller with a proved level.
 
-    python robust_without_a_vehicle.py
+python robust_without_a_vehicle.py
 """
 
 import control as ct

@@ -1,7 +1,8 @@
 """Builds the documentation site; `tools/docs` is the command.
 
-The sources are Markdown pages in ``tools/site/pages`` and the pages of other folders (``PAGES``). They are copied to OUT/source under the names of the site, with their links rewritten. Sphinx
-builds them to OUT/html with warnings as errors. Every internal link of the built pages is then followed.
+The sources are Markdown pages in ``tools/site/pages`` and the pages of other folders (``PAGES``). They are
+copied to OUT/source under the names of the site, with their links rewritten. Sphinx builds them to OUT/html
+with warnings as errors. Every internal link of the built pages is then followed.
 """
 
 from __future__ import annotations
@@ -89,7 +90,9 @@ def rewritten(tree: Path, path: str, pages: dict[str, str], source: Path) -> str
             return f"[{words}]({os.path.relpath(pages[f'{where}/README.md'], Path(name).parent)}.md)"
         if (tree / where).is_dir():
             return words
-        raise BrokenLink(f"{path}:{text.count(chr(10), 0, m.start()) + 1}: link to {target}, which is not there")
+        raise BrokenLink(
+            f"{path}:{text.count(chr(10), 0, m.start()) + 1}: link to {target}, which is not there"
+        )
 
     return LINK.sub(link, text)
 
@@ -153,9 +156,8 @@ def dead_links(folder: Path) -> list[str]:
             target = Path(os.path.normpath(path.parent / unquote(parts.path))) if parts.path else path
             if not target.is_file():
                 findings.append(f"{name}: link to {link}, which is not there")
-            elif parts.fragment and target in pages:
-                if unquote(parts.fragment) not in pages[target].ids | {"top", ""}:
-                    findings.append(f"{name}: {target.name} has no place #{unquote(parts.fragment)}")
+            elif target in pages and unquote(parts.fragment) not in pages[target].ids | {"top", ""}:
+                findings.append(f"{name}: {target.name} has no place #{unquote(parts.fragment)}")
     return findings
 
 

@@ -29,7 +29,9 @@ TREE = Path(os.environ["LPVGUARD_TREE"])
 TAG = re.compile(r"\\tag\{(T\d+[ab]?)\}")
 CITED = re.compile(r"\((T\d+[ab]?)\)")
 PLACE = re.compile(r"((?:lib|tools|tests|firmware_sim|data)/[\w./-]+\.[A-Za-z]+)(?::([\w.-]+))?")
-SYMBOL = re.compile(r"(?<![\w])((?:[A-Za-zΔδΛΦΣαβγηθκλμνξρϱσφω]|ν̄|ρ̄)[0-9]?)_([A-Za-zΔδ0-9]{1,4}(?:,[A-Za-z]{1,2})?)(?![\w_])")
+SYMBOL = re.compile(
+    r"(?<![\w])((?:[A-Za-zΔδΛΦΣαβγηθκλμνξρσφω]|ν̄|ρ̄)[0-9]?)_([A-Za-zΔδ0-9]{1,4}(?:,[A-Za-z]{1,2})?)(?![\w_])"
+)
 
 
 def code_page(path: str) -> str:
@@ -40,7 +42,9 @@ def code_page(path: str) -> str:
 def line_of(path: str, symbol: str) -> int:
     """First line of ``path`` that defines ``symbol``; 1 where none is found."""
     name = re.escape(symbol.rpartition(".")[2])
-    pattern = re.compile(rf"^\s*(?:async )?(?:def|class|struct) {name}\b|\b{name}\s*\(|\[{name}\]|^{name}\s*[:=]|\b{name}\b")
+    pattern = re.compile(
+        rf"^\s*(?:async )?(?:def|class|struct) {name}\b|\b{name}\s*\(|\[{name}\]|^{name}\s*[:=]|\b{name}\b"
+    )
     lines = (TREE / path).read_text(encoding="utf-8").splitlines()
     defined = re.compile(rf"^\s*(?:def|class|struct) {name}\b")
     for wanted in (defined, pattern):
@@ -111,7 +115,10 @@ class LinkToCode(SphinxPostTransform):
                 literal.replace_self(node)
         known = self.app.lpvguard_equations  # type: ignore[attr-defined]
         for text in list(self.document.findall(nodes.Text)):
-            if isinstance(text.parent, (nodes.literal, nodes.literal_block, nodes.math_block, nodes.reference, nodes.title)):
+            if isinstance(
+                text.parent,
+                (nodes.literal, nodes.literal_block, nodes.math_block, nodes.reference, nodes.title),
+            ):
                 continue
             parts = list(self._parts(text.astext(), known, doc, builder))
             if len(parts) > 1:
@@ -125,7 +132,11 @@ class LinkToCode(SphinxPostTransform):
 
     def _parts(self, text: str, known: dict[str, str], doc: str, builder: Any) -> Iterator[nodes.Node]:
         end = 0
-        marks = CITED.finditer(text) if not doc.startswith("concepts/") else re.finditer(f"{CITED.pattern}|{SYMBOL.pattern}", text)
+        marks = (
+            CITED.finditer(text)
+            if not doc.startswith("concepts/")
+            else re.finditer(f"{CITED.pattern}|{SYMBOL.pattern}", text)
+        )
         for m in marks:
             if m[1] and m[1] not in known:
                 continue
@@ -164,7 +175,8 @@ def block_math(self: Any, node: nodes.math_block) -> None:
                 uri = self.builder.get_relative_uri(self.builder.current_docname, code_page(path))
                 shown = symbol if len(symbol) < 48 else f"{symbol[:45]}…"
                 made.append(
-                    f'<a href="{uri}#line-{line_of(path, symbol)}" title="{escape(path)}"><code>{escape(shown)}</code></a>'
+                    f'<a href="{uri}#line-{line_of(path, symbol)}" title="{escape(path)}">'
+                    f"<code>{escape(shown)}</code></a>"
                 )
             cells.append(f"{word}: {', '.join(made)}")
         self.body.append(f'<p class="places">{"; ".join(cells)}.</p>')
@@ -174,7 +186,8 @@ def block_math(self: Any, node: nodes.math_block) -> None:
 CODE_PAGE = """<!DOCTYPE html>
 <html lang="en"><head><meta charset="utf-8"><title>{path}</title>
 <meta name="viewport" content="width=device-width, initial-scale=1">
-<link rel="stylesheet" href="{root}_static/pygments.css"><link rel="stylesheet" href="{root}_static/site.css"></head>
+<link rel="stylesheet" href="{root}_static/pygments.css">
+<link rel="stylesheet" href="{root}_static/site.css"></head>
 <body class="code"><p><a href="{root}index.html">{project}</a></p><h1>{path}</h1>{text}</body></html>
 """
 

@@ -40,7 +40,9 @@ def verbs() -> str:
             command, info_name=path[-1], parent=parent, terminal_width=100, max_content_width=100
         )
         level = "#" * min(len(path) + (len(path) == 1), 4)
-        text.extend([f"{level} {' '.join(path)}", "", "```text", command.get_help(context).rstrip(), "```", ""])
+        text.extend(
+            [f"{level} {' '.join(path)}", "", "```text", command.get_help(context).rstrip(), "```", ""]
+        )
         for name in getattr(command, "commands", {}):
             describe(command.commands[name], [*path, name], context)
 
@@ -64,15 +66,19 @@ def c_index(tree: Path) -> str:
         rows.append(f"| [{path.name}]({path.stem}.md) | {markdown(first.partition(' -- ')[2])} |")
     names = [path.stem for path in c_headers(tree)]
     return "\n".join(
-        ["# C headers", "", "| header | what it is |", "| --- | --- |", *rows, ""]
-        + ["```{toctree}", ":hidden:", "", *names, "```", ""]
+        [
+            *("# C headers", "", "| header | what it is |", "| --- | --- |", *rows, ""),
+            *("```{toctree}", ":hidden:", "", *names, "```", ""),
+        ]
     )
 
 
 def markdown(text: str) -> str:
     """A comment's words as Markdown: what would be markup stands for itself."""
     parts = re.split(r"(``[^`]*``|`[^`]*`)", text)
-    return "".join(part if part.startswith("`") else re.sub(r"([\\*_<>\[\]|#])", r"\\\1", part) for part in parts)
+    return "".join(
+        part if part.startswith("`") else re.sub(r"([\\*_<>\[\]|#])", r"\\\1", part) for part in parts
+    )
 
 
 def comment_blocks(lines: list[str]) -> list[str]:
@@ -105,7 +111,9 @@ def c_header(path: Path) -> str:
     out += comment_blocks(head[1:])
     body = "\n".join(lines)
     types = re.findall(
-        r"^(?:///[^\n]*\n)*typedef (?:enum|struct|union)[^{;]*\{.*?^\} *\w+ *;", body, re.MULTILINE | re.DOTALL
+        r"^(?:///[^\n]*\n)*typedef (?:enum|struct|union)[^{;]*\{.*?^\} *\w+ *;",
+        body,
+        re.MULTILINE | re.DOTALL,
     )
     constants = re.findall(r"^#define \w+ [^\n\\]*///<[^\n]*$", body, re.MULTILINE)
     if constants:
@@ -194,7 +202,11 @@ def definition(node: Definition, level: str) -> list[str]:
     text += docstring(ast.get_docstring(node) or "")
     if isinstance(node, ast.ClassDef):
         for inner in node.body:
-            if isinstance(inner, ast.FunctionDef) and not inner.name.startswith("_") and ast.get_docstring(inner):
+            if (
+                isinstance(inner, ast.FunctionDef)
+                and not inner.name.startswith("_")
+                and ast.get_docstring(inner)
+            ):
                 text += ["```python", signature(inner), "```", "", *docstring(ast.get_docstring(inner) or "")]
     return text
 
@@ -204,7 +216,10 @@ def signature(node: Definition) -> str:
     if isinstance(node, ast.ClassDef):
         bases = ", ".join(ast.unparse(base) for base in node.bases)
         fields = [ast.unparse(n) for n in node.body if isinstance(n, ast.AnnAssign)]
-        return "\n".join([f"class {node.name}({bases}):" if bases else f"class {node.name}:"] + [f"    {f}" for f in fields])
+        return "\n".join(
+            [f"class {node.name}({bases}):" if bases else f"class {node.name}:"]
+            + [f"    {f}" for f in fields]
+        )
     returns = f" -> {ast.unparse(node.returns)}" if node.returns else ""
     arguments = ast.unparse(node.args)
     if len(arguments) > 80:
@@ -222,7 +237,9 @@ def docstring(text: str) -> list[str]:
             for entry in re.split(r"\n(?=\S)", body.strip("\n")):
                 head, _, told = entry.partition("\n")
                 name, _, kind = head.partition(" : ")
-                out.append(f"- `{name}`{f' ({markdown(kind)})' if kind else ''}: {markdown(' '.join(told.split()))}")
+                out.append(
+                    f"- `{name}`{f' ({markdown(kind)})' if kind else ''}: {markdown(' '.join(told.split()))}"
+                )
             out.append("")
         else:
             out += comment_blocks(body.strip("\n").splitlines())

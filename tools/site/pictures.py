@@ -21,11 +21,31 @@ EXAMPLES = ROOT / "tools" / "examples"
 PICTURES = Path(__file__).resolve().parent / "pages" / "pictures"
 LPVGUARD = Path(sys.executable).with_name("lpvguard")
 FLOWS = {
-    "export": ("identification\nfolder", "lpvguard\nexport", "C folder of\nthe vehicle", "core and folder\nin one image"),
-    "integrate": ("sample or\nCAN frame", "lpvg_monitor_push", "lpvg_monitor_verdict", "reaction of\nthe application"),
+    "export": (
+        "identification\nfolder",
+        "lpvguard\nexport",
+        "C folder of\nthe vehicle",
+        "core and folder\nin one image",
+    ),
+    "integrate": (
+        "sample or\nCAN frame",
+        "lpvg_monitor_push",
+        "lpvg_monitor_verdict",
+        "reaction of\nthe application",
+    ),
     "live": ("LCM, SocketCAN\nor candump log", "receiver and\ncompiled core", "page on\n127.0.0.1"),
-    "add_output": ("signals of the\nproject file", "matrix C of\n[model]", "identify,\nexport", "sizes and C\nare generated"),
-    "add_verb": ("cli/NAME.py", "import in\ncli/__init__.py", "test in\ntests/tools/cli", "lpvguard NAME\n--help"),
+    "add_output": (
+        "signals of the\nproject file",
+        "matrix C of\n[model]",
+        "identify,\nexport",
+        "sizes and C\nare generated",
+    ),
+    "add_verb": (
+        "cli/NAME.py",
+        "import in\ncli/__init__.py",
+        "test in\ntests/tools/cli",
+        "lpvguard NAME\n--help",
+    ),
     "chain": ("drives", "bounds", "weights", "controller", "C core", "verdicts"),
 }
 """Picture of boxes in a row -> their words."""
@@ -41,7 +61,9 @@ def screenshot(page: Path, target: Path, width: int, height: int) -> None:
     """What chromium shows of a page, without its white margin, in 64 colours."""
     shot = target.with_suffix(".shot.png")
     chromium = ("chromium", "--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars")
-    run(*chromium, f"--window-size={width},{height}", f"--screenshot={shot}", page.as_uri(), cwd=target.parent)
+    run(
+        *chromium, f"--window-size={width},{height}", f"--screenshot={shot}", page.as_uri(), cwd=target.parent
+    )
     image = Image.open(shot).convert("RGB")
     box = ImageChops.difference(image, Image.new("RGB", image.size, "white")).getbbox()
     if box is None:
@@ -58,17 +80,22 @@ def flow(words: tuple[str, ...], target: Path) -> None:
     parts = []
     for i, text in enumerate(words):
         x = 10 + i * (width + gap)
-        parts.append(f'<rect x="{x}" y="10" width="{width}" height="{height}" rx="6" fill="#eef4fa" stroke="#1b84c6"/>')
+        parts.append(
+            f'<rect x="{x}" y="10" width="{width}" height="{height}" rx="6" fill="#eef4fa" stroke="#1b84c6"/>'
+        )
         lines = text.split("\n")
         for j, line in enumerate(lines):
             y = 10 + height / 2 + 5 + 16 * (j - (len(lines) - 1) / 2)
             parts.append(f'<text x="{x + width / 2}" y="{y:g}" text-anchor="middle">{line}</text>')
         if i:
-            parts.append(f'<path d="M{x - gap + 4} 40 h{gap - 10} m-7 -5 l7 5 l-7 5" fill="none" stroke="#333"/>')
+            parts.append(
+                f'<path d="M{x - gap + 4} 40 h{gap - 10} m-7 -5 l7 5 l-7 5" fill="none" stroke="#333"/>'
+            )
     total = 20 + len(words) * (width + gap) - gap
     target.write_text(
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {total} 80" width="{total}" height="80" '
-        f'font-family="sans-serif" font-size="13"><rect width="{total}" height="80" fill="#fff"/>{"".join(parts)}</svg>\n'
+        f'font-family="sans-serif" font-size="13"><rect width="{total}" height="80" fill="#fff"/>'
+        f"{''.join(parts)}</svg>\n"
     )
 
 
@@ -122,7 +149,21 @@ def main(names: list[str]) -> None:
             run(LPVGUARD, "report", *page, cwd=folder)
             screenshot(folder / "page.html", PICTURES / "page.png", 1100, 660)
         if wanted("evaluate"):
-            run(LPVGUARD, "evaluate", "--vehicle", "g80", "--coefficients", "code", "found", "drives", "--jobs", "2", "--json", "evaluation.json", cwd=folder)
+            run(
+                LPVGUARD,
+                "evaluate",
+                "--vehicle",
+                "g80",
+                "--coefficients",
+                "code",
+                "found",
+                "drives",
+                "--jobs",
+                "2",
+                "--json",
+                "evaluation.json",
+                cwd=folder,
+            )
             draw = "import lpvguard; lpvguard.plots.evaluation('evaluation.json').save('evaluation.svg')"
             run(sys.executable, "-c", draw, cwd=folder)
             screenshot(folder / "evaluation.svg", PICTURES / "evaluate.png", 820, 900)

@@ -52,8 +52,8 @@ class Replayed:
     def frames(self) -> pandas.DataFrame:
         """A row a frame that the core looked at, in the order of judgement.
 
-        The times t_end_s and t_judged_s are seconds after the first sample. The margin is t*, and the evidence
-        is the margin of a vehicle that does not respond. The reason "none" says that the frame counted. The
+        The times t_end_s and t_judged_s are seconds after the first sample. The margin is t*. The evidence is
+        the margin of a vehicle that does not respond. The reason "none" says that the frame counted. The
         other columns are omega_rad_s, speed_mps and falsified. Needs pandas."""
         f, t0 = self.summary.run.frames, self.summary.start_s
         return optional("pandas", "pandas").DataFrame(
