@@ -30,8 +30,10 @@ TAG = re.compile(r"\\tag\{(T\d+[ab]?)\}")
 CITED = re.compile(r"\((T\d+[ab]?)\)")
 PLACE = re.compile(r"((?:lib|tools|tests|firmware_sim|data)/[\w./-]+\.[A-Za-z]+)(?::([\w.-]+))?")
 SYMBOL = re.compile(
-    r"(?<![\w])((?:[A-Za-zΔδΛΦΣαβγηθκλμνξρσφω]|ν̄|ρ̄)[0-9]?)_([A-Za-zΔδ0-9]{1,4}(?:,[A-Za-z]{1,2})?)(?![\w_])"
+    r"(?<![\w^])(max|min|[A-Za-zΔδΛΦΣαβγηθκλμνξρσφωψτ][̄̂̃]?\d?|[ŷỹê])"
+    r"([_^])(?:\{([^{}]+)\}|\((\w+)\)|([A-Za-zΔδκωην0-9∞]{1,4}(?:,[A-Za-z]{1,2})?))(?![\w_])"
 )
+"""A symbol with a subscript or an exponent, as the theory's sentences write it."""
 
 
 def code_page(path: str) -> str:
@@ -146,7 +148,8 @@ class LinkToCode(SphinxPostTransform):
                 yield nodes.reference("", m[0], refuri=uri, internal=True)
             else:
                 yield nodes.Text(m[2])
-                yield nodes.subscript("", m[3])
+                small = next(words for words in m.groups()[3:] if words)
+                yield (nodes.subscript if m[3] == "_" else nodes.superscript)("", small)
             end = m.end()
         yield nodes.Text(text[end:])
 

@@ -75,9 +75,10 @@ def c_index(tree: Path) -> str:
 
 def markdown(text: str) -> str:
     """A comment's words as Markdown: what would be markup stands for itself."""
-    parts = re.split(r"(``[^`]*``|`[^`]*`)", text)
+    kept = r"(``[^`]*``|`[^`]*`|(?<![\w*])\*\w[\w ]*\*(?!\w))"  # code, and words that are emphasised
     return "".join(
-        part if part.startswith("`") else re.sub(r"([\\*_<>\[\]|#])", r"\\\1", part) for part in parts
+        part if re.fullmatch(kept, part) else re.sub(r"([\\*_<>\[\]|#])", r"\\\1", part)
+        for part in re.split(kept, text)
     )
 
 
