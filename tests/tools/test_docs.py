@@ -70,20 +70,24 @@ def test_a_planted_dead_link_of_a_built_page_is_found(site, planted, says):
 
 def test_a_planted_broken_link_of_a_source_stops_the_build(tmp_path):
     build = site_builder()
-    (tmp_path / "page.md").write_text("# Page\n\nSee [this](missing.md).\n")
-    with pytest.raises(build.BrokenLink, match=r"page\.md:3: link to missing\.md"):
-        build.rewritten(tmp_path, "page.md", {"page.md": "page"}, tmp_path / "source")
+    (tmp_path / "README.md").write_text("# Page\n\nSee [this](missing).\n")
+    with pytest.raises(build.BrokenLink, match=r"README\.md:3: link to missing"):
+        build.rewritten(tmp_path, "README.md", {"README.md": "page"}, tmp_path / "source")
 
 
 def test_links_between_sources_become_links_of_the_site(tmp_path):
     build = site_builder()
-    (tmp_path / "a").mkdir()
-    (tmp_path / "a" / "code.py").write_text("")
-    (tmp_path / "one.md").write_text("[two](a/two.md#part), [code](a/code.py), `[raw](missing)`\n")
-    (tmp_path / "a" / "two.md").write_text("# Two\n")
-    pages = {"one.md": "start/one", "a/two.md": "howto/two"}
-    text = build.rewritten(tmp_path, "one.md", pages, tmp_path / "source")
-    assert text == "[two](../howto/two.md#part), {source}`code <a/code.py>`, `[raw](missing)`\n"
+    (tmp_path / "data").mkdir()
+    (tmp_path / "data" / "table.csv").write_text("")
+    (tmp_path / "data" / "README.md").write_text("# Data\n")
+    source = "[data](data/README.md#part), [table](data/table.csv), [folder](data), `[raw](missing)`\n"
+    (tmp_path / "README.md").write_text(source)
+    pages = {"README.md": "start/one", "data/README.md": "howto/two"}
+    text = build.rewritten(tmp_path, "README.md", pages, tmp_path / "source")
+    two = "../howto/two" + ".md"
+    assert (
+        text == f"[data]({two}#part), {{source}}`table <data/table.csv>`, [folder]({two}), `[raw](missing)`\n"
+    )
 
 
 def test_every_committed_picture_is_made_by_the_script_and_shown():
