@@ -93,10 +93,7 @@ def test_links_between_sources_become_links_of_the_site(tmp_path):
 def test_every_committed_picture_is_made_by_the_script_and_shown():
     pictures = {path.name for path in (SITE / "pages" / "pictures").iterdir()}
     made = (SITE / "pictures.py").read_text()
-    pages = (
-        "".join(path.read_text() for path in (SITE / "pages").rglob("*.md"))
-        + (ROOT / "README.md").read_text()
-    )
+    pages = "".join(path.read_text() for path in pages_of_people())
     for name in pictures:
         assert f'"{Path(name).stem}"' in made or f'"{name}"' in made, name
         assert f"pictures/{name})" in pages, name

@@ -99,6 +99,24 @@ def flow(words: tuple[str, ...], target: Path) -> None:
     )
 
 
+LOOP = """<svg xmlns="http://www.w3.org/2000/svg"
+ viewBox="0 0 420 230" width="420" height="230"
+ font-family="sans-serif" font-size="16"><rect width="420" height="230" fill="#fff"/>
+<g fill="#eef4fa" stroke="#1b84c6"><rect x="160" y="10" width="100" height="50" rx="6"/>
+<rect x="160" y="90" width="100" height="60" rx="6"/><rect x="160" y="170" width="100" height="50" rx="6"/></g>
+<g fill="none" stroke="#333"><path d="M160 105 H110 V35 H155 m-7 -5 l7 5 l-7 5"/>
+<path d="M260 35 H310 V105 H265 m7 -5 l-7 5 l7 5"/><path d="M370 120 H265 m7 -5 l-7 5 l7 5"/>
+<path d="M160 120 H55 m7 -5 l-7 5 l7 5"/><path d="M160 137 H110 V195 H155 m-7 -5 l7 5 l-7 5"/>
+<path d="M260 195 H310 V137 H265 m7 -5 l-7 5 l7 5"/></g>
+<g text-anchor="middle"><text x="210" y="41">Δ</text>
+<text x="210" y="126">P</text><text x="210" y="201">K</text>
+<text x="95" y="74">η</text><text x="325" y="74">ξ</text>
+<text x="385" y="125">w</text><text x="40" y="125">z</text>
+<text x="95" y="172">y</text><text x="325" y="172">u</text></g></svg>
+"""
+"""Uncertainty, plant and controller, with their signals."""
+
+
 def faulty(drive: Path, target: Path) -> None:
     """The drive with 1.5 times the yaw rate from its middle on."""
     rows = list(csv.DictReader(drive.open()))
@@ -119,6 +137,10 @@ def main(names: list[str]) -> None:
     for name, words in FLOWS.items():
         if wanted(name):
             flow(words, PICTURES / f"{name}.svg")
+    if wanted("loop"):
+        (PICTURES / "loop.svg").write_text(LOOP)
+    if names and all(name in FLOWS or name == "loop" for name in names):
+        return
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch)
         run(LPVGUARD, "generate", "--vehicle", "g80", "-o", "drives", cwd=folder)
