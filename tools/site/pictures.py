@@ -103,7 +103,8 @@ LOOP = """<svg xmlns="http://www.w3.org/2000/svg"
  viewBox="0 0 420 230" width="420" height="230"
  font-family="sans-serif" font-size="16"><rect width="420" height="230" fill="#fff"/>
 <g fill="#eef4fa" stroke="#1b84c6"><rect x="160" y="10" width="100" height="50" rx="6"/>
-<rect x="160" y="90" width="100" height="60" rx="6"/><rect x="160" y="170" width="100" height="50" rx="6"/></g>
+<rect x="160" y="90" width="100" height="60" rx="6"/>
+<rect x="160" y="170" width="100" height="50" rx="6"/></g>
 <g fill="none" stroke="#333"><path d="M160 105 H110 V35 H155 m-7 -5 l7 5 l-7 5"/>
 <path d="M260 35 H310 V105 H265 m7 -5 l-7 5 l7 5"/><path d="M370 120 H265 m7 -5 l-7 5 l7 5"/>
 <path d="M160 120 H55 m7 -5 l-7 5 l7 5"/><path d="M160 137 H110 V195 H155 m-7 -5 l7 5 l-7 5"/>
