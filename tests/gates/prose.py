@@ -42,7 +42,7 @@ DOCSTRINGS = (
     "tools/release.py",
     "tools/site/*.py",
     "tools/src/lpvguard/api/*.py",
-    "tools/src/lpvguard/measure/*.py",
+    "tools/src/lpvguard/extras/measure/*.py",
     "tools/src/lpvguard/robust/*.py",
     "tools/src/lpvguard/schemas/*.py",
 )
@@ -61,6 +61,7 @@ ENDING = re.compile(rf"[.!?](?:[\"')\]]*)\s+(?=[\"'(\[]*(?:{NEXT}))")
 """End of a sentence, and what the next may begin with: a capital, a number, a symbol or a name of code."""
 ABBREVIATION = re.compile(r"\b(?:e\.g|i\.e|cf|vs|Fig|Figs|Eq|No|approx|min|max|St|Jr|Proc|IEEE|J)\.$")
 RST_TABLE = re.compile(r"^=+(?: +=+)+\n(?:.+\n)*=+(?: +=+)+$", re.MULTILINE)
+SECTION = re.compile(r"^([A-Z][\w ]*)\n-{3,}$", re.MULTILINE)
 FENCE = re.compile(r"^(```+|~~~+)[^\n]*\n.*?^\1[ \t]*$", re.MULTILINE | re.DOTALL)
 
 
@@ -116,18 +117,27 @@ def breaches(words: str) -> Iterator[str]:
             yield f"claims: make each a sentence: {shown}"
 
 
+def entries_apart(said: str) -> str:
+    """A numpydoc docstring with each entry of its sections, and its description, as a paragraph."""
+    first, *rest = SECTION.split(said)
+    for title, body in zip(rest[::2], rest[1::2], strict=True):
+        lines = [f"{line.strip()}\n" if line[:1].strip() else line.strip() for line in body.splitlines()]
+        first += f"\n{title}\n\n" + "\n".join(lines).replace("\n\n", "\n \n")
+    return first
+
+
 def docstrings(text: str) -> Iterator[tuple[int, str]]:
     """Line and text of the module's docstring and of every public class, function and method."""
 
     def visit(node: ast.Module | ast.ClassDef) -> Iterator[tuple[int, str]]:
         said = ast.get_docstring(node)
         if said:
-            yield node.body[0].lineno, said
+            yield node.body[0].lineno, entries_apart(said)
         for inner in node.body:
             if isinstance(inner, ast.FunctionDef) and not inner.name.startswith("_"):
                 told = ast.get_docstring(inner)
                 if told:
-                    yield inner.body[0].lineno, told
+                    yield inner.body[0].lineno, entries_apart(told)
             elif isinstance(inner, ast.ClassDef) and not inner.name.startswith("_"):
                 yield from visit(inner)
 

@@ -30,8 +30,8 @@ from lpvguard.core.coefficients import build_coefficients, vehicle_files
 from lpvguard.core.control_coefficients import ARRAYS, build_controller, control_files, replaced_controller
 from lpvguard.drives.frames import Estimator
 from lpvguard.engine.overbound.weight import Weight
-from lpvguard.fleet.export import definition
-from lpvguard.fleet.wealth import Life, LifeTable
+from lpvguard.extras.fleet.export import definition
+from lpvguard.extras.fleet.wealth import Life, LifeTable
 from lpvguard.identify.change import ChangeTest
 from lpvguard.identify.energy import EnergyTest
 from lpvguard.vehicle.nominal import NominalModel

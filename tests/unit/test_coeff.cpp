@@ -12,7 +12,7 @@
 #include <type_traits>
 #include <vector>
 
-#include "acceptance.hpp"
+#include "monitor/acceptance.hpp"
 #include "lpvguard/monitor.h"
 
 namespace {

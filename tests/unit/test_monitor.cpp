@@ -12,7 +12,7 @@
 #include <utility>
 #include <vector>
 
-#include "acceptance.hpp"
+#include "monitor/acceptance.hpp"
 #include "monitor_drive.hpp"
 
 namespace {

@@ -1,4 +1,4 @@
-"""Responses of five motors -> uncertainty set -> weight -> controller with a proved level.
+"""Responses of nine motors -> uncertainty set -> weight -> controller with a proved level.
 
 python robust_without_a_vehicle.py
 """

@@ -9,7 +9,7 @@ import matplotlib
 import matplotlib.pyplot as plt
 import numpy as np
 
-from lpvguard.fleet.wealth import Life, LifeTable
+from lpvguard.extras.fleet.wealth import Life, LifeTable
 
 matplotlib.rcParams.update({"svg.fonttype": "none", "svg.hashsalt": "lpvguard"})
 draw = np.random.default_rng(1)

@@ -159,10 +159,11 @@ def python_pages(tree: Path) -> dict[str, str]:
     """A page for each room of the package, and their list. Nothing is imported: the sources are parsed."""
     package = tree / "tools" / "src" / "lpvguard"
     out, rows = {}, []
-    rooms = sorted(path.parent for path in package.glob("*/__init__.py"))
+    rooms = sorted(path.parent for path in package.glob("*/__init__.py") if path.parent.name != "extras")
+    rooms += sorted(path.parent for path in package.glob("extras/*/__init__.py"))
     for room in rooms:
         own = ast.get_docstring(ast.parse((room / "__init__.py").read_text(encoding="utf-8"))) or ""
-        text = [f"# lpvguard.{room.name}", "", *docstring(own)]
+        text = [f"# {'.'.join(('lpvguard', *room.relative_to(package).parts))}", "", *docstring(own)]
         for path in sorted(room.rglob("*.py")):
             if not path.name.startswith("_"):
                 text += python_module(path, package)

@@ -42,13 +42,13 @@
 #include <stdint.h>
 
 #include "lpvguard/can.h"
+#include "lpvguard/findings.h"
 #include "lpvguard/status.h"
 
 #ifdef __cplusplus
 extern "C" {
 #endif
 
-#define LPVG_J1939_CODES_MAX 16u  ///< Most remembered codes, and most active codes.
 #define LPVG_J1939_FREEZE_MAX 8u  ///< Most freeze frames in an answer.
 #define LPVG_J1939_FRAMES_OUT 8u  ///< Most frames that one step returns.
 #define LPVG_J1939_REFUSALS_MAX 4u  ///< Most acknowledgements of one step; further requests are only counted.
@@ -85,24 +85,6 @@ typedef struct lpvg_j1939_config_t {
     uint64_t name;    ///< NAME, packed by lpvg_j1939_name_pack; bit 63: the node may take another address
     uint8_t address;  ///< preferred address, 0 .. 253
 } lpvg_j1939_config_t;
-
-/// Freeze frame of a code that becomes active.
-typedef struct lpvg_j1939_freeze_t {
-    int64_t t_us;       ///< time of the finding, clock of the step            [us]
-    float statistic;    ///< statistic of the newest judged frame or alarm     [-]
-    float speed;        ///< speed; NaN: not known                             [m/s]
-    uint32_t sequence;  ///< number of this activation, from 1; set by this module
-    uint16_t causes;    ///< LPVG_ECU_CAUSE_*
-    uint8_t bin;        ///< bin of the judged frame or of the alarm
-    uint8_t test;       ///< lpvg_test_t
-} lpvg_j1939_freeze_t;
-
-/// Present findings. lpvg_ecu_findings of ecu.h fills it.
-typedef struct lpvg_j1939_findings_t {
-    lpvg_j1939_freeze_t freeze;                  ///< its sequence is ignored
-    lpvg_can_dtc_t code[LPVG_J1939_CODES_MAX];   ///< most severe first; their occurrence is ignored
-    uint8_t n_codes;                             ///< 0 .. LPVG_J1939_CODES_MAX
-} lpvg_j1939_findings_t;
 
 /// A code that is or was active.
 typedef struct lpvg_j1939_entry_t {

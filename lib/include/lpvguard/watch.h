@@ -1,8 +1,8 @@
 /// @file watch.h -- watch of the response: does the vehicle follow the demand as modelled, within seconds of engagement?
 ///
 /// phi is the response of the nominal model to the demand alone, from rest at the first engaged sample. e is the monitor's nominal
-/// error. F is a high-pass with corner LPVG_WATCH_CORNER_RPS, at rest on the first e. The sums below forget with LPVG_WATCH_SHORT_S,
-/// for sudden faults, and with LPVG_WATCH_LONG_S, for weak ones. For both memories and each output j
+/// error. F is a high-pass with corner LPVG_WATCH_CORNER_RPS, at rest on the first sample of both. The sums below forget with
+/// LPVG_WATCH_SHORT_S, for sudden faults, and with LPVG_WATCH_LONG_S, for weak ones. For both memories and each output j
 ///
 ///     P_j = sum of F e_j F phi_j      Q_j = sum of (F phi_j)^2      |P_j| <= gain_j Q_j + disturbance_j sqrt(Q_j)            (T46)
 ///
@@ -12,6 +12,8 @@
 /// gain_j is the smallest W_delta,j of all bins: a larger constant error lies outside the certificate set. If it is above
 /// LPVG_WATCH_GAIN_MAX, gain_j is the largest gain that the change test accepts as healthy. If that is too large as well, output j is
 /// not watched. disturbance_j comes from the energy test's sigma_j between its outer corners, over LPVG_WATCH_COHERENCE_S.
+///
+/// The sums, and F at rest, begin once the nominal model has settled. Before, e holds the effect of its start.
 ///
 /// The sums are *evidence* when a vehicle without response, P_j = -Q_j, would violate the limit.
 ///
@@ -63,9 +65,9 @@ void lpvg_watch_limits(lpvg_watch_limits_t* limits, const lpvg_coeff_t* coeff);
 void lpvg_watch_start(lpvg_watch_t* self, const lpvg_real_t* e);
 
 /// Takes the nominal error e [LPVG_NY] of a sample and the demand u [LPVG_NU] that is applied after it. `model` is the monitor's model
-/// after that sample. NULL is not checked.
+/// after that sample. `settled`: the nominal model has settled. NULL is not checked.
 void lpvg_watch_take(lpvg_watch_t* self, const lpvg_watch_limits_t* limits, const lpvg_coeff_t* coeff, const lpvg_model_t* model,
-                     const lpvg_real_t* e, const lpvg_real_t* u);
+                     bool settled, const lpvg_real_t* e, const lpvg_real_t* u);
 
 LPVG_EXTERN_C_END
 #endif

@@ -24,9 +24,9 @@ from lpvguard.engine.synthesis.dk import certify
 from lpvguard.engine.synthesis.norms import hinf_norm
 from lpvguard.engine.synthesis.scheduling import closed_scaled
 from lpvguard.engine.synthesis.statespace import StateSpace, lft
+from lpvguard.extras.loop.sim import Simulator, load_scenario
 from lpvguard.identify import run as identification
 from lpvguard.identify.export import export_vehicle
-from lpvguard.loop.sim import Simulator, load_scenario
 from lpvguard.vehicle.nominal import NominalModel
 
 

@@ -10,7 +10,7 @@ from lpvguard.engine.synthesis.errors import SynthesisError
 from lpvguard.engine.synthesis.mu import mu_bounds, mu_interval
 from lpvguard.engine.synthesis.norms import hinf_norm
 from lpvguard.engine.synthesis.statespace import StateSpace, lft, to_discrete
-from lpvguard.problems.solve import solve_problem
+from lpvguard.extras.problems.solve import solve_problem
 from made import ROOT
 
 FULL = [Block("full", 1, 1), Block("full", 2, 2)]

@@ -8,8 +8,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lpvguard.bench._mu_families import problems
-from lpvguard.bench.bounds import FAMILIES, bench_bounds, table
 from lpvguard.engine.blocks import Block
 from lpvguard.engine.synthesis import mu
 from lpvguard.engine.synthesis.frequency_cells import continuous_interval
@@ -18,7 +16,9 @@ from lpvguard.engine.synthesis.real_boxes import ParameterBox, Part, Prover
 from lpvguard.engine.synthesis.real_crossings import least_parameters, nearest_parameters
 from lpvguard.engine.synthesis.statespace import StateSpace
 from lpvguard.engine.synthesis.structure import Structure
-from lpvguard.problems.solve import solve_problem
+from lpvguard.extras.bench._mu_families import problems
+from lpvguard.extras.bench.bounds import FAMILIES, bench_bounds, table
+from lpvguard.extras.problems.solve import solve_problem
 
 REAL, FULL = Block("repeated_real", 1, 1), Block("full", 1, 1)
 ALL = [(kind, family) for kind, families in FAMILIES.items() for family in families]
@@ -99,7 +99,7 @@ COUNT = 12
 @pytest.mark.unhurried
 @pytest.mark.parametrize(("kind", "family"), ALL, ids=[f"{kind}-{f.__name__}" for kind, f in ALL])
 def test_no_answer_is_false_loose_or_refused(kind, family, monkeypatch):
-    monkeypatch.setattr("lpvguard.bench.bounds.FAMILIES", {kind: [family]})
+    monkeypatch.setattr("lpvguard.extras.bench.bounds.FAMILIES", {kind: [family]})
     (row,) = bench_bounds(COUNT, seed=5, jobs=1)
     assert (row.count, row.false) == (COUNT, 0), row
     assert row.loose + row.refused <= (1 if family.__name__ == "dense_companion_weight" else 0), row
@@ -116,11 +116,13 @@ def test_the_count_of_false_and_loose_answers_can_fail(monkeypatch):
     problem, value = next(problems(FAMILIES["mu"][0], 1, 1))
     for factor, counted in ((1.02, "false"), (0.98, "loose")):
         monkeypatch.setattr(
-            "lpvguard.bench.bounds.FAMILIES", {"mu": [lambda rng, f=factor: (problem, f * value)]}
+            "lpvguard.extras.bench.bounds.FAMILIES", {"mu": [lambda rng, f=factor: (problem, f * value)]}
         )
         (row,) = bench_bounds(2, seed=1, jobs=1)
         assert getattr(row, counted) == 2, row
-    monkeypatch.setattr("lpvguard.bench.bounds.FAMILIES", {"mu": [lambda rng: (problem | {"M": 1}, value)]})
+    monkeypatch.setattr(
+        "lpvguard.extras.bench.bounds.FAMILIES", {"mu": [lambda rng: (problem | {"M": 1}, value)]}
+    )
     assert bench_bounds(2, seed=1, jobs=1)[0].refused == 2
 
 

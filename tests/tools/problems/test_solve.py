@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lpvguard.problems import solve
+from lpvguard.extras.problems import solve
 from made import ROOT
 
 GOLDEN = ROOT / "tests" / "golden" / "validation_problems.json"
@@ -281,7 +281,7 @@ def test_truck_response_matches_its_own_recursion():
 
 @pytest.mark.parametrize("kind", ["mu", "hinf"])
 def test_missing_synthesis_is_an_error_of_that_problem_only(kind, monkeypatch):
-    monkeypatch.setitem(sys.modules, "lpvguard.problems.synthesis", None)
+    monkeypatch.setitem(sys.modules, "lpvguard.extras.problems.synthesis", None)
     answers = solve.solve_problems([{"id": 1, "kind": kind}, MULTIPLICATIVE])
     assert answers[0]["status"] == "error" and "synthesis" in answers[0]["error"]
     assert answers[1]["status"] == "ok"

@@ -1,4 +1,4 @@
-"""Packages that only some uses need, with an error that says how to have them."""
+"""Import optional packages, with an error that names the extra to install."""
 
 from __future__ import annotations
 
@@ -9,7 +9,22 @@ from .errors import InputError
 
 
 def optional(module: str, extra: str) -> Any:
-    """The imported module; InputError naming the extra of this package that brings it."""
+    """Import a module of an optional package.
+
+    Parameters
+    ----------
+    module : str
+    extra : str, extra of this package that brings it
+
+    Returns
+    -------
+    module
+
+    Raises
+    ------
+    InputError
+        If it is not installed.
+    """
     try:
         return import_module(module)
     except ModuleNotFoundError:

@@ -18,7 +18,7 @@ from typer.completion import completion_init  # type: ignore[attr-defined]  # Ty
 
 from ..base.errors import InputError, InputWarning
 from ..base.system import ENDING_SIGNALS, open_standard_streams
-from . import (  # noqa: F401 - each adds its verb, in the order of --help
+from . import (  # noqa: F401 - each adds its verb; sections.py has their order in --help
     a2l,
     bench,
     campaign,
@@ -30,6 +30,7 @@ from . import (  # noqa: F401 - each adds its verb, in the order of --help
     export,
     fit,
     fleet,
+    fmu,
     generate,
     identify,
     ingest,
@@ -64,6 +65,7 @@ MAY_IMPORT = (
     "report",
     "live",
     "problems",
+    "fmu",
     "bench",
 )
 

@@ -14,7 +14,7 @@ import typer
 from ..base import artefacts
 from ..base.errors import InputError
 
-_FILES = ("report", "solve", "dbc", "a2l", "lcm bus", "plant")
+_FILES = ("report", "solve", "dbc", "a2l", "fmu", "lcm bus", "plant")
 """Commands whose -o is a file."""
 _WRITTEN = ("json_out", "state", "export")
 """Options that name a file to write, whatever the command."""

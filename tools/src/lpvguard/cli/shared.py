@@ -28,6 +28,7 @@ from ..base.errors import InputError
 from ..base.progress import Counted, Progress
 from ..vehicle.stated import require_settings
 from .guard import Application, running
+from .sections import Sections
 
 if TYPE_CHECKING:
     from ..identify.run import DriveSet, StoredIdentification
@@ -38,6 +39,7 @@ PROGRAM = "lpvguard"
 COMPLETE = f"_{PROGRAM.upper()}_COMPLETE"
 """The variable with which a shell's completion script asks for what may come next."""
 app = Application(
+    cls=Sections,
     add_completion=False,
     no_args_is_help=True,
     rich_markup_mode=None,

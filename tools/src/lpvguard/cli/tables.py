@@ -20,10 +20,10 @@ if TYPE_CHECKING:
     from ..control.tradeoff import TradeOff
     from ..engine.synthesis.cases import TableRow
     from ..engine.synthesis.table import Cell
+    from ..extras.loop.sim import Simulator
     from ..fit.run import FittedModel
     from ..identify.premise import Premise
     from ..identify.run import Identification
-    from ..loop.sim import Simulator
     from ..replay.run import Replayer
 
 

@@ -34,6 +34,16 @@ def require_designed_for(stored: StoredIdentification, controller: Path) -> dict
     return document
 
 
+def require_exported_with(controller: Path, vehicle: Path) -> None:
+    """InputError unless the generated folder ``vehicle`` was exported with this controller.json, byte for
+    byte: its certificates are then what `export` proved of the folder's coefficients."""
+    exported = artefacts.read_manifest(vehicle, "vehicle").get("controller", {}).get("sha256")
+    if exported != artefacts.file_hash(controller):
+        raise InputError(
+            vehicle, "controller.sha256", "is of another controller", f"a folder exported with {controller}"
+        )
+
+
 def faulted_performance(
     path: Path, stored: StoredIdentification, v: float, applied: StateSpace, measured: StateSpace
 ) -> float:

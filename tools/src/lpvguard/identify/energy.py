@@ -52,7 +52,7 @@ SMALLEST_SIGMA = 1e-2
 float adds finely enough."""
 UNBOUNDED = 1e6
 """What the core's B_w and sigma are raised by where nothing is claimed: far beyond what a vehicle does, and
-within the range of float (lib/src/margin.hpp)."""
+within the range of float (lib/src/monitor/margin.hpp)."""
 STATED_RTOL = 1e-8
 """Largest relative difference between stored numbers and those that the weights give."""
 

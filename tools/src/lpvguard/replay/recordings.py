@@ -1,7 +1,8 @@
 """Time series of a replay in the files of other tools: Parquet, MCAP (Foxglove, PlotJuggler), MF4.
 
-MCAP has the messages of messages.py, with their schemas. Times are those of the series [ns].
-MF4 has a channel a column with its unit. A margin has its own times, those at which the core said it.
+MCAP has the messages of messages.py, with their schemas. Times are those of the series [ns]. MF4 has a
+channel
+a column with its unit. A margin has its own times, those of the judgement.
 """
 
 from __future__ import annotations
@@ -22,14 +23,25 @@ from .series import MARGIN, numbers
 Kind = Literal["parquet", "mcap", "mf4"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
 BEGINNING = datetime(1970, 1, 1, tzinfo=UTC)
-"""What files call their start: a series says seconds after its first sample, and no time of day."""
+"""Start time in the files: a series has seconds after its first sample, and no time of day."""
 _HISTORY = "<FHcomment><TX>lpvguard replay</TX><tool_id>lpvguard</tool_id></FHcomment>"
 
 
 def write_series(path: Path, kind: Kind, series: pa.Table, alarms: list[dict[str, Any]]) -> None:
-    """Write a time series (series.py) to ``path``. ``alarms``: those of the object of `replay --json`.
+    """Write a time series to a file of another tool.
 
-    InputError where the package of ``kind`` is not installed."""
+    Parameters
+    ----------
+    path : Path
+    kind : Kind
+    series : Table, of series.py
+    alarms : list of dict, as in the JSON of `replay`
+
+    Raises
+    ------
+    InputError
+        If the package of ``kind`` is not installed.
+    """
     if kind == "parquet":
         write_table(series, path)
     elif kind == "mcap":

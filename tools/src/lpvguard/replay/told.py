@@ -1,4 +1,4 @@
-"""What an alarm says, in a sentence."""
+"""Sentences about alarms."""
 
 from __future__ import annotations
 
@@ -10,7 +10,16 @@ if TYPE_CHECKING:
 
 
 def alarm_sentence(alarm: Alarm | dict[str, Any]) -> str:
-    """Test, place, margin and the bound that broke, of an alarm or of its object in the JSON of `replay`."""
+    """Word an alarm: test, place, margin and the broken bound.
+
+    Parameters
+    ----------
+    alarm : Alarm, or dict as in the JSON of `replay`
+
+    Returns
+    -------
+    str
+    """
     a = alarm if isinstance(alarm, dict) else asdict(alarm)
     if a["test"] == "energy":
         return (

@@ -377,8 +377,8 @@ def margin(e, z, w_delta, w_w) -> np.ndarray:
     By Helly's theorem it is the worst of the problems of three discs. Each of those is a pair of discs, or
     the smaller root of a quadratic. With n_delta = n_y every output has its own: the largest |E_j| / (W_w,j +
     W_delta,j |Z_j|). t* > 1: no complex delta and w within the bounds explain the frame; a causal Delta with
-    memory may (lpvguard.bench._memory). NaN where an input was not finite. Raises InputError on shapes that
-    do not fit, a negative W_delta and a W_w that is not positive.
+    memory may (tools/README.md). NaN where an input was not finite. Raises InputError on shapes that do not
+    fit, a negative W_delta and a W_w that is not positive.
     """
     n = np.shape(e)[-1] if np.ndim(e) else 0
     w_delta = np.atleast_1d(np.asarray(w_delta, float))
