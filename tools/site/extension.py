@@ -163,7 +163,8 @@ def block_math(self: Any, node: nodes.math_block) -> None:
     """MathML of an equation, its number, and the places of its code and its test."""
     latex = node.astext()
     tag = TAG.search(latex)
-    self.body.append(f'<div class="equation"{f" id={tag[1]!r}" if tag else ""}>')
+    place = f' id="{tag[1]}"' if tag else ""
+    self.body.append(f'<div class="equation"{place}>')
     self.body.append(f'<div class="formula">{convert(TAG.sub("", latex).strip(), display="block")}</div>')
     if tag:
         self.body.append(f'<span class="number">({tag[1]})</span>')
