@@ -98,27 +98,8 @@ def test_every_public_docstring_says_what_it_has_to():
     assert found == []
 
 
-ROOMS = (
-    "base",
-    "vehicle",
-    "core",
-    "drives",
-    "can",
-    "replay",
-    "report",
-    "evaluate",
-    "api",
-    "fit",
-    "start",
-    "fleet",
-    "live",
-    "loop",
-    "sources",
-    "measure",
-    "problems",
-    "bench",
-)
-"""Rooms whose offered functions and classes have numpydoc's form."""
+UNDONE = ("identify.energy", "identify.error_sums")
+"""Modules whose docstrings have not got the form yet."""
 FORM = {
     *("GL06", "GL07", "GL08"),  # sections: unknown, out of order; no docstring
     *("SS01", "SS02", "SS03", "SS06"),  # summary: missing, lower case, no full stop, several lines
@@ -152,7 +133,7 @@ def taken(path: Path, modules: dict[str, ast.Module]) -> Iterator[tuple[str, str
 
 
 def room(module: str) -> str:
-    return module.split(":")[0].split(".")[1] if "." in module else ""
+    return next((part for part in module.split(":")[0].split(".")[1:] if part != "extras"), "")
 
 
 def offered() -> Iterator[tuple[str, Path, ast.ClassDef | Function, ast.AST]]:
@@ -202,7 +183,8 @@ def breaches(place: str, path: Path, node: ast.ClassDef | Function, around: ast.
 
 @pytest.mark.unhurried
 def test_what_a_room_offers_has_numpydoc_form():
-    found = [breach for what in offered() if room(what[0]) in ROOMS for breach in breaches(*what)]
+    done = (what for what in offered() if not what[0].removeprefix("lpvguard.").startswith(UNDONE))
+    found = [breach for what in done for breach in breaches(*what)]
     assert found == []
 
 

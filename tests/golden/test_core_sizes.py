@@ -80,7 +80,7 @@ def case(request, tmp_path_factory):
         1.0,
     )
     sigma = 0.02 * np.add.outer(np.arange(len(energy.F)), 1.0 + np.arange(sizes.n_y))
-    energy = replace(energy, sigma=sigma, start=(4.0 + np.arange(sizes.n_y)) * sigma**2)
+    energy = replace(energy, sigma=sigma, start=np.sqrt(4.0 + np.arange(sizes.n_y)) * sigma)
     write_files(
         folder,
         vehicle_files(

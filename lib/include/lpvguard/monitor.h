@@ -162,7 +162,7 @@ typedef struct lpvg_monitor_t {
     const lpvg_coeff_t* coeff;
     lpvg_model_t model;
     lpvg_energy_t energy;                     ///< `energy.ratio` may be read
-    uint32_t energy_sum;                      ///< check sum of the filters and right sums of `energy`
+    uint32_t energy_sum;                      ///< check sum of the filters, right sums and `fading` of `energy`
     uint32_t energy_quiet;                    ///< judgements since the energy test's last exceedance, energy_rearm at most
     lpvg_change_t change;                     ///< `change.ratio` and `change.estimate` may be read
     uint32_t change_quiet;                    ///< judgements since the change test's last exceedance, change_rearm at most

@@ -37,7 +37,6 @@ inline bool items_in_range(const lpvg_coeff_reals_t& f) {
            every(f.speed_tolerance, [](lpvg_real_t x) { return x > lpvg_real_t(0); }) &&
            every(f.scale, [](lpvg_real_t x) { return x > lpvg_real_t(0); }) &&
            every(f.energy_corner, [](lpvg_real_t x) { return x > lpvg_real_t(0) && x < lpvg_real_t(1); }) &&
-           every(f.energy_above, [](lpvg_real_t x) { return x > lpvg_real_t(0); }) &&
            every(f.energy_scale, [](lpvg_real_t x) { return x > lpvg_real_t(0); }) &&
            every(f.energy_forget, [](lpvg_real_t x) { return x > lpvg_real_t(0) && x < lpvg_real_t(1); }) &&
            every(f.energy_start, [](lpvg_real_t x) { return x >= lpvg_real_t(0); }) &&

@@ -70,17 +70,16 @@ Real norm(const Real* gram, const Row<ny>& along) {
     return sum <= Real(0) ? Real(0) : std::sqrt(Real(2) * sum);
 }
 
+// The right side in direction a of a band; `faded` is rho^(T - t0 + 1).
+inline Real right_side(const lpvg_energy_band_t& band, const Real* start, Real faded, const Row<ny>& a) {
+    return norm(band.right, a) + faded * (a.abs() * Eigen::Map<const Row<ny>>(start)).sum() + Real(1);
+}
+
 }  // namespace
 
-extern "C" void lpvg_energy_start(lpvg_energy_t* self, const lpvg_coeff_t* coeff) {
+extern "C" void lpvg_energy_start(lpvg_energy_t* self) {
     *self = lpvg_energy_t{};
-    for (std::size_t b = 0; b < LPVG_NBANDS; ++b) {
-        std::size_t k = 0;
-        for (std::size_t i = 0; i < LPVG_NY; ++i) {
-            self->band[b].right[k] = coeff->reals.energy_start[b][i];
-            k += LPVG_NY - i;
-        }
-    }
+    self->fading = Real(1);
 }
 
 extern "C" void lpvg_energy_advance(lpvg_energy_t* self, const lpvg_coeff_t* coeff, const lpvg_real_t* signal, bool settled) {
@@ -100,16 +99,14 @@ extern "C" void lpvg_energy_advance(lpvg_energy_t* self, const lpvg_coeff_t* coe
         filtered[b - 1U] = low_pass<3 * ny>(r.energy_corner[b - 1U], filtered[b], self->F[b - 1U]);
         filtered[b] -= filtered[b - 1U];
     }
-    for (int d = 0; d < LPVG_NDELTA; ++d) {
-        filtered[last].template segment<group>(2 * ny + d * group) =
-            r.energy_above[d] * filtered[last].template segment<group>(ny + d * group);
-    }
+    const Real fades = r.energy_forget[0];
+    self->fading -= fades * self->fading;
     for (std::size_t b = 0; b < LPVG_NBANDS; ++b) {
         lpvg_energy_band_t& band = self->band[b];
         const Real* const x = filtered[b].data();
-        const Real forget = r.energy_forget[b];
-        add(band.right, x + (2 * ny), forget);
+        add(band.right, x + (2 * ny), fades);
         if (settled) {
+            const Real forget = r.energy_forget[b];
             add(band.left, x, forget);
             add(band.nominal, x + ny, forget);
         }
@@ -121,10 +118,11 @@ extern "C" lpvg_real_t lpvg_energy_judge(lpvg_energy_t* self, const lpvg_coeff_t
     self->next_direction = self->direction + 1U < LPVG_NDIRECTIONS ? self->direction + 1U : 0U;
     self->ratio = Real(0);
     self->strongest = 0U;
+    const Real faded = std::sqrt(self->fading);
     for (uint32_t b = 0; b < LPVG_NBANDS; ++b) {
         const Row<ny> a = direction(coeff->reals, self->direction, b);
-        const Real right = norm(self->band[b].right, a);
-        const Real quotient = norm(self->band[b].left, a) / (right + Real(1));
+        const Real right = right_side(self->band[b], coeff->reals.energy_start[b], faded, a);
+        const Real quotient = norm(self->band[b].left, a) / right;
         const Real ratio = quotient < beyond && right < beyond ? quotient : beyond;
         if (ratio > self->ratio) {
             self->ratio = ratio;
@@ -137,5 +135,5 @@ extern "C" lpvg_real_t lpvg_energy_judge(lpvg_energy_t* self, const lpvg_coeff_t
 extern "C" lpvg_real_t lpvg_energy_evidence(const lpvg_energy_t* self, const lpvg_coeff_t* coeff) {
     const lpvg_energy_band_t& band = self->band[self->strongest];
     const Row<ny> a = direction(coeff->reals, self->direction, self->strongest);
-    return norm(band.nominal, a) / (norm(band.right, a) + Real(1));
+    return norm(band.nominal, a) / right_side(band, coeff->reals.energy_start[self->strongest], std::sqrt(self->fading), a);
 }

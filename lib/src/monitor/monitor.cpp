@@ -343,7 +343,7 @@ void judge_energy(lpvg_monitor_t& self, const lpvg_sample_t& sample) {
     self.energy_quiet = 0U;
     falsified_at(self, sample.t_us);
     if (!(self.energy.ratio < std::numeric_limits<Real>::infinity())) {
-        lpvg_energy_start(&self.energy, &coeff);
+        lpvg_energy_start(&self.energy);
         self.settled = 0U;
     }
 }
@@ -405,7 +405,7 @@ void void_evidence(lpvg_monitor_t& self, int64_t t_us) {
 
 void start(lpvg_monitor_t& self, const lpvg_sample_t& sample) {
     lpvg_model_start(&self.model, self.coeff, sample.u, sample.y);
-    lpvg_energy_start(&self.energy, self.coeff);
+    lpvg_energy_start(&self.energy);
     lpvg_change_start(&self.change);
     void_evidence(self, sample.t_us);
     self.n_block = 0U;
@@ -417,7 +417,7 @@ void start(lpvg_monitor_t& self, const lpvg_sample_t& sample) {
 // Of the energy test's filters and right sums. A flip in them could blind it for many times its memory: a large bound decays slowly. One in
 // a left sum falsifies, or is forgotten with the memory.
 uint32_t sum_of(const lpvg_energy_t& energy) {
-    uint32_t sum = lpvguard::sum_of_words(energy.F) + lpvguard::sum_of_words(energy.W);
+    uint32_t sum = lpvguard::sum_of_words(energy.F) + lpvguard::sum_of_words(energy.W) + lpvguard::sum_of_words(energy.fading);
     for (const lpvg_energy_band_t& band : energy.band) {
         sum += lpvguard::sum_of_words(band.right);
     }
@@ -506,7 +506,7 @@ extern "C" lpvg_status_t lpvg_monitor_push(lpvg_monitor_t* self, const lpvg_samp
 
     const bool in_range = sample->speed >= coeff.reals.speed_min && sample->speed <= coeff.reals.speed_max;
     if (!in_range && self->settled > 0U) {
-        lpvg_energy_start(&self->energy, &coeff);
+        lpvg_energy_start(&self->energy);
     }
     self->settled = in_range ? (self->settled < settled_max ? self->settled + 1U : settled_max) : 0U;
     const lpvg_reason_t reason = sample_reason(*self, in_range);

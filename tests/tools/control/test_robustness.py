@@ -253,7 +253,7 @@ def test_a_level_below_one_is_stated_only_where_it_is_below_one_anew(anew, held)
     if held:
         _require_row(Path("controller.json"), None, 0.1, asked)
     else:
-        with pytest.raises(InputError, match=r"stability_level: 1\.00004 when proved anew"):
+        with pytest.raises(InputError, match=r"stability_level: 1\.00004 when proved again"):
             _require_row(Path("controller.json"), None, 0.1, asked)
 
 

@@ -125,7 +125,7 @@ def test_wear_is_found_and_the_state_goes_on_where_it_was(lpvguard, synthetic, t
     assert done.returncode == 1, done.stderr
     vehicle = json.loads(out.read_text())["vehicles"]["car"]
     assert vehicle["already_counted"] == 4 and vehicle["recordings"] == 8 and vehicle["changed_at"] == 7
-    assert "changed, says recording 7, older_08" in done.stderr and "falsif" not in done.stderr
+    assert "changed by recording 7, older_08" in done.stderr and "falsif" not in done.stderr
     assert re.search(r"gain 0\.[67]\d\d of the model's", done.stderr)
     assert vehicle["alarmed"]["of"] == 4 and vehicle["judged_h"] == pytest.approx(4 / 60)
     stored = json.loads(state.read_text())

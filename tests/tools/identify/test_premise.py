@@ -137,7 +137,7 @@ def shrunk(folder: Path, target: Path, factor: float) -> Path:
     estimator = Estimator.of(project, NominalModel(project))
     filters = energy_filters(project, estimator, Weights.from_dict(weights, "here")).to_dict()
     energy = artefacts.read_json(target / "energy.json")
-    energy |= {name: filters[name] for name in ("above", "gain", "certificate")}
+    energy |= {name: filters[name] for name in ("gain", "certificate")}
     (target / "energy.json").write_text(artefacts.to_json(energy))
     artefacts.seal(target)
     return target

@@ -70,8 +70,7 @@ class Identified:
         """Table of the bounds, a row a bin, indexed by its frequency [rad/s]. Needs pandas.
 
         Columns: frames (number that counted), excitation (largest nominal output), gamma_w, nu (one a Delta)
-        and B_w
-        (one an output), in the outputs' units. NaN means no data.
+        and B_w (one an output), in the outputs' units. NaN means no data.
         """
         columns = {k: self._bounds[k] for k in ("frames", "excitation", "gamma_w", "nu", "B_w")}
         return self._table(columns | {"frames": columns["frames"].astype(int)})

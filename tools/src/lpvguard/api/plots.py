@@ -37,7 +37,7 @@ from .identified import Identified
 from .replayed import Replayed
 
 ROW_PX, AROUND_PX = 31, 250
-"""Height of a row of the map, and of what stands around them [px]."""
+"""Height of a row of the map, and of its frame [px]."""
 
 
 @dataclass(frozen=True)
@@ -65,8 +65,7 @@ class BlindMap:
         """Table with a row a cell.
 
         Columns: speeds [m/s], frequency [rad/s], state, counted frames, smallest visible gain errors
-        (typical, at the
-        strongest frame, at any excitation), alarms.
+        (typical, at the strongest frame, at any excitation), alarms.
         """
         text = io.StringIO()
         table = csv.writer(text, lineterminator="\n")
@@ -188,7 +187,7 @@ def excitation(found: Identified, *runs: Replayed) -> Picture:
     Picture
     """
     if not runs:
-        raise InputError("excitation", "runs", "none", "what lpvguard.replay returned")
+        raise InputError("excitation", "runs", "none", "results of lpvguard.replay")
     frames = [run.summary.run.frames for run in runs]
     bin_of = np.concatenate([f.bin[f.counted] for f in frames])
     Z = np.concatenate([f.Z[f.counted] for f in frames])

@@ -16,7 +16,7 @@ from ..base.optional import optional
 from ..core.compiled import REASONS
 from ..drives.tables import Drive
 from ..replay.opened import replayer_for
-from ..replay.recordings import KINDS, write_series
+from ..replay.recordings import SUFFIX, write_series
 from ..replay.run import Alarm, Recorded, Replay, Replayer
 from ..vehicle.project import Project
 from .identified import project_of
@@ -32,8 +32,8 @@ class Replayed:
     Attributes
     ----------
     summary : Replay
-    arrow : pyarrow.Table, time series for polars (`polars.from_arrow`) and Parquet, columns of
-    replay/series.py
+    arrow : pyarrow.Table
+        Time series for polars (`polars.from_arrow`) and Parquet, columns of replay/series.py.
     omega : ndarray (K,), rad/s, frequencies of the bins
     drive : Drive, the judged record
     replayer : Replayer, the core that judged it
@@ -90,10 +90,13 @@ class Replayed:
         InputError
             If the suffix is another one, or its package is not installed.
         """
-        kind = next((k for k in KINDS if Path(path).suffix.lower() == f".{k}"), None)
+        kind = next((k for k, suffix in SUFFIX.items() if Path(path).suffix.lower() == suffix), None)
         if kind is None:
-            raise InputError(path, "suffix", Path(path).suffix or "none", ", ".join(f".{k}" for k in KINDS))
-        write_series(Path(path), kind, self.arrow, self.summary.to_dict()["alarms"])
+            raise InputError(
+                path, "suffix", Path(path).suffix or "none", ", ".join(dict.fromkeys(SUFFIX.values()))
+            )
+        alarms = self.summary.to_dict()["alarms"]
+        write_series(Path(path), kind, self.arrow, alarms, self.replayer.project.name)
 
     def save_mat(self, path: str | Path) -> None:
         """Write the time series as MATLAB variables.
@@ -107,7 +110,7 @@ class Replayed:
         columns = {
             name.replace("/", "_").replace(".", "_"): column.to_numpy()
             for name, column in zip(self.arrow.column_names, self.arrow.columns, strict=True)
-            if name != "verdict"  # verdict_code says it in numbers
+            if name != "verdict"  # verdict_code has its number
         }
         savemat(path, columns)
 

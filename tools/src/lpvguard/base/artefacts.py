@@ -136,7 +136,7 @@ def reading(path: Path) -> Iterator[None]:
         raise
     except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
         said = str(error).splitlines()[0] if str(error) else ""
-        what = f"does not hold what it should ({type(error).__name__}: {said})"
+        what = f"has unexpected content ({type(error).__name__}: {said})"
         raise InputError(path, "", what, "the file as lpvguard writes it") from None
 
 
@@ -397,8 +397,7 @@ def require_replaceable_folder(
         raise InputError(
             place / MANIFEST,
             "-o",
-            "was changed, or written by an earlier version, so that nobody knows whose the files "
-            "beside it are",
+            "was changed or written by an earlier version, so the owner of its files is unknown",
             expected,
         )
     for key, wanted in (("kind", kind), ("vehicle", vehicle)):
@@ -641,8 +640,7 @@ def new_folder(target: Path, kind: str, vehicle: str | None = None) -> Iterator[
     """Give a scratch folder that takes the target's place when the block succeeds.
 
     The block writes the files and a manifest of this kind. The folder is then sealed. It vanishes when the
-    block
-    fails.
+    block fails.
 
     Parameters
     ----------

@@ -34,7 +34,7 @@ COEFF = Layout(
     struct="coeff",
     header="coeff.h",
     magic=0x4C505647,
-    schema=5,
+    schema=6,
     dimensions=_COEFF_DIMENSIONS,
     words=(
         *head_fields("LPVG_COEFF", _COEFF_DIMENSIONS),
@@ -111,10 +111,9 @@ COEFF = Layout(
             "-",
             "sections of W_delta on |z| = rho, b0 b1 b2 a1 a2, stable (energy.cpp)",
         ),
-        Field("energy_above", ("NDELTA",), "-", "what stands for W_delta above the last corner", "(0, inf)"),
         Field("energy_scale", ("NBANDS", "NY"), "1/output unit", "1 / sigma_j of each band", "(0, inf)"),
-        Field("energy_forget", ("NBANDS",), "-", "1 - rho^2, rho of the band", "(0, 1)"),
-        Field("energy_start", ("NBANDS", "NY"), "output unit squared", "right sum at rest", "[0, inf)"),
+        Field("energy_forget", ("NBANDS",), "-", "1 - rho^2, rho of the left sums of the band", "(0, 1)"),
+        Field("energy_start", ("NBANDS", "NY"), "output unit", "what is remembered at a restart", "[0, inf)"),
         Field(
             "energy_direction",
             ("NDIRECTIONS", "NY"),

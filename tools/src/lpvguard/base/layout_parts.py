@@ -29,8 +29,7 @@ DIMENSIONS = {
     "NG": "nodes of the controller's speed grid",
 }
 """Dimension -> meaning, in the order of LPVG_<name> in lpvguard_vehicle.h. Those of a controller are 0
-without
-one."""
+without one."""
 
 CONSTANTS = {
     "NENTRIES": (
@@ -52,8 +51,7 @@ CONSTANTS = {
     ),
 }
 """Fixed sizes and sizes made of dimensions: C macro LPVG_<name> of coeff.h, and its comment. Division is that
-of
-whole numbers."""
+of whole numbers."""
 
 
 @dataclass(frozen=True)
@@ -61,9 +59,8 @@ class Field:
     """A member of a coefficient struct.
 
     ``shape`` holds expressions of the dimensions; () is a scalar. ``within`` is the interval for every item,
-    as
-    "(0, 1]"; its ends are numbers, expressions of dimensions, or scalar fields of the same struct. An empty
-    ``within`` allows any finite number.
+    as "(0, 1]"; its ends are numbers, expressions of dimensions, or scalar fields of the same struct. An
+    empty ``within`` allows any finite number.
     """
 
     name: str
@@ -110,8 +107,7 @@ class Layout:
         """Arrays of "words" or "reals" by field, in the order of the struct, each in the shape of its field.
 
         ``sizes`` are by dimension. Raises InputError that names ``where`` and the field, if a field is
-        missing,
-        unknown, of the wrong shape, not finite or out of its range.
+        missing, unknown, of the wrong shape, not finite or out of its range.
         """
         fields: tuple[Field, ...] = getattr(self, part)
         names = [field.name for field in fields]
@@ -145,7 +141,7 @@ class Layout:
         """Sizes by dimension from flat words (W,)."""
         at = next(
             i for i, field in enumerate(self.words) if field.name == "sizes"
-        )  # what stands before it is scalar
+        )  # the fields before it are scalar
         return dict(zip(self.dimensions, map(int, words[at : at + len(self.dimensions)]), strict=False))
 
     def split(self, part: str, flat: np.ndarray, sizes: dict[str, int]) -> dict[str, np.ndarray]:

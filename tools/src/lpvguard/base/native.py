@@ -136,8 +136,7 @@ def compile_shared(
     """Compile sources to a shared library, unless the cache has it.
 
     The library is C++ when any source is C++. Headers are hashed when they lie in ``include_dirs`` or beside
-    a
-    source. The compiler's version stands for the system's headers.
+    a source. The compiler's version stands for the system's headers.
 
     Parameters
     ----------

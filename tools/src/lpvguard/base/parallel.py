@@ -45,8 +45,7 @@ CONNECT_TIMEOUT_S = 20
 
 def _bounded(submit: Callable[..., Any], wait: Callable[[Any], Any], limit: Callable[[], int]) -> Map:
     """A map from ``submit(function, item)``, which returns a handle, ``wait(handle)`` and the most handles at
-    a
-    time."""
+    a time."""
 
     def run(function: Callable[[Item], Result], items: Iterable[Item], /) -> Iterator[Result]:
         rest = iter(items)
@@ -102,7 +101,7 @@ def _end_with_parent() -> None:
     """End this worker when the process that started the pool is gone."""
     parent = multiprocessing.parent_process()
     if parent is None:
-        return  # a process that nobody started for a pool
+        return  # a process outside any pool
 
     def watch() -> None:
         multiprocessing.connection.wait([parent.sentinel])
@@ -113,11 +112,11 @@ def _end_with_parent() -> None:
 
 @contextmanager
 def _processes(jobs: int) -> Iterator[Map]:
-    # Threads run here (progress bar, arrow's readers), and a forked copy of them could hold a lock for ever.
+    # A forked copy of the threads here (progress bar, arrow's readers) could hold a lock for ever.
     methods = multiprocessing.get_all_start_methods()
     context = multiprocessing.get_context("forkserver" if "forkserver" in methods else "spawn")
     if "forkserver" in methods:
-        # What the caller has loaded by now, its workers need too.
+        # Workers need the modules that the caller has loaded.
         context.set_forkserver_preload(sorted(name for name in sys.modules if name.startswith("lpvguard.")))
     with ExitStack() as stack:
         pools = [

@@ -173,7 +173,7 @@ def take_case(message: Message, signals: list[BusSignal], statements: list[str])
         *(f"        float {name};" for name in names),
         f"        if ({prefix}_unpack(&message, frame) == lpvg_status_ok) {{",
     ]
-    # decode writes NaN where there is no value: what is absent is for the reader of the number to refuse.
+    # decode writes NaN where there is no value, and the reader of the number refuses it.
     lines += [f"            (void){prefix}_{name}_decode(message.{name}, &{name});" for name in names]
     lines += [f"            {statement}" for statement in statements]
     return "\n".join([*lines, "        }", "        break;", "    }", ""])

@@ -4,8 +4,7 @@ Two files: ``lpvg_can_codec.h`` and ``lpvg_can_codec.c``. Per message they have 
 ``pack`` and ``unpack``. Per signal they have ``encode`` (physical to raw: rounds to nearest, saturates, NaN
 becomes "not available") and ``decode`` (raw to physical with a quality). Bytes are read and written one by
 one, independent of the processor's byte order. Every shift is of an unsigned value by less than its width.
-The
-text depends on the catalogue alone.
+The text depends on the catalogue alone.
 """
 
 from __future__ import annotations

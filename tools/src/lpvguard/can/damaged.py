@@ -34,8 +34,7 @@ def python_can_reader(path: Path) -> can.io.generic.MessageReader:
     """Return python-can's reader of a log.
 
     The reader of BLF raises ValueError (`_require_advance`) where it would never end. That of ASC reads
-    further
-    dialects (``AscLines``).
+    further dialects (``AscLines``).
     """
     import can  # costs 0.2 s, and is not needed for candump
 
@@ -126,8 +125,7 @@ def require_sound_blocks(path: Path) -> None:
     """Raise ValueError for a circle in the lists of an MDF file, or a channel beyond its record.
 
     asammdf follows the lists by the next block's address and would never end. It reads a channel's bytes by
-    their
-    place in the record, even from foreign memory.
+    their place in the record, even from foreign memory.
     """
     with path.open("rb") as file:
         if file.read(3) != b"MDF":

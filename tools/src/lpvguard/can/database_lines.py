@@ -18,15 +18,12 @@ def read_sound_lines(text: str) -> tuple[Database, list[str]]:
 
     Parameters
     ----------
-    text
-        The whole DBC.
+    text : str, the whole DBC
 
     Returns
     -------
-    database
-        Messages, signals, value names and attributes of the sound statements.
-    left_out
-        A sentence for each other statement: line number and text.
+    tuple of Database and list of str
+        Sound statements, and a sentence for each other statement: line number and text.
     """
     blocks: list[list[tuple[int, str]]] = []
     others: list[tuple[int, str]] = []

@@ -14,8 +14,7 @@ def read_csv(data: bytes, null_values: Iterable[str] | None = None) -> tuple[pa.
     """Read a CSV as people write it.
 
     Lines before the header that are empty or begin with # are skipped. Where the header has more `;` than
-    commas,
-    `;` divides, and the decimal point may be a comma.
+    commas, `;` divides, and the decimal point may be a comma.
 
     Parameters
     ----------

@@ -443,7 +443,7 @@ def _read_python_can(path: Path) -> Frames:
                     identifier, extended = message.arbitration_id, message.is_extended_id
                     data = bytes(message.data)
                     rows.append(_row(message.timestamp, identifier, extended, message.channel, data))
-    except Exception as error:  # each reader of python-can has exceptions of its own
+    except Exception as error:  # each reader of python-can has its own exceptions
         raise InputError(
             path,
             f"frame {len(rows) + 1}",
@@ -596,7 +596,7 @@ def _read_mf4(path: Path) -> Frames | Table:
             return _mf4_frames(mdf, places) if places else _mf4_signals(mdf)
     except InputError:
         raise
-    except Exception as error:  # asammdf has no exception of its own for a broken file
+    except Exception as error:  # asammdf has no exception class for a broken file
         raise InputError(
             path, "", f"cannot be read ({type(error).__name__}: {error})", "an MF4 file"
         ) from None

@@ -59,8 +59,7 @@ class CarriedMessage:
     """A message of the car, ours that carries it, and the places of its checksum and counter.
 
     ``checksum_name`` is None without one. ``counters`` is the number of the counter's values.
-    ``any_priority`` marks
-    a J1939 group.
+    ``any_priority`` marks a J1939 group.
     """
 
     car: CarMessage

@@ -132,10 +132,8 @@ def values_of_drive(project, drive, catalogue: Catalogue | None = None) -> dict[
     """Return the bus values that `frames_of_drive` sends for a drive.
 
     The bus value is factor * value for every signal with a CAN place. A receiver refuses a frame without one
-    of
-    its supervised signals. Those that the drive lacks are filled in: lateral acceleration with speed * yaw
-    rate
-    (steady cornering), all others with 0.
+    of its supervised signals. Those that the drive lacks are filled in: lateral acceleration with speed * yaw
+    rate (steady cornering), all others with 0.
 
     Parameters
     ----------
@@ -158,7 +156,7 @@ def values_of_drive(project, drive, catalogue: Catalogue | None = None) -> dict[
             f"vehicle {project.name}",
             "can",
             "the car's own bus, which is only read",
-            "a raw log of it to play, or a vehicle on the bus of the CAN catalogue",
+            "a raw log, or a vehicle on the bus of the CAN catalogue",
         )
     columns = [
         (project.speed, drive.v),
@@ -209,8 +207,7 @@ def play(
     """Send frames on a bus at the recorded pace.
 
     A frame is never sent early. Lateness does not add up, because every frame is timed from the start. Where
-    the
-    log's clock goes back, the next frame follows at once.
+    the log's clock goes back, the next frame follows at once.
 
     Parameters
     ----------

@@ -37,10 +37,8 @@ class Protection:
     """A checksum by name.
 
     ``bits`` is its width. ``checksum`` and ``counter`` are the places by definition; a negative start counts
-    from
-    the frame's end, and None leaves them to the database. ``counters`` is the number of the counter's values;
-    None
-    is all of its bits. ``data_ids`` is the number of data ids.
+    from the frame's end, and None leaves them to the database. ``counters`` is the number of the counter's
+    values; None is all of its bits. ``data_ids`` is the number of data ids.
     """
 
     function: str

@@ -77,7 +77,7 @@ def _end(number: int, _: Any) -> None:
 
 
 def _refused(error: OSError) -> InputError:
-    """What the operating system refuses, as an error of the file that it names."""
+    """Convert an error of the operating system into one about the file that it names."""
     what = error.strerror or str(error)
     if error.errno == errno.ENOSPC:
         scratch = "standard output or a scratch file"
@@ -119,6 +119,6 @@ def main() -> None:
     except OSError as error:
         if not isinstance(error, BrokenPipeError):
             complain(_refused(error))
-        # What is left for standard output would fail once more at the end.
+        # The buffered output would fail again at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
         sys.exit(2)

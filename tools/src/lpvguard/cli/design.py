@@ -39,7 +39,7 @@ from .tables import (
 )
 
 SHARES, TABLE_SHARES = (10, 3, 60), (1, 9)
-"""Rough shares of the work: design, comparison of structures, largest A_t; reading, all else."""
+"""Approximate shares of the work: design, comparison of structures, largest A_t; reading, all others."""
 
 if TYPE_CHECKING:
     from ..engine.synthesis.table import Cell

@@ -18,7 +18,7 @@ SECTIONS = {
     "Bench and problems": ("bench", "solve"),
     "Shell": ("completion",),
 }
-"""Title -> verbs. Every verb stands in one section."""
+"""Verbs by title; every verb is in one section."""
 SUMMARY = 200
 """The longest summary of a verb, in characters; a longer one is cut."""
 

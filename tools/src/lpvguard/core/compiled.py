@@ -222,11 +222,9 @@ class FrameLog:
     """Frames judged by the core during a run, in the order of judgement.
 
     Arrays are over frames; E and Z are (F, n_y). t_judged_s is the time of the sample at which the core
-    judged:
-    frames that end together are judged one after the other. Alarms of the other tests have the same form
-    (lpvg_frame_t in monitor.h). For the energy test, bin is band and direction, and E and Z hold norms. For
-    the
-    change test, bin is output and part, and E and Z hold the estimate.
+    judged: frames that end together are judged one after the other. Alarms of the other tests have the same
+    form (lpvg_frame_t in monitor.h). For the energy test, bin is band and direction, and E and Z hold norms.
+    For the change test, bin is output and part, and E and Z hold the estimate.
     """
 
     t_judged_s: np.ndarray
@@ -282,11 +280,9 @@ class CauseLog:
     """Causes that the core found during a run, in the order of time; arrays over outputs of alarms (C,).
 
     t_found_s and t_alarm_s: time of the finding and of the alarm's block. output: index. cause: code of
-    CAUSES.
-    value, low, high: in the cause's unit (diagnosis.h). onset_s: time from the onset to the alarm [s].
-    before:
-    the onset may precede the kept record. final: from the whole record; otherwise preliminary, from its first
-    half.
+    CAUSES. value, low, high: in the cause's unit (diagnosis.h). onset_s: time from the onset to the alarm
+    [s]. before: the onset may precede the kept record. final: from the whole record; otherwise preliminary,
+    from its first half.
     """
 
     t_found_s: np.ndarray
@@ -434,8 +430,7 @@ class Core:
         """Start a monitor with the compiled-in coefficients, or with the given ones.
 
         ``words`` (W,) and ``reals`` (R,) are flat, as in ``compiled``. ``seal`` renews their CRC. Raises
-        InputError
-        with the core's status when init refuses the coefficients.
+        InputError with the core's status when init refuses the coefficients.
         """
         compiled_words, compiled_reals = self.compiled
         arguments: tuple[ctypes.c_void_p | None, ctypes.c_void_p | None] = (None, None)

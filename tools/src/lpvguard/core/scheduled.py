@@ -29,8 +29,8 @@ class Scheduled:
     ----------
     Ts : float, s
     speeds : ndarray (G,), m/s, equally spaced
-    a : ndarray (n,), first columns of the pairs of A - I, then of a single state if n is odd, for every
-    demand
+    a : ndarray (n,)
+        First columns of the pairs of A - I, then of a single state if n is odd, for every demand.
     B : ndarray (G, n_u, n, 1 + n_y)
     L : ndarray (G, n_u, n, n_u)
     u_max : ndarray (G, n_u), largest |demand| [input unit]
@@ -109,23 +109,11 @@ def realisation(a: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def engagement(a: np.ndarray, B: np.ndarray) -> np.ndarray:
-    """x += E (u - C x, -(C (A x + B m) - C x)) makes this and the next wanted demand u. The change of x is
-    the
-    likeliest: least in the metric of the covariance of x under white m of equal size at all speeds. Where no
-    state
-    can meet both demands, the second is left out. Raises LinAlgError unless the poles are stable.
+    """Matrix E (n, 2) that sets the demand at engagement; a (n,), B (n_u, n, m) as in ``Scheduled``.
 
-    Parameters
-    ----------
-    a, B : ndarray
-
-    Returns
-    -------
-    ndarray
-
-    Examples
-    --------
-    (n, 2) that sets the demand at engagement; a, B as in ``Scheduled``.
+    The change x += E (u - C x, -(C (A x + B m) - C x)) makes this and the next wanted demand u. It is the
+    likeliest one: least in the metric of the covariance of x under white m of equal size at all speeds. Where
+    no state can meet both demands, the second is left out. Raises LinAlgError unless the poles are stable.
     """
     A, c = realisation(a)
     if np.abs(np.linalg.eigvals(A)).max() >= 1:

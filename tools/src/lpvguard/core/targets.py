@@ -307,8 +307,25 @@ class Verdicts:
 def run_verdicts(
     name: str, vehicle: Path, drives: Sequence[Input], *, double: bool = False, fused: bool = False
 ) -> Verdicts:
-    """The monitor alone over ``drives`` on a target, with numbers of ``double`` and multiply and add
-    ``fused`` where the processor can. Raises InputError as `run_target`."""
+    """Run the monitor alone over drives on a target.
+
+    Parameters
+    ----------
+    name : str, the target
+    vehicle : Path, generated folder
+    drives : Sequence[Input]
+    double : bool, numbers are double, default False
+    fused : bool, fuse multiply and add where the processor can, default False
+
+    Returns
+    -------
+    Verdicts
+
+    Raises
+    ------
+    InputError
+        If tools are missing, or the program does not build or fails.
+    """
     target = _target(name)
     numbers = ("-DLPVG_DOUBLE",) if double else ()
     language = (*LANGUAGE, "-ffp-contract=fast" if fused else SAME_BITS, *numbers)

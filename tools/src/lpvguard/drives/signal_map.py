@@ -140,8 +140,7 @@ def map_of_project(project: Project) -> SignalMap:
     """Make the signal map of a vehicle whose signals have a CAN place.
 
     The bus value is factor * value. Gates and sums of signals get no ``min`` and ``max``: the vehicle's
-    ranges
-    judge the drive table.
+    ranges judge the drive table.
 
     Parameters
     ----------

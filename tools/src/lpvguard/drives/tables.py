@@ -38,8 +38,7 @@ class Drive:
     """One drive on a uniform grid, in the units of the signal table.
 
     Where samples are missing, inputs and outputs are filled, and v is outside the model's range. Nothing is
-    judged
-    there.
+    judged there.
 
     Attributes
     ----------
@@ -278,8 +277,7 @@ def read_drive(path: Path, project: Project, *, any_values: bool = False) -> Dri
     """Read and check one drive table.
 
     A sample is missing when it has no value (an empty cell, NaN) or one outside its signal's range (a spike,
-    a
-    reverse piece). Samples that a gate shuts out are missing too, however many.
+    a reverse piece). Samples that a gate shuts out are missing too, however many.
 
     Parameters
     ----------
@@ -503,8 +501,8 @@ def require_units(path: Path | str, drive: Drive, nominal_output: np.ndarray, se
     """Refuse a drive whose output is about 57 times (or 1/57 of) the nominal one: degrees for radians.
 
     Small angles in degrees can stay within the signal's range. A factor of 40 to 80 together with a
-    correlation
-    above 0.8 is refused. A faulty sensor does not do that; it would be a finding and no input error.
+    correlation above 0.8 is refused. A faulty sensor does not do that; it would be a finding and no input
+    error.
 
     Parameters
     ----------

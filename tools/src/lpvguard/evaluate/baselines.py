@@ -18,8 +18,7 @@ acts. Only samples in range and settled are used (drives/frames.py); the sums re
 The tracker estimates theta = (a, b, c) of each output. A prior keeps it near 0 where nothing excites it. The
 prior's weight is ``prior`` times the memory, in driving like that of the bound-setting drives. The ratio's
 directions are yhat_j, -dyhat_j/dt and 1, each in one output, filtered as e is; with q = 0 the filter ignores
-e.
-Over the newest n samples it is (sum nu' S^-1 phi)^2 / sum phi' S^-1 phi. Its onset is searched: n is the
+e. Over the newest n samples it is (sum nu' S^-1 phi)^2 / sum phi' S^-1 phi. Its onset is searched: n is the
 window, half of it, a quarter and so on, down to SHORTEST_ONSET_S. Tracker and ratio have a component a
 direction, |theta_i| or the ratio's root. The statistic is the largest, each over its own rms on the
 bound-setting drives.
@@ -29,10 +28,8 @@ identify/calibration.py from the same calibration drives, one score a drive. Whe
 all detectors have the same guaranteed rate of false alarms. Parameters are searched over GRID, on
 bound-setting and calibration drives alone. The best find the most injected faults in time there; ties go to
 the fastest. The search knows the faults to be found. The monitor's tests, frames and memories were chosen
-with
-all measured drives in view (tools/DESIGN_LOG.md). That choice leaves out no drive, while the baselines'
-search
-leaves out the one under test.
+with all measured drives in view (tools/DESIGN_LOG.md). That choice leaves out no drive, while the baselines'
+search leaves out the one under test.
 """
 
 from __future__ import annotations
@@ -111,8 +108,7 @@ GRID = (
     ),
 )
 """Parameters of the search. Windows reach the 30 s within which a fault is wanted. As q falls the filter
-follows
-e less, until nis is rms. The ratio's windows share their onsets."""
+follows e less, until nis is rms. The ratio's windows share their onsets."""
 
 
 @dataclass(frozen=True)
@@ -382,7 +378,7 @@ class _Along:
         """(3 n_y, M) ratios with an onset n samples ago; -inf where these are not usable."""
         cross, power = self._once(self._onsets, process_ratio)
         fits, of = self._over(cross, n), self._over(power, n)
-        # Differences of sums round; a direction that nothing excites says nothing.
+        # Differences of sums round; a direction without excitation has no statistic.
         least = 1e-9 * power[:, -1:] + np.finfo(float).tiny
         ratio = np.where(of > least, fits**2 / np.maximum(of, least), 0.0)
         return np.where(self.run >= n, ratio, -np.inf)

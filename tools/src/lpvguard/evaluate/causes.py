@@ -3,8 +3,7 @@
 A fault counts if it was found in time (detection.py), with the thresholds as exported. Its drive goes on for
 DIAGNOSED_S beyond that time, so that late alarms are diagnosed, too. The diagnosis is that of the first alarm
 from the fault's start on. Where a drive ends before the whole record is judged, the preliminary diagnosis
-from
-half of it counts.
+from half of it counts.
 
 **Known** faults have one cause: gain, sign, frozen, bias, delay. An output is right when the cause is that,
 "other" when it is other, wrong in all other cases. The truth of an interval is the fault's mean size from the
@@ -13,8 +12,7 @@ earlier than the model's.
 
 Faults of `no_single_cause` are two at once, a dead zone, or a saturating output. For them "other" is right. A
 gain is right, too, when its interval holds the equivalent gain: the least-squares gain of the faulty output
-on
-the untouched one over the same samples. A record is uneven if the root mean square of the untouched output
+on the untouched one over the same samples. A record is uneven if the root mean square of the untouched output
 differs by UNEVEN or more between the halves of these samples.
 """
 
@@ -304,7 +302,7 @@ def cause_sentences(table: dict) -> list[str]:
     known, single = table["known"], table["no_single_cause"]
     large = table["can_be_named"]
     of_large = (
-        "of those larger than what healthy vehicles differ by: right "
+        "of those larger than the difference of healthy vehicles: right "
         f"{_share(large[RIGHT], large['found'])}, wrong {_share(large[WRONG], large['found'])}"
         if large
         else "how much healthy vehicles differ is not known: no diagnosis in the identification"

@@ -16,7 +16,7 @@ from .false_alarms import PIECE_S
 MONITOR = "monitor"
 """Name of our detector, like the kinds of baselines.KINDS: all tests together, at one threshold."""
 LEFT_ONE_OUT, HELD_OUT = "left_one_out", "held_out"
-"""Which drives are judged: those of the identification, each without itself, or drives that it never saw."""
+"""Judged drives: those of the identification, each without itself, or drives that it never saw."""
 CALIBRATED = {LEFT_ONE_OUT: "each drive without itself", HELD_OUT: "drives that it never saw"}
 """Words for the drives that the thresholds judge."""
 TOGETHER = "all"
@@ -202,8 +202,7 @@ def refutable_rows(detectors: list[DetectorColumn]) -> list[list[str]]:
     """Format the found faults counted from when they are refutable.
 
     A row has the number of starts, and per detector the number found and the median time. A negative time
-    means an
-    earlier alarm.
+    means an earlier alarm.
 
     Parameters
     ----------

@@ -178,8 +178,7 @@ class FaultOutcome:
     """Outcome of a fault in the drive ``run`` from ``start_s`` [s] on.
 
     All times are judged, excited seconds, or None for none in the time allowed. ``s`` is the time until it
-    was
-    found, ``untouched_s`` that of an alarm without the fault, and ``refutable_s`` that until it was
+    was found, ``untouched_s`` that of an alarm without the fault, and ``refutable_s`` that until it was
     refutable.
     """
 
@@ -224,8 +223,7 @@ def margins(replay: Replay, first_s: float) -> np.ndarray:
     """Off-line margin (N,) at each sample; 0 where nothing is judged.
 
     It is the larger of the energy test's ratio and the largest t* of the counted frames that end there.
-    ``first_s``
-    is the time of the drive's first sample [s].
+    ``first_s`` is the time of the drive's first sample [s].
     """
     frames, found = replay.run.frames, replay.run.energy.copy()
     ends = np.round((frames.t_end_s[frames.counted] - first_s) / replay.Ts).astype(int)
@@ -258,10 +256,8 @@ def fault_rows(cases: Outcomes) -> list[dict]:
     """A row per case, in the order of ``cases``.
 
     It has the outcomes found and all, the drives and those with the fault found from every start. It also has
-    the
-    outcomes whose untouched drive alarms in the time allowed, and the median time [s]. For refutable ones it
-    has
-    their number, those found, and the median time from then on [s].
+    the outcomes whose untouched drive alarms in the time allowed, and the median time [s]. For refutable ones
+    it has their number, those found, and the median time from then on [s].
     """
     rows = []
     for case, members in cases.items():
@@ -307,8 +303,7 @@ def ranking(rows: dict[str, dict]) -> list[str]:
     """Detectors that do best on one fault, all that tie.
 
     The share of cases in which each found it counts first, then the median time. The result is empty where
-    there is
-    no case, or where no detector found one. ``rows`` holds a row of fault_rows per detector.
+    there is no case, or where no detector found one. ``rows`` holds a row of fault_rows per detector.
     """
 
     def merit(row: dict) -> tuple[float, float]:

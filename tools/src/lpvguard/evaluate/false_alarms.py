@@ -24,10 +24,8 @@ class FalseAlarms:
     """Alarmed and all 60 s pieces, a drive's shorter last one included; drives and recordings.
 
     drives, alarmed_drives: all, and those with an alarmed piece; judged_h: hours of judged driving;
-    per_judged_h:
-    alarmed pieces an hour of it, or None. recordings: share that alarms, of rates.rate;
-    recordings_per_judged_h:
-    alarming ones an hour of judged driving, of rates.per_hour.
+    per_judged_h: alarmed pieces an hour of it, or None. recordings: share that alarms, of rates.rate;
+    recordings_per_judged_h: alarming ones an hour of judged driving, of rates.per_hour.
     """
 
     drives: int
@@ -66,8 +64,7 @@ def alarming(replay: Replay, test: str | None = None) -> np.ndarray:
     """Mark the samples at which a test contradicts the model.
 
     A falsifying frame marks the sample of its judgement. The energy and the change test mark all samples
-    above
-    their threshold.
+    above their threshold.
 
     Parameters
     ----------

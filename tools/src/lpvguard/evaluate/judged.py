@@ -69,7 +69,7 @@ class JudgedDrives:
         as_stored = {MONITOR: together, **calibrations_of(stored)}
         return cls(
             HELD_OUT,
-            "the identification as stored, in which none of them took part",
+            "drives that took no part in the identification",
             {e.name: e for e in experiments},
             {e.name: _of_group(as_stored, e.group) for e in experiments},
             Recordings.listed((), experiments),

@@ -8,8 +8,7 @@ The monitor is compared with all tests at one threshold, calibrated jointly (cal
 alarms by any test on a further drive with probability at most alpha, as a baseline does. The table also has
 each test alone at alpha, and all as exported: each at its own threshold, together at most three times alpha.
 Where fewer drives calibrate than alpha needs, no rate is stated, and the detectors are compared by counts
-only
-(`stated_rates`).
+only (`stated_rates`).
 
 false_alarms.py defines false alarms, detection.py defines found faults, and baseline_study.py tunes the
 baselines.
@@ -62,11 +61,9 @@ def _evaluate_drive(
     injection: Injection,
     item: tuple[Experiment, Recordings, dict[str, Calibration]],
 ) -> tuple[dict, Found, CauseOutcomes]:
-    """Row of one drive, outcomes per detector and case from every start, and the causes that EXPORTED names.
+    """Row of one drive, outcomes per detector and case, and the causes that EXPORTED names.
 
-    The recordings and calibrations are the drive's own, for MONITOR and each test. There is no outcome where
-    the
-    drive does not qualify for faults.
+    Recordings and calibrations are the drive's own. A drive without qualified stretches has no outcomes.
     """
     experiment, recordings, calibrations = item
     project, thresholds = reader.project, {what: c.threshold for what, c in calibrations.items()}

@@ -32,8 +32,10 @@ PASSES = 5
 RESTS = 0.05
 """The fit rests when no unknown moves by more than this share of its standard error."""
 BLOCKS, COLOURED_BLOCKS = 120, 40
-"""About so many blocks of all drives together give the spread of the scores. Coloured residuals are
-remembered longer, so the blocks of a plain fit are longer."""
+"""Approximate number of blocks of all drives for the spread of the scores.
+
+Coloured residuals are remembered longer, so the blocks of a plain fit are longer.
+"""
 WORSE = 1.3
 """Largest ratio of the remainders of a whitened and a plain fit."""
 SHORTEST_S = 2.0
@@ -47,8 +49,7 @@ class Estimate:
     """Values and covariance of the unknowns: theta (p,), covariance (p, p), trims (n_drives, n_u).
 
     The trims are less the common input_offset; trim_errors has the same shape. Both have no columns where the
-    trim
-    is common, and are NaN where nothing is judged.
+    trim is common, and are NaN where nothing is judged.
     """
 
     unknowns: Unknowns

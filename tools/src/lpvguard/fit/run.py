@@ -9,8 +9,7 @@ Writes a folder with
 
 Drives of the bound-setting splits are fitted; the others are only judged. A certain fault of a drive (a sign,
 a unit, columns, a shift in time) is an InputError. A drive that may be of another car, or beyond the model,
-is
-left out with a finding.
+is left out with a finding.
 """
 
 from __future__ import annotations
@@ -191,12 +190,12 @@ def _findings(estimate: Estimate, found: list[Quality]) -> list[str]:
     given = u.base.model.input_delay_s
     if DELAY in u.names and given > u.high[u.names.index(DELAY)]:
         says.append(
-            f"a delay of {given:g} s, as the project file says, is not there: the drives say "
+            f"the project file's delay of {given:g} s does not fit the drives; their delay is "
             f"{theta[u.names.index(DELAY)]:.4g} s"
         )
     for i, j in zip(*np.where(np.triu(np.abs(estimate.correlation), 1) > APART), strict=True):
         says.append(
-            f"{u.names[i]} and {u.names[j]} cannot be told apart: the correlation of their errors is "
+            f"the drives do not separate {u.names[i]} and {u.names[j]}: the correlation of their errors is "
             f"{estimate.correlation[i, j]:.3f}"
         )
     for q in found:

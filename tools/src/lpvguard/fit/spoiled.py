@@ -112,7 +112,7 @@ def _frozen(drive: Drive, signal: Signal, x: np.ndarray, driving: np.ndarray) ->
         yield InputError(
             drive.name,
             f"column {signal.column}, {drive.t[worst.start]:g} to {drive.t[worst.stop - 1]:g} s",
-            f"stands at {x[worst.start]:g} {signal.unit}, elsewhere it moves at most samples: the sensor is "
+            f"stays at {x[worst.start]:g} {signal.unit} but moves at most samples elsewhere: the sensor is "
             f"frozen{begins}",
             "the drive without this stretch",
         )

@@ -1,11 +1,9 @@
 """Reasons why drives do not fit: signs, units, columns and delays that contradict the project file.
 
 A *reading* is a drive with one change: a sign, a unit, two columns, a shift in time. Where the recorded
-drives
-leave much unexplained, every reading is tried within the ranges of [fit]. A reading that leaves a quarter or
-less, and little, names the fault. Ranges decide what can be distinguished: speed in km/h acts like a
-wheelbase
-of 3.6 times the size, so a wide range for the wheelbase hides it.
+drives leave much unexplained, every reading is tried within the ranges of [fit]. A reading that leaves a
+quarter or less, and little, names the fault. Ranges decide what can be distinguished: speed in km/h acts like
+a wheelbase of 3.6 times the size, so a wide range for the wheelbase hides it.
 """
 
 from __future__ import annotations
@@ -28,8 +26,10 @@ LITTLE, SURE = 0.1, 0.02
 """Shares of the output's variance. A drive that leaves no more than LITTLE is explained; with an unknown at
 the end of its range, no more than SURE."""
 MUCH, NOTHING = 0.6, 0.9
-"""Shares of the same, in the mean over drives: where one reading alone leaves no more than MUCH, and the
-drives as they are and every other reading NOTHING and more, that reading is named."""
+"""Shares of the same, averaged over drives, at which one reading is named.
+
+It leaves no more than MUCH. The recorded drives and every other reading leave NOTHING or more.
+"""
 BETTER = 0.25
 """A reading is better if it leaves no more than this share of the recorded drive's remainder."""
 AS_GOOD = 1.5
@@ -143,8 +143,7 @@ def shifts(project: Project, theta: np.ndarray, drive: Drive) -> Iterator[Readin
     """Readings with the outputs moved to where they follow the inputs best.
 
     Best is the largest product over the overlap, and the largest correlation, which a short overlap after a
-    long
-    shift does not hide. Shifts within the range of the delay are left out. ``theta`` (p,): unknowns.
+    long shift does not hide. Shifts within the range of the delay are left out. ``theta`` (p,): unknowns.
     """
     model = Unknowns.of(project).model(theta)
     yhat, judged = model.simulate(drive.v, drive.u, drive.y[0]), judged_samples(model, drive.v)
@@ -308,8 +307,7 @@ def _require_no_common_fault(unknowns: Unknowns, drives: list[Drive], left: list
     """Raise InputError when one reading explains the drives together, and the recorded drives do not.
 
     Where many of them are beyond any model, a reading may leave up to MUCH. The recorded drives and every
-    other
-    reading must then leave almost everything unexplained.
+    other reading must then leave almost everything unexplained.
     """
     now = _together(left)
     tried: list[tuple[bool, float, int, Reading]] = []
@@ -398,6 +396,6 @@ def _error(name: str, reading: Reading, then: float, now: float) -> InputError:
     return InputError(
         name,
         reading.where,
-        f"{reading.what}: read so, the model leaves {then:.1%} of the output; as it is, {as_it_is}",
+        f"{reading.what}: with this change the model leaves {then:.1%} of the output; without it, {as_it_is}",
         reading.expected,
     )

@@ -19,8 +19,8 @@ class Diagnosis:
     ----------
     t_s, alarm_s : float, s from the drive's start, time of the diagnosis and of the alarm
     output, cause : str
-    value : float or None, factor of a gain or sign, s of a delay, output unit of bias, frozen mean or noise
-    deviation
+    value : float or None
+        Factor of a gain or sign, s of a delay, output unit of bias, frozen mean or noise deviation.
     low, high : float or None, ends of its 95 % interval, in the same unit
     since_s : float, s, the onset
     at_least : bool, the onset may be earlier
@@ -120,10 +120,10 @@ def _what(unit: str, cause: str, numbers: Sequence[float]) -> str:
     if cause == "noise":
         return f"is noisy, with a standard deviation of {value:.3g} {unit}"
     if cause == "bias":
-        return f"{value:+.3g} {unit} beside what the model says ({low:+.3g} to {high:+.3g})"
+        return f"{value:+.3g} {unit} off the nominal output ({low:+.3g} to {high:+.3g})"
     if cause == "delay":
         near, far = sorted((abs(low), abs(high)))
-        when = "later" if value > 0 else "sooner"
-        return f"{abs(value):.2f} s {when} than the model says ({near:.2f} to {far:.2f})"
-    turned = "turned round: " if cause == "sign" else ""
-    return f"{turned}{value:.2f} of what the model says ({low:.2f} to {high:.2f})"
+        when = "later" if value > 0 else "earlier"
+        return f"{abs(value):.2f} s {when} than the nominal output ({near:.2f} to {far:.2f})"
+    turned = "inverted: " if cause == "sign" else ""
+    return f"{turned}{value:.2f} of the nominal output ({low:.2f} to {high:.2f})"

@@ -3,8 +3,7 @@
 can/logs.py reads the logs; run.py feeds the monitor with the samples.
 
 Ticks are one sample period of the vehicle apart. A tick reads the newest accepted value of every signal, as
-in
-lpvg_ecu_step; nothing is interpolated. There is a sample where every message that carries a signal of the
+in lpvg_ecu_step; nothing is interpolated. There is a sample where every message that carries a signal of the
 vehicle is live (can.h), and a gap elsewhere. A tick lies half a period after the mean arrival time of the
 fastest of these messages. Jitter below half a period then moves no frame to another tick. A log of our own
 simulator gives the samples that its ECU had. Only the demand has the resolution of the bus.
@@ -70,8 +69,7 @@ class _Bus:
     """The bus of a vehicle.
 
     ``sent`` gives each message's name on the bus, its identifier with flags, and the identifying bits.
-    ``files``
-    is the generated C.
+    ``files`` is the generated C.
     """
 
     catalogue: Catalogue
@@ -274,9 +272,8 @@ class RunningReceiver:
         """Take frames with increasing times t_us (N,) [us], up to the last of ``ticks`` ticks.
 
         Ticks are a sample period apart from ``first_us`` [us] on. Returns values (ticks, columns), NaN before
-        the
-        first, and states of the supervision (ticks, rules). Raises InputError when the supervision refuses a
-        time.
+        the first, and states of the supervision (ticks, rules). Raises InputError when the supervision
+        refuses a time.
         """
         values = np.empty((ticks, self._receiver.columns))
         states = np.empty((ticks, self._receiver.n_rules), np.uint8)

@@ -42,11 +42,9 @@ class Alarm:
     """An alarm with its evidence.
 
     A frame alarm has E and Z, the frame's DFT of error and nominal output. An energy alarm means that the
-    energy
-    test's ratio exceeded its threshold after a memory below it; bin_rad_s and W_delta are None. Its B_w holds
-    the
-    band's sigma, E the norms of F e_j, and Z those of F W_delta yhat_j. A change alarm has empty B_w, E and
-    Z.
+    energy test's ratio exceeded its threshold after a memory below it; bin_rad_s and W_delta are None. Its
+    B_w holds the band's sigma, E the norms of F e_j, and Z those of F W_delta yhat_j. A change alarm has
+    empty B_w, E and Z.
 
     Attributes
     ----------
@@ -547,7 +545,7 @@ def bus_frames(path: Path, project: Project) -> Frames:
         raise InputError(
             path,
             "",
-            "a drive table does not say what a gate is on the bus",
+            "a drive table has no value of a gate for the bus",
             "a raw log, for a vehicle with gates",
         )
     drive = read_drive(path, project).present

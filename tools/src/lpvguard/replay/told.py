@@ -25,7 +25,8 @@ def alarm_sentence(alarm: Alarm | dict[str, Any]) -> str:
         return (
             f"energy test, v = {a['speed_mps']:.1f} m/s: ratio {a['margin']:.2f} > {a['threshold']:.2f} "
             f"{a['band']} the corners, in direction ({_listed(a['direction'])}); ||F e|| = {_listed(a['E'])} "
-            f"against ||F W_delta yhat|| {_listed(a['Z'])} + sigma {_listed(a['B_w'])}"
+            f"against ||F W_delta yhat|| {_listed(a['Z'])} + sigma {_listed(a['B_w'])} + what a restart "
+            "leaves"
         )
     if a["test"] == "change":
         return (

@@ -45,8 +45,7 @@ class MapCell:
         """State of the cell.
 
         PROVED: judged without an alarm, and a gain error of LEVEL alone would have raised one. BLIND: such an
-        error
-        could stay unseen.
+        error could stay unseen.
         """
         if self.alarms:
             return VIOLATED

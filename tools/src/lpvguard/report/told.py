@@ -19,10 +19,8 @@ class Nearest:
     """A drive's nearest approach to an alarm, or its largest excess.
 
     ``ratio``: statistic over threshold, an alarm above 1. ``test``: "frame", "energy" or "change". ``bin``:
-    index
-    and ``omega`` [rad/s]; None unless for the frame test. ``t_s``: end of the judged stretch [s after the
-    drive's
-    start]; ``speed_mps`` [m/s].
+    index and ``omega`` [rad/s]; None unless for the frame test. ``t_s``: end of the judged stretch [s after
+    the drive's start]; ``speed_mps`` [m/s].
     """
 
     ratio: float
@@ -38,14 +36,10 @@ class Told:
     """A replayed drive for overview, index and its section.
 
     ``key``: id of its section. ``role``: in the identification, HTML. ``relevant_s`` and
-    ``judged_relevant_s`` [s]:
-    in range and excited, and the judged part. ``course`` (COLUMNS,): largest statistic over threshold that
-    ended in
-    a column of time, NaN without any. ``verdict`` (COLUMNS,): code of the verdict at a column's end. ``vaf``:
-    least
-    over the outputs, NaN if unknown [-]. ``unexplained``: remainder of a drive that sets the bounds or
-    calibrates;
-    else None. ``section``: HTML.
+    ``judged_relevant_s`` [s]: in range and excited, and the judged part. ``course`` (COLUMNS,): largest
+    statistic over threshold that ended in a column of time, NaN without any. ``verdict`` (COLUMNS,): code of
+    the verdict at a column's end. ``vaf``: least over the outputs, NaN if unknown [-]. ``unexplained``:
+    remainder of a drive that sets the bounds or calibrates; else None. ``section``: HTML.
     """
 
     key: str

@@ -108,10 +108,10 @@ def _with_meanings(node: dict) -> dict:
     for entry in re.split(r"\n(?! )", listed):
         line, *more = entry.split("\n")
         names, _, kind = line.partition(" : ")
-        words = [*re.split(r", (?![^\[(]*[\])])", kind, maxsplit=1)[1:], *map(str.strip, more)]
+        words = [*re.split(r", (?![^\[(]*[\])])", kind, maxsplit=1)[1:], " ".join(map(str.strip, more))]
         for name in set(names.split(", ")) & set(properties):
-            if words and "description" not in properties[name]:
-                properties[name] = {**properties[name], "description": ". ".join(words)}
+            if any(words) and "description" not in properties[name]:
+                properties[name] = {**properties[name], "description": ". ".join(filter(None, words))}
     return {**node, "description": summary, "properties": properties}
 
 

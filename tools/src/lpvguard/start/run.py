@@ -34,7 +34,7 @@ from .templates import TEMPLATES, Scale
 
 COLUMNS = {"speed": "v", "input": "delta", "output": "r"}
 SPIKE, USUAL = 2.0, 0.999
-"""So many times the largest of this share of the samples is no measurement."""
+"""A sample above SPIKE times the largest of the share USUAL of the samples is no measurement."""
 LONGEST_STEP_S = 0.5
 """A longer step between samples is a gap, as for `ingest`, and not a slow rate."""
 RATES_HZ = (1000.0, 500.0, 200.0, 100.0, 50.0, 40.0, 25.0, 20.0, 10.0, 5.0)
@@ -221,7 +221,7 @@ def _limits(role: str, proposal: Proposal, recordings: list[Recording]) -> tuple
 
 def _signal_map(proposals: dict[str, Proposal], limits: dict[str, tuple[float, float]], Ts: float) -> str:
     lines = [
-        "# Signal map: what `lpvguard ingest` makes drive tables of. Left turn positive.",
+        "# Signal map for `lpvguard ingest`. Left turns are positive.",
         "schema = 1",
         f"Ts_s = {Ts:g}",
     ]

@@ -133,8 +133,8 @@ def _require_sign(role: str, name: str, common: list[str], recordings: list[Reco
             raise InputError(
                 "new",
                 f"--{role}",
-                f"{name} is never negative and {other} lies beside it: a magnitude and its sign apart",
-                f"one signal with its sign, as a table in which {signal} is turned round where {bit} says so",
+                f"{name} is never negative and {other} holds its sign",
+                f"one signal with its sign, for example a table with {signal} negated where {bit} is set",
             )
 
 

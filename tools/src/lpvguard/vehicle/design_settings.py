@@ -13,8 +13,7 @@ class DesignSettings(StrictModel):
     """Settings of step 8: objectives of Fig. 1 and the scheduled controller.
 
     Weights are gain * prod(s/zero + 1) / prod(s/pole + 1) with zeros and poles in rad/s. The gains are A_t
-    and
-    A_u; the default break frequencies are the paper's.
+    and A_u; the default break frequencies are the paper's.
 
     Attributes
     ----------

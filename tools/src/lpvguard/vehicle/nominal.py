@@ -348,13 +348,11 @@ class NominalModel:
         """Entrywise bounds of |d/dv| and |d2/dv2| of [Ad, Bd, Gd] (n, n + n_u + n) over low..high [m/s].
 
         Ad, Bd, Gd are the zero-order hold of A, B and of an input on every state. The bounds are rigorous up
-        to
-        rounding. The exponential's power series has positive coefficients. Bounds of A, B and their Taylor
+        to rounding. The exponential's power series has positive coefficients. Bounds of A, B and their Taylor
         coefficients in v therefore bound those of the hold.
 
         Raises InputError when an entry has a fractional exponent, a kink of abs, min or max between low and
-        high, or
-        a denominator or root whose bounds contain 0.
+        high, or a denominator or root whose bounds contain 0.
         """
         n, width = self.n, 2 * self.n + self.n_u
         bounds = np.zeros((COEFFICIENTS, width, width))
@@ -468,8 +466,7 @@ class NominalModel:
         """Nominal output yhat (N, n_y) for v (N,) [m/s], u (N, n_u), from the measured y_first (n_y,).
 
         Before the first sample the input is constant. The initial state is the least one with that output.
-        The model
-        runs on the speed table, as in the core.
+        The model runs on the speed table, as in the core.
         """
         return RunningModel(self, y_first).run(v, u)
 
@@ -477,8 +474,7 @@ class NominalModel:
         """States (N + 1, n) along speeds v (N,) from ``first`` (n,), by the speed table.
 
         The inputs are the `acting_inputs`, (N, n_u) each. The compiled kernel and the numpy version give the
-        same
-        bits.
+        same bits.
         """
         table = self.table
         if lib := native.kernels("recursion"):

@@ -143,8 +143,7 @@ class ModelSettings(StrictModel):
     """Continuous-time nominal model.
 
     Entries of A and B are numbers or expressions in v, the parameters and ``let``, of + - * / ** and abs,
-    min,
-    max, sqrt.
+    min, max, sqrt.
 
     Attributes
     ----------
@@ -223,8 +222,7 @@ class NuCeiling(StrictModel):
         return self
 
     def at(self, f_hz: np.ndarray) -> np.ndarray:
-        """Ceiling (F,) at ``f_hz`` (F,) [Hz]: linear in log f, constant outside; 0 at
-        DC."""
+        """Ceiling (F,) at ``f_hz`` (F,) [Hz]: linear in log f, constant outside; 0 at DC."""
         f = np.asarray(f_hz, float)
         safe = np.where(f > 0, f, self.f_hz[0])
         return np.where(f > 0, np.interp(np.log(safe), np.log(self.f_hz), self.nu), 0.0)
@@ -304,8 +302,8 @@ class FrameTestSettings(StrictModel):
     confirm : int, exceedances that make an alarm
     of_last : int, frames of a bin among which they are counted
     alpha : float, false-alarm rate that calibration aims at
-    excited_std : float, the first input's least standard deviation over 10 s in an excited sample [input
-    unit]
+    excited_std : float
+        The first input's least standard deviation over 10 s in an excited sample [input unit].
     """
 
     confirm: Annotated[int, Field(ge=1, le=8)] = 1
@@ -325,8 +323,8 @@ class EnergyTestSettings(StrictModel):
 
     Attributes
     ----------
-    band_hz : tuple of float or None, Hz, two to seven rising corners, by default the frames' f_min_hz and
-    f_max_hz
+    band_hz : tuple of float or None, Hz
+        Two to seven rising corners, by default the frames' f_min_hz and f_max_hz.
     memory_s : float or None, s, time constant of the forgetting, by default one period of f_min_hz
     """
 
@@ -387,8 +385,8 @@ class FitSettings(StrictModel):
 
     Attributes
     ----------
-    parameters : dict or None, range of each fitted entry, by default all, from a fifth to five times their
-    value
+    parameters : dict or None
+        Range of each fitted entry, by default all, from a fifth to five times their value.
     input_delay_s : (low, high) or None, s, at most 1 s; equal ends keep the delay
         By default 0 to ten samples or three times the value.
     trim : str, one input_offset for all drives, or one a drive, of which the mean is written
@@ -424,8 +422,8 @@ class EvaluationSettings(StrictModel):
     gains : tuple of float, factors on the outputs
     delays_s : tuple of float, s, of the input and of the outputs
     bias : float or None, on every output, in its unit
-    bias_of_spread : float, bias by default, as a share of the output's standard deviation in bound-setting
-    drives
+    bias_of_spread : float
+        Bias by default, as a share of the output's standard deviation in bound-setting drives.
     ways : tuple of str, at once, growing for ``ramp_s``, or from the drive's first sample
     ramp_s : float, s
     """

@@ -38,7 +38,7 @@ def require_settings(stored: dict[str, Any], where: object, project: Project, ve
             setting,
             "",
             f"{json.dumps(old)} in {where}, {json.dumps(new)} in {vehicle}",
-            "the settings that it was made with, or made anew with these",
+            "its own settings, or a new result with these",
         )
 
 

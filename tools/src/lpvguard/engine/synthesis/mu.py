@@ -29,7 +29,7 @@ from lpvguard.engine.synthesis.frequency_cells import (
     response_rounding,
 )
 from lpvguard.engine.synthesis.mu_lower import SINGULAR_RTOL, attained, lower_bound
-from lpvguard.engine.synthesis.mu_upper import POINT_RTOL, upper_bound
+from lpvguard.engine.synthesis.mu_upper import POINT_RTOL, scaled_size, upper_bound
 from lpvguard.engine.synthesis.real_boxes import ParameterBox, Part, Prover
 from lpvguard.engine.synthesis.real_mu import ZERO, real_mu
 from lpvguard.engine.synthesis.statespace import StateSpace
@@ -54,17 +54,13 @@ class MuBounds:
 
     Attributes
     ----------
-    upper : float
-        Proved by ``proof``.
-    lower : float
-        Attained at ``omega`` by ``delta``, shape (Σrows, Σcols), which makes I − M Δ singular with
-        max_i σ̄(Δ_i) = 1 / ``lower``; ``delta`` is None for a lower bound of 0.
-    omega : float
-        Frequency in rad/s; of a matrix 0.
-    proof : tuple of Part
-        In continuous time, of a discrete loop by the bilinear map.
-    size : float
-        ‖M‖, the largest over the interval where that was looked at; a bound far below it counts as 0.
+    upper : float, proved by ``proof``
+    lower : float, attained at ``omega`` by ``delta``
+    omega : float, rad/s, for a matrix 0
+    delta : ndarray (Σrows, Σcols) of complex, or None for a lower bound of 0
+        It makes I − M Δ singular with max_i σ̄(Δ_i) = 1 / ``lower``.
+    proof : tuple of Part, in continuous time, for a discrete loop by the bilinear map
+    size : float, ``scaled_size`` of M at ``omega``, or its largest; a bound far below it counts as 0
     """
 
     upper: float
@@ -92,15 +88,22 @@ def mu_bounds(M: np.ndarray, blocks: Sequence[Block], rtol: float = 1e-8) -> MuB
 
     Parameters
     ----------
-    M : ndarray, shape (Σcols, Σrows)
-    blocks : sequence of Block
-    rtol : float
-        Accuracy of the scalings' bound. With real blocks the gap aimed at is ``REAL_RTOL``.
+    M : ndarray (Σcols, Σrows) of complex
+    blocks : Sequence[Block]
+    rtol : float, accuracy of the scalings' bound, default 1e-8; with real blocks the target is ``REAL_RTOL``
+
+    Returns
+    -------
+    MuBounds
 
     Raises
     ------
     SynthesisError
-        M is not finite, its shape is not that of the blocks, or no bound could be proved.
+        If M is not finite, its shape does not fit the blocks, or no bound could be proved.
+
+    References
+    ----------
+    THEORY 6.
     """
     M = np.asarray(M, dtype=complex)
     structure = Structure(tuple(blocks))
@@ -111,7 +114,7 @@ def mu_bounds(M: np.ndarray, blocks: Sequence[Block], rtol: float = 1e-8) -> MuB
         )
     if not np.all(np.isfinite(M)):
         raise SynthesisError("mu", "M", "a NaN or infinite entry", "finite numbers")
-    size = float(np.linalg.norm(M, 2))
+    size = scaled_size(M, structure)
     if size == 0:
         return MuBounds(0.0, 0.0, 0.0, None, (), 0.0)
     prover = Prover(M, structure)
@@ -141,20 +144,24 @@ def mu_interval(
 
     Parameters
     ----------
-    loop : StateSpace
-        Stable, with Σcols outputs and Σrows inputs.
-    blocks : sequence of Block
-    low, high : float
-        Interval in rad/s. The last may be infinite, or in discrete time pi / dt.
-    rtol : float
-        Gap aimed at.
-    least : float
-        Level from which the search begins: ``upper`` is that level where it can be proved.
+    loop : StateSpace, stable, with Σcols outputs and Σrows inputs
+    blocks : Sequence[Block]
+    low, high : float, rad/s, high may be infinite, or in discrete time pi / dt
+    rtol : float, target of the gap
+    least : float, start of the search, default 0.0; ``upper`` is that level where it can be proved
+
+    Returns
+    -------
+    MuBounds
 
     Raises
     ------
     SynthesisError
-        The loop is not stable or of another shape than the blocks, or no bound could be proved.
+        If the loop is not stable, its shape does not fit the blocks, or no bound could be proved.
+
+    References
+    ----------
+    THEORY 6.
     """
     structure = Structure(tuple(blocks))
     G, first, last, unwarped = continuous_interval("mu_interval", loop, structure, low, high)
@@ -188,7 +195,8 @@ def _scaled_bound(prover: Prover, M: np.ndarray, rtol: float) -> tuple[float, Pa
         for share in INFLATIONS:
             upper = max(least, np.finfo(float).tiny) * (1 + share)
             edge = np.full(n_real, 1 / upper)
-            point = PointBound(1.0, D_left, np.zeros_like(D_right), D_right, G / upper)
+            with np.errstate(over="ignore"):  # an endless G proves nothing
+                point = PointBound(1.0, D_left, np.zeros_like(D_right), D_right, G / upper)
             part = Part(ParameterBox(-edge, edge), 0.0, 0.0, point)
             if prover.verified([part], upper, 0.0, 0.0):
                 return float(upper), part, left, right
@@ -215,7 +223,7 @@ def _complex_interval(
     upper, _, left, right, _ = upper_bound(M, structure, POINT_RTOL)
     lower, delta = lower_bound(M, structure, left, right, upper * (1 - POINT_RTOL), INTERVAL_STARTS)
     proof = tuple(Part(EMPTY, c.low, c.high, c.point) for c in bound.cells)
-    return MuBounds(bound.upper, lower, bound.omega, delta, proof, float(np.linalg.norm(M, 2)))
+    return MuBounds(bound.upper, lower, bound.omega, delta, proof, scaled_size(M, structure))
 
 
 def _require(

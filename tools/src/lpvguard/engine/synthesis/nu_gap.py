@@ -1,9 +1,10 @@
-"""The ν-gap between two plants and the robust-stability margin that belongs to it (THEORY 7.10).
+"""The ν-gap between two plants and its robust-stability margin (THEORY 7.10).
 
 With normalised coprime factors G₁ = [N₁; M₁] and G̃₂ = [−M̃₂, Ñ₂] the chordal distance of two plants at a
-frequency is σ̄(G̃₂G₁). Where det(I + P₂ᴴP₁) has the right winding number the ν-gap is ‖G̃₂G₁‖∞, and 1 otherwise.
-A controller with b(P₁, K) > ν(P₁, P₂) stabilises P₂ too. Both norms are bracketed over all frequencies.
-The factors come from Riccati equations. So the distance of the plants' own responses is held against theirs.
+frequency is σ̄(G̃₂G₁). Where det(I + P₂ᴴP₁) has the right winding number the ν-gap is ‖G̃₂G₁‖∞, and 1
+otherwise. A controller with b(P₁, K) > ν(P₁, P₂) stabilises P₂ too. Both norms are bracketed over all
+frequencies. The factors come from Riccati equations. So the distance of the plants' own responses is held
+against theirs.
 """
 
 from __future__ import annotations
@@ -28,11 +29,24 @@ DISTANCE_ATOL = 1e-6
 
 
 def nu_gap(first: StateSpace, second: StateSpace) -> NormBracket:
-    """Bracket of the ν-gap of two plants with the same inputs, outputs and dt, at its frequency [rad/s]; (1,
-    1) where the winding number is not the right one.
+    """Bracket the ν-gap of two plants, with its frequency [rad/s].
 
-    SynthesisError where shapes or dt differ, or a plant has a mode that is not stabilisable or not
-    detectable.
+    Parameters
+    ----------
+    first, second : StateSpace
+
+    Returns
+    -------
+    NormBracket, (1, 1) for a wrong winding number
+
+    Raises
+    ------
+    SynthesisError
+        If shapes or dt differ, or a mode is not stabilisable or not detectable.
+
+    References
+    ----------
+    THEORY 7.10.
     """
     same_time(first, second)
     if first.D.shape != second.D.shape:
@@ -55,8 +69,20 @@ def nu_gap(first: StateSpace, second: StateSpace) -> NormBracket:
 
 
 def nu_margin(plant: StateSpace, controller: StateSpace) -> float:
-    """b(P, K), the reciprocal of ‖[I; K](I − P K)⁻¹[I, P]‖∞, from the upper end of its bracket; u = K y, 0
-    where the loop is unstable."""
+    """Compute b(P, K), the reciprocal of ‖[I; K](I − P K)⁻¹[I, P]‖∞, for u = K y.
+
+    Parameters
+    ----------
+    plant, controller : StateSpace
+
+    Returns
+    -------
+    float, from the upper end of the norm's bracket, 0 for an unstable loop
+
+    References
+    ----------
+    THEORY 7.10.
+    """
     n, p, m = plant.order, plant.n_outputs, plant.n_inputs
     # From [w_y, w_u, u] to [y, u, y]: y = P (u + w_u) + w_y.
     B = np.hstack([np.zeros((n, p)), plant.B, plant.B])
@@ -96,10 +122,10 @@ def _root(G: np.ndarray) -> np.ndarray:
 
 
 def _unstable_zeros(P1: StateSpace, P2: StateSpace) -> int:
-    """Zeros of det(I + P₂(−s)ᵀ P₁(s)) with a positive real part; the winding number is right where there are
-    as many as P₂ has states.
+    """Zeros of det(I + P₂(−s)ᵀ P₁(s)) with a positive real part.
 
-    A zero on the axis is a distance of 1, which the norm shows; so is one at infinity, told as -1.
+    The winding number is right if their number is P₂'s order. A zero on the axis, or at infinity (-1), is a
+    distance of 1, which the norm shows.
     """
     adjoint = StateSpace(-P2.A.T, -P2.C.T, P2.B.T, P2.D.T)
     H = series(adjoint, P1)

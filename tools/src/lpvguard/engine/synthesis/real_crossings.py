@@ -229,7 +229,7 @@ class RealSearch:
             Grid in rad/s. An eigenvalue of M(jω) Q, Q of entries ±1, that is real or that changes the side of
             the real axis before the next frequency marks a start.
         count : int
-            Starts wanted.
+            Starts wanted where M is real, and as many elsewhere: an eigenvalue may be nearly real all around.
         real_part : float
             Least share of an eigenvalue's size that its real part has where it marks a start by itself.
         """
@@ -248,7 +248,9 @@ class RealSearch:
             largest = np.take_along_axis(kept, np.abs(kept).argmax(1)[:, None], 1)[:, 0]
             marks += [(value, n, j) for j, value in enumerate(largest) if value]
         marks.sort(key=lambda mark: -abs(mark[0]))
-        return [(signs[n] / value, float(omega[j])) for value, n, j in marks[:count]]
+        where_real = ~M.imag.any((1, 2))
+        marks = [m for real in (True, False) for m in [m for m in marks if where_real[m[2]] == real][:count]]
+        return [(signs[n] / value, float(omega[j])) for value, n, j in marks]
 
 
 def _signs(k: int) -> np.ndarray:

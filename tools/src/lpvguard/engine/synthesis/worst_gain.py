@@ -30,7 +30,7 @@ from lpvguard.engine.synthesis.statespace import StateSpace
 from lpvguard.engine.synthesis.structure import Structure
 
 STEPS = 12
-"""At one frequency."""
+"""Steps at one frequency."""
 LARGEST = 1e6
 """Times the nominal gain; above it the gain counts as unbounded."""
 
@@ -44,11 +44,29 @@ def worst_gain(
     rtol: float = 2e-3,
     least: float = 0.0,
 ) -> IntervalBound:
-    """The bound for ``loop`` from ``low`` to ``high`` [rad/s], frequencies as in ``cover``. Its first
-    outputs and inputs are those of Δ, the last those of the full ``performance`` block (z, then [w; n; r_c]).
+    """Bound the gain from disturbances to errors over every Δ of size 1 and a range of frequencies.
 
-    ``upper`` is at least ``least``. It is inf where scalings do not show the loop stable for every Δ of size
-    1, and where the cells do not prove it when tested anew. SynthesisError as ``cover``.
+    Parameters
+    ----------
+    loop : StateSpace, whose first outputs and inputs are Δ's, the last those of ``performance``
+    blocks : Sequence[Block], of Δ
+    performance : Block, full, z to [w; n; r_c]
+    low, high : float, rad/s, as in `cover`
+    rtol : float, default 0.002
+    least : float, least upper bound returned, default 0.0
+
+    Returns
+    -------
+    IntervalBound, upper is inf if no scalings prove stability, or the cells fail when tested again
+
+    Raises
+    ------
+    SynthesisError
+        If `cover` raises it.
+
+    References
+    ----------
+    THEORY 7.10.
     """
     structure = Structure((*blocks, performance))
     rows, cols = structure.n_rows - performance.cols, structure.n_cols - performance.rows

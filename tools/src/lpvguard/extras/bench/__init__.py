@@ -86,8 +86,7 @@ def parser(name: str, description: str | None) -> argparse.ArgumentParser:
 def numbers_of(
     bench: str, option: str, given: str, good: Callable[[float], bool], expected: str
 ) -> list[float]:
-    """The numbers of an option, comma between; InputError with what is ``expected`` unless all are
-    ``good``."""
+    """Numbers of an option, comma-separated; InputError with ``expected`` unless all are ``good``."""
     try:
         found = [float(word) for word in given.split(",")]
     except ValueError:

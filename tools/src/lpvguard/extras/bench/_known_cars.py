@@ -1,4 +1,4 @@
-"""Cars of known truth: a nonlinear single-track model, many at a time, beside the nominal model of the g80.
+"""Cars of known truth: a nonlinear single-track model, many at a time, with the nominal model of the g80.
 
 Tyre forces lag by a relaxation length and saturate. The steering lags, and an elastic element with friction
 takes a share of small angles. The true error at a frequency, speed and amplitude is the car's describing
@@ -31,7 +31,7 @@ PARTS = ((0.6, (0.03, 0.2)), (0.4, (0.1, 0.8)), (0.15, (0.6, 3.0)))
 MULTISINE_S, REALISATIONS = 40.0, 6
 """Period of the multisines that measure the best linear approximation, and how many there are."""
 START_S = 2.0
-"""Time that a drive stands ahead of its record, so that filters have settled."""
+"""Standstill before a drive's record, in which filters settle."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ CARS = {
 
 @dataclass(frozen=True)
 class DriveDeviations:
-    """What drives differ by: gain and delay of every drive, (D,) ratios and (D,) [s]."""
+    """Differences between drives: gain (D,) and delay (D,) [s] of every drive."""
 
     gain: np.ndarray
     delay_s: np.ndarray

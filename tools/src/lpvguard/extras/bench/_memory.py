@@ -1,6 +1,6 @@
-"""How the memory of Delta shows in the frame test: t* of error that a causal Delta makes alone, w = 0.
+"""Effect of Delta's memory on the frame test: t* of error that a causal Delta makes alone, w = 0.
 
-A frame's t* asks for one complex number d. A causal Delta with impulse response delta_k is no such number:
+A frame's t* assumes one complex number d. A causal Delta with impulse response delta_k is no such number:
 with the Hann window h of N samples (scale 4/N) and any nominal output z
 
     E - Delta(jw) Z = (4/N) sum_k delta_k e^-jwk sum_m (h[m+k] - h[m]) z[m] e^-jwm.
@@ -11,7 +11,7 @@ and rms is their root mean square:
 
     t* <= 1 + 2 sqrt(2) pi sqrt(1 + q) (sum_k k |delta_k| / N) rms / B_w.
 
-Drawn here: random stable Delta, sup |Delta| = W_delta, that lasts a fraction q of the frame, and random z
+The draws are random stable Delta, sup |Delta| = W_delta, that last a fraction q of the frame, and random z
 with a steep spectrum.
 """
 

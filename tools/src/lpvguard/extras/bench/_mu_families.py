@@ -98,7 +98,7 @@ def real_matrix(rng: np.random.Generator) -> tuple[Problem, float]:
 
 
 def repeated(rng: np.random.Generator) -> tuple[Problem, float]:
-    """Repeated scalars alone or side by side: the largest |eigenvalue|, real ones for real scalars."""
+    """Repeated scalars, alone or together: μ is the largest |eigenvalue|, of real ones for real scalars."""
     parts, blocks, best = [], [], 0.0
     for _ in range(int(rng.integers(1, 4))):
         size = int(rng.integers(1, 4))
@@ -122,6 +122,25 @@ def triangular(rng: np.random.Generator) -> tuple[Problem, float]:
     M = np.diag(m) + np.triu(_complex(rng, n, n) * 10 ** rng.uniform(-2, 1.5), 1)
     blocks = [_block("repeated_real" if r else "full") for r in real]
     return _point(M, blocks, float(np.abs(m).max()))
+
+
+def similar(rng: np.random.Generator) -> tuple[Problem, float]:
+    """One of the families above in other units and coordinates of each block, which commute with Δ."""
+    family = (diagonal, rank_one, real_matrix, repeated, triangular)[int(rng.integers(5))]
+    problem, mu = family(rng)
+    blocks = problem["blocks"]
+    left, right = [], []
+    for b in blocks:
+        size = 10.0 ** rng.uniform(-4, 4)
+        if b["type"] == "full":  # any unitary factors; μ does not see them
+            left.append(size * np.linalg.qr(_complex(rng, b["rows"], b["rows"]))[0])
+            right.append(np.linalg.qr(_complex(rng, b["cols"], b["cols"]))[0] / size)
+        else:
+            T = size * _complex(rng, b["rows"], b["rows"])
+            left.append(T)
+            right.append(np.linalg.inv(T))
+    M = np.array(problem["M"]) @ [1, 1j]
+    return _point(block_diag(*left) @ M @ block_diag(*right), blocks, mu)
 
 
 # --- intervals ---
@@ -222,13 +241,55 @@ def several_real(rng: np.random.Generator) -> tuple[Problem, float]:
 
 
 def repeated_real(rng: np.random.Generator) -> tuple[Problem, float]:
-    """One real scalar that stands twice or three times: M is triangular in disguise."""
+    """One real scalar, two or three times: M is triangular in other coordinates."""
     drawn = [_lags(rng) if rng.random() < 0.6 else _twins(rng) for _ in range(int(rng.integers(2, 4)))]
     A, B, C, D = _joined(rng, [part[:3] for part in drawn], True)
     T = np.linalg.qr(rng.standard_normal(D.shape))[0]
     problem = _disguised(rng, A, B @ T.T, T @ C, T @ D @ T.T, [len(drawn)])
     problem["blocks"] = [_block("repeated_real", len(drawn))]
     return problem, max(max(crossings.values()) for *_, crossings in drawn)
+
+
+def coupled_real(rng: np.random.Generator) -> tuple[Problem, float]:
+    """N g with a lag g and N ≻ 0: N Δ has real eigenvalues, so only crossings count, and μ = λ_max(N) |g|."""
+    n = int(rng.integers(2, 5))
+    A, B, C, crossings = _lags(rng)
+    N = rng.standard_normal((n, n))
+    N = N @ N.T + 0.1 * np.eye(n)
+    one = np.eye(n)
+    problem = _disguised(rng, np.kron(one, A), np.kron(one, B), np.kron(N, C), np.zeros((n, n)), [1] * n)
+    problem["blocks"] = [_block("repeated_real")] * n
+    return problem, float(np.linalg.eigvalsh(N)[-1]) * max(crossings.values())
+
+
+def interval_polynomial(rng: np.random.Generator) -> tuple[Problem, float]:
+    """A stable polynomial with coefficients in intervals: four corners decide (Kharitonov 1978)."""
+    n = int(rng.integers(2, 5))
+    roots = -(10.0 ** rng.uniform(-0.7, 0.7, n)) + 0j
+    for k in range(0, n - 1, 2):
+        if rng.random() < 0.6:
+            roots[k] = roots[k].real + 1j * 10 ** rng.uniform(-0.7, 0.7)
+            roots[k + 1] = np.conj(roots[k])
+    a = np.real(np.poly(roots))[:0:-1]  # of s^0, s^1, ...
+    r = a * rng.uniform(0.2, 1.0, n)
+    signs = np.array(
+        [np.resize(s, n) for s in ([1, 1, -1, -1], [-1, -1, 1, 1], [1, -1, -1, 1], [-1, 1, 1, -1])]
+    )
+
+    def stable(level: float) -> bool:
+        corners = a + r * signs / level
+        return all(np.roots(np.append(1.0, c[::-1])).real.max() < 0 for c in corners)
+
+    low, high = 1e-3, float(np.max(r / a)) * 1e3
+    for _ in range(100):
+        middle = float(np.sqrt(low * high))
+        low, high = (low, middle) if stable(middle) else (middle, high)
+    A = np.vstack([np.eye(n)[1:], -a])
+    B = np.zeros((n, n))
+    B[-1] = 1.0
+    problem = _disguised(rng, A, B, -np.diag(r), np.zeros((n, n)), [1] * n)
+    problem["blocks"] = [_block("repeated_real")] * n
+    return problem, high
 
 
 def real_and_performance(rng: np.random.Generator) -> tuple[Problem, float]:
@@ -272,12 +333,21 @@ def discrete(rng: np.random.Generator) -> tuple[Problem, float]:
 
 
 FAMILIES: dict[str, list[Family]] = {
-    "mu": [diagonal, rank_one, real_matrix, repeated, triangular],
-    "mu_interval": [one_real, several_real, repeated_real, real_and_performance, complex_blocks, discrete],
+    "mu": [diagonal, rank_one, real_matrix, repeated, triangular, similar],
+    "mu_interval": [
+        one_real,
+        several_real,
+        repeated_real,
+        coupled_real,
+        interval_polynomial,
+        real_and_performance,
+        complex_blocks,
+        discrete,
+    ],
 }
 
 
 def problems(family: Family, count: int, seed: int, first: int = 0) -> Iterator[tuple[Problem, float]]:
-    """Yield ``count`` problems of ``family`` with their μ, from the one of number ``first`` on."""
+    """Yield ``count`` problems of ``family`` with their μ, from number ``first`` on."""
     for index in range(first, first + count):
         yield family(np.random.default_rng([seed, index]))

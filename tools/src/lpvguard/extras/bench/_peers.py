@@ -1,6 +1,7 @@
-"""Public peers in a virtual environment of their own, made when asked for (binary wheels only): nothing that
-they need, and no version that they are bound to, touches the package's own environment. What a peer returns
-is judged by the bench that asked.
+"""Public peers in a separate virtual environment, made on demand (binary wheels only).
+
+Their requirements and versions do not touch the package's environment. The calling bench judges their
+answers.
 """
 
 from __future__ import annotations
@@ -38,8 +39,8 @@ class Peers:
                 self.note = f"could not be installed: {made.stderr.strip().splitlines()[-1:]}"
 
     def ask(self, script: str, question: dict, limit_s: float) -> dict:
-        """What ``script`` (argv: file of the question, file for its answer, both JSON) answers, or {"note":
-        why there is none}."""
+        """Answer of ``script`` (argv: files of question and answer, both JSON), or {"note": reason why
+        there is none}."""
         if self.note:
             return {"note": self.note}
         return ask(self._python, script, question, limit_s)

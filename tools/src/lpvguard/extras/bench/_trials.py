@@ -1,8 +1,7 @@
-"""Loops drawn within what each certificate of a controller.json allows, each with the input that drives it
-furthest, against the number that is proved.
+"""Loops drawn within the limits of each certificate of a controller.json, each with its worst input found.
 
 A trial draws a stable Delta: all-passes of first order, sampled rational systems up to fourth order, or one
-that the lower bound of mu constructs. Its gain is 1, or 1/mu where mu is asked about. The input is not drawn.
+that the lower bound of mu constructs. Its gain is 1, or 1/mu for trials of mu. The input is not drawn.
 It is the one with the largest gain that the loop's adjoint finds over a finite horizon, or the one that
 climbs furthest where the demand is limited.
 """
@@ -52,8 +51,8 @@ ABOVE = 1e-6
 
 @dataclass(frozen=True)
 class Trial:
-    """``share``: what was reached over what is proved. ``grows``: whether a loop that is proved stable grew.
-    ``where``: speed and history."""
+    """A trial. ``share``: reached over proved number; ``grows``: a loop that is proved stable grew;
+    ``where``: place."""
 
     share: float
     grows: bool
@@ -61,7 +60,7 @@ class Trial:
 
     @property
     def above(self) -> bool:
-        """Whether it refutes the proof."""
+        """Whether the trial refutes the proof."""
         return self.grows or self.share > 1 + ABOVE
 
 
@@ -77,8 +76,8 @@ class Trials:
         self.unscaled = Scaling(np.zeros((len(self.scaling.log_parameters), 1)))
 
     def claims(self) -> Iterator[tuple[str, float | None, Callable[[], Trial]]]:
-        """What the file claims: its name, the rate that is proved (None: the speed is frozen), and what
-        draws a trial of it."""
+        """Claims of the file: name, proved rate (None: the speed is frozen), and function that draws a
+        trial."""
         moving = {claim: row["rate_mps2"] for claim, row in self.stated["moving_speed"].items()}
         if moving.get("stability"):
             yield "stability, moving speed", moving["stability"], self.moving_stability
@@ -102,12 +101,12 @@ class Trials:
 
     @cached_property
     def stability(self) -> Loop:
-        """The loop from what is added to Delta's outputs to its inputs."""
+        """Loop from Delta's outputs to its inputs."""
         return self._loop(injected(scaled_families(self.stored, self.schedule, self.unscaled)["stability"]))
 
     @cached_property
     def scaled_channels(self) -> Loop:
-        """Delta's channels with D(s): of what is proved, the gain below 1."""
+        """Delta's channels with D(s), whose proved gain is below 1."""
         return Loop(
             OverSpeed(scaled_families(self.stored, self.schedule, self.scaling)["stability"]), 0, self.Ts
         )
@@ -129,17 +128,17 @@ class Trials:
         return Trial(history.gain(self._input(1))[0] / said["level"], False, name)
 
     def frozen(self) -> Trial:
-        """At a speed whose mu is proved: a Delta of gain 1/mu leaves a gain of mu."""
+        """Trial at a speed with a proved mu: a Delta of gain 1/mu leaves a gain of mu."""
         row = self._one_of(self.stated["speeds"])
         return self._frozen(row["v_mps"], row["mu_upper"], 1 / row["mu_upper"])
 
     def worst_gain(self) -> Trial:
-        """At a node whose worst-case gain is proved."""
+        """Trial at a node with a proved worst-case gain."""
         row = self._one_of(self._nodes("robustness", "worst_gain"))
         return self._frozen(row["v_mps"], row["worst_gain"], 1.0)
 
     def slow_delta(self) -> Trial:
-        """At a node, two Delta in a mean whose weights move at the proved rate."""
+        """Trial at a node: a mean of two Delta whose weights move at the proved rate."""
         row = self._one_of(self._nodes("slow_delta", "performance_rate"))
         grid = SpeedGrid.of(-1.0, 1.0, row["performance_rate"], self.Ts)
         shape = triangle if self.random.random() < 0.5 else sinusoid
@@ -154,8 +153,11 @@ class Trials:
         return Trial(gain, False, f"{row['v_mps']:.4g} m/s, {shape.__name__} between two Delta")
 
     def switched_delta(self) -> Trial:
-        """At a node, all-passes whose signs switch as the derivative favours: the scaled gain of what is
-        added to Delta's outputs, which small gain bounds by level / (1 − level)."""
+        """Trial at a node: all-passes whose signs switch as the derivative favours.
+
+        The number is the scaled gain from Delta's outputs to its inputs, bounded by level / (1 − level)
+        (small gain).
+        """
         row = self._one_of(self._switched())
         blocks, level = self.stability.blocks, row["stability_level"]
         corners = drawn_corners(self.random, blocks)
@@ -183,7 +185,7 @@ class Trials:
         return Trial(gain / bound, False, f"{row['v_mps']:.4g} m/s, switched signs")
 
     def limited(self, aim: str) -> Trial:
-        """At a row of the limits, an input of the stated energy that climbs for the ``aim``."""
+        """Trial at a row of the limits: an input of the stated energy that climbs for the ``aim``."""
         row = self._one_of(self._limits(aim))
         v, kappa = row["v_mps"], row["kappa"]
         plant, K = frozen_plant(self.stored, v), self.schedule.at(v)
@@ -209,7 +211,7 @@ class Trials:
 
     @cached_property
     def _constructed(self) -> list[StateSpace]:
-        """What mu's lower bound constructs at some nodes, each of size 1."""
+        """Delta of size 1 that mu's lower bound constructs at some nodes."""
         speeds = self.schedule.speeds[evenly(len(self.schedule.speeds), CONSTRUCTED)]
         found = [worst_case(frozen_plant(self.stored, v), self.schedule.at(v), self.scaling) for v in speeds]
         return [
@@ -218,7 +220,7 @@ class Trials:
         ]
 
     def _frozen(self, v: float, bound: float, size: float) -> Trial:
-        """At speed ``v`` [m/s] a Delta of gain ``size``: the gain that it leaves, over ``bound``."""
+        """Gain with a Delta of gain ``size`` at speed ``v`` [m/s], over ``bound``."""
         drawn = self.drawn()
         delta = StateSpace(drawn.A, drawn.B, drawn.C * size, drawn.D * size, drawn.dt)
         history = self.performance.history(np.full(self.samples, v), delta)
@@ -286,8 +288,10 @@ def _side_by_side(one: StateSpace, other: StateSpace) -> tuple[StateSpace, State
 
 
 def _turned(S: np.ndarray, signs: np.ndarray, index: np.ndarray, n: int, w: np.ndarray) -> np.ndarray:
-    """For every sample (T,) the row of ``signs`` (K, blocks) that the derivative of the gain favours; S (K,
-    n + p, n + m) belongs to these rows, w (T, m) is the input."""
+    """Row of ``signs`` (K, blocks) for every sample (T,) that the derivative of the gain favours.
+
+    S (K, n + p, n + m) belongs to these rows, w (T, m) is the input.
+    """
     history, turned = History(S, index, n), np.empty((len(index), signs.shape[1]))
     for block in range(signs.shape[1]):
         up = signs.copy()

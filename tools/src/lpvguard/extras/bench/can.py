@@ -1,12 +1,12 @@
-"""`lpvguard bench can`: how fast CAN logs are decoded, or what the closed loop makes of faults on the bus.
+"""`lpvguard bench can`: speed of decoding CAN logs, or reactions of the closed loop to faults on the bus.
 
 With a log and its database it measures decoding. It repeats a candump log to the wanted number of frames and
 decodes every signal of every message of the database from the text file. A loop of python-can's reader and
 cantools' decode_message runs over a part of the same file in the same run. One process, one thread. Times are
 processor time (user and system), so that other work on the machine does not enter the ratio.
 
-Without a log it prints the fault table of the closed loop (loop/bus_faults.py): what goes wrong on the bus,
-and what the firmware makes of it.
+Without a log it prints the fault table of the closed loop (loop/bus_faults.py): each fault on the bus, and
+the firmware's reaction.
 """
 
 from __future__ import annotations
@@ -89,7 +89,7 @@ def _peer(path: Path, database: Database) -> tuple[int, float]:
 
 
 def main(argv: list[str]) -> None:
-    """`lpvguard bench can [LOG DBC]`. Exit 1 when a fault did not show what it must in time."""
+    """`lpvguard bench can [LOG DBC]`. Exit 1 when a required reaction is missing or late."""
     options = parser("can", __doc__)
     options.add_argument("log", type=Path, nargs="?", help="candump log, also .gz; without: the fault table")
     options.add_argument("dbc", type=Path, nargs="?")

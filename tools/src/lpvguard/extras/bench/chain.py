@@ -1,11 +1,10 @@
-"""The whole chain of a vehicle beside one synthesis by a public package, in the same run.
+"""The whole chain of a vehicle in comparison with one synthesis by a public package, in the same run.
 
 Stages: identification from the drives, the frozen design with its proofs of mu, and the generated C with
-these proofs repeated. Beside their sum stands one K_i synthesis of the paper's case by dkpy. The search
-for a proof at a moving speed has a row of its own and is not in the sum. Drives and speeds are shared by
-the processors of this machine, as `--jobs` of the commands does; dkpy uses one. What is asked of the chain
-is the ratio of waiting times. Other work on the machine stretches both; the ratio of processor seconds
-stands beside it.
+these proofs repeated. Their sum is compared with one K_i synthesis of the paper's case by dkpy. The search
+for a proof at a moving speed has a separate row and is not in the sum. The processors of this machine share
+drives and speeds, as with `--jobs` of the commands; dkpy uses one. The result is the ratio of waiting times.
+Other work on the machine stretches both, so the table also has the ratio of processor seconds.
 """
 
 from __future__ import annotations

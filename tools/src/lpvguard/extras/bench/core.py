@@ -1,10 +1,10 @@
-"""`lpvguard bench core`: what the core costs on an ECU -- ROM, RAM, stack, instructions of every part, share
-of a processor.
+"""`lpvguard bench core`: cost of the core on an ECU: ROM, RAM, stack, instructions of every part, processor
+load.
 
-Measured on emulated Cortex-M4F, M7 and R5F over a seeded drive. The vehicle is the one that the budget of
-lib/INTEGRATION.md names: the truck with 20 bins, 2 outputs and a controller of 25 states. Every count is of
-executed *instructions, not cycles*: multiply by the cycles an instruction takes on the part, flash waits
-included.
+It is measured on emulated Cortex-M4F, M7 and R5F over a seeded drive. The vehicle is that of the budget in
+lib/INTEGRATION.md: the truck with 20 bins, 2 outputs and a controller of 25 states. Every count is of
+executed
+*instructions, not cycles*: multiply by the part's cycles per instruction, flash waits included.
 """
 
 from __future__ import annotations
@@ -202,8 +202,8 @@ def bench_core(targets: tuple[str, ...] = tuple(TARGETS), *, clock_mhz: float = 
 
 
 def count(target: str, folder: Path, drive: Input) -> dict[str, Any]:
-    """What `run_target` counts of the build that an ECU project makes, with ``rom_total``,
-    ``worst_to_median`` of the step, and ``monitor_only``."""
+    """Counts of `run_target` for an ECU project's build, with ``rom_total``, ``worst_to_median`` and
+    ``monitor_only``."""
     run = run_target(target, folder, drive, same_bits=False)
     step = run["parts"]["ecu_step"]
     run["rom_total"] = sum(run["rom"].values())

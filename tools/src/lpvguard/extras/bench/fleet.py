@@ -1,9 +1,9 @@
 """Many drives: time of `identify` with one and with several workers, and peak memory over the number of
 drives.
 
-The fleet is made up: short drives of the g80's nominal model with another gain, a disturbance and noise, at
-frames of six seconds and less. Both times are the least of two runs, taken in turn; the bounds must be the
-same bits. Memory is the high-water mark of a process of its own with one worker.
+The fleet is synthetic: short drives of the g80's nominal model with another gain, a disturbance and noise,
+with frames of six seconds and less. Both times are the least of two runs, taken in turn; the bounds must have
+the same bits. Memory is the high-water mark of a separate process with one worker.
 """
 
 from __future__ import annotations

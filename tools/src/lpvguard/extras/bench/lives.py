@@ -1,12 +1,12 @@
 """Lives of vehicles: how often the wealth of a healthy one ever alarms, and how soon that of a worn one.
 
-The pool is made up: drives of the synthetic car (drives/fixture.py) through the shipped g80's compiled core.
-Every drive has a gain of its own, normal around 1, for load, tyres and road. It is run with its output at
-each of GAINS; a life takes a score between two of them by interpolation. Calibration sets and lives are drawn
-from the pool with replacement, a fresh set a life. Ranked by how far their true tails are from the bounds of
-THEORY (T35), the worst twentieth of the sets lives again, each set so many times.
+The pool is synthetic: drives of the synthetic car (drives/fixture.py) through the shipped g80's compiled
+core. Every drive has a gain, normal around 1, for load, tyres and road. It is run with its output at each of
+GAINS; a life interpolates a score between two of them. Calibration sets and lives are drawn from the pool
+with replacement, a fresh set a life. The worst twentieth of the sets, ranked by the distance of their true
+tails from the bounds of THEORY (T35), lives again many times.
 
-A drifting life is healthy for so many recordings; then its gain falls to 0.9 over the next hundred.
+A drifting life is healthy for a number of recordings; then its gain falls to 0.9 over the next hundred.
 """
 
 from __future__ import annotations
@@ -37,7 +37,8 @@ DURATION_S = 110.0
 SPEEDS_MPS = (5.0, 15.5)
 SIZES = (11, 100)
 DRIFT, LEAST_GAIN, STATED_GAIN, WITHIN = 100, 0.9, 0.92, 30
-"""Recordings over which the gain falls, to what; found in time is within so many after the stated gain."""
+"""Recordings over which the gain falls, its end value, and the gain and recordings that define "found in
+time"."""
 HEALTHY_BEFORE = (0, 500)
 WORST = 0.05
 AGAIN = 100
@@ -72,7 +73,7 @@ def _drive_scores(replayer: Replayer, spread: float, seed: int, index: int) -> l
 
 
 def make_pool(drives: int, spread: float, seed: int, run: Map = map) -> Pool:
-    """Of so many drives whose own gains have a standard deviation of ``spread``."""
+    """Pool of drives whose gains have a standard deviation of ``spread``."""
     replayer = replayer_for(load_project(VEHICLE), None, VEHICLE)
     found = list(run(partial(_drive_scores, replayer, spread, seed), range(drives)))
     table = np.array(found, float)
@@ -129,7 +130,7 @@ def healthy_lives(pool: Pool, n: int, lives: int, recordings: int, seed: int) ->
 
 
 def drifting_lives(pool: Pool, n: int, healthy: int, lives: int, seed: int) -> dict:
-    """When lives whose gain drifts are found; ``healthy`` recordings come before."""
+    """Times at which drifting lives are found; ``healthy`` recordings come before."""
     random = np.random.default_rng([seed, n, healthy + 1])
     levels, bets = drawn_levels(pool, n, lives, random), factors(simultaneous_tails(n, ETA))
 

@@ -1,11 +1,10 @@
-"""Every certificate of a design against loops that try to refute it, and the least rate at which a search
-does.
+"""Every certificate of a design against loops that try to refute it, and the least rate of a violation.
 
-The first table: loops drawn within what each certificate allows, each with the input that drives it furthest
-(bench/_trials.py). Of every proof it shows the worst found over what is proved. None may be above 1. The
-second: the least |dv/dt| at which a search finds a gain above 1, or growth, with an admissible Delta
-(control/violations.py), beside the proved rate. A row that is not found proves nothing. Between them stands
-the largest mu at a frozen speed beside the largest optimum of controllers for one speed: the price of a
+The first table has loops drawn within the limits of each certificate, each with its worst input found
+(bench/_trials.py). It shows for every proof the worst found number over the proved one. None may be above 1.
+The second table has the least |dv/dt| at which a search finds a gain above 1, or growth, with an admissible
+Delta (control/violations.py), and the proved rate. A row that is not found proves nothing. Between them
+stands the largest mu at a frozen speed with the largest optimum of controllers for one speed: the price of a
 controller that is scheduled, or synthesised for other objectives.
 """
 
@@ -27,7 +26,7 @@ from ._trials import NEAR, Trial, Trials
 
 LOOPS, SEED, SAMPLES = 500, 21, 3000
 LARGEST_MPS2, SMALLEST_MPS2 = 50.0, 0.015
-"""Rates between which a violation is searched for; a vehicle brakes with a fifth of the largest."""
+"""Range of rates in the search for a violation; a vehicle brakes with a fifth of the largest."""
 WANTED = 0.5
 """Proved rate over least violating rate."""
 

@@ -1,7 +1,9 @@
-"""The certificate beside what is true. First the certified gain, run: sampled and worst stable Delta with the
-compiled controller at several speeds. Then the simulated truck, measured with sines over speed, amplitude and
-frequency. The margins of the loop around its response stand beside the promised ones. The distance of the
-response from the nominal model stands beside W_delta.
+"""Certificates in comparison with the truth.
+
+First, the certified gain is simulated: sampled and worst stable Delta with the compiled controller at several
+speeds. Then the simulated truck is measured with sines over speed, amplitude and frequency. The margins of
+the loop around its response are compared with the promised ones. The distance of the response from the
+nominal model is compared with W_delta.
 """
 
 from __future__ import annotations
@@ -34,7 +36,7 @@ OMEGA = np.concatenate([np.geomspace(0.02, 1.0, 20, endpoint=False), np.geomspac
 """[rad/s] From below the steering task to where the loop's gain is small; dense where the truck resonates."""
 PROCESSES = 2
 AMPLITUDES_BAR = (0.25, 0.5, 1.0, 2.0)
-"""Where neither the command nor the project file names any."""
+"""Default amplitudes, without those of the command or the project file."""
 
 
 def main(argv: list[str]) -> None:

@@ -42,7 +42,7 @@ from ._left_out import left_out, left_out_table
 from ._multibody import multibody_drives, multibody_error, multibody_project
 
 FEWEST, MOST = 5, 40
-"""Drives of a set."""
+"""Fewest and most drives of a set."""
 SHORTEST_S, LONGEST_S = 60.0, 150.0
 GAIN, DELAY_S = 0.02, 0.008
 """Standard deviations of drives' gains and delays, where they deviate."""
@@ -56,17 +56,17 @@ SENSITIVITY = {"sizes": "common", "deviations": "deviation", "ignorance": "ignor
 
 @dataclass(frozen=True)
 class SetResult:
-    """What one set of drives shows.
+    """Result of one set of drives.
 
     Attributes
     ----------
-    car, seed, drives : name of the car, seed and number of drives of the set.
-    ratio : largest |delta| / W over frequency, speed and amplitude.
-    ratio_all : the same for one W over all speeds and amplitudes.
-    sine : largest |delta| / W of single sines.
-    outside : share of cells with |delta| above W.
-    loose, loose_all : median of W / |delta| over cells, and over frequencies for one W.
-    within, further : further drives within the band, of how many.
+    car, seed, drives : name of the car, seed and number of drives of the set
+    ratio : largest |delta| / W over frequency, speed and amplitude
+    ratio_all : the same for one W over all speeds and amplitudes
+    sine : largest |delta| / W of single sines
+    outside : share of cells with |delta| above W
+    loose, loose_all : median of W / |delta| over cells, and over frequencies for one W
+    within, further : further drives within the band, and their number
     """
 
     car: str

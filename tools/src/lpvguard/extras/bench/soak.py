@@ -1,9 +1,9 @@
 """`lpvguard bench soak`: the truck's firmware over hours of simulated driving with random faults of bus,
 clock and vehicle, on this PC and on emulated processors.
 
-A row is an hour. What is driven, said and counted is the same on every target, bit for bit, the digest of
-every frame sent included. Flat is what may not grow: instructions of the worst tick, depth of the stack. The
-rules that every tick is held against stand in firmware_sim/ports/soak.c.
+A row is an hour. Driving, messages and counts are the same on every target, bit for bit, including the digest
+of every sent frame. Some numbers must not grow: instructions of the worst tick, depth of the stack. The rules
+for every tick are in firmware_sim/ports/soak.c.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ SEED = 20261123
 SPEEDS_OF_A_TARGET = 20.0
 """An emulator that takes longer than the simulated time over this has hung."""
 OF_A_TARGET = ("worst", "stack")
-"""What each target has of its own."""
+"""Numbers that differ between targets."""
 
 
 @dataclass(frozen=True)
 class Soak:
-    """What a target did: an entry an hour, and how often each rule was broken."""
+    """Result of a target: an entry an hour, and the number of violations of each rule."""
 
     target: str
     hours: list[dict[str, int]]
@@ -35,7 +35,7 @@ class Soak:
 
     @property
     def said(self) -> list[dict[str, int]]:
-        """The hours without what each target has of its own."""
+        """The hours without the numbers that differ between targets."""
         return [{k: v for k, v in hour.items() if k not in OF_A_TARGET} for hour in self.hours]
 
 
@@ -67,7 +67,7 @@ def soak(
 
 
 def table(runs: list[Soak]) -> str:
-    """A row an hour of the first run, with what every target has of its own; then what was broken."""
+    """A row an hour of the first run, with the numbers of every target; then the violations."""
     names = [name for name in runs[0].hours[0] if name not in (*OF_A_TARGET, "number", "digest")]
     emulated = [run for run in runs if run.target != "host"]
     head = ["hour", *names, *(f"{run.target} {name}" for run in emulated for name in OF_A_TARGET)]

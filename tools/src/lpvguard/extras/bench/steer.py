@@ -1,8 +1,8 @@
-"""The closed loop of trucks that differ from the nominal one in one thing each, over speed and seeds.
+"""The closed loop of trucks that differ from the nominal one in one property, over speed and seeds.
 
-Every run follows the steering task's command, 0.02 to 1 rad/s, with the compiled controller. Shown is the
-worst run of each truck and what a certificate rules out (loop/campaign/conduct.py): a steady line of the
-demand above the commanded band, a demand at its limit for long, an error beyond the allowed share of the
+Every run follows the steering task's command, 0.02 to 1 rad/s, with the compiled controller. The table shows
+the worst run of each truck and contradictions to a certificate (loop/campaign/conduct.py): a steady line of
+the demand above the commanded band, a demand at its limit for long, an error beyond the allowed share of the
 command.
 """
 
@@ -37,7 +37,7 @@ TRUCKS = (
     *(("extra_brake_delay_s", x) for x in (0.01, 0.02, 0.03)),
     *(("load_ratio", x) for x in (0.8, 0.9, 1.1, 1.2)),
 )
-"""What differs, as a scenario file names it, and its value."""
+"""Changed property, as in a scenario file, and its value."""
 SPEEDS, SEEDS = tuple(float(v) for v in range(8, 23)), (1, 2, 3)
 """Speeds in m/s."""
 PROCESSES = 2
@@ -92,8 +92,11 @@ def _simulator(vehicle: Path) -> Simulator:
 
 
 def _row(vehicle: Path, point: tuple[str, float, float, int]) -> dict[str, Any]:
-    """tracking: rms error of the yaw rate over the command's; limited_s: longest time at the demand's limit;
-    line_bar, line_radps: steady line of the demand; falsified: what of it a certificate rules out."""
+    """A row of the table.
+
+    tracking: rms error of the yaw rate over the command's; limited_s: longest time at the demand's limit;
+    line_bar, line_radps: steady line of the demand; falsified: contradictions to a certificate.
+    """
     key, value, v, seed = point
     simulator = _simulator(vehicle)
     command = Command.multisine("log", 0.02, STEERING_RADPS, size=STEERING_RMS)

@@ -1,8 +1,8 @@
-"""Performance of the synthesis, with its certificates, beside public peers given the same plants in one run.
+"""Performance of the synthesis, with its certificates, in comparison with public peers on the same plants.
 
-H∞ on Fig. 1 with third-order weights (23 states, the paper's order), K_i and K_is on the paper case. Peers
-(_peers.py): python-control with slycot (``hinfsyn``) and dkpy (D-K iteration). What a peer returns is judged
-like ours: by the certified norm or μ bound of the loop that its controller closes, never by the level it
+The problems are H∞ on Fig. 1 with third-order weights (23 states, the paper's order), and K_i and K_is on the
+paper case. Peers (_peers.py) are python-control with slycot (``hinfsyn``) and dkpy (D-K iteration). A peer's
+controller is judged like ours: by the certified norm or μ bound of its closed loop, never by the level it
 claims.
 """
 
@@ -179,7 +179,7 @@ def _system(answer: dict) -> StateSpace:
 
 
 def question(plant: GeneralisedPlant) -> dict:
-    """What the peers' script is given."""
+    """Question to the peers' script."""
     P = plant.system
     blocks = [[b.rows, b.cols] for b in (*plant.blocks, plant.performance_block)] if plant.blocks else []
     return {

@@ -2,8 +2,8 @@
 
 Three kernels run on arrays: S1 closed form, on-line margin, S2 to a certified gap of 1e-4. Beside them, in
 the same run, a conic solver (cvxpy + Clarabel, rebuilt per point) solves a subsample of the same problems.
-The peer for S2 is a bisection-free grid: one semidefinite relaxation per trial nu_s.
-cvxpy is a test dependency: without it the ratios are left out.
+The peer for S2 is a bisection-free grid: one semidefinite relaxation per trial nu_s. cvxpy is a test
+dependency: without it the ratios are left out.
 
 >>> data = truck_points(experiments=2, bins=4, seed=1)
 >>> data["e"].shape, data["h_s"].shape
@@ -53,7 +53,7 @@ class KernelRow:
 def truck_points(
     experiments: int = 20, bins: int = 1024, seed: int = 0, ts_s: float = 0.01
 ) -> dict[str, np.ndarray]:
-    """Points of class S2 made from a known (delta, Delta_s, w), all of them from ``seed``.
+    """Points of class S2 from a known (delta, Delta_s, w), all from ``seed``.
 
     ``experiments`` speeds from 8 to 22 m/s, ``bins`` from 0.02 rad/s to 90 % of Nyquist, sampled at ``ts_s``.
     Keys: e (K, 2), z (K, 2), u (K,), x_nom (K, 3), h_i (K, 3), h_s (K, 3, 3), c (2, 3), gamma_w (K,), w_delta
@@ -103,7 +103,7 @@ def truck_points(
 
 
 def _time_us(run: Callable[[], object], points: int, repeats: int) -> float:
-    """Median over the repeats: a burst of another process must not set the figure, nor a lucky run."""
+    """Median over the repeats, insensitive to bursts of other processes and to lucky runs."""
     times = []
     for _ in range(repeats):
         start = time.perf_counter()

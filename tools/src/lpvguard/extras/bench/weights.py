@@ -1,14 +1,13 @@
-"""Weight fits: how tight, how fast, never below the bound, against a public overbounding fit in the same run.
+"""Weight fits: tightness, speed and proof, in comparison with a public overbounding fit in the same run.
 
-32 seeded bounds over 3 to 6 decades: exact third-order weights, rippled ones, random walks, 60 dB cliffs,
-steps and raw scatter of 1024 points. Ours is proved above the log-log linear bound at every frequency, its
-worst ratio is over all of them too. The exact weights are fitted once more at their own order: how far the
-fit lies from the weight itself.
+There are 32 seeded bounds over 3 to 6 decades: exact third-order weights, rippled ones, random walks, 60 dB
+cliffs, steps and raw scatter of 1024 points. Ours is proved above the log-log linear bound at every
+frequency, and its worst ratio is over all frequencies. The exact weights are fitted once more at their order,
+which shows the distance of the fit from the weight.
 
-The peer (``--peers``) is dkpy's ``fit_uncertainty_weight``, a bisection over linear programs, at the order
-that our fit chose. It is judged at the samples only, which is all that it claims, and asked twice: with its
-frequency weighting uniform, so that it minimises the same worst ratio as ours, and as it comes. One process,
-one thread.
+The peer (``--peers``) is dkpy's ``fit_uncertainty_weight``, a bisection over linear programs, at the order of
+our fit. It is judged only at the samples, as it claims. It runs twice: with uniform frequency weighting,
+which minimises the same worst ratio as ours, and with its defaults. One process, one thread.
 """
 
 from __future__ import annotations

@@ -24,7 +24,7 @@ from .state import FleetState, Member, Terms
 from .wealth import Life
 
 JUDGED_S, ALPHA, ETA = 60.0, 0.05, 0.05
-"""What is taken where nothing is stated."""
+"""Defaults."""
 CALIBRATED = "calibrated"
 
 
@@ -64,8 +64,7 @@ class Listed:
         order.
 
         Column ``by`` names the vehicle; by default the folder is one vehicle. Raises InputError where pieces
-        of a
-        recording are of several vehicles, or a table is listed twice.
+        of a recording are of several vehicles, or a table is listed twice.
         """
         experiments = list_experiments(folder)
         if order is not None:

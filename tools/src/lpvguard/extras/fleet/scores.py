@@ -2,10 +2,8 @@
 
 A sample is judged where the speed is in range, the model settled, and the core has a ratio. A recording is a
 drive, or successive drives that experiments.csv names as pieces of one, with their judged samples in
-sequence.
-Only the first ``judged_s`` seconds count, so that the length of a recording does not raise its score. A
-shorter
-recording has no score; it is reported by name.
+sequence. Only the first ``judged_s`` seconds count, so that the length of a recording does not raise its
+score. A shorter recording has no score; it is reported by name.
 
 The ratio is the compiled core's. Its mean shows lasting changes, its maximum the worst moment. Sums for least
 squares over the same samples give an estimate of gain, delay and bias.

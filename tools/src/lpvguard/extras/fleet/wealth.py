@@ -71,8 +71,7 @@ def simultaneous_tails(n: int, eta: float) -> np.ndarray:
     """Bound the probabilities that a further score exceeds the levels.
 
     With probability 1 - eta over n independent scores all bounds hold. Each is the bound of Clopper and
-    Pearson,
-    all at one rate, which is exact by a recursion over the levels.
+    Pearson, all at one rate, which is exact by a recursion over the levels.
 
     Parameters
     ----------

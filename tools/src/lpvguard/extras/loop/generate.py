@@ -25,13 +25,11 @@ MANOEUVRE_BAR = (0.25, 1.0)
 """Least and largest amplitude of a manoeuvre's demand."""
 SWEEPS_BAR = (0.24, 0.24, 0.24, 0.24, 0.8, 2.1, 2.1, 2.1)
 """Amplitudes of the swept sines, from dominant kingpin friction to the edge of use, 4 m/s2 of lateral
-acceleration
-(2.06 bar). The small one is driven four times, because road and wind are as large there. The large one is
-driven three times, because tyres make the error depend on the speed there."""
+acceleration (2.06 bar). The small one is driven four times, because road and wind are as large there. The
+large one is driven three times, because tyres make the error depend on the speed there."""
 EDGE_SWEEPS_BAR = (2.1, 2.1, 2.1)
 """Further ones at the least and the largest speed. The error, and its distance from a line over all speeds,
-is
-largest there."""
+is largest there."""
 ZERO_INPUT_DURATION_S = 240.0
 # Just inside 8 to 22 m/s: the speed sensor's noise must not put samples out of range.
 BOUND_SPEEDS = (8.1, 10.0, 12.0, 14.0, 16.0, 18.0, 20.0, 21.9)

@@ -259,8 +259,7 @@ class Client:
         """Send a control_t (firmware_sim/lcm/lpvguard_control.lcm) and return the answering status_t.
 
         Other messages remain for ``messages``. Raises InputError when the command is refused, or when no
-        answer comes
-        within ``timeout_s`` [s].
+        answer comes within ``timeout_s`` [s].
         """
         types = message_types()
         asked = types.control_t()

@@ -2,8 +2,7 @@
 
 The demand is held over each sample, and the outputs are read at the sample instants. Hold, brake delay and
 brake lag are therefore in the response. Road and wind are calm. The measured outputs are the true ones,
-without
-noise and number grids. The controller's own sample of delay is not in it (control/true_loop.py).
+without noise and number grids. The controller's own sample of delay is not in it (control/true_loop.py).
 """
 
 from __future__ import annotations
@@ -33,8 +32,8 @@ def frequency_response(
 
     Returns
     -------
-    tuple of driven frequencies, ndarray (K,) [rad/s], and response, ndarray (K, n_y) of complex [output per
-    bar]
+    tuple of ndarray (K,) and ndarray (K, n_y) of complex
+        Driven frequencies [rad/s] and response [output per bar].
 
     Raises
     ------

@@ -57,8 +57,7 @@ from ...vehicle.project import Project, Signal, parse_project
 Controller = Literal["designed", "feedforward", "off"]
 RECOVERY_S = 1.0
 """Time after a bus fault within which supervision must be live again: five frames of the slowest message, and
-a
-reserve."""
+a reserve."""
 
 REPORT_ONLY = ("--reactions", "report")
 """Findings are reported and do not release."""
@@ -202,10 +201,8 @@ def feedforward(
     """Controller for comparison: the command over the nominal DC gain, without feedback, one sample late.
 
     It has the limits of the compared controller: u_max (G, 1) [input unit] at its nodes (G,) [m/s], rate_max
-    (1,)
-    [input unit/s]. Its nodes are these nodes and the speeds midway, so the limits are the same everywhere.
-    Raises
-    InputError as ``build_controller``.
+    (1,) [input unit/s]. Its nodes are these nodes and the speeds midway, so the limits are the same
+    everywhere. Raises InputError as ``build_controller``.
     """
     model = NominalModel(project)
     speeds = np.linspace(nodes[0], nodes[-1], 2 * len(nodes) - 1)
@@ -326,8 +323,8 @@ class Simulator:
 
         seed         None: the scenario's
         bus          memory, or socketcan:INTERFACE
-        out          a folder for NAME-SEED.log (candump -L), .frames.csv, .telemetry.csv and .drive.csv,
-                     which `lpvguard replay` reads
+        out          folder for NAME-SEED.log (candump -L), .frames.csv, .telemetry.csv and .drive.csv (a
+        drive table)
         ecu_process  the firmware is a separate process; it needs SocketCAN
         target       host, or an emulated processor, which needs SocketCAN too. The object of the latter has
                      ``ecu``: the target, the hash of the ELF file and the instructions of the ticks
@@ -337,11 +334,9 @@ class Simulator:
         paused       wait until a client says resume
         report_only  findings do not release, as in ``drive``; not on an emulated processor
 
-        The same scenario, seed and vehicle give the same bytes except for real_time_factor. That is simulated
-        time
-        over one core's processor time. With the firmware in another process it is over elapsed time. Raises
-        InputError
-        where the simulator refuses the scenario or the bus.
+        The same scenario, seed and vehicle give the same bytes except for real_time_factor: simulated time
+        over processor time, or over elapsed time with another process. Raises InputError where the simulator
+        refuses its input.
         """
         seed = scenario.seed if seed is None else seed
         emulated = None if target == "host" else self.emulated(target)
@@ -381,10 +376,8 @@ class Simulator:
         """One run of the scenario file ``path``: its facts, and the drive.
 
         The facts are the simulator's output. The drive is the monitor's input; samples that it did not get
-        are missing.
-        ``log``: file for every frame of the bus as candump -L writes it; ``telemetry``: CSV of the loop every
-        100 ms.
-        Findings are only reported, so that the loop goes on after the first one.
+        are missing. ``log``: file for every frame of the bus as candump -L writes it; ``telemetry``: CSV of
+        the loop every 100 ms. Findings are only reported, so that the loop goes on after the first one.
         """
         with tempfile.TemporaryDirectory() as scratch:
             table = Path(scratch) / f"{path.stem}.csv"

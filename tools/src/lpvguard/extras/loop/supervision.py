@@ -26,10 +26,8 @@ A frame is bad when one of these holds:
 "Off" forgets counter and values.
 
 At every tick the ECU reports the worst state of the messages that its vehicle needs, from the frames up to
-it.
-It also reports off where all are live but a newest good value is outside the range of the vehicle's own
-signal
-table: such a sample is refused.
+it. It also reports off where all are live but a newest good value is outside the range of the vehicle's own
+signal table: such a sample is refused.
 """
 
 from __future__ import annotations
@@ -52,7 +50,7 @@ from ...core.compiled import SUPERVISION
 from ...vehicle.project import Project
 
 OFF, HOLD, LIVE = (SUPERVISION.index(state) for state in ("off", "hold", "live"))
-"""lpvg_can_state_t, the worse the smaller."""
+"""lpvg_can_state_t; a smaller value is worse."""
 HOLD_MISSED, OFF_MISSED = 3, 5
 SCORE_OFF, RECOVER_FRAMES, COUNTER_STEP = 5, 5, 5
 WINDOW, WINDOW_BAD = 16, 8

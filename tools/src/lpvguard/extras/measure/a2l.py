@@ -4,8 +4,7 @@ Place, type and size of a field come from the image's debug information. Text an
 in the core's header. Ranges come from there, from the signal table for one of its signals, from the
 enumeration, else from the number's type. Names of values come from the enumerations of the headers. Pointers
 are left out. Access to an XCP slave in the image may be described as well. The text depends on these alone
-and
-has no time of day.
+and has no time of day.
 """
 
 from __future__ import annotations

@@ -42,8 +42,7 @@ class Instance:
     """An object of an image: its ``symbol``, its ``struct``, ``address`` and ``bytes``.
 
     ``big_endian`` is the image. ``fields`` have a value, in the order of their offsets. ``pointers`` are
-    (offset,
-    bytes) without meaning for a measurement.
+    (offset, bytes) without meaning for a measurement.
     """
 
     symbol: str
@@ -59,8 +58,7 @@ def read_instance(elf: Path, symbol: str, structs: tuple[str, ...]) -> Instance:
     """The object ``symbol`` of an image, which must be one of ``structs``.
 
     Raises InputError where the file is no ELF, has no debug information, or has no such object, several, or
-    one of
-    another type.
+    one of another type.
     """
     try:
         with elf.open("rb") as stream:

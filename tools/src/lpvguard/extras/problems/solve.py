@@ -33,6 +33,9 @@ BRACKET_GAP = 1e-3
 EXPLAINED_RTOL = 1e-11
 """Rounding of an explanation by delta and w, relative to its terms."""
 
+MARGIN_RTOL, MARGIN_ROUNDING = 1e-6, 1e-13
+"""Shares of a margin, and of E over W_w, above and below it at which it is attained and is not."""
+
 DATA_ROUNDING = 4.0 * float(np.finfo(float).eps)
 """Relative rounding of E and Z, as it shows in B1."""
 
@@ -74,12 +77,27 @@ def _solve_multiplicative(f: Fields) -> dict:
 
 
 def _require_explained(f: Fields, e: np.ndarray, z: np.ndarray, r: s1.S1Result) -> None:
-    """Raise InputError unless delta of size nu and w within gamma_w, which is no less than B1, explain E."""
+    """Raise InputError unless delta of size nu and w within gamma_w, no less than B1, explain E; and no less.
+
+    For any y, |E - delta Z| is at least (Re y^H E - |delta| |y^H Z|) / |y|. With y = w, whose delta y^H Z is
+    made real and not negative, or with y = delta Z, that exceeds gamma_w for every smaller delta.
+    """
     gamma, nu = f.number("gamma_w"), abs(complex(r.delta))
     left, size = (float(np.linalg.norm(x)) for x in (e - r.delta * z - r.w, r.w))
     terms = EXPLAINED_RTOL * float(np.linalg.norm(e) + nu * np.linalg.norm(z))
     held = left <= terms and max(size, float(r.b1)) <= gamma * (1 + EXPLAINED_RTOL) + terms
-    if not (held and abs(nu - float(r.nu)) <= EXPLAINED_RTOL * nu):
+    least = nu == 0.0
+    if not least:
+        moved = r.delta * z
+        along = np.vdot(moved, r.w)
+        y = r.w - (along - max(along.real, 0.0)) / np.vdot(moved, moved) * moved
+        least = any(
+            np.vdot(x, e).real - nu * abs(np.vdot(x, z)) >= (gamma - terms) * np.linalg.norm(x)
+            for x in (y, moved)
+        )
+    rest = float(np.linalg.norm(e - np.vdot(z, e) / (np.vdot(z, z) or 1.0) * z))
+    held &= abs(rest - float(r.b1)) <= EXPLAINED_RTOL * float(np.linalg.norm(e))
+    if not (held and least and abs(nu - float(r.nu)) <= EXPLAINED_RTOL * nu):
         what = f"not proved: nu {float(r.nu):.9g}, |delta| {nu:.9g}, |w| {size:.9g}, off by {left:.3g}"
         raise f.error("nu", what, "data scaled to like sizes")
 
@@ -99,7 +117,44 @@ def _solve_multiplicative_tradeoff(f: Fields) -> dict:
 def _solve_margin(f: Fields) -> dict:
     e, z = _bin(f)
     w_delta = f.weights("W_delta", e.size) if isinstance(f.raw("W_delta"), list) else f.number("W_delta")
-    return {"t": float(s1.margin(e, z, w_delta, f.weights("W_w", e.size, positive=True)))}
+    w_w = f.weights("W_w", e.size, positive=True)
+    t = float(s1.margin(e, z, w_delta, w_w))
+    groups = [np.arange(e.size)] if np.size(w_delta) == 1 else [np.array([j]) for j in range(e.size)]
+    reaches = np.broadcast_to(w_delta, len(groups))
+    slack = MARGIN_RTOL * t + MARGIN_ROUNDING * float((np.abs(e) / w_w).max())
+    for level, within in ((t + slack, True), (t - slack, False)):
+        kept = all(
+            _within(e[g], z[g], level * reach, level * w_w[g])
+            for g, reach in zip(groups, reaches, strict=True)
+        )
+        if kept != within and level > 0.0:
+            raise f.error("t", f"not proved: {t:.9g}", "data scaled to like sizes")
+    return {"t": t}
+
+
+def _within(e: np.ndarray, z: np.ndarray, reach: float, w: np.ndarray) -> bool:
+    """Tell whether one delta within ``reach`` leaves |E_j - delta Z_j| <= ``w`` (n,) of every output.
+
+    Discs that meet share a centre of one of them, or a point where two of their circles meet.
+    """
+    tell = z != 0
+    centres = np.append(e[tell] / z[tell], 0.0)
+    radii = np.append(w[tell] / np.abs(z[tell]), reach)
+    order = np.argsort(radii)  # points are counted from the smaller disc
+    centres, radii = centres[order], radii[order]
+    i, j = np.triu_indices(len(radii), 1)
+    apart = centres[j] - centres[i]
+    far = np.where(apart == 0, 1.0, np.abs(apart))
+    turn = apart / far
+    along = 0.5 * ((far - radii[j]) / far * (far + radii[j]) + radii[i] / far * radii[i])
+    along = np.clip(along, -radii[i], radii[i])
+    aside = 1j * np.sqrt(radii[i] ** 2 - along**2)
+    points = np.concatenate(
+        [centres, centres[i] + (along + aside) * turn, centres[i] + (along - aside) * turn]
+    )
+    rounding = 2 * DATA_ROUNDING * (np.abs(e) + np.abs(points)[:, None] * np.abs(z))
+    kept = np.abs(e - points[:, None] * z) <= w + rounding
+    return bool(np.any(kept.all(axis=1) & (np.abs(points) <= reach * (1 + 2 * DATA_ROUNDING))))
 
 
 def _part(module: str, f: Fields) -> ModuleType:
@@ -226,10 +281,8 @@ def compare(problem: dict, answer: dict) -> Comparison:
 
     ``|x - ref| <= rtol max(|ref|, 1e-9 scale)``, arrays by their largest element, scale = ||E|| for B1 and 1
     otherwise; brackets and mu by one-sided rules. A reference with status ``error`` wants an error. One floor
-    is
-    added to the written rule: a B1 below the rounding of its own data (DATA_ROUNDING ||E||) cannot be
-    distinguished
-    from zero, and the reference values there are rounding themselves.
+    is added to the written rule: a B1 below the rounding of its own data (DATA_ROUNDING ||E||) cannot be
+    distinguished from zero, and the reference values there are rounding themselves.
     """
     ref = problem.get("answer") if isinstance(problem, dict) else None
     if not isinstance(ref, dict):

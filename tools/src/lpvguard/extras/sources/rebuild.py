@@ -71,7 +71,7 @@ def made(f: PublicFile, form: Form, origin: Origin) -> bytes:
         data = _formed(form, parts)
     except (ValueError, KeyError, NotImplementedError, MatReadError) as error:
         raise InputError(
-            f.path, "", f"cannot be read as {form.kind} ({error})", "what the table's form says"
+            f.path, "", f"cannot be read as {form.kind} ({error})", "the form in the table"
         ) from None
     _require(f, f.name, f.sha256, data, "the same numbers from the same source (other numpy or scipy?)")
     return data

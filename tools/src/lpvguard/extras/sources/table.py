@@ -30,8 +30,7 @@ class MatlabColumn(StrictModel):
     """A column made of a MATLAB variable, interpolated linearly to the grid.
 
     ``signal`` None: the time. ``unwrap``: an angle [rad], unwrapped first. ``slope_samples``: its slope over
-    so many
-    samples of the grid (least squares, quadratic).
+    so many samples of the grid (least squares, quadratic).
     """
 
     name: str
@@ -105,8 +104,7 @@ class DataSet(StrictModel):
     """A data set.
 
     ``repository`` is fetched by git, ``licence`` is its SPDX name. ``index``: name of a CSV with the
-    ``index`` of
-    every file that has one, or None.
+    ``index`` of every file that has one, or None.
     """
 
     title: str

@@ -81,8 +81,7 @@ def _over_severity(
     """A panel per kind of fault with more than one severity.
 
     ``draw(axes, x, rows)`` fills a panel with ``rows`` in the order of their severities ``x``. ``units`` has
-    the
-    severity's unit by kind of fault. ``label`` is that of the vertical axes.
+    the severity's unit by kind of fault. ``label`` is that of the vertical axes.
     """
     kinds = [k for k in units if sum(s["kind"] == k for s in severities) > 1]
     columns = 4

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 Arguments = ParamSpec("Arguments")
 
 INK, RULE, PAPER = "#010203", "#040506", "#070809"
-"""Stand-ins that become CSS variables; no other element may use them."""
+"""Placeholders for CSS variables; no other element may use them."""
 BLUE, SKY, GREEN, RED, ORANGE, PINK, POINTS = (
     "#1b84c6",
     "#56b4e9",
@@ -210,8 +210,7 @@ def picture(draw: Callable[Arguments, Figure]) -> Callable[Concatenate[str, Argu
     """Decorate a function that draws a figure in the style of the report.
 
     The decorated function takes a name before its arguments and returns the picture. The name must be unique
-    on a
-    page, because the ids of the picture contain it.
+    on a page, because the ids of the picture contain it.
     """
 
     def wrapped(name: str, *arguments: Arguments.args, **named: Arguments.kwargs) -> Picture:

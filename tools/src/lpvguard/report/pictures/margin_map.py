@@ -73,7 +73,7 @@ def _cells(replay: Replay, t0: float, lengths: np.ndarray) -> tuple[np.ndarray, 
     first = np.floor((end - 0.75 * length_s) * scale).astype(int)
     last = np.maximum(np.floor((end - 0.25 * length_s) * scale).astype(int), first + 1)
     for k, a, b, reason, margin in zip(frames.bin, first, last, frames.reason, frames.margin, strict=False):
-        # Of frames that share a pixel the largest margin must not vanish.
+        # Frames that share a pixel show the largest margin.
         if b == a + 1 and kind[k, min(a, MAP_WIDTH - 1)] >= 0 and value[k, min(a, MAP_WIDTH - 1)] > margin:
             continue
         kind[k, a:b], value[k, a:b] = reason, margin
@@ -145,8 +145,7 @@ def margin_map(
     """Margin of one drive over time and bins, with its alarms; below it speed and verdict.
 
     ``t``, ``v`` (N,) are time [s] and speed [m/s]. ``omega``, ``lengths`` (K,) are bins [rad/s] and frame
-    lengths
-    [samples]. ``speed_range`` is that of the model [m/s].
+    lengths [samples]. ``speed_range`` is that of the model [m/s].
     """
     K = len(omega)
     map_in, speed_in, verdict_in, gap_in, below_in = 0.135 * K, 0.72, 0.13, 0.13, 0.45

@@ -40,8 +40,7 @@ def model_error(
 
     ``W_delta`` (N, n_y) at ``omega`` (N,) [rad/s] includes inflation. ``last`` holds per output the last
     informative frequency [rad/s], or None. ``beyond`` (G, n_y) is 1 + rho at the grid's frequencies.
-    ``reasons``
-    and ``names`` are per output.
+    ``reasons`` and ``names`` are per output.
     """
     figure = new_figure(8.2, 0.6 + 3.3 * len(names))
     panels = np.atleast_1d(figure.subplots(len(names), 1, sharex=True))

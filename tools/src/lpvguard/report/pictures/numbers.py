@@ -26,7 +26,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import FixedFormatter, FuncFormatter
 
 MOST_POINTS, MOST_BESIDE_CELLS = 1500, 300
-"""Points of a line in the page; of a longer one the extremes of each stretch. CSV has all."""
+"""Most points of a line in the page; a longer one keeps the extremes of each stretch. CSV has all."""
 SYMBOLS = {
     r"\bar\nu": "ν̄",
     r"\infty": "∞",
@@ -61,10 +61,8 @@ class Cells:
     """Frames of a drive, sorted by bin, then by time.
 
     ``bin`` (F,), ``end`` (F,) the sample after the frame's last [samples after the drive's first], ``margin``
-    (F,),
-    ``reason`` (F,) index into ``reasons``. ``lengths`` (K,) [samples] of the bins, ``Ts`` [s], ``threshold``
-    of the
-    margin.
+    (F,), ``reason`` (F,) index into ``reasons``. ``lengths`` (K,) [samples] of the bins, ``Ts`` [s],
+    ``threshold`` of the margin.
     """
 
     bin: np.ndarray

@@ -129,8 +129,7 @@ def disturbance_design(
     """Fig. 2: the disturbance bound and its parts; below it the ceiling on the uncertainty.
 
     Points are |E| and B1 of frames. Lines are B1, B2 and gamma_w, by the rule and smoothed. ``bounds`` holds
-    arrays
-    of bounds.json; ``gamma_fine`` (N,) is the smoothed gamma_w at ``fine`` (N,) [rad/s].
+    arrays of bounds.json; ``gamma_fine`` (N,) is the smoothed gamma_w at ``fine`` (N,) [rad/s].
     """
     figure = new_figure(8.2, 5.6)
     top, low = figure.subplots(2, 1, sharex=True, height_ratios=[3, 1.1])
@@ -286,8 +285,7 @@ def excitation(
     """|Z| per bin with the disturbance bound, and the number of counted frames.
 
     All arrays are (K,). ``every_start_max`` is the largest |Z| over frames at every start of the
-    bound-setting
-    drives. ``unit`` is that of |Z| and of ``disturbance``.
+    bound-setting drives. ``unit`` is that of |Z| and of ``disturbance``.
     """
     figure = new_figure(8.2, 4.0)
     top, low = figure.subplots(2, 1, sharex=True, height_ratios=[2, 1])

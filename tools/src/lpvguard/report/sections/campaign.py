@@ -50,7 +50,7 @@ saturates for a second or leaves the tracking bound contradicts the certificate.
     if not falsified["runs"]:
         return text
     return text + html_table(
-        ["run", "seed", "truck", "mean speed, m/s", "what it did"],
+        ["run", "seed", "truck", "mean speed, m/s", "contradiction"],
         [
             [
                 str(r["number"]),

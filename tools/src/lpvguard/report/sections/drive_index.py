@@ -33,8 +33,8 @@ HEAD = (
 )
 """Column titles, and the order in which page.js sorts them; "" does not sort."""
 STEP, TOP, LINE, STRIP = 2, 2, 8, 4
-"""Of the small picture, in pixels: width of a column, height of what is beyond the axis, of the threshold
-from above, and of the strip of verdicts."""
+"""Small picture, in pixels: column width, height beyond the axis, height of the threshold, height of the
+verdicts."""
 HEIGHT = 26
 MOST = 1.25
 """End of its axis, in thresholds."""
@@ -44,8 +44,7 @@ def _small(drive: Told) -> str:
     """The drive's course as a small picture.
 
     Bars show the largest statistic over threshold, a dashed line the threshold, triangles larger values, and
-    a
-    strip below the verdict.
+    a strip below the verdict.
     """
     base = HEIGHT - STRIP - 1
     scale = (base - LINE) / 1.0

@@ -35,8 +35,7 @@ def visit(
     """Replay a drive, keep its counted frames and longest stretches in ``visits``, and return its summary.
 
     yhat (N, n_y) is the nominal output. ``key`` is the id of its section and name of its picture, unique on
-    the
-    page.
+    the page.
     """
     replay = replayer.replay(drive)
     frames = replay.run.frames
@@ -238,8 +237,9 @@ def drive_section(told: list[Told], threshold: float) -> str:
         "diamonds above: of the change test. Below: "
         "speed, with the model's range dashed, and the monitor's verdict. In the alarm tables |E| and |Z| "
         "are Euclidean norms in output units (energy test, below, between or above its corners: |E| of F e, "
-        "|Z| of F W<sub>Δ</sub> ŷ with forgetting, B<sub>w</sub> is σ; the change test has none), and "
-        "evidence is the margin of a vehicle that does not respond. "
+        "|Z| of F W<sub>Δ</sub> ŷ with forgetting, B<sub>w</sub> is σ, what a restart leaves is "
+        "not shown; the change test has none), and evidence is the margin of a vehicle that does not "
+        "respond. "
         "Judged seconds lie in a counted frame of any bin, with evidence or "
         "not; the verdict “valid” asks for evidence within the longest frame, so a drive can be judged all "
         "along and its verdict still be “not judged”.",

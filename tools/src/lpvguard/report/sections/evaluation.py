@@ -68,7 +68,7 @@ def _alarm_table(evaluation: dict) -> str:
 def _claim_table(evaluation: dict) -> str:
     """Promise of the thresholds: as identified, and for each drive without itself."""
     return html_table(
-        ["calibration", "what its threshold promises"],
+        ["calibration", "promise of its threshold"],
         [
             *(
                 [f"{TEST_TITLES[t]}, as identified", escape(claim)]

@@ -260,7 +260,7 @@ def _independence(stored: StoredIdentification, told: list[Told], evaluation: di
         return words
     of = evaluation["false_alarms"]["all"]
     which = (
-        "Of drives that the identification never saw"
+        "Drives that the identification never saw"
         if evaluation["mode"] == HELD_OUT
         else "Each left out of its own threshold"
     )

@@ -19,11 +19,10 @@ campaign's seed and the number of the run:
              severities
 
 Two scores are kept apart. The detectors of model error are scored on faults of the truck, alone or with one
-of
-the bus. The supervision is scored on faults of the bus, alone or with one of the truck. The frames on the bus
-and the message table determine its required state at every tick (supervision.py). Alarms of detectors under a
-fault of the bus alone are counted and not scored. A corrupted or late value that passes for a good one is a
-model error for any detector that sees only the values.
+of the bus. The supervision is scored on faults of the bus, alone or with one of the truck. The frames on the
+bus and the message table determine its required state at every tick (supervision.py). Alarms of detectors
+under a fault of the bus alone are counted and not scored. A corrupted or late value that passes for a good
+one is a model error for any detector that sees only the values.
 
 Files in the campaign's folder (each whole or absent):
 

@@ -30,7 +30,7 @@ LINE_SHARE = 0.6
 LINE_KEPT = 0.7
 """Least share of its amplitude that a steady line keeps from one window to the next."""
 WINDOW_S, HIGHEST_RADPS, BAND_GAP_RADPS = 20.0, 60.0, 1.0
-"""Of a search for lines: its windows, where it ends, and how far above the commanded band it begins."""
+"""Search for lines: its windows, its upper end, and the start of its range above the commanded band."""
 LOBE = 2
 """Half the main lobe of a Hann window in samples of its spectrum."""
 
@@ -57,11 +57,9 @@ def steady_line(u: np.ndarray, Ts: float, commanded: float) -> Line:
     """Find the largest steady line of a demand above the commanded band.
 
     A window of WINDOW_S, every half window one, holds a line if its highest peak has LINE_SHARE of the power
-    up to
-    HIGHEST_RADPS in its main lobe. The peak must be no slope of a lower frequency's. The line is steady if
-    three
-    windows in succession hold it within a tenth of its frequency and it keeps LINE_KEPT of its amplitude. The
-    response of a damped loop to noise has a broader peak, and a step's decays.
+    up to HIGHEST_RADPS in its main lobe. The peak must be no slope of a lower frequency's. The line is steady
+    if three windows in succession hold it within a tenth of its frequency and it keeps LINE_KEPT of its
+    amplitude. The response of a damped loop to noise has a broader peak, and a step's decays.
 
     Parameters
     ----------

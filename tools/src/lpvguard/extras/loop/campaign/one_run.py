@@ -46,12 +46,10 @@ class Offline:
     """Evidence in the samples of a run, independent of the monitor: frames of all bins, in double.
 
     visible_share: share of the frames wholly in excited driving after the fault with t* >= VISIBLE_RATIO
-    times the
-    threshold, 0 without any. due_s: time by which a monitor with these bounds must have alarmed [s after the
-    fault], None: never. The monitor judges a frame every half frame. If t* is that large at every start of
-    half a
-    frame, one of these is judged by the end of the last. median, largest: of t* of the frames after the
-    fault.
+    times the threshold, 0 without any. due_s: time by which a monitor with these bounds must have alarmed [s
+    after the fault], None: never. The monitor judges a frame every half frame. If t* is that large at every
+    start of half a frame, one of these is judged by the end of the last. median, largest: of t* of the frames
+    after the fault.
     """
 
     visible_share: float
@@ -181,16 +179,13 @@ def _tools(folder: Path, detectors: Detectors) -> tuple[Simulator, Simulator, Re
 
 
 def run_planned(context: Context, planned: PlannedRun) -> dict[str, Any]:
-    """One run: simulated, replayed through the core, judged by every detector and off line.
-
-    It becomes a row of the Parquet files.
-    """
+    """One run, simulated, replayed and judged by every detector: a row of the Parquet files."""
     simulator, free_truck, replayer, bank = context.tools
     drawn = Drawn.of(float(simulator.u_max.min()), context.seed, planned)
     with tempfile.TemporaryDirectory() as scratch:
         path = Path(scratch) / "scenario.toml"
         telemetry = path.with_suffix(".csv")
-        # Left alone, the truck does not know of the command: this run tells its free motion and the demand.
+        # Without control the truck ignores the command: this run gives its free motion and the demand.
         path.write_text(drawn.text(planned.tables, UNIT), encoding="utf-8")
         _, left_alone = free_truck.drive(path, telemetry=telemetry)
         free = read_telemetry(telemetry)
@@ -319,8 +314,8 @@ def supervision(
     """The ECU's reports on its bus against the states that the frames require.
 
     ``facts``, ``scenario``: the simulator's output and input. ``log``: the frames; None: a bus without fault,
-    where
-    the supervision must be live. ``from_s`` [s]: start of the comparison, but not before the bus came up.
+    where the supervision must be live. ``from_s`` [s]: start of the comparison, but not before the bus came
+    up.
     """
     project, Ts = simulator.project, simulator.project.Ts_s
     first, end = round(max(from_s, RECOVERY_S) / Ts), round(facts["duration_s"] / Ts)

@@ -37,8 +37,7 @@ from .tracking import TrackingBound
 CHUNK = 40
 SAME_RTOL = 3e-3
 """Largest relative difference of bounds that count as the same. A fit of a weight ends at one of two ends,
-1.3e-3
-apart, and the last digits of the linear algebra decide which."""
+1.3e-3 apart, and the last digits of the linear algebra decide which."""
 
 
 def campaign(

@@ -28,8 +28,7 @@ FAULT_BAR = 0.9
 """Least peak demand of runs with a fault, so that the fault can show."""
 ROOM = 0.85
 """Share of the controller's limit for a command; the rest is for road, wind and noise. A certificate covers
-the
-loop within its limits."""
+the loop within its limits."""
 UNIT = 0.05
 """[rad/s] Size of a command for which its demand is computed."""
 REFERENCE_RADPS = 3.0
@@ -41,8 +40,8 @@ class PlannedRun:
     """One run.
 
     ``plant``: index of the truck of group "within", -1 elsewhere; ``tables``: its fault or variation;
-    ``gain``:
-    least gain of a truck within the bounds over the nominal one's; ``way``: way in which the fault begins.
+    ``gain``: least gain of a truck within the bounds over the nominal one's; ``way``: way in which the fault
+    begins.
     """
 
     number: int
@@ -76,7 +75,7 @@ def plan(size: Size, trucks: list[tuple[str, float]]) -> list[PlannedRun]:
         PlannedRun(n, "within", 0.0, n % len(trucks), 0.0, *trucks[n % len(trucks)]) for n in range(runs)
     ]
     chosen = [(kind, x) for kind in faults.KINDS for x in kind.values for _ in range(size.repeats)]
-    # First every fault as it comes first, so that a number means the same whatever further ways there are.
+    # Every fault in its first way comes first, so that further ways do not change the numbers.
     ordered = [(kind, x, kind.ways[0]) for kind, x in chosen]
     ordered += [(kind, x, way) for n in (1, 2) for kind, x in chosen for way in kind.ways[n : n + 1]]
     return within + [
@@ -157,8 +156,7 @@ class Drawn:
         """Draws from the campaign's seed and the run's number.
 
         The truck's peak demand lies between LEAST_BAR (FAULT_BAR with a fault) and ROOM of the controller's
-        limit
-        ``limit_bar``. The checked amplitudes are then covered, and no truck exceeds its limits.
+        limit ``limit_bar``. The checked amplitudes are then covered, and no truck exceeds its limits.
         """
         random = np.random.default_rng([seed, 2, planned.number])
         profile = speed_profile(random)
@@ -173,10 +171,9 @@ class Drawn:
         """Size of the command [rad/s] with which the nominal truck needs ``demand_bar``.
 
         The command's own size is an upper limit. Its amplitude (sqrt 2 times the demand's rms, as in the
-        bounds) is at
-        least LEAST_BAR. ``unit`` (N,) is the reference model's answer to this command at size UNIT [rad/s],
-        every ``Ts``
-        [s]. It is followed up to HIGHEST_COMMAND_RADPS at every speed of the run; above, no loop follows it.
+        bounds) is at least LEAST_BAR. ``unit`` (N,) is the reference model's answer to this command at size
+        UNIT [rad/s], every ``Ts`` [s]. It is followed up to HIGHEST_COMMAND_RADPS at every speed of the run;
+        above, no loop follows it.
         """
         wanted = np.fft.rfft(unit)
         omega = 2 * np.pi * np.arange(len(wanted)) / (len(unit) * Ts)

@@ -42,13 +42,10 @@ def summarise(
     """The campaign's tables from its rows; JSON-able.
 
     ``severities``, ``kinds``, ``average``, ``visible``: faults of the truck in their first way; ``bus``: of
-    the bus.
-    ``ways``: faults that begin in several ways. ``matched`` uses thresholds with at most alpha of the runs
-    within
-    the bounds alarming, and at most alpha of the faulty runs before their fault, by the rule of
-    identify/calibration.py. With enough runs for alpha (``matched_stated``) these are equal false alarms in
-    the
-    loop; ``matched_claim`` says so, or "counts only".
+    the bus. ``ways``: faults that begin in several ways. At thresholds ``matched`` at most alpha of the runs
+    within the bounds alarm, and of the faulty runs before their fault. With enough runs for alpha
+    (``matched_stated``) these are equal false alarms in the loop; ``matched_claim`` says so, or "counts
+    only".
     """
     rows = table.to_pylist()
     kinds = {k.name: k for k in faults.KINDS}
@@ -172,8 +169,7 @@ def by_way(rows: list[dict], matched: dict[str, float]) -> dict[str, dict[str, A
     """Results per way of the ``rows`` of faults that begin in several ways.
 
     They hold the runs, and per detector the share found, averaged over kinds and severities, and the median
-    time
-    [s] over all runs. A time is judged, excited driving since the fault's start.
+    time [s] over all runs. A time is judged, excited driving since the fault's start.
     """
     found = {}
     for way in dict.fromkeys(r["way"] for r in rows):
@@ -241,7 +237,7 @@ def _missed(summary: dict[str, Any]) -> Iterator[str]:
         if said["count"] < said["of"]:
             yield (
                 f"{bus} bus: in {said['of'] - said['count']} of {said['of']} runs the supervision did not "
-                "say what the frames require"
+                "report the required states"
             )
     due = summary["due"]
     if due["count"] < due["of"]:
@@ -342,8 +338,7 @@ def _supervision(rows: list[dict]) -> dict[str, Any]:
     """Runs with all required states, and reactions due and met.
 
     Faults of the truck alone are left out: a truck that leaves the controller's range of speeds is refused,
-    which
-    the ECU reports as "off" though its bus is live.
+    which the ECU reports as "off" though its bus is live.
     """
     return {
         "as_required": rate(sum(map(_as_required, rows)), len(rows)),
@@ -364,10 +359,8 @@ def _bus_severity(kind: str, x: float, rows: list[dict]) -> dict[str, Any]:
     """Reactions of the supervision to a fault of the bus.
 
     ``away`` is the share of time since its begin with no live bus. ``judged`` is the share with judged,
-    excited
-    driving: after every gap the model has to settle first. ``alarmed`` counts runs with an alarm since, which
-    need
-    not be wrong: see ``visible_runs``.
+    excited driving: after every gap the model has to settle first. ``alarmed`` counts runs with an alarm
+    since, which need not be wrong: see ``visible_runs``.
     """
     return {
         "kind": kind,
