@@ -24,7 +24,7 @@ from lpvguard.core.compiled import Core
 from lpvguard.evaluate import baseline_study
 from lpvguard.evaluate.baselines import Baseline
 from lpvguard.extras.loop import generate as drive_maker
-from lpvguard.identify import run as stage
+from lpvguard.identify import identification as stage
 from lpvguard.identify.export import export_vehicle
 from lpvguard.vehicle.nominal import NominalModel
 from lpvguard.vehicle.project import Project, load_project

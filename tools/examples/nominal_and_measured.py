@@ -7,6 +7,6 @@ import sys
 
 import lpvguard
 
-run = lpvguard.replay(sys.argv[1], sys.argv[3], coefficients=sys.argv[2])
+run = lpvguard.replay_drive(sys.argv[1], sys.argv[3], coefficients=sys.argv[2])
 print(run.series.describe().loc[["mean", "std"]].iloc[:, :4].to_string(float_format="%.3g"))
 lpvguard.plots.in_time(run, 20.0, 40.0).save(sys.argv[4])

@@ -7,6 +7,6 @@ import sys
 
 import lpvguard
 
-run = lpvguard.replay(sys.argv[1], sys.argv[3], coefficients=sys.argv[2])
+run = lpvguard.replay_drive(sys.argv[1], sys.argv[3], coefficients=sys.argv[2])
 print(run.frames.groupby("reason").size().to_string())
 lpvguard.plots.margins(run).save(sys.argv[4])

@@ -142,11 +142,11 @@ def c_header(path: Path) -> str:
 # --- Python ---
 
 PUBLIC = (
-    ("identify", "api/identified.py"),
-    ("load", "api/identified.py"),
-    ("Identified", "api/identified.py"),
-    ("replay", "api/replayed.py"),
-    ("Replayed", "api/replayed.py"),
+    ("identify_drives", "api/identification.py"),
+    ("load", "api/identification.py"),
+    ("Identified", "api/identification.py"),
+    ("replay_drive", "api/drive_replay.py"),
+    ("Replayed", "api/drive_replay.py"),
     ("Monitor", "api/monitor.py"),
     ("InputError", "base/errors.py"),
 )

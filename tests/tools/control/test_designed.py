@@ -8,7 +8,7 @@ import pytest
 
 from lpvguard.base import artefacts
 from lpvguard.base.errors import InputError
-from lpvguard.control.designed import require_exported_with
+from lpvguard.control.controller_file import require_exported_with
 
 
 def test_a_folder_is_that_of_one_controller_file_byte_for_byte(tmp_path):

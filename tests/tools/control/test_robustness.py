@@ -16,7 +16,7 @@ from lpvguard.base.errors import InputError
 from lpvguard.base.parallel import workers
 from lpvguard.control import design as stage
 from lpvguard.control.limits import LimitRow, Limits, _require_row, require_limits
-from lpvguard.control.plants import frozen_plant, vehicle_at
+from lpvguard.control.plants import DesignProblem, vehicle_at
 from lpvguard.control.robustness import (
     LOOSE,
     UPPER,
@@ -59,6 +59,11 @@ def found(result):
     return result.beside.robustness
 
 
+@pytest.fixture(scope="module")
+def problem(stored):
+    return DesignProblem.of(stored)
+
+
 def test_disk_margins_are_those_of_the_loop_broken_at_the_vehicles_input(stored, schedule, found):
     model = NominalModel(stored.project)
     for node in found.nodes:
@@ -84,9 +89,9 @@ def test_neighbours_lie_within_the_nu_margin_and_midpoints_nearer(found):
         assert 0 < node.nu_gap_midpoint < node.nu_gap_next < node.nu_margin <= 1
 
 
-def test_workers_change_no_bit_of_what_they_share(stored, result):
+def test_workers_change_no_bit_of_what_they_share(problem, result):
     with workers(2) as run:
-        assert slowness(stored, result.schedule, result.scaling, workers=run) == result.beside.slow_delta
+        assert slowness(problem, result.schedule, result.scaling, workers=run) == result.beside.slow_delta
 
 
 @pytest.mark.long("35 s: a design")
@@ -147,7 +152,8 @@ def test_a_bound_stated_a_little_lower_is_proved_as_it_is_and_a_false_one_is_ref
 ):
     """Planted: bounds within the tolerance of the search, which another machine may have found, or not."""
     node = found.nodes[0]
-    plant, vehicle = frozen_plant(stored, node.v_mps), vehicle_at(NominalModel(stored.project), node.v_mps)
+    problem = DesignProblem.of(stored)
+    plant, vehicle = problem.plant(node.v_mps), vehicle_at(problem.model, node.v_mps)
     loop, last = lft(plant.system, schedule.at(node.v_mps)), np.pi / plant.system.dt
     blocks, performance = plant.blocks, plant.performance_block
     bounds = {
@@ -192,10 +198,10 @@ def test_the_page_shows_every_number_of_a_node_and_a_dash_for_none(tmp_path):
     assert "Beside μ" not in design_section(tmp_path)
 
 
-def test_rates_are_proved_anew_and_larger_ones_are_refused(stored, result, schedule):
+def test_rates_are_proved_anew_and_larger_ones_are_refused(problem, result, schedule):
     found, path = result.beside.slow_delta, Path("controller.json")
     stated = json.loads(json.dumps(found.to_dict()))
-    require_slowness(path, stated, stored, schedule, result.scaling)
+    require_slowness(path, stated, problem, schedule, result.scaling)
     assert found.performance_rate > 0 and found.hidden_slow < found.hidden_fast
     for part, key in (
         ("performance", "performance_rate"),
@@ -204,12 +210,12 @@ def test_rates_are_proved_anew_and_larger_ones_are_refused(stored, result, sched
         altered = json.loads(json.dumps(stated))
         altered["nodes"][-1][key] *= 1.3
         with pytest.raises(InputError, match=rf"slow_delta at 22 m/s, {part}"):
-            require_slowness(path, altered, stored, schedule, result.scaling)
+            require_slowness(path, altered, problem, schedule, result.scaling)
     with pytest.raises(InputError, match="hidden_slow_per_s"):
         altered = stated | {"hidden_slow_per_s": 0.5 * stated["hidden_slow_per_s"]}
-        require_slowness(path, altered, stored, schedule, result.scaling)
+        require_slowness(path, altered, problem, schedule, result.scaling)
     with pytest.raises(InputError, match="one row a node"):
-        require_slowness(path, stated | {"nodes": stated["nodes"][1:]}, stored, schedule, result.scaling)
+        require_slowness(path, stated | {"nodes": stated["nodes"][1:]}, problem, schedule, result.scaling)
 
 
 def test_the_page_says_which_hidden_rates_are_covered(tmp_path):
@@ -227,17 +233,17 @@ def test_the_page_says_which_hidden_rates_are_covered(tmp_path):
     assert "stable up to 3.25/s" in text and "<td>any</td><td>0.6066</td>" in text
 
 
-def test_what_is_proved_at_the_limits_is_proved_anew_and_more_is_refused(stored, result, schedule):
+def test_what_is_proved_at_the_limits_is_proved_anew_and_more_is_refused(problem, result, schedule):
     found, path = result.beside.limits, Path("controller.json")
     stated = json.loads(json.dumps(found.to_dict()))
-    require_limits(path, stated, stored, schedule, result.scaling)
+    require_limits(path, stated, problem, schedule, result.scaling)
     proved = [k for k, row in enumerate(stated["rows"]) if None not in (row["energy"], row["gain"])]
     assert found.largest_kappa >= 1 and found.energy() > 0 and proved
     for key, factor in (("gain", 0.8), ("energy", 1.0001), ("stability_level", 0.99), ("kappa", 1.5)):
         altered = json.loads(json.dumps(stated))
         altered["rows"][proved[0]][key] *= factor
         with pytest.raises(InputError, match="limits at 8 m/s, kappa"):
-            require_limits(path, altered, stored, schedule, result.scaling)
+            require_limits(path, altered, problem, schedule, result.scaling)
 
 
 @pytest.mark.parametrize(("anew", "held"), [(1.00004, False), (0.99996, True)])

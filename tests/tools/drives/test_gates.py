@@ -14,7 +14,7 @@ from lpvguard.can.play import frames_of_drive, values_of_drive
 from lpvguard.core.coefficients import signal_table_markdown
 from lpvguard.drives.signal_map import map_of_project
 from lpvguard.drives.tables import list_experiments, read_drive
-from lpvguard.replay.run import Replayer, bus_frames
+from lpvguard.replay.replayer import Replayer, bus_frames
 from lpvguard.vehicle.project import Signal, parse_project
 
 LATERAL = {"message": "VDC2", "signal": "lateral_acceleration", "factor": 1.0}

@@ -13,10 +13,10 @@ from lpvguard.engine.blocks import Block
 from lpvguard.engine.validation import delta as dl
 from lpvguard.engine.validation import lft, lmi, s1
 from lpvguard.engine.validation.branch import SLACK, proves
-from lpvguard.engine.validation.posed import ball, block_form, pose
 from lpvguard.engine.validation.problem import Lft, parametrise
 from lpvguard.engine.validation.quadratic import Form, Quadratic
 from lpvguard.engine.validation.relaxation import Box, BranchNode, Relaxation
+from lpvguard.engine.validation.scaled_problem import ball, block_form, pose
 from lpvguard.engine.validation.well_posed import block_caps, well_posed
 
 TWO_BLOCKS = pytest.mark.long("10 s: branch and bound over two blocks")

@@ -14,9 +14,9 @@ from lpvguard.base.errors import InputError
 from lpvguard.engine.blocks import Block
 from lpvguard.engine.validation import lft
 from lpvguard.engine.validation.branch import SLACK, Interval
-from lpvguard.engine.validation.posed import EDGE, ROUNDING, Posed, pose
 from lpvguard.engine.validation.problem import Lft
 from lpvguard.engine.validation.quadratic import Form, Quadratic
+from lpvguard.engine.validation.scaled_problem import EDGE, ROUNDING, Posed, pose
 from lpvguard.engine.validation.well_posed import block_caps
 
 SHAPES = [([("full", 1, 1)], {}), ([("full", 2, 3)], {}), ([("full", 2, 1)], {"p12": True, "n_w": 3})]

@@ -19,11 +19,11 @@ from lpvguard.base.errors import InputError
 from lpvguard.core.compiled import library_root
 from lpvguard.drives.tables import list_experiments
 from lpvguard.extras.fleet.export import MAGIC, SCHEMA, crc32
-from lpvguard.extras.fleet.run import JUDGED_S
+from lpvguard.extras.fleet.recordings import JUDGED_S
 from lpvguard.extras.fleet.scores import pieces_of, scored
 from lpvguard.extras.fleet.state import FleetState
 from lpvguard.extras.fleet.wealth import LEVELS, MOST, POWERS, START
-from lpvguard.replay.opened import replayer_for
+from lpvguard.replay.vehicle_core import replayer_for
 
 CALIBRATE = 11
 """Drives of the synthetic car that did not set the bounds."""
@@ -136,7 +136,7 @@ def test_wear_is_found_and_the_state_goes_on_where_it_was(lpvguard, synthetic, t
 @pytest.fixture(scope="module")
 def state(replayer, synthetic) -> FleetState:
     """Calibrated by made-up scores, so that no drive needs to run."""
-    from lpvguard.extras.fleet.run import terms_of
+    from lpvguard.extras.fleet.recordings import terms_of
 
     scores = {f"c{i}": 0.1 * i for i in range(1, 12)}
     return FleetState(terms_of(replayer, None, None, None), scores, {n: {n: f"hash {n}"} for n in scores})

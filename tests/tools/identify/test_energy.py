@@ -23,12 +23,12 @@ from lpvguard.drives.tables import read_drive
 from lpvguard.engine.overbound.weight import Weight
 from lpvguard.extras.loop.generate import PROGRAMMES, plant_tool
 from lpvguard.extras.loop.sim import steady_scenario
-from lpvguard.identify import run as stage
+from lpvguard.identify import identification as stage
 from lpvguard.identify.bounds import nominal_error
 from lpvguard.identify.calibration import ROUNDING
 from lpvguard.identify.change import ChangeTest
 from lpvguard.identify.energy import EnergyTest, fan, in_delta
-from lpvguard.replay.run import Replayer
+from lpvguard.replay.replayer import Replayer
 from lpvguard.vehicle.nominal import NominalModel
 from lpvguard.vehicle.project import load_project, parse_project
 

@@ -28,8 +28,8 @@ from lpvguard.drives.frames import Estimator
 from lpvguard.drives.tables import Drive, list_experiments, read_drive
 from lpvguard.engine.validation import s1
 from lpvguard.extras.bench import fleet
+from lpvguard.identify import identification as stage
 from lpvguard.identify import passes
-from lpvguard.identify import run as stage
 from lpvguard.identify.bounds import (
     FRONT_POINTS,
     FrameSet,

@@ -11,10 +11,10 @@ import pytest
 
 from lpvguard.base.errors import InputError
 from lpvguard.drives.tables import Experiment, list_experiments
-from lpvguard.evaluate.judged import JudgedDrives
-from lpvguard.identify import run as identify
+from lpvguard.evaluate.judged_drives import JudgedDrives
+from lpvguard.identify import identification as identify
 from lpvguard.identify.calibration import ROUNDING, Calibration, Recordings, calibrate
-from lpvguard.identify.run import DriveSet
+from lpvguard.identify.identification import DriveSet
 from lpvguard.vehicle.nominal import NominalModel
 
 SIZES = {"dry": 19, "wet": 12, "snow": 3}
@@ -124,7 +124,7 @@ def test_the_column_is_read_and_each_drive_is_judged_by_the_threshold_of_its_gro
     np.testing.assert_allclose(exported, [[5.0, 4.0], [7.0, 6.0], [3.0, 2.0]], rtol=1e-12)
     with pytest.raises(InputError, match="expected dry, wet"):
         grouped.of_group("fog")
-    drives = DriveSet(g80, NominalModel(g80), list_experiments(synthetic))
+    drives = DriveSet(g80, NominalModel(g80), synthetic)
     alone = JudgedDrives.left_one_out(grouped, drives).calibrations
     assert {alone[d]["frame"].threshold for d in dry} == {2.0}
     assert all("group wet: 0 recordings are too few" in c.claim() for c in alone[list(scores)[10]].values())

@@ -12,7 +12,7 @@ from lpvguard.drives.frames import Estimator
 from lpvguard.drives.tables import Drive, list_experiments, read_drive
 from lpvguard.engine.validation import s1
 from lpvguard.extras.bench import fleet
-from lpvguard.identify import run as stage
+from lpvguard.identify import identification as stage
 from lpvguard.identify.bounds import counted_frames, nominal_error
 from lpvguard.identify.deciders import unresolved
 from lpvguard.identify.energy import EnergyTest

@@ -24,7 +24,7 @@ from lpvguard.extras.live.server import LOOPBACK, MOST_ROWS
 from lpvguard.extras.live.sources import LogSource
 from lpvguard.extras.live.watch import ALARMS, Ring, Watch
 from lpvguard.extras.loop.sim import Simulator, load_scenario, steady_scenario
-from lpvguard.replay.run import Replayer, bus_frames
+from lpvguard.replay.replayer import Replayer, bus_frames
 from lpvguard.vehicle.nominal import RunningModel
 from lpvguard.vehicle.project import load_project
 from parts import require

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import json
 import os
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -354,11 +353,3 @@ def test_truck_response_matches_its_own_recursion():
     np.testing.assert_allclose(np.array(p["P"]) @ [1, 1j], expected, rtol=1e-10)
     dc = solve.solve_problem(ZOH | {"kind": "frequency_response", "omega": 0.0})
     assert dc["P"][0][0] == pytest.approx(-1.94 / 15.0, rel=2e-3), "r / dp = -1.94 / v per bar at DC"
-
-
-@pytest.mark.parametrize("kind", ["mu", "hinf"])
-def test_missing_synthesis_is_an_error_of_that_problem_only(kind, monkeypatch):
-    monkeypatch.setitem(sys.modules, "lpvguard.extras.problems.synthesis", None)
-    answers = solve.solve_problems([{"id": 1, "kind": kind}, MULTIPLICATIVE])
-    assert answers[0]["status"] == "error" and "synthesis" in answers[0]["error"]
-    assert answers[1]["status"] == "ok"

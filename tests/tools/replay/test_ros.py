@@ -9,8 +9,8 @@ import pytest
 from mcap_ros2.reader import read_ros2_messages
 from rosbags.typesys import Stores, get_typestore
 
+from lpvguard.replay.alarm_text import alarm_sentence
 from lpvguard.replay.ros import DIAGNOSTICS, DRIVE, LEVELS, STALE, TWIST, write_ros2
-from lpvguard.replay.told import alarm_sentence
 
 
 @pytest.fixture(scope="module")

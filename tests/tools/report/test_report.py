@@ -15,8 +15,8 @@ from lpvguard.base import artefacts
 from lpvguard.base.errors import InputError
 from lpvguard.evaluate.comparison import HELD_OUT, LEFT_ONE_OUT
 from lpvguard.evaluate.detection import WAY_WORDS
-from lpvguard.evaluate.run import evaluate
-from lpvguard.identify import run as stage
+from lpvguard.evaluate.evaluation import evaluate
+from lpvguard.identify import identification as stage
 from lpvguard.report.page import write_report
 from lpvguard.report.sections.campaign import campaign_section
 from lpvguard.report.sections.design import design_section

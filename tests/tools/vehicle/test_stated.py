@@ -9,7 +9,7 @@ import pytest
 from lpvguard.base import artefacts
 from lpvguard.base.errors import InputError
 from lpvguard.vehicle.project import load_project
-from lpvguard.vehicle.stated import require_settings
+from lpvguard.vehicle.stored_settings import require_settings
 
 
 def stored() -> dict:

@@ -12,7 +12,7 @@ from ..core.control_coefficients import read_controller
 from ..core.scheduled import Scheduled
 from ..vehicle.nominal import NominalModel
 from ..vehicle.project import Project
-from .identified import Identified, project_of
+from .identification import Identified, project_of
 
 if TYPE_CHECKING:
     import control

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from ..core.compiled import REASONS, STATUSES, VERDICTS
 from ..vehicle.project import Project
-from .replayed import opened
+from .drive_replay import open_core
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ class Monitor:
     """
 
     def __init__(self, vehicle: str | Path | Project, coefficients: str | Path | None = None):
-        self._replayer = opened(vehicle, coefficients)
+        self._replayer = open_core(vehicle, coefficients)
         self.reset()
 
     def reset(self) -> None:

@@ -22,19 +22,17 @@ import numpy as np
 
 from ..base import artefacts
 from ..base.errors import InputError
-from ..drives.frames import Estimator
 from ..report import design_pictures
 from ..report.blindness import MapCell, cells
-from ..report.drawn import OfIdentification, drive_map
+from ..report.identification_pictures import IdentificationPictures, drive_map
 from ..report.page import map_page
 from ..report.pictures.detectors import time_to_find
 from ..report.pictures.drawing import Picture
 from ..report.pictures.over_time import Stretch, model_in_time
 from ..report.sections.campaign import drawn_campaign
 from ..report.sections.closed_loop import drawn_run
-from ..vehicle.nominal import NominalModel
-from .identified import Identified
-from .replayed import Replayed
+from .drive_replay import Replayed
+from .identification import Identified
 
 ROW_PX, AROUND_PX = 31, 250
 """Height of a row of the map, and of its frame [px]."""
@@ -95,10 +93,10 @@ class BlindMap:
 
 
 @contextmanager
-def _opened(found: Identified) -> Iterator[OfIdentification]:
+def _opened(found: Identified) -> Iterator[IdentificationPictures]:
     """Pictures of an identification, whose folder is open while they are drawn."""
     with found.opened() as stored:
-        yield OfIdentification(stored, Estimator.of(stored.project, NominalModel(stored.project)))
+        yield IdentificationPictures(stored, stored.estimator)
 
 
 def _id(name: str) -> str:

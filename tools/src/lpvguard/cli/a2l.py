@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from ..base import artefacts
-from ..vehicle.stated import require_settings
+from ..vehicle.stored_settings import require_settings
 from .shared import Coefficients, Vehicle, app, console, project_of
 
 

@@ -43,7 +43,7 @@ SHARES, TABLE_SHARES = (10, 3, 60), (1, 9)
 
 if TYPE_CHECKING:
     from ..engine.synthesis.table import Cell
-    from ..identify.run import DriveSet, StoredIdentification
+    from ..identify.identification import DriveSet, StoredIdentification
 
 
 @app.command(

@@ -29,7 +29,7 @@ def export(
 ) -> None:
     """Generate the C folder of a vehicle: coefficients, controller, signal table, CAN codec, manifest."""
     from ..base.parallel import workers
-    from ..control.exported import export_chosen
+    from ..control.controller_export import export_chosen
 
     identified = stored_for(identification, vehicle)
     with progress_bar("export") as tell, workers(jobs) as run:

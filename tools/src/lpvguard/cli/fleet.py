@@ -54,7 +54,7 @@ def fleet(
     """
     from ..base.parallel import workers
     from ..extras.fleet.export import header
-    from ..extras.fleet.run import Listed, begun, changed, follow
+    from ..extras.fleet.recordings import Listed, begun, changed, follow
     from ..extras.fleet.state import KIND
 
     replayer, listed = replayer_of(vehicle, coefficients), Listed.of(drives, order, by)

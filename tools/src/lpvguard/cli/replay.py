@@ -32,7 +32,7 @@ from .tables import print_replays
 
 if TYPE_CHECKING:
     from ..replay.recordings import Kind
-    from ..replay.run import Replayer
+    from ..replay.replayer import Replayer
     from ..vehicle.project import Project
 
 
@@ -163,7 +163,7 @@ def _play(project: Project, logs: list[Path], to: str, speed: float, channel: st
     import can
 
     from ..can.play import play
-    from ..replay.run import bus_frames
+    from ..replay.replayer import bus_frames
 
     kind, _, interface = to.partition(":")
     if kind != "socketcan" or not interface:

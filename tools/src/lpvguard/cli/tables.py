@@ -11,7 +11,7 @@ from rich.table import Table
 
 from ..base.claims import claim_words
 from ..base.rates import hourly_words, share_words
-from ..replay.told import alarm_sentence
+from ..replay.alarm_text import alarm_sentence
 from .shared import console
 
 if TYPE_CHECKING:
@@ -20,10 +20,10 @@ if TYPE_CHECKING:
     from ..engine.synthesis.cases import TableRow
     from ..engine.synthesis.table import Cell
     from ..extras.loop.sim import Simulator
-    from ..fit.run import FittedModel
+    from ..fit.fitted_model import FittedModel
+    from ..identify.identification import Identification
     from ..identify.premise import Premise
-    from ..identify.run import Identification
-    from ..replay.run import Replayer
+    from ..replay.replayer import Replayer
 
 
 def print_replays(done: list[dict[str, Any]], replayer: Replayer) -> None:

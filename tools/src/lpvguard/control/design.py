@@ -35,16 +35,16 @@ from ..engine.synthesis.errors import SynthesisError
 from ..engine.synthesis.norms import hinf_norm
 from ..engine.synthesis.scheduling import closed_scaled, common_family, common_scaling
 from ..engine.synthesis.statespace import StateSpace, series
+from ..identify.identification import StoredIdentification
 from ..identify.model_error import last_telling
 from ..identify.premise import premise, require_premise
-from ..identify.run import StoredIdentification
 from ..vehicle.design_settings import DesignSettings
 from ..vehicle.nominal import NominalModel
-from .beside import NOTHING, Beside, beside, require_beside
-from .designed import stated_scaling
+from .controller_file import stated_scaling
+from .further_certificates import NOTHING, Beside, beside, require_beside
 from .input_limit import input_limit
 from .moving_speed import Moving, certified, moving_certificates, moving_to_dict, require_moving, tuning
-from .plants import design_settings, fig1_weights, plant_at, vehicle_at
+from .plants import DesignProblem, design_settings, vehicle_at
 from .schedule import FrozenLoop, fit_by_pairs
 
 FEWEST_PAIRS, MOST_PAIRS = 2, 19
@@ -139,17 +139,17 @@ def design(
     ----------
     Paper, step 8; THEORY 7.10 to 7.12.
     """
-    settings = design_settings(stored)
+    problem = DesignProblem.of(stored)
     require_premise(stored)
     frozen, moving, margins = parts(progress, *DESIGN_SHARES)
-    result = _designed(stored, settings, None, frozen, workers)
+    result = _designed(problem, None, frozen, workers)
     _require_reach(stored, result.schedule)
     return replace(
         result,
-        moving=moving_certificates(stored, result.schedule, result.scaling, moving, workers)
+        moving=moving_certificates(problem, result.schedule, result.scaling, moving, workers)
         if moving_speed
         else {},
-        beside=beside(stored, result.schedule, result.scaling, margins, workers),
+        beside=beside(problem, result.schedule, result.scaling, margins, workers),
     )
 
 
@@ -167,12 +167,11 @@ def frozen_optimum(stored: StoredIdentification) -> tuple[float, float]:
     -------
     tuple of float, mu and its speed [m/s]
     """
-    settings, model = design_settings(stored), NominalModel(stored.project)
-    weights = fig1_weights(stored, settings)
-    speeds = np.linspace(*model.speed_range, settings.nodes)
+    problem = DesignProblem.of(stored)
+    speeds = np.linspace(*problem.model.speed_range, problem.settings.nodes)
 
     def optimum(v: float) -> float:
-        plant = plant_at(stored, model, weights, v, True, settings.structure)
+        plant = problem.plant(v, delayed=True)
         return common_scaling([plant], dk_synthesis(plant).performance.scaling)[1]
 
     return max((optimum(float(v)), float(v)) for v in speeds[evenly(len(speeds), SCALING_SPEEDS)])
@@ -197,7 +196,7 @@ def _require_reach(stored: StoredIdentification, schedule: Scheduled) -> None:
     At most one of the design's frequencies may lie past the last informative one.
     """
     omega = stored.model_error.grid.omega
-    wanted = REACH * crossover(schedule, NominalModel(stored.project))
+    wanted = REACH * crossover(schedule, stored.model)
     if omega[-1] < wanted:
         raise InputError(
             stored.folder,
@@ -216,17 +215,16 @@ def _require_reach(stored: StoredIdentification, schedule: Scheduled) -> None:
 
 
 def _designed(
-    stored: StoredIdentification,
-    settings: DesignSettings,
+    problem: DesignProblem,
     scaling: Scaling | None,
     progress: Progress,
     workers: Map = map,
 ) -> Design:
     """Design for ``settings``; ``scaling`` starts the search for the common scaling."""
-    model, asked = NominalModel(stored.project), settings.for_synthesis
-    weights = fig1_weights(stored, asked)
+    model, settings = problem.model, problem.settings
+    synthesised = problem.with_settings(settings.for_synthesis)
     speeds = np.linspace(*model.speed_range, settings.nodes)
-    plants = [plant_at(stored, model, weights, v, True, settings.structure) for v in speeds]
+    plants = [synthesised.plant(v, delayed=True) for v in speeds]
     before, fitting, proving = parts(progress, *FROZEN_SHARES)
     if scaling is None:
         before(Counted("D-K iteration at the design speed", 0, 4))
@@ -234,11 +232,7 @@ def _designed(
         scaling = dk_synthesis(plants[start], workers=workers).performance.scaling
     scaling, controllers = _family(plants, scaling, settings.backoff, before, workers)
     check = np.linspace(speeds[0], speeds[-1], 2 * len(speeds) - 1)
-
-    def loop_at(v: float, weights: fig1.PlantWeights = weights) -> fig1.GeneralisedPlant:
-        return plant_at(stored, model, weights, v, False, settings.structure)
-
-    loops = {float(v): loop_at(v) for v in check}
+    loops = {float(v): synthesised.plant(v) for v in check}
     u_max = input_limit(model, settings, speeds)
     frozen = [
         FrozenLoop(_with_delay(K), loops[float(v)], vehicle_at(model, v))
@@ -253,22 +247,20 @@ def _designed(
     )
     if found is None:
         raise InputError(
-            stored.folder,
+            problem.stored.folder,
             "controller",
             "no set of common poles stabilises every speed",
             "more nodes, or a lower A_t",
         )
-    stated_at = loop_at
-    if asked != settings:
-        stated_at = partial(loop_at, weights=fig1_weights(stored, settings))
-        loops = {v: stated_at(v) for v in loops}
-        scaling = tuning(found, stated_at, scaling, workers)(1.0)
+    if synthesised.settings != settings:
+        loops = {v: problem.plant(v) for v in loops}
+        scaling = tuning(found, problem.plant, scaling, workers)(1.0)
     return Design(
         found,
         scaling,
         _certificates(found, loops, scaling, proving, workers),
         controllers[0].order,
-        _off_grid(found, scaling, stated_at, stored.project.seed, workers),
+        _off_grid(found, scaling, problem.plant, problem.stored.project.seed, workers),
     )
 
 
@@ -421,8 +413,8 @@ def largest_A_t(stored: StoredIdentification, progress: Progress = lambda _: Non
     -------
     LargestA_t, or None if half of the DC floor's limit is not reached
     """
-    settings = design_settings(stored)
-    floor = dc_floor(fig1_weights(stored, settings))
+    problem = DesignProblem.of(stored)
+    floor = dc_floor(problem.weights)
     low, high = 0.5 / floor, 1 / floor
     reached: float | None = None
     scaling, trial = None, low
@@ -435,9 +427,8 @@ def largest_A_t(stored: StoredIdentification, progress: Progress = lambda _: Non
         steps += 1
 
         try:
-            one = _designed(
-                stored, settings.model_copy(update={"A_t": trial, "synthesised_for": None}), scaling, tell
-            )
+            asked = problem.settings.model_copy(update={"A_t": trial, "synthesised_for": None})
+            one = _designed(problem.with_settings(asked), scaling, tell)
             worst, scaling = one.worst, one.scaling
         except (InputError, SynthesisError):
             worst = np.inf
@@ -490,21 +481,18 @@ def verify(
             "the coefficients that were certified",
         )
     require_premise(stored)
-    model, weights = NominalModel(stored.project), fig1_weights(stored, settings)
-    _require_settings(path, stated, schedule, settings, model)
-    _require_floor(path, stated, dc_floor(weights))
+    problem = DesignProblem(stored, settings)
+    _require_settings(path, stated, schedule, settings, problem.model)
+    _require_floor(path, stated, dc_floor(problem.weights))
     rows = [*stated["speeds"], stated["off_grid"]]
-    loops = {
-        row["v_mps"]: plant_at(stored, model, weights, row["v_mps"], False, settings.structure)
-        for row in rows
-    }
+    loops = {row["v_mps"]: problem.plant(row["v_mps"]) for row in rows}
     scaling = stated_scaling(document)
     frozen, moving, margins = parts(progress, *VERIFY_SHARES)
     proved_rows = dict(_certificates(schedule, loops, scaling, frozen, workers))
     for row in rows:
         _compare(path, row, proved_rows[row["v_mps"]], loops[row["v_mps"]], schedule)
-    require_moving(path, stated, stored, schedule, moving, workers)
-    require_beside(path, stated, stored, schedule, scaling, margins, workers)
+    require_moving(path, stated, problem, schedule, moving, workers)
+    require_beside(path, stated, problem, schedule, scaling, margins, workers)
 
 
 def _require_settings(
@@ -635,7 +623,7 @@ def save(
             "scaling_columns": result.scaling.log_parameters.shape[1],
             "moving_speed": moving_to_dict(result.moving),
             **(NOTHING if result.beside is None else result.beside.to_dict()),
-            "dc_floor": dc_floor(fig1_weights(stored, settings)),
+            "dc_floor": dc_floor(DesignProblem(stored, settings).weights),
             "largest_A_t": None if largest is None else asdict(largest),
             "off_grid": {"speeds": OFF_GRID, "seed": stored.project.seed, **_row(*result.off_grid)},
             "speeds": [_row(v, p) for v, p in result.certificates],

@@ -12,10 +12,9 @@ from ..base.progress import Counted, Progress
 from ..engine.synthesis.interconnection import STRUCTURES, GeneralisedPlant, PlantWeights
 from ..engine.synthesis.statespace import StateSpace
 from ..engine.synthesis.table import Cell, cell, to_csv
-from ..identify.run import StoredIdentification
+from ..identify.identification import StoredIdentification
 from ..identify.weights import FittedWeight
-from ..vehicle.nominal import NominalModel
-from .plants import design_settings, fig1_weights, plant_at, weight_system
+from .plants import DesignProblem, plant_at, weight_system
 from .stored_frames import SplitWeights, StoredFrames
 
 
@@ -41,8 +40,8 @@ class FrozenProblem:
                 f"{stored.project.bounds.structure}: {len(stored.fitted.W_delta)} Deltas, one an output",
                 "S0 or S1: Table II and the trade-off compare structures with one Delta",
             )
-        self.stored, self.frames, self.settings = stored, frames, design_settings(stored)
-        self.model = NominalModel(stored.project)
+        self.problem = DesignProblem.of(stored)
+        self.stored, self.frames, self.settings = stored, frames, self.problem.settings
 
     @cached_property
     def with_state(self) -> SplitWeights:
@@ -56,9 +55,9 @@ class FrozenProblem:
         """The ten weights. ``fitted`` replaces the identified W_w and W_delta (for K_is ``with_state``)."""
         chosen = self.settings.model_copy(update={"structure": structure, "A_t": A_t, "A_u": A_u})
         # K_is has its own weights, which replace those of class S1 below.
-        weights = fig1_weights(
-            self.stored, chosen.model_copy(update={"structure": "K_i"}) if structure == "K_is" else chosen
-        )
+        if structure == "K_is":
+            chosen = chosen.model_copy(update={"structure": "K_i"})
+        weights = self.problem.with_settings(chosen).weights
         if structure == "K_is" and fitted is None:
             fitted = self.with_state
         if structure == "K_inf" or fitted is None:
@@ -78,7 +77,7 @@ class FrozenProblem:
 
     def plant(self, structure: str, weights: PlantWeights, v: float) -> GeneralisedPlant:
         """Discrete plant at speed v [m/s] with one sample of delay before the control input."""
-        return plant_at(self.stored, self.model, weights, v, True, structure)
+        return plant_at(self.problem.model, weights, v, True, structure)
 
     def table(self, progress: Progress = lambda _: None) -> list[Cell]:
         """Table II at the design speed: the three structures for each objective."""

@@ -21,9 +21,7 @@ from ..base.sampling import evenly
 from ..core.scheduled import Scheduled
 from ..engine.synthesis.dk import Scaling
 from ..engine.synthesis.saturation import LimitedLoop
-from ..identify.run import StoredIdentification
-from ..vehicle.nominal import NominalModel
-from .plants import design_settings, fig1_weights, plant_at
+from .plants import DesignProblem
 
 KAPPAS = (1.0, 1.5, 2.0, np.inf)
 """Wanted demand over its limit; 1: the limit is never reached, inf: any demand."""
@@ -91,7 +89,7 @@ class Limits:
 
 
 def limits(
-    stored: StoredIdentification,
+    problem: DesignProblem,
     schedule: Scheduled,
     scaling: Scaling,
     progress: Progress = lambda _: None,
@@ -101,7 +99,7 @@ def limits(
     some = evenly(len(schedule.speeds), SPEEDS)
     asked = [(float(schedule.speeds[k]), kappa) for k in some for kappa in KAPPAS]
     found = workers(
-        partial(_row, schedule, largest_step(stored, schedule)), _loops(stored, schedule, scaling, asked)
+        partial(_row, schedule, largest_step(problem, schedule)), _loops(problem, schedule, scaling, asked)
     )
     return Limits(tuple(counted(progress, _texts(asked), found)))
 
@@ -135,7 +133,7 @@ def _row(schedule: Scheduled, step_max: float, asked: tuple[float, LimitedLoop])
 def require_limits(
     path: Path,
     stated: dict | None,
-    stored: StoredIdentification,
+    problem: DesignProblem,
     schedule: Scheduled,
     scaling: Scaling,
     progress: Progress = lambda _: None,
@@ -150,8 +148,8 @@ def require_limits(
         return
     rows = stated["rows"]
     asked = [(row["v_mps"], np.inf if row["kappa"] is None else row["kappa"]) for row in rows]
-    step_max = largest_step(stored, schedule)
-    loops = zip(rows, _loops(stored, schedule, scaling, asked), strict=True)
+    step_max = largest_step(problem, schedule)
+    loops = zip(rows, _loops(problem, schedule, scaling, asked), strict=True)
     for _ in counted(
         progress, _texts(asked), workers(partial(_require_row, path, schedule, step_max), loops)
     ):
@@ -190,30 +188,28 @@ def _require_row(
             refuse("energy", energy)
 
 
-def largest_step(stored: StoredIdentification, schedule: Scheduled) -> float:
+def largest_step(problem: DesignProblem, schedule: Scheduled) -> float:
     """Return the largest step of the demand from sample to sample within the rate limit.
 
     Parameters
     ----------
-    stored : StoredIdentification
+    problem : DesignProblem
     schedule : Scheduled
 
     Returns
     -------
     float, input unit
     """
-    return float(design_settings(stored).input_rate_max_per_s[0]) * schedule.Ts
+    return float(problem.settings.input_rate_max_per_s[0]) * schedule.Ts
 
 
 def _loops(
-    stored: StoredIdentification,
+    problem: DesignProblem,
     schedule: Scheduled,
     scaling: Scaling,
     asked: list[tuple[float, float]],
 ) -> Iterator[tuple[float, LimitedLoop]]:
     """Speed and loop of every speed and kappa in ``asked``."""
-    settings, model = design_settings(stored), NominalModel(stored.project)
-    weights = fig1_weights(stored, settings)
     for v, kappa in asked:
-        plant = plant_at(stored, model, weights, v, False, settings.structure)
+        plant = problem.plant(v)
         yield v, LimitedLoop(plant, schedule.at(v), schedule.injection(v), kappa, scaling)

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -33,9 +32,7 @@ from ..engine.synthesis.lpv_certificate import (
 )
 from ..engine.synthesis.scheduling import closed_scaled
 from ..engine.synthesis.statespace import StateSpace, lft
-from ..identify.run import StoredIdentification
-from ..vehicle.nominal import NominalModel
-from .plants import design_settings, fig1_weights, frozen_plant, plant_at
+from .plants import DesignProblem
 
 PERFORMANCE_RATE = 1.0
 """Rate |dv/dt| in m/s^2 for which robust performance is searched, about that of a truck's service braking."""
@@ -64,7 +61,7 @@ class Moving:
 
 
 def moving_certificates(
-    stored: StoredIdentification,
+    problem: DesignProblem,
     schedule: Scheduled,
     scaling: Scaling,
     progress: Progress = lambda _: None,
@@ -76,7 +73,7 @@ def moving_certificates(
 
     Parameters
     ----------
-    stored : StoredIdentification
+    problem : DesignProblem
     schedule : Scheduled
     scaling : Scaling, start of the search
     progress : Callable, reports progress
@@ -90,15 +87,15 @@ def moving_certificates(
     ----------
     THEORY 7.5.
     """
-    stable = workers(_stability, [(stored, schedule, scaling)])
+    stable = workers(_stability, [(problem, schedule, scaling)])
     progress("performance: scaling")
-    delta = _delta(frozen_plant(stored, float(schedule.speeds[0])))
-    tuned_at = tuning(schedule, partial(frozen_plant, stored), scaling)
+    delta = _delta(problem.plant(float(schedule.speeds[0])))
+    tuned_at = tuning(schedule, problem.plant, scaling)
     own: dict[float, Scaling] = {}
 
     def family_at(level: float) -> Family:
         own[level] = tuned_at(level)
-        return scaled_families(stored, schedule, own[level])["performance"]
+        return scaled_families(problem, schedule, own[level])["performance"]
 
     level = find_level(family_at, delta, PERFORMANCE_RATE, lambda text: progress(f"performance: {text}"))
     progress("stability: storage function and proof")
@@ -108,10 +105,10 @@ def moving_certificates(
     }
 
 
-def _stability(asked: tuple[StoredIdentification, Scheduled, Scaling]) -> Moving | None:
+def _stability(asked: tuple[DesignProblem, Scheduled, Scaling]) -> Moving | None:
     """Certificate of stability; None without one or without a Delta."""
-    stored, schedule, scaling = asked
-    families = scaled_families(stored, schedule, scaling)
+    problem, schedule, scaling = asked
+    families = scaled_families(problem, schedule, scaling)
     stable = find(families["stability"]) if "stability" in families else None
     return None if stable is None else Moving(stable, scaling)
 
@@ -147,12 +144,12 @@ def _delta(plant: GeneralisedPlant) -> tuple[int, int]:
     return plant.n_delta_in, plant.n_delta_out
 
 
-def scaled_families(stored: StoredIdentification, schedule: Scheduled, scaling: Scaling) -> dict[str, Family]:
+def scaled_families(problem: DesignProblem, schedule: Scheduled, scaling: Scaling) -> dict[str, Family]:
     """Make the loop over speed under a scaling, by claim.
 
     Parameters
     ----------
-    stored : StoredIdentification
+    problem : DesignProblem
     schedule : Scheduled
     scaling : Scaling
 
@@ -160,16 +157,10 @@ def scaled_families(stored: StoredIdentification, schedule: Scheduled, scaling: 
     -------
     dict[str, Family], a design without Delta has performance alone
     """
-    settings, model = design_settings(stored), NominalModel(stored.project)
-    weights = fig1_weights(stored, settings)
-
-    def plant_of(v: float, probes: bool = False) -> GeneralisedPlant:
-        return plant_at(stored, model, weights, v, False, settings.structure, probes=probes)
-
-    plant = plant_of(float(schedule.speeds[0]))
+    model, plant = problem.model, problem.plant(float(schedule.speeds[0]))
     # The probes: state, input, and with state uncertainty an input on every state; see
     # interconnection.generalised_plant.
-    held = model.n + model.n_u + (model.n if settings.structure == "K_is" else 0)
+    held = model.n + model.n_u + (model.n if problem.settings.structure == "K_is" else 0)
     first = scaling.systems(plant)[1].order
 
     def hold_bounds(low: float, high: float) -> tuple[np.ndarray, np.ndarray]:
@@ -177,7 +168,7 @@ def scaled_families(stored: StoredIdentification, schedule: Scheduled, scaling: 
         return first_derivative[:, :held], second[:, :held]
 
     family = Family(
-        lambda v: closed_scaled(plant_of(v, probes=True), schedule.at(v), scaling),
+        lambda v: closed_scaled(problem.plant(v, probes=True), schedule.at(v), scaling),
         schedule.speeds,
         slice(first, first + model.n),
         held,
@@ -195,7 +186,7 @@ def scaled_families(stored: StoredIdentification, schedule: Scheduled, scaling: 
 def require_moving(
     path: Path,
     stated: dict,
-    stored: StoredIdentification,
+    problem: DesignProblem,
     schedule: Scheduled,
     progress: Progress = lambda _: None,
     workers: Map = map,
@@ -206,7 +197,7 @@ def require_moving(
     """
     said_of = {claim: stated["moving_speed"].get(claim, {"rate_mps2": np.nan}) for claim in CLAIMS}
     said_of = {claim: said for claim, said in said_of.items() if said["rate_mps2"] is not None}
-    asked = ((stored, schedule, claim, said) for claim, said in said_of.items())
+    asked = ((problem, schedule, claim, said) for claim, said in said_of.items())
     texts = [f"{claim}: proof between the speeds" for claim in said_of]
     for (claim, said), holds in zip(
         said_of.items(), counted(progress, texts, workers(_holds, asked)), strict=True
@@ -220,16 +211,16 @@ def require_moving(
             )
 
 
-def _holds(asked: tuple[StoredIdentification, Scheduled, str, dict]) -> bool:
+def _holds(asked: tuple[DesignProblem, Scheduled, str, dict]) -> bool:
     """Whether controller.json's statement of a claim at a moving speed is proved again."""
-    stored, schedule, claim, said = asked
+    problem, schedule, claim, said = asked
     if not all(np.isfinite(said.get(name, np.nan)) and said[name] > 0 for name in POSITIVE):
         return False
     # A level is performance's: stability is claimed at 1 alone, with the design's own D.
-    families = scaled_families(stored, schedule, _scaling(said["scaling"]))
+    families = scaled_families(problem, schedule, _scaling(said["scaling"]))
     if claim not in families:
         return False
-    family, delta = families[claim], _delta(frozen_plant(stored, float(schedule.speeds[0])))
+    family, delta = families[claim], _delta(problem.plant(float(schedule.speeds[0])))
     family = replace(weighed(family, delta, said["level"], said["gain"]), adjoint=said["adjoint"])
     storage = _storage(family, said)
     proof = None if storage is None else prove(family, storage, said["rate_mps2"])

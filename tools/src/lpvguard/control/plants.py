@@ -6,14 +6,15 @@ model's input delay is whole samples before the vehicle; the performance weight 
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
 from ..base.errors import InputError
 from ..engine.synthesis import interconnection as fig1
 from ..engine.synthesis.statespace import StateSpace, append, gain, series, zero_order_hold
-from ..identify.run import StoredIdentification
+from ..identify.identification import StoredIdentification
 from ..identify.weights import FittedWeight
 from ..vehicle.design_settings import DesignSettings
 from ..vehicle.nominal import NominalModel
@@ -51,98 +52,6 @@ def weight_system(weight: FittedWeight, inflation: float) -> StateSpace:
     return fig1.rational(inflation * weight.fit.weight.num, weight.fit.weight.den)
 
 
-def state_uncertainty(stored: StoredIdentification, settings: DesignSettings) -> SplitWeights:
-    """Weights of class S2 at the identified gamma_w: W_delta_i dimensionless, W_delta_s in 1/s.
-
-    They are searched once for each lambda_s. xi_s adds to the state's derivative and needs inverted dynamics,
-    which windows only approximate. Raises InputError where the frames are too inexact.
-    """
-    error = stored.bounds["window_error_median"]
-    worst = int(np.nanargmax(error))
-    if error[worst] > LARGEST_WINDOW_ERROR:
-        omega = stored.bounds["omega_rad_s"][worst]
-        raise InputError(
-            stored.folder,
-            "design.structure",
-            f"K_is: these frames find the state's uncertainty with a median "
-            f"error of {error[worst]:.0%} at {omega:.3g} rad/s",
-            f"K_i, or frames whose error is at most {LARGEST_WINDOW_ERROR:.0%}: "
-            'the plain DFT, frames.estimator = "dft"',
-        )
-    key = "state_uncertainty", settings.lambda_s
-    if key not in stored.found:
-        frames = StoredFrames(stored)
-        split = frames.explain_with_state(stored.bounds["gamma_w"], settings.lambda_s)
-        stored.found[key] = frames.weights(split)
-    return stored.found[key]
-
-
-def fig1_weights(stored: StoredIdentification, settings: DesignSettings) -> fig1.PlantWeights:
-    """Return the weights of Fig. 1 for given structure, A_t, A_u and shapes; the others are as identified.
-
-    Parameters
-    ----------
-    stored : StoredIdentification
-    settings : DesignSettings
-
-    Returns
-    -------
-    PlantWeights
-
-    Raises
-    ------
-    InputError
-        If there are no drives of the noise split, or design and identification differ in uncertainty.
-
-    Notes
-    -----
-    S1_diagonal goes with K_o, S1 with K_i and K_is, and K_inf with each.
-
-    References
-    ----------
-    Paper, Fig. 1 and section V.
-    """
-    fitted = stored.fitted
-    outputwise = settings.structure == fig1.OUTPUTWISE
-    if settings.structure != "K_inf" and outputwise != (len(fitted.W_delta) > 1):
-        raise InputError(
-            stored.folder,
-            "bounds.structure",
-            f"{stored.project.bounds.structure} with design.structure = {settings.structure}",
-            "S1_diagonal with K_o, S1 with K_i or K_is: one uncertainty for bounds and design",
-        )
-    if not fitted.W_n or not fitted.W_C:
-        raise InputError(
-            stored.folder,
-            "W_n, W_C",
-            "missing: no drive of the noise split",
-            "zero-input drives listed under data.noise_split",
-        )
-    W_w, W_delta_i, W_delta_s = (
-        fitted.W_w_S0 if settings.structure == "K_inf" else fitted.W_w,
-        fitted.W_delta[0],
-        fitted.W_delta[0],
-    )
-    if settings.structure == "K_is":
-        state = state_uncertainty(stored, settings)
-        W_w, W_delta_i, W_delta_s = state.W_w, state.W_delta_i, state.W_delta_s or state.W_delta_i
-    g = fitted.inflation
-    return fig1.PlantWeights(
-        W_R=fig1.rational(settings.W_R_num, settings.W_R_den),
-        W_C=weight_system(fitted.W_C[0], 1.0),
-        W_t=fig1.zeros_poles(settings.A_t, settings.W_t_zeros, settings.W_t_poles),
-        W_u=fig1.zeros_poles(settings.A_u, settings.W_u_zeros, settings.W_u_poles),
-        W_nr=weight_system(fitted.W_n[0], g),
-        W_ndelta=weight_system(fitted.W_n[1], g),
-        W_wr=weight_system(W_w[0], g),
-        W_wdelta=weight_system(W_w[1], g),
-        W_delta_i=weight_system(W_delta_i, g),
-        W_delta_s=weight_system(W_delta_s, g),
-        W_delta_r=weight_system(fitted.W_delta[0], g) if outputwise else None,
-        W_delta_delta=weight_system(fitted.W_delta[1], g) if outputwise else None,
-    )
-
-
 def whole_delay(model: NominalModel) -> int:
     """The model's input delay [samples]; InputError where it is not whole."""
     if model.delay_fraction:
@@ -174,8 +83,117 @@ def delay_line(samples: int, dt: float) -> StateSpace:
     )
 
 
+@dataclass(frozen=True)
+class DesignProblem:
+    """Problem of Fig. 1 of an identified vehicle: model, weights and generalised plants over speed.
+
+    Attributes
+    ----------
+    stored : StoredIdentification
+    settings : DesignSettings, structure, A_t, A_u and shapes, the project's or others
+
+    References
+    ----------
+    Paper, Fig. 1 and section V.
+    """
+
+    stored: StoredIdentification
+    settings: DesignSettings
+    _split_by_lambda_s: dict[float, SplitWeights] = field(default_factory=dict, repr=False, compare=False)
+
+    @classmethod
+    def of(cls, stored: StoredIdentification) -> DesignProblem:
+        """The problem that the project's [design] table states; InputError without one."""
+        return cls(stored, design_settings(stored))
+
+    def with_settings(self, settings: DesignSettings) -> DesignProblem:
+        """The problem of the same vehicle with other settings."""
+        return replace(self, settings=settings)
+
+    @property
+    def model(self) -> NominalModel:
+        """The nominal model."""
+        return self.stored.model
+
+    def state_uncertainty(self) -> SplitWeights:
+        """Class S2's weights at the identified gamma_w: W_delta_i dimensionless, W_delta_s in 1/s; searched
+        once for each lambda_s.
+
+        xi_s adds to the state's derivative. It is found by inverting dynamics, which windows only
+        approximate: InputError where the frames cannot tell it.
+        """
+        stored, lambda_s = self.stored, self.settings.lambda_s
+        error = stored.bounds["window_error_median"]
+        worst = int(np.nanargmax(error))
+        if error[worst] > LARGEST_WINDOW_ERROR:
+            omega = stored.bounds["omega_rad_s"][worst]
+            raise InputError(
+                stored.folder,
+                "design.structure",
+                f"K_is: these frames find the state's uncertainty with a median "
+                f"error of {error[worst]:.0%} at {omega:.3g} rad/s",
+                f"K_i, or frames whose error is at most {LARGEST_WINDOW_ERROR:.0%}: "
+                'the plain DFT, frames.estimator = "dft"',
+            )
+        if lambda_s not in self._split_by_lambda_s:
+            frames = StoredFrames(stored)
+            split = frames.explain_with_state(stored.bounds["gamma_w"], lambda_s)
+            self._split_by_lambda_s[lambda_s] = frames.weights(split)
+        return self._split_by_lambda_s[lambda_s]
+
+    @cached_property
+    def weights(self) -> fig1.PlantWeights:
+        """The weights of Fig. 1: those of the settings, the others as identified.
+
+        InputError without drives of the noise split, and unless the identification and the design have the
+        same uncertainty: S1_diagonal goes with K_o, S1 with K_i and K_is, and K_inf with each.
+        """
+        stored, settings, fitted = self.stored, self.settings, self.stored.fitted
+        outputwise = settings.structure == fig1.OUTPUTWISE
+        if settings.structure != "K_inf" and outputwise != (len(fitted.W_delta) > 1):
+            raise InputError(
+                stored.folder,
+                "bounds.structure",
+                f"{stored.project.bounds.structure} with design.structure = {settings.structure}",
+                "S1_diagonal with K_o, S1 with K_i or K_is: one uncertainty for bounds and design",
+            )
+        if not fitted.W_n or not fitted.W_C:
+            raise InputError(
+                stored.folder,
+                "W_n, W_C",
+                "missing: no drive of the noise split",
+                "zero-input drives listed under data.noise_split",
+            )
+        W_w, W_delta_i, W_delta_s = (
+            fitted.W_w_S0 if settings.structure == "K_inf" else fitted.W_w,
+            fitted.W_delta[0],
+            fitted.W_delta[0],
+        )
+        if settings.structure == "K_is":
+            state = self.state_uncertainty()
+            W_w, W_delta_i, W_delta_s = state.W_w, state.W_delta_i, state.W_delta_s or state.W_delta_i
+        g = fitted.inflation
+        return fig1.PlantWeights(
+            W_R=fig1.rational(settings.W_R_num, settings.W_R_den),
+            W_C=weight_system(fitted.W_C[0], 1.0),
+            W_t=fig1.zeros_poles(settings.A_t, settings.W_t_zeros, settings.W_t_poles),
+            W_u=fig1.zeros_poles(settings.A_u, settings.W_u_zeros, settings.W_u_poles),
+            W_nr=weight_system(fitted.W_n[0], g),
+            W_ndelta=weight_system(fitted.W_n[1], g),
+            W_wr=weight_system(W_w[0], g),
+            W_wdelta=weight_system(W_w[1], g),
+            W_delta_i=weight_system(W_delta_i, g),
+            W_delta_s=weight_system(W_delta_s, g),
+            W_delta_r=weight_system(fitted.W_delta[0], g) if outputwise else None,
+            W_delta_delta=weight_system(fitted.W_delta[1], g) if outputwise else None,
+        )
+
+    def plant(self, v: float, *, delayed: bool = False, probes: bool = False) -> fig1.GeneralisedPlant:
+        """The discrete generalised plant at speed v [m/s], as `plant_at` makes it."""
+        return plant_at(self.model, self.weights, v, delayed, self.settings.structure, probes)
+
+
 def plant_at(
-    stored: StoredIdentification,
     model: NominalModel,
     weights: fig1.PlantWeights,
     v: float,
@@ -190,30 +208,9 @@ def plant_at(
     """
     A, B = (m[0] for m in model.matrices(np.array([v])))
     late = whole_delay(model)
-    plant = fig1.generalised_plant(A, B, weights, structure, stored.project.Ts_s, late, probes)
+    plant = fig1.generalised_plant(A, B, weights, structure, model.Ts, late, probes)
     if not delayed:
         return plant
     n_w, n_u, dt = plant.system.n_inputs - plant.n_control, plant.n_control, plant.system.dt
     computed = series(plant.system, append(gain(np.eye(n_w), dt), *[delay_line(1, dt)] * n_u))
     return replace(plant, system=replace(computed, inputs=plant.system.inputs))
-
-
-def frozen_plant(stored: StoredIdentification, v: float) -> fig1.GeneralisedPlant:
-    """Return the discrete generalised plant of a design's certificates at a frozen speed.
-
-    Parameters
-    ----------
-    stored : StoredIdentification
-    v : float, m/s
-
-    Returns
-    -------
-    GeneralisedPlant
-
-    References
-    ----------
-    Paper, Fig. 1.
-    """
-    settings = design_settings(stored)
-    weights = fig1_weights(stored, settings)
-    return plant_at(stored, NominalModel(stored.project), weights, v, False, settings.structure)

@@ -29,9 +29,8 @@ from ..engine.synthesis.nu_gap import nu_gap, nu_margin
 from ..engine.synthesis.statespace import StateSpace, lft
 from ..engine.synthesis.worst_case import worst_case
 from ..engine.synthesis.worst_gain import worst_gain
-from ..identify.run import StoredIdentification
 from ..vehicle.nominal import NominalModel
-from .plants import design_settings, fig1_weights, plant_at, vehicle_at
+from .plants import DesignProblem, vehicle_at
 
 FOUND_RTOL, EXACT_RTOL = 2e-3, 1e-5
 """Largest relative difference between stated and computed numbers: of a bound by cells or a search, and of
@@ -89,7 +88,7 @@ class Robustness:
 
 
 def robustness(
-    stored: StoredIdentification,
+    problem: DesignProblem,
     schedule: Scheduled,
     scaling: Scaling,
     progress: Progress = lambda _: None,
@@ -97,14 +96,14 @@ def robustness(
 ) -> Robustness:
     """Robustness of every node; ``scaling`` helps the search for the worst Delta, ``workers`` share the
     nodes."""
-    unit_u, units_y = _units(NominalModel(stored.project), schedule, workers)
-    return _with_units(stored, schedule, scaling, unit_u, units_y, progress, workers)
+    unit_u, units_y = _units(problem.model, schedule, workers)
+    return _with_units(problem, schedule, scaling, unit_u, units_y, progress, workers)
 
 
 def require_robustness(
     path: Path,
     stated: dict | None,
-    stored: StoredIdentification,
+    problem: DesignProblem,
     schedule: Scheduled,
     scaling: Scaling,
     progress: Progress = lambda _: None,
@@ -117,7 +116,7 @@ def require_robustness(
     """
     if stated is not None:
         units = stated["unit_u"], tuple(stated["units_y"])
-        found = _with_units(stored, schedule, scaling, *units, progress, workers, stated["nodes"])
+        found = _with_units(problem, schedule, scaling, *units, progress, workers, stated["nodes"])
         compare(path, stated, found)
 
 
@@ -144,7 +143,7 @@ def compare(path: Path, stated: dict, found: Robustness) -> None:
 
 
 def _with_units(
-    stored: StoredIdentification,
+    problem: DesignProblem,
     schedule: Scheduled,
     scaling: Scaling,
     unit_u: float,
@@ -153,16 +152,15 @@ def _with_units(
     workers: Map,
     stated: Sequence[dict] = (),
 ) -> Robustness:
-    settings, model = design_settings(stored), NominalModel(stored.project)
-    weights, speeds = fig1_weights(stored, settings), [float(v) for v in schedule.speeds]
+    speeds = [float(v) for v in schedule.speeds]
     asked = [
         _Asked(
             v,
-            plant_at(stored, model, weights, v, False, settings.structure),
+            problem.plant(v),
             schedule.at(v),
-            vehicle_at(model, v),
+            vehicle_at(problem.model, v),
             tuple(
-                vehicle_at(model, other)
+                vehicle_at(problem.model, other)
                 for after in speeds[k + 1 : k + 2]
                 for other in (after, 0.5 * (v + after))
             ),

@@ -22,9 +22,7 @@ from ..engine.synthesis.dk import Scaling
 from ..engine.synthesis.interconnection import GeneralisedPlant
 from ..engine.synthesis.slow_delta import SlowLoop
 from ..engine.synthesis.statespace import StateSpace
-from ..identify.run import StoredIdentification
-from ..vehicle.nominal import NominalModel
-from .plants import design_settings, fig1_weights, plant_at
+from .plants import DesignProblem
 
 LEVEL_RTOL = 1e-4
 """Largest relative difference between a stated level and the one proved again."""
@@ -85,7 +83,7 @@ class Slowness:
 
 
 def slowness(
-    stored: StoredIdentification,
+    problem: DesignProblem,
     schedule: Scheduled,
     scaling: Scaling,
     progress: Progress = lambda _: None,
@@ -95,8 +93,8 @@ def slowness(
     Delta."""
     if not len(scaling.log_parameters):
         return None
-    nodes = workers(partial(_node, scaling), _closed(stored, schedule))
-    return Slowness(tuple(counted(progress, _texts(schedule), nodes)), *hidden_rates(stored))
+    nodes = workers(partial(_node, scaling), _closed(problem, schedule))
+    return Slowness(tuple(counted(progress, _texts(schedule), nodes)), *hidden_rates(problem))
 
 
 def _texts(schedule: Scheduled) -> list[str]:
@@ -123,19 +121,19 @@ def _node(scaling: Scaling, closed: tuple[float, GeneralisedPlant, StateSpace]) 
     )
 
 
-def hidden_rates(stored: StoredIdentification) -> tuple[float, float]:
+def hidden_rates(problem: DesignProblem) -> tuple[float, float]:
     """Rates [1/s] at which a Delta of size 1 changes its sign within the longest and the shortest frame.
 
     A frame shows only the mean of such a Delta.
     """
-    lengths = np.asarray(stored.bounds["length_samples"], float) * stored.project.Ts_s
+    lengths = np.asarray(problem.stored.bounds["length_samples"], float) * problem.model.Ts
     return float(FULL_SWING / lengths.max()), float(FULL_SWING / lengths.min())
 
 
 def require_slowness(
     path: Path,
     stated: dict | None,
-    stored: StoredIdentification,
+    problem: DesignProblem,
     schedule: Scheduled,
     scaling: Scaling,
     progress: Progress = lambda _: None,
@@ -153,7 +151,7 @@ def require_slowness(
         raise InputError(path, "certificates.slow_delta.nodes", "not the speeds", "one row a node")
     rates = [row["performance_rate"] for row in nodes], [row["stability_rate"] for row in nodes]
     least = min(rates[0]), min((r for r in rates[1] if r is not None), default=None)
-    of_frames = hidden_rates(stored)
+    of_frames = hidden_rates(problem)
     for name, want in (
         ("performance_rate_per_s", least[0]),
         ("stability_rate_per_s", least[1]),
@@ -166,7 +164,7 @@ def require_slowness(
             raise InputError(
                 path, f"certificates.slow_delta.{name}", f"{value}", f"{want}, of nodes and frames"
             )
-    asked = zip(nodes, _closed(stored, schedule), strict=True)
+    asked = zip(nodes, _closed(problem, schedule), strict=True)
     for _ in counted(progress, _texts(schedule), workers(partial(_require_node, path, scaling), asked)):
         pass
 
@@ -196,13 +194,11 @@ def _require_node(
 
 
 def _closed(
-    stored: StoredIdentification, schedule: Scheduled
+    problem: DesignProblem, schedule: Scheduled
 ) -> Iterator[tuple[float, GeneralisedPlant, StateSpace]]:
     """Speed, generalised plant and controller of each node."""
-    settings, model = design_settings(stored), NominalModel(stored.project)
-    weights = fig1_weights(stored, settings)
     for v in map(float, schedule.speeds):
-        yield v, plant_at(stored, model, weights, v, False, settings.structure), schedule.at(v)
+        yield v, problem.plant(v), schedule.at(v)
 
 
 def _loops(

@@ -20,10 +20,9 @@ from scipy.linalg import expm
 
 from ..base.errors import InputError
 from ..base.progress import Counted, Progress
-from ..drives.frames import Estimator
 from ..engine.validation import s1, s2
 from ..identify.bounds import FrameSet, counted_frames, explain, reduce_disturbance
-from ..identify.run import DriveSet, StoredIdentification
+from ..identify.identification import DriveSet, StoredIdentification
 from ..identify.weights import (
     SMALLEST_NU,
     FittedWeight,
@@ -32,7 +31,6 @@ from ..identify.weights import (
     fit_uncertainty,
     smallest_disturbance,
 )
-from ..vehicle.nominal import NominalModel
 
 NEAR = 0.02
 
@@ -79,8 +77,7 @@ class StoredFrames:
         progress: Progress = lambda _: None,
     ):
         self.stored, self.project = stored, stored.project
-        self.model = NominalModel(stored.project)
-        self.estimator = Estimator.of(stored.project, self.model)
+        self.model, self.estimator = stored.model, stored.estimator
         path = stored.folder / "spectra.npz"
         with np.load(path) as spectra:
             if "speed" not in spectra:

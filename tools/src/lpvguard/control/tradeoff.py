@@ -190,7 +190,7 @@ def between(c: Candidate, omega: np.ndarray) -> NuCeiling:
 
 def speeds(problem: FrozenProblem) -> list[float]:
     """Both ends of the model's range and the design speed [m/s]."""
-    low, high = problem.model.speed_range
+    low, high = problem.stored.model.speed_range
     return sorted({low, problem.settings.design_speed_mps, high})
 
 

@@ -26,7 +26,7 @@ from ..engine.synthesis.margins import (
     of_samples,
 )
 from ..engine.synthesis.statespace import StateSpace
-from ..identify.run import StoredIdentification
+from ..identify.identification import StoredIdentification
 from ..identify.weights import Weights
 from ..vehicle.nominal import NominalModel
 from .input_limit import turning_limit
@@ -194,7 +194,7 @@ class CertifiedLoop:
     def __init__(self, stored: StoredIdentification, schedule: Scheduled):
         require_certified_by_W_delta(stored)
         self.stored, self.schedule = stored, schedule
-        self.model = NominalModel(stored.project)
+        self.model: NominalModel = stored.model
         self.outputs = [signal.name for signal in stored.project.outputs]
 
     def amplitudes(self, v: float, asked: Sequence[float]) -> list[float]:

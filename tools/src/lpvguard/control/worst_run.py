@@ -22,7 +22,7 @@ from ..engine.synthesis.interconnection import PlantWeights
 from ..engine.synthesis.statespace import StateSpace, gain, lft, to_discrete
 from ..engine.synthesis.table import Cell
 from ..engine.synthesis.worst_case import WorstCase, close_delta, worst_case
-from ..identify.run import DriveSet
+from ..identify.identification import DriveSet
 from .frozen import FrozenProblem
 
 NOISE_POWER = 0.01

@@ -18,9 +18,9 @@ from ..core.compiled import Core
 from ..drives.tables import Experiment
 from ..identify.bounds import nominal_error
 from ..identify.calibration import Calibration, calibrate
+from ..identify.identification import DriveSet, StoredIdentification
 from ..identify.passes import DriveReader
-from ..identify.run import DriveSet, StoredIdentification
-from ..replay.run import Replayer
+from ..replay.replayer import Replayer
 from .baselines import GRID, KINDS, TITLES, WITH_COMPONENTS, Bank, Baseline, Scales, Sizes
 from .detection import Case, FaultOutcome, Injection, Outcomes, fault_rows, with_refutable
 from .false_alarms import false_alarms, piece_starts

@@ -30,7 +30,7 @@ from ..drives.faults import Fault, injected_delay_s, share_of
 from ..drives.tables import Drive
 from ..identify.diagnosis import DiagnosisScales
 from ..replay.causes import WITH_INTERVAL, Diagnosis
-from ..replay.run import Replay
+from ..replay.replayer import Replay
 from ..vehicle.project import Project
 from .detection import WAY_WORDS, Case, JudgedClock
 

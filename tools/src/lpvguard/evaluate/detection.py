@@ -36,7 +36,7 @@ import numpy as np
 
 from ..drives.faults import Fault, inject, no_single_cause, stated
 from ..drives.tables import Drive
-from ..replay.run import Replay
+from ..replay.replayer import Replay
 from ..vehicle.project import EvaluationSettings, Way
 
 WAY_WORDS: dict[Way, str] = {"step": "step", "ramp": "ramp", "start": "from the start"}

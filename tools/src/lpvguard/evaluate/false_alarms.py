@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..base.rates import per_hour, rate
-from ..replay.run import Replay
+from ..replay.replayer import Replay
 
 PIECE_S = 60.0
 

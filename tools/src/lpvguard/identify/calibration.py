@@ -22,7 +22,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 
 import numpy as np
 from scipy.stats import beta
@@ -283,32 +282,6 @@ class Peak:
     t_s: float
     place: int | None = None
     without: float | None = None
-
-
-def require_calibration(
-    folder: Path, drives: Iterable[str], left_out: Mapping[str, str], judged: bool
-) -> None:
-    """Raise InputError where nothing calibrates: there is no drive for it, or no test has ``judged`` any.
-
-    ``drives`` are all but those that set the bounds or have no input. ``left_out`` is the reason by drive
-    without frames. A threshold without a drive would not be measured.
-    """
-    names = list(drives)
-    if not names:
-        raise InputError(
-            folder / EXPERIMENTS,
-            "column split",
-            "nothing calibrates: every drive sets the bounds or is without input",
-            f"at least one drive of another split; alpha is stated from {FEWEST_FOR_ALPHA} recordings on",
-        )
-    if not judged:
-        reason = next((f"{n}: {left_out[n]}" for n in names if n in left_out), "every bin is silent")
-        raise InputError(
-            folder,
-            f"drives that calibrate ({len(names)})",
-            f"nothing calibrates: no test judges a drive ({reason})",
-            "at least one with a frame of a bin that speaks, or with settled driving for the other tests",
-        )
 
 
 def peaks(run: Run, t0: float, Ts: float, length: np.ndarray) -> dict[str, Peak]:

@@ -12,8 +12,8 @@ import numpy as np
 
 from ..drives.tables import EXPERIMENTS
 from .calibration import Calibration, calibrate
+from .identification import Identification
 from .model_error import FEWEST_FRAMES
-from .run import Identification
 
 ONE_FRAME = 1.1
 """Ratio of a number to its value without one frame from which that frame decides it."""
@@ -139,7 +139,7 @@ def outlying(result: Identification) -> list[str]:
         deviation = 1.4826 * float(np.median(np.abs(size - middle)))
         least = middle + max(OUTLYING * deviation, np.log(ONE_FRAME))
         said += [
-            f"{test} test: the score of {drive} lies outside the calibration drives': {s:.4g} to a median of "
+            f"{test} test: {drive} lies outside the other calibration drives: {s:.4g}, their median is "
             f"{np.exp(middle):.3g}{_where(result, test, drive)}; the drive calibrates unless "
             f"{EXPERIMENTS} sets it aside"
             for drive, s in scores.items()

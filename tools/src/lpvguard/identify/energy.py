@@ -50,11 +50,13 @@ FAN_BITS = 4
 FEWEST_SETTLED = 5.0
 """Time constants after which a transient counts as gone, as in drives/frames.py."""
 SMALLEST_SIGMA = 1e-2
-"""Floor of sigma_j over the largest ||F e_j|| and ||F W_delta yhat_j||: in units of sigma, sums stay where
-float adds finely enough."""
+"""Floor of sigma_j over the largest ||F e_j|| and ||F W_delta yhat_j||: float then adds sums in units of
+sigma finely
+enough."""
 UNBOUNDED = 1e6
-"""What the core's B_w and sigma are raised by where nothing is claimed: far beyond what a vehicle does, and
-within the range of float (lib/src/monitor/margin.hpp)."""
+"""Factor on the core's B_w and sigma where nothing is claimed: far beyond a vehicle's signals, and within the
+range
+of float (lib/src/monitor/margin.hpp)."""
 STATED_RTOL = 1e-8
 """Largest relative difference between stored numbers and those that the weights give."""
 
@@ -62,8 +64,8 @@ STATED_RTOL = 1e-8
 def fan(n_y: int) -> np.ndarray:
     """Directions (D, n_y) up to their sign, sum |a_j| = 1, single outputs among them, in units of sigma.
 
-    For two outputs in bit-reversed order: neighbours see nearly the same, so consecutive judgements take
-    distant directions.
+    For two outputs in bit-reversed order: neighbours are nearly equal, so consecutive judgements take distant
+    directions.
     """
     if n_y == 2:
         turn = np.array([int(f"{k:0{FAN_BITS}b}"[::-1], 2) for k in range(2**FAN_BITS)]) / 2**FAN_BITS
@@ -95,14 +97,14 @@ def _bands(corner_rad: np.ndarray, rate: float) -> np.ndarray:
 
 
 def _padded(filters: list[np.ndarray]) -> np.ndarray:
-    """Sections (N, S, 6) of filters of at most S sections each; fewer end with ones that pass all."""
+    """Sections (N, S, 6) of filters of at most S sections each, padded with sections that pass everything."""
     passing = np.array([[1.0, 0.0, 0.0, 1.0, 0.0, 0.0]])
     most = max(map(len, filters))
     return np.stack([np.concatenate([f, *[passing] * (most - len(f))]) for f in filters])
 
 
 def in_delta(sections: np.ndarray) -> np.ndarray:
-    """b0, b1, b2, a1, a2 (..., 5) in the operator z - 1 of sections (..., 6) in z, as the core takes them."""
+    """b0, b1, b2, a1, a2 (..., 5) in the core's operator z - 1, from sections (..., 6) in z."""
     b, a = sections[..., :3], sections[..., 3:]
     return np.stack(
         [b[..., 0], 2 * b[..., 0] + b[..., 1], b.sum(-1), 2 * a[..., 0] + a[..., 1], a.sum(-1)], axis=-1
@@ -112,8 +114,10 @@ def in_delta(sections: np.ndarray) -> np.ndarray:
 def _raised(
     project: Project, W_delta: Sequence[Weight], warped: np.ndarray, bounds: np.ndarray
 ) -> Iterator[tuple[float, Weight, dict]]:
-    """Of each weight: the gain >= 1 with which it is above its row of ``bounds`` (n_delta, K) at ``warped``
-    (K,) [rad/s], the weight so raised, and its certificate."""
+    """Gain >= 1 of each weight above its bound, the weight with it, and its certificate.
+
+    The bounds are rows of ``bounds`` (n_delta, K) at ``warped`` (K,) [rad/s].
+    """
     if not len(W_delta) == len(bounds) == project.n_delta:
         raise InputError(
             f"vehicle {project.name}",
@@ -145,14 +149,28 @@ def _norm_in(sums: np.ndarray, directions: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class EnergyTest:
-    """Filters, sigma and calibration in B bands, one more than ``band_hz`` has corners. ``sigma`` and
-    ``start`` (B, n_y) have the outputs' units; ``start`` is what is remembered at a restart.
+    """Filters, sigma and calibration of the energy test in B bands.
 
-    ``F`` (B, S, 6): sections in z per band. ``W`` (n_delta, S, 6): sections in z per Delta. ``gain``
-    (n_delta,): what W_delta was raised by to stay above its bound when warped, with a certificate each.
-    ``joint`` (B,): the common factor >= 1 in sigma that the fan, or a cut drive, asked for. ``directions``
-    (D, n_y) in units of sigma. ``silent``: bands that set no threshold and raise no alarm, since no frame
-    of the drives shows evidence.
+    Attributes
+    ----------
+    Ts, memory_s : float, s
+    band_hz : tuple of float, Hz, the B - 1 corners
+    settle : int, samples
+    speed_range : tuple[float, float], m/s
+    F : ndarray (B, S, 6), sections in z per band
+    W : ndarray (n_delta, S, 6), sections in z per Delta
+    gain : ndarray (n_delta,), factor on W_delta that keeps it above its bound when warped
+    certificate : list of dict, one a Delta
+    directions : ndarray (D, n_y), in units of sigma
+    sigma : ndarray (B, n_y), output units
+    start : ndarray (B, n_y), memory at a restart [output units]
+    joint : ndarray (B,), common factor >= 1 in sigma for the fan and for cut drives
+    calibration : Calibration
+    silent : tuple of int, bands that set no threshold and raise no alarm, because no frame shows evidence
+
+    References
+    ----------
+    THEORY 7.2.
     """
 
     Ts: float
@@ -181,10 +199,11 @@ class EnergyTest:
         bound: np.ndarray,
         inflation: float,
     ) -> EnergyTest:
-        """Filters for the project's n_delta weights W_delta, which lie above the samples ``bound`` (K,
-        n_delta) at ``omega`` (K,), times the final inflation; sigma is 1 yet.
+        """Filters for the project's n_delta weights W_delta, before sigma is known.
 
-        Raises InputError for settings that make no test, and for weights of another structure.
+        The weights lie above the samples ``bound`` (K, n_delta) at ``omega`` (K,), times the final inflation.
+        Raises
+        InputError for settings that make no test, and for weights of another structure.
         """
         Ts, settings = estimator.Ts, project.energy_test
         corners = settings.band_hz or (project.frames.f_min_hz, project.frames.f_max_hz)
@@ -226,12 +245,12 @@ class EnergyTest:
 
     @property
     def memories_s(self) -> np.ndarray:
-        """Time constants of the left sums' forgetting (B,); of the right sums' it is the first."""
+        """Time constants (B,) of the left sums' forgetting; that of the right sums is the first."""
         return self.memory_s * np.array([*[1.0] * len(self.band_hz), self.band_hz[0] / self.band_hz[-1]])
 
     @property
     def single(self) -> bool:
-        """Whether every direction is one output, as where each has its own Delta."""
+        """Whether every direction is one output, as with a Delta an output."""
         return len(self.W) > 1
 
     @property
@@ -241,7 +260,7 @@ class EnergyTest:
 
     @property
     def rho(self) -> float:
-        """Of Delta and the right sums."""
+        """Forgetting per sample of Delta and the right sums."""
         return float(np.exp(-self.Ts / self.memory_s))
 
     @property
@@ -259,7 +278,7 @@ class EnergyTest:
 
     @property
     def claim_text(self) -> str:
-        """What a ratio above 1 refutes, and under which assumptions (THEORY 7.2)."""
+        """Claim of a ratio above 1, with its assumptions (THEORY 7.2)."""
         blocks = "a Delta for each output" if self.single else "one Delta for all outputs"
         return (
             f"given sigma, a ratio above 1 refutes every error Delta W_delta yhat with {blocks}, linear, "
@@ -269,7 +288,7 @@ class EnergyTest:
         )
 
     def at_rest(self) -> EnergyTest:
-        """For whole drives, before which there was nothing to remember."""
+        """The test for whole drives, without memory before their start."""
         return replace(self, start=np.zeros_like(self.start))
 
     def norms(
@@ -287,7 +306,7 @@ class EnergyTest:
         return np.moveaxis(of_left, -1, 0), np.moveaxis(of_right, -1, 0)
 
     def _stretches(self, v: np.ndarray) -> Iterator[slice]:
-        """Runs of samples within the speed range that are longer than it takes to settle."""
+        """Runs of samples within the speed range that are longer than the settling time."""
         inside = (v >= self.speed_range[0]) & (v <= self.speed_range[1])
         for first, end in runs(inside):
             if end - first > self.settle:
@@ -309,8 +328,7 @@ class EnergyTest:
                 )
 
     def weighted(self, yhat: np.ndarray) -> np.ndarray:
-        """W_delta yhat_j (N, n_y) of the nominal output (N, n_y), from rest: each by the W_delta of its
-        Delta."""
+        """W_delta yhat_j (N, n_y) of the nominal output (N, n_y), from rest, each by its Delta's weight."""
         if len(self.W) == 1:
             return sosfilt(self.W[0], yhat, axis=0)
         return np.column_stack([sosfilt(W, column) for W, column in zip(self.W, yhat.T, strict=True)])
@@ -320,8 +338,8 @@ class EnergyTest:
         return lfilter([1.0], [1.0, -np.exp(-2 * self.Ts / self.memories_s[band])], products)
 
     def _memory(self, band: int, samples: int, a: np.ndarray) -> np.ndarray:
-        """What is remembered of before the restart (samples, D) in directions ``a`` (D, n_y), from the first
-        judged sample on."""
+        """Memory before the restart (samples, D) in directions ``a`` (D, n_y), from the first judged
+        sample on."""
         fading = self.rho ** (self.settle + 1 + np.arange(samples))
         return np.outer(fading, np.abs(a) @ self.start[band])
 
@@ -334,8 +352,10 @@ class EnergyTest:
             yield first, band, _norm_in(left, a) / (allowed + 1.0)
 
     def needs(self, e: np.ndarray, yhat: np.ndarray, v: np.ndarray) -> dict[str, np.ndarray]:
-        """What a drive asks of sigma: per output (B, n_y) and jointly (B,), and the largest norms met; NaN
-        where nothing is judged."""
+        """Sigma that a drive needs, per output (B, n_y) and jointly (B,), and the largest norms met.
+
+        e, yhat (N, n_y), v (N,). NaN where nothing is judged.
+        """
         out = {key: np.full(self.sigma.shape, np.nan) for key in ("sigma", "error", "bound")} | {
             "joint": np.full(len(self.F), np.nan)
         }
@@ -364,8 +384,11 @@ class EnergyTest:
         return needed | {"error": error.max(axis=1), "bound": bound.max(axis=1), "joint": joint}
 
     def memory_met(self, e: np.ndarray, yhat: np.ndarray, v: np.ndarray) -> np.ndarray:
-        """Largest norm (B, n_y) that would be remembered at a restart at any sample of a drive: of F W_delta
-        yhat and of F e. NaN where nothing is judged."""
+        """Largest norm (B, n_y) remembered at a restart at any sample of a drive: of F W_delta yhat and of F
+        e.
+
+        e, yhat (N, n_y), v (N,). NaN where nothing is judged.
+        """
         largest = np.full(self.sigma.shape, np.nan)
         for stretch in self._stretches(v):
             for j, (error, nominal) in enumerate(zip(e[stretch].T, yhat[stretch].T, strict=True)):
@@ -377,8 +400,10 @@ class EnergyTest:
         return largest
 
     def with_sigma(self, needs: dict[str, np.ndarray], floor: np.ndarray | float = 0.0) -> EnergyTest:
-        """sigma per band and output from ``needs`` over all identification drives, at least ``floor`` (B,
-        n_y), what the sensors cannot tell; and what is remembered at a restart, the largest met."""
+        """The test with sigma per band and output from ``needs`` over all identification drives.
+
+        Sigma is at least ``floor`` (B, n_y), the sensors' limit. The memory at a restart is the largest met.
+        """
         size = np.maximum(needs["error"], needs["bound"])
         if not (size > 0).all():
             raise InputError(
@@ -392,13 +417,15 @@ class EnergyTest:
         return replace(self, sigma=sigma, start=needs["memory"])
 
     def with_joint(self, needs: dict[str, np.ndarray]) -> EnergyTest:
-        """sigma raised until the fan of directions holds too; ``needs`` met with sigma per output, NaN where
-        nothing is asked."""
+        """The test with sigma raised until the fan of directions holds too.
+
+        ``needs`` are those with sigma per output, NaN where nothing is needed.
+        """
         joint = np.fmax(1.0, needs["joint"])
         return replace(self, sigma=self.sigma * joint[:, None], joint=joint)
 
     def calibrated(self, scores: dict[str, float], alpha: float, recordings: Recordings) -> EnergyTest:
-        """With the threshold from the scores of calibration drives."""
+        """The test with the threshold from the scores of calibration drives."""
         return replace(
             self, calibration=calibrate(scores, alpha, floor=1.0 + ROUNDING, recordings=recordings)
         )
@@ -441,7 +468,7 @@ class EnergyTest:
         }
 
     def restored(self, data: dict, where: str) -> EnergyTest:
-        """With the stored sigma and calibration; InputError when ``data`` belongs to other filters."""
+        """The test with stored sigma and calibration; InputError when ``data`` belongs to other filters."""
         if "above" in data:  # its `start` were squares
             raise InputError(where, "above", "an identification of before", "one of this version: identify")
         stored = (data["memory_s"], *data["band_hz"], data["settle_samples"], *data.get("bands", ()))
@@ -462,7 +489,7 @@ class EnergyTest:
         )
 
     def _require_stated(self, data: dict, where: str) -> None:
-        """InputError unless sigma can be one, and gain and certificates are those of the weights.
+        """Raise InputError for an impossible sigma, or for gains and certificates of other weights.
 
         sigma, which the drives set, is positive, ``start`` not negative and ``joint`` at least 1.
         """

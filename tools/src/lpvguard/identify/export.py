@@ -7,7 +7,7 @@ from pathlib import Path
 from ..base import artefacts
 from ..core.coefficients import vehicle_files
 from ..core.control_coefficients import ControllerCoefficients
-from .run import StoredIdentification
+from .identification import StoredIdentification
 
 
 def export_vehicle(

@@ -5,14 +5,12 @@ Bounds around a model that is worse than none say nothing about the vehicle.
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 
-from ..base.errors import InputError
 from ..drives.tables import Experiment
 from ..fit.quality import POOR_VAF, Quality, of_drive, pooled_vaf
 from ..vehicle.project import Project
+from .drive_set import DriveSet
 from .passes import DriveReader
 
 
@@ -22,13 +20,12 @@ def drive_fit(reader: DriveReader, experiment: Experiment) -> Quality:
     return of_drive(reader.model, drive, yhat, [])
 
 
-def require_better_than_none(project: Project, found: list[Quality], folder: Path) -> None:
+def require_better_than_none(drives: DriveSet, found: list[Quality]) -> None:
     """Raise InputError where the model leaves more of an output than its variance, over all drives
     together."""
-    for signal, vaf in zip(project.outputs, pooled_vaf(found), strict=True):
+    for signal, vaf in zip(drives.reader.project.outputs, pooled_vaf(found), strict=True):
         if vaf < 0:
-            raise InputError(
-                folder,
+            raise drives.error(
                 f"output {signal.name}",
                 f"the model is worse than none: it leaves {1 - vaf:.0%} of the variance of the bound-setting "
                 "drives",

@@ -1,4 +1,4 @@
-"""Passes of an identification over its drives, mapped by workers and joined on arrival (run.py)."""
+"""Passes of an identification over its drives, mapped by workers and joined on arrival."""
 
 from __future__ import annotations
 
@@ -6,12 +6,10 @@ import operator
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import partial, reduce
-from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
 
-from ..base.errors import InputError
 from ..base.parallel import Map
 from ..base.progress import Progress
 from ..base.sampling import Rows, stacked
@@ -20,15 +18,13 @@ from ..drives.tables import (
     Experiment,
 )
 from .bounds import Bounds, Deciders, Part, covering, fold, front_grid, undominated
-from .calibration import Calibration, Peak, Recordings, calibrate, require_calibration
+from .calibration import Calibration, Peak, Recordings, calibrate
 from .change import ChangeTest
-from .chosen import Chosen
-from .chosen import DriveSet as DriveSet
 from .diagnosis import DiagnosisScales
+from .drive_set import Chosen, DriveSet, require_calibration
 from .energy import EnergyTest
 from .model_error import FEWEST_FRAMES, FOLDS, ErrorGrid, ModelError, Sums, model_error_pass
 from .passes import (
-    DriveReader,
     Judged,
     change_met_pass,
     change_products_pass,
@@ -80,11 +76,11 @@ class OverDrives:
     ``origins``: origins of bounds and thresholds found so far.
     """
 
-    def __init__(self, reader: DriveReader, workers: Map, progress: Progress):
-        self.reader, self.workers, self.progress = reader, workers, progress
+    def __init__(self, drives: DriveSet, workers: Map, progress: Progress):
+        self.drives, self.reader, self.workers, self.progress = drives, drives.reader, workers, progress
         self.left_out: dict[str, str] = {}
         self._spectra: list[Rows] = []
-        self._seen = np.full((2, reader.project.n_y), np.nan)
+        self._seen = np.full((2, self.reader.project.n_y), np.nan)
         self._met: list[Excitation] = []
         self._judged_s: dict[str, float] = {}
         self.origins = Origins()
@@ -120,7 +116,7 @@ class OverDrives:
         """Sample of the frames of all drives so far."""
         return thinned(stacked(self._spectra))
 
-    def with_frames(self, drives: Chosen, folder: Path) -> Chosen:
+    def with_frames(self, drives: Chosen) -> Chosen:
         """The drives without bound-setting ones that were left out.
 
         Raises InputError when none remains, or none calibrates.
@@ -128,13 +124,12 @@ class OverDrives:
         left = [e for e in drives.setting if e.name not in self.left_out]
         if not left:
             name, reason = next(iter(self.left_out.items()))
-            raise InputError(
-                folder,
+            raise self.drives.error(
                 "split " + ", ".join(self.reader.project.data.bound_split),
                 "no frame counts: no judged stretch at all",
                 f"at least one drive unlike {name} ({reason})",
             )
-        self._require_scores(drives, folder, judged=True)
+        self._require_scores(drives, judged=True)
         return replace(drives, setting=left)
 
     def model_error(self, drives: Chosen) -> ModelError:
@@ -220,19 +215,18 @@ class OverDrives:
         )
 
     def calibrated(
-        self, weights: Weights, bounds: Bounds, drives: Chosen, folder: Path
+        self, weights: Weights, bounds: Bounds, drives: Chosen
     ) -> tuple[Weights, Calibration, EnergyTest | None, ChangeTest | None]:
         """Weights with their final inflation, and the tests with their thresholds.
 
-        The plain DFT has the frame test only. Raises InputError where nothing calibrates; ``folder`` is that
-        of the drives, for its message.
+        The plain DFT has the frame test only. Raises InputError where nothing calibrates.
         """
         project, model, estimator = self.reader.project, self.reader.model, self.reader.estimator
         alpha, recordings = project.frame_test.alpha, Recordings.listed(drives.setting, drives.others)
         if estimator.window != "hann":
             inflated, _ = self._inflated(weights, None, drives)
             scores, _, _ = self._scores(weights, None, None, drives)
-            self._require_scores(drives, folder, judged=bool(scores))
+            self._require_scores(drives, judged=bool(scores))
             scores = {n: s / inflated.inflation for n, s in scores.items()}
             by_frames = calibrate(scores, alpha, recordings=recordings).over(self._judged_s)
             return inflated, by_frames, None, None
@@ -247,7 +241,7 @@ class OverDrives:
             reals = coefficients_of(project, model, estimator, inflated, 1.0, test, change).flat_reals()
             scores, energy_scores, change_scores = self._scores(weights, core, reals, drives)
             speaks = bool(scores) and len(inflated.silent) < estimator.n_bins
-            self._require_scores(drives, folder, judged=speaks or bool(energy_scores or change_scores))
+            self._require_scores(drives, judged=speaks or bool(energy_scores or change_scores))
             test = test.calibrated(energy_scores, alpha, recordings)
             change = change.calibrated(change_scores, alpha, recordings)
             return (
@@ -257,8 +251,8 @@ class OverDrives:
                 replace(change, calibration=change.calibration.over(self._judged_s)),
             )
 
-    def _require_scores(self, drives: Chosen, folder: Path, *, judged: bool) -> None:
-        require_calibration(folder, (e.name for e in drives.others), self.left_out, judged)
+    def _require_scores(self, drives: Chosen, *, judged: bool) -> None:
+        require_calibration(self.drives, (e.name for e in drives.others), self.left_out, judged)
 
     def visibility(self, weights: Weights, calibration: Calibration) -> dict:
         """visibility.json: what the judged drives could have refuted, by bin."""

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..base.errors import InputError
-from .run import StoredIdentification
+from .identification import StoredIdentification
 
 
 @dataclass(frozen=True)

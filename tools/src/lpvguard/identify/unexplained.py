@@ -22,8 +22,8 @@ from ..drives.frames import not_for_the_core
 from ..drives.tables import EXPERIMENTS, Experiment
 from ..fit.quality import Quality
 from ..vehicle.project import EvaluationSettings, Project
+from .identification import Identification, identify
 from .passes import DriveReader
-from .run import Identification, identify
 from .scratch import scratch_core
 from .weights import coefficients_of
 

@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from .run import Alarm
+from .alarm_text import alarm_sentence
+from .replayer import Alarm
 from .series import MARGIN, numbers
-from .told import alarm_sentence
 
 WARNING = 3
 """Level of foxglove.Log."""

@@ -1,6 +1,6 @@
 """Raw CAN logs through the compiled receiver: supervision and decoder of lib/, as on the ECU.
 
-can/logs.py reads the logs; run.py feeds the monitor with the samples.
+can/logs.py reads the logs; replayer.py feeds the monitor with the samples.
 
 Ticks are one sample period of the vehicle apart. A tick reads the newest accepted value of every signal, as
 in lpvg_ecu_step; nothing is interpolated. There is a sample where every message that carries a signal of the

@@ -19,8 +19,8 @@ import numpy as np
 import pyarrow as pa
 
 from ..base.errors import InputError
+from .alarm_text import alarm_sentence
 from .series import MARGIN, numbers
-from .told import alarm_sentence
 
 OK, WARN, ERROR, STALE = range(4)
 """Levels of diagnostic_msgs/DiagnosticStatus."""

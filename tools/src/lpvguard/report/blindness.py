@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..replay.run import Alarm
+from ..replay.replayer import Alarm
 
 LEVEL = 0.3
 """Gain error for the first screen's question."""

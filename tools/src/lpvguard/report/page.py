@@ -14,11 +14,12 @@ from pathlib import Path
 
 from .. import __version__
 from ..base import artefacts
-from ..identify.run import DriveSet, StoredIdentification
-from ..replay.run import Alarm, Replayer
+from ..identify.identification import DriveSet, StoredIdentification
+from ..replay.replayer import Alarm, Replayer
 from ..vehicle.project import Project
 from .blindness import cells
-from .drawn import OfIdentification
+from .drive_summary import DriveSummary
+from .identification_pictures import IdentificationPictures
 from .pictures.drawing import files, kept, shared
 from .sections.bounds import bound_sections
 from .sections.campaign import campaign_section
@@ -31,7 +32,6 @@ from .sections.overview import blind_map, overview_section
 from .sections.summary import summary_section
 from .sections.tradeoff import tradeoff_section
 from .sections.visibility import visibility_section
-from .told import Told
 from .visits import Visits
 
 LIBRARIES = ("bokeh", "bokeh-api")
@@ -124,23 +124,23 @@ def _identification_sections(
 ) -> Iterator[str]:
     """Sections of every page. The drives are read first, because some sections show their content."""
     visits = Visits()
-    told: list[Told] = []
+    summaries: list[DriveSummary] = []
     rows: list[list[str]] = []
     for name in drives.experiments:
         progress(name)
         drive, _, yhat = drives.load(name)
         if replayer is not None:
-            told.append(visit(visits, stored, replayer, drive, yhat, f"d{len(told)}"))
+            summaries.append(visit(visits, stored, replayer, drive, yhat, f"d{len(summaries)}"))
         else:
             rows.append(visit_plain(visits, stored, drives, drive))
     progress("pictures")
-    drawn = OfIdentification(stored, drives.reader.estimator)
-    yield overview_section(stored, told, replayer is not None, design, evaluation)
+    drawn = IdentificationPictures(stored, drives.reader.estimator)
+    yield overview_section(stored, summaries, replayer is not None, design, evaluation)
     yield summary_section(stored, replayer, drives)
     yield from bound_sections(drawn)
     yield time_section(visits, stored, drives)
     yield visibility_section(visits, drawn)
-    yield drive_section(told, replayer.threshold) if replayer is not None else plain_section(rows)
+    yield drive_section(summaries, replayer.threshold) if replayer is not None else plain_section(rows)
 
 
 def map_page(stored: StoredIdentification, alarms: list[Alarm]) -> str:

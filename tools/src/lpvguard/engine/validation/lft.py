@@ -21,9 +21,9 @@ from numpy.typing import ArrayLike
 from lpvguard.base.errors import InputError
 from lpvguard.engine.validation import s2
 from lpvguard.engine.validation.branch import GAP, MAX_NODES, SLACK, Incumbent, Interval, minimise, proves
-from lpvguard.engine.validation.posed import EDGE, ROUNDING, Posed, Solution, ball, block_form, pose
 from lpvguard.engine.validation.problem import Lft
 from lpvguard.engine.validation.quadratic import Form, Quadratic
+from lpvguard.engine.validation.scaled_problem import EDGE, ROUNDING, Posed, Solution, ball, block_form, pose
 from lpvguard.engine.validation.well_posed import block_caps
 
 ZERO = 1e-12

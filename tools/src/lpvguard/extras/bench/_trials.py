@@ -15,10 +15,10 @@ from functools import cached_property, partial
 import numpy as np
 
 from ...base.sampling import evenly
-from ...control import designed
+from ...control import controller_file
 from ...control.limits import largest_step
 from ...control.moving_speed import scaled_families
-from ...control.plants import frozen_plant
+from ...control.plants import DesignProblem
 from ...control.robust_run import sampled_block
 from ...control.violations import (
     Loop,
@@ -37,7 +37,7 @@ from ...engine.synthesis.saturation import limited_loop
 from ...engine.synthesis.statespace import StateSpace, append
 from ...engine.synthesis.varying import History, OverSpeed, close
 from ...engine.synthesis.worst_case import close_delta, worst_case
-from ...identify.run import StoredIdentification
+from ...identify.identification import StoredIdentification
 
 CONSTRUCTED = 4
 """Nodes at which mu's lower bound constructs a Delta."""
@@ -68,9 +68,9 @@ class Trials:
     """The trials of one design; ``samples``: of a history."""
 
     def __init__(self, stored: StoredIdentification, document: dict, samples: int, seed: int):
-        self.stored, self.samples = stored, samples
+        self.stored, self.problem, self.samples = stored, DesignProblem.of(stored), samples
         self.stated, self.schedule = document["certificates"], Scheduled.read(document)
-        self.scaling = designed.stated_scaling(document)
+        self.scaling = controller_file.stated_scaling(document)
         self.random = np.random.default_rng(seed)
         self.Ts, self.seed = self.schedule.Ts, seed
         self.unscaled = Scaling(np.zeros((len(self.scaling.log_parameters), 1)))
@@ -97,18 +97,18 @@ class Trials:
     @cached_property
     def performance(self) -> Loop:
         """The loop from [w; n; r_c] to z over speed."""
-        return self._loop(scaled_families(self.stored, self.schedule, self.unscaled)["performance"])
+        return self._loop(scaled_families(self.problem, self.schedule, self.unscaled)["performance"])
 
     @cached_property
     def stability(self) -> Loop:
         """Loop from Delta's outputs to its inputs."""
-        return self._loop(injected(scaled_families(self.stored, self.schedule, self.unscaled)["stability"]))
+        return self._loop(injected(scaled_families(self.problem, self.schedule, self.unscaled)["stability"]))
 
     @cached_property
     def scaled_channels(self) -> Loop:
         """Delta's channels with D(s), whose proved gain is below 1."""
         return Loop(
-            OverSpeed(scaled_families(self.stored, self.schedule, self.scaling)["stability"]), 0, self.Ts
+            OverSpeed(scaled_families(self.problem, self.schedule, self.scaling)["stability"]), 0, self.Ts
         )
 
     def moving_stability(self) -> Trial:
@@ -188,13 +188,13 @@ class Trials:
         """Trial at a row of the limits: an input of the stated energy that climbs for the ``aim``."""
         row = self._one_of(self._limits(aim))
         v, kappa = row["v_mps"], row["kappa"]
-        plant, K = frozen_plant(self.stored, v), self.schedule.at(v)
+        plant, K = self.problem.plant(v), self.schedule.at(v)
         loop = limited_loop(plant, K, self.schedule.injection(v), np.inf, self.unscaled)
         closed = close_delta(loop, self.drawn()) if plant.blocks else loop
         u_max = float(self.schedule.limit(v)[0])
         start = self.random.standard_normal((self.samples // 2, plant.performance_block.rows))
         reached, _ = LimitedHistory(closed, u_max).furthest(aim, row["energy"], start)
-        step_max = largest_step(self.stored, self.schedule)
+        step_max = largest_step(self.problem, self.schedule)
         bound = {"demand": kappa * u_max, "step": step_max, "gain": row["gain"]}[aim]
         return Trial(reached / bound, False, f"{v:.4g} m/s, kappa {kappa:g}")
 
@@ -213,7 +213,7 @@ class Trials:
     def _constructed(self) -> list[StateSpace]:
         """Delta of size 1 that mu's lower bound constructs at some nodes."""
         speeds = self.schedule.speeds[evenly(len(self.schedule.speeds), CONSTRUCTED)]
-        found = [worst_case(frozen_plant(self.stored, v), self.schedule.at(v), self.scaling) for v in speeds]
+        found = [worst_case(self.problem.plant(v), self.schedule.at(v), self.scaling) for v in speeds]
         return [
             StateSpace(one.delta.A, one.delta.B, one.delta.C / one.size, one.delta.D / one.size, self.Ts)
             for one in found

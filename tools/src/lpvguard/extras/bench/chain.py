@@ -19,10 +19,11 @@ from typing import Any
 
 from ...base.parallel import Map, workers
 from ...control import design
-from ...control.exported import export_chosen
+from ...control.controller_export import export_chosen
 from ...control.moving_speed import moving_certificates
+from ...control.plants import DesignProblem
 from ...engine.synthesis.cases import case_plant, read_case
-from ...identify import run as identify
+from ...identify import identification as identify
 from ...vehicle.project import load_project
 from . import parser, show
 from ._peers import Peers
@@ -86,8 +87,8 @@ def chain(vehicle: str, drives: Path, moving: bool, run: Map = map) -> tuple[lis
             "C, proved anew", lambda: export_chosen(stored, Path(folder) / "vehicle", designed, workers=run)
         )
         if moving:
-            found = result.schedule, result.scaling
-            timed("moving speed", lambda: moving_certificates(stored, *found, workers=run), False)
+            found = DesignProblem.of(stored), result.schedule, result.scaling
+            timed("moving speed", lambda: moving_certificates(*found, workers=run), False)
     return stages, result.worst
 
 

@@ -21,7 +21,7 @@ import pyarrow as pa
 import pyarrow.parquet as pa_parquet
 
 from ...base.parallel import workers
-from ...identify import run as stage
+from ...identify import identification as stage
 from ...vehicle.nominal import NominalModel
 from ...vehicle.project import Project, load_project, parse_project
 from . import parser, show

@@ -23,10 +23,10 @@ from ...base.rates import hourly_words, per_hour, rate, share_words
 from ...drives.faults import Fault, inject
 from ...drives.fixture import drive_columns
 from ...drives.tables import Drive
-from ...replay.opened import replayer_for
-from ...replay.run import Replayer
+from ...replay.replayer import Replayer
+from ...replay.vehicle_core import replayer_for
 from ...vehicle.project import load_project
-from ..fleet.run import ALPHA, ETA, JUDGED_S
+from ..fleet.recordings import ALPHA, ETA, JUDGED_S
 from ..fleet.scores import ScoredDrive
 from ..fleet.wealth import POWERS, Life, LifeTable, alarm_wealth, factors, ranks, simultaneous_tails, stepped
 from . import parser, show

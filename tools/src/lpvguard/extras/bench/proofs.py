@@ -17,10 +17,10 @@ from pathlib import Path
 
 from ...base.claims import worst_frozen
 from ...base.errors import InputError
-from ...control import designed
+from ...control import controller_file
 from ...control.design import frozen_optimum
 from ...control.violations import Found, Search, fastest_growth, least_violating
-from ...identify import run as identify
+from ...identify import identification as identify
 from . import parser, show
 from ._trials import NEAR, Trial, Trials
 
@@ -84,7 +84,7 @@ def main(argv: list[str]) -> None:
     given = options.parse_args(argv)
     stored = identify.load(given.identification)
     path = given.design / "controller.json"
-    document = designed.require_designed_for(stored, path)
+    document = controller_file.require_designed_for(stored, path)
     if not document["certificates"]["scaling_log_parameters"]:
         raise InputError(path, "structure", "a design without Delta", "K_i or K_o")
     if document["certificates"]["structure"] == "K_is":

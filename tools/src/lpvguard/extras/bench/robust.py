@@ -17,15 +17,15 @@ from typing import Any
 import numpy as np
 
 from ...base.parallel import Map, workers
-from ...control import designed
-from ...control.plants import design_settings, frozen_plant
+from ...control import controller_file
+from ...control.plants import DesignProblem, design_settings
 from ...control.robust_run import QUANTISATION, CompiledController, RobustRun, run
 from ...control.true_loop import CertifiedLoop, MeasuredResponse, TrueLoop
 from ...core.scheduled import Scheduled
 from ...engine.synthesis.dk import certify
 from ...engine.synthesis.margins import NAMES, LoopMargins, shown
-from ...identify import run as identify
-from ...identify.run import StoredIdentification
+from ...identify import identification as identify
+from ...identify.identification import StoredIdentification
 from ..loop.response import frequency_response
 from ..loop.sim import Simulator, load_scenario
 from . import numbers_of, parser, show
@@ -53,8 +53,8 @@ def main(argv: list[str]) -> None:
     )
     given = options.parse_args(argv)
     stored = identify.load(given.identification)
-    document = designed.require_designed_for(stored, given.design / "controller.json")
-    designed.require_exported_with(given.design / "controller.json", given.vehicle)
+    document = controller_file.require_designed_for(stored, given.design / "controller.json")
+    controller_file.require_exported_with(given.design / "controller.json", given.vehicle)
     schedule = Scheduled.read(document)
     asked = amplitudes(given.amplitudes, design_settings(stored).amplitudes)
     runs = certified_runs(stored, document, CompiledController(given.vehicle), given.draws)
@@ -90,12 +90,12 @@ def certified_runs(
 ) -> list[RobustRun]:
     """The compiled controller in the nominal loop with sampled and worst Delta at some of its speeds;
     ``draws``: of all speeds together."""
-    schedule = Scheduled.read(document)
+    schedule, problem = Scheduled.read(document), DesignProblem.of(stored)
     speeds = schedule.speeds[:: max(1, (len(schedule.speeds) - 1) // 3)]
     rows = []
     for k, v in enumerate(map(float, speeds)):
-        plant = frozen_plant(stored, v)
-        scaling = designed.stated_scaling(document) if plant.blocks else None
+        plant = problem.plant(v)
+        scaling = controller_file.stated_scaling(document) if plant.blocks else None
         proved = certify(plant, schedule.at(v), scaling)
         share, seed = -(-draws // len(speeds)), stored.project.seed + k
         rows.append(run(compiled, plant, schedule.at(v), v, proved, share, seed))

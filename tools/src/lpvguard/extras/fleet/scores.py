@@ -25,7 +25,7 @@ from ...core.compiled import ALARMING, CHANGE_PARTS, VERDICTS
 from ...drives.tables import Drive, Experiment
 from ...identify.bounds import nominal_error
 from ...identify.change import Blocks
-from ...replay.run import Replayer
+from ...replay.replayer import Replayer
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ import pyarrow as pa
 
 from ...base.errors import InputError
 from ...replay.messages import messages, schemas
-from ...replay.run import Alarm, Replayer
+from ...replay.replayer import Alarm, Replayer
 
 LOOPBACK = "127.0.0.1"
 BACKLOG = 16_384

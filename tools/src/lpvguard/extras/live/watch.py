@@ -19,9 +19,9 @@ from ...can.bus import REFERENCE
 from ...can.logs import Frames
 from ...core.compiled import REASONS, VERDICTS
 from ...drives.tables import Drive
+from ...replay.alarm_text import alarm_sentence
 from ...replay.receive import Receiver
-from ...replay.run import Alarm, Replayer
-from ...replay.told import alarm_sentence
+from ...replay.replayer import Alarm, Replayer
 from ...vehicle.nominal import RunningModel
 from .sampling import Sampler
 from .sources import FrameSource

@@ -18,7 +18,7 @@ class Fields:
     """
 
     def __init__(self, problem: dict):
-        self._problem = problem
+        self.problem = problem
         self.source = f"problem {problem.get('id', '(no id)')}"
 
     def error(self, where: str, what: str, expected: str | None = None) -> InputError:
@@ -27,13 +27,13 @@ class Fields:
 
     def has(self, name: str) -> bool:
         """True when the field is there and not null."""
-        return self._problem.get(name) is not None
+        return self.problem.get(name) is not None
 
     def raw(self, name: str) -> Any:
         """The JSON value of the field; an error when it is missing."""
         if not self.has(name):
             raise self.error(name, "missing", "a value")
-        return self._problem[name]
+        return self.problem[name]
 
     def _array(self, name: str, expected: str) -> np.ndarray:
         value = self.raw(name)

@@ -10,8 +10,8 @@ import numpy as np
 from lpvguard.base.errors import InputError
 from lpvguard.engine.blocks import Block
 from lpvguard.engine.validation import lft
-from lpvguard.engine.validation.posed import Solution
 from lpvguard.engine.validation.problem import Lft
+from lpvguard.engine.validation.scaled_problem import Solution
 from lpvguard.extras.problems.fields import Fields, pairs
 
 GAP = 4e-4

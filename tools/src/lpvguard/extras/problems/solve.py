@@ -14,17 +14,15 @@ import sys
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
-from importlib import import_module
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy as np
 
-from lpvguard.base.artefacts import write_json
-from lpvguard.base.errors import InputError
-from lpvguard.engine.validation import s1
-from lpvguard.extras.problems.fields import Fields, pairs
+from ...base.artefacts import write_json
+from ...base.errors import InputError
+from ...engine.validation import s1
+from .fields import Fields, pairs
 
 ANSWERS_SCHEMA = "lpvguard.answers/1"
 BRACKET_GAP = 1e-3
@@ -157,30 +155,49 @@ def _within(e: np.ndarray, z: np.ndarray, reach: float, w: np.ndarray) -> bool:
     return bool(np.any(kept.all(axis=1) & (np.abs(points) <= reach * (1 + 2 * DATA_ROUNDING))))
 
 
-def _part(module: str, f: Fields) -> ModuleType:
-    """Import a module for its own kinds only: scipy.optimize would double the start-up time of the others."""
-    try:
-        return import_module(module)
-    except ImportError as exc:
-        raise f.error(
-            "kind", f"{module} is not available ({exc})", "a complete installation of lpvguard"
-        ) from exc
+def _solve_lft(f: Fields) -> dict:
+    from .lft import solve_lft
+
+    return solve_lft(f)
 
 
-_SOLVERS: dict[str, Callable[[Fields, dict], dict]] = {
-    "zoh": lambda f, _: _solve_zoh(f),
-    "frequency_response": lambda f, _: _solve_frequency_response(f),
-    "multiplicative": lambda f, _: _solve_multiplicative(f),
-    "multiplicative_tradeoff": lambda f, _: _solve_multiplicative_tradeoff(f),
-    "margin": lambda f, _: _solve_margin(f),
-    "lft": lambda f, _: _part("lpvguard.extras.problems.lft", f).solve_lft(f),
-    "lft_margin": lambda f, _: _part("lpvguard.extras.problems.lft", f).solve_lft_margin(f),
-    "mu": lambda f, problem: _part("lpvguard.extras.problems.synthesis", f).solve_mu(problem),
-    "mu_interval": lambda f, problem: _part("lpvguard.extras.problems.synthesis", f).solve_mu_interval(
-        problem
-    ),
-    "hinf": lambda f, problem: _part("lpvguard.extras.problems.synthesis", f).solve_hinf(problem),
+def _solve_lft_margin(f: Fields) -> dict:
+    from .lft import solve_lft_margin
+
+    return solve_lft_margin(f)
+
+
+def _solve_mu(f: Fields) -> dict:
+    from .synthesis import solve_mu
+
+    return solve_mu(f.problem)
+
+
+def _solve_mu_interval(f: Fields) -> dict:
+    from .synthesis import solve_mu_interval
+
+    return solve_mu_interval(f.problem)
+
+
+def _solve_hinf(f: Fields) -> dict:
+    from .synthesis import solve_hinf
+
+    return solve_hinf(f.problem)
+
+
+_SOLVERS: dict[str, Callable[[Fields], dict]] = {
+    "zoh": _solve_zoh,
+    "frequency_response": _solve_frequency_response,
+    "multiplicative": _solve_multiplicative,
+    "multiplicative_tradeoff": _solve_multiplicative_tradeoff,
+    "margin": _solve_margin,
+    "lft": _solve_lft,
+    "lft_margin": _solve_lft_margin,
+    "mu": _solve_mu,
+    "mu_interval": _solve_mu_interval,
+    "hinf": _solve_hinf,
 }
+"""By kind. What only some kinds need is imported by them: scipy.optimize would double the start-up time."""
 
 
 def solve_problem(problem: Any) -> dict:
@@ -206,7 +223,7 @@ def solve_problem(problem: Any) -> dict:
         kind = fields.raw("kind")
         if not isinstance(kind, str) or kind not in _SOLVERS:
             raise fields.error("kind", repr(kind), "one of " + ", ".join(_SOLVERS))
-        return identity | {"status": "ok"} | _SOLVERS[kind](fields, problem)
+        return identity | {"status": "ok"} | _SOLVERS[kind](fields)
     except InputError as exc:
         text = str(exc) if str(exc).startswith(fields.source) else f"{fields.source}: {exc}"
         return identity | {"status": "error", "error": text}

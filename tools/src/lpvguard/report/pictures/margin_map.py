@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from ...core.compiled import REASONS, VERDICTS
-from ...replay.run import Replay
+from ...replay.replayer import Replay
 from .drawing import GREEN, INK, ORANGE, PINK, POINTS, RED, new_figure, picture
 from .numbers import Cells, attach
 

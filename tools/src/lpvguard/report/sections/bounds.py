@@ -8,16 +8,16 @@ from html import escape
 import numpy as np
 
 from ...drives.frames import Estimator
+from ...identify.identification import StoredIdentification
 from ...identify.model_error import claim, last_telling
-from ...identify.run import StoredIdentification
 from ...identify.weights import DC_STAND_IN, SMALLEST_NU
-from ..drawn import OfIdentification
+from ..identification_pictures import IdentificationPictures
 from ..markup import captioned
 from ..pictures.over_bins import POINTS_PER_BIN
 from .summary import premise_of
 
 
-def bound_sections(drawn: OfIdentification) -> list[str]:
+def bound_sections(drawn: IdentificationPictures) -> list[str]:
     """The four sections; each begins with its h2."""
     stored, estimator = drawn.stored, drawn.estimator
     return [
@@ -54,7 +54,7 @@ def _data_words(bounds: dict[str, np.ndarray], grid: np.ndarray) -> str:
     return f"{b1} {stars}{gaps}"
 
 
-def _disturbance(stored: StoredIdentification, estimator: Estimator, drawn: OfIdentification) -> str:
+def _disturbance(stored: StoredIdentification, estimator: Estimator, drawn: IdentificationPictures) -> str:
     """Counterpart of Fig. 2 with its caption."""
     bounds = stored.bounds
     points = sum(len(c) for c in drawn.clouds.E)
@@ -78,7 +78,7 @@ def _disturbance(stored: StoredIdentification, estimator: Estimator, drawn: OfId
     )
 
 
-def _weights(stored: StoredIdentification, drawn: OfIdentification) -> str:
+def _weights(stored: StoredIdentification, drawn: IdentificationPictures) -> str:
     """Counterpart of Fig. 3 with its caption."""
     weights, inflation = stored.weights, stored.weights["inflation"]
     clouds, structure = drawn.clouds, stored.project.bounds.structure
@@ -109,7 +109,7 @@ def _weights(stored: StoredIdentification, drawn: OfIdentification) -> str:
     )
 
 
-def _model_error(stored: StoredIdentification, drawn: OfIdentification) -> str:
+def _model_error(stored: StoredIdentification, drawn: IdentificationPictures) -> str:
     """Model error model beside W_delta, and the premise of every certificate in a sentence."""
     project, error = stored.project, stored.model_error
     names = [s.name for s in project.outputs]
@@ -132,7 +132,7 @@ def _model_error(stored: StoredIdentification, drawn: OfIdentification) -> str:
     return f"<p>{premise_of(stored)}</p>{captioned(drawn.model_error('model-error'), caption)}"
 
 
-def _front(stored: StoredIdentification, drawn: OfIdentification) -> str:
+def _front(stored: StoredIdentification, drawn: IdentificationPictures) -> str:
     """Pareto front per bin, or words where there is none."""
     front, shown = stored.front, drawn.front("front")
     if shown is None:

@@ -11,13 +11,13 @@ from ...drives.tables import Drive
 from ...engine.validation import s1
 from ...fit.quality import of_drive
 from ...identify.bounds import counted_frames
-from ...identify.run import DriveSet, StoredIdentification
+from ...identify.identification import DriveSet, StoredIdentification
 from ...identify.unexplained import left_unexplained
-from ...replay.run import Alarm, Replay, Replayer, excited_samples
-from ..drawn import drive_map
+from ...replay.replayer import Alarm, Replay, Replayer, excited_samples
+from ..drive_summary import DriveSummary, course, nearest
+from ..identification_pictures import drive_map
 from ..markup import captioned, html_table, number
 from ..pictures.margin_map import REASON_WORDS, map_key
-from ..told import Told, course, nearest
 from ..visits import Visits, longest_run
 from .drive_index import drive_index
 
@@ -31,7 +31,7 @@ def visit(
     drive: Drive,
     yhat: np.ndarray,
     key: str,
-) -> Told:
+) -> DriveSummary:
     """Replay a drive, keep its counted frames and longest stretches in ``visits``, and return its summary.
 
     yhat (N, n_y) is the nominal output. ``key`` is the id of its section and name of its picture, unique on
@@ -52,7 +52,7 @@ def visit(
     groups = stored.manifest["drives"]
     sets_bounds = drive.name in groups["bounds"]
     used = sets_bounds or drive.name in groups["calibration"]
-    return Told(
+    return DriveSummary(
         key,
         drive.name,
         stored.manifest["drivers"][drive.name],
@@ -223,7 +223,7 @@ def _drive_page(
 {_causes(replay)}</div>"""
 
 
-def drive_section(told: list[Told], threshold: float) -> str:
+def drive_section(summaries: list[DriveSummary], threshold: float) -> str:
     """The section: the index of drives, the key of the maps, then each drive, as returned by ``visit``."""
     key = captioned(
         map_key("key"),
@@ -244,5 +244,5 @@ def drive_section(told: list[Told], threshold: float) -> str:
         "not; the verdict “valid” asks for evidence within the longest frame, so a drive can be judged all "
         "along and its verdict still be “not judged”.",
     )
-    sections = "".join(d.section for d in told)
-    return f"<h2>Margin over time and frequency, drive by drive</h2>{drive_index(told)}{key}{sections}"
+    sections = "".join(d.section for d in summaries)
+    return f"<h2>Margin over time and frequency, drive by drive</h2>{drive_index(summaries)}{key}{sections}"

@@ -6,7 +6,7 @@ from html import escape
 
 import numpy as np
 
-from ...identify.run import DriveSet, StoredIdentification
+from ...identify.identification import DriveSet, StoredIdentification
 from ..markup import captioned
 from ..pictures.over_time import Stretch, model_in_time
 from ..visits import Visits

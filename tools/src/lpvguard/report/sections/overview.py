@@ -12,12 +12,12 @@ from ...base.claims import claim_words, worst_frozen
 from ...base.errors import InputError
 from ...drives.tables import EXPERIMENTS
 from ...evaluate.comparison import HELD_OUT
+from ...identify.identification import StoredIdentification
 from ...identify.premise import premise
-from ...identify.run import StoredIdentification
-from ...replay.run import Alarm
+from ...replay.replayer import Alarm
 from ..blindness import BLIND, EMPTY, LEVEL, PROVED, VIOLATED, MapCell, Region, cells, regions, speed_row
+from ..drive_summary import DriveSummary, Nearest
 from ..markup import number, yes_or_no
-from ..told import Nearest, Told
 
 ALARMS_SHOWN = 4
 UNEXPLAINED_SHOWN = 3
@@ -31,26 +31,26 @@ NEVER = 2.0
 
 def overview_section(
     stored: StoredIdentification,
-    told: list[Told],
+    summaries: list[DriveSummary],
     replayed: bool,
     design: Path | None,
     evaluation: dict | None,
 ) -> str:
     """The section.
 
-    ``told``: the replayed drives, none unless ``replayed``; ``design``: folder written by `lpvguard design`;
+    ``summaries``: the replayed drives, none unless ``replayed``; ``design``: folder of `lpvguard design`;
     ``evaluation``: JSON of `lpvguard evaluate`.
     """
-    alarms = [(d, a) for d in told for a in d.alarms]
+    alarms = [(d, a) for d in summaries for a in d.alarms]
     grid = cells(stored.visibility, (a for _, a in alarms))
     shown = blind_map(stored, grid, (a for _, a in alarms))
-    return f"""<h2>At a glance</h2>{_headline(grid, told, replayed)}
+    return f"""<h2>At a glance</h2>{_headline(grid, summaries, replayed)}
 <div class="glance" id="glance"><div class="wide">{_good_for(grid)}{shown}</div>
-<div class="cards">{_alarms(told, alarms, _independence(stored, told, evaluation))}\
-{_promise(stored, design)}{_to_do(grid, told)}</div></div>"""
+<div class="cards">{_alarms(summaries, alarms, _independence(stored, summaries, evaluation))}\
+{_promise(stored, design)}{_to_do(grid, summaries)}</div></div>"""
 
 
-def _headline(grid: list[list[MapCell]], told: list[Told], replayed: bool) -> str:
+def _headline(grid: list[list[MapCell]], summaries: list[DriveSummary], replayed: bool) -> str:
     """One sentence: whether the model held, and on how much of its range."""
     flat = [c for row in grid for c in row]
     proved = sum(c.state == PROVED for c in flat)
@@ -58,22 +58,22 @@ def _headline(grid: list[list[MapCell]], told: list[Told], replayed: bool) -> st
     sees = f'<span class="{"" if proved else "no"}">{sees}frequency.</span>'
     if not replayed:
         return f'<p id="headline"><b>Not replayed.</b> {sees}</p>'
-    hours = sum(d.judged_s for d in told) / 3600
-    words = outcome(told)
-    held = yes_or_no(not any(drive.alarms for drive in told), words, words)
+    hours = sum(d.judged_s for d in summaries) / 3600
+    words = outcome(summaries)
+    held = yes_or_no(not any(drive.alarms for drive in summaries), words, words)
     return f'<p id="headline" data-proved="{proved}">{held}, {hours:.2f} h judged. {sees}</p>'
 
 
-def outcome(told: list[Told]) -> str:
+def outcome(summaries: list[DriveSummary]) -> str:
     """Meaning of the drives' alarms for the model; those of the change test refute no bound (THEORY 7.7)."""
-    alarms = [a for drive in told for a in drive.alarms]
+    alarms = [a for drive in summaries for a in drive.alarms]
     if not alarms:
-        return f"Not falsified: no alarm on {len(told)} drives"
+        return f"Not falsified: no alarm on {len(summaries)} drives"
     refuted = any(a.test != "change" for a in alarms)
-    of = sum(bool(drive.alarms) for drive in told)
+    of = sum(bool(drive.alarms) for drive in summaries)
     word = "Falsified" if refuted else "Changed, not falsified"
     found = "1 alarm" if len(alarms) == 1 else f"{len(alarms)} alarms"
-    return f"{word}: {found} on {of} of {len(told)} drives"
+    return f"{word}: {found} on {of} of {len(summaries)} drives"
 
 
 # ------------------------------------------------------------------------------------ good for, and blind to
@@ -216,7 +216,7 @@ def place(test: str, omega: float | None, band: str | None = None) -> str:
     return f"{test} test, {_frequency(omega, ' rad/s')}"
 
 
-def _alarm_row(drive: Told, alarm: Alarm) -> str:
+def _alarm_row(drive: DriveSummary, alarm: Alarm) -> str:
     ratio = alarm.statistic / alarm.threshold
     return (
         f'<tr data-drive="{escape(drive.name)}" data-t="{alarm.t_s:.2f}" data-ratio="{ratio:.4g}">'
@@ -226,7 +226,7 @@ def _alarm_row(drive: Told, alarm: Alarm) -> str:
     )
 
 
-def _nearest_words(drive: Told, near: Nearest, quiet: list[tuple[Told, Nearest]]) -> str:
+def _nearest_words(drive: DriveSummary, near: Nearest, quiet: list[tuple[DriveSummary, Nearest]]) -> str:
     """The drive nearest to an alarm among all ``quiet`` ones, and those as near."""
     data = {
         "drive": escape(drive.name),
@@ -247,10 +247,12 @@ def _nearest_words(drive: Told, near: Nearest, quiet: list[tuple[Told, Nearest]]
     )
 
 
-def _independence(stored: StoredIdentification, told: list[Told], evaluation: dict | None) -> str:
+def _independence(
+    stored: StoredIdentification, summaries: list[DriveSummary], evaluation: dict | None
+) -> str:
     """Evidence value of alarms or silence: whether drives set the bounds that judge them."""
     groups = stored.manifest["drives"]
-    others = len({d.name for d in told} - set(groups["bounds"]) - set(groups["calibration"]))
+    others = len({d.name for d in summaries} - set(groups["bounds"]) - set(groups["calibration"]))
     words = (
         f"{others} of the drives set neither bounds nor threshold."
         if others
@@ -270,19 +272,19 @@ def _independence(stored: StoredIdentification, told: list[Told], evaluation: di
     )
 
 
-def _alarms(told: list[Told], alarms: list[tuple[Told, Alarm]], worth: str) -> str:
+def _alarms(summaries: list[DriveSummary], alarms: list[tuple[DriveSummary, Alarm]], worth: str) -> str:
     """Card: the alarms with their reasons, their ``worth`` as HTML, and the nearest drive."""
-    if not told:
+    if not summaries:
         return (
             '<div class="card" id="alarms"><h3>Alarms</h3><p>Not replayed: the core computes Hann frames '
             "only. The exact margins stand drive by drive below.</p></div>"
         )
     worst = sorted(alarms, key=lambda one: -one[1].statistic / one[1].threshold)
-    first: dict[str, tuple[Told, Alarm]] = {}
+    first: dict[str, tuple[DriveSummary, Alarm]] = {}
     for drive, alarm in worst:
         first.setdefault(drive.name, (drive, alarm))
     shown = list(first.values())[:ALARMS_SHOWN]
-    head = f"{len(alarms)} on {len(first)} of {len(told)} drives" if alarms else "None"
+    head = f"{len(alarms)} on {len(first)} of {len(summaries)} drives" if alarms else "None"
     table = (
         '<div class="scroll"><table><thead><tr><th>drive</th><th>worst alarm</th><th>threshold</th>'
         "<th>at</th><th>speed</th></tr></thead>"
@@ -291,7 +293,7 @@ def _alarms(told: list[Told], alarms: list[tuple[Told, Alarm]], worth: str) -> s
         else ""
     )
     more = f"<p>{len(first) - len(shown)} more drives with alarms.</p>" if len(first) > len(shown) else ""
-    quiet = [(d, d.nearest) for d in told if not d.alarms and d.nearest is not None]
+    quiet = [(d, d.nearest) for d in summaries if not d.alarms and d.nearest is not None]
     nearest = max(quiet, key=lambda one: one[1].ratio, default=None)
     words = (
         _nearest_words(*nearest, quiet)
@@ -348,10 +350,10 @@ vehicle within |δ| ≤ W<sub>Δ</sub>. {
     }</p><p>{held}</p></div>"""
 
 
-def _unexplained(told: list[Told]) -> str:
+def _unexplained(summaries: list[DriveSummary]) -> str:
     """Drives that the model does not explain, worst first, with advice; "" without any."""
     found = sorted(
-        ((d, d.unexplained) for d in told if d.unexplained is not None), key=lambda one: one[1].vaf
+        ((d, d.unexplained) for d in summaries if d.unexplained is not None), key=lambda one: one[1].vaf
     )
     if not found:
         return ""
@@ -368,14 +370,14 @@ def _unexplained(told: list[Told]) -> str:
     )
 
 
-def _to_do(grid: list[list[MapCell]], told: list[Told]) -> str:
+def _to_do(grid: list[list[MapCell]], summaries: list[DriveSummary]) -> str:
     """Card: remedies for blind cells, and drives that reduce visibility."""
     level = _percent(LEVEL)
     flat = [c for row in grid for c in row]
     louder = regions(grid, lambda c: c.state == BLIND and c.floor <= LEVEL)
     empty = regions(grid, lambda c: c.state == EMPTY)
     never = sum(c.state == BLIND and c.floor > LEVEL for c in flat)
-    lines = [line for line in [_unexplained(told)] if line]
+    lines = [line for line in [_unexplained(summaries)] if line]
     if empty:
         lines.append(f"Drive there, nothing was counted:{_listed('to-drive', empty)}")
     if louder:

@@ -12,11 +12,11 @@ from ...base.errors import InputError
 from ...drives.frames import Estimator
 from ...identify.change import ChangeTest
 from ...identify.energy import EnergyTest
+from ...identify.identification import DriveSet, StoredIdentification
 from ...identify.premise import premise
-from ...identify.run import DriveSet, StoredIdentification
 from ...identify.weights import DC_STAND_IN
 from ...identify.window_error import PERCENTILE, SPEEDS
-from ...replay.run import Replayer
+from ...replay.replayer import Replayer
 from ...vehicle.project import Project, Signal
 from ..markup import html_table, number, premise_words, yes_or_no
 

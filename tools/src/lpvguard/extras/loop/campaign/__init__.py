@@ -7,7 +7,7 @@ the baselines.
     trucks.py      which trucks lie within the bounds by their own frequency response; mu of faulted loops
     one_run.py     one run: simulated, replayed through the core, judged by every detector and off line
     summary.py     the tables from the rows of the runs, and the claims that the campaign contradicts
-    run.py         the campaign: it stores finished runs and can be resumed
+    chunked_runs.py  the campaign: it stores finished runs and can be resumed
 
 A campaign has two groups of runs of DURATION_S each. Every run is a scenario of its own, drawn from the
 campaign's seed and the number of the run:

@@ -25,7 +25,7 @@ from ....evaluate.comparison import MONITOR
 from ....evaluate.detection import JudgedClock
 from ....evaluate.false_alarms import alarming
 from ....identify.bounds import nominal_error
-from ....replay.run import Replay, Replayer, read_raw_log
+from ....replay.replayer import Replay, Replayer, read_raw_log
 from ..sim import RECOVERY_S, Simulator
 from ..supervision import LIVE, Reactions, limits, needed_messages, required
 from .conduct import AT_LIMIT, STEERING_RADPS, band_rms, longest_stretch, steady_line

@@ -19,9 +19,9 @@ from ....evaluate.baselines import KINDS as BASELINE_KINDS
 from ....evaluate.baselines import TITLES
 from ....evaluate.comparison import COUNTS_ONLY, MONITOR
 from ....evaluate.detection import median_time
-from ....evaluate.judged import calibrations_of
+from ....evaluate.judged_drives import calibrations_of
 from ....identify.calibration import Calibration, calibrate
-from ....identify.run import StoredIdentification
+from ....identify.identification import StoredIdentification
 from . import faults
 from .conduct import beyond_wish, ruled_out
 from .one_run import FOUND_WITHIN_S

@@ -15,10 +15,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ....control.plants import design_settings, fig1_weights
+from ....control.plants import DesignProblem
 from ....engine.synthesis.interconnection import PlantWeights
 from ....engine.synthesis.statespace import StateSpace
-from ....identify.run import StoredIdentification
+from ....identify.identification import StoredIdentification
 from .conduct import STEERING_RADPS, band_rms
 
 
@@ -31,7 +31,7 @@ class TrackingBound:
     @classmethod
     def of(cls, stored: StoredIdentification) -> TrackingBound:
         """Bound for designs of an identification. InputError where it cannot be designed for."""
-        return cls(fig1_weights(stored, design_settings(stored)))
+        return cls(DesignProblem.of(stored).weights)
 
     def rms(self, command: np.ndarray, w: np.ndarray, n: np.ndarray, Ts: float, Ts_n: float) -> float:
         """Largest rms error up to STEERING_RADPS [rad/s].

@@ -22,14 +22,14 @@ import numpy as np
 from ....base.errors import InputError
 from ....base.parallel import Map
 from ....base.progress import Progress
-from ....control.designed import faulted_performance
+from ....control.controller_file import faulted_performance
 from ....control.true_loop import (
     certified_weight,
     deviations,
     require_certified_by_W_delta,
     within_use,
 )
-from ....identify.run import StoredIdentification
+from ....identify.identification import StoredIdentification
 from ....identify.weights import Weights
 from ....vehicle.nominal import NominalModel
 from ....vehicle.project import Project

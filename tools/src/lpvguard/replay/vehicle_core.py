@@ -8,8 +8,8 @@ from ..base import artefacts
 from ..core.compiled import Core, shipped_vehicle
 from ..drives.frames import require_core
 from ..vehicle.project import Project
-from ..vehicle.stated import require_settings
-from .run import Replayer
+from ..vehicle.stored_settings import require_settings
+from .replayer import Replayer
 
 
 def replayer_for(project: Project, coefficients: Path | None, vehicle: object) -> Replayer:

@@ -2,7 +2,7 @@
 
 Every drive runs through the compiled core. One drive of the identification is left out at a time (THEORY
 7.3), with thresholds calibrated on all *other* drives that did not set the bounds. Drives that the
-identification never saw are judged with its stored thresholds (judged.py).
+identification never saw are judged with its stored thresholds (judged_drives.py).
 
 The monitor is compared with all tests at one threshold, calibrated jointly (calibration.joint_scores). It
 alarms by any test on a further drive with probability at most alpha, as a baseline does. The table also has
@@ -27,9 +27,9 @@ from ..base.parallel import Map
 from ..core.compiled import TESTS, Core
 from ..drives.tables import Drive, Experiment
 from ..identify.calibration import Calibration, Recordings, change_score, energy_score, joint_score, score
+from ..identify.identification import DriveSet, StoredIdentification
 from ..identify.passes import DriveReader
-from ..identify.run import DriveSet, StoredIdentification
-from ..replay.run import Replay, Replayer
+from ..replay.replayer import Replay, Replayer
 from ..vehicle.project import EvaluationSettings
 from .baseline_study import BaselineStudy, evaluate_baselines
 from .causes import DIAGNOSED_S, CauseOutcome, CauseOutcomes, cause_table
@@ -44,7 +44,7 @@ from .detection import (
     refutable,
 )
 from .false_alarms import alarmed_pieces, alarming, false_alarms, piece_starts
-from .judged import FLOORS, JudgedDrives, calibrations_of, joint_thresholds
+from .judged_drives import FLOORS, JudgedDrives, calibrations_of, joint_thresholds
 
 FEWEST_FOR_BASELINES = 2
 """Fewest calibration drives: a baseline has no natural threshold, so one must remain when a drive is left

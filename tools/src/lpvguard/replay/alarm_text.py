@@ -6,7 +6,7 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from .run import Alarm
+    from .replayer import Alarm
 
 
 def alarm_sentence(alarm: Alarm | dict[str, Any]) -> str:

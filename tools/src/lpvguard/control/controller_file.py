@@ -13,8 +13,8 @@ from ..core.control_coefficients import read_controller
 from ..core.scheduled import Scheduled
 from ..engine.synthesis.dk import Scaling, certify
 from ..engine.synthesis.statespace import StateSpace, series
-from ..identify.run import StoredIdentification
-from .plants import frozen_plant
+from ..identify.identification import StoredIdentification
+from .plants import DesignProblem
 
 
 def stated_scaling(document: dict) -> Scaling:
@@ -97,7 +97,7 @@ def faulted_performance(
     float, upper bound of mu, inf for an unstable loop
     """
     document = artefacts.read_json(path)
-    plant, K = frozen_plant(stored, v), Scheduled.read(document).at(v)
+    plant, K = DesignProblem.of(stored).plant(v), Scheduled.read(document).at(v)
     return certify(
         plant, series(applied, series(K, measured)), stated_scaling(document) if plant.blocks else None
     ).upper

@@ -18,7 +18,7 @@ from ...base.errors import InputError
 from ...base.parallel import Map
 from ...base.rates import per_hour, rate
 from ...drives.tables import Experiment, index_column, list_experiments, set_aside, table_hashes
-from ...replay.run import Replayer
+from ...replay.replayer import Replayer
 from .scores import Scored, pieces_of, require_new, scored
 from .state import FleetState, Member, Terms
 from .wealth import Life

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..drives.tables import Drive
 from ..identify.unexplained import Unexplained
-from ..replay.run import Alarm, Replay, Replayer
+from ..replay.replayer import Alarm, Replay, Replayer
 
 COLUMNS = 60
 """Number of columns of a drive's small picture."""
@@ -32,7 +32,7 @@ class Nearest:
 
 
 @dataclass(frozen=True)
-class Told:
+class DriveSummary:
     """A replayed drive for overview, index and its section.
 
     ``key``: id of its section. ``role``: in the identification, HTML. ``relevant_s`` and
@@ -94,7 +94,7 @@ def _ratios(replay: Replay, replayer: Replayer) -> tuple[tuple[str, np.ndarray],
 
 
 def course(replay: Replay, replayer: Replayer, t0: float) -> tuple[np.ndarray, np.ndarray]:
-    """Course and verdict of ``Told``, each (COLUMNS,); ``t0``: time of the drive's first sample [s]."""
+    """Course and verdict of a DriveSummary, each (COLUMNS,); ``t0``: time of the drive's first sample [s]."""
     frames, samples = replay.run.frames, len(replay.run.verdict)
     ratio = np.full(COLUMNS, -np.inf)
     counted = frames.counted

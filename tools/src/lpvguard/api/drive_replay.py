@@ -15,11 +15,11 @@ from ..base.errors import InputError
 from ..base.optional import optional
 from ..core.compiled import REASONS
 from ..drives.tables import Drive
-from ..replay.opened import replayer_for
 from ..replay.recordings import SUFFIX, write_series
-from ..replay.run import Alarm, Recorded, Replay, Replayer
+from ..replay.replayer import Alarm, Recorded, Replay, Replayer
+from ..replay.vehicle_core import replayer_for
 from ..vehicle.project import Project
-from .identified import project_of
+from .identification import project_of
 
 if TYPE_CHECKING:
     import pandas
@@ -115,7 +115,7 @@ class Replayed:
         savemat(path, columns)
 
 
-def replay(
+def replay_drive(
     vehicle: str | Path | Project,
     log: str | Path,
     *,
@@ -140,12 +140,12 @@ def replay(
     InputError
         If an input does not fit; it names file, place and what was expected.
     """
-    replayer = opened(vehicle, coefficients)
+    replayer = open_core(vehicle, coefficients)
     recorded = replayer.read_file(Path(log), channel)
-    return replayed(replayer, recorded)
+    return replay_recorded(replayer, recorded)
 
 
-def replayed(replayer: Replayer, recorded: Recorded) -> Replayed:
+def replay_recorded(replayer: Replayer, recorded: Recorded) -> Replayed:
     """Run a recorded drive through an open core.
 
     Parameters
@@ -163,7 +163,7 @@ def replayed(replayer: Replayer, recorded: Recorded) -> Replayed:
     )
 
 
-def opened(vehicle: str | Path | Project, coefficients: str | Path | None) -> Replayer:
+def open_core(vehicle: str | Path | Project, coefficients: str | Path | None) -> Replayer:
     """Open the compiled core of a vehicle.
 
     Parameters

@@ -20,13 +20,13 @@ from ....base import artefacts
 from ....base.errors import InputError
 from ....base.parallel import Map
 from ....base.progress import Counted, Progress
-from ....control.designed import require_designed_for
+from ....control.controller_file import require_designed_for
 from ....core.compiled import Core
 from ....evaluate.baseline_study import BaselineStudy
 from ....evaluate.baselines import KINDS as BASELINE_KINDS
 from ....evaluate.detection import Injection
-from ....identify.run import DriveSet, StoredIdentification
-from ....replay.run import Replayer
+from ....identify.identification import DriveSet, StoredIdentification
+from ....replay.replayer import Replayer
 from ..sim import Simulator
 from . import faults, trucks
 from .one_run import Context, Detectors, run_planned

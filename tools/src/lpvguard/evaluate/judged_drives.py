@@ -19,7 +19,7 @@ from ..core.compiled import TESTS
 from ..drives.tables import Experiment, list_experiments, table_hashes
 from ..identify.calibration import ROUNDING, Calibration, Recordings, calibrate, joint_scores
 from ..identify.change import FLOOR, calibrated_change
-from ..identify.run import DriveSet, StoredIdentification
+from ..identify.identification import DriveSet, StoredIdentification
 from .comparison import HELD_OUT, LEFT_ONE_OUT, MONITOR
 
 FLOORS = {"frame": 1.0, "energy": 1.0 + ROUNDING, "change": FLOOR}

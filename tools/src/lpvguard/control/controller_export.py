@@ -8,7 +8,7 @@ from ..base.parallel import Map
 from ..base.progress import Progress
 from ..core.control_coefficients import load_controller
 from ..identify import export
-from ..identify.run import StoredIdentification
+from ..identify.identification import StoredIdentification
 from .design import verify
 
 

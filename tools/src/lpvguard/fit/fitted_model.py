@@ -25,10 +25,10 @@ from ..base.errors import InputError
 from ..drives.tables import Drive, Experiment, bound_setting, list_experiments, read_drive, set_aside
 from ..vehicle.nominal import NominalModel
 from ..vehicle.project import Project
+from .damaged_drives import require_unspoiled
 from .estimate import Estimate, Fit
 from .project_file import values_of, with_numbers
 from .quality import POOR_VAF, Quality, by_drive, by_speed
-from .spoiled import require_unspoiled
 from .suspicions import judged_beside, screened
 from .unknowns import DELAY, Unknowns
 

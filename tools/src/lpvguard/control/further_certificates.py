@@ -10,8 +10,8 @@ from ..base.parallel import Map
 from ..base.progress import Progress, parts
 from ..core.scheduled import Scheduled
 from ..engine.synthesis.dk import Scaling
-from ..identify.run import StoredIdentification
 from .limits import Limits, limits, require_limits
+from .plants import DesignProblem
 from .robustness import Robustness, require_robustness, robustness
 from .slow_delta import Slowness, require_slowness, slowness
 
@@ -41,7 +41,7 @@ NOTHING = {"robustness": None, "slow_delta": None, "limits": None}
 
 
 def beside(
-    stored: StoredIdentification,
+    problem: DesignProblem,
     schedule: Scheduled,
     scaling: Scaling,
     progress: Progress = lambda _: None,
@@ -49,7 +49,7 @@ def beside(
 ) -> Beside:
     """Further certificates of one controller; ``workers`` share the speeds."""
     tells = parts(progress, *SHARES)
-    given = stored, schedule, scaling
+    given = problem, schedule, scaling
     return Beside(
         robustness(*given, tells[0], workers),
         slowness(*given, tells[1], workers),
@@ -60,7 +60,7 @@ def beside(
 def require_beside(
     path: Path,
     stated: dict,
-    stored: StoredIdentification,
+    problem: DesignProblem,
     schedule: Scheduled,
     scaling: Scaling,
     progress: Progress = lambda _: None,
@@ -71,7 +71,7 @@ def require_beside(
     A field that is missing or None claims nothing. ``workers`` share the speeds.
     """
     tells = parts(progress, *SHARES)
-    given = stored, schedule, scaling
+    given = problem, schedule, scaling
     require_robustness(path, stated.get("robustness"), *given, tells[0], workers)
     require_slowness(path, stated.get("slow_delta"), *given, tells[1], workers)
     require_limits(path, stated.get("limits"), *given, tells[2], workers)

@@ -13,12 +13,10 @@ import numpy as np
 
 from ..base.optional import optional
 from ..base.parallel import workers
-from ..control.exported import export_chosen
-from ..drives.frames import Estimator
-from ..identify import run as stage
+from ..control.controller_export import export_chosen
+from ..identify import identification as stage
 from ..identify.calibration import Calibration
 from ..identify.weights import Weights
-from ..vehicle.nominal import NominalModel
 from ..vehicle.project import Project, load_project
 
 if TYPE_CHECKING:
@@ -168,7 +166,7 @@ class Identified:
         return pandas.DataFrame(flat, index=pandas.Index(self.omega, name="omega_rad_s"))
 
 
-def identify(
+def identify_drives(
     vehicle: str | Path | Project, drives: str | Path, *, jobs: int = 1, scheduler: str | None = None
 ) -> Identified:
     """Find bounds, weights and thresholds, as `lpvguard identify` does.
@@ -213,5 +211,5 @@ def load(folder: str | Path) -> Identified:
         If a file was changed.
     """
     stored = stage.load(Path(folder))
-    omega = Estimator.of(stored.project, NominalModel(stored.project)).omega
+    omega = stored.estimator.omega
     return Identified(stored.project, stored.folder, omega, stored.fitted, stored.calibration, stored.bounds)

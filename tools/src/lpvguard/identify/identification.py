@@ -26,7 +26,7 @@ number of workers nor the order of the drives changes a bit of the bounds.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, TypeVar
@@ -43,8 +43,6 @@ from ..drives.frames import Estimator, not_for_the_core
 from ..drives.tables import (
     EXPERIMENTS,
     Experiment,
-    list_experiments,
-    set_aside,
     table_hashes,
 )
 from ..fit.quality import Quality
@@ -53,9 +51,9 @@ from ..vehicle.project import Project, parse_project
 from .bounds import FRONT_POINTS, Bounds, Part, fold
 from .calibration import Calibration
 from .change import ChangeTest
-from .chosen import Chosen
-from .chosen import DriveSet as DriveSet
 from .diagnosis import DiagnosisScales
+from .drive_set import Chosen
+from .drive_set import DriveSet as DriveSet
 from .energy import EnergyTest
 from .model_error import ModelError
 from .model_fit import drive_fit, require_better_than_none
@@ -124,14 +122,12 @@ class Identification:
     origins: Origins
 
 
-def _of_commands(project: Project, setting: list[Experiment], parts: list[Part], folder: Path) -> Part:
+def _of_commands(drives: DriveSet, setting: list[Experiment], parts: list[Part]) -> Part:
     """Joined parts of the bound-setting drives for W_C; InputError when there is none."""
-    splits = project.data.command_splits
+    splits = drives.reader.project.data.command_splits
     chosen = [p for e, p in zip(setting, parts, strict=True) if e.split in splits]
     if not chosen:
-        raise InputError(
-            folder / EXPERIMENTS,
-            "column split",
+        raise drives.index_error(
             f"no drive has split {' or '.join(splits)}, of data.command_split",
             "at least one drive whose input is a command as in use",
         )
@@ -169,18 +165,17 @@ def identify(
     ----------
     Paper, steps 1-7; THEORY 3 to 7.
     """
-    experiments = [e for e in list_experiments(Path(folder)) if e.name not in without]
-    drives = DriveSet(project, NominalModel(project), experiments)
-    estimator, run = drives.reader.estimator, OverDrives(drives.reader, workers, progress)
-    hashes = table_hashes(experiments, workers)
-    chosen = Chosen.by_split(project, experiments, Path(folder))
+    drives = DriveSet(project, NominalModel(project), folder, without)
+    estimator, run = drives.reader.estimator, OverDrives(drives, workers, progress)
+    hashes = table_hashes(list(drives.experiments.values()), workers)
+    chosen = Chosen.by_split(drives)
     fit_of = partial(drive_fit, drives.reader)
     model_fit, others_fit = (list(run.over("model", fit_of, of)) for of in (chosen.setting, chosen.others))
-    require_better_than_none(project, model_fit, Path(folder))
+    require_better_than_none(drives, model_fit)
     parts = list(run.first_parts(chosen.setting, keep=True))
     first = fold(parts)
-    command = _of_commands(project, chosen.setting, parts, Path(folder))
-    chosen = run.with_frames(chosen, Path(folder))
+    command = _of_commands(drives, chosen.setting, parts)
+    chosen = run.with_frames(chosen)
     progress("weights")
     noise_peak = np.full(first["E"].shape, np.nan)
     if chosen.noise:
@@ -191,7 +186,7 @@ def identify(
     bounds = run.bounds(first, smooth, second, W_delta, chosen.setting)
     given = project, estimator, bounds, gamma_w, W_delta, noise_peak, first["E"], command["Y"]
     weights = fit_weights(*given, workers)
-    weights, calibration, energy, change = run.calibrated(weights, bounds, chosen, Path(folder))
+    weights, calibration, energy, change = run.calibrated(weights, bounds, chosen)
     progress("window error")
     result = Identification(
         project=project,
@@ -209,7 +204,7 @@ def identify(
         bound_drives=[e.name for e in chosen.setting],
         calibration_drives=list(calibration.scores),
         noise_drives=[e.name for e in chosen.noise],
-        left_out=set_aside(Path(folder)) | run.left_out,
+        left_out=drives.set_aside | run.left_out,
         sha256=hashes,
         model_fit=model_fit,
         others_fit=others_fit,
@@ -319,7 +314,6 @@ class StoredIdentification:
     diagnosis : DiagnosisScales or None
     visibility : dict
     model_error : ModelError
-    found : dict[Any, Any]
     """
 
     folder: Path
@@ -335,16 +329,24 @@ class StoredIdentification:
     front: dict[str, np.ndarray]
     visibility: dict
     model_error: ModelError
-    found: dict[Any, Any] = field(default_factory=dict, init=False, repr=False, compare=False)
+
+    @cached_property
+    def model(self) -> NominalModel:
+        """The nominal model of the project."""
+        return NominalModel(self.project)
+
+    @cached_property
+    def estimator(self) -> Estimator:
+        """The estimator of the project's frames."""
+        return Estimator.of(self.project, self.model)
 
     @cached_property
     def coefficients(self) -> Coefficients:
         """Coefficients of the core; InputError for bounds of an estimator that the core does not compute."""
-        model = NominalModel(self.project)
         return coefficients_of(
             self.project,
-            model,
-            Estimator.of(self.project, model),
+            self.model,
+            self.estimator,
             self.fitted,
             self.calibration.exported,
             self.energy_of_core,

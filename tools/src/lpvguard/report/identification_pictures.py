@@ -12,11 +12,11 @@ from ..drives.tables import Drive
 from ..engine.overbound.weight import Weight
 from ..engine.validation import s1
 from ..identify.bounds import FrameSet, explain, remainder
+from ..identify.identification import StoredIdentification
 from ..identify.model_error import ASSUMED, beyond, last_telling
 from ..identify.premise import weight_met
-from ..identify.run import StoredIdentification
 from ..identify.weights import fitting_grid
-from ..replay.run import Replay, Replayer
+from ..replay.replayer import Replay, Replayer
 from .markup import unit_of_norm
 from .pictures.drawing import Picture
 from .pictures.margin_map import margin_map
@@ -24,7 +24,7 @@ from .pictures.model_error import model_error
 from .pictures.over_bins import Clouds, disturbance_design, excitation, pareto, weights_over_bounds
 
 
-class OfIdentification:
+class IdentificationPictures:
     """Pictures of an identification; each takes a name that is unique on a page.
 
     Parameters
