@@ -7,6 +7,7 @@ import importlib.util
 import os
 import shutil
 import subprocess
+import sys
 from functools import cache
 from pathlib import Path
 from types import ModuleType
@@ -50,11 +51,25 @@ def require(part: str) -> None:
 
 
 @cache
-def release() -> ModuleType:
-    """tools/release.py as a module."""
-    path = Path(__file__).resolve().parents[1] / "tools" / "release.py"
-    spec = importlib.util.spec_from_file_location("release", path)
+def tool(name: str) -> ModuleType:
+    """A program below tools/ as a module, such as ``release.py``."""
+    path = Path(__file__).resolve().parents[1] / "tools" / name
+    spec = importlib.util.spec_from_file_location(path.stem, path)
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
+    sys.path.insert(0, str(path.parent))  # as when it runs by itself
+    try:
+        spec.loader.exec_module(module)
+    finally:
+        sys.path.remove(str(path.parent))
     return module
+
+
+def release() -> ModuleType:
+    """tools/release.py as a module."""
+    return tool("release.py")
+
+
+def site_builder() -> ModuleType:
+    """tools/site/build.py as a module."""
+    return tool("site/build.py")

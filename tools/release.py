@@ -68,25 +68,55 @@ def project_of(tree: Path) -> dict:
     return tomllib.loads((tree / "tools/pyproject.toml").read_text())["project"]
 
 
+VERSION = r"(\d+\.\d+\.\d+)"
+STATED = {
+    "tools/pyproject.toml": rf'^version = "{VERSION}"$',
+    "tools/src/lpvguard/__init__.py": rf'^__version__ = "{VERSION}"$',
+    "CITATION.cff": rf"^version: {VERSION}$",
+    "CMakeLists.txt": rf"^project\(lpvguard VERSION {VERSION} ",
+    "lib/conanfile.py": rf'^    version = "{VERSION}"',
+    "lib/idf_component.yml": rf'^version: "{VERSION}"',
+    "lib/library.json": rf'^ *"version": "{VERSION}"',
+    "lib/vcpkg.json": rf'^ *"version": "{VERSION}"',
+    "lib/INTEGRATION.md": rf"require `lpvguard/{VERSION}`",
+    "tools/src/lpvguard/schemas/examples/manifest.json": rf'"tool": "lpvguard {VERSION}"',
+}
+"""File -> where it states the version. The first one is the source; `state` writes the others after it."""
+MANIFEST = rf'"tool": "lpvguard {VERSION}"'
+CHANGES = rf"^## {VERSION}"
+
+
+def stating(tree: Path) -> dict[str, str]:
+    """Every file that `state` writes -> where it states the version."""
+    manifests = sorted((tree / "lib/vehicles").glob("*/MANIFEST.json"))
+    return STATED | {str(path.relative_to(tree)): MANIFEST for path in manifests}
+
+
 def stated_versions(tree: Path) -> dict[str, str]:
-    """File -> the version that it states; of the changelog the newest number."""
-    patterns = {
-        "CITATION.cff": r"^version: (\S+)$",
-        "CMakeLists.txt": r"^project\(lpvguard VERSION (\S+) ",
-        "CHANGELOG.md": r"^## (\d+\.\d+\.\d+)",
-        "lib/conanfile.py": r'^    version = "(\S+)"',
-        "lib/idf_component.yml": r'^version: "(\S+)"',
-        "lib/library.json": r'^ *"version": "(\S+)"',
-        "lib/vcpkg.json": r'^ *"version": "(\S+)"',
-        "lib/INTEGRATION.md": r"require `lpvguard/(\d+\.\d+\.\d+)`",
-    }
-    for manifest in sorted((tree / "lib/vehicles").glob("*/MANIFEST.json")):
-        patterns[str(manifest.relative_to(tree))] = r'"tool": "lpvguard (\S+)"'
-    stated = {"tools/pyproject.toml": str(project_of(tree)["version"])}
-    for name, pattern in patterns.items():
+    """File -> the version that it states; the newest number of the changelog."""
+    stated = {}
+    for name, pattern in (stating(tree) | {"CHANGELOG.md": CHANGES}).items():
         said = re.search(pattern, (tree / name).read_text(encoding="utf-8"), re.MULTILINE)
         stated[name] = said[1] if said else "none"
     return stated
+
+
+def state(tree: Path, version: str) -> None:
+    """Writes ``version`` into every file that states one, and seals the manifests anew."""
+    if not re.fullmatch(VERSION, version):
+        raise Refused(f"--state: {version}, expected major.minor.patch")
+    from lpvguard.base import artefacts
+
+    for name, pattern in stating(tree).items():
+        path = tree / name
+        text = path.read_text(encoding="utf-8")
+        said = re.search(pattern, text, re.MULTILINE)
+        if said is None:
+            raise Refused(f"{name}: states no version")
+        text = text[: said.start(1)] + version + text[said.end(1) :]
+        if path.name == artefacts.MANIFEST:
+            text = artefacts.to_json(artefacts.sealed(json.loads(text)))
+        path.write_text(text, encoding="utf-8")
 
 
 def version_of(tree: Path, draft: bool) -> str:
@@ -170,8 +200,8 @@ def require_same(once: list[Path], again: list[Path]) -> None:
 
 
 def requirements(tree: Path) -> list[str]:
-    """Names of the distributions that the package needs, with theirs, but for those of extras. Refused where
-    one is not installed."""
+    """Names of the distributions that the package needs, and of those that they need. Extras are left out.
+    Refused where one is not installed."""
     waiting = list(project_of(tree)["dependencies"])
     found: dict[str, str] = {}
     while waiting:
@@ -326,9 +356,15 @@ def main(argv: list[str]) -> int:
     parser = argparse.ArgumentParser(prog="tools/release", description=__doc__.splitlines()[0])
     parser.add_argument("--draft", action="store_true", help="the changelog may say Unreleased")
     parser.add_argument("--tag", action="store_true", help="set the annotated tag vVERSION besides")
-    parser.add_argument("out", type=Path)
+    parser.add_argument("--state", metavar="VERSION", help="write VERSION into every file that states one")
+    parser.add_argument("out", type=Path, nargs="?")
     given = parser.parse_args(argv)
     try:
+        if given.state is not None:
+            state(ROOT, given.state)
+            return 0
+        if given.out is None:
+            parser.error("OUT is missing")
         if given.tag and given.draft:
             raise Refused("--tag: not with --draft, a tag is for good")
         version = release(ROOT, given.out.resolve(), given.draft)

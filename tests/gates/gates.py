@@ -19,6 +19,7 @@ each found.
                  lib/REQUIREMENTS.md is named by a test, and every one that a test names stands there
     references   every text, equation, requirement, file and symbol that the repository names is in it
                  (references.py)
+    prose        documents and public docstrings keep the rules of sentences (prose.py)
     options      every option is in the configure summary, and every preset's setting arrives there
     double       the unit tests pass with double as number type (a third of them; all with LPVGUARD_FULL=1)
     big_endian   acceptance of coefficients, and CAN, pass their unit tests on a big-endian processor
@@ -60,6 +61,7 @@ from pathlib import Path
 
 from misra_cpp import misra_cpp_findings
 from mutation_run import changed_files, listed_table, may_concern, mutation_findings
+from prose import prose
 from python_mutation_run import python_listed_table, python_mutation_findings
 from references import references
 
@@ -700,6 +702,7 @@ GATES: dict[str, Callable[..., list[str]]] = {
         manual,
         requirements,
         references,
+        prose,
         options,
         double,
         big_endian,
@@ -931,37 +934,46 @@ PLANTS: dict[str, list[Plant]] = {
             "lib/src/monitor/margin.hpp", "(T17)", "(T77)", r"margin\.hpp:1: THEORY has no equation \(T77\)"
         ),
         Plant(
-            "lib/THEORY.md",
-            "    |g| > threshold/t*(−Z, Z)",
-            "|g| > threshold/t*(−Z, Z)",
+            "lib/theory/7-04-invisible-faults.md",
+            "\\tag{T25}",
+            "",
             r"THEORY has no equation \(T25\)",
         ),
         Plant(
-            "lib/THEORY.md", "| (T24) |", "| T24 |", r"\(T24\) has no row that says where it is implemented"
+            "lib/theory/10-code-and-tests.md",
+            "| (T24) |",
+            "| T24 |",
+            r"\(T24\) has no row that says where it is implemented",
         ),
         Plant(
-            "lib/THEORY.md",
+            "lib/theory/10-code-and-tests.md",
             ":EnergyTest.memories_s`",
             ":EnergyTest.memory`",
             r"energy\.py does not define EnergyTest\.memory",
         ),
         Plant(
-            "lib/THEORY.md",
+            "lib/theory/7-03-calibration.md",
             "prediction [11]",
             "prediction [99]",
             r"work \[11\] is not cited(.|\n)*work \[99\] is not listed",
         ),
         Plant(
-            "lib/THEORY.md", "margin.hpp:dead`", "margin.hpp:living`", r"margin\.hpp does not define living"
+            "lib/theory/10-code-and-tests.md",
+            "margin.hpp:dead`",
+            "margin.hpp:living`",
+            r"margin\.hpp does not define living",
         ),
         Plant(
-            "lib/THEORY.md",
+            "lib/theory/10-code-and-tests.md",
             "test_margin.cpp:REQ-MON-3`",
             "test_margin.cpp:REQ-MON-13`",
             r"test_margin\.cpp does not define REQ-MON-13",
         ),
         Plant(
-            "lib/THEORY.md", "drives/dft.py:spectra`", "drives/fft.py:spectra`", r"no file tools/.*fft\.py"
+            "lib/theory/10-code-and-tests.md",
+            "drives/dft.py:spectra`",
+            "drives/fft.py:spectra`",
+            r"no file tools/.*fft\.py",
         ),
         Plant(
             "lib/README.md",
@@ -993,6 +1005,21 @@ PLANTS: dict[str, list[Plant]] = {
             "(Table III; DESIGN 7, PLANT.md, paper (12), step 9, Fig. 7)",
             r"no step 9(.|\n)*no figure 7(.|\n)*no table III(.|\n)*no equation 12(.|\n)*"
             r"DESIGN is no text(.|\n)*PLANT\.md is no text",
+        ),
+    ],
+    "prose": [
+        Plant(
+            "tools/site/pages/index.md",
+            "lpvguard is research software.",
+            "Of research software it is one, and so it has no certificate and none of the words of one "
+            "and so nobody may take it to a public road or to a road beside.",
+            r"index\.md:\d+: long: 3\d words(.|\n)*index\.md:\d+: inversion",
+        ),
+        Plant(
+            "tools/src/lpvguard/api/monitor.py",
+            '"""The compiled monitor',
+            '"""Nor but for the compiled monitor',
+            r"monitor\.py:1: inversion(.|\n)*monitor\.py:1: riddle: 'but for'",
         ),
     ],
     "options": [

@@ -388,7 +388,7 @@ def stands_in(mutant: Mutant, notes: Noted) -> bool:
 
 
 def table(mutants: list[Mutant], survived: list[Mutant], equivalent: Noted, known: Noted) -> list[str]:
-    """Lines of the table by file, and its sum, as tests/README.md has it; ``open``: survived, and ``known``
+    """Lines of the table by file, and its sum, as gates/MUTANTS.md has it; ``open``: survived, and ``known``
     to do so. ``survived``: what neither list names."""
     rows = [
         "| file | mutants | killed | equivalent | open | survived |",

@@ -2,7 +2,7 @@
 
 Looked at in every text file of the tree, except this gate and its planted bugs:
 
-    THEORY n.m, (Tn)      a section, an equation of lib/THEORY.md
+    THEORY n.m, (Tn)      a section, an equation of the pages in lib/theory
     paper                 its equations (1) to (9), steps 1 to 8, sections I to VII, Tables I and II, Figs. 1
                           to 6
     REQ-...-n             a requirement of lib/REQUIREMENTS.md
@@ -36,10 +36,11 @@ from functools import cache
 from pathlib import Path
 
 SUFFIXES = {".py", ".md", ".h", ".hpp", ".c", ".cpp", ".S", ".ld", ".toml", ".cmake", ".txt", ".lcm", ".sh"}
-PROGRAMS = {"tools/demo", "tools/test", "tools/lpvguard", "tools/with-vcan"}
+PROGRAMS = {"tools/demo", "tools/docs", "tools/test", "tools/lpvguard", "tools/with-vcan"}
 LEFT_OUT = {"build", "out", "__pycache__"}
 PLANTED = {"tests/gates/gates.py", "tests/gates/references.py"}
-THEORY = "lib/THEORY.md"
+THEORY = "lib/theory/"
+NUMBER = re.compile(r"\d+")
 
 SOURCE = r"(?:py|cpp|hpp|h|c|S|cmake|lcm)"
 PLACE = re.compile(rf"`([\w./-]+\.{SOURCE}):([\w.-]+)`")
@@ -100,7 +101,7 @@ def matches(pattern: re.Pattern[str], text: str) -> tuple[re.Match[str], ...]:
 
 @cache
 def statements(text: str) -> list[ast.stmt]:
-    """Of a Python source."""
+    """Statements of a Python source."""
     return ast.parse(text).body
 
 
@@ -195,26 +196,30 @@ def anchors(text: str) -> frozenset[str]:
 
 @dataclass(frozen=True)
 class Theory:
-    """What may be cited of THEORY.md."""
+    """What may be cited of the theory's pages, and their text in the order of their numbers."""
 
     sections: list[str]
     equations: list[str]
     works: list[str]
+    text: str
 
     @classmethod
-    def read(cls, path: Path) -> Theory:
-        text = path.read_text(encoding="utf-8")
+    def read(cls, files: dict[str, Path]) -> Theory:
+        names = [name for name in files if name.startswith(THEORY)]
+        names.sort(key=lambda name: [int(n) for n in NUMBER.findall(name)])
+        text = "\n".join(files[name].read_text(encoding="utf-8") for name in names)
         return cls(
             re.findall(r"^#+ (\d+(?:\.\d+)?)\.? ", text, re.MULTILINE),
-            re.findall(r"^    .*\(T(\d+)\)$", text, re.MULTILINE),
-            re.findall(r"^(\d+)\. .*$", text.partition("## 12. References")[2], re.MULTILINE),
+            re.findall(r"\\tag\{T(\d+)\}", text),
+            re.findall(r"^(\d+)\. .*$", text.partition("# 12. References")[2], re.MULTILINE),
+            text,
         )
 
-    def check(self, text: str, found: Found) -> None:
+    def check(self, found: Found) -> None:
         """Numbers run on, each equation has its row (where implemented, where tested), and the works cited
         are those listed."""
         for what, numbers in (
-            ("section", [s for s in self.sections if "." not in s]),
+            ("section", list(dict.fromkeys(s.partition(".")[0] for s in self.sections))),
             ("equation", self.equations),
             ("work", self.works),
         ):
@@ -223,7 +228,7 @@ class Theory:
                 THEORY,
                 f"{what}s are numbered {', '.join(numbers)}",
             )
-        rows = re.findall(r"^\| \(T(\d+)\) \|([^|]*)\|([^|]*)\|$", text, re.MULTILINE)
+        rows = re.findall(r"^\| \(T(\d+)\) \|([^|]*)\|([^|]*)\|$", self.text, re.MULTILINE)
         for number in self.equations:
             row = [r for r in rows if r[0] == number]
             found.see(
@@ -231,7 +236,9 @@ class Theory:
                 THEORY,
                 f"(T{number}) has no row that says where it is implemented and where tested",
             )
-        cited = {n for group in re.findall(r"\[(\d+(?:, \d+)*)\](?!\()", text) for n in group.split(", ")}
+        cited = {
+            n for group in re.findall(r"\[(\d+(?:, \d+)*)\](?!\()", self.text) for n in group.split(", ")
+        }
         for number in sorted(cited | set(self.works), key=int):
             found.see(
                 number in cited and number in self.works,
@@ -244,8 +251,8 @@ def references(tree: Path, scratch: Path) -> list[str]:
     """The gate: prints how many references there are, returns those that lead nowhere."""
     files, found = files_of(tree), Found()
     folders = {p.as_posix() for f in files for p in Path(f).parents}
-    theory = Theory.read(files[THEORY])
-    theory.check(files[THEORY].read_text(encoding="utf-8"), found)
+    theory = Theory.read(files)
+    theory.check(found)
     stated = set(
         re.findall(
             r"^\| (REQ-[A-Z][A-Z0-9]*-\d+) \|",
@@ -339,7 +346,7 @@ def _citations(line: str, where, name: str, theory: Theory, stated: set[str], fo
     for m in matches(re.compile(r"\bREQ-[A-Z][A-Z0-9]*-\d+\b"), line):
         found.see(m[0] in stated, where(m.start()), f"{m[0]} is no requirement")
     for m in matches(re.compile(r"\b[Ss]ection (\d+(?:\.\d+)*)"), line):
-        own = name == THEORY and m[1] in theory.sections
+        own = name.startswith(THEORY) and m[1] in theory.sections
         found.see(
             own or WORK.search(line[max(0, m.start() - 120) : m.start()]) is not None,
             where(m.start()),

@@ -178,10 +178,10 @@ def test_what_a_change_touches_is_asked_and_else_nothing(tmp_path):
     assert chosen(tmp_path, names, full=False, only="can.cpp") == (["can.cpp"], 0)
 
 
-def test_the_readme_has_the_table_of_the_lists():
+def test_the_page_has_the_table_of_the_lists():
     """``gates.py mutation --table`` counts mutants from clang's tree; what is listed is counted here."""
     here = Path(__file__).parent
-    of_core, _ = (here.parent / "README.md").read_text().split("## Python mutants")
+    of_core, _ = (here / "MUTANTS.md").read_text().split("## Python mutants")
     equivalent, known = (json.loads((here / name).read_text()) for name in (EQUIVALENT, OPEN))
     row = r"^\| (\S+\.[a-z]+|\*\*all\*\*) \| (\d+) \| (\d+) \| (\d+) \| (\d+) \| (\d+) \|$"
     rows = re.findall(row, of_core, re.MULTILINE)

@@ -345,7 +345,7 @@ def test_every_target_is_a_file_whose_folder_has_tests():
 
 
 @pytest.mark.slow("4 s: every mutant is made")
-def test_measured_files_have_the_mutants_that_ran_and_the_lists_and_the_readme_name_them(tmp_path):
+def test_measured_files_have_the_mutants_that_ran_and_the_lists_and_the_page_name_them(tmp_path):
     """A changed line makes its entries void: LPVGUARD_FULL=1 would tell it late."""
     lists = [noted(ROOT, name) for name in (EQUIVALENT, OPEN)]
     files = sorted({file for notes in lists for file in notes} | MEASURED.keys())
@@ -358,4 +358,4 @@ def test_measured_files_have_the_mutants_that_ran_and_the_lists_and_the_readme_n
                 assert {(file, function, key) for key in reasons} <= there
                 assert all(reasons.values())
     measured = table_of_lists([m for m in mutants if m.file in MEASURED], *lists)
-    assert "\n".join(measured) in (ROOT / "tests" / "README.md").read_text()
+    assert "\n".join(measured) in (ROOT / "tests" / "gates" / "MUTANTS.md").read_text()

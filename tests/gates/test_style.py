@@ -52,7 +52,7 @@ def clang_format(*files: Path) -> subprocess.CompletedProcess[str]:
 
 @pytest.mark.parametrize("command", [CHECK, FORMAT], ids=["lint", "format"])
 def test_python_keeps_the_rules(command):
-    done = run(*command, "src", "examples", "release.py", "summarise_tests.py", "../tests")
+    done = run(*command, "src", "examples", "site", "release.py", "summarise_tests.py", "../tests")
     assert done.returncode == 0, done.stdout + done.stderr
 
 

@@ -406,10 +406,10 @@ def test_no_test_imports_from_another_test():
 
 def test_every_stop_of_the_walks_exists():
     text = README.read_text(encoding="utf-8")
-    walks = re.split(r"^### ", text.partition("## Four walks")[2].partition("\n## ")[0], flags=re.MULTILINE)[
+    walks = re.split(r"^### ", text.partition("## Three walks")[2].partition("\n## ")[0], flags=re.MULTILINE)[
         1:
     ]
-    assert len(walks) == 4
+    assert len(walks) == 3
     for walk in walks:
         stops = STOP.findall(walk)
         assert 3 <= len(stops) <= 8 and len(stops) == len(re.findall(r"^\d+\. ", walk, re.MULTILINE)), walk

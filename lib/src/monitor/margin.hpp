@@ -14,7 +14,7 @@
 // Every candidate is *evaluated*, and the least maximum is returned. Z_j = 0 needs no gate: its term does not depend on d.
 //
 // t* > 1: no one complex number d (no d_j) with |d| <= W and no disturbance within B explain this frame in this bin. It does not refute
-// every causal Delta of a certificate: one with memory is no such number (tools/README.md).
+// every causal Delta of a certificate: one with memory is no such number (THEORY 7.1).
 //
 // Accuracy (tests/unit/test_margin.cpp, against a certified long double reference). The evaluation of E_j - d Z_j itself
 // rounds, by a part of |E_j|/B_j; no method in one number type avoids that. What is returned is therefore lowered by

@@ -47,6 +47,27 @@ def test_responses_of_motors_lead_to_a_controller_with_a_proved_level():
     assert attained <= proved < 0.6
 
 
+@pytest.mark.slow("10 s: three examples run")
+def test_pictures_of_an_identification_and_of_a_drive(identified, vehicle, synthetic, tmp_path):
+    drive = ("g80", vehicle, synthetic / "synthetic_01.csv")
+    assert "B_w" in run("show_bounds.py", identified, tmp_path / "bounds.svg")
+    assert "none" in run("show_margins.py", *drive, tmp_path / "margins.svg")
+    assert "yaw_rate" in run("nominal_and_measured.py", *drive, tmp_path / "time.svg")
+    assert len([path for path in tmp_path.iterdir() if "<svg" in path.read_text()]) == 3
+
+
+@pytest.mark.slow("6 s: three examples run")
+def test_examples_without_a_vehicle(tmp_path):
+    said = run("weight_above_samples.py", tmp_path / "weight.svg")
+    assert "proved: True" in said
+    said = run("wealth_of_a_vehicle.py", tmp_path / "wealth.svg")
+    assert "healthy: no alarm" in said and "alarm with recording" in said
+    said = run("hinf_controller.py", tmp_path / "hinf.svg")
+    level, largest = (float(x) for x in re.findall(r"(?:level|grid) ([\d.]+)", said))
+    assert 0.99 * level < largest <= level
+    assert len([path for path in tmp_path.iterdir() if "<svg" in path.read_text()]) == 3
+
+
 def test_no_example_goes_untested():
     tested = set(re.findall(r'run\("(\w+\.py)"', (ROOT / "tests/tools/api/test_examples.py").read_text()))
     assert tested == {path.name for path in EXAMPLES.glob("*.py")}

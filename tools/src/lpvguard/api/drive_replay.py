@@ -60,9 +60,9 @@ class Replayed:
     def frames(self) -> pandas.DataFrame:
         """Table of the judged frames, in the order of judgement. Needs pandas.
 
-        t_end_s (of the frame) and t_judged_s are seconds after the first sample. margin is t*, evidence that
-        of a vehicle that does not respond. reason "none" means that it counted. The other columns are
-        omega_rad_s, speed_mps and falsified.
+        The times t_end_s and t_judged_s are seconds after the first sample. The margin is t*. The evidence
+        is the margin of a vehicle that does not respond. The reason "none" means that the frame counted. The
+        other columns are omega_rad_s, speed_mps and falsified.
         """
         f, t0 = self.summary.run.frames, self.summary.start_s
         return optional("pandas", "pandas").DataFrame(

@@ -108,7 +108,7 @@ def nu_gap(first: Any, second: Any) -> NormBracket:
     Parameters
     ----------
     first, second : control.StateSpace or control.TransferFunction
-        Of equal shape and sampling time.
+        Both have the same shape and sampling time.
 
     References
     ----------

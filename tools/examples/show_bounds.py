@@ -1,0 +1,12 @@
+"""The bounds of an identification as a table, and its weights as a picture.
+
+python show_bounds.py IDENTIFICATION PICTURE.svg
+"""
+
+import sys
+
+import lpvguard
+
+found = lpvguard.load(sys.argv[1])
+print(found.bounds.to_string(float_format="%.3g"))
+lpvguard.plots.weights(found).save(sys.argv[2])
