@@ -151,6 +151,7 @@ typedef struct lpvg_ecu_config_t {
     bool engage;  ///< asked for engagement from the start
     uint16_t report_only;  ///< causes of LPVG_ECU_CAUSES_OPTIONAL that are reported and do not release
     uint8_t priority;  ///< other_priority (bus.h) up to which control is permitted, 0 .. 3
+    bool authenticated;  ///< the caller hands over authenticated frames of the command message only (authentication.h): the report says so
     lpvg_can_plausibility_limits_t plausibility;  ///< limits of the cross-checks
     lpvg_ecu_actuator_limits_t actuator;  ///< limits of the check of the actuator
 } lpvg_ecu_config_t;
