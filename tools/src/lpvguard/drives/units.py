@@ -16,6 +16,7 @@ _UNITS = {
     "km/h": ("speed", 1 / 3.6),
     "mph": ("speed", 0.44704),
     "kn": ("speed", 1852 / 3600),
+    "ft/s": ("speed", 0.3048),
     "m/s2": ("acceleration", 1.0),
     "g": ("acceleration", 9.80665),
     "Pa": ("pressure", 1.0),
@@ -35,6 +36,8 @@ _UNITS = {
 }
 _SPELLINGS = {
     "°": "deg",
+    "grad": "deg",
+    "grad/s": "deg/s",
     "degree": "deg",
     "degrees": "deg",
     "°/s": "deg/s",

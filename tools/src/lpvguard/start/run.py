@@ -26,10 +26,14 @@ from ..drives.frames import Estimator
 from ..drives.ingest import Inputs, write_tables
 from ..drives.signal_map import SignalMap
 from ..drives.tables import Drive, index_text, read_drive
+from ..drives.unit_names import DIMENSIONS as SI
 from ..drives.units import unit_factor
 from ..vehicle.nominal import NominalModel
+from ..vehicle.physics import KindName, kind_of
 from ..vehicle.project import NAME, EvaluationSettings, Project, parse_project
-from .signals import ROLES, SI, Proposal, Recording, proposed, rolled_length
+from .readings import ROLES, Known
+from .signals import Proposal, Recording, proposed
+from .steady_turn import Driven, steady_turn
 from .templates import TEMPLATES, Scale
 
 COLUMNS = {"speed": "v", "input": "delta", "output": "r"}
@@ -66,6 +70,9 @@ def new(
     model: str = "yaw-first-order",
     chosen: dict[str, str | None] | None = None,
     wheelbase_m: float | None = None,
+    kind: KindName | None = None,
+    ratio: float | None = None,
+    units: dict[str, str | None] | None = None,
 ) -> NewProject:
     """Look at the logs and write the folder ``out``. InputError where no signal fits a role, or no drive
     remains."""
@@ -76,28 +83,21 @@ def new(
     if wheelbase_m is None and model == "bicycle":
         raise InputError("new", "--wheelbase", "not given", "the wheelbase in m, which the bicycle needs")
     recordings, left_out = _recordings(logs, dbc)
-    proposals = proposed(recordings, chosen or {}, wheelbase_m)
+    known = Known(kind or kind_of(wheelbase_m), wheelbase_m, ratio)
+    proposals = proposed(recordings, chosen or {}, known, units)
     Ts = _sample_time(recordings)
     limits = {role: _limits(role, p, recordings) for role, p in proposals.items()}
     signals = _signal_map(proposals, limits, Ts)
     with artefacts.new_folder(out, "new", name) as folder:
         (folder / "drives").mkdir()
-        kept = {r.name for r in recordings}
         given = Inputs(
             load_database(dbc) if dbc else own_database(),
             dbc or "lpvguard's own DBC (no --dbc given)",
             SignalMap.model_validate(tomllib.loads(signals)),
             Path("signals.toml"),
         )
-        names: dict[str, str] = {}
-        for path in logs:
-            if stem(path) not in kept:
-                continue
-            try:
-                report = write_tables(path, given, folder / "drives")
-                names |= {Path(d["file"]).stem: stem(path) for d in report["drives"]}
-            except InputError as error:
-                left_out[stem(path)] = str(error)
+        kept_logs = [p for p in logs if stem(p) in {r.name for r in recordings}]
+        names = _written(kept_logs, given, folder / "drives", left_out)
         if not names:
             reason = next(iter(left_out.values()))
             raise InputError("new", "LOG", f"no drive remains of the logs ({reason})", "logs of driving")
@@ -117,6 +117,18 @@ def new(
             },
         )
     return NewProject(project, proposals, splits, left_out, notes)
+
+
+def _written(logs: list[Path], given: Inputs, folder: Path, left_out: dict[str, str]) -> dict[str, str]:
+    """Write the drives of all logs; drive -> recording. ``left_out`` gets what could not be written."""
+    names: dict[str, str] = {}
+    for path in logs:
+        try:
+            report = write_tables(path, given, folder)
+            names |= {Path(d["file"]).stem: stem(path) for d in report["drives"]}
+        except InputError as error:
+            left_out[stem(path)] = str(error)
+    return names
 
 
 def _recordings(logs: list[Path], dbc: Path | None) -> tuple[list[Recording], dict[str, str]]:
@@ -170,7 +182,7 @@ def _recording(name: str, table: Table) -> Recording:
         raise InputError(name, f"time of {fastest}", f"the median step is {step:g} s", expected)
     t = (longest.t_ns - longest.t_ns[0]) * 1e-9
     values = {
-        n: np.interp(longest.t_ns, s.t_ns[ok], s.value[ok])
+        n: np.interp(longest.t_ns, s.t_ns[ok], s.value[ok], np.nan, np.nan)
         for n, s in moving.items()
         if (ok := _measured(s.value)).any()
     }
@@ -195,7 +207,7 @@ def _sample_time(recordings: list[Recording]) -> float:
 def _limits(role: str, proposal: Proposal, recordings: list[Recording]) -> tuple[float, float]:
     """Range of what is possible, in SI: beyond it a sample is a spike."""
     size = np.abs(np.concatenate([r.values[proposal.name] for r in recordings]))
-    largest = SPIKE * float(np.quantile(size, USUAL)) * abs(proposal.factor)
+    largest = SPIKE * float(np.nanquantile(size, USUAL)) * abs(proposal.factor)
     largest = float(f"{largest * (unit_factor(proposal.unit, SI[role]) or 1.0):.3g}")
     return (-0.5 * largest if role == "speed" else -largest, largest)
 
@@ -330,8 +342,9 @@ def _spreads(drive: Drive, Ts: float) -> np.ndarray:
 
 def _length_of(drives: list[Drive]) -> float:
     """Wheelbase [m] that the drives read."""
-    recordings = [Recording(d.name, d.t, {"v": d.v, "delta": d.u[:, 0], "r": d.y[:, 0]}, {}) for d in drives]
-    return abs(rolled_length(recordings, COLUMNS)[0])
+    turn = steady_turn([Driven(d.t, d.v, d.u[:, 0], d.y[:, 0]) for d in drives])
+    assert turn is not None  # the recordings moved
+    return abs(float(np.median(turn.length)))
 
 
 def _with_highest_frequency(text: str, Ts: float, name: str) -> tuple[Project, str] | None:

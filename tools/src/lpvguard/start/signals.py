@@ -1,25 +1,23 @@
 """Which signals of a log are speed, steering and yaw rate: by name, then by what the data say of unit and
 sign.
 
-A car that does not slide turns as its wheels roll: v (delta - trim) = L r, with L the wheelbase. A regression
-of v delta on r, each less its part along v, reads L in whatever units the columns are in. Its sign is the
-relative sign. With the wheelbase known, units follow: 3.6 times says km/h, 57.3 times degrees, 10 to 24 times
-the angle of the steering wheel.
+A unit that the log or its database states counts first, then one in the name (`drives/unit_names.py`). What
+is left open is decided by physics (`readings.py`), or asked.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
-from dataclasses import dataclass
-from itertools import product
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..base.errors import InputError
-from ..drives.units import unit_factor
+from ..drives.unit_names import tokens, unit_of_text, units_in_name
+from .readings import ROLES, Known, decided
+from .steady_turn import Driven, steady_turn
 
-ROLES = ("speed", "input", "output")
 WORDS = {
     "speed": (r"^(v|vx|v_x|vel|speed)$", r"linear_vel_x|vehicle_speed|speed|velocity|\bvel|geschw"),
     "input": (r"^(delta|steer|swa)$|road_?wheel", r"steer.*ang|ang.*steer|steer|delta|wheel_?angle|lenk"),
@@ -32,35 +30,29 @@ NOT = {
     "output": r"acc|target|desired|ref",
 }
 """By role: what lowers a name's rank. Commands, derivatives and other things share a word."""
-SI = {"speed": "m/s", "input": "rad", "output": "rad/s"}
+WHAT = {"speed": "speed", "input": "steering angle", "output": "yaw rate"}
+"""By role: what its signal measures."""
 GUESSED_UNITS = {
-    "speed": ("m/s", "km/h"),
+    "speed": ("m/s", "km/h", "mph"),
     "input": ("rad", "deg"),
     "output": ("rad/s", "deg/s"),
 }
-"""The likelier first. Data never tell mph from a car that understeers: only a name or a stated unit does."""
-UNIT_MARKS = {
-    "speed": {"m/s": r"mps|m_s|ms", "km/h": r"k(m_?h|mph|ph)", "mph": r"mph"},
-    "input": {"rad": r"rad", "deg": r"deg|degrees?|grad"},
-    "output": {"rad/s": r"rad(_?p?_?s(ec)?)?", "deg/s": r"(deg|grad)(_?p?_?s(ec)?)?|dps"},
-}
-"""By role: the last words of a name that state its unit."""
-FASTEST_MPS = 90.0
-LARGEST_LATERAL_MPS2 = 12.0
-LARGEST_ROAD_WHEEL_RAD = 0.8
-"""What no road car exceeds."""
-AS_KNOWN = (0.7, 1.45)
-"""The wheelbase that the data read, over the known one, where units are right; understeer lengthens it."""
-STEERING_RATIO = (10.0, 24.0)
-LONGEST_LAG_S = 0.6
+"""Units of a signal whose log and name state none."""
+RATE_OF = {"deg": "deg/s", "rad": "rad/s", "mrad": "mrad/s"}
+"""A yaw rate whose unit leaves the second out."""
+STEERING_WHEEL = re.compile(r"steering_?wheel|hand_?wheel|lenkrad|^swa|_swa|(^|_)lw[iz]?(_|$)|volant")
+ROAD_WHEEL = re.compile(r"road_?wheel|front_?wheel|tyre|tire")
+"""Names of an angle at the steering wheel, and of one at the road wheels."""
+LEAST_SAMPLES = 20
+"""A recording with fewer samples of all three signals says nothing."""
 SIGN_BIT = re.compile(r"sign|sgn|vorzeichen|(?:^|_)vz(?:_|$)|direction|richtung")
 """In the name of a bit that tells the sign of a magnitude beside it."""
 
 
 @dataclass(frozen=True)
 class Recording:
-    """Signals of one log on one time axis: t (N,) [s], values name -> (N,), and their units, "" where the log
-    says none."""
+    """Signals of one log on one time axis: t (N,) [s], values name -> (N,), NaN where a signal has none yet
+    or no more, and their units, "" where the log says none."""
 
     name: str
     t: np.ndarray
@@ -91,46 +83,131 @@ def ranked(role: str, names: Iterable[str]) -> list[str]:
 
 
 def proposed(
-    recordings: list[Recording], chosen: dict[str, str | None], wheelbase_m: float | None
+    recordings: list[Recording],
+    chosen: Mapping[str, str | None],
+    known: Known,
+    units: Mapping[str, str | None] | None = None,
 ) -> dict[str, Proposal]:
-    """A signal a role, of those that all recordings hold. ``chosen``: role -> name, or None to choose.
+    """A signal a role, of those that all recordings hold.
 
-    InputError where nothing fits a role, or the units cannot be made to agree with the wheelbase.
+    ``chosen``, ``units``: role -> name and unit that the user states, or None. InputError where nothing fits
+    a role, or where units cannot be told.
     """
     common = [n for n in recordings[0].values if all(n in r.values for r in recordings)]
     names, why = {}, {}
     for role in ROLES:
         names[role], why[role] = _named(role, common, recordings, chosen.get(role))
-    if names["input"] == names["output"]:
-        raise InputError(
-            "new", "--input, --output", f"{names['input']} is both", "a steering angle and a yaw rate"
-        )
+    if len(set(names.values())) < len(names):
+        twice = next(n for n in names.values() if list(names.values()).count(n) > 1)
+        options = ", ".join(f"--{role}" for role in ROLES if names[role] == twice)
+        raise InputError("new", options, f"{twice} is both", "a signal of its own for each")
     for role in ("input", "output"):
         _require_sign(role, names[role], common, recordings)
-    length, correlation = rolled_length(recordings, names)
-    units, ratio, said = _units(recordings, names, abs(length), wheelbase_m)
-    sign = -1.0 if correlation < 0 else 1.0
+    choices = {}
+    for role in ROLES:
+        choices[role], told = _choices(role, names[role], recordings, (units or {}).get(role))
+        why[role] += told
+    drives = [d for r in recordings if len((d := _together(r, names)).t) > LEAST_SAMPLES]
+    if not drives:
+        raise InputError(
+            "new", ", ".join(names.values()), "are nowhere recorded at the same time", "one clock for all"
+        )
+    turn = steady_turn(drives)
+    known = replace(known, at_steering_wheel=at_steering_wheel(names["input"]))
+    reading, said = decided(turn, drives, choices, known)
+    sign = -1.0 if turn is not None and turn.length[0] < 0 else 1.0
     why["input"].append(
-        f"correlation of v times it with {names['output']} {correlation:+.2f}: "
-        + ("turned round, so that both are positive in the same turn" if sign < 0 else "same sign")
+        f"in a turn it and {names['output']} have "
+        + ("opposite signs: turned round, so that both are positive" if sign < 0 else "the same sign")
     )
     why["input"] += said
-    found = {}
-    for role in ROLES:
-        factor = {"speed": 1.0, "input": sign / ratio, "output": 1.0}[role]
-        found[role] = Proposal(role, names[role], units[role], factor, why[role])
-    return found
+    factors = {"speed": 1.0, "input": sign / reading.ratio, "output": 1.0}
+    return {
+        role: Proposal(role, names[role], reading.units[role], factors[role], why[role]) for role in ROLES
+    }
+
+
+def _together(recording: Recording, names: Mapping[str, str]) -> Driven:
+    """The samples of a recording at which all three signals have a value."""
+    columns = np.array([recording.t, *(recording.values[names[role]] for role in ROLES)])
+    return Driven(*columns[:, np.isfinite(columns).all(axis=0)])
+
+
+def _choices(
+    role: str, name: str, recordings: list[Recording], given: str | None
+) -> tuple[tuple[str, ...], list[str]]:
+    """The units that are possible for a signal, and where from. InputError where two sources differ."""
+    if given is not None:
+        unit = _unit(given, role)
+        if unit is None:
+            raise InputError(
+                "new", f"--{role}-unit", given, f"a unit such as {', '.join(GUESSED_UNITS[role])}"
+            )
+        return (unit,), [f"unit {unit} as you say"]
+    stated = sorted({u for r in recordings if (u := r.units.get(name, "").strip())})
+    if len(stated) > 1:
+        raise InputError(
+            "new", name, f"the logs state the units {' and '.join(stated)}", f"one unit, or --{role}-unit"
+        )
+    in_name = list(dict.fromkeys(unit for text in units_in_name(name, role) if (unit := text)))
+    by_log = _unit(stated[0], role) if stated else None
+    if stated and by_log is None:
+        if _of_another_role(stated[0], role):
+            raise InputError(
+                "new",
+                name,
+                f"its unit is {stated[0]}, none of a {WHAT[role]}",
+                f"--{role} NAME, or --{role}-unit",
+            )
+        if not in_name:
+            return GUESSED_UNITS[role], [f"its unit {stated[0]} is not known"]
+    told = [by_log] if by_log else in_name
+    if len({*told, *in_name}) > 1:
+        where = (
+            f"the log states {by_log}, its name {' and '.join(in_name)}" if by_log else " and ".join(in_name)
+        )
+        raise InputError("new", name, f"two units: {where}", f"--{role}-unit")
+    if told:
+        source = f"the log states {stated[0]}" if by_log else "by its name"
+        return (told[0],), [f"unit {told[0]}, {source}"]
+    if elsewhere := next((u for r in ROLES if r != role for u in units_in_name(name, r)), None):
+        raise InputError(
+            "new",
+            name,
+            f"its name states {elsewhere}, none of a {WHAT[role]}",
+            f"--{role} NAME, or --{role}-unit",
+        )
+    return GUESSED_UNITS[role], []
+
+
+def _unit(text: str, role: str) -> str | None:
+    """The unit of a role that a text spells; of a yaw rate also where it leaves the second out."""
+    return unit_of_text(text, role) or (
+        RATE_OF.get(unit_of_text(text, "input") or "") if role == "output" else None
+    )
+
+
+def _of_another_role(text: str, role: str) -> bool:
+    """Whether a text is a unit, though not one of the role."""
+    return any(unit_of_text(text, other) is not None for other in ROLES if other != role)
+
+
+def at_steering_wheel(name: str) -> bool | None:
+    """Whether a name says that its angle is the steering wheel's, or the road wheels'; None where neither."""
+    low = "_".join(tokens(name))
+    wheel, road = STEERING_WHEEL.search(low) is not None, ROAD_WHEEL.search(low) is not None
+    return None if wheel == road else wheel
 
 
 def _require_sign(role: str, name: str, common: list[str], recordings: list[Recording]) -> None:
     """Raise InputError where a signal is a magnitude whose sign stands in a bit of its message."""
-    if min(float(r.values[name].min()) for r in recordings) < 0:
+    if min(float(np.nanmin(r.values[name])) for r in recordings) < 0:
         return
     message, _, signal = name.rpartition(".")
     for other in common:
         beside, _, bit = other.rpartition(".")
         values = np.concatenate([r.values[other] for r in recordings])
-        is_bit = values.min() == 0 and values.max() == 1
+        is_bit = np.nanmin(values) == 0 and np.nanmax(values) == 1
         if beside == message and other != name and is_bit and SIGN_BIT.search(bit.lower()):
             raise InputError(
                 "new",
@@ -148,7 +225,7 @@ def _named(
         if given not in common:
             raise InputError("new", option, f"no signal {given} in every log", f"one of {', '.join(common)}")
         return given, ["chosen by you"]
-    moving = [n for n in common if any(np.ptp(r.values[n]) > 0 for r in recordings)]
+    moving = [n for n in common if any(np.nanmin(r.values[n]) < np.nanmax(r.values[n]) for r in recordings)]
     found = ranked(role, moving)
     if not found:
         still = ranked(role, common)
@@ -156,90 +233,3 @@ def _named(
         raise InputError("new", option, what, f"{option} NAME, one of {', '.join(moving or common)}")
     others = f"; others: {', '.join(found[1:4])}" if found[1:] else ""
     return found[0], [f"by its name{others}"]
-
-
-def rolled_length(recordings: list[Recording], names: dict[str, str]) -> tuple[float, float]:
-    """Wheelbase that the columns read in their own units, with its sign, and the largest correlation.
-
-    That is of v times input with the output, over lags; ``names``: column by role. InputError where nothing
-    moves.
-    """
-    best = (0.0, 0.0)
-    lags = round(LONGEST_LAG_S / float(np.median(np.diff(recordings[0].t))))
-    for lag in range(0, lags + 1):
-        a, b = [], []
-        for r in recordings:
-            v, u, y = (r.values[names[role]] for role in ROLES)
-            if len(v) > 2 * lags:
-                along = v[: len(v) - lag]
-                a.append(_without(along, along * u[: len(v) - lag]))
-                b.append(_without(along, y[lag:]))
-        x, z = (np.concatenate(part) if part else np.zeros(2) for part in (a, b))
-        if not (x.any() and z.any()):
-            continue
-        correlation = float(np.dot(x, z) / np.sqrt(np.dot(x, x) * np.dot(z, z)))
-        if abs(correlation) > abs(best[1]):
-            best = (float(np.dot(x, z) / np.dot(z, z)), correlation)
-    if best[1] == 0.0:
-        raise InputError("new", ", ".join(names.values()), "do not move", "logs with driving and steering")
-    return best
-
-
-def _without(along: np.ndarray, x: np.ndarray) -> np.ndarray:
-    """x (N,) less its part along another signal (N,): what a trim adds to v delta."""
-    return x - along * (np.dot(along, x) / max(float(np.dot(along, along)), 1e-300))
-
-
-def _units(
-    recordings: list[Recording], names: dict[str, str], length: float, wheelbase_m: float | None
-) -> tuple[dict[str, str], float, list[str]]:
-    """Units, steering ratio, and why; ``length``: wheelbase in the columns' own units."""
-    stated = {role: recordings[0].units.get(names[role], "") for role in ROLES}
-    choices = [
-        (stated[role],) if unit_factor(stated[role], SI[role]) else _unit_in_name(role, names[role])
-        for role in ROLES
-    ]
-    for ratio_free in (False, True):
-        for units in product(*choices):
-            factors = [unit_factor(u, SI[role]) or 1.0 for u, role in zip(units, ROLES, strict=True)]
-            metres = length * factors[0] * factors[1] / factors[2]
-            found = dict(zip(ROLES, units, strict=True))
-            if wheelbase_m is None:
-                return (
-                    found,
-                    1.0,
-                    [f"no wheelbase given: units as assumed read {metres:.3g} m; compare it with the car's"],
-                )
-            share = metres / wheelbase_m
-            if not _possible(recordings, names, factors, share if ratio_free else 1.0):
-                continue
-            if not ratio_free and AS_KNOWN[0] <= share <= AS_KNOWN[1]:
-                return found, 1.0, [f"the data read a wheelbase of {metres:.3g} m in these units"]
-            if ratio_free and STEERING_RATIO[0] <= share <= STEERING_RATIO[1]:
-                ratio = float(f"{share:.3g}")
-                return found, ratio, [f"{ratio:g} times too large for road wheels: taken as steering wheel"]
-    raise InputError(
-        "new",
-        ", ".join(names.values()),
-        f"read a wheelbase of {length:.3g} in their own units, in no units {wheelbase_m:g} m",
-        "--speed, --input and --output of this car, with their units in names or database (speed_mph)",
-    )
-
-
-def _unit_in_name(role: str, name: str) -> tuple[str, ...]:
-    """The unit that the last words of a name state, or all that are likely."""
-    words = re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_")
-    marked = tuple(u for u, mark in UNIT_MARKS[role].items() if re.search(rf"(^|_)({mark})$", words))
-    return marked or GUESSED_UNITS[role]
-
-
-def _possible(recordings: list[Recording], names: dict[str, str], factors: list[float], ratio: float) -> bool:
-    """Whether a road car can reach the speeds, angles and lateral accelerations of the recordings."""
-    scaled = [
-        np.concatenate([np.abs(r.values[names[role]]) for r in recordings]) * factor
-        for role, factor in zip(ROLES, factors, strict=True)
-    ]
-    speed, angle, lateral = (
-        float(np.quantile(x, 0.99)) for x in (scaled[0], scaled[1] / ratio, scaled[0] * scaled[2])
-    )
-    return speed <= FASTEST_MPS and angle <= LARGEST_ROAD_WHEEL_RAD and lateral <= LARGEST_LATERAL_MPS2
