@@ -191,7 +191,7 @@ def test_what_cannot_be_is_refused_by_name(tmp_path):
     made = new("mine", logs, tmp_path / "out", wheelbase_m=2.8, chosen={"input": "a"})
     assert made.proposals["input"].why[0] == "chosen by you"
     with pytest.raises(InputError, match=r"no units make a model of them"):
-        new("mine", logs, tmp_path / "other", wheelbase_m=0.5, chosen={"input": "a"})
+        new("mine", logs, tmp_path / "other", wheelbase_m=0.2, chosen={"input": "a"})
     with pytest.raises(InputError, match="--model: truck"):
         new("mine", logs, tmp_path / "other", model="truck")
 

@@ -26,6 +26,7 @@ from ..drives.tables import Drive, Experiment, bound_setting, list_experiments, 
 from ..vehicle.nominal import NominalModel
 from ..vehicle.project import Project
 from .estimate import Estimate, Fit
+from .plausible import require_plausible
 from .project_file import values_of, with_numbers
 from .quality import POOR_VAF, Quality, by_drive, by_speed
 from .spoiled import require_unspoiled
@@ -88,9 +89,15 @@ class FittedModel:
         }
 
 
-def fit(project: Project, folder: Path, progress: Callable[[str], None] = lambda _: None) -> FittedModel:
-    """Fit the project's model to the bound-setting drives of a folder. Raises InputError for bad input, and
-    for drives whose signs, units, columns or times are wrong."""
+def fit(
+    project: Project,
+    folder: Path,
+    progress: Callable[[str], None] = lambda _: None,
+    accept_unusual: bool = False,
+) -> FittedModel:
+    """Fit the project's model to the bound-setting drives of a folder. Raises InputError for bad input, for
+    drives whose signs, units, columns or times are wrong, and for a model that its kind of vehicle cannot
+    have, unless ``accept_unusual``."""
     experiments = list_experiments(Path(folder))
     setting = {e.name for e in bound_setting(project, experiments, Path(folder))}
     skipped = {e.name for e in experiments if e.split in project.data.noise_split}
@@ -112,6 +119,8 @@ def fit(project: Project, folder: Path, progress: Callable[[str], None] = lambda
     runner = Fit(unknowns, screen.explained)
     estimate = runner.estimated(screen.theta)
     fitted = estimate.unknowns.project(estimate.theta)
+    if not accept_unusual:
+        require_plausible(fitted)
     model = NominalModel(fitted)
     progress("judging")
     of_fitted = by_drive(model, screen.explained, estimate.whitening, estimate.trims)

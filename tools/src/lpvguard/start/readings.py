@@ -21,8 +21,8 @@ from .steady_turn import Driven, SteadyTurn
 ROLES = ("speed", "input", "output")
 KNOWN_WITHIN = {"car": 1.25, "truck": 1.25, "model": 1.5, "other": 1.5}
 STATED_WITHIN = 1.6
-"""The wheelbase that the columns read, over the known one or the other way, is at most this. Model cars slide;
-where all units are stated, only a wrong unit is larger."""
+"""The wheelbase that the columns read, over the known one or the other way, is at most this. Model cars
+slide; where all units are stated, only a wrong unit is larger."""
 DOUBTFUL = 1.4
 """A reading whose lateral acceleration exceeds the kind's by no more may still be meant."""
 LEAST_LATERAL_MPS2 = {"car": 0.1, "truck": 0.1, "model": 0.35, "other": 0.1}

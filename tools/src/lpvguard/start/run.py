@@ -102,7 +102,7 @@ def new(
             reason = next(iter(left_out.values()))
             raise InputError("new", "LOG", f"no drive remains of the logs ({reason})", "logs of driving")
         project, text, notes = _project(
-            name, model, (proposals, limits), folder / "drives", list(names), Ts, wheelbase_m
+            name, model, (proposals, limits), folder / "drives", list(names), Ts, known
         )
         splits = _splits(project, folder / "drives", names)
         artefacts.write_files(
@@ -277,7 +277,7 @@ def _project(
     folder: Path,
     names: list[str],
     Ts: float,
-    wheelbase_m: float | None,
+    known: Known,
 ) -> tuple[Project, str, list[str]]:
     """The project, its text, and notes; frames are tried until enough of the drives counts."""
     drives = _read(folder, names, Ts)
@@ -289,8 +289,8 @@ def _project(
     )
     steering = np.concatenate([_spreads(d, Ts) for d in drives])
     excited = float(f"{np.quantile(steering[steering > 0], 0.25):.1g}")
-    length = wheelbase_m or _length_of(drives)
-    scale = Scale(length, (length / 1.35, length * 1.35), float(np.median(v[driving])), high)
+    length = known.wheelbase_m or _length_of(drives)
+    scale = Scale(length, (length / 1.35, length * 1.35), float(np.median(v[driving])), high, known.kind)
     best = None
     for f_min, tolerance in GRIDS:
         text = _text(name, model, signals, Ts, (low, high), scale, (f_min, tolerance), excited)
@@ -411,6 +411,7 @@ def _text(
         "input_offset = [0.0]      # trim of the steering; fit finds it",
         TEMPLATES[model](scale),
         "[fit]",
+        f'kind = "{scale.kind}"      # fit refuses what no {scale.kind} can do',
         "input_delay_s = [0.0, 0.5]",
         'trim = "drive"      # a trim a recording; the mean is written. "common": one for all',
         "",

@@ -17,6 +17,7 @@ from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, mod
 from ..base.documents import Fraction, Positive, StrictModel, checked, read_toml
 from ..base.errors import InputError
 from .design_settings import DesignSettings
+from .physics import KindName
 
 NAME = r"^[a-z][a-z0-9_]*$"
 """What a vehicle's or a signal's name may be: identifiers in C are made of it."""
@@ -301,9 +302,11 @@ class FitSettings(StrictModel):
     ``parameters``: range of each fitted entry of model.parameters; by default all entries, from a fifth to
     five times their value. ``input_delay_s``: range of the delay [s], by default from 0 to ten samples or
     three times its value, at most 1 s; equal ends keep it. Offsets are fitted where the model gives them.
-    ``trim``: one input_offset for all drives, or one a drive, of which the mean is written.
+    ``trim``: one input_offset for all drives, or one a drive, of which the mean is written. ``kind`` of
+    vehicle: a fit that is beyond what it can do is refused; None judges nothing.
     """
 
+    kind: KindName | None = None
     parameters: dict[str, Range] | None = None
     input_delay_s: Range | None = None
     trim: Literal["common", "drive"] = "common"
