@@ -106,7 +106,7 @@ def test_a_model_that_no_car_can_have_is_refused_unless_told(g80):
     require_plausible(stated)
     for change, says in (
         ({"input_delay_s": 1.3}, "delay and time constant of 1.3"),
-        ({"B": [[f"3.6*({b})" for b in row] for row in g80.model.B]}, "wheelbase of 0.8"),
+        ({"B": [[f"3.6*({b})" for b in row] for row in g80.model.B]}, "wheelbase of 0.7"),
     ):
         model = stated.model.model_copy(update=change)
         with pytest.raises(InputError, match=says):

@@ -203,7 +203,7 @@ def test_a_vehicles_name_is_checked_before_anything_is_read(tmp_path):
 
 
 TIMES = {
-    "milliseconds": (lambda t: 1000 * t, "time of speed: the median step is 20 s"),
+    "a second or a thousandth": (lambda t: 50 * t, "steps of 1 are a second, or a thousandth"),
     "whole seconds": (np.floor, "time of speed: the median step is 0 s"),
     "the last sample first": (lambda t: -t, "time of speed: the median step is -0.02 s"),
     "a jump of 30,000 years": (lambda t: t + 1e12 * (t > 130), "line 1504, column time: a time of 1e.12 s"),

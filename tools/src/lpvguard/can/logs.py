@@ -15,6 +15,7 @@ from __future__ import annotations
 import ctypes
 import gzip
 import re
+import warnings
 import zlib
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -22,7 +23,7 @@ from pathlib import Path
 import numpy as np
 
 from ..base import artefacts, native
-from ..base.errors import InputError
+from ..base.errors import InputError, InputWarning
 from .damaged import python_can_reader, require_sound_blocks
 
 EXTENDED = 0x80000000
@@ -37,7 +38,17 @@ _NAME_BYTES, _CHANNELS, _COUNTS, _FD_BYTES = 16, 64, 6, 64
 _CANDUMP_SUFFIXES = {".log", ".candump", ".txt"}
 _PYTHON_CAN_SUFFIXES = {".asc", ".blf", ".trc"}
 _MDF_SUFFIXES = {".mf4", ".mdf", ".dat"}
-_SUFFIXES = {".gz", *_CANDUMP_SUFFIXES, *_PYTHON_CAN_SUFFIXES, *_MDF_SUFFIXES, ".csv", ".parquet", ".mat"}
+_TEXT_SUFFIXES = {".csv", ".tsv", ".txt"}
+_SUFFIXES = {
+    ".gz",
+    *_TEXT_SUFFIXES,
+    *_CANDUMP_SUFFIXES,
+    *_PYTHON_CAN_SUFFIXES,
+    *_MDF_SUFFIXES,
+    ".csv",
+    ".parquet",
+    ".mat",
+}
 _RAW_COLUMNS = {"timestamp", "arbitration_id", "data"}
 
 
@@ -118,20 +129,20 @@ def read_log(path: Path, *, time_column: str | None = None) -> Frames | Table:
         raise InputError(path, "", "no such file", "a log: candump, ASC, BLF, MF4, CSV or Parquet")
     suffixes = [s.lower() for s in path.suffixes]
     suffix = suffixes[-2] if len(suffixes) > 1 and suffixes[-1] == ".gz" else suffixes[-1] if suffixes else ""
-    if suffix in _CANDUMP_SUFFIXES:
+    if suffix in _CANDUMP_SUFFIXES and not _is_table(path):
         log: Frames | Table = _read_candump(path)
     elif suffix in _PYTHON_CAN_SUFFIXES:
         log = _read_python_can(path)
     elif suffix in _MDF_SUFFIXES:
         log = _read_mf4(path)
-    elif suffix in {".csv", ".parquet"}:
+    elif suffix in {*_TEXT_SUFFIXES, *_CANDUMP_SUFFIXES, ".parquet"}:
         log = _read_table(path, suffix, time_column)
     else:
         raise InputError(
             path,
             "",
             f"unknown kind of log {suffix or '(no suffix)'}",
-            ".log (candump), .asc, .blf, .trc, .mf4, .csv or .parquet, also with .gz",
+            ".log (candump), .asc, .blf, .trc, .mf4, .csv, .tsv, .txt or .parquet, also with .gz",
         )
     if isinstance(log, Frames) and len(log) == 0:
         raise InputError(path, "", "holds no data frame" + _in_words(log.left_out), "at least one frame")
@@ -167,9 +178,26 @@ def stem(path: Path) -> str:
     return name
 
 
+def _is_table(path: Path) -> bool:
+    """Whether a file of a name that candump gives holds a table: numbers in columns under names, no frame."""
+    from .text_tables import read_text_table
+
+    head = _bytes(path)[:_HEAD]
+    if _SCREEN.search(head) or any(_LINE.fullmatch(line) for line in head.split(b"\n")):
+        return False
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", InputWarning)
+            return len(read_text_table(head, path).table) > 1
+    except (InputError, ValueError):
+        return False
+
+
 def is_raw_table(path: Path) -> bool:
     """Whether a CSV or Parquet file holds raw frames; False also where it cannot be read."""
     import pyarrow.parquet as pa_parquet
+
+    from .raw_tables import is_raw
 
     if path.suffix.lower() == ".mat":
         return False
@@ -177,7 +205,7 @@ def is_raw_table(path: Path) -> bool:
         if path.suffix.lower() == ".parquet":
             return set(pa_parquet.read_schema(path).names) >= _RAW_COLUMNS
         with path.open(encoding="utf-8") as text:
-            return {name.strip() for name in text.readline().split(",")} >= _RAW_COLUMNS
+            return is_raw(re.split(r"[;,\t]", text.readline().strip()))
     except (OSError, ValueError):  # of pyarrow too
         return False
 
@@ -343,7 +371,7 @@ def parse_candump_slowly(text: np.ndarray) -> Frames:
             leave_out(kind)
         if kind == "lines that are no frame":
             left_out.setdefault("first line that is no frame", number)
-    return _from_rows(rows, left_out)
+    return frames_of_rows(rows, left_out)
 
 
 # ------------------------------------------------------------------------------------------------- python-can
@@ -362,7 +390,7 @@ def _read_python_can(path: Path) -> Frames:
                 else:
                     identifier, extended = message.arbitration_id, message.is_extended_id
                     data = bytes(message.data)
-                    rows.append(_row(message.timestamp, identifier, extended, message.channel, data))
+                    rows.append(row_of(message.timestamp, identifier, extended, message.channel, data))
     except Exception as error:  # each reader of python-can has exceptions of its own
         raise InputError(
             path,
@@ -370,10 +398,10 @@ def _read_python_can(path: Path) -> Frames:
             f"cannot be read ({type(error).__name__}: {error})",
             f"a {path.suffix} log that python-can reads",
         ) from None
-    return _from_rows(rows, {kind: n for kind, n in left_out.items() if n})
+    return frames_of_rows(rows, {kind: n for kind, n in left_out.items() if n})
 
 
-def _row(
+def row_of(
     t_s: float, identifier: int, extended: bool, channel: object, data: bytes
 ) -> tuple[int, int, str, bytes]:
     """Time [ns], identifier with its flag, channel and data; ValueError for what no frame has."""
@@ -386,7 +414,7 @@ def _row(
     return round(t_s * 1e9), identifier | (EXTENDED if extended else 0), str(channel), data
 
 
-def _from_rows(rows: list[tuple[int, int, str, bytes]], left_out: dict[str, int]) -> Frames:
+def frames_of_rows(rows: list[tuple[int, int, str, bytes]], left_out: dict[str, int]) -> Frames:
     width = max((len(row[3]) for row in rows), default=8)
     width = 8 if width <= 8 else _FD_BYTES
     channels = sorted({row[2] for row in rows})
@@ -410,13 +438,22 @@ def _read_table(path: Path, suffix: str, time_column: str | None) -> Frames | Ta
     import pyarrow as pa
     import pyarrow.parquet as pa_parquet
 
-    from .delimited import read_csv
+    from .raw_tables import is_raw, raw_frames
+    from .text_tables import read_text_table
+    from .time_columns import time_of
 
+    units: dict[str, str] = {}
+    first_line = 1
     try:
         if suffix == ".parquet":
-            table, skipped = pa_parquet.read_table(path), 0
+            table = pa_parquet.read_table(path)
         else:
-            table, skipped = read_csv(_bytes(path))
+            data = _bytes(path)
+            as_text = read_text_table(data, path, text_columns=True)
+            if is_raw(as_text.table.column_names):
+                return raw_frames(as_text, path)
+            read = read_text_table(data, path)
+            table, first_line, units = read.table, read.first_line, read.units
     except (pa.ArrowException, OSError) as error:
         raise InputError(
             path,
@@ -428,26 +465,14 @@ def _read_table(path: Path, suffix: str, time_column: str | None) -> Frames | Ta
     if twice := sorted({name for name in names if names.count(name) > 1}):
         raise InputError(path, "header", f"two columns are named {twice[0]!r}", "a name of its own for each")
     if set(names) >= _RAW_COLUMNS:
-        if suffix == ".csv" and path.suffix.lower() == ".csv":
-            return _read_python_can(path)
         return _raw_table(path, table)
-    time = time_column or next((c for c in ("t", "time", "timestamp") if c in names), None)
-    if time is None or time not in names:
-        raise InputError(
-            path,
-            "header",
-            f"no time column{f' {time}' if time else ''}",
-            f"one of t, time, timestamp in s (or `time` in the signal map); there are {', '.join(names)}",
-        )
-    t_s = _numbers(path, table, time)
-    bad = np.flatnonzero(~(np.abs(t_s) <= _LATEST_S))
-    if len(bad):
-        line, t = f"line {bad[0] + 2 + skipped}, column {time}", t_s[bad[0]]
-        what = "no time" if np.isnan(t) else f"a time of {t:g} s"
-        raise InputError(path, line, what, f"a time in s in every line, at most {_LATEST_S:g}")
-    t_ns = np.rint(t_s * 1e9).astype(np.int64)
+    t_ns, made_of = time_of(table, units, path, first_line, time_column)
     return Table(
-        {c: Series(t_ns, _numbers(path, table, c)) for c in names if c != time and _numeric(table, c)}
+        {
+            c: Series(t_ns, _numbers(path, table, c), units.get(c, ""))
+            for c in names
+            if c not in made_of and _numeric(table, c)
+        }
     )
 
 
@@ -485,7 +510,7 @@ def _raw_table(path: Path, table) -> Frames:
                 identifier = int(identifier, 16)
             payload = bytes.fromhex(data) if isinstance(data, str) else bytes(data)
             wide = identifier > 0x7FF if extended is None else bool(extended)
-            rows.append(_row(float(t), identifier, wide, channel, payload))
+            rows.append(row_of(float(t), identifier, wide, channel, payload))
         except (TypeError, ValueError) as error:
             raise InputError(
                 path,
@@ -493,7 +518,7 @@ def _raw_table(path: Path, table) -> Frames:
                 f"no frame ({error})",
                 "timestamp in s, arbitration_id, data as bytes or hexadecimal text",
             ) from None
-    return _from_rows(rows, {})
+    return frames_of_rows(rows, {})
 
 
 # -------------------------------------------------------------------------------------------------------- MF4
