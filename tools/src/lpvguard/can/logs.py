@@ -17,7 +17,6 @@ import gzip
 import re
 import warnings
 import zlib
-from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -25,16 +24,17 @@ import numpy as np
 from ..base import artefacts, native
 from ..base.errors import InputError, InputWarning
 from .damaged import python_can_reader, require_sound_blocks
-
-EXTENDED = 0x80000000
-"""Flag in ``Frames.id``: 29-bit identifier."""
-ERROR_REPORT = 0x20000000
-"""Flag in the identifier of a report of a bus error, as candump logs it."""
+from .log_types import ERROR_REPORT as ERROR_REPORT
+from .log_types import EXTENDED as EXTENDED
+from .log_types import FD_BYTES, LATEST_S, frames_of_rows, row_of
+from .log_types import Frames as Frames
+from .log_types import Series as Series
+from .log_types import Table as Table
 
 INDEX = "experiments.csv"
 """The file of a drive folder that lists its drives."""
 
-_NAME_BYTES, _CHANNELS, _COUNTS, _FD_BYTES = 16, 64, 6, 64
+_NAME_BYTES, _CHANNELS, _COUNTS = 16, 64, 6
 _CANDUMP_SUFFIXES = {".log", ".candump", ".txt"}
 _PYTHON_CAN_SUFFIXES = {".asc", ".blf", ".trc"}
 _MDF_SUFFIXES = {".mf4", ".mdf", ".dat"}
@@ -52,70 +52,12 @@ _SUFFIXES = {
 _RAW_COLUMNS = {"timestamp", "arbitration_id", "data"}
 
 
-@dataclass(frozen=True)
-class Frames:
-    """Raw frames in the order of the log: t_ns (N,), id (N,) with EXTENDED, channel (N,), length (N,), data
-    (N, width)."""
-
-    t_ns: np.ndarray
-    id: np.ndarray
-    channel: np.ndarray
-    length: np.ndarray
-    data: np.ndarray
-    channels: list[str]
-    left_out: dict[str, int] = field(default_factory=dict)
-    """What the log holds besides, by kind: error reports, remote frames, lines that are no frame."""
-
-    def __len__(self) -> int:
-        return len(self.t_ns)
-
-    def of_channel(self, channel: str | None, where: Path | str) -> Frames:
-        """The frames of one channel (all for None). InputError when the log ``where`` has no such channel."""
-        if channel is None:
-            return self
-        if channel not in self.channels:
-            raise InputError(
-                where, "channel", f"{channel} is not in the log", f"one of {', '.join(self.channels)}"
-            )
-        at = self.channel == self.channels.index(channel)
-        return self.at(at)
-
-    def at(self, rows: np.ndarray | slice) -> Frames:
-        """Some of the frames; ``rows`` is a mask (N,), positions or a slice."""
-        return Frames(
-            self.t_ns[rows],
-            self.id[rows],
-            self.channel[rows],
-            self.length[rows],
-            self.data[rows],
-            self.channels,
-            self.left_out,
-        )
-
-
 def candump_line(t_us: int, channel: str, identifier: int, data: bytes) -> str:
     """A line of candump -L, which is that of candump -l; ``identifier`` with EXTENDED and, of an error
     report, ERROR_REPORT."""
     wide = 8 if identifier & (EXTENDED | ERROR_REPORT) else 3
     frame = f"{identifier & ~EXTENDED:0{wide}X}#{data.hex().upper()}"
     return f"({t_us // 10**6}.{t_us % 10**6:06d}) {channel} {frame}\n"
-
-
-@dataclass(frozen=True)
-class Series:
-    """A signal of a decoded log: t_ns (N,), value (N,), NaN where the log has none; unit as the log says, or
-    ""."""
-
-    t_ns: np.ndarray
-    value: np.ndarray
-    unit: str = ""
-
-
-@dataclass(frozen=True)
-class Table:
-    """A decoded log: signal name -> Series."""
-
-    series: dict[str, Series]
 
 
 def read_log(path: Path, *, time_column: str | None = None) -> Frames | Table:
@@ -298,7 +240,7 @@ def parse_candump(text: np.ndarray, library: ctypes.CDLL) -> Frames:
     capacity = 1 + sum(
         int(np.count_nonzero(text[i : i + block] == ord("\n"))) for i in range(0, len(text), block)
     )
-    for width in (8, _FD_BYTES):
+    for width in (8, FD_BYTES):
         t_ns, id_ = np.empty(capacity, np.int64), np.empty(capacity, np.uint32)
         channel, length = np.empty(capacity, np.uint8), np.empty(capacity, np.uint8)
         data = np.empty((capacity, width), np.uint8)
@@ -331,8 +273,6 @@ def parse_candump(text: np.ndarray, library: ctypes.CDLL) -> Frames:
     )
 
 
-_LATEST_S = 9_000_000_000
-"""The latest second that 64 bits of nanoseconds hold, rounded down."""
 _LINE = re.compile(
     rb" *\((\d{1,10})\.(\d{1,9})\) +([!-\xff]{1,15}) +([0-9A-Fa-f]{3}|[0-9A-Fa-f]{8})#"
     rb"(?:([Rr].*)|(?:#[0-9A-Fa-f])?((?:[0-9A-Fa-f]{2}){0,64})(?:[ _].*)?)\r?"
@@ -352,7 +292,7 @@ def parse_candump_slowly(text: np.ndarray) -> Frames:
         if line in (b"", b"\r"):
             continue
         match = _LINE.fullmatch(line)
-        kind = "" if match is not None and int(match[1]) <= _LATEST_S else "lines that are no frame"
+        kind = "" if match is not None and int(match[1]) <= LATEST_S else "lines that are no frame"
         if match is not None and not kind:
             seconds, fraction, interface, identifier, remote, data = match.groups()
             value = int(identifier, 16)
@@ -399,36 +339,6 @@ def _read_python_can(path: Path) -> Frames:
             f"a {path.suffix} log that python-can reads",
         ) from None
     return frames_of_rows(rows, {kind: n for kind, n in left_out.items() if n})
-
-
-def row_of(
-    t_s: float, identifier: int, extended: bool, channel: object, data: bytes
-) -> tuple[int, int, str, bytes]:
-    """Time [ns], identifier with its flag, channel and data; ValueError for what no frame has."""
-    if not 0 <= identifier < (1 << 29 if extended else 1 << 11):
-        raise ValueError(f"identifier {identifier:#x} has too many bits")
-    if not abs(t_s) <= _LATEST_S:
-        raise ValueError(f"time {t_s} s")
-    if len(data) > _FD_BYTES:
-        raise ValueError(f"{len(data)} bytes of data")
-    return round(t_s * 1e9), identifier | (EXTENDED if extended else 0), str(channel), data
-
-
-def frames_of_rows(rows: list[tuple[int, int, str, bytes]], left_out: dict[str, int]) -> Frames:
-    width = max((len(row[3]) for row in rows), default=8)
-    width = 8 if width <= 8 else _FD_BYTES
-    channels = sorted({row[2] for row in rows})
-    position = {name: i for i, name in enumerate(channels)}
-    data = np.frombuffer(b"".join(row[3].ljust(width, b"\0") for row in rows), np.uint8).reshape(-1, width)
-    return Frames(
-        np.array([row[0] for row in rows], np.int64),
-        np.array([row[1] for row in rows], np.uint32),
-        np.array([position[row[2]] for row in rows], np.uint8),
-        np.array([len(row[3]) for row in rows], np.uint8),
-        data,
-        channels,
-        left_out,
-    )
 
 
 # ----------------------------------------------------------------------------------------------- CSV, Parquet
@@ -564,7 +474,7 @@ def _mf4_frames(mdf, places: list[tuple[int, int]]) -> Frames:
         channel.append(np.asarray(part("BusChannel", 0), np.uint8))
         length.append(np.asarray(part("DataLength", payload.shape[1]), np.uint8))
         data.append(payload)
-    width = 8 if max(d.shape[1] for d in data) <= 8 else _FD_BYTES
+    width = 8 if max(d.shape[1] for d in data) <= 8 else FD_BYTES
     padded = np.concatenate([np.pad(d, ((0, 0), (0, width - d.shape[1]))) for d in data])
     t_ns = np.concatenate(t)
     order = np.argsort(
@@ -584,7 +494,7 @@ def _mf4_frames(mdf, places: list[tuple[int, int]]) -> Frames:
 
 def _mf4_time(t_s: np.ndarray) -> np.ndarray:
     """Times (N,) in ns of times in s; ValueError for one that is none."""
-    bad = t_s[~(np.abs(t_s) <= _LATEST_S)]
+    bad = t_s[~(np.abs(t_s) <= LATEST_S)]
     if len(bad):
         raise ValueError(f"time {bad[0]} s")
     return np.rint(t_s * 1e9).astype(np.int64)

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ..base.errors import InputError
-from .logs import Frames, frames_of_rows, row_of
+from .log_types import Frames, frames_of_rows, row_of
 from .text_tables import TextTable
 
 _COLUMNS = {
