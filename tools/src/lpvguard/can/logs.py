@@ -376,10 +376,10 @@ def _read_table(path: Path, suffix: str, time_column: str | None) -> Frames | Ta
         raise InputError(path, "header", f"two columns are named {twice[0]!r}", "a name of its own for each")
     if set(names) >= _RAW_COLUMNS:
         return _raw_table(path, table)
-    t_ns, made_of = time_of(table, units, path, first_line, time_column)
+    t_ns, keep, made_of = time_of(table, units, path, first_line, time_column)
     return Table(
         {
-            c: Series(t_ns, _numbers(path, table, c), units.get(c, ""))
+            c: Series(t_ns, _numbers(path, table, c)[keep], units.get(c, ""))
             for c in names
             if c not in made_of and _numeric(table, c)
         }

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from datetime import datetime
 from pathlib import Path
 
@@ -12,6 +12,7 @@ import numpy as np
 import pyarrow as pa
 
 from ..base.errors import InputError, InputWarning
+from .text_tables import STRAY
 
 UNITS_NS = {"s": 10**9, "ms": 10**6, "us": 10**3, "ns": 1}
 _SPELLED = {
@@ -37,18 +38,19 @@ _TIME_OF_DAY = re.compile(r"(\d{1,2}):(\d{2}):(\d{2})(?:[.,](\d+))?")
 
 def time_of(
     table: pa.Table, units: Mapping[str, str], path: Path, first_line: int, named: str | None
-) -> tuple[np.ndarray, set[str]]:
-    """Times (N,) [ns] of a table's rows, and the columns that they are made of.
+) -> tuple[np.ndarray, np.ndarray, set[str]]:
+    """Times (K,) [ns] of a table's rows, which rows have one (N,) bool, and the columns of the time.
 
     ``named``: the column that the user says. ``units``: unit by column, where the log states one. InputError
-    where no column is the time, its unit cannot be told, or a row has none.
+    where no column is the time, its unit cannot be told, or more than STRAY of the rows have none.
     """
     names = table.column_names
     if named is None and (pair := _pair(names)):
         seconds, nanoseconds = (_plain(table, n) for n in pair)
         bad = ~np.isfinite(seconds) | ~np.isfinite(nanoseconds) | (np.abs(seconds) > _LATEST_S)
-        _require_all(bad, seconds, path, pair[0], first_line)
-        return seconds.astype(np.int64) * 10**9 + np.rint(nanoseconds).astype(np.int64), set(pair)
+        keep = _usable(bad, seconds, path, pair[0], first_line)
+        t_ns = seconds[keep].astype(np.int64) * 10**9 + np.rint(nanoseconds[keep]).astype(np.int64)
+        return t_ns, keep, set(pair)
     column = named or _by_name(table)
     if column is None or column not in names:
         raise InputError(
@@ -61,28 +63,43 @@ def time_of(
     if pa.types.is_timestamp(values.type) or pa.types.is_time(values.type):
         values = values.cast(pa.string())
     if pa.types.is_string(values.type) or pa.types.is_large_string(values.type):
-        return _of_text(values.to_pylist(), path, column, first_line), {column}
+        t_ns, bad = _of_text(values.to_pylist())
+        keep = _usable(bad, values.to_pylist(), path, column, first_line)
+        return t_ns[keep], keep, {column}
     t = _plain(table, column)
     unit = _stated(column, units) or _by_shape(t, path, column)
     with np.errstate(invalid="ignore"):
         bad = ~(np.abs(t) <= _LATEST_S * 1e9 / UNITS_NS[unit])
-    _require_all(bad, t, path, column, first_line)
+    keep = _usable(bad, t, path, column, first_line)
     kind = table.schema.field(column).type
     if pa.types.is_integer(kind):
-        return table.column(column).cast(pa.int64()).to_numpy() * UNITS_NS[unit], {column}
-    return np.rint(t * UNITS_NS[unit]).astype(np.int64), {column}
+        return table.column(column).filter(keep).cast(pa.int64()).to_numpy() * UNITS_NS[unit], keep, {column}
+    return np.rint(t[keep] * UNITS_NS[unit]).astype(np.int64), keep, {column}
 
 
-def _require_all(bad: np.ndarray, t: np.ndarray, path: Path, column: str, first_line: int) -> None:
+def _usable(
+    bad: np.ndarray, t: Sequence[object] | np.ndarray, path: Path, column: str, first_line: int
+) -> np.ndarray:
+    """Rows (N,) bool that have a time. InputError where more than STRAY of them have none."""
     at = np.flatnonzero(bad)
-    if len(at):
-        what = "no time" if np.isnan(t[at[0]]) else f"a time of {t[at[0]]:g} s"
+    if len(at) == 0:
+        return ~bad
+    value = t[at[0]]
+    what = "no time"
+    if isinstance(value, str):
+        what = f"{value!r} is no time"
+    elif isinstance(value, float) and not np.isnan(value):
+        what = f"a time of {value:g} s"
+    where = f"line {at[0] + first_line}, column {column}"
+    if len(at) > STRAY * len(bad):
         raise InputError(
             path,
-            f"line {at[0] + first_line}, column {column}",
+            where,
             what,
-            f"a time in every line, at most {_LATEST_S:g} s",
+            f"a time in every line, at most {_LATEST_S:g} s, 2026-04-22T03:45:00.123 or 03:45:00.123",
         )
+    warnings.warn(f"{path}: {where}: {what}; {len(at)} such row(s) left out", InputWarning, stacklevel=1)
+    return ~bad
 
 
 def _plain(table: pa.Table, column: str) -> np.ndarray:
@@ -172,25 +189,22 @@ def _by_shape(t: np.ndarray, path: Path, column: str) -> str:
     return found
 
 
-def _of_text(texts: list[str | None], path: Path, column: str, first_line: int) -> np.ndarray:
-    """Times [ns] of dates with time of day, or of times of day, of which midnight begins another day."""
-    found = np.empty(len(texts), np.int64)
+def _of_text(texts: list[str | None]) -> tuple[np.ndarray, np.ndarray]:
+    """Times [ns] of dates with time of day, or of times of day, of which midnight begins another day; and
+    which rows (N,) bool hold none."""
+    found, bad = np.zeros(len(texts), np.int64), np.zeros(len(texts), bool)
     day, before = 0, -1
     for row, text in enumerate(texts):
         try:
             ns, of_day = _parsed(text or "")
         except ValueError:
-            raise InputError(
-                path,
-                f"line {row + first_line}, column {column}",
-                f"{text!r} is no time",
-                "a number, 2026-04-22T03:45:00.123, 22.04.2026 03:45:00.123 or 03:45:00.123",
-            ) from None
+            bad[row] = True
+            continue
         if of_day and before - ns > 12 * 3600 * 10**9:
             day += 1
         before = ns
         found[row] = ns + day * 86_400 * 10**9
-    return found
+    return found, bad
 
 
 def _parsed(text: str) -> tuple[int, bool]:

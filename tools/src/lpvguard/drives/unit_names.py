@@ -173,8 +173,28 @@ def units_in_name(name: str, role: str) -> list[str]:
             found.append(unit)
     if found:
         return found
-    words, known = tokens(plain), _spellings(role)
-    while words and (words[-1] in _QUALIFIERS or words[-1].isdigit()):
-        words.pop()
-    endings = ("".join(words[first:]) for first in range(1, len(words)))  # the longest counts
-    return [unit for ending in endings if (unit := known.get(ending))][:1]
+    _, unit = _ending(tokens(plain), role)
+    return [unit] if unit else []
+
+
+def without_unit(name: str, role: str) -> str:
+    """The words of a name but its unit, joined by _.
+
+    >>> without_unit("v_mph", "speed"), without_unit("r [deg/s]", "output")
+    ('v', 'r')
+    """
+    plain = _BRACKETS.sub(" ", name)
+    spelled = _IN.search(plain)
+    words = tokens(plain[: spelled.start()] if spelled else plain)
+    return "_".join(words[: _ending(words, role)[0]])
+
+
+def _ending(words: list[str], role: str) -> tuple[int, str]:
+    """Where the unit at the end of a name's words begins, and the unit; of several the longest."""
+    known, end = _spellings(role), len(words)
+    while end and (words[end - 1] in _QUALIFIERS or words[end - 1].isdigit()):
+        end -= 1
+    for first in range(1, end):
+        if unit := known.get("".join(words[first:end])):
+            return first, unit
+    return len(words), ""

@@ -69,8 +69,10 @@ def unit_factor(source: str, target: str) -> float | None:
         return 1.0
     known = []
     for text in (source, target):
-        plain = text.strip().lower().replace(" ", "")
-        known.append(_UNITS.get(_BY_LOWER_CASE.get(_SPELLINGS.get(plain, plain), "")))
+        exact = text.strip()
+        plain = exact.lower().replace(" ", "")
+        name = exact if exact in _UNITS else _BY_LOWER_CASE.get(_SPELLINGS.get(plain, plain), "")
+        known.append(_UNITS.get(name))
     if known[0] is None or known[1] is None or known[0][0] != known[1][0]:
         return None
     return known[0][1] / known[1][1]

@@ -20,7 +20,7 @@ from .steady_turn import Driven, SteadyTurn
 
 ROLES = ("speed", "input", "output")
 KNOWN_WITHIN = {"car": 1.25, "truck": 1.25, "model": 1.5, "other": 1.5}
-STATED_WITHIN = 1.6
+STATED_WITHIN = 1.45
 """The wheelbase that the columns read, over the known one or the other way, is at most this. Model cars
 slide; where all units are stated, only a wrong unit is larger."""
 DOUBTFUL = 1.4

@@ -82,7 +82,7 @@ def new(
         raise InputError("new", "--model", model, f"one of {', '.join(TEMPLATES)}")
     if wheelbase_m is None and model == "bicycle":
         raise InputError("new", "--wheelbase", "not given", "the wheelbase in m, which the bicycle needs")
-    recordings, left_out = _recordings(logs, dbc)
+    recordings, left_out = recordings_of(logs, dbc)
     known = Known(kind or kind_of(wheelbase_m), wheelbase_m, ratio)
     proposals = proposed(recordings, chosen or {}, known, units)
     Ts = _sample_time(recordings)
@@ -131,7 +131,7 @@ def _written(logs: list[Path], given: Inputs, folder: Path, left_out: dict[str, 
     return names
 
 
-def _recordings(logs: list[Path], dbc: Path | None) -> tuple[list[Recording], dict[str, str]]:
+def recordings_of(logs: list[Path], dbc: Path | None) -> tuple[list[Recording], dict[str, str]]:
     found: list[Recording] = []
     left_out: dict[str, str] = {}
     for path in logs:

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..base.errors import InputError
-from ..drives.unit_names import tokens, unit_of_text, units_in_name
+from ..drives.unit_names import tokens, unit_of_text, units_in_name, without_unit
 from .readings import ROLES, Known, decided
 from .steady_turn import Driven, steady_turn
 
@@ -75,8 +75,11 @@ def ranked(role: str, names: Iterable[str]) -> list[str]:
     """Names that may have the role, the likeliest first."""
     scores = {}
     for name in names:
-        low = re.sub(r"[\s-]+", "_", name.rsplit(".", 1)[-1].lower())
-        certain, likely = (re.search(pattern, low) for pattern in WORDS[role])
+        last = name.rsplit(".", 1)[-1]
+        low = re.sub(r"[\s-]+", "_", last.lower())
+        sure, may = WORDS[role]
+        certain = re.search(sure, low) or re.search(sure, without_unit(last, role))
+        likely = re.search(may, low)
         if certain or likely:
             scores[name] = (2 if certain else 1) - (1.5 if re.search(NOT[role], low) else 0)
     return sorted(scores, key=lambda name: (-scores[name], len(name), name))
