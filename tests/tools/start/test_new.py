@@ -324,3 +324,22 @@ def test_a_magnitude_beside_its_sign_is_refused(bit):
         proposed([log], chosen, Known("car", 2.7))
     signed = replace(log, values=values | {"B.Steering_Angle": delta})
     assert proposed([signed], chosen, Known("car"))["input"].name == "B.Steering_Angle"
+
+
+@pytest.mark.parametrize("held", [True, False])
+def test_the_rate_is_that_of_the_signals_and_not_of_the_table_they_are_merged_in(tmp_path, held):
+    """Topics of 25 Hz in a table of 200 Hz, which repeats their values or leaves cells empty."""
+    logs = write_logs(tmp_path)
+    for log in logs:
+        rows = np.genfromtxt(log, delimiter=",", skip_header=2)[::2]
+        cells = [[f"{x:.9g}" for x in row] for row in rows]
+        empty = [""] * 4
+        merged = [
+            [f"{rows[k, 0] + 0.005 * j:.3f}", *(cells[k][1:] if held or j == 0 else empty)]
+            for k in range(len(rows))
+            for j in range(8)
+        ]
+        header = "time,speed,steering_angle,yaw_rate,counter"
+        log.write_text("\n".join([header, *(",".join(row) for row in merged)]) + "\n")
+    made = new("mine", logs, tmp_path / "out", wheelbase_m=2.8)
+    assert made.project.Ts_s == 0.04

@@ -19,6 +19,7 @@ from .catalogue import j1939_data_max
 from .database_lines import read_sound_lines
 from .dbc import dbc_text
 from .logs import EXTENDED, Frames
+from .sign_bits import sign_bits
 
 if TYPE_CHECKING:  # cantools takes long to import
     from cantools.database.can import Database, Message, Signal
@@ -130,10 +131,10 @@ def find_frames(
     where: str = "",
 ) -> np.ndarray:
     """Positions (K,) of the frames of a cantools ``message``, by group if ``j1939``; ``channel`` None takes
-    every channel.
+    the one on which it is.
 
-    InputError when a J1939 group comes from several senders and neither the database nor ``source_address``
-    says which.
+    InputError when it is on several channels and none is named. The same when a J1939 group comes from
+    several senders and neither the database nor ``source_address`` says which.
     """
     if j1939 and message.is_extended_frame:
         wanted = _j1939(frames, message, source_address, where)
@@ -145,6 +146,13 @@ def find_frames(
                 where, "channel", f"{channel} is not in the log", f"one of {', '.join(frames.channels)}"
             )
         wanted &= frames.channel == frames.channels.index(channel)
+    elif len(present := np.unique(frames.channel[wanted])) > 1:
+        raise InputError(
+            where,
+            message.name,
+            "is on the channels " + " and ".join(frames.channels[c] for c in present),
+            "--channel, or channel in the signal map, to say which",
+        )
     return np.flatnonzero(wanted)
 
 
@@ -199,17 +207,30 @@ def decode_signal(
     return Samples(positions, physical, left_out)
 
 
-def decode_all(frames: Frames, database) -> dict[str, dict[str, Samples]]:
-    """Every signal of every message of ``database``: message name -> signal name -> Samples."""
+def signed(frames: Frames, samples: Samples, message: Message, bit: Signal) -> Samples:
+    """Samples of a magnitude, negative where ``bit`` of the same frame is not 0."""
+    turned = decode_signal(frames, samples.frame, message, bit, j1939_codes=False)
+    sign = np.ones(len(samples.frame))
+    sign[np.searchsorted(samples.frame, turned.frame)] -= 2.0 * (turned.value != 0)
+    return Samples(samples.frame, sign * samples.value, samples.left_out)
+
+
+def decode_all(frames: Frames, database, where: str = "") -> dict[str, dict[str, Samples]]:
+    """Every signal of every message of ``database``: message name -> signal name -> Samples.
+
+    A magnitude has the sign that a bit beside it tells."""
     decoded = {}
     for message in database.messages:
         j1939 = is_j1939(message)
-        positions = find_frames(frames, message, j1939=j1939)
+        positions = find_frames(frames, message, j1939=j1939, where=where)
         if len(positions):
-            decoded[message.name] = {
+            of_message = {
                 s.name: decode_signal(frames, positions, message, s, j1939_codes=j1939)
                 for s in message.signals
             }
+            for name, bit in sign_bits(message).items():
+                of_message[name] = signed(frames, of_message[name], message, message.get_signal_by_name(bit))
+            decoded[message.name] = of_message
     return decoded
 
 

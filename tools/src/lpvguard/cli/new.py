@@ -21,6 +21,7 @@ def new(
     wheelbase: Annotated[
         float | None, typer.Option(help="Wheelbase [m]; with it units are checked.", min=0.05, max=20)
     ] = None,
+    channel: Annotated[str | None, typer.Option(help="Interface of raw logs with several.")] = None,
     kind: Annotated[
         KindName | None, typer.Option(help="Kind of vehicle (default: as the wheelbase suggests).")
     ] = None,
@@ -51,6 +52,7 @@ def new(
             chosen={"speed": speed, "input": input_, "output": output},
             wheelbase_m=wheelbase,
             kind=kind,
+            channel=channel,
             ratio=ratio,
             units={"speed": speed_unit, "input": input_unit, "output": output_unit},
         )

@@ -32,6 +32,7 @@ from ..can.decode import (
     is_j1939,
     load_database,
     own_database,
+    signed,
 )
 from ..can.logs import Frames, Series, Table, read_log, stem
 from .resample import NS, LogClock, Piece, Source, TableMaker, clock_of, describe, in_order, within_limits
@@ -150,6 +151,10 @@ def _from_frames(frames: Frames, given: Inputs, column: str, term: Term) -> Sour
         if term.wrap is None:
             leaps = np.abs(np.diff(samples.value)) > _WRAP_SHARE * (float(high) - float(low))
             report["suspected_wraps"] = int(leaps.sum())
+    if term.sign is not None:
+        if term.sign not in signals:
+            raise _unknown(given.database_path, f"{where} of {map_path}, sign", term.sign, "signal", signals)
+        samples = signed(frames, samples, message, signals[term.sign])
     scale = _scale(term, column, given.map.columns[column].unit, signal.unit or "", map_path)
     return Source(frames.t_ns[samples.frame], _unwrap(samples.value, term, report) * scale, report)
 

@@ -14,6 +14,7 @@ import re
 import tomllib
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import tomlkit
@@ -22,6 +23,7 @@ from ..base import artefacts
 from ..base.errors import InputError
 from ..can.decode import decode_all, load_database, own_database
 from ..can.logs import Frames, Series, Table, read_log, stem
+from ..can.sign_bits import sign_bits
 from ..drives.frames import Estimator
 from ..drives.ingest import Inputs, write_tables
 from ..drives.signal_map import SignalMap
@@ -36,11 +38,16 @@ from .signals import Proposal, Recording, proposed
 from .steady_turn import Driven, steady_turn
 from .templates import TEMPLATES, Scale
 
+if TYPE_CHECKING:  # cantools takes long to import
+    from cantools.database.can import Database
+
 COLUMNS = {"speed": "v", "input": "delta", "output": "r"}
 SPIKE, USUAL = 2.0, 0.999
 """So many times the largest of this share of the samples is no measurement."""
 LONGEST_STEP_S = 0.5
 """Samples further apart are a gap, as `ingest` takes it, and not driving at a slow rate."""
+MANY_CHANGES = 100
+"""So many changes of a signal tell how often it has a new value."""
 RATES_HZ = (1000.0, 500.0, 200.0, 100.0, 50.0, 40.0, 25.0, 20.0, 10.0, 5.0)
 """Rates of a grid: the largest that the slowest signal reaches."""
 JUDGED = 0.3
@@ -73,6 +80,7 @@ def new(
     kind: KindName | None = None,
     ratio: float | None = None,
     units: dict[str, str | None] | None = None,
+    channel: str | None = None,
 ) -> NewProject:
     """Look at the logs and write the folder ``out``. InputError where no signal fits a role, or no drive
     remains."""
@@ -82,16 +90,17 @@ def new(
         raise InputError("new", "--model", model, f"one of {', '.join(TEMPLATES)}")
     if wheelbase_m is None and model == "bicycle":
         raise InputError("new", "--wheelbase", "not given", "the wheelbase in m, which the bicycle needs")
-    recordings, left_out = recordings_of(logs, dbc)
+    recordings, left_out = recordings_of(logs, dbc, channel)
     known = Known(kind or kind_of(wheelbase_m), wheelbase_m, ratio)
     proposals = proposed(recordings, chosen or {}, known, units)
-    Ts = _sample_time(recordings)
+    Ts = _sample_time(recordings, [p.name for p in proposals.values()])
     limits = {role: _limits(role, p, recordings) for role, p in proposals.items()}
-    signals = _signal_map(proposals, limits, Ts)
+    database = load_database(dbc) if dbc else own_database()
+    signals = _signal_map(proposals, limits, Ts, channel, _sign_bits_of(database))
     with artefacts.new_folder(out, "new", name) as folder:
         (folder / "drives").mkdir()
         given = Inputs(
-            load_database(dbc) if dbc else own_database(),
+            database,
             dbc or "lpvguard's own DBC (no --dbc given)",
             SignalMap.model_validate(tomllib.loads(signals)),
             Path("signals.toml"),
@@ -131,7 +140,9 @@ def _written(logs: list[Path], given: Inputs, folder: Path, left_out: dict[str, 
     return names
 
 
-def recordings_of(logs: list[Path], dbc: Path | None) -> tuple[list[Recording], dict[str, str]]:
+def recordings_of(
+    logs: list[Path], dbc: Path | None, channel: str | None = None
+) -> tuple[list[Recording], dict[str, str]]:
     found: list[Recording] = []
     left_out: dict[str, str] = {}
     for path in logs:
@@ -139,7 +150,9 @@ def recordings_of(logs: list[Path], dbc: Path | None) -> tuple[list[Recording], 
             raise InputError(path, "", f"two logs would both become the drive {stem(path)}", "other names")
         try:
             log = read_log(path)
-            found.append(_recording(stem(path), _decoded(log, dbc, path) if isinstance(log, Frames) else log))
+            if isinstance(log, Frames):
+                log = _decoded(log.of_channel(channel, path), dbc, path)
+            found.append(_recording(stem(path), log))
         except InputError as error:
             left_out[stem(path)] = str(error)
     if not found:
@@ -150,7 +163,7 @@ def recordings_of(logs: list[Path], dbc: Path | None) -> tuple[list[Recording], 
 def _decoded(log: Frames, dbc: Path | None, path: Path) -> Table:
     """All signals of the database that are in the log; InputError where the two have nothing in common."""
     database = load_database(dbc) if dbc else own_database()
-    decoded = decode_all(log, database)
+    decoded = decode_all(log, database, str(path))
     units = {f"{m.name}.{s.name}": s.unit or "" for m in database.messages for s in m.signals}
     series = {
         name: Series(log.t_ns[samples.frame], samples.value, units[name])
@@ -186,7 +199,24 @@ def _recording(name: str, table: Table) -> Recording:
         for n, s in moving.items()
         if (ok := _measured(s.value)).any()
     }
-    return Recording(name, t, values, {n: s.unit for n, s in moving.items()})
+    steps = {n: _step_of(moving[n]) for n in values}
+    return Recording(name, t, values, {n: s.unit for n, s in moving.items()}, steps)
+
+
+def _step_of(series: Series) -> float:
+    """Usual time [s] from one value of a signal to the next; a value that is held is one.
+
+    A table that is merged of slow topics repeats their values, or leaves cells empty.
+    """
+    ok = np.isfinite(series.value)
+    t, value = series.t_ns[ok] * 1e-9, series.value[ok]
+    if len(t) < 2:
+        return np.inf
+    changes = np.flatnonzero(np.diff(value) != 0) + 1
+    between, usual = np.diff(t[changes]), float(np.median(np.diff(t)))
+    driven = between[between <= LONGEST_STEP_S]
+    held = len(driven) > MANY_CHANGES and float(np.median(driven)) > 1.5 * usual
+    return float(np.median(driven)) if held else usual
 
 
 def _measured(value: np.ndarray) -> np.ndarray:
@@ -199,8 +229,12 @@ def _measured(value: np.ndarray) -> np.ndarray:
     )
 
 
-def _sample_time(recordings: list[Recording]) -> float:
-    rate = 1.0 / float(np.median([np.median(np.diff(r.t)) for r in recordings]))
+def _sample_time(recordings: list[Recording], names: list[str]) -> float:
+    """Sample time [s] of the slowest of the signals; a speed changes slowly, and may be slower by half."""
+    slowest = [max(r.steps_s[n] for n in names[1:]) for r in recordings]
+    rate = 1.0 / float(
+        np.median([max(s, 0.5 * r.steps_s[names[0]]) for s, r in zip(slowest, recordings, strict=True)])
+    )
     return 1.0 / next((f for f in RATES_HZ if f <= 1.02 * rate), RATES_HZ[-1])
 
 
@@ -212,11 +246,18 @@ def _limits(role: str, proposal: Proposal, recordings: list[Recording]) -> tuple
     return (-0.5 * largest if role == "speed" else -largest, largest)
 
 
-def _signal_map(proposals: dict[str, Proposal], limits: dict[str, tuple[float, float]], Ts: float) -> str:
+def _signal_map(
+    proposals: dict[str, Proposal],
+    limits: dict[str, tuple[float, float]],
+    Ts: float,
+    channel: str | None,
+    sign_bit: dict[str, str],
+) -> str:
     lines = [
         "# Signal map: what `lpvguard ingest` makes drive tables of. Left turn positive.",
         "schema = 1",
         f"Ts_s = {Ts:g}",
+        *([f"channel = {_quoted(channel)}"] if channel else []),
     ]
     for role in ROLES:
         p = proposals[role]
@@ -226,11 +267,21 @@ def _signal_map(proposals: dict[str, Proposal], limits: dict[str, tuple[float, f
             f'unit = "{SI[role]}"',
             *([f"message = {_quoted(message)}"] if message else []),
             f"signal = {_quoted(signal)}",
+            *([f"sign = {_quoted(sign_bit[p.name])}"] if p.name in sign_bit else []),
         ]
         lines += [f"source_unit = {_quoted(p.unit)}", f"factor = {p.factor!r}"]
         lines += [f"min = {limits[role][0]:g}      # samples beyond are spikes, and left out"]
         lines += [f"max = {limits[role][1]:g}"]
     return "\n".join(lines) + "\n"
+
+
+def _sign_bits_of(database: Database) -> dict[str, str]:
+    """MESSAGE.SIGNAL of every magnitude -> the signal beside it that tells its sign."""
+    return {
+        f"{message.name}.{name}": bit
+        for message in database.messages
+        for name, bit in sign_bits(message).items()
+    }
 
 
 def _quoted(text: str) -> str:

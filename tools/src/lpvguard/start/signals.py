@@ -9,11 +9,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from ..base.errors import InputError
+from ..can.sign_bits import SIGN_BIT
 from ..drives.unit_names import tokens, unit_of_text, units_in_name, without_unit
 from .readings import ROLES, Known, decided
 from .steady_turn import Driven, steady_turn
@@ -45,8 +46,6 @@ ROAD_WHEEL = re.compile(r"road_?wheel|front_?wheel|tyre|tire")
 """Names of an angle at the steering wheel, and of one at the road wheels."""
 LEAST_SAMPLES = 20
 """A recording with fewer samples of all three signals says nothing."""
-SIGN_BIT = re.compile(r"sign|sgn|vorzeichen|(?:^|_)vz(?:_|$)|direction|richtung")
-"""In the name of a bit that tells the sign of a magnitude beside it."""
 
 
 @dataclass(frozen=True)
@@ -58,6 +57,8 @@ class Recording:
     t: np.ndarray
     values: dict[str, np.ndarray]
     units: dict[str, str]
+    steps_s: dict[str, float] = field(default_factory=dict)
+    """Time from one value of a signal to the next, as far as it is known."""
 
 
 @dataclass(frozen=True)
