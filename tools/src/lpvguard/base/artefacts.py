@@ -95,7 +95,10 @@ def reading(path: Path) -> Iterator[None]:
 
 
 def file_hash(path: Path) -> str:
-    """SHA-256 of a file's bytes."""
+    """SHA-256 of a file's bytes; of a folder, those of its files one after another."""
+    if path.is_dir():
+        text = "".join(file_hash(p) for p in sorted(path.iterdir()) if p.is_file())
+        return hashlib.sha256(text.encode()).hexdigest()
     with path.open("rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 

@@ -3,7 +3,8 @@
 raw      candump (-l, -L, and the screen with -t), ASC, BLF, MF4 with bus logging, CSV and Parquet with the
          columns of python-can (timestamp, arbitration_id, extended, dlc, data);
          each also with .gz where it is text
-decoded  CSV and Parquet with one column a signal, MF4 with one channel a signal
+decoded  CSV and Parquet with one column a signal, MF4 with one channel a signal; rosbag, MCAP, ULog,
+         DataFlash and openpilot's logs (foreign_logs.py)
 
 candump goes through a compiled parser, or through a slow one in Python when there is no compiler; the result
 is the same. Other raw forms go through python-can (which takes a bus-off report of a candump log for a frame)
@@ -24,6 +25,7 @@ import numpy as np
 from ..base import artefacts, native
 from ..base.errors import InputError, InputWarning
 from .damaged import python_can_reader, require_sound_blocks
+from .foreign_logs import read_foreign, reader_of
 from .log_types import ERROR_REPORT as ERROR_REPORT
 from .log_types import EXTENDED as EXTENDED
 from .log_types import FD_BYTES, LATEST_S, frames_of_rows, row_of
@@ -39,13 +41,14 @@ _CANDUMP_SUFFIXES = {".log", ".candump", ".txt"}
 _PYTHON_CAN_SUFFIXES = {".asc", ".blf", ".trc"}
 _MDF_SUFFIXES = {".mf4", ".mdf", ".dat"}
 _TEXT_SUFFIXES = {".csv", ".tsv", ".txt"}
+_FOREIGN_SUFFIXES = {".bag", ".mcap", ".ulg", ".bin", ".db3", ".bz2", ".zst"}
 _SUFFIXES = {
     ".gz",
     *_TEXT_SUFFIXES,
     *_CANDUMP_SUFFIXES,
     *_PYTHON_CAN_SUFFIXES,
     *_MDF_SUFFIXES,
-    ".csv",
+    *_FOREIGN_SUFFIXES,
     ".parquet",
     ".mat",
 }
@@ -60,13 +63,16 @@ def candump_line(t_us: int, channel: str, identifier: int, data: bytes) -> str:
     return f"({t_us // 10**6}.{t_us % 10**6:06d}) {channel} {frame}\n"
 
 
-def read_log(path: Path, *, time_column: str | None = None) -> Frames | Table:
+def read_log(path: Path, *, time_column: str | None = None, schema: Path | None = None) -> Frames | Table:
     """Read one log; its form follows from the suffix, for CSV, Parquet and MF4 also from what is in it.
 
     ``time_column`` names the time (in s) of a decoded table; by default the first of t, time, timestamp that
-    exists. InputError when the file is missing, of unknown form, or holds no frame.
+    exists. ``schema``: of an openpilot log, its log.capnp. InputError when the file is missing, of unknown
+    form, or holds no frame.
     """
     path = Path(path)
+    if reader_of(path) is not None and path.exists():
+        return read_foreign(path, schema)
     if not path.is_file():
         raise InputError(path, "", "no such file", "a log: candump, ASC, BLF, MF4, CSV or Parquet")
     suffixes = [s.lower() for s in path.suffixes]
@@ -99,8 +105,11 @@ def logs_among(paths: list[Path]) -> list[Path]:
     """
     found: list[Path] = []
     for path in paths:
-        inside = [p for p in sorted(path.iterdir()) if p.is_file()] if path.is_dir() else []
-        logs = [p for p in inside if p.name != INDEX and p.suffix.lower() in _SUFFIXES]
+        if path.is_dir() and reader_of(path) is not None:  # a rosbag2 is a folder
+            found.append(path)
+            continue
+        inside = sorted(path.iterdir()) if path.is_dir() else []
+        logs = [p for p in inside if p.name != INDEX and _is_log(p)]
         if path.is_dir() and not logs:
             raise InputError(path, "", "holds no log", "a folder of logs, or the logs themselves")
         found += logs if path.is_dir() else [path] if path.name != INDEX else []
@@ -111,13 +120,20 @@ def logs_among(paths: list[Path]) -> list[Path]:
     return found
 
 
+def _is_log(path: Path) -> bool:
+    """Whether something in a folder is a log, by its name."""
+    known = path.is_file() and path.suffix.lower() in _SUFFIXES - _FOREIGN_SUFFIXES
+    return known or reader_of(path) is not None
+
+
 def stem(path: Path) -> str:
-    """File name without the suffixes of logs: drive.log.gz is drive."""
+    """File name without the suffixes of logs: drive.log.gz is drive. Logs of openpilot are told apart by their
+    folder."""
     name = path.name
     for suffix in reversed(path.suffixes):
         if suffix.lower() in _SUFFIXES:
             name = name.removesuffix(suffix)
-    return name
+    return f"{path.absolute().parent.name}_{name}" if name in ("rlog", "qlog") else name
 
 
 def _is_table(path: Path) -> bool:

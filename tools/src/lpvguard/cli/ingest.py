@@ -30,6 +30,7 @@ def ingest(
         str | None, typer.Option("--vehicle", help="Take the signal map from this vehicle.")
     ] = None,
     channel: Annotated[str | None, typer.Option(help="Interface of raw logs with several.")] = None,
+    schema: Annotated[Path | None, typer.Option(help="log.capnp of openpilot's logs.")] = None,
     json_out: JsonOut = None,
 ) -> None:
     """Turn logs into uniform drive tables, with a report of what was left out and why. Needs no model."""
@@ -40,12 +41,14 @@ def ingest(
     logs = logs_among(logs)
     with progress_bar("ingest"):
         if signals is not None and vehicle is None:
-            report = run(logs, dbc=dbc, signals_map=_on(signals, channel), out=out)
+            report = run(logs, dbc=dbc, signals_map=_on(signals, channel), out=out, schema=schema)
         elif signals is None and vehicle is not None:
             project = project_of(vehicle)
             if dbc is None and project.can is not None:
                 dbc = Path(project.can.dbc)
-            report = run(logs, dbc=dbc, signals_map=_on(map_of_project(project), channel), out=out)
+            report = run(
+                logs, dbc=dbc, signals_map=_on(map_of_project(project), channel), out=out, schema=schema
+            )
         else:
             raise InputError("ingest", "--signals, --vehicle", "both or neither given", "exactly one of them")
     emit(json_out, report, each=True)

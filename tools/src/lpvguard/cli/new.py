@@ -22,6 +22,7 @@ def new(
         float | None, typer.Option(help="Wheelbase [m]; with it units are checked.", min=0.05, max=20)
     ] = None,
     channel: Annotated[str | None, typer.Option(help="Interface of raw logs with several.")] = None,
+    schema: Annotated[Path | None, typer.Option(help="log.capnp of openpilot's logs.")] = None,
     kind: Annotated[
         KindName | None, typer.Option(help="Kind of vehicle (default: as the wheelbase suggests).")
     ] = None,
@@ -52,6 +53,7 @@ def new(
             chosen={"speed": speed, "input": input_, "output": output},
             wheelbase_m=wheelbase,
             kind=kind,
+            schema=schema,
             channel=channel,
             ratio=ratio,
             units={"speed": speed_unit, "input": input_unit, "output": output_unit},

@@ -218,6 +218,7 @@ class Inputs:
     database_path: Path | str
     map: SignalMap
     map_path: Path
+    schema: Path | None = None
 
 
 def _sources(log: Frames | Table, path: Path, given: Inputs) -> dict[str, list[Source]]:
@@ -234,7 +235,7 @@ def _sources(log: Frames | Table, path: Path, given: Inputs) -> dict[str, list[S
 
 def _ingest_one(path: Path, given: Inputs) -> tuple[list[Piece], dict]:
     """Pieces and report of one log; InputError when nothing of it remains."""
-    log = read_log(path, time_column=given.map.time)
+    log = read_log(path, time_column=given.map.time, schema=given.schema)
     t_ns = _log_time(log)
     if len(t_ns) == 0:
         raise InputError(path, "", "holds no signal", "at least one column of numbers")
@@ -319,7 +320,14 @@ def write_tables(path: Path, given: Inputs, folder: Path) -> dict:
     return report
 
 
-def ingest(logs: Iterable[Path], *, dbc: Path | None, signals_map: Path | SignalMap, out: Path) -> dict:
+def ingest(
+    logs: Iterable[Path],
+    *,
+    dbc: Path | None,
+    signals_map: Path | SignalMap,
+    out: Path,
+    schema: Path | None = None,
+) -> dict:
     """Turn ``logs`` into uniform drive tables in the folder ``out``; returns what the reports say, log by
     log.
 
@@ -344,6 +352,7 @@ def ingest(logs: Iterable[Path], *, dbc: Path | None, signals_map: Path | Signal
             if isinstance(signals_map, SignalMap)
             else (load_signal_map(signals_map), Path(signals_map))
         ),
+        schema,
     )
     reports = {}
     with artefacts.new_folder(out, "ingest") as folder:

@@ -81,6 +81,7 @@ def new(
     ratio: float | None = None,
     units: dict[str, str | None] | None = None,
     channel: str | None = None,
+    schema: Path | None = None,
 ) -> NewProject:
     """Look at the logs and write the folder ``out``. InputError where no signal fits a role, or no drive
     remains."""
@@ -90,7 +91,7 @@ def new(
         raise InputError("new", "--model", model, f"one of {', '.join(TEMPLATES)}")
     if wheelbase_m is None and model == "bicycle":
         raise InputError("new", "--wheelbase", "not given", "the wheelbase in m, which the bicycle needs")
-    recordings, left_out = recordings_of(logs, dbc, channel)
+    recordings, left_out = recordings_of(logs, dbc, channel, schema)
     known = Known(kind or kind_of(wheelbase_m), wheelbase_m, ratio)
     proposals = proposed(recordings, chosen or {}, known, units)
     Ts = _sample_time(recordings, [p.name for p in proposals.values()])
@@ -104,6 +105,7 @@ def new(
             dbc or "lpvguard's own DBC (no --dbc given)",
             SignalMap.model_validate(tomllib.loads(signals)),
             Path("signals.toml"),
+            schema,
         )
         kept_logs = [p for p in logs if stem(p) in {r.name for r in recordings}]
         names = _written(kept_logs, given, folder / "drives", left_out)
@@ -141,7 +143,7 @@ def _written(logs: list[Path], given: Inputs, folder: Path, left_out: dict[str, 
 
 
 def recordings_of(
-    logs: list[Path], dbc: Path | None, channel: str | None = None
+    logs: list[Path], dbc: Path | None, channel: str | None = None, schema: Path | None = None
 ) -> tuple[list[Recording], dict[str, str]]:
     found: list[Recording] = []
     left_out: dict[str, str] = {}
@@ -149,7 +151,7 @@ def recordings_of(
         if any(stem(path) == r.name for r in found):
             raise InputError(path, "", f"two logs would both become the drive {stem(path)}", "other names")
         try:
-            log = read_log(path)
+            log = read_log(path, schema=schema)
             if isinstance(log, Frames):
                 log = _decoded(log.of_channel(channel, path), dbc, path)
             found.append(_recording(stem(path), log))

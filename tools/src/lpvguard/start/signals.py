@@ -20,11 +20,17 @@ from .readings import ROLES, Known, decided
 from .steady_turn import Driven, steady_turn
 
 WORDS = {
-    "speed": (r"^(v|vx|v_x|vel|speed)$", r"linear_vel_x|vehicle_speed|speed|velocity|\bvel|geschw"),
+    "speed": (r"^(v|vx|v_x|vel|speed|v_?ego)$", r"linear_vel_x|vehicle_speed|speed|velocity|\bvel|geschw"),
     "input": (r"^(delta|steer|swa)$|road_?wheel", r"steer.*ang|ang.*steer|steer|delta|wheel_?angle|lenk"),
-    "output": (r"^(r|wz|yaw_?rate)$", r"yaw_?rate|angular_vel_z|gyro_?z|omega_?z|psi_?dot|yaw_?vel|gier"),
+    "output": (r"^(r|wz|yaw_?rate)$", r"yaw_?rate|angular_vel_z|gyro?_?z|omega_?z|psi_?dot|yaw_?vel|gier"),
 }
 """By role: what a name is for certain, and what it may hold."""
+OF_PATHS = {
+    "speed": r"twist_linear_x$|linear_velocity_x$",
+    "input": r"ackermann.*steering_angle$",
+    "output": r"(angular|angular_velocity)_z$|angular_velocity_xyz_2_?$|gyro_rad_2_?$",
+}
+"""By role: what the last words of a topic with its fields may be."""
 NOT = {
     "speed": r"cmd|command|control|target|desired|set_?point|wheel|engine|fan|wind|ang|steer|_y$|_z$",
     "input": r"rate|torque|tq|request|override|speed|vel|fraction|calculated|command|cmd|control",
@@ -80,7 +86,8 @@ def ranked(role: str, names: Iterable[str]) -> list[str]:
         low = re.sub(r"[\s-]+", "_", last.lower())
         sure, may = WORDS[role]
         certain = re.search(sure, low) or re.search(sure, without_unit(last, role))
-        likely = re.search(may, low)
+        path = re.sub(r"[^a-z0-9]+", "_", name.lower())
+        likely = re.search(may, low) or re.search(OF_PATHS[role], path)
         if certain or likely:
             scores[name] = (2 if certain else 1) - (1.5 if re.search(NOT[role], low) else 0)
     return sorted(scores, key=lambda name: (-scores[name], len(name), name))
