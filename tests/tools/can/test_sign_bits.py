@@ -7,7 +7,8 @@ import math
 import cantools
 import pytest
 
-from lpvguard.base.errors import InputError
+from lpvguard.base.errors import InputError, InputWarning
+from lpvguard.can.decode import load_database
 from lpvguard.can.sign_bits import sign_bits
 from lpvguard.drives.ingest import ingest
 from lpvguard.start.run import new
@@ -92,3 +93,13 @@ def test_a_message_on_two_channels_asks_for_one(logs, tmp_path):
         new("mine", paths, tmp_path / "out", dbc=dbc, wheelbase_m=2.7)
     new("mine", paths, tmp_path / "out", dbc=dbc, wheelbase_m=2.7, channel="can1")
     assert 'channel = "can1"' in (tmp_path / "out" / "signals.toml").read_text()
+
+
+def test_an_identifier_of_29_bits_without_its_flag_is_read_and_named(tmp_path):
+    (tmp_path / "car.dbc").write_text(DBC.replace("BO_ 257 YAW", "BO_ 316495015 YAW"))
+    with pytest.warns(
+        InputWarning, match="line 13: BO_ 316495015 YAW: 8 A: read as an identifier of 29 bits"
+    ):
+        database = load_database(tmp_path / "car.dbc")
+    yaw = database.get_message_by_name("YAW")
+    assert yaw.is_extended_frame and yaw.frame_id == 316495015 and len(database.messages) == 3

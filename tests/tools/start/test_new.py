@@ -167,6 +167,25 @@ def test_names_are_ranked_by_what_they_say():
     assert ranked("output", names) == ["yaw_rate"]
 
 
+def test_units_and_messages_rank_the_signals_of_a_database():
+    """Names as public databases of cars have them."""
+    units = {
+        "ACC_HUD.PCM_SPEED": "kph",
+        "CAR_SPEED.CAR_SPEED": "kph",
+        "ESP_02.ESP_VZ_Gierrate": "",
+        "ESP_02.ESP_Gierrate": "Unit_DegreOfArcPerSecon",
+        "ESP_21.ESP_v_Signal": "Unit_KiloMeterPerHour",
+        "LH_EPS_03.EPS_Lenkmoment": "Unit_centiNewtoMeter",
+        "LWI_01.LWI_Lenkradwinkel": "Unit_DegreOfArc",
+        "STEER_STATUS.STEER_STATUS": "",
+        "LTA_RELATED.STEER_ANGLE": "",
+        "ParkAid_Data.ExtSteeringAngleReq": "Degrees",
+    }
+    assert ranked("speed", units, units)[:2] == ["CAR_SPEED.CAR_SPEED", "ESP_21.ESP_v_Signal"]
+    assert ranked("input", units, units)[0] == "LWI_01.LWI_Lenkradwinkel"
+    assert ranked("output", units, units)[0] == "ESP_02.ESP_Gierrate"
+
+
 def write_speed(log: Path, value: str) -> None:
     """Write ``value`` as the speed of one sample."""
     lines = log.read_text().splitlines()

@@ -1,6 +1,6 @@
 """200 spoiled headers, times and units: each is read right, or refused by an error that names it. There is no
-traceback, and no wrong unit in silence. A header that states a false unit is found where it is wrong by three times or more:
-no log tells a mile from a kilometre where the understeer is not known."""
+traceback, and no wrong unit in silence. A header that states a false unit is found where it is wrong by three
+times or more: no log tells a mile from a kilometre where the understeer is not known."""
 
 from __future__ import annotations
 

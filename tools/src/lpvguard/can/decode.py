@@ -70,7 +70,7 @@ def _sound_dbc(path: Path) -> Database | None:
     if not database.messages:
         return None
     for line in left_out:
-        warnings.warn(f"{path}: left out, cannot be read: {line}", InputWarning, stacklevel=1)
+        warnings.warn(f"{path}: {line}", InputWarning, stacklevel=1)
     return database
 
 

@@ -127,7 +127,7 @@ def _is_log(path: Path) -> bool:
 
 
 def stem(path: Path) -> str:
-    """File name without the suffixes of logs: drive.log.gz is drive. Logs of openpilot are told apart by their
+    """File name without the suffixes of logs: drive.log.gz is drive. Those of openpilot are named by their
     folder."""
     name = path.name
     for suffix in reversed(path.suffixes):

@@ -21,12 +21,12 @@ _LENGTHS = {
     "ft": ("ft", "feet", "foot"),
 }
 _TIMES = {
-    "s": ("s", "sec", "secs", "second", "seconds", "sek", "sekunde"),
+    "s": ("s", "sec", "secon", "secs", "second", "seconds", "sek", "sekunde"),
     "h": ("h", "hr", "hour", "hours", "std", "stunde"),
 }
 _ANGLES = {
     "rad": ("rad", "rads", "radian", "radians", "radiant"),
-    "deg": ("deg", "degs", "degree", "degrees", "grad", "°", "º"),
+    "deg": ("deg", "degs", "degreofarc", "degreeofarc", "degree", "degrees", "grad", "°", "º"),
     "mrad": ("mrad", "milliradian", "milliradians"),
 }
 _OVER = ("", "p", "per", "pro")
@@ -106,7 +106,7 @@ def unit_of_text(text: str, role: str) -> str | None:
         return None
     if unit_factor(text, DIMENSIONS[role]) is not None:
         return _canonical(text, role)
-    squeezed = re.sub(r"[\s/_.·*]+", "", text.lower())
+    squeezed = re.sub(r"[\s/_.·*]+", "", text.lower()).removeprefix("unit")
     squeezed = re.sub(r"(s|sec|sek|h)\^?\(?-1\)?$|(s|h)⁻¹$", r"\1\2", squeezed)
     known = _spellings(role)
     if squeezed in known:

@@ -20,9 +20,18 @@ from .readings import ROLES, Known, decided
 from .steady_turn import Driven, steady_turn
 
 WORDS = {
-    "speed": (r"^(v|vx|v_x|vel|speed|v_?ego)$", r"linear_vel_x|vehicle_speed|speed|velocity|\bvel|geschw"),
-    "input": (r"^(delta|steer|swa)$|road_?wheel", r"steer.*ang|ang.*steer|steer|delta|wheel_?angle|lenk"),
-    "output": (r"^(r|wz|yaw_?rate)$", r"yaw_?rate|angular_vel_z|gyro?_?z|omega_?z|psi_?dot|yaw_?vel|gier"),
+    "speed": (
+        r"^(v|vx|v_x|vel|speed|v_?ego)$",
+        r"linear_vel_x|vehicle_?speed|speed|velocity|\bvel|geschw|(^|_)v_signal|_speed_|whl_spd|veh_v_",
+    ),
+    "input": (
+        r"^(delta|steer|swa)$|road_?wheel",
+        r"steer.*(ang|pos)|ang.*steer|steer|(^|_)delta(_|$)|wheel_?angle|lenk|sas_angle|stepin.*_an|_lrw$|stw_angl|internal_?sas",
+    ),
+    "output": (
+        r"^(r|wz|yaw_?rate)$",
+        r"yaw_?rate|angular_vel_z|gyro?_?z|omega_?z|psi_?dot|yaw_?vel|gier|yaw_w_",
+    ),
 }
 """By role: what a name is for certain, and what it may hold."""
 OF_PATHS = {
@@ -32,11 +41,25 @@ OF_PATHS = {
 }
 """By role: what the last words of a topic with its fields may be."""
 NOT = {
-    "speed": r"cmd|command|control|target|desired|set_?point|wheel|engine|fan|wind|ang|steer|_y$|_z$",
-    "input": r"rate|torque|tq|request|override|speed|vel|fraction|calculated|command|cmd|control",
-    "output": r"acc|target|desired|ref",
+    "speed": r"cmd|command|control|target|desired|set_?(point|speed)|wheel|rad_?geschw|whl|engine|fan|wind|"
+    r"ang|steer|sas|_y$|_z$|rel|cruise|idle|shaft|axle|object|lead|wiper|digital|hud|pcm|cluster|wunsch|regel|gier|"
+    r"gps|saved|low|mod_|bump|analog|ziel|abbruch|setz|max|condition|offset",
+    "input": r"rate|torque|tq|request|override|speed|vel|fraction|calculated|command|cmd|control|moment|"
+    r"hilfe|typ|_2$|rechts|required|hold|assist|sw$|gesch|verbau",
+    "output": r"acc|target|desired|ref|yaw_?rate_?\d|raw",
 }
 """By role: what lowers a name's rank. Commands, derivatives and other things share a word."""
+NO_MEASUREMENT = re.compile(
+    r"checksum|crc|counter|cnt|qf$|qbit|valid|status|(^|_)sta(_|$)|fault|error|req|button|icon|mode|units?$|sign(?!al)|lamp|force|_rq|offst|"
+    r"direction|(^|_)vz(_|$)|limit|diag|init|group|bias|rate_?v$|speed_?v$|ack$|pressed|reboot|reduced"
+)
+"""In names of what tells of a measurement, and is none."""
+NO_SIGNALS_UNIT = ("Nm", "rpm", "RPM", "r/min", "%", "V", "A", "Amps", "minute", "ms", "s")
+"""Units of other things."""
+OTHERS_MESSAGE = re.compile(
+    r"cmd|command|lka|lta|acc|cruise|hud|object|track|radar|cam_|das_|nav|gps|tsk|smgr|tbd"
+)
+"""In names of messages that carry a signal for another purpose."""
 WHAT = {"speed": "speed", "input": "steering angle", "output": "yaw rate"}
 """By role: what its signal measures."""
 GUESSED_UNITS = {
@@ -78,19 +101,29 @@ class Proposal:
     why: list[str]
 
 
-def ranked(role: str, names: Iterable[str]) -> list[str]:
-    """Names that may have the role, the likeliest first."""
+def ranked(role: str, names: Iterable[str], units: Mapping[str, str] | None = None) -> list[str]:
+    """Names that may have the role, the likeliest first; ``units``: those that are stated, by name."""
     scores = {}
     for name in names:
-        last = name.rsplit(".", 1)[-1]
+        message, _, last = name.rpartition(".")
         low = re.sub(r"[\s-]+", "_", last.lower())
         sure, may = WORDS[role]
         certain = re.search(sure, low) or re.search(sure, without_unit(last, role))
         path = re.sub(r"[^a-z0-9]+", "_", name.lower())
         likely = re.search(may, low) or re.search(OF_PATHS[role], path)
         if certain or likely:
-            scores[name] = (2 if certain else 1) - (1.5 if re.search(NOT[role], low) else 0)
+            less = 1.5 * bool(re.search(NOT[role], low)) + 2.0 * bool(NO_MEASUREMENT.search(low))
+            less += 0.5 * bool(OTHERS_MESSAGE.search(message.lower()))
+            more = _fitting((units or {}).get(name, ""), role)
+            scores[name] = (2 if certain else 1) - less + more
     return sorted(scores, key=lambda name: (-scores[name], len(name), name))
+
+
+def _fitting(unit: str, role: str) -> float:
+    """How much a stated unit speaks for a role: for it, against it, or nothing where it is not known."""
+    if _unit(unit, role):
+        return 0.75
+    return -2.0 if unit.strip() and (_of_another_role(unit, role) or unit.strip() in NO_SIGNALS_UNIT) else 0.0
 
 
 def proposed(
@@ -237,9 +270,10 @@ def _named(
             raise InputError("new", option, f"no signal {given} in every log", f"one of {', '.join(common)}")
         return given, ["chosen by you"]
     moving = [n for n in common if any(np.nanmin(r.values[n]) < np.nanmax(r.values[n]) for r in recordings)]
-    found = ranked(role, moving)
+    units = {n: u for r in recordings for n, u in r.units.items()}
+    found = ranked(role, moving, units)
     if not found:
-        still = ranked(role, common)
+        still = ranked(role, common, units)
         what = f"{still[0]} never moves" if still else f"no name looks like the {role}"
         raise InputError("new", option, what, f"{option} NAME, one of {', '.join(moving or common)}")
     others = f"; others: {', '.join(found[1:4])}" if found[1:] else ""
