@@ -65,11 +65,9 @@ MEASURED = {
     "engine/synthesis/knot_search.py": 377,
     "engine/synthesis/least_level.py": 227,
     "engine/synthesis/limited_history.py": 153,
-    "engine/synthesis/limits.py": 196,
     "engine/synthesis/lpv_certificate.py": 797,
     "engine/synthesis/margins.py": 859,
     "engine/synthesis/norms.py": 249,
-    "engine/synthesis/nu_gap.py": 121,
     "engine/synthesis/partition.py": 213,
     "engine/synthesis/riccati.py": 534,
     "engine/synthesis/saturation.py": 427,
@@ -81,12 +79,8 @@ MEASURED = {
     "engine/synthesis/structure.py": 103,
     "engine/synthesis/table.py": 12,
     "engine/synthesis/varying.py": 346,
-    "engine/synthesis/worst_case.py": 226,
-    "engine/synthesis/worst_gain.py": 138,
     "engine/synthesis/zeros.py": 183,
-    "engine/validation/branch.py": 420,
     "engine/validation/delta.py": 116,
-    "engine/validation/lft.py": 330,
     "engine/validation/lmi.py": 618,
     "engine/validation/local_search.py": 504,
     "engine/validation/posed.py": 295,
@@ -96,7 +90,6 @@ MEASURED = {
     "engine/validation/s1.py": 981,
     "engine/validation/s2.py": 888,
     "engine/validation/well_posed.py": 97,
-    "identify/energy.py": 454,
 }
 """Files whose mutants have all run and are sorted, and how many those were: another number is a finding. The
 gate leaves out a new file until it stands here, unless it is asked for by its name, and says so."""

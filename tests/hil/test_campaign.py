@@ -24,12 +24,12 @@ from lpvguard.drives.tables import list_experiments
 from lpvguard.evaluate import baseline_study
 from lpvguard.evaluate.baselines import Baseline
 from lpvguard.evaluate.detection import Injection
+from lpvguard.extras.loop.campaign import conduct, faults, one_run, run, scenarios, summary, trucks
+from lpvguard.extras.loop.campaign.run import campaign
+from lpvguard.extras.loop.campaign.scenarios import Drawn, PlannedRun, Size
+from lpvguard.extras.loop.campaign.tracking import TrackingBound
+from lpvguard.extras.loop.sim import Scenario, Simulator, load_scenario, shipped_scenarios
 from lpvguard.identify import run as identify
-from lpvguard.loop.campaign import conduct, faults, one_run, run, scenarios, summary, trucks
-from lpvguard.loop.campaign.run import campaign
-from lpvguard.loop.campaign.scenarios import Drawn, PlannedRun, Size
-from lpvguard.loop.campaign.tracking import TrackingBound
-from lpvguard.loop.sim import Scenario, Simulator, load_scenario, shipped_scenarios
 from lpvguard.replay.run import Replayer
 from lpvguard.vehicle.nominal import NominalModel
 

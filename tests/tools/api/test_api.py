@@ -11,8 +11,8 @@ import pytest
 from scipy.io import loadmat, savemat
 
 import lpvguard
-from lpvguard.api import linear, optional
-from lpvguard.base import artefacts
+from lpvguard.api import linear
+from lpvguard.base import artefacts, optional
 from lpvguard.core.compiled import VERDICTS
 from lpvguard.drives.tables import read_drive
 from lpvguard.vehicle.nominal import NominalModel

@@ -3,8 +3,8 @@
 import time
 
 from lpvguard.base.parallel import workers
-from lpvguard.bench import chain as bench
-from lpvguard.bench._peers import Peers
+from lpvguard.extras.bench import chain as bench
+from lpvguard.extras.bench._peers import Peers
 from made import ROOT
 
 CASE = ROOT / "tests" / "data" / "paper_case.toml"

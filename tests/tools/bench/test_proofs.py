@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from lpvguard.base.errors import InputError
-from lpvguard.bench import proofs
-from lpvguard.bench._trials import Trial, Trials, _turned
 from lpvguard.control import violations
 from lpvguard.engine.synthesis.varying import History
+from lpvguard.extras.bench import proofs
+from lpvguard.extras.bench._trials import Trial, Trials, _turned
 
 SAMPLES = 300
 

@@ -14,9 +14,9 @@ from hand_controller import hand_controller
 from lpvguard import schemas
 from lpvguard.base import artefacts
 from lpvguard.base.errors import InputError
-from lpvguard.bench import robust
 from lpvguard.control.true_loop import CertifiedLoop
 from lpvguard.core.scheduled import Scheduled
+from lpvguard.extras.bench import robust
 
 FEW = np.geomspace(0.05, 60.0, 60)
 

@@ -32,7 +32,6 @@ from types import SimpleNamespace
 
 import typer.main
 
-import lpvguard.bench
 import lpvguard.can.dbc
 import lpvguard.control.design
 import lpvguard.control.design_files
@@ -44,16 +43,17 @@ import lpvguard.drives.fixture
 import lpvguard.drives.ingest
 import lpvguard.engine.synthesis.cases
 import lpvguard.evaluate.run
+import lpvguard.extras.bench
+import lpvguard.extras.loop.campaign.run
+import lpvguard.extras.loop.generate
+import lpvguard.extras.loop.lcm_client
+import lpvguard.extras.loop.sim
+import lpvguard.extras.problems.solve
 import lpvguard.fit.run
 import lpvguard.identify.deciders
 import lpvguard.identify.export
 import lpvguard.identify.premise
 import lpvguard.identify.run
-import lpvguard.loop.campaign.run
-import lpvguard.loop.generate
-import lpvguard.loop.lcm_client
-import lpvguard.loop.sim
-import lpvguard.problems.solve
 import lpvguard.report.design_pictures
 import lpvguard.report.page
 import lpvguard.start.run
@@ -227,24 +227,24 @@ def replace_computing(variant: str) -> None:
     )
     replace_in_cli("replayer_of", lambda *_: replayer)
     summarise.text = text
-    lpvguard.loop.sim.load_scenario = lambda name: SimpleNamespace(name=name, seed=1)
-    lpvguard.loop.sim.Simulator = lambda *_, **__: SimpleNamespace(
+    lpvguard.extras.loop.sim.load_scenario = lambda name: SimpleNamespace(name=name, seed=1)
+    lpvguard.extras.loop.sim.Simulator = lambda *_, **__: SimpleNamespace(
         run=run_sim, folder="core", controller="designed", project=stored.project
     )
     run_sim.text = text
     lpvguard.evaluate.run.evaluate = lambda *_, **__: {"text": text}
     replace_in_cli("print_evaluation", lambda _: None)
     replace_in_cli("print_campaign", lambda _: None)
-    lpvguard.loop.campaign.run.campaign = run_campaign
+    lpvguard.extras.loop.campaign.run.campaign = run_campaign
     lpvguard.report.page.write_report = lambda stored, drives, replayer, out, *_: artefacts.write_file(
         out, f'<html><meta name="generator" content="{artefacts.mark("report")}">{text}', "report"
     )
-    lpvguard.bench.run = lambda name, words: lpvguard.bench.show(
-        "", [{"text": text}], lpvguard.bench.parser(name, None).parse_args(words).json_out
+    lpvguard.extras.bench.run = lambda name, words: lpvguard.extras.bench.show(
+        "", [{"text": text}], lpvguard.extras.bench.parser(name, None).parse_args(words).json_out
     )
-    lpvguard.loop.lcm_client.read_log = lambda log: [("LPVGUARD_BUS", text)] * 9
-    lpvguard.loop.lcm_client.log_line = lambda message: message
-    lpvguard.loop.generate.plant_tool = lambda: Path("plant_tool").absolute()
+    lpvguard.extras.loop.lcm_client.read_log = lambda log: [("LPVGUARD_BUS", text)] * 9
+    lpvguard.extras.loop.lcm_client.log_line = lambda message: message
+    lpvguard.extras.loop.generate.plant_tool = lambda: Path("plant_tool").absolute()
 
 
 def summarise(log, channel, with_series):

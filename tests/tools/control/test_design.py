@@ -24,9 +24,9 @@ from lpvguard.engine.synthesis.dk import certify
 from lpvguard.engine.synthesis.norms import hinf_norm
 from lpvguard.engine.synthesis.scheduling import closed_scaled
 from lpvguard.engine.synthesis.statespace import StateSpace, lft
+from lpvguard.extras.loop.sim import Simulator, load_scenario
 from lpvguard.identify import run as identification
 from lpvguard.identify.export import export_vehicle
-from lpvguard.loop.sim import Simulator, load_scenario
 from lpvguard.vehicle.nominal import NominalModel
 
 
@@ -124,10 +124,12 @@ def test_the_certificate_is_proved_anew_and_an_altered_coefficient_is_refused(st
     [
         ("speeds", "mu_upper", 0.999),
         ("speeds", "mu_lower", 0.99),
+        ("speeds", "mu_lower", 1.0005),
         ("speeds", "peak_rad_s", 300.0),
         ("off_grid", "mu_upper", 1.001),
         (None, "A_t", 1.01),
         (None, "A_u", 10.0),
+        (None, "dc_floor", 1.001),
     ],
 )
 def test_a_stated_number_that_is_not_what_is_proved_is_refused(
@@ -140,6 +142,28 @@ def test_a_stated_number_that_is_not_what_is_proved_is_refused(
     (tmp_path / "controller.json").write_text(artefacts.to_json(artefacts.sealed(document)))
     with pytest.raises(InputError, match=key):
         stage.verify(tmp_path / "controller.json", stored)
+
+
+@pytest.mark.parametrize(
+    ("change", "what"),
+    [
+        ({}, None),
+        ({"product": 0.6}, "largest_A_t.product"),
+        ({"worst": 1.0}, "largest_A_t: A_t 100 with mu 1,"),
+        ({"failed": 99.0}, "largest_A_t: A_t 100"),
+        ({"failed": 201.0}, "up to 200"),
+        ({"dc_floor": None}, "dc_floor: None"),
+    ],
+)
+def test_a_floor_or_a_largest_A_t_beyond_it_is_refused(change, what, tmp_path):
+    largest = {"A_t": 100.0, "product": 0.5, "worst": 0.99, "failed": 101.0} | change
+    stated = {"dc_floor": largest.pop("dc_floor", 0.005), "largest_A_t": largest}
+    if what is None:
+        stage._require_floor(tmp_path, stated, 0.005)
+        stage._require_floor(tmp_path, {"dc_floor": None, "largest_A_t": None}, np.nan)
+    else:
+        with pytest.raises(InputError, match=what):
+            stage._require_floor(tmp_path, stated, 0.005)
 
 
 @pytest.mark.long("70 s: a search at a moving speed")
@@ -160,7 +184,7 @@ def test_robust_stability_is_proved_at_a_moving_speed_and_proved_anew(finer, mov
 
 @pytest.mark.long("70 s: a search at a moving speed")
 @pytest.mark.parametrize(
-    "what", ["faster", "wider", "coefficient", "performance", "other basis", "no level", "no gain"]
+    "what", ["faster", "wider", "coefficient", "performance", "other basis", "no level", "no gain", "margin"]
 )
 def test_a_claim_of_a_moving_speed_that_is_not_proved_is_refused(finer, moving, what):
     result, _ = moving
@@ -175,6 +199,8 @@ def test_a_claim_of_a_moving_speed_that_is_not_proved_is_refused(finer, moving, 
         schedule = replace(schedule, B=schedule.B * np.array([1.0, 1.5, 1.0]))
     elif what == "performance":
         claim = "performance"
+    elif what == "margin":
+        said["margin"] *= 1.1
     elif what == "no level":
         del said["level"]
     elif what == "no gain":

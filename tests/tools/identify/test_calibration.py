@@ -279,7 +279,7 @@ def test_without_a_drive_that_calibrates_there_is_no_threshold(tmp_path):
         InputError, match=r"experiments.csv: column split: nothing calibrates: every drive.*from 9 rec"
     ):
         require_calibration(tmp_path, [], {"a": "too short"}, True)
-    with pytest.raises(InputError, match=r"calibrate \(3\): .*no test judges any of them \(b: too short\)"):
+    with pytest.raises(InputError, match=r"calibrate \(3\): .*no test judges a drive \(b: too short\)"):
         require_calibration(
             tmp_path, ["a", "b", "c"], {"x": "silent", "b": "too short", "c": "no speed"}, False
         )

@@ -39,8 +39,7 @@ def test_a_group_with_enough_recordings_has_its_own_threshold_and_the_others_the
     assert dry.claim().startswith("group dry: threshold 1.18, alpha 0.1 from 19 recordings, with 95 % ")
     said = snow.claim()
     assert said == (
-        "group snow: 3 recordings are too few for a threshold of its own, so it has the pooled one, and "
-        "alpha is not stated for it"
+        "group snow: 3 recordings are too few for its own threshold; it has the pooled one without alpha"
     )
     assert snow.alpha is None is snow.conditional_bound and dry.alpha == wet.alpha == found.alpha == 0.1
     assert found.claim().startswith("pooled: alpha 0.1 from 34 drives") and said in found.claim()

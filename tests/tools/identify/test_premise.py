@@ -18,6 +18,7 @@ from lpvguard.control.plants import design_settings, fig1_weights, frozen_plant
 from lpvguard.drives.frames import Estimator
 from lpvguard.identify import run as identification
 from lpvguard.identify.premise import Least, Premise, premise, require_premise, weight_met
+from lpvguard.identify.weights import Weights, energy_filters
 from lpvguard.vehicle.nominal import NominalModel
 
 JUDGED = "W_delta is .* beside .delta_c. - k se = .* rad/s and .* m/s"
@@ -126,12 +127,18 @@ def truck_stored(few_truck_identified) -> identification.StoredIdentification:
 
 def shrunk(folder: Path, target: Path, factor: float) -> Path:
     """A copy of an identification with W_delta and what it was fitted above times ``factor``, sealed anew."""
+    project = identification.load(folder).project
     shutil.copytree(folder, target)
     weights = artefacts.read_json(target / "weights.json")
     for entry in weights["W_delta"]:
         entry["weight"]["num"] = [factor * x for x in entry["weight"]["num"]]
         entry["bound"] = [None if b is None else factor * b for b in entry["bound"]]
     (target / "weights.json").write_text(artefacts.to_json(weights))
+    estimator = Estimator.of(project, NominalModel(project))
+    filters = energy_filters(project, estimator, Weights.from_dict(weights, "here")).to_dict()
+    energy = artefacts.read_json(target / "energy.json")
+    energy |= {name: filters[name] for name in ("gain", "certificate")}
+    (target / "energy.json").write_text(artefacts.to_json(energy))
     artefacts.seal(target)
     return target
 

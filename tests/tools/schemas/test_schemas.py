@@ -16,9 +16,9 @@ from lpvguard.drives.faults import Fault, inject
 from lpvguard.drives.ingest import ingest
 from lpvguard.drives.tables import list_experiments
 from lpvguard.evaluate.run import evaluate
+from lpvguard.extras.loop.sim import load_scenario
+from lpvguard.extras.problems.solve import solve_problems
 from lpvguard.identify import run as identify
-from lpvguard.loop.sim import load_scenario
-from lpvguard.problems.solve import solve_problems
 from lpvguard.replay.run import Replayer
 from lpvguard.vehicle.nominal import NominalModel
 from lpvguard.vehicle.project import EvaluationSettings

@@ -339,7 +339,7 @@ def test_a_magnitude_beside_its_sign_is_refused(bit):
     units = {"A.Speed": "m/s", "B.Steering_Angle": "rad", f"B.{bit}": "", "C.Yaw_Rate": "rad/s"}
     log = Recording("a", t, values, units)
     chosen = {"speed": "A.Speed", "input": "B.Steering_Angle", "output": "C.Yaw_Rate"}
-    with pytest.raises(InputError, match=f"never negative and B.{bit} lies beside it"):
+    with pytest.raises(InputError, match=f"never negative and B.{bit} holds its sign"):
         proposed([log], chosen, Known("car", 2.7))
     signed = replace(log, values=values | {"B.Steering_Angle": delta})
     assert proposed([signed], chosen, Known("car"))["input"].name == "B.Steering_Angle"

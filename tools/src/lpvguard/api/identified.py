@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ..base.optional import optional
 from ..base.parallel import workers
 from ..control.exported import export_chosen
 from ..drives.frames import Estimator
@@ -19,22 +20,42 @@ from ..identify.calibration import Calibration
 from ..identify.weights import Weights
 from ..vehicle.nominal import NominalModel
 from ..vehicle.project import Project, load_project
-from .optional import optional
 
 if TYPE_CHECKING:
     import pandas
 
 
 def project_of(vehicle: str | Path | Project) -> Project:
-    """The project of a shipped vehicle's name, of a path to a project file, or as it is. InputError where it
-    is neither."""
+    """Return the project of a shipped vehicle, of a path, or the given one.
+
+    Parameters
+    ----------
+    vehicle : str, Path or Project
+
+    Returns
+    -------
+    Project
+
+    Raises
+    ------
+    InputError
+        If it is none of these.
+    """
     return vehicle if isinstance(vehicle, Project) else load_project(vehicle)
 
 
 @dataclass(frozen=True)
 class Identified:
-    """Bounds, weights and thresholds of a vehicle's nominal model. ``folder``: where they are stored; None
-    while they are not. ``omega`` (K,): frequencies of the bins [rad/s]."""
+    """Bounds, weights and thresholds of a vehicle's nominal model.
+
+    Attributes
+    ----------
+    project : Project
+    folder : Path or None, where they are stored
+    omega : ndarray (K,), rad/s, frequencies of the bins
+    fitted : Weights, before the final inflation
+    calibration : Calibration, of the frame test
+    """
 
     project: Project
     folder: Path | None
@@ -46,30 +67,45 @@ class Identified:
 
     @property
     def bounds(self) -> pandas.DataFrame:
-        """A row a bin, indexed by its frequency [rad/s]: frames (how many counted), excitation (largest
-        nominal output), gamma_w, nu (one a Delta) and B_w (one an output), in the outputs' units; NaN: no
-        data. Needs pandas."""
+        """Table of the bounds, a row a bin, indexed by its frequency [rad/s]. Needs pandas.
+
+        Columns: frames (number that counted), excitation (largest nominal output), gamma_w, nu (one a Delta)
+        and B_w (one an output), in the outputs' units. NaN means no data.
+        """
         columns = {k: self._bounds[k] for k in ("frames", "excitation", "gamma_w", "nu", "B_w")}
         return self._table(columns | {"frames": columns["frames"].astype(int)})
 
     @property
     def weights(self) -> pandas.DataFrame:
-        """A row a bin, indexed by its frequency [rad/s]: W_delta and B_w as the monitor uses them, with the
-        final inflation. Needs pandas."""
+        """Table of the monitor's W_delta and B_w with final inflation, a row a bin [rad/s]. Needs pandas."""
         return self._table(dict(zip(("W_delta", "B_w"), self.fitted.at(self.omega), strict=True)))
 
     @property
     def threshold(self) -> float:
-        """The frame test's threshold on t* that the core carries."""
+        """Threshold on t* of the frame test in the core."""
         return self.calibration.carried
 
     @property
     def claim(self) -> str:
-        """What the threshold promises, or why it promises nothing, in words."""
+        """Sentence on the threshold's promise, or on why there is none."""
         return self.calibration.claim()
 
     def save(self, folder: str | Path) -> Identified:
-        """Write the folder of `lpvguard identify`, whole or not at all, and return it as stored."""
+        """Write the folder of `lpvguard identify`, whole or not at all.
+
+        Parameters
+        ----------
+        folder : str or Path
+
+        Returns
+        -------
+        Identified, as stored
+
+        Raises
+        ------
+        InputError
+            If the folder may not be replaced.
+        """
         if self._found is None:
             raise ValueError(f"it is stored in {self.folder} already")
         stage.save(*self._found, Path(folder))
@@ -78,11 +114,23 @@ class Identified:
     def export(
         self, folder: str | Path, *, controller: str | Path | None = None, group: str | None = None
     ) -> Path:
-        """Write the generated C folder of `lpvguard export`, and return its path.
+        """Write the generated C folder of `lpvguard export`.
 
-        ``controller``: controller.json or the folder of `design`, None for none; its certificates are proved
-        anew. ``group``: whose thresholds the core carries, None for the largest of all. InputError where
-        either does not fit.
+        Parameters
+        ----------
+        folder : str or Path
+        controller : str or Path, optional, controller.json or the folder of `design`
+            Its certificates are proved again.
+        group : str, optional, group whose thresholds the core carries, by default the largest of all
+
+        Returns
+        -------
+        Path, the folder
+
+        Raises
+        ------
+        InputError
+            If the controller or the group does not fit.
         """
         chosen = None if controller is None else Path(controller)
         with self.opened() as stored:
@@ -91,8 +139,12 @@ class Identified:
 
     @contextmanager
     def opened(self) -> Iterator[stage.StoredIdentification]:
-        """The folder read back, every weight proved above its bound anew; one of its own while it is not
-        stored."""
+        """Open the stored folder, or a temporary one, with every weight proved again above its bound.
+
+        Yields
+        ------
+        stage.StoredIdentification
+        """
         if self.folder is not None:
             yield stage.load(self.folder)
             return
@@ -119,11 +171,23 @@ class Identified:
 def identify(
     vehicle: str | Path | Project, drives: str | Path, *, jobs: int = 1, scheduler: str | None = None
 ) -> Identified:
-    """Find bounds, weights and thresholds, as `lpvguard identify` does; ``jobs``: processes that share the
-    drives; ``scheduler``: address of a Dask scheduler whose workers share them.
+    """Find bounds, weights and thresholds, as `lpvguard identify` does.
 
-    ``vehicle``: a shipped vehicle's name, the path of a project file, or a Project. ``drives``: folder with
-    experiments.csv. Raises InputError that names file, place and what was expected.
+    Parameters
+    ----------
+    vehicle : str, Path or Project, shipped vehicle's name, path of a project file, or a project
+    drives : str or Path, folder with experiments.csv
+    jobs : int, processes that share the drives, default 1
+    scheduler : str, optional, address of a Dask scheduler whose workers share them
+
+    Returns
+    -------
+    Identified
+
+    Raises
+    ------
+    InputError
+        If an input does not fit; it names file, place and what was expected.
     """
     project = project_of(vehicle)
     with workers(jobs, scheduler) as run:
@@ -133,8 +197,21 @@ def identify(
 
 
 def load(folder: str | Path) -> Identified:
-    """Read the folder of `lpvguard identify`; every weight is proved above its bound anew, and a changed file
-    is an InputError."""
+    """Read the folder of `lpvguard identify`; every weight is proved again above its bound.
+
+    Parameters
+    ----------
+    folder : str or Path
+
+    Returns
+    -------
+    Identified
+
+    Raises
+    ------
+    InputError
+        If a file was changed.
+    """
     stored = stage.load(Path(folder))
     omega = Estimator.of(stored.project, NominalModel(stored.project)).omega
     return Identified(stored.project, stored.folder, omega, stored.fitted, stored.calibration, stored.bounds)

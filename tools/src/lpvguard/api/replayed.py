@@ -12,14 +12,14 @@ import pyarrow as pa
 from scipy.io import savemat
 
 from ..base.errors import InputError
+from ..base.optional import optional
 from ..core.compiled import REASONS
 from ..drives.tables import Drive
 from ..replay.opened import replayer_for
-from ..replay.recordings import KINDS, write_series
+from ..replay.recordings import SUFFIX, write_series
 from ..replay.run import Alarm, Recorded, Replay, Replayer
 from ..vehicle.project import Project
 from .identified import project_of
-from .optional import optional
 
 if TYPE_CHECKING:
     import pandas
@@ -27,9 +27,17 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Replayed:
-    """What the core said of a drive. ``arrow``: the time series as a pyarrow table, for polars
-    (`polars.from_arrow`) and Parquet; its columns stand in replay/series.py. ``drive``: what was judged, by
-    the core of ``replayer``."""
+    """Answers of the core along a drive.
+
+    Attributes
+    ----------
+    summary : Replay
+    arrow : pyarrow.Table
+        Time series for polars (`polars.from_arrow`) and Parquet, columns of replay/series.py.
+    omega : ndarray (K,), rad/s, frequencies of the bins
+    drive : Drive, the judged record
+    replayer : Replayer, the core that judged it
+    """
 
     summary: Replay
     arrow: pa.Table
@@ -39,22 +47,23 @@ class Replayed:
 
     @property
     def alarms(self) -> list[Alarm]:
-        """The alarms of all tests, in the order of time."""
+        """Alarms of all tests, in the order of time."""
         return self.summary.alarms
 
     @cached_property
     def series(self) -> pandas.DataFrame:
-        """The time series, a row a sample. Needs pandas."""
+        """Time series, a row a sample. Needs pandas."""
         optional("pandas", "pandas")
         return self.arrow.to_pandas()
 
     @cached_property
     def frames(self) -> pandas.DataFrame:
-        """A row a frame that the core looked at, in the order of judgement.
+        """Table of the judged frames, in the order of judgement. Needs pandas.
 
         t_end_s (of the frame) and t_judged_s are seconds after the first sample. margin is t*, evidence that
-        of a vehicle that does not respond. reason "none": it counted. The other columns are omega_rad_s,
-        speed_mps and falsified. Needs pandas."""
+        of a vehicle that does not respond. reason "none" means that it counted. The other columns are
+        omega_rad_s, speed_mps and falsified.
+        """
         f, t0 = self.summary.run.frames, self.summary.start_s
         return optional("pandas", "pandas").DataFrame(
             {
@@ -70,19 +79,38 @@ class Replayed:
         )
 
     def save(self, path: str | Path) -> None:
-        """Write the time series as the suffix says: .parquet, .mcap or .mf4 (replay/recordings.py)."""
-        kind = next((k for k in KINDS if Path(path).suffix.lower() == f".{k}"), None)
+        """Write the time series by the suffix: .parquet, .mcap or .mf4 (replay/recordings.py).
+
+        Parameters
+        ----------
+        path : str or Path
+
+        Raises
+        ------
+        InputError
+            If the suffix is another one, or its package is not installed.
+        """
+        kind = next((k for k, suffix in SUFFIX.items() if Path(path).suffix.lower() == suffix), None)
         if kind is None:
-            raise InputError(path, "suffix", Path(path).suffix or "none", ", ".join(f".{k}" for k in KINDS))
-        write_series(Path(path), kind, self.arrow, self.summary.to_dict()["alarms"])
+            raise InputError(
+                path, "suffix", Path(path).suffix or "none", ", ".join(dict.fromkeys(SUFFIX.values()))
+            )
+        alarms = self.summary.to_dict()["alarms"]
+        write_series(Path(path), kind, self.arrow, alarms, self.replayer.project.name)
 
     def save_mat(self, path: str | Path) -> None:
-        """Write the time series as MATLAB variables; slashes and points of names become underscores, and NaN
-        stands where nothing is."""
+        """Write the time series as MATLAB variables.
+
+        Slashes and points of names become underscores, and missing values become NaN.
+
+        Parameters
+        ----------
+        path : str or Path
+        """
         columns = {
             name.replace("/", "_").replace(".", "_"): column.to_numpy()
             for name, column in zip(self.arrow.column_names, self.arrow.columns, strict=True)
-            if name != "verdict"  # verdict_code says it in numbers
+            if name != "verdict"  # verdict_code has its number
         }
         savemat(path, columns)
 
@@ -96,9 +124,21 @@ def replay(
 ) -> Replayed:
     """Run a drive table or a raw CAN log through the compiled core, as `lpvguard replay` does.
 
-    ``vehicle``: a shipped vehicle's name, the path of a project file, or a Project. ``coefficients``: the
-    folder of `lpvguard export` (None: the shipped one). ``channel``: of a raw log with several. Raises
-    InputError that names file, place and what was expected.
+    Parameters
+    ----------
+    vehicle : str, Path or Project, shipped vehicle's name, path of a project file, or a project
+    log : str or Path
+    coefficients : str or Path, optional, folder of `lpvguard export`, by default the shipped one
+    channel : str, optional, of a raw log with several
+
+    Returns
+    -------
+    Replayed
+
+    Raises
+    ------
+    InputError
+        If an input does not fit; it names file, place and what was expected.
     """
     replayer = opened(vehicle, coefficients)
     recorded = replayer.read_file(Path(log), channel)
@@ -106,7 +146,17 @@ def replay(
 
 
 def replayed(replayer: Replayer, recorded: Recorded) -> Replayed:
-    """A recorded drive through an opened core."""
+    """Run a recorded drive through an open core.
+
+    Parameters
+    ----------
+    replayer : Replayer
+    recorded : Recorded
+
+    Returns
+    -------
+    Replayed
+    """
     summary = replayer.replay_recorded(recorded)
     return Replayed(
         summary, replayer.series(recorded, summary), replayer.estimator.omega, recorded.drive, replayer
@@ -114,7 +164,22 @@ def replayed(replayer: Replayer, recorded: Recorded) -> Replayed:
 
 
 def opened(vehicle: str | Path | Project, coefficients: str | Path | None) -> Replayer:
-    """The compiled core of a vehicle. InputError where it was made with other settings than the project's."""
+    """Open the compiled core of a vehicle.
+
+    Parameters
+    ----------
+    vehicle : str, Path or Project
+    coefficients : str, Path or None, folder of `lpvguard export`, None for the shipped one
+
+    Returns
+    -------
+    Replayer
+
+    Raises
+    ------
+    InputError
+        If it was made with other settings than the project's.
+    """
     project = project_of(vehicle)
     called = vehicle if not isinstance(vehicle, Project) else f"vehicle {project.name}"
     if coefficients is not None and not Path(coefficients).is_dir():

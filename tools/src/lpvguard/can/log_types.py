@@ -22,8 +22,17 @@ LATEST_S = 9_000_000_000
 
 @dataclass(frozen=True)
 class Frames:
-    """Raw frames in the order of the log: t_ns (N,), id (N,) with EXTENDED, channel (N,), length (N,), data
-    (N, width)."""
+    """Raw frames in the order of the log.
+
+    Attributes
+    ----------
+    t_ns : ndarray (N,) of int, ns
+    id : ndarray (N,) of int, with EXTENDED
+    channel : ndarray (N,) of int, index into ``channels``
+    length : ndarray (N,) of int, bytes
+    data : ndarray (N, width) of uint8
+    channels : list of str
+    """
 
     t_ns: np.ndarray
     id: np.ndarray
@@ -63,8 +72,14 @@ class Frames:
 
 @dataclass(frozen=True)
 class Series:
-    """A signal of a decoded log: t_ns (N,), value (N,), NaN where the log has none; unit as the log says, or
-    ""."""
+    """A signal of a decoded log.
+
+    Attributes
+    ----------
+    t_ns : ndarray (N,) of int, ns
+    value : ndarray (N,), NaN where the log has none
+    unit : str, as the log says, or ""
+    """
 
     t_ns: np.ndarray
     value: np.ndarray
@@ -73,7 +88,12 @@ class Series:
 
 @dataclass(frozen=True)
 class Table:
-    """A decoded log: signal name -> Series."""
+    """A decoded log.
+
+    Attributes
+    ----------
+    series : dict[str, Series], by signal
+    """
 
     series: dict[str, Series]
 
@@ -92,6 +112,7 @@ def row_of(
 
 
 def frames_of_rows(rows: list[tuple[int, int, str, bytes]], left_out: dict[str, int]) -> Frames:
+    """Frames of rows as ``row_of`` makes them."""
     width = max((len(row[3]) for row in rows), default=8)
     width = 8 if width <= 8 else FD_BYTES
     channels = sorted({row[2] for row in rows})

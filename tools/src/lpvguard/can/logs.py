@@ -1,4 +1,4 @@
-"""Reads logs as users have them: raw CAN frames, or tables of signals that are decoded already.
+"""Reads logs: raw CAN frames, or tables of decoded signals.
 
 raw      candump (-l, -L, and the screen with -t), ASC, BLF, MF4 with bus logging, CSV and Parquet with the
          columns of python-can (timestamp, arbitration_id, extended, dlc, data);
@@ -7,7 +7,7 @@ decoded  CSV and Parquet with one column a signal, MF4 with one channel a signal
          DataFlash and openpilot's logs (foreign_logs.py)
 
 candump goes through a compiled parser, or through a slow one in Python when there is no compiler; the result
-is the same. Other raw forms go through python-can (which takes a bus-off report of a candump log for a frame)
+is the same. Other raw forms go through python-can (which takes a bus-off report of a candump log as a frame)
 and asammdf.
 """
 
@@ -34,7 +34,7 @@ from .log_types import Series as Series
 from .log_types import Table as Table
 
 INDEX = "experiments.csv"
-"""The file of a drive folder that lists its drives."""
+"""Index of a drive folder."""
 
 _NAME_BYTES, _CHANNELS, _COUNTS = 16, 64, 6
 _CANDUMP_SUFFIXES = {".log", ".candump", ".txt"}
@@ -56,19 +56,41 @@ _RAW_COLUMNS = {"timestamp", "arbitration_id", "data"}
 
 
 def candump_line(t_us: int, channel: str, identifier: int, data: bytes) -> str:
-    """A line of candump -L, which is that of candump -l; ``identifier`` with EXTENDED and, of an error
-    report, ERROR_REPORT."""
+    """Write a line of candump -L, which equals that of candump -l.
+
+    Parameters
+    ----------
+    t_us : int, us
+    channel : str
+    identifier : int, with EXTENDED, and ERROR_REPORT for an error report
+    data : bytes
+
+    Returns
+    -------
+    str
+    """
     wide = 8 if identifier & (EXTENDED | ERROR_REPORT) else 3
     frame = f"{identifier & ~EXTENDED:0{wide}X}#{data.hex().upper()}"
     return f"({t_us // 10**6}.{t_us % 10**6:06d}) {channel} {frame}\n"
 
 
 def read_log(path: Path, *, time_column: str | None = None, schema: Path | None = None) -> Frames | Table:
-    """Read one log; its form follows from the suffix, for CSV, Parquet and MF4 also from what is in it.
+    """Read one log; its form follows from the suffix, and from the content of CSV, Parquet and MF4.
 
-    ``time_column`` names the time (in s) of a decoded table; by default the first of t, time, timestamp that
-    exists. ``schema``: of an openpilot log, its log.capnp. InputError when the file is missing, of unknown
-    form, or holds no frame.
+    Parameters
+    ----------
+    path : Path
+    time_column : str, optional, time [s] of a decoded table, by default the first of t, time, timestamp
+    schema : Path, optional, log.capnp of an openpilot log
+
+    Returns
+    -------
+    Frames or Table
+
+    Raises
+    ------
+    InputError
+        If the file is missing, of unknown form, or holds no frame.
     """
     path = Path(path)
     if reader_of(path) is not None and path.exists():
@@ -98,10 +120,22 @@ def read_log(path: Path, *, time_column: str | None = None, schema: Path | None 
 
 
 def logs_among(paths: list[Path]) -> list[Path]:
-    """The logs that paths name: of a folder all in it, in the order of their names.
+    """List the logs that paths name; for a folder all in it, in the order of their names.
 
-    What is no log is passed over: a drive folder's index and, in folders, files of other kinds. InputError
-    where a folder holds none.
+    Files of other kinds are passed over, and a drive folder's index is too.
+
+    Parameters
+    ----------
+    paths : list[Path]
+
+    Returns
+    -------
+    list[Path]
+
+    Raises
+    ------
+    InputError
+        If a folder holds none.
     """
     found: list[Path] = []
     for path in paths:
@@ -127,8 +161,16 @@ def _is_log(path: Path) -> bool:
 
 
 def stem(path: Path) -> str:
-    """File name without the suffixes of logs: drive.log.gz is drive. Those of openpilot are named by their
-    folder."""
+    """Return a log's file name without suffixes, with its folder where openpilot wrote it.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    str
+    """
     name = path.name
     for suffix in reversed(path.suffixes):
         if suffix.lower() in _SUFFIXES:
@@ -152,7 +194,16 @@ def _is_table(path: Path) -> bool:
 
 
 def is_raw_table(path: Path) -> bool:
-    """Whether a CSV or Parquet file holds raw frames; False also where it cannot be read."""
+    """Whether a CSV or Parquet file holds raw frames; False if it cannot be read.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    bool
+    """
     import pyarrow.parquet as pa_parquet
 
     from .raw_tables import is_raw
@@ -203,8 +254,16 @@ def _read_candump(path: Path) -> Frames:
 
 
 def candump_frames(text: np.ndarray) -> Frames:
-    """Frames of whole lines ``text`` (bytes,) of candump, as a log or as its screen; compiled where
-    possible."""
+    """Parse whole lines of candump, as a log or as its screen.
+
+    Parameters
+    ----------
+    text : ndarray (bytes,) of uint8
+
+    Returns
+    -------
+    Frames
+    """
     if _SCREEN.search(text[:_HEAD].tobytes()):
         text = np.frombuffer(_SCREEN.sub(_as_logged, text.tobytes()), np.uint8)
     library = native.kernels("candump")
@@ -212,7 +271,7 @@ def candump_frames(text: np.ndarray) -> Frames:
 
 
 _HEAD = 1 << 16
-"""Bytes at the start of a log that show its form."""
+"""Number of bytes at the start of a log that show its form."""
 _SCREEN = re.compile(
     rb"^ *(\([0-9]{1,10}\.[0-9]{1,9}\)) +(\S{1,15}) +(?:[RT]X [-B] [-E] +)?"
     rb"([0-9A-Fa-f]{3}|[0-9A-Fa-f]{8}) +\[([0-9]{1,2})\] *"
@@ -225,7 +284,7 @@ _SCREEN = re.compile(
 def _as_logged(match: re.Match[bytes]) -> bytes:
     """The same line as candump -l writes it; a length of two digits is that of a CAN FD frame.
 
-    A line whose bytes are not as many as its length says stays as it is, and is no frame.
+    A line whose number of bytes contradicts its length stays unchanged and is no frame.
     """
     stamp, interface, identifier, length, remote, digits = match.groups()
     if remote:
@@ -238,9 +297,9 @@ def _as_logged(match: re.Match[bytes]) -> bytes:
 
 
 def _screen_bytes(digits: bytes, length: int) -> bytes | None:
-    """Bytes (length,) of candump's screen; None where the digits are of another number of bytes.
+    """Bytes (length,) of candump's screen; None where the number of bytes differs.
 
-    Digits are hexadecimal, or binary with ``-i``. Backticks of ``-S`` say that the last byte stands first.
+    Digits are hexadecimal, or binary with ``-i``. Backticks of ``-S`` mean that the last byte stands first.
     """
     groups = digits.replace(b"`", b" ").split()
     widths = {len(group) for group in groups}
@@ -296,7 +355,7 @@ _LINE = re.compile(
 
 
 def parse_candump_slowly(text: np.ndarray) -> Frames:
-    """The same as ``parse_candump`` for ``text`` (bytes,) without a compiler, 20 times slower."""
+    """Frames of the candump log ``text`` (bytes,) without a compiler, 20 times slower."""
     rows: list[tuple[int, int, str, bytes]] = []
     left_out: dict[str, int] = {}
     interfaces: set[bytes] = set()
@@ -467,7 +526,7 @@ def _read_mf4(path: Path) -> Frames | Table:
             return _mf4_frames(mdf, places) if places else _mf4_signals(mdf)
     except InputError:
         raise
-    except Exception as error:  # asammdf has no exception of its own for a broken file
+    except Exception as error:  # asammdf has no exception class for a broken file
         raise InputError(
             path, "", f"cannot be read ({type(error).__name__}: {error})", "an MF4 file"
         ) from None

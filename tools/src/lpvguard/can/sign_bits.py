@@ -14,8 +14,16 @@ _WORDS = re.compile(r"^(sign|sgn|vorzeichen|vz|direction|richtung)$")
 
 
 def sign_bits(message: Message) -> dict[str, str]:
-    """Magnitude -> the bit of a cantools ``message`` that tells its sign: its name has a word for sign
-    besides."""
+    """Find the magnitudes of a message and the bits that tell their signs.
+
+    Parameters
+    ----------
+    message : Message, of cantools
+
+    Returns
+    -------
+    dict[str, str], by magnitude the bit of the same name with a word for sign
+    """
     found = {}
     for bit in message.signals:
         words = _words(bit.name)

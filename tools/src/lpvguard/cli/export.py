@@ -38,6 +38,6 @@ def export(
         console.print(f"frame test: {stored.calibration.claim()}")
         console.print(f"energy test: {stored.energy_of_core.calibration.claim()}")
         console.print(f"change test: {stored.change_of_core.calibration.claim()}")
-    proved = "" if controller is None else ", the controller's certificates proved anew"
+    proved = "" if controller is None else "; the controller's certificates are proved again"
     files = sum(path.is_file() for path in out.iterdir())
     console.print(f"{stored.project.name}: {files} files written to {out}{proved}")

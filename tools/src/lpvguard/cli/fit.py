@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from ..fit.run import FittedModel
 
 PICTURED, PICTURED_S = 3, 20.0
-"""So many drives are drawn, each for so many seconds."""
+"""Number of drawn drives, and seconds of each."""
 
 
 @app.command(epilog="Example: lpvguard fit --vehicle mycar.toml DRIVES -o out/fit")

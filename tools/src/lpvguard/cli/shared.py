@@ -1,5 +1,5 @@
-"""What the verbs share: the application, options of one meaning, progress, files, and how an identification
-is read."""
+"""Shared parts of the verbs: application, common options, progress, files, and reading of an
+identification."""
 
 from __future__ import annotations
 
@@ -28,6 +28,7 @@ from ..base.errors import InputError
 from ..base.progress import Counted, Progress
 from ..vehicle.stated import require_settings
 from .guard import Application, running
+from .sections import Sections
 
 if TYPE_CHECKING:
     from ..identify.run import DriveSet, StoredIdentification
@@ -38,6 +39,7 @@ PROGRAM = "lpvguard"
 COMPLETE = f"_{PROGRAM.upper()}_COMPLETE"
 """The variable with which a shell's completion script asks for what may come next."""
 app = Application(
+    cls=Sections,
     add_completion=False,
     no_args_is_help=True,
     rich_markup_mode=None,
@@ -65,7 +67,8 @@ Coefficients = Annotated[
 
 
 WHOLE_S = 1e6
-"""What remains is estimated from all that was done, for steps are equal only on the whole [s]."""
+"""Time from which the remainder is estimated by all work done, because steps are equal only on the whole
+[s]."""
 
 
 class Remaining(TimeRemainingColumn):
@@ -106,7 +109,7 @@ def emit(json_out: str | None, value: Any, *, each: bool = False) -> None:
 
 
 def project_of(vehicle: str) -> Project:
-    """The project of a shipped vehicle, or of a project file. InputError where it is neither."""
+    """Project of a shipped vehicle or of a project file; InputError otherwise."""
     from ..vehicle.project import load_project
 
     return load_project(vehicle)

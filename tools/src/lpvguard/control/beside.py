@@ -1,5 +1,5 @@
-"""What a design states beside mu and the moving speed: margins, a Delta that varies, and limits of the
-demand."""
+"""Further certificates of a design besides mu and the moving speed: margins, a varying Delta, demand
+limits."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from .robustness import Robustness, require_robustness, robustness
 from .slow_delta import Slowness, require_slowness, slowness
 
 SHARES = (3, 1, 1)
-"""Rough shares of the work."""
+"""Approximate shares of the work."""
 
 
 @dataclass(frozen=True)
 class Beside:
-    """``slow_delta`` is None for a design without Delta."""
+    """Further certificates; ``slow_delta`` is None for a design without Delta."""
 
     robustness: Robustness
     slow_delta: Slowness | None
     limits: Limits
 
     def to_dict(self) -> dict:
-        """Fields of a controller.json's certificates."""
+        """Fields of controller.json's certificates."""
         return {
             "robustness": self.robustness.to_dict(),
             "slow_delta": None if self.slow_delta is None else self.slow_delta.to_dict(),
@@ -37,7 +37,7 @@ class Beside:
 
 
 NOTHING = {"robustness": None, "slow_delta": None, "limits": None}
-"""The same fields where nothing was asked for."""
+"""The same fields for a design without them."""
 
 
 def beside(
@@ -47,7 +47,7 @@ def beside(
     progress: Progress = lambda _: None,
     workers: Map = map,
 ) -> Beside:
-    """All of it for one controller; ``workers`` share the speeds."""
+    """Further certificates of one controller; ``workers`` share the speeds."""
     tells = parts(progress, *SHARES)
     given = stored, schedule, scaling
     return Beside(
@@ -66,8 +66,10 @@ def require_beside(
     progress: Progress = lambda _: None,
     workers: Map = map,
 ) -> None:
-    """InputError unless ``stated``, the certificates of ``path``, are proved or computed anew; a field
-    that is missing or None claims nothing. ``workers`` share the speeds."""
+    """Raise InputError unless the certificates ``stated`` in ``path`` are proved or computed again.
+
+    A field that is missing or None claims nothing. ``workers`` share the speeds.
+    """
     tells = parts(progress, *SHARES)
     given = stored, schedule, scaling
     require_robustness(path, stated.get("robustness"), *given, tells[0], workers)

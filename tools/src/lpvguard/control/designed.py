@@ -1,5 +1,5 @@
-"""What else is asked of a controller.json that `lpvguard design` wrote: whose it is, its scaling, and its
-mu with a fault in the loop."""
+"""Further questions about a controller.json: its identification, its scaling, and mu with a fault in the
+loop."""
 
 from __future__ import annotations
 
@@ -18,14 +18,37 @@ from .plants import frozen_plant
 
 
 def stated_scaling(document: dict) -> Scaling:
-    """The common scaling of a controller.json."""
+    """Read the common scaling of a controller.json.
+
+    Parameters
+    ----------
+    document : dict
+
+    Returns
+    -------
+    Scaling
+    """
     stated = document["certificates"]
     return Scaling(np.array(stated["scaling_log_parameters"], float).reshape(-1, stated["scaling_columns"]))
 
 
 def require_designed_for(stored: StoredIdentification, controller: Path) -> dict:
-    """The document of controller.json; InputError where it cannot be read or was designed for another
-    identification."""
+    """Read a controller.json of this identification.
+
+    Parameters
+    ----------
+    stored : StoredIdentification
+    controller : Path
+
+    Returns
+    -------
+    dict, the document
+
+    Raises
+    ------
+    InputError
+        If it cannot be read, or was designed for another identification.
+    """
     document = read_controller(controller)
     if artefacts.read_manifest(controller.parent, "design")["identification"] != stored.manifest:
         raise InputError(
@@ -34,14 +57,44 @@ def require_designed_for(stored: StoredIdentification, controller: Path) -> dict
     return document
 
 
+def require_exported_with(controller: Path, vehicle: Path) -> None:
+    """Require that a generated folder was exported with a controller.json, byte for byte.
+
+    Its certificates are then those that `export` proved for the folder's coefficients.
+
+    Parameters
+    ----------
+    controller : Path
+    vehicle : Path, generated folder
+
+    Raises
+    ------
+    InputError
+        If it was not.
+    """
+    exported = artefacts.read_manifest(vehicle, "vehicle").get("controller", {}).get("sha256")
+    if exported != artefacts.file_hash(controller):
+        raise InputError(
+            vehicle, "controller.sha256", "is of another controller", f"a folder exported with {controller}"
+        )
+
+
 def faulted_performance(
     path: Path, stored: StoredIdentification, v: float, applied: StateSpace, measured: StateSpace
 ) -> float:
-    """Upper bound of mu at frozen speed v [m/s] of the loop closed by controller.json with two systems put
-    into it.
+    """Bound mu at a frozen speed with two systems in the loop of a controller.json.
 
-    ``applied`` (n_u inputs and outputs) acts between controller and vehicle. ``measured`` acts on [reference,
-    outputs] before the controller. The bound is inf where the loop is unstable.
+    Parameters
+    ----------
+    path : Path, controller.json
+    stored : StoredIdentification
+    v : float, m/s
+    applied : StateSpace, n_u inputs and outputs, between controller and vehicle
+    measured : StateSpace, on [reference, outputs] before the controller
+
+    Returns
+    -------
+    float, upper bound of mu, inf for an unstable loop
     """
     document = artefacts.read_json(path)
     plant, K = frozen_plant(stored, v), Scheduled.read(document).at(v)

@@ -1,4 +1,4 @@
-"""The generated folder of an identification with its controller, or with a group's thresholds."""
+"""Export the generated folder of an identification with its controller, or with a group's thresholds."""
 
 from __future__ import annotations
 
@@ -20,11 +20,26 @@ def export_chosen(
     progress: Progress = lambda _: None,
     workers: Map = map,
 ) -> StoredIdentification:
-    """Write the generated folder, whole or not at all; returns the identification as exported.
+    """Write the generated folder, whole or not at all.
 
-    ``controller``: controller.json or the folder of `design`, whose certificates are proved anew;
-    None: no controller. ``group``: whose thresholds the core carries; None: the largest of all. ``workers``
-    share the speeds. InputError where a certificate fails, or no drive is of the group.
+    Parameters
+    ----------
+    stored : StoredIdentification
+    target : Path, new folder
+    controller : Path, optional, controller.json or folder of `design`
+        Its certificates are proved again.
+    group : str, optional, group whose thresholds the core carries, by default the largest of all
+    progress : Callable, reports progress
+    workers : Map, shares the speeds
+
+    Returns
+    -------
+    StoredIdentification, as exported
+
+    Raises
+    ------
+    InputError
+        If a certificate fails, or no drive is of the group.
     """
     chosen = stored if group is None else stored.of_group(group)
     path = controller / "controller.json" if controller is not None and controller.is_dir() else controller

@@ -1,8 +1,7 @@
 """Fig. 1 of an identified vehicle: its settings, its weights and the generalised plant at a frozen speed.
 
 Everything is discrete from the start: the vehicle sampled exactly at Ts, the weights by Tustin's map. The
-model's input delay is whole samples in front of the vehicle; the performance weight W_u sees the demand at
-once.
+model's input delay is whole samples before the vehicle; the performance weight W_u has no delay.
 """
 
 from __future__ import annotations
@@ -21,11 +20,25 @@ from ..vehicle.nominal import NominalModel
 from .stored_frames import SplitWeights, StoredFrames
 
 LARGEST_WINDOW_ERROR = 0.1
-"""Median error of the state's uncertainty from frames, over bins, up to which K_is is designed from it."""
+"""Largest median error of the state's uncertainty from frames, over bins, for a design of K_is."""
 
 
 def design_settings(stored: StoredIdentification) -> DesignSettings:
-    """The project's [design] table; InputError without one."""
+    """Return the project's [design] table.
+
+    Parameters
+    ----------
+    stored : StoredIdentification
+
+    Returns
+    -------
+    DesignSettings
+
+    Raises
+    ------
+    InputError
+        If there is none.
+    """
     if stored.project.design is None:
         raise InputError(
             f"vehicle {stored.project.name}", "design", "no [design] table", "objectives for step 8"
@@ -39,11 +52,10 @@ def weight_system(weight: FittedWeight, inflation: float) -> StateSpace:
 
 
 def state_uncertainty(stored: StoredIdentification, settings: DesignSettings) -> SplitWeights:
-    """Class S2's weights at the identified gamma_w: W_delta_i dimensionless, W_delta_s in 1/s; searched once
-    for each lambda_s.
+    """Weights of class S2 at the identified gamma_w: W_delta_i dimensionless, W_delta_s in 1/s.
 
-    xi_s adds to the state's derivative. It is found by inverting dynamics, which windows only approximate:
-    InputError where the frames cannot tell it.
+    They are searched once for each lambda_s. xi_s adds to the state's derivative and needs inverted dynamics,
+    which windows only approximate. Raises InputError where the frames are too inexact.
     """
     error = stored.bounds["window_error_median"]
     worst = int(np.nanargmax(error))
@@ -66,10 +78,29 @@ def state_uncertainty(stored: StoredIdentification, settings: DesignSettings) ->
 
 
 def fig1_weights(stored: StoredIdentification, settings: DesignSettings) -> fig1.PlantWeights:
-    """The weights of Fig. 1 for ``settings``: structure, A_t, A_u and shapes; the others as identified.
+    """Return the weights of Fig. 1 for given structure, A_t, A_u and shapes; the others are as identified.
 
-    InputError without drives of the noise split, and unless the identification and the design have the same
-    uncertainty: S1_diagonal goes with K_o, S1 with K_i and K_is, and K_inf with each.
+    Parameters
+    ----------
+    stored : StoredIdentification
+    settings : DesignSettings
+
+    Returns
+    -------
+    PlantWeights
+
+    Raises
+    ------
+    InputError
+        If there are no drives of the noise split, or design and identification differ in uncertainty.
+
+    Notes
+    -----
+    S1_diagonal goes with K_o, S1 with K_i and K_is, and K_inf with each.
+
+    References
+    ----------
+    Paper, Fig. 1 and section V.
     """
     fitted = stored.fitted
     outputwise = settings.structure == fig1.OUTPUTWISE
@@ -113,7 +144,7 @@ def fig1_weights(stored: StoredIdentification, settings: DesignSettings) -> fig1
 
 
 def whole_delay(model: NominalModel) -> int:
-    """The model's input delay [samples]; InputError where it is not a whole number of them."""
+    """The model's input delay [samples]; InputError where it is not whole."""
     if model.delay_fraction:
         raise InputError(
             "model",
@@ -125,7 +156,7 @@ def whole_delay(model: NominalModel) -> int:
 
 
 def vehicle_at(model: NominalModel, v: float) -> StateSpace:
-    """The nominal vehicle from u to y at speed v [m/s], sampled with its input held, delay included."""
+    """Nominal vehicle from u to y at speed v [m/s], sampled with held input, delay included."""
     A, B = (m[0] for m in model.matrices(np.array([v])))
     free = StateSpace(A, B, model.C, np.zeros((model.n_y, B.shape[1])))
     held = zero_order_hold(free, model.Ts)
@@ -133,7 +164,7 @@ def vehicle_at(model: NominalModel, v: float) -> StateSpace:
 
 
 def delay_line(samples: int, dt: float) -> StateSpace:
-    """One signal, ``samples`` late."""
+    """One signal, delayed by ``samples``."""
     return StateSpace(
         np.eye(samples, k=1),
         np.eye(samples)[:, -1:],
@@ -152,10 +183,10 @@ def plant_at(
     structure: str,
     probes: bool = False,
 ) -> fig1.GeneralisedPlant:
-    """The discrete generalised plant at speed v [m/s], the model's input delay included.
+    """Discrete generalised plant at speed v [m/s], the model's input delay included.
 
-    delayed: with one more sample of delay in front of the control input, that of the controller's
-    computation. probes: as in ``generalised_plant``.
+    delayed: with one more sample of delay before the control input, for the controller's computation. probes:
+    as in ``generalised_plant``.
     """
     A, B = (m[0] for m in model.matrices(np.array([v])))
     late = whole_delay(model)
@@ -168,7 +199,21 @@ def plant_at(
 
 
 def frozen_plant(stored: StoredIdentification, v: float) -> fig1.GeneralisedPlant:
-    """The discrete generalised plant at speed v [m/s] that the certificates of a design are about."""
+    """Return the discrete generalised plant of a design's certificates at a frozen speed.
+
+    Parameters
+    ----------
+    stored : StoredIdentification
+    v : float, m/s
+
+    Returns
+    -------
+    GeneralisedPlant
+
+    References
+    ----------
+    Paper, Fig. 1.
+    """
     settings = design_settings(stored)
     weights = fig1_weights(stored, settings)
     return plant_at(stored, NominalModel(stored.project), weights, v, False, settings.structure)

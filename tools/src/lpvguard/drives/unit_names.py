@@ -88,8 +88,18 @@ def _spellings(role: str) -> dict[str, str]:
 
 
 def tokens(text: str) -> list[str]:
-    """Words of a name, lower case: divided by anything that is no letter, and where a capital follows.
+    """Split a name into words at other signs than letters and at capitals.
 
+    Parameters
+    ----------
+    text : str
+
+    Returns
+    -------
+    list[str], in lower case
+
+    Examples
+    --------
     >>> tokens("vehicleSpeedKph"), tokens("Gierrate [°/s]")
     (['vehicle', 'speed', 'kph'], ['gierrate', '°', 's'])
     """
@@ -97,8 +107,19 @@ def tokens(text: str) -> list[str]:
 
 
 def unit_of_text(text: str, role: str) -> str | None:
-    """The unit that a whole text spells ("km/h", "Grad pro Sekunde"), None where it is none of the role.
+    """Find the unit that a whole text spells.
 
+    Parameters
+    ----------
+    text : str, as km/h or Grad pro Sekunde
+    role : str, speed, input or output
+
+    Returns
+    -------
+    str or None, where it is none of the role
+
+    Examples
+    --------
     >>> unit_of_text("Grad/s", "output"), unit_of_text("m/s", "input"), unit_of_text("m s^-1", "speed")
     ('deg/s', None, 'm/s')
     """
@@ -153,8 +174,19 @@ def _by_pint(text: str, role: str) -> str | None:
 
 
 def units_in_name(name: str, role: str) -> list[str]:
-    """The units of a role that a name states, the surest first: in brackets, after "in", at its end.
+    """Find the units that a name states: in brackets, after "in", or at its end.
 
+    Parameters
+    ----------
+    name : str
+    role : str, speed, input or output
+
+    Returns
+    -------
+    list[str], the surest first
+
+    Examples
+    --------
     >>> units_in_name("yaw_rate_radps", "output"), units_in_name("Lenkwinkel in Grad", "input")
     (['rad/s'], ['deg'])
     >>> units_in_name("speed", "speed"), units_in_name("SteeringWheelAngleDeg", "input")
@@ -178,8 +210,19 @@ def units_in_name(name: str, role: str) -> list[str]:
 
 
 def without_unit(name: str, role: str) -> str:
-    """The words of a name but its unit, joined by _.
+    """Join the words of a name without its unit by _.
 
+    Parameters
+    ----------
+    name : str
+    role : str, speed, input or output
+
+    Returns
+    -------
+    str
+
+    Examples
+    --------
     >>> without_unit("v_mph", "speed"), without_unit("r [deg/s]", "output")
     ('v', 'r')
     """

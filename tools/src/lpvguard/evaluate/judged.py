@@ -1,11 +1,10 @@
-"""Which drives are judged, and by which calibrations.
+"""Judged drives and the calibrations that judge them.
 
-Judged is each drive of the identification without itself, or drives that the identification never saw. Those
-are judged by its calibration as stored. A drive of a group is judged with the threshold of that group, where
-it has one.
+Judged is each drive of the identification without itself, or drives that the identification never saw. These
+are judged by its stored calibration. A drive of a group is judged with the threshold of that group, if any.
 
-Held-out drives calibrate nothing. A table that set bounds or noise, or that calibrated, is refused by its
-bytes. So is a piece of a recording of which the identification saw another piece.
+Held-out drives calibrate nothing. Tables that set bounds or noise, or that calibrated, are refused by their
+bytes. Other pieces of such a recording are refused, too.
 """
 
 from __future__ import annotations
@@ -24,16 +23,16 @@ from ..identify.run import DriveSet, StoredIdentification
 from .comparison import HELD_OUT, LEFT_ONE_OUT, MONITOR
 
 FLOORS = {"frame": 1.0, "energy": 1.0 + ROUNDING, "change": FLOOR}
-"""Of the threshold of each test, whatever calibrates it."""
+"""Least threshold of each test."""
 SAW = {"bounds": "set the bounds", "calibration": "calibrated", "noise": "set the noise"}
-"""What the identification did with a group of its drives."""
+"""Use of a group of drives in the identification."""
 
 
 @dataclass(frozen=True)
 class JudgedDrives:
     """Drives by name, the calibrations of MONITOR and each test that judge them, and their recordings.
 
-    ``mode``: LEFT_ONE_OUT or HELD_OUT. ``rule``: what calibrates, in words.
+    ``mode`` is LEFT_ONE_OUT or HELD_OUT. ``rule`` describes the calibrating drives.
     """
 
     mode: str
@@ -44,7 +43,7 @@ class JudgedDrives:
 
     @classmethod
     def left_one_out(cls, stored: StoredIdentification, drives: DriveSet) -> JudgedDrives:
-        """Every drive that calibrates, by all drives of other recordings. InputError where none of them has a
+        """Every calibration drive, judged by all drives of other recordings. InputError where none has a
         frame."""
         if not stored.calibration.scores:
             raise InputError(
@@ -65,12 +64,12 @@ class JudgedDrives:
 
     @classmethod
     def held_out(cls, stored: StoredIdentification, experiments: list[Experiment]) -> JudgedDrives:
-        """Drives that the identification never saw, by its calibration as stored."""
+        """Drives that the identification never saw, judged by its stored calibration."""
         together = _calibrations(stored, None)[MONITOR]
         as_stored = {MONITOR: together, **calibrations_of(stored)}
         return cls(
             HELD_OUT,
-            "the identification as stored, in which none of them took part",
+            "drives that took no part in the identification",
             {e.name: e for e in experiments},
             {e.name: _of_group(as_stored, e.group) for e in experiments},
             Recordings.listed((), experiments),
@@ -78,17 +77,17 @@ class JudgedDrives:
 
 
 def joint_thresholds(joint: float) -> list[float]:
-    """Of each of TESTS under one ``joint`` threshold: none alarms below its floor."""
+    """Thresholds of each of TESTS under one ``joint`` threshold: none alarms below its floor."""
     return [max(joint, FLOORS[test]) for test in TESTS]
 
 
 def _of_group(calibrations: dict[str, Calibration], group: str | None) -> dict[str, Calibration]:
-    """With the thresholds for drives of the group."""
+    """Thresholds for drives of the group."""
     return {what: c.of_group(group) for what, c in calibrations.items()}
 
 
 def _calibrations(stored: StoredIdentification, without: str | None) -> dict[str, Calibration]:
-    """Of MONITOR and each test by all calibration drives but the recording of ``without``; None: by all."""
+    """Calibrations of MONITOR and each test by all calibration drives but the recording of ``without``."""
     scores = {test: c.scores for test, c in calibrations_of(stored).items()}
     scores[MONITOR] = joint_scores(scores, FLOORS)
     rules: dict[str, Callable[..., Calibration]] = {
@@ -109,8 +108,21 @@ def _calibrations(stored: StoredIdentification, without: str | None) -> dict[str
 
 
 def calibrations_of(stored: StoredIdentification) -> dict[str, Calibration]:
-    """Of each test, as identified. InputError where there is the frame test only: with frames by the plain
-    DFT."""
+    """Return the stored calibration of each test.
+
+    Parameters
+    ----------
+    stored : StoredIdentification
+
+    Returns
+    -------
+    dict[str, Calibration], by test
+
+    Raises
+    ------
+    InputError
+        If there is the frame test only: with frames of the plain DFT.
+    """
     if stored.energy is None or stored.change is None:
         raise InputError(
             stored.folder, "energy", "no energy test was identified", "an identification with Hann frames"
@@ -123,9 +135,21 @@ def calibrations_of(stored: StoredIdentification) -> dict[str, Calibration]:
 
 
 def drives_to_judge(stored: StoredIdentification, folders: Iterable[Path]) -> list[Experiment]:
-    """The drives of the folders, of which the identification saw none.
+    """List the drives of folders that the identification never saw.
 
-    InputError where it saw one, or a piece of the same recording; where a name or a table occurs twice.
+    Parameters
+    ----------
+    stored : StoredIdentification
+    folders : Iterable[Path]
+
+    Returns
+    -------
+    list of Experiment
+
+    Raises
+    ------
+    InputError
+        If it saw one or a piece of the same recording, or a name or table occurs twice.
     """
     experiments: dict[str, Experiment] = {}
     for e in (e for folder in folders for e in list_experiments(folder)):
@@ -147,7 +171,7 @@ def drives_to_judge(stored: StoredIdentification, folders: Iterable[Path]) -> li
 
 
 def _require_new_recording(stored: StoredIdentification, e: Experiment) -> None:
-    """InputError where a drive is a piece of a recording that the identification knows a piece of."""
+    """Raise InputError for another piece of a recording that the identification knows."""
     if e.recording == e.name:
         return
     for what, did in SAW.items():

@@ -1,19 +1,17 @@
-"""`lpvguard evaluate`: what the monitor, and each of its tests alone, does on drives that did not set the
-bounds. Five baselines run on the same drives.
+"""`lpvguard evaluate`: the monitor, its tests and five baselines on drives that did not set the bounds.
 
 Every drive runs through the compiled core. One drive of the identification is left out at a time (THEORY
 7.3), with thresholds calibrated on all *other* drives that did not set the bounds. Drives that the
-identification never saw are judged with its thresholds as stored (judged.py).
+identification never saw are judged with its stored thresholds (judged.py).
 
-The monitor is compared with all tests at one threshold, calibrated jointly (calibration.joint_scores). By
-any test it alarms on a further drive with probability at most alpha, as a baseline does. Beside it stand
-each test alone at alpha, and both as exported: each at its own threshold, together at most three times
-alpha. Where
-fewer drives calibrate than alpha needs, no rate is stated, and the detectors are compared by counts only
-(`stated_rates`).
+The monitor is compared with all tests at one threshold, calibrated jointly (calibration.joint_scores). It
+alarms by any test on a further drive with probability at most alpha, as a baseline does. The table also has
+each test alone at alpha, and all as exported: each at its own threshold, together at most three times alpha.
+Where fewer drives calibrate than alpha needs, no rate is stated, and the detectors are compared by counts
+only (`stated_rates`).
 
-How false alarms are counted: false_alarms.py. What counts as found: detection.py. How the baselines get their
-parameters: baseline_study.py.
+false_alarms.py defines false alarms, detection.py defines found faults, and baseline_study.py tunes the
+baselines.
 """
 
 from __future__ import annotations
@@ -49,11 +47,12 @@ from .false_alarms import alarmed_pieces, alarming, false_alarms, piece_starts
 from .judged import FLOORS, JudgedDrives, calibrations_of, joint_thresholds
 
 FEWEST_FOR_BASELINES = 2
-"""Calibration drives: a baseline has no natural threshold, so one must be left when a drive is left out."""
+"""Fewest calibration drives: a baseline has no natural threshold, so one must remain when a drive is left
+out."""
 
 
 Found = dict[str, Outcomes]
-"""Per detector, and per case, what became of it."""
+"""Outcomes per detector and case."""
 
 
 def _evaluate_drive(
@@ -62,10 +61,9 @@ def _evaluate_drive(
     injection: Injection,
     item: tuple[Experiment, Recordings, dict[str, Calibration]],
 ) -> tuple[dict, Found, CauseOutcomes]:
-    """One drive, the recordings and calibrations of its own for MONITOR and each test: its row, per detector
-    and case what became of it from every start, and the causes that were named where EXPORTED found it.
+    """Row of one drive, outcomes per detector and case, and the causes that EXPORTED names.
 
-    No outcome where the drive does not qualify for faults.
+    Recordings and calibrations are the drive's own. A drive without qualified stretches has no outcomes.
     """
     experiment, recordings, calibrations = item
     project, thresholds = reader.project, {what: c.threshold for what, c in calibrations.items()}
@@ -119,7 +117,7 @@ def _evaluate_drive(
 
 
 def _identity(experiment: Experiment, recordings: Recordings) -> dict[str, str]:
-    """Whose drive it is, of which recording and group."""
+    """Driver, recording and group of a drive."""
     group = recordings.groups.get(experiment.name)
     named = {
         "run": experiment.name,
@@ -132,7 +130,7 @@ def _identity(experiment: Experiment, recordings: Recordings) -> dict[str, str]:
 def _further_causes(
     replayer: Replayer, injection: Injection, drive: Drive, untouched: Replay
 ) -> CauseOutcomes:
-    """The causes named of the further faults, where the monitor of ``replayer`` found them."""
+    """Causes named for the further faults that the monitor of ``replayer`` found."""
     project, Ts = replayer.project, replayer.project.Ts_s
     causes: CauseOutcomes = {case: [] for case in injection.further_cases}
     hits = alarming(untouched)
@@ -146,7 +144,7 @@ def _further_causes(
 
 
 def _drive_scores(replay: Replay) -> dict[str, float | None]:
-    """The scores of a drive, of which a detector alarms above its threshold; None where it did not judge."""
+    """Scores of a drive: a detector alarms if they exceed its threshold. None where it did not judge."""
     tests = {
         "frame": score(replay.run),
         "energy": energy_score(replay.run),
@@ -156,7 +154,7 @@ def _drive_scores(replay: Replay) -> dict[str, float | None]:
 
 
 def _stated(c: Calibration) -> dict:
-    """What a calibration states, in the row of a drive."""
+    """Statement of a calibration in the row of a drive."""
     return {
         "threshold": c.threshold,
         "drives": len(c.scores),
@@ -167,21 +165,22 @@ def _stated(c: Calibration) -> dict:
 
 
 def _without_faults(row: dict, injection: Injection) -> str:
-    """Why no fault is injected into a drive."""
+    """Reason why no fault is injected into a drive."""
     if row["duration_s"] <= injection.shortest_s:
         return f"{row['duration_s']:.1f} s long, no more than {injection.shortest_s:g} s"
     return f"less than {injection.within_s:g} s of judged, excited driving after {injection.from_s:g} s"
 
 
 def _variance(reader: DriveReader, experiment: Experiment) -> np.ndarray:
-    """Of the outputs of a drive, (n_y,)."""
+    """Variance (n_y,) of the outputs of a drive."""
     return reader.read(experiment)[0].y.var(axis=0)
 
 
 def _injection(
     stored: StoredIdentification, drives: DriveSet, settings: EvaluationSettings | None, workers: Map
 ) -> Injection:
-    """That of the settings, with the outputs' spread within the bound-setting drives; None: the usual."""
+    """Injection of the settings, scaled by the outputs' spread in bound-setting drives; by default the
+    usual one."""
     if settings is None:
         return Injection.usual()
     setting = [drives.experiments[n] for n in stored.manifest["drives"]["bounds"]]
@@ -190,20 +189,21 @@ def _injection(
 
 
 def one_rate(alphas: Iterable[float | None]) -> float | None:
-    """The alpha of a detector's calibrations, one for each drive left out; None where any of them states
-    none."""
+    """Common alpha of a detector's calibrations, one for each drive left out; None where any states none."""
     found = set(alphas)
     return None if None in found else found.pop()
 
 
 def _false_alarms(detector: str, rows: list[dict]) -> dict:
-    """The object of FalseAlarms of a detector over ``rows`` of drives."""
+    """FalseAlarms object of a detector over ``rows`` of drives."""
     return false_alarms([(r["alarmed"][detector], r["pieces"]) for r in rows], rows)
 
 
 def _stated_rates(rows: list[dict], baselines: list[dict], scored: Iterable[str]) -> dict[str, float | None]:
-    """Per detector the rate of false alarms stated for a further drive, None: counts only. Both tests as
-    exported have at most the sum of their rates."""
+    """Stated rate of false alarms on a further drive per detector; None: counts only.
+
+    The tests as exported have at most the sum of their rates.
+    """
     stated = {what: one_rate(r["calibration"][what]["alpha"] for r in rows) for what in scored}
     apart = [rate for test in TESTS if (rate := stated[test]) is not None]
     stated |= {EXPORTED: sum(apart) if len(apart) == len(TESTS) else None}
@@ -220,11 +220,32 @@ def evaluate(
     workers: Map = map,
     progress: Callable[[str], None] = lambda _: None,
 ) -> dict:
-    """Evaluation of each drive of the identification without itself, or of the ``held_out`` drives
-    (judged.drives_to_judge), mapped by ``workers`` (base/parallel.py); returns the JSON-able table.
-    ``drives``: those of the identification. ``settings``: of the faults; None: the usual ones.
+    """Evaluate the monitor, its tests and the baselines on judged drives.
 
-    InputError without any judged drive beside those that set the bounds.
+    By default each drive of the identification is judged without itself.
+
+    Parameters
+    ----------
+    stored : StoredIdentification
+    drives : DriveSet, the identification's drives
+    core : Core
+    held_out : list of Experiment, optional, judged instead (judged.drives_to_judge)
+    settings : EvaluationSettings, optional, of the faults, by default the usual ones
+    workers : Map
+    progress : Callable, reports progress
+
+    Returns
+    -------
+    dict, JSON-able table
+
+    Raises
+    ------
+    InputError
+        If no drive is judged.
+
+    References
+    ----------
+    THEORY 7.3, 7.9.
     """
     judged = (
         JudgedDrives.left_one_out(stored, drives)
@@ -274,7 +295,7 @@ def _baselines(
     workers: Map,
     progress: Callable[[str], None],
 ) -> list[dict]:
-    """The baselines on the judged drives of ``rows``; none where too few drives calibrate."""
+    """Baselines on the judged drives of ``rows``; none where too few drives calibrate."""
     alone = judged.mode == LEFT_ONE_OUT
     if len(stored.calibration.scores) < FEWEST_FOR_BASELINES - (not alone):
         return []
@@ -299,8 +320,7 @@ def _table(
     baselines: list[dict],
     injection: Injection,
 ) -> dict:
-    """The object of `lpvguard evaluate --json`, from the drives' rows, the monitor's cases and the
-    baselines'."""
+    """Object of `lpvguard evaluate --json` from the drives' rows, the monitor's cases and the baselines'."""
     scored = (MONITOR, *TESTS)
     groups = {"all": rows} | {
         d: [r for r in rows if r["driver"] == d] for d in sorted({r["driver"] for r in rows})

@@ -1,4 +1,4 @@
-"""`lpvguard fit`: drives and a project file with guesses -> the project file with what the drives say.
+"""`lpvguard fit`: fits the numbers of a project file to drives.
 
 Writes a folder with
 
@@ -7,9 +7,9 @@ Writes a folder with
                     drive and by speed, trims, findings
     MANIFEST.json   the drives' hashes, and the seal (base/artefacts.py)
 
-Drives of the bound-setting splits are fitted; the others are only judged. What is wrong with a drive beyond
-doubt (a sign, a unit, columns, a shift in time) is an InputError. What may be another car, or the model's
-limit, is a finding: that drive is left out.
+Drives of the bound-setting splits are fitted; the others are only judged. A certain fault of a drive (a sign,
+a unit, columns, a shift in time) is an InputError. A drive that may be of another car, or beyond the model,
+is left out with a finding.
 """
 
 from __future__ import annotations
@@ -34,15 +34,25 @@ from .suspicions import judged_beside, screened
 from .unknowns import DELAY, Unknowns
 
 APART = 0.98
-"""Two unknowns whose errors are correlated above this cannot be told apart by the drives."""
+"""Correlation of two unknowns' errors above which the drives cannot tell them apart."""
 GAIN_OFF = 0.1
-"""A drive whose gain differs by more is a finding."""
+"""Difference of a drive's gain above which it is a finding."""
 
 
 @dataclass(frozen=True)
 class FittedModel:
-    """What a fit finds: ``drives`` fitted and ``unseen``, each with its quality; ``findings`` are sentences;
-    ``left_out``: drive -> why."""
+    """Result of a fit.
+
+    Attributes
+    ----------
+    project : Project
+    estimate : Estimate
+    drives, unseen : list of Drive, fitted and only judged
+    by_drive, of_unseen, by_speed : list of Quality
+    left_out : dict[str, str], reason by drive
+    findings : list of str, sentences
+    sha256 : dict[str, str], hash by drive
+    """
 
     project: Project
     estimate: Estimate
@@ -56,7 +66,7 @@ class FittedModel:
     sha256: dict[str, str]
 
     def to_dict(self) -> dict:
-        """The content of fit.json."""
+        """Content of fit.json."""
         e, u = self.estimate, self.estimate.unknowns
         ends = u.at_end(e.theta)
         return {
@@ -95,9 +105,29 @@ def fit(
     progress: Callable[[str], None] = lambda _: None,
     accept_unusual: bool = False,
 ) -> FittedModel:
-    """Fit the project's model to the bound-setting drives of a folder. Raises InputError for bad input, for
-    drives whose signs, units, columns or times are wrong, and for a model that its kind of vehicle cannot
-    have, unless ``accept_unusual``."""
+    """Fit a project's model to the bound-setting drives of a folder.
+
+    Parameters
+    ----------
+    project : Project
+    folder : Path, drives
+    progress : Callable, reports progress
+    accept_unusual : bool, accept a model that its kind of vehicle cannot have
+
+    Returns
+    -------
+    FittedModel
+
+    Raises
+    ------
+    InputError
+        If an input does not fit, signs, units, columns or times of drives are wrong, or the model is none of
+        its kind of vehicle.
+
+    References
+    ----------
+    Ljung, System Identification, 2nd ed., 7.5 and 10.2.
+    """
     experiments = list_experiments(Path(folder))
     setting = {e.name for e in bound_setting(project, experiments, Path(folder))}
     skipped = {e.name for e in experiments if e.split in project.data.noise_split}
@@ -140,8 +170,10 @@ def fit(
 
 
 def _read(project: Project, experiments: list[Experiment]) -> tuple[list[Drive], list[InputError]]:
-    """All drives, and the errors of those with values outside their signals' ranges: a wrong unit is to be
-    named as such first."""
+    """All drives, and the errors of those with values outside their signals' ranges.
+
+    A wrong unit then gets its own message first.
+    """
     drives, refused = [], []
     for e in experiments:
         try:
@@ -153,7 +185,7 @@ def _read(project: Project, experiments: list[Experiment]) -> tuple[list[Drive],
 
 
 def _findings(estimate: Estimate, found: list[Quality]) -> list[str]:
-    """What a fit that went through still has to tell."""
+    """Findings of a successful fit."""
     u, theta = estimate.unknowns, estimate.theta
     says = [
         f"{name} is at the end of its range, {theta[u.names.index(name)]:.4g}: the drives do not tell it, or "
@@ -168,12 +200,12 @@ def _findings(estimate: Estimate, found: list[Quality]) -> list[str]:
     given = u.base.model.input_delay_s
     if DELAY in u.names and given > u.high[u.names.index(DELAY)]:
         says.append(
-            f"a delay of {given:g} s, as the project file says, is not there: the drives say "
+            f"the project file's delay of {given:g} s does not fit the drives; their delay is "
             f"{theta[u.names.index(DELAY)]:.4g} s"
         )
     for i, j in zip(*np.where(np.triu(np.abs(estimate.correlation), 1) > APART), strict=True):
         says.append(
-            f"{u.names[i]} and {u.names[j]} cannot be told apart: the correlation of their errors is "
+            f"the drives do not separate {u.names[i]} and {u.names[j]}: the correlation of their errors is "
             f"{estimate.correlation[i, j]:.3f}"
         )
     for q in found:
@@ -186,14 +218,28 @@ def _findings(estimate: Estimate, found: list[Quality]) -> list[str]:
 
 
 def _database(project: Project) -> dict[str, bytes]:
-    """The CAN database of the car's own bus, as it stands beside a project file."""
+    """CAN database of the car's own bus, beside a project file."""
     return {} if project.can is None else {Path(project.can.dbc).name: Path(project.can.dbc).read_bytes()}
 
 
 def save(
     result: FittedModel, text: str, where: str, out: Path, files: Mapping[str, str] | None = None
 ) -> None:
-    """Write the folder; ``text`` of the project file, read from ``where``, and ``files`` besides."""
+    """Write the folder of `lpvguard fit`.
+
+    Parameters
+    ----------
+    result : FittedModel
+    text : str, of the project file
+    where : str, origin of the text
+    out : Path
+    files : Mapping[str, str], optional, further files
+
+    Raises
+    ------
+    InputError
+        If the folder may not be replaced.
+    """
     values = values_of(result.estimate.unknowns, result.estimate.theta)
     with artefacts.new_folder(out, "fit", result.project.name) as folder:
         artefacts.write_files(

@@ -1,5 +1,7 @@
-"""Drives that were spoiled on their way: twice in the folder, rows out of order, values that stand, or each
-value twice. No model is needed to see it. Every finding names drive, column and time."""
+"""Drives that were spoiled: repeated in the folder, rows out of order, frozen values, or each value twice.
+
+No model is needed to detect it. Every finding names drive, column and time.
+"""
 
 from __future__ import annotations
 
@@ -13,13 +15,13 @@ from ..vehicle.project import Project, Signal
 from .stretches import stretches_of
 
 SAME_ROWS = 0.5
-"""Share of a drive's rows that stand in another one, from which it counts as the same."""
+"""Share of a drive's rows in another one from which the two count as the same."""
 ROUGH = 1.0
 """Mean square of a signal's step over its variance: 2 in random order, far below 1 for a sampled motion."""
 UNLIKE_NOISE = 0.05
 """Spread of a speed that is no noise, as a share of the speed."""
 STANDS_S = 5.0
-"""A signal that stands at one value for so long, and moves elsewhere, is frozen."""
+"""A signal that moves elsewhere but not for so long is frozen."""
 MOVES = 0.5
 """A signal moves where more than this share of its steps is not 0."""
 HELD = 0.9
@@ -33,7 +35,7 @@ def require_unspoiled(project: Project, drives: list[Drive]) -> None:
 
 
 def spoiled(project: Project, drives: list[Drive]) -> Iterator[InputError]:
-    """What is wrong, as errors."""
+    """Errors of spoiled drives."""
     yield from _doubled(drives)
     for drive in drives:
         yield from _shuffled(project, drive)
@@ -67,8 +69,10 @@ def _doubled(drives: list[Drive]) -> Iterator[InputError]:
 
 
 def _shuffled(project: Project, drive: Drive) -> Iterator[InputError]:
-    """Every column jumps when rows are out of order. A speed that is held wears noise that jumps as well, so
-    it has to differ by more than noise does."""
+    """Whether every column jumps, as when rows are out of order.
+
+    The noise of a held speed jumps as well, so the speed has to differ by more than noise does.
+    """
     columns = [x for _, x in _columns(project, drive) if np.var(x) > 0]
     rough = all(np.mean(np.diff(x) ** 2) > ROUGH * np.var(x) for x in columns)
     if rough and np.std(drive.v) > UNLIKE_NOISE * np.mean(np.abs(drive.v)):
@@ -81,7 +85,7 @@ def _shuffled(project: Project, drive: Drive) -> Iterator[InputError]:
 
 
 def _at_half_rate(drive: Drive, signal: Signal, x: np.ndarray) -> Iterator[InputError]:
-    """A held sample: one of the two phases of the steps is 0 where the other moves."""
+    """Whether samples are held: one of the two phases of the steps is 0 where the other moves."""
     step = np.diff(x) != 0
     phases = sorted(float(np.mean(step[p::2])) if len(step[p::2]) else 0.0 for p in (0, 1))
     if phases[0] < 1 - HELD and phases[1] > MOVES:
@@ -94,7 +98,7 @@ def _at_half_rate(drive: Drive, signal: Signal, x: np.ndarray) -> Iterator[Input
 
 
 def _frozen(drive: Drive, signal: Signal, x: np.ndarray, driving: np.ndarray) -> Iterator[InputError]:
-    """A signal that elsewhere changes at most samples cannot stand by chance while the vehicle drives."""
+    """Whether a signal that elsewhere changes at most samples stands while the vehicle drives."""
     Ts = float(drive.t[1] - drive.t[0])
     stands = np.r_[False, np.diff(x) == 0] & driving
     long = stretches_of(stands, round(STANDS_S / Ts))
@@ -108,7 +112,7 @@ def _frozen(drive: Drive, signal: Signal, x: np.ndarray, driving: np.ndarray) ->
         yield InputError(
             drive.name,
             f"column {signal.column}, {drive.t[worst.start]:g} to {drive.t[worst.stop - 1]:g} s",
-            f"stands at {x[worst.start]:g} {signal.unit}, elsewhere it moves at most samples: the sensor is "
+            f"stays at {x[worst.start]:g} {signal.unit} but moves at most samples elsewhere: the sensor is "
             f"frozen{begins}",
             "the drive without this stretch",
         )

@@ -1,4 +1,4 @@
-"""The drives of an identification, by what they are for."""
+"""Drives of an identification by their role."""
 
 from __future__ import annotations
 
@@ -14,7 +14,14 @@ from .passes import DriveReader
 
 
 class DriveSet:
-    """The drives of a folder, read when asked for."""
+    """Drives of a folder, read on request.
+
+    Parameters
+    ----------
+    project : Project
+    model : NominalModel
+    experiments : list[Experiment]
+    """
 
     def __init__(self, project: Project, model: NominalModel, experiments: list[Experiment]):
         self.reader = DriveReader(project, model)
@@ -27,8 +34,7 @@ class DriveSet:
 
 @dataclass(frozen=True)
 class Chosen:
-    """Drives by what they are for: those that set the bounds, those without input, and all others, which
-    calibrate."""
+    """Drives by role: those that set the bounds, those without input, and all others, which calibrate."""
 
     setting: list[Experiment]
     noise: list[Experiment]
@@ -36,7 +42,7 @@ class Chosen:
 
     @classmethod
     def by_split(cls, project: Project, experiments: list[Experiment], folder: Path) -> Chosen:
-        """By the column split of the index; InputError when no drive sets the bounds."""
+        """Roles by the column split of the index; InputError when no drive sets the bounds."""
         setting = bound_setting(project, experiments, folder)
         noise = [e for e in experiments if e.split in project.data.noise_split]
         return cls(setting, noise, [e for e in experiments if e not in setting and e not in noise])

@@ -2,25 +2,24 @@
 
 Writes a folder with
 
-    bounds.json       bounds per bin (bounds.py), by the drives that set them, and the estimator's window
-                      error
-    front.json        Pareto front nu(gamma_w) per bin, and the point on it that was taken
+    bounds.json       bounds per bin (bounds.py), the drives that set them, and the estimator's window error
+    front.json        Pareto front nu(gamma_w) per bin, and the chosen point on it
     model_error.json  the part of the error that follows the input, with its standard error, of the drives
                       that set the bounds and of those that judge them (model_error.py)
     weights.json      W_w per output and W_delta with their certificates, and the final inflation
     calibration.json  scores, threshold, alpha
-    energy.json       energy test: filters, certificate, sigma, scores, threshold (energy.py); with Hann
-                      frames only
-    change.json       change test: sizes, scores, threshold (change.py); likewise
-    diagnosis.json    scales of the diagnosis of alarms (diagnosis.py); likewise
+    energy.json       energy test: filters, certificate, sigma, scores, threshold (energy.py); Hann frames
+    only
+    change.json       change test: sizes, scores, threshold (change.py); Hann frames only
+    diagnosis.json    scales of the diagnosis of alarms (diagnosis.py); Hann frames only
     visibility.json   smallest visible gain and delay errors, at typical and at the strongest excitation met
     spectra.npz       E, Z and mean speed of frames of the bound-setting drives, thinned, for the pictures and
                       step 8's trade-offs
     project.json      the project file as it was
     MANIFEST.json     inputs, drives, estimator, and the seal of all of it (base/artefacts.py)
 
-Every pass is one map over the drives (base/parallel.py) whose results are joined as they come. Memory does
-not grow with the number of drives, but for the samples that are kept (KEPT_BYTES of passes.py). Neither the
+Every pass is one map over the drives (base/parallel.py) whose results are joined on arrival. Memory does
+not grow with the number of drives, except for kept samples (KEPT_BYTES of passes.py). Neither the
 number of workers nor the order of the drives changes a bit of the bounds.
 """
 
@@ -81,8 +80,27 @@ def _quiet(_: str) -> None:
 
 @dataclass(frozen=True)
 class Identification:
-    """Everything that identify finds; see the module's docstring for the files. ``model_fit``: of the drives
-    that set the bounds; ``others_fit``: of those that do not."""
+    """Result of identify; the module's docstring lists the files.
+
+    Attributes
+    ----------
+    project : Project
+    model : NominalModel
+    estimator : Estimator
+    bounds : Bounds
+    model_error : ModelError
+    weights : Weights
+    calibration : Calibration
+    energy : EnergyTest or None
+    change : ChangeTest or None
+    diagnosis : DiagnosisScales or None
+    visibility : dict
+    spectra : Rows
+    bound_drives, calibration_drives, noise_drives : list[str]
+    left_out, sha256 : dict[str, str]
+    model_fit, others_fit : list[Quality]
+    origins : Origins
+    """
 
     project: Project
     model: NominalModel
@@ -107,7 +125,7 @@ class Identification:
 
 
 def _of_commands(project: Project, setting: list[Experiment], parts: list[Part], folder: Path) -> Part:
-    """The parts of the bound-setting drives that W_C is from, joined; InputError when there is none."""
+    """Joined parts of the bound-setting drives for W_C; InputError when there is none."""
     splits = project.data.command_splits
     chosen = [p for e, p in zip(setting, parts, strict=True) if e.split in splits]
     if not chosen:
@@ -128,9 +146,28 @@ def identify(
     progress: Progress = _quiet,
     without: Collection[str] = (),
 ) -> tuple[Identification, DriveSet]:
-    """Run steps 1-7 on a drive folder but for the drives ``without``; ``workers``: base/parallel.py.
+    """Run steps 1-7 on a drive folder.
 
-    Raises InputError for bad input, where no bound-setting drive has a frame, or where nothing calibrates.
+    Parameters
+    ----------
+    project : Project
+    folder : Path, drives with experiments.csv
+    workers : Map
+    progress : Callable, reports progress
+    without : Collection[str], drives to leave out, default ()
+
+    Returns
+    -------
+    tuple of Identification and DriveSet
+
+    Raises
+    ------
+    InputError
+        If an input does not fit, no bound-setting drive has a frame, or nothing calibrates.
+
+    References
+    ----------
+    Paper, steps 1-7; THEORY 3 to 7.
     """
     experiments = [e for e in list_experiments(Path(folder)) if e.name not in without]
     drives = DriveSet(project, NominalModel(project), experiments)
@@ -182,7 +219,7 @@ def identify(
 
 
 def _bounds_table(result: Identification) -> dict[str, np.ndarray]:
-    """bounds.json."""
+    """Content of bounds.json."""
     bounds, estimator = result.bounds, result.estimator
     error = window_error(result.model, estimator, result.project.seed)
     return {
@@ -206,7 +243,19 @@ def _bounds_table(result: Identification) -> dict[str, np.ndarray]:
 
 
 def save(result: Identification, drives: DriveSet, target: Path) -> None:
-    """Write the identification folder, whole or not at all."""
+    """Write the identification folder, whole or not at all.
+
+    Parameters
+    ----------
+    result : Identification
+    drives : DriveSet, the identification's drives
+    target : Path, new folder
+
+    Raises
+    ------
+    InputError
+        If the folder may not be replaced.
+    """
     bounds, weights = result.bounds, result.weights
     table = _bounds_table(result)
     front = {
@@ -254,9 +303,23 @@ def save(result: Identification, drives: DriveSet, target: Path) -> None:
 
 @dataclass(frozen=True)
 class StoredIdentification:
-    """An identification folder read back: what export, evaluate and report need.
+    """Identification folder as read back.
 
-    ``found``: what was computed of it, by key; a changed copy begins with nothing.
+    Attributes
+    ----------
+    folder : Path
+    manifest : dict
+    project : Project
+    bounds, front : dict of ndarray, by name, of bounds.json and front.json
+    weights : dict
+    fitted : Weights
+    calibration : Calibration
+    energy : EnergyTest or None
+    change : ChangeTest or None
+    diagnosis : DiagnosisScales or None
+    visibility : dict
+    model_error : ModelError
+    found : dict[Any, Any]
     """
 
     folder: Path
@@ -276,7 +339,7 @@ class StoredIdentification:
 
     @cached_property
     def coefficients(self) -> Coefficients:
-        """The core's coefficients; InputError for bounds of an estimator that the core does not compute."""
+        """Coefficients of the core; InputError for bounds of an estimator that the core does not compute."""
         model = NominalModel(self.project)
         return coefficients_of(
             self.project,
@@ -289,7 +352,7 @@ class StoredIdentification:
         )
 
     def of_group(self, group: str) -> StoredIdentification:
-        """With the thresholds of all tests for drives of a group; InputError where no drive is of it."""
+        """The identification with thresholds of all tests for a group; InputError where no drive is of it."""
         known = sorted(self.calibration.groups)
         if group not in known:
             raise InputError(
@@ -319,8 +382,21 @@ class StoredIdentification:
 
 
 def load(folder: Path) -> StoredIdentification:
-    """Read an identification folder; the weights' certificates are proved anew, and a failing one is an
-    InputError."""
+    """Read an identification folder and prove its weights' certificates again.
+
+    Parameters
+    ----------
+    folder : Path
+
+    Returns
+    -------
+    StoredIdentification
+
+    Raises
+    ------
+    InputError
+        If a file does not fit or was changed, or a certificate fails.
+    """
     folder = Path(folder)
     manifest = artefacts.read_manifest(folder, "identify")
 

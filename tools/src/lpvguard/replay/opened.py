@@ -1,4 +1,4 @@
-"""A vehicle's compiled core, opened for replay or for samples that come one by one."""
+"""Opens a vehicle's compiled core, for a replay or for a stream of samples."""
 
 from __future__ import annotations
 
@@ -13,8 +13,23 @@ from .run import Replayer
 
 
 def replayer_for(project: Project, coefficients: Path | None, vehicle: object) -> Replayer:
-    """The compiled core of a project, of its shipped folder or of ``coefficients``. InputError where the
-    folder was made with other settings. ``vehicle``: what the project is called in that error."""
+    """Open the compiled core of a project.
+
+    Parameters
+    ----------
+    project : Project
+    coefficients : Path, or None for the shipped folder
+    vehicle : object, name of the project in errors
+
+    Returns
+    -------
+    Replayer
+
+    Raises
+    ------
+    InputError
+        If the folder was made with other settings.
+    """
     require_core(project)
     folder = coefficients or shipped_vehicle(project.name)
     require_settings(artefacts.read_manifest(folder, "vehicle")["project"], folder, project, vehicle)

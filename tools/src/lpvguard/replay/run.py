@@ -1,5 +1,5 @@
-"""Stage 8, replay: recorded drives and raw CAN logs run through the compiled C core. What the core said is
-written in a form that people and machines can read."""
+"""Stage 8, replay: runs recorded drives and raw CAN logs through the compiled C core and records its
+answers."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ EXCITED_WINDOW_S = 10.0
 
 @dataclass(frozen=True)
 class ChangeEstimate:
-    """What the change test says of an output: e = gain yhat - delay_s dyhat/dt + bias [output unit]."""
+    """Estimate of the change test for an output: e = gain yhat - delay_s dyhat/dt + bias [output unit]."""
 
     gain: float
     delay_s: float
@@ -39,16 +39,27 @@ class ChangeEstimate:
 
 @dataclass(frozen=True)
 class Alarm:
-    """What falsified the model or says that it changed, with what a person needs to believe it. ``t_s``
-    [s] is the end of what was judged.
+    """An alarm with its evidence.
 
-    ``test`` is "frame", "energy" or "change". "frame": a frame of the bin ``bin_rad_s`` [rad/s]; E and Z
-    are its DFT of error and nominal output. "energy": the energy test's ratio (``margin``) exceeded its
-    threshold, after a memory without that. Then bin_rad_s and W_delta, of a frame (n_delta,), are None.
-    ``band`` is one of core.band_names; ``direction`` (n_y,) says which sum of outputs, in units of sigma.
-    B_w holds the band's sigma, E the norms of F e_j and Z those of F W_delta yhat_j. "change": the change
-    test's ratio did, of one ``part`` (core.CHANGE_PARTS) of the ``estimate`` of ``output``; B_w, E and Z are
-    empty.
+    A frame alarm has E and Z, the frame's DFT of error and nominal output. An energy alarm means that the
+    energy test's ratio exceeded its threshold after a memory below it; bin_rad_s and W_delta are None. Its
+    B_w holds the band's sigma, E the norms of F e_j, and Z those of F W_delta yhat_j. A change alarm has
+    empty B_w, E and Z.
+
+    Attributes
+    ----------
+    t_s : float, s, end of the judged stretch
+    test : str, "frame", "energy" or "change"
+    bin_rad_s : float or None, rad/s, frequency of the frame's bin
+    speed_mps : float, m/s
+    margin, evidence, statistic, threshold : float, t* or ratio, its evidence, and what is compared
+    W_delta : list (n_delta,) of float, or None
+    B_w : list (n_y,) of float, output units
+    E, Z : list (n_y,) of complex, output units
+    direction : list (n_y,) of float, or None, weights of the outputs in units of sigma
+    band : str or None, of core.band_names
+    output, part : str or None, of the change test; part of core.CHANGE_PARTS
+    estimate : ChangeEstimate or None
     """
 
     t_s: float
@@ -72,7 +83,25 @@ class Alarm:
 
 @dataclass(frozen=True)
 class Replay:
-    """One drive through the core. Times are seconds after the drive's first sample."""
+    """One drive through the core, with times in s after its first sample.
+
+    Attributes
+    ----------
+    name : str
+    duration_s : float, s
+    run : Run
+    judged : ndarray (N,) of bool, the sample lies in a counted frame
+    in_range, excited : ndarray (N,) of bool
+    falsified : ndarray (N,) of bool, a falsifying frame was judged at the sample
+    over : ndarray (N,) of bool, the energy test's ratio is above its threshold
+    changed : ndarray (N,) of bool, the change test's ratio is above its threshold
+    alarms : list of Alarm, of all tests, in the order of time
+    Ts : float, s
+    missing_samples : int
+    can : dict or None, outcome of a raw log's frames, and gaps (receive.py)
+    start_s : float, s, the drive's own time at its first sample, which ``run`` uses
+    diagnoses : tuple of Diagnosis, one an output of an alarm, in the order of time
+    """
 
     name: str
     duration_s: float
@@ -108,17 +137,17 @@ class Replay:
 
     @property
     def first_invalid_s(self) -> float | None:
-        """When the verdict was first "invalid" [s after the first sample]; None: never."""
+        """Time of the first verdict "invalid" [s after the first sample]; None: never."""
         invalid = np.flatnonzero(self.run.verdict == VERDICTS.index("invalid"))
         return float(invalid[0] * self.Ts) if len(invalid) else None
 
     @property
     def verdict_final(self) -> str:
-        """The verdict at the last sample."""
+        """Verdict at the last sample."""
         return VERDICTS[self.run.verdict[-1]]
 
     def left_out(self) -> dict[str, int]:
-        """Frames by the reason why they did not count, or counted without evidence."""
+        """Number of frames by the reason why they did not count, or counted without evidence."""
         return {r: int((self.run.frames.reason == i).sum()) for i, r in enumerate(REASONS)}
 
     def to_dict(self) -> dict[str, Any]:
@@ -154,14 +183,35 @@ class Replay:
 
 @dataclass(frozen=True)
 class Recorded:
-    """What a file holds. ``can``: what became of a raw log's frames."""
+    """Content of a file.
+
+    Attributes
+    ----------
+    drive : Drive
+    can : dict or None, outcome of a raw log's frames
+    """
 
     drive: Drive
     can: dict[str, Any] | None = None
 
 
 def excited_samples(u: np.ndarray, Ts: float, threshold: float) -> np.ndarray:
-    """(N,) True where the standard deviation of an input over the surrounding 10 s exceeds ``threshold``."""
+    """Mark the samples where an input is excited.
+
+    Parameters
+    ----------
+    u : ndarray (N, n_u), input units
+    Ts : float, s
+    threshold : float, least standard deviation over the surrounding 10 s [input unit]
+
+    Returns
+    -------
+    ndarray (N,) of bool
+
+    References
+    ----------
+    THEORY 11.
+    """
     half = round(EXCITED_WINDOW_S / Ts / 2)
     low = np.maximum(np.arange(len(u)) - half, 0)
     high = np.minimum(np.arange(len(u)) + half + 1, len(u))
@@ -174,8 +224,14 @@ def excited_samples(u: np.ndarray, Ts: float, threshold: float) -> np.ndarray:
 
 
 class Replayer:
-    """Runs drives of one vehicle through its compiled core, with the compiled-in or with given
-    coefficients."""
+    """Runs drives of one vehicle through its compiled core.
+
+    Parameters
+    ----------
+    project : Project
+    core : Core
+    threshold, energy_threshold, change_threshold : float or None, optional
+    """
 
     def __init__(
         self,
@@ -257,7 +313,7 @@ class Replayer:
         )
 
     def diagnoses(self, run: Run, t0: float) -> Iterator[Diagnosis]:
-        """The causes found in a run, an output each; ``t0``: what counts as time 0 [s]."""
+        """Causes found in a run, one an output; ``t0`` [s] is time 0."""
         found = run.causes
         for i in range(len(found.cause)):
             alarm_s = float(found.t_alarm_s[i] - t0)
@@ -274,12 +330,12 @@ class Replayer:
             )
 
     def alarms(self, run: Run, t0: float) -> list[Alarm]:
-        """What spoke against the model in a run, in the order of time; ``t0``: what counts as time 0 [s]."""
+        """Alarms of a run in the order of time; ``t0`` [s] is time 0."""
         found = [*self._frame_alarms(run, t0), *self._energy_alarms(run, t0), *self._change_alarms(run, t0)]
         return sorted(found, key=lambda a: a.t_s)
 
     def _frame_alarms(self, run: Run, t0: float) -> list[Alarm]:
-        """An alarm for each frame that falsifies the model; ``t0``: time of the drive's first sample [s]."""
+        """An alarm for each falsifying frame; ``t0`` [s] is the time of the drive's first sample."""
         frames = run.frames
         return [
             Alarm(
@@ -300,7 +356,7 @@ class Replayer:
         ]
 
     def _energy_alarms(self, run: Run, t0: float) -> list[Alarm]:
-        """The alarms of the energy test; ``t0``: time of the drive's first sample [s]."""
+        """Alarms of the energy test; ``t0`` [s] is the time of the drive's first sample."""
         found = run.energy_alarms
         places = zip(*divmod(found.bin, len(self.directions)), strict=True)
         return [
@@ -324,7 +380,7 @@ class Replayer:
         ]
 
     def _change_alarms(self, run: Run, t0: float) -> list[Alarm]:
-        """The alarms of the change test; ``t0``: time of the drive's first sample [s]."""
+        """Alarms of the change test; ``t0`` [s] is the time of the drive's first sample."""
         found = run.change_alarms
         return [
             Alarm(
@@ -356,8 +412,11 @@ class Replayer:
     def summarise_file(
         self, path: Path, channel: str | None = None, with_series: bool = False
     ) -> tuple[dict[str, Any], pa.Table | None] | InputError:
-        """The object of `lpvguard replay --json` for one drive table or raw CAN log, and ``with_series`` its
-        time series (series.py); or why it could not be read."""
+        """The object of `lpvguard replay --json` for one file, and ``with_series`` its time series
+        (series.py).
+
+        Returns the InputError instead when the file cannot be read.
+        """
         try:
             recorded = self.read_file(path, channel)
             replay = self.replay_recorded(recorded)
@@ -366,11 +425,11 @@ class Replayer:
             return error
 
     def replay_file(self, path: Path, channel: str | None = None) -> Replay:
-        """Read, check and run one drive table or raw CAN log; of a log with several channels, ``channel``."""
+        """Read, check and run one drive table or raw CAN log, of which ``channel`` is taken."""
         return self.replay_recorded(self.read_file(path, channel))
 
     def read_file(self, path: Path, channel: str | None = None) -> Recorded:
-        """Read and check one drive table or raw CAN log; of a log with several channels, ``channel``."""
+        """Read and check one drive table or raw CAN log, of which ``channel`` is taken."""
         log = read_raw_log(path)
         if log is not None:
             return self.received(log, path, channel)
@@ -380,17 +439,17 @@ class Replayer:
         return Recorded(drive)
 
     def replay_recorded(self, recorded: Recorded) -> Replay:
-        """Run what was read from a file."""
+        """Run the content of a file."""
         return replace(self.replay(recorded.drive), can=recorded.can)
 
     def series(self, recorded: Recorded, replay: Replay) -> pa.Table:
-        """What was recorded and what the core said of it, a row a sample (series.py)."""
+        """Record and the core's answers, one row a sample (series.py)."""
         drive = recorded.drive
         yhat = self.model.simulate(drive.v, drive.u, drive.y[0])
         return self.series_of(drive, yhat, replay.run, float(drive.t[0]))
 
     def series_of(self, drive: Drive, yhat: np.ndarray, run: Run, t0: float) -> pa.Table:
-        """A piece of a series: ``yhat`` (N, n_y) are its nominal outputs; t counts from ``t0`` [s]."""
+        """A piece of a series with nominal outputs ``yhat`` (N, n_y); t counts from ``t0`` [s]."""
         return table_of(self.project, yhat, self.estimator.omega, drive, run, t0)
 
     def series_columns(self) -> list[str]:
@@ -401,13 +460,11 @@ class Replayer:
         return self.series_of(drive, drive.y, run, 0.0).column_names
 
     def replay_frames(self, log: Frames, path: Path, channel: str | None = None) -> Replay:
-        """Run the frames of a raw CAN log through the compiled receiver and the monitor, as the ECU on that
-        bus would have."""
+        """Run the frames of a raw CAN log through the compiled receiver and the monitor, as on the ECU."""
         return self.replay_recorded(self.received(log, path, channel))
 
     def received(self, log: Frames, path: Path, channel: str | None = None) -> Recorded:
-        """The frames of a raw CAN log through the compiled receiver, as the ECU on that bus would have had
-        them."""
+        """Frames of a raw CAN log through the compiled receiver, as on the ECU."""
         received = self.receiver.receive(log, path, channel=channel)
         if not received.present.any():
             raise InputError(
@@ -437,7 +494,21 @@ class Replayer:
 
 
 def read_raw_log(path: Path) -> Frames | None:
-    """Frames of a raw CAN log; None when ``path`` is a drive table. InputError when it is neither."""
+    """Read the frames of a raw CAN log.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    Frames, or None if the path is a drive table
+
+    Raises
+    ------
+    InputError
+        If it is neither.
+    """
     if path.suffix.lower() in TABLE_SUFFIXES and not is_raw_table(path):
         return None
     log = read_log(path)
@@ -449,8 +520,24 @@ def read_raw_log(path: Path) -> Frames | None:
 
 
 def bus_frames(path: Path, project: Project) -> Frames:
-    """What `lpvguard replay --to` plays: the frames of a raw log as they are, or a drive table as the
-    vehicle's messages."""
+    """Read the frames that `lpvguard replay --to` plays.
+
+    A raw log keeps its frames; a drive table becomes the vehicle's messages.
+
+    Parameters
+    ----------
+    path : Path
+    project : Project
+
+    Returns
+    -------
+    Frames
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read.
+    """
     log = read_raw_log(path)
     if log is not None:
         return log
@@ -458,7 +545,7 @@ def bus_frames(path: Path, project: Project) -> Frames:
         raise InputError(
             path,
             "",
-            "a drive table does not say what a gate is on the bus",
+            "a drive table has no value of a gate for the bus",
             "a raw log, for a vehicle with gates",
         )
     drive = read_drive(path, project).present
@@ -466,7 +553,7 @@ def bus_frames(path: Path, project: Project) -> Frames:
 
 
 def _why_not_live(report: dict[str, Any]) -> str:
-    """Per needed message the kinds of frames and how many."""
+    """Number of frames by kind, per needed message."""
     return "; ".join(
         f"{name}: " + (", ".join(f"{n} {kind}" for kind, n in kinds.items()) or "none")
         for name, kinds in report["messages"].items()

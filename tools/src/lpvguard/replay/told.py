@@ -1,4 +1,4 @@
-"""What an alarm says, in a sentence."""
+"""Sentences about alarms."""
 
 from __future__ import annotations
 
@@ -10,13 +10,23 @@ if TYPE_CHECKING:
 
 
 def alarm_sentence(alarm: Alarm | dict[str, Any]) -> str:
-    """Test, place, margin and the bound that broke, of an alarm or of its object in the JSON of `replay`."""
+    """Word an alarm: test, place, margin and the broken bound.
+
+    Parameters
+    ----------
+    alarm : Alarm, or dict as in the JSON of `replay`
+
+    Returns
+    -------
+    str
+    """
     a = alarm if isinstance(alarm, dict) else asdict(alarm)
     if a["test"] == "energy":
         return (
             f"energy test, v = {a['speed_mps']:.1f} m/s: ratio {a['margin']:.2f} > {a['threshold']:.2f} "
             f"{a['band']} the corners, in direction ({_listed(a['direction'])}); ||F e|| = {_listed(a['E'])} "
-            f"against ||F W_delta yhat|| {_listed(a['Z'])} + sigma {_listed(a['B_w'])}"
+            f"against ||F W_delta yhat|| {_listed(a['Z'])} + sigma {_listed(a['B_w'])} + what a restart "
+            "leaves"
         )
     if a["test"] == "change":
         return (

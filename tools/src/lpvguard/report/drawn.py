@@ -1,4 +1,4 @@
-"""What is drawn of an identification and of a drive, for the page and for notebooks (api/plots.py)."""
+"""Pictures of an identification and of a drive, for the page and for notebooks (api/plots.py)."""
 
 from __future__ import annotations
 
@@ -25,7 +25,13 @@ from .pictures.over_bins import Clouds, disturbance_design, excitation, pareto, 
 
 
 class OfIdentification:
-    """The pictures of an identification. Each takes its name, its own on a page."""
+    """Pictures of an identification; each takes a name that is unique on a page.
+
+    Parameters
+    ----------
+    stored : StoredIdentification
+    estimator : Estimator
+    """
 
     def __init__(self, stored: StoredIdentification, estimator: Estimator):
         self.stored, self.estimator = stored, estimator
@@ -35,7 +41,7 @@ class OfIdentification:
 
     @cached_property
     def clouds(self) -> Clouds:
-        """Points of the frames of the bound-setting drives, on the frame grid of the core."""
+        """Points of the bound-setting drives' frames, on the core's frame grid."""
         stored, estimator = self.stored, self.estimator
         with np.load(stored.folder / "spectra.npz") as spectra:
             names = spectra["names"].tolist()
@@ -66,7 +72,7 @@ class OfIdentification:
         return unit_of_norm(self.stored.project.outputs)
 
     def disturbance(self, name: str) -> Picture:
-        """Fig. 2: the disturbance bound and what it was made of."""
+        """Fig. 2: the disturbance bound and its parts."""
         gamma_w = _magnitude(self.stored.weights["gamma_w"], self._fine)
         return disturbance_design(
             name, self.grid, self.clouds, self.stored.bounds, gamma_w, self._fine, self._unit
@@ -113,7 +119,7 @@ class OfIdentification:
         )
 
     def front(self, name: str) -> Picture | None:
-        """Pareto front per bin; None for structure S0, which has nothing to trade."""
+        """Pareto front per bin; None for structure S0, which has none."""
         front, bounds = self.stored.front, self.stored.bounds
         if not np.isfinite(front["nu"]).any():
             return None
@@ -148,12 +154,24 @@ class OfIdentification:
 
 
 def _magnitude(entry: dict, omega: np.ndarray) -> np.ndarray:
-    """|W| (N,) at ``omega`` (N,) [rad/s] of an entry of weights.json, without the inflation."""
+    """|W| (N,) at ``omega`` (N,) [rad/s] of an entry of weights.json, without inflation."""
     return Weight.from_dict(entry["weight"]).magnitude(omega)
 
 
 def drive_map(name: str, replayer: Replayer, drive: Drive, replay: Replay) -> Picture:
-    """Map of the margin of a replayed drive over time and bins, with speed, verdict and alarms."""
+    """Draw the margin of a replayed drive over time and bins, with speed, verdict and alarms.
+
+    Parameters
+    ----------
+    name : str, unique on a page
+    replayer : Replayer
+    drive : Drive
+    replay : Replay
+
+    Returns
+    -------
+    Picture
+    """
     return margin_map(
         name,
         replay,

@@ -1,4 +1,4 @@
-"""What the page keeps of every replayed drive: how near it came to an alarm, and its course in small."""
+"""Summary of every replayed drive for the page: its nearest approach to an alarm, and its course."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from ..identify.unexplained import Unexplained
 from ..replay.run import Alarm, Replay, Replayer
 
 COLUMNS = 60
-"""Columns of a drive's course in small."""
+"""Number of columns of a drive's small picture."""
 
 
 @dataclass(frozen=True)
 class Nearest:
-    """Where a drive came nearest to an alarm, or farthest beyond.
+    """A drive's nearest approach to an alarm, or its largest excess.
 
     ``ratio``: statistic over threshold, an alarm above 1. ``test``: "frame", "energy" or "change". ``bin``:
-    its place in the bins and ``omega`` [rad/s]; None but for the frame test. ``t_s``: end of what was judged
-    [s after the drive's start]; ``speed_mps`` [m/s].
+    index and ``omega`` [rad/s]; None unless for the frame test. ``t_s``: end of the judged stretch [s after
+    the drive's start]; ``speed_mps`` [m/s].
     """
 
     ratio: float
@@ -33,14 +33,13 @@ class Nearest:
 
 @dataclass(frozen=True)
 class Told:
-    """A replayed drive as overview, index and its own section need it.
+    """A replayed drive for overview, index and its section.
 
-    ``key``: id of its section. ``role``: what the identification did with it, HTML. ``relevant_s`` and
-    ``judged_relevant_s`` [s]: in range and excited, and judged of that. ``course`` (COLUMNS,): largest
-    statistic over threshold of what ended in a column of time, NaN where nothing did. ``verdict`` (COLUMNS,):
-    code of the verdict at a column's end. ``vaf``: least over the outputs, NaN where nothing can be said [-].
-    ``unexplained``: what the model leaves, of a drive that sets the bounds or calibrates; else None.
-    ``section``: HTML.
+    ``key``: id of its section. ``role``: in the identification, HTML. ``relevant_s`` and
+    ``judged_relevant_s`` [s]: in range and excited, and the judged part. ``course`` (COLUMNS,): largest
+    statistic over threshold that ended in a column of time, NaN without any. ``verdict`` (COLUMNS,): code of
+    the verdict at a column's end. ``vaf``: least over the outputs, NaN if unknown [-]. ``unexplained``:
+    remainder of a drive that sets the bounds or calibrates; else None. ``section``: HTML.
     """
 
     key: str
@@ -63,8 +62,7 @@ class Told:
 
 
 def nearest(replay: Replay, replayer: Replayer, drive: Drive) -> Nearest | None:
-    """Where the statistic of any test was largest in units of its threshold; None where nothing was
-    judged."""
+    """Place of the largest statistic of any test in units of its threshold; None without a judged frame."""
     frames, found = replay.run.frames, []
     counted = np.flatnonzero(frames.counted)
     if len(counted):
@@ -88,7 +86,7 @@ def nearest(replay: Replay, replayer: Replayer, drive: Drive) -> Nearest | None:
 
 
 def _ratios(replay: Replay, replayer: Replayer) -> tuple[tuple[str, np.ndarray], ...]:
-    """Ratios (N,) of the tests that have one a sample, over their thresholds; 0: not judged."""
+    """Ratios (N,) to the threshold of the tests with one a sample; 0: not judged."""
     return (
         ("energy", replay.run.energy / replayer.energy_threshold),
         ("change", replay.run.change / replayer.change_threshold),
@@ -110,5 +108,5 @@ def course(replay: Replay, replayer: Replayer, t0: float) -> tuple[np.ndarray, n
 
 
 def _column(sample: np.ndarray, samples: int) -> np.ndarray:
-    """Column of each sample number of a drive of so many samples."""
+    """Column of each sample of a drive with so many samples."""
     return np.clip(sample * COLUMNS // samples, 0, COLUMNS - 1).astype(int)

@@ -34,8 +34,9 @@ LEAST_EXPLAINED = 0.3
 
 @dataclass(frozen=True)
 class UnitReading:
-    """Units by role, steering wheel over road wheel (1: road wheel), what the columns then say, and how far
-    outside of physics that is: ``beyond``, as a logarithm, with ``why`` in words."""
+    """Units by role, and steering wheel over road wheel, which is 1 at the road wheels.
+
+    ``beyond`` says as a logarithm how far outside of physics the columns then are, ``why`` in words."""
 
     units: Mapping[str, str]
     ratio: float

@@ -1,8 +1,8 @@
-"""`lpvguard new`: logs -> a project file with the reason for each line, a signal map and a folder of drives.
+"""`lpvguard new`: makes a project file with the reason for each line, a signal map and a folder of drives.
 
 Writes a folder with
 
-    NAME.toml       the project file; every value that was guessed says from what
+    NAME.toml       the project file; every guessed value has its source in a comment
     signals.toml    the signal map, for further logs (`lpvguard ingest --signals`)
     drives/         drive tables, reports and experiments.csv, every second recording to set bounds
     MANIFEST.json   the logs' hashes, and the seal
@@ -43,7 +43,7 @@ if TYPE_CHECKING:  # cantools takes long to import
 
 COLUMNS = {"speed": "v", "input": "delta", "output": "r"}
 SPIKE, USUAL = 2.0, 0.999
-"""So many times the largest of this share of the samples is no measurement."""
+"""A sample above SPIKE times the largest of the share USUAL of the samples is no measurement."""
 LONGEST_STEP_S = 0.5
 """Samples further apart are a gap, as `ingest` takes it, and not driving at a slow rate."""
 MANY_CHANGES = 100
@@ -51,15 +51,15 @@ MANY_CHANGES = 100
 RATES_HZ = (1000.0, 500.0, 200.0, 100.0, 50.0, 40.0, 25.0, 20.0, 10.0, 5.0)
 """Rates of a grid: the largest that the slowest signal reaches."""
 JUDGED = 0.3
-"""At least this share of the drives should count in the lowest bin."""
+"""Least share of the drives that should count in the lowest bin."""
 GRIDS = tuple((f, tolerance) for f in (0.1, 0.2, 0.3, 0.5) for tolerance in (0.15, 0.25, 0.35))
-"""Lowest frequency [Hz] and speed tolerance, the better first."""
+"""Lowest frequency [Hz] and speed tolerance, best first."""
 
 
 @dataclass(frozen=True)
 class NewProject:
-    """What `new` made: the project, its proposals, drives with their split, logs that were left out with the
-    reason, and what was found, in sentences."""
+    """Result of `new`: project, proposals, drives with their split, left-out logs with reasons, and
+    sentences."""
 
     project: Project
     proposals: dict[str, Proposal]
@@ -83,8 +83,32 @@ def new(
     channel: str | None = None,
     schema: Path | None = None,
 ) -> NewProject:
-    """Look at the logs and write the folder ``out``. InputError where no signal fits a role, or no drive
-    remains."""
+    """Make a project from logs and write its folder.
+
+    Parameters
+    ----------
+    name : str, of the vehicle
+    logs : list[Path]
+    out : Path, new folder
+    dbc : Path, optional, CAN database of raw logs
+    model : str, template of the nominal model, default 'yaw-first-order'
+    chosen : dict, optional, signal by role, or None to choose
+    wheelbase_m : float, optional, m
+    kind : str, optional, kind of vehicle, by default as the wheelbase suggests
+    ratio : float, optional, steering wheel over road wheel
+    units : dict, optional, unit by role, or None to find it
+    channel : str, optional, of raw logs with several
+    schema : Path, optional, log.capnp of openpilot's logs
+
+    Returns
+    -------
+    NewProject
+
+    Raises
+    ------
+    InputError
+        If no signal fits a role, or no drive remains.
+    """
     if not re.fullmatch(NAME, name):
         raise InputError("new", "NAME", repr(name), "lower case letters, digits and _, a letter first")
     if model not in TEMPLATES:
@@ -145,6 +169,7 @@ def _written(logs: list[Path], given: Inputs, folder: Path, left_out: dict[str, 
 def recordings_of(
     logs: list[Path], dbc: Path | None, channel: str | None = None, schema: Path | None = None
 ) -> tuple[list[Recording], dict[str, str]]:
+    """Read logs as recordings; also the logs that cannot be read, with the reason."""
     found: list[Recording] = []
     left_out: dict[str, str] = {}
     for path in logs:
@@ -163,7 +188,7 @@ def recordings_of(
 
 
 def _decoded(log: Frames, dbc: Path | None, path: Path) -> Table:
-    """All signals of the database that are in the log; InputError where the two have nothing in common."""
+    """All signals of the database in the log; InputError where the two have nothing in common."""
     database = load_database(dbc) if dbc else own_database()
     decoded = decode_all(log, database, str(path))
     units = {f"{m.name}.{s.name}": s.unit or "" for m in database.messages for s in m.signals}
@@ -186,7 +211,7 @@ def _decoded(log: Frames, dbc: Path | None, path: Path) -> Table:
 
 
 def _recording(name: str, table: Table) -> Recording:
-    """All signals on the time axis of the one with the most samples."""
+    """All signals on the time axis with the most samples."""
     moving = {n: s for n, s in table.series.items() if len(s.t_ns) > 10}
     if not moving:
         raise InputError(name, "", "no signal with more than ten samples", "a log of driving")
@@ -222,7 +247,7 @@ def _step_of(series: Series) -> float:
 
 
 def _measured(value: np.ndarray) -> np.ndarray:
-    """(N,) bool: where a signal has a value that is no spike."""
+    """True (N,) where a signal has a value that is no spike."""
     finite = np.isfinite(value)
     return (
         finite & (np.abs(value) <= SPIKE * np.quantile(np.abs(value[finite]), USUAL))
@@ -241,7 +266,7 @@ def _sample_time(recordings: list[Recording], names: list[str]) -> float:
 
 
 def _limits(role: str, proposal: Proposal, recordings: list[Recording]) -> tuple[float, float]:
-    """Range of what is possible, in SI: beyond it a sample is a spike."""
+    """Range of possible values, in SI; a sample beyond is a spike."""
     size = np.abs(np.concatenate([r.values[proposal.name] for r in recordings]))
     largest = SPIKE * float(np.nanquantile(size, USUAL)) * abs(proposal.factor)
     largest = float(f"{largest * (unit_factor(proposal.unit, SI[role]) or 1.0):.3g}")
@@ -256,7 +281,7 @@ def _signal_map(
     sign_bit: dict[str, str],
 ) -> str:
     lines = [
-        "# Signal map: what `lpvguard ingest` makes drive tables of. Left turn positive.",
+        "# Signal map for `lpvguard ingest`. Left turns are positive.",
         "schema = 1",
         f"Ts_s = {Ts:g}",
         *([f"channel = {_quoted(channel)}"] if channel else []),
@@ -287,12 +312,12 @@ def _sign_bits_of(database: Database) -> dict[str, str]:
 
 
 def _quoted(text: str) -> str:
-    """A string of a TOML file, whatever the log calls its signals."""
+    """A signal's name as a string of a TOML file."""
     return tomlkit.item(text).as_string()
 
 
 def _comment(text: str) -> str:
-    """A comment of a TOML file: one line, and without control characters."""
+    """A comment of a TOML file: one line without control characters."""
     return "# " + "".join(c if c.isprintable() else " " for c in text)
 
 
@@ -300,7 +325,7 @@ def _comment(text: str) -> str:
 
 
 def _read(drives: Path, names: list[str], Ts: float) -> list[Drive]:
-    """The drives as they were written, before there is a project to check them with."""
+    """The written drives, before a project can check them."""
     wide = {"min": -1e9, "max": 1e9, "positive": ""}
     document = {
         "schema": 1,
@@ -374,7 +399,7 @@ def _project(
 
 
 def _judged_shares(estimator: Estimator, drives: list[Drive]) -> list[float]:
-    """Of all samples, the share at which a counted frame of each bin starts."""
+    """Share of all samples at which a counted frame of each bin starts."""
     samples = sum(len(d.v) for d in drives)
     return [
         sum(int(estimator.counted(d.v, k).sum()) for d in drives) / samples for k in range(estimator.n_bins)
@@ -401,7 +426,7 @@ def _length_of(drives: list[Drive]) -> float:
 
 
 def _with_highest_frequency(text: str, Ts: float, name: str) -> tuple[Project, str] | None:
-    """The project with the highest f_max_hz, of those up to a fifth of the rate, that the core can have."""
+    """The project with the highest f_max_hz, up to a fifth of the rate, that the core supports."""
     for f_max in (3.2, 2.5, 2.0, 1.6, 1.25, 1.0, 0.8):
         if f_max > 0.2 / Ts:
             continue
@@ -425,7 +450,7 @@ def _text(
     grid: tuple[float, float],
     excited: float,
 ) -> str:
-    """The project file, but for F_MAX.
+    """The project file without F_MAX.
 
     Length: one file, in its order.
     """
@@ -495,7 +520,7 @@ def _text(
 
 
 def _evaluation(median_s: float) -> str:
-    """The section of a project file for `evaluate`, for drives of which half last ``median_s`` or longer."""
+    """Section of a project file for `evaluate`; half of the drives last ``median_s`` or longer."""
     usual = EvaluationSettings()
     quarter = min(median_s / 4, usual.found_within_s)
     begin, shortest = (
@@ -514,8 +539,11 @@ bias_of_spread = {usual.bias_of_spread:g}      # of the output's standard deviat
 
 
 def _splits(project: Project, folder: Path, names: dict[str, str]) -> dict[str, str]:
-    """Every second recording in the order of mean speed sets the bounds, so that both halves see all speeds;
-    of a single one every second drive. ``names``: drive -> recording."""
+    """Let every second recording in the order of mean speed set the bounds, so that both halves have all
+    speeds.
+
+    A single recording is split by its drives. ``names`` is the recording by drive.
+    """
     by = names if len(set(names.values())) > 1 else {n: n for n in names}
     speeds: dict[str, list[np.ndarray]] = {}
     for n in names:

@@ -1,5 +1,4 @@
-"""Which signals of a log are speed, steering and yaw rate: by name, then by what the data say of unit and
-sign.
+"""Identify speed, steering and yaw rate among a log's signals, by name, then by the data's unit and sign.
 
 A unit that the log or its database states counts first, then one in the name (`drives/unit_names.py`). What
 is left open is decided by physics (`readings.py`), or asked.
@@ -79,8 +78,9 @@ LEAST_SAMPLES = 20
 
 @dataclass(frozen=True)
 class Recording:
-    """Signals of one log on one time axis: t (N,) [s], values name -> (N,), NaN where a signal has none yet
-    or no more, and their units, "" where the log says none."""
+    """Signals of one log on one time axis: t (N,) [s], values (N,) by name, and units ("" if unknown).
+
+    A value is NaN where a signal has none yet or no more."""
 
     name: str
     t: np.ndarray
@@ -92,7 +92,7 @@ class Recording:
 
 @dataclass(frozen=True)
 class Proposal:
-    """A signal for a role: SI value = factor * signal in ``unit``; ``why``: sentences."""
+    """A signal for a role: SI value = factor * signal in ``unit``; ``why`` holds sentences."""
 
     role: str
     name: str
@@ -256,8 +256,8 @@ def _require_sign(role: str, name: str, common: list[str], recordings: list[Reco
             raise InputError(
                 "new",
                 f"--{role}",
-                f"{name} is never negative and {other} lies beside it: a magnitude and its sign apart",
-                f"one signal with its sign, as a table in which {signal} is turned round where {bit} says so",
+                f"{name} is never negative and {other} holds its sign",
+                f"one signal with its sign, for example a table with {signal} negated where {bit} is set",
             )
 
 

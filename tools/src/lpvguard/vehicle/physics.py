@@ -13,7 +13,16 @@ STANDARD_GRAVITY = 9.80665
 
 
 def degrees_per_g(understeer: float) -> float:
-    """Understeer in deg/g of one in s^2/m (rad of road wheel per m/s^2)."""
+    """Express an understeer in deg/g.
+
+    Parameters
+    ----------
+    understeer : float, s^2/m, road-wheel angle per lateral acceleration
+
+    Returns
+    -------
+    float, deg/g
+    """
     return float(np.degrees(understeer) * STANDARD_GRAVITY)
 
 
@@ -21,10 +30,14 @@ def degrees_per_g(understeer: float) -> float:
 class VehicleKind:
     """Ranges of a kind of vehicle.
 
-    ``wheelbase_m``; ``speed_mps``: of the largest speeds of a log, as its 99th percentile; ``ratio``:
-    steering wheel over road wheel, None where vehicles of the kind have no steering wheel;
-    ``understeer_deg_g``; ``lag_s``: of the yaw rate behind the steering; ``lateral_mps2`` and ``angle_rad``:
-    the largest, as the 99th percentile of their magnitudes.
+    Attributes
+    ----------
+    wheelbase_m : (low, high), m
+    speed_mps : (low, high), m/s, of a log's 99th percentile
+    ratio : (low, high) or None, steering wheel over road wheel, None without a steering wheel
+    understeer_deg_g : (low, high), deg/g
+    lag_s : (low, high), s, of the yaw rate behind the steering
+    lateral_mps2, angle_rad : float, m/s^2 and rad, largest 99th percentile
     """
 
     wheelbase_m: tuple[float, float]
@@ -45,7 +58,16 @@ KINDS: dict[KindName, VehicleKind] = {
 
 
 def kind_of(wheelbase_m: float | None) -> KindName:
-    """The kind that a wheelbase [m] suggests; without one a car."""
+    """Name the kind of vehicle that a wheelbase suggests.
+
+    Parameters
+    ----------
+    wheelbase_m : float or None, m
+
+    Returns
+    -------
+    str, a car where it is None
+    """
     if wheelbase_m is None or KINDS["car"].wheelbase_m[0] <= wheelbase_m <= KINDS["car"].wheelbase_m[1]:
         return "car"
     if wheelbase_m <= KINDS["model"].wheelbase_m[1]:

@@ -1,4 +1,4 @@
-"""Whether what was made with a project file was made with the one at hand."""
+"""Compare the project file at hand with the one that a result was made with."""
 
 from __future__ import annotations
 
@@ -15,9 +15,22 @@ if TYPE_CHECKING:
 
 
 def require_settings(stored: dict[str, Any], where: object, project: Project, vehicle: object) -> None:
-    """InputError naming the first setting in which the project file is not the one that ``where`` was made
-    with. All count but the title, of which nothing is computed. A setting that ``stored`` lacks, since it was
-    made before there was one, counts as its default. ``vehicle``: what the project is called in the error."""
+    """Require that a result was made with the settings of a project.
+
+    The title does not count. A setting that the result lacks counts as its default.
+
+    Parameters
+    ----------
+    stored : dict[str, Any], settings of the result
+    where : object, name of the result in errors
+    project : Project
+    vehicle : object, name of the project in errors
+
+    Raises
+    ------
+    InputError
+        If a setting differs; it names the first one.
+    """
     differs = artefacts.first_difference(_counted(_completed(stored, project)), _counted(_plain(project)))
     if differs is not None:
         setting, old, new = differs
@@ -25,7 +38,7 @@ def require_settings(stored: dict[str, Any], where: object, project: Project, ve
             setting,
             "",
             f"{json.dumps(old)} in {where}, {json.dumps(new)} in {vehicle}",
-            "the settings that it was made with, or made anew with these",
+            "its own settings, or a new result with these",
         )
 
 
@@ -38,7 +51,7 @@ def _counted(settings: dict[str, Any]) -> dict[str, Any]:
 
 
 def _completed(stored: dict[str, Any], project: Project) -> dict[str, Any]:
-    """With defaults where a setting is missing; as it is where it is no project of today."""
+    """Fill in defaults; leave a document that is no valid project unchanged."""
     try:
         return _plain(type(project).model_validate(stored))
     except ValidationError:

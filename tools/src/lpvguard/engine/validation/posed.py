@@ -32,8 +32,16 @@ ROUNDING = 1e-14
 class Solution:
     """Interval of the optimum and the explanation that attains ``upper``.
 
-    ``nu`` (tau,) sizes of the blocks; ``xi`` (p,), ``eta`` (q,), ``w`` (n_w,) the signals; ``b1`` as in (9).
-    ``verification``: the Delta built from them and re-simulated. ``nodes``: nodes of the branch and bound.
+    Attributes
+    ----------
+    lower, upper : float
+    nu : ndarray (tau,), sizes of the blocks
+    xi : ndarray (p,) of complex
+    eta : ndarray (q,) of complex
+    w : ndarray (n_w,) of complex
+    b1 : float, right side of (9)
+    verification : Verification, the Delta built from them and re-simulated
+    nodes : int, of the branch and bound
     """
 
     lower: float
@@ -51,7 +59,7 @@ class Posed:
     """One LFT point in well-scaled coordinates: the maps of the blocks and of w, and the way back.
 
     ``xi``, ``eta`` (a map a block), ``w`` (n_w, n) and ``t`` (1, n) map a point z (n,) to signals, all over
-    the same factor. ``dead``: blocks whose input is zero whatever happens. ``ball_is_point``: gamma_w is B1.
+    the same factor. ``dead``: blocks whose input is always zero. ``ball_is_point``: gamma_w is B1.
     """
 
     def __init__(
@@ -99,10 +107,10 @@ class Posed:
 
     def _without(self, scaled: np.ndarray, held: np.ndarray) -> np.ndarray:
         """Map (n, n') to the points at which the rows ``held`` of ``scaled`` (.., n), those of the dead
-        blocks, are zero.
+        blocks, are 0.
 
-        Each direction counts in a unit of its own: what the data hold at zero already is rounding beside it.
-        Raises InputError when the data need a dead block.
+        Each direction has a separate unit: values that the data hold at zero are rounding in it. Raises
+        InputError when the data need a dead block.
         """
         unit = np.linalg.norm(scaled[:, :-1], axis=0)
         left, right = scaled[held, :-1] / unit, -scaled[held, -1]

@@ -1,5 +1,7 @@
-"""Index of the drives: a row a drive with its course in small, linked to its section; page.js sorts and
-searches it."""
+"""Index of the drives: a row a drive with its course as a small picture and a link to its section.
+
+page.js sorts and searches it.
+"""
 
 from __future__ import annotations
 
@@ -29,18 +31,21 @@ HEAD = (
     ("alarms", "number"),
     ("final verdict", "text"),
 )
-"""Column titles, and how page.js sorts them; "" does not sort."""
+"""Column titles, and the order in which page.js sorts them; "" does not sort."""
 STEP, TOP, LINE, STRIP = 2, 2, 8, 4
-"""Of the small picture, in pixels: width of a column, height of what is beyond the axis, of the threshold
-from above, and of the strip of verdicts."""
+"""Small picture, in pixels: column width, height beyond the axis, height of the threshold, height of the
+verdicts."""
 HEIGHT = 26
 MOST = 1.25
 """End of its axis, in thresholds."""
 
 
 def _small(drive: Told) -> str:
-    """The drive's course as a small picture: bars up to the largest statistic over threshold, a dashed line
-    at the threshold, triangles for what is beyond it, and the verdict as a strip below."""
+    """The drive's course as a small picture.
+
+    Bars show the largest statistic over threshold, a dashed line the threshold, triangles larger values, and
+    a strip below the verdict.
+    """
     base = HEIGHT - STRIP - 1
     scale = (base - LINE) / 1.0
     quiet, beyond, marks = "", "", ""
@@ -73,7 +78,7 @@ def _colour(code: int) -> str:
 
 
 def _explained(drive: Told) -> tuple[str, float | None]:
-    """Text and value of what the nominal model explains of the drive."""
+    """Text and value of the drive's explained variance."""
     if np.isnan(drive.vaf):
         return "–", None
     text = f"{drive.vaf:.1%}"

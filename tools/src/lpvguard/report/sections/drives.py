@@ -32,9 +32,10 @@ def visit(
     yhat: np.ndarray,
     key: str,
 ) -> Told:
-    """Replay a drive, keep its counted frames and longest stretches in ``visits``, and return what to tell.
+    """Replay a drive, keep its counted frames and longest stretches in ``visits``, and return its summary.
 
-    yhat (N, n_y): nominal output. ``key``: id of its section and name of its picture, its own on the page.
+    yhat (N, n_y) is the nominal output. ``key`` is the id of its section and name of its picture, unique on
+    the page.
     """
     replay = replayer.replay(drive)
     frames = replay.run.frames
@@ -127,7 +128,7 @@ frame.</p>{table}"""
 
 
 def _role(stored: StoredIdentification, name: str) -> str:
-    """What the identification did with a drive."""
+    """Role of a drive in the identification."""
     groups = stored.manifest["drives"]
     if name in groups["bounds"]:
         return "set the bounds"
@@ -163,7 +164,7 @@ def _facts(replay: Replay) -> str:
 
 
 def _alarm_table(alarms: list[Alarm]) -> str:
-    """The first alarms of a drive with their evidence, and how many more there are."""
+    """First alarms of a drive with their evidence, and the number of others."""
     if not alarms:
         return ""
     head = [
@@ -204,7 +205,7 @@ def _alarm_table(alarms: list[Alarm]) -> str:
 
 
 def _causes(replay: Replay) -> str:
-    """What causes the core found of a drive's alarms."""
+    """Causes that the core found for a drive's alarms."""
     rows = [[f"{d.t_s:.2f}", f"{d.alarm_s:.2f}", escape(d.says)] for d in replay.diagnoses]
     return html_table(["found at, s", "alarm at, s", "cause"], rows, "words") if rows else ""
 
@@ -223,8 +224,7 @@ def _drive_page(
 
 
 def drive_section(told: list[Told], threshold: float) -> str:
-    """The section: the index of drives, how to read the maps, then the drives one by one, as ``visit`` told
-    them."""
+    """The section: the index of drives, the key of the maps, then each drive, as returned by ``visit``."""
     key = captioned(
         map_key("key"),
         "<b>How to read the maps.</b> Time runs to the right, a line per bin, DC at the bottom. Each cell is "
@@ -237,8 +237,9 @@ def drive_section(told: list[Told], threshold: float) -> str:
         "diamonds above: of the change test. Below: "
         "speed, with the model's range dashed, and the monitor's verdict. In the alarm tables |E| and |Z| "
         "are Euclidean norms in output units (energy test, below, between or above its corners: |E| of F e, "
-        "|Z| of F W<sub>Δ</sub> ŷ with forgetting, B<sub>w</sub> is σ; the change test has none), and "
-        "evidence is the margin of a vehicle that does not respond. "
+        "|Z| of F W<sub>Δ</sub> ŷ with forgetting, B<sub>w</sub> is σ, what a restart leaves is "
+        "not shown; the change test has none), and evidence is the margin of a vehicle that does not "
+        "respond. "
         "Judged seconds lie in a counted frame of any bin, with evidence or "
         "not; the verdict “valid” asks for evidence within the longest frame, so a drive can be judged all "
         "along and its verdict still be “not judged”.",

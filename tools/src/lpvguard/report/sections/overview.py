@@ -1,5 +1,5 @@
-"""Section "At a glance", the first screen: what the model is good for and blind to, alarms, and what a
-controller promises."""
+"""Section "At a glance", the first screen: tested and blind regions, alarms, and the controller's
+promises."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ from ..told import Nearest, Told
 ALARMS_SHOWN = 4
 UNEXPLAINED_SHOWN = 3
 SIGNS = {PROVED: "●", BLIND: "○", EMPTY: "–", VIOLATED: "▲"}
-"""What says a cell's state without its colour."""
+"""Signs of a cell's state, independent of its colour."""
 AS_NEAR = 5e-4
-"""Ratios to the threshold that differ by less are shown as the same number."""
+"""Largest difference between ratios to the threshold that are shown as equal."""
 NEVER = 2.0
-"""A gain error above this is none: the vehicle would answer with more than the opposite."""
+"""Largest meaningful gain error: beyond it the vehicle would answer with more than the opposite."""
 
 
 def overview_section(
@@ -36,8 +36,11 @@ def overview_section(
     design: Path | None,
     evaluation: dict | None,
 ) -> str:
-    """The section. ``told``: the replayed drives, none unless ``replayed``; ``design``: folder written by
-    `lpvguard design`; ``evaluation``: JSON of `lpvguard evaluate`."""
+    """The section.
+
+    ``told``: the replayed drives, none unless ``replayed``; ``design``: folder written by `lpvguard design`;
+    ``evaluation``: JSON of `lpvguard evaluate`.
+    """
     alarms = [(d, a) for d in told for a in d.alarms]
     grid = cells(stored.visibility, (a for _, a in alarms))
     shown = blind_map(stored, grid, (a for _, a in alarms))
@@ -48,7 +51,7 @@ def overview_section(
 
 
 def _headline(grid: list[list[MapCell]], told: list[Told], replayed: bool) -> str:
-    """Whether the model held, and how much of its range that says anything about, in a sentence."""
+    """One sentence: whether the model held, and on how much of its range."""
     flat = [c for row in grid for c in row]
     proved = sum(c.state == PROVED for c in flat)
     sees = f"A gain error of {_percent(LEVEL)} would be seen in {proved} of {len(flat)} cells of speed and "
@@ -62,8 +65,7 @@ def _headline(grid: list[list[MapCell]], told: list[Told], replayed: bool) -> st
 
 
 def outcome(told: list[Told]) -> str:
-    """What the alarms of the drives say of the model, as text; those of the change test refute no bound
-    (THEORY 7.7)."""
+    """Meaning of the drives' alarms for the model; those of the change test refute no bound (THEORY 7.7)."""
     alarms = [a for drive in told for a in drive.alarms]
     if not alarms:
         return f"Not falsified: no alarm on {len(told)} drives"
@@ -78,20 +80,19 @@ def outcome(told: list[Told]) -> str:
 
 
 def _percent(error: float) -> str:
-    """A gain error as text, HTML; above NEVER no number means anything."""
+    """A gain error as HTML text; none above NEVER."""
     return f"{100 * error:.0f} %" if error <= NEVER else f"&gt;{100 * NEVER:.0f} %"
 
 
 def _short(error: float) -> str:
-    """A gain error [%] as a cell shows it, HTML; with a decimal where rounding would hide on which side of
-    LEVEL it lies."""
+    """A gain error [%] in a cell, with a decimal where rounding would hide its side of LEVEL."""
     if error > NEVER:
         return f"&gt;{100 * NEVER:.0f}"
     return f"{100 * error:.{1 if 0 < abs(error - LEVEL) < 5e-3 else 0}f}"
 
 
 def _frequency(omega: float, unit: str = "") -> str:
-    """A frequency [rad/s] as text, with ``unit`` unless it is none."""
+    """A frequency [rad/s] as text, with ``unit`` if any."""
     return "DC" if omega == 0 else f"{omega:.3g}{unit}"
 
 
@@ -121,7 +122,7 @@ def _listed(name: str, found: list[Region]) -> str:
 
 
 def _good_for(grid: list[list[MapCell]]) -> str:
-    """Where a gain error of LEVEL is seen, and where it could stay unseen, in words."""
+    """Words on where a gain error of LEVEL is seen, and where it could stay unseen."""
     seen = regions(grid, lambda c: c.state == PROVED)
     unseen = regions(grid, lambda c: c.state in (BLIND, EMPTY))
     broken = regions(grid, lambda c: c.state == VIOLATED)
@@ -174,8 +175,10 @@ def _map_cell(row: int, cell: MapCell) -> str:
 
 
 def blind_map(stored: StoredIdentification, grid: list[list[MapCell]], alarms: Iterable[Alarm]) -> str:
-    """The one picture, HTML: speed over frequency, the fastest cell on top. ``alarms``: of all drives; those
-    of other tests than the frame test have a column of their own."""
+    """The main picture, HTML: speed over frequency, the fastest cell on top.
+
+    ``alarms`` are of all drives; those of other tests than the frame test have a separate column.
+    """
     others = [0] * len(grid)
     for a in (a for a in alarms if a.bin_rad_s is None):
         others[speed_row(stored.visibility, a.speed_mps)] += 1
@@ -207,7 +210,7 @@ here: the vehicle's ordinary error can hide or add to it.</figcaption></figure>"
 
 
 def place(test: str, omega: float | None, band: str | None = None) -> str:
-    """Test and frequency [rad/s] of an alarm or of what came near one, as text."""
+    """Test and frequency [rad/s] of an alarm or near alarm, as text."""
     if omega is None:
         return f"{test} test" + (f", {band.replace('_', ' ')} the corners" if band else "")
     return f"{test} test, {_frequency(omega, ' rad/s')}"
@@ -224,7 +227,7 @@ def _alarm_row(drive: Told, alarm: Alarm) -> str:
 
 
 def _nearest_words(drive: Told, near: Nearest, quiet: list[tuple[Told, Nearest]]) -> str:
-    """The drive that came nearest to an alarm of all ``quiet`` ones, and those that came as near."""
+    """The drive nearest to an alarm among all ``quiet`` ones, and those as near."""
     data = {
         "drive": escape(drive.name),
         "ratio": f"{near.ratio:.4g}",
@@ -245,7 +248,7 @@ def _nearest_words(drive: Told, near: Nearest, quiet: list[tuple[Told, Nearest]]
 
 
 def _independence(stored: StoredIdentification, told: list[Told], evaluation: dict | None) -> str:
-    """What the alarms, or their absence, are worth: whether drives set what they are judged by."""
+    """Evidence value of alarms or silence: whether drives set the bounds that judge them."""
     groups = stored.manifest["drives"]
     others = len({d.name for d in told} - set(groups["bounds"]) - set(groups["calibration"]))
     words = (
@@ -257,7 +260,7 @@ def _independence(stored: StoredIdentification, told: list[Told], evaluation: di
         return words
     of = evaluation["false_alarms"]["all"]
     which = (
-        "Of drives that the identification never saw"
+        "Drives that the identification never saw"
         if evaluation["mode"] == HELD_OUT
         else "Each left out of its own threshold"
     )
@@ -268,7 +271,7 @@ def _independence(stored: StoredIdentification, told: list[Told], evaluation: di
 
 
 def _alarms(told: list[Told], alarms: list[tuple[Told, Alarm]], worth: str) -> str:
-    """Card: what alarmed and why, what that is ``worth``, HTML, and the drive that came nearest."""
+    """Card: the alarms with their reasons, their ``worth`` as HTML, and the nearest drive."""
     if not told:
         return (
             '<div class="card" id="alarms"><h3>Alarms</h3><p>Not replayed: the core computes Hann frames '
@@ -304,7 +307,7 @@ def _alarms(told: list[Told], alarms: list[tuple[Told, Alarm]], worth: str) -> s
 
 
 def _promise(stored: StoredIdentification, design: Path | None) -> str:
-    """Card: what the controller promises, and the premise of every promise."""
+    """Card: the controller's promise, and the premise of every promise."""
     try:
         found = premise(stored)
         least = found.refuting
@@ -346,7 +349,7 @@ vehicle within |δ| ≤ W<sub>Δ</sub>. {
 
 
 def _unexplained(told: list[Told]) -> str:
-    """The drives that the model does not explain, the worst first, and what to do with them; "" without."""
+    """Drives that the model does not explain, worst first, with advice; "" without any."""
     found = sorted(
         ((d, d.unexplained) for d in told if d.unexplained is not None), key=lambda one: one[1].vaf
     )
@@ -366,7 +369,7 @@ def _unexplained(told: list[Told]) -> str:
 
 
 def _to_do(grid: list[list[MapCell]], told: list[Told]) -> str:
-    """Card: what would make blind cells see, and drives that cost sight."""
+    """Card: remedies for blind cells, and drives that reduce visibility."""
     level = _percent(LEVEL)
     flat = [c for row in grid for c in row]
     louder = regions(grid, lambda c: c.state == BLIND and c.floor <= LEVEL)

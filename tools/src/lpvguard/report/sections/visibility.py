@@ -36,7 +36,7 @@ def _excitation(visits: Visits, drawn: OfIdentification) -> str:
 
 
 def _cell_names(cells: list[dict]) -> list[str]:
-    """Speed range of every cell [m/s], as text that no line break divides."""
+    """Speed range of every cell [m/s], as text without line breaks."""
     return [f"{c['speed_mps'][0]:.3g}–\N{WORD JOINER}{c['speed_mps'][1]:.3g}" for c in cells]
 
 
