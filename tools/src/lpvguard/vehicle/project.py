@@ -54,6 +54,11 @@ class CanPlace(StrictModel):
 
 Checksum = Literal[
     "toyota",
+    "honda",
+    "subaru",
+    "tesla",
+    "chrysler",
+    "volkswagen_xor",
     "hyundai_sum",
     "hyundai_sum_before",
     "hyundai_nibbles",
