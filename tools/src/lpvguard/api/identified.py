@@ -56,7 +56,7 @@ class Identified:
     def weights(self) -> pandas.DataFrame:
         """A row a bin, indexed by its frequency [rad/s]: W_delta and B_w as the monitor uses them, with the
         final inflation. Needs pandas."""
-        return self._table(dict(zip(("W_delta", "B_w"), self.fitted.at(self.omega), strict=True)))
+        return self._table(dict(zip(("W_delta", "B_w"), self.fitted.of_frames(self.omega), strict=True)))
 
     @property
     def threshold(self) -> float:

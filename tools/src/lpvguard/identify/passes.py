@@ -36,6 +36,7 @@ from .diagnosis import Windows, windows_of
 from .energy import EnergyTest
 from .error_domain import ErrorDomain
 from .error_sums import ErrorSums, common_fit, common_products, error_sums, sum_of
+from .healthy import needed
 from .resolution import resolution_of
 from .visibility import Excitation
 
@@ -234,6 +235,13 @@ def uncertainty_pass(
         reader.project.n_y,
         reader.project.bounds.structure,
     )
+
+
+def healthy_pass(reader: DriveReader, experiment: Experiment) -> np.ndarray:
+    """What the drive asks of the healthy set (K, P, n_y), as `needed`."""
+    project = reader.project
+    frames = list(reader.frames(experiment))
+    return needed(frames, reader.estimator, project.n_delta, project.bounds.structure)
 
 
 def remainder_pass(

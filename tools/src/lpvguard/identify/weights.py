@@ -3,7 +3,7 @@ for them."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
@@ -21,6 +21,7 @@ from ..vehicle.project import Project
 from .bounds import Bounds
 from .change import ChangeTest
 from .energy import UNBOUNDED, EnergyTest
+from .healthy import HealthySet
 
 DC_STAND_IN = 0.1
 """DC has no place on a logarithmic axis: its bound stands at this fraction of the lowest bin's frequency."""
@@ -69,13 +70,15 @@ class FittedWeight:
 
 @dataclass(frozen=True)
 class Weights:
-    """Fitted weights. ``inflation`` multiplies W_w, W_n and W_delta wherever they are used.
+    """Fitted weights. ``inflation`` multiplies all bounds wherever they are used.
 
     W_w, W_n and W_w_S0 hold one weight per output, W_delta one per Delta (n_delta). Without zero-input drives
     W_n is empty, and so are W_w_S0 and W_C, which only synthesis needs. W_w_S0: disturbance of class S0,
-    where nothing is left to uncertainty (K_inf). ``floored``: step 7, frequencies [rad/s] per weight where
-    nothing was left of B_w after the sensor's share. ``silent``: bins in which no drive that sets the bounds
-    shows evidence above 1. They set no threshold and raise no alarm (THEORY 7.1).
+    where nothing is left to uncertainty (K_inf). ``healthy``: bounds of the frame test; None: it asks the
+    fitted weights. ``W_delta_healthy``: above its W_delta, for the energy test. ``floored``: step 7,
+    frequencies [rad/s] per weight where nothing was left of B_w after the sensor's share. ``silent``: bins
+    in which no drive that sets the bounds shows evidence above 1. They set no threshold and raise no alarm
+    (THEORY 7.1).
     """
 
     W_w: list[FittedWeight]
@@ -86,12 +89,14 @@ class Weights:
     W_C: list[FittedWeight]
     floored: dict[str, list[float]]
     disturbance_set: str
+    healthy: HealthySet | None = None
+    W_delta_healthy: list[FittedWeight] = field(default_factory=list)
     inflation: float = 1.0
     silent: tuple[int, ...] = ()
 
     def at(self, omega: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """W_delta (K, n_delta) and B_w (K, n_y) as the monitor uses them: inflation included, the sensor's
-        share put back."""
+        """W_delta (K, n_delta) and B_w (K, n_y) of the certificate: inflation included, the sensor's share
+        put back."""
         B_w = np.column_stack([w.magnitude(omega) for w in self.W_w])
         if self.W_n:
             W_n = np.column_stack([w.magnitude(omega) for w in self.W_n])
@@ -99,21 +104,32 @@ class Weights:
         W_delta = np.column_stack([w.magnitude(omega) for w in self.W_delta])
         return self.inflation * W_delta, self.inflation * B_w
 
+    def of_frames(self, omega: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """W_delta (K, n_delta) and B_w (K, n_y) of the frame test at the bins omega (K,), inflation included:
+        the healthy set, or without one `at`."""
+        if self.healthy is None:
+            return self.at(omega)
+        return self.inflation * self.healthy.W_delta, self.inflation * self.healthy.B_w
+
     def of_core(self, omega: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """`at` the bins omega (K,) as the core has it: without a bound on the disturbance in silent bins."""
-        W_delta, B_w = self.at(omega)
+        """`of_frames` as the core has it: without a bound on the disturbance in silent bins."""
+        W_delta, B_w = self.of_frames(omega)
+        B_w = B_w.copy()
         B_w[list(self.silent)] *= UNBOUNDED
         return W_delta, B_w
 
     def to_dict(self) -> dict:
         """JSON-able, for `from_dict`."""
         lists = {key: [w.to_dict() for w in getattr(self, key)] for key in LISTED}
+        of_energy = [w.to_dict() for w in self.W_delta_healthy]
         return lists | {
             "gamma_w": self.gamma_w.to_dict(),
             "floored_rad_s": self.floored,
             "disturbance_set": self.disturbance_set,
             "inflation": self.inflation,
             "silent_bins": list(self.silent),
+            **({} if self.healthy is None else {"healthy": self.healthy.to_dict()}),
+            **({"W_delta_healthy": of_energy} if of_energy else {}),
         }
 
     @classmethod
@@ -166,6 +182,10 @@ class Weights:
             gamma_w=weight(data["gamma_w"], "gamma_w"),
             floored=data["floored_rad_s"],
             disturbance_set=data["disturbance_set"],
+            healthy=HealthySet.from_dict(data["healthy"]) if "healthy" in data else None,
+            W_delta_healthy=[
+                weight(e, f"W_delta_healthy[{j}]") for j, e in enumerate(data.get("W_delta_healthy", []))
+            ],
             inflation=float(inflation),
             silent=tuple(data.get("silent_bins", ())),
         )
@@ -221,6 +241,17 @@ def fit_uncertainty(
     nu, asked, name = column
     samples, bound = uncertainty_samples(estimator, nu, omega, asked)
     return _fitted(project, samples, bound, name)
+
+
+def with_healthy(
+    project: Project, estimator: Estimator, weights: Weights, healthy: HealthySet, workers: Map = map
+) -> Weights:
+    """The weights with the ``healthy`` set of the frame test, and W_delta of the energy test above it."""
+    omega, names = estimator.omega[1:], [f"healthy W_delta {j + 1}" for j in range(project.n_delta)]
+    none = np.full((estimator.n_bins, project.n_delta), np.nan)
+    columns = zip(none.T, healthy.W_delta[1:].T, names, strict=True)
+    fitted = list(workers(partial(fit_uncertainty, project, estimator, omega), columns))
+    return replace(weights, healthy=healthy, W_delta_healthy=fitted)
 
 
 def fit_bound(
@@ -334,7 +365,7 @@ def coefficients_of(
 def energy_filters(project: Project, estimator: Estimator, weights: Weights) -> EnergyTest:
     """The energy test's filters for these weights; sigma is yet to be found. InputError for weights of
     another structure than the project's."""
-    fitted = weights.W_delta
+    fitted = weights.W_delta_healthy or weights.W_delta
     test = EnergyTest.design(
         project,
         estimator,

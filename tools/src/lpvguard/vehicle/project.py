@@ -184,11 +184,13 @@ class NuCeiling(StrictModel):
 
 class BoundSettings(StrictModel):
     """Bounds (THEORY 5): structure of the uncertainty (THEORY 4.1: S0 none, S1 one Delta common to all
-    outputs, S1_diagonal one an output), set of the disturbance, ceiling on nu."""
+    outputs, S1_diagonal one an output), set of the disturbance. ``nu_ceiling``: the share of the error that
+    is given to uncertainty, as the paper sets it; None: W_delta is the band of the model error of all drives
+    (THEORY 7.15), and the frame test has a healthy set of its own (7.16)."""
 
     structure: Literal["S0", "S1", "S1_diagonal"] = "S1"
     disturbance_set: Literal["paper", "covering"] = "covering"
-    nu_ceiling: NuCeiling
+    nu_ceiling: NuCeiling | None = None
 
 
 class Beyond(StrictModel):
