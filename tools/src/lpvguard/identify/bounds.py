@@ -5,8 +5,8 @@ Drives are streamed: every pass reduces a drive to maxima per bin (``reduce_...`
 (``fold``), so neither memory nor the result depends on the number or the order of the drives. Bins: 0 is DC.
 Units of E, Z, B1, B2, gamma_w, B_w: the outputs' own.
 
-Rule of step 4 (T8): a ceiling nu_bar(omega) on the uncertainty is set beforehand; the disturbance bound is
-what the frames need beyond it,
+Rule of step 4 (T8): a ceiling nu_bar(omega) on the uncertainty is known beforehand, a setting or the band of
+the model error; the disturbance bound is what the frames need beyond it,
 
     gamma_w(omega_k) = max over frames of sqrt(B1^2 + |Z|^2 max(0, |delta0| - nu_bar)^2),   gamma_w(0) = B2(0)
 
