@@ -60,10 +60,14 @@ def needed(frames: list[FrameSet], estimator: Estimator, n_delta: int, structure
     n_y = frames[0].E.shape[1]
     out = np.zeros((estimator.n_bins, len(CANDIDATES), n_y))
     for s in frames:
-        if len(s.E):
-            for p, W in enumerate(CANDIDATES):
+        if not len(s.E):
+            continue
+        for p, W in enumerate(CANDIDATES):
+            if n_y == 1 or n_delta > 1:  # at zero frequency, too
+                sizes = s.sizes[0] - W * s.sizes[1]
+            else:
                 sizes = remainder_sizes(s, estimator, np.full((estimator.n_bins, n_delta), W), structure)
-                out[s.bin, p] = sizes.max(axis=0)
+            out[s.bin, p] = np.maximum(sizes.max(axis=0), 0.0)
     return out
 
 
@@ -78,7 +82,7 @@ def healthy_set(
     spectra : sample of frames of these drives, columns ``group`` (bin) and Z (F, n_y).
     floor : (K, n_y) what the sensors cannot tell.
     typical, largest : (K, n_delta) error of a further drive at typical speed and amplitude, and W_delta of
-        the certificate; 0 at DC.
+        the certificate.
     """
     each, (K, n_delta), n_y = np.array(needs), largest.shape, floor.shape[1]
     outputs = [[j] for j in range(n_y)] if n_delta > 1 else [list(range(n_y))]

@@ -768,11 +768,10 @@ class ModelError:
         return np.where(estimator.cycles[:, None] > 0, self.bound[self._places(estimator)], 0.0)
 
     def typical(self, estimator: Estimator) -> np.ndarray:
-        """(K, n_delta) error of a further drive at the bins in the median over speeds and amplitudes, 0 at
-        DC; only of bands."""
+        """(K, n_delta) error of a further drive at the bins in the median over speeds and amplitudes, at DC
+        that of the lowest frequency; only of bands."""
         each = np.column_stack([np.array(b["typical"])[self._places(estimator)] for b in self.bands])
-        shared = each if self.bound.shape[1] > 1 else each.max(axis=1, keepdims=True)
-        return np.where(estimator.cycles[:, None] > 0, shared, 0.0)
+        return each if self.bound.shape[1] > 1 else each.max(axis=1, keepdims=True)
 
     def _places(self, estimator: Estimator) -> np.ndarray:
         """(K,) index of the grid's frequency at each bin; DC has the lowest."""

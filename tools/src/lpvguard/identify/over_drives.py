@@ -181,8 +181,11 @@ class OverDrives:
         own = [ErrorEstimate.of(s, grid) for s in setting]
         return error.by_bands(project, domain, [joined(p) for p in parts], own, self.workers)
 
-    def healthy(self, error: ModelError, floor: np.ndarray, setting: list[Experiment]) -> HealthySet:
-        """The healthy set of the frame test, within the certificate's W_delta; ``floor`` (K, n_y) of B_w."""
+    def healthy(
+        self, error: ModelError, W_delta: list[FittedWeight], floor: np.ndarray, setting: list[Experiment]
+    ) -> HealthySet:
+        """The healthy set of the frame test, within the certificate's ``W_delta``; ``floor`` (K, n_y) of
+        B_w."""
         project, of = self.reader.project, _folds(setting)
         task = partial(healthy_pass, self.reader)
         needs: list[np.ndarray] = []
@@ -191,7 +194,8 @@ class OverDrives:
                 needs.append(own)
             else:
                 needs[k] = np.maximum(needs[k], own)
-        typical, largest = error.typical(self.reader.estimator), error.at_bins(self.reader.estimator)
+        omega, typical = self.reader.estimator.omega, error.typical(self.reader.estimator)
+        largest = np.column_stack([w.magnitude(omega) for w in W_delta])
         if project.bounds.structure == "S0":
             typical, largest = 0 * typical, 0 * largest
         drawn = first_of_each(self.spectra, DRAWN_SPECTRA)

@@ -140,7 +140,7 @@ def _weighted(
     second, W_delta = run.uncertainty(first, smooth, error, chosen.setting)
     bounds, healthy = run.bounds(first, smooth, second, W_delta, chosen.setting), None
     if project.bounds.nu_ceiling is None:
-        healthy = run.healthy(error, bounds.B_w_floor, chosen.setting)
+        healthy = run.healthy(error, W_delta, bounds.B_w_floor, chosen.setting)
         # The certificate's set contains the healthy one: what refutes it leaves that.
         bounds = replace(bounds, B_w=np.fmax(bounds.B_w, healthy.B_w))
     given = project, estimator, bounds, gamma_w, W_delta, noise, first["E"], command
