@@ -114,7 +114,7 @@ def _best(
     further = beside + (reached - CANDIDATES)[:, None] * strongest
     best: tuple[float, float, np.ndarray, float] | None = None
     for p, (W, B) in enumerate(zip(CANDIDATES, B_of, strict=True)):
-        if p and W > largest:
+        if p and largest < W:
             break
         factor = max(1.0, _least_factor(further, B, W))
         # Without the drive that asks for the most the next one does.
