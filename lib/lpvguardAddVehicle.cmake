@@ -1,11 +1,13 @@
-# lpvguard_add_vehicle(NAME DIR): the C core of one vehicle, from lpvguard's sources and the vehicle's generated folder.
+# lpvguard_add_vehicle(NAME DIR [SERVICES SERVICE...]): the C core of one vehicle, from lpvguard's sources and the vehicle's generated folder.
 #
 # Makes the static library lpvguard_NAME, alias lpvguard::NAME; its public symbols start with lpvg_NAME_, so that several
 # vehicles link into one image. A user of the target needs C99 only: C++17 and Eigen 3.4 stay inside it.
 #
 #   NAME  as in DIR/lpvguard_vehicle.h (LPVG_VEHICLE)
 #   DIR   written by `lpvguard export`: lpvguard_vehicle.h, lpvguard_coeff.c; with a controller also lpvguard_control.c,
-#         lpvguard_bus.c and the CAN codec, and then the target has ecu.h, controller.h, can.h, j1939.h and uds.h too
+#         lpvguard_bus.c and the CAN codec, and then the target has ecu.h, controller.h and can.h too
+#   SERVICE  a source of src/services without its ending, or ALL: diagnosis, life; with a controller also authentication, j1939, uds, xcp.
+#            Nothing of the core calls a service.
 #
 # LPVG_DOUBLE, when set, makes lpvg_real_t double; set it before the first vehicle, for the whole image.
 # Warnings are errors here; `cmake --compile-no-warning-as-error` lifts that for a compiler that knows new ones.
@@ -22,7 +24,7 @@ function(lpvguard_compile TARGET)
   target_compile_definitions(${TARGET} PRIVATE EIGEN_NO_DEBUG)
 endfunction()
 
-# lpvguard_sources(DIR OUT): the core's sources that the vehicle of DIR needs, and its own.
+# lpvguard_sources(DIR OUT SERVICE...): the core's sources that the vehicle of DIR needs, those of the services, and its own.
 function(lpvguard_sources DIR OUT)
   get_property(root GLOBAL PROPERTY LPVG_CORE_ROOT)
   foreach(file IN ITEMS lpvguard_vehicle.h lpvguard_coeff.c)
@@ -30,20 +32,31 @@ function(lpvguard_sources DIR OUT)
       message(FATAL_ERROR "lpvguard: ${DIR}/${file} is missing; `lpvguard export` writes it")
     endif()
   endforeach()
-  set(parts change coeff diagnosis energy life model monitor)
+  set(parts monitor/change monitor/coeff monitor/energy monitor/model monitor/monitor)
   set(own lpvguard_coeff.c)
-  if(EXISTS "${DIR}/lpvguard_diagnosis.c")
-    list(APPEND own lpvguard_diagnosis.c)
-  endif()
+  set(services diagnosis life)
   if(EXISTS "${DIR}/lpvguard_control.c")
-    list(APPEND parts controller)
+    list(APPEND parts guard/controller)
     list(APPEND own lpvguard_control.c)
   endif()
   if(EXISTS "${DIR}/lpvguard_bus.c")
-    # life, can, authentication, j1939, uds, xcp and the codec depend on no vehicle: in an image of several vehicles the linker takes the first
-    # one's.
-    list(APPEND parts ecu watch can authentication j1939 uds xcp)
+    # can, the services but diagnosis, and the codec depend on no vehicle: in an image of several vehicles the linker takes the first one's.
+    list(APPEND parts monitor/watch guard/can guard/ecu)
     list(APPEND own lpvguard_bus.c lpvg_can_codec.c)
+    list(APPEND services authentication j1939 uds xcp)
+  endif()
+  set(asked ${ARGN})
+  if("${asked}" STREQUAL ALL)
+    set(asked ${services})
+  endif()
+  foreach(service IN LISTS asked)
+    if(NOT service IN_LIST services)
+      message(FATAL_ERROR "lpvguard: ${service} is no service of ${DIR}; expected ALL or some of ${services}")
+    endif()
+    list(APPEND parts services/${service})
+  endforeach()
+  if(diagnosis IN_LIST asked AND EXISTS "${DIR}/lpvguard_diagnosis.c")
+    list(APPEND own lpvguard_diagnosis.c)
   endif()
   list(TRANSFORM parts REPLACE "(.+)" "${root}/src/\\1.cpp")
   list(TRANSFORM own PREPEND "${DIR}/")
@@ -53,7 +66,11 @@ endfunction()
 function(lpvguard_add_vehicle NAME DIR)
   get_property(root GLOBAL PROPERTY LPVG_CORE_ROOT)
   cmake_path(ABSOLUTE_PATH DIR NORMALIZE OUTPUT_VARIABLE folder)
-  lpvguard_sources("${folder}" sources)
+  cmake_parse_arguments(PARSE_ARGV 2 arg "" "" SERVICES)
+  if(arg_UNPARSED_ARGUMENTS)
+    message(FATAL_ERROR "lpvguard_add_vehicle(${NAME}): ${arg_UNPARSED_ARGUMENTS}; expected SERVICES and their names")
+  endif()
+  lpvguard_sources("${folder}" sources ${arg_SERVICES})
   # A library whose symbols do not carry its name would collide with another one only at the user's link step.
   file(STRINGS "${folder}/lpvguard_vehicle.h" named REGEX "^#define LPVG_VEHICLE ${NAME}$")
   if(NOT named)
@@ -67,6 +84,7 @@ function(lpvguard_add_vehicle NAME DIR)
   add_library(${target} STATIC ${sources})
   add_library(lpvguard::${NAME} ALIAS ${target})
   target_include_directories(${target} PUBLIC "${root}/include" "${folder}")
+  target_include_directories(${target} PRIVATE "${root}/src")
   target_include_directories(${target} SYSTEM PRIVATE ${eigen})
   set_target_properties(${target} PROPERTIES
     C_STANDARD 99 C_EXTENSIONS OFF CXX_STANDARD 17 CXX_STANDARD_REQUIRED ON CXX_EXTENSIONS OFF

@@ -10,9 +10,9 @@ for name, text in codec_files().items():
 file(GLOB can_package "${PROJECT_SOURCE_DIR}/tools/src/lpvguard/can/*.py" "${PROJECT_SOURCE_DIR}/tools/src/lpvguard/can/*.toml")
 set_property(DIRECTORY APPEND PROPERTY CMAKE_CONFIGURE_DEPENDS ${can_package})
 
-set(can_sources "${PROJECT_SOURCE_DIR}/lib/src/can.cpp" "${PROJECT_SOURCE_DIR}/lib/src/j1939.cpp" "${PROJECT_SOURCE_DIR}/lib/src/uds.cpp"
-  "${PROJECT_SOURCE_DIR}/lib/src/xcp.cpp" "${can_codec}/lpvg_can_codec.c")
-set(can_includes "${PROJECT_SOURCE_DIR}/lib/include" "${can_codec}")
+set(can_sources "${PROJECT_SOURCE_DIR}/lib/src/guard/can.cpp" "${PROJECT_SOURCE_DIR}/lib/src/services/j1939.cpp" "${PROJECT_SOURCE_DIR}/lib/src/services/uds.cpp"
+  "${PROJECT_SOURCE_DIR}/lib/src/services/xcp.cpp" "${can_codec}/lpvg_can_codec.c")
+set(can_includes "${PROJECT_SOURCE_DIR}/lib/include" "${PROJECT_SOURCE_DIR}/lib/src" "${can_codec}")
 
 # With sanitizers in every build: these tests look for undefined behaviour, not for speed.
 set(can_sanitize "")

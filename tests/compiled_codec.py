@@ -98,7 +98,7 @@ def compiled(folder: Path) -> ctypes.CDLL:
     # Contraction off, as everywhere where bits are compared.
     c = ["cc", *STRICT, "-ffp-contract=off", "-fPIC", *include, "-c", SOURCE, "loops.c"]
     subprocess.run(c, cwd=folder, check=True)
-    cpp = ["c++", "-std=c++17", "-O2", "-fPIC", "-shared", *include, str(ROOT / "lib/src/can.cpp")]
+    cpp = ["c++", "-std=c++17", "-O2", "-fPIC", "-shared", *include, str(ROOT / "lib/src/guard/can.cpp")]
     objects = ["lpvg_can_codec.o", "loops.o", "-o", "codec.so"]
     subprocess.run([*cpp, *objects], cwd=folder, check=True)
     return ctypes.CDLL(str(folder / "codec.so"))

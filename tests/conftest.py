@@ -23,9 +23,9 @@ from lpvguard.control.design import save as save_design
 from lpvguard.core.compiled import Core
 from lpvguard.evaluate import baseline_study
 from lpvguard.evaluate.baselines import Baseline
-from lpvguard.identify import run as stage
+from lpvguard.extras.loop import generate as drive_maker
+from lpvguard.identify import identification as stage
 from lpvguard.identify.export import export_vehicle
-from lpvguard.loop import generate as drive_maker
 from lpvguard.vehicle.nominal import NominalModel
 from lpvguard.vehicle.project import Project, load_project
 from made import ROOT, Store, digest_of, store

@@ -6,6 +6,7 @@
 #define LPVGUARD_FIRMWARE_H
 
 #include "bus.h"
+#include "lpvguard/diagnosis.h"
 #include "lpvguard/ecu.h"
 
 /* A vehicle without the table of causes is monitored all the same. */

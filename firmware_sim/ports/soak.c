@@ -10,10 +10,11 @@
  *   release   the demand is zero RELEASE_MS after the end of an engagement
  *   alarm     none begins but for a fault of the vehicle, up to ALARM_MS after its end
  *   missed    a fault of the vehicle during FOUND_MS of engaged driving, without another fault, ends with an alarm
+ *   engaged   without faults and within the controller's range it is engaged from ENGAGED_MS after the start on
  *
  * Writes a line an hour: what was driven, said and counted, a digest of every frame sent, the instructions of the worst tick and the
  * depth of the stack. The lines of one length and seed are the same on every target but for these two. soak_input.h
- * states SOAK_HOURS, SOAK_HOUR_MS (shorter in a short form) and SOAK_SEED. */
+ * states SOAK_HOURS, SOAK_HOUR_MS (shorter in a short form), SOAK_SEED and SOAK_FAULTS (0u: none, and speeds within the range). */
 #include <string.h>
 
 #include "firmware.h"
@@ -29,6 +30,7 @@
 #define RELEASE_MS 3000
 #define ALARM_MS 90000
 #define FOUND_MS 45000
+#define ENGAGED_MS 2500
 #define FRAMES 64u
 
 typedef enum fault_t {
@@ -54,10 +56,11 @@ typedef enum rule_t {
     rule_release,
     rule_alarm,
     rule_missed,
+    rule_engaged,
     rule_count
 } rule_t;
 
-static const char* const rule_name[rule_count] = {"report", "live", "not_live", "verdict", "release", "alarm", "missed"};
+static const char* const rule_name[rule_count] = {"report", "live", "not_live", "verdict", "release", "alarm", "missed", "engaged"};
 
 typedef struct hour_t {
     uint32_t ticks, engaged, valid, judged, faults, vehicle_faults, alarms, frames_in, frames_out, refused, worst;
@@ -199,7 +202,7 @@ static void next_faults(void) {
         fault.kind = fault_none;
         fault.lost_ms = 0;
         fault.quiet_ms += fault.quiet_ms < 1000000 ? TICK_MS : 0;
-        fault.wait_ms -= TICK_MS;
+        fault.wait_ms -= SOAK_FAULTS > 0u ? TICK_MS : 0;
         if (fault.wait_ms <= 0) {
             fault.kind = (fault_t)(1u + below((uint32_t)fault_count - 1u));
             /* What no check of a frame can see in the messages without protection is a fault of a sensor. */
@@ -222,7 +225,7 @@ static void next_faults(void) {
             broken[rule_missed] += !wear.alarmed && wear.longest_ms > FOUND_MS ? 1u : 0u;
         }
     } else {
-        wear.wait_ms -= TICK_MS;
+        wear.wait_ms -= SOAK_FAULTS > 0u ? TICK_MS : 0;
         if (wear.wait_ms <= 0) {
             wear.gain = between(0.2f, 0.4f);
             wear.left_ms = 90000;
@@ -337,7 +340,7 @@ static void drive(void) {
         wave[i][1] = s * grows;
     }
     if (below(20000u) == 0u) {
-        wanted_speed = between(6.0f, 24.0f);
+        wanted_speed = SOAK_FAULTS > 0u ? between(6.0f, 24.0f) : between(8.5f, 21.5f);
         acceleration = between(0.05f, 1.0f);
     }
     change = wanted_speed > speed ? change : -change;
@@ -416,11 +419,12 @@ static void judge(void) {
     broken[rule_live] += fault.quiet_ms > SETTLED_MS && !live ? 1u : 0u;
     broken[rule_not_live] += fault.kind == fault_lost && fault.lost_ms > LOST_MS && live ? 1u : 0u;
     broken[rule_verdict] += dead_ms > STALE_MS && (valid || verdict == (uint8_t)lpvg_verdict_degraded) ? 1u : 0u;
+    broken[rule_engaged] += SOAK_FAULTS == 0u && released_ms > ENGAGED_MS ? 1u : 0u;
     broken[rule_release] += released_ms > RELEASE_MS && (demand > 0.001f || demand < -0.001f) ? 1u : 0u;
-    if (newest_alarm_us() != alarm_us || (verdict == (uint8_t)lpvg_verdict_invalid && said != verdict)) {
+    if (newest_alarm_us() > alarm_us || (verdict == (uint8_t)lpvg_verdict_invalid && said != verdict)) {
         /* One that goes on is one; the watch of the response ends in invalid without a time of the monitor. */
-        hour.alarms += newest_alarm_us() == alarm_us || newest_alarm_us() - alarm_us > 1000000 ? 1u : 0u;
-        alarm_us = newest_alarm_us();
+        hour.alarms += newest_alarm_us() <= alarm_us || newest_alarm_us() - alarm_us > 1000000 ? 1u : 0u;
+        alarm_us = newest_alarm_us() > alarm_us ? newest_alarm_us() : alarm_us;
         wear.alarmed = wear.alarmed || wear.left_ms > 0;
         broken[rule_alarm] += wear.since_ms >= ALARM_MS ? 1u : 0u;
     }

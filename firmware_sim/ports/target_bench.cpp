@@ -19,7 +19,7 @@
 #include <initializer_list>
 
 #include "lpvguard/ecu.h"
-#include "margin.hpp"
+#include "monitor/margin.hpp"
 #include "target_input.h"
 #include "text.hpp"
 #if __has_include("lpvguard_diagnosis.c")
@@ -31,6 +31,7 @@
 #include "dense_controller.hpp"
 #include "lpvg_can_codec.h"
 #include "lpvguard/authentication.h"
+#include "lpvguard/j1939.h"
 #include "lpvguard/xcp.h"
 #endif
 
@@ -112,7 +113,7 @@ int64_t time_us(std::size_t k) { return static_cast<int64_t>(k + 1U) * lpvg_coef
 
 lpvg_sample_t sample_at(std::size_t k) {
     lpvg_sample_t sample{};
-    const lpvg_real_t* row = target_input[k];
+    const float* row = target_input[k];
     sample.t_us = time_us(k);
     sample.speed = row[0];
     std::memcpy(sample.u, row + 1, sizeof sample.u);
@@ -240,6 +241,33 @@ void measurements(std::size_t k, lpvg_real_t* m) {
         m[0] = target_input[k][1U + LPVG_NU];
         std::memcpy(&m[1], &target_input[k][1U + LPVG_NU], LPVG_NY * sizeof *m);
     }
+}
+
+// The watch of the response over the drive, from its first sample on.
+void run_watch() {
+    Part part("watch_take");
+    static lpvg_watch_t watch;
+    lpvg_watch_limits_t limits;
+    lpvg_model_t model;
+    lpvg_watch_limits(&limits, &lpvg_coeff);
+    for (std::size_t k = 0; k < TARGET_INPUT_SAMPLES; ++k) {
+        const lpvg_sample_t sample = sample_at(k);
+        if (k == 0U) {
+            lpvg_model_start(&model, &lpvg_coeff, sample.u, sample.y);
+        }
+        lpvg_real_t e[LPVG_NY], yhat[LPVG_NY];
+        lpvg_model_output(&model, &lpvg_coeff, yhat);
+        lpvg_model_advance(&model, &lpvg_coeff, sample.speed, sample.u);
+        for (std::size_t j = 0; j < LPVG_NY; ++j) {
+            e[j] = sample.y[j] - yhat[j];
+        }
+        if (k == 0U) {
+            lpvg_watch_start(&watch, e);
+        }
+        part.run([&] { lpvg_watch_take(&watch, &limits, &lpvg_coeff, &model, true, e, sample.u); });
+    }
+    require(watch.evidence, "the watch has no evidence\n");
+    part.write();
 }
 
 void run_controller() {
@@ -501,6 +529,7 @@ int main() {
 #if LPVG_NK > 0
     Line().word("size").word("control").number(sizeof(lpvg_control_t)).write();
     Line().word("size").word("ecu").number(sizeof(lpvg_ecu_t)).write();
+    run_watch();
     run_controller();
     run_dense_controller();
     Line().word("size").word("j1939").number(sizeof(lpvg_j1939_t) + sizeof(lpvg_j1939_memory_t)).write();

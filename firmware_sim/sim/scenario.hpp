@@ -24,7 +24,7 @@
 ///     end_s = 60.0                     # optional: until the end
 ///     probability = 1.0                # optional, of each frame
 ///     delay_s = 0.05                   # delayed
-///     [expect]                         # what must be said and by when: for `lpvguard sim` (tools/src/lpvguard/loop/sim.py)
+///     [expect]                         # what must be said and by when: for `lpvguard sim` (tools/src/lpvguard/extras/loop/sim.py)
 ///
 /// Unknown keys, wrong types and numbers outside their ranges throw ParameterError naming file, key and range.
 #pragma once

@@ -163,7 +163,6 @@ const std::vector<Field> model_fields = {
     LPVG_REAL(scale),
     LPVG_REAL(energy_corner),
     LPVG_REAL(energy_W),
-    LPVG_REAL(energy_above),
     LPVG_REAL(energy_scale),
     LPVG_REAL(energy_forget),
     LPVG_REAL(energy_start),
@@ -216,6 +215,8 @@ const std::vector<Field> state_fields = {
     LPVG_STATE(now_us),
     LPVG_STATE(clock),
     LPVG_STATE(dm1_us),
+    LPVG_STATE(watch),
+    LPVG_STATE(share),
     LPVG_STATE(causes),
 };
 

@@ -52,7 +52,7 @@ def drive(g80, synthetic):
 def test_a_planted_fault_changes_the_margins(name, drive, core, vehicle, tmp_path):
     file, original, mutant = MUTANTS[name]
     shutil.copytree(library_root(), tmp_path / "lib")
-    source = tmp_path / "lib" / "src" / file
+    (source,) = (tmp_path / "lib" / "src").rglob(file)
     text = source.read_text()
     assert text.count(original) == 1
     source.write_text(text.replace(original, mutant))
@@ -78,7 +78,7 @@ ENERGY_MUTANTS = {
 def test_a_planted_fault_changes_the_energy_ratio(name, drive, core, vehicle, tmp_path):
     original, mutant = ENERGY_MUTANTS[name].split("|")
     shutil.copytree(library_root(), tmp_path / "lib")
-    source = tmp_path / "lib" / "src" / "energy.cpp"
+    source = tmp_path / "lib" / "src" / "monitor" / "energy.cpp"
     text = source.read_text()
     assert text.count(original) == 1
     source.write_text(text.replace(original, mutant))

@@ -1,6 +1,6 @@
 // How long the loop acts on a vehicle whose response to the demand is wrong: from a cold start, and after each kind of release during which
-// it goes wrong. The table in lib/REQUIREMENTS.md is made of it: `LPVGUARD_RESPONSES=lib/REQUIREMENTS.md test_response` writes the table,
-// and without that the test compares it.
+// it goes wrong. Two tables in lib/REQUIREMENTS.md are made of it: `LPVGUARD_RESPONSES=lib/REQUIREMENTS.md test_response` writes the first,
+// LPVGUARD_WEAK the second, and without that the tests compare them.
 #include "../long_form.hpp"
 #include "../marked_table.hpp"
 #include "response_drive.hpp"
@@ -42,8 +42,9 @@ const lpvguard_plant::PlantParameters& truck() {
 }
 
 // Seconds engaged in the minute after the release, in which an acknowledgement is asked for every 3 s.
-double engaged_s(const Case& which, double response, double speed_mps, std::uint64_t seed) {
+double engaged_s(const Case& which, double response, double speed_mps, std::uint64_t seed, float amplitude_radps = 0.06F) {
     ResponseDrive drive(truck(), speed_mps, seed);
+    drive.amplitude_radps = amplitude_radps;
     if (which.kind != Release::cold) {
         drive.run(before_steps);
         REQUIRE(drive.bench.engaged());
@@ -90,7 +91,31 @@ std::string table() {
     return text.str();
 }
 
+// Of commands so small that nothing is promised: seconds engaged in the minute behind a cold start, the longest of the three speeds.
+std::string weak_table() {
+    std::ostringstream text;
+    text << "| amplitude [mrad/s] | × -1 | × 0 | × 0.3 |\n| --- | --- | --- | --- |\n";
+    for (const float amplitude : {0.06F, 0.02F, 0.01F, 0.006F, 0.002F}) {
+        text << "| " << std::lround(1e3F * amplitude);
+        for (const double response : {-1.0, 0.0, 0.3}) {
+            double longest = 0.0;
+            for (const double speed_mps : speeds_mps) {
+                longest = std::fmax(longest, engaged_s(cases[0], response, speed_mps, 1U, amplitude));
+            }
+            char number[16];
+            std::snprintf(number, sizeof number, " | %.1f", longest);
+            text << number;
+        }
+        text << " |\n";
+    }
+    return text.str();
+}
+
 }  // namespace
+
+TEST_CASE("what a small command shows of the response, and the table of it is the one of the requirements", "[fault][ecu][REQ-ECU-17]") {
+    MarkedTable("weak", "test_response").require(weak_table(), "LPVGUARD_WEAK");
+}
 
 TEST_CASE("a vehicle whose response is wrong is not engaged for long, whatever came before", "[fault][ecu][REQ-ECU-17][REQ-ECU-18]") {
     MarkedTable("responses", "test_response").require(table(), "LPVGUARD_RESPONSES");

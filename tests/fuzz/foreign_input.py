@@ -35,7 +35,7 @@ from lpvguard.can.decode import load_database
 from lpvguard.can.logs import candump_frames, parse_candump_slowly, read_log
 from lpvguard.drives.signal_map import load_signal_map
 from lpvguard.drives.tables import read_drive
-from lpvguard.identify import run as stage
+from lpvguard.identify import identification as stage
 from lpvguard.vehicle.nominal import NominalModel
 from lpvguard.vehicle.project import Project, load_project
 from made import ROOT

@@ -77,7 +77,7 @@ def misra_cpp_findings(tree: Path, vehicle: Path, full: bool, only: str = "") ->
         for row in rows
         if row.by not in (*BY_TOOL, *BY_WORD)
     ]
-    sources = sorted((tree / "lib" / "src").glob(only or "*.[ch]pp"))
+    sources = sorted((tree / "lib" / "src").rglob(only or "*.[ch]pp"))
     findings += absent([row for row in rows if row.by == "absent"], sources)
     every = [path for path in sources if path.suffix == ".cpp"]
     units = every if full or only else units_of_change(tree, every)

@@ -47,7 +47,9 @@ and at last the others; those that reach more than LONG_SITES are long."""
 ABOUT: dict[str, tuple[str, ...]] = {
     "ecu.cpp": ("test_ecu_random",),  # the other long cases are minutes of driving
     "crc32.hpp": ("test_coeff_",),
-    "coefficient_checks.hpp": ("test_coeff_", "test_controller_", "test_diagnosis_"),
+    "coefficient_checks.hpp": ("test_coeff_",),
+    "control_checks.hpp": ("test_controller_",),
+    "diagnosis_checks.hpp": ("test_diagnosis_",),
 }
 """File -> how the names of its own programs begin: they are asked first, and they alone about long cases.
 Else test_ and the file's name."""
@@ -197,19 +199,23 @@ def with_switch(tree: Path) -> dict[Path, str]:
     return {main: read(tree / main) + '\n#include "../gates/mutant_switch.cpp"\n'}
 
 
+def core_files(tree: Path) -> list[Path]:
+    """Files of lib/src; no two have one name."""
+    return sorted((tree / "lib" / "src").rglob("*.[ch]pp"))
+
+
 def includers(tree: Path, name: str) -> set[str]:
     """Sources of lib/src that see a file of it."""
-    texts = {p.name: read(p) for p in (tree / "lib" / "src").iterdir()}
+    texts = {p.name: read(p) for p in core_files(tree)}
     seen = {name}
-    while more := {n for n, t in texts.items() if any(f'"{s}"' in t for s in seen)} - seen:
+    while more := {n for n, t in texts.items() if any(re.search(rf'["/]{s}"', t) for s in seen)} - seen:
         seen |= more
     return {n for n in seen if n.endswith(".cpp")}
 
 
 def find_sites(tree: Path, work: Path, build: Path, files: Iterable[str]) -> dict[str, Sites]:
     """Sites by file, of all compilations that see it; those of an unchanged source are kept in ``build``."""
-    source = tree / "lib" / "src"
-    paths = {str(p): p.name for p in source.iterdir()}
+    paths = {str(p): p.name for p in core_files(tree)}
     texts = {path: read(Path(path)) for path in paths}
     wanted = set().union(*(includers(tree, name) for name in files))
     several: dict[str, list[Sites]] = {name: [] for name in files}
@@ -465,8 +471,11 @@ def mutation_findings(tree: Path, scratch: Path, names: list[str], full: bool, o
         configure(work, build)
         sites = find_sites(tree, work, build, files)
         first = {name: PER_FILE * i for i, name in enumerate(names)}
-        source = Path("lib", "src")
-        texts = {source / n: switched(read(tree / source / n), sites[n], first[n]) for n in files}
+        texts = {
+            p.relative_to(tree): switched(read(p), sites[p.name], first[p.name])
+            for p in core_files(tree)
+            if p.name in files
+        }
         mirror(tree, work, main | texts)
         command("cmake", "--build", build, "--target", *PROGRAMS)
         programs = sorted(p for p in build.rglob("test_*") if p.is_file() and os.access(p, os.X_OK))

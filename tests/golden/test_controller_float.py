@@ -45,7 +45,7 @@ class Controller:
         self.lib = ctypes.CDLL(
             str(
                 native.compile_shared(
-                    [root / "src" / "controller.cpp", folder / "lpvguard_control.c", SOURCE],
+                    [root / "src" / "guard" / "controller.cpp", folder / "lpvguard_control.c", SOURCE],
                     name="control_run",
                     flags=flags,
                     include_dirs=[root / "include", root / "src", folder],

@@ -80,7 +80,7 @@ def case(request, tmp_path_factory):
         1.0,
     )
     sigma = 0.02 * np.add.outer(np.arange(len(energy.F)), 1.0 + np.arange(sizes.n_y))
-    energy = replace(energy, sigma=sigma, start=(4.0 + np.arange(sizes.n_y)) * sigma**2)
+    energy = replace(energy, sigma=sigma, start=np.sqrt(4.0 + np.arange(sizes.n_y)) * sigma)
     write_files(
         folder,
         vehicle_files(
@@ -185,13 +185,13 @@ def test_the_controller_equals_the_reference_at_every_size(case, tmp_path):
     write_files(tmp_path, files | replaced_controller(files["lpvguard_vehicle.h"], controller))
     program = native.compile_executable(
         [
-            library_root() / "src" / "controller.cpp",
+            library_root() / "src" / "guard" / "controller.cpp",
             tmp_path / "lpvguard_control.c",
             Path(__file__).with_name("controller_run.cpp"),
         ],
         name="controller_run",
         flags=("-std=c++17", "-O2", "-ffp-contract=off", *(["-DLPVG_DOUBLE"] if double else [])),
-        include_dirs=[library_root() / "include", tmp_path],
+        include_dirs=[library_root() / "include", library_root() / "src", tmp_path],
     )
     k = np.arange(4000)
     v = (15.0 + 8.0 * np.sin(0.003 * k)).astype(np.float32)

@@ -11,10 +11,11 @@ import platform
 import numpy as np
 import pytest
 
-from lpvguard.core import compiled
+from lpvguard.core import compiled, targets
 from lpvguard.core.compiled import Core, library_root
 from lpvguard.drives.tables import list_experiments, read_drive
 from lpvguard.identify.calibration import ROUNDING
+from parts import require
 
 FUSED = ("-march=x86-64-v3",) if platform.machine() in ("x86_64", "AMD64") else ()
 
@@ -47,6 +48,25 @@ def test_all_builds_say_the_same_of_every_measured_drive(builds, measured, g80):
             (experiment.name, name) for name, run in runs.items() if (run.verdict != first.verdict).any()
         ]
     assert different == []
+
+
+@pytest.mark.long("some minutes a processor: every measured drive four times in an emulator")
+@pytest.mark.requirement("REQ-MON-18")
+@pytest.mark.parametrize("name", sorted(targets.TARGETS))
+def test_every_target_says_of_every_measured_drive_what_this_pc_says(builds, measured, g80, name):
+    require("qemu")
+    drives = [read_drive(experiment.path, g80) for experiment in list_experiments(measured)]
+    wanted = []
+    for drive in drives:
+        verdict = builds["float, off"].monitor().run_drive(drive).verdict
+        changed = np.flatnonzero(np.diff(verdict, prepend=0))
+        wanted.append([(int(k), int(verdict[k])) for k in changed])
+    inputs = [targets.Input(drive.v, drive.u, drive.y) for drive in drives]
+    folder = library_root() / "vehicles" / "g80"
+    for double in (False, True):
+        for fused in (False, True):
+            said = targets.run_verdicts(name, folder, inputs, double=double, fused=fused)
+            assert said.changes == wanted, (double, fused)
 
 
 @pytest.mark.slow("5 s: four cores compiled")

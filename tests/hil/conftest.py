@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from lpvguard.core.compiled import shipped_vehicle
-from lpvguard.loop.sim import Simulator
+from lpvguard.extras.loop.sim import Simulator
 
 
 @pytest.fixture(scope="session")

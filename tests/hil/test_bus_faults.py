@@ -1,5 +1,5 @@
-"""The fault table at firmware level (lpvguard/loop/bus_faults.py): every fault shows the state that it must,
-by its limit."""
+"""The fault table at firmware level (lpvguard/extras/loop/bus_faults.py): every fault shows the
+state that it must, by its limit."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import json
 
 import pytest
 
-from lpvguard.loop.bus_faults import BUS_FAULTS, BusFault, run_fault
+from lpvguard.extras.loop.bus_faults import BUS_FAULTS, BusFault, run_fault
 
 
 @pytest.mark.parametrize("fault", BUS_FAULTS, ids=lambda c: f"{c.message} {c.name}")

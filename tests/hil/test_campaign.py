@@ -20,17 +20,16 @@ from lpvguard.base.errors import InputError
 from lpvguard.base.parallel import workers
 from lpvguard.base.rates import rate
 from lpvguard.core.compiled import Core
-from lpvguard.drives.tables import list_experiments
 from lpvguard.evaluate import baseline_study
 from lpvguard.evaluate.baselines import Baseline
 from lpvguard.evaluate.detection import Injection
-from lpvguard.identify import run as identify
-from lpvguard.loop.campaign import conduct, faults, one_run, run, scenarios, summary, trucks
-from lpvguard.loop.campaign.run import campaign
-from lpvguard.loop.campaign.scenarios import Drawn, PlannedRun, Size
-from lpvguard.loop.campaign.tracking import TrackingBound
-from lpvguard.loop.sim import Scenario, Simulator, load_scenario, shipped_scenarios
-from lpvguard.replay.run import Replayer
+from lpvguard.extras.loop.campaign import chunked_runs, conduct, faults, one_run, scenarios, summary, trucks
+from lpvguard.extras.loop.campaign.chunked_runs import campaign
+from lpvguard.extras.loop.campaign.scenarios import Drawn, PlannedRun, Size
+from lpvguard.extras.loop.campaign.tracking import TrackingBound
+from lpvguard.extras.loop.sim import Scenario, Simulator, load_scenario, shipped_scenarios
+from lpvguard.identify import identification as identify
+from lpvguard.replay.replayer import Replayer
 from lpvguard.vehicle.nominal import NominalModel
 
 FULL = os.environ.get("LPVGUARD_FULL") == "1"
@@ -46,9 +45,7 @@ ENDING_SPNS = {520204, 520205}
 @pytest.fixture(scope="module")
 def stored(truck, truck_drives, truck_identified):
     """The truck identified as it is shipped, and its drives."""
-    return identify.load(truck_identified), identify.DriveSet(
-        truck, NominalModel(truck), list_experiments(truck_drives)
-    )
+    return identify.load(truck_identified), identify.DriveSet(truck, NominalModel(truck), truck_drives)
 
 
 @pytest.fixture(scope="module")
@@ -340,7 +337,7 @@ def small(monkeypatch):
     monkeypatch.setattr(Injection, "usual", lambda: replace(usual, faults=usual.faults[:1]))
     monkeypatch.setattr(faults, "WAYS", ("step",))
     monkeypatch.setattr(trucks, "PLANTS", 1)
-    monkeypatch.setattr(run, "CHUNK", 3)
+    monkeypatch.setattr(chunked_runs, "CHUNK", 3)
     monkeypatch.setattr(trucks, "RESPONSE_SPEEDS", (15.0,))
     monkeypatch.setattr(trucks, "RESPONSE_BAR", (0.7, np.inf))
     monkeypatch.setattr(trucks, "OMEGA", (trucks.OMEGA[0][::3], trucks.OMEGA[1][-3:]))

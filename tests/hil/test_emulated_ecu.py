@@ -13,7 +13,7 @@ import pytest
 
 from lpvguard.base.errors import InputError
 from lpvguard.core import targets
-from lpvguard.loop.sim import can_fault_table, load_scenario, shipped_scenarios, steady_scenario
+from lpvguard.extras.loop.sim import can_fault_table, load_scenario, shipped_scenarios, steady_scenario
 from parts import require
 from vcan import with_vcan
 

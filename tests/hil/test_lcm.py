@@ -16,8 +16,16 @@ from lpvguard.base.errors import InputError
 from lpvguard.can.catalogue import load_catalogue
 from lpvguard.cli.lcm import lcm_send
 from lpvguard.core.compiled import CAUSES, EVENTS, SUPERVISION, VERDICTS
-from lpvguard.loop.lcm_client import CHANNELS, Action, Client, constants, message_types, read_log, watch
-from lpvguard.loop.sim import Simulator, can_fault_table, load_scenario, steady_scenario
+from lpvguard.extras.loop.lcm_client import (
+    CHANNELS,
+    Action,
+    Client,
+    constants,
+    message_types,
+    read_log,
+    watch,
+)
+from lpvguard.extras.loop.sim import Simulator, can_fault_table, load_scenario, steady_scenario
 from parts import missing, require
 from vcan import with_vcan
 
@@ -273,7 +281,7 @@ def test_the_emulated_ecu_publishes_what_the_host_does(lcm_simulator, scenario, 
 LEAD = """
 import json, subprocess, sys
 from lpvguard.base.errors import InputError
-from lpvguard.loop.lcm_client import Client, state_name
+from lpvguard.extras.loop.lcm_client import Client, state_name
 URL = "udpm://239.255.76.67:7667?ttl=0"
 client, cli = Client(URL), [sys.executable, "-m", "lpvguard.cli"]
 def started(*words):

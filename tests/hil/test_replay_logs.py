@@ -20,8 +20,8 @@ from lpvguard.can.logs import EXTENDED, Frames, read_log
 from lpvguard.can.play import encode_raw, frames_of_drive, values_of_drive, write_candump
 from lpvguard.core.compiled import VERDICTS, Core
 from lpvguard.drives.tables import Drive, list_experiments, read_drive
-from lpvguard.loop.sim import load_scenario
-from lpvguard.replay.run import Replayer
+from lpvguard.extras.loop.sim import load_scenario
+from lpvguard.replay.replayer import Replayer
 from lpvguard.vehicle.project import load_project
 from vcan import with_vcan
 

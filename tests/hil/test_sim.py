@@ -13,7 +13,7 @@ import pytest
 
 from lpvguard.base import artefacts
 from lpvguard.base.errors import InputError
-from lpvguard.loop.sim import (
+from lpvguard.extras.loop.sim import (
     Expectation,
     Simulator,
     can_fault_table,

@@ -1,5 +1,5 @@
-"""What the supervision must say, worked out from frames and message table (lpvguard/loop/supervision.py), and
-that the firmware says it."""
+"""What the supervision must say, worked out from frames and message table
+(lpvguard/extras/loop/supervision.py), and that the firmware says it."""
 
 from __future__ import annotations
 
@@ -12,10 +12,16 @@ import pytest
 from lpvguard.can.catalogue import load_catalogue
 from lpvguard.can.logs import EXTENDED, Frames, read_log
 from lpvguard.can.play import encode, protect
-from lpvguard.loop.bus_faults import BUS_FAULTS
-from lpvguard.loop.campaign.one_run import supervision
-from lpvguard.loop.sim import RECOVERY_S, can_fault_table, load_scenario, shipped_scenarios, steady_scenario
-from lpvguard.loop.supervision import HOLD, LIVE, OFF, Reactions, limits, needed_messages, required
+from lpvguard.extras.loop.bus_faults import BUS_FAULTS
+from lpvguard.extras.loop.campaign.one_run import supervision
+from lpvguard.extras.loop.sim import (
+    RECOVERY_S,
+    can_fault_table,
+    load_scenario,
+    shipped_scenarios,
+    steady_scenario,
+)
+from lpvguard.extras.loop.supervision import HOLD, LIVE, OFF, Reactions, limits, needed_messages, required
 from lpvguard.vehicle.project import load_project
 
 SEEDS = (1, 2, 3)

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from lpvguard.base import native
-from lpvguard.loop.sim import load_scenario, loop_objects, steady_scenario
+from lpvguard.extras.loop.sim import load_scenario, loop_objects, steady_scenario
 from made import ROOT
 
 FOUND = 66

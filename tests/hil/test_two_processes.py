@@ -16,7 +16,7 @@ import pytest
 from lpvguard.base import artefacts
 from lpvguard.can.decode import decode_all, own_database
 from lpvguard.can.logs import read_log
-from lpvguard.loop.sim import RECOVERY_S, load_scenario, steady_scenario
+from lpvguard.extras.loop.sim import RECOVERY_S, load_scenario, steady_scenario
 from vcan import with_vcan
 
 FULL = os.environ.get("LPVGUARD_FULL") == "1"

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from lpvguard.core import targets
-from lpvguard.measure.image import read_instance
+from lpvguard.extras.measure.image import read_instance
 from parts import require
 from vcan import with_vcan
 

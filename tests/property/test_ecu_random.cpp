@@ -171,14 +171,18 @@ public:
         void_us_ = before && !engaged ? core_us_ : void_us_;
     }
 
-    // What the tests of the step said: its verdict, whether the monitor alone finds the model valid, and its newest falsification.
-    void hear(lpvg_verdict_t reported, bool valid, int64_t falsified_us) {
+    // What the tests of the step said: its verdict, whether the monitor alone finds the model valid, its newest falsification, and whether
+    // the watch has evidence.
+    void hear(lpvg_verdict_t reported, bool valid, int64_t falsified_us, bool evidence) {
         if (state != lpvg_can_state_live || engaged || falsified_us > doubted_us_) {
             doubted_us_ = core_us_;
         }
         falsified_ = falsified_ || reported == lpvg_verdict_invalid;
         locked = locked || falsified_;
-        on_trial_ = on_trial_ && !(valid && engaged);
+        if (engaged) {
+            proved_us_ += on_trial_ && evidence ? elapsed_us : 0;
+            on_trial_ = on_trial_ && !valid && proved_us_ < int64_t{LPVG_ECU_CALM_US};
+        }
     }
 
     void ask(bool engage) { asked_ = engage; }
@@ -188,6 +192,7 @@ public:
         if (locked && (causes & (LPVG_ECU_CAUSE_IMPLAUSIBLE | LPVG_ECU_CAUSE_ACTUATOR)) == 0U && !refuted && !often()) {
             locked = false;
             on_trial_ = on_trial_ || falsified_;
+            proved_us_ = falsified_ ? 0 : proved_us_;
             falsified_ = false;
         }
     }
@@ -386,7 +391,7 @@ private:
     int64_t now_us_ = 0, core_us_ = 0, bus_us_ = 0, refused_us_ = 0, newest_live_us_ = 0;
     int64_t released_us_ = -int64_t{LPVG_ECU_RELEASES_US}, caused_us_ = -int64_t{LPVG_ECU_WAIT_US};
     int in_step_ = 0, releases_ = 0, deviations_ = 0, contradictions_ = 0, request_ = -1, other_priority_ = -1;
-    int64_t not_live_us_ = 0, void_us_ = 0, doubted_us_ = 0;
+    int64_t not_live_us_ = 0, void_us_ = 0, doubted_us_ = 0, proved_us_ = 0;
     std::vector<int64_t> begins_;  // of engagements
     float yaw_rate_ = NAN, lateral_ = NAN, pressure_ = NAN, pedal_ = NAN, lagged_ = 0.0F, along_ = 0.0F, off_ = 0.0F, size_ = 0.0F;
     lpvg_real_t speed_ = lpvg_real_t(NAN);
@@ -545,7 +550,7 @@ private:
         }
         const lpvg_ecu_t& ecu = bench_.ecu;
         oracle_.hear(static_cast<lpvg_verdict_t>(ecu.report.verdict), lpvg_monitor_verdict(&ecu.monitor, ecu.core_us) == lpvg_verdict_valid,
-                     ecu.monitor.has_falsified ? ecu.monitor.t_falsified_us : -1);
+                     ecu.monitor.has_falsified ? ecu.monitor.t_falsified_us : -1, ecu.watched && ecu.watch.evidence);
         const auto demand = static_cast<double>(ecu.control.u[0]);
         const int64_t counted_us = std::min<int64_t>(oracle_.elapsed_us, 3 * half_period_us);
         const double change = static_cast<double>(lpvg_control_coeff.reals.rate_max[0]) * 1e-6 * static_cast<double>(counted_us) * rounding;

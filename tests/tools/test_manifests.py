@@ -20,7 +20,10 @@ from made import ROOT
 
 LIB = ROOT / "lib"
 FULL = os.environ.get("LPVGUARD_FULL") == "1"
-MONITOR = ("change", "coeff", "diagnosis", "energy", "life", "model", "monitor")
+MONITOR = {"change", "coeff", "energy", "model", "monitor"}
+"""Sources of a vehicle without controller."""
+ANY_VEHICLE = {"diagnosis", "life"}
+"""Services of a vehicle without controller."""
 """Sources that a vehicle without controller needs."""
 VERSION = {"type": "string", "pattern": r"^\d+\.\d+\.\d+$"}
 TEXT = {"type": "string", "minLength": 10}
@@ -118,7 +121,7 @@ def test_what_manifests_name_is_there():
     )
     for header in library["headers"]:
         assert (LIB / library["build"]["includeDir"] / header).is_file()
-    assert list((LIB / library["build"]["srcDir"]).glob("*.cpp"))
+    assert list((LIB / library["build"]["srcDir"]).rglob("*.cpp"))
     assert all((LIB / name).exists() for name in library["export"]["include"])
     assert (LIB / module["build"]["cmake"] / "CMakeLists.txt").is_file()
     assert (LIB / module["build"]["kconfig"]).is_file()
@@ -206,9 +209,10 @@ FOLDERS = {"zephyr": LIB / "zephyr", "esp-idf": LIB}
 
 
 @pytest.mark.unhurried
+@pytest.mark.parametrize("services", ["ALL", "", "life"])
 @pytest.mark.parametrize("vehicle", ["g80", "truck"])
 @pytest.mark.parametrize("kind", STAND_INS)
-def test_the_build_files_of_a_module_compile_a_vehicle(kind, vehicle, tmp_path):
+def test_the_build_files_of_a_module_compile_a_vehicle(kind, vehicle, services, tmp_path):
     """What it would compile; with LPVGUARD_FULL=1 it does, and the program runs."""
     folder = shipped_vehicle(vehicle)
     (tmp_path / "CMakeLists.txt").write_text(
@@ -216,6 +220,7 @@ def test_the_build_files_of_a_module_compile_a_vehicle(kind, vehicle, tmp_path):
         "set(CMAKE_CXX_STANDARD 11)\n"
         f"{STAND_INS[kind]}"
         f'set(CONFIG_LPVGUARD_VEHICLE_DIR "{folder}")\nset(CONFIG_LPVGUARD_EIGEN_DIR "{eigen_include()}")\n'
+        f'set(CONFIG_LPVGUARD_SERVICES "{services}")\n'
         f'add_subdirectory("{FOLDERS[kind]}" lpvguard)\n'
         f'add_executable(firmware "{ROOT}/tests/consumer/one_vehicle.c")\n'
         "target_link_libraries(firmware PRIVATE lpvguard m)\n"
@@ -225,8 +230,14 @@ def test_the_build_files_of_a_module_compile_a_vehicle(kind, vehicle, tmp_path):
     compiled = {
         Path(c["file"]): c["command"] for c in json.loads((build / "compile_commands.json").read_text())
     }
-    core = {p for p in (LIB / "src").glob("*.cpp") if vehicle == "truck" or p.stem in MONITOR}
-    assert {p for p in compiled if p.name != "one_vehicle.c"} == core | set(folder.glob("*.c"))
+    core = {
+        p
+        for p in (LIB / "src").rglob("*.cpp")
+        if (vehicle == "truck" or p.stem in MONITOR | ANY_VEHICLE)
+        and (p.parent.name != "services" or services == "ALL" or p.stem == services)
+    }
+    own = {p for p in folder.glob("*.c") if services == "ALL" or "diagnosis" not in p.name}
+    assert {p for p in compiled if p.name != "one_vehicle.c"} == core | own
     for source in core:
         flags = compiled[source].split()
         assert {"-fno-exceptions", "-fno-rtti", "-fno-math-errno", "-DEIGEN_NO_DEBUG"} <= set(flags)
@@ -241,7 +252,7 @@ def test_platformios_flags_compile_every_source():
     """Every one with LPVGUARD_FULL=1."""
     build = manifest("library.json")["build"]
     folders = [f"-I{LIB / build['includeDir']}", f"-I{LIB / build['srcDir']}", f"-I{shipped_vehicle('g80')}"]
-    sources = sorted((LIB / build["srcDir"]).glob("*.cpp" if FULL else "c[ao]*.cpp"))
+    sources = sorted((LIB / build["srcDir"]).rglob("*.cpp" if FULL else "c[ao]*.cpp"))
     assert len(sources) > 2
     for source in sources:
         run("g++", *build["flags"], *folders, "-isystem", eigen_include(), "-fsyntax-only", source)
@@ -256,3 +267,15 @@ def test_other_projects_get_the_function_and_nothing_else(tmp_path):
         'if(made)\n  message(FATAL_ERROR "${made}")\nendif()\n'
     )
     run("cmake", "-G", "Ninja", "-S", tmp_path, "-B", tmp_path / "build")
+
+
+def test_an_unknown_service_is_refused(tmp_path):
+    (tmp_path / "CMakeLists.txt").write_text(
+        "cmake_minimum_required(VERSION 3.20)\nproject(other LANGUAGES NONE)\n"
+        f'include("{LIB}/lpvguardAddVehicle.cmake")\n'
+        f'lpvguard_sources("{shipped_vehicle("g80")}" sources xcp)\n'
+    )
+    done = subprocess.run(
+        ["cmake", "-S", tmp_path, "-B", tmp_path / "build"], capture_output=True, text=True, check=False
+    )
+    assert done.returncode != 0 and "xcp is no service of" in done.stderr

@@ -30,8 +30,8 @@ from lpvguard.core.coefficients import build_coefficients, vehicle_files
 from lpvguard.core.control_coefficients import ARRAYS, build_controller, control_files, replaced_controller
 from lpvguard.drives.frames import Estimator
 from lpvguard.engine.overbound.weight import Weight
-from lpvguard.fleet.export import definition
-from lpvguard.fleet.wealth import Life, LifeTable
+from lpvguard.extras.fleet.export import definition
+from lpvguard.extras.fleet.wealth import Life, LifeTable
 from lpvguard.identify.change import ChangeTest
 from lpvguard.identify.energy import EnergyTest
 from lpvguard.vehicle.nominal import NominalModel
@@ -56,7 +56,7 @@ def vehicle(project, model, size=1.0):
         1.0,
     )
     sigma = size * 0.02 * np.add.outer(np.arange(len(energy.F)), 1.0 + np.arange(project.n_y))
-    energy = replace(energy, sigma=sigma, start=(4.0 + np.arange(project.n_y)) * sigma**2)
+    energy = replace(energy, sigma=sigma, start=np.sqrt(4.0 + np.arange(project.n_y)) * sigma)
     quiet = ChangeTest.design(project)
     quiet = replace(quiet, largest=1e3 * quiet.largest)  # a test that wants to hear it says so
     coefficients = build_coefficients(project, model, estimator, W_delta, B_w, 1.5, energy, quiet)

@@ -8,7 +8,7 @@
 #include <limits>
 #include <vector>
 
-#include "acceptance.hpp"
+#include "monitor/acceptance.hpp"
 #include "monitor_drive.hpp"
 
 namespace {

@@ -6,7 +6,7 @@
 #include <random>
 #include <utility>
 
-#include "acceptance.hpp"
+#include "monitor/acceptance.hpp"
 #include "diagnosis_table.hpp"
 
 namespace {

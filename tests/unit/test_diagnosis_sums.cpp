@@ -6,7 +6,7 @@
 #include <functional>
 #include <limits>
 
-#include "acceptance.hpp"
+#include "monitor/acceptance.hpp"
 #include "at_the_end.hpp"
 #include "diagnosis_table.hpp"
 

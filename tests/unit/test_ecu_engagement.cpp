@@ -2,6 +2,8 @@
 #include "../long_form.hpp"
 #include "ecu_bench.hpp"
 
+#include <algorithm>
+
 namespace {
 
 constexpr float hysteresis = LPVG_ECU_SPEED_HYSTERESIS_MPS;
@@ -22,6 +24,13 @@ void drive_to(Bench& bench, float speed) {
 }
 
 bool has(const Bench& bench, uint32_t cause) { return (bench.ecu.causes & cause) != 0U; }
+
+enum Evidence {
+    nothing,
+    a_valid_verdict,
+    the_watch,
+    the_watch_too_shortly
+};
 
 }  // namespace
 
@@ -163,10 +172,13 @@ TEST_CASE("a falsified model and contradicting sensors lock until they are ackno
     CHECK_FALSE(lpvg_ecu_acknowledge(nullptr));
 }
 
-TEST_CASE("an invalid verdict that comes back on trial is not acknowledged again, one after a valid verdict is",
-          "[unit][ecu][REQ-ECU-12]") {
-    const bool was_valid = GENERATE(false, true);
-    Bench bench = engaged_bench();
+TEST_CASE("an invalid verdict that comes back on trial is not acknowledged again, one after evidence for the response is",
+          "[unit][ecu][REQ-ECU-12][REQ-ECU-18]") {
+    const auto spoke = GENERATE(nothing, a_valid_verdict, the_watch, the_watch_too_shortly);
+    const bool passed = spoke == a_valid_verdict || spoke == the_watch;
+    Bench bench;
+    bench.command = 0.0F;  // the watch itself has no evidence
+    bench.run_until_engaged();
     const auto falsify = [&] {
         bench.ecu.monitor.has_falsified = true;
         bench.ecu.monitor.t_falsified_us = bench.ecu.core_us;
@@ -174,19 +186,50 @@ TEST_CASE("an invalid verdict that comes back on trial is not acknowledged again
         CHECK_FALSE(bench.engaged());
         bench.run(static_cast<int>(LPVG_ECU_CALM_US / tick_us) + 1);
     };
+    bench.ecu.trial_us = LPVG_ECU_CALM_US;  // of an earlier trial
     falsify();
     REQUIRE(lpvg_ecu_acknowledge(&bench.ecu));
     bench.run(wait_steps + 1);
     REQUIRE(bench.engaged());
     CHECK(bench.ecu.kept.on_trial);
-    if (was_valid) {
+    CHECK(bench.ecu.trial_us == 0U);
+    if (spoke == a_valid_verdict) {
         bench.ecu.monitor.has_evidence = true;
         bench.ecu.monitor.t_evidence_us = bench.ecu.core_us;
         bench.step();
+    } else if (spoke != nothing) {
+        std::fill(&bench.ecu.watch.Q[0][0], &bench.ecu.watch.Q[0][0] + LPVG_WATCH_MEMORIES * LPVG_NY, lpvg_real_t(1));
+        bench.step();
+        REQUIRE(bench.ecu.watch.evidence);
+        CHECK(bench.ecu.trial_us == static_cast<uint32_t>(tick_us));
+        bench.ecu.trial_us = LPVG_ECU_CALM_US - static_cast<uint32_t>(tick_us) - (spoke == the_watch ? 0U : 1U);
+        bench.step();
+        std::memset(bench.ecu.watch.Q, 0, sizeof bench.ecu.watch.Q);
     }
-    CHECK(bench.ecu.kept.on_trial != was_valid);
+    CHECK(bench.ecu.kept.on_trial != passed);
     falsify();
-    CHECK(lpvg_ecu_acknowledge(&bench.ecu) == was_valid);
+    CHECK(lpvg_ecu_acknowledge(&bench.ecu) == passed);
+}
+
+TEST_CASE("behind a gap the watch begins its sums a second later, behind another release at once", "[unit][ecu][REQ-ECU-17]") {
+    const bool gap = GENERATE(false, true);
+    Bench bench = engaged_bench();
+    bench.send_vdc2 = !gap;
+    bench.pedal_percent = gap ? 0.0F : 10.0F;
+    bench.run(12);
+    bench.send_vdc2 = true;
+    bench.pedal_percent = 0.0F;
+    const int64_t since_us = bench.ecu.core_us;
+    REQUIRE_FALSE(bench.engaged());
+    bench.run_until_engaged();
+    const auto sum = [&] { return *std::max_element(&bench.ecu.watch.Q[0][0], &bench.ecu.watch.Q[0][0] + LPVG_WATCH_MEMORIES * LPVG_NY); };
+    int64_t begun_us = -1;
+    for (int k = 0; k < 200 && begun_us < 0; ++k) {
+        bench.step();
+        begun_us = sum() > lpvg_real_t(1e-9) ? bench.ecu.core_us : -1;
+    }
+    CHECK((begun_us - since_us >= int64_t{LPVG_ECU_SETTLE_US}) == gap);
+    CHECK(begun_us - since_us < int64_t{LPVG_ECU_SETTLE_US} + 150'000);
 }
 
 TEST_CASE("evidence from before a gap or a release makes no verdict valid", "[unit][ecu][REQ-ECU-17]") {

@@ -1,5 +1,6 @@
 // What the ECU tells of its findings to the module that reports them over J1939.
 #include "ecu_bench.hpp"
+#include "lpvguard/j1939.h"
 
 namespace {
 

@@ -9,7 +9,7 @@
 #include <limits>
 #include <utility>
 
-#include "acceptance.hpp"
+#include "monitor/acceptance.hpp"
 
 namespace {
 

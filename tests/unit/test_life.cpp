@@ -6,7 +6,7 @@
 #include <cstring>
 #include <limits>
 
-#include "crc32.hpp"
+#include "monitor/crc32.hpp"
 #include "golden_life.hpp"
 
 namespace {

@@ -14,7 +14,7 @@
 #include <vector>
 
 #include "at_the_end.hpp"
-#include "margin.hpp"
+#include "monitor/margin.hpp"
 
 namespace {
 

@@ -7,7 +7,7 @@
 #include <cstring>
 #include <limits>
 
-#include "acceptance.hpp"
+#include "monitor/acceptance.hpp"
 #include "golden_model.hpp"
 #include "lpvguard/model.h"
 

@@ -27,18 +27,18 @@ public:
     }
 
     // A sample: the watch's verdicts, and what they must be by the definition in double. True where both agree, or rounding decides.
-    bool step(double demand, double gain) {
+    bool step(double demand, double gain, bool settled = true) {
         lpvg_real_t phi[ny];
         lpvg_model_output(&model_, &coeff_, phi);
         for (std::size_t j = 0; j < ny; ++j) {
             e_[j] = static_cast<lpvg_real_t>(gain) * phi[j] + offset;
         }
         const lpvg_real_t u[LPVG_NU] = {static_cast<lpvg_real_t>(demand)};
-        lpvg_watch_take(&watch, &limits, &coeff_, &model_, e_, u);
+        lpvg_watch_take(&watch, &limits, &coeff_, &model_, settled, e_, u);
         lpvg_model_advance(&model_, &coeff_, lpvg_real_t(15), u);
         bool violated = false, evidence = false, close = false;
         for (std::size_t j = 0; j < ny; ++j) {
-            const double lag = 1.0 - 1.0 / (1.0 + static_cast<double>(LPVG_WATCH_CORNER_RPS) * period_s);
+            const double lag = settled ? 1.0 - 1.0 / (1.0 + static_cast<double>(LPVG_WATCH_CORNER_RPS) * period_s) : 1.0;
             slow_[j] += lag * (static_cast<double>(phi[j]) - slow_[j]);
             const double quick = static_cast<double>(phi[j]) - slow_[j];
             for (std::size_t m = 0; m < LPVG_WATCH_MEMORIES; ++m) {
@@ -91,6 +91,18 @@ TEST_CASE("a constant gain error violates exactly beyond the limit", "[unit][wat
     if (demand < 0.1) {
         CHECK(evidence == 0);
     }
+}
+
+TEST_CASE("while the model settles nothing is summed, and the filter begins at rest behind it", "[unit][watch][REQ-ECU-17]") {
+    Vehicle vehicle;
+    int wrong = 0;
+    for (int k = 0; k < 1000; ++k) {  // a demand that would violate at once
+        wrong += vehicle.step(1.0, -2.0, k >= 500) ? 0 : 1;
+        if (k < 500) {
+            CHECK(*std::max_element(&vehicle.watch.Q[0][0], &vehicle.watch.Q[0][0] + LPVG_WATCH_MEMORIES * ny) < lpvg_real_t(1e-9));
+        }
+    }
+    CHECK(wrong == 0);
 }
 
 TEST_CASE("the largest gain is the certificate's, or the healthy one, or the output is not watched", "[unit][watch][REQ-ECU-17]") {

@@ -21,14 +21,14 @@ from lpvguard.drives.tables import list_experiments
 vehicle, drives, out = sys.argv[1], Path(sys.argv[2]), Path(sys.argv[3])
 
 # How wrong can the model be, and what is left to disturbances? One row a frequency.
-found = lpvguard.identify(vehicle, drives).save(out / "identify")
+found = lpvguard.identify_drives(vehicle, drives).save(out / "identify")
 print(found.bounds.to_string(float_format="%.3g"))
 print(f"threshold {found.threshold:.3f}: {found.claim}")
 
 # The same core as on the ECU judges a drive: t* above 1 is more than any bound-setting drive asked for.
 code = found.export(out / "code")
 name = list_experiments(drives)[-1]
-run = lpvguard.replay(vehicle, name.path, coefficients=code)
+run = lpvguard.replay_drive(vehicle, name.path, coefficients=code)
 judged = run.frames[run.frames["reason"] == "none"]
 print(
     judged.groupby("omega_rad_s")["margin"].describe()[["count", "50%", "max"]].to_string(float_format="%.3g")

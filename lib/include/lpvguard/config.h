@@ -1,10 +1,10 @@
-/// @file config.h -- number type, symbol prefix and sizes of the vehicle that this translation unit works for.
+/// @file config.h -- number type, symbol prefix and sizes of the vehicle of this translation unit.
 ///
-/// A vehicle is a generated folder (`lpvguard export`) that holds `lpvguard_vehicle.h` with its name and sizes; put
-/// exactly one such folder on the include path. Every public name is then prefixed with the vehicle's
-/// (lpvg_monitor_init becomes lpvg_g80_monitor_init), so several vehicles link into one image, one per translation unit.
+/// `lpvguard export` generates one folder for each vehicle. Its `lpvguard_vehicle.h` holds the vehicle's name and sizes. Put
+/// exactly one such folder on the include path. Every public name then has the vehicle's prefix (lpvg_monitor_init becomes
+/// lpvg_g80_monitor_init). An image can therefore hold several vehicles, one per translation unit.
 ///
-/// lpvg_real_t is float; define LPVG_DOUBLE for every translation unit of an image to get double.
+/// lpvg_real_t is float. Define LPVG_DOUBLE for every translation unit of an image to get double.
 #ifndef LPVGUARD_CONFIG_H
 #define LPVGUARD_CONFIG_H
 
@@ -16,7 +16,7 @@
 
 #ifdef LPVG_DOUBLE
 typedef double lpvg_real_t;
-/// A number given twice: rounded to float, and to double. Picks the one of the number type.
+/// Selects the number that fits lpvg_real_t: rounded to float, or rounded to double.
 #define LPVG_NUMBER(as_float, as_double) as_double
 #else
 typedef float lpvg_real_t;

@@ -1,42 +1,43 @@
 /// @file controller.h -- robust controller, scheduled over speed, with limits, anti-windup and bumpless engagement.
 ///
 ///     v_k = C x_k                                                           wanted demand (D = 0: H-infinity controllers)
-///     u_k = v_k within -+ u_max(speed), then within u_{k-1} -+ rate_max Ts  applied demand; engaged
-///     u_k = 0   within u_{k-1} -+ rate_max Ts                               not engaged: released no faster than demanded
+///     u_k = v_k within -+ u_max(speed), then within u_{k-1} -+ rate_max Ts  applied demand, engaged
+///     u_k = 0   within u_{k-1} -+ rate_max Ts                               applied demand, not engaged
 ///     x_{k+1} = x_k + A1 x_k + B(speed) m_k + L(speed) (u_k - v_k)          A1 = A - I, formed in double
 ///
 /// m = (reference, outputs y in the order of the vehicle's signal table).
 ///
-/// Realisation: poles do not depend on the speed, zeros do. Every demand owns LPVG_NK states with the same poles: pairs (h, t),
-/// then a single one where LPVG_NK is odd. With a = A1[2p], a' = A1[2p + 1], b and b' the pair's rows of B and L times (m, u - v),
+/// Realisation: the zeros depend on the speed, the poles do not. Each demand has LPVG_NK states with the same poles: pairs (h, t),
+/// and one single state when LPVG_NK is odd. Let a = A1[2p] and a' = A1[2p + 1]. Let b and b' be the pair's rows of B and L times
+/// (m, u - v). Then
 ///
 ///     h+ = h + a h + t + b       t+ = t + a' h + b'       demand: sum of all h       single: h+ = h + a h + b
 ///
-/// so A1 holds one number a state, C none, and what lies in a state means the same at every speed. B, L and u_max are
-/// interpolated linearly between LPVG_NG speeds, equally spaced over the scheduling range; beyond its ends the nearest speed is
-/// used. At a constant speed the frequency response is then the linear interpolation of its neighbours. So is A - L C.
+/// A1 therefore holds one number per state, and C needs none. A state has the same meaning at every speed. B, L and u_max are
+/// interpolated linearly between LPVG_NG nodes, equally spaced over the scheduling range. Outside the range the nearest node is
+/// used. At a constant speed, the frequency response and A - L C are linear interpolations of those at the neighbouring nodes.
 ///
-/// Limits: the rate limit has the last word. Where the speed takes u_max below the newest demand, the demand comes down to it by
-/// rate_max Ts a sample: a jump of the speed makes no jump of the demand. |u_k| is at most the larger one of u_max(speed_k) and
-/// |u_{k-1}| - rate_max Ts. After a jump it is above its limit for (largest - least u_max) / rate_max at most. What u_max is made
-/// of: tools/src/lpvguard/control/input_limit.py.
+/// Limits: the rate limit has priority over u_max. If a change of speed takes u_max below the newest demand, the demand falls by
+/// rate_max Ts per sample. A jump of the speed therefore causes no jump of the demand: |u_k| is at most the larger of u_max(speed_k)
+/// and |u_{k-1}| - rate_max Ts. After a jump, the demand exceeds u_max for at most (largest - least u_max) / rate_max.
+/// tools/src/lpvguard/control/input_limit.py computes u_max.
 ///
-/// Anti-windup: u - v is not zero while a limit acts or the controller is not engaged. L adds it to the states. L is a fit to
-/// model recovery (tools/src/lpvguard/control/schedule.py): the states go on as in the loop without limits. A state feedback lets
-/// the nominal vehicle's lag behind that loop die out. A - L C is stable.
-/// Engaging: the state is changed once by `engage` times (u - v, -(v_next - v)), v_next being the next demand at the present m.
-/// Then neither this demand nor the next one jumps. Of all such changes it is the likeliest one when m is white noise.
+/// Anti-windup: while a limit acts, or the controller is not engaged, u - v is not zero, and L feeds it into the states. L is
+/// designed for model recovery (tools/src/lpvguard/control/schedule.py): the states continue as in the loop without limits, and the
+/// difference of the nominal vehicle to that loop decays. A - L C is stable.
+/// Engaging: the state changes once by `engage` times (u - v, -(v_next - v)). v_next is the next demand at the present m. Neither
+/// this demand nor the next one then jumps. Among all such changes it is the most likely one when m is white noise.
 ///
-/// Numbers: a slow pole changes its state by less than one rounding of float. What rounding takes is kept and added in the next
-///          step, so slow poles and integrators keep their precision.
+/// Numbers: one step of a slow pole changes its state by less than a rounding of float. The rounding error is kept and added in
+///          the next step, so slow poles and integrators keep their precision.
 ///
 /// Use:     init once -> step once per sample period.
-/// Cost:    LPVG_NU (LPVG_NK (1 + 2 (LPVG_NM + LPVG_NU)) + 1) multiplications and as many additions a step, whether or not the
-///          speed moves: nothing is cached. The step that engages adds about half as much.
+/// Cost:    LPVG_NU (LPVG_NK (1 + 2 (LPVG_NM + LPVG_NU)) + 1) multiplications and as many additions per step. Nothing is cached, so
+///          the cost does not depend on the speed. The step that engages adds about half as much.
 /// RAM:     sizeof(lpvg_control_t): (2 LPVG_NK + 1) LPVG_NU numbers and counters. No heap, no locks, no I/O.
-/// Threads: one instance per thread. Fields are for reading only.
+/// Threads: one instance per thread. Fields are read-only for the caller.
 ///
-/// A vehicle without controller (LPVG_NK 0) has none of this.
+/// This file is empty for a vehicle without controller (LPVG_NK 0).
 #ifndef LPVGUARD_CONTROLLER_H
 #define LPVGUARD_CONTROLLER_H
 
@@ -98,9 +99,9 @@ extern const lpvg_control_coeff_t lpvg_control_coeff;
 typedef struct lpvg_control_t {
     const lpvg_control_coeff_t* coeff;
     lpvg_real_t x[LPVG_NU][LPVG_NK];      ///< states of every demand                                 [input unit]
-    lpvg_real_t carry[LPVG_NU][LPVG_NK];  ///< what rounding took from the newest change of each state; added to the next [input unit]
+    lpvg_real_t carry[LPVG_NU][LPVG_NK];  ///< rounding error of the newest change of each state; added to the next change [input unit]
     lpvg_real_t u[LPVG_NU];               ///< newest applied demand                                  [input unit]
-    bool engaged;                         ///< of the newest step
+    bool engaged;                         ///< the newest step was engaged
     uint32_t limited;                     ///< engaged steps in which a limit changed the demand, saturating
     uint32_t bad_samples;                 ///< refused steps, saturating
 } lpvg_control_t;
@@ -116,18 +117,20 @@ uint32_t lpvg_control_coeff_crc32(const lpvg_control_coeff_t* coeff);
 /// Returns bad_argument for NULL, or what lpvg_control_coeff_check says; *self is untouched unless ok is returned.
 LPVG_NODISCARD lpvg_status_t lpvg_control_init(lpvg_control_t* self, const lpvg_control_coeff_t* coeff);
 
-/// One sample: measured speed [m/s], measurements m (LPVG_NM), engaged or not. self->u becomes the demand to apply from
-/// now to the next sample. Returns ok; bad_argument (NULL), not_ready (no init): nothing happens.
-/// Returns bad_sample, counted, when speed, m or C x is not finite. The step is then made not engaged and without m, so the
-/// demand runs to zero. States that make C x not finite are cleared.
+/// Takes one sample: measured speed [m/s], measurements m (LPVG_NM), and whether to engage. self->u becomes the demand to apply until
+/// the next sample.
+/// Returns ok; bad_argument for NULL; not_ready before init. Nothing changes with the last two.
+/// Returns bad_sample when speed, m or C x is not finite. The step is counted, ignores m and is not engaged, so the demand runs to
+/// zero. States that make C x not finite are cleared.
 LPVG_NODISCARD lpvg_status_t lpvg_control_step(lpvg_control_t* self, lpvg_real_t speed, const lpvg_real_t* m, bool engaged);
 
-/// The same for a sample that came `elapsed_us` after the one before: the demand moves by at most rate_max times that time, at
-/// most one and a half sample periods. The states advance by one sample period. Returns as lpvg_control_step.
+/// As lpvg_control_step, for a sample that came `elapsed_us` after the previous one. The demand moves by at most rate_max times that
+/// time; more than 1.5 sample periods count as 1.5. The states advance by one sample period.
+/// Returns as lpvg_control_step.
 LPVG_NODISCARD lpvg_status_t lpvg_control_step_after(lpvg_control_t* self, lpvg_real_t speed, const lpvg_real_t* m, bool engaged,
                                                      uint32_t elapsed_us);
 
-/// The same with `share` of u_max as the limit on the demand, 0 .. 1. Returns as lpvg_control_step.
+/// As lpvg_control_step_after, with `share` (0 .. 1) of u_max as the limit on the demand. Returns as lpvg_control_step.
 LPVG_NODISCARD lpvg_status_t lpvg_control_step_within(lpvg_control_t* self, lpvg_real_t speed, const lpvg_real_t* m, bool engaged,
                                                       uint32_t elapsed_us, lpvg_real_t share);
 

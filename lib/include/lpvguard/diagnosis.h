@@ -1,45 +1,48 @@
-/// @file diagnosis.h -- after an alarm: which single cause explains what the outputs have done since?
+/// @file diagnosis.h -- diagnosis after an alarm: which single cause explains the outputs since the alarm?
 ///
-/// From the alarm on, of every output j, sums over blocks of LPVG_NBLOCK settled samples give the least-squares estimate theta_j of
+/// For each output j, sums over blocks of LPVG_NBLOCK settled samples since the alarm give the least-squares estimate theta_j of
 ///
 ///     e_j = theta_1 yhat_j - theta_2 dyhat_j/dt + theta_3 + theta_4 yhat_j |yhat_j| + residue                       (T38)
 ///
-/// A healthy vehicle's theta varies from drive to drive, by the `spread` of the drives that set the bounds, and one drive keeps the share
-/// `kept` of it: what it was before the alarm foretells what it would be. A cause changes one part of theta and leaves the others within
-/// what is left of that spread: gain and sign the first, bias the third. A delay is tried in steps of `stride`
-/// blocks, to both sides, each with what it makes of all four. It asks for yhat before and after a settled block, be those settled or
-/// not. One that explains theta and the residue, whose interval leaves out "no change", and that explains better than any other by
-/// `margin`, is the cause. A frozen output does not move while yhat does, and noise shows within blocks. All else is "other": two causes
-/// at once, a dead zone, a tyre that saturates. The interval holds 95 % of what gain, delay or bias may be, the spread of healthy
-/// vehicles included. An alarm by chance is "other" too (THEORY 7.9).
+/// The theta of a healthy vehicle varies between drives, with the covariance `spread` of the drives that set the bounds. Within one
+/// drive, the share `kept` of that variation is constant. The theta before the alarm therefore predicts the healthy theta after it.
 ///
-/// Half of the record says so first, where it names a cause: that is preliminary, and the whole record replaces it.
+/// Candidate causes: gain and sign change the first part of theta, bias the third. The other parts stay within the remaining spread.
+/// Delays are tried in steps of `stride` blocks, to both sides; each delay predicts all four parts. A delay uses yhat before and after
+/// a settled block, whether or not yhat was settled there. A frozen output does not move while yhat does. Noise is visible within
+/// blocks.
 ///
-/// The onset is the end of that ring cell before the alarm from which on theta explains best what was kept.
+/// The named cause meets three conditions: it explains theta and the residue, its interval excludes "no change", and it explains
+/// better than every other cause by `margin`. Otherwise the result is "other": two causes at once, a dead zone, a saturated tyre, or
+/// a false alarm. The interval covers 95 % of the possible gains, delays or biases, with the spread of healthy vehicles (THEORY 7.9).
 ///
-/// Use:     `lpvguard export` writes lpvguard_diagnosis.c. init once; after every lpvg_monitor_push lpvg_diagnosis_take; where there is
-///          time, lpvg_diagnosis_work until it returns false. It is no part of the monitor's step, and the monitor does not depend on it.
-/// Cost:    take copies a block with every LPVG_NBLOCK-th sample; work is constant, an output a call. No heap, no locks, no I/O.
-/// Threads: one object per thread. Where take and work have contexts of their own, keep one from interrupting the other.
-///          RAM: sizeof(lpvg_diagnosis_t). Fields are private but for `found`.
+/// If half of the record already names a cause, that result is preliminary. The result of the whole record replaces it.
+///
+/// The onset is the end of a cell of the ring before the alarm: the cell after which theta explains the kept data best.
+///
+/// Use:     `lpvguard export` writes lpvguard_diagnosis.c. Call init once, lpvg_diagnosis_take after every lpvg_monitor_push, and
+///          lpvg_diagnosis_work in idle time until it returns false. The monitor does not depend on the diagnosis.
+/// Cost:    take copies one block every LPVG_NBLOCK samples. work is constant; one call serves one output. No heap, no locks, no I/O.
+/// Threads: one object per thread. take and work must not interrupt each other.
+/// RAM:     sizeof(lpvg_diagnosis_t). Fields are private, except `found`.
 #ifndef LPVGUARD_DIAGNOSIS_H
 #define LPVGUARD_DIAGNOSIS_H
 
+#include "lpvguard/cause.h"
 #include "lpvguard/monitor.h"
 
 LPVG_EXTERN_C_BEGIN
 
-#define LPVG_DIAGNOSIS_PARTS 4     ///< of theta
-#define LPVG_DIAGNOSIS_TRIANGLE 10 ///< items of a symmetric matrix of them, the upper triangle row by row
-#define LPVG_DIAGNOSIS_DELAYS 6    ///< delays that are tried, and as many leads
-#define LPVG_DIAGNOSIS_STRIDE 4    ///< blocks from one to the next, at most
+#define LPVG_DIAGNOSIS_PARTS 4     ///< parts of theta
+#define LPVG_DIAGNOSIS_TRIANGLE 10 ///< entries of a symmetric matrix of that size, upper triangle row by row
+#define LPVG_DIAGNOSIS_DELAYS 6    ///< number of tried delays; the same number of leads is tried
+#define LPVG_DIAGNOSIS_STRIDE 4    ///< largest number of blocks between two tried delays
 #define LPVG_DIAGNOSIS_HISTORY \
     ((2 * LPVG_DIAGNOSIS_DELAYS * LPVG_DIAGNOSIS_STRIDE) + 1)  ///< blocks from the longest lead to the longest delay
-#define LPVG_DIAGNOSIS_ERRORS ((LPVG_DIAGNOSIS_DELAYS * LPVG_DIAGNOSIS_STRIDE) + 2)  ///< blocks from now to before the one that is added
-#define LPVG_DIAGNOSIS_CELLS 24    ///< cells kept before an alarm
+#define LPVG_DIAGNOSIS_ERRORS ((LPVG_DIAGNOSIS_DELAYS * LPVG_DIAGNOSIS_STRIDE) + 2)  ///< blocks of errors that a tried delay needs
+#define LPVG_DIAGNOSIS_CELLS 24    ///< number of kept cells before an alarm
 
 #define lpvg_diagnosis_table LPVG_SYM(diagnosis_table)
-#define lpvg_found_t LPVG_SYM(found_t)
 #define lpvg_past_t LPVG_SYM(past_t)
 #define lpvg_diagnosis_output_t LPVG_SYM(diagnosis_output_t)
 #define lpvg_diagnosis_t LPVG_SYM(diagnosis_t)
@@ -93,33 +96,14 @@ typedef struct lpvg_diagnosis_table_t {
 /* clang-format on */
 /* layout: end */
 
-typedef enum lpvg_cause_t {
-    lpvg_cause_unknown = 0,  ///< No alarm yet, or too little settled and excited driving since.
-    lpvg_cause_other = 1,    ///< No single cause explains the record.
-    lpvg_cause_gain = 2,     ///< The output is a factor of what the model says; 1: none.
-    lpvg_cause_delay = 3,    ///< The output comes later by a time; below 0: sooner, as where the input comes later [s].
-    lpvg_cause_bias = 4,     ///< The output is larger by a constant [output unit].
-    lpvg_cause_sign = 5,     ///< As gain, and the factor is below 0.
-    lpvg_cause_frozen = 6,   ///< The output does not move; the value is its mean [output unit].
-    lpvg_cause_noise = 7     ///< The output is noisier; the value is the noise's standard deviation [output unit].
-} lpvg_cause_t;
-
-/// What was found of an output. The interval of frozen and noise, and all numbers of other, are 0.
-typedef struct lpvg_found_t {
-    lpvg_cause_t cause;
-    lpvg_real_t value, low, high;  ///< of the cause, in its unit, with its 95 % interval
-    uint32_t onset_blocks;         ///< blocks from the onset to the alarm
-    bool before;                   ///< the onset is that of all that was kept, or earlier
-} lpvg_found_t;
-
-/// Sums of one output over blocks before an alarm, of regressors over their sizes.
+/// Sums of one output over blocks before an alarm. Regressors are divided by their sizes.
 typedef struct lpvg_past_t {
     lpvg_real_t gram[LPVG_DIAGNOSIS_TRIANGLE];  ///< of phi phi' [-]
     lpvg_real_t along[LPVG_DIAGNOSIS_PARTS];  ///< of phi e [output unit]
     lpvg_real_t error_square;  ///< of e^2 [output unit^2]
 } lpvg_past_t;
 
-/// Sums of one output over the blocks since the alarm, of regressors over their sizes; before an alarm over the newest of the past.
+/// Sums of one output since the alarm, or over the newest part of the past before an alarm. Regressors are divided by their sizes.
 typedef struct lpvg_diagnosis_output_t {
     lpvg_real_t gram[LPVG_DIAGNOSIS_TRIANGLE];  ///< of phi phi' [-]
     lpvg_real_t along[LPVG_DIAGNOSIS_PARTS];  ///< of phi e [output unit]
@@ -138,30 +122,30 @@ typedef struct lpvg_diagnosis_output_t {
 
 typedef struct lpvg_diagnosis_t {
     const lpvg_diagnosis_table_t* table;
-    lpvg_found_t found[LPVG_NY];  ///< since the newest alarm; preliminary until `blocks` says that the causes are found
-    int64_t t_alarm_us;  ///< time of the block with which that alarm was seen [us]
-    int64_t t_found_us;  ///< time of the block with which causes were judged last, of half or of the whole record; before: no meaning [us]
+    lpvg_found_t found[LPVG_NY];  ///< results since the newest alarm; preliminary until `blocks` is LPVG_DIAGNOSIS_DONE
+    int64_t t_alarm_us;  ///< time of the block at that alarm [us]
+    int64_t t_found_us;  ///< time of the block of the newest judgement of causes; undefined before the first [us]
     int64_t t_us;  ///< time of the newest block [us]
-    uint32_t alarms;  ///< alarms so far
-    uint32_t blocks;  ///< taken since the newest; LPVG_DIAGNOSIS_DONE: the causes are found
-    bool alarming;  ///< the verdict at the newest block
-    bool excited;  ///< some output has met enough since the alarm
-    uint32_t known;  ///< blocks of the history that hold one after another, as many as there are at most
-    uint32_t settled_blocks;  ///< a bit for each of the newest blocks, the newest the lowest: it is settled
-    uint32_t newest;  ///< of both histories: its place, modulo the length of each
-    uint32_t cells, cell_newest;  ///< cells that were filled, LPVG_DIAGNOSIS_CELLS at most; the newest
-    uint32_t cell_blocks;  ///< blocks of the cell that is being filled
-    uint32_t cell_good;  ///< blocks of it that were settled
+    uint32_t alarms;  ///< number of alarms
+    uint32_t blocks;  ///< blocks since the newest alarm; LPVG_DIAGNOSIS_DONE: the causes are final
+    bool alarming;  ///< the verdict at the newest block is invalid or degraded
+    bool excited;  ///< an output has had enough excitation since the alarm
+    uint32_t known;  ///< number of consecutive blocks in the history
+    uint32_t settled_blocks;  ///< one bit for each newest block, 1: settled; bit 0 is the newest
+    uint32_t newest;  ///< number of the newest block; its place in a history is this modulo the length
+    uint32_t cells, cell_newest;  ///< number of full cells, at most LPVG_DIAGNOSIS_CELLS; index of the newest
+    uint32_t cell_blocks;  ///< number of blocks in the cell that is being filled
+    uint32_t cell_good;  ///< number of settled blocks in it
     uint32_t partial;  ///< cell_blocks at the alarm
-    uint32_t good_cells;  ///< a bit for each cell of the ring: all of its blocks were settled
-    uint32_t past_blocks, filling_blocks;  ///< of the past of each output, and of its part that fills
-    uint32_t pending;  ///< outputs that have not taken the newest block, or are not judged yet
-    bool settled;  ///< the newest block is
-    bool judging;  ///< the outputs that are pending are to be judged
-    lpvg_real_t mean[2 * LPVG_NY];  ///< of e, then yhat, over the newest block [output unit]
-    lpvg_real_t rough[LPVG_NY];  ///< (y_0 - y_1 - y_2 + y_3)/2 in it: neither mean nor slope [output unit]
+    uint32_t good_cells;  ///< one bit for each cell of the ring, 1: all its blocks were settled
+    uint32_t past_blocks, filling_blocks;  ///< number of blocks in `past`, and in the part that is being filled
+    uint32_t pending;  ///< number of outputs that have not processed the newest block
+    bool settled;  ///< the newest block is settled
+    bool judging;  ///< the pending outputs will be judged
+    lpvg_real_t mean[2 * LPVG_NY];  ///< means of e, then yhat, over the newest block [output unit]
+    lpvg_real_t rough[LPVG_NY];  ///< (y_0 - y_1 - y_2 + y_3)/2 of the newest block, free of mean and slope [output unit]
     lpvg_diagnosis_output_t output[LPVG_NY];
-    uint32_t sum[LPVG_NY];  ///< of the words of each output, as work left them
+    uint32_t sum[LPVG_NY];  ///< check sum of each output after the last call of work
 } lpvg_diagnosis_t;
 
 #define LPVG_DIAGNOSIS_DONE 0xFFFFFFFFU
@@ -169,26 +153,28 @@ typedef struct lpvg_diagnosis_t {
 /// The vehicle's table (generated, read-only).
 extern const lpvg_diagnosis_table_t lpvg_diagnosis_table;
 
-/// Checks magic, schema, sizes, CRC-32, finiteness and value ranges, in this order. Returns ok, or the status of the first that fails;
-/// bad_argument for NULL.
+/// Checks magic, schema, sizes, CRC-32, finiteness and value ranges, in this order.
+/// Returns ok, the status of the first failed check, or bad_argument for NULL.
 LPVG_NODISCARD lpvg_status_t lpvg_diagnosis_table_check(const lpvg_diagnosis_table_t* table);
 
-/// CRC-32 of the struct as the check expects it in `words.crc32`; 0 for NULL.
+/// Returns the CRC-32 of the struct, as the check expects it in `words.crc32`; 0 for NULL.
 uint32_t lpvg_diagnosis_table_crc32(const lpvg_diagnosis_table_t* table);
 
-/// Without any alarm. The table is kept by address. Returns what the check says, or bad_argument; *self is untouched then.
+/// Initialises *self without any alarm. Keeps a reference to the table.
+/// Returns bad_argument for NULL, or the status of lpvg_diagnosis_table_check. *self changes only with ok.
 LPVG_NODISCARD lpvg_status_t lpvg_diagnosis_init(lpvg_diagnosis_t* self, const lpvg_diagnosis_table_t* table);
 
-/// After a push: takes the block that ends with it, if one does. An alarm is a verdict invalid or degraded after one that is neither.
-/// Where work has not come to its end since the block before, this one is lost. Returns bad_argument (NULL), not_ready (no init).
+/// Call it after each push of the monitor. Takes the block that ends with this push, if any. An alarm begins when the verdict becomes
+/// invalid or degraded. The block is lost if lpvg_diagnosis_work has not finished the previous one.
+/// Returns ok; bad_argument for NULL; not_ready before init.
 LPVG_NODISCARD lpvg_status_t lpvg_diagnosis_take(lpvg_diagnosis_t* self, const lpvg_monitor_t* monitor);
 
-/// The next output takes the block, or is judged. True while there is more to do; false for NULL and before init. Sums that are not as the
-/// last call left them, or not finite, end the diagnosis: every output is "other".
+/// Processes the newest block for one output, or judges one output. Returns true while work remains; false for NULL and before init.
+/// A wrong check sum or a sum that is not finite ends the diagnosis: every output is "other".
 bool lpvg_diagnosis_work(lpvg_diagnosis_t* self);
 
-/// What was found of the first output whose cause has a name; where none has, of the first output, once the whole record was judged. NULL
-/// before an alarm, while nothing has a name, and for NULL. It holds until the next call of work.
+/// Returns the result of the first output with a named cause. If no output has one after the whole record, returns the first output.
+/// Returns NULL before an alarm, before a result, and for NULL. The pointer is valid until the next call of lpvg_diagnosis_work.
 const lpvg_found_t* lpvg_diagnosis_named(const lpvg_diagnosis_t* self);
 
 LPVG_EXTERN_C_END

@@ -25,15 +25,16 @@
 /// verdict is reported as not_judged: it is about other speeds.
 ///
 /// Evidence: a start, a gap, a release and a lock void the monitor's evidence: the verdict is valid only from frames that began since. The
-/// watch (watch.h) judges the response from the first engaged sample on; what it finds makes the verdict invalid. An engagement begins with
-/// LPVG_ECU_PROBE_SHARE of u_max. Evidence of the watch raises that to 1 within LPVG_ECU_PROBE_US. A demand that rests at the limit for
-/// that long without evidence gets a step of another such share, which the watch can judge.
+/// watch (watch.h) judges the response from the first engaged sample on, behind a gap from LPVG_ECU_SETTLE_US on. What it finds makes the
+/// verdict invalid. An engagement begins with LPVG_ECU_PROBE_SHARE of u_max. Evidence of the watch raises that to 1 within
+/// LPVG_ECU_PROBE_US. A demand that rests at the limit for that long without evidence gets a step of another such share, which the watch
+/// can judge.
 ///
 /// Invalid: unless it is only reported, an invalid verdict stays and locks until it is acknowledged; time does not end it. An
 /// acknowledgement is refused while a latching cause stands, and while the hour's engagements are used up. An invalid verdict is
 /// acknowledged only after LPVG_ECU_CALM_US without engagement in which every message was live and no test falsified. That speaks against
-/// sensors and disturbances alone: the response is judged on trial, by the next engagement. When that ends invalid before a verdict was
-/// valid, no further acknowledgement is taken until init.
+/// sensors and disturbances alone: the response is judged on trial, while engaged. When that ends invalid, before a verdict was valid and
+/// before the watch had evidence for LPVG_ECU_CALM_US, no further acknowledgement is taken until init.
 ///
 /// Permission: the vehicle asks for control by its message (bus.h). Control counts after any other request has been seen since init.
 /// While another command on the actuator has a higher priority than `priority`, while the brake pedal is beyond
@@ -61,9 +62,9 @@
 #define LPVGUARD_ECU_H
 
 #include "lpvguard/bus.h"
+#include "lpvguard/cause.h"
 #include "lpvguard/controller.h"
-#include "lpvguard/diagnosis.h"
-#include "lpvguard/j1939.h"
+#include "lpvguard/findings.h"
 #include "lpvguard/monitor.h"
 #include "lpvguard/watch.h"
 
@@ -96,7 +97,8 @@ LPVG_EXTERN_C_BEGIN
 #define LPVG_ECU_ENGAGEMENTS_MAX 60U  ///< Engagements within an hour, whatever ended them; the next one locks.
 #define LPVG_ECU_SLOTS 16U  ///< They are counted in so many slots of LPVG_ECU_SLOT_US.
 #define LPVG_ECU_SLOT_US 240000000U  ///< One slot less than all of them is an hour                 [us]
-#define LPVG_ECU_CALM_US 10000000U  ///< Released, live, and no test falsifies: then an invalid verdict may be acknowledged [us]
+#define LPVG_ECU_CALM_US 10000000U  ///< Without doubt before an invalid verdict may be acknowledged; evidence that ends a trial [us]
+#define LPVG_ECU_SETTLE_US 1000000U  ///< From the newest gap to what the watch judges           [us]
 #define LPVG_ECU_PROBE_SHARE 0.25F  ///< Share of u_max at which an engagement begins                 [-]
 #define LPVG_ECU_PROBE_US 500000U  ///< Evidence for so long raises it to 1; so does each so long at the limit by another such share [us]
 
@@ -215,7 +217,7 @@ typedef struct lpvg_ecu_kept_t {
     bool standby;  ///< a request other than control has been seen since init
     bool corrupt;  ///< until init
     bool falsified;  ///< the verdict is invalid, until acknowledged
-    bool on_trial;  ///< an invalid verdict was acknowledged, and none has been valid since
+    bool on_trial;  ///< an invalid verdict was acknowledged, and nothing has spoken for the response since
 } lpvg_ecu_kept_t;
 
 typedef struct lpvg_ecu_t {
@@ -252,6 +254,8 @@ typedef struct lpvg_ecu_t {
     lpvg_watch_t watch;  ///< of the response, while engaged
     lpvg_real_t share;  ///< of u_max that the demand may take                             [-]
     uint32_t limited;  ///< control.limited of the newest step
+    uint32_t settled_us;  ///< since the newest gap, up to LPVG_ECU_SETTLE_US           [us]
+    uint32_t trial_us;  ///< evidence of the watch since the newest acknowledgement of an invalid verdict [us]
     uint32_t pressed_us;  ///< how long the demand has rested at its limit without evidence    [us]
     bool watched;  ///< the watch runs: the newest step was engaged
     uint16_t causes;  ///< LPVG_ECU_CAUSE_* of the newest step, report_only ones included

@@ -1,30 +1,36 @@
-/// @file energy.h -- the energy test: can *one* causal Delta of gain at most 1 (or one an output) explain all outputs, from rest
-/// until now?
+/// @file energy.h -- energy test: can *one* causal Delta of gain at most 1 explain all outputs, from rest until now?
 ///
-/// Class of model error (THEORY 4.1): e_j = Delta (W_delta yhat_j) + w_j, one linear time-invariant causal Delta common to
-/// all outputs (S1). The forgetting norm is ||x||^2 = sum over t of rho^(2 (T - t)) x(t)^2, rho < 1, and F is any stable filter.
-/// For every real vector a and at every time T
+/// Class of model error (THEORY 4.1): e_j = Delta (W_delta yhat_j) + w_j. Delta is linear, time-invariant, causal and common to
+/// all outputs (S1). The forgetting norm is ||x||^2 = sum over t of rho^(2 (T - t)) x(t)^2 with rho < 1. On the left side rho may be
+/// less than on the right. F is any stable filter. Then, for every real vector a and at every time T,
 ///
 ///     || sum_j a_j F e_j || <= || sum_j a_j F W_delta yhat_j || + sum_j |a_j| sigma_j                         (T19)
 ///
-/// With one Delta_j and W_delta,j an output (S1_diagonal, LPVG_NDELTA = LPVG_NY) a sum of outputs is not bounded, so a is one of the
-/// unit vectors: ||F e_j|| <= ||F W_delta,j yhat_j|| + sigma_j.
+/// With one Delta_j and W_delta,j for each output (S1_diagonal, LPVG_NDELTA = LPVG_NY), no sum of outputs is bounded. Then a is a
+/// unit vector: ||F e_j|| <= ||F W_delta,j yhat_j|| + sigma_j.
 ///
-/// Assumptions: |Delta| <= 1 on the circle |z| = rho, and Delta is analytic outside it. ||F w_j|| <= sigma_j at every T. Delta is at
-/// rest when the sums begin, or was fed at most `energy_start` before. The left sum alone may begin later.
-/// A ratio above 1 of the left side to the right proves (W_delta, sigma) wrong. The alarm is raised above a calibrated
-/// threshold, which is not below 1 plus the rounding of float. Proof: THEORY 7.2.
+/// Assumptions: Delta is analytic with |Delta(z)| <= 1 for |z| >= rho of the right side. ||F w_j|| <= sigma_j at every T. Everything is
+/// at rest when the sums begin. The left sum may begin later. |Delta| <= 1 on the unit circle alone is not enough: a delay of n samples
+/// has the gain rho^-n. A ratio of left to right side above 1 proves (W_delta, sigma) wrong for every such Delta. The alarm threshold is
+/// calibrated; it is at least 1 plus the rounding of float. Proof: THEORY 7.2.
+///
+/// After a restart, with t0 its first sample, the right side is larger by what Delta, W_delta and F may remember:
+///
+///     sum_j |a_j| rho^(T - t0 + 1) energy_start_j                                                             (T19b)
+///
+/// `energy_start` is the largest that the identification's drives show. The statement holds where the driving before the restart left no
+/// more. The model's own transient is not part of the proof.
 ///
 /// F is the filter of each of LPVG_NBANDS bands in turn: below the first corner, between each and the next, above the last (T21).
-/// The filters sum to 1, and each band has a sigma_j of its own. Above the last corner a constant not below 1 stands for W_delta,
-/// because no frame bounds it there. The memory of that band is memory_s * f_first / f_last; that of the others is memory_s (T22).
+/// The filters sum to 1, and each band has a sigma_j of its own. The memory is memory_s. Above the last corner that of the left side is
+/// memory_s * f_first / f_last (T22).
 ///
 /// The filter for W_delta is W_delta((2/Ts) (z/rho - 1) / (z/rho + 1)) (T20). `lpvguard identify` certifies its magnitude on
 /// |z| = rho to be above the identified bound. Directions a are in units of sigma with sum |a_j| = 1, so the last term is 1.
-/// They come from a fixed fan, or are the unit vectors. One direction is judged at a time, in all bands.
+/// They form a fixed fan, or are the unit vectors. One call judges one direction in all bands.
 ///
 /// Cost: both functions constant. RAM: sizeof(lpvg_energy_t).
-/// Threads: one instance per thread; no function blocks. Fields are private but for those documented in monitor.h.
+/// Threads: one instance per thread; no function blocks. Fields are private, except those that monitor.h documents.
 #ifndef LPVGUARD_ENERGY_H
 #define LPVGUARD_ENERGY_H
 
@@ -52,25 +58,24 @@ typedef struct lpvg_energy_t {
     lpvg_real_t F[LPVG_NBANDS - 1][3 * LPVG_NY];  ///< states of the low-passes for e, yhat and W_delta yhat [output unit]
     lpvg_real_t W[LPVG_NWEIGHT][2][LPVG_NY];    ///< states of the sections of W_delta [output unit]
     lpvg_energy_band_t band[LPVG_NBANDS];
-    lpvg_real_t ratio;                          ///< left side over right in the newest direction, largest of all bands; 0 at first [-]
-    uint32_t strongest;                         ///< the band it is of
-    uint32_t direction;                         ///< index of the newest direction
-    uint32_t next_direction;                    ///< index of the one that is judged next
+    lpvg_real_t fading;  ///< rho^(2 (T - t0 + 1)), of what is remembered at the restart [-]
+    lpvg_real_t ratio;  ///< left side over right side in the newest direction, largest over the bands; 0 at first [-]
+    uint32_t strongest;  ///< band of that ratio
+    uint32_t direction;  ///< index of the newest direction
+    uint32_t next_direction;  ///< index of the direction that is judged next
 } lpvg_energy_t;
 
-/// From rest: filters and sums at zero, the right sums at `energy_start`, the energy that Delta may remember.
-/// The coefficients must have passed lpvg_coeff_check; no argument may be NULL (not checked: called once per sample).
-void lpvg_energy_start(lpvg_energy_t* self, const lpvg_coeff_t* coeff);
+/// Restarts: filters and sums are 0, and `energy_start` may be remembered. NULL is not checked.
+void lpvg_energy_start(lpvg_energy_t* self);
 
-/// Takes e, then yhat (2 LPVG_NY) of one sample. The left sums begin when `settled`, which must stay until the next start.
-/// NULL is not checked.
+/// Takes e, then yhat (2 LPVG_NY) of one sample. The left sums begin when `settled` is true; it must stay true until the next start.
+/// The coefficients must have passed lpvg_coeff_check. NULL is not checked, because the calls come once per sample.
 void lpvg_energy_advance(lpvg_energy_t* self, const lpvg_coeff_t* coeff, const lpvg_real_t* signal, bool settled);
 
-/// Writes and returns `ratio`, in the next direction: infinity where a sum is not finite. NULL is not checked.
+/// Judges the next direction. Writes and returns `ratio`: infinity when a sum is not finite. NULL is not checked.
 lpvg_real_t lpvg_energy_judge(lpvg_energy_t* self, const lpvg_coeff_t* coeff);
 
-/// The ratio that a vehicle which did not respond at all (e = -yhat) would have shown in the newest direction and strongest
-/// band. NULL is not checked.
+/// Returns the ratio of a vehicle without response (e = -yhat), in the newest direction and strongest band. NULL is not checked.
 lpvg_real_t lpvg_energy_evidence(const lpvg_energy_t* self, const lpvg_coeff_t* coeff);
 
 LPVG_EXTERN_C_END

@@ -1,16 +1,17 @@
-/// @file life.h -- the wealth of a vehicle over its whole life: is it still like the recordings that calibrated, of a fixed length?
+/// @file life.h -- lifetime test: do a vehicle's recordings still agree with the calibration recordings?
 ///
-/// A score a recording, compared with a few scores of the calibration set. Wealth starts at 1 and grows by what bets against "as those
-/// that calibrate" win. For all calibration sets but a stated share it reaches `alarm` = 1/alpha in a life of any length with probability
-/// alpha at most (THEORY 7.8). An alarm says "changed"; it falsifies no bound.
+/// Each recording gives one score. The test compares it with a few scores of the calibration set and bets against "the recording
+/// agrees". The wealth starts at 1 and grows when bets win. A healthy vehicle reaches the wealth `alarm` = 1/alpha, in a life of any
+/// length, with probability at most alpha. This holds for all calibration sets except a stated share (THEORY 7.8). An alarm says
+/// "changed"; it falsifies no bound.
 ///
-/// Use:     `lpvguard fleet --export` writes an lpvg_life_table_t. lpvg_life_load at power-on with the stored bytes, or lpvg_life_init
-///          without any; once a recording lpvg_life_update, then lpvg_life_save into memory that survives power-off.
-/// Score:   the mean of `monitor.change.ratio` over the first `judged_s` seconds of samples whose speed was in range for longer than
-///          the model settles, and where it is above 0. A recording that is shorter is no recording.
-/// Cost:    constant, once a recording: it is no part of the monitor's step. Of no vehicle's sizes. No heap, no locks, no I/O.
-/// Threads: one object per thread. RAM: sizeof(lpvg_life_t). Numbers are 32-bit floats whatever the image's number type, and no
-///          operation can be contracted: every target has the same bits.
+/// Use:     `lpvguard fleet --export` writes an lpvg_life_table_t. At power-on call lpvg_life_load with the stored bytes, or
+///          lpvg_life_init without any. After each recording call lpvg_life_update, then lpvg_life_save into non-volatile memory.
+/// Score:   mean of `monitor.change.ratio` over the first `judged_s` seconds of samples with two properties: the speed was in range
+///          for longer than the model's settling time, and the ratio is above 0. A shorter recording gives no score.
+/// Cost:    constant, once per recording, outside the monitor's step. Independent of the vehicle. No heap, no locks, no I/O.
+/// Threads: one object per thread. RAM: sizeof(lpvg_life_t). All numbers are 32-bit floats, and no operation can be contracted, so
+///          every target computes the same bits.
 #ifndef LPVGUARD_LIFE_H
 #define LPVGUARD_LIFE_H
 
@@ -26,55 +27,58 @@ extern "C" {
 
 #define LPVG_LIFE_MAGIC 0x4546494CU  ///< "LIFE", first byte lowest.
 #define LPVG_LIFE_SCHEMA 1U
-#define LPVG_LIFE_LEVELS 8U  ///< Scores of the calibration set, at most.
+#define LPVG_LIFE_LEVELS 8U  ///< Largest number of stored calibration scores.
 #define LPVG_LIFE_BETS 3U
-#define LPVG_LIFE_START 64U      ///< After so many recordings half of the money is on the bets.
-#define LPVG_LIFE_MOST 16777151U  ///< Recordings that are counted: START above it, floats still count by one.
-#define LPVG_LIFE_BYTES 28U      ///< What survives power-off.
+#define LPVG_LIFE_START 64U      ///< Number of recordings after which half of the wealth is at stake.
+#define LPVG_LIFE_MOST 16777151U  ///< Largest number of counted recordings; a float still counts by one LPVG_LIFE_START above it.
+#define LPVG_LIFE_BYTES 28U      ///< Number of stored bytes.
 
-/// What a calibration set gives. Levels and factors above n_levels are 0.
+/// Table of a calibration set. Levels and factors beyond n_levels are 0.
 typedef struct lpvg_life_table_t {
     uint32_t magic;
     uint32_t schema;
-    uint32_t calibrated;  ///< recordings that calibrate
+    uint32_t calibrated;  ///< number of calibration recordings
     uint32_t n_levels;    ///< 1 .. LPVG_LIFE_LEVELS
-    float judged_s;       ///< judged driving that a score is of                                 [s]
+    float judged_s;       ///< length of judged driving for one score                            [s]
     float alarm;          ///< wealth that alarms, 1/alpha                                       [-]
     float level[LPVG_LIFE_LEVELS];  ///< ascending scores of the calibration set                 [-]
-    float factor[LPVG_LIFE_LEVELS + 1U][LPVG_LIFE_BETS];  ///< of each bet, by the number of levels below the score  [-]
+    float factor[LPVG_LIFE_LEVELS + 1U][LPVG_LIFE_BETS];  ///< factor of each bet, by the number of levels below the score  [-]
     uint32_t crc32;       ///< CRC-32 (ISO-HDLC) of all words before, low byte first
 } lpvg_life_table_t;
 
 typedef struct lpvg_life_t {
     const lpvg_life_table_t* table;
-    uint32_t recordings;        ///< counted
+    uint32_t recordings;        ///< number of counted recordings
     float bet[LPVG_LIFE_BETS];  ///< wealth of each bet                                          [-]
     uint32_t changed_at;        ///< number of the recording with which the wealth first reached `alarm`; 0: never
-    uint32_t crc32;             ///< as the last call left the other fields
+    uint32_t crc32;             ///< CRC-32 of the other fields after the last call
 } lpvg_life_t;
 
-/// Looks through a table. Returns bad_argument (NULL), bad_magic, bad_schema, bad_crc, not_finite, or bad_value: levels that do not
-/// ascend, a factor below 0, an alarm not above 1.
+/// Checks a table. Returns ok, bad_argument for NULL, bad_magic, bad_schema, bad_crc or not_finite. Returns bad_value when levels do
+/// not ascend, a factor is below 0, or the alarm is not above 1.
 LPVG_NODISCARD lpvg_status_t lpvg_life_table_check(const lpvg_life_table_t* table);
 
-/// A life without any recording. The table is kept by address. Returns what the check says, or bad_argument; *self is untouched then.
+/// Starts a life without any recording. Keeps a reference to the table.
+/// Returns bad_argument for NULL, or the status of lpvg_life_table_check. *self changes only with ok.
 LPVG_NODISCARD lpvg_status_t lpvg_life_init(lpvg_life_t* self, const lpvg_life_table_t* table);
 
-/// Takes the score of a recording. Returns bad_argument (NULL), not_ready (no init), bad_crc (a bit of *self has changed: load or
-/// init it anew) or bad_sample (not finite, or below 0: no recording is counted); nothing is changed then.
+/// Takes the score of a recording.
+/// Returns ok; bad_argument for NULL; not_ready before init; bad_crc when a bit of *self has changed (load or init it again);
+/// bad_sample when the score is not finite or below 0. *self changes only with ok.
 LPVG_NODISCARD lpvg_status_t lpvg_life_update(lpvg_life_t* self, float score);
 
-/// The wealth, 1 at first; 0 for NULL and without init.
+/// Returns the wealth, 1 at first; 0 for NULL and before init.
 float lpvg_life_wealth(const lpvg_life_t* self);
 
-/// Whether the wealth has ever reached `alarm`; false for NULL and without init.
+/// Returns whether the wealth has ever reached `alarm`; false for NULL and before init.
 bool lpvg_life_changed(const lpvg_life_t* self);
 
-/// Writes what survives power-off, the same bytes whatever the processor's order. Returns bad_argument (NULL), not_ready, bad_crc.
+/// Writes the bytes to store. They do not depend on the processor's byte order. Returns ok, bad_argument for NULL, not_ready or bad_crc.
 LPVG_NODISCARD lpvg_status_t lpvg_life_save(const lpvg_life_t* self, uint8_t bytes[LPVG_LIFE_BYTES]);
 
-/// Goes on with a life that lpvg_life_save wrote. Returns what init does, bad_crc where a bit of the bytes has changed, or bad_value where
-/// they are of another table or no life; *self is untouched then.
+/// Continues a life from the bytes that lpvg_life_save wrote.
+/// Returns the status of lpvg_life_init, bad_crc when a bit of the bytes has changed, or bad_value when they belong to another table
+/// or are no life. *self changes only with ok.
 LPVG_NODISCARD lpvg_status_t lpvg_life_load(lpvg_life_t* self, const lpvg_life_table_t* table, const uint8_t bytes[LPVG_LIFE_BYTES]);
 
 #ifdef __cplusplus

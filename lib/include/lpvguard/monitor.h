@@ -1,45 +1,46 @@
-/// @file monitor.h -- does the nominal LPV model still describe this vehicle as well as it was designed for?
+/// @file monitor.h -- on-line monitor of the nominal error: does the vehicle still agree with its identified model?
 ///
-/// Every sample advances the nominal model and forms the nominal error e = y - yhat. It updates Hann frames of e and yhat
-/// in LPVG_NBINS bins (DC first; THEORY 3.2). A bin completes a frame every half frame. The frame's *margin* is
+/// Each sample advances the nominal model and forms the nominal error e = y - yhat. The monitor transforms e and yhat with
+/// Hann windows at LPVG_NBINS frequencies, called bins; bin 0 is DC (THEORY 3.2). Each bin completes one frame every half frame.
+///
+/// Frame test. A frame gives the transforms E_j and Z_j of e_j and yhat_j. Its *margin* is
 ///
 ///     t* = min over complex d of max( |d| / W_delta, |E_j - d Z_j| / B_w,j for each output j )        (T17)
 ///
-/// the least common inflation of the fitted uncertainty and disturbance bounds that explains the frame. It is exact, in closed form.
-/// Where every output has a Delta of its own (S1_diagonal, LPVG_NDELTA = LPVG_NY), so has d_j and W_delta,j:
+/// t* is the smallest common factor on both fitted bounds that explains the frame. The closed form is exact.
+/// With one Delta for each output (S1_diagonal, LPVG_NDELTA = LPVG_NY), each output has its own d_j and W_delta,j:
 ///
 ///     t* = max over j of |E_j| / (B_w,j + W_delta,j |Z_j|)
 ///
-/// With t* > 1 no complex number d (no d_j) within W_delta and no disturbance within B_w explain this frame in this bin.
-/// It does not refute every causal Delta of a certificate. Of those only the energy test speaks, given its sigma.
+/// t* > 1 means: no complex number d within W_delta, with a disturbance within B_w, explains this frame in this bin.
+/// The frame test does not refute every causal Delta. Only the energy test makes a statement about causal Delta, given its sigma.
 ///
-/// A frame *counts* when the model had settled and the speed kept two limits: the scheduling range, and `speed_tolerance` around
-/// the frame's mean. The bin's *statistic* is the k-th largest margin of its last m counted frames. A statistic above `threshold`
-/// falsifies the model (frame test). The *evidence* is the margin that a vehicle which did not respond at all would have shown (T18).
-/// A frame whose evidence is at or below the threshold is "not excited". It could have falsified no vehicle, so it does not make
-/// the verdict valid.
+/// A frame *counts* under three conditions: the model had settled, the speed stayed in the scheduling range, and the speed stayed
+/// within `speed_tolerance` of the frame's mean. The *statistic* of a bin is the k-th largest margin of its last m counted frames.
+/// A statistic above `threshold` falsifies the model. The *evidence* of a frame is the margin that a vehicle without any response
+/// would have shown (T18). A frame with evidence at or below the threshold is "not excited". Such a frame cannot falsify any
+/// vehicle, so it does not make the verdict valid.
 ///
-/// The energy test (energy.h) takes every sample and is judged in every push that judges no frame. Its *ratio* above
-/// `energy_threshold` falsifies the model too. The first such ratio after `energy_rearm` judgements without one is recorded as an
-/// alarm. A sample out of the scheduling range, a gap and a refused sample restart the test from rest. It is not judged until the
-/// model and F have settled.
+/// Energy test (energy.h). It takes every sample. It is judged in each push that judges no frame, once model and F have settled.
+/// A *ratio* above `energy_threshold` falsifies the model. The first such ratio after `energy_rearm` judgements below the threshold
+/// is recorded as an alarm. The test restarts from rest after a gap, a refused sample, or a speed outside the scheduling range.
 ///
-/// The change test (change.h) takes every settled block of LPVG_NBLOCK samples. In the pushes after it each output is judged once, in one
-/// that closes no frame; where the next block ends before, this one is lost. Its *ratio* above `change_threshold` says that the vehicle is
-/// not the one that was identified. It refutes no bound, so the verdict is "degraded", not "invalid". The first such ratio after
-/// `change_rearm` judgements without one is recorded as an alarm.
+/// Change test (change.h). It takes every settled block of LPVG_NBLOCK samples. Each output is then judged once, in a later push
+/// that closes no frame. A block is lost when the next block ends before all outputs are judged. A *ratio* above `change_threshold`
+/// says that the vehicle has changed since identification. It refutes no bound, so the verdict is "degraded", not "invalid". The
+/// first such ratio after `change_rearm` judgements below the threshold is recorded as an alarm.
 ///
-/// Integrity: every push checks what indexes its state, one bin in turn. State that cannot be is as a refused sample, after which
-/// everything starts anew. A sum of the energy test that is not finite falsifies, and that test starts anew. Damaged coefficients make
-/// wrong verdicts, but no access outside of the objects: ecu.h checks them in turn.
+/// Integrity. Each push checks the indices of one bin, in turn. An impossible index counts as a refused sample, and the monitor
+/// restarts. An infinite or NaN sum of the energy test falsifies the model, and that test restarts. Damaged coefficients can cause
+/// wrong verdicts but no access outside the objects; ecu.h checks the coefficients.
 ///
-/// Use:     init once -> push one sample per period -> verdict, frame and records at any time.
-/// Cost:    even over pushes. A bin takes up LPVG_NBLOCK samples at once, a quarter of the bins each push. At most one frame
-///          is judged per push, over LPVG_NPARTS pushes, and none in a push that closes several. A frame is therefore judged at the
-///          latest LPVG_NLATENCY samples after its end. One that ends fewer than LPVG_NBLOCK samples before a gap is dropped.
-///          Instructions on three targets: `lpvguard bench core`. No heap, no locks, no I/O.
-/// Threads: one instance per thread; nothing here may be called from two contexts at once. RAM: sizeof(lpvg_monitor_t).
-///          Fields are private; the layout may change.
+/// Use:     init once -> push one sample per period -> read verdict, frame and records at any time.
+/// Cost:    nearly the same in each push. A bin processes LPVG_NBLOCK samples at once; each push serves a quarter of the bins.
+///          A push judges at most one frame, over LPVG_NPARTS pushes, and none when several frames end. The judgement of a frame
+///          follows its end by at most LPVG_NLATENCY samples. A frame that ends fewer than LPVG_NBLOCK samples before a gap is
+///          dropped. `lpvguard bench core` counts instructions on three targets. No heap, no locks, no I/O.
+/// Threads: one instance per thread. Do not call these functions from two contexts at once.
+/// RAM:     sizeof(lpvg_monitor_t). Fields are private; the layout may change.
 #ifndef LPVGUARD_MONITOR_H
 #define LPVGUARD_MONITOR_H
 
@@ -68,25 +69,24 @@ LPVG_EXTERN_C_BEGIN
 
 typedef enum lpvg_verdict_t {
     lpvg_verdict_unknown = 0,     ///< No frame has ended yet. Zero: cleared memory never reads "valid".
-    lpvg_verdict_valid = 1,       ///< Within the last hold time a frame with evidence counted, none falsified, nothing changed.
+    lpvg_verdict_valid = 1,       ///< Within the hold time a frame with evidence counted, no test falsified, and nothing changed.
     lpvg_verdict_invalid = 2,     ///< A frame or the energy test falsified the model within the last hold time.
     lpvg_verdict_not_judged = 3,  ///< Frames ended, but none within the hold time is evidence: see lpvg_reason_t.
     lpvg_verdict_stale = 4,       ///< The newest sample is older than five sample periods.
     lpvg_verdict_fault = 5,       ///< The newest sample was refused, or the arguments are wrong.
-    lpvg_verdict_degraded =
-        6     ///< Not invalid, but the change test spoke within the last hold time: within the bounds, if they hold, and changed.
+    lpvg_verdict_degraded = 6     ///< Not invalid, but the change test found a change within the hold time. No bound is refuted.
 } lpvg_verdict_t;
 
 /// Why the newest frame did not count as evidence.
 typedef enum lpvg_reason_t {
-    lpvg_reason_none = 0,          ///< It did.
-    lpvg_reason_not_excited = 1,   ///< Counted, but too little excitation: even a dead vehicle would have passed.
+    lpvg_reason_none = 0,          ///< The frame is evidence.
+    lpvg_reason_not_excited = 1,   ///< Too little excitation: even a vehicle without response would have passed.
     lpvg_reason_speed_moved = 2,   ///< Speed moved more than the frame allows.
     lpvg_reason_out_of_range = 3,  ///< Speed outside the scheduling range.
     lpvg_reason_settling = 4       ///< The model's initial state had not decayed.
 } lpvg_reason_t;
 
-/// What a record tells of.
+/// The test that a record comes from.
 typedef enum lpvg_test_t {
     lpvg_test_frame = 0,
     lpvg_test_energy = 1,
@@ -100,18 +100,21 @@ typedef struct lpvg_sample_t {
     lpvg_real_t y[LPVG_NY];        ///< outputs, likewise
 } lpvg_sample_t;
 
-/// One frame of one bin, as it was judged; or, among the records only, an alarm of the energy test. Of an alarm, `bin` is
-/// band * LPVG_NDIRECTIONS + direction (energy.h). Both `margin` and `statistic` are the ratio, and `evidence` is the ratio that a
-/// vehicle which did not respond would have shown. `speed` is the sample's. E[j][0] is the norm of F e_j and Z[j][0] that of
-/// F W_delta yhat_j; the imaginary parts are 0.
-/// Of an alarm of the change test `bin` is the output times 3 plus the part of the estimate (0 gain, 1 delay, 2 bias). `evidence` is the
-/// ratio of a lost output, a gain of -1. E[0] holds gain and delay of that output, Z[0][0] its bias; the rest is 0.
+/// One judged frame of one bin. A record may also hold an alarm of the energy test or of the change test.
+///
+/// Alarm of the energy test: `bin` is band * LPVG_NDIRECTIONS + direction (energy.h). `margin` and `statistic` are the ratio.
+/// `evidence` is the ratio of a vehicle without response. `speed` is the speed of the sample. E[j][0] is the norm of F e_j, and
+/// Z[j][0] is the norm of F W_delta yhat_j. The imaginary parts are 0.
+///
+/// Alarm of the change test: `bin` is 3 * output + part of the estimate (0 gain, 1 delay, 2 bias). `margin` and `statistic` are the
+/// ratio. `evidence` is the ratio of a lost output (gain -1). E[0] holds gain and delay of the output, Z[0][0] its bias. All other
+/// numbers are 0.
 typedef struct lpvg_frame_t {
     uint32_t sequence;             ///< number of frames closed so far, this one included; 0: none yet
-    lpvg_test_t test;              ///< what the record tells of
+    lpvg_test_t test;              ///< the test that judged
     uint32_t bin;                  ///< 0 is DC
     int64_t t_end_us;              ///< time of the frame's last sample                    [us]
-    lpvg_reason_t reason;          ///< none or not_excited: it counted; else why not, and the rest is zero
+    lpvg_reason_t reason;          ///< none or not_excited: the frame counted; other: why not, and the rest is 0
     bool falsified;                ///< statistic above the threshold
     lpvg_real_t speed;             ///< mean speed                                         [m/s]
     lpvg_real_t margin;            ///< t*; 1: exactly explained by the fitted bounds      [-]
@@ -121,24 +124,24 @@ typedef struct lpvg_frame_t {
     lpvg_real_t Z[LPVG_NY][2];     ///< nominal output, likewise                           [output unit]
 } lpvg_frame_t;
 
-/// Sums over half a frame of e and yhat times the exponential: plain, and with the rising half of the window.
+/// Sums over half a frame of (e, yhat) times the complex exponential.
 typedef struct lpvg_sum_t {
-    lpvg_real_t plain_re[2 * LPVG_NY], plain_im[2 * LPVG_NY];    ///< plain, of e then yhat                    [output unit]
-    lpvg_real_t rising_re[2 * LPVG_NY], rising_im[2 * LPVG_NY];  ///< with the rising half of the window, likewise [output unit]
+    lpvg_real_t plain_re[2 * LPVG_NY], plain_im[2 * LPVG_NY];    ///< without window: e, then yhat             [output unit]
+    lpvg_real_t rising_re[2 * LPVG_NY], rising_im[2 * LPVG_NY];  ///< times the rising half of the window: e, then yhat [output unit]
 } lpvg_sum_t;
 
-/// What the speed did over half a frame.
+/// Speed over half a frame.
 typedef struct lpvg_span_t {
     lpvg_real_t speed_low;                    ///< lowest speed                                       [m/s]
     lpvg_real_t speed_high;                   ///< highest speed                                      [m/s]
     lpvg_real_t speed_sum;                    ///< sum over the samples                               [m/s]
-    lpvg_reason_t reason;                     ///< why it is no evidence
+    lpvg_reason_t reason;                     ///< why the half frame is no evidence
 } lpvg_span_t;
 
-/// What the bins keep of a sample besides its signals.
+/// Time and speed of a sample, kept for the bins.
 typedef struct lpvg_taken_t {
     int64_t t_us;                             ///< time of the sample                                 [us]
-    lpvg_span_t span;                         ///< of this one sample
+    lpvg_span_t span;                         ///< of this sample
 } lpvg_taken_t;
 
 typedef struct lpvg_bin_t {
@@ -148,9 +151,9 @@ typedef struct lpvg_bin_t {
     lpvg_span_t span, span_before;            ///< current and previous half
     lpvg_real_t rising_re[2 * LPVG_NY], rising_im[2 * LPVG_NY];  ///< rising sums of the previous half [output unit]
     bool has_before;                          ///< previous half complete
-    lpvg_real_t frame_re[2 * LPVG_NY], frame_im[2 * LPVG_NY];    ///< frame that waits to be judged: E then Z [output unit]
+    lpvg_real_t frame_re[2 * LPVG_NY], frame_im[2 * LPVG_NY];    ///< frame that waits for its judgement: E, then Z [output unit]
     lpvg_span_t frame_span;
-    int64_t frame_end_us;                     ///< time of its last sample                            [us]
+    int64_t frame_end_us;                     ///< time of the last sample of that frame              [us]
     lpvg_real_t history[LPVG_NHISTORY];       ///< margins of the last counted frames, a ring; 0: none yet [-]
     uint32_t next_history;                    ///< where the next margin goes
 } lpvg_bin_t;
@@ -159,58 +162,61 @@ typedef struct lpvg_monitor_t {
     const lpvg_coeff_t* coeff;
     lpvg_model_t model;
     lpvg_energy_t energy;                     ///< `energy.ratio` may be read
-    uint32_t energy_sum;                      ///< of the words of its filters and right sums, after the newest sample
+    uint32_t energy_sum;                      ///< check sum of the filters, right sums and `fading` of `energy`
     uint32_t energy_quiet;                    ///< judgements since the energy test's last exceedance, energy_rearm at most
     lpvg_change_t change;                     ///< `change.ratio` and `change.estimate` may be read
     uint32_t change_quiet;                    ///< judgements since the change test's last exceedance, change_rearm at most
     lpvg_bin_t bin[LPVG_NBINS];
     lpvg_frame_t frame;                       ///< newest judged frame
     lpvg_frame_t record[LPVG_NRECORDS];
-    uint32_t n_records, records_lost;         ///< records that wait; those that found no place
+    uint32_t n_records, records_lost;         ///< records that wait; records lost because none was free
     uint32_t settled;                         ///< samples since the speed entered the range, saturating
     lpvg_taken_t block[LPVG_NBLOCK];          ///< newest samples, a ring
     /// e, then yhat of the newest samples: the ring twice, so that a block is in one piece. [output unit]
     lpvg_real_t signal[2 * LPVG_NBLOCK][2 * LPVG_NY];
-    uint32_t newest, n_block;                 ///< its newest entry; entries since the start, LPVG_NBLOCK at most
+    uint32_t newest, n_block;                 ///< index of the newest entry; number of entries, at most LPVG_NBLOCK
     uint32_t queue[LPVG_NBINS];               ///< bins whose frames wait to be judged, a ring
-    uint32_t queue_first, n_queue;            ///< first of the queue; how many wait
-    uint32_t parts;                           ///< parts done of the judgement of the first in the queue
-    lpvg_real_t by_pairs;                     ///< what they found (margin.hpp)                       [-]
+    uint32_t queue_first, n_queue;            ///< index of the first bin in the queue; number of bins in it
+    uint32_t parts;                           ///< finished parts of the judgement of the first bin
+    lpvg_real_t by_pairs;                     ///< intermediate result of these parts (margin.hpp)    [-]
     int64_t t_us;                             ///< time of the newest accepted sample                 [us]
-    int64_t t_evidence_us, t_falsified_us, t_changed_us;  ///< ends of the newest frames with evidence / that falsified; newest change [us]
-    int64_t t_void_us;  ///< frames that ended until then are no evidence       [us]
-    bool running, has_evidence, has_falsified, has_changed, refused;  ///< started; which times are known; the newest sample was refused
-    uint32_t bad_samples, out_of_order, restarts;  ///< samples refused; samples ignored; starts anew
-    uint32_t repairs;  ///< times that its state could not be, saturating
-    uint32_t turn;  ///< bin that was checked last
+    int64_t t_evidence_us, t_falsified_us,
+        t_changed_us;  ///< end of the newest frame with evidence; newest falsification; newest change [us]
+    int64_t t_void_us;                        ///< frames that ended at or before this time are no evidence [us]
+    bool running, has_evidence, has_falsified, has_changed, refused;  ///< started; the times above are known; the newest sample was refused
+    uint32_t bad_samples, out_of_order, restarts;  ///< refused samples; ignored samples; restarts
+    uint32_t repairs;  ///< restarts because of an impossible state, saturating
+    uint32_t turn;  ///< newest checked bin
 } lpvg_monitor_t;
 
-/// Makes *self ready; coefficients stay referenced and must outlive it.
-/// Returns bad_argument for NULL, or what lpvg_coeff_check says; *self is untouched unless ok is returned.
+/// Initialises *self. It keeps a reference to the coefficients; they must outlive it.
+/// Returns bad_argument for NULL, or the status of lpvg_coeff_check. *self changes only with ok.
 LPVG_NODISCARD lpvg_status_t lpvg_monitor_init(lpvg_monitor_t* self, const lpvg_coeff_t* coeff);
 
-/// Takes the sample of one period. Returns ok; bad_argument (NULL); not_ready (no init).
-/// Returns bad_sample when a number is NaN, Inf or outside its physical range, or when its state cannot be. It is counted, the verdict is
-/// fault, and frames and model restart with the next good sample. Returns out_of_order for a sample not newer than the last: counted,
-/// ignored. A step in time of less than half or more than one and a half periods restarts frames and model; nothing is bridged.
+/// Takes the sample of one period.
+/// Returns ok; bad_argument for NULL; not_ready before init.
+/// Returns bad_sample when a number is NaN, infinite or outside its physical range, or when the state is impossible. The sample is
+/// counted, the verdict is fault, and frames and model restart with the next good sample.
+/// Returns out_of_order for a sample that is not newer than the last one. The sample is counted and ignored.
+/// A time step below 0.5 or above 1.5 periods is a gap: frames and model restart.
 LPVG_NODISCARD lpvg_status_t lpvg_monitor_push(lpvg_monitor_t* self, const lpvg_sample_t* sample);
 
-/// Verdict at time now_us on the clock of the samples. Pure function; NULL, no init or now_us before the newest sample
-/// give fault. The hold time is the length of the longest frame.
+/// Verdict at time now_us [us], on the clock of the samples. The hold time is the length of the longest frame.
+/// Returns fault for NULL, before init, and for a now_us before the newest sample. Changes nothing.
 lpvg_verdict_t lpvg_monitor_verdict(const lpvg_monitor_t* self, int64_t now_us);
 
-/// Why the newest frame was no evidence; none before the first frame and for NULL.
+/// Why the newest frame is no evidence. Returns none before the first frame and for NULL.
 lpvg_reason_t lpvg_monitor_reason(const lpvg_monitor_t* self);
 
-/// The newest closed frame; its `sequence` tells whether there is a new one. NULL for NULL or before init.
+/// Newest judged frame. A new frame has a new `sequence`. Returns NULL for NULL and before init.
 const lpvg_frame_t* lpvg_monitor_frame(const lpvg_monitor_t* self);
 
-/// Moves the oldest recorded falsifying frame into *record and frees its place. False when there is none or for NULL.
-/// While LPVG_NRECORDS frames wait, further ones are only counted.
+/// Moves the oldest record into *record and frees its place. Returns false when there is none, and for NULL.
+/// While LPVG_NRECORDS records wait, further ones are only counted (`records_lost`).
 bool lpvg_monitor_take_record(lpvg_monitor_t* self, lpvg_frame_t* record);
 
-/// Voids the evidence: every bin begins a new frame, and the verdict is valid only from frames that began after the call. What falsified
-/// and what changed stays. So does a gap in the samples. Nothing for NULL or before init.
+/// Discards the evidence. Every bin begins a new frame; only frames that begin after the call can make the verdict valid.
+/// Falsifications and changes are kept. A gap in the samples has the same effect. Does nothing for NULL and before init.
 void lpvg_monitor_void(lpvg_monitor_t* self);
 
 LPVG_EXTERN_C_END

@@ -1,19 +1,21 @@
-/// @file watch.h -- does the vehicle respond to the demand as modelled, within seconds of engagement?
+/// @file watch.h -- watch of the response: does the vehicle follow the demand as modelled, within seconds of engagement?
 ///
-/// phi is the nominal model's response to the demand alone, from rest at the first engaged sample; e is the monitor's nominal error, and
-/// F a high-pass of corner LPVG_WATCH_CORNER_RPS that begins at rest on the first e. Sums forget with LPVG_WATCH_SHORT_S, for a fault that
-/// comes, and with LPVG_WATCH_LONG_S, for one that shows little. For each of both memories and each output j
+/// phi is the response of the nominal model to the demand alone, from rest at the first engaged sample. e is the monitor's nominal
+/// error. F is a high-pass with corner LPVG_WATCH_CORNER_RPS, at rest on the first sample of both. The sums below forget with
+/// LPVG_WATCH_SHORT_S, for sudden faults, and with LPVG_WATCH_LONG_S, for weak ones. For both memories and each output j
 ///
 ///     P_j = sum of F e_j F phi_j      Q_j = sum of (F phi_j)^2      |P_j| <= gain_j Q_j + disturbance_j sqrt(Q_j)            (T46)
 ///
-/// A vehicle whose response is 1 + d_j times the nominal one has P_j = d_j Q_j + sum of F w_j F phi_j. A violation therefore refutes every
-/// constant |d_j| <= gain_j whose disturbance has a part along F phi_j of at most disturbance_j (THEORY 7.14).
+/// If the response is 1 + d_j times the nominal one, then P_j = d_j Q_j + sum of F w_j F phi_j. A violation therefore refutes every
+/// constant |d_j| <= gain_j with a disturbance whose part along F phi_j is at most disturbance_j (THEORY 7.14).
 ///
-/// gain_j is the least W_delta,j of all bins: a larger constant error lies outside of the certificate set. Where that set contains
-/// gains above LPVG_WATCH_GAIN_MAX, the largest gain that the change test calls healthy stands for it. An output without either is
-/// not watched. disturbance_j is the energy test's sigma_j between its outer corners, in the time LPVG_WATCH_COHERENCE_S.
+/// gain_j is the smallest W_delta,j of all bins: a larger constant error lies outside the certificate set. If it is above
+/// LPVG_WATCH_GAIN_MAX, gain_j is the largest gain that the change test accepts as healthy. If that is too large as well, output j is
+/// not watched. disturbance_j comes from the energy test's sigma_j between its outer corners, over LPVG_WATCH_COHERENCE_S.
 ///
-/// The sums are *evidence* where a vehicle that did not respond at all, P_j = -Q_j, would have violated.
+/// The sums, and F at rest, begin once the nominal model has settled. Before, e holds the effect of its start.
+///
+/// The sums are *evidence* when a vehicle without response, P_j = -Q_j, would violate the limit.
 ///
 /// Use:     lpvg_watch_limits once -> lpvg_watch_start at the first engaged sample -> lpvg_watch_take each sample.
 /// Cost:    constant; the model's matrices are those of the monitor. RAM: sizeof(lpvg_watch_t). No heap, no locks, no I/O.
@@ -27,9 +29,9 @@ LPVG_EXTERN_C_BEGIN
 
 #define LPVG_WATCH_CORNER_RPS 1.0F  ///< corner of F                                    [rad/s]
 #define LPVG_WATCH_SHORT_S 1.0F  ///< shorter time constant of the forgetting        [s]
-#define LPVG_WATCH_LONG_S 5.0F  ///< longer one                                     [s]
-#define LPVG_WATCH_COHERENCE_S 1.5F  ///< over which a disturbance may go along with the response [s]
-#define LPVG_WATCH_MEMORIES 2  ///< the shorter, then the longer
+#define LPVG_WATCH_LONG_S 5.0F  ///< longer time constant of the forgetting         [s]
+#define LPVG_WATCH_COHERENCE_S 1.5F  ///< longest time for which a disturbance may follow the response [s]
+#define LPVG_WATCH_MEMORIES 2  ///< number of memories: the shorter, then the longer
 #define LPVG_WATCH_GAIN_MAX 0.6F  ///< largest watched |d|: a gain of 0.3 is beyond it  [-]
 
 #define lpvg_watch_limits_t LPVG_SYM(watch_limits_t)
@@ -38,34 +40,34 @@ LPVG_EXTERN_C_BEGIN
 #define lpvg_watch_start LPVG_SYM(watch_start)
 #define lpvg_watch_take LPVG_SYM(watch_take)
 
-/// What the watch derives from the coefficients.
+/// Limits of the watch, derived from the coefficients.
 typedef struct lpvg_watch_limits_t {
-    lpvg_real_t gain[LPVG_NY];  ///< largest constant |d_j|; 1: output j is not watched                  [-]
+    lpvg_real_t gain[LPVG_NY];  ///< largest accepted constant |d_j|; 1: output j is not watched [-]
     lpvg_real_t disturbance[LPVG_NY];  ///< largest part of F w_j along F phi_j                       [output unit]
-    lpvg_real_t share;  ///< of the distance to the input that the high-pass's state moves a sample  [-]
-    lpvg_real_t forget[LPVG_WATCH_MEMORIES];  ///< share of the sums forgotten with a sample       [-]
+    lpvg_real_t share;  ///< share of the distance to its input that the high-pass's state moves per sample [-]
+    lpvg_real_t forget[LPVG_WATCH_MEMORIES];  ///< share of the sums that one sample forgets       [-]
 } lpvg_watch_limits_t;
 
 typedef struct lpvg_watch_t {
     lpvg_real_t x[LPVG_NX];  ///< state of the model that the demand alone drives [mixed]
     lpvg_real_t past[LPVG_DELAY + 1][LPVG_NU];  ///< demands, the newest first                  [input unit]
-    lpvg_real_t slow[2 * LPVG_NY];  ///< what F takes away from e, then phi                     [output unit]
+    lpvg_real_t slow[2 * LPVG_NY];  ///< slow parts of e, then phi, that F removes              [output unit]
     lpvg_real_t P[LPVG_WATCH_MEMORIES][LPVG_NY];  ///< sums of F e_j F phi_j                                 [output unit squared]
     lpvg_real_t Q[LPVG_WATCH_MEMORIES][LPVG_NY];  ///< sums of (F phi_j)^2                                   [output unit squared]
-    bool violated;  ///< by the newest sums of any output
-    bool evidence;  ///< a vehicle that did not respond would have violated with the newest sums of an output
+    bool violated;  ///< the newest sums of an output violate the limit
+    bool evidence;  ///< the newest sums of an output are evidence
 } lpvg_watch_t;
 
-/// The limits of a vehicle whose coefficients have passed lpvg_coeff_check. NULL is not checked.
+/// Computes the limits of a vehicle. The coefficients must have passed lpvg_coeff_check. NULL is not checked.
 void lpvg_watch_limits(lpvg_watch_limits_t* limits, const lpvg_coeff_t* coeff);
 
-/// From rest, at the first engaged sample, whose nominal error is e [LPVG_NY]. NULL is not checked.
+/// Starts from rest at the first engaged sample; e [LPVG_NY] is its nominal error. NULL is not checked.
 void lpvg_watch_start(lpvg_watch_t* self, const lpvg_real_t* e);
 
-/// Takes the nominal error e [LPVG_NY] of a sample and the demand u [LPVG_NU] applied from it on. `model` is the monitor's, after that
-/// sample. NULL is not checked.
+/// Takes the nominal error e [LPVG_NY] of a sample and the demand u [LPVG_NU] that is applied after it. `model` is the monitor's model
+/// after that sample. `settled`: the nominal model has settled. NULL is not checked.
 void lpvg_watch_take(lpvg_watch_t* self, const lpvg_watch_limits_t* limits, const lpvg_coeff_t* coeff, const lpvg_model_t* model,
-                     const lpvg_real_t* e, const lpvg_real_t* u);
+                     bool settled, const lpvg_real_t* e, const lpvg_real_t* u);
 
 LPVG_EXTERN_C_END
 #endif

@@ -11,8 +11,8 @@ import pytest
 from scipy.io import loadmat, savemat
 
 import lpvguard
-from lpvguard.api import linear, optional
-from lpvguard.base import artefacts
+from lpvguard.api import linear
+from lpvguard.base import artefacts, optional
 from lpvguard.core.compiled import VERDICTS
 from lpvguard.drives.tables import read_drive
 from lpvguard.vehicle.nominal import NominalModel
@@ -32,9 +32,9 @@ def found(identified):
 def test_the_names_are_there_whatever_was_imported_before_and_cost_the_command_line_nothing():
     script = """
 import sys, lpvguard
-assert not {"pandas", "pyarrow", "scipy", "lpvguard.api.identified"} & set(sys.modules)
-import lpvguard.identify.run, lpvguard.replay.run
-assert callable(lpvguard.identify) and callable(lpvguard.replay)
+assert not {"pandas", "pyarrow", "scipy", "lpvguard.api.identification"} & set(sys.modules)
+import lpvguard.identify.identification, lpvguard.replay.replayer
+assert callable(lpvguard.identify_drives) and callable(lpvguard.replay_drive)
 assert lpvguard.Monitor.__name__ == "Monitor"
 try:
     lpvguard.no_such_name
@@ -43,7 +43,7 @@ except AttributeError as error:
 else:
     raise AssertionError
 try:
-    lpvguard.identify("no_such_car", "drives")
+    lpvguard.identify_drives("no_such_car", "drives")
 except lpvguard.InputError as error:
     assert "no_such_car" in str(error)
 else:
@@ -54,7 +54,7 @@ else:
 
 @pytest.mark.slow("8 s: an identification")
 def test_identify_and_export_write_what_the_commands_write(g80, synthetic, identified, vehicle, tmp_path):
-    made = lpvguard.identify(g80, synthetic)
+    made = lpvguard.identify_drives(g80, synthetic)
     stored = made.save(tmp_path / "identify")
     assert same_files(identified, stored.folder)
     assert same_files(vehicle, made.export(tmp_path / "vehicle"))
@@ -102,7 +102,7 @@ def test_two_outputs_have_columns_of_their_names(found):
 
 
 def test_replay_gives_frames_and_series_as_tables(vehicle, synthetic, tmp_path):
-    said = lpvguard.replay("g80", synthetic / "synthetic_01.csv", coefficients=vehicle)
+    said = lpvguard.replay_drive("g80", synthetic / "synthetic_01.csv", coefficients=vehicle)
     frames = said.frames[said.frames["reason"] == "none"]
     assert frames["margin"].max() <= said.summary.max_margin
     assert frames["t_judged_s"].min() > 0 and (frames["t_judged_s"] >= frames["t_end_s"]).all()

@@ -40,6 +40,13 @@ def test_the_monitor_in_a_loop_finds_the_fault_and_not_before_it_is_there(vehicl
     assert faulty > 3 * healthy
 
 
+@pytest.mark.unhurried
+def test_responses_of_motors_lead_to_a_controller_with_a_proved_level():
+    said = run("robust_without_a_vehicle.py")
+    proved, attained = map(float, re.search(r"at most ([\d.]+); no less than ([\d.]+)", said).groups())
+    assert attained <= proved < 0.6
+
+
 def test_no_example_goes_untested():
     tested = set(re.findall(r'run\("(\w+\.py)"', (ROOT / "tests/tools/api/test_examples.py").read_text()))
     assert tested == {path.name for path in EXAMPLES.glob("*.py")}

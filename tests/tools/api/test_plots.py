@@ -25,7 +25,7 @@ def found(identified):
 
 @pytest.fixture(scope="module")
 def run(vehicle, synthetic):
-    return lpvguard.replay("g80", synthetic / "synthetic_01.csv", coefficients=vehicle)
+    return lpvguard.replay_drive("g80", synthetic / "synthetic_01.csv", coefficients=vehicle)
 
 
 @pytest.fixture(scope="module")
@@ -36,7 +36,7 @@ def weak(vehicle, synthetic, tmp_path_factory):
     path = tmp_path_factory.mktemp("weak") / "weak drive.csv"
     table = pandas.read_csv(synthetic / "synthetic_01.csv")
     table.assign(r=1.6 * table.r).to_csv(path, index=False)
-    return lpvguard.replay("g80", path, coefficients=vehicle)
+    return lpvguard.replay_drive("g80", path, coefficients=vehicle)
 
 
 def ids(svg: str) -> set[str]:
@@ -47,7 +47,7 @@ def ids(svg: str) -> set[str]:
 @pytest.mark.long("20 s: every picture of a page")
 def test_they_have_the_numbers_of_the_pages_pictures(found, vehicle, synthetic, identified, tmp_path):
     stored, drives = stored_with_drives(identified, synthetic)
-    runs = [lpvguard.replay("g80", e.path, coefficients=vehicle) for e in drives.experiments.values()]
+    runs = [lpvguard.replay_drive("g80", e.path, coefficients=vehicle) for e in drives.experiments.values()]
     pictures = tmp_path / "pictures"
     write_report(
         stored, drives, runs[0].replayer, tmp_path / "page.html", None, lambda _: None, pictures=pictures

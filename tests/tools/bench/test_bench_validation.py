@@ -8,11 +8,11 @@ from inspect import signature
 import numpy as np
 import pytest
 
-from lpvguard.bench import _memory as memory
-from lpvguard.bench import names
-from lpvguard.bench import validation as bench
 from lpvguard.cli.bench import bench as command
 from lpvguard.engine.validation import s1
+from lpvguard.extras.bench import _memory as memory
+from lpvguard.extras.bench import names
+from lpvguard.extras.bench import validation as bench
 from made import ROOT
 
 

@@ -1,10 +1,11 @@
 """The chain beside a peer: what counts, and that a missing peer is told and not taken for a ratio."""
 
 import time
+from types import SimpleNamespace
 
 from lpvguard.base.parallel import workers
-from lpvguard.bench import chain as bench
-from lpvguard.bench._peers import Peers
+from lpvguard.extras.bench import chain as bench
+from lpvguard.extras.bench._peers import Peers
 from made import ROOT
 
 CASE = ROOT / "tests" / "data" / "paper_case.toml"
@@ -48,6 +49,7 @@ def test_the_stages_are_those_of_the_commands(monkeypatch):
 
     monkeypatch.setattr(bench.design, "design", design)
     monkeypatch.setattr(bench.design, "save", lambda *given: asked.append(given[2].name))
+    monkeypatch.setattr(bench, "DesignProblem", SimpleNamespace(of=lambda stored: stored))
     monkeypatch.setattr(
         bench, "moving_certificates", lambda stored, *given, workers: asked.append((*given, workers))
     )

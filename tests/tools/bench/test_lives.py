@@ -9,8 +9,8 @@ import pytest
 
 from lpvguard.base.errors import InputError
 from lpvguard.base.rates import rate
-from lpvguard.bench import lives, run
-from lpvguard.bench.lives import GAINS, Pool, drifting_lives, healthy_lives, make_pool
+from lpvguard.extras.bench import lives, run
+from lpvguard.extras.bench.lives import GAINS, Pool, drifting_lives, healthy_lives, make_pool
 
 
 @pytest.fixture(scope="module")

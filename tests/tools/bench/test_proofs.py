@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from lpvguard.base.errors import InputError
-from lpvguard.bench import proofs
-from lpvguard.bench._trials import Trial, Trials, _turned
 from lpvguard.control import violations
 from lpvguard.engine.synthesis.varying import History
+from lpvguard.extras.bench import proofs
+from lpvguard.extras.bench._trials import Trial, Trials, _turned
 
 SAMPLES = 300
 
@@ -152,7 +152,7 @@ def test_a_design_without_scalar_delta_is_refused(monkeypatch, tmp_path, changes
     stated = {"structure": "K_o", "scaling_log_parameters": [[0.0]]} | changes
     monkeypatch.setattr(proofs.identify, "load", lambda folder: None)
     monkeypatch.setattr(
-        proofs.designed, "require_designed_for", lambda stored, path: {"certificates": stated}
+        proofs.controller_file, "require_designed_for", lambda stored, path: {"certificates": stated}
     )
     with pytest.raises(InputError, match=what):
         proofs.main([str(tmp_path), str(tmp_path)])

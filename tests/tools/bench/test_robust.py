@@ -14,9 +14,10 @@ from hand_controller import hand_controller
 from lpvguard import schemas
 from lpvguard.base import artefacts
 from lpvguard.base.errors import InputError
-from lpvguard.bench import robust
 from lpvguard.control.true_loop import CertifiedLoop
 from lpvguard.core.scheduled import Scheduled
+from lpvguard.extras.bench import robust
+from lpvguard.vehicle.nominal import NominalModel
 
 FEW = np.geomspace(0.05, 60.0, 60)
 
@@ -34,9 +35,8 @@ def loop_with(project, size: float) -> CertifiedLoop:
     # A tenth of the feedback: stable also around a truck with lag and delay.
     B = np.array(document["B"])
     B[..., 1:] *= 0.1
-    return CertifiedLoop(
-        SimpleNamespace(project=project, fitted=fitted), Scheduled.read(document | {"B": B.tolist()})
-    )
+    stored = SimpleNamespace(project=project, fitted=fitted, model=NominalModel(project))
+    return CertifiedLoop(stored, Scheduled.read(document | {"B": B.tolist()}))
 
 
 @pytest.mark.long("15 s: the truck measured over speed")

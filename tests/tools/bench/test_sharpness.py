@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from lpvguard.base.errors import InputError
-from lpvguard.bench import sharpness
-from lpvguard.bench._known_cars import (
+from lpvguard.extras.bench import sharpness
+from lpvguard.extras.bench._known_cars import (
     CARS,
     Car,
     DriveDeviations,

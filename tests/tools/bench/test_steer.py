@@ -7,8 +7,8 @@ import json
 import pytest
 
 from lpvguard.base.errors import InputError
-from lpvguard.bench import steer
 from lpvguard.core.compiled import shipped_vehicle
+from lpvguard.extras.bench import steer
 
 KEYS = {"differs", "value", "v_mps", "seed", "tracking", "limited_s", "line_bar", "line_radps", "falsified"}
 

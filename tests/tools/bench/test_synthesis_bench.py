@@ -4,9 +4,9 @@ import sys
 
 import pytest
 
-from lpvguard.bench import synthesis as bench
-from lpvguard.bench._peers import ask
 from lpvguard.engine.synthesis.cases import case_plant, read_case
+from lpvguard.extras.bench import synthesis as bench
+from lpvguard.extras.bench._peers import ask
 from made import ROOT
 
 CASE = ROOT / "tests" / "data" / "paper_case.toml"

@@ -19,9 +19,9 @@ def library() -> ctypes.CDLL:
     """The module and its plain arguments (j1939_node.cpp); one node a process."""
     path = native.compile_shared(
         [
-            LIB / "src" / "can.cpp",
-            LIB / "src" / "j1939.cpp",
-            LIB / "src" / "uds.cpp",
+            LIB / "src" / "guard" / "can.cpp",
+            LIB / "src" / "services" / "j1939.cpp",
+            LIB / "src" / "services" / "uds.cpp",
             HERE / "j1939_node.cpp",
         ],
         flags=("-O1", "-std=c++17", "-ffp-contract=off"),

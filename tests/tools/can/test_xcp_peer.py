@@ -11,7 +11,7 @@ import can
 import pytest
 
 from lpvguard.base import native
-from lpvguard.measure.xcp_access import OPTIONAL_COMMANDS, XcpAccess, if_data
+from lpvguard.extras.measure.xcp_access import OPTIONAL_COMMANDS, XcpAccess, if_data
 
 pytest.importorskip("pyxcp", reason="pip install pyxcp")
 from pyxcp.transport.can import CanInterfaceBase
@@ -30,7 +30,7 @@ class Slave(CanInterfaceBase):
 
     def __init__(self) -> None:
         path = native.compile_shared(
-            [LIB / "src" / "xcp.cpp", HERE / "xcp_slave.cpp"],
+            [LIB / "src" / "services" / "xcp.cpp", HERE / "xcp_slave.cpp"],
             flags=("-O1", "-std=c++17"),
             include_dirs=[LIB / "include", LIB / "src"],
             name="xcp_slave",

@@ -32,7 +32,6 @@ from types import SimpleNamespace
 
 import typer.main
 
-import lpvguard.bench
 import lpvguard.can.dbc
 import lpvguard.control.design
 import lpvguard.control.design_files
@@ -43,20 +42,21 @@ import lpvguard.core.compiled
 import lpvguard.drives.fixture
 import lpvguard.drives.ingest
 import lpvguard.engine.synthesis.cases
-import lpvguard.evaluate.run
-import lpvguard.fit.run
+import lpvguard.evaluate.evaluation
+import lpvguard.extras.bench
+import lpvguard.extras.loop.campaign.chunked_runs
+import lpvguard.extras.loop.generate
+import lpvguard.extras.loop.lcm_client
+import lpvguard.extras.loop.sim
+import lpvguard.extras.problems.solve
+import lpvguard.fit.fitted_model
 import lpvguard.identify.deciders
 import lpvguard.identify.export
+import lpvguard.identify.identification
 import lpvguard.identify.premise
-import lpvguard.identify.run
-import lpvguard.loop.campaign.run
-import lpvguard.loop.generate
-import lpvguard.loop.lcm_client
-import lpvguard.loop.sim
-import lpvguard.problems.solve
 import lpvguard.report.design_pictures
 import lpvguard.report.page
-import lpvguard.start.run
+import lpvguard.start.new_project
 from lpvguard import cli, schemas
 from lpvguard.base import artefacts, system
 
@@ -156,20 +156,22 @@ def replace_computing(variant: str) -> None:
     lpvguard.drives.fixture.PLAN[:] = [("train", "human", 5.0, 1.0), ("valid", "human", 9.0, 1.0)]
     plain = lpvguard.can.dbc.dbc_text
     lpvguard.can.dbc.dbc_text = lambda: plain() + f'CM_ "{variant}";\n'
-    lpvguard.start.run.new = lambda name, logs, out, **_: (
+    lpvguard.start.new_project.new = lambda name, logs, out, **_: (
         folder_of("new", {"car.toml": text, "drives/a.csv": text}, name)(out)
         or SimpleNamespace(proposals={}, notes=[], left_out={})
     )
-    lpvguard.fit.run.fit = lambda *_: SimpleNamespace(
+    lpvguard.fit.fitted_model.fit = lambda *_: SimpleNamespace(
         project=SimpleNamespace(name="g80"), findings=[], to_dict=dict
     )
-    lpvguard.fit.run.save = lambda result, plain, where, out, files: folder_of("fit", {"fit.json": text})(out)
+    lpvguard.fit.fitted_model.save = lambda result, plain, where, out, files: folder_of(
+        "fit", {"fit.json": text}
+    )(out)
     replace_in_cli("_picture", lambda _: "")
     replace_in_cli("print_fit", lambda _: None)
     replace_in_cli("print_evidence", lambda *_: None)
     for name in ("decides_bounds", "decides_thresholds", "outlying", "silence", "unresolved"):
         setattr(lpvguard.identify.deciders, name, lambda _: [])
-    lpvguard.identify.run.identify = lambda *_, **__: (
+    lpvguard.identify.identification.identify = lambda *_, **__: (
         SimpleNamespace(
             bound_drives=[],
             calibration_drives=[],
@@ -184,7 +186,7 @@ def replace_computing(variant: str) -> None:
         ),
         None,
     )
-    lpvguard.identify.run.save = lambda result, drives, out: folder_of(
+    lpvguard.identify.identification.save = lambda result, drives, out: folder_of(
         "identify", {"weights.json": text, "spectra.npz": text * 20}
     )(out)
     proved = SimpleNamespace(upper=0.5, lower=0.4, bracket=SimpleNamespace(peak_frequency=1.0))
@@ -227,24 +229,24 @@ def replace_computing(variant: str) -> None:
     )
     replace_in_cli("replayer_of", lambda *_: replayer)
     summarise.text = text
-    lpvguard.loop.sim.load_scenario = lambda name: SimpleNamespace(name=name, seed=1)
-    lpvguard.loop.sim.Simulator = lambda *_, **__: SimpleNamespace(
+    lpvguard.extras.loop.sim.load_scenario = lambda name: SimpleNamespace(name=name, seed=1)
+    lpvguard.extras.loop.sim.Simulator = lambda *_, **__: SimpleNamespace(
         run=run_sim, folder="core", controller="designed", project=stored.project
     )
     run_sim.text = text
-    lpvguard.evaluate.run.evaluate = lambda *_, **__: {"text": text}
+    lpvguard.evaluate.evaluation.evaluate = lambda *_, **__: {"text": text}
     replace_in_cli("print_evaluation", lambda _: None)
     replace_in_cli("print_campaign", lambda _: None)
-    lpvguard.loop.campaign.run.campaign = run_campaign
+    lpvguard.extras.loop.campaign.chunked_runs.campaign = run_campaign
     lpvguard.report.page.write_report = lambda stored, drives, replayer, out, *_: artefacts.write_file(
         out, f'<html><meta name="generator" content="{artefacts.mark("report")}">{text}', "report"
     )
-    lpvguard.bench.run = lambda name, words: lpvguard.bench.show(
-        "", [{"text": text}], lpvguard.bench.parser(name, None).parse_args(words).json_out
+    lpvguard.extras.bench.run = lambda name, words: lpvguard.extras.bench.show(
+        "", [{"text": text}], lpvguard.extras.bench.parser(name, None).parse_args(words).json_out
     )
-    lpvguard.loop.lcm_client.read_log = lambda log: [("LPVGUARD_BUS", text)] * 9
-    lpvguard.loop.lcm_client.log_line = lambda message: message
-    lpvguard.loop.generate.plant_tool = lambda: Path("plant_tool").absolute()
+    lpvguard.extras.loop.lcm_client.read_log = lambda log: [("LPVGUARD_BUS", text)] * 9
+    lpvguard.extras.loop.lcm_client.log_line = lambda message: message
+    lpvguard.extras.loop.generate.plant_tool = lambda: Path("plant_tool").absolute()
 
 
 def summarise(log, channel, with_series):

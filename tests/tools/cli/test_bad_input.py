@@ -194,7 +194,7 @@ def test_identify_refuses_drives_of_which_nothing_calibrates(split, lpvguard, sy
     if split == "train":
         assert "experiments.csv: column split: nothing calibrates: every drive sets the bounds" in said
     else:
-        assert "drives that calibrate (1): nothing calibrates: no test judges any of them (slow: no" in said
+        assert "drives that calibrate (1): nothing calibrates: no test judges a drive (slow: no" in said
     assert [p.name for p in tmp_path.iterdir()] == ["drives"]
 
 
@@ -279,7 +279,7 @@ def test_design_refuses_options_that_it_would_ignore(words, lpvguard, tmp_path):
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("{}", "does not hold what it should"),
+        ("{}", "has unexpected content"),
         ('{"duels": [{"way": "ramp"}]}', "duels[].precluded: missing"),
     ],
 )

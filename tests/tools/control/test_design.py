@@ -13,7 +13,7 @@ from lpvguard.base.errors import InputError
 from lpvguard.base.parallel import workers
 from lpvguard.control import design as stage
 from lpvguard.control import moving_speed, plants
-from lpvguard.control.plants import fig1_weights, frozen_plant
+from lpvguard.control.plants import DesignProblem
 from lpvguard.control.robust_run import CompiledController, run
 from lpvguard.control.schedule import FrozenLoop, fit_by_pairs
 from lpvguard.control.stored_frames import StoredFrames
@@ -24,9 +24,9 @@ from lpvguard.engine.synthesis.dk import certify
 from lpvguard.engine.synthesis.norms import hinf_norm
 from lpvguard.engine.synthesis.scheduling import closed_scaled
 from lpvguard.engine.synthesis.statespace import StateSpace, lft
-from lpvguard.identify import run as identification
+from lpvguard.extras.loop.sim import Simulator, load_scenario
+from lpvguard.identify import identification as identification
 from lpvguard.identify.export import export_vehicle
-from lpvguard.loop.sim import Simulator, load_scenario
 from lpvguard.vehicle.nominal import NominalModel
 
 
@@ -124,10 +124,12 @@ def test_the_certificate_is_proved_anew_and_an_altered_coefficient_is_refused(st
     [
         ("speeds", "mu_upper", 0.999),
         ("speeds", "mu_lower", 0.99),
+        ("speeds", "mu_lower", 1.0005),
         ("speeds", "peak_rad_s", 300.0),
         ("off_grid", "mu_upper", 1.001),
         (None, "A_t", 1.01),
         (None, "A_u", 10.0),
+        (None, "dc_floor", 1.001),
     ],
 )
 def test_a_stated_number_that_is_not_what_is_proved_is_refused(
@@ -142,6 +144,28 @@ def test_a_stated_number_that_is_not_what_is_proved_is_refused(
         stage.verify(tmp_path / "controller.json", stored)
 
 
+@pytest.mark.parametrize(
+    ("change", "what"),
+    [
+        ({}, None),
+        ({"product": 0.6}, "largest_A_t.product"),
+        ({"worst": 1.0}, "largest_A_t: A_t 100 with mu 1,"),
+        ({"failed": 99.0}, "largest_A_t: A_t 100"),
+        ({"failed": 201.0}, "up to 200"),
+        ({"dc_floor": None}, "dc_floor: None"),
+    ],
+)
+def test_a_floor_or_a_largest_A_t_beyond_it_is_refused(change, what, tmp_path):
+    largest = {"A_t": 100.0, "product": 0.5, "worst": 0.99, "failed": 101.0} | change
+    stated = {"dc_floor": largest.pop("dc_floor", 0.005), "largest_A_t": largest}
+    if what is None:
+        stage._require_floor(tmp_path, stated, 0.005)
+        stage._require_floor(tmp_path, {"dc_floor": None, "largest_A_t": None}, np.nan)
+    else:
+        with pytest.raises(InputError, match=what):
+            stage._require_floor(tmp_path, stated, 0.005)
+
+
 @pytest.mark.long("70 s: a search at a moving speed")
 def test_robust_stability_is_proved_at_a_moving_speed_and_proved_anew(finer, moving):
     """The truck brakes with 2 m/s2; what is not searched for is not claimed. Stability is at level 1 and of
@@ -153,14 +177,14 @@ def test_robust_stability_is_proved_at_a_moving_speed_and_proved_anew(finer, mov
     assert stated["performance"]["rate_mps2"] is None
     assert stated["stability"]["level"] == stated["stability"]["gain"] == 1
     np.testing.assert_array_equal(stated["stability"]["scaling"], result.scaling.log_parameters)
-    families = moving_speed.scaled_families(finer, result.schedule, result.scaling)
+    families = moving_speed.scaled_families(DesignProblem.of(finer), result.schedule, result.scaling)
     whole = families["performance"].at(15.0).order
     assert stated["stability"]["states"] == families["stability"].at(15.0).order < whole
 
 
 @pytest.mark.long("70 s: a search at a moving speed")
 @pytest.mark.parametrize(
-    "what", ["faster", "wider", "coefficient", "performance", "other basis", "no level", "no gain"]
+    "what", ["faster", "wider", "coefficient", "performance", "other basis", "no level", "no gain", "margin"]
 )
 def test_a_claim_of_a_moving_speed_that_is_not_proved_is_refused(finer, moving, what):
     result, _ = moving
@@ -175,6 +199,8 @@ def test_a_claim_of_a_moving_speed_that_is_not_proved_is_refused(finer, moving, 
         schedule = replace(schedule, B=schedule.B * np.array([1.0, 1.5, 1.0]))
     elif what == "performance":
         claim = "performance"
+    elif what == "margin":
+        said["margin"] *= 1.1
     elif what == "no level":
         del said["level"]
     elif what == "no gain":
@@ -246,13 +272,13 @@ def test_synthesis_for_other_objectives_changes_the_controller_and_not_what_is_c
     for name in ("speeds", "a", "B", "L", "u_max"):
         np.testing.assert_array_equal(getattr(found.schedule, name), getattr(hard.schedule, name))
     for (v, proved), (_, harder) in zip(found.certificates, hard.certificates, strict=True):
-        again = certify(frozen_plant(one, v), found.schedule.at(v), found.scaling)
+        again = certify(DesignProblem.of(one).plant(v), found.schedule.at(v), found.scaling)
         assert proved.upper == pytest.approx(again.upper, rel=1e-9) and proved.upper < harder.upper
     assert found.off_grid[1].upper < hard.off_grid[1].upper
 
     def worst(scaling):
         loops = [
-            closed_scaled(frozen_plant(one, float(v)), found.schedule.at(float(v)), scaling)
+            closed_scaled(DesignProblem.of(one).plant(float(v)), found.schedule.at(float(v)), scaling)
             for v in found.schedule.speeds
         ]
         return max(hinf_norm(G, rtol=1e-4).upper for G in loops)
@@ -267,7 +293,7 @@ def test_the_largest_A_t_is_bracketed_below_the_dc_floors_limit(stored, monkeypa
     monkeypatch.setattr(stage, "A_T_RTOL", 0.9)
     found, settings = stage.largest_A_t(stored), stored.project.design
     assert found.worst < 1 and settings.A_t <= found.A_t < found.failed <= 1.9 * found.A_t
-    floor = stage.dc_floor(fig1_weights(stored, settings))
+    floor = stage.dc_floor(DesignProblem(stored, settings).weights)
     assert found.product == pytest.approx(found.A_t * floor)
     assert found.product > 0.45 and found.failed * floor < 1 - 1e-9
 
@@ -286,7 +312,7 @@ def with_exact_frames(stored):
 
 def test_K_is_takes_the_states_own_bound_in_1_per_s(common):
     one = with_settings(with_exact_frames(common), structure="K_is")
-    weights, frames = fig1_weights(one, one.project.design), StoredFrames(one)
+    weights, frames = DesignProblem.of(one).weights, StoredFrames(one)
     split = frames.explain_with_state(one.bounds["gamma_w"], one.project.design.lambda_s)
     omega = frames.estimator.omega
     for system, nu in ((weights.W_delta_s, split.nu_s), (weights.W_delta_i, split.nu_i)):
@@ -296,7 +322,7 @@ def test_K_is_takes_the_states_own_bound_in_1_per_s(common):
 
 
 def test_the_states_uncertainty_is_searched_once(common, monkeypatch):
-    """For an identification and a lambda_s, whoever asks; anew for a changed copy."""
+    """For each lambda_s, whatever else the settings are."""
     asked = []
 
     class Frames:
@@ -312,9 +338,9 @@ def test_the_states_uncertainty_is_searched_once(common, monkeypatch):
     monkeypatch.setattr(plants, "StoredFrames", Frames)
     one, settings = with_exact_frames(common), common.project.design
     of = [settings.model_copy(update={"lambda_s": x}) for x in (0.5, 0.5, 2.0, 0.5)]
-    assert [plants.state_uncertainty(one, s) for s in of] == [0.5, 0.5, 2.0, 0.5] and len(asked) == 2
-    other = with_exact_frames(one)
-    assert plants.state_uncertainty(other, of[0]) == 0.5 and len(asked) == 3 and asked[-1] is other
+    problem = DesignProblem(one, settings)
+    assert [problem.with_settings(s).state_uncertainty() for s in of] == [0.5, 0.5, 2.0, 0.5]
+    assert asked == [one, one]
 
 
 @pytest.mark.parametrize("factor", [0.1, 60.0])
@@ -323,7 +349,7 @@ def test_another_unit_of_time_leaves_the_loop_of_K_is_as_it_was(common, factor):
     factor."""
     model, settings = NominalModel(common.project), common.project.design
     A, B = (m[0] for m in model.matrices(np.array([15.0])))
-    weights = fig1_weights(common, settings)
+    weights = DesignProblem(common, settings).weights
     slower = fig1.PlantWeights(
         **{
             f.name: replace(w, A=factor * w.A, B=factor * w.B)
@@ -376,7 +402,7 @@ def test_the_compiled_controller_keeps_the_certified_gain(stored, designed, tmp_
     export_vehicle(stored, tmp_path / "vehicle", load_controller(path))
     compiled = CompiledController(tmp_path / "vehicle")
     for v, proved in (result.certificates[0], result.certificates[9]):
-        plant, controller = frozen_plant(stored, v), result.schedule.at(v)
+        plant, controller = DesignProblem.of(stored).plant(v), result.schedule.at(v)
         row = run(compiled, plant, controller, v, proved, 10, 1)
         assert row.kept and row.rounding > 0
         # A run of finite length does not fill a narrow peak, or one at DC.
@@ -410,7 +436,7 @@ def test_a_controller_that_has_common_poles_is_met(stored, designed):
     loops = [
         FrozenLoop(
             schedule.at(v),
-            frozen_plant(stored, v),
+            DesignProblem.of(stored).plant(v),
             stage.vehicle_at(model, v),
         )
         for v in schedule.speeds
@@ -427,7 +453,7 @@ def test_random_deltas_within_the_bound_keep_the_certified_performance(stored, d
     mu."""
     result, _ = designed
     v, proved = result.certificates[4]
-    plant = frozen_plant(stored, v)
+    plant = DesignProblem.of(stored).plant(v)
     loop = lft(plant.system, result.schedule.at(v))
     level, random = proved.upper, np.random.default_rng(5)
     assert [(b.rows, b.cols) for b in plant.blocks] == [(1, 1)] * 2

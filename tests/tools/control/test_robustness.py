@@ -4,21 +4,25 @@ the same loops, and refused when altered."""
 from __future__ import annotations
 
 import json
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from lpvguard import schemas
 from lpvguard.base.errors import InputError
 from lpvguard.base.parallel import workers
 from lpvguard.control import design as stage
-from lpvguard.control.limits import LimitRow, Limits, require_limits
-from lpvguard.control.plants import vehicle_at
+from lpvguard.control.limits import LimitRow, Limits, _require_row, require_limits
+from lpvguard.control.plants import DesignProblem, vehicle_at
 from lpvguard.control.robustness import (
     LOOSE,
+    UPPER,
     NodeRobustness,
     Robustness,
+    _Asked,
     compare,
 )
 from lpvguard.control.slow_delta import (
@@ -28,7 +32,9 @@ from lpvguard.control.slow_delta import (
     slowness,
 )
 from lpvguard.engine.synthesis.margins import margins, of_system
-from lpvguard.engine.synthesis.statespace import gain, series
+from lpvguard.engine.synthesis.mu import mu_interval
+from lpvguard.engine.synthesis.statespace import gain, lft, series
+from lpvguard.engine.synthesis.worst_gain import worst_gain
 from lpvguard.report.sections.design import design_section
 from lpvguard.vehicle.nominal import NominalModel
 
@@ -51,6 +57,11 @@ def schedule(result):
 @pytest.fixture(scope="module")
 def found(result):
     return result.beside.robustness
+
+
+@pytest.fixture(scope="module")
+def problem(stored):
+    return DesignProblem.of(stored)
 
 
 def test_disk_margins_are_those_of_the_loop_broken_at_the_vehicles_input(stored, schedule, found):
@@ -78,9 +89,9 @@ def test_neighbours_lie_within_the_nu_margin_and_midpoints_nearer(found):
         assert 0 < node.nu_gap_midpoint < node.nu_gap_next < node.nu_margin <= 1
 
 
-def test_workers_change_no_bit_of_what_they_share(stored, result):
+def test_workers_change_no_bit_of_what_they_share(problem, result):
     with workers(2) as run:
-        assert slowness(stored, result.schedule, result.scaling, workers=run) == result.beside.slow_delta
+        assert slowness(problem, result.schedule, result.scaling, workers=run) == result.beside.slow_delta
 
 
 @pytest.mark.long("35 s: a design")
@@ -98,14 +109,69 @@ def test_an_altered_number_is_refused_by_name(found):
     compare(Path("controller.json"), stated, found)
     for name in asdict(found.nodes[0]):
         altered = json.loads(json.dumps(stated))
-        altered["nodes"][0][name] *= 1 + (5e-3 if name in LOOSE else 5e-4)
-        with pytest.raises(InputError, match=rf"robustness at .*{name}"):
-            compare(Path("controller.json"), altered, found)
+        for share in (5e-3 if name in LOOSE else 5e-5, -1e-6 if name in UPPER else -5e-3):
+            altered["nodes"][0][name] = stated["nodes"][0][name] * (1 + share)
+            with pytest.raises(InputError, match=rf"robustness at .*{name}"):
+                compare(Path("controller.json"), altered, found)
         altered["nodes"][0][name] = None
         with pytest.raises(InputError, match=name):
             compare(Path("controller.json"), altered, found)
+    slack = json.loads(json.dumps(stated))
+    for name in UPPER:
+        slack["nodes"][0][name] *= 1 + 1e-3
+    compare(Path("controller.json"), slack, found)
     with pytest.raises(InputError, match="rows"):
         compare(Path("controller.json"), stated | {"nodes": stated["nodes"][1:]}, found)
+
+
+@pytest.mark.parametrize(
+    ("stated", "asked", "kept"),
+    [
+        (None, [0.0], 2.0),
+        (2.0, [0.0], 2.0),
+        (2.1, [0.0], 2.0),
+        (1.999, [0.0, 1.999], 1.999),
+        (1.9, [0.0], 2.0),
+    ],
+)
+def test_an_upper_bound_is_proved_as_stated_where_it_is_just_below_what_is_found(stated, asked, kept):
+    levels = []
+
+    def bound(least):
+        levels.append(least)
+        return least or 2.0
+
+    node = _Asked(8.0, None, None, None, (), {} if stated is None else {"worst_gain": stated})
+    assert node.proved("worst_gain", bound) == kept and levels == asked
+    assert node.proved("worst_gain", lambda least: 2.0) == 2.0, "one that is not proved is not kept"
+
+
+@pytest.mark.parametrize(("share", "held"), [(1 - 2e-4, True), (1 - 1.99e-3, False)])
+def test_a_bound_stated_a_little_lower_is_proved_as_it_is_and_a_false_one_is_refused(
+    stored, schedule, found, share, held
+):
+    """Planted: bounds within the tolerance of the search, which another machine may have found, or not."""
+    node = found.nodes[0]
+    problem = DesignProblem.of(stored)
+    plant, vehicle = problem.plant(node.v_mps), vehicle_at(problem.model, node.v_mps)
+    loop, last = lft(plant.system, schedule.at(node.v_mps)), np.pi / plant.system.dt
+    blocks, performance = plant.blocks, plant.performance_block
+    bounds = {
+        "mu_interval": lambda least: mu_interval(loop, [*blocks, performance], 0.0, last, least=least).upper,
+        "worst_gain": lambda least: worst_gain(loop, blocks, performance, 0.0, last, least=least).upper,
+    }
+    stated = {name: share * getattr(node, name) for name in bounds}
+    asked = _Asked(node.v_mps, plant, schedule.at(node.v_mps), vehicle, (), stated)
+    proved = {name: asked.proved(name, bound) for name, bound in bounds.items()}
+    assert (proved == stated) is held
+    rows = Robustness((node,), 1.0, (1.0, 1.0)), replace(found, nodes=(replace(node, **proved),))
+    altered = rows[0].to_dict()
+    altered["nodes"][0] |= stated
+    if held:
+        compare(Path("controller.json"), altered, rows[1])
+    else:
+        with pytest.raises(InputError, match=r"robustness at 8 m/s, (mu_interval|worst_gain)"):
+            compare(Path("controller.json"), altered, rows[1])
 
 
 def test_the_page_shows_every_number_of_a_node_and_a_dash_for_none(tmp_path):
@@ -132,10 +198,10 @@ def test_the_page_shows_every_number_of_a_node_and_a_dash_for_none(tmp_path):
     assert "Beside μ" not in design_section(tmp_path)
 
 
-def test_rates_are_proved_anew_and_larger_ones_are_refused(stored, result, schedule):
+def test_rates_are_proved_anew_and_larger_ones_are_refused(problem, result, schedule):
     found, path = result.beside.slow_delta, Path("controller.json")
     stated = json.loads(json.dumps(found.to_dict()))
-    require_slowness(path, stated, stored, schedule, result.scaling)
+    require_slowness(path, stated, problem, schedule, result.scaling)
     assert found.performance_rate > 0 and found.hidden_slow < found.hidden_fast
     for part, key in (
         ("performance", "performance_rate"),
@@ -144,12 +210,12 @@ def test_rates_are_proved_anew_and_larger_ones_are_refused(stored, result, sched
         altered = json.loads(json.dumps(stated))
         altered["nodes"][-1][key] *= 1.3
         with pytest.raises(InputError, match=rf"slow_delta at 22 m/s, {part}"):
-            require_slowness(path, altered, stored, schedule, result.scaling)
+            require_slowness(path, altered, problem, schedule, result.scaling)
     with pytest.raises(InputError, match="hidden_slow_per_s"):
         altered = stated | {"hidden_slow_per_s": 0.5 * stated["hidden_slow_per_s"]}
-        require_slowness(path, altered, stored, schedule, result.scaling)
+        require_slowness(path, altered, problem, schedule, result.scaling)
     with pytest.raises(InputError, match="one row a node"):
-        require_slowness(path, stated | {"nodes": stated["nodes"][1:]}, stored, schedule, result.scaling)
+        require_slowness(path, stated | {"nodes": stated["nodes"][1:]}, problem, schedule, result.scaling)
 
 
 def test_the_page_says_which_hidden_rates_are_covered(tmp_path):
@@ -167,17 +233,34 @@ def test_the_page_says_which_hidden_rates_are_covered(tmp_path):
     assert "stable up to 3.25/s" in text and "<td>any</td><td>0.6066</td>" in text
 
 
-def test_what_is_proved_at_the_limits_is_proved_anew_and_more_is_refused(stored, result, schedule):
+def test_what_is_proved_at_the_limits_is_proved_anew_and_more_is_refused(problem, result, schedule):
     found, path = result.beside.limits, Path("controller.json")
     stated = json.loads(json.dumps(found.to_dict()))
-    require_limits(path, stated, stored, schedule, result.scaling)
+    require_limits(path, stated, problem, schedule, result.scaling)
     proved = [k for k, row in enumerate(stated["rows"]) if None not in (row["energy"], row["gain"])]
     assert found.largest_kappa >= 1 and found.energy() > 0 and proved
-    for key, factor in (("gain", 0.8), ("energy", 1.01), ("stability_level", 0.99), ("kappa", 1.5)):
+    for key, factor in (("gain", 0.8), ("energy", 1.0001), ("stability_level", 0.99), ("kappa", 1.5)):
         altered = json.loads(json.dumps(stated))
         altered["rows"][proved[0]][key] *= factor
         with pytest.raises(InputError, match="limits at 8 m/s, kappa"):
-            require_limits(path, altered, stored, schedule, result.scaling)
+            require_limits(path, altered, problem, schedule, result.scaling)
+
+
+@pytest.mark.parametrize(("anew", "held"), [(1.00004, False), (0.99996, True)])
+def test_a_level_below_one_is_stated_only_where_it_is_below_one_anew(anew, held):
+    class Loop:
+        stable, ones = True, np.ones(1)
+
+        def stability(self):
+            return SimpleNamespace(proved=lambda *_: anew)
+
+    row = {"v_mps": 8.0, "kappa": 1.0, "stability_level": 0.99999, "gain": None, "energy": None}
+    asked = row | {"stability_constants": []}, (8.0, Loop())
+    if held:
+        _require_row(Path("controller.json"), None, 0.1, asked)
+    else:
+        with pytest.raises(InputError, match=r"stability_level: 1\.00004 when proved again"):
+            _require_row(Path("controller.json"), None, 0.1, asked)
 
 
 def test_the_page_and_the_summary_tell_how_far_the_limits_go(tmp_path):

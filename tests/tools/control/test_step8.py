@@ -20,12 +20,11 @@ from lpvguard.control.frozen import FrozenProblem
 from lpvguard.control.stored_frames import NEAR, StoredFrames, deciding
 from lpvguard.control.worst_run import respond, worst_runs
 from lpvguard.drives.frames import Estimator
-from lpvguard.drives.tables import list_experiments
 from lpvguard.engine.synthesis.limits import Floor
 from lpvguard.engine.synthesis.table import cell
 from lpvguard.engine.validation import s1
-from lpvguard.identify import run as identification
-from lpvguard.identify.run import StoredIdentification
+from lpvguard.identify import identification as identification
+from lpvguard.identify.identification import StoredIdentification
 from lpvguard.identify.weights import fit_uncertainty
 from lpvguard.report.design_pictures import drawn
 from lpvguard.report.sections.design import design_section
@@ -38,9 +37,7 @@ FULL = os.environ.get("LPVGUARD_FULL") == "1"
 
 @pytest.fixture(scope="module")
 def drives(common_truck, few_truck_drives):
-    return identification.DriveSet(
-        common_truck, NominalModel(common_truck), list_experiments(few_truck_drives)
-    )
+    return identification.DriveSet(common_truck, NominalModel(common_truck), few_truck_drives)
 
 
 def better_known(stored: StoredIdentification) -> StoredIdentification:

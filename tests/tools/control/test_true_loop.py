@@ -33,7 +33,9 @@ def certified(project, columns: int = 1, size: float = 0.3, structure: str = "K_
         return np.column_stack([W] * columns), np.ones((len(omega), 2))
 
     stored = SimpleNamespace(
-        project=project.model_copy(update={"design": settings}), fitted=SimpleNamespace(at=at)
+        project=project.model_copy(update={"design": settings}),
+        fitted=SimpleNamespace(at=at),
+        model=NominalModel(project),
     )
     return CertifiedLoop(stored, Scheduled.read(hand_controller(project)))
 

@@ -26,7 +26,7 @@ def test_vehicles_that_differ_in_numbers_alone_compile_the_numbers_alone(tmp_pat
 def test_a_changed_source_alone_is_compiled_anew(tmp_path):
     shipped, lib = shipped_vehicle("g80"), tmp_path / "lib"
     shutil.copytree(library_root(), lib)
-    source = lib / "src" / "change.cpp"
+    source = lib / "src" / "monitor" / "change.cpp"
     source.write_text(source.read_text() + "// other bytes\n")
     ours, theirs = by_name(core_objects(shipped)), by_name(core_objects(shipped, source_root=lib))
     assert {name for name in ours if ours[name] != theirs[name]} == {"change"}

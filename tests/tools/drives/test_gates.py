@@ -14,7 +14,7 @@ from lpvguard.can.play import frames_of_drive, values_of_drive
 from lpvguard.core.coefficients import signal_table_markdown
 from lpvguard.drives.signal_map import map_of_project
 from lpvguard.drives.tables import list_experiments, read_drive
-from lpvguard.replay.run import Replayer, bus_frames
+from lpvguard.replay.replayer import Replayer, bus_frames
 from lpvguard.vehicle.project import Signal, parse_project
 
 LATERAL = {"message": "VDC2", "signal": "lateral_acceleration", "factor": 1.0}
@@ -64,7 +64,7 @@ def test_a_log_has_no_sample_where_the_bus_says_that_a_gate_is_shut(gated, g80, 
     assert np.array_equal(with_gate.missing[sure], shut[sure])
     assert with_gate.y.shape == known.y.shape
     path = table(tmp_path, t=drive.t, v=drive.v, delta=drive.u[:, 0], r=drive.y[:, 0], ay=0 * drive.t)
-    with pytest.raises(InputError, match="does not say what a gate is on the bus"):
+    with pytest.raises(InputError, match="has no value of a gate for the bus"):
         bus_frames(path, gated)
 
 

@@ -233,7 +233,7 @@ columns.lka_cmd = {{ unit = "raw", message = "STEERING_LKA", signal = "STEER_TOR
 @pytest.mark.unhurried
 @needs_rav4
 def test_decoding_is_ten_times_the_python_loop():
-    from lpvguard.bench.can import bench_decode
+    from lpvguard.extras.bench.can import bench_decode
 
     if native.kernels("candump") is None:
         pytest.skip("no compiler")

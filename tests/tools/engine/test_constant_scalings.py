@@ -156,7 +156,7 @@ def test_singular_values_that_are_nearly_equal_count_as_a_millionth_apart(size):
 # ---------------------------------------------------------------- how
 
 
-class Told(ConstantScalings):
+class DriveSummary(ConstantScalings):
     """Of a mean that is a given function of the logarithms: value, slope and second derivatives."""
 
     def __init__(self, mean, n: int):
@@ -182,7 +182,7 @@ def bowl(H, centre, least: float = 0.0):
 @pytest.mark.parametrize("H", [0.25, 2.0])
 def test_newtons_step_is_that_of_a_curvature_and_a_little_more(H):
     """The root of EPS, times what is larger: the largest second derivative or 1."""
-    one = Told(bowl(H, 3.0), 1)
+    one = DriveSummary(bowl(H, 3.0), 1)
     one.search(0.5)
     little = EPS**0.5 * max(H, 1.0)
     assert one.asked[1][0] - 3.0 == pytest.approx(-2.5 * little / (H + little), rel=1e-6)
@@ -191,16 +191,16 @@ def test_newtons_step_is_that_of_a_curvature_and_a_little_more(H):
 def test_the_largest_second_derivative_counts_by_its_size():
     """Of [[2, -3], [-3, 2]] along (1, -1) the curvature is 5 and the largest entry 3."""
     H, slope = np.array([[2.0, -3.0], [-3.0, 2.0]]), np.array([1.0, -1.0])
-    one = Told(lambda x: (-len(one.asked), slope, H), 2)
+    one = DriveSummary(lambda x: (-len(one.asked), slope, H), 2)
     one.search([0.0, 0.0])
     np.testing.assert_allclose(one.asked[1], -slope / (5 + 3 * EPS**0.5), rtol=1e-11)
 
 
 def test_a_step_is_at_most_four_long_in_each_constant():
-    one = Told(bowl(np.eye(2), [10.0, -5.0]), 2)
+    one = DriveSummary(bowl(np.eye(2), [10.0, -5.0]), 2)
     assert one.search([0.0, 0.0]) == pytest.approx([10.0, -5.0])
     np.testing.assert_allclose(one.asked[:4], [[0, 0], [4, -2], [8, -4], [10, -5]], atol=1e-6)
-    one = Told(bowl(np.eye(2), [-3.0, -10.0]), 2)
+    one = DriveSummary(bowl(np.eye(2), [-3.0, -10.0]), 2)
     one.search([0.0, 0.0])
     np.testing.assert_allclose(one.asked[1], [-1.2, -4.0], atol=1e-6)
 
@@ -208,23 +208,23 @@ def test_a_step_is_at_most_four_long_in_each_constant():
 def test_a_constant_at_its_farthest_moves_inwards_alone():
     """There it has no say in what the others do, though they are coupled; it starts there at most."""
     H = np.array([[1.0, 0.5], [0.5, 1.0]])
-    one = Told(bowl(H, [40.0, 1.0]), 2)
+    one = DriveSummary(bowl(H, [40.0, 1.0]), 2)
     found = one.search([90.0, 0.0])
     # Of the other alone the slope is x - 1 + (30 - 40) / 2: least at 6, in a step of 4 and one of 2.
     np.testing.assert_allclose(one.asked[:3], [[30, 0], [30, 4], [30, 6]], atol=1e-6)
     assert found == pytest.approx([30.0, 6.0])
-    other = Told(bowl(H, [-40.0, -1.0]), 2)
+    other = DriveSummary(bowl(H, [-40.0, -1.0]), 2)
     assert other.search([-90.0, 0.0]) == pytest.approx([-30.0, -6.0])
     np.testing.assert_allclose(other.asked[:3], [[-30, 0], [-30, -4], [-30, -6]], atol=1e-6)
     for sign in (1.0, -1.0):
-        outwards = Told(bowl(np.eye(2), [sign * 33.0, 0.0]), 2)
+        outwards = DriveSummary(bowl(np.eye(2), [sign * 33.0, 0.0]), 2)
         assert outwards.search([sign * 27.0, 0.0]).tolist() == [sign * 30.0, 0.0]
-        near = Told(bowl(np.eye(2), [sign * 33.0, 0.0]), 2)
+        near = DriveSummary(bowl(np.eye(2), [sign * 33.0, 0.0]), 2)
         assert near.search([sign * 29.5, 0.0]).tolist() == [sign * 30.0, 0.0]
-        inwards = Told(bowl(np.eye(2), [sign * 29.99, 0.0]), 2)
+        inwards = DriveSummary(bowl(np.eye(2), [sign * 29.99, 0.0]), 2)
         assert inwards.search([sign * 30.0, 0.0])[0] == pytest.approx(sign * 29.99, abs=1e-6)
     # One without a slope of its own stays as well.
-    still = Told(lambda x: (-len(still.asked), np.array([0.0, 1.0]), H), 2)
+    still = DriveSummary(lambda x: (-len(still.asked), np.array([0.0, 1.0]), H), 2)
     still.search([30.0, 0.0])
     np.testing.assert_allclose(still.asked[1], [30.0, -1.0], atol=1e-6)
 
@@ -235,7 +235,7 @@ def test_the_search_ends_where_a_step_promises_less_than_is_told(monkeypatch):
 
     def asked(least_gain):
         monkeypatch.setattr(constant_scalings, "LEAST_GAIN", least_gain)
-        one = Told(lambda x: (-float(len(one.asked)), slope, curvature), 1)
+        one = DriveSummary(lambda x: (-float(len(one.asked)), slope, curvature), 1)
         one.search(0.0)
         return len(one.asked)
 
@@ -247,7 +247,7 @@ def test_a_search_that_asks_only_whether_ends_where_the_mean_says_so():
     border = -np.log(161) / 300
     for least, ends in ((border, False), (border * (1 + 1e-12), True)):
         for only_whether in (False, True):
-            one = Told(lambda x, least=least: (least if x[0] == 0 else 9.0, 1e-3, 0.1), 1)
+            one = DriveSummary(lambda x, least=least: (least if x[0] == 0 else 9.0, 1e-3, 0.1), 1)
             one.search(0.0, only_whether)
             assert (len(one.asked) == 1) == (ends and only_whether)
 
@@ -264,7 +264,7 @@ def test_a_step_must_keep_a_ten_thousandth_of_its_promise_and_shortens_by_the_cu
             k = len(one.asked) - 1
             return (3.0 + values[k][0], *values[k][1:]) if k < len(values) else (9.0, 0, 1)
 
-        one = Told(mean, 1)
+        one = DriveSummary(mean, 1)
         found = one.search(0.0)
         return [x[0] for x in one.asked], found[0]
 
@@ -281,12 +281,14 @@ def test_a_step_must_keep_a_ten_thousandth_of_its_promise_and_shortens_by_the_cu
     assert points[:4] == pytest.approx([0.0, -2.0, -2 * share, -2 * share * again])
     # Just as much is not enough.
     at_border = 0.0 - 1e-4 * 4.0
-    one = Told(lambda x: (0.0 if x[0] == 0 else at_border, 2.0 if x[0] == 0 else 0.0, 1 - EPS**0.5), 1)
+    one = DriveSummary(
+        lambda x: (0.0 if x[0] == 0 else at_border, 2.0 if x[0] == 0 else 0.0, 1 - EPS**0.5), 1
+    )
     assert -1.0 <= one.search(0.0)[0] < 0.0
 
 
 def test_a_step_is_shortened_thirty_times_at_most():
-    one = Told(lambda x: (0.0 if x[0] == 0.0 else 1.0, 1.0, 1.0), 1)
+    one = DriveSummary(lambda x: (0.0 if x[0] == 0.0 else 1.0, 1.0, 1.0), 1)
     assert one.search(0.0).tolist() == [0.0] and len(one.asked) == 1 + 30
 
 

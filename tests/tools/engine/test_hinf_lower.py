@@ -13,7 +13,7 @@ from lpvguard.engine.synthesis.coordinates import schur_coordinates
 from lpvguard.engine.synthesis.hinf import hinf_synthesis, proved_lower_bound
 from lpvguard.engine.synthesis.hinf_lower import dual_bound, dual_certificate, frequency_level
 from lpvguard.engine.synthesis.statespace import StateSpace, append, to_discrete
-from lpvguard.problems.solve import solve_problem
+from lpvguard.extras.problems.solve import solve_problem
 
 
 def modal(poles, residues, direct) -> StateSpace:
@@ -173,7 +173,7 @@ def test_a_false_claim_of_the_optimum_is_not_proved(monkeypatch):
     lower = proved_lower_bound(plant, 1, 1, 200 * right.gamma)
     assert lower.value <= right.gamma_achieved
     monkeypatch.setattr(
-        "lpvguard.problems.synthesis.hinf_synthesis",
+        "lpvguard.extras.problems.synthesis.hinf_synthesis",
         lambda *_, **__: replace(right, gamma=200 * right.gamma, gamma_achieved=200 * right.gamma),
     )
     monkeypatch.setattr(hinf, "_moved_optimum", lambda *_: 0.0)

@@ -73,6 +73,21 @@ def test_the_floor_is_as_near_as_was_asked():
     assert near.at / near.value - 1 < 2.1e-5 < 1e-3 < far.at / far.value - 1 < 0.12
 
 
+def test_a_gain_rests_on_a_direction_and_not_on_rounding(monkeypatch):
+    """What is left of terms that cancel is no gain, and a wrong direction gives no higher one."""
+    near = np.array([[1.0, 1.0], [1.0, 1.0 + 4e-16]]) + 0j
+    zero = np.zeros((1, 2))
+    assert limits._gain(np.eye(2), near, zero, zero)[0] < 0.3 * np.linalg.norm(np.linalg.inv(near), 2)
+    random, right = np.random.default_rng(0), np.linalg.svd
+    image, source = (random.standard_normal((3, 2)) + 0j for _ in range(2))
+    best = limits._gain(image, source, np.zeros((1, 3)), np.zeros((1, 3)))[0]
+    assert best == pytest.approx(np.linalg.norm(image @ np.linalg.pinv(source), 2), rel=1e-12)
+    for seed in range(20):
+        turn = np.linalg.qr(np.random.default_rng(seed).standard_normal((2, 2)))[0]
+        monkeypatch.setattr(np.linalg, "svd", lambda a, t=turn, **o: [right(a, **o)[0] @ t])
+        assert limits._gain(image, source, np.zeros((1, 3)), np.zeros((1, 3)))[0] <= best * (1 + 1e-12)
+
+
 def test_a_box_is_bounded_from_below_and_exact_at_a_point():
     plant, random = made(5), np.random.default_rng(1)
     M = plant.system.response([0.3])[0]

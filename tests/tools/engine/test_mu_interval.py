@@ -10,7 +10,7 @@ from lpvguard.engine.synthesis.errors import SynthesisError
 from lpvguard.engine.synthesis.mu import mu_bounds, mu_interval
 from lpvguard.engine.synthesis.norms import hinf_norm
 from lpvguard.engine.synthesis.statespace import StateSpace, lft, to_discrete
-from lpvguard.problems.solve import solve_problem
+from lpvguard.extras.problems.solve import solve_problem
 from made import ROOT
 
 FULL = [Block("full", 1, 1), Block("full", 2, 2)]
@@ -56,6 +56,17 @@ def test_of_one_full_block_it_is_the_norm():
         last = np.pi / loop.dt if loop.dt else np.inf
         found, norm = mu_interval(loop, [Block("full", 3, 3)], 0.0, last), hinf_norm(loop)
         assert norm.lower * (1 - 1e-9) <= found.upper <= norm.upper * 1.0025
+
+
+@pytest.mark.parametrize("blocks", [FULL, REAL])
+def test_a_level_that_is_asked_for_is_proved_and_a_lower_one_is_not(blocks):
+    loop = loop_of(1)
+    found = mu_interval(loop, blocks, 0.0, np.inf)
+    at_peak = mu_bounds(loop.response([found.omega])[0], blocks, 1e-6).upper
+    for share in (1.0015, 1.3):
+        upper = mu_interval(loop, blocks, 0.0, np.inf, least=share * at_peak).upper
+        assert share * at_peak <= upper <= max(share * at_peak, 1.0021 * found.lower)
+    assert mu_interval(loop, blocks, 0.0, np.inf, least=0.999 * at_peak).upper > at_peak
 
 
 def test_a_peak_outside_of_the_interval_does_not_count():

@@ -87,6 +87,24 @@ def test_a_controller_with_a_larger_margin_stabilises_the_other_plant(seed):
     assert margin <= 1
 
 
+@pytest.mark.parametrize("inputs", [1, 2])
+@pytest.mark.parametrize("which", ["_left_factor", "_right_factor"])
+def test_a_gap_of_wrong_factors_is_refused(inputs, which, monkeypatch):
+    """Planted: a factor 1e-5 too large, as of a Riccati solution without digits."""
+    first, other = random_plant(3, inputs), random_plant(3, inputs)
+    other = StateSpace(other.A + 0.1, other.B, 1.1 * other.C, other.D)
+    right = getattr(parts, which)
+    assert 0 < nu_gap(first, other).upper < 1
+
+    def planted(P):
+        factor = right(P)
+        return StateSpace(factor.A, factor.B, (1 + 1e-5) * factor.C, (1 + 1e-5) * factor.D)
+
+    monkeypatch.setattr(parts, which, planted)
+    with pytest.raises(SynthesisError, match=r"rad/s: not proved: the distance is"):
+        nu_gap(first, other)
+
+
 def test_plants_of_other_shapes_are_refused():
     with pytest.raises(SynthesisError, match="shape"):
         nu_gap(random_plant(1), random_plant(1, outputs=1))

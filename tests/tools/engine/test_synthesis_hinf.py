@@ -12,7 +12,7 @@ from lpvguard.engine.synthesis.errors import SynthesisError
 from lpvguard.engine.synthesis.hinf import hinf_synthesis, proved_lower_bound
 from lpvguard.engine.synthesis.interconnection import rational
 from lpvguard.engine.synthesis.statespace import StateSpace, lft, to_discrete, zero_order_hold
-from lpvguard.problems.synthesis import solve_hinf
+from lpvguard.extras.problems.synthesis import solve_hinf
 
 
 def check_certificate(plant, n_u, n_y, result, backoff=1.01):

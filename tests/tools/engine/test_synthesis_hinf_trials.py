@@ -62,6 +62,16 @@ def test_the_best_certified_controller_is_kept_and_of_equal_ones_the_first():
     )
 
 
+def test_the_norm_that_is_certified_is_that_of_the_controller_that_is_returned(monkeypatch):
+    """Planted: a way back to the plant that doubles the controller."""
+    right = hinf._Posed.restore
+    monkeypatch.setattr(hinf._Posed, "restore", lambda self, K: gain(2 * right(self, K).D))
+    one = trials(MadeUp(lambda *_: 3.0))
+    one.attempt(1.0, 0.0)
+    assert one.best.controller.D.item() == 6.0 and 6.0 <= one.best.gamma_achieved <= 6.0 * (1 + 2e-5)
+    assert one.best.certificate.lower == pytest.approx(6.0) and not one.good
+
+
 @pytest.mark.parametrize(("size", "good"), [(1.0999, True), (1.1001, False)])
 def test_good_is_within_the_backoff_of_the_optimum(size, good):
     one = trials(MadeUp(lambda *_: size))

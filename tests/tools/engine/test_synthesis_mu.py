@@ -13,7 +13,7 @@ from lpvguard.engine.synthesis.errors import SynthesisError
 from lpvguard.engine.synthesis.mu import mu_bounds
 from lpvguard.engine.synthesis.mu_upper import upper_bound
 from lpvguard.engine.synthesis.structure import Structure
-from lpvguard.problems.synthesis import solve_mu
+from lpvguard.extras.problems.synthesis import solve_mu
 
 
 def full(rows, cols=None):

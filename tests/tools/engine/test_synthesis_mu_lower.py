@@ -92,6 +92,26 @@ def test_a_loop_is_singular_where_entries_of_m_move_by_rounding(moved, singular,
     assert mu_lower._is_singular(M, np.eye(2)) is singular
 
 
+@pytest.mark.parametrize(
+    ("planted", "value"),
+    [
+        pytest.param(lambda d: d, 2.0, id="none"),
+        pytest.param(lambda d: 0.99 * d, 0.0, id="too small to be singular"),
+        pytest.param(lambda d: d + np.diag([0.0, 0.0, 1e-9]), 0.0, id="not a multiple of I"),
+        pytest.param(lambda d: d + np.diag([1e-9j, 0.0, 0.0]), 0.0, id="a real block that is complex"),
+        pytest.param(lambda d: d + np.eye(3, k=1), 0.0, id="an entry outside of its blocks"),
+        pytest.param(lambda d: 0.0 * d, 0.0, id="zero"),
+        pytest.param(lambda d: d + np.diag([1.0, 0.0, 0.0]), 1 / 1.5, id="another block larger"),
+    ],
+)
+def test_a_perturbation_attains_its_value_or_nothing(planted, value):
+    """μ of diag(1, 2, 2) with a real scalar and a repeated complex one: δ = (0.5, 0.5) is singular."""
+    structure = Structure((REAL, Block("repeated_complex", 2, 2)))
+    M = np.diag([1.0, 2.0, 2.0]).astype(complex)
+    delta = planted(0.5 * np.eye(3, dtype=complex))
+    assert mu_lower.attained(M, structure, delta, 1e-11 * np.abs(M)) == pytest.approx(value)
+
+
 # ---------------------------------------------------------------- candidates
 
 

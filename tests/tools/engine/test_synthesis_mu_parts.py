@@ -142,6 +142,7 @@ def searches(monkeypatch) -> dict:
 
     monkeypatch.setattr(mu, "upper_bound", upper_bound)
     monkeypatch.setattr(mu, "lower_bound", lower_bound)
+    monkeypatch.setattr(mu, "_require", lambda *_: None)
     return asked | {"left": left, "right": right, "asked": asked}
 
 
@@ -168,7 +169,9 @@ def test_scalings_that_prove_nothing_are_replaced_by_none(searches):
     assert bounds.upper == pytest.approx(1.0, rel=1e-9) and (bounds.proof[0].point.left == np.eye(2)).all()
 
 
-def test_a_lower_bound_alone_starts_eight_times(searches):
+def test_a_lower_bound_alone_starts_eight_times(searches, monkeypatch):
+    assert mu.mu_lower(np.eye(2), FOUR[:2], "left", "right", 0.7) == (0.0, None), "its Delta attains nothing"
+    monkeypatch.setattr(mu, "attained", lambda *_: 2.5)
     assert mu.mu_lower([[1, 0], [0, 1]], list(FOUR[:2]), "left", "right", 0.7)[0] == 2.5
     M, blocks, *rest = searches["asked"]["lower"]
     assert M.dtype == complex and blocks == FOUR[:2] and rest == ["left", "right", 0.7, 8]

@@ -12,10 +12,11 @@ from lpvguard.base.errors import InputError
 from lpvguard.engine.blocks import Block
 from lpvguard.engine.validation import delta as dl
 from lpvguard.engine.validation import lft, lmi, s1
-from lpvguard.engine.validation.posed import ball, block_form, pose
+from lpvguard.engine.validation.branch import SLACK, proves
 from lpvguard.engine.validation.problem import Lft, parametrise
 from lpvguard.engine.validation.quadratic import Form, Quadratic
 from lpvguard.engine.validation.relaxation import Box, BranchNode, Relaxation
+from lpvguard.engine.validation.scaled_problem import ball, block_form, pose
 from lpvguard.engine.validation.well_posed import block_caps, well_posed
 
 TWO_BLOCKS = pytest.mark.long("10 s: branch and bound over two blocks")
@@ -43,6 +44,32 @@ def test_full_blocks_are_solved_to_a_certified_gap(name):
         )
         assert s.upper == pytest.approx(np.sum(lam * s.nu**2), rel=1e-6, abs=1e-12)
         substitute(problem, s, gamma)
+
+
+PROVED = {
+    "two blocks": [("full", 1, 1), ("full", 2, 1)],
+    "real and full": [("repeated_real", 2, 2), ("full", 1, 1)],
+    "repeated alone": [("repeated_complex", 2, 2)],
+}
+
+
+@pytest.mark.parametrize("name", PROVED)
+def test_a_level_is_proved_below_the_optimum_and_not_above(name, monkeypatch):
+    posed = []
+    monkeypatch.setattr(
+        lft, "_proved", lambda problem, interval, _: posed.append((problem, interval)) or interval
+    )
+    for seed in (1, 5, 7):
+        problem, _, w = made_from_truth(np.random.default_rng(seed), 2, PROVED[name], noise=0.9)
+        lft.optimum(problem, 1.1 * np.linalg.norm(w), np.ones(len(PROVED[name])))
+    posed = [(problem, interval) for problem, interval in posed if interval.upper > 0]
+    assert posed
+    for problem, interval in posed:
+        assert proves(problem, interval.lower * (1 - SLACK), interval.upper)
+        assert proves(problem, 0.5 * interval.lower, 2.0 * interval.upper)
+        assert not proves(problem, 1.001 * interval.upper, interval.upper)
+        assert not proves(problem, 1.001 * interval.upper, 2.0 * interval.upper)
+        assert proves(problem, 0.0, 0.0) and not proves(problem, interval.lower, interval.upper, 0)
 
 
 def forms(problem):

@@ -12,9 +12,9 @@ from lpvguard.engine.blocks import Block
 from lpvguard.engine.validation import delta as dl
 from lpvguard.engine.validation import lft
 from lpvguard.engine.validation.branch import Interval
-from lpvguard.engine.validation.posed import Posed, Solution, ball, block_form, pose
 from lpvguard.engine.validation.problem import Lft, parametrise
 from lpvguard.engine.validation.quadratic import Form, Quadratic, cancels
+from lpvguard.engine.validation.scaled_problem import Posed, Solution, ball, block_form, pose
 from lpvguard.engine.validation.well_posed import block_caps, well_posed
 
 

@@ -11,10 +11,10 @@ import pytest
 from lft_problems import gauss
 from lpvguard.base import native
 from lpvguard.base.errors import InputError
-from lpvguard.bench.validation import truck_points
 from lpvguard.engine.blocks import Block
 from lpvguard.engine.validation import lft, s2
 from lpvguard.engine.validation.problem import Lft
+from lpvguard.extras.bench.validation import truck_points
 
 S2_KEYS = ("e", "u", "x_nom", "h_i", "h_s", "c", "gamma_w")
 

@@ -35,12 +35,12 @@ def scalar_problem(kind: str, target: complex) -> Quadratic:
 def told(forms: list[Form], asked: list[dict]) -> Quadratic:
     """A problem that adds the scalars at which it is solved to ``asked``, and has one answer for all."""
 
-    class Told(Quadratic):
+    class DriveSummary(Quadratic):
         def inside(self, scalars):
             asked.append(dict(scalars))
             return 0.5, np.array([0.0, 1.0])
 
-    return Told(forms, 1, 2)
+    return DriveSummary(forms, 1, 2)
 
 
 @pytest.mark.parametrize("weight", [1.0, 0.25, 9.0])
@@ -537,7 +537,7 @@ def test_a_node_is_small_where_the_tangents_bound_was_the_better_one():
         assert [one[3] for one in search.visited] == [False, small, small, False, False]
 
 
-class Told:
+class DriveSummary:
     """A relaxation that answers from a table and notes what it is asked."""
 
     def __init__(self, box: float, tangent: Tangent | None, lower: tuple):
@@ -571,7 +571,7 @@ def test_a_nodes_bound_is_the_best_of_its_own_its_boxes_the_tangents_and_the_rel
     ):
         search = _Search(two_points(), 0.1)
         search.best.cost = 10.0
-        search.relaxation = told = Told(box, of, (edges, 7.0, primal))
+        search.relaxation = told = DriveSummary(box, of, (edges, 7.0, primal))
         found = search._bound(BranchNode(own, 3, np.eye(2), {}))
         assert found.lower == want and found.tangent is of
         assert told.asked["box"] == {0, 1} and told.asked["tangent"] == 10.0
@@ -587,7 +587,7 @@ def test_a_costly_relaxation_is_left_out_where_the_tangent_was_better():
     for costly, small, asked in ((True, True, False), (True, False, True), (False, True, True)):
         search = _Search(two_points(), 0.1)
         search.best.cost, search._costly = 10.0, costly
-        search.relaxation = told = Told(1.0, None, (2.0, 7.0, None))
+        search.relaxation = told = DriveSummary(1.0, None, (2.0, 7.0, None))
         search._bound(BranchNode(1.0, 3, np.eye(2), {}, small))
         assert ("lower" in told.asked) == asked
 

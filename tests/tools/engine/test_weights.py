@@ -14,13 +14,13 @@ import numpy as np
 import pytest
 
 from lpvguard.base.errors import InputError
-from lpvguard.bench import weights as bench
-from lpvguard.bench._peers import ask
 from lpvguard.engine.overbound import minimax
 from lpvguard.engine.overbound.certificate import verify_overbound
 from lpvguard.engine.overbound.fit import fit_overbound
 from lpvguard.engine.overbound.noise import subtract_noise
 from lpvguard.engine.overbound.weight import Weight
+from lpvguard.extras.bench import weights as bench
+from lpvguard.extras.bench._peers import ask
 
 BAND = np.geomspace(1e-3, 1e3, 401)
 

@@ -1,13 +1,15 @@
 """The worst-case gain between frequencies: above every Δ that is tried, attained by one, and sound at slow
 poles."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.optimize import minimize
 
 from lpvguard.engine.blocks import Block
 from lpvguard.engine.synthesis import worst_gain as parts
-from lpvguard.engine.synthesis.frequency_cells import PointBound
+from lpvguard.engine.synthesis.frequency_cells import PointBound, continuous_interval
 from lpvguard.engine.synthesis.mu import mu_interval
 from lpvguard.engine.synthesis.mu_upper import upper_bound
 from lpvguard.engine.synthesis.norms import hinf_norm
@@ -65,6 +67,37 @@ def test_a_closed_form():
 
 def test_where_delta_makes_the_loop_unstable_there_is_no_bound():
     assert worst_gain(loop_of(1, 1.2), [ONE, ONE], Block("full", 2, 2), 0.0, np.inf).upper == np.inf
+
+
+@pytest.mark.parametrize("blocks", [(ONE, ONE), (ONE, Block("repeated_real", 1, 1))])
+@pytest.mark.parametrize("dt", [0.0, 0.1])
+def test_cells_prove_the_gain_that_is_returned_and_no_planted_one(blocks, dt, monkeypatch):
+    loop, performance = loop_of(2, 0.6), Block("full", 2, 2)
+    loop, last = (to_discrete(loop, dt), np.pi / dt) if dt else (loop, np.inf)
+    found = worst_gain(loop, blocks, performance, 0.0, last)
+    structure = Structure((*blocks, performance))
+    G, low, high, _ = continuous_interval("here", loop, structure, 0.0, last)
+    assert len(found.cells) > 1 and parts.proves(found, G, structure, low, high)
+    assert parts.proves(replace(found, upper=1.5 * found.upper), G, structure, low, high)
+    wrong = (
+        replace(found, upper=0.997 * found.upper),
+        replace(found, upper=np.inf),
+        replace(found, cells=found.cells[1:]),
+        replace(found, cells=(replace(found.cells[0], low=found.cells[0].low + 0.1), *found.cells[1:])),
+    )
+    for planted in wrong:
+        assert not parts.proves(planted, G, structure, low, high)
+    monkeypatch.setattr(parts, "cover", lambda *_: wrong[0])
+    assert worst_gain(loop, blocks, performance, 0.0, last).upper == np.inf, "not proved, not stated"
+
+
+def test_a_gain_that_is_asked_for_is_proved_and_a_smaller_one_is_not():
+    loop, performance = loop_of(2, 0.6), Block("full", 2, 2)
+    found = worst_gain(loop, [ONE, ONE], performance, 0.0, np.inf)
+    asked = 1.0015 * found.largest
+    assert worst_gain(loop, [ONE, ONE], performance, 0.0, np.inf, least=asked).upper == asked
+    lower = worst_gain(loop, [ONE, ONE], performance, 0.0, np.inf, least=0.995 * found.largest)
+    assert lower.upper > 0.998 * found.largest
 
 
 @pytest.mark.parametrize("fast", [1e3, 1e5, 1e7])
@@ -160,6 +193,8 @@ class Asked:
     def __init__(self, monkeypatch, bounds=None):
         self.levels = []
         monkeypatch.setattr(parts, "cover", self)
+        monkeypatch.setattr(parts, "continuous_interval", lambda *_: (None, 0.0, 1.0, None))
+        monkeypatch.setattr(parts, "proves", lambda *_: True)
         if bounds is not None:
             answers = iter(bounds)
 
@@ -171,8 +206,8 @@ class Asked:
             monkeypatch.setattr(parts, "_bound", bound)
         worst_gain(None, [ONE, ONE], Block("full", 2, 2), 0.0, 1.0, 0.5)
 
-    def __call__(self, name, loop, structure, low, high, rtol, at, held):
-        assert (name, low, high, rtol) == ("worst_gain", 0.0, 1.0, 0.5)
+    def __call__(self, name, loop, structure, low, high, rtol, at, held, least):
+        assert (name, low, high, rtol, least) == ("worst_gain", 0.0, 1.0, 0.5, 0.0)
         self.at, self.held = at, held
 
 

@@ -9,12 +9,11 @@ import numpy as np
 import pytest
 
 from lpvguard.drives.frames import Estimator
-from lpvguard.drives.tables import list_experiments
 from lpvguard.evaluate.baseline_study import BaselineStudy, Merit, alarmed
 from lpvguard.evaluate.baselines import GRID, KINDS, Bank, Baseline, Scales, Sizes, regressors
 from lpvguard.evaluate.comparison import DUEL_HEAD, duel_rows, duels
 from lpvguard.evaluate.detection import Injection, median_time, ranking
-from lpvguard.identify import run as identify
+from lpvguard.identify import identification as identify
 from lpvguard.vehicle.nominal import NominalModel
 from lpvguard.vehicle.project import load_project
 
@@ -187,7 +186,7 @@ def test_scales_are_means_over_all_usable_samples(error):
 @pytest.fixture(scope="module")
 def study(g80, synthetic, identified, core):
     stored = identify.load(identified)
-    drives = identify.DriveSet(g80, NominalModel(g80), list_experiments(synthetic))
+    drives = identify.DriveSet(g80, NominalModel(g80), synthetic)
     names = tuple(stored.calibration.scores)
     usual = Injection.usual()
     few = replace(usual, starts=2, ways=("step", "start"), faults=usual.faults[::3])
@@ -243,7 +242,7 @@ def test_an_alarm_in_the_last_seconds_is_counted(study):
 @pytest.mark.unhurried
 def test_the_largest_statistic_is_that_of_each_piece_and_none_is_left_out(study, g80, synthetic):
     found, names = study
-    drive, e, yhat = identify.DriveSet(g80, NominalModel(g80), list_experiments(synthetic)).load(names[0])
+    drive, e, yhat = identify.DriveSet(g80, NominalModel(g80), synthetic).load(names[0])
     statistics = dict(found.bank.statistics(GRID[:1], e, yhat, drive.v))[GRID[0]]
     largest, length = found.largest[names[0]][GRID[0]], round(60.0 / g80.Ts_s)
     assert len(largest) == -(-(len(drive.v) - 1) // length)
@@ -255,7 +254,7 @@ def test_the_largest_statistic_is_that_of_each_piece_and_none_is_left_out(study,
 @pytest.mark.unhurried
 def test_components_have_the_size_of_1_on_the_bound_setting_drives(study, g80, synthetic, identified):
     found, _ = study
-    drives = identify.DriveSet(g80, NominalModel(g80), list_experiments(synthetic))
+    drives = identify.DriveSet(g80, NominalModel(g80), synthetic)
     setting = identify.load(identified).manifest["drives"]["bounds"]
     b = next(b for b in GRID if b.kind == "tracker")
     squares, count = 0.0, 0

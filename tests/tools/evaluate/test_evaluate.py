@@ -12,15 +12,15 @@ import pytest
 
 from lpvguard.base.errors import InputError
 from lpvguard.drives.faults import Fault, inject
-from lpvguard.drives.tables import Drive, index_text, list_experiments, read_drive
-from lpvguard.evaluate import run as stage
+from lpvguard.drives.tables import Drive, index_text, read_drive
+from lpvguard.evaluate import evaluation as stage
 from lpvguard.evaluate.comparison import equal_rates
 from lpvguard.evaluate.detection import FaultOutcome, Injection, JudgedClock, margins, refutable
 from lpvguard.evaluate.false_alarms import alarmed_pieces, alarming, piece_starts
-from lpvguard.evaluate.judged import FLOORS
-from lpvguard.identify import run as identify
+from lpvguard.evaluate.judged_drives import FLOORS
+from lpvguard.identify import identification as identify
 from lpvguard.identify.calibration import Calibration, Recordings, calibrate, joint_scores
-from lpvguard.replay.run import Replay, Replayer
+from lpvguard.replay.replayer import Replay, Replayer
 from lpvguard.vehicle.nominal import NominalModel
 from lpvguard.vehicle.project import EvaluationSettings
 
@@ -460,7 +460,7 @@ def test_nothing_to_evaluate_is_an_error_that_says_what_is_missing(identified, s
     """Energy and change test may calibrate where no frame counts."""
     stored = identify.load(identified)
     frameless = replace(stored, calibration=replace(stored.calibration, scores={}))
-    drives = identify.DriveSet(g80, NominalModel(g80), list_experiments(synthetic))
+    drives = identify.DriveSet(g80, NominalModel(g80), synthetic)
     with pytest.raises(InputError, match=r"no frame counts in a drive that calibrates.*split is not train"):
         stage.evaluate(frameless, drives, core, settings=ONE_WAY)
 
@@ -471,7 +471,7 @@ def test_a_missing_column_is_named_with_its_file(synthetic, identified, core, g8
     shutil.copytree(synthetic, drives)
     path = drives / "synthetic_07.csv"
     path.write_text(path.read_text().replace("delta", "angle", 1))
-    drive_set = identify.DriveSet(g80, NominalModel(g80), list_experiments(drives))
+    drive_set = identify.DriveSet(g80, NominalModel(g80), drives)
     with pytest.raises(InputError, match="column delta is missing") as caught:
         stage.evaluate(identify.load(identified), drive_set, core)
     assert caught.value.source.endswith("synthetic_07.csv")

@@ -15,12 +15,11 @@ from lpvguard.base import artefacts
 from lpvguard.base.errors import InputError
 from lpvguard.base.rates import per_hour, rate
 from lpvguard.cli.evaluation_tables import print_evaluation
-from lpvguard.drives.tables import list_experiments
-from lpvguard.evaluate.judged import calibrations_of, drives_to_judge
-from lpvguard.evaluate.run import evaluate
-from lpvguard.identify import run as identify
+from lpvguard.evaluate.evaluation import evaluate
+from lpvguard.evaluate.judged_drives import calibrations_of, drives_to_judge
+from lpvguard.identify import identification as identify
 from lpvguard.identify.calibration import Recordings
-from lpvguard.replay.run import Replayer
+from lpvguard.replay.replayer import Replayer
 from lpvguard.vehicle.nominal import NominalModel
 from lpvguard.vehicle.project import EvaluationSettings
 
@@ -90,7 +89,7 @@ def test_held_out_drives_are_judged_with_the_thresholds_as_stored(
 ):
     chosen = {"first": "day", "second": "day", "short": ""}
     folder = held_out(tmp_path / "new", synthetic, chosen)
-    drives = identify.DriveSet(g80, NominalModel(g80), list_experiments(synthetic))
+    drives = identify.DriveSet(g80, NominalModel(g80), synthetic)
     once = EvaluationSettings(bias=0.05, starts=1)
     table = evaluate(stored, drives, core, held_out=drives_to_judge(stored, [folder]), settings=once)
     described = jsonschema.Draft202012Validator(schemas.schema("evaluate"))
@@ -145,6 +144,6 @@ def test_held_out_drives_are_judged_with_the_thresholds_as_stored(
 
 def test_when_nothing_is_judged_the_reason_is_named(stored, synthetic, core, g80, tmp_path):
     folder = held_out(tmp_path / "new", synthetic, {"short": ""})
-    drives = identify.DriveSet(g80, NominalModel(g80), list_experiments(synthetic))
+    drives = identify.DriveSet(g80, NominalModel(g80), synthetic)
     with pytest.raises(InputError, match=r"no frame counts.* and so for every drive to judge"):
         evaluate(stored, drives, core, held_out=drives_to_judge(stored, [folder]))

@@ -186,7 +186,7 @@ def test_the_table_counts_what_was_found(g80):
     assert known[2] == "5" and single[2] == "1"
     assert cause_sentences(table)[0].startswith("right cause: 2 of 5, 5.27 to 85.34 %")
     large = (
-        "of those larger than what healthy vehicles differ by: right 2 of 5, 5.27 to 85.34 %, wrong 1 of 5"
+        "of those larger than the difference of healthy vehicles: right 2 of 5, 5.27 to 85.34 %, wrong 1 of 5"
     )
     assert cause_sentences(table)[2].startswith(large)
     unknown = cause_table(found, g80, None)

@@ -81,7 +81,7 @@ def test_a_delay_that_is_not_there_is_a_finding_and_identify_refuses_it(lpvguard
     late = folder / "late.toml"
     late.write_text(with_numbers(text_of("g80"), "g80", {"input_delay_s": 20.0}))
     done = lpvguard("fit", "--vehicle", late, folder / "drives", "-o", folder / "fit")
-    assert done.returncode == 1 and "a delay of 20 s, as the project file says, is not there" in done.stderr
+    assert done.returncode == 1 and "the project file's delay of 20 s does not fit the drives" in done.stderr
     refused = lpvguard("identify", "--vehicle", late, folder / "drives", "-o", folder / "out")
     assert refused.returncode == 2 and "the model is worse than none" in refused.stderr
 

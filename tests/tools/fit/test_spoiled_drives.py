@@ -11,7 +11,7 @@ import pytest
 from known_car import KnownCar, guessed
 from lpvguard.base.errors import InputError
 from lpvguard.drives.tables import Drive
-from lpvguard.fit.spoiled import require_unspoiled
+from lpvguard.fit.damaged_drives import require_unspoiled
 from lpvguard.fit.suspicions import judged_beside, screened
 from lpvguard.fit.unknowns import Unknowns
 from lpvguard.vehicle.project import FitSettings

@@ -18,12 +18,12 @@ from lpvguard.base import artefacts
 from lpvguard.base.errors import InputError
 from lpvguard.core.compiled import library_root
 from lpvguard.drives.tables import list_experiments
-from lpvguard.fleet.export import MAGIC, SCHEMA, crc32
-from lpvguard.fleet.run import JUDGED_S
-from lpvguard.fleet.scores import pieces_of, scored
-from lpvguard.fleet.state import FleetState
-from lpvguard.fleet.wealth import LEVELS, MOST, POWERS, START
-from lpvguard.replay.opened import replayer_for
+from lpvguard.extras.fleet.export import MAGIC, SCHEMA, crc32
+from lpvguard.extras.fleet.recordings import JUDGED_S
+from lpvguard.extras.fleet.scores import pieces_of, scored
+from lpvguard.extras.fleet.state import FleetState
+from lpvguard.extras.fleet.wealth import LEVELS, MOST, POWERS, START
+from lpvguard.replay.vehicle_core import replayer_for
 
 CALIBRATE = 11
 """Drives of the synthetic car that did not set the bounds."""
@@ -125,7 +125,7 @@ def test_wear_is_found_and_the_state_goes_on_where_it_was(lpvguard, synthetic, t
     assert done.returncode == 1, done.stderr
     vehicle = json.loads(out.read_text())["vehicles"]["car"]
     assert vehicle["already_counted"] == 4 and vehicle["recordings"] == 8 and vehicle["changed_at"] == 7
-    assert "changed, says recording 7, older_08" in done.stderr and "falsif" not in done.stderr
+    assert "changed by recording 7, older_08" in done.stderr and "falsif" not in done.stderr
     assert re.search(r"gain 0\.[67]\d\d of the model's", done.stderr)
     assert vehicle["alarmed"]["of"] == 4 and vehicle["judged_h"] == pytest.approx(4 / 60)
     stored = json.loads(state.read_text())
@@ -136,7 +136,7 @@ def test_wear_is_found_and_the_state_goes_on_where_it_was(lpvguard, synthetic, t
 @pytest.fixture(scope="module")
 def state(replayer, synthetic) -> FleetState:
     """Calibrated by made-up scores, so that no drive needs to run."""
-    from lpvguard.fleet.run import terms_of
+    from lpvguard.extras.fleet.recordings import terms_of
 
     scores = {f"c{i}": 0.1 * i for i in range(1, 12)}
     return FleetState(terms_of(replayer, None, None, None), scores, {n: {n: f"hash {n}"} for n in scores})
@@ -209,7 +209,7 @@ def test_bad_input_is_one_error_and_leaves_the_state(lpvguard, synthetic, tables
 
 @pytest.mark.unhurried
 def test_the_exported_table_compiles_and_has_the_cores_constants(state, tmp_path):
-    from lpvguard.fleet.export import header
+    from lpvguard.extras.fleet.export import header
 
     source = (library_root() / "include/lpvguard/life.h").read_text()
     stated = dict(re.findall(r"#define LPVG_LIFE_(\w+) (\w+)", source))
@@ -228,8 +228,9 @@ def test_the_exported_table_compiles_and_has_the_cores_constants(state, tmp_path
         '    printf("%u %d\\n", (unsigned)lpvg_g80_life_table.crc32,\n'
         "           (int)lpvg_life_table_check(&lpvg_g80_life_table));\n    return 0;\n}\n"
     )
-    life, program = library_root() / "src/life.cpp", tmp_path / "main"
-    flags = ["-I", str(library_root() / "include"), "-Wall", "-Wextra", "-Werror"]
+    life, program = library_root() / "src/services/life.cpp", tmp_path / "main"
+    includes = [f"-I{library_root() / folder}" for folder in ("include", "src")]
+    flags = [*includes, "-Wall", "-Wextra", "-Werror"]
     c = ["gcc", "-std=c99", "-pedantic", "-c", str(tmp_path / "main.c"), "-o", str(tmp_path / "main.o")]
     subprocess.run([*c, *flags], check=True)
     subprocess.run(
@@ -240,7 +241,7 @@ def test_the_exported_table_compiles_and_has_the_cores_constants(state, tmp_path
 
 
 def test_the_table_is_replaced_by_its_own_command_only(state, tmp_path):
-    from lpvguard.fleet.export import header
+    from lpvguard.extras.fleet.export import header
 
     path = tmp_path / "table.h"
     for _ in range(2):

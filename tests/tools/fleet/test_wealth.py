@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import beta, binomtest
 
 from lpvguard.base.errors import InputError
-from lpvguard.fleet.wealth import (
+from lpvguard.extras.fleet.wealth import (
     LEVELS,
     MOST,
     Life,

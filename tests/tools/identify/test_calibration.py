@@ -27,9 +27,9 @@ from lpvguard.identify.calibration import (
     joint_score,
     joint_scores,
     peaks,
-    require_calibration,
     score,
 )
+from lpvguard.identify.drive_set import DriveSet, require_calibration
 
 
 def scores_of(n: int, seed: int = 0) -> dict[str, float]:
@@ -274,14 +274,16 @@ def test_the_drive_that_decides_is_the_one_whose_score_the_core_carries():
 
 
 def test_without_a_drive_that_calibrates_there_is_no_threshold(tmp_path):
-    require_calibration(tmp_path, iter(["a", "b"]), {"a": "too short"}, True)
+    drives = object.__new__(DriveSet)
+    drives.folder = tmp_path
+    require_calibration(drives, iter(["a", "b"]), {"a": "too short"}, True)
     with pytest.raises(
         InputError, match=r"experiments.csv: column split: nothing calibrates: every drive.*from 9 rec"
     ):
-        require_calibration(tmp_path, [], {"a": "too short"}, True)
-    with pytest.raises(InputError, match=r"calibrate \(3\): .*no test judges any of them \(b: too short\)"):
+        require_calibration(drives, [], {"a": "too short"}, True)
+    with pytest.raises(InputError, match=r"calibrate \(3\): .*no test judges a drive \(b: too short\)"):
         require_calibration(
-            tmp_path, ["a", "b", "c"], {"x": "silent", "b": "too short", "c": "no speed"}, False
+            drives, ["a", "b", "c"], {"x": "silent", "b": "too short", "c": "no speed"}, False
         )
     with pytest.raises(InputError, match=r"calibrate \(1\): .*\(every bin is silent\)"):
-        require_calibration(tmp_path, iter(["a"]), {"b": "too short"}, False)
+        require_calibration(drives, iter(["a"]), {"b": "too short"}, False)

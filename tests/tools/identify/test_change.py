@@ -15,7 +15,7 @@ from lpvguard.core.compiled import CHANGE_PARTS
 from lpvguard.drives.faults import Fault, inject
 from lpvguard.drives.frames import Estimator
 from lpvguard.drives.tables import read_drive
-from lpvguard.identify import run as stage
+from lpvguard.identify import identification as stage
 from lpvguard.identify.bounds import nominal_error
 from lpvguard.identify.calibration import NO_RECORDINGS, joint_score, joint_scores
 from lpvguard.identify.change import (
@@ -29,7 +29,7 @@ from lpvguard.identify.change import (
     estimates_met,
     regressor_products,
 )
-from lpvguard.replay.run import Replayer
+from lpvguard.replay.replayer import Replayer
 from lpvguard.vehicle.nominal import NominalModel
 from lpvguard.vehicle.project import parse_project
 

@@ -12,7 +12,7 @@ from lpvguard.core.compiled import FrameLog, Run
 from lpvguard.drives.faults import Fault, inject
 from lpvguard.drives.frames import Estimator
 from lpvguard.drives.tables import read_drive
-from lpvguard.identify import run as stage
+from lpvguard.identify import identification as stage
 from lpvguard.identify.bounds import Deciders, FrameSet, fold, reduce_remainder
 from lpvguard.identify.calibration import Calibration, Peak, peaks
 from lpvguard.identify.deciders import Decision, decides_bounds, decides_thresholds, outlying, silence
@@ -124,8 +124,8 @@ def test_a_drive_whose_score_lies_outside_the_others_is_named_and_still_calibrat
         )
 
     hertz = f"{stored.bounds['omega_rad_s'][RARE] / (2 * np.pi):.3g} Hz"
-    begin = "test: slide lies outside the other drives that calibrate: 6 beside a median of 0.591"
-    end = "; it calibrates as they do, unless experiments.csv sets it aside"
+    begin = "test: slide lies outside the other calibration drives: 6, their median is 0.591"
+    end = "; the drive calibrates unless experiments.csv sets it aside"
     frame, energy = f"frame {begin}, at 41.2 s, {hertz}{end}", f"energy {begin}, at 7 s, band between{end}"
     assert told(scores) == [frame, energy]
     # The logarithm of a normal drive of these ten is within 3.5 deviations.

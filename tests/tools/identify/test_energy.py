@@ -21,27 +21,25 @@ from lpvguard.drives.faults import Fault, inject
 from lpvguard.drives.frames import Estimator
 from lpvguard.drives.tables import read_drive
 from lpvguard.engine.overbound.weight import Weight
-from lpvguard.identify import run as stage
+from lpvguard.extras.loop.generate import PROGRAMMES, plant_tool
+from lpvguard.extras.loop.sim import steady_scenario
+from lpvguard.identify import identification as stage
 from lpvguard.identify.bounds import nominal_error
 from lpvguard.identify.calibration import ROUNDING
 from lpvguard.identify.change import ChangeTest
 from lpvguard.identify.energy import EnergyTest, fan, in_delta
-from lpvguard.loop.generate import PROGRAMMES, plant_tool
-from lpvguard.loop.sim import steady_scenario
-from lpvguard.replay.run import Replayer
+from lpvguard.replay.replayer import Replayer
 from lpvguard.vehicle.nominal import NominalModel
 from lpvguard.vehicle.project import load_project, parse_project
 
 FULL = os.environ.get("LPVGUARD_FULL") == "1"
 
 
-@pytest.fixture(scope="module")
-def truck():
-    """Project, model, core and energy test of the shipped truck."""
-    project = load_project("truck")
+def shipped(name):
+    """Project, model and energy test of a shipped vehicle."""
+    project = load_project(name)
     model = NominalModel(project)
-    folder = shipped_vehicle("truck")
-    manifest = artefacts.read_manifest(folder, "vehicle")
+    manifest = artefacts.read_manifest(shipped_vehicle(name), "vehicle")
     weights = manifest["weights"]["W_delta"]
     bounds = [[np.nan if b is None else b for b in weight["bound"]] for weight in weights]
     filters = EnergyTest.design(
@@ -52,7 +50,14 @@ def truck():
         np.array(bounds, float).T,
         manifest["final_inflation"],
     )
-    return project, model, Core(folder), filters.restored(manifest["energy_test"], "truck")
+    return project, model, filters.restored(manifest["energy_test"], name)
+
+
+@pytest.fixture(scope="module")
+def truck():
+    """Project, model, core and energy test of the shipped truck."""
+    project, model, test = shipped("truck")
+    return project, model, Core(shipped_vehicle("truck")), test
 
 
 def on_circle(sections, rho, theta):
@@ -206,10 +211,9 @@ def largest_ratio(test, e, yhat, v):
     return max(ratios.max() for _, _, ratios in test.ratios(e, yhat, v))
 
 
-def drive_within(project, model, test, delta, seconds, rng, *, gain=1.0, coherent=False, above=False):
+def drive_within(project, model, test, delta, seconds, rng, *, gain=1.0, coherent=False):
     """Samples t, v, u, y with e = gain Delta W_delta yhat + w, from rest, and max ||F w_j|| = 0.98 sigma_j in
-    some band. ``delta``: a filter, or one an output; ``gain``: a number, or (n_y,). ``above``: with what
-    stands for W_delta in the band above."""
+    some band. ``delta``: a filter, or one an output; ``gain``: a number, or (n_y,)."""
     n = int(seconds / project.Ts_s)
     t = np.arange(n) * project.Ts_s
     low, high = model.speed_range
@@ -224,7 +228,7 @@ def drive_within(project, model, test, delta, seconds, rng, *, gain=1.0, coheren
     )
     u *= 1.0 + np.sin(2 * np.pi * t / 97.0)[:, None]  # stretches with little excitation too
     yhat = model.simulate(v, u, model.output_offset)
-    weighted = test.above * yhat if above else test.weighted(yhat)
+    weighted = test.weighted(yhat)
     w = (
         weighted.copy()
         if coherent
@@ -242,44 +246,111 @@ def drive_within(project, model, test, delta, seconds, rng, *, gain=1.0, coheren
 
 @pytest.mark.unhurried
 def test_no_alarm_where_delta_and_the_disturbance_are_within_the_bounds(truck):
-    """Ten hours in full; the ratio comes close to 1, so the bound is not slack by construction. The lower
-    bands are heard with a Delta that remembers for as long as they do; then the band above, with one that
-    forgets as fast, of the constant in the place of W_delta."""
+    """Ten hours in full; the ratio comes close to 1, so the bound is not slack by construction."""
     project, model, core, test = truck
     rng = np.random.default_rng(4)
-    hours, seconds = 0.0, 2000.0 if FULL else 200.0
-    band = np.arange(len(test.F))[:, None]
-    for above, memory in ((False, test.memory_s), (True, test.memories_s[-1])):
-        heard = (band == band[-1]) == above
-        within = replace(test, sigma=np.where(heard, test.sigma, 1e9))
-        reals = core.compiled[1].copy()
-        core.fields(reals)["energy_scale"][:] = 1 / within.sigma
-        largest = []
-        for index, delta in enumerate(deltas(np.exp(-test.Ts / memory), rng)):
-            run = core.monitor(reals=reals, seal=True).run(
-                *drive_within(project, model, within, delta, seconds, rng, coherent=index == 0, above=above)
-            )
-            assert not len(run.energy_alarms.bin)
-            largest.append(run.energy.max())
-            hours += seconds / 3600
-        assert max(largest) <= 1.0 + ROUNDING / 2
-        assert largest[0] > 0.85
+    hours, seconds, largest = 0.0, 4000.0 if FULL else 200.0, []
+    for index, delta in enumerate(deltas(test.rho, rng)):
+        run = core.monitor().run(
+            *drive_within(project, model, test, delta, seconds, rng, coherent=index == 0)
+        )
+        assert not len(run.energy_alarms.bin)
+        largest.append(run.energy.max())
+        hours += seconds / 3600
+    assert max(largest) <= 1.0 + ROUNDING / 2
+    assert largest[0] > 0.85
     assert hours >= 10.0 or not FULL
 
 
-def test_an_error_within_W_delta_that_rings_on_may_alarm_in_the_band_above_alone(truck):
-    """A known limit (THEORY 9): the weight remembers for 4.5 s and the band for 0.5 s. A sine at the weight's
-    resonance ends at once, and the error is exactly W_delta yhat."""
+def random_weight(rng):
+    """Stable and minimum-phase, of order 2, 4 or 6, with damping down to 0.05 between 0.1 and 50 rad/s."""
+    num, den = np.array([rng.uniform(0.1, 3.0)]), np.ones(1)
+    for _ in range(rng.integers(1, 4)):
+        (w0, w1), (d0, d1) = np.exp(rng.uniform(np.log(0.1), np.log(50.0), 2)), rng.uniform(0.05, 1.0, 2)
+        num, den = np.convolve(num, [1.0, 2 * d0 * w0, w0**2]), np.convolve(den, [1.0, 2 * d1 * w1, w1**2])
+    return Weight(num, den)
+
+
+def with_weights(project, model, weights):
+    """The energy test of these weights, with bounds far below them."""
+    bound = [0.1 * W.magnitude(np.geomspace(1e-2, 1e4, 500)).min() for W in weights]
+    return EnergyTest.design(
+        project, Estimator.of(project, model), weights, [1.0, 2.0], np.tile(bound, (2, 1)), 1.0
+    )
+
+
+def exactly_weighted(project, model, test, rng):
+    """Speed, nominal output and the error W_delta yhat (N, n_y) of two drives of 120 s: of tones, and a sine
+    at the resonance of the slowest weight that ends at once."""
+    t = np.arange(round(120.0 / project.Ts_s)) * project.Ts_s
+    low, high = model.speed_range
+    v = 0.5 * (low + high) + 0.3 * (high - low) * np.sin(2 * np.pi * t / 90.0)
+    tones = np.exp(rng.uniform(np.log(0.1), np.log(20.0), 8))
+    poles = np.concatenate([np.roots(section[3:]) for W in test.W for section in W])
+    slow = np.abs(np.angle(poles[np.argmax(np.abs(poles))])) / test.Ts
+    for u in (
+        0.2 * np.sin(np.outer(t, tones) + rng.uniform(0, 6, 8)).sum(axis=1),
+        np.where(t < 60.0, np.sin(slow * t), 0.0),
+    ):
+        yhat = model.simulate(v, u[:, None], model.output_offset)
+        yield v, yhat, test.weighted(yhat)
+
+
+def many_weights(name, rng):
+    """Project, model and energy test of a shipped vehicle, with its own weights and with random ones."""
+    project, model, test = shipped(name)
+    yield project, model, test
+    for _ in range(30 if FULL else 5):
+        weights = [random_weight(rng) for _ in range(project.n_delta)]
+        yield project, model, with_weights(project, model, weights)
+
+
+@pytest.mark.parametrize("name", ["truck", "g80"])
+def test_an_error_of_any_delta_within_W_delta_is_within_the_bound_in_every_band(name):
+    """However long the weight remembers, and with next to no sigma. The first Delta is 1: an error of exactly
+    W_delta yhat."""
+    rng, allowance = np.random.default_rng(2), 1e-9  # for the rounding of double
+    for project, model, test in many_weights(name, rng):
+        test = replace(test.at_rest(), sigma=1e-9 * test.sigma)
+        for v, yhat, weighted in exactly_weighted(project, model, test, rng):
+            for index, delta in enumerate(deltas(test.rho, rng)):
+                largest = largest_ratio(test, lfilter(*delta, weighted, axis=0), yhat, v)
+                assert largest <= 1.0 + allowance
+                assert index or largest > 0.95
+
+
+def test_a_delta_that_does_not_forget_may_exceed_the_bound(truck):
+    """The limit of the claim (THEORY 7.2): a delay of a memory has gain 1 on the unit circle, and rho^-n on
+    that of the sums."""
     project, model, _, test = truck
-    slowest = max(np.abs(np.roots(section[3:])).max() for W in test.W for section in W)
-    assert -test.Ts / np.log(slowest) == pytest.approx(4.5, abs=0.1) and test.memories_s[-1] == 0.5
-    t = np.arange(round(150.0 / project.Ts_s)) * project.Ts_s
-    u = np.where(t < 100.0, 2.0 * np.sin(0.34 * t), 0.0)[:, None]
-    v = np.full(len(t), 15.0)
-    yhat = model.simulate(v, u, model.output_offset)
-    below, between, above = (ratios.max() for _, _, ratios in test.ratios(test.weighted(yhat), yhat, v))
-    assert max(below, between) < 1.0
-    assert above == pytest.approx(1.3, abs=0.01)
+    test = replace(test.at_rest(), sigma=1e-9 * test.sigma)
+    delay = round(test.memory_s / test.Ts)
+    for v, yhat, weighted in exactly_weighted(project, model, test, np.random.default_rng(8)):
+        e = np.concatenate([0 * weighted[:delay], weighted[:-delay]])
+        exceeds = largest_ratio(test, e, yhat, v)
+        assert largest_ratio(test, test.rho**delay * e, yhat, v) <= 1.0 + 1e-9
+    assert exceeds > 1.5
+
+
+@pytest.mark.unhurried
+@pytest.mark.parametrize("name", ["truck", "g80"])
+def test_it_is_so_after_restarts_and_in_cut_drives(name):
+    """sigma is its floor and start what the same drive would remember: no other disturbance is there. The
+    samples out of range reset the filters, and the error goes on as if nothing was."""
+    rng, unremembered = np.random.default_rng(3), 0.0
+    for project, model, test in many_weights(name, rng):
+        for v, yhat, weighted in exactly_weighted(project, model, test, rng):
+            pool = list(deltas(test.rho, rng))
+            for delta in (pool[0], pool[rng.integers(1, len(pool))]):
+                e, rest = lfilter(*delta, weighted, axis=0), test.at_rest()
+                restarting = rest.with_sigma(rest.needs(e, yhat, v) | {"memory": rest.memory_met(e, yhat, v)})
+                for cut in (1, *rng.integers(1, len(v) // 2, 3)):
+                    speed = v[cut:].copy()
+                    speed[rng.integers(0, len(speed), 2)] = 0.0
+                    after = e[cut:], yhat[cut:], speed
+                    assert largest_ratio(restarting, *after) <= 1.0
+                    unremembered = max(unremembered, largest_ratio(restarting.at_rest(), *after))
+    assert unremembered > 1.5
 
 
 def test_the_same_drives_alarm_when_delta_is_larger(truck):
@@ -389,12 +460,17 @@ def test_what_a_drive_asks_of_sigma_is_the_most_that_its_norms_do(structure):
         for key, shape in [("sigma", (3, 2)), ("error", (3, 2)), ("bound", (3, 2)), ("joint", 3)]
     }
     for _, band, left, right in test.norms(e, yhat, v):
+        fading = test.rho ** np.arange(test.settle + 1, test.settle + 1 + len(left))
+
+        def explained(a, right=right, band=band, fading=fading):
+            return size(right, a) + fading * (np.abs(a) @ test.start[band])
+
         for j, a in enumerate(np.eye(2)):
-            error, bound = size(left, a), size(right, a)
+            error, bound = size(left, a), explained(a)
             for key, value in (("sigma", error - bound), ("error", error), ("bound", bound)):
                 wanted[key][band, j] = max(wanted[key][band, j], value.max())
         for a in test.directions / test.sigma[band]:
-            wanted["joint"][band] = max(wanted["joint"][band], (size(left, a) - size(right, a)).max())
+            wanted["joint"][band] = max(wanted["joint"][band], (size(left, a) - explained(a)).max())
     found = test.needs(e, yhat, v)
     assert found.keys() == wanted.keys()
     for key, value in wanted.items():
@@ -427,18 +503,9 @@ def separate(tmp_path_factory):
     return project, model, estimator, Core(folder), test
 
 
-def without_the_band_above(core, test):
-    """The test, and the core's numbers, with the band above the corners deaf: these weights remember longer
-    than that band does, so that a Delta within them may be heard there."""
-    heard = replace(test, sigma=np.array([[1.0], [1.0], [1e9]]) * test.sigma)
-    reals = core.compiled[1].copy()
-    core.fields(reals)["energy_scale"][:] = 1 / heard.sigma
-    return heard, reals
-
-
 def test_weights_of_different_order_are_padded_and_each_keeps_its_magnitude(separate):
     *_, test = separate
-    assert test.W.shape[:1] == test.gain.shape == test.above.shape == (2,) and len(test.certificate) == 2
+    assert test.W.shape[:1] == test.gain.shape == (2,) and len(test.certificate) == 2
     np.testing.assert_array_equal(test.directions, np.eye(2))
     theta = np.geomspace(1e-5, 3.0, 100)
     s = 2j / test.Ts * np.tan(theta / 2)
@@ -455,26 +522,24 @@ def test_with_a_delta_an_output_none_within_the_bounds_alarms_where_a_common_one
     fan_of_common = replace(test, directions=fan(2))  # what a test of one common Delta would ask for
     rng = np.random.default_rng(14)
     pool = list(deltas(test.rho, rng))
-    heard, reals = without_the_band_above(core, test)
     largest, common = [], []
     for index, (one, other) in enumerate(zip(pool, [pool[1], pool[0], *pool[:1:-1]], strict=True)):
-        t, v, u, y = drive_within(project, model, heard, [one, other], 200.0, rng, coherent=index == 0)
-        run = core.monitor(reals=reals, seal=True).run(t, v, u, y)
+        t, v, u, y = drive_within(project, model, test, [one, other], 200.0, rng, coherent=index == 0)
+        run = core.monitor().run(t, v, u, y)
         assert not len(run.energy_alarms.bin)
         largest.append(run.energy.max())
         yhat = model.simulate(v, u, y[0])
-        common.append(largest_ratio(replace(fan_of_common, sigma=heard.sigma), y - yhat, yhat, v))
+        common.append(largest_ratio(fan_of_common, y - yhat, yhat, v))
     assert 0.9 < max(largest) <= 1.0 + ROUNDING / 2
     assert common[0] > 2.0
 
 
 def test_with_a_delta_an_output_a_larger_one_alarms(separate):
     project, model, _, core, test = separate
-    heard, reals = without_the_band_above(core, test)
     rng = np.random.default_rng(4)
     for gain in ([1.5, 1.0], [1.0, -1.5]):
-        run = core.monitor(reals=reals, seal=True).run(
-            *drive_within(project, model, heard, [([1.0], [1.0])] * 2, 200.0, rng, gain=np.array(gain))
+        run = core.monitor().run(
+            *drive_within(project, model, test, [([1.0], [1.0])] * 2, 200.0, rng, gain=np.array(gain))
         )
         assert len(run.energy_alarms.bin) and run.energy.max() > 1.2
         assert set(run.energy_alarms.bin % 2) == {int(np.argmax(np.abs(gain)))}
@@ -546,18 +611,19 @@ def test_sigma_is_the_least_for_each_output_and_then_for_the_joint_form():
     estimator = Estimator.of(project, NominalModel(project))
     weights = [Weight([0.35], [1.0])]
     test = EnergyTest.design(project, estimator, weights, [1.0, 2.0], [[0.3], [0.3]], 1.0)
-    test = replace(test, above=np.array([0.35]))
     t = np.arange(6000) * test.Ts
     e = 0.2 * np.column_stack([np.sin(t), -np.sin(t)])
     yhat = 0.3 * np.column_stack(
         [np.sin(t), np.sin(t)]
     )  # 0.35 of it explains half of each, and nothing of the difference
     v = np.full(len(t), 15.0)
-    alone = test.with_sigma(test.needs(e, yhat, v))
+    alone = test.with_sigma(test.needs(e, yhat, v) | {"memory": test.memory_met(e, yhat, v)})
     single = np.abs(alone.directions).max(axis=1) == 1.0
-    for _, _, ratios in alone.at_rest().ratios(e, yhat, v):
+    for _, band, ratios in alone.at_rest().ratios(e, yhat, v):
         peak = ratios.max(axis=0)
-        assert peak[single] == pytest.approx([1.0, 1.0], abs=1e-9) and peak.max() > 1.5
+        if band < 2:  # above, the right side remembers longer and explains each output whole
+            assert peak[single] == pytest.approx([1.0, 1.0], abs=1e-9)
+        assert peak[single].max() < 1.0 + 1e-9 and peak.max() > 1.5
     joint = alone.with_joint(alone.at_rest().needs(e, yhat, v))
     assert joint.joint.min() > 1.5 and joint.sigma == pytest.approx(alone.sigma * joint.joint[:, None])
     for _, _, ratios in joint.at_rest().ratios(e, yhat, v):
@@ -566,7 +632,7 @@ def test_sigma_is_the_least_for_each_output_and_then_for_the_joint_form():
         )  # the right side cancels but for rounding, of which the root is taken
     with pytest.raises(InputError, match="no excited drive that sets the bounds is judged"):
         test.with_sigma(test.needs(e[:100], yhat[:100], v[:100]))
-    quiet = test.with_sigma(test.needs(0.0 * e, yhat, v))
+    quiet = test.with_sigma(test.needs(0.0 * e, yhat, v) | {"memory": test.memory_met(0.0 * e, yhat, v)})
     assert (quiet.sigma > 0).all() and np.isfinite(quiet.coefficients()[2]["energy_scale"]).all()
 
 
@@ -611,11 +677,9 @@ def test_alarms_of_the_energy_test_stand_in_the_replay_beside_those_of_frames(co
     alarm = next(a for a in replay.alarms if a.test == "energy")
     assert alarm.t_s > 60.0 and replay.over[round(alarm.t_s / g80.Ts_s)]
     assert alarm.bin_rad_s is None and alarm.W_delta is None and alarm.direction == [1.0]
-    assert alarm.margin == pytest.approx(alarm.E[0] / (alarm.Z[0] + alarm.B_w[0]), rel=1e-4)
-    assert alarm.margin > alarm.threshold
-    assert (
-        alarm.band == "above" and alarm.evidence < 1
-    )  # the gain jumps; that nothing responds there is allowed
+    settled = alarm.E[0] / (alarm.Z[0] + alarm.B_w[0])  # a minute after the restart little is remembered
+    assert 0.95 * settled < alarm.margin < settled and alarm.margin > alarm.threshold
+    assert alarm.band == "between"
     only_frames = Replayer(g80, core, energy_threshold=1e6, change_threshold=1e6).replay(
         inject(drive, Fault("gain", 0.5), 60.0, g80.Ts_s)
     )
@@ -623,8 +687,8 @@ def test_alarms_of_the_energy_test_stand_in_the_replay_beside_those_of_frames(co
 
 
 @pytest.mark.unhurried
-def test_brakes_at_four_tenths_are_found_by_the_energy_test_alone_in_a_minute(truck, tmp_path):
-    """Excited 60 s drives of the simulated truck, at random speeds; 24 seeds in full."""
+def test_brakes_at_four_tenths_are_found_by_the_energy_test_alone_in_90_seconds(truck, tmp_path):
+    """Excited drives of the simulated truck from a restart on, at random speeds; 24 seeds in full."""
     project, _, core, _ = truck
     replayer = Replayer(project, core, threshold=1e9, change_threshold=1e9)
     rng, runs = np.random.default_rng(6), 24 if FULL else 6
@@ -633,7 +697,7 @@ def test_brakes_at_four_tenths_are_found_by_the_energy_test_alone_in_a_minute(tr
         scenario, table = tmp_path / f"{k}.toml", tmp_path / f"{k}.csv"
         scenario.write_text(
             steady_scenario(
-                60.0,
+                90.0,
                 "[[plant.actuator_fault]]\nstart_s = 0.0\nbrake_gain_ratio = 0.4\n",
                 title="brakes at 0.4",
                 speed_mps=round(rng.uniform(8.5, 21.5), 2),
@@ -650,7 +714,7 @@ def test_brakes_at_four_tenths_are_found_by_the_energy_test_alone_in_a_minute(tr
             "--program",
             PROGRAMMES[k % 3],
             "--duration",
-            60,
+            90,
             "--seed",
             100 + k,
         ]

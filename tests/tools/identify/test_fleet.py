@@ -23,13 +23,13 @@ from lpvguard.base import native
 from lpvguard.base.errors import InputError
 from lpvguard.base.parallel import UNDER_WAY_PER_WORKER, workers
 from lpvguard.base.sampling import first_of_each, row_hash, stacked
-from lpvguard.bench import fleet
 from lpvguard.drives.dft import spectra
 from lpvguard.drives.frames import Estimator
 from lpvguard.drives.tables import Drive, list_experiments, read_drive
 from lpvguard.engine.validation import s1
+from lpvguard.extras.bench import fleet
+from lpvguard.identify import identification as stage
 from lpvguard.identify import passes
-from lpvguard.identify import run as stage
 from lpvguard.identify.bounds import (
     FRONT_POINTS,
     FrameSet,

@@ -11,10 +11,10 @@ import pytest
 
 from lpvguard.base.errors import InputError
 from lpvguard.drives.tables import Experiment, list_experiments
-from lpvguard.evaluate.judged import JudgedDrives
-from lpvguard.identify import run as identify
+from lpvguard.evaluate.judged_drives import JudgedDrives
+from lpvguard.identify import identification as identify
 from lpvguard.identify.calibration import ROUNDING, Calibration, Recordings, calibrate
-from lpvguard.identify.run import DriveSet
+from lpvguard.identify.identification import DriveSet
 from lpvguard.vehicle.nominal import NominalModel
 
 SIZES = {"dry": 19, "wet": 12, "snow": 3}
@@ -39,8 +39,7 @@ def test_a_group_with_enough_recordings_has_its_own_threshold_and_the_others_the
     assert dry.claim().startswith("group dry: threshold 1.18, alpha 0.1 from 19 recordings, with 95 % ")
     said = snow.claim()
     assert said == (
-        "group snow: 3 recordings are too few for a threshold of its own, so it has the pooled one, and "
-        "alpha is not stated for it"
+        "group snow: 3 recordings are too few for its own threshold; it has the pooled one without alpha"
     )
     assert snow.alpha is None is snow.conditional_bound and dry.alpha == wet.alpha == found.alpha == 0.1
     assert found.claim().startswith("pooled: alpha 0.1 from 34 drives") and said in found.claim()
@@ -125,7 +124,7 @@ def test_the_column_is_read_and_each_drive_is_judged_by_the_threshold_of_its_gro
     np.testing.assert_allclose(exported, [[5.0, 4.0], [7.0, 6.0], [3.0, 2.0]], rtol=1e-12)
     with pytest.raises(InputError, match="expected dry, wet"):
         grouped.of_group("fog")
-    drives = DriveSet(g80, NominalModel(g80), list_experiments(synthetic))
+    drives = DriveSet(g80, NominalModel(g80), synthetic)
     alone = JudgedDrives.left_one_out(grouped, drives).calibrations
     assert {alone[d]["frame"].threshold for d in dry} == {2.0}
     assert all("group wet: 0 recordings are too few" in c.claim() for c in alone[list(scores)[10]].values())

@@ -10,7 +10,7 @@ from jsonschema import Draft202012Validator
 
 from lpvguard import schemas
 from lpvguard.drives.frames import Estimator
-from lpvguard.identify import run as stage
+from lpvguard.identify import identification as stage
 from lpvguard.identify.bounds import FrameSet
 from lpvguard.identify.healthy import CANDIDATES, HealthySet, healthy_set, needed
 from lpvguard.identify.premise import premise

@@ -12,11 +12,12 @@ from scipy.signal import butter, lfilter
 from lpvguard.base import artefacts
 from lpvguard.base.errors import InputError
 from lpvguard.drives.frames import Estimator
-from lpvguard.drives.tables import Drive, list_experiments
+from lpvguard.drives.tables import Drive
 from lpvguard.engine.validation import s1
 from lpvguard.identify import model_error
 from lpvguard.identify.bounds import FrameSet, fold, nominal_error, remainder
-from lpvguard.identify.chosen import Chosen
+from lpvguard.identify.drive_set import Chosen, DriveSet
+from lpvguard.identify.identification import _quiet, identify
 from lpvguard.identify.model_error import (
     BIASED,
     INSTRUMENTAL,
@@ -34,8 +35,6 @@ from lpvguard.identify.model_error import (
     uncertainty_bound,
 )
 from lpvguard.identify.over_drives import OverDrives
-from lpvguard.identify.passes import DriveReader
-from lpvguard.identify.run import _quiet, identify
 from lpvguard.identify.weights import SMALLEST_NU
 from lpvguard.vehicle.nominal import NominalModel
 from lpvguard.vehicle.project import Project, parse_project
@@ -339,9 +338,10 @@ def test_the_same_bytes_for_any_order_of_the_drives(tmp_path):
     (tmp_path / "experiments.csv").write_text("\n".join(rows) + "\n")
 
     def written(order: list[int]) -> str:
-        chosen = [list_experiments(tmp_path)[k] for k in order]
-        run = OverDrives(DriveReader(vehicle.project, vehicle.model), map, _quiet)
-        found = run.model_error(Chosen.by_split(vehicle.project, chosen, tmp_path))
+        drives = DriveSet(vehicle.project, vehicle.model, tmp_path)
+        listed = list(drives.experiments.values())
+        drives.experiments = {listed[k].name: listed[k] for k in order}
+        found = OverDrives(drives, map, _quiet).model_error(Chosen.by_split(drives))
         return artefacts.to_json(found.to_dict(vehicle.project))
 
     text = written([0, 1, 2, 3, 4])
@@ -404,12 +404,12 @@ def test_class_S0_is_given_no_uncertainty_and_drives_of_commands_must_be_there(t
         identify(parse_project(document, "toy"), tmp_path)
     with pytest.raises(InputError, match="command_split must be among bound_split"):
         parse_project({**document, "data": {"bound_split": ["train"], "command_split": ["town"]}}, "toy")
-    chosen = Chosen.by_split(vehicle.project, list_experiments(tmp_path), tmp_path).setting
+    chosen = Chosen.by_split(DriveSet(vehicle.project, vehicle.model, tmp_path)).setting
     error = ModelError.of(vehicle.project, vehicle.grid, [vehicle.sums(d) for d in rows], [])
     for structure, least in (("S0", 0.0), ("S1", 0.2)):
         bounds = vehicle.project.bounds.model_copy(update={"structure": structure})
         project = vehicle.project.model_copy(update={"bounds": bounds})
-        run = OverDrives(DriveReader(project, vehicle.model), map, _quiet)
+        run = OverDrives(DriveSet(project, vehicle.model, tmp_path), map, _quiet)
         ceiling = project.bounds.nu_ceiling.at(run.reader.estimator.omega / (2 * np.pi))
         first = fold(run.first_parts(chosen, ceiling, keep=False))
         gamma_w = 2 * first["B2"]

@@ -14,10 +14,11 @@ from lpvguard.base import artefacts
 from lpvguard.base.errors import InputError
 from lpvguard.control import design as step8
 from lpvguard.control.frozen import FrozenProblem
-from lpvguard.control.plants import design_settings, fig1_weights, frozen_plant
+from lpvguard.control.plants import DesignProblem, design_settings
 from lpvguard.drives.frames import Estimator
-from lpvguard.identify import run as identification
+from lpvguard.identify import identification as identification
 from lpvguard.identify.premise import Least, Premise, premise, require_premise, weight_met
+from lpvguard.identify.weights import Weights, energy_filters
 from lpvguard.vehicle.nominal import NominalModel
 
 JUDGED = "W_delta is .* beside .delta_c. - k se = .* rad/s and .* m/s"
@@ -126,12 +127,18 @@ def truck_stored(few_truck_identified) -> identification.StoredIdentification:
 
 def shrunk(folder: Path, target: Path, factor: float) -> Path:
     """A copy of an identification with W_delta and what it was fitted above times ``factor``, sealed anew."""
+    project = identification.load(folder).project
     shutil.copytree(folder, target)
     weights = artefacts.read_json(target / "weights.json")
     for entry in weights["W_delta"]:
         entry["weight"]["num"] = [factor * x for x in entry["weight"]["num"]]
         entry["bound"] = [None if b is None else factor * b for b in entry["bound"]]
     (target / "weights.json").write_text(artefacts.to_json(weights))
+    estimator = Estimator.of(project, NominalModel(project))
+    filters = energy_filters(project, estimator, Weights.from_dict(weights, "here")).to_dict()
+    energy = artefacts.read_json(target / "energy.json")
+    energy |= {name: filters[name] for name in ("gain", "certificate")}
+    (target / "energy.json").write_text(artefacts.to_json(energy))
     artefacts.seal(target)
     return target
 
@@ -162,19 +169,19 @@ def test_one_structure_goes_from_identification_to_certificate(truck_stored):
     assert truck_stored.model_error.bound.shape[1] == deltas
     assert fitted.at(estimator.omega)[0].shape[1] == deltas
     assert truck_stored.energy.W.shape[0] == deltas
-    plant = frozen_plant(truck_stored, 15.0)
+    plant = DesignProblem.of(truck_stored).plant(15.0)
     assert [(b.rows, b.cols) for b in plant.blocks] == [(1, 1)] * deltas
     # The weights in the interconnection are those of the identification, times the inflation.
-    weights, omega = fig1_weights(truck_stored, settings), np.array([0.1, 2.0, 20.0])
+    weights, omega = DesignProblem(truck_stored, settings).weights, np.array([0.1, 2.0, 20.0])
     for W, own in zip((weights.W_delta_r, weights.W_delta_delta), fitted.W_delta, strict=True):
         np.testing.assert_allclose(
             np.abs(W.response(omega)[:, 0, 0]), fitted.inflation * own.magnitude(omega), rtol=1e-9
         )
     for structure in ("K_i", "K_is"):
         with pytest.raises(InputError, match=r"S1_diagonal with design\.structure"):
-            fig1_weights(truck_stored, settings.model_copy(update={"structure": structure}))
+            _ = DesignProblem(truck_stored, settings.model_copy(update={"structure": structure})).weights
     common = replace(truck_stored, fitted=replace(fitted, W_delta=fitted.W_delta[:1]))
     with pytest.raises(InputError, match="one uncertainty for bounds and design"):
-        fig1_weights(common, settings)
+        _ = DesignProblem(common, settings).weights
     with pytest.raises(InputError, match="2 Deltas, one an output; expected S0 or S1"):
         FrozenProblem(truck_stored, None)

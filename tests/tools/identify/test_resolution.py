@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lpvguard.bench import fleet
 from lpvguard.drives.frames import Estimator
 from lpvguard.drives.tables import Drive, list_experiments, read_drive
 from lpvguard.engine.validation import s1
-from lpvguard.identify import run as stage
+from lpvguard.extras.bench import fleet
+from lpvguard.identify import identification as stage
 from lpvguard.identify.bounds import counted_frames, nominal_error
 from lpvguard.identify.deciders import unresolved
 from lpvguard.identify.energy import EnergyTest
@@ -197,9 +197,7 @@ def test_a_vehicle_whose_only_sin_is_rounding_is_not_falsified(coarse, monkeypat
     assert len(speaks) > 3, "and yet a vehicle that does not respond would be"
     assert (found.bounds.B_w >= floor).all() and (found.bounds.B_w[speaks] == floor[speaks]).any()
     (said,) = unresolved(found)
-    assert said.startswith(
-        "B_w of yaw_rate is what its sensor cannot tell, and the drives ask for no more, at 0"
-    )
+    assert said.startswith("B_w of yaw_rate is the limit of its sensor, and the drives need no more, at 0")
     assert "steps of 0.02 rad/s, noise of 0 rad/s" in said
     gentle = [quantised(100 + i, a) for i, a in enumerate((2e-4, 5e-4, 1e-3, 2e-3))]
     assert set(np.unique(np.round(gentle[1].y / STEP))) <= {-1.0, 0.0, 1.0}, "a bit or two"

@@ -11,11 +11,11 @@ from lpvguard.core.compiled import Core
 from lpvguard.drives.frames import Estimator
 from lpvguard.drives.tables import list_experiments, read_drive
 from lpvguard.identify.export import export_vehicle
+from lpvguard.identify.identification import load
 from lpvguard.identify.over_drives import CUTS, FAR_BELOW
 from lpvguard.identify.passes import DriveReader, energy_pass, judge
-from lpvguard.identify.run import load
 from lpvguard.identify.weights import coefficients_of
-from lpvguard.report.drawn import OfIdentification
+from lpvguard.report.identification_pictures import IdentificationPictures
 from lpvguard.report.sections.bounds import bound_sections
 from lpvguard.vehicle.nominal import NominalModel
 
@@ -75,5 +75,5 @@ def test_a_cut_drive_far_below_the_energy_tests_bound_asks_for_no_larger_sigma(
 @pytest.mark.long("6 s: the pictures of a page")
 def test_the_page_draws_one_line_an_output(stored):
     estimator = Estimator.of(stored.project, NominalModel(stored.project))
-    page = "".join(bound_sections(OfIdentification(stored, estimator)))
+    page = "".join(bound_sections(IdentificationPictures(stored, estimator)))
     assert "one line, an output" in page and page.count("<svg") == 4

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from lpvguard.replay.run import Replayer, bus_frames
+from lpvguard.replay.replayer import Replayer, bus_frames
 
 
 @pytest.fixture(scope="session")

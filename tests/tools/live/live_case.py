@@ -8,8 +8,8 @@ import urllib.request
 from contextlib import contextmanager
 
 from lpvguard.can.logs import Frames
-from lpvguard.live.server import serve
-from lpvguard.live.watch import Watch
+from lpvguard.extras.live.server import serve
+from lpvguard.extras.live.watch import Watch
 
 
 class Given:

@@ -15,13 +15,13 @@ import pytest
 from live_case import Given, cut
 
 from lpvguard.base.errors import InputError
-from lpvguard.live.watch import Watch
+from lpvguard.extras.live.watch import Watch
 from lpvguard.replay.messages import messages, schemas
 
 pytest.importorskip("foxglove", reason="the package foxglove-sdk (lpvguard[foxglove])")
 websocket = pytest.importorskip("tornado.websocket", reason="the package tornado (lpvguard[live])")
 
-from lpvguard.live.foxglove_server import BACKLOG, FoxgloveServer  # noqa: E402
+from lpvguard.extras.live.foxglove_server import BACKLOG, FoxgloveServer  # noqa: E402
 
 DATA = struct.Struct("<BIQ")
 """Head of a message: operation 1, number of the subscription, time [ns]."""

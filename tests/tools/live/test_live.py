@@ -20,11 +20,11 @@ from live_case import Given, asked, cut, served
 from lpvguard.can.play import write_candump
 from lpvguard.core.compiled import Core, shipped_vehicle
 from lpvguard.drives.tables import read_drive
-from lpvguard.live.server import LOOPBACK, MOST_ROWS
-from lpvguard.live.sources import LogSource
-from lpvguard.live.watch import ALARMS, Ring, Watch
-from lpvguard.loop.sim import Simulator, load_scenario, steady_scenario
-from lpvguard.replay.run import Replayer, bus_frames
+from lpvguard.extras.live.server import LOOPBACK, MOST_ROWS
+from lpvguard.extras.live.sources import LogSource
+from lpvguard.extras.live.watch import ALARMS, Ring, Watch
+from lpvguard.extras.loop.sim import Simulator, load_scenario, steady_scenario
+from lpvguard.replay.replayer import Replayer, bus_frames
 from lpvguard.vehicle.nominal import RunningModel
 from lpvguard.vehicle.project import load_project
 from parts import require

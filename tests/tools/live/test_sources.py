@@ -12,9 +12,9 @@ import pytest
 
 from lpvguard.can.play import write_candump
 from lpvguard.core.compiled import VERDICTS, shipped_vehicle
-from lpvguard.loop.lcm_client import message_types
-from lpvguard.loop.sim import Simulator, load_scenario, steady_scenario
-from lpvguard.replay.opened import replayer_for
+from lpvguard.extras.loop.lcm_client import message_types
+from lpvguard.extras.loop.sim import Simulator, load_scenario, steady_scenario
+from lpvguard.replay.vehicle_core import replayer_for
 from lpvguard.vehicle.project import load_project
 from parts import require
 from vcan import with_vcan

@@ -10,8 +10,8 @@ import pytest
 from scipy.signal import lfilter
 
 from lpvguard.base.errors import InputError
-from lpvguard.loop.campaign import conduct, scenarios, trucks
-from lpvguard.loop.campaign.scenarios import Command, Drawn, PlannedRun
+from lpvguard.extras.loop.campaign import conduct, scenarios, trucks
+from lpvguard.extras.loop.campaign.scenarios import Command, Drawn, PlannedRun
 from lpvguard.vehicle.nominal import NominalModel
 
 Ts = 0.01

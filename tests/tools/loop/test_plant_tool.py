@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from lpvguard.base.errors import InputError
-from lpvguard.loop.generate import plant_tool
-from lpvguard.loop.response import frequency_response
+from lpvguard.extras.loop.generate import plant_tool
+from lpvguard.extras.loop.response import frequency_response
 from made import ROOT
 
 TOOL = str(plant_tool())

@@ -15,10 +15,10 @@ from pya2l.parser import A2lParser
 from lpvguard.base.errors import InputError
 from lpvguard.core import targets
 from lpvguard.core.compiled import VERDICTS, library_root, shipped_vehicle
-from lpvguard.measure.a2l import a2l_text
-from lpvguard.measure.header_fields import described_fields
-from lpvguard.measure.image import read_instance
-from lpvguard.measure.xcp_access import XcpAccess, if_data
+from lpvguard.extras.measure.a2l import a2l_text
+from lpvguard.extras.measure.header_fields import described_fields
+from lpvguard.extras.measure.image import read_instance
+from lpvguard.extras.measure.xcp_access import XcpAccess, if_data
 from lpvguard.vehicle.project import load_project
 from parts import require
 

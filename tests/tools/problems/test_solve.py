@@ -5,13 +5,13 @@ from __future__ import annotations
 
 import json
 import os
-import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from lpvguard.problems import solve
+from lpvguard.extras.problems import solve
 from made import ROOT
 
 GOLDEN = ROOT / "tests" / "golden" / "validation_problems.json"
@@ -115,6 +115,78 @@ def test_bad_problems_get_an_error_that_names_the_place_and_stop_nothing(problem
         assert word in answers[0]["error"]
 
 
+def larger(r, factor):
+    """Another explanation of MULTIPLICATIVE: delta times ``factor``, and its own w."""
+    E, Z = (np.array(MULTIPLICATIVE[k]) @ [1, 1j] for k in "EZ")
+    return {"delta": factor * r.delta, "nu": abs(factor) * r.nu, "w": E - factor * r.delta * Z}
+
+
+@pytest.mark.parametrize(
+    "planted",
+    [
+        pytest.param(lambda r: {"nu": 0.999 * r.nu}, id="nu"),
+        pytest.param(lambda r: {"delta": 0.999 * r.delta, "nu": 0.999 * r.nu}, id="nu and delta"),
+        pytest.param(lambda r: {"w": 1.001 * r.w}, id="w"),
+        pytest.param(lambda r: {"b1": 0.321 + 0 * r.b1}, id="B1"),
+        pytest.param(lambda r: {"b1": 0.999 * r.b1}, id="smaller B1"),
+        pytest.param(lambda r: larger(r, 1.0001), id="delta larger than it must be"),
+        pytest.param(lambda r: larger(r, np.exp(1e-3j)), id="delta turned"),
+    ],
+)
+def test_a_nu_that_its_delta_and_w_do_not_attain_is_an_error(planted, monkeypatch):
+    right = solve.s1.solve
+    monkeypatch.setattr(solve.s1, "solve", lambda *a: replace(right(*a), **planted(right(*a))))
+    answer = solve.solve_problem(MULTIPLICATIVE | {"gamma_w": 0.32})
+    assert answer["status"] == "error" and "nu: not proved" in answer["error"]
+
+
+def complexes(rng, n):
+    return rng.standard_normal(n) + 1j * rng.standard_normal(n)
+
+
+def as_pairs(values):
+    return np.stack([values.real, values.imag], axis=-1).tolist()
+
+
+@pytest.mark.parametrize("decades", [0, 6])
+def test_every_nu_and_margin_of_random_bins_is_proved(decades):
+    rng = np.random.default_rng(decades)
+    for k in range(300):
+        n = 1 + k % 3
+        E, Z = (complexes(rng, n) * 10.0 ** rng.uniform(-decades, decades, n) for _ in range(2))
+        if k % 2:  # nearly explained by one delta
+            E = Z * complexes(rng, 1) + 10.0 ** rng.uniform(-14, 0) * np.abs(E) * complexes(rng, n)
+        gamma = float(solve.s1.solve(E, Z, 1.0).b1) * (1 + 10.0 ** rng.uniform(-14, 1))
+        common, each = 10.0 ** rng.uniform(-decades, decades), 10.0 ** rng.uniform(-3, 3, n)
+        bin_ = {
+            "E": as_pairs(E),
+            "Z": as_pairs(Z),
+            "gamma_w": gamma,
+            "W_w": (10.0 ** rng.uniform(-4, 0, n) * np.abs(E)).tolist(),
+        }
+        for problem in (
+            {"kind": "multiplicative"},
+            {"kind": "margin", "W_delta": common},
+            {"kind": "margin", "W_delta": each.tolist()},
+        ):
+            answer = solve.solve_problem(bin_ | problem)
+            assert answer["status"] == "ok", (k, answer)
+
+
+@pytest.mark.parametrize("W_delta", [0.5, 0.0, [0.5, 0.2]])
+def test_a_margin_that_is_not_the_least_is_an_error(W_delta, monkeypatch):
+    problem = MULTIPLICATIVE | {"kind": "margin", "W_delta": W_delta, "W_w": [0.3, 0.2]}
+    t = solve.solve_problem(problem)["t"]
+    for factor in (1 - 1e-5, 1 + 1e-5, 1 + 1e-8):
+        monkeypatch.setattr(solve.s1, "margin", lambda *_, factor=factor: factor * t)
+        answer = solve.solve_problem(problem)
+        assert (answer["status"] == "ok") == (factor == 1 + 1e-8)
+        assert answer["status"] == "ok" or "t: not proved" in answer["error"]
+    monkeypatch.setattr(solve.s1, "margin", lambda *_: 1e-5)
+    nothing = problem | {"E": [[0.0, 0.0], [0.0, 0.0]]}
+    assert "t: not proved" in solve.solve_problem(nothing)["error"]
+
+
 def test_a_margin_takes_one_W_delta_or_one_an_output():
     common, each = (
         solve.solve_problem(MULTIPLICATIVE | {"kind": "margin", "W_delta": W, "W_w": [0.3, 0.2]})["t"]
@@ -134,6 +206,56 @@ def test_lft_answer_is_attained_and_holds_the_side_questions():
     assert a["nu_s_min"] == pytest.approx(a["nu"][0], rel=1e-4) and a["t_minmax"] == pytest.approx(
         a["nu"][0], rel=1e-4
     )
+
+
+LFT_MARGIN = LFT | {"kind": "lft_margin", "W_delta": [0.2], "W_w": [0.2, 0.3]}
+
+
+@pytest.mark.parametrize("problem", [LFT, LFT | {"lambda_w": [0.5, 0.5]}, LFT_MARGIN])
+@pytest.mark.parametrize(
+    "planted",
+    [
+        pytest.param(lambda s: {"upper": (1 - 1e-5) * s.upper}, id="upper too small"),
+        pytest.param(lambda s: {"lower": (1 + 1e-5) * s.upper}, id="lower above upper"),
+        pytest.param(lambda s: {"w": 2.0 * s.w}, id="larger w"),
+        pytest.param(lambda s: {"nu": 1.01 * s.nu}, id="larger nu"),
+    ],
+)
+def test_an_interval_that_its_explanation_does_not_attain_is_an_error(problem, planted, monkeypatch):
+    from lpvguard.engine.validation import lft
+
+    assert solve.solve_problem(problem)["status"] == "ok"
+    name = "margin" if problem["kind"] == "lft_margin" else "optimum"
+    right = getattr(lft, name)
+
+    def wrong(*args, **options):
+        solution = right(*args, **options)
+        return replace(solution, **planted(solution))
+
+    monkeypatch.setattr(lft, name, wrong)
+    answer = solve.solve_problem(problem)
+    assert answer["status"] == "error" and "_upper: not proved" in answer["error"]
+
+
+@pytest.mark.parametrize("problem", [LFT, LFT | {"lambda_w": [0.5, 0.5]}, LFT_MARGIN])
+def test_a_lower_bound_that_is_not_proved_anew_is_an_error(problem, monkeypatch):
+    from lpvguard.engine.validation import lft
+
+    stem = "t" if problem["kind"] == "lft_margin" else "J"
+    right, search = solve.solve_problem(problem), lft.minimise
+    monkeypatch.setattr(lft, "_one_block", lambda *_: None)
+    for above, proved in ((0.999, True), (1.001, False)):
+
+        def planted(*args, above=above, **options):
+            interval = search(*args, **options)
+            return replace(interval, lower=above * interval.upper)
+
+        monkeypatch.setattr(lft, "minimise", planted)
+        answer = solve.solve_problem(problem)
+        if proved:
+            assert 0.999 * right[f"{stem}_lower"] <= answer[f"{stem}_lower"] <= right[f"{stem}_upper"]
+        else:
+            assert "the lower bound: not proved" in answer["error"]
 
 
 def test_lambda_w_p12_p22_and_a_missing_side_answer():
@@ -231,11 +353,3 @@ def test_truck_response_matches_its_own_recursion():
     np.testing.assert_allclose(np.array(p["P"]) @ [1, 1j], expected, rtol=1e-10)
     dc = solve.solve_problem(ZOH | {"kind": "frequency_response", "omega": 0.0})
     assert dc["P"][0][0] == pytest.approx(-1.94 / 15.0, rel=2e-3), "r / dp = -1.94 / v per bar at DC"
-
-
-@pytest.mark.parametrize("kind", ["mu", "hinf"])
-def test_missing_synthesis_is_an_error_of_that_problem_only(kind, monkeypatch):
-    monkeypatch.setitem(sys.modules, "lpvguard.problems.synthesis", None)
-    answers = solve.solve_problems([{"id": 1, "kind": kind}, MULTIPLICATIVE])
-    assert answers[0]["status"] == "error" and "synthesis" in answers[0]["error"]
-    assert answers[1]["status"] == "ok"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from lpvguard.replay.run import Replayer
+from lpvguard.replay.replayer import Replayer
 
 
 @pytest.fixture(scope="session")

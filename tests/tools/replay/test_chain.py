@@ -16,9 +16,9 @@ from lpvguard.core.compiled import Core, shipped_vehicle
 from lpvguard.drives.faults import Fault, inject
 from lpvguard.drives.tables import list_experiments, read_drive
 from lpvguard.evaluate.detection import Injection
-from lpvguard.evaluate.run import evaluate
-from lpvguard.identify import run as stage
-from lpvguard.replay.run import Replayer, excited_samples
+from lpvguard.evaluate.evaluation import evaluate
+from lpvguard.identify import identification as stage
+from lpvguard.replay.replayer import Replayer, excited_samples
 
 FIELDS = {
     "run",
@@ -183,7 +183,7 @@ def test_measured_bound_drives_keep_their_margins(measured, g80):
 def test_measured_drives_are_judged_and_seldom_alarm_and_faults_are_found(
     measured, measured_identified, g80, g80_model, few_baselines
 ):
-    drives = stage.DriveSet(g80, g80_model, list_experiments(measured))
+    drives = stage.DriveSet(g80, g80_model, measured)
     table = evaluate(stage.load(measured_identified), drives, Core(shipped_vehicle("g80")))
     core = Core(shipped_vehicle("g80"))
     for e in list_experiments(measured):

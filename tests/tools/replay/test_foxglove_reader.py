@@ -54,7 +54,7 @@ def test_foxglove_reads_the_verdicts_margins_and_alarms_of_a_recording(reader, r
     path, said = alarmed
     series = replayer.series(replayer.read_file(path), said)
     alarms = said.to_dict()["alarms"]
-    recordings.write_series(tmp_path / "run.mcap", "mcap", series, alarms)
+    recordings.write_series(tmp_path / "run.mcap", "mcap", series, alarms, "g80")
     done = reader(tmp_path / "run.mcap")
     assert done.returncode == 0, done.stderr
     topics = json.loads(done.stdout)
@@ -89,6 +89,6 @@ def test_the_reader_objects_to_a_message_that_is_not_as_its_schema_says(
         return found
 
     monkeypatch.setattr(recordings, "messages", bent)
-    recordings.write_series(tmp_path / "run.mcap", "mcap", series, said.to_dict()["alarms"])
+    recordings.write_series(tmp_path / "run.mcap", "mcap", series, said.to_dict()["alarms"], "g80")
     done = reader(tmp_path / "run.mcap")
     assert done.returncode != 0 and re.search(says, done.stderr), done.stderr

@@ -23,7 +23,7 @@ from lpvguard.drives.signal_map import map_of_project
 from lpvguard.drives.tables import Drive
 from lpvguard.fit.project_file import with_numbers
 from lpvguard.replay.receive import Receiver
-from lpvguard.replay.run import Replayer
+from lpvguard.replay.replayer import Replayer
 from lpvguard.vehicle.nominal import NominalModel
 from lpvguard.vehicle.project import Project, load_project
 from other_car import table

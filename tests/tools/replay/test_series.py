@@ -10,7 +10,7 @@ import pyarrow.parquet as parquet
 import pytest
 
 from lpvguard.core.compiled import VERDICTS
-from lpvguard.replay.run import Recorded
+from lpvguard.replay.replayer import Recorded
 from lpvguard.replay.series import margin_column
 
 

@@ -8,7 +8,7 @@ from scipy.signal import lfilter
 
 from lpvguard.core.compiled import VERDICTS, Core, shipped_vehicle
 from lpvguard.drives.tables import Drive, list_experiments, read_drive
-from lpvguard.replay.run import Replayer
+from lpvguard.replay.replayer import Replayer
 from lpvguard.vehicle.nominal import NominalModel
 
 HOURS = 10.0

@@ -10,10 +10,9 @@ import report_case
 from report_case import Case, vehicle, write_drives
 
 from lpvguard.core.compiled import Core
-from lpvguard.drives.tables import list_experiments
-from lpvguard.identify import run as stage
+from lpvguard.identify import identification as stage
 from lpvguard.identify.export import export_vehicle
-from lpvguard.replay.run import Replayer
+from lpvguard.replay.replayer import Replayer
 from lpvguard.vehicle.nominal import NominalModel
 from made import digest_of
 
@@ -36,7 +35,7 @@ def case(request, made) -> Case:
         export_vehicle(stage.load(folder / "identified"), folder / "vehicle")
 
     folder = made.folder(f"report_{request.param}_{RECIPE}", make)
-    drives = stage.DriveSet(project, NominalModel(project), list_experiments(folder / "drives"))
+    drives = stage.DriveSet(project, NominalModel(project), folder / "drives")
     # A threshold of its own: calibrated on "weak" itself nothing would alarm.
     replayer = Replayer(project, Core(folder / "vehicle"), threshold=1.5)
     return Case(stage.load(folder / "identified"), drives, replayer)

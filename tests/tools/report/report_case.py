@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from lpvguard.identify import run as stage
-from lpvguard.replay.run import Replayer
+from lpvguard.identify import identification as stage
+from lpvguard.replay.replayer import Replayer
 from lpvguard.report.page import write_report
 from lpvguard.vehicle.nominal import NominalModel
 from lpvguard.vehicle.project import load_project, parse_project

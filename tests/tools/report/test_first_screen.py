@@ -12,10 +12,9 @@ import pytest
 from report_case import DRIVES, Case
 
 from lpvguard.core.compiled import Core
-from lpvguard.drives.tables import list_experiments
-from lpvguard.identify import run as stage
+from lpvguard.identify import identification as stage
 from lpvguard.identify.export import export_vehicle
-from lpvguard.replay.run import Replayer
+from lpvguard.replay.replayer import Replayer
 from lpvguard.report.blindness import LEVEL, cells, regions, speed_row
 from lpvguard.report.sections.overview import outcome
 from lpvguard.vehicle.nominal import NominalModel
@@ -142,7 +141,7 @@ def test_a_reader_finds_the_answers_on_the_first_screen(case, page):
 def test_a_reader_of_the_measured_drives_finds_the_answers(g80, measured, measured_identified, tmp_path):
     stored = stage.load(measured_identified)
     export_vehicle(stored, tmp_path / "g80")
-    drives = stage.DriveSet(g80, NominalModel(g80), list_experiments(measured))
+    drives = stage.DriveSet(g80, NominalModel(g80), measured)
     case = Case(stored, drives, Replayer(g80, Core(tmp_path / "g80")))
     page = case.page(tmp_path / "g80.html")
     assert len(page) < 2e6 + 80e3 * len(drives.experiments), "50 drives would not fit into 6 MB"

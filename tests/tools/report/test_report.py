@@ -15,8 +15,8 @@ from lpvguard.base import artefacts
 from lpvguard.base.errors import InputError
 from lpvguard.evaluate.comparison import HELD_OUT, LEFT_ONE_OUT
 from lpvguard.evaluate.detection import WAY_WORDS
-from lpvguard.evaluate.run import evaluate
-from lpvguard.identify import run as stage
+from lpvguard.evaluate.evaluation import evaluate
+from lpvguard.identify import identification as stage
 from lpvguard.report.page import write_report
 from lpvguard.report.sections.campaign import campaign_section
 from lpvguard.report.sections.design import design_section
@@ -284,7 +284,7 @@ def test_a_campaign_is_told_with_every_severity_and_whoever_was_best(case, tmp_p
     }
     section = campaign_section(summary)
     assert "equal" not in section and "<td>counts only</td>" in section
-    assert "Falsified certificates: 0 of 50, 0.00 to 7.11 %" in text and "what it did" not in text
+    assert "Falsified certificates: 0 of 50, 0.00 to 7.11 %" in text and "contradiction" not in text
     assert "3 frequencies from 0.02 to 60 rad/s, at 8, 22 m/s, 0.25 to 2.06 bar" in text
     assert (
         section.index("Falsified certificates: 1 of 50") < section.index("oscillates") < section.index("h of")
@@ -357,7 +357,7 @@ def test_evaluation_and_a_core_of_another_identification_are_told(case, page, tm
     claims = evaluation["claims"] | {HELD_OUT: evaluation["claims"][LEFT_ONE_OUT]}
     evaluation |= {"mode": HELD_OUT, "claims": claims}
     held_out = case.page(tmp_path / "held_out.html", evaluation).decode()
-    assert "Of drives that the identification never saw: " in held_out
+    assert "Drives that the identification never saw: " in held_out
     assert "Each left out of its own threshold: " not in held_out
 
 

@@ -14,12 +14,11 @@ from lpvguard.base import artefacts
 from lpvguard.can.dbc import dbc_text
 from lpvguard.drives.faults import Fault, inject
 from lpvguard.drives.ingest import ingest
-from lpvguard.drives.tables import list_experiments
-from lpvguard.evaluate.run import evaluate
-from lpvguard.identify import run as identify
-from lpvguard.loop.sim import load_scenario
-from lpvguard.problems.solve import solve_problems
-from lpvguard.replay.run import Replayer
+from lpvguard.evaluate.evaluation import evaluate
+from lpvguard.extras.loop.sim import load_scenario
+from lpvguard.extras.problems.solve import solve_problems
+from lpvguard.identify import identification as identify
+from lpvguard.replay.replayer import Replayer
 from lpvguard.vehicle.nominal import NominalModel
 from lpvguard.vehicle.project import EvaluationSettings
 from made import ROOT
@@ -97,7 +96,7 @@ def test_an_identification_is_as_described(identified, vehicle, file):
 def test_a_replay_with_alarms_and_an_evaluation_are_as_described(
     g80, synthetic, identified, core, few_baselines
 ):
-    drives = identify.DriveSet(g80, NominalModel(g80), list_experiments(synthetic))
+    drives = identify.DriveSet(g80, NominalModel(g80), synthetic)
     faulty = inject(drives.load("synthetic_06")[0], Fault("gain", 0.3), 60.0, g80.Ts_s)
     replayed = Replayer(g80, core).replay(faulty).to_dict()
     assert {a["test"] for a in replayed["alarms"]} == {"frame", "energy", "change"}

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
-from lpvguard.sources.table import SHIPPED, load_data_set
+from lpvguard.extras.sources.table import SHIPPED, load_data_set
 
 RATE_HZ = 20
 SHIPPED_NAMES = sorted(tomllib.loads(SHIPPED.read_text(encoding="utf-8")))

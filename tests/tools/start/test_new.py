@@ -14,7 +14,7 @@ from known_car import KnownCar
 from lpvguard.base.errors import InputError
 from lpvguard.drives.ingest import ingest
 from lpvguard.drives.tables import list_experiments, read_drive
-from lpvguard.start.run import new
+from lpvguard.start.new_project import new
 from lpvguard.start.signals import Recording, proposed, ranked
 from lpvguard.start.templates import TEMPLATES
 from lpvguard.vehicle.project import load_project

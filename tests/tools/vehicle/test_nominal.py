@@ -98,7 +98,7 @@ def test_outside_its_range_the_model_runs_at_the_nearest_speed_but_refuses_a_fre
 
 
 def test_crc_of_python_is_the_crc_of_the_core(core, identified):
-    from lpvguard.identify.run import load
+    from lpvguard.identify.identification import load
 
     assert int(core.words["crc32"][0]) == load(identified).coefficients.crc32(4)
 

@@ -9,7 +9,7 @@ import pytest
 from lpvguard.base import artefacts
 from lpvguard.base.errors import InputError
 from lpvguard.vehicle.project import load_project
-from lpvguard.vehicle.stated import require_settings
+from lpvguard.vehicle.stored_settings import require_settings
 
 
 def stored() -> dict:
@@ -49,8 +49,7 @@ def test_the_first_other_setting_is_named_with_both_values(path, value, old, new
     with pytest.raises(InputError) as refused:
         require_settings(changed(path, value), "a folder", load_project("truck"), "truck")
     assert str(refused.value) == (
-        f"{path}: {old} in a folder, {new} in truck; "
-        "expected the settings that it was made with, or made anew with these"
+        f"{path}: {old} in a folder, {new} in truck; expected its own settings, or a new result with these"
     )
 
 

@@ -5,9 +5,9 @@ what comes in, what goes out and which rooms it may import.
 
 The Python interface is the room ``api``; its names are here as well:
 
-    found = lpvguard.identify("mycar.toml", "drives")           found.bounds, found.weights
+    found = lpvguard.identify_drives("mycar.toml", "drives")           found.bounds, found.weights
     code = found.export("code")
-    run = lpvguard.replay("mycar.toml", "drive.csv", coefficients=code)   run.series, run.frames
+    run = lpvguard.replay_drive("mycar.toml", "drive.csv", coefficients=code)   run.series, run.frames
     said = lpvguard.Monitor("mycar.toml", code).push(t, v, u, y)          said.verdict
     lpvguard.plots.weights(found), lpvguard.plots.margins(run)            in a notebook
 """
@@ -15,7 +15,6 @@ The Python interface is the room ``api``; its names are here as well:
 from __future__ import annotations
 
 import os
-import types
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
@@ -28,35 +27,24 @@ __version__ = "0.2.0"
 
 if TYPE_CHECKING:
     from .api import plots as plots
-    from .api.identified import Identified as Identified
-    from .api.identified import identify as identify
-    from .api.identified import load as load
+    from .api.drive_replay import Replayed as Replayed
+    from .api.drive_replay import replay_drive as replay_drive
+    from .api.identification import Identified as Identified
+    from .api.identification import identify_drives as identify_drives
+    from .api.identification import load as load
     from .api.monitor import Monitor as Monitor
-    from .api.replayed import Replayed as Replayed
-    from .api.replayed import replay as replay
     from .base.errors import InputError as InputError
 else:
-    from . import identify, replay
-
     _PLACES = {
-        "Identified": ".api.identified",
-        "identify": ".api.identified",
-        "load": ".api.identified",
+        "Identified": ".api.identification",
+        "identify_drives": ".api.identification",
+        "load": ".api.identification",
         "Monitor": ".api.monitor",
-        "Replayed": ".api.replayed",
-        "replay": ".api.replayed",
+        "Replayed": ".api.drive_replay",
+        "replay_drive": ".api.drive_replay",
         "InputError": ".base.errors",
     }
     """Loaded when asked for: the command line starts without them."""
-
-    class _Verb(types.ModuleType):
-        """A room that has the name of a function: called, it is that function."""
-
-        def __call__(self, *arguments: Any, **options: Any) -> Any:
-            name = self.__name__.rpartition(".")[2]
-            return getattr(import_module(_PLACES[name], __name__), name)(*arguments, **options)
-
-    identify.__class__ = replay.__class__ = _Verb
 
     def __getattr__(name: str) -> Any:
         if name == "plots":

@@ -1,4 +1,4 @@
-"""Model, weights and controller as objects of python-control."""
+"""Model, weights and controller as objects of python-control, which this module needs."""
 
 from __future__ import annotations
 
@@ -7,21 +7,36 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ..base.optional import optional
 from ..core.control_coefficients import read_controller
 from ..core.scheduled import Scheduled
 from ..vehicle.nominal import NominalModel
 from ..vehicle.project import Project
-from .identified import Identified, project_of
-from .optional import optional
+from .identification import Identified, project_of
 
 if TYPE_CHECKING:
     import control
 
 
 def nominal(vehicle: str | Path | Project, speed_mps: float) -> control.StateSpace:
-    """The nominal model at a constant speed [m/s], in discrete time with its delay. It leads from inputs to
-    outputs in the units of the signal table, less offsets. InputError outside the model's speed range. Needs
-    python-control."""
+    """Return the nominal model at a constant speed, in discrete time with its delay.
+
+    It leads from inputs to outputs in the units of the signal table, without offsets.
+
+    Parameters
+    ----------
+    vehicle : str, Path or Project
+    speed_mps : float, m/s
+
+    Returns
+    -------
+    control.StateSpace
+
+    Raises
+    ------
+    InputError
+        If the speed is outside the model's range.
+    """
     project = project_of(vehicle)
     model = NominalModel(project)
     model.require_speed(speed_mps)
@@ -44,8 +59,16 @@ def nominal(vehicle: str | Path | Project, speed_mps: float) -> control.StateSpa
 
 
 def weights(identified: Identified) -> dict[str, list[control.TransferFunction]]:
-    """W_delta (one a Delta) and W_w (one an output) as transfer functions of s [rad/s], with the final
-    inflation. Needs python-control."""
+    """Return W_delta and W_w as transfer functions of s [rad/s], with the final inflation.
+
+    Parameters
+    ----------
+    identified : Identified
+
+    Returns
+    -------
+    dict of list of TransferFunction, W_delta one a Delta, W_w one an output
+    """
     scale, tf = identified.fitted.inflation, _control().tf
     return {
         name: [tf(scale * w.fit.weight.num, w.fit.weight.den) for w in fitted]
@@ -54,8 +77,24 @@ def weights(identified: Identified) -> dict[str, list[control.TransferFunction]]
 
 
 def controller(path: str | Path, speed_mps: float) -> control.StateSpace:
-    """The controller of a controller.json as the core runs it at a constant speed [m/s], in discrete
-    time. It leads from reference and outputs to the demands. Needs python-control."""
+    """Return the controller of a controller.json at a constant speed, in discrete time, as the core runs it.
+
+    It leads from reference and outputs to the demands.
+
+    Parameters
+    ----------
+    path : str or Path
+    speed_mps : float, m/s
+
+    Returns
+    -------
+    control.StateSpace
+
+    Raises
+    ------
+    InputError
+        If the file is not a sealed controller.
+    """
     at = Scheduled.read(read_controller(Path(path))).at(speed_mps)
     return _control().ss(at.A, at.B, at.C, at.D, at.dt)
 

@@ -10,15 +10,22 @@ from numpy.typing import ArrayLike
 
 from ..core.compiled import REASONS, STATUSES, VERDICTS
 from ..vehicle.project import Project
-from .replayed import opened
+from .drive_replay import open_core
 
 
 @dataclass(frozen=True)
 class JudgedFrame:
-    """A frame that the core looked at, with its bin's frequency [rad/s], mean speed [m/s] and t* (margin).
+    """A frame that the core judged.
 
-    ``t_end_s``: its last sample [s]. ``reason``: why it did not count (none: it did). ``falsified``: it
-    falsifies the model."""
+    Attributes
+    ----------
+    t_end_s : float, s, its last sample
+    omega_rad_s : float, rad/s, of its bin
+    speed_mps : float, m/s, mean speed
+    margin : float, t*
+    reason : str, why it did not count, "none" if it did
+    falsified : bool, it falsifies the model
+    """
 
     t_end_s: float
     omega_rad_s: float
@@ -30,10 +37,15 @@ class JudgedFrame:
 
 @dataclass(frozen=True)
 class Said:
-    """What the core says after a sample. ``verdict`` and ``status``: names of monitor.h and status.h.
-    ``energy_ratio``: None where the energy test does not judge; ``change_ratio``: None before the change test
-    does. ``frame``: judged with this sample, if one was. ``energy_alarm``, ``change_alarm``: these tests
-    alarmed with this sample."""
+    """Answer of the core to a sample.
+
+    Attributes
+    ----------
+    verdict, status : str, names of monitor.h and status.h
+    energy_ratio, change_ratio : float or None, None where the test does not judge
+    frame : JudgedFrame or None, judged at this sample
+    energy_alarm, change_alarm : bool, the test alarmed at this sample
+    """
 
     verdict: str
     status: str
@@ -47,12 +59,19 @@ class Said:
 class Monitor:
     """The compiled monitor of a vehicle, as on the ECU.
 
-    ``vehicle``: a shipped vehicle's name, the path of a project file, or a Project. ``coefficients``: the
-    folder of `lpvguard export` (None: the shipped one). Raises InputError where both do not belong together.
+    Parameters
+    ----------
+    vehicle : str, Path or Project, shipped vehicle's name, path of a project file, or a project
+    coefficients : str or Path, optional, folder of `lpvguard export`, by default the shipped one
+
+    Raises
+    ------
+    InputError
+        If both do not belong together.
     """
 
     def __init__(self, vehicle: str | Path | Project, coefficients: str | Path | None = None):
-        self._replayer = opened(vehicle, coefficients)
+        self._replayer = open_core(vehicle, coefficients)
         self.reset()
 
     def reset(self) -> None:
@@ -61,15 +80,29 @@ class Monitor:
 
     @property
     def sample_time_s(self) -> float:
-        """Time from sample to sample [s]."""
+        """Sample period [s]."""
         return self._replayer.project.Ts_s
 
     def push(self, t: float, v: float, u: ArrayLike, y: ArrayLike) -> Said:
-        """Push a sample: time t [s], speed v [m/s], inputs u (n_u,) and outputs y (n_y,) in the units of the
-        signal table; one input or output may be a number.
+        """Push a sample.
 
-        Values that the core refuses are no error: ``status`` says so, as on the ECU. ValueError for another
-        number of inputs or outputs.
+        A value that the core refuses is no error: ``status`` reports it, as on the ECU.
+
+        Parameters
+        ----------
+        t : float, s
+        v : float, m/s
+        u : array_like (n_u,), inputs, or a number for one
+        y : array_like (n_y,), outputs, or a number for one
+
+        Returns
+        -------
+        Said
+
+        Raises
+        ------
+        ValueError
+            If the number of inputs or outputs differs.
         """
         core = self._replayer.core
         row = [np.atleast_1d(np.asarray(x, float)) for x in (u, y)]

@@ -1,4 +1,4 @@
-"""The pictures of the report page, from Python: a notebook shows what these functions return.
+"""The pictures of the report page for notebooks.
 
     from lpvguard import plots
     plots.weights(found)                     # of lpvguard.identify or lpvguard.load
@@ -22,27 +22,31 @@ import numpy as np
 
 from ..base import artefacts
 from ..base.errors import InputError
-from ..drives.frames import Estimator
 from ..report import design_pictures
 from ..report.blindness import MapCell, cells
-from ..report.drawn import OfIdentification, drive_map
+from ..report.identification_pictures import IdentificationPictures, drive_map
 from ..report.page import map_page
 from ..report.pictures.detectors import time_to_find
 from ..report.pictures.drawing import Picture
 from ..report.pictures.over_time import Stretch, model_in_time
 from ..report.sections.campaign import drawn_campaign
 from ..report.sections.closed_loop import drawn_run
-from ..vehicle.nominal import NominalModel
-from .identified import Identified
-from .replayed import Replayed
+from .drive_replay import Replayed
+from .identification import Identified
 
 ROW_PX, AROUND_PX = 31, 250
-"""Height of a row of the map, and of what stands around them [px]."""
+"""Height of a row of the map, and of its frame [px]."""
 
 
 @dataclass(frozen=True)
 class BlindMap:
-    """Cells of speed and frequency, slowest speed first, and their picture as a page of its own."""
+    """Cells of speed and frequency, slowest speed first, and their picture as a page.
+
+    Attributes
+    ----------
+    cells : list of list of MapCell
+    page : str, HTML
+    """
 
     cells: list[list[MapCell]]
     page: str
@@ -56,8 +60,11 @@ class BlindMap:
 
     @property
     def csv(self) -> str:
-        """A row a cell: speeds [m/s], frequency [rad/s], state, counted frames, smallest visible gain errors
-        (typical, at the strongest frame, at any excitation), alarms."""
+        """Table with a row a cell.
+
+        Columns: speeds [m/s], frequency [rad/s], state, counted frames, smallest visible gain errors
+        (typical, at the strongest frame, at any excitation), alarms.
+        """
         text = io.StringIO()
         table = csv.writer(text, lineterminator="\n")
         names = [f.name for f in fields(MapCell)]
@@ -68,7 +75,17 @@ class BlindMap:
         return text.getvalue()
 
     def save(self, path: str | Path) -> None:
-        """Write the map as the suffix says: .html, or .csv for its cells."""
+        """Write the map by the suffix: .html, or .csv for its cells.
+
+        Parameters
+        ----------
+        path : str or Path
+
+        Raises
+        ------
+        InputError
+            If the suffix is another one.
+        """
         suffix = Path(path).suffix.lower()
         if suffix not in (".html", ".csv"):
             raise InputError(path, "suffix", suffix or "none", ".html or .csv")
@@ -76,37 +93,78 @@ class BlindMap:
 
 
 @contextmanager
-def _opened(found: Identified) -> Iterator[OfIdentification]:
-    """What is drawn of an identification; it reads the folder while it draws."""
+def _opened(found: Identified) -> Iterator[IdentificationPictures]:
+    """Pictures of an identification, whose folder is open while they are drawn."""
     with found.opened() as stored:
-        yield OfIdentification(stored, Estimator.of(stored.project, NominalModel(stored.project)))
+        yield IdentificationPictures(stored, stored.estimator)
 
 
 def _id(name: str) -> str:
-    """The name as ids of a page may be."""
+    """The name as a valid id of a page."""
     return re.sub(r"[^\w-]", "_", name)
 
 
 def disturbance(found: Identified) -> Picture:
-    """Fig. 2 of the paper: the disturbance bound, and the frames that it was made of."""
+    """Draw Fig. 2 of the paper: the disturbance bound and its frames.
+
+    Parameters
+    ----------
+    found : Identified
+
+    Returns
+    -------
+    Picture
+    """
     with _opened(found) as drawn:
         return drawn.disturbance(f"disturbance-{found.project.name}")
 
 
 def weights(found: Identified) -> Picture:
-    """Fig. 3 of the paper: the weights over the bounds."""
+    """Draw Fig. 3 of the paper: the weights over the bounds.
+
+    Parameters
+    ----------
+    found : Identified
+
+    Returns
+    -------
+    Picture
+    """
     with _opened(found) as drawn:
         return drawn.weights(f"weights-{found.project.name}")
 
 
 def model_error(found: Identified) -> Picture:
-    """The model error model beside W_delta."""
+    """Draw the model error model beside W_delta.
+
+    Parameters
+    ----------
+    found : Identified
+
+    Returns
+    -------
+    Picture
+    """
     with _opened(found) as drawn:
         return drawn.model_error(f"model-error-{found.project.name}")
 
 
 def front(found: Identified) -> Picture:
-    """The Pareto fronts between disturbance and uncertainty. InputError for structure S0, which has none."""
+    """Draw the Pareto fronts between disturbance and uncertainty.
+
+    Parameters
+    ----------
+    found : Identified
+
+    Returns
+    -------
+    Picture
+
+    Raises
+    ------
+    InputError
+        If the structure is S0, which has none.
+    """
     with _opened(found) as drawn:
         shown = drawn.front(f"front-{found.project.name}")
     if shown is None:
@@ -115,9 +173,19 @@ def front(found: Identified) -> Picture:
 
 
 def excitation(found: Identified, *runs: Replayed) -> Picture:
-    """The nominal output in the counted frames of ``runs``, beside the disturbance bound."""
+    """Draw the nominal output in the counted frames, beside the disturbance bound.
+
+    Parameters
+    ----------
+    found : Identified
+    *runs : Replayed
+
+    Returns
+    -------
+    Picture
+    """
     if not runs:
-        raise InputError("excitation", "runs", "none", "what lpvguard.replay returned")
+        raise InputError("excitation", "runs", "none", "results of lpvguard.replay")
     frames = [run.summary.run.frames for run in runs]
     bin_of = np.concatenate([f.bin[f.counted] for f in frames])
     Z = np.concatenate([f.Z[f.counted] for f in frames])
@@ -126,20 +194,53 @@ def excitation(found: Identified, *runs: Replayed) -> Picture:
 
 
 def blind(found: Identified, *runs: Replayed) -> BlindMap:
-    """Speed over frequency: where the model is proved, blind, without data, or violated in ``runs``."""
+    """Draw over speed and frequency where the model is proved, blind, without data, or violated.
+
+    Parameters
+    ----------
+    found : Identified
+    *runs : Replayed
+
+    Returns
+    -------
+    BlindMap
+    """
     alarms = [alarm for run in runs for alarm in run.alarms]
     with found.opened() as stored:
         return BlindMap(cells(stored.visibility, alarms), map_page(stored, alarms))
 
 
 def margins(run: Replayed) -> Picture:
-    """A drive's margin over time and frequency, with its speed, verdict and alarms."""
+    """Draw a drive's margin over time and frequency, with its speed, verdict and alarms.
+
+    Parameters
+    ----------
+    run : Replayed
+
+    Returns
+    -------
+    Picture
+    """
     return drive_map(f"margins-{_id(run.summary.name)}", run.replayer, run.drive, run.summary)
 
 
 def in_time(run: Replayed, begin_s: float = 0.0, end_s: float = np.inf) -> Picture:
-    """Fig. 4 of the paper: measurement and nominal model from ``begin_s`` to ``end_s`` after the drive's
-    start. InputError where no two samples lie between them."""
+    """Draw Fig. 4 of the paper: measurement and nominal model over time.
+
+    Parameters
+    ----------
+    run : Replayed
+    begin_s, end_s : float, s after the drive's start, by default all
+
+    Returns
+    -------
+    Picture
+
+    Raises
+    ------
+    InputError
+        If no two samples lie between them.
+    """
     series, outputs = run.arrow, run.replayer.project.outputs
     t = series["t"].to_numpy()
     shown = (t >= begin_s) & (t <= end_s)
@@ -156,7 +257,16 @@ def in_time(run: Replayed, begin_s: float = 0.0, end_s: float = np.inf) -> Pictu
 
 
 def design(folder: str | Path) -> dict[str, Picture]:
-    """The pictures of a folder of `lpvguard design`, by name: fig5, fig6, tradeoff, those that it has."""
+    """Draw the results of `lpvguard design`.
+
+    Parameters
+    ----------
+    folder : str or Path
+
+    Returns
+    -------
+    dict[str, Picture], those of fig5, fig6 and tradeoff that it has
+    """
     files = {
         name: (Path(folder) / name).read_text(encoding="utf-8")
         for name in ("figures.json", "tradeoff.json")
@@ -168,19 +278,45 @@ def design(folder: str | Path) -> dict[str, Picture]:
 
 
 def evaluation(path: str | Path) -> Picture:
-    """Times to find injected faults; ``path``: JSON of `lpvguard evaluate`."""
+    """Draw the times to find injected faults.
+
+    Parameters
+    ----------
+    path : str or Path, JSON of `lpvguard evaluate`
+
+    Returns
+    -------
+    Picture
+    """
     found = artefacts.read_json(Path(path))
     return time_to_find("time-to-find", found["faults"], found["injection"]["within_s"])
 
 
 def campaign(path: str | Path) -> dict[str, Picture]:
-    """Detection against severity at matched and at calibrated thresholds (matched, found), and time to the
-    first alarm (time); ``path``: summary.json of `lpvguard campaign`."""
+    """Draw detection and time to the first alarm against severity.
+
+    Parameters
+    ----------
+    path : str or Path, summary.json of `lpvguard campaign`
+
+    Returns
+    -------
+    dict[str, Picture], matched and found at matched and calibrated thresholds, and time
+    """
     return drawn_campaign(artefacts.read_json(Path(path)))
 
 
 def simulated(folder: str | Path) -> dict[str, Picture]:
-    """A picture a run of a folder of `lpvguard sim -o`, by scenario and seed."""
+    """Draw the runs of `lpvguard sim -o`.
+
+    Parameters
+    ----------
+    folder : str or Path
+
+    Returns
+    -------
+    dict[str, Picture], by scenario and seed
+    """
     runs = artefacts.read_json(Path(folder) / "results.json")
     names = {f"{r['scenario']}-{r['seed']}": r for r in runs}
     return {name: drawn_run(Path(folder), _id(name), r) for name, r in names.items()}

@@ -1,16 +1,17 @@
-"""Files between the stages: written whole or not at all, named with schema, tool version and input hashes, no
-clock time.
+"""Write and read the files between the stages, each whole or not at all.
 
-Folders     MANIFEST.json lists every other file of its folder with its SHA-256 (``files``) and ends with
+Every file names its schema, the tool's version and the hashes of its inputs. No file holds the clock time.
+
+Folders     MANIFEST.json lists every other file of its folder with its SHA-256 (``files``). It ends with
             ``seal``, the SHA-256 of its own other content. Reading refuses a folder that differs from its
-            manifest. A seal guards against accident and carelessness. It is no signature: whoever edits a
-            file and computes both hashes anew is not noticed.
+            manifest. A seal guards against accidents. It is no signature: whoever edits a file can compute
+            both hashes again.
 Replacing   A folder is replaced only by one of its kind and vehicle, and only while it holds exactly what its
-            manifest lists. A single file is replaced only when it carries the mark of the same command
-            (`mark`), or holds nothing, or the same bytes.
-Writing     happens in ``.NAME.lpvguard`` beside the target NAME. The kernel's lock on that folder belongs to
-            one run and ends with it. A killed run leaves the folder behind; the next run into the same target
-            clears it, and undoes a half-done swap first.
+            manifest lists. A single file is replaced when it is empty, has the same bytes, or carries the
+            mark of the same command (`mark`).
+Writing     A run writes in ``.NAME.lpvguard`` beside the target NAME and holds the kernel's lock on it. A
+            killed run leaves this folder behind. The next run into the same target clears it, and first
+            undoes a half-done swap.
 """
 
 from __future__ import annotations
@@ -33,21 +34,29 @@ from .errors import InputError
 
 MANIFEST = "MANIFEST.json"
 MARK_KEY = "written_by"
-"""Key of a JSON output, or of every member of one that is a list, with `mark` as its value."""
+"""Key of a JSON output, or of each member of a list, with `mark` as its value."""
 _SCRATCH, _NEW, _OLD, _LOCK = "lpvguard-scratch", "new", "old", "lpvguard-lock"
-"""Names in a work folder: the file that says it is one; what is being written; what is being replaced; the
-lock, where a folder itself cannot be locked."""
+"""Names in a work folder: its marker, the new content, the replaced content, and the lock file."""
 _held: dict[Path, Path] = {}
 """Work folders that this process holds, by target."""
 
 
 def to_json(value: Any) -> str:
-    """Deterministic JSON text; arrays become lists, NaN becomes null."""
+    """Return deterministic JSON text; arrays become lists, NaN becomes null.
+
+    Parameters
+    ----------
+    value : Any
+
+    Returns
+    -------
+    str
+    """
     return json.dumps(_plain(value), indent=1, allow_nan=False) + "\n"
 
 
 def _plain(item: Any) -> Any:
-    """What JSON has in the item's place."""
+    """Convert an item to what JSON can hold."""
     if isinstance(item, dict):
         return {str(k): _plain(v) for k, v in item.items()}
     if isinstance(item, (list, tuple)):
@@ -64,12 +73,36 @@ def _plain(item: Any) -> Any:
 
 
 def manifest(kind: str, **content: Any) -> str:
-    """Manifest text of an artefact of ``kind``."""
+    """Return the manifest text of an artefact.
+
+    Parameters
+    ----------
+    kind : str, the command that writes it
+    **content : Any, further keys
+
+    Returns
+    -------
+    str
+    """
     return to_json({"kind": kind, "schema": 1, "tool": f"lpvguard {__version__}", **content})
 
 
 def read_json(path: Path) -> Any:
-    """Value of a JSON file; InputError when it cannot be read or is not JSON."""
+    """Read the value of a JSON file.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    Any
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read or is not JSON.
+    """
     try:
         return json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
@@ -82,41 +115,81 @@ def read_json(path: Path) -> Any:
 
 @contextmanager
 def reading(path: Path) -> Iterator[None]:
-    """Around code that takes apart what was read from ``path``: where the content is of another shape than
-    expected, an InputError says so."""
+    """Turn errors about the shape of a file's content into an InputError that names the file.
+
+    Parameters
+    ----------
+    path : Path, the file whose content the block takes apart
+
+    Yields
+    ------
+    None
+
+    Raises
+    ------
+    InputError
+        If the block raises a lookup, type, value, attribute or arithmetic error.
+    """
     try:
         yield
     except InputError:
         raise
     except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
         said = str(error).splitlines()[0] if str(error) else ""
-        what = f"does not hold what it should ({type(error).__name__}: {said})"
+        what = f"has unexpected content ({type(error).__name__}: {said})"
         raise InputError(path, "", what, "the file as lpvguard writes it") from None
 
 
 def file_hash(path: Path) -> str:
-    """SHA-256 of a file's bytes."""
+    """Return the SHA-256 of a file's bytes.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    str
+    """
     with path.open("rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
-# ------------------------------------------------------------------------------------------------------ seals
-
-
 def digest(document: dict[str, Any]) -> str:
-    """SHA-256 of a JSON object's content without its ``seal``; order of keys and white space do not count."""
+    """SHA-256 of a JSON object without its ``seal``; order of keys and white space do not count."""
     content = _plain({k: v for k, v in document.items() if k != "seal"})
     text = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
     return hashlib.sha256(text.encode()).hexdigest()
 
 
 def sealed(document: dict[str, Any]) -> dict[str, Any]:
-    """The JSON object with its digest as ``seal``."""
+    """Return the JSON object with its digest as ``seal``.
+
+    Parameters
+    ----------
+    document : dict[str, Any]
+
+    Returns
+    -------
+    dict[str, Any]
+    """
     return {**document, "seal": digest(document)}
 
 
 def require_seal(path: Path, document: dict[str, Any], writer: str) -> None:
-    """InputError unless the object read from ``path`` is as ``writer`` sealed it."""
+    """Require that a JSON object is as its writer sealed it.
+
+    Parameters
+    ----------
+    path : Path, where the object was read
+    document : dict[str, Any]
+    writer : str, the command that writes it
+
+    Raises
+    ------
+    InputError
+        If the seal is missing or does not fit the content.
+    """
     if document.get("seal") != digest(document):
         raise InputError(
             path,
@@ -129,7 +202,7 @@ def require_seal(path: Path, document: dict[str, Any], writer: str) -> None:
 
 
 def seal(folder: Path) -> None:
-    """Complete the manifest of a folder: all its other files with their hashes, and its own digest."""
+    """Complete a folder's manifest by the hashes of all other files and its own digest."""
     path = folder / MANIFEST
     document = {k: v for k, v in read_json(path).items() if k not in ("files", "seal")}
     files = {name: file_hash(folder / name) for name in _files_of(folder)}
@@ -137,14 +210,13 @@ def seal(folder: Path) -> None:
 
 
 def _files_of(folder: Path) -> list[str]:
-    """Paths below ``folder`` of everything but its manifest and plain folders."""
+    """Paths below ``folder`` without its manifest and plain folders."""
     below = (p for p in folder.rglob("*") if p.is_symlink() or not p.is_dir())
     return sorted(name for p in below if (name := p.relative_to(folder).as_posix()) != MANIFEST)
 
 
 def _difference(folder: Path, listed: dict[str, str], *, may_lack: bool = False) -> tuple[str, str] | None:
-    """The first file in which ``folder`` differs from ``listed`` (name: hash), and how; None when it does
-    not."""
+    """First file in which ``folder`` differs from ``listed`` (name: hash), and how; None if they agree."""
     present = _files_of(folder)
     for name in sorted({*present, *listed}):
         path = folder / name
@@ -159,8 +231,22 @@ def _difference(folder: Path, listed: dict[str, str], *, may_lack: bool = False)
 
 
 def read_manifest(folder: Path, kind: str) -> dict[str, Any]:
-    """Manifest of an artefact folder; InputError when it is none, of another kind or schema, or differs from
-    it in any file."""
+    """Read the manifest of an artefact folder and compare the folder with it.
+
+    Parameters
+    ----------
+    folder : Path
+    kind : str, the command that writes such a folder
+
+    Returns
+    -------
+    dict[str, Any]
+
+    Raises
+    ------
+    InputError
+        If there is none, its kind or schema differs, or any file differs from it.
+    """
     folder = Path(folder)
     command = f"`lpvguard {'export' if kind == 'vehicle' else kind}`"
     if not (folder / MANIFEST).is_file():
@@ -186,8 +272,17 @@ def read_manifest(folder: Path, kind: str) -> dict[str, Any]:
 
 
 def first_difference(a: Any, b: Any, path: str = "") -> tuple[str, Any, Any] | None:
-    """The first place in which two JSON values differ, as (path, value in a, value in b); None when they are
-    equal."""
+    """Find the first place in which two JSON values differ.
+
+    Parameters
+    ----------
+    a, b : Any
+    path : str, where the values stand, default ''
+
+    Returns
+    -------
+    tuple (path, value in a, value in b), or None if they are equal
+    """
     if isinstance(a, dict) and isinstance(b, dict):
         pairs = [(f"{path}.{k}" if path else k, a.get(k), b.get(k)) for k in dict.fromkeys([*a, *b])]
     elif isinstance(a, list) and isinstance(b, list) and len(a) == len(b):
@@ -197,17 +292,33 @@ def first_difference(a: Any, b: Any, path: str = "") -> tuple[str, Any, Any] | N
     return next((d for p, x, y in pairs if (d := first_difference(x, y, p))), None)
 
 
-# --------------------------------------------------------------------------------------- what may be replaced
-
-
 def mark(kind: str) -> str:
-    """What a single file says of the command that wrote it."""
+    """Return the mark that a command leaves in each file that it writes.
+
+    Parameters
+    ----------
+    kind : str
+
+    Returns
+    -------
+    str
+    """
     return f"lpvguard {kind}"
 
 
 def marked(value: Any, kind: str, *, each: bool = False) -> Any:
-    """The JSON value with its mark: on an object, on every member of a list, and with ``each`` on every
-    member of an object."""
+    """Return a JSON value with its mark: an object, or every member of a list.
+
+    Parameters
+    ----------
+    value : Any
+    kind : str, the command that writes it
+    each : bool, mark every member of an object instead, default False
+
+    Returns
+    -------
+    Any
+    """
 
     def one(item: Any) -> Any:
         return {MARK_KEY: mark(kind), **item} if isinstance(item, dict) else item
@@ -218,13 +329,14 @@ def marked(value: Any, kind: str, *, each: bool = False) -> Any:
 
 
 def _carries_mark(text: str, kind: str) -> bool:
-    """Whether the text is JSON, HTML, C, a CAN database or an A2L with the mark of ``kind``."""
+    """Whether the text is JSON, HTML, C, a CAN database, an A2L or an FMU with the mark of ``kind``."""
     head = text[:2000]
     if re.search(rf'<meta name="generator" content="{re.escape(mark(kind))}">', head):
         return True
     if kind == "dbc" and head.startswith('VERSION "lpvguard"\n\nNS_ :\n'):
         return True
-    if kind == "a2l" and head.startswith("ASAP2_VERSION 1 60\n/begin PROJECT lpvguard "):
+    begins = {"a2l": "ASAP2_VERSION 1 60\n/begin PROJECT lpvguard ", "fmu": "PK\3\4"}.get(kind)
+    if begins and head.startswith(begins) and "lpvguard" in head:
         return True
     if head.startswith(f"/* {mark(kind)}: generated, do not edit."):
         return True
@@ -241,7 +353,7 @@ def _carries_mark(text: str, kind: str) -> bool:
 
 
 def _place(target: Path) -> Path:
-    """Where ``target`` lies, symbolic links followed. InputError for the root and for a loop of links."""
+    """Resolve ``target``. Raises InputError for the root and for a loop of links."""
     try:
         place = Path(target).resolve()
     except (OSError, RuntimeError) as error:
@@ -254,9 +366,18 @@ def _place(target: Path) -> Path:
 def require_replaceable_folder(
     target: Path, kind: str | None = None, vehicle: str | None = None, *, resumed: bool = False
 ) -> None:
-    """InputError unless ``target`` is new, an empty folder, or one of this kind and vehicle (None: of any).
+    """Require that a target is new, an empty folder, or a result of the same kind and vehicle.
 
-    Such a folder has exactly the files that its manifest lists; with ``resumed``, or a part of them.
+    Parameters
+    ----------
+    target : Path
+    kind, vehicle : str, optional, None allows any
+    resumed : bool, the folder may lack listed files, default False
+
+    Raises
+    ------
+    InputError
+        If the folder may not be replaced; files that the manifest does not list are never replaced.
     """
     place = _place(target)
     expected = "a new or empty folder"
@@ -276,8 +397,7 @@ def require_replaceable_folder(
         raise InputError(
             place / MANIFEST,
             "-o",
-            "was changed, or written by an earlier version, so that nobody knows whose the files "
-            "beside it are",
+            "was changed or written by an earlier version, so the owner of its files is unknown",
             expected,
         )
     for key, wanted in (("kind", kind), ("vehicle", vehicle)):
@@ -294,9 +414,20 @@ def require_replaceable_folder(
 
 
 def require_replaceable_file(target: Path, kind: str, data: bytes | None = None) -> None:
-    """InputError unless ``target`` is new, empty, holds the same bytes or carries the mark of ``kind``.
+    """Require that a target is new, empty, has the same bytes or carries the mark of ``kind``.
 
     Devices and pipes are never refused.
+
+    Parameters
+    ----------
+    target : Path
+    kind : str
+    data : bytes, optional, the new content
+
+    Raises
+    ------
+    InputError
+        If the file may not be replaced.
     """
     target = Path(target)
     if target.is_dir():
@@ -316,7 +447,17 @@ def _same(a: Path, b: Path) -> bool:
 
 
 def require_unicode(path: Path) -> None:
-    """InputError for a path that is no UTF-8: manifests, tables and pages could not name it."""
+    """Require that a path is UTF-8, because manifests, tables and pages name it.
+
+    Parameters
+    ----------
+    path : Path
+
+    Raises
+    ------
+    InputError
+        If it is not.
+    """
     try:
         str(path.absolute()).encode()
     except UnicodeEncodeError:
@@ -324,7 +465,19 @@ def require_unicode(path: Path) -> None:
 
 
 def require_apart(outputs: Iterable[Path], inputs: Iterable[Path]) -> None:
-    """InputError when an output is an input, lies inside one or above one; links of both sorts followed."""
+    """Require that no output is an input, lies inside one or lies above one.
+
+    Hard and symbolic links are followed.
+
+    Parameters
+    ----------
+    outputs, inputs : Iterable[Path]
+
+    Raises
+    ------
+    InputError
+        If an output and an input, or two outputs, overlap.
+    """
     places = [(out, _place(out)) for out in outputs]
     others = [(given, Path(given).resolve()) for given in inputs]
     for index, (out, place) in enumerate(places):
@@ -344,16 +497,13 @@ def require_apart(outputs: Iterable[Path], inputs: Iterable[Path]) -> None:
                 )
 
 
-# ---------------------------------------------------------------------------------------------------- writing
-
-
 def _work_of(place: Path) -> Path:
     return place.with_name(f".{place.name}.lpvguard")
 
 
 @contextmanager
 def _written(target: Path) -> Iterator[None]:
-    """Errors of the operating system (a full disk, no permission) as one InputError."""
+    """Turn errors of the operating system (a full disk, no permission) into one InputError."""
     try:
         yield
     except OSError as error:
@@ -368,10 +518,22 @@ def _written(target: Path) -> Iterator[None]:
 
 @contextmanager
 def claimed(target: Path) -> Iterator[Path]:
-    """The work folder of ``target``, held until the end of the block; InputError while another run holds it.
+    """Hold the work folder of a target until the end of the block.
 
-    What a killed run left in it is undone or cleared. Within one process the same target may be claimed
-    again.
+    The claim clears what a killed run left. One process may claim the same target again.
+
+    Parameters
+    ----------
+    target : Path
+
+    Yields
+    ------
+    Path, the work folder
+
+    Raises
+    ------
+    InputError
+        If another run holds it.
     """
     place = _place(target)
     if place in _held:
@@ -397,8 +559,7 @@ def claimed(target: Path) -> Iterator[Path]:
 
 
 def _release(place: Path, work: Path, locks: list[int], made: list[Path]) -> None:
-    """Undo a claim: clear the work folder, give its lock back, and remove folders ``made`` for it that are
-    empty. ``locks``: the lock that is held, if any; it is taken out, so that a second call does nothing."""
+    """Clear the work folder, give the lock in ``locks`` back and remove empty folders ``made`` for it."""
     with system.undisturbed():
         _held.pop(place, None)
         while locks:
@@ -426,8 +587,7 @@ def _lock(target: Path, work: Path) -> int:
 
 
 def _recover(place: Path, work: Path) -> None:
-    """Undo a half-done swap and clear what is left in a work folder; InputError when something else is in
-    it."""
+    """Undo a half-done swap and clear a work folder; InputError when it holds foreign files."""
     names = {p.name for p in work.iterdir()} - {_LOCK}
     foreign = sorted(names - {_SCRATCH, _NEW, _OLD} if _SCRATCH in names else names)
     if foreign:
@@ -445,7 +605,12 @@ def _recover(place: Path, work: Path) -> None:
 
 
 def recover(target: Path) -> None:
-    """Undo what a run killed in the middle of a swap left of ``target``, if it did."""
+    """Undo a swap of ``target`` that a killed run left half done.
+
+    Parameters
+    ----------
+    target : Path
+    """
     place = _place(target)
     if not place.exists() and (_work_of(place) / _OLD).exists():
         with claimed(target):
@@ -472,10 +637,25 @@ def _swap(work: Path, place: Path) -> None:
 
 @contextmanager
 def new_folder(target: Path, kind: str, vehicle: str | None = None) -> Iterator[Path]:
-    """A scratch folder that takes ``target``'s place when the block succeeds and vanishes when it fails.
+    """Give a scratch folder that takes the target's place when the block succeeds.
 
-    The block writes the files and a manifest of this kind; it is sealed here. `require_replaceable_folder`
-    says what is replaced.
+    The block writes the files and a manifest of this kind. The folder is then sealed. It vanishes when the
+    block fails.
+
+    Parameters
+    ----------
+    target : Path
+    kind : str
+    vehicle : str, optional, see `require_replaceable_folder`
+
+    Yields
+    ------
+    Path
+
+    Raises
+    ------
+    InputError
+        If the target may not be replaced or cannot be written.
     """
     with claimed(target) as work, _written(target):
         require_replaceable_folder(target, kind, vehicle)
@@ -489,8 +669,22 @@ def new_folder(target: Path, kind: str, vehicle: str | None = None) -> Iterator[
 
 @contextmanager
 def new_file(target: Path, kind: str) -> Iterator[Path]:
-    """A scratch file that takes ``target``'s place when the block succeeds; `require_replaceable_file` says
-    what is replaced."""
+    """Give a scratch file that takes the target's place when the block succeeds.
+
+    Parameters
+    ----------
+    target : Path
+    kind : str, see `require_replaceable_file`
+
+    Yields
+    ------
+    Path
+
+    Raises
+    ------
+    InputError
+        If the target may not be replaced or cannot be written.
+    """
     with claimed(target) as work, _written(target):
         require_replaceable_file(target, kind)
         yield work / _NEW
@@ -504,9 +698,34 @@ def _publish(work: Path, place: Path) -> None:
 
 
 def write_file(target: Path, text: str, kind: str) -> None:
-    """Write the text file of ``lpvguard kind`` whole or not at all. A device or pipe is written to, never
-    replaced."""
-    target, data = Path(target), text.encode()
+    """Write a text file as ``write_bytes`` does.
+
+    Parameters
+    ----------
+    target : Path
+    text : str
+    kind : str, the command that writes it
+    """
+    write_bytes(target, text.encode(), kind)
+
+
+def write_bytes(target: Path, data: bytes, kind: str) -> None:
+    """Write a file whole or not at all.
+
+    A device or pipe is written to, never replaced.
+
+    Parameters
+    ----------
+    target : Path
+    data : bytes
+    kind : str, the command that writes it
+
+    Raises
+    ------
+    InputError
+        If the target may not be replaced or cannot be written.
+    """
+    target = Path(target)
     if target.exists() and not target.is_file() and not target.is_dir():
         with _written(target):
             target.write_bytes(data)
@@ -518,7 +737,20 @@ def write_file(target: Path, text: str, kind: str) -> None:
 
 
 def write_json(target: str, value: Any, kind: str, *, each: bool = False) -> None:
-    """Write JSON with its mark (see `marked`) to a file, or to standard output for ``-``."""
+    """Write JSON with its mark to a file, or to standard output for ``-``.
+
+    Parameters
+    ----------
+    target : str
+    value : Any
+    kind : str
+    each : bool, see `marked`, default False
+
+    Raises
+    ------
+    InputError
+        If the target may not be replaced or cannot be written.
+    """
     text = to_json(marked(value, kind, each=each))
     if target == "-":
         print(text, end="")
@@ -527,8 +759,15 @@ def write_json(target: str, value: Any, kind: str, *, each: bool = False) -> Non
 
 
 class KeptFolder:
-    """A folder that a command goes on with: every file is listed in the manifest before it appears, and none
-    is replaced unlisted."""
+    """Folder of a command that can be resumed.
+
+    The manifest lists every file before it appears. Files that it does not list are never replaced.
+
+    Parameters
+    ----------
+    folder, work : Path
+    document : dict[str, Any]
+    """
 
     def __init__(self, folder: Path, work: Path, document: dict[str, Any]):
         self.folder, self._work, self._document = folder, work, document
@@ -565,8 +804,23 @@ class KeptFolder:
 
 @contextmanager
 def kept_folder(target: Path, kind: str, **asked: Any) -> Iterator[KeptFolder]:
-    """The folder of a command that may be stopped and goes on where it was; InputError when ``target`` holds
-    anything else, or the same with other settings than ``asked``."""
+    """Give the folder of a command that can be stopped and resumed.
+
+    Parameters
+    ----------
+    target : Path
+    kind : str
+    **asked : Any, the settings of the command, kept in the manifest
+
+    Yields
+    ------
+    KeptFolder
+
+    Raises
+    ------
+    InputError
+        If the target holds anything else, or a result of other settings.
+    """
     place = _place(target)
     document = json.loads(manifest(kind, **asked))
     with claimed(target) as work:
@@ -590,7 +844,14 @@ def kept_folder(target: Path, kind: str, **asked: Any) -> Iterator[KeptFolder]:
 
 
 def write_files(folder: Path, files: Mapping[str, str | bytes]) -> None:
-    """Write files into an existing folder, normally one of ``new_folder``; a text as UTF-8."""
+    """Write files into an existing folder, normally one of `new_folder`.
+
+    Parameters
+    ----------
+    folder : Path
+    files : Mapping[str, str
+        bytes], by name; text becomes UTF-8
+    """
     for name, content in files.items():
         data = content.encode() if isinstance(content, str) else content
         (folder / name).write_bytes(data)

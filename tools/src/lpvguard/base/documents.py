@@ -1,5 +1,4 @@
-"""TOML files that people write: reading them, and checking them against a pydantic model; every fault is an
-InputError in one style."""
+"""Read TOML files that people write and check them against pydantic models."""
 
 from __future__ import annotations
 
@@ -20,14 +19,29 @@ Fraction = Annotated[float, Field(gt=0, lt=1)]
 
 
 class StrictModel(BaseModel):
-    """A table of such a file: unknown keys are refused, and what was read does not change."""
+    """Frozen table of a TOML file that refuses unknown keys."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
 def read_toml(source: Path | Traversable, what: str, where: object = None) -> dict:
-    """The document of a TOML file. ``what`` the file should be, as "a signal map"; ``where``: its name in
-    errors, by default its path. Raises InputError when the file cannot be read or is not TOML."""
+    """Read a TOML file.
+
+    Parameters
+    ----------
+    source : Path or Traversable
+    what : str, what the file should be, as "a signal map"
+    where : object, its name in errors, by default its path
+
+    Returns
+    -------
+    dict
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read or is not TOML.
+    """
     where = source if where is None else where
     try:
         return tomllib.loads(source.read_text(encoding="utf-8"))
@@ -38,9 +52,25 @@ def read_toml(source: Path | Traversable, what: str, where: object = None) -> di
 
 
 def checked(model: type[Model], document: object, what: str, where: object, *, table: str = "") -> Model:
-    """``document`` as a ``model``. ``table``: the place of the document in its file, when it is a part.
-    Raises InputError with the first field that is refused, what was given, and the reason; ``what`` as in
-    :func:`read_toml`."""
+    """Validate a document against a pydantic model.
+
+    Parameters
+    ----------
+    model : type[Model]
+    document : object
+    what : str, what the file should be, as "a signal map"
+    where : object, its name in errors
+    table : str, place of the document in its file, default ''
+
+    Returns
+    -------
+    Model
+
+    Raises
+    ------
+    InputError
+        If a field is refused; it names the first one, its value and the reason.
+    """
     try:
         return model.model_validate(document)
     except ValidationError as error:

@@ -1,11 +1,20 @@
-"""Errors a user can act on; the command line turns them into one line and an exit status."""
+"""Errors that a user can act on. The command line prints them in one line and sets an exit status."""
 
 from __future__ import annotations
 
 
 class InputError(ValueError):
-    """Bad input: names what is wrong, where, and what was expected (exit status 2).
+    """Bad input: what is wrong, where, and what was expected (exit status 2).
 
+    Parameters
+    ----------
+    source : object, file or other origin
+    where : str, line, column or field
+    what : str, the fault
+    expected : str, optional
+
+    Examples
+    --------
     >>> str(InputError("drive.csv", "line 7, column v", "NaN", "a finite number in m/s"))
     'drive.csv: line 7, column v: NaN; expected a finite number in m/s'
     """
@@ -16,7 +25,7 @@ class InputError(ValueError):
         super().__init__(": ".join(parts) + (f"; expected {expected}" if expected else ""))
 
     def __reduce__(self):
-        """Errors come back from workers whole."""
+        """Let the error return from a worker process unchanged."""
         return InputError, (self.source, self.where, self.what, self.expected)
 
 

@@ -1,4 +1,4 @@
-"""What a coefficient struct is made of: dimensions, fields, shapes and ranges (layout.py has the tables)."""
+"""Parts of a coefficient struct: dimensions, fields, shapes and ranges (layout.py has the tables)."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ DIMENSIONS = {
     "NM": "measurements: the reference, then the outputs",
     "NG": "nodes of the controller's speed grid",
 }
-"""Dimension -> meaning. LPVG_<name> in lpvguard_vehicle.h, in this order; the controller's are 0 without
-one."""
+"""Dimension -> meaning, in the order of LPVG_<name> in lpvguard_vehicle.h. Those of a controller are 0
+without one."""
 
 CONSTANTS = {
     "NENTRIES": (
@@ -50,17 +50,17 @@ CONSTANTS = {
         "frames, and the queue.",
     ),
 }
-"""Sizes made of dimensions, and fixed ones: C macro LPVG_<name> of coeff.h, with its comment. Division is
-that of whole numbers."""
+"""Fixed sizes and sizes made of dimensions: C macro LPVG_<name> of coeff.h, and its comment. Division is that
+of whole numbers."""
 
 
 @dataclass(frozen=True)
 class Field:
     """A member of a coefficient struct.
 
-    ``shape``: sizes, as expressions of the dimensions; () is a scalar. ``within``: the interval in which
-    every item must lie, as "(0, 1]"; its ends are numbers, expressions of dimensions, or scalar fields of the
-    same struct; "" allows any finite number.
+    ``shape`` holds expressions of the dimensions; () is a scalar. ``within`` is the interval for every item,
+    as "(0, 1]"; its ends are numbers, expressions of dimensions, or scalar fields of the same struct. An
+    empty ``within`` allows any finite number.
     """
 
     name: str
@@ -77,8 +77,10 @@ class Field:
 
 @dataclass(frozen=True)
 class Layout:
-    """A coefficient struct: C names ``lpvg_<stem>_words_t``, ``lpvg_<stem>_reals_t`` and ``lpvg_<struct>_t``;
-    ``dimensions`` in the order of words.sizes."""
+    """A coefficient struct: ``lpvg_<stem>_words_t``, ``lpvg_<stem>_reals_t`` and ``lpvg_<struct>_t`` in C.
+
+    ``dimensions`` have the order of words.sizes.
+    """
 
     stem: str
     struct: str
@@ -90,7 +92,7 @@ class Layout:
     reals: tuple[Field, ...]
 
     def head(self, sizes: dict[str, int]) -> dict[str, Any]:
-        """The words that every struct begins with, for ``sizes`` by dimension."""
+        """The words at the beginning of every struct, for ``sizes`` by dimension."""
         return {
             "magic": self.magic,
             "schema": self.schema,
@@ -102,10 +104,10 @@ class Layout:
     def packed(
         self, part: str, values: dict[str, Any], sizes: dict[str, int], where: object
     ) -> dict[str, np.ndarray]:
-        """``values`` of "words" or "reals" by field, each as an array in the shape of its field.
+        """Arrays of "words" or "reals" by field, in the order of the struct, each in the shape of its field.
 
-        The result is in the order of the struct. ``sizes``: by dimension. InputError names ``where`` and the
-        field that is missing, unknown, of the wrong shape, not finite or out of its range.
+        ``sizes`` are by dimension. Raises InputError that names ``where`` and the field, if a field is
+        missing, unknown, of the wrong shape, not finite or out of its range.
         """
         fields: tuple[Field, ...] = getattr(self, part)
         names = [field.name for field in fields]
@@ -136,10 +138,10 @@ class Layout:
         return packed
 
     def sizes_in(self, words: np.ndarray) -> dict[str, int]:
-        """Sizes by dimension out of flat words (W,)."""
+        """Sizes by dimension from flat words (W,)."""
         at = next(
             i for i, field in enumerate(self.words) if field.name == "sizes"
-        )  # what stands before it is scalar
+        )  # the fields before it are scalar
         return dict(zip(self.dimensions, map(int, words[at : at + len(self.dimensions)]), strict=False))
 
     def split(self, part: str, flat: np.ndarray, sizes: dict[str, int]) -> dict[str, np.ndarray]:
@@ -157,12 +159,12 @@ class Layout:
 
     @cached_property
     def macro(self) -> str:
-        """Beginning of the names of the struct's C macros."""
+        """Prefix of the names of the struct's C macros."""
         return f"LPVG_{self.stem.upper()}"
 
 
 def head_fields(macro: str, dimensions: tuple[str, ...]) -> tuple[Field, ...]:
-    """The words that every struct begins with; ``macro``: beginning of its macros' names."""
+    """The words at the beginning of every struct; ``macro`` is the prefix of its macros."""
     return (
         Field("magic", (), "", f"{macro}_MAGIC"),
         Field("schema", (), "", f"{macro}_SCHEMA"),
@@ -177,7 +179,7 @@ def macros(expression: str) -> str:
 
 
 def constant(name: str, sizes: dict[str, int]) -> int:
-    """Value of one of CONSTANTS for the dimensions that it depends on."""
+    """Value of one of CONSTANTS for given sizes."""
     return _evaluated(CONSTANTS[name][0], sizes)
 
 
@@ -190,7 +192,7 @@ def _evaluated(expression: str, sizes: dict[str, int]) -> int:
 
 
 def ends_of(interval: str) -> tuple[str, bool, str, bool]:
-    """Lower end, whether it belongs to the interval, upper end, likewise."""
+    """Lower end, whether it is included, upper end, whether it is included."""
     low, high = (end.strip() for end in interval[1:-1].split(","))
     return low, interval[0] == "[", high, interval[-1] == "]"
 
@@ -206,5 +208,5 @@ def _within(value: np.ndarray, interval: str, sizes: dict[str, int], packed: dic
 
 
 def text_of_shape(field: Field) -> str:
-    """Sizes of a field for people."""
+    """Sizes of a field, for people."""
     return " × ".join(field.shape) or "scalar"

@@ -1,9 +1,9 @@
 """Compile C and C++ sources to a shared library on first use, and load it.
 
-The library lives in ``${LPVGUARD_CACHE:-${XDG_CACHE_HOME:-~/.cache}/lpvguard}``. Its name is a hash of the
-sources, the headers beside them, the flags and the compiler's version; with ``-march=native`` also of the
-processor. A stale or foreign library is therefore never loaded. Writing is atomic. Of processes that start
-together one compiles while the others wait.
+The library lies in ``${LPVGUARD_CACHE:-${XDG_CACHE_HOME:-~/.cache}/lpvguard}``. Its name is a hash of the
+sources, the headers beside them, the flags and the compiler's version. With ``-march=native`` it covers the
+processor too. A stale or foreign library is therefore never loaded. When several processes start together,
+one compiles and the others wait.
 
 ``LPVGUARD_NO_NATIVE=1`` switches every compiled kernel off; the numpy versions give the same answers.
 """
@@ -31,21 +31,29 @@ if TYPE_CHECKING:
     import numpy as np
 
 REPRODUCIBLE_FLAGS = ("-O3", "-ffp-contract=off", "-fno-math-errno")
-"""Contraction off: the same source gives the same bits whether or not the target has FMA. Never
--ffast-math."""
+"""Contraction off: the same source gives the same bits with and without FMA. Never -ffast-math."""
 
 _HEADER_SUFFIXES = {".h", ".hh", ".hpp", ".inc"}
 _CXX_SUFFIXES = {".cpp", ".cc", ".cxx", ".o"}
-"""An object is linked as C++, which C objects do not mind."""
+"""Objects are linked as C++."""
 
 
 class NativeError(RuntimeError):
-    """No compiler, or the compiler refused the sources; the text holds the command and its first
-    complaint."""
+    """There is no compiler, or it refused the sources; the text holds the command and its first complaint."""
 
 
 def cache_dir() -> Path:
-    """Folder of compiled libraries; made on demand. InputError where it cannot be."""
+    """Return the folder of compiled libraries, made on demand.
+
+    Returns
+    -------
+    Path
+
+    Raises
+    ------
+    InputError
+        If it cannot be made or written.
+    """
     explicit = os.environ.get("LPVGUARD_CACHE")
     base = (
         Path(explicit)
@@ -59,7 +67,7 @@ def cache_dir() -> Path:
 
 @contextmanager
 def _usable(folder: Path) -> Iterator[None]:
-    """InputError where the cache cannot be written."""
+    """Require that the cache can be written; InputError otherwise."""
     try:
         yield
     except OSError as error:
@@ -68,12 +76,12 @@ def _usable(folder: Path) -> Iterator[None]:
 
 
 def native_enabled() -> bool:
-    """False when ``LPVGUARD_NO_NATIVE`` asks for the numpy versions."""
+    """Whether compiled kernels are allowed (``LPVGUARD_NO_NATIVE``)."""
     return os.environ.get("LPVGUARD_NO_NATIVE", "") in ("", "0")
 
 
 def find_compiler(*, cxx: bool) -> str:
-    """Path of the C or C++ compiler: ``$CC`` / ``$CXX`` first, then the usual names. Raises NativeError if
+    """Path of the C or C++ compiler: ``$CC`` or ``$CXX`` first, then the usual names. Raises NativeError if
     none."""
     names = [
         os.environ.get("CXX" if cxx else "CC") or "",
@@ -125,12 +133,26 @@ def compile_shared(
     include_dirs: Iterable[Path | str] = (),
     name: str = "native",
 ) -> Path:
-    """Path of the shared library made from ``sources``; compiled only when the cache has none with this hash.
+    """Compile sources to a shared library, unless the cache has it.
 
-    ``flags`` go to the compiler as they are, in front of ``-fPIC -shared``. C++ when any source is C++.
-    Headers are hashed when they lie in ``include_dirs`` or beside a source; system headers are covered by the
-    compiler's version only. Raises NativeError when there is no compiler, or a source is missing or does not
-    compile. A flag that would let the compiler reorder floating-point arithmetic raises it too.
+    The library is C++ when any source is C++. Headers are hashed when they lie in ``include_dirs`` or beside
+    a source. The compiler's version stands for the system's headers.
+
+    Parameters
+    ----------
+    sources : Iterable of Path or str
+    flags : Sequence[str], put in front of ``-fPIC -shared``
+    include_dirs : Iterable of Path or str, optional
+    name : str, prefix of the file's name, default 'native'
+
+    Returns
+    -------
+    Path
+
+    Raises
+    ------
+    NativeError
+        If there is no compiler, a source is missing, or it does not compile.
     """
     suffix = ".dylib" if sys.platform == "darwin" else ".so"
     return _compile(sources, (*flags, "-fPIC", "-shared"), include_dirs, name, suffix)
@@ -143,7 +165,24 @@ def compile_executable(
     include_dirs: Iterable[Path | str] = (),
     name: str = "native",
 ) -> Path:
-    """Path of the program made from ``sources``; otherwise as ``compile_shared``."""
+    """Compile sources to a program, unless the cache has it.
+
+    Parameters
+    ----------
+    sources : Iterable of Path or str
+    flags : Sequence[str]
+    include_dirs : Iterable of Path or str, optional
+    name : str, prefix of the file's name, default 'native'
+
+    Returns
+    -------
+    Path
+
+    Raises
+    ------
+    NativeError
+        If there is no compiler, a source is missing, or it does not compile.
+    """
     return _compile(sources, tuple(flags), include_dirs, name, "")
 
 
@@ -155,10 +194,27 @@ def compile_object(
     compiler: str | None = None,
     first: Callable[[], Path | None] | None = None,
 ) -> Path:
-    """Path of the object file of one source, for ``compile_executable``; C sources are compiled as C++.
-    Otherwise as ``compile_shared``. Objects of a program that is built in variants are then compiled once,
-    and several at a time. ``compiler``: another one than this machine's own. ``first``: a `precompiled`
-    header that the source includes, asked for where there is something to compile."""
+    """Compile one source to an object for `compile_executable`, unless the cache has it.
+
+    C sources are compiled as C++. Variants of a program share objects, and several compile at once.
+
+    Parameters
+    ----------
+    source : Path or str
+    flags : Sequence[str]
+    include_dirs : Iterable of Path or str, optional
+    compiler : str, optional, by default this machine's own
+    first : Callable, optional, gives a `precompiled` header; called only to compile
+
+    Returns
+    -------
+    Path
+
+    Raises
+    ------
+    NativeError
+        If there is no compiler, a source is missing, or it does not compile.
+    """
     kind = (*flags, "-x", "c++", "-c")
     return _compile([source], kind, include_dirs, Path(source).stem, ".o", compiler, first)
 
@@ -166,11 +222,23 @@ def compile_object(
 def precompiled(
     header: Path, *, flags: Sequence[str], include_dirs: Iterable[Path | str], version: bytes
 ) -> Path | None:
-    """What GCC is to include in the place of ``header``, which it has compiled for sources with the same
-    flags; objects keep their bytes. None with another compiler: clang refuses one whose files were touched
-    since.
+    """Precompile a header for sources with the same flags; their objects keep their bytes.
 
-    ``version``: what the header's own system headers say of theirs. Raises as ``compile_shared``.
+    Parameters
+    ----------
+    header : Path
+    flags : Sequence[str]
+    include_dirs : Iterable of Path or str, optional
+    version : bytes, versions of the system headers that it includes
+
+    Returns
+    -------
+    Path of what to include instead, or None with a compiler other than GCC
+
+    Raises
+    ------
+    NativeError
+        If there is no compiler, the header is missing, or it does not compile.
     """
     compiler = find_compiler(cxx=True)
     if "Free Software Foundation" not in _compiler_version(compiler):
@@ -246,8 +314,7 @@ _KERNEL_LEVEL = {
     "candump": "-O2",
     "recursion": "-O2",
 }
-"""Optimisation per kernel: -O3 vectorises s1 (twice as fast); the others gain nothing from its longer
-compilation."""
+"""Optimisation per kernel: -O3 vectorises s1 (twice as fast); the others gain nothing."""
 
 
 @functools.cache
@@ -261,14 +328,29 @@ def _load_kernel(name: str) -> ctypes.CDLL | None:
 
 
 def pointer(array: np.ndarray) -> ctypes.c_void_p:
-    """To the first number of a C-ordered array (N,) of any number of axes, which the caller keeps alive."""
+    """Return a pointer to the first number of an array.
+
+    Parameters
+    ----------
+    array : ndarray (N,) or any C-ordered shape
+        The caller keeps it alive.
+
+    Returns
+    -------
+    ctypes.c_void_p
+    """
     return array.ctypes.data_as(ctypes.c_void_p)
 
 
 def kernels(name: str) -> ctypes.CDLL | None:
-    """The package's own compiled kernel of that name in ``_native``; None without a compiler or a cache, or
-    when switched off.
+    """Load one of the package's own compiled kernels in ``_native``.
 
-    Callers then use numpy, or for candump plain Python.
+    Parameters
+    ----------
+    name : str
+
+    Returns
+    -------
+    CDLL, or None without a compiler or cache, or when switched off; callers then use numpy
     """
     return _load_kernel(name) if native_enabled() else None

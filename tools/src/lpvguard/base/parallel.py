@@ -1,9 +1,9 @@
-"""One map over drives: here, in processes of this machine, or on the machines of a Dask cluster.
+"""Map a function over drives in processes of this machine or on a Dask cluster.
 
-Results come in the order of the items, whatever finishes first. Only a few items are under way or waiting at
-any time, so memory does not grow with their number. This package joins results by maxima, sums of whole
-numbers and selections by a key. These reductions are associative and exact: bounds are the same bits for any
-number of workers and any order of drives.
+Results come in the order of the items. Only a few items are under way at any time, so memory does not grow
+with their number. This package joins results by maxima, sums of whole numbers and selections by a key. These
+reductions are associative and exact. Results therefore have the same bits for any number of workers and any
+order of drives.
 """
 
 from __future__ import annotations
@@ -27,26 +27,25 @@ Result = TypeVar("Result")
 
 
 class Map(Protocol):
-    """``workers(function, items)`` yields function(item) in order. Workers other than ``map`` begin at once,
-    before the first result is asked for.
+    """Map whose call ``workers(function, items)`` yields function(item) in order.
 
-    Function, items and results must pickle unless it is ``map``.
+    Workers other than ``map`` begin at once and need function, items and results that pickle.
     """
 
     def __call__(self, function: Callable[[Item], Result], items: Iterable[Item], /) -> Iterator[Result]:
-        """function(item) of every item."""
+        """Yield function(item) of every item."""
 
 
 UNDER_WAY_PER_WORKER = 6
-"""A worker never waits for its next item, and no more results than this wait to be taken."""
+"""Items under way per worker: a worker never waits for its next item, and few results wait to be taken."""
 FARTHEST_BEHIND = 4
-"""Items by which the worker that had an item before may be behind another and still get it again."""
+"""A worker gets an item that it had before unless it is more than so many items behind another."""
 CONNECT_TIMEOUT_S = 20
 
 
 def _bounded(submit: Callable[..., Any], wait: Callable[[Any], Any], limit: Callable[[], int]) -> Map:
-    """A map from ``submit(function, item)``, which returns a handle, ``wait(handle)``, and the most handles
-    at a time."""
+    """A map from ``submit(function, item)``, which returns a handle, ``wait(handle)`` and the most handles at
+    a time."""
 
     def run(function: Callable[[Item], Result], items: Iterable[Item], /) -> Iterator[Result]:
         rest = iter(items)
@@ -67,8 +66,11 @@ def _bounded(submit: Callable[..., Any], wait: Callable[[Any], Any], limit: Call
 
 
 class _Workers:
-    """Processes of one worker each. An item goes to the one that had it before, which may have kept what it
-    read of it, unless that is behind; any other item to that with the least to do."""
+    """Single-worker processes.
+
+    An item goes to the worker that had it before, which may have cached it, unless that worker is behind.
+    Otherwise it goes to the worker with the least to do.
+    """
 
     def __init__(self, pools: list[ProcessPoolExecutor]):
         self._pools = pools
@@ -76,7 +78,7 @@ class _Workers:
         self._under_way = [0] * len(pools)
 
     def submit(self, function: Callable[[Item], Result], item: Item) -> Future[Result]:
-        """function(item), to be waited for."""
+        """Start function(item) and return its future."""
         chosen = least = self._under_way.index(min(self._under_way))
         try:
             had = self._had.get(item, least)
@@ -96,11 +98,10 @@ class _Workers:
 
 
 def _end_with_parent() -> None:
-    """Ends this worker when the process that started the pool is gone: killed, it could not say so, and
-    workers would wait for ever."""
+    """End this worker when the process that started the pool is gone."""
     parent = multiprocessing.parent_process()
     if parent is None:
-        return  # a process that nobody started for a pool
+        return  # a process outside any pool
 
     def watch() -> None:
         multiprocessing.connection.wait([parent.sentinel])
@@ -111,11 +112,11 @@ def _end_with_parent() -> None:
 
 @contextmanager
 def _processes(jobs: int) -> Iterator[Map]:
-    # Threads run here (progress bar, arrow's readers), and a forked copy of them could hold a lock for ever.
+    # A forked copy of the threads here (progress bar, arrow's readers) could hold a lock for ever.
     methods = multiprocessing.get_all_start_methods()
     context = multiprocessing.get_context("forkserver" if "forkserver" in methods else "spawn")
     if "forkserver" in methods:
-        # What the caller has loaded by now, its workers need too.
+        # Workers need the modules that the caller has loaded.
         context.set_forkserver_preload(sorted(name for name in sys.modules if name.startswith("lpvguard.")))
     with ExitStack() as stack:
         pools = [
@@ -158,10 +159,23 @@ def _cluster(address: str) -> Iterator[Map]:
 
 @contextmanager
 def workers(jobs: int = 1, scheduler: str | None = None) -> Iterator[Map]:
-    """The map of ``jobs`` processes, or of the Dask cluster at ``scheduler``; with 1 and None plain ``map``.
+    """Give a map over processes or a Dask cluster; with 1 and None it is plain ``map``.
 
-    The machines of a cluster must have this package and see the drives under the same paths. Raises
-    InputError for jobs < 1, for both at once, and when no scheduler answers.
+    The machines of a cluster need this package and see the drives under the same paths.
+
+    Parameters
+    ----------
+    jobs : int, number of processes, default 1
+    scheduler : str, optional, address of the Dask scheduler
+
+    Yields
+    ------
+    Map
+
+    Raises
+    ------
+    InputError
+        If jobs < 1, both are given, or no scheduler answers.
     """
     if jobs < 1:
         raise InputError("--jobs", "", str(jobs), "at least 1")

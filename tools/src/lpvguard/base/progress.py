@@ -1,4 +1,4 @@
-"""What a long computation says while it works."""
+"""Progress messages of long computations."""
 
 from __future__ import annotations
 
@@ -11,29 +11,55 @@ Result = TypeVar("Result")
 
 
 class Counted(str):
-    """The step that runs, as text, and that ``done`` of ``of`` is over, in equal steps or shares of the work.
-    So a reader can estimate what remains."""
+    """Text of the running step with the share that is done, so that a reader can estimate the rest.
+
+    Attributes
+    ----------
+    done, of : float, finished and total work
+    """
 
     done: float
     of: float
 
     def __new__(cls, text: str, done: float, of: float) -> Counted:
-        """``text`` says the step."""
         self = super().__new__(cls, text)
         self.done, self.of = done, of
         return self
 
 
 def parts(progress: Progress, *weights: float) -> list[Progress]:
-    """A progress for each part of a computation, in their order. What a part says becomes a share of the
-    whole by its weight; a text without a count leaves the share where it was."""
+    """Split a progress into parts of a computation.
+
+    A part's count becomes a share of the whole by its weight. A text without a count leaves the share
+    unchanged.
+
+    Parameters
+    ----------
+    progress : Progress
+    *weights : float, one a part
+
+    Returns
+    -------
+    list of Progress, in their order
+    """
     total = sum(weights)
     edges = [edge / total for edge in accumulate(weights, initial=0.0)]
     return [_part(progress, begin, end) for begin, end in pairwise(edges)]
 
 
 def counted(progress: Progress, texts: Sequence[str], results: Iterable[Result]) -> Iterator[Result]:
-    """The ``results``, one a text. Each text is said while its result is waited for."""
+    """Yield results and report one text before each is awaited.
+
+    Parameters
+    ----------
+    progress : Progress
+    texts : Sequence[str], one a result
+    results : Iterable[Result]
+
+    Yields
+    ------
+    Result
+    """
     found = iter(results)
     for k, text in enumerate(texts):
         progress(Counted(text, k, len(texts)))

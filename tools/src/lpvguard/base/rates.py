@@ -1,7 +1,7 @@
-"""Rates with exact 95 % intervals: of drives, recordings or runs, and an hour of driving.
+"""Rates with exact 95 % intervals: shares of drives, recordings or runs, and events per hour of driving.
 
-No interval is of zero width, whether none alarmed or all. What is counted must be independent: recordings or
-runs that alarm, not their alarms, for alarms of one recording come together.
+No interval has zero width, not even at 0 % or 100 %. The counted things must be independent. Therefore count
+the recordings that alarm: the alarms of one recording depend on each other.
 """
 
 from __future__ import annotations
@@ -12,14 +12,33 @@ from scipy.special import betaincinv, gammaincinv
 
 
 def rate(count: int, of: int) -> dict[str, Any]:
-    """The share ``count`` of ``of`` with its interval by Clopper and Pearson; None where there is nothing."""
+    """Return the share ``count`` of ``of`` with its interval by Clopper and Pearson.
+
+    Parameters
+    ----------
+    count, of : int
+
+    Returns
+    -------
+    dict, with None where ``of`` is 0
+    """
     low = float(betaincinv(count, of - count + 1, 0.025)) if count else 0.0
     high = float(betaincinv(count + 1, of - count, 0.975)) if count < of else 1.0
     return {"count": count, "of": of, "interval": [low, high] if of else None}
 
 
 def per_hour(count: int, hours: float) -> dict[str, Any]:
-    """Events an hour with their interval (Poisson, by Garwood); None where there is no driving."""
+    """Return events per hour with their Poisson interval by Garwood.
+
+    Parameters
+    ----------
+    count : int
+    hours : float, hours of driving
+
+    Returns
+    -------
+    dict, with None where ``hours`` is 0
+    """
     low = float(gammaincinv(count, 0.025)) if count else 0.0
     high = float(gammaincinv(count + 1, 0.975))
     return {
@@ -29,7 +48,16 @@ def per_hour(count: int, hours: float) -> dict[str, Any]:
 
 
 def share_words(found: dict[str, Any]) -> str:
-    """What `rate` gave, for terminal and page: the count of all and its interval [%]; a dash for nothing."""
+    """Word a `rate` for terminal and page: count, total and interval [%], or a dash.
+
+    Parameters
+    ----------
+    found : dict[str, Any], of `rate`
+
+    Returns
+    -------
+    str
+    """
     if not found["of"]:
         return "–"
     low, high = found["interval"]
@@ -37,7 +65,16 @@ def share_words(found: dict[str, Any]) -> str:
 
 
 def hourly_words(found: dict[str, Any]) -> str:
-    """What `per_hour` gave, for terminal and page: rate [1/h] and interval; a dash for no driving."""
+    """Word a `per_hour` for terminal and page: rate and interval [1/h], or a dash.
+
+    Parameters
+    ----------
+    found : dict[str, Any], of `per_hour`
+
+    Returns
+    -------
+    str
+    """
     if found["interval"] is None:
         return "–"
     return f"{found['rate']:.2f}, {found['interval'][0]:.2f} to {found['interval'][1]:.2f}"

@@ -6,5 +6,14 @@ import numpy as np
 
 
 def runs(mask: np.ndarray) -> np.ndarray:
-    """First index and the one after the last (R, 2) of every run of True in ``mask`` (N,), rising."""
+    """Find every run of True.
+
+    Parameters
+    ----------
+    mask : ndarray (N,) of bool
+
+    Returns
+    -------
+    ndarray (R, 2), first index and the one after the last, rising
+    """
     return np.flatnonzero(np.diff(np.r_[0, mask.astype(np.int8), 0])).reshape(-1, 2)

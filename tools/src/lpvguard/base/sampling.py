@@ -1,10 +1,9 @@
-"""Samples of bounded size from streams of frames: the same rows whatever the number of workers and the order
-of the drives.
+"""Samples of bounded size from streams of frames, independent of the number of workers and the order of
+drives.
 
 A row is kept when it is among the first ``cap`` of its group in the order of a key. The key depends on the
-row alone: a quantity, or a hash of the drive's name and the row's number. Selecting is therefore associative
-and commutative: the sample of two parts is that of both their samples. A hash as key makes it a uniform draw
-without replacement.
+row alone: a quantity, or a hash of the drive's name and the row's number. Selection is therefore associative
+and commutative. A hash as key makes it a uniform draw without replacement.
 """
 
 from __future__ import annotations
@@ -15,11 +14,21 @@ from collections.abc import Iterable
 import numpy as np
 
 Rows = dict[str, np.ndarray]
-"""Columns of equal length (first axis), among them ``group`` (whole numbers) and ``hash``."""
+"""Columns of equal length (first axis), with ``group`` (whole numbers) and ``hash`` among them."""
 
 
 def row_hash(name: str, *numbers: np.ndarray) -> np.ndarray:
-    """64-bit hash (F,) of a drive's name and whole numbers (F,) of a row; rounds of splitmix64."""
+    """Hash a drive's name and whole numbers of each row by rounds of splitmix64.
+
+    Parameters
+    ----------
+    name : str, the drive
+    *numbers : ndarray (F,) of int
+
+    Returns
+    -------
+    ndarray (F,) of uint64
+    """
     state = np.full(len(numbers[0]), zlib.crc32(name.encode()), np.uint64)
     for number in numbers:
         z = (state ^ np.asarray(number).astype(np.uint64)) + np.uint64(0x9E3779B97F4A7C15)
@@ -30,7 +39,18 @@ def row_hash(name: str, *numbers: np.ndarray) -> np.ndarray:
 
 
 def first_of_each(rows: Rows, cap: int, *keys: str) -> Rows:
-    """The first ``cap`` rows of each group by ascending ``keys``, then ``hash``; sorted so."""
+    """Select the first ``cap`` rows of each group.
+
+    Parameters
+    ----------
+    rows : Rows
+    cap : int
+    *keys : str, columns to sort by, ascending; ``hash`` decides ties
+
+    Returns
+    -------
+    Rows, sorted so
+    """
     order = np.lexsort((rows["hash"], *(rows[k] for k in reversed(keys)), rows["group"]))
     if not len(order):
         return rows
@@ -42,12 +62,30 @@ def first_of_each(rows: Rows, cap: int, *keys: str) -> Rows:
 
 
 def stacked(parts: Iterable[Rows]) -> Rows:
-    """All rows of the parts, which have the same columns."""
+    """Stack the rows of parts that have the same columns.
+
+    Parameters
+    ----------
+    parts : Iterable[Rows]
+
+    Returns
+    -------
+    Rows
+    """
     parts = list(parts)
     return {name: np.concatenate([p[name] for p in parts]) for name in parts[0]}
 
 
 def evenly(n: int, count: int) -> np.ndarray:
-    """Of the indices 0..n - 1 an array of shape (count,), evenly apart, ends included, ascending; all (n,)
-    where there are fewer."""
+    """Choose evenly spaced indices of 0..n - 1, both ends included.
+
+    Parameters
+    ----------
+    n : int
+    count : int, at most so many
+
+    Returns
+    -------
+    ndarray (count,) or (n,) of int, ascending
+    """
     return np.unique(np.linspace(0, n - 1, count).round().astype(int))

@@ -1,13 +1,13 @@
-"""What writing files takes from the operating system.
+"""Services of the operating system for writing files. No other module asks for the system.
 
-It gives a lock that ends with its process. It exchanges two names in one step, forces a file onto the disk,
-and puts signals off. This is the only module that asks for the system. Linux has all of it. Elsewhere
+It gives a lock that ends with its process, exchanges two names in one step, forces a file onto the disk and
+puts signals off. Linux has all of it. On other systems:
 
     exchange    False: the caller then renames twice
     undisturbed Windows: does nothing; Ctrl-C may end a program within the block
-    sync        Windows: files only, as a folder cannot be opened there
-    rename_over Windows: removes an empty folder first, in a step of its own
-    locks       Windows: `msvcrt.locking` on a file of the folder, as a folder cannot be locked there
+    sync        Windows: files only, because a folder cannot be opened there
+    rename_over Windows: removes an empty folder first, in a separate step
+    locks       Windows: `msvcrt.locking` on a file of the folder, because a folder cannot be locked there
 """
 
 from __future__ import annotations
@@ -40,11 +40,11 @@ _POLL_S = 0.1
 
 
 def lock_folder(folder: Path, file: str) -> int | None:
-    """Lock an existing folder for this process: a handle for `unlock_folder`, or None when another process
-    holds it.
+    """Lock an existing folder for this process.
 
-    The kernel unlocks it when the process ends, however it ends. ``file``: name of a file in the folder that
-    carries the lock where a folder cannot. Raises FileNotFoundError when the folder vanished meanwhile.
+    Returns a handle for `unlock_folder`, or None when another process holds it. The kernel unlocks it when
+    the process ends. ``file`` names a file in the folder that carries the lock where a folder cannot. Raises
+    FileNotFoundError when the folder vanished.
     """
     if sys.platform == "win32":
         handle = os.open(folder / file, os.O_RDWR | os.O_CREAT)
@@ -70,7 +70,7 @@ def lock_folder(folder: Path, file: str) -> int | None:
 
 
 def unlock_folder(handle: int, folder: Path, file: str) -> None:
-    """Unlock a folder of `lock_folder` and remove it. Raises OSError when anything but the lock is in it."""
+    """Unlock and remove a folder of `lock_folder`. Raises OSError when anything but the lock is in it."""
     if sys.platform == "win32":
         os.close(handle)  # an open file cannot be removed there
         (folder / file).unlink()
@@ -84,7 +84,7 @@ def unlock_folder(handle: int, folder: Path, file: str) -> None:
 
 @contextmanager
 def locked_file(path: Path) -> Iterator[IO[str]]:
-    """A file made on demand, locked for the block; whoever comes second waits."""
+    """Make a file on demand and lock it for the block; other processes wait."""
     with path.open("w") as stream:
         if sys.platform == "win32":
             while True:
@@ -99,10 +99,9 @@ def locked_file(path: Path) -> Iterator[IO[str]]:
 
 
 def open_standard_streams() -> None:
-    """Give whoever was started without standard input, output or error an empty one.
+    """Open an empty stream for each missing standard input, output or error.
 
-    A file that is opened later would take the number of the missing stream, and what a compiler prints would
-    go into it.
+    Otherwise the next opened file takes the stream's number, and a compiler's messages go into it.
     """
     for number, name in enumerate(("stdin", "stdout", "stderr")):
         try:
@@ -117,8 +116,8 @@ def open_standard_streams() -> None:
 def undisturbed() -> Iterator[None]:
     """Put off the signals that end a program until the block is through.
 
-    A blocked signal goes to another thread, and Python then calls its handler in the main thread all the
-    same. So the handlers themselves wait. Elsewhere than in the main thread nothing need be done.
+    Handlers wait, because Python calls them in the main thread even for a blocked signal. Threads other than
+    the main one need nothing.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -166,7 +165,7 @@ def exchange(a: Path, b: Path) -> bool:
 
 
 def rename_over(new: Path, place: Path) -> None:
-    """Rename to a name that is free, or taken by a file or an empty folder."""
+    """Rename to a name that is free, a file or an empty folder."""
     if sys.platform == "win32" and place.is_dir():
         place.rmdir()
     new.replace(place)

@@ -1,4 +1,7 @@
-"""The one table of messages, `catalogue.toml`, and what is made of it. In: the catalogue, raw CAN logs. Out:
-our DBC, the C codec, frames decoded, and frames played onto a bus. Which rooms it may import: MAY_IMPORT."""
+"""The table of CAN messages, `catalogue.toml`, and everything made from it.
+
+In: the catalogue, raw CAN logs. Out: our DBC, the C codec, decoded frames, and frames played onto a bus.
+MAY_IMPORT lists what a room may import.
+"""
 
 MAY_IMPORT = ("base", "vehicle")

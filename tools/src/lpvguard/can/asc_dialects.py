@@ -1,7 +1,7 @@
-"""Dialects of Vector's ASC that python-can reads as something else, written as the one it reads.
+"""Dialects of Vector's ASC, rewritten into the one that python-can reads.
 
-With ``timestamps relative`` in its head each line's time counts from the line before; python-can takes it for
-absolute. ``CANFD   Start of measurement`` is an event, which python-can takes for a frame.
+With ``timestamps relative`` in the head, each line's time counts from the line before; python-can takes it as
+absolute. ``CANFD   Start of measurement`` is an event, which python-can takes as a frame.
 """
 
 from __future__ import annotations

@@ -1,5 +1,4 @@
-"""Generates lpvguard_bus.c (lib/include/lpvguard/bus.h): the glue between a vehicle's signal table and the
-CAN catalogue."""
+"""Generates lpvguard_bus.c (lib/include/lpvguard/bus.h): the signal table on the CAN catalogue."""
 
 from __future__ import annotations
 
@@ -15,7 +14,7 @@ REPORT = {
     "supervision_state": "supervision",
     "engagement": "engagement",
 }
-"""Signals of the report message and the members of lpvg_bus_report_t that they carry."""
+"""Signals of the report message and their members of lpvg_bus_report_t."""
 CHECKS = {
     "yaw_rate": ("VDC2", "{yaw_rate}"),
     "lateral": ("VDC2", "{lateral_acceleration}"),
@@ -26,16 +25,30 @@ CHECKS = {
     "request": ("GUARD_IN", "{control_request}"),
     "other_priority": ("GUARD_IN", "{other_priority}"),
 }
-"""Cross-checks and permission: member of lpvg_bus_signals_t, message, and the value from its decoded
-signals."""
+"""Cross-checks and permission: member of lpvg_bus_signals_t, message, expression of its decoded signals."""
 OVERRIDE = CanPlace(message="EBC1", signal="abs_active")
-"""The message without which nobody knows whether the driver brakes or ABS acts."""
+"""Message that reports the driver's braking and ABS."""
 PROPRIETARY_SPN = 520192
-"""First of the numbers that J1939-73 leaves to manufacturers, for signals without a number of their own."""
+"""First number that J1939-73 leaves to manufacturers, for signals without a number of their own."""
 
 
 def bus_source(project: Project, catalogue: Catalogue | None = None) -> str:
-    """C text of the glue. InputError names the signal that has no usable place on the bus."""
+    """Generate the C text of lpvguard_bus.c.
+
+    Parameters
+    ----------
+    project : Project
+    catalogue : Catalogue, optional, by default the shipped one
+
+    Returns
+    -------
+    str
+
+    Raises
+    ------
+    InputError
+        If a signal has no usable place on the bus; it names the signal.
+    """
     catalogue = catalogue or load_catalogue()
     where = f"vehicle {project.name}"
     report = _report_message(project, catalogue, where)
@@ -60,7 +73,7 @@ def bus_source(project: Project, catalogue: Catalogue | None = None) -> str:
 
 
 def _report_message(project: Project, catalogue: Catalogue, where: str) -> Message:
-    """The message that carries the vehicle's input. InputError unless it is the one demand that we send."""
+    """Message that carries the vehicle's input. Raises InputError unless we send it as the only demand."""
     demand = _place(project.inputs[0].name, project.inputs[0].can, where)
     report = catalogue.message(demand.message)
     if (
@@ -79,7 +92,7 @@ def _report_message(project: Project, catalogue: Catalogue, where: str) -> Messa
 
 
 def _places(project: Project, where: str) -> list[tuple[str, CanPlace]]:
-    """Members of lpvg_bus_signals_t and where they lie on the bus."""
+    """Members of lpvg_bus_signals_t with their places on the bus."""
     return [
         ("speed", _place("speed", project.speed.can, where)),
         ("reference", REFERENCE),
@@ -88,7 +101,7 @@ def _places(project: Project, where: str) -> list[tuple[str, CanPlace]]:
 
 
 def _source(project: Project, catalogue: Catalogue, needed: dict[str, int], cases: str, report: str) -> str:
-    """The C file; ``needed``: message -> number that a report of its loss carries."""
+    """The C file; ``needed`` maps a message to the number that a report of its loss carries."""
     needs = ", ".join(
         f"[{i}] = {{LPVG_CAN_{name}_INDEX, {spn}u}}" for i, (name, spn) in enumerate(needed.items())
     )
@@ -138,8 +151,20 @@ def _received(catalogue: Catalogue, place: CanPlace, where: str) -> tuple[Messag
 
 
 def take_case(message: Message, signals: list[BusSignal], statements: list[str]) -> str:
-    """C case of a switch over message indices: decodes ``signals`` of ``frame`` to floats of their names,
-    then ``statements``."""
+    """Generate a C case of a switch over message indices.
+
+    The case decodes signals of ``frame`` to floats of their names.
+
+    Parameters
+    ----------
+    message : Message
+    signals : list of BusSignal, signals to decode
+    statements : list of str, C statements after the decoding
+
+    Returns
+    -------
+    str
+    """
     prefix = f"lpvg_can_{message.name.lower()}"
     names = list(dict.fromkeys(s.name for s in signals))
     lines = [
@@ -148,7 +173,7 @@ def take_case(message: Message, signals: list[BusSignal], statements: list[str])
         *(f"        float {name};" for name in names),
         f"        if ({prefix}_unpack(&message, frame) == lpvg_status_ok) {{",
     ]
-    # decode writes NaN where there is no value: what is absent is for the reader of the number to refuse.
+    # decode writes NaN where there is no value, and the reader of the number refuses it.
     lines += [f"            (void){prefix}_{name}_decode(message.{name}, &{name});" for name in names]
     lines += [f"            {statement}" for statement in statements]
     return "\n".join([*lines, "        }", "        break;", "    }", ""])

@@ -3,7 +3,7 @@
 Reads   catalogue.toml (shipped), or another file of the same form
 Next    dbc.py writes our DBC from it, codegen.py the C codec and the receiver's rules
 
-Raw values follow SAE J1939-71: of n bits the top codes say "not available" and "error" (8 bits: 0xFF and
+Raw values follow SAE J1939-71: the top codes of n bits say "not available" and "error" (8 bits: 0xFF and
 0xFE, 16 bits: 0xFFnn and 0xFEnn, 2 bits: 3 and 2), and data end at 0xFA (8 bits) or 0xFAFF (16 bits).
 """
 
@@ -21,25 +21,26 @@ from ..base.documents import StrictModel, checked, read_toml
 from ..base.errors import InputError
 
 E2E_BITS = 12
-"""Bits that profile 11 takes at the start of a frame: CRC (8), counter (4); the next 4 are free and sent as
-1."""
+"""Bits of profile 11 at the start of a frame: CRC (8), counter (4), and 4 free ones that are sent as 1."""
 
 OWN_NODE = "LPVGUARD"
-"""Name of the node that the generated code runs on."""
+"""Name of the node that runs the generated code."""
 
 J1939_LENGTHS = (2, 4, 8, 16)
-"""Lengths of our signals that have codes above the data."""
+"""Lengths of our signals with codes above the data."""
 
 
 def j1939_data_max(length: int) -> int:
-    """Largest raw value of ``length`` bits (2 or more) that is data: 0xFA in the top byte, below 8 bits all
-    but two."""
+    """Largest raw value of ``length`` bits (2 or more) that is data.
+
+    It is 0xFA in the top byte; below 8 bits it is all values but two.
+    """
     return (0xFB << (length - 8)) - 1 if length >= 8 else (1 << length) - 3
 
 
 class Supervision(StrictModel):
-    """What a receiver accepts of a signal, in the signal's unit; ``max_rate`` is per second, None is
-    unlimited."""
+    """Values of a signal that a receiver accepts, in its unit; ``max_rate`` is per second (None:
+    unlimited)."""
 
     min: float
     max: float
@@ -53,8 +54,19 @@ class Supervision(StrictModel):
 
 
 class BusSignal(StrictModel):
-    """A signal: physical = scale * raw + offset; ``coding`` "j1939" reserves the top raw values, "plain"
-    none."""
+    """A signal of a message: physical = scale * raw + offset.
+
+    Attributes
+    ----------
+    name, unit : str
+    spn : int or None, suspect parameter number of J1939
+    start, length : int, bits
+    scale, offset : float, units of the signal
+    positive : str, direction of positive values
+    coding : str, "j1939" reserves the top raw values, "plain" none
+    values : dict[str, int], raw value by name
+    supervise : Supervision or None
+    """
 
     name: Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$")]
     spn: Annotated[int, Field(ge=1, lt=2**19)] | None = None
@@ -87,7 +99,7 @@ class BusSignal(StrictModel):
 
     @property
     def bits(self) -> range:
-        """Bits of the frame's data that the signal takes up."""
+        """Bits of the signal in the frame's data."""
         return range(self.start, self.start + self.length)
 
     @property
@@ -97,12 +109,12 @@ class BusSignal(StrictModel):
 
     @property
     def raw_error_min(self) -> int | None:
-        """Raw values from here up to ``raw_absent_min`` say "error"; None: no such code."""
+        """First raw value for "error", which ends below ``raw_absent_min``; None: no such code."""
         return self._code(0xFE, 2)
 
     @property
     def raw_absent_min(self) -> int | None:
-        """Raw values from here say "not available"; None: no such code."""
+        """First raw value for "not available"; None: no such code."""
         return self._code(0xFF, 1)
 
     def _code(self, top_byte: int, below_end: int) -> int | None:
@@ -133,7 +145,18 @@ class E2E(StrictModel):
 
 
 class Message(StrictModel):
-    """A parameter group in one 8-byte frame. ``codec`` "core": the C core packs it, no codec is generated."""
+    """A parameter group in one 8-byte frame.
+
+    Attributes
+    ----------
+    name, title : str
+    pgn : int, parameter group number
+    id : int, 29-bit identifier
+    period_ms : int, ms
+    codec : str, "core" if the C core packs it, so that no codec is generated
+    e2e : E2E or None, end-to-end protection
+    signals : list of BusSignal
+    """
 
     name: Annotated[str, Field(pattern=r"^[A-Z][A-Z0-9_]*$")]
     title: str
@@ -172,12 +195,12 @@ class Message(StrictModel):
 
     @property
     def rules(self) -> list[tuple[BusSignal, Supervision]]:
-        """The supervised signals, each with what a receiver accepts of it."""
+        """Supervised signals, each with its accepted values."""
         return [(s, s.supervise) for s in self.signals if s.supervise]
 
     @property
     def supervised(self) -> list[BusSignal]:
-        """The signals that a receiver supervises."""
+        """Signals that a receiver supervises."""
         return [s for s, _ in self.rules]
 
 
@@ -190,7 +213,14 @@ class Node(StrictModel):
 
 
 class Catalogue(StrictModel):
-    """Every node and message of the bus."""
+    """All nodes and messages of the bus.
+
+    Attributes
+    ----------
+    schema_ : int, version of the format
+    nodes : list[Node]
+    messages : list[Message]
+    """
 
     schema_: Literal[1] = Field(alias="schema")
     nodes: list[Node]
@@ -222,11 +252,11 @@ class Catalogue(StrictModel):
         return next(n.address for n in self.nodes if n.name == OWN_NODE)
 
     def sender(self, message: Message) -> Node:
-        """The node that sends a message."""
+        """Node that sends a message."""
         return next(n for n in self.nodes if n.address == message.source_address)
 
     def message(self, name: str) -> Message:
-        """The message called ``name``; InputError when there is none."""
+        """The message ``name``; InputError when there is none."""
         for message in self.messages:
             if message.name == name:
                 return message
@@ -236,8 +266,21 @@ class Catalogue(StrictModel):
 
 
 def load_catalogue(path: Path | None = None) -> Catalogue:
-    """The shipped catalogue, which a process reads once, or the one at ``path``. InputError names the file,
-    the field and what was expected."""
+    """Load a catalogue; a process reads the shipped one once.
+
+    Parameters
+    ----------
+    path : Path, optional, by default the shipped one
+
+    Returns
+    -------
+    Catalogue
+
+    Raises
+    ------
+    InputError
+        If a field is refused; it names the file, the field and what was expected.
+    """
     return _shipped() if path is None else _read(path, path)
 
 

@@ -1,10 +1,10 @@
 """Generates the C codec (C99) and the receiver's rules from the catalogue.
 
-Two files: ``lpvg_can_codec.h`` and ``lpvg_can_codec.c``. Per message a struct of raw values, ``pack`` and
-``unpack``; per signal ``encode`` (physical to raw: rounds to nearest, saturates, NaN becomes "not available")
-and ``decode`` (raw to physical with a quality). Bytes are read and written one by one: the byte order of the
-processor does not matter. Every shift is of an unsigned value by less than its width. The text depends on the
-catalogue alone.
+Two files: ``lpvg_can_codec.h`` and ``lpvg_can_codec.c``. Per message they have a struct of raw values,
+``pack`` and ``unpack``. Per signal they have ``encode`` (physical to raw: rounds to nearest, saturates, NaN
+becomes "not available") and ``decode`` (raw to physical with a quality). Bytes are read and written one by
+one, independent of the processor's byte order. Every shift is of an unsigned value by less than its width.
+The text depends on the catalogue alone.
 """
 
 from __future__ import annotations
@@ -16,16 +16,24 @@ from .catalogue import BusSignal, Catalogue, Message, load_catalogue
 
 HEADER, SOURCE = "lpvg_can_codec.h", "lpvg_can_codec.c"
 GAP_FRACTION = 4
-"""A frame sooner than period / 4 after the one before counts as babbling; cyclic senders jitter by far
-less."""
+"""A frame earlier than period / 4 after the last counts as babbling; cyclic senders jitter far less."""
 
 _EXTENDED = 0x80000000
 ANY_PRIORITY = 0xE3FFFFFF
-"""Bits of an identifier with its flags that tell a J1939 message: all but the priority."""
+"""Mask of an identifier with its flags without the priority of a J1939 message."""
 
 
 def codec_files(catalogue: Catalogue | None = None) -> dict[str, str]:
-    """File name -> text of the generated codec for ``catalogue`` (default: the shipped one)."""
+    """Generate the codec of a catalogue.
+
+    Parameters
+    ----------
+    catalogue : Catalogue, optional, by default the shipped one
+
+    Returns
+    -------
+    dict[str, str], text by file name
+    """
     catalogue = catalogue or load_catalogue()
     messages = messages_in_order(catalogue)
     received = [m for m in messages if m.source_address != catalogue.own_address]
@@ -37,7 +45,16 @@ def codec_files(catalogue: Catalogue | None = None) -> dict[str, str]:
 
 
 def messages_in_order(catalogue: Catalogue) -> list[Message]:
-    """The messages with a generated codec, in the order of lpvg_can_rules: those that we receive first."""
+    """List the messages with a generated codec in the order of lpvg_can_rules: received ones first.
+
+    Parameters
+    ----------
+    catalogue : Catalogue
+
+    Returns
+    -------
+    list[Message]
+    """
     generated = [m for m in catalogue.messages if m.codec == "generated"]
     return sorted(generated, key=lambda m: m.source_address == catalogue.own_address)
 
@@ -294,7 +311,7 @@ def _code(minimum: int | None) -> int:
 
 
 def _pieces(signal: BusSignal) -> list[tuple[int, int, int, int]]:
-    """(byte, lowest bit in the byte, bits, lowest bit of the signal) of each byte that the signal touches."""
+    """(byte, lowest bit in the byte, bits, lowest bit of the signal) of each byte of a signal."""
     pieces, done = [], 0
     while done < signal.length:
         byte, low = divmod(signal.start + done, 8)
@@ -319,7 +336,7 @@ def _load(signal: BusSignal) -> str:
 
 
 def _stored(message: Message, byte: int) -> str:
-    """A byte of a frame: its signals' bits, the others 1, those of an E2E header 0."""
+    """A byte of a frame: bits of its signals, 0 for an E2E header, else 1."""
     terms, ones = [], 0xFF
     if message.e2e:
         ones &= (0x00, 0xF0, *[0xFF] * 6)[byte]

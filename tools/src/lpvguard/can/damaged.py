@@ -1,5 +1,4 @@
-"""Damaged logs at which the readers of python-can and asammdf would never end, or read what is not the log's,
-refused before they begin."""
+"""Refuse damaged logs on which python-can or asammdf would never end or would read foreign memory."""
 
 from __future__ import annotations
 
@@ -16,14 +15,13 @@ if TYPE_CHECKING:
     import can
 
 _VIRTUAL = {3, 6}
-"""Types of channels of MDF 4 without bytes in the record."""
+"""Channel types of MDF 4 without bytes in the record."""
 _HAS_INVALIDATION = 2
 """Flag of a channel of MDF 4 with an invalidation bit."""
 
 
 def _require_advance(objects: bytes) -> None:
-    """ValueError where an object of a BLF container has no bytes: a reader that goes on by its size stays
-    there for ever."""
+    """Raise ValueError for an empty object of a BLF container, at which a reader would loop for ever."""
     at = objects.find(b"LOBJ", 0, 8)
     while at >= 0:
         size = int.from_bytes(objects[at + 8 : at + 12], "little")
@@ -33,8 +31,11 @@ def _require_advance(objects: bytes) -> None:
 
 
 def python_can_reader(path: Path) -> can.io.generic.MessageReader:
-    """Return python-can's reader of a log. That of BLF raises ValueError (`_require_advance`) where it would
-    never end; that of ASC reads further dialects (``AscLines``)."""
+    """Return python-can's reader of a log.
+
+    The reader of BLF raises ValueError (`_require_advance`) where it would never end. That of ASC reads
+    further dialects (``AscLines``).
+    """
     import can  # costs 0.2 s, and is not needed for candump
 
     reader = can.LogReader(path)
@@ -52,8 +53,11 @@ def python_can_reader(path: Path) -> can.io.generic.MessageReader:
 
 
 class _Mdf:
-    """Blocks of an MDF file. MDF 4 has addresses of 8 bytes, the next block's from byte 24, behind it those
-    of the blocks below; MDF 3 has them of 4 bytes, from byte 4."""
+    """Blocks of an MDF file.
+
+    MDF 4 has addresses of 8 bytes: the next block's at byte 24, then those of the blocks below. MDF 3 has
+    addresses of 4 bytes from byte 4.
+    """
 
     def __init__(self, content: mmap.mmap):
         self.content = content
@@ -64,18 +68,18 @@ class _Mdf:
         return int.from_bytes(self.content[at : at + size], "little")
 
     def link(self, at: int, index: int) -> int:
-        """Address ``index`` of a block, of which 0 is the next block's."""
+        """Address ``index`` of a block; 0 is the next block's."""
         return self.number(at + self.following + index * self.width, self.width)
 
     def fields(self, at: int) -> int:
-        """Where the fields of a block of MDF 4 begin, behind its links."""
+        """Start of the fields of an MDF 4 block, after its links."""
         return at + 24 + 8 * self.number(at + 16, 8)
 
     def kind(self, at: int) -> bytes:
         return self.content[at : at + 4]
 
     def blocks(self, at: int) -> Iterator[int]:
-        """The list that begins at an address; ValueError where it comes back to a block of before."""
+        """The list that begins at an address; ValueError for a circle."""
         seen = set()
         while at:
             if at in seen:
@@ -88,8 +92,8 @@ class _Mdf:
         return self.blocks(self.number(self.first, self.width))
 
     def require_inside(self, channels: int, record: int, invalidation: int) -> None:
-        """A list of channels, with what they are composed of, lies in a record of so many bytes and bytes of
-        invalidation bits, or ValueError."""
+        """Raise ValueError unless the channels of a list lie in a record of given bytes and invalidation
+        bytes."""
         for channel in self.blocks(channels):
             if self.is_4:
                 start, bits = self._place(channel, invalidation)
@@ -107,7 +111,7 @@ class _Mdf:
                 raise ValueError("a channel beyond its record")
 
     def _place(self, channel: int, invalidation: int) -> tuple[int, int]:
-        """First bit and number of bits of a channel of MDF 4 in its record."""
+        """First bit and number of bits of an MDF 4 channel in its record."""
         own = self.fields(channel)
         has_bit = self.number(own + 12, 4) & _HAS_INVALIDATION
         if has_bit and self.number(own + 16, 4) >= 8 * invalidation:
@@ -118,11 +122,10 @@ class _Mdf:
 
 
 def require_sound_blocks(path: Path) -> None:
-    """ValueError where a list of an MDF file comes back to a block of before, or a channel lies beyond its
-    record.
+    """Raise ValueError for a circle in the lists of an MDF file, or a channel beyond its record.
 
-    asammdf follows the lists of groups, channels and data by the next block's address, and would never end.
-    It takes a channel's bytes by their place in the record, from whatever memory lies there.
+    asammdf follows the lists by the next block's address and would never end. It reads a channel's bytes by
+    their place in the record, even from foreign memory.
     """
     with path.open("rb") as file:
         if file.read(3) != b"MDF":

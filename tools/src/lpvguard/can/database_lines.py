@@ -1,4 +1,4 @@
-"""Reads a DBC of which some lines are wrong: a wrong line costs its signal or message, not the file."""
+"""Reads a DBC with wrong lines: each costs its signal or message, not the file."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ if TYPE_CHECKING:  # cantools takes long to import
 
 _HEAD = 'VERSION ""\n\nNS_ :\n\nBS_:\n\nBU_:\n\n'
 _KEPT = re.compile(r"\s*(BO_|SG_|VAL_|SIG_VALTYPE_|SG_MUL_VAL_|BA_DEF_|BA_DEF_DEF_|BA_)\s")
-"""Statements that decide how a frame is decoded; comments, senders and networks do not."""
+"""Statements that decide how a frame is decoded."""
 
 
 def read_sound_lines(text: str) -> tuple[Database, list[str]]:
@@ -18,15 +18,12 @@ def read_sound_lines(text: str) -> tuple[Database, list[str]]:
 
     Parameters
     ----------
-    text
-        The whole DBC.
+    text : str, the whole DBC
 
     Returns
     -------
-    database
-        Messages, signals, value names and attributes of the sound statements.
-    left_out
-        A sentence for each other statement: line number and text.
+    tuple of Database and list of str
+        Sound statements, and a sentence for each other statement: line number and text.
     """
     blocks: list[list[tuple[int, str]]] = []
     others: list[tuple[int, str]] = []
@@ -64,7 +61,7 @@ def _statements(text: str) -> list[tuple[int, str]]:
 
 
 def _sound_block(block: list[tuple[int, str]], left_out: list[tuple[int, str]]) -> list[str]:
-    """The lines of one message that can be read; none where the message itself cannot."""
+    """Readable lines of one message; none if the message itself is not."""
     if _parsed(_HEAD + "\n".join(line for _, line in block)) is not None:
         return [line for _, line in block]
     header, signals = block[0], block[1:]
@@ -78,7 +75,7 @@ def _sound_block(block: list[tuple[int, str]], left_out: list[tuple[int, str]]) 
 def _sound(
     head: str, statements: list[tuple[int, str]], left_out: list[tuple[int, str]]
 ) -> list[tuple[int, str]]:
-    """The statements that can be read after ``head``, by halving where they cannot."""
+    """Statements that can be read after ``head``, found by halving."""
     if not statements or _parsed(head + "".join(line + "\n" for _, line in statements)) is not None:
         return statements
     if len(statements) == 1:
@@ -90,7 +87,7 @@ def _sound(
 
 
 def _parsed(text: str) -> Database | None:
-    """The database of a DBC, None where cantools cannot read it."""
+    """Database of a DBC, None where cantools cannot read it."""
     try:
         return _database(text)
     except Exception:  # cantools raises many classes for a wrong text
@@ -98,7 +95,7 @@ def _parsed(text: str) -> Database | None:
 
 
 def _database(text: str) -> Database:
-    """The database of a DBC that cantools can read."""
+    """Database of a DBC that cantools can read."""
     from cantools.database.can import Database
 
     database = Database(strict=False)

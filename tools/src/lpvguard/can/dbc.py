@@ -1,7 +1,7 @@
 """Writes our DBC from the catalogue; it opens in cantools, canmatrix and the usual bus tools.
 
-Every message is marked as a J1939 parameter group (``VFrameFormat``) and carries its PGN and cycle time;
-every signal its SPN. The text depends on the catalogue alone. Unused bits are not described: senders set them
+Every message is marked as a J1939 parameter group (``VFrameFormat``) with its PGN and cycle time; every
+signal has its SPN. The text depends on the catalogue alone. Unused bits are not described: senders set them
 to 1.
 """
 
@@ -59,7 +59,16 @@ def _comment(message: Message) -> str:
 
 
 def dbc_text(catalogue: Catalogue | None = None) -> str:
-    """The DBC of ``catalogue`` (default: the shipped one)."""
+    """Write the DBC of a catalogue.
+
+    Parameters
+    ----------
+    catalogue : Catalogue, optional, by default the shipped one
+
+    Returns
+    -------
+    str
+    """
     catalogue = catalogue or load_catalogue()
     parts = [
         'VERSION "lpvguard"\n\nNS_ :\n\nBS_:\n\n',

@@ -1,8 +1,8 @@
 """Decodes raw frames by a database, whole arrays at a time.
 
-Any signal that cantools describes: Intel and Motorola, signed, float, multiplexed (nested too), frames up to
-64 bytes. J1939 messages are found by their parameter group: priority never matters, and the source address
-only when frames with the address of the database are in the log.
+It decodes any signal that cantools describes: Intel and Motorola, signed, float, multiplexed (nested too),
+frames up to 64 bytes. J1939 messages are found by their parameter group. Priority never matters. The source
+address matters only when frames with the database's address are in the log.
 """
 
 from __future__ import annotations
@@ -31,8 +31,7 @@ _PDU2 = 0xF0
 
 @dataclass(frozen=True)
 class Samples:
-    """A decoded signal: frame (K,) positions in the log, value (K,) physical, and what was left out by
-    reason."""
+    """A decoded signal: frame (K,) positions in the log, value (K,) physical, number left out by reason."""
 
     frame: np.ndarray
     value: np.ndarray
@@ -40,8 +39,21 @@ class Samples:
 
 
 def load_database(path: Path) -> Database:
-    """A cantools database from a DBC (or another form that cantools reads). InputError names the file and
-    line."""
+    """Load a cantools database from a DBC or another form that cantools reads.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    Database
+
+    Raises
+    ------
+    InputError
+        If it cannot be read; it names the file and the line.
+    """
     import cantools
     from cantools.database.can import Database
 
@@ -62,7 +74,7 @@ def load_database(path: Path) -> Database:
 
 
 def _sound_dbc(path: Path) -> Database | None:
-    """The messages of a DBC that can be read, with a warning for what cannot; None where none can."""
+    """Readable messages of a DBC, with a warning for the others; None where none can be read."""
     if path.suffix.lower() != ".dbc":
         return None
     database, left_out = read_sound_lines(path.read_text(_encoding(path), errors="replace"))
@@ -74,10 +86,18 @@ def _sound_dbc(path: Path) -> Database | None:
 
 
 def contradicting_range(signal: Signal) -> str:
-    """Return in words why the range of a signal cannot be meant, empty where it can.
+    """Explain why the stated range of a signal cannot be meant.
 
-    A range that begins above the least value of the raw bits and ends above the greatest, or the other way
-    round, forbids values that occur and allows ones that cannot: raw ends where physical ones belong.
+    Such a range begins above the least value of the raw bits and ends above the greatest, or the reverse. It
+    forbids values that occur and allows impossible ones: raw ends stand for physical ones.
+
+    Parameters
+    ----------
+    signal : Signal
+
+    Returns
+    -------
+    str, empty where the range can be meant
     """
     least, most = signal.minimum, signal.maximum
     if signal.is_float or least is None or most is None or not least < most:
@@ -95,8 +115,10 @@ def contradicting_range(signal: Signal) -> str:
 
 
 def _encoding(path: Path) -> str | None:
-    """Of a text form that does not say it: UTF-8 where the bytes are that, else what Vector's tools write.
-    Units need it ("°/s")."""
+    """Encoding of a text form that does not state it: UTF-8 if valid, else that of Vector's tools.
+
+    Units need it ("°/s").
+    """
     if path.suffix.lower() not in {".dbc", ".sym"}:
         return None
     try:
@@ -107,7 +129,12 @@ def _encoding(path: Path) -> str | None:
 
 
 def own_database() -> Database:
-    """The cantools database of our own DBC."""
+    """Return the cantools database of our own DBC.
+
+    Returns
+    -------
+    Database
+    """
     from cantools.database.can import Database
 
     database = Database()
@@ -116,7 +143,16 @@ def own_database() -> Database:
 
 
 def is_j1939(message: Message) -> bool:
-    """Whether the database says that a cantools ``message`` is a J1939 parameter group."""
+    """Whether the database marks a message as a J1939 parameter group.
+
+    Parameters
+    ----------
+    message : Message, of cantools
+
+    Returns
+    -------
+    bool
+    """
     return message.protocol == "j1939"
 
 
@@ -129,11 +165,25 @@ def find_frames(
     source_address: int | None = None,
     where: str = "",
 ) -> np.ndarray:
-    """Positions (K,) of the frames of a cantools ``message``, by group if ``j1939``; ``channel`` None takes
-    every channel.
+    """Find the frames of a message.
 
-    InputError when a J1939 group comes from several senders and neither the database nor ``source_address``
-    says which.
+    Parameters
+    ----------
+    frames : Frames
+    message : Message, of cantools
+    j1939 : bool, find by parameter group
+    channel : str, optional, by default every channel
+    source_address : int, optional, of the sender
+    where : str, name of the log in errors
+
+    Returns
+    -------
+    ndarray (K,) of int, positions in the log
+
+    Raises
+    ------
+    InputError
+        If a J1939 group comes from several senders, and nothing says which.
     """
     if j1939 and message.is_extended_frame:
         wanted = _j1939(frames, message, source_address, where)
@@ -170,10 +220,22 @@ def _j1939(frames: Frames, message, source_address: int | None, where: str) -> n
 def decode_signal(
     frames: Frames, positions: np.ndarray, message: Message, signal: Signal, *, j1939_codes: bool
 ) -> Samples:
-    """Physical values of a cantools ``signal`` in the frames at ``positions`` (K,), in the signal's unit.
+    """Decode a signal in chosen frames.
 
-    Frames too short for the signal and frames of another multiplex are left out and counted. So are values
-    that are not finite and, with ``j1939_codes``, raw values above the data range.
+    Left out and counted are frames too short for the signal or of another multiplex, and values that are not
+    finite.
+
+    Parameters
+    ----------
+    frames : Frames
+    positions : ndarray (K,) of int, frames in the log
+    message : Message, of cantools
+    signal : Signal, of cantools
+    j1939_codes : bool, leave out raw values above the data range too
+
+    Returns
+    -------
+    Samples, in the signal's unit
     """
     left_out: dict[str, int] = {}
     rows = frames.data[positions]
@@ -200,7 +262,17 @@ def decode_signal(
 
 
 def decode_all(frames: Frames, database) -> dict[str, dict[str, Samples]]:
-    """Every signal of every message of ``database``: message name -> signal name -> Samples."""
+    """Decode every signal of every message of a database.
+
+    Parameters
+    ----------
+    frames : Frames
+    database : Database, of cantools
+
+    Returns
+    -------
+    dict[str, dict[str, Samples]], by message and signal
+    """
     decoded = {}
     for message in database.messages:
         j1939 = is_j1939(message)
@@ -224,8 +296,7 @@ def _multiplexed(rows: np.ndarray, message, signal) -> np.ndarray:
 
 
 def signal_pieces(signal: Signal | Place) -> list[tuple[int, int, int]]:
-    """(byte, lowest bit in it, number of bits) of each byte that the signal touches, most significant
-    first."""
+    """(byte, lowest bit in it, number of bits) of each byte of a signal, most significant first."""
     pieces, left = [], signal.length
     if signal.byte_order == "big_endian":  # start: the most significant bit
         byte, high = divmod(signal.start, 8)
@@ -243,8 +314,7 @@ def signal_pieces(signal: Signal | Place) -> list[tuple[int, int, int]]:
 
 
 def _raw(rows: np.ndarray, signal) -> np.ndarray:
-    """Unsigned raw values (K,); bytes beyond the log's frames read as 0 (such frames are left out as too
-    short)."""
+    """Unsigned raw values (K,); bytes beyond a log's frame read as 0, and such frames are left out later."""
     raw = np.zeros(len(rows), np.uint64)
     for byte, low, bits in signal_pieces(signal):
         raw <<= np.uint64(bits)

@@ -11,10 +11,24 @@ import pyarrow.csv as pa_csv
 
 
 def read_csv(data: bytes, null_values: Iterable[str] | None = None) -> tuple[pa.Table, int]:
-    """The table, and how many lines stand before its header.
+    """Read a CSV as people write it.
 
-    Lines that are empty or begin with # are skipped before the header. Where the header has more `;` than
-    commas, `;` divides, and the decimal point may be a comma. Raises pyarrow's errors.
+    Lines before the header that are empty or begin with # are skipped. Where the header has more `;` than
+    commas, `;` divides, and the decimal point may be a comma.
+
+    Parameters
+    ----------
+    data : bytes, of the file
+    null_values : Iterable of str, optional, read as missing
+
+    Returns
+    -------
+    tuple of Table and int, number of lines before the header
+
+    Raises
+    ------
+    ArrowInvalid
+        If pyarrow cannot read it.
     """
     text = data.removeprefix(b"\xef\xbb\xbf")
     skipped, position = 0, 0
@@ -45,7 +59,7 @@ def read_csv(data: bytes, null_values: Iterable[str] | None = None) -> tuple[pa.
 
 
 def _decimal_commas(body: io.BytesIO, delimiter: str) -> bool:
-    """Whether numbers are written with a comma: only where `;` divides, by the lines after the header."""
+    """Whether numbers have a decimal comma: only where `;` divides, judged by the lines after the header."""
     lines = list(islice(body, 1, 20))
     body.seek(0)
     return delimiter == ";" and any(b"," in line for line in lines) and not any(b"." in x for x in lines)

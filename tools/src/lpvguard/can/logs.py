@@ -1,4 +1,4 @@
-"""Reads logs as users have them: raw CAN frames, or tables of signals that are decoded already.
+"""Reads logs: raw CAN frames, or tables of decoded signals.
 
 raw      candump (-l, -L, and the screen with -t), ASC, BLF, MF4 with bus logging, CSV and Parquet with the
          columns of python-can (timestamp, arbitration_id, extended, dlc, data);
@@ -6,7 +6,7 @@ raw      candump (-l, -L, and the screen with -t), ASC, BLF, MF4 with bus loggin
 decoded  CSV and Parquet with one column a signal, MF4 with one channel a signal
 
 candump goes through a compiled parser, or through a slow one in Python when there is no compiler; the result
-is the same. Other raw forms go through python-can (which takes a bus-off report of a candump log for a frame)
+is the same. Other raw forms go through python-can (which takes a bus-off report of a candump log as a frame)
 and asammdf.
 """
 
@@ -28,10 +28,10 @@ from .damaged import python_can_reader, require_sound_blocks
 EXTENDED = 0x80000000
 """Flag in ``Frames.id``: 29-bit identifier."""
 ERROR_REPORT = 0x20000000
-"""Flag in the identifier of a report of a bus error, as candump logs it."""
+"""Flag in the identifier of a bus-error report, as candump logs it."""
 
 INDEX = "experiments.csv"
-"""The file of a drive folder that lists its drives."""
+"""Index of a drive folder."""
 
 _NAME_BYTES, _CHANNELS, _COUNTS, _FD_BYTES = 16, 64, 6, 64
 _CANDUMP_SUFFIXES = {".log", ".candump", ".txt"}
@@ -43,8 +43,17 @@ _RAW_COLUMNS = {"timestamp", "arbitration_id", "data"}
 
 @dataclass(frozen=True)
 class Frames:
-    """Raw frames in the order of the log: t_ns (N,), id (N,) with EXTENDED, channel (N,), length (N,), data
-    (N, width)."""
+    """Raw frames in the order of the log.
+
+    Attributes
+    ----------
+    t_ns : ndarray (N,) of int, ns
+    id : ndarray (N,) of int, with EXTENDED
+    channel : ndarray (N,) of int, index into ``channels``
+    length : ndarray (N,) of int, bytes
+    data : ndarray (N, width) of uint8
+    channels : list of str
+    """
 
     t_ns: np.ndarray
     id: np.ndarray
@@ -53,13 +62,13 @@ class Frames:
     data: np.ndarray
     channels: list[str]
     left_out: dict[str, int] = field(default_factory=dict)
-    """What the log holds besides, by kind: error reports, remote frames, lines that are no frame."""
+    """Other contents of the log by kind: error reports, remote frames, lines that are no frame."""
 
     def __len__(self) -> int:
         return len(self.t_ns)
 
     def of_channel(self, channel: str | None, where: Path | str) -> Frames:
-        """The frames of one channel (all for None). InputError when the log ``where`` has no such channel."""
+        """Frames of one channel (all for None). InputError when the log ``where`` has no such channel."""
         if channel is None:
             return self
         if channel not in self.channels:
@@ -70,7 +79,7 @@ class Frames:
         return self.at(at)
 
     def at(self, rows: np.ndarray | slice) -> Frames:
-        """Some of the frames; ``rows`` is a mask (N,), positions or a slice."""
+        """Some of the frames; ``rows`` (K,) is a mask, positions or a slice."""
         return Frames(
             self.t_ns[rows],
             self.id[rows],
@@ -83,8 +92,19 @@ class Frames:
 
 
 def candump_line(t_us: int, channel: str, identifier: int, data: bytes) -> str:
-    """A line of candump -L, which is that of candump -l; ``identifier`` with EXTENDED and, of an error
-    report, ERROR_REPORT."""
+    """Write a line of candump -L, which equals that of candump -l.
+
+    Parameters
+    ----------
+    t_us : int, us
+    channel : str
+    identifier : int, with EXTENDED, and ERROR_REPORT for an error report
+    data : bytes
+
+    Returns
+    -------
+    str
+    """
     wide = 8 if identifier & (EXTENDED | ERROR_REPORT) else 3
     frame = f"{identifier & ~EXTENDED:0{wide}X}#{data.hex().upper()}"
     return f"({t_us // 10**6}.{t_us % 10**6:06d}) {channel} {frame}\n"
@@ -92,8 +112,14 @@ def candump_line(t_us: int, channel: str, identifier: int, data: bytes) -> str:
 
 @dataclass(frozen=True)
 class Series:
-    """A signal of a decoded log: t_ns (N,), value (N,), NaN where the log has none; unit as the log says, or
-    ""."""
+    """A signal of a decoded log.
+
+    Attributes
+    ----------
+    t_ns : ndarray (N,) of int, ns
+    value : ndarray (N,), NaN where the log has none
+    unit : str, as the log says, or ""
+    """
 
     t_ns: np.ndarray
     value: np.ndarray
@@ -102,16 +128,32 @@ class Series:
 
 @dataclass(frozen=True)
 class Table:
-    """A decoded log: signal name -> Series."""
+    """A decoded log.
+
+    Attributes
+    ----------
+    series : dict[str, Series], by signal
+    """
 
     series: dict[str, Series]
 
 
 def read_log(path: Path, *, time_column: str | None = None) -> Frames | Table:
-    """Read one log; its form follows from the suffix, for CSV, Parquet and MF4 also from what is in it.
+    """Read one log; its form follows from the suffix, and from the content of CSV, Parquet and MF4.
 
-    ``time_column`` names the time (in s) of a decoded table; by default the first of t, time, timestamp that
-    exists. InputError when the file is missing, of unknown form, or holds no frame.
+    Parameters
+    ----------
+    path : Path
+    time_column : str, optional, time [s] of a decoded table, by default the first of t, time, timestamp
+
+    Returns
+    -------
+    Frames or Table
+
+    Raises
+    ------
+    InputError
+        If the file is missing, of unknown form, or holds no frame.
     """
     path = Path(path)
     if not path.is_file():
@@ -139,10 +181,22 @@ def read_log(path: Path, *, time_column: str | None = None) -> Frames | Table:
 
 
 def logs_among(paths: list[Path]) -> list[Path]:
-    """The logs that paths name: of a folder all in it, in the order of their names.
+    """List the logs that paths name; for a folder all in it, in the order of their names.
 
-    What is no log is passed over: a drive folder's index and, in folders, files of other kinds. InputError
-    where a folder holds none.
+    Files of other kinds are passed over, and a drive folder's index is too.
+
+    Parameters
+    ----------
+    paths : list[Path]
+
+    Returns
+    -------
+    list[Path]
+
+    Raises
+    ------
+    InputError
+        If a folder holds none.
     """
     found: list[Path] = []
     for path in paths:
@@ -159,7 +213,16 @@ def logs_among(paths: list[Path]) -> list[Path]:
 
 
 def stem(path: Path) -> str:
-    """File name without the suffixes of logs: drive.log.gz is drive."""
+    """Return the file name without the suffixes of logs: drive.log.gz is drive.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    str
+    """
     name = path.name
     for suffix in reversed(path.suffixes):
         if suffix.lower() in _SUFFIXES:
@@ -168,7 +231,16 @@ def stem(path: Path) -> str:
 
 
 def is_raw_table(path: Path) -> bool:
-    """Whether a CSV or Parquet file holds raw frames; False also where it cannot be read."""
+    """Whether a CSV or Parquet file holds raw frames; False if it cannot be read.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    bool
+    """
     import pyarrow.parquet as pa_parquet
 
     if path.suffix.lower() == ".mat":
@@ -217,8 +289,16 @@ def _read_candump(path: Path) -> Frames:
 
 
 def candump_frames(text: np.ndarray) -> Frames:
-    """Frames of whole lines ``text`` (bytes,) of candump, as a log or as its screen; compiled where
-    possible."""
+    """Parse whole lines of candump, as a log or as its screen.
+
+    Parameters
+    ----------
+    text : ndarray (bytes,) of uint8
+
+    Returns
+    -------
+    Frames
+    """
     if _SCREEN.search(text[:_HEAD].tobytes()):
         text = np.frombuffer(_SCREEN.sub(_as_logged, text.tobytes()), np.uint8)
     library = native.kernels("candump")
@@ -226,7 +306,7 @@ def candump_frames(text: np.ndarray) -> Frames:
 
 
 _HEAD = 1 << 16
-"""Bytes at the start of a log that show its form."""
+"""Number of bytes at the start of a log that show its form."""
 _SCREEN = re.compile(
     rb"^ *(\([0-9]{1,10}\.[0-9]{1,9}\)) +(\S{1,15}) +(?:[RT]X [-B] [-E] +)?"
     rb"([0-9A-Fa-f]{3}|[0-9A-Fa-f]{8}) +\[([0-9]{1,2})\] *"
@@ -239,7 +319,7 @@ _SCREEN = re.compile(
 def _as_logged(match: re.Match[bytes]) -> bytes:
     """The same line as candump -l writes it; a length of two digits is that of a CAN FD frame.
 
-    A line whose bytes are not as many as its length says stays as it is, and is no frame.
+    A line whose number of bytes contradicts its length stays unchanged and is no frame.
     """
     stamp, interface, identifier, length, remote, digits = match.groups()
     if remote:
@@ -252,9 +332,9 @@ def _as_logged(match: re.Match[bytes]) -> bytes:
 
 
 def _screen_bytes(digits: bytes, length: int) -> bytes | None:
-    """Bytes (length,) of candump's screen; None where the digits are of another number of bytes.
+    """Bytes (length,) of candump's screen; None where the number of bytes differs.
 
-    Digits are hexadecimal, or binary with ``-i``. Backticks of ``-S`` say that the last byte stands first.
+    Digits are hexadecimal, or binary with ``-i``. Backticks of ``-S`` mean that the last byte stands first.
     """
     groups = digits.replace(b"`", b" ").split()
     widths = {len(group) for group in groups}
@@ -304,7 +384,7 @@ def parse_candump(text: np.ndarray, library: ctypes.CDLL) -> Frames:
 
 
 _LATEST_S = 9_000_000_000
-"""The latest second that 64 bits of nanoseconds hold, rounded down."""
+"""Latest second that 64 bits of nanoseconds hold, rounded down."""
 _LINE = re.compile(
     rb" *\((\d{1,10})\.(\d{1,9})\) +([!-\xff]{1,15}) +([0-9A-Fa-f]{3}|[0-9A-Fa-f]{8})#"
     rb"(?:([Rr].*)|(?:#[0-9A-Fa-f])?((?:[0-9A-Fa-f]{2}){0,64})(?:[ _].*)?)\r?"
@@ -312,7 +392,7 @@ _LINE = re.compile(
 
 
 def parse_candump_slowly(text: np.ndarray) -> Frames:
-    """The same as ``parse_candump`` for ``text`` (bytes,) without a compiler, 20 times slower."""
+    """Frames of the candump log ``text`` (bytes,) without a compiler, 20 times slower."""
     rows: list[tuple[int, int, str, bytes]] = []
     left_out: dict[str, int] = {}
     interfaces: set[bytes] = set()
@@ -363,7 +443,7 @@ def _read_python_can(path: Path) -> Frames:
                     identifier, extended = message.arbitration_id, message.is_extended_id
                     data = bytes(message.data)
                     rows.append(_row(message.timestamp, identifier, extended, message.channel, data))
-    except Exception as error:  # each reader of python-can has exceptions of its own
+    except Exception as error:  # each reader of python-can has its own exceptions
         raise InputError(
             path,
             f"frame {len(rows) + 1}",
@@ -376,7 +456,7 @@ def _read_python_can(path: Path) -> Frames:
 def _row(
     t_s: float, identifier: int, extended: bool, channel: object, data: bytes
 ) -> tuple[int, int, str, bytes]:
-    """Time [ns], identifier with its flag, channel and data; ValueError for what no frame has."""
+    """Time [ns], identifier with its flag, channel and data; ValueError for an impossible frame."""
     if not 0 <= identifier < (1 << 29 if extended else 1 << 11):
         raise ValueError(f"identifier {identifier:#x} has too many bits")
     if not abs(t_s) <= _LATEST_S:
@@ -516,7 +596,7 @@ def _read_mf4(path: Path) -> Frames | Table:
             return _mf4_frames(mdf, places) if places else _mf4_signals(mdf)
     except InputError:
         raise
-    except Exception as error:  # asammdf has no exception of its own for a broken file
+    except Exception as error:  # asammdf has no exception class for a broken file
         raise InputError(
             path, "", f"cannot be read ({type(error).__name__}: {error})", "an MF4 file"
         ) from None
@@ -558,7 +638,7 @@ def _mf4_frames(mdf, places: list[tuple[int, int]]) -> Frames:
 
 
 def _mf4_time(t_s: np.ndarray) -> np.ndarray:
-    """Times (N,) in ns of times in s; ValueError for one that is none."""
+    """Times (N,) in ns from times in s; ValueError for an impossible one."""
     bad = t_s[~(np.abs(t_s) <= _LATEST_S)]
     if len(bad):
         raise ValueError(f"time {bad[0]} s")

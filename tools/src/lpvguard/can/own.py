@@ -3,7 +3,7 @@
 Every such message becomes a message of a catalogue that the core's receiver supervises (can.h). Each of its
 needed signals keeps its bits there, as an unsigned number in Intel order. own_code.py generates the C that
 turns a frame of the car into a frame of that message. A checksum or counter of the car's frame becomes the
-counter and CRC of E2E profile 11: wrong where it was wrong, repeated where it was repeated.
+CRC and counter of E2E profile 11. A wrong one stays wrong, and a repeated one stays repeated.
 
 Limits: signals of at most 16 bits that are in every frame of their message; at most 52 bits of a message
 where it has a checksum or a counter, 64 elsewhere; 8 messages.
@@ -36,17 +36,18 @@ if TYPE_CHECKING:  # cantools takes long to import
 
 OWN_ADDRESS, CAR_ADDRESS = 0xFC, 0x00
 _PROPRIETARY_B = 0xFF00
-"""First of the 256 parameter groups that J1939 leaves to manufacturers; the catalogue's messages are of
-these."""
+"""First of the 256 parameter groups that J1939 leaves to manufacturers, used for the catalogue's messages."""
 _SIGNAL_BITS, _FRAME_BITS = 16, 64
 _ROUNDING = 0.5
-"""Of a signal's step: a raw value lies within a stated end when it does so rounded."""
+"""Share of a signal's step by which a raw value may miss a stated end."""
 
 
 @dataclass(frozen=True)
 class Carried:
-    """A signal of the car and the one of the catalogue that carries its bits. ``flip``: bits of the raw value
-    that are turned over, so that it is unsigned and rises with the physical value."""
+    """A signal of the car and the one of the catalogue that carries its bits.
+
+    ``flip`` holds the raw bits to invert, so that the value is unsigned and rises with the physical one.
+    """
 
     car: CarSignal
     ours: BusSignal
@@ -55,10 +56,10 @@ class Carried:
 
 @dataclass(frozen=True)
 class CarriedMessage:
-    """A message of the car, ours that carries it, and where its checksum and its counter are.
+    """A message of the car, ours that carries it, and the places of its checksum and counter.
 
-    ``checksum_name``: None without one. ``counters``: how many values the counter has. ``any_priority``: it
-    is a J1939 group.
+    ``checksum_name`` is None without one. ``counters`` is the number of the counter's values.
+    ``any_priority`` marks a J1939 group.
     """
 
     car: CarMessage
@@ -78,14 +79,20 @@ class CarriedMessage:
 
     @property
     def mask(self) -> int:
-        """Bits of an identifier that tell the message: of a J1939 group all but the priority."""
+        """Bits of an identifier that identify the message: all but the priority of a J1939 group."""
         return ANY_PRIORITY if self.any_priority and self.car.is_extended_frame else 0xFFFFFFFF
 
 
 @dataclass(frozen=True)
 class CarBus:
-    """What the receiver needs of a car's own bus. ``places``: vehicle signal -> message and signals of the
-    catalogue, whose sum is factor * value."""
+    """Content of a car's own bus that the receiver needs.
+
+    Attributes
+    ----------
+    catalogue : Catalogue
+    messages : list of CarriedMessage
+    places : dict, message and signals of the catalogue by vehicle signal; their sum is factor * value
+    """
 
     catalogue: Catalogue
     messages: list[CarriedMessage]
@@ -93,8 +100,21 @@ class CarBus:
 
 
 def own_bus(project: Project) -> CarBus:
-    """The own bus of a vehicle with ``[can]``. InputError names what the database lacks, or what cannot be
-    carried."""
+    """Describe the own bus of a vehicle with ``[can]``.
+
+    Parameters
+    ----------
+    project : Project
+
+    Returns
+    -------
+    CarBus
+
+    Raises
+    ------
+    InputError
+        If the database lacks something, or a signal cannot be carried.
+    """
     where = f"vehicle {project.name}"
     if project.can is None:
         raise InputError(where, "can", "no own bus", "a [can] table with dbc")
@@ -168,7 +188,7 @@ def _car_signal(car: CarMessage, name: str, where: str) -> CarSignal:
 def _carried(
     car: CarMessage, names: list[str], settings: OwnMessage, number: int, where: str
 ) -> CarriedMessage:
-    """The catalogue's message number ``number``, with the signals ``names`` of ``car`` one by one."""
+    """Message ``number`` of the catalogue, with the signals ``names`` of ``car`` in turn."""
     place = f"message {car.name}"
     period_ms = settings.period_ms or car.cycle_time
     if not period_ms:
@@ -242,8 +262,10 @@ def _carry(signal: CarSignal, name: str, start: int, where: str) -> Carried:
 
 
 def _accepted(signal: CarSignal, low: float, high: float) -> dict[str, float] | None:
-    """The database's range, whose ends are rounded, within what the raw values reach, ``low`` to ``high``;
-    None where it states none that can be meant."""
+    """Range of the database, whose ends are rounded, within the raw values' reach ``low`` to ``high``.
+
+    None where it states no range that can be meant.
+    """
     if signal.minimum is None or signal.maximum is None or not signal.minimum < signal.maximum:
         return None
     if why := contradicting_range(signal):
@@ -255,8 +277,10 @@ def _accepted(signal: CarSignal, low: float, high: float) -> dict[str, float] | 
 
 
 def _protection(car: CarMessage, settings: OwnMessage, where: str) -> tuple[Bits | None, Bits | None, int]:
-    """Places of checksum and counter, None without one, and how many values the counter has. InputError where
-    the settings do not fit the message."""
+    """Places of checksum and counter, None without one, and the number of the counter's values.
+
+    Raises InputError where the settings do not fit the message.
+    """
     place = f"can.messages.{car.name}"
     named = _named(car, settings.counter, "COUNTER", f"{place}.counter", where)
     if settings.checksum is None:
@@ -277,8 +301,7 @@ def _protection(car: CarMessage, settings: OwnMessage, where: str) -> tuple[Bits
 
 
 def _named(car: CarMessage, given: str | None, usual: str, field: str, where: str) -> Any:
-    """The signal that is called so, or as is usual; None where nothing is given, and nothing called as
-    usual."""
+    """Signal of a given or else usual name; None without either."""
     name = given or usual
     signal = next((s for s in car.signals if s.name == name), None)
     if signal is None and given is not None:
@@ -297,7 +320,7 @@ def _at(place: Place | None, car: CarMessage) -> Place | None:
 
 
 def _require_fit(kind: Protection, checksum: Bits, car: CarMessage, settings: OwnMessage, where: str) -> None:
-    """InputError unless width, bytes, length and data ids are those of the checksum's definition."""
+    """Raise InputError unless width, bytes, length and data ids fit the checksum's definition."""
     place = f"can.messages.{car.name}"
     pieces = signal_pieces(checksum)
     if checksum.length != kind.bits or len(pieces) != max(kind.bits // 8, 1) or pieces[0][0] >= car.length:

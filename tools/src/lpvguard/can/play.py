@@ -1,6 +1,6 @@
 """Turns drives into frames of the catalogue's messages, and plays frames onto a bus or into a candump log.
 
-``encode`` does in numpy what the generated C codec does. It rounds to the nearest raw value, saturates, and
+``encode`` is the numpy version of the generated C codec. It rounds to the nearest raw value, saturates, and
 sends NaN as "not available". It sets unused bits to 1 and adds E2E profile 11 where the catalogue says so.
 """
 
@@ -29,14 +29,28 @@ def _crc8_table() -> np.ndarray:
 
 
 def protect(data: np.ndarray, data_id: int, first_counter: int = 0) -> None:
-    """E2E profile 11, data-id mode BOTH, in place on consecutive frames ``data`` (N, 8) of one message."""
+    """Apply E2E profile 11, data-id mode BOTH, in place to consecutive frames ``data`` (N, 8) of a
+    message."""
     data[:, 1] = data[:, 1] & 0xF0 | ((first_counter + np.arange(len(data))) % COUNTERS).astype(np.uint8)
     data[:, 0] = e2e_crc(data, data_id)
 
 
 def e2e_crc(data: np.ndarray, data_id: int) -> np.ndarray:
-    """What byte 0 of each of the frames ``data`` (N, 8) must be by E2E profile 11, data-id mode BOTH:
-    (N,)."""
+    """Compute byte 0 of frames by E2E profile 11, data-id mode BOTH.
+
+    Parameters
+    ----------
+    data : ndarray (N, 8) of uint8
+    data_id : int
+
+    Returns
+    -------
+    ndarray (N,) of uint8
+
+    References
+    ----------
+    AUTOSAR_PRS_E2EProtocol.
+    """
     table = _crc8_table()
     crc = np.full(len(data), table[table[data_id & 0xFF] ^ data_id >> 8], np.uint8)
     for column in data.T[1:]:
@@ -67,10 +81,22 @@ def encode(message: Message, values: Mapping[str, np.ndarray], n: int) -> np.nda
 def frames_of_drive(
     t: np.ndarray, values: Mapping[tuple[str, str], np.ndarray], catalogue: Catalogue | None = None
 ) -> Frames:
-    """Frames of a drive, each message on its own period from t[0] on.
+    """Make the frames of a drive, each message on its own period from t[0] on.
 
-    ``t`` (N,) [s] increasing; ``values``: (message, signal) -> (N,) physical values on the bus, interpolated
-    linearly to the times of the message. InputError for a message that the catalogue lacks.
+    Parameters
+    ----------
+    t : ndarray (N,), s, increasing
+    values : Mapping, ndarray (N,) on the bus by (message, signal), interpolated linearly
+    catalogue : Catalogue, optional, by default the shipped one
+
+    Returns
+    -------
+    Frames
+
+    Raises
+    ------
+    InputError
+        If the catalogue lacks a message.
     """
     catalogue = catalogue or load_catalogue()
     parts = []
@@ -103,12 +129,26 @@ def frames_of_drive(
 
 
 def values_of_drive(project, drive, catalogue: Catalogue | None = None) -> dict[tuple[str, str], np.ndarray]:
-    """What ``frames_of_drive`` sends for a drive of ``drives/tables.py`` with N samples: (message, signal) ->
-    (N,) values on the bus.
+    """Return the bus values that `frames_of_drive` sends for a drive.
 
-    Bus value = factor * value for every signal with a CAN place. A receiver refuses a frame that lacks one of
-    its supervised signals. Those that the drive does not have are filled in: lateral acceleration with speed
-    * yaw rate (steady cornering), anything else with 0. InputError names the signals without a place.
+    The bus value is factor * value for every signal with a CAN place. A receiver refuses a frame without one
+    of its supervised signals. Those that the drive lacks are filled in: lateral acceleration with speed * yaw
+    rate (steady cornering), all others with 0.
+
+    Parameters
+    ----------
+    project : Project
+    drive : Drive, N samples
+    catalogue : Catalogue, optional, by default the shipped one
+
+    Returns
+    -------
+    dict, ndarray (N,) by (message, signal)
+
+    Raises
+    ------
+    InputError
+        If a signal has no place.
     """
     catalogue = catalogue or load_catalogue()
     if project.can is not None:
@@ -116,7 +156,7 @@ def values_of_drive(project, drive, catalogue: Catalogue | None = None) -> dict[
             f"vehicle {project.name}",
             "can",
             "the car's own bus, which is only read",
-            "a raw log of it to play, or a vehicle on the bus of the CAN catalogue",
+            "a raw log, or a vehicle on the bus of the CAN catalogue",
         )
     columns = [
         (project.speed, drive.v),
@@ -141,7 +181,7 @@ def values_of_drive(project, drive, catalogue: Catalogue | None = None) -> dict[
 
 
 def write_candump(frames: Frames, path: Path) -> None:
-    """The frames as ``candump -l`` would have logged them."""
+    """Write the frames as ``candump -l`` logs them."""
     lines = (
         candump_line(t // 1000, frames.channels[c], i, d[:n].tobytes())
         for t, c, i, n, d in zip(
@@ -164,11 +204,21 @@ def play(
     sleep: Callable[[float], None] = time.sleep,
     clock: Callable[[], float] = time.monotonic,
 ) -> float:
-    """Send ``frames`` on a python-can ``bus`` at ``speed`` times the recorded pace; ``speed`` inf does not
-    wait.
+    """Send frames on a bus at the recorded pace.
 
-    A frame is never sent early; lateness does not add up, for every frame is timed from the start. Where the
-    log's clock goes back, the next frame follows at once. Returns the largest lateness [s].
+    A frame is never sent early. Lateness does not add up, because every frame is timed from the start. Where
+    the log's clock goes back, the next frame follows at once.
+
+    Parameters
+    ----------
+    frames : Frames
+    bus : Bus, of python-can
+    speed : float, factor on the pace; inf does not wait, default 1.0
+    sleep, clock : Callable, of the module time by default
+
+    Returns
+    -------
+    float, s, largest lateness
     """
     import can
 

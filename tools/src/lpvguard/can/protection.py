@@ -1,6 +1,6 @@
-"""Checksums of cars' own buses, by name: what they are computed from, where they stand, and their C text.
+"""Checksums of cars' own buses, by name: their data, their places and their C text.
 
-Of a frame of identifier I with L bytes, "others" are the bytes that do not hold the checksum. Sources: the
+For a frame of identifier I with L bytes, "others" are the bytes that do not hold the checksum. Sources: the
 public databases and packers of commaai/opendbc; AUTOSAR_PRS_E2EProtocol.
 
     toyota               bytes of I + L + others, modulo 256; the last byte
@@ -25,7 +25,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Place:
-    """Bits of a frame, as a signal of a cantools database says it: ``start``, ``length``, ``byte_order``."""
+    """Bits of a frame, with the fields of a signal of a cantools database."""
 
     start: int
     length: int
@@ -36,9 +36,9 @@ class Place:
 class Protection:
     """A checksum by name.
 
-    ``bits``: its width. ``checksum``, ``counter``: the places that the definition gives, a negative start
-    counted from the frame's end; None: the database must name it, or there is none. ``counters``: how many
-    values the counter has; None: all that its bits hold. ``data_ids``: how many data ids it takes.
+    ``bits`` is its width. ``checksum`` and ``counter`` are the places by definition; a negative start counts
+    from the frame's end, and None leaves them to the database. ``counters`` is the number of the counter's
+    values; None is all of its bits. ``data_ids`` is the number of data ids.
     """
 
     function: str
@@ -66,7 +66,7 @@ PROTECTIONS = {
     "autosar_p22": _E2E_2,
     "autosar_p05": Protection("check_p05", 16, _WORD, Place(16, 8), 256, 1),
 }
-"""Name in a project file -> what it is."""
+"""Checksum by its name in a project file."""
 
 _CRC8 = """\
 static uint32_t crc8(uint32_t crc, uint32_t polynomial, uint32_t byte)
@@ -154,14 +154,13 @@ _BODIES = {
         "    return crc16(crc16(value, frame->data_id & 0xFFu), frame->data_id >> 8);",
     ),
 }
-"""C function -> what it calls, its variables, and its statements."""
+"""C function -> functions that it calls, its variables, and its statements."""
 CANFD_LENGTHS = (8, 16, 24, 32)
 """Lengths of frames for which hyundai_canfd has a xor-out."""
 
 
 def check_source(names: set[str]) -> str:
-    """C text of the checksums ``names`` (keys of PROTECTIONS): what each must be of a frame. Empty for
-    none."""
+    """C text of the checksums ``names`` (keys of PROTECTIONS), each of a frame. Empty for none."""
     functions = sorted({PROTECTIONS[name].function for name in names})
     if not functions:
         return ""

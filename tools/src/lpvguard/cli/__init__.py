@@ -18,7 +18,7 @@ from typer.completion import completion_init  # type: ignore[attr-defined]  # Ty
 
 from ..base.errors import InputError, InputWarning
 from ..base.system import ENDING_SIGNALS, open_standard_streams
-from . import (  # noqa: F401 - each adds its verb, in the order of --help
+from . import (  # noqa: F401 - each adds its verb; sections.py has their order in --help
     a2l,
     bench,
     campaign,
@@ -30,6 +30,7 @@ from . import (  # noqa: F401 - each adds its verb, in the order of --help
     export,
     fit,
     fleet,
+    fmu,
     generate,
     identify,
     ingest,
@@ -64,6 +65,7 @@ MAY_IMPORT = (
     "report",
     "live",
     "problems",
+    "fmu",
     "bench",
 )
 
@@ -75,7 +77,7 @@ def _end(number: int, _: Any) -> None:
 
 
 def _refused(error: OSError) -> InputError:
-    """What the operating system refuses, as an error of the file that it names."""
+    """Convert an error of the operating system into one about the file that it names."""
     what = error.strerror or str(error)
     if error.errno == errno.ENOSPC:
         scratch = "standard output or a scratch file"
@@ -117,6 +119,6 @@ def main() -> None:
     except OSError as error:
         if not isinstance(error, BrokenPipeError):
             complain(_refused(error))
-        # What is left for standard output would fail once more at the end.
+        # The buffered output would fail again at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
         sys.exit(2)

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from ..base import artefacts
-from ..vehicle.stated import require_settings
+from ..vehicle.stored_settings import require_settings
 from .shared import Coefficients, Vehicle, app, console, project_of
 
 
@@ -28,8 +28,8 @@ def a2l(
 ) -> None:
     """Describe a vehicle's object in the image of its ECU (A2L), for any measurement tool."""
     from ..core.compiled import library_root, shipped_vehicle
-    from ..measure.a2l import a2l_text
-    from ..measure.xcp_access import XcpAccess
+    from ..extras.measure.a2l import a2l_text
+    from ..extras.measure.xcp_access import XcpAccess
 
     project = project_of(vehicle)
     folder = coefficients or shipped_vehicle(project.name)

@@ -24,6 +24,6 @@ def bench(
     ],
 ) -> None:
     """Measure performance, beside peers in the same run; prints a table."""
-    from ..bench import run
+    from ..extras.bench import run
 
     run(name, context.args)

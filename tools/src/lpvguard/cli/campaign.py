@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from ..base import artefacts
-from ..vehicle.stated import require_settings
+from ..vehicle.stored_settings import require_settings
 from .shared import (
     Coefficients,
     Jobs,
@@ -50,8 +50,8 @@ def campaign(
     on. Exit 1: a falsified certificate, or another claim missed."""
     from ..base.parallel import workers
     from ..core.compiled import shipped_vehicle
-    from ..loop.campaign.run import campaign as stage
-    from ..loop.campaign.scenarios import Size
+    from ..extras.loop.campaign.chunked_runs import campaign as stage
+    from ..extras.loop.campaign.scenarios import Size
 
     stored, drive_set = stored_with_drives(identification, drives)
     folder = coefficients or shipped_vehicle(vehicle)

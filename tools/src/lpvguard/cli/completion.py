@@ -13,7 +13,7 @@ from .shared import COMPLETE, PROGRAM, app
 
 
 class Shell(StrEnum):
-    """Shells whose completion is tested."""
+    """Shells with tested completion."""
 
     bash = "bash"
     zsh = "zsh"

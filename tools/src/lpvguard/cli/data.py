@@ -27,8 +27,8 @@ def data(
     ] = None,
 ) -> None:
     """Rebuild measured data from their public source at the stated commits, and check every file's hash."""
-    from ..sources.rebuild import rebuild
-    from ..sources.table import load_data_set
+    from ..extras.sources.rebuild import rebuild
+    from ..extras.sources.table import load_data_set
 
     found, target = load_data_set(name, table), Path(name) if out is None else out
     with progress_bar("data") as tell:

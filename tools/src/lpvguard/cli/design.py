@@ -39,11 +39,11 @@ from .tables import (
 )
 
 SHARES, TABLE_SHARES = (10, 3, 60), (1, 9)
-"""Rough shares of the work: design, comparison of structures, largest A_t; reading, all else."""
+"""Approximate shares of the work: design, comparison of structures, largest A_t; reading, all others."""
 
 if TYPE_CHECKING:
     from ..engine.synthesis.table import Cell
-    from ..identify.run import DriveSet, StoredIdentification
+    from ..identify.identification import DriveSet, StoredIdentification
 
 
 @app.command(
@@ -76,7 +76,7 @@ def design(
         ),
     ] = False,
     largest_A_t: Annotated[
-        bool, typer.Option("--largest-A-t", help="Search the largest A_t with mu < 1 at every speed too.")
+        bool, typer.Option("--largest-A-t", help="Search the largest A_t with mu < 1 at speeds looked at.")
     ] = False,
     table: Annotated[
         bool, typer.Option(help="Table II, Figs. 5 and 6 beside the controller, where there is one Delta.")

@@ -44,8 +44,8 @@ def evaluate(
     or of drives that the identification never saw."""
     from ..base.parallel import workers
     from ..drives.tables import set_aside
-    from ..evaluate.judged import drives_to_judge as held_out_drives
-    from ..evaluate.run import evaluate as stage
+    from ..evaluate.evaluation import evaluate as stage
+    from ..evaluate.judged_drives import drives_to_judge as held_out_drives
     from ..vehicle.project import load_project
 
     settings = load_project(vehicle).evaluation

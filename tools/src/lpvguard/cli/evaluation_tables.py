@@ -1,4 +1,4 @@
-"""What `lpvguard evaluate` prints for people, on standard error."""
+"""Tables of `lpvguard evaluate` for people, on standard error."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def print_evaluation(result: dict[str, Any]) -> None:
 
 
 def _print_causes(result: dict[str, Any]) -> None:
-    """Which causes the core names of the faults that it found, as exported."""
+    """Print the causes that the core names for the faults found, as exported."""
     from ..evaluate.causes import CAUSE_HEAD, cause_rows, cause_sentences
 
     if result["causes"] is None:

@@ -29,7 +29,7 @@ def export(
 ) -> None:
     """Generate the C folder of a vehicle: coefficients, controller, signal table, CAN codec, manifest."""
     from ..base.parallel import workers
-    from ..control.exported import export_chosen
+    from ..control.controller_export import export_chosen
 
     identified = stored_for(identification, vehicle)
     with progress_bar("export") as tell, workers(jobs) as run:
@@ -38,6 +38,6 @@ def export(
         console.print(f"frame test: {stored.calibration.claim()}")
         console.print(f"energy test: {stored.energy_of_core.calibration.claim()}")
         console.print(f"change test: {stored.change_of_core.calibration.claim()}")
-    proved = "" if controller is None else ", the controller's certificates proved anew"
+    proved = "" if controller is None else "; the controller's certificates are proved again"
     files = sum(path.is_file() for path in out.iterdir())
     console.print(f"{stored.project.name}: {files} files written to {out}{proved}")

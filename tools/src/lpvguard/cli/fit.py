@@ -11,10 +11,10 @@ from .shared import JsonOut, Out, Vehicle, app, console, emit, progress_bar, pro
 from .tables import print_fit
 
 if TYPE_CHECKING:
-    from ..fit.run import FittedModel
+    from ..fit.fitted_model import FittedModel
 
 PICTURED, PICTURED_S = 3, 20.0
-"""So many drives are drawn, each for so many seconds."""
+"""Number of drawn drives, and seconds of each."""
 
 
 @app.command(epilog="Example: lpvguard fit --vehicle mycar.toml DRIVES -o out/fit")
@@ -28,9 +28,9 @@ def fit(
 
     Names wrong signs, units, columns and delays. Exit status 1: the fit is written, and there are findings.
     """
+    from ..fit.fitted_model import fit as stage
+    from ..fit.fitted_model import save
     from ..fit.project_file import text_of
-    from ..fit.run import fit as stage
-    from ..fit.run import save
 
     project = project_of(vehicle)
     with progress_bar("fit") as tell:

@@ -53,9 +53,9 @@ def fleet(
     "changed" says that the drives are not like those that calibrate; it falsifies no bound.
     """
     from ..base.parallel import workers
-    from ..fleet.export import header
-    from ..fleet.run import Listed, begun, changed, follow
-    from ..fleet.state import KIND
+    from ..extras.fleet.export import header
+    from ..extras.fleet.recordings import Listed, begun, changed, follow
+    from ..extras.fleet.state import KIND
 
     replayer, listed = replayer_of(vehicle, coefficients), Listed.of(drives, order, by)
     stated = {"judged_s": judged_s, "alpha": alpha, "eta": eta}

@@ -16,7 +16,7 @@ def generate(
     seed: Annotated[int | None, typer.Option(min=0, help="Seed (default: the project file's).")] = None,
 ) -> None:
     """Write seeded synthetic drives of a vehicle: tables and experiments.csv."""
-    from ..loop.generate import generate as run
+    from ..extras.loop.generate import generate as run
 
     project = project_of(vehicle)
     with progress_bar("generate") as tell:

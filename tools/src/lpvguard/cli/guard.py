@@ -1,5 +1,5 @@
-"""What is checked around every command: its outputs are apart from its inputs, replace nothing but its own,
-and are its own while it runs."""
+"""Checks around every command: its outputs are apart from its inputs, replace only their own kind, and are
+locked while it runs."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import typer
 from ..base import artefacts
 from ..base.errors import InputError
 
-_FILES = ("report", "solve", "dbc", "a2l", "lcm bus", "plant")
+_FILES = ("report", "solve", "dbc", "a2l", "fmu", "lcm bus", "plant")
 """Commands whose -o is a file."""
 _WRITTEN = ("json_out", "state", "export")
 """Options that name a file to write, whatever the command."""
@@ -63,8 +63,11 @@ def _named(name: str, given: dict[str, Any]) -> tuple[list[Path], list[Path], li
 
 
 def _guarded(name: str, command: Callable[..., Any]) -> Callable[..., Any]:
-    """The command with outputs that are apart from its inputs (every other path), replace nothing but its
-    own, and are its own while it runs. What is not so is refused before anything is done."""
+    """The command with outputs apart from its inputs (every other path), replaceable and locked while it
+    runs.
+
+    Other outputs are refused before the command starts.
+    """
 
     @wraps(command)
     def run(*arguments: Any, **given: Any) -> Any:
@@ -93,7 +96,7 @@ def _guarded(name: str, command: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def _own_sources(command: str) -> list[Path]:
-    """What is compiled or read without being named. The shipped folders are what `export` may write."""
+    """Paths that are compiled or read without being named. `export` may write the shipped folders."""
     from ..core.compiled import PACKAGE, firmware_root, library_root
 
     library = library_root()
@@ -105,8 +108,8 @@ def _own_sources(command: str) -> list[Path]:
 
 
 class Application(typer.Typer):
-    """An application in which every command is guarded. ``prefix``: stands before the names of its
-    commands where they mark outputs."""
+    """Application in which every command is guarded; ``prefix`` precedes the names of its commands in
+    marks."""
 
     prefix = ""
 

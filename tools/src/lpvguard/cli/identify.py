@@ -23,7 +23,7 @@ def identify(
 ) -> None:
     """Find the unfalsified bounds, fit the weights, calibrate the frame test (paper, steps 1-7)."""
     from ..base.parallel import workers
-    from ..identify import run as stage
+    from ..identify import identification as stage
     from ..identify.deciders import decides_bounds, decides_thresholds, outlying, silence, unresolved
     from ..identify.unexplained import cost, unexplained
 

@@ -31,7 +31,7 @@ def lcm_watch(
 ) -> None:
     """Print what changes: verdict, supervision, trouble codes, counted frames with margin and statistic,
     commands. Ends with the run."""
-    from ..loop.lcm_client import Client, watch
+    from ..extras.loop.lcm_client import Client, watch
 
     heard = False
     for line in watch(Client(url).messages(silence)):
@@ -66,7 +66,7 @@ def lcm_send(
     url: LcmUrl = LCM_DEFAULT,
 ) -> None:
     """Tell it what to do, and print from when it acts. Exit 2 when it refuses or does not answer."""
-    from ..loop.lcm_client import Client, state_name
+    from ..extras.loop.lcm_client import Client, state_name
 
     answer = Client(url).command(action, entry, ticks=ticks)
     entry = f", {answer.entry}" if answer.entry else ""
@@ -79,7 +79,7 @@ def lcm_send(
 )
 def lcm_bus(log: Annotated[Path, typer.Argument(help="Log of lcm-logger.")], out: Out) -> None:
     """The CAN frames of an LCM log as candump -L writes them: the log that `sim -o` writes, byte for byte."""
-    from ..loop.lcm_client import log_line, read_log
+    from ..extras.loop.lcm_client import log_line, read_log
 
     lines = [log_line(message) for channel, message in read_log(log) if channel == "LPVGUARD_BUS"]
     if not lines:

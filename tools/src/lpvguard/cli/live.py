@@ -45,11 +45,11 @@ def live(
 
     The page is for browsers of this machine and only reads. An interrupt ends the command with status 0."""
     try:
-        from ..live.server import serve
+        from ..extras.live.server import serve
     except ImportError as error:
         raise _not_installed(error, "live") from None
-    from ..live.sources import open_source
-    from ..live.watch import Watch
+    from ..extras.live.sources import open_source
+    from ..extras.live.watch import Watch
 
     replayer, also = replayer_of(vehicle, coefficients), ""
     with ExitStack() as ends:
@@ -57,7 +57,7 @@ def live(
         listener = None
         if foxglove is not None:
             try:
-                from ..live.foxglove_server import FoxgloveServer
+                from ..extras.live.foxglove_server import FoxgloveServer
             except ImportError as error:
                 raise _not_installed(error, "foxglove") from None
             listener = FoxgloveServer(replayer, foxglove)

@@ -26,7 +26,7 @@ def new(
 ) -> None:
     """Look at logs, propose signals, units, signs, rate and frames; write a project file and its drives."""
     from ..can.logs import logs_among
-    from ..start.run import new as run
+    from ..start.new_project import new as run
 
     with progress_bar("new"):
         made = run(

@@ -19,7 +19,7 @@ from .shared import app
 def plant(context: typer.Context) -> None:
     """Run the simulated truck's own tool: its frequency response against Table I, single experiments, a
     digest."""
-    from ..loop.generate import plant_tool
+    from ..extras.loop.generate import plant_tool
 
     words = list(context.args)
     if "-o" not in words[:-1]:

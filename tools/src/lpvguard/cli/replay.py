@@ -32,7 +32,7 @@ from .tables import print_replays
 
 if TYPE_CHECKING:
     from ..replay.recordings import Kind
-    from ..replay.run import Replayer
+    from ..replay.replayer import Replayer
     from ..vehicle.project import Project
 
 
@@ -60,8 +60,11 @@ def replay(
         typer.Option("--table", help="Folder for the time series: a file a drive, a row a sample."),
     ] = None,
     kind: Annotated[
-        Literal["parquet", "mcap", "mf4"],
-        typer.Option("--as", help="With --table: Parquet, MCAP (Foxglove, PlotJuggler) or MF4."),
+        Literal["parquet", "mcap", "mf4", "ros2"],
+        typer.Option(
+            "--as",
+            help="With --table: Parquet, MCAP (Foxglove, PlotJuggler), MF4, or MCAP with ROS 2 messages.",
+        ),
     ] = "parquet",
     speed: Annotated[
         float | None, typer.Option(help="With --to: times the recorded pace; inf does not wait (default 1).")
@@ -123,7 +126,7 @@ def _replayed(
     """The object of every drive that could be read, and whether anything was complained about. The drives'
     time series go into ``folder``."""
     from ..base.parallel import workers
-    from ..replay.recordings import write_series
+    from ..replay.recordings import SUFFIX, write_series
 
     done: list[dict[str, Any]] = []
     failed = False
@@ -139,7 +142,8 @@ def _replayed(
                 summary, series = result
                 done.append(summary)
                 if folder is not None:
-                    write_series(folder / f"{summary['run']}.{kind}", kind, series, summary["alarms"])
+                    path = folder / f"{summary['run']}{SUFFIX[kind]}"
+                    write_series(path, kind, series, summary["alarms"], replayer.project.name)
     if done and not any(r["judged_s"] for r in done):
         failed = True
         low, high = replayer.model.speed_range
@@ -159,7 +163,7 @@ def _play(project: Project, logs: list[Path], to: str, speed: float, channel: st
     import can
 
     from ..can.play import play
-    from ..replay.run import bus_frames
+    from ..replay.replayer import bus_frames
 
     kind, _, interface = to.partition(":")
     if kind != "socketcan" or not interface:

@@ -13,8 +13,7 @@ from .shared import Coefficients, Out, Vehicle, app, console, progress_bar, repl
 
 
 def _evaluation(path: Path) -> dict:
-    """What evaluate wrote. InputError for anything else, and where its duels do not count a detector's own
-    alarms yet."""
+    """Content of an evaluation. Raises InputError for anything else, and for one of an earlier version."""
     document: dict = artefacts.read_json(path)
     with artefacts.reading(path):
         old = any("precluded" not in duel for duel in document["duels"])

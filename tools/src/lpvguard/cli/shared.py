@@ -1,5 +1,5 @@
-"""What the verbs share: the application, options of one meaning, progress, files, and how an identification
-is read."""
+"""Shared parts of the verbs: application, common options, progress, files, and reading of an
+identification."""
 
 from __future__ import annotations
 
@@ -26,18 +26,20 @@ from .. import __version__
 from ..base import artefacts
 from ..base.errors import InputError
 from ..base.progress import Counted, Progress
-from ..vehicle.stated import require_settings
+from ..vehicle.stored_settings import require_settings
 from .guard import Application, running
+from .sections import Sections
 
 if TYPE_CHECKING:
-    from ..identify.run import DriveSet, StoredIdentification
-    from ..replay.run import Replayer
+    from ..identify.identification import DriveSet, StoredIdentification
+    from ..replay.replayer import Replayer
     from ..vehicle.project import Project
 
 PROGRAM = "lpvguard"
 COMPLETE = f"_{PROGRAM.upper()}_COMPLETE"
 """The variable with which a shell's completion script asks for what may come next."""
 app = Application(
+    cls=Sections,
     add_completion=False,
     no_args_is_help=True,
     rich_markup_mode=None,
@@ -65,7 +67,8 @@ Coefficients = Annotated[
 
 
 WHOLE_S = 1e6
-"""What remains is estimated from all that was done, for steps are equal only on the whole [s]."""
+"""Time from which the remainder is estimated by all work done, because steps are equal only on the whole
+[s]."""
 
 
 class Remaining(TimeRemainingColumn):
@@ -106,7 +109,7 @@ def emit(json_out: str | None, value: Any, *, each: bool = False) -> None:
 
 
 def project_of(vehicle: str) -> Project:
-    """The project of a shipped vehicle, or of a project file. InputError where it is neither."""
+    """Project of a shipped vehicle or of a project file; InputError otherwise."""
     from ..vehicle.project import load_project
 
     return load_project(vehicle)
@@ -122,14 +125,14 @@ def _root(version: Annotated[bool, typer.Option("--version", help="Print the ver
 def replayer_of(vehicle: str, coefficients: Path | None) -> Replayer:
     """The compiled core of a vehicle, of its shipped folder or of ``coefficients``. InputError where the
     folder was made with other settings than the project file's."""
-    from ..replay.opened import replayer_for
+    from ..replay.vehicle_core import replayer_for
 
     return replayer_for(project_of(vehicle), coefficients, vehicle)
 
 
 def stored_for(identification: Path, vehicle: str) -> StoredIdentification:
     """The identification in a folder. InputError where it is of another vehicle, or of other settings."""
-    from ..identify import run as stage
+    from ..identify import identification as stage
 
     stored, project = stage.load(identification), project_of(vehicle)
     if stored.project.name != project.name:
@@ -143,18 +146,16 @@ def stored_with_drives(
 ) -> tuple[StoredIdentification, DriveSet]:
     """The identification and the drives that it was made from. ``vehicle`` None: of whatever vehicle.
     InputError where a drive is not the file that was identified."""
-    from ..drives.tables import list_experiments
-    from ..identify import run as stage
-    from ..vehicle.nominal import NominalModel
+    from ..identify import identification as stage
 
     stored = stage.load(identification) if vehicle is None else stored_for(identification, vehicle)
-    experiments = list_experiments(folder)
-    for e in experiments:
+    drives = stage.DriveSet(stored.project, stored.model, folder)
+    for e in drives.experiments.values():
         if stored.manifest["sha256"].get(e.name) != artefacts.file_hash(e.path):
             raise InputError(
                 e.path, "", "is not the file that was identified", f"the drives of {identification}"
             )
-    return stored, stage.DriveSet(stored.project, NominalModel(stored.project), experiments)
+    return stored, drives
 
 
 def complain(error: InputError) -> None:

@@ -16,7 +16,7 @@ from .shared import LCM_DEFAULT, Coefficients, JsonOut, app, emit, progress_bar
 from .tables import print_runs
 
 if TYPE_CHECKING:
-    from ..loop.sim import Scenario, Simulator
+    from ..extras.loop.sim import Scenario, Simulator
 
 Bus = Annotated[str, typer.Option(help="What carries the CAN frames: memory, or socketcan:INTERFACE.")]
 EcuProcess = Annotated[
@@ -75,7 +75,7 @@ def sim(
     """Close the loop with the simulated truck over CAN frames. Exit 1 when a run did not show what its
     scenario expects."""
     from ..core.compiled import shipped_vehicle
-    from ..loop.sim import Simulator, load_scenario
+    from ..extras.loop.sim import Simulator, load_scenario
 
     if paused and (lcm is None or lcm.startswith("file:")):
         raise InputError(

@@ -20,6 +20,6 @@ def solve(
 ) -> None:
     """Answer problems of the numerical engine; those that carry an answer are compared, exit 1 on any
     miss."""
-    from ..problems.solve import run_solve
+    from ..extras.problems.solve import run_solve
 
     raise typer.Exit(run_solve(problems, out, jobs))

@@ -1,5 +1,4 @@
-"""What the verbs print for people, on standard error: tables and sentences from the objects that machines
-read."""
+"""Tables and sentences of the verbs for people, on standard error, from the objects of the JSON."""
 
 from __future__ import annotations
 
@@ -12,7 +11,7 @@ from rich.table import Table
 
 from ..base.claims import claim_words
 from ..base.rates import hourly_words, share_words
-from ..replay.told import alarm_sentence
+from ..replay.alarm_text import alarm_sentence
 from .shared import console
 
 if TYPE_CHECKING:
@@ -20,11 +19,11 @@ if TYPE_CHECKING:
     from ..control.tradeoff import TradeOff
     from ..engine.synthesis.cases import TableRow
     from ..engine.synthesis.table import Cell
-    from ..fit.run import FittedModel
+    from ..extras.loop.sim import Simulator
+    from ..fit.fitted_model import FittedModel
+    from ..identify.identification import Identification
     from ..identify.premise import Premise
-    from ..identify.run import Identification
-    from ..loop.sim import Simulator
-    from ..replay.run import Replayer
+    from ..replay.replayer import Replayer
 
 
 def print_replays(done: list[dict[str, Any]], replayer: Replayer) -> None:
@@ -75,7 +74,7 @@ def print_replays(done: list[dict[str, Any]], replayer: Replayer) -> None:
 
 
 def print_missing(rows: list[dict[str, Any]]) -> None:
-    """A line a drive with missing samples; what a raw log lacks is told with its frames."""
+    """Print a line per drive with missing samples; those of a raw log are reported with its frames."""
     from ..drives.tables import missing_words
 
     for r in rows:
@@ -121,9 +120,7 @@ def print_fleet(result: dict[str, Any]) -> None:
         rate, hourly = share_words(v["alarmed"]), hourly_words(v["alarmed_per_judged_h"])
         console.print(f"{name}: new recordings with an alarm of their own: {rate}; a judged hour: {hourly}")
         if v["changed_at"] is not None:
-            console.print(
-                f"{name}: changed, says recording {v['changed_at']}, {v['changed_by']}{_estimated(v)}"
-            )
+            console.print(f"{name}: changed by recording {v['changed_at']}, {v['changed_by']}{_estimated(v)}")
     left_out = {**calibration["left_out"], **result["left_out"]}
     for v in result["vehicles"].values():
         left_out |= v["left_out"]
@@ -132,7 +129,7 @@ def print_fleet(result: dict[str, Any]) -> None:
 
 
 def _estimated(vehicle: dict[str, Any]) -> str:
-    """What a vehicle's alarming recording estimates, where it is among the new ones."""
+    """Estimate of a vehicle's alarming recording, if it is among the new ones."""
     rows = [r for r in vehicle["new"] if r["recording"] == vehicle["changed_by"]]
     return "".join(
         f"; {e['output']}: gain {1 + e['gain']:.3f} of the model's, delay {1e3 * e['delay_s']:+.0f} ms, "
@@ -188,7 +185,7 @@ def print_runs(runs: list[dict[str, Any]], bus: str, simulator: Simulator) -> No
 
 
 def print_fit(result: FittedModel) -> None:
-    """Values with their standard errors, what each drive says of them, and the findings."""
+    """Print values with their standard errors, the fit of each drive, and the findings."""
     from ..fit.quality import gaps
 
     e, u = result.estimate, result.estimate.unknowns
@@ -224,8 +221,10 @@ def print_fit(result: FittedModel) -> None:
 
 
 def print_evidence(result: Identification, further: list[str]) -> None:
-    """What the model explains of the bound-setting drives, where samples are missing, and what counts by bin;
-    then the ``further`` sentences."""
+    """Print the model's fit to the bound-setting drives, missing samples, and counted frames by bin.
+
+    The ``further`` sentences follow.
+    """
     from ..fit.quality import gaps
     from ..identify.model_fit import evidence, sentences
 
@@ -245,9 +244,9 @@ def print_tests(result: Identification) -> None:
     if energy is not None:
         console.print(
             f"energy test: threshold {energy.calibration.carried:.4g} ({energy.calibration.claim()}), "
-            f"sigma {energy.sigma_text(result.project)}; above {energy.band_hz[-1]:g} Hz it bounds Delta "
-            "times a constant, and an error of exactly W_delta may exceed it"
+            f"sigma {energy.sigma_text(result.project)}"
         )
+        console.print(f"energy test: {energy.claim_text}")
     if change is not None:
         console.print(
             f"change test: threshold {change.calibration.carried:.4g} ({change.calibration.claim()}), "
@@ -255,7 +254,7 @@ def print_tests(result: Identification) -> None:
         )
     if result.diagnosis is not None:
         console.print(
-            "causes: what no record names, since healthy vehicles differ as much: "
+            "causes: smaller changes have no name, because healthy vehicles differ as much: "
             f"{result.diagnosis.least_text(result.project)}"
         )
 
@@ -279,10 +278,10 @@ def print_design(result: Design, structure: str) -> None:
 
     console.print(
         f"{structure}: {result.schedule.order} states (of {result.full_order} per speed before), "
-        f"{len(result.schedule.speeds)} nodes; worst mu {result.worst:.4f}"
+        f"{len(result.schedule.speeds)} nodes; worst mu at most {result.worst:.4f}"
     )
     speed, worst = result.off_grid
-    console.print(f"worst of {OFF_GRID} speeds off the grid: mu {worst.upper:.4f} at {speed:.4g} m/s")
+    console.print(f"worst of {OFF_GRID} speeds off the grid: mu at most {worst.upper:.4f} at {speed:.4g} m/s")
 
 
 def print_premise(found: Premise) -> None:
@@ -293,18 +292,18 @@ def print_premise(found: Premise) -> None:
 
 
 def print_largest_A_t(largest: LargestA_t | None) -> None:
-    """The largest A_t with mu below 1 at every speed; None: there is none in the range of the search."""
+    """The largest A_t found with mu below 1 at the speeds looked at; None: the search found none."""
     console.print(
-        "largest A_t: none with mu < 1 from half the DC floor's limit on"
+        "largest A_t: none found with mu < 1 from half the DC floor's limit on"
         if largest is None
-        else f"largest A_t with mu < 1 at every speed: {largest.A_t:.4g}, "
+        else f"largest A_t found with mu < 1 at every speed looked at: {largest.A_t:.4g}, "
         f"times the DC floor {largest.product:.3f} "
         f"(mu {largest.worst:.4f}; not reached at {largest.failed:.4g})"
     )
 
 
 def print_moving_speed(result: Design) -> None:
-    """What is proved of a controller while the speed moves."""
+    """Print the proofs for a controller while the speed moves."""
     for claim, found in result.moving.items():
         console.print(
             f"moving speed: no proof of robust {claim} was found, nothing is claimed"
@@ -344,7 +343,7 @@ def print_slow_delta(result: Design) -> None:
 
 
 def print_limits(result: Design) -> None:
-    """What is proved where the demand meets its limits; nothing where it was not asked for."""
+    """Print the proofs for a demand at its limits, if any."""
     if result.beside is None:
         return
     found = result.beside.limits
@@ -361,16 +360,18 @@ def print_limits(result: Design) -> None:
 
 
 def print_summary(name: str, result: Design, out: Path) -> None:
-    """What a design came to, in a line."""
+    """Print the result of a design in a line."""
     low, high = result.schedule.speeds[0], result.schedule.speeds[-1]
     held = "certified" if result.worst < 1 else "NOT certified"
+    speeds = len(result.certificates) + 1
     moving = [
         claim_words(claim, found.lpv.level, found.lpv.rate)
         for claim, found in result.moving.items()
         if found is not None
     ]
     console.print(
-        f"{name}: robust performance {held}, worst mu {result.worst:.4f} from {low:.4g} to {high:.4g} m/s; "
+        f"{name}: robust performance {held}, worst mu {result.worst:.4f} at {speeds} frozen speeds from "
+        f"{low:.4g} to {high:.4g} m/s; "
         f"of a moving speed {', '.join(moving) or 'nothing'}; written to {out}"
     )
 
@@ -548,7 +549,7 @@ def _print_invisible(summary: dict[str, Any]) -> None:
 
 
 def _print_bus(summary: dict[str, Any]) -> None:
-    """What the supervision made of faults of the bus, and of buses without a fault."""
+    """Print the reactions of the supervision to faults of the bus, and to buses without a fault."""
     from ..base.rates import share_words
 
     bus = Table(

@@ -1,5 +1,7 @@
-"""From an identification to a certified controller (paper, step 8). In: a stored identification, drives for
-what must be exact. Out: controller.json with its certificates, Table II, the numbers of Figs. 5 and 6,
-trade-offs. Which rooms it may import: MAY_IMPORT."""
+"""From an identification to a certified controller (paper, step 8).
+
+In: a stored identification, and drives for exact results. Out: controller.json with its certificates, Table
+II, the numbers of Figs. 5 and 6, trade-offs. MAY_IMPORT lists what a room may import.
+"""
 
 MAY_IMPORT = ("base", "vehicle", "engine", "drives", "core", "identify")

@@ -1,5 +1,4 @@
-"""`lpvguard design`: weights -> controller scheduled over speed, certified frozen at every node and between
-nodes (step 8).
+"""`lpvguard design`: a controller scheduled over speed, certified at every node and between nodes (step 8).
 
 Everything is discrete from the start: the vehicle is sampled exactly at Ts, the weights by Tustin's map
 (plants.py). One sample of delay stands between the controller's output and the vehicle, so that the ECU may
@@ -7,8 +6,8 @@ take a whole period to compute. The delay then belongs to the controller, which 
 
 One scaling D and one level serve all speeds, so that neighbouring controllers differ little
 (engine/synthesis/scheduling.py). D-K iteration at the design speed gives the first D; the best for the worst
-speed replaces it. The controllers are brought to as few common poles as will do, with numerators interpolated
-over speed (schedule.py). What is certified is the controller the core runs: float32 coefficients,
+speed replaces it. The controllers are reduced to as few common poles as possible, with numerators
+interpolated over speed (schedule.py). The certified controller is that of the core: float32 coefficients,
 interpolated, closed with the nominal model and the weights. mu certifies frozen speeds: the nodes and midway
 between them. Storage functions certify robust stability and robust performance, each for every speed history
 up to a stated rate of change (engine/synthesis/lpv_certificate.py).
@@ -36,55 +35,66 @@ from ..engine.synthesis.errors import SynthesisError
 from ..engine.synthesis.norms import hinf_norm
 from ..engine.synthesis.scheduling import closed_scaled, common_family, common_scaling
 from ..engine.synthesis.statespace import StateSpace, series
+from ..identify.identification import StoredIdentification
 from ..identify.model_error import last_telling
 from ..identify.premise import premise, require_premise
-from ..identify.run import StoredIdentification
 from ..vehicle.design_settings import DesignSettings
 from ..vehicle.nominal import NominalModel
-from .beside import NOTHING, Beside, beside, require_beside
-from .designed import stated_scaling
+from .controller_file import stated_scaling
+from .further_certificates import NOTHING, Beside, beside, require_beside
 from .input_limit import input_limit
 from .moving_speed import Moving, certified, moving_certificates, moving_to_dict, require_moving, tuning
-from .plants import design_settings, fig1_weights, plant_at, vehicle_at
+from .plants import DesignProblem, design_settings, vehicle_at
 from .schedule import FrozenLoop, fit_by_pairs
 
 FEWEST_PAIRS, MOST_PAIRS = 2, 19
-"""Of poles, for each demand: fewer than the vehicle and the reference model have between them cannot do the
-job."""
+"""Numbers of pole pairs for each demand; fewer than those of vehicle and reference model together do not
+suffice."""
 PATIENCE = 2
 """Pairs tried beyond the best number so far."""
 CERTIFICATE_RTOL = 1e-6
-"""Largest relative difference between a stated level and the one proved anew."""
-LOWER_RTOL, PEAK_RTOL = 1e-3, 1e-3
+"""Largest relative difference between a stated level and the one proved again."""
+LOWER_RTOL, PEAK_RTOL = 1e-4, 1e-3
 """The same for the lower bound, which a search finds, and for the gain at the stated peak, which is flat."""
+FLOOR_RTOL = 1e-9
+"""Rounding of the DC floor."""
 OFF_GRID = 24
-"""Seeded speeds between the nodes at which the design is looked at besides nodes and midpoints."""
+"""Seeded speeds between the nodes at which the design is checked, in addition to nodes and midpoints."""
 DESIGN_SHARES, FROZEN_SHARES, VERIFY_SHARES = (9, 1, 1), (1, 15, 1), (4, 1, 4)
-"""Rough shares of the work: frozen and moving speed, margins; up to the poles, poles, proofs; frozen and
+"""Approximate shares of the work: frozen and moving speed, margins; up to the poles, poles, proofs; frozen
+and
 moving, margins."""
 A_T_RTOL, STEPS = 0.01, 8
 LARGER_STEP = 0.8
-"""Of the way to the limit, while no A_t has failed: the answer lies near it."""
+"""Step towards the limit while no A_t has failed: the answer lies near it."""
 FAMILY_RTOL = 0.01
-"""By which a truncated controller may exceed the level that the family was made for."""
+"""Relative excess of a truncated controller over the level of the family."""
 REACH = 3
-"""Crossovers that the model error model must reach."""
+"""Multiple of the crossover that the model error model must reach."""
 CROSSOVER_FROM, CROSSOVER_POINTS = 1e-3, 2000
 SCALING_SPEEDS = 4
 """Nodes, ends included, for which the common scaling is searched: the optimum moves slowly with speed."""
 
 
 def _with_delay(K: StateSpace) -> StateSpace:
-    """The controller that holds its own output back by one sample."""
+    """The controller with its output delayed by one sample."""
     n_u = K.n_outputs
     return series(StateSpace(np.zeros((n_u, n_u)), np.eye(n_u), np.eye(n_u), np.zeros((n_u, n_u)), K.dt), K)
 
 
 @dataclass(frozen=True)
 class Design:
-    """A scheduled controller and its certificates: ``certificates`` per frozen speed, nodes and midpoints in
-    order; ``moving`` for a moving speed by claim (None: no storage function was found; empty: not asked for);
-    ``beside``: margins, a varying Delta and limits (None: not asked for).
+    """A scheduled controller and its certificates.
+
+    Attributes
+    ----------
+    schedule : Scheduled
+    scaling : Scaling
+    certificates : list of (speed [m/s], RobustPerformance), nodes and midpoints in order
+    full_order : int, order before the reduction
+    off_grid : (speed [m/s], RobustPerformance), the worst between these speeds
+    moving : dict, by claim for a moving speed, None: no storage function; empty: not requested
+    beside : Beside or None, margins, a varying Delta and limits, None: not requested
     """
 
     schedule: Scheduled
@@ -97,7 +107,7 @@ class Design:
 
     @property
     def worst(self) -> float:
-        """Largest proved mu over all frozen speeds that were looked at."""
+        """Largest proved mu over all checked frozen speeds."""
         return max(p.upper for _, p in [*self.certificates, self.off_grid])
 
 
@@ -107,41 +117,69 @@ def design(
     moving_speed: bool = True,
     workers: Map = map,
 ) -> Design:
-    """Synthesise, schedule over common poles and certify, without ``moving_speed`` for frozen speeds only;
-    ``workers`` share the speeds. InputError when the project file has no [design] or no order certifies."""
-    settings = design_settings(stored)
+    """Synthesise a controller, schedule it over common poles and certify it.
+
+    Parameters
+    ----------
+    stored : StoredIdentification
+    progress : Callable, reports progress
+    moving_speed : bool, certify a moving speed too, default True
+    workers : Map, shares the speeds
+
+    Returns
+    -------
+    Design
+
+    Raises
+    ------
+    InputError
+        If the project file has no [design], or no order certifies.
+
+    References
+    ----------
+    Paper, step 8; THEORY 7.10 to 7.12.
+    """
+    problem = DesignProblem.of(stored)
     require_premise(stored)
     frozen, moving, margins = parts(progress, *DESIGN_SHARES)
-    result = _designed(stored, settings, None, frozen, workers)
+    result = _designed(problem, None, frozen, workers)
     _require_reach(stored, result.schedule)
     return replace(
         result,
-        moving=moving_certificates(stored, result.schedule, result.scaling, moving, workers)
+        moving=moving_certificates(problem, result.schedule, result.scaling, moving, workers)
         if moving_speed
         else {},
-        beside=beside(stored, result.schedule, result.scaling, margins, workers),
+        beside=beside(problem, result.schedule, result.scaling, margins, workers),
     )
 
 
 def frozen_optimum(stored: StoredIdentification) -> tuple[float, float]:
-    """The largest optimum over single frozen speeds, and that speed [m/s].
+    """Compute the largest optimum over single frozen speeds.
 
-    An optimum is the least bound of mu that D-K iteration finds for one speed alone, at some of the nodes. It
-    is for A_t and A_u as they are certified, whatever the controller was synthesised for."""
-    settings, model = design_settings(stored), NominalModel(stored.project)
-    weights = fig1_weights(stored, settings)
-    speeds = np.linspace(*model.speed_range, settings.nodes)
+    An optimum is the least bound of mu that D-K iteration finds for one speed alone, at some of the nodes,
+    with the certified A_t and A_u.
+
+    Parameters
+    ----------
+    stored : StoredIdentification
+
+    Returns
+    -------
+    tuple of float, mu and its speed [m/s]
+    """
+    problem = DesignProblem.of(stored)
+    speeds = np.linspace(*problem.model.speed_range, problem.settings.nodes)
 
     def optimum(v: float) -> float:
-        plant = plant_at(stored, model, weights, v, True, settings.structure)
+        plant = problem.plant(v, delayed=True)
         return common_scaling([plant], dk_synthesis(plant).performance.scaling)[1]
 
     return max((optimum(float(v)), float(v)) for v in speeds[evenly(len(speeds), SCALING_SPEEDS)])
 
 
 def crossover(schedule: Scheduled, model: NominalModel) -> float:
-    """Highest frequency [rad/s] at which the loop gain |sum_j K_j P_j| is 1, over the nodes; 0 where it is
-    nowhere."""
+    """Highest frequency [rad/s] at which the loop gain |sum_j K_j P_j| is 1, over the nodes; 0 without
+    any."""
     omega = np.geomspace(CROSSOVER_FROM, np.pi / schedule.Ts * (1 - 1e-9), CROSSOVER_POINTS)
     highest = 0.0
     for v in map(float, schedule.speeds):
@@ -153,10 +191,12 @@ def crossover(schedule: Scheduled, model: NominalModel) -> float:
 
 
 def _require_reach(stored: StoredIdentification, schedule: Scheduled) -> None:
-    """InputError unless the model error model reaches three times the crossover and two of its frequencies
-    past the last that tells."""
+    """Raise InputError unless the model error model reaches REACH crossovers.
+
+    At most one of the design's frequencies may lie past the last informative one.
+    """
     omega = stored.model_error.grid.omega
-    wanted = REACH * crossover(schedule, NominalModel(stored.project))
+    wanted = REACH * crossover(schedule, stored.model)
     if omega[-1] < wanted:
         raise InputError(
             stored.folder,
@@ -175,17 +215,16 @@ def _require_reach(stored: StoredIdentification, schedule: Scheduled) -> None:
 
 
 def _designed(
-    stored: StoredIdentification,
-    settings: DesignSettings,
+    problem: DesignProblem,
     scaling: Scaling | None,
     progress: Progress,
     workers: Map = map,
 ) -> Design:
-    """The design for ``settings``; ``scaling``: where the search for the common scaling starts."""
-    model, asked = NominalModel(stored.project), settings.for_synthesis
-    weights = fig1_weights(stored, asked)
+    """Design for ``settings``; ``scaling`` starts the search for the common scaling."""
+    model, settings = problem.model, problem.settings
+    synthesised = problem.with_settings(settings.for_synthesis)
     speeds = np.linspace(*model.speed_range, settings.nodes)
-    plants = [plant_at(stored, model, weights, v, True, settings.structure) for v in speeds]
+    plants = [synthesised.plant(v, delayed=True) for v in speeds]
     before, fitting, proving = parts(progress, *FROZEN_SHARES)
     if scaling is None:
         before(Counted("D-K iteration at the design speed", 0, 4))
@@ -193,11 +232,7 @@ def _designed(
         scaling = dk_synthesis(plants[start], workers=workers).performance.scaling
     scaling, controllers = _family(plants, scaling, settings.backoff, before, workers)
     check = np.linspace(speeds[0], speeds[-1], 2 * len(speeds) - 1)
-
-    def loop_at(v: float, weights: fig1.PlantWeights = weights) -> fig1.GeneralisedPlant:
-        return plant_at(stored, model, weights, v, False, settings.structure)
-
-    loops = {float(v): loop_at(v) for v in check}
+    loops = {float(v): synthesised.plant(v) for v in check}
     u_max = input_limit(model, settings, speeds)
     frozen = [
         FrozenLoop(_with_delay(K), loops[float(v)], vehicle_at(model, v))
@@ -212,22 +247,20 @@ def _designed(
     )
     if found is None:
         raise InputError(
-            stored.folder,
+            problem.stored.folder,
             "controller",
             "no set of common poles stabilises every speed",
             "more nodes, or a lower A_t",
         )
-    stated_at = loop_at
-    if asked != settings:
-        stated_at = partial(loop_at, weights=fig1_weights(stored, settings))
-        loops = {v: stated_at(v) for v in loops}
-        scaling = tuning(found, stated_at, scaling, workers)(1.0)
+    if synthesised.settings != settings:
+        loops = {v: problem.plant(v) for v in loops}
+        scaling = tuning(found, problem.plant, scaling, workers)(1.0)
     return Design(
         found,
         scaling,
         _certificates(found, loops, scaling, proving, workers),
         controllers[0].order,
-        _off_grid(found, scaling, stated_at, stored.project.seed, workers),
+        _off_grid(found, scaling, problem.plant, problem.stored.project.seed, workers),
     )
 
 
@@ -239,7 +272,7 @@ def _family(
     some = evenly(len(plants), SCALING_SPEEDS)
     scaling, level = common_scaling([plants[k] for k in some], start, workers)
     progress(Counted("controllers over speed", 2, 4))
-    # Never more than half of what is left below 1.
+    # At most half of the margin below 1.
     backed_off = level * (1 + backoff)
     level = min(backed_off, 0.5 * (1 + level)) if level < 1 else backed_off
     at_order, rank = common_family(plants, scaling, level, workers)
@@ -253,9 +286,11 @@ def _with_fewest_poles(
     order_loss: float,
     progress: Progress,
 ) -> Scheduled | None:
-    """The schedule of the fewest pairs of common poles, at most ``most``, beyond which more of them lower the
-    worst level by less than ``order_loss`` of it; None where no number of pairs stabilises every speed.
-    ``worst_level``: of a schedule, inf where it exceeds the level given."""
+    """Schedule with the fewest pairs of common poles, at most ``most``, or None.
+
+    More pairs lower the worst level by less than ``order_loss`` of it. The result is None where no number of
+    pairs stabilises every speed. ``worst_level`` of a schedule is inf above the given level.
+    """
     best, found, found_pairs = np.inf, None, 0
     for pairs in range(FEWEST_PAIRS, most + 1):
         progress(Counted(f"{pairs} pairs of poles", pairs**3, (most + 1) ** 3))
@@ -276,10 +311,10 @@ def _sound_order(
     level: float,
     workers: Map,
 ) -> int:
-    """The largest order at which every controller of the family keeps ``level``.
+    """Largest order at which every controller of the family keeps ``level``.
 
-    The last states of ``rank`` can be rounding alone, with which a loop is not even stable. InputError where
-    no order keeps it.
+    The last states of ``rank`` can be rounding alone, with an unstable loop. Raises InputError where no order
+    keeps the level.
     """
     for order in range(rank, 0, -1):
         loops = zip(plants, at_order(order), strict=True)
@@ -298,8 +333,10 @@ def _worst_level(
     scaling: Scaling,
     workers: Map,
 ) -> float:
-    """Largest norm of the scaled closed loops; inf when one or a limited demand's injection is unstable, or
-    as soon as one lies above ``limit``."""
+    """Largest norm of the scaled closed loops.
+
+    It is inf when one loop, or the injection of a limited demand, is unstable, or when one exceeds ``limit``.
+    """
     if not all(schedule.injection_radius(v) < 1 for v in loops):
         return np.inf
     worst = 0.0
@@ -323,8 +360,7 @@ def _off_grid(
     seed: int,
     workers: Map,
 ) -> tuple[float, RobustPerformance]:
-    """The worst of seeded speeds, moved to the top of its peak between its neighbours, and its
-    certificate."""
+    """Worst of seeded speeds, moved to the peak between its neighbours, and its certificate."""
     low, high = schedule.speeds[[0, -1]].tolist()
     speeds = np.sort(np.concatenate([[low, high], np.random.default_rng(seed).uniform(low, high, OFF_GRID)]))
     norm = partial(_scaled_norm, scaling, 1e-4)
@@ -339,18 +375,24 @@ def _off_grid(
 
 
 def dc_floor(weights: fig1.PlantWeights) -> float:
-    """What no controller can be below, for every unit of A_t: 1 / sqrt(1/|W_nr(0)|^2 + 1/|W_wr(0)|^2), noise
-    against disturbance."""
+    """Lower bound of every controller per unit of A_t: 1 / sqrt(1/|W_nr(0)|^2 + 1/|W_wr(0)|^2).
+
+    It balances noise against disturbance.
+    """
     n, w = (abs(W.response([0.0])[0, 0, 0]) for W in (weights.W_nr, weights.W_wr))
     return float(n * w / np.hypot(n, w))
 
 
 @dataclass(frozen=True)
 class LargestA_t:
-    """The largest A_t [per rad/s] found with mu < 1 at every speed looked at.
+    """Largest A_t with mu < 1 at every checked speed.
 
-    ``worst``: its largest mu. ``product``: A_t times the DC floor (1 is the limit of any controller).
-    ``failed``: the least A_t not reached, by the design or by any controller [per rad/s].
+    Attributes
+    ----------
+    A_t : float, per rad/s
+    product : float, A_t times the DC floor, 1 is the limit of any controller
+    worst : float, its largest mu
+    failed : float, least A_t not reached, by the design or by any controller [per rad/s]
     """
 
     A_t: float
@@ -360,10 +402,19 @@ class LargestA_t:
 
 
 def largest_A_t(stored: StoredIdentification, progress: Progress = lambda _: None) -> LargestA_t | None:
-    """Bisection on A_t, whole designs, certified as the core runs them; None when half of the DC floor's
-    limit is out of reach."""
-    settings = design_settings(stored)
-    floor = dc_floor(fig1_weights(stored, settings))
+    """Bisect A_t over whole designs, certified in the core's form.
+
+    Parameters
+    ----------
+    stored : StoredIdentification
+    progress : Callable, reports progress
+
+    Returns
+    -------
+    LargestA_t, or None if half of the DC floor's limit is not reached
+    """
+    problem = DesignProblem.of(stored)
+    floor = dc_floor(problem.weights)
     low, high = 0.5 / floor, 1 / floor
     reached: float | None = None
     scaling, trial = None, low
@@ -376,9 +427,8 @@ def largest_A_t(stored: StoredIdentification, progress: Progress = lambda _: Non
         steps += 1
 
         try:
-            one = _designed(
-                stored, settings.model_copy(update={"A_t": trial, "synthesised_for": None}), scaling, tell
-            )
+            asked = problem.settings.model_copy(update={"A_t": trial, "synthesised_for": None})
+            one = _designed(problem.with_settings(asked), scaling, tell)
             worst, scaling = one.worst, one.scaling
         except (InputError, SynthesisError):
             worst = np.inf
@@ -407,11 +457,10 @@ def _certificates(
 def verify(
     path: Path, stored: StoredIdentification, progress: Progress = lambda _: None, workers: Map = map
 ) -> None:
-    """Prove the certificates of a controller.json anew, for its coefficients as they stand and these weights;
-    ``workers`` share the speeds.
+    """Prove the certificates of a controller.json again for its coefficients and these weights.
 
-    InputError names the speed at which the loop is unstable or a stated number is not the one proved, or the
-    objective or the limits of the input that are not the project's.
+    ``workers`` share the speeds. Raises InputError that names the speed of an unstable loop or a wrong
+    number, or an objective or input limit that differs from the project's.
     """
     settings = stored.project.design
     document = artefacts.read_json(path)
@@ -432,26 +481,24 @@ def verify(
             "the coefficients that were certified",
         )
     require_premise(stored)
-    model, weights = NominalModel(stored.project), fig1_weights(stored, settings)
-    _require_settings(path, stated, schedule, settings, model)
+    problem = DesignProblem(stored, settings)
+    _require_settings(path, stated, schedule, settings, problem.model)
+    _require_floor(path, stated, dc_floor(problem.weights))
     rows = [*stated["speeds"], stated["off_grid"]]
-    loops = {
-        row["v_mps"]: plant_at(stored, model, weights, row["v_mps"], False, settings.structure)
-        for row in rows
-    }
+    loops = {row["v_mps"]: problem.plant(row["v_mps"]) for row in rows}
     scaling = stated_scaling(document)
     frozen, moving, margins = parts(progress, *VERIFY_SHARES)
     proved_rows = dict(_certificates(schedule, loops, scaling, frozen, workers))
     for row in rows:
         _compare(path, row, proved_rows[row["v_mps"]], loops[row["v_mps"]], schedule)
-    require_moving(path, stated, stored, schedule, moving, workers)
-    require_beside(path, stated, stored, schedule, scaling, margins, workers)
+    require_moving(path, stated, problem, schedule, moving, workers)
+    require_beside(path, stated, problem, schedule, scaling, margins, workers)
 
 
 def _require_settings(
     path: Path, stated: dict, schedule: Scheduled, settings: DesignSettings, model: NominalModel
 ) -> None:
-    """InputError unless objectives and input limits are those of the project."""
+    """Raise InputError unless objectives and input limits are those of the project."""
     for key in ("structure", "A_t", "A_u"):
         if stated[key] != getattr(settings, key):
             raise InputError(
@@ -464,11 +511,34 @@ def _require_settings(
         )
 
 
+def _require_floor(path: Path, stated: dict, floor: float) -> None:
+    """InputError unless the DC floor is ``floor``, and the largest A_t lies within what it leaves."""
+    largest = stated["largest_A_t"]
+    wanted = {"dc_floor": (stated["dc_floor"], floor)}
+    if largest is not None:
+        wanted["largest_A_t.product"] = largest["product"], largest["A_t"] * floor
+        if not (largest["worst"] < 1 and 0 < largest["A_t"] < largest["failed"] <= (1 + FLOOR_RTOL) / floor):
+            raise InputError(
+                path,
+                "certificates.largest_A_t",
+                f"A_t {largest['A_t']:.6g} with mu {largest['worst']:.6g}, failed {largest['failed']:.6g}",
+                f"mu below 1, and A_t below one that failed, up to {1 / floor:.6g}",
+            )
+    for name, (value, want) in wanted.items():
+        same = (
+            value is None if np.isnan(want) else value is not None and abs(value - want) <= FLOOR_RTOL * want
+        )
+        if not same:
+            raise InputError(path, f"certificates.{name}", f"{value}", f"{want:.9g}, of these weights")
+
+
 def _compare(
     path: Path, row: dict, proved: RobustPerformance, plant: fig1.GeneralisedPlant, schedule: Scheduled
 ) -> None:
-    """InputError unless a row states what is proved anew. The peak may be one of several: the scaled gain
-    there must reach mu."""
+    """Raise InputError unless a row states the proved numbers.
+
+    The peak may be one of several: the scaled gain there must reach mu.
+    """
     v = row["v_mps"]
     loop = closed_scaled(plant, schedule.at(v), proved.scaling)
     at_peak = (
@@ -482,7 +552,7 @@ def _compare(
             raise InputError(
                 path,
                 f"certificate at {v:g} m/s, {name}",
-                f"{value:.7g} when proved anew, not {row[name]:.7g}",
+                f"{value:.7g} when proved again, not {row[name]:.7g}",
                 "the coefficients and weights that were certified",
             )
     if not abs(at_peak - row["mu_upper"]) <= PEAK_RTOL * row["mu_upper"]:
@@ -510,7 +580,21 @@ def save(
     more: dict[str, str] | None = None,
     largest: LargestA_t | None = None,
 ) -> None:
-    """Write controller.json, its manifest and ``more`` files (name: text), whole or not at all."""
+    """Write controller.json, its manifest and further files, whole or not at all.
+
+    Parameters
+    ----------
+    result : Design
+    stored : StoredIdentification
+    target : Path, new folder
+    more : dict, optional, text by file name
+    largest : LargestA_t, optional
+
+    Raises
+    ------
+    InputError
+        If the folder may not be replaced.
+    """
     settings, schedule = design_settings(stored), result.schedule
     controller = {
         "kind": "controller",
@@ -539,7 +623,7 @@ def save(
             "scaling_columns": result.scaling.log_parameters.shape[1],
             "moving_speed": moving_to_dict(result.moving),
             **(NOTHING if result.beside is None else result.beside.to_dict()),
-            "dc_floor": dc_floor(fig1_weights(stored, settings)),
+            "dc_floor": dc_floor(DesignProblem(stored, settings).weights),
             "largest_A_t": None if largest is None else asdict(largest),
             "off_grid": {"speeds": OFF_GRID, "seed": stored.project.seed, **_row(*result.off_grid)},
             "speeds": [_row(v, p) for v, p in result.certificates],

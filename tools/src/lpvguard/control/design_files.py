@@ -1,5 +1,7 @@
-"""The files of step 8 beside controller.json, as numbers: Table II, Figs. 5 and 6; and those of a case file.
-report/design_pictures.py draws them."""
+"""Files of step 8 besides controller.json: the numbers of Table II and of Figs. 5 and 6, and of a case file.
+
+report/design_pictures.py draws them.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,7 @@ def _magnitude(W) -> np.ndarray:
 def _weights_figure(
     common: PlantWeights, objectives: list[tuple[float, float, PlantWeights]], command
 ) -> dict:
-    """Fig. 5 as numbers. ``objectives``: A_t, A_u and the weights with them."""
+    """Numbers of Fig. 5. ``objectives``: A_t, A_u and the weights with them."""
     rows: dict[str, np.ndarray] = {}
     for A_t, A_u, weights in objectives:
         rows[f"W_t, A_t = {A_t:.4g}"], rows[f"W_u, A_u = {A_u:.4g}"] = (
@@ -45,7 +47,18 @@ def _figures_file(figures: dict) -> dict[str, str]:
 
 
 def design_files(problem: FrozenProblem, cells: list[Cell], runs: WorstRuns | None) -> dict[str, str]:
-    """Files of a vehicle's design; Fig. 6 needs ``runs``, which need drives."""
+    """Write the files of a vehicle's design.
+
+    Parameters
+    ----------
+    problem : FrozenProblem
+    cells : list of Cell, of Table II
+    runs : WorstRuns, or None without drives, which Fig. 6 needs
+
+    Returns
+    -------
+    dict[str, str], text by file name
+    """
     common = problem.weights("K_i", *problem.settings.objectives[0])
     objectives = [(A_t, A_u, problem.weights("K_inf", A_t, A_u)) for A_t, A_u in problem.settings.objectives]
     W_C = problem.stored.fitted.W_C[0]
@@ -65,7 +78,18 @@ def design_files(problem: FrozenProblem, cells: list[Cell], runs: WorstRuns | No
 
 
 def case_files(name: str, case: dict, rows: list[TableRow]) -> dict[str, str]:
-    """Files of a case file's table: each row with its difference to the paper's."""
+    """Write the files of a case file's table, each row with its difference to the paper's.
+
+    Parameters
+    ----------
+    name : str
+    case : dict, the case file
+    rows : list[TableRow]
+
+    Returns
+    -------
+    dict[str, str], text by file name
+    """
     objectives = [(o["A_t"], o["A_u"], case_weights(case, o)) for o in case["objective"]]
     table = [
         row.to_dict() | {"difference": text} for row, text in zip(rows, differences(case, rows), strict=True)

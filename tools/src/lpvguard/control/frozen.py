@@ -1,5 +1,5 @@
-"""Fig. 1 of a vehicle at a frozen speed, for any structure, objective and choice of uncertainty weights;
-Table II made of it."""
+"""Fig. 1 of a vehicle at a frozen speed, for any structure, objective and uncertainty weights, and Table
+II."""
 
 from __future__ import annotations
 
@@ -12,18 +12,24 @@ from ..base.progress import Counted, Progress
 from ..engine.synthesis.interconnection import STRUCTURES, GeneralisedPlant, PlantWeights
 from ..engine.synthesis.statespace import StateSpace
 from ..engine.synthesis.table import Cell, cell, to_csv
-from ..identify.run import StoredIdentification
+from ..identify.identification import StoredIdentification
 from ..identify.weights import FittedWeight
-from ..vehicle.nominal import NominalModel
-from .plants import design_settings, fig1_weights, plant_at, weight_system
+from .plants import DesignProblem, plant_at, weight_system
 from .stored_frames import SplitWeights, StoredFrames
 
 
 class FrozenProblem:
-    """The control problem of an identification at frozen speeds, for structures with one Delta.
+    """Control problem of an identification at frozen speeds, for structures with one Delta.
 
-    InputError without a [design] table, and for an identification with a Delta an output: Table II, the
-    trade-off and the worst runs compare what class S1 identifies.
+    Parameters
+    ----------
+    stored : StoredIdentification
+    frames : StoredFrames
+
+    Raises
+    ------
+    InputError
+        If there is no [design] table, or a Delta an output: the comparisons are about class S1.
     """
 
     def __init__(self, stored: StoredIdentification, frames: StoredFrames):
@@ -34,25 +40,24 @@ class FrozenProblem:
                 f"{stored.project.bounds.structure}: {len(stored.fitted.W_delta)} Deltas, one an output",
                 "S0 or S1: Table II and the trade-off compare structures with one Delta",
             )
-        self.stored, self.frames, self.settings = stored, frames, design_settings(stored)
-        self.model = NominalModel(stored.project)
+        self.problem = DesignProblem.of(stored)
+        self.stored, self.frames, self.settings = stored, frames, self.problem.settings
 
     @cached_property
     def with_state(self) -> SplitWeights:
-        """Class S2's weights at the identified gamma_w and the settings' Lambda_nu = diag(1, lambda_s)."""
+        """Weights of class S2 at the identified gamma_w and the settings' Lambda_nu = diag(1, lambda_s)."""
         split = self.frames.explain_with_state(self.stored.bounds["gamma_w"], self.settings.lambda_s)
         return self.frames.weights(split)
 
     def weights(
         self, structure: str, A_t: float, A_u: float, fitted: SplitWeights | None = None
     ) -> PlantWeights:
-        """The ten weights. ``fitted``: other W_w and W_delta than identified (K_is: than
-        ``with_state``)."""
+        """The ten weights. ``fitted`` replaces the identified W_w and W_delta (for K_is ``with_state``)."""
         chosen = self.settings.model_copy(update={"structure": structure, "A_t": A_t, "A_u": A_u})
-        # K_is has weights of its own, which replace those of class S1 below.
-        weights = fig1_weights(
-            self.stored, chosen.model_copy(update={"structure": "K_i"}) if structure == "K_is" else chosen
-        )
+        # K_is has its own weights, which replace those of class S1 below.
+        if structure == "K_is":
+            chosen = chosen.model_copy(update={"structure": "K_i"})
+        weights = self.problem.with_settings(chosen).weights
         if structure == "K_is" and fitted is None:
             fitted = self.with_state
         if structure == "K_inf" or fitted is None:
@@ -71,8 +76,8 @@ class FrozenProblem:
         )
 
     def plant(self, structure: str, weights: PlantWeights, v: float) -> GeneralisedPlant:
-        """The discrete plant at speed v [m/s] with one sample of delay in front of the control input."""
-        return plant_at(self.stored, self.model, weights, v, True, structure)
+        """Discrete plant at speed v [m/s] with one sample of delay before the control input."""
+        return plant_at(self.problem.model, weights, v, True, structure)
 
     def table(self, progress: Progress = lambda _: None) -> list[Cell]:
         """Table II at the design speed: the three structures for each objective."""
@@ -89,7 +94,7 @@ class FrozenProblem:
 
 
 def table_files(rows: list[dict], **about) -> dict[str, str]:
-    """table2.json and table2.csv from the rows of cells; ``about``: what the table is of."""
+    """table2.json and table2.csv from the rows of cells; ``about`` identifies the table."""
     return {
         "table2.json": artefacts.to_json({"kind": "table2", "schema": 1, **about, "rows": rows}),
         "table2.csv": to_csv(rows),

@@ -1,16 +1,15 @@
-"""The controller's input limit over speed: what the actuator gives, and the lateral acceleration that the
-nominal model then reaches.
+"""The controller's input limit over speed, from the actuator and the nominal lateral acceleration.
 
     |u_k|_max(v) = min(input_max_k, a_max / (n_u v |G_1k(0; v)|))
 
 G_1k(0; v) [rad/s per input unit] is the nominal model's DC gain from input k to its first output, the yaw
-rate. Held at their limits, whatever their signs, the inputs give v |yaw rate| <= a_max in the steady state:
-by the triangle inequality each of n_u inputs may take an equal share. The rule is about changes of the
-input; offsets of the model, transients and what the vehicle does otherwise than the model are left out.
+rate. Held at their limits with any signs, the inputs give v |yaw rate| <= a_max in the steady state: by the
+triangle inequality each of n_u inputs may take an equal share. The rule limits changes of the input. It
+leaves out offsets of the model, transients and the model's error.
 
-The core interpolates linearly between nodes, and the rule is convex in v where it falls as 1 / v^2: a line
-through its values lies above it. So every node is lowered by the least factor that keeps the lines of both
-its cells below the rule.
+The core interpolates linearly between nodes. Where the rule falls as 1 / v^2 it is convex in v, and a line
+through its values lies above it. Every node is therefore lowered by the least factor that keeps the lines of
+both its cells below the rule.
 """
 
 from __future__ import annotations
@@ -21,22 +20,23 @@ from ..vehicle.design_settings import DesignSettings
 from ..vehicle.nominal import NominalModel
 
 POINTS = 1024
-"""Of a cell between two nodes, at which the line is compared with the rule."""
+"""Points of a cell between two nodes at which the line is compared with the rule."""
 ROOM = 1e-5
-"""Share of the limit kept where the lateral acceleration sets it: for what lies between the points and for
-the rounding of float in the core."""
+"""Share of the limit that the lateral acceleration allows, with a margin for speeds between the points and
+for rounding of float in the core."""
 
 
 def turning_limit(model: NominalModel, a_max: float, v: np.ndarray) -> np.ndarray:
-    """a_max / (n_u v |G_1k(0; v)|), (m, n_u) [input unit], at speeds v (m,) [m/s]; ``a_max`` [m/s^2]. inf for
-    an input that does not turn the vehicle."""
+    """a_max / (n_u v |G_1k(0; v)|), (m, n_u) [input unit], at speeds v (m,) [m/s]; ``a_max`` [m/s^2].
+
+    It is inf for an input that does not turn the vehicle.
+    """
     with np.errstate(divide="ignore"):
         return a_max / (model.n_u * v[:, None] * np.abs(model.dc_gain(v)[:, 0]))
 
 
 def rule(model: NominalModel, settings: DesignSettings, v: np.ndarray) -> np.ndarray:
-    """|u|_max (m, n_u) [input unit] at speeds v (m,) [m/s]; without lateral_acceleration_max_mps2 it is
-    input_max."""
+    """|u|_max (m, n_u) [input unit] at speeds v (m,) [m/s]; by default input_max."""
     input_max = np.tile(np.array(settings.input_max), (len(v), 1))
     if settings.lateral_acceleration_max_mps2 is None:
         return input_max
@@ -44,8 +44,8 @@ def rule(model: NominalModel, settings: DesignSettings, v: np.ndarray) -> np.nda
 
 
 def input_limit(model: NominalModel, settings: DesignSettings, speeds: np.ndarray) -> np.ndarray:
-    """|u|_max (G, n_u) [input unit] at ascending nodes speeds (G,) [m/s], with lines between them that
-    nowhere lie above ``rule``."""
+    """|u|_max (G, n_u) [input unit] at ascending nodes speeds (G,) [m/s]; lines between stay below
+    ``rule``."""
     nodes = rule(model, settings, speeds)
     weight = np.linspace(0.0, 1.0, POINTS + 1)
     between = speeds[:-1, None] + weight * np.diff(speeds)[:, None]

@@ -1,9 +1,8 @@
-"""What is proved of the loop where its demand meets its limits, with the anti-windup as built, at frozen
-speeds (THEORY 7.12).
+"""Proofs for the loop whose demand meets its limits, with anti-windup, at frozen speeds (THEORY 7.12).
 
-A row says: for every LTI Delta within W_delta, and as long as the demand that the controller wants stays
-within kappa times its limit, the loop is stable, the gain from [w; n; r_c] to z is bounded, and every [w;
-n; r_c] of at most an energy keeps the demand there and the rate limit untouched.
+A row holds for every LTI Delta within W_delta, and as long as the demand that the controller wants stays
+within kappa times its limit. The loop is then stable, and the gain from [w; n; r_c] to z is bounded. Every
+[w; n; r_c] of at most an energy keeps the demand there and the rate limit untouched.
 """
 
 from __future__ import annotations
@@ -22,21 +21,19 @@ from ..base.sampling import evenly
 from ..core.scheduled import Scheduled
 from ..engine.synthesis.dk import Scaling
 from ..engine.synthesis.saturation import LimitedLoop
-from ..identify.run import StoredIdentification
-from ..vehicle.nominal import NominalModel
-from .plants import design_settings, fig1_weights, plant_at
+from .plants import DesignProblem
 
 KAPPAS = (1.0, 1.5, 2.0, np.inf)
-"""The wanted demand over its limit; 1: the limit is never reached, inf: any demand."""
+"""Wanted demand over its limit; 1: the limit is never reached, inf: any demand."""
 SPEEDS = 4
 """Nodes, ends included."""
-ENERGY_RTOL, LEVEL_RTOL = 1e-3, 1e-4
-"""Largest relative differences between stated numbers and those proved anew."""
+ENERGY_RTOL, LEVEL_RTOL = 1e-5, 1e-4
+"""Largest relative differences between stated numbers and those proved again."""
 
 
 @dataclass(frozen=True)
 class LimitRow:
-    """At ``v_mps``, for a demand within ``kappa`` (None: any) times its limit.
+    """Row at ``v_mps``, for a demand within ``kappa`` (None: any) times its limit.
 
     stability_level: below 1 the loop is stable, by its constants (None: unstable in the middle of the
     sector). gain: bound from [w; n; r_c] to z (None: none found). energy: largest norm of [w; n; r_c] that
@@ -60,18 +57,18 @@ class LimitRow:
 
 @dataclass(frozen=True)
 class Limits:
-    """``rows``: speeds in order, and of each its kappas."""
+    """``rows`` in the order of speed, then kappa."""
 
     rows: tuple[LimitRow, ...]
 
     @property
     def largest_kappa(self) -> float:
-        """The largest kappa for which every speed is proved stable; 0: none."""
+        """Largest kappa with a proof of stability at every speed; 0 without any."""
         stable = {k: all(r.stable for r in self.rows if r.kappa == k) for k in self._kappas()}
         return max((np.inf if k is None else k for k, held in stable.items() if held), default=0.0)
 
     def energy(self) -> float:
-        """The energy that keeps some kappa's demand at every speed; 0: none."""
+        """Energy that keeps some kappa's demand at every speed; 0 without any."""
         by_speed: dict[float, float] = {}
         for row in self.rows:
             by_speed[row.v_mps] = max(by_speed.get(row.v_mps, 0.0), row.energy or 0.0)
@@ -81,7 +78,7 @@ class Limits:
         return list(dict.fromkeys(row.kappa for row in self.rows))
 
     def to_dict(self) -> dict:
-        """As controller.json holds it."""
+        """Entry of controller.json."""
         return {
             "claim": "frozen speeds, every LTI Delta within W_delta, anti-windup as the core runs it: while "
             "the wanted demand is within kappa times u_max the loop is stable where stability_level is below "
@@ -92,17 +89,17 @@ class Limits:
 
 
 def limits(
-    stored: StoredIdentification,
+    problem: DesignProblem,
     schedule: Scheduled,
     scaling: Scaling,
     progress: Progress = lambda _: None,
     workers: Map = map,
 ) -> Limits:
-    """The rows of SPEEDS nodes and every kappa, which ``workers`` share."""
+    """Rows of SPEEDS nodes and every kappa, shared by ``workers``."""
     some = evenly(len(schedule.speeds), SPEEDS)
     asked = [(float(schedule.speeds[k]), kappa) for k in some for kappa in KAPPAS]
     found = workers(
-        partial(_row, schedule, largest_step(stored, schedule)), _loops(stored, schedule, scaling, asked)
+        partial(_row, schedule, largest_step(problem, schedule)), _loops(problem, schedule, scaling, asked)
     )
     return Limits(tuple(counted(progress, _texts(asked), found)))
 
@@ -136,20 +133,23 @@ def _row(schedule: Scheduled, step_max: float, asked: tuple[float, LimitedLoop])
 def require_limits(
     path: Path,
     stated: dict | None,
-    stored: StoredIdentification,
+    problem: DesignProblem,
     schedule: Scheduled,
     scaling: Scaling,
     progress: Progress = lambda _: None,
     workers: Map = map,
 ) -> None:
-    """InputError unless the constants of ``stated`` (certificates.limits of ``path``) prove its numbers anew;
-    None claims nothing. ``workers`` share the rows."""
+    """Raise InputError unless the constants of ``stated`` (certificates.limits of ``path``) prove its
+    numbers.
+
+    None claims nothing. ``workers`` share the rows.
+    """
     if stated is None:
         return
     rows = stated["rows"]
     asked = [(row["v_mps"], np.inf if row["kappa"] is None else row["kappa"]) for row in rows]
-    step_max = largest_step(stored, schedule)
-    loops = zip(rows, _loops(stored, schedule, scaling, asked), strict=True)
+    step_max = largest_step(problem, schedule)
+    loops = zip(rows, _loops(problem, schedule, scaling, asked), strict=True)
     for _ in counted(
         progress, _texts(asked), workers(partial(_require_row, path, schedule, step_max), loops)
     ):
@@ -159,21 +159,22 @@ def require_limits(
 def _require_row(
     path: Path, schedule: Scheduled, step_max: float, asked: tuple[dict, tuple[float, LimitedLoop]]
 ) -> None:
-    """InputError unless a row's constants prove its numbers for its loop."""
+    """Raise InputError unless a row's constants prove its numbers for its loop."""
     row, (v, loop) = asked
 
     def refuse(name: str, value: float | None) -> None:
         raise InputError(
             path,
             f"certificates.limits at {row['v_mps']:g} m/s, kappa {row['kappa']}, {name}",
-            f"{value} when proved anew, not {row[name]}",
+            f"{value} when proved again, not {row[name]}",
             "the constants, coefficients and weights that were certified",
         )
 
     constants = np.array(row["stability_constants"], float)
     level = loop.stability().proved(loop.ones, 1.0, constants) if loop.stable else np.inf
     stated_level = np.inf if row["stability_level"] is None else row["stability_level"]
-    if stated_level != level and not abs(level - stated_level) <= LEVEL_RTOL * level:
+    same = stated_level == level or abs(level - stated_level) <= LEVEL_RTOL * level
+    if not same or (stated_level < 1) != (level < 1):
         refuse("stability_level", level)
     if row["gain"] is not None:
         constants = np.array(row["gain_constants"], float)
@@ -187,20 +188,28 @@ def _require_row(
             refuse("energy", energy)
 
 
-def largest_step(stored: StoredIdentification, schedule: Scheduled) -> float:
-    """Largest step of the demand from sample to sample that the rate limit lets pass [input unit]."""
-    return float(design_settings(stored).input_rate_max_per_s[0]) * schedule.Ts
+def largest_step(problem: DesignProblem, schedule: Scheduled) -> float:
+    """Return the largest step of the demand from sample to sample within the rate limit.
+
+    Parameters
+    ----------
+    problem : DesignProblem
+    schedule : Scheduled
+
+    Returns
+    -------
+    float, input unit
+    """
+    return float(problem.settings.input_rate_max_per_s[0]) * schedule.Ts
 
 
 def _loops(
-    stored: StoredIdentification,
+    problem: DesignProblem,
     schedule: Scheduled,
     scaling: Scaling,
     asked: list[tuple[float, float]],
 ) -> Iterator[tuple[float, LimitedLoop]]:
-    """Of every speed and kappa in ``asked`` the speed and the loop."""
-    settings, model = design_settings(stored), NominalModel(stored.project)
-    weights = fig1_weights(stored, settings)
+    """Speed and loop of every speed and kappa in ``asked``."""
     for v, kappa in asked:
-        plant = plant_at(stored, model, weights, v, False, settings.structure)
+        plant = problem.plant(v)
         yield v, LimitedLoop(plant, schedule.at(v), schedule.injection(v), kappa, scaling)

@@ -1,4 +1,4 @@
-"""What is proved of a scheduled loop while the speed moves; found, written and proved anew.
+"""Proofs for a scheduled loop while the speed moves: search, storage and repetition.
 
 Robust stability has the largest rate |dv/dt| that was found (engine/synthesis/lpv_certificate.py). Robust
 performance has one rate, and the level at which it holds there (engine/synthesis/least_level.py).
@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -33,53 +32,70 @@ from ..engine.synthesis.lpv_certificate import (
 )
 from ..engine.synthesis.scheduling import closed_scaled
 from ..engine.synthesis.statespace import StateSpace, lft
-from ..identify.run import StoredIdentification
-from ..vehicle.nominal import NominalModel
-from .plants import design_settings, fig1_weights, frozen_plant, plant_at
+from .plants import DesignProblem
 
 PERFORMANCE_RATE = 1.0
-"""Rate |dv/dt| in m/s^2 for which robust performance is searched: a truck brakes in service with about as
-much."""
+"""Rate |dv/dt| in m/s^2 for which robust performance is searched, about that of a truck's service braking."""
 TUNING_SPEEDS = 4
 """Nodes, ends included, for which D's shape is searched."""
 POSITIVE = ("rate_mps2", "level", "gain")
-"""Numbers of a claim without which it claims nothing."""
+"""Numbers that a claim needs."""
+MARGIN_RTOL = 1e-2
+"""Share by which a stated margin of a proof may exceed the one computed again: it is a small difference."""
 CLAIMS = ("stability", "performance")
-"""What is proved of a moving speed, the first for Delta's channels alone."""
+"""Claims on a moving speed, the first for Delta's channels alone."""
 MOVING_CLAIMS = {
     "stability": "the loop stays stable for every LTI Delta within W_delta",
     "performance": "every LTI Delta within W_delta leaves a gain from w to z below level, from rest: robust "
     "performance with A_t and A_u over level",
 }
-"""What each claim says of every speed of the range and every |dv/dt| up to the stated rate."""
+"""Words of each claim for every speed of the range and every |dv/dt| up to the stated rate."""
 
 
 @dataclass(frozen=True)
 class Moving:
-    """A claim's certificate and the D that it is about, up to the certificate's gain."""
+    """A claim's certificate and its D, scaled by the certificate's gain."""
 
     lpv: LpvCertificate
     scaling: Scaling
 
 
 def moving_certificates(
-    stored: StoredIdentification,
+    problem: DesignProblem,
     schedule: Scheduled,
     scaling: Scaling,
     progress: Progress = lambda _: None,
     workers: Map = map,
 ) -> dict[str, Moving | None]:
-    """The certificates for a moving speed by claim; None where none is found. A worker searches for
-    stability beside the search for performance."""
-    stable = workers(_stability, [(stored, schedule, scaling)])
+    """Search the certificates for a moving speed.
+
+    A worker searches for stability while another one searches for performance.
+
+    Parameters
+    ----------
+    problem : DesignProblem
+    schedule : Scheduled
+    scaling : Scaling, start of the search
+    progress : Callable, reports progress
+    workers : Map
+
+    Returns
+    -------
+    dict, Moving or None by claim
+
+    References
+    ----------
+    THEORY 7.5.
+    """
+    stable = workers(_stability, [(problem, schedule, scaling)])
     progress("performance: scaling")
-    delta = _delta(frozen_plant(stored, float(schedule.speeds[0])))
-    tuned_at = tuning(schedule, partial(frozen_plant, stored), scaling)
+    delta = _delta(problem.plant(float(schedule.speeds[0])))
+    tuned_at = tuning(schedule, problem.plant, scaling)
     own: dict[float, Scaling] = {}
 
     def family_at(level: float) -> Family:
         own[level] = tuned_at(level)
-        return scaled_families(stored, schedule, own[level])["performance"]
+        return scaled_families(problem, schedule, own[level])["performance"]
 
     level = find_level(family_at, delta, PERFORMANCE_RATE, lambda text: progress(f"performance: {text}"))
     progress("stability: storage function and proof")
@@ -89,10 +105,10 @@ def moving_certificates(
     }
 
 
-def _stability(asked: tuple[StoredIdentification, Scheduled, Scaling]) -> Moving | None:
-    """The certificate of stability; None where none is found or there is no Delta."""
-    stored, schedule, scaling = asked
-    families = scaled_families(stored, schedule, scaling)
+def _stability(asked: tuple[DesignProblem, Scheduled, Scaling]) -> Moving | None:
+    """Certificate of stability; None without one or without a Delta."""
+    problem, schedule, scaling = asked
+    families = scaled_families(problem, schedule, scaling)
     stable = find(families["stability"]) if "stability" in families else None
     return None if stable is None else Moving(stable, scaling)
 
@@ -103,8 +119,11 @@ def tuning(
     scaling: Scaling,
     workers: Map = map,
 ) -> Callable[[float], Scaling]:
-    """The D with the least frozen gain for the controller as it is, by the level; plant_of(v): the
-    generalised plant at v [m/s]; ``scaling``: where the search begins. ``workers`` share the speeds."""
+    """The D with the least frozen gain for the given controller, by the level.
+
+    plant_of(v) is the generalised plant at v [m/s]; ``scaling`` starts the search. ``workers`` share the
+    speeds.
+    """
     nodes = schedule.speeds[evenly(len(schedule.speeds), TUNING_SPEEDS)]
     plants = {float(v): plant_of(float(v)) for v in nodes}
     loops = [lft(plant.system, schedule.at(v)) for v, plant in plants.items()]
@@ -116,27 +135,32 @@ def tuning(
 
 
 def certified(asked: tuple[GeneralisedPlant, StateSpace, Scaling | None]) -> RobustPerformance:
-    """`certify` of a plant, a controller and a scaling, as workers are asked."""
+    """`certify` for a plant, a controller and a scaling, as sent to workers."""
     return certify(*asked)
 
 
 def _delta(plant: GeneralisedPlant) -> tuple[int, int]:
-    """How many rows and columns of a closed loop are Delta's."""
+    """Number of Delta's rows and columns in a closed loop."""
     return plant.n_delta_in, plant.n_delta_out
 
 
-def scaled_families(stored: StoredIdentification, schedule: Scheduled, scaling: Scaling) -> dict[str, Family]:
-    """By claim the loop over speed under ``scaling``; a design without Delta has performance alone."""
-    settings, model = design_settings(stored), NominalModel(stored.project)
-    weights = fig1_weights(stored, settings)
+def scaled_families(problem: DesignProblem, schedule: Scheduled, scaling: Scaling) -> dict[str, Family]:
+    """Make the loop over speed under a scaling, by claim.
 
-    def plant_of(v: float, probes: bool = False) -> GeneralisedPlant:
-        return plant_at(stored, model, weights, v, False, settings.structure, probes=probes)
+    Parameters
+    ----------
+    problem : DesignProblem
+    schedule : Scheduled
+    scaling : Scaling
 
-    plant = plant_of(float(schedule.speeds[0]))
+    Returns
+    -------
+    dict[str, Family], a design without Delta has performance alone
+    """
+    model, plant = problem.model, problem.plant(float(schedule.speeds[0]))
     # The probes: state, input, and with state uncertainty an input on every state; see
     # interconnection.generalised_plant.
-    held = model.n + model.n_u + (model.n if settings.structure == "K_is" else 0)
+    held = model.n + model.n_u + (model.n if problem.settings.structure == "K_is" else 0)
     first = scaling.systems(plant)[1].order
 
     def hold_bounds(low: float, high: float) -> tuple[np.ndarray, np.ndarray]:
@@ -144,7 +168,7 @@ def scaled_families(stored: StoredIdentification, schedule: Scheduled, scaling: 
         return first_derivative[:, :held], second[:, :held]
 
     family = Family(
-        lambda v: closed_scaled(plant_of(v, probes=True), schedule.at(v), scaling),
+        lambda v: closed_scaled(problem.plant(v, probes=True), schedule.at(v), scaling),
         schedule.speeds,
         slice(first, first + model.n),
         held,
@@ -162,16 +186,18 @@ def scaled_families(stored: StoredIdentification, schedule: Scheduled, scaling: 
 def require_moving(
     path: Path,
     stated: dict,
-    stored: StoredIdentification,
+    problem: DesignProblem,
     schedule: Scheduled,
     progress: Progress = lambda _: None,
     workers: Map = map,
 ) -> None:
-    """InputError unless every rate that the certificates ``stated`` in controller.json name is proved anew;
-    ``workers`` share the claims."""
+    """Raise InputError unless every rate in the certificates ``stated`` is proved again.
+
+    ``workers`` share the claims.
+    """
     said_of = {claim: stated["moving_speed"].get(claim, {"rate_mps2": np.nan}) for claim in CLAIMS}
     said_of = {claim: said for claim, said in said_of.items() if said["rate_mps2"] is not None}
-    asked = ((stored, schedule, claim, said) for claim, said in said_of.items())
+    asked = ((problem, schedule, claim, said) for claim, said in said_of.items())
     texts = [f"{claim}: proof between the speeds" for claim in said_of]
     for (claim, said), holds in zip(
         said_of.items(), counted(progress, texts, workers(_holds, asked)), strict=True
@@ -185,23 +211,24 @@ def require_moving(
             )
 
 
-def _holds(asked: tuple[StoredIdentification, Scheduled, str, dict]) -> bool:
-    """Whether what controller.json says of a claim at a moving speed is proved anew."""
-    stored, schedule, claim, said = asked
+def _holds(asked: tuple[DesignProblem, Scheduled, str, dict]) -> bool:
+    """Whether controller.json's statement of a claim at a moving speed is proved again."""
+    problem, schedule, claim, said = asked
     if not all(np.isfinite(said.get(name, np.nan)) and said[name] > 0 for name in POSITIVE):
         return False
     # A level is performance's: stability is claimed at 1 alone, with the design's own D.
-    families = scaled_families(stored, schedule, _scaling(said["scaling"]))
+    families = scaled_families(problem, schedule, _scaling(said["scaling"]))
     if claim not in families:
         return False
-    family, delta = families[claim], _delta(frozen_plant(stored, float(schedule.speeds[0])))
+    family, delta = families[claim], _delta(problem.plant(float(schedule.speeds[0])))
     family = replace(weighed(family, delta, said["level"], said["gain"]), adjoint=said["adjoint"])
     storage = _storage(family, said)
-    return storage is not None and prove(family, storage, said["rate_mps2"]) is not None
+    proof = None if storage is None else prove(family, storage, said["rate_mps2"])
+    return proof is not None and said["margin"] <= proof.margin * (1 + MARGIN_RTOL)
 
 
 def _storage(family: Family, said: dict) -> Storage | None:
-    """The storage function that controller.json holds; None where it is none of this loop over its range."""
+    """Storage function of controller.json; None where it is not of this loop over its range."""
     if said["P"] is None:
         return riccati_storage(family)
     n, knots = family.at(float(family.nodes[0])).order, said["knots_mps"]
@@ -218,12 +245,12 @@ def _storage(family: Family, said: dict) -> Storage | None:
 
 
 def moving_to_dict(found: dict[str, Moving | None]) -> dict:
-    """``found`` by claim as controller.json holds it; a claim that is not there claims nothing."""
+    """``found`` by claim for controller.json; a missing claim claims nothing."""
     return {claim: _moving(claim, found.get(claim)) for claim in CLAIMS}
 
 
 def _moving(claim: str, found: Moving | None) -> dict:
-    """A claim about a moving speed as controller.json holds it."""
+    """Entry of a claim about a moving speed in controller.json."""
     if found is None:
         return {
             "claim": f"no proof was found: of {claim} at a moving speed nothing is claimed",

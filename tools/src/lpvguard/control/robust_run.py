@@ -1,10 +1,10 @@
-"""The certified gain, run: nominal plant, weights, a stable Delta and the compiled controller, in float as on
-the ECU, without limits.
+"""The certified gain in simulation: nominal plant, weights, a stable Delta and the compiled float controller.
 
-For every Delta with ||Delta||_inf <= 1 / max(1, mu) the gain from [w; n; r_c] to z, both normalised (before
-the weights), is at most mu from rest: ||z|| <= mu ||[w; n; r_c]|| + ``QUANTISATION`` ||[w; n; r_c]||, the
-last for what the controller rounds. Tried on sampled Delta and inputs and on the worst stable Delta found
-(engine/synthesis/worst_case.py) with the input that it amplifies most.
+The demand has no limits. For every Delta with ||Delta||_inf <= 1 / max(1, mu) the gain from [w; n; r_c] to z,
+both normalised (before the weights), is at most mu from rest. With the controller's rounding,
+||z|| <= mu ||[w; n; r_c]|| + ``QUANTISATION`` ||[w; n; r_c]||. It is tested on sampled Delta and inputs. It
+is
+also tested on the worst stable Delta found (engine/synthesis/worst_case.py) with the input of largest gain.
 """
 
 from __future__ import annotations
@@ -25,18 +25,27 @@ from ..engine.synthesis.statespace import StateSpace, append, lft, to_discrete
 from ..engine.synthesis.worst_case import close_delta, worst_case
 
 QUANTISATION = 1e-4
-"""Stated share of float32 in z, relative to the input's norm; measured beside it."""
+"""Stated effect of float32 in z, relative to the input's norm; it is measured, too."""
 STEPS, WORST_STEPS, DECAY = 3000, 12000, 1000
-"""Samples of a draw, of the worst case, and of these how many at the end without input."""
+"""Samples of a draw and of the worst case, and the samples at the latter's end without input."""
 POLES_RAD_S = (0.02, 60.0)
 """Range of the sampled Delta's poles."""
 
 
 @dataclass(frozen=True)
 class RobustRun:
-    """Ratios ||z|| / ||[w; n; r_c]|| at speed v: ``sampled`` the largest of ``draws``, ``worst`` with the
-    worst Delta found, which in theory gives ``worst_gain``; ``bound`` is mu. ``rounding``: largest ||z - z of
-    the same loop in double|| / ||input||."""
+    """Ratios ||z|| / ||[w; n; r_c]|| at a speed.
+
+    Attributes
+    ----------
+    v : float, m/s
+    bound : float, mu
+    draws : int, sampled Delta and inputs
+    sampled : float, largest ratio of the draws
+    worst : float, ratio with the worst Delta found
+    worst_gain : float, its ratio in theory
+    rounding : float, largest ||z - z of the same loop in double|| / ||input||
+    """
 
     v: float
     bound: float
@@ -53,7 +62,17 @@ class RobustRun:
 
 
 class CompiledController:
-    """The controller of a generated folder, compiled from the ECU's sources."""
+    """Controller of a generated folder, compiled from the ECU's sources.
+
+    Parameters
+    ----------
+    folder : Path, generated folder
+
+    Raises
+    ------
+    InputError
+        If it has no controller.
+    """
 
     def __init__(self, folder: Path):
         try:
@@ -69,8 +88,10 @@ class CompiledController:
     def close(
         self, plant: StateSpace, n_measurement: int, v: float, w: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """z (N, n_z) and u (N, n_u) of ``plant`` ([w; u] to [z; y], discrete) from rest, for inputs w (N,
-        n_w), at speed v."""
+        """z (N, n_z) and u (N, n_u) of ``plant`` from rest for inputs w (N, n_w) at speed v [m/s].
+
+        The plant leads from [w; u] to [z; y], discrete.
+        """
         w = np.ascontiguousarray(w)
         n_z, n_u = plant.n_outputs - n_measurement, plant.n_inputs - w.shape[1]
         z, u = np.empty((len(w), n_z)), np.empty((len(w), n_u))
@@ -94,8 +115,22 @@ def run(
     draws: int,
     seed: int,
 ) -> RobustRun:
-    """``draws`` sampled Delta and inputs and the worst case at speed v. ``controller``: what the compiled one
-    stands for, in double."""
+    """Run sampled Delta and inputs and the worst case at a speed.
+
+    Parameters
+    ----------
+    compiled : CompiledController
+    plant : GeneralisedPlant, discrete
+    controller : StateSpace, the compiled one in double
+    v : float, m/s
+    proved : RobustPerformance, certificate at that speed
+    draws : int, number of samples
+    seed : int
+
+    Returns
+    -------
+    RobustRun
+    """
     random = np.random.default_rng(seed)
     size, dt, n_w = 1 / max(1.0, proved.upper), plant.system.dt, plant.performance_block.rows
     sampled, rounding = 0.0, 0.0
@@ -134,8 +169,8 @@ def _perturbed(plant: GeneralisedPlant, delta: StateSpace | None) -> StateSpace:
 
 
 def _ratio(compiled, plant, controller, v, delta, w, compare) -> tuple[float, float]:
-    """||z|| / ||w|| of the compiled loop and, to ``compare``, how far z is from the same loop's in double,
-    over ||w||."""
+    """||z|| / ||w|| of the compiled loop, and with ``compare`` the distance of z from that in double over
+    ||w||."""
     system, size = _perturbed(plant, delta), np.linalg.norm(w)
     z, _ = compiled.close(system, plant.n_measurement, v, w)
     rounded = np.linalg.norm(z - _response(lft(system, controller), w)) / size if compare else 0.0
@@ -151,7 +186,19 @@ def _response(G: StateSpace, w: np.ndarray) -> np.ndarray:
 
 
 def sampled_block(random, rows: int, cols: int, size: float, dt: float) -> StateSpace:
-    """A stable system of norm at most ``size``, first to fourth order, poles log-uniform, real or complex."""
+    """Draw a stable system of first to fourth order with log-uniform poles, real or complex.
+
+    Parameters
+    ----------
+    random : Generator, of numpy
+    rows, cols : int, outputs and inputs
+    size : float, largest norm
+    dt : float, s
+
+    Returns
+    -------
+    StateSpace
+    """
     n = int(random.integers(1, 5))
     poles = np.exp(random.uniform(*np.log(POLES_RAD_S), n))
     A = -np.diag(poles) + np.triu(random.standard_normal((n, n)), 1) * poles[:, None]
@@ -168,7 +215,7 @@ def sampled_block(random, rows: int, cols: int, size: float, dt: float) -> State
 
 
 def _sampled_input(random, n_w: int, dt: float) -> np.ndarray:
-    """White noise, or a few sines in random directions, and then nothing."""
+    """White noise, or a few sines in random directions, then zero."""
     if random.random() < 0.5:
         w = random.standard_normal((STEPS, n_w))
     else:

@@ -1,12 +1,13 @@
-"""What a design's loop has at every node of its speeds beside mu (THEORY 7.10).
+"""Robustness of a design's loop at every node of its speeds besides mu (THEORY 7.10).
 
-Bounds that hold between frequencies, the worst-case gain, disk margins at the vehicle's input, and the
-nu-gap to the neighbouring vehicles. All of it is about frozen speeds, the coefficients as the core runs
-them and the nominal vehicle. Worst-case gain and mu are bounds over every Delta of size 1.
+It has bounds between frequencies, the worst-case gain, disk margins at the vehicle's input, and the nu-gap to
+the neighbouring vehicles. All of it is about frozen speeds, the core's coefficients and the nominal vehicle.
+Worst-case gain and mu are bounds over every Delta of size 1.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
@@ -28,16 +29,19 @@ from ..engine.synthesis.nu_gap import nu_gap, nu_margin
 from ..engine.synthesis.statespace import StateSpace, lft
 from ..engine.synthesis.worst_case import worst_case
 from ..engine.synthesis.worst_gain import worst_gain
-from ..identify.run import StoredIdentification
 from ..vehicle.nominal import NominalModel
-from .plants import design_settings, fig1_weights, plant_at, vehicle_at
+from .plants import DesignProblem, vehicle_at
 
-FOUND_RTOL, EXACT_RTOL = 2e-3, 1e-4
-"""Largest relative difference between a stated number and the one computed anew: of a bound that cells or a
-search find, and of a norm."""
+FOUND_RTOL, EXACT_RTOL = 2e-3, 1e-5
+"""Largest relative difference between stated and computed numbers: of a bound by cells or a search, and of
+a norm."""
 LOOSE = {"mu_interval", "worst_gain", "worst_gain_found"}
+UPPER = ("mu_interval", "worst_gain")
+"""Upper bounds: a stated one may exceed the proved one by FOUND_RTOL, and may not be below it."""
+PROVED_RTOL = 1e-9
+"""Rounding of a stated upper bound."""
 SCALING_NODES, SCALING_STEPS = 3, 60
-"""Pairs of neighbours for which the units of the nu-gap are searched, and steps of that search."""
+"""Pairs of neighbours for which the units of the nu-gap are searched, and steps of the search."""
 
 
 @dataclass(frozen=True)
@@ -45,10 +49,10 @@ class NodeRobustness:
     """One node, ``v_mps``.
 
     mu_interval: bound of mu proved at every frequency. worst_gain: bound of the gain from [w; n; r_c] to z
-    over every Delta of size 1 (None: none was proved); worst_gain_found: what one such Delta reaches
-    (None: none was found). disk_S, disk_T, disk_balanced: disk margins at the vehicle's input (T27).
-    nu_margin: b(P, K). nu_gap_next, nu_gap_midpoint: nu-gap to the vehicle at the next node and midway to
-    it (None at the last node).
+    over every Delta of size 1 (None: none proved); worst_gain_found: gain with one such Delta (None: none
+    found). disk_S, disk_T, disk_balanced: disk margins at the vehicle's input (T27). nu_margin: b(P, K).
+    nu_gap_next, nu_gap_midpoint: nu-gap to the vehicle at the next node and midway to it (None at the last
+    node).
     """
 
     v_mps: float
@@ -65,14 +69,14 @@ class NodeRobustness:
 
 @dataclass(frozen=True)
 class Robustness:
-    """``nodes``; ``unit_u``, ``units_y`` (n_y,): what the nu-gap counts as 1 of input and outputs."""
+    """``nodes``; ``unit_u``, ``units_y`` (n_y,): units of input and outputs for the nu-gap."""
 
     nodes: tuple[NodeRobustness, ...]
     unit_u: float
     units_y: tuple[float, ...]
 
     def to_dict(self) -> dict:
-        """As controller.json holds it."""
+        """Entry of controller.json."""
         return {
             "claim": "frozen speeds, LTI Delta of size 1: mu_interval and worst_gain hold at every frequency "
             "between 0 and half the sampling frequency; disk margins are those of the nominal loop; "
@@ -84,75 +88,83 @@ class Robustness:
 
 
 def robustness(
-    stored: StoredIdentification,
+    problem: DesignProblem,
     schedule: Scheduled,
     scaling: Scaling,
     progress: Progress = lambda _: None,
     workers: Map = map,
 ) -> Robustness:
-    """The numbers of every node; ``scaling`` helps the search for the worst Delta, ``workers`` share the
+    """Robustness of every node; ``scaling`` helps the search for the worst Delta, ``workers`` share the
     nodes."""
-    unit_u, units_y = _units(NominalModel(stored.project), schedule, workers)
-    return _with_units(stored, schedule, scaling, unit_u, units_y, progress, workers)
+    unit_u, units_y = _units(problem.model, schedule, workers)
+    return _with_units(problem, schedule, scaling, unit_u, units_y, progress, workers)
 
 
 def require_robustness(
     path: Path,
     stated: dict | None,
-    stored: StoredIdentification,
+    problem: DesignProblem,
     schedule: Scheduled,
     scaling: Scaling,
     progress: Progress = lambda _: None,
     workers: Map = map,
 ) -> None:
-    """InputError unless ``stated`` (certificates.robustness of ``path``) is what is computed anew, in its
-    units; None claims nothing."""
+    """Raise InputError unless ``stated`` (certificates.robustness of ``path``) is computed again, in its
+    units.
+
+    None claims nothing. An upper bound below the one computed again is proved as stated.
+    """
     if stated is not None:
         units = stated["unit_u"], tuple(stated["units_y"])
-        compare(path, stated, _with_units(stored, schedule, scaling, *units, progress, workers))
+        found = _with_units(problem, schedule, scaling, *units, progress, workers, stated["nodes"])
+        compare(path, stated, found)
 
 
 def compare(path: Path, stated: dict, found: Robustness) -> None:
-    """InputError naming the node and the number of ``stated`` that is not that of ``found``."""
+    """Raise InputError for the node and the number of ``stated`` that differs from ``found``."""
     if len(stated["nodes"]) != len(found.nodes):
         raise InputError(
             path, "certificates.robustness.nodes", f"{len(stated['nodes'])} rows", f"{len(found.nodes)} nodes"
         )
     for row, node in zip(stated["nodes"], found.nodes, strict=True):
         for name, want in asdict(node).items():
-            value, rtol = row[name], FOUND_RTOL if name in LOOSE else EXACT_RTOL
-            same = value is want if None in (value, want) else abs(value - want) <= rtol * abs(want)
+            above = FOUND_RTOL if name in LOOSE else EXACT_RTOL
+            below = PROVED_RTOL if name in UPPER else above
+            value = row[name]
+            room = 0.0 if want is None else abs(want)
+            same = value is want if None in (value, want) else -below * room <= value - want <= above * room
             if not same:
                 raise InputError(
                     path,
                     f"certificates.robustness at {node.v_mps:g} m/s, {name}",
-                    f"{want} when computed anew, not {value}",
+                    f"{want} when computed again, not {value}",
                     "the coefficients and weights that were certified",
                 )
 
 
 def _with_units(
-    stored: StoredIdentification,
+    problem: DesignProblem,
     schedule: Scheduled,
     scaling: Scaling,
     unit_u: float,
     units_y: tuple[float, ...],
     progress: Progress,
     workers: Map,
+    stated: Sequence[dict] = (),
 ) -> Robustness:
-    settings, model = design_settings(stored), NominalModel(stored.project)
-    weights, speeds = fig1_weights(stored, settings), [float(v) for v in schedule.speeds]
+    speeds = [float(v) for v in schedule.speeds]
     asked = [
         _Asked(
             v,
-            plant_at(stored, model, weights, v, False, settings.structure),
+            problem.plant(v),
             schedule.at(v),
-            vehicle_at(model, v),
+            vehicle_at(problem.model, v),
             tuple(
-                vehicle_at(model, other)
+                vehicle_at(problem.model, other)
                 for after in speeds[k + 1 : k + 2]
                 for other in (after, 0.5 * (v + after))
             ),
+            {name: stated[k][name] for name in UPPER} if k < len(stated) else {},
         )
         for k, v in enumerate(speeds)
     ]
@@ -163,21 +175,42 @@ def _with_units(
 
 @dataclass(frozen=True)
 class _Asked:
-    """A node: its generalised plant, controller and vehicle, and the vehicles at the next node and
-    midway to it (none at the last)."""
+    """A node: its generalised plant, controller and vehicle, and its neighbours' vehicles.
+
+    These are at the next node and midway to it; the last node has none. ``stated`` holds upper bounds by name
+    to prove.
+    """
 
     v: float
     plant: GeneralisedPlant
     K: StateSpace
     P: StateSpace
     neighbours: tuple[StateSpace, ...]
+    stated: dict[str, float | None]
+
+    def proved(self, name: str, bound: Callable[[float], float]) -> float:
+        """Return the upper bound ``name`` as stated if it is proved, else the one computed anew.
+
+        ``bound`` is the upper bound by the level from which its search begins. It is asked for the stated
+        level only where that is less than what it finds by itself.
+        """
+        value, stated = bound(0.0), self.stated.get(name)
+        near = stated is not None and value * (1 - FOUND_RTOL) <= stated < value
+        return bound(stated) if near and stated is not None else value
 
 
 def _node(scaling: Scaling, unit_u: float, units_y: tuple[float, ...], at: _Asked) -> NodeRobustness:
     plant, K = at.plant, at.K
     loop, last = lft(plant.system, K), np.pi / plant.system.dt
     performance = plant.performance_block
-    gain = worst_gain(loop, plant.blocks, performance, 0.0, last).upper
+    gain = at.proved(
+        "worst_gain",
+        lambda least: worst_gain(loop, plant.blocks, performance, 0.0, last, least=least).upper,
+    )
+    mu = at.proved(
+        "mu_interval",
+        lambda least: mu_interval(loop, [*plant.blocks, performance], 0.0, last, least=least).upper,
+    )
     try:
         found = worst_case(plant, K, scaling if plant.blocks else None).gain
     except ArithmeticError:
@@ -186,7 +219,7 @@ def _node(scaling: Scaling, unit_u: float, units_y: tuple[float, ...], at: _Aske
     gaps = [nu_gap(here, _in_units(other, unit_u, units_y)).upper for other in at.neighbours]
     return NodeRobustness(
         at.v,
-        mu_interval(loop, [*plant.blocks, performance], 0.0, last).upper,
+        mu,
         gain if np.isfinite(gain) else None,
         found,
         **{f"disk_{name}": _disk(at.P, back, skew) for name, skew in SKEWS.items()},
@@ -197,7 +230,7 @@ def _node(scaling: Scaling, unit_u: float, units_y: tuple[float, ...], at: _Aske
 
 
 def _feedback(K: StateSpace) -> StateSpace:
-    """The controller from the outputs alone; its first input is the reference."""
+    """The controller without the reference, its first input."""
     return K.select(slice(None), slice(1, None))
 
 
@@ -226,8 +259,10 @@ def _controller_in_units(K: StateSpace, unit_u: float, units_y: tuple[float, ...
 
 
 def _units(model: NominalModel, schedule: Scheduled, workers: Map) -> tuple[float, tuple[float, ...]]:
-    """The units in which nu-gaps between neighbours are smallest beside b(P, K), by a search from those of
-    a stationary vehicle at its limit in the middle of the range."""
+    """Units with the smallest nu-gaps between neighbours relative to b(P, K).
+
+    The search starts from those of a stationary vehicle at its limit in the middle of the range.
+    """
     speeds = [float(v) for v in schedule.speeds]
     middle = speeds[len(speeds) // 2]
     P = vehicle_at(model, middle)

@@ -1,11 +1,11 @@
-"""Finding a controller over speed: its common poles and, at every node, its numerators and anti-windup
+"""Computes a controller over speed: common poles, and numerators and anti-windup at every node
 (core/scheduled.py).
 
 A controller of the order of an H-infinity design differs from speed to speed mostly in its zeros: a set of
 poles common to all speeds serves them all with few more states. The poles are those of one system: all nodes'
-demands side by side, each with inputs of its own, summed into one output, truncated in balanced coordinates
-with weights (Enns 1984). Given them, every B is a linear least-squares fit. Both are weighed by what a
-deviation of K does to the scaled closed loop,
+demands side by side, each with separate inputs, summed into one output, truncated in balanced coordinates
+with weights (Enns 1984). Given them, every B is a linear least-squares fit. Both are weighted by the effect
+of a deviation of K on the scaled closed loop,
 
     D P12 (1 - K P22)^-1  dK  (1 - P22 K)^-1 P21 D^-1.
 
@@ -35,22 +35,21 @@ from ..engine.synthesis.statespace import StateSpace
 FIT_POINTS = 100
 """Frequencies of the fits, besides zero: five decades up to the Nyquist frequency."""
 UNUSED = 1e-6
-"""Share of what the loop must hear of all measurements, below which one is left out at every node."""
+"""Share of the loop's need for all measurements below which one is left out at every node."""
 LARGEST_POLE = 1 - 1e-6
-"""Modulus to which a common pole on or outside the unit circle is brought: weights can make one."""
+"""Largest modulus of a common pole; weights can push one onto or outside the unit circle."""
 RIDGE = 1e-6
-"""Of a measurement's largest column, added to each fit: keeps states that contribute little from cancelling
-each other."""
+"""Share of a measurement's largest column, added to each fit, so that states of small effect do not
+cancel."""
 RECOVERY_RIDGE = 1e-4
 RECOVERY_EFFORT = 0.03
-"""Weight of the recovery's input, in the node's u_max, against the output, in what u_max makes of it in the
-end; in squares."""
+"""Weight, in squares, of the recovery's input (unit u_max) against the output (unit: steady answer to
+u_max)."""
 
 
 @dataclass(frozen=True)
 class FrozenLoop:
-    """One speed: the controller to be realised, one sample late; its generalised plant; the vehicle from u to
-    y. All discrete."""
+    """One speed: delayed controller, generalised plant, and vehicle from u to y, all discrete."""
 
     controller: StateSpace
     plant: GeneralisedPlant
@@ -60,11 +59,12 @@ class FrozenLoop:
 def fit_by_pairs(
     loops: Sequence[FrozenLoop], speeds: np.ndarray, scaling: Scaling, u_max: np.ndarray
 ) -> Callable[[int], Scheduled]:
-    """A function of the number of pairs of poles. It gives the schedule of so many and a delay that comes
-    nearest to the controllers of ``loops``, one a speed.
+    """Function of the number of pairs of poles that returns the schedule closest to the controllers of
+    ``loops``.
 
-    u_max (G, n_u): largest |demand| at every speed [input unit]. Raises LinAlgError where a loop's
-    sensitivity or recovery does not exist.
+    The schedule has so many pairs and a delay; there is a loop a speed. u_max (G, n_u) is the largest
+    |demand| at
+    every speed [input unit]. Raises LinAlgError where a loop's sensitivity or recovery does not exist.
     """
     Ts = loops[0].controller.dt
     omega = np.concatenate([[0.0], np.logspace(-5, 0, FIT_POINTS) * np.pi / Ts * (1 - 1e-9)])
@@ -90,7 +90,7 @@ def fit_by_pairs(
 def _common_poles(
     loops: Sequence[FrozenLoop], fits: Sequence[_RowFit], z: np.ndarray
 ) -> Callable[[int], np.ndarray]:
-    """A function of their number (even): so many poles in the z plane that serve all demands of all loops."""
+    """Function of an even number that returns so many common poles in the z plane."""
     density = np.sqrt(np.gradient(np.log(np.maximum(np.angle(z), 0.5 * np.angle(z[1])))))
     heard = density * np.sqrt(np.mean([f.left**2 for f in fits], axis=0))
     reached, seen, A, C = [], [], [], []
@@ -126,8 +126,10 @@ def _factor(values: np.ndarray) -> np.ndarray:
 
 
 def first_columns(poles: np.ndarray) -> np.ndarray:
-    """a (n,) of pairs of ``poles`` (n,) in the z plane, slowest first; complex ones with their conjugates, an
-    even number of real ones."""
+    """a (n,) of pairs of ``poles`` (n,) in the z plane, slowest first.
+
+    Complex poles come with their conjugates, real ones in an even number.
+    """
     real = np.sort(poles[np.abs(poles.imag) < 1e-9].real)[::-1]
     upper = poles[poles.imag >= 1e-9]
     pairs = np.vstack([np.column_stack([upper, upper.conj()]), real.reshape(-1, 2)]) - 1
@@ -136,8 +138,7 @@ def first_columns(poles: np.ndarray) -> np.ndarray:
 
 
 def _used(B: np.ndarray, fits: Sequence[_RowFit], a: np.ndarray, z: np.ndarray) -> np.ndarray:
-    """B (k, n, m) of every fit without the measurements that no fit needs: a state that nothing moves is one
-    less to prove."""
+    """B (k, n, m) of every fit without the measurements that no fit needs, which saves states in proofs."""
     share = np.zeros(B.shape[2])
     for rows, f in zip(B, fits, strict=True):
         K = f.left[:, None] * (observed(a, z) @ rows)
@@ -147,7 +148,7 @@ def _used(B: np.ndarray, fits: Sequence[_RowFit], a: np.ndarray, z: np.ndarray) 
 
 
 def observed(a: np.ndarray, z: np.ndarray) -> np.ndarray:
-    """C (z I - A)^-1, (k, n): what each state adds to the demand."""
+    """C (z I - A)^-1, (k, n): contribution of each state to the demand."""
     d = z[:, None] - 1
     first, second = a[: len(a) // 2 * 2].reshape(-1, 2).T
     pair = 1 / (d * d - first * d - second)
@@ -161,7 +162,7 @@ def _stacked(values: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class _RowFit:
-    """One demand at one speed: response (k, m) to be met, weights left (k,) and right (k, m, m) of a
+    """One demand at one speed: target response (k, m), and weights left (k,) and right (k, m, m) of a
     deviation."""
 
     response: np.ndarray
@@ -174,7 +175,7 @@ class _RowFit:
         size = np.sqrt(np.mean(np.abs(seen) ** 2, axis=0))
         K = np.einsum("k,kj,kmc->kcjm", self.left, seen / size, self.right).reshape(self.response.size, -1)
         wanted = np.einsum("k,km,kmc->kc", self.left, self.response, self.right).ravel()
-        # By measurement: one that the loop must hardly use weighs its columns up by orders of magnitude.
+        # Per measurement: one that the loop hardly needs gets columns that are orders of magnitude larger.
         largest = np.linalg.norm(K, axis=0).reshape(len(a), -1).max(axis=0)
         ridge = RIDGE * np.diag(np.tile(largest, len(a)))
         return np.vstack([_stacked(K), ridge]), np.append(_stacked(wanted), np.zeros(len(ridge))), size
@@ -186,7 +187,7 @@ class _RowFit:
 
 
 def _fits(loop: FrozenLoop, scaling: Scaling, omega: np.ndarray) -> list[_RowFit]:
-    """One fit a demand, weighed by the scaled closed loop."""
+    """One fit a demand, weighted by the scaled closed loop."""
     plant, K = loop.plant, loop.controller.response(omega)
     P = plant.system.response(omega)
     n_z, n_w = P.shape[1] - plant.n_measurement, P.shape[2] - plant.n_control
@@ -207,8 +208,10 @@ def _fits(loop: FrozenLoop, scaling: Scaling, omega: np.ndarray) -> list[_RowFit
 def _recovery(
     vehicle: StateSpace, a: np.ndarray, B: np.ndarray, u_max: np.ndarray, z: np.ndarray
 ) -> np.ndarray:
-    """L (n_u, n, n_u) at one speed (the module's docstring), B (n_u, n, 1 + n_y) without the reference's
-    column, u_max (n_u,)."""
+    """L (n_u, n, n_u) at one speed; see the module's docstring.
+
+    B is (n_u, n, 1 + n_y), whose reference column is ignored; u_max (n_u,).
+    """
     A_p, B_p, C_p = vehicle.A, vehicle.B, vehicle.C
     eye, n_u = np.eye(len(A_p)), len(u_max)
     in_the_end = (C_p @ np.linalg.solve(eye - A_p, B_p))[0] * u_max
@@ -220,7 +223,7 @@ def _recovery(
     wanted = -shown @ np.linalg.solve(
         z[:, None, None] * eye - A_p + B_p @ F, np.broadcast_to(B_p, (len(z), *B_p.shape))
     )
-    # With L the demand under limits is (1 + wanted)^-1 of what it would be: a deviation counts by that.
+    # Under limits L scales the demand by (1 + wanted)^-1, which weights a deviation.
     weight = np.linalg.norm(np.linalg.inv(np.eye(n_u) + wanted), axis=1)
     L = np.empty((n_u, len(a), n_u))
     for i in range(n_u):

@@ -1,8 +1,8 @@
-"""How fast Delta may vary at every node, beside how fast the frames that set its bounds let it vary unseen
+"""Largest rate of a varying Delta at every node, and the rates that the frames of its bounds leave hidden
 (THEORY 7.11).
 
-A rate r [1/s] says that Delta changes in gain by at most r Ts from one sample to the next, Delta being any
-causal linear operator of gain 1. The speed is frozen.
+At a rate r [1/s] Delta changes in gain by at most r Ts from one sample to the next, for any causal linear
+Delta of gain 1. The speed is frozen.
 """
 
 from __future__ import annotations
@@ -22,24 +22,22 @@ from ..engine.synthesis.dk import Scaling
 from ..engine.synthesis.interconnection import GeneralisedPlant
 from ..engine.synthesis.slow_delta import SlowLoop
 from ..engine.synthesis.statespace import StateSpace
-from ..identify.run import StoredIdentification
-from ..vehicle.nominal import NominalModel
-from .plants import design_settings, fig1_weights, plant_at
+from .plants import DesignProblem
 
 LEVEL_RTOL = 1e-4
-"""Largest relative difference between a stated level and the one proved anew."""
+"""Largest relative difference between a stated level and the one proved again."""
 FULL_SWING = 2.0
-"""Change in gain of a Delta of size 1 that turns its sign."""
+"""Change in gain of a Delta of size 1 that changes its sign."""
 
 
 @dataclass(frozen=True)
 class NodeSlowness:
     """One node, ``v_mps``.
 
-    performance_rate [1/s]: up to it the gain stays below 1, by ``performance_constants`` and
-    ``performance_level``. stability_rate [1/s]: up to it the loop stays stable, by ``stability_constants``
-    and ``stability_level`` (rate None and level below 1: for a Delta of any rate, without D(s)). A rate of
-    0: nothing is proved.
+    performance_rate [1/s]: largest rate with a gain below 1, by ``performance_constants`` and
+    ``performance_level``. stability_rate [1/s]: largest rate with a stable loop, by ``stability_constants``
+    and ``stability_level``. Rate None with a level below 1 means a Delta of any rate, without D(s). A rate of
+    0 means no proof.
     """
 
     v_mps: float
@@ -53,8 +51,8 @@ class NodeSlowness:
 
 @dataclass(frozen=True)
 class Slowness:
-    """``nodes``; ``hidden_slow``, ``hidden_fast`` [1/s]: a Delta that turns its sign within the longest
-    and within the shortest frame."""
+    """``nodes``; ``hidden_slow``, ``hidden_fast`` [1/s]: rates of a sign change within the longest and
+    shortest frame."""
 
     nodes: tuple[NodeSlowness, ...]
     hidden_slow: float
@@ -62,16 +60,16 @@ class Slowness:
 
     @property
     def performance_rate(self) -> float:
-        """The rate [1/s] proved at every node."""
+        """Rate [1/s] proved at every node."""
         return min(node.performance_rate for node in self.nodes)
 
     @property
     def stability_rate(self) -> float | None:
-        """The rate [1/s] proved at every node; None: any."""
+        """Rate [1/s] proved at every node; None: any."""
         return min((n.stability_rate for n in self.nodes if n.stability_rate is not None), default=None)
 
     def to_dict(self) -> dict:
-        """As controller.json holds it."""
+        """Entry of controller.json."""
         return {
             "claim": "frozen speeds, every causal linear Delta of gain 1 within W_delta that changes in gain "
             "by at most rate x Ts from sample to sample: gain below 1 up to performance_rate, stable up to "
@@ -85,18 +83,18 @@ class Slowness:
 
 
 def slowness(
-    stored: StoredIdentification,
+    problem: DesignProblem,
     schedule: Scheduled,
     scaling: Scaling,
     progress: Progress = lambda _: None,
     workers: Map = map,
 ) -> Slowness | None:
-    """The rates of every node, which ``workers`` share, by the stored scaling D(s); None for a design without
+    """Rates of every node by the stored scaling D(s), shared by ``workers``; None for a design without
     Delta."""
     if not len(scaling.log_parameters):
         return None
-    nodes = workers(partial(_node, scaling), _closed(stored, schedule))
-    return Slowness(tuple(counted(progress, _texts(schedule), nodes)), *hidden_rates(stored))
+    nodes = workers(partial(_node, scaling), _closed(problem, schedule))
+    return Slowness(tuple(counted(progress, _texts(schedule), nodes)), *hidden_rates(problem))
 
 
 def _texts(schedule: Scheduled) -> list[str]:
@@ -123,24 +121,29 @@ def _node(scaling: Scaling, closed: tuple[float, GeneralisedPlant, StateSpace]) 
     )
 
 
-def hidden_rates(stored: StoredIdentification) -> tuple[float, float]:
-    """The rates [1/s] at which a Delta of size 1 turns its sign within the longest and the shortest frame.
-    Of such a Delta a frame shows the mean alone."""
-    lengths = np.asarray(stored.bounds["length_samples"], float) * stored.project.Ts_s
+def hidden_rates(problem: DesignProblem) -> tuple[float, float]:
+    """Rates [1/s] at which a Delta of size 1 changes its sign within the longest and the shortest frame.
+
+    A frame shows only the mean of such a Delta.
+    """
+    lengths = np.asarray(problem.stored.bounds["length_samples"], float) * problem.model.Ts
     return float(FULL_SWING / lengths.max()), float(FULL_SWING / lengths.min())
 
 
 def require_slowness(
     path: Path,
     stated: dict | None,
-    stored: StoredIdentification,
+    problem: DesignProblem,
     schedule: Scheduled,
     scaling: Scaling,
     progress: Progress = lambda _: None,
     workers: Map = map,
 ) -> None:
-    """InputError unless the constants of ``stated`` (certificates.slow_delta of ``path``) prove its rates
-    anew; None claims nothing. ``workers`` share the nodes."""
+    """Raise InputError unless the constants of ``stated`` (certificates.slow_delta of ``path``) prove its
+    rates.
+
+    None claims nothing. ``workers`` share the nodes.
+    """
     if stated is None:
         return
     nodes = stated["nodes"]
@@ -148,7 +151,7 @@ def require_slowness(
         raise InputError(path, "certificates.slow_delta.nodes", "not the speeds", "one row a node")
     rates = [row["performance_rate"] for row in nodes], [row["stability_rate"] for row in nodes]
     least = min(rates[0]), min((r for r in rates[1] if r is not None), default=None)
-    of_frames = hidden_rates(stored)
+    of_frames = hidden_rates(problem)
     for name, want in (
         ("performance_rate_per_s", least[0]),
         ("stability_rate_per_s", least[1]),
@@ -161,7 +164,7 @@ def require_slowness(
             raise InputError(
                 path, f"certificates.slow_delta.{name}", f"{value}", f"{want}, of nodes and frames"
             )
-    asked = zip(nodes, _closed(stored, schedule), strict=True)
+    asked = zip(nodes, _closed(problem, schedule), strict=True)
     for _ in counted(progress, _texts(schedule), workers(partial(_require_node, path, scaling), asked)):
         pass
 
@@ -169,7 +172,7 @@ def require_slowness(
 def _require_node(
     path: Path, scaling: Scaling, asked: tuple[dict, tuple[float, GeneralisedPlant, StateSpace]]
 ) -> None:
-    """InputError unless a row's constants prove its rates for its loop."""
+    """Raise InputError unless a row's constants prove its rates for its loop."""
     row, (v, plant, K) = asked
     moving, still = _loops(plant, K, scaling)
     any_rate = row["stability_rate"] is None
@@ -191,19 +194,17 @@ def _require_node(
 
 
 def _closed(
-    stored: StoredIdentification, schedule: Scheduled
+    problem: DesignProblem, schedule: Scheduled
 ) -> Iterator[tuple[float, GeneralisedPlant, StateSpace]]:
-    """Of each node its speed, generalised plant and controller."""
-    settings, model = design_settings(stored), NominalModel(stored.project)
-    weights = fig1_weights(stored, settings)
+    """Speed, generalised plant and controller of each node."""
     for v in map(float, schedule.speeds):
-        yield v, plant_at(stored, model, weights, v, False, settings.structure), schedule.at(v)
+        yield v, problem.plant(v), schedule.at(v)
 
 
 def _loops(
     plant: GeneralisedPlant, K: StateSpace, scaling: Scaling
 ) -> tuple[tuple[SlowLoop, SlowLoop], SlowLoop]:
-    """The loops with D(s) for performance and for stability, and the one without D(s) for stability."""
+    """Loops with D(s) for performance and for stability, and without D(s) for stability."""
     constant = Scaling(scaling.log_parameters[:, :1])
     with_D = SlowLoop(plant, K, scaling, True), SlowLoop(plant, K, scaling, False)
     return with_D, SlowLoop(plant, K, constant, False)

@@ -1,12 +1,11 @@
-"""Bounds and weights recomputed from few frames: quick enough to stand inside a search over trade-offs.
+"""Bounds and weights from few frames, quick enough for a search over trade-offs.
 
 A frame decides when no other frame of the bin exceeds it in B1, |Z| and |delta0| at once. gamma_w's rule (T8)
 and nu (T5) grow with each of the three, so their maxima over the deciding frames are those over all. Deciding
-frames come from every start sample of the drives that set the bounds; those within NEAR of one that is kept
+frames come from every start sample of the drives that set the bounds; those within NEAR of a kept one
 are left out. Without the drives the stored sample replaces them (spectra.npz: per bin the frames of largest
-|E| and a draw, on the core's grid). Largest |w_j| are over the sample and these frames, so they are near
-their bounds and are no bounds. The result is for choosing a trade-off. Bounds come from `identify` with that
-choice.
+|E| and a draw, on the core's grid). The largest |w_j| over the sample and these frames only approximate their
+bounds. The result serves to choose a trade-off. `identify` computes the bounds for that choice.
 
 Class S2 (paper, K_is) needs u and the nominal state of a frame. They are taken from Z through the frozen
 model at the frame's mean speed: u the least-squares input behind Z, x_nom = (zI - A_d)^-1 B_d u.
@@ -21,10 +20,9 @@ from scipy.linalg import expm
 
 from ..base.errors import InputError
 from ..base.progress import Counted, Progress
-from ..drives.frames import Estimator
 from ..engine.validation import s1, s2
 from ..identify.bounds import FrameSet, counted_frames, explain, reduce_disturbance
-from ..identify.run import DriveSet, StoredIdentification
+from ..identify.identification import DriveSet, StoredIdentification
 from ..identify.weights import (
     SMALLEST_NU,
     FittedWeight,
@@ -33,17 +31,16 @@ from ..identify.weights import (
     fit_uncertainty,
     smallest_disturbance,
 )
-from ..vehicle.nominal import NominalModel
 
 NEAR = 0.02
 
 
 @dataclass(frozen=True)
 class Split:
-    """The error of every stored frame divided among uncertainty and disturbance, as maxima per bin.
+    """Error of every stored frame divided among uncertainty and disturbance, as maxima per bin.
 
     nu_i (K,): input-multiplicative; nu_s (K,) [1/s]: on the state, None in class S1; B_w (K, n_y):
-    disturbance, jointly covering where the project asks for it. NaN: no frame. ``at_cap``: frames whose best
+    disturbance, jointly covering where the project requires it. NaN: no frame. ``at_cap``: frames whose best
     nu_s was the well-posedness cap, explained by nu_i alone instead.
     """
 
@@ -64,10 +61,13 @@ class SplitWeights:
 
 
 class StoredFrames:
-    """Frames of the drives that set the bounds: the stored sample and, given the drives, those that decide
-    the bounds.
+    """Frames of the bound-setting drives: the stored sample, with the drives also the deciding frames.
 
-    ``complete``: whether the drives were given.
+    Parameters
+    ----------
+    stored : StoredIdentification
+    drives : DriveSet, optional, the identification's drives
+    progress : Progress, default lambda _: None
     """
 
     def __init__(
@@ -77,8 +77,7 @@ class StoredFrames:
         progress: Progress = lambda _: None,
     ):
         self.stored, self.project = stored, stored.project
-        self.model = NominalModel(stored.project)
-        self.estimator = Estimator.of(stored.project, self.model)
+        self.model, self.estimator = stored.model, stored.estimator
         path = stored.folder / "spectra.npz"
         with np.load(path) as spectra:
             if "speed" not in spectra:
@@ -160,7 +159,7 @@ class StoredFrames:
         return Split(gamma_w, np.array(nu_i), np.array(nu_s), self._disturbance(all_w), at_cap)
 
     def weights(self, split: Split) -> SplitWeights:
-        """Steps 6 and 7."""
+        """Weights of steps 6 and 7."""
         project, estimator, fitted = self.project, self.estimator, self.stored.fitted
         floor = smallest_disturbance(self.stored.bounds["B2"])
         B_w = [
@@ -196,8 +195,10 @@ class StoredFrames:
         return B_w
 
     def _behind(self, Z, v, omega):
-        """u (F,) behind the input delay, x_nom (F, n), h_i (F, n) and h_s (F, n, n) of frames at speeds v
-        (F,) in a bin at ``omega`` [rad/s]."""
+        """Input u (F,) after the delay, x_nom (F, n), h_i (F, n) and h_s (F, n, n) behind frames.
+
+        The frames have speeds v (F,) in a bin at ``omega`` [rad/s].
+        """
         speeds, index = np.unique(
             np.round(v, 2), return_inverse=True
         )  # 1 cm/s moves no entry by more than 1e-3
@@ -216,8 +217,10 @@ class StoredFrames:
 
 
 def deciding(E: np.ndarray, Z: np.ndarray, near: float = NEAR) -> np.ndarray:
-    """Indices of frames of E, Z (F, n_y): every frame has B1, |Z| and |delta0| at most 1 + ``near`` times
-    those of one of them."""
+    """Indices of deciding frames of E, Z (F, n_y).
+
+    Every frame has B1, |Z| and |delta0| at most 1 + ``near`` times those of one of them.
+    """
     size = np.linalg.norm(E, axis=1)
     values = (s1.solve(E, Z, size).b1, np.linalg.norm(Z, axis=1), np.abs(s1.least_squares_delta(E, Z)))
     with np.errstate(divide="ignore"):

@@ -1,17 +1,16 @@
-"""`lpvguard design --tradeoff`: which ceiling on nu, and with it gamma_w, and which Lambda_nu give the least
-worst mu over speed.
+"""`lpvguard design --tradeoff`: the ceiling on nu (and with it gamma_w) and the Lambda_nu of least worst mu.
 
 A candidate is a ceiling nu_bar(omega), linear over log omega between levels at the lowest and the highest
-bin, and a structure: K_i (class S1), or K_is (class S2) with Lambda_nu = diag(1, lambda_s). The rule of step
-4 makes gamma_w of it, steps 5 to 7 the weights, from few frames (stored_frames.py). Its measure is the
-optimum over speeds under the best common D (engine/synthesis/scheduling.py): an upper bound of the worst mu
-of the best frozen controllers, and the level that `design` starts from. The floor
-(engine/synthesis/limits.py) costs a hundredth of that and bounds every controller from below: a candidate
-whose floor is not below the best measure is not synthesised.
+bin, and a structure: K_i (class S1), or K_is (class S2) with Lambda_nu = diag(1, lambda_s). Step 4 gives its
+gamma_w, steps 5 to 7 its weights, from few frames (stored_frames.py). Its measure is the optimum over speeds
+under the best common D (engine/synthesis/scheduling.py): an upper bound of the worst mu of the best frozen
+controllers, and the level that `design` starts from. The floor (engine/synthesis/limits.py) costs a hundredth
+of that and bounds every controller from below. A candidate whose floor is not below the best measure is not
+synthesised.
 
-The search: uniform ceilings for both structures (the front), then steps of the two levels and of lambda_s
-from the best. Its size is fixed, so the same input gives the same bytes. The project's own ceiling is always
-among the candidates.
+The search tries uniform ceilings for both structures (the front), then steps of the two levels and of
+lambda_s from the best. Its size is fixed, so the same input gives the same bytes. The project's own ceiling
+is always among the candidates.
 """
 
 from __future__ import annotations
@@ -35,19 +34,21 @@ from .stored_frames import Split, SplitWeights
 LEVELS = (0.05, 0.1, 0.2, 0.35, 0.6)
 """Uniform ceilings of the front."""
 LARGEST_LEVEL = 0.9
-"""At 1 the model says nothing at all of the response."""
+"""Largest level: at 1 the model is uninformative about the response."""
 LEVEL_STEP, LAMBDA_STEP = 1.6, 4.0
 AS_GOOD = 1e-3
-"""Relative difference of levels that counts as none; the floor within ten times that counts as reached."""
+"""Relative difference of levels that does not count; a floor within ten times that is reached."""
 ROUNDS = 2
 MOST_CANDIDATES = 2 * (1 + len(LEVELS)) + ROUNDS * 6
-"""Sweeps over the candidate's numbers after the front."""
+"""Most sweeps over the candidate's numbers after the front."""
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """Ceiling ``low`` at the lowest bin, ``high`` at the highest, linear over log omega between; ``lambda_s``
-    [s^2], None: K_i. ``own``: the project's ceiling instead."""
+    """A candidate: ceiling ``low`` at the lowest bin, ``high`` at the highest, linear over log omega between.
+
+    ``lambda_s`` [s^2], None: K_i. ``own``: the project's ceiling instead.
+    """
 
     low: float
     high: float
@@ -61,11 +62,11 @@ class Candidate:
 
     @property
     def key(self) -> tuple:
-        """The same for candidates that differ by rounding only."""
+        """Key that ignores rounding."""
         return (*np.round([self.low, self.high, self.lambda_s or 0.0], 9), self.own)
 
     def moved(self, name: str, factor: float) -> Candidate | None:
-        """The candidate with low, high or lambda_s, as ``name`` says, times ``factor``; None without it.
+        """The candidate with the number ``name`` (low, high or lambda_s) times ``factor``; None without it.
 
         A level stays at most LARGEST_LEVEL.
         """
@@ -78,8 +79,10 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Outcome:
-    """A candidate's ceiling and split (K,), floor, and ``level``: the optimum over speeds; None when the
-    floor decided."""
+    """A candidate's ceiling and split (K,), floor, and ``level``, the optimum over speeds.
+
+    The level is None when the floor decided.
+    """
 
     candidate: Candidate
     ceiling: np.ndarray
@@ -89,7 +92,7 @@ class Outcome:
     scaling: Scaling | None
 
     def to_dict(self) -> dict:
-        """The row of tradeoff.json."""
+        """Row of tradeoff.json."""
         c = self.candidate
         return {
             "structure": c.structure,
@@ -108,7 +111,7 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Measured(Outcome):
-    """The outcome of a candidate that was synthesised: its level and the scaling that gives it."""
+    """Outcome of a synthesised candidate: its level and the scaling that gives it."""
 
     level: float
     scaling: Scaling
@@ -116,8 +119,16 @@ class Measured(Outcome):
 
 @dataclass(frozen=True)
 class TradeOff:
-    """``outcomes`` in the order tried, ``best`` and ``own`` (the project's setting) among them, and what
-    limits the best: ``limit`` in numbers, ``sentence`` in words."""
+    """Result of the search.
+
+    Attributes
+    ----------
+    problem : FrozenProblem
+    outcomes : list of Outcome, in the order tried
+    best, own : Measured, the best one, and the project's setting
+    limit : dict, limit of the best in numbers
+    sentence : str, the same in words
+    """
 
     problem: FrozenProblem
     outcomes: list[Outcome]
@@ -160,7 +171,7 @@ class TradeOff:
         return {"tradeoff.json": artefacts.to_json(document), "tradeoff.csv": to_csv(rows)}
 
     def setting(self) -> dict:
-        """What to write into the project file."""
+        """Setting for the project file."""
         omega = self.problem.frames.estimator.omega
         own = self.problem.stored.project.bounds.nu_ceiling
         ceiling = own if self.best.candidate.own else between(self.best.candidate, omega)
@@ -170,18 +181,18 @@ class TradeOff:
 
 
 def between(c: Candidate, omega: np.ndarray) -> NuCeiling:
-    """The ceiling of a candidate as a project file has it, over the bins omega (K,) [rad/s]."""
+    """Ceiling of a candidate for a project file, over the bins omega (K,) [rad/s]."""
     return NuCeiling(f_hz=[float(f"{w / (2 * np.pi):.6g}") for w in omega[[1, -1]]], nu=[c.low, c.high])
 
 
 def speeds(problem: FrozenProblem) -> list[float]:
     """Both ends of the model's range and the design speed [m/s]."""
-    low, high = problem.model.speed_range
+    low, high = problem.stored.model.speed_range
     return sorted({low, problem.settings.design_speed_mps, high})
 
 
 class _Search:
-    """The candidates tried so far: ``outcomes`` all of them in order, ``made`` those synthesised."""
+    """The tried candidates: ``outcomes`` in order, ``made`` the synthesised ones."""
 
     def __init__(self, problem: FrozenProblem, progress: Progress):
         self.problem, self.progress, self.frames = problem, progress, problem.frames
@@ -208,7 +219,7 @@ class _Search:
         return [self.problem.plant(c.structure, weights, v) for v in speeds(self.problem)]
 
     def split(self, c: Candidate) -> tuple[np.ndarray, Split]:
-        """The candidate's ceiling (K,) and the split of the error that its gamma_w gives."""
+        """The candidate's ceiling (K,) and the split of the error under its gamma_w."""
         ceiling = self.ceiling(c)
         gamma_w = self.frames.smooth(self.frames.gamma_rule(ceiling))
         return ceiling, (
@@ -218,7 +229,7 @@ class _Search:
         )
 
     def posed(self, c: Candidate) -> tuple[Outcome, list[GeneralisedPlant]]:
-        """The candidate's split and floor, and its plants over speed; nothing is synthesised."""
+        """The candidate's split and floor, and its plants over speed, without synthesis."""
         n = len(self.outcomes)
         text = f"candidate {n + 1}: {c.structure}, ceiling {c.low:.3g} to {c.high:.3g}"
         text += "" if c.lambda_s is None else f", lambda_s {c.lambda_s:.3g}"
@@ -231,8 +242,8 @@ class _Search:
     def synthesised(
         self, outcome: Outcome, plants: list[GeneralisedPlant], start: Scaling | None
     ) -> Measured:
-        """The outcome with its level. ``start``: where the search for the scaling starts (None: from D-K
-        iteration at the design speed)."""
+        """The outcome with its level. ``start`` starts the search for the scaling (None: D-K at the design
+        speed)."""
         middle = plants[speeds(self.problem).index(self.problem.settings.design_speed_mps)]
         start = start or dk_synthesis(middle, iterations=3, polish=0).performance.scaling
         scaling, level = common_scaling(plants, start)
@@ -254,7 +265,7 @@ class _Search:
         return outcome
 
     def front(self) -> None:
-        """Uniform ceilings, each starting from its neighbour's scaling."""
+        """Try uniform ceilings, each starting from its neighbour's scaling."""
         low, high = self.problem.stored.bounds["nu_ceiling"][[1, -1]].tolist()
         for lambda_s in (None, self.problem.settings.lambda_s):
             made = self.synthesised(*self.posed(Candidate(low, high, lambda_s, own=True)), None)
@@ -262,7 +273,7 @@ class _Search:
                 made = self.synthesised(*self.posed(Candidate(level, level, lambda_s)), made.scaling)
 
     def refine(self) -> None:
-        """Steps of one number at a time from the best so far."""
+        """Try steps of one number at a time from the best so far."""
         for _ in range(ROUNDS):
             before = self.best()
             for move, step in (("low", LEVEL_STEP), ("high", LEVEL_STEP), ("lambda_s", LAMBDA_STEP)):
@@ -276,7 +287,17 @@ class _Search:
 
 
 def search(problem: FrozenProblem, progress: Progress = lambda _: None) -> TradeOff:
-    """Run the search; see the module's docstring."""
+    """Search the best trade-off; see the module's docstring.
+
+    Parameters
+    ----------
+    problem : FrozenProblem
+    progress : Callable, reports progress
+
+    Returns
+    -------
+    TradeOff
+    """
     run = _Search(problem, progress)
     run.front()
     run.refine()
@@ -288,8 +309,7 @@ def search(problem: FrozenProblem, progress: Progress = lambda _: None) -> Trade
 
 
 def _limit(run: _Search, best: Measured) -> dict:
-    """Where and through which signals the best candidate's worst speed has its mu: shares of the worst
-    vectors at the peak."""
+    """Limit of the best candidate: speed, and shares of signals in the worst vectors at the peak of mu."""
     plants = run.plants(best.candidate, run.frames.weights(best.split))
     made = [dk_synthesis(plant, iterations=2, polish=0, start=best.scaling) for plant in plants]
     k = int(np.argmax([result.performance.upper for result in made]))

@@ -1,13 +1,12 @@
-"""What the loop really has, beside what its certificate promises, at a speed and an amplitude of the demand
-(THEORY 7.5).
+"""True and promised margins of the loop at a speed and an amplitude of the demand (THEORY 7.5).
 
-True: the loop closed around a response that was measured, with the controller at that speed. Promised: the
-least margins over all loops that the certificate is about, the nominal model with |delta| <= W_delta. W_delta
-is taken at (2/Ts) tan(omega Ts/2), as Tustin's map of the plant has it.
+True: the loop closed around a measured response, with the controller at that speed. Promised: the least
+margins over all certified loops, the nominal model with |delta| <= W_delta. W_delta is taken at (2/Ts)
+tan(omega Ts/2), as in Tustin's map of the plant.
 
 A measured response goes from the demand of a sample to the outputs at the sample instants, before the demand
-changes. Hold, actuator delay and actuator lag are in it. The controller's one sample of delay is in the
-controller (``Scheduled`` is strictly proper), so the loop holds each delay once.
+changes. It contains hold, actuator delay and actuator lag. The controller's one sample of delay is in the
+controller (``Scheduled`` is strictly proper), so the loop has each delay once.
 """
 
 from __future__ import annotations
@@ -27,23 +26,31 @@ from ..engine.synthesis.margins import (
     of_samples,
 )
 from ..engine.synthesis.statespace import StateSpace
-from ..identify.run import StoredIdentification
+from ..identify.identification import StoredIdentification
 from ..identify.weights import Weights
 from ..vehicle.nominal import NominalModel
 from .input_limit import turning_limit
 from .plants import design_settings
 
 LATERAL_ACCELERATION_MAX = 4.0
-"""[m/s^2] Predicted steady; above it tyres are no longer near linear, and roads are not driven so."""
+"""[m/s^2] Largest predicted steady value; above it tyres are not nearly linear, and roads are not driven
+so."""
 PROMISED_GRID = 400
 LAST = 1 - 1e-6
-"""Of half the sampling frequency: how far the promise is looked at."""
+"""Last frequency of the promise, as a share of half the sampling frequency."""
 
 
 @dataclass(frozen=True)
 class MeasuredResponse:
-    """Sines at one speed and amplitude. ``v`` [m/s]; ``asked``, ``amplitude``: wanted and driven amplitude of
-    the demand; ``omega`` (K,) [rad/s]; ``G`` (K, n_y) complex, outputs per demand."""
+    """Response to sines at one speed and amplitude.
+
+    Attributes
+    ----------
+    v : float, m/s
+    asked, amplitude : float, wanted and driven amplitude of the demand [input unit]
+    omega : ndarray (K,), rad/s
+    G : ndarray (K, n_y) of complex, outputs per demand
+    """
 
     v: float
     asked: float
@@ -54,8 +61,7 @@ class MeasuredResponse:
 
 @dataclass(frozen=True)
 class Deviation:
-    """Where |delta_j| / W_delta is largest: ``output`` j by name, ``omega`` [rad/s], ``delta`` = |G_j/P_j -
-    1|, ``W_delta`` there."""
+    """Largest |delta_j| / W_delta of an ``output`` at ``omega`` [rad/s], with ``delta`` = |G_j/P_j - 1|."""
 
     output: str
     omega: float
@@ -70,9 +76,14 @@ class Deviation:
 
 @dataclass(frozen=True)
 class TrueLoop:
-    """At one speed ``v`` [m/s] and amplitude: the loop's margins and a deviation for each output.
+    """The true loop at one speed and amplitude.
 
-    ``asked``, ``amplitude``: as in ``MeasuredResponse``.
+    Attributes
+    ----------
+    v : float, m/s
+    asked, amplitude : float, as in ``MeasuredResponse``
+    margins : LoopMargins
+    deviations : tuple of Deviation, one an output
     """
 
     v: float
@@ -83,7 +94,17 @@ class TrueLoop:
 
 
 def require_certified_by_W_delta(stored: StoredIdentification) -> None:
-    """InputError unless the design's structure is K_i or K_o, whose certificate is about W_delta alone."""
+    """Require a structure whose certificate is about W_delta alone: K_i or K_o.
+
+    Parameters
+    ----------
+    stored : StoredIdentification
+
+    Raises
+    ------
+    InputError
+        If it is another one.
+    """
     structure = design_settings(stored).structure
     if structure not in ("K_i", "K_o"):
         raise InputError(
@@ -95,16 +116,36 @@ def require_certified_by_W_delta(stored: StoredIdentification) -> None:
 
 
 def certified_weight(fitted: Weights, Ts: float, omega: np.ndarray) -> np.ndarray:
-    """W_delta (K, n_delta) as the certificate of a loop sampled at ``Ts`` [s] has it, at ``omega`` (K,)
-    [rad/s]."""
+    """Compute W_delta as in the certificate of a sampled loop.
+
+    Parameters
+    ----------
+    fitted : Weights
+    Ts : float, s
+    omega : ndarray (K,), rad/s
+
+    Returns
+    -------
+    ndarray (K, n_delta)
+    """
     return fitted.at(2 / Ts * np.tan(omega * Ts / 2))[0]
 
 
 def within_use(model: NominalModel, v: float, asked: Sequence[float]) -> list[float]:
-    """Each amplitude of the demand ``asked``, reduced to the edge of use at speed ``v`` [m/s].
+    """Reduce amplitudes of the demand to the edge of use.
 
     There the predicted steady lateral acceleration v |G_r(0)| u is LATERAL_ACCELERATION_MAX; the yaw rate r
     is the first output.
+
+    Parameters
+    ----------
+    model : NominalModel
+    v : float, m/s
+    asked : Sequence[float], input unit
+
+    Returns
+    -------
+    list of float, input unit
     """
     edge = float(turning_limit(model, LATERAL_ACCELERATION_MAX, np.array([v]))[0, 0])
     return [min(u, edge) for u in asked]
@@ -113,10 +154,18 @@ def within_use(model: NominalModel, v: float, asked: Sequence[float]) -> list[fl
 def deviations(
     outputs: Sequence[str], omega: np.ndarray, delta: np.ndarray, W_delta: np.ndarray
 ) -> tuple[Deviation, ...]:
-    """Of each output the deviation with the largest ratio.
+    """Find the deviation with the largest ratio for each output.
 
-    ``outputs``: their names; ``omega`` (K,) [rad/s]; ``delta`` (K, n_y): |G_j/P_j - 1|; ``W_delta``
-    (K, n_delta).
+    Parameters
+    ----------
+    outputs : Sequence[str], names
+    omega : ndarray (K,), rad/s
+    delta : ndarray (K, n_y), |G_j/P_j - 1|
+    W_delta : ndarray (K, n_delta)
+
+    Returns
+    -------
+    tuple of Deviation
     """
     W = np.broadcast_to(W_delta, delta.shape)
     worst = np.argmax(delta / W, axis=0)
@@ -127,16 +176,25 @@ def deviations(
 
 
 class CertifiedLoop:
-    """The nominal loop of a design with its uncertainty weight.
+    """Nominal loop of a design with its uncertainty weight.
 
-    Negative feedback: L_j = -K_j P_j for output j, L their sum, broken at the vehicle's input. InputError
-    unless the structure is K_i or K_o, whose certificate is about W_delta alone.
+    Negative feedback: L_j = -K_j P_j for output j, L their sum, broken at the vehicle's input.
+
+    Parameters
+    ----------
+    stored : StoredIdentification
+    schedule : Scheduled, the controller
+
+    Raises
+    ------
+    InputError
+        If the structure is not K_i or K_o, whose certificates are about W_delta alone.
     """
 
     def __init__(self, stored: StoredIdentification, schedule: Scheduled):
         require_certified_by_W_delta(stored)
         self.stored, self.schedule = stored, schedule
-        self.model = NominalModel(stored.project)
+        self.model: NominalModel = stored.model
         self.outputs = [signal.name for signal in stored.project.outputs]
 
     def amplitudes(self, v: float, asked: Sequence[float]) -> list[float]:
@@ -144,13 +202,14 @@ class CertifiedLoop:
         return within_use(self.model, v, asked)
 
     def W_delta(self, omega: np.ndarray) -> np.ndarray:
-        """The certified weight (K, n_delta) at ``omega`` (K,) [rad/s] of the sampled loop; n_delta is 1 (one
-        delta for all outputs) or n_y."""
+        """Certified weight (K, n_delta) of the sampled loop at ``omega`` (K,) [rad/s].
+
+        n_delta is 1 (one delta for all outputs) or n_y.
+        """
         return certified_weight(self.stored.fitted, self.model.Ts, omega)
 
     def promised(self, v: float) -> LoopMargins | None:
-        """The least margins over every vehicle within W_delta at speed ``v`` [m/s]; None where one of them is
-        unstable."""
+        """Least margins over every vehicle within W_delta at speed ``v`` [m/s]; None if one is unstable."""
         K = self._controller(v)
         last = LAST * np.pi / self.model.Ts
 
@@ -165,8 +224,11 @@ class CertifiedLoop:
         return guaranteed(lambda omega: parts(omega).sum(axis=1), radius, grid)
 
     def true(self, measured: MeasuredResponse) -> TrueLoop:
-        """The loop around a measured response. Between its samples G/P is interpolated, K and P are exact;
-        below the first sample G/P is constant."""
+        """The loop around a measured response.
+
+        Between its samples G/P is interpolated, and K and P are exact; below the first sample G/P is
+        constant.
+        """
         v, omega = measured.v, measured.omega
         K = self._controller(v)
         ratio = measured.G / self._nominal(omega, v)
@@ -185,11 +247,11 @@ class CertifiedLoop:
         )
 
     def _nominal(self, omega: np.ndarray, v: float) -> np.ndarray:
-        """(K, n_y) nominal response, input delay included."""
+        """Nominal response (K, n_y), input delay included."""
         return self.model.frequency_response(omega, v)[..., 0]
 
     def _controller(self, v: float) -> StateSpace:
-        """The controller at speed v [m/s]; InputError unless it is stable, which Nyquist's count needs."""
+        """Controller at speed v [m/s]; InputError unless it is stable, as Nyquist's count requires."""
         K = self.schedule.at(v)
         if K.stability_margin() <= 0:
             raise InputError("controller", f"v = {v:g} m/s", "has an unstable pole", "stable poles")
@@ -197,5 +259,5 @@ class CertifiedLoop:
 
 
 def _feedback(K: StateSpace, omega: np.ndarray) -> np.ndarray:
-    """(K, n_y) response of the controller from the outputs; its first input is the reference."""
+    """Response (K, n_y) of the controller from the outputs; its first input is the reference."""
     return K.response(omega)[:, 0, 1:]

@@ -1,12 +1,12 @@
-"""The search for what a certificate at a moving speed rules out: a gain above 1, or growth.
+"""Search for violations of a certificate at a moving speed: a gain above 1, or growth.
 
-It moves an LTI Delta within W_delta and a speed history with a stated largest |dv/dt|.
+It varies an LTI Delta within W_delta and a speed history with a stated largest |dv/dt|.
 
-Delta: an all-pass of at most first order in each scalar block, so of gain 1 at every frequency. The speed
-history is a sequence over the samples. From triangles over the range it climbs: the gain's derivative by the
-speed of every sample comes from one simulation of the loop and one of its adjoint, and dynamic programming
-finds the admissible history that the derivative favours most (Frank and Wolfe 1956). What is found is
-admissible and simulated, so it refutes. What is not found proves nothing.
+Delta is an all-pass of at most first order in each scalar block, so of gain 1 at every frequency. The speed
+history is a sequence over the samples. The search climbs from triangles over the range. One simulation of the
+loop and one of its adjoint give the gain's derivative by the speed of every sample. Dynamic programming finds
+the admissible history that the derivative favours most (Frank and Wolfe 1956). A violation found is
+admissible and simulated, so it refutes. Finding none proves nothing.
 """
 
 from __future__ import annotations
@@ -22,25 +22,31 @@ from ..engine.synthesis.statespace import StateSpace, append, gain
 from ..engine.synthesis.varying import History, OverSpeed, all_pass, close, steered
 
 CORNERS = (np.inf, 0.5, 2.0, 8.0)
-"""Corner frequencies [rad/s] tried of each block's all-pass; inf: a constant."""
+"""Corner frequencies [rad/s] tried for each block's all-pass; inf: a constant."""
 UNIT = 0.02
 """Largest distance of neighbouring speeds on the grid of a history [m/s]."""
 SHARES = (1.0, 0.4)
-"""Of the way to the history that the derivative favours, tried in turn."""
+"""Steps towards the history that the derivative favours, tried in turn."""
 QUICK, WHOLE = 3, 8
 """Steps of the bidiagonal iteration while searching, and at the end."""
 ROUNDS = 3
-"""Of Delta and speeds in turn, and of steps of the speeds."""
+"""Number of rounds of Delta and speeds, and of steps of the speeds."""
 DRAWN = 12
-"""Delta drawn for the triangles."""
+"""Number of Delta drawn for the triangles."""
 LADDER, PRECISION = 4.0, 1.3
-"""Factors between rates tried: at first, and at the end."""
+"""Factors between tried rates: at first, and at the end."""
 
 
 @dataclass(frozen=True)
 class Loop:
-    """What is searched: ``over`` speed with the channels of Delta first, one Delta each of ``blocks``
-    scalars."""
+    """The searched loop.
+
+    Attributes
+    ----------
+    over : OverSpeed, with the channels of Delta first
+    blocks : int, scalar blocks of Delta
+    Ts : float, s
+    """
 
     over: OverSpeed
     blocks: int
@@ -48,7 +54,7 @@ class Loop:
 
     @property
     def inputs(self) -> int:
-        """Inputs that are left when Delta is closed."""
+        """Number of inputs when Delta is closed."""
         return self.over.at_nodes.shape[2] - self.over.n - self.blocks
 
     def history(self, speeds: np.ndarray, delta: StateSpace) -> History:
@@ -66,7 +72,15 @@ class Loop:
 
 @dataclass(frozen=True)
 class Found:
-    """``gain``: reached with Delta of ``corners`` along ``speeds`` (T,) by the input ``w`` (T, m)."""
+    """A history with a large gain.
+
+    Attributes
+    ----------
+    gain : float
+    corners : tuple of (sign, corner [rad/s]), one a block of Delta
+    speeds : ndarray (T,), m/s
+    w : ndarray (T, m), the input
+    """
 
     gain: float
     corners: tuple[tuple[float, float], ...]
@@ -76,8 +90,14 @@ class Found:
 
 @dataclass(frozen=True)
 class SpeedGrid:
-    """Speeds of a history: low + unit i, i = 0..places − 1, up to high [m/s]; it moves by at most ``moves`` a
-    sample."""
+    """Grid of a history's speeds: low + unit i, i = 0..places − 1, up to high.
+
+    Attributes
+    ----------
+    low, high, unit : float, m/s
+    places : int
+    moves : int, largest number of steps a sample
+    """
 
     low: float
     high: float
@@ -87,27 +107,41 @@ class SpeedGrid:
 
     @classmethod
     def of(cls, low: float, high: float, rate: float, Ts: float) -> SpeedGrid:
-        """From low to high [m/s] for |dv/dt| <= rate [m/s^2]."""
+        """Grid from low to high [m/s] for |dv/dt| <= rate [m/s^2]."""
         moves = max(1, int(np.ceil(rate * Ts / UNIT)))
         unit = rate * Ts / moves
         return cls(low, high, unit, int((high - low) / unit * (1 + 1e-12)) + 1, moves)
 
     def near(self, places: np.ndarray) -> tuple[int, int]:
-        """First and last place of a window around those of a history (T,), as wide again as it may run."""
+        """First and last place of a window around those of a history (T,), widened by its own width."""
         reach = self.moves * len(places) // 2
         first, last = int(np.floor(places.min())) - reach, int(np.ceil(places.max())) + reach
         return max(first, 0), min(last, self.places - 1)
 
     def speeds(self, places: np.ndarray) -> np.ndarray:
-        """Speeds (T,) [m/s] of whole or other places (T,). Rounding up from halves on is monotone and keeps
-        whole differences: it moves no sample by more than ``moves`` where the places do not."""
+        """Speeds (T,) [m/s] of places (T,), rounded to whole ones.
+
+        Rounding half up is monotone and keeps whole differences. No sample then moves by more than ``moves``
+        unless the places do.
+        """
         whole = np.clip(np.floor(places + 0.5), 0, self.places - 1)
         return np.minimum(self.low + self.unit * whole, self.high)
 
 
 def triangle(grid: SpeedGrid, samples: int, low: float, high: float, start: float = 0.0) -> np.ndarray:
-    """(samples,): from ``low`` to ``high`` [m/s] and back at the largest rate, ``start`` of the way there and
-    back."""
+    """Make a speed history between two speeds at the largest rate.
+
+    Parameters
+    ----------
+    grid : SpeedGrid
+    samples : int
+    low, high : float, m/s
+    start : float, start as a share of the way there and back, default 0.0
+
+    Returns
+    -------
+    ndarray (samples,), m/s
+    """
     first, last = (np.rint((v - grid.low) / grid.unit) for v in (low, high))
     span = max(last - first, 1.0)
     way = (2 * span * start + grid.moves * np.arange(samples)) % (2 * span)
@@ -115,16 +149,38 @@ def triangle(grid: SpeedGrid, samples: int, low: float, high: float, start: floa
 
 
 def sinusoid(grid: SpeedGrid, samples: int, low: float, high: float, start: float = 0.0) -> np.ndarray:
-    """(samples,): a sine between ``low`` and ``high`` [m/s] whose largest slope is the largest rate, from
-    ``start`` of its period on."""
+    """Make a sinusoidal speed history whose largest slope is the largest rate.
+
+    Parameters
+    ----------
+    grid : SpeedGrid
+    samples : int
+    low, high : float, m/s
+    start : float, start as a share of the period, default 0.0
+
+    Returns
+    -------
+    ndarray (samples,), m/s
+    """
     middle, swing = 0.5 * (low + high), 0.5 * (high - low)
     angle = 2 * np.pi * start + grid.moves * grid.unit / max(swing, grid.unit) * np.arange(samples)
     return grid.speeds((middle + swing * np.sin(angle) - grid.low) / grid.unit)
 
 
 def ramps(grid: SpeedGrid, samples: int, levels: np.ndarray, hold: int) -> np.ndarray:
-    """(samples,): from one of ``levels`` (k,) [m/s] to the next at the largest rate, each held for ``hold``
-    samples, and back again."""
+    """Make a speed history from level to level at the largest rate, and back again.
+
+    Parameters
+    ----------
+    grid : SpeedGrid
+    samples : int
+    levels : ndarray (k,), m/s
+    hold : int, samples at each level
+
+    Returns
+    -------
+    ndarray (samples,), m/s
+    """
     places = np.rint((levels - grid.low) / grid.unit).astype(int)
     parts = [np.full(hold + 1, places[0])]
     for here, there in itertools.pairwise(places):
@@ -135,8 +191,18 @@ def ramps(grid: SpeedGrid, samples: int, levels: np.ndarray, hold: int) -> np.nd
 
 
 def injected(family: Family) -> Family:
-    """The family of Delta's channels alone with a second pair: from what is added to Delta's outputs to its
-    inputs. Closed with Delta its gain is without bound where the loop grows."""
+    """Extend the family of Delta's channels by a pair from Delta's outputs to its inputs.
+
+    Its gain, closed with Delta, is unbounded where the loop grows.
+
+    Parameters
+    ----------
+    family : Family
+
+    Returns
+    -------
+    Family
+    """
     G = family.at(float(family.nodes[0]))
     p, m = G.n_outputs - family.n_probes, G.n_inputs
     rows, columns = np.r_[:p, : G.n_outputs], np.r_[:m, :m]
@@ -144,15 +210,24 @@ def injected(family: Family) -> Family:
 
 
 class Search:
-    """The search over one loop; ``samples``: of a history, ``seed`` of its first input."""
+    """Search over one loop.
+
+    Parameters
+    ----------
+    loop : Loop
+    samples : int, length of a history
+    seed : int, of its first input
+    """
 
     def __init__(self, loop: Loop, samples: int, seed: int):
         self.loop, self.samples = loop, samples
         self.first = np.random.default_rng(seed).standard_normal((samples, loop.inputs))
 
     def at(self, rate: float, enough: float = np.inf, before: Found | None = None) -> Found:
-        """The largest gain found for |dv/dt| <= ``rate`` [m/s^2]; the search ends where it exceeds
-        ``enough``. ``before``: what was found at another rate, whose Delta it begins with."""
+        """Largest gain found for |dv/dt| <= ``rate`` [m/s^2]; the search ends above ``enough``.
+
+        ``before`` is a result at another rate, whose Delta starts the search.
+        """
         low, high = self.loop.over.nodes[[0, -1]]
         grid = SpeedGrid.of(low, high, rate, self.loop.Ts)
         corners = before.corners if before else ((1.0, np.inf),) * self.loop.blocks
@@ -172,7 +247,7 @@ class Search:
         return Found(reached, corners, speeds, w)
 
     def _other_delta(self, found: Found, enough: float) -> Found:
-        """Block by block the best of all signs and CORNERS."""
+        """Best of all signs and CORNERS, block by block."""
         for block in range(self.loop.blocks):
             for choice in ((sign, corner) for corner in CORNERS for sign in (1.0, -1.0)):
                 if found.gain > enough:
@@ -213,7 +288,17 @@ class Search:
 
 
 def closed_period(grid: SpeedGrid, speeds: np.ndarray) -> np.ndarray:
-    """``speeds`` (T,) [m/s] and the way back to the first at the largest rate: one period."""
+    """Close a history to one period: it returns to its first speed at the largest rate.
+
+    Parameters
+    ----------
+    grid : SpeedGrid
+    speeds : ndarray (T,), m/s
+
+    Returns
+    -------
+    ndarray (T',), m/s
+    """
     way = np.arange(0.0, abs(speeds[-1] - speeds[0]), grid.moves * grid.unit)[1:]
     back = speeds[-1] + np.sign(speeds[0] - speeds[-1]) * way
     return np.concatenate([speeds, grid.speeds((back - grid.low) / grid.unit)])
@@ -222,11 +307,22 @@ def closed_period(grid: SpeedGrid, speeds: np.ndarray) -> np.ndarray:
 def fastest_growth(
     loop: Loop, rate: float, samples: int, seed: int, shares: Sequence[float] = (1.0, 0.5, 0.2, 0.07)
 ) -> tuple[float, np.ndarray]:
-    """The largest factor a period found for |dv/dt| <= ``rate`` [m/s^2], above 1 where the loop grows, and
-    its period (T,) [m/s]. ``loop``: of injected(..).
+    """Search for growth of a loop of `injected` over one period.
 
-    Tried: the history with the largest gain of what is added to Delta's outputs, closed to a period; and
-    triangles over ``shares`` of the range with drawn Delta.
+    It tries the history with the largest gain from Delta's outputs, closed to a period, and triangles with
+    drawn Delta.
+
+    Parameters
+    ----------
+    loop : Loop
+    rate : float, m/s^2, largest |dv/dt|
+    samples : int, length of a history
+    seed : int
+    shares : Sequence[float], shares of the range for the triangles
+
+    Returns
+    -------
+    tuple of float, factor a period (above 1: growth), and ndarray (T,), its period [m/s]
     """
     low, high = loop.over.nodes[[0, -1]]
     grid, random = SpeedGrid.of(low, high, rate, loop.Ts), np.random.default_rng(seed)
@@ -246,8 +342,17 @@ def fastest_growth(
 
 
 def drawn_corners(random: np.random.Generator, blocks: int) -> tuple[tuple[float, float], ...]:
-    """(sign, corner [rad/s]) of ``blocks`` all-passes: every third a constant, the others of any corner
-    between the outermost of CORNERS."""
+    """Draw all-passes; every third is a constant.
+
+    Parameters
+    ----------
+    random : Generator, of numpy
+    blocks : int
+
+    Returns
+    -------
+    tuple of (sign, corner [rad/s]), corners between the outermost of CORNERS
+    """
     finite = [c for c in CORNERS if np.isfinite(c)]
     return tuple(
         (
@@ -262,16 +367,30 @@ def drawn_corners(random: np.random.Generator, blocks: int) -> tuple[tuple[float
 
 @dataclass(frozen=True)
 class LeastRate:
-    """``rate``: the least |dv/dt| [m/s^2] with a violation found (None: none up to the largest tried).
-    ``without``: the largest rate tried below it without one (0: none was tried)."""
+    """``rate``: least |dv/dt| [m/s^2] with a violation (None: none up to the largest tried).
+
+    ``without``: largest rate tried below it without one (0: none tried).
+    """
 
     rate: float | None
     without: float
 
 
 def least_violating(violates: Callable[[float], bool], largest: float, smallest: float) -> LeastRate:
-    """The least rate [m/s^2] that ``violates``. Rates fall from ``largest`` by LADDER while they do.
-    Then the ratio is halved until it is at most PRECISION."""
+    """Find the least rate with a violation.
+
+    Rates fall from the largest by LADDER while they violate. Then the ratio is halved until it is at most
+    PRECISION.
+
+    Parameters
+    ----------
+    violates : Callable, rate [m/s^2] -> bool
+    largest, smallest : float, m/s^2
+
+    Returns
+    -------
+    LeastRate
+    """
     if not violates(largest):
         return LeastRate(None, largest)
     rate, without = largest, 0.0

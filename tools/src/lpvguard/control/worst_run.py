@@ -1,5 +1,4 @@
-"""Fig. 6: controllers of Table II in the time domain, with the worst Δ of size 1, measured disturbances and a
-measured reference.
+"""Fig. 6: controllers of Table II in the time domain, with the worst Δ of size 1 and measured signals.
 
 Signals are those of the paper (section V). r_c is the filtered yaw rate of a drive near the design speed.
 w = diag(f, 1) e is the drive's nominal error; f reduces the yaw rate's share to keep the DC disturbance
@@ -23,23 +22,21 @@ from ..engine.synthesis.interconnection import PlantWeights
 from ..engine.synthesis.statespace import StateSpace, gain, lft, to_discrete
 from ..engine.synthesis.table import Cell
 from ..engine.synthesis.worst_case import WorstCase, close_delta, worst_case
-from ..identify.run import DriveSet
+from ..identify.identification import DriveSet
 from .frozen import FrozenProblem
 
 NOISE_POWER = 0.01
 """Spectral density of n, so its variance is NOISE_POWER / Ts."""
 REFERENCE_CUTOFF_RAD_S = 3.0
-"""Cutoff of the zero-phase second-order filter that makes r_c of the measured yaw rate: about W_R's
-bandwidth."""
+"""Cutoff of the zero-phase second-order filter from the measured yaw rate to r_c, about W_R's bandwidth."""
 SHOWN_S = 30.0
 SHOWN_STEP = 4
-"""Every so-manyth sample is kept for the picture."""
+"""Distance of the samples in the picture."""
 
 
 @dataclass(frozen=True)
 class WorstRun:
-    """One controller's run: u (N,) [bar], r (N,) [rad/s] its yaw rate with disturbance, tracking error rms of
-    all samples."""
+    """Run of one controller: u (N,) [bar], yaw rate r (N,) [rad/s] with disturbance, rms tracking error."""
 
     cell: Cell
     worst: WorstCase
@@ -51,8 +48,10 @@ class WorstRun:
 
 @dataclass(frozen=True)
 class WorstRuns:
-    """All runs on ``drive``; t (N,), wanted = W_R r_c (N,). ``left_out``: structures none of whose objectives
-    has μ < 1."""
+    """All runs on ``drive``; t (N,), wanted = W_R r_c (N,).
+
+    ``left_out``: structures none of whose objectives has μ < 1.
+    """
 
     drive: str
     factor: float
@@ -62,7 +61,7 @@ class WorstRuns:
     left_out: list[str]
 
     def to_dict(self) -> dict:
-        """What Fig. 6 shows, thinned, and what was measured over the whole drive."""
+        """Thinned signals of Fig. 6, and measurements over the whole drive."""
         shown = slice(0, int(SHOWN_S / (self.t[1] - self.t[0])), SHOWN_STEP)
         return {
             "drive": self.drive,
@@ -94,8 +93,8 @@ class WorstRuns:
 
 
 def nearest_drive(drives: DriveSet, speed: float) -> tuple[Drive, np.ndarray]:
-    """The drive with input and counted frames whose mean speed is nearest to ``speed`` [m/s], and its nominal
-    error e (N, 2)."""
+    """The drive with input and frames of mean speed nearest to ``speed`` [m/s], and its nominal error e
+    (N, 2)."""
     project = drives.reader.project
     best = None
     for name, experiment in drives.experiments.items():
@@ -113,7 +112,22 @@ def nearest_drive(drives: DriveSet, speed: float) -> tuple[Drive, np.ndarray]:
 
 
 def worst_runs(problem: FrozenProblem, cells: list[Cell], drives: DriveSet) -> WorstRuns:
-    """Run the first objective of each structure that is robustly met."""
+    """Run the first objective of each structure that is robustly met.
+
+    Parameters
+    ----------
+    problem : FrozenProblem
+    cells : list of Cell, of Table II
+    drives : DriveSet
+
+    Returns
+    -------
+    WorstRuns
+
+    References
+    ----------
+    Paper, Fig. 6.
+    """
     project = problem.stored.project
     drive, e = nearest_drive(drives, problem.settings.design_speed_mps)
     settled = np.flatnonzero(drives.reader.estimator.settled(drive.v))
@@ -145,7 +159,7 @@ def _dc_bound(problem: FrozenProblem, c: Cell) -> float:
 def _run(problem: FrozenProblem, c: Cell, signals: np.ndarray, wanted: np.ndarray) -> WorstRun:
     weights, v = problem.weights(c.structure, c.A_t, c.A_u), problem.settings.design_speed_mps
     bins = problem.frames.estimator.omega
-    # Within the band of the data: beyond it neither Δ nor what it would do was ever measured.
+    # Within the band of the data: beyond it Δ and its effect were never measured.
     band = np.r_[0.0, np.geomspace(0.1 * bins[1], bins[-1], 60)]
     worst = worst_case(
         problem.plant(c.structure, weights, v), c.controller, c.result.performance.scaling, band
@@ -167,13 +181,13 @@ def _rms(x: np.ndarray) -> float:
 
 
 def _without_units(weights: PlantWeights) -> PlantWeights:
-    """Weights with which w, r_c and z are in physical units: z = [W_R r_c − r_m; u]."""
+    """Weights for physical units of w, r_c and z: z = [W_R r_c − r_m; u]."""
     one = gain([[1.0]])
     return replace(weights, W_C=one, W_t=one, W_u=one, W_wr=one, W_wdelta=one)
 
 
 def respond(G: StateSpace, inputs: np.ndarray) -> np.ndarray:
-    """Outputs (N, p) of a discrete system from rest to ``inputs`` (N, m)."""
+    """Outputs (N, p) of a discrete system from rest, for ``inputs`` (N, m)."""
     forced, x = inputs @ G.B.T, np.zeros(G.order)
     states = np.empty((len(inputs), G.order))
     for k, step in enumerate(forced):

@@ -1,5 +1,8 @@
-"""The C core's side of Python. In: a model, an estimator, weights and tests as plain numbers; a controller.
-Out: the generated folder of a vehicle, and that folder compiled: `Core` on the PC, `targets` on emulated
-ECUs. Which rooms it may import: MAY_IMPORT."""
+"""The C core seen from Python.
+
+In: a model, an estimator, weights and tests as plain numbers; a controller. Out: the generated folder of a
+vehicle, and its compiled form: `Core` on the PC, `targets` on emulated ECUs. MAY_IMPORT lists what a room may
+import.
+"""
 
 MAY_IMPORT = ("base", "vehicle", "engine", "can", "drives")

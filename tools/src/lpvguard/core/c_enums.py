@@ -1,4 +1,4 @@
-"""Names of the C core's enumerations, read from its headers: they are stated there and nowhere else."""
+"""Names of the C core's enumerations, read from its headers."""
 
 from __future__ import annotations
 
@@ -13,10 +13,23 @@ _MEMBER = re.compile(r"\s*(?P<name>\w+)\s*=\s*(?P<value>\d+)\s*")
 
 
 def enum_names(header: Path, name: str) -> tuple[str, ...]:
-    """Names of the members of ``typedef enum name`` in the order of their values 0, 1, ...
+    """Read the member names of ``typedef enum name`` in the order of their values 0, 1, ...
 
-    They are without as much of the type's name as all of them begin with. A member that only counts is left
-    out. Raises InputError when the header has no such type, or its values have gaps.
+    The common prefix is removed. A member that only counts is left out.
+
+    Parameters
+    ----------
+    header : Path
+    name : str
+
+    Returns
+    -------
+    tuple of str
+
+    Raises
+    ------
+    InputError
+        If the header has no such type, or its values have gaps.
     """
     found = re.search(_TYPE.format(name=name), header.read_text(encoding="utf-8"), re.DOTALL)
     items = [] if found is None else [m for m in _COMMENT.sub("", found["body"]).split(",") if m.strip()]

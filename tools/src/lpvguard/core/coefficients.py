@@ -1,4 +1,4 @@
-"""Stage 6, export: one generated folder per vehicle that the C core is compiled with.
+"""Stage 6, export: one generated folder per vehicle, with which the C core is compiled.
 
     lpvguard_vehicle.h   name and sizes
     lpvguard_coeff.c     the coefficients (lib/include/lpvguard/coeff.h describes every field)
@@ -6,11 +6,11 @@
     lpvguard_control.c, lpvguard_bus.c, lpvg_can_codec.h/.c   with a controller only: control_coefficients.py
     lpvguard_signals.h   the signal table: order, units, signs, ranges
     SIGNALS.md           the same for people
-    MANIFEST.json        where the numbers come from: hashes, settings, estimator, drives, errors of the speed
+    MANIFEST.json        origin of the numbers: hashes, settings, estimator, drives, errors of the speed
                          tables; and the seal of all these files (base/artefacts.py)
 
-No clock time is written: the same input gives the same bytes. Numbers are printed with 9 (float) or 17
-(double) significant digits, so that reading returns the same number.
+No clock time is written: the same input gives the same bytes. Numbers have 9 (float) or 17 (double)
+significant digits, so that reading returns the same number.
 """
 
 from __future__ import annotations
@@ -35,7 +35,14 @@ MANIFEST_SCHEMA = 1
 
 @dataclass(frozen=True)
 class Coefficients(Sealed):
-    """Model, estimator and monitor of a vehicle (coeff.h)."""
+    """Model, estimator and monitor of a vehicle (coeff.h).
+
+    Attributes
+    ----------
+    vehicle : str, its name
+    estimator_id : int, identifies the estimator of the bounds
+    table_error : float
+    """
 
     LAYOUT = COEFF
     vehicle: str
@@ -44,7 +51,7 @@ class Coefficients(Sealed):
 
 
 class TestPart(Protocol):
-    """A test's part of the coefficients (identify/energy.py and identify/change.py find them)."""
+    """A test's part of the coefficients (identify/energy.py, identify/change.py)."""
 
     def coefficients(self) -> tuple[dict[str, int], dict[str, int], dict[str, np.ndarray]]:
         """Sizes by dimension; words and numbers by field of coeff.h, in the shape of the field."""
@@ -60,11 +67,26 @@ def build_coefficients(
     energy: TestPart,
     change: TestPart,
 ) -> Coefficients:
-    """Coefficients from the model, the estimator, the fitted weights at the bins, W_delta (K, n_delta), B_w
-    (K, n_y), the frame test's threshold, ``energy`` and ``change`` test.
+    """Build a vehicle's coefficients from the model, the estimator, the weights and the tests.
 
-    Raises InputError for bounds of the plain DFT: the core computes Hann frames only. Weights or an energy
-    test of another structure than the project's are an InputError too, which names the field.
+    Parameters
+    ----------
+    project : Project
+    model : NominalModel
+    estimator : Estimator
+    W_delta : ndarray (K, n_delta), uncertainty weight at the bins
+    B_w : ndarray (K, n_y), disturbance weight at the bins, units of the outputs
+    threshold : float, of the frame test
+    energy, change : TestPart, parts of the energy and the change test
+
+    Returns
+    -------
+    Coefficients
+
+    Raises
+    ------
+    InputError
+        If the bounds are of the plain DFT, or a part does not fit the project's structure.
     """
     require_core(project)
     table = model.table
@@ -198,9 +220,20 @@ def vehicle_files(
     controller: ControllerCoefficients | None = None,
     diagnosis: Sealed | None = None,
 ) -> dict[str, str]:
-    """File name -> text of the generated folder; ``provenance`` goes into the manifest as it is.
+    """Return the files of a vehicle's generated folder.
 
-    ``diagnosis``: the table of diagnosis.h, where there is one."""
+    Parameters
+    ----------
+    project : Project
+    coefficients : Coefficients
+    provenance : dict, goes into the manifest unchanged
+    controller : ControllerCoefficients or None, optional
+    diagnosis : Sealed, optional, table of diagnosis.h
+
+    Returns
+    -------
+    dict[str, str], text by file name
+    """
     files = {
         "lpvguard_vehicle.h": _vehicle_header(coefficients, controller),
         "lpvguard_coeff.c": coefficient_source(coefficients),

@@ -1,7 +1,7 @@
-"""The compiled C core of one vehicle, called from Python.
+"""The compiled C core of one vehicle, called from Python. This package has no other monitor.
 
-The core is built on first use, into a cache keyed by a hash. Its sources are those that go on the ECU: lib/
-and the vehicle's generated folder. There is no other monitor in this package.
+The core is built on first use, into a cache keyed by a hash, from the sources for the ECU: lib/ and the
+vehicle's generated folder.
 """
 
 from __future__ import annotations
@@ -29,23 +29,40 @@ PACKAGE = Path(__file__).resolve().parents[1]
 
 
 def band_names(n: int) -> tuple[str, ...]:
-    """Names of the energy test's ``n`` bands, lowest first: below its corners, between two of them, above
-    them."""
+    """Return the names of the energy test's bands, lowest first.
+
+    Parameters
+    ----------
+    n : int, number of bands
+
+    Returns
+    -------
+    tuple of str
+    """
     between = ["between"] if n == 3 else [f"between_{k}_{k + 1}" for k in range(1, n - 1)]
     return ("below", *between, "above")
 
 
 DIAGNOSIS_SOURCE = "lpvguard_diagnosis.c"
-"""Of a generated folder: its table of the diagnosis, where it has one."""
+"""Table of the diagnosis in a generated folder, where it has one."""
 CHANGE_PARTS = ("gain", "delay", "bias")
 """Parts of the change test's estimate, in its order (change.h)."""
 
 
 def library_root() -> Path:
-    """The folder lib/ of the C core: of the source tree when run from it, else the copy that the wheel
-    carries."""
+    """Return the folder lib/ of the C core, of the source tree or else of the wheel.
+
+    Returns
+    -------
+    Path
+
+    Raises
+    ------
+    InputError
+        If there is none.
+    """
     for candidate in (PACKAGE.parents[2] / "lib", PACKAGE / "_lib"):
-        if (candidate / "src" / "monitor.cpp").is_file():
+        if (candidate / "src" / "monitor" / "monitor.cpp").is_file():
             return candidate
     raise InputError(
         PACKAGE, "lib", "the C core's sources are missing", "lib/ beside tools/, or an installed package"
@@ -58,18 +75,27 @@ def _enum(header: str, name: str) -> tuple[str, ...]:
 
 VERDICTS = _enum("monitor.h", "lpvg_verdict_t")
 ALARMING = ("invalid", "degraded")
-"""Verdicts that a test's alarm makes."""
+"""Verdicts of a test's alarm."""
 REASONS = _enum("monitor.h", "lpvg_reason_t")
 TESTS = _enum("monitor.h", "lpvg_test_t")
-CAUSES = _enum("diagnosis.h", "lpvg_cause_t")
+CAUSES = _enum("cause.h", "lpvg_cause_t")
 STATUSES = _enum("status.h", "lpvg_status_t")
 SUPERVISION = _enum("can.h", "lpvg_can_state_t")
 EVENTS = _enum("can.h", "lpvg_can_event_t")
 
 
 def firmware_root() -> Path:
-    """The folder firmware_sim/ of a checkout. InputError where there is none: the wheel carries the core
-    only."""
+    """Return the folder firmware_sim/ of a checkout.
+
+    Returns
+    -------
+    Path
+
+    Raises
+    ------
+    InputError
+        If there is none; the wheel carries the core only.
+    """
     root = PACKAGE.parents[2] / "firmware_sim"
     if not (root / "plant" / "CMakeLists.txt").is_file():
         raise InputError(root, "", "the simulator's sources are missing", "a checkout of the project")
@@ -77,7 +103,21 @@ def firmware_root() -> Path:
 
 
 def shipped_vehicle(name: str) -> Path:
-    """Generated folder of a vehicle that is shipped."""
+    """Return the generated folder of a shipped vehicle.
+
+    Parameters
+    ----------
+    name : str
+
+    Returns
+    -------
+    Path
+
+    Raises
+    ------
+    InputError
+        If there is none of that name.
+    """
     folder = library_root() / "vehicles" / name
     if not (folder / "lpvguard_coeff.c").is_file():
         raise InputError(
@@ -114,7 +154,7 @@ CORE_FLAGS = (
     "-fPIC",
 )
 OF_NO_VEHICLE = {"authentication", "can", "j1939", "life", "uds", "xcp"}
-"""Sources of the core that include no vehicle's sizes: compiled once for all vehicles."""
+"""Sources without a vehicle's sizes, compiled once for all vehicles."""
 
 
 def core_objects(
@@ -125,28 +165,44 @@ def core_objects(
     double: bool = False,
     source_root: Path | None = None,
 ) -> list[Path]:
-    """Objects of the core and of a generated folder, for a shared library or a program.
+    """Compile the core and a generated folder to objects of a shared library or a program.
 
-    An object depends on its source and on the headers, of the vehicle on its sizes: vehicles that differ in
-    numbers alone share all but the tables of those numbers. ``more``: further sources, with ``flags`` of
-    their own on top. ``source_root``: a lib/ other than the package's. NativeError as of ``compile_object``.
+    An object depends on its source, its headers and the vehicle's sizes. Vehicles of the same sizes share all
+    objects but the tables of numbers.
+
+    Parameters
+    ----------
+    folder : Path, generated folder of a vehicle
+    more : Sequence[Path], further sources, default ()
+    flags : Sequence[str], for ``more``, default ()
+    double : bool, numbers are double, default False
+    source_root : Path, optional, another lib/ than the package's
+
+    Returns
+    -------
+    list of Path
+
+    Raises
+    ------
+    NativeError
+        If there is no compiler, or a source does not compile.
     """
     root, folder = source_root or library_root(), Path(folder)
-    eigen, header = eigen_include(), root / "src" / "eigen.hpp"
+    eigen, header = eigen_include(), root / "src" / "monitor" / "eigen.hpp"
     common = (*CORE_FLAGS, "-isystem", eigen, *(["-DLPVG_DOUBLE"] if double else []))
     of_no_vehicle = [root / "include", root / "src"]
     of_vehicle = [*of_no_vehicle, folder]
     jobs = [
         (source, common, of_no_vehicle if source.stem in OF_NO_VEHICLE else of_vehicle)
-        for source in sorted((root / "src").glob("*.cpp"))
+        for source in sorted((root / "src").rglob("*.cpp"))
     ]
     jobs += [(source, common, of_vehicle) for source in sorted(folder.glob("*.c"))]
     jobs += [(source, (*common, *flags), of_vehicle) for source in more]
 
     def eigen_first(source: Path) -> Path | None:
-        """Eigen's header is half of what a source that includes it takes to compile."""
+        """Precompile Eigen's header, which takes half of a source's compile time."""
         version = Path(eigen) / "Eigen" / "src" / "Core" / "util" / "Macros.h"
-        if f'"{header.name}"' not in source.read_text(encoding="utf-8") or not version.is_file():
+        if f'{header.name}"' not in source.read_text(encoding="utf-8") or not version.is_file():
             return None
         told = version.read_bytes()
         return native.precompiled(header, flags=common, include_dirs=of_no_vehicle, version=told)
@@ -163,13 +219,12 @@ def core_objects(
 
 @dataclass(frozen=True)
 class FrameLog:
-    """Frames judged by the core during a run, in the order of judgement; arrays over frames, E and Z (F,
-    n_y).
+    """Frames judged by the core during a run, in the order of judgement.
 
-    t_judged_s is the time of the sample with which the core said so: frames that end together are judged one
-    after the other. Alarms of the other tests come in the same form (lpvg_frame_t in monitor.h). Of the
-    energy test bin is band and direction, E and Z hold norms; of the change test bin is output and part, E
-    and Z hold the estimate.
+    Arrays are over frames; E and Z are (F, n_y). t_judged_s is the time of the sample at which the core
+    judged: frames that end together are judged one after the other. Alarms of the other tests have the same
+    form (lpvg_frame_t in monitor.h). For the energy test, bin is band and direction, and E and Z hold norms.
+    For the change test, bin is output and part, and E and Z hold the estimate.
     """
 
     t_judged_s: np.ndarray
@@ -186,12 +241,14 @@ class FrameLog:
 
     @property
     def counted(self) -> np.ndarray:
-        """(F,) True where the frame counted (its reason is none or not_excited)."""
+        """True (F,) where the frame counted (its reason is none or not_excited)."""
         return self.reason <= REASONS.index("not_excited")
 
     def judged(self, samples: int, t0: float, Ts: float, length: np.ndarray) -> np.ndarray:
-        """(N,) True at the ``samples`` from time t0 [s] on that lie in a counted frame; length (K,): samples
-        of a frame, by bin."""
+        """True (N,) at the samples that lie in a counted frame, from time t0 [s] on.
+
+        ``length`` (K,) holds samples of a frame, by bin.
+        """
         after = np.round((self.t_end_s[self.counted] - t0) / Ts).astype(int) + 1
         frames_open = np.zeros(samples + 1, int)
         np.add.at(frames_open, after - length[self.bin[self.counted]], 1)
@@ -200,7 +257,7 @@ class FrameLog:
 
     @classmethod
     def from_rows(cls, rows: np.ndarray, n_y: int) -> FrameLog:
-        """From rows as the C wrapper writes them, (F, 10 + 4 n_y); times in microseconds."""
+        """Convert rows (F, 10 + 4 n_y) of the C wrapper, whose times are in microseconds."""
         parts = rows[:, 10:].reshape(len(rows), 2, n_y, 2)
         spectra = parts[..., 0] + 1j * parts[..., 1]
         return cls(
@@ -222,9 +279,10 @@ class FrameLog:
 class CauseLog:
     """Causes that the core found during a run, in the order of time; arrays over outputs of alarms (C,).
 
-    t_found_s, t_alarm_s: when it said so, and the alarm's block. output: index. cause: code of CAUSES. value,
-    low, high: in the cause's unit (diagnosis.h). onset_s: from the onset to the alarm [s]; ``before``: or
-    longer, all that was kept. ``final``: of the whole record; else of its first half, and preliminary.
+    t_found_s and t_alarm_s: time of the finding and of the alarm's block. output: index. cause: code of
+    CAUSES. value, low, high: in the cause's unit (diagnosis.h). onset_s: time from the onset to the alarm
+    [s]. before: the onset may precede the kept record. final: from the whole record; otherwise preliminary,
+    from its first half.
     """
 
     t_found_s: np.ndarray
@@ -240,7 +298,7 @@ class CauseLog:
 
     @classmethod
     def from_rows(cls, rows: np.ndarray, block_s: float) -> CauseLog:
-        """From rows as the C wrapper writes them, (C, 10); ``block_s``: of a block [s]."""
+        """Convert rows (C, 10) of the C wrapper; a block has the length ``block_s`` [s]."""
         found, alarm, output, cause, value, low, high, onset, before, final = rows.T
         return cls(
             found * 1e-6,
@@ -258,12 +316,18 @@ class CauseLog:
 
 @dataclass(frozen=True)
 class Run:
-    """What the core said along a drive of N samples.
+    """Answers of the core along a drive of N samples.
 
-    ``verdict`` (N,): codes of monitor.h. ``status`` (N,): codes of status.h. ``energy`` (N,): the energy
-    test's ratio, 0 where it is not judged. ``energy_band`` (N,): the band that ratio is of. ``change`` (N,):
-    the change test's newest ratio, 0 before the first. ``frames``: the judged frames. ``energy_alarms``,
-    ``change_alarms``: the alarms of these tests. ``causes``: of alarms, where the folder has a diagnosis.
+    Attributes
+    ----------
+    frames : FrameLog, judged frames
+    verdict : ndarray (N,) of int, codes of monitor.h
+    status : ndarray (N,) of int, codes of status.h
+    energy : ndarray (N,), ratio of the energy test, 0 where it is not judged
+    energy_band : ndarray (N,) of int, band of that ratio
+    energy_alarms, change_alarms : FrameLog, alarms of these tests
+    change : ndarray (N,), newest ratio of the change test, 0 before the first
+    causes : CauseLog or None, causes of alarms, where the folder has a diagnosis
     """
 
     frames: FrameLog
@@ -278,9 +342,18 @@ class Run:
 
 
 class Core:
-    """A vehicle's compiled core; ``diagnoses``: it names the causes of alarms.
+    """Compiled core of a vehicle; ``diagnoses`` says whether it names the causes of alarms.
 
-    ``folder`` is a generated folder. Raises InputError when the folder is incomplete or does not compile.
+    Parameters
+    ----------
+    folder : Path, generated folder of the vehicle
+    double : bool, default False
+    source_root : Path or None, optional
+
+    Raises
+    ------
+    InputError
+        If the folder is incomplete or does not compile.
     """
 
     def __init__(self, folder: Path, *, double: bool = False, source_root: Path | None = None):
@@ -308,8 +381,7 @@ class Core:
         )
 
     def __reduce__(self):
-        """A core goes to another process, or machine, as its generated sources, and is built there from the
-        cache or anew."""
+        """Send the core to another process or machine as sources, which are built there."""
         return _rebuilt, (self.folder.name, self._files, self._double, self._source_root)
 
     def _compile(self) -> Path:
@@ -345,22 +417,20 @@ class Core:
         return COEFF.split("words", self.compiled[0], self.sizes)
 
     def estimator_id(self) -> int:
-        """Of the bounds in the compiled-in coefficients."""
+        """Identity of the estimator in the compiled-in coefficients."""
         return int(self.words["estimator_id"][0])
 
     def fields(self, reals: np.ndarray) -> dict[str, np.ndarray]:
-        """The numbers of coeff.h by field, as views of flat numbers ``reals``, each in its shape; a scalar as
-        (1,)."""
+        """Views of flat numbers ``reals`` (R,) by field of coeff.h, each in its shape; a scalar as (1,)."""
         return COEFF.split("reals", reals, self.sizes)
 
     def monitor(
         self, *, words: np.ndarray | None = None, reals: np.ndarray | None = None, seal: bool = False
     ) -> RunningMonitor:
-        """A fresh monitor with the compiled-in coefficients, or with the given ones.
+        """Start a monitor with the compiled-in coefficients, or with the given ones.
 
-        ``words`` (W,) and ``reals`` (R,): flat, as in ``compiled``; None: the compiled-in ones. ``seal``
-        renews the CRC of what is given. Raises InputError with the core's status when init refuses the
-        coefficients.
+        ``words`` (W,) and ``reals`` (R,) are flat, as in ``compiled``. ``seal`` renews their CRC. Raises
+        InputError with the core's status when init refuses the coefficients.
         """
         compiled_words, compiled_reals = self.compiled
         arguments: tuple[ctypes.c_void_p | None, ctypes.c_void_p | None] = (None, None)
@@ -382,7 +452,7 @@ class Core:
 
 @lru_cache(maxsize=4)
 def _rebuilt(name: str, files: tuple[tuple[str, str], ...], double: bool, source_root: Path | None) -> Core:
-    """The core of generated sources; a process builds it once for all the drives it is given."""
+    """Core of generated sources; a process builds it once for all its drives."""
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch) / name
         folder.mkdir()
@@ -395,7 +465,7 @@ def _pointer(array: np.ndarray) -> ctypes.c_void_p:
 
 
 class RunningMonitor:
-    """One running instance of the core's monitor; feed it a drive in one or several pieces."""
+    """A running instance of the core's monitor; a drive comes in one or several pieces."""
 
     def __init__(self, core: Core, handle: int):
         self._core, self._handle = core, ctypes.c_void_p(handle)
@@ -406,8 +476,10 @@ class RunningMonitor:
     def run(
         self, t: np.ndarray, v: np.ndarray, u: np.ndarray, y: np.ndarray, present: np.ndarray | None = None
     ) -> Run:
-        """Push samples: t (N,) [s], v (N,), u (N, n_u), y (N, n_y); where ``present`` (N,) is False time
-        passes without one."""
+        """Push samples t (N,) [s], v (N,), u (N, n_u), y (N, n_y).
+
+        Where ``present`` (N,) is False, time passes without a sample.
+        """
         n = len(t)
         columns = self._core._columns
         arrays = [
@@ -443,6 +515,6 @@ class RunningMonitor:
         return Run(frames, verdict, status, energy, band, energy_alarms, change, change_alarms, found)
 
     def run_drive(self, drive: Drive) -> Run:
-        """`run` over a whole drive; where its samples are missing, time passes without one."""
+        """Run a whole drive; where its samples are missing, time passes without one."""
         present = None if drive.missing is None else ~drive.missing
         return self.run(drive.t, drive.v, drive.u, drive.y, present)

@@ -1,7 +1,7 @@
-"""Stage 6, export of a controller: what lib/include/lpvguard/controller.h, bus.h and ecu.h are compiled with.
+"""Stage 6, export of a controller: the sources for lib/include/lpvguard/controller.h, bus.h and ecu.h.
 
     lpvguard_control.c          the controller's coefficients
-    lpvguard_bus.c              which messages and signals of the CAN catalogue carry the vehicle's signals
+    lpvguard_bus.c              messages and signals of the CAN catalogue that carry the vehicle's signals
     lpvg_can_codec.h, .c        the codec of the whole catalogue
 
 Reads   controller.json, written by `lpvguard design`:
@@ -13,12 +13,12 @@ Reads   controller.json, written by `lpvguard design`:
             L (NG, NU, NK, NU)          anti-windup injection, A - L C stable at every node and between
             u_max (NG, NU)              largest |demand| [input unit]
             rate_max (NU,)              its largest change [input unit/s]
-            certificates                optional, kept in the manifest as it is
+
+The manifest of the generated folder names that file by its hash.
 """
 
 from __future__ import annotations
 
-import hashlib
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -38,14 +38,20 @@ from .seal import Sealed, coefficient_source
 CONTROL_SIZES = tuple(name for name in CONTROL.dimensions if name not in COEFF.dimensions)
 """Sizes of a controller in lpvguard_vehicle.h: states of a demand, measurements, nodes. Zero without one."""
 MAX_STATES = 40
-"""Of all demands."""
+"""Largest number of states of all demands."""
 ARRAYS = ("speeds", "a", "B", "L", "u_max", "rate_max")
 
 
 @dataclass(frozen=True)
 class ControllerCoefficients(Sealed):
-    """A scheduled controller as the core takes it. ``origin`` goes into the manifest: its file's hash, its
-    certificates."""
+    """Coefficients of a scheduled controller, as the core takes them.
+
+    Attributes
+    ----------
+    Ts_s : float, s
+    speeds : ndarray (NG,), m/s
+    origin : dict[str, Any], hash of its file, for the manifest
+    """
 
     LAYOUT = CONTROL
     Ts_s: float
@@ -53,7 +59,7 @@ class ControllerCoefficients(Sealed):
     origin: dict[str, Any]
 
     def manifest(self) -> dict[str, Any]:
-        """What the generated folder's manifest says of the controller."""
+        """Entry of the controller in the generated folder's manifest."""
         return {
             "sizes": self.sizes,
             "Ts_s": self.Ts_s,
@@ -77,8 +83,29 @@ def build_controller(
     origin: dict[str, Any] | None = None,
     where: object = "controller",
 ) -> ControllerCoefficients:
-    """Coefficients of a scheduled controller: a (NK,), B (NG, NU, NK, NM), L (NG, NU, NK, NU), u_max (NG,
-    NU), rate_max (NU,). InputError names ``where``, the array and what is wrong with it."""
+    """Check a scheduled controller and build its coefficients.
+
+    Parameters
+    ----------
+    Ts_s : float, s
+    speeds : ndarray (NG,), m/s, equally spaced
+    a : ndarray (NK,), poles of each demand's states
+    B : ndarray (NG, NU, NK, NM), numerators
+    L : ndarray (NG, NU, NK, NU), anti-windup injection
+    u_max : ndarray (NG, NU), largest |demand| [input unit]
+    rate_max : ndarray (NU,), input unit/s
+    origin : dict, optional, goes into the manifest
+    where : object, name of the controller in errors, default 'controller'
+
+    Returns
+    -------
+    ControllerCoefficients
+
+    Raises
+    ------
+    InputError
+        If an array does not fit; it names ``where``, the array and the fault.
+    """
     arrays = {
         key: np.asarray(value, float)
         for key, value in zip(ARRAYS, (speeds, a, B, L, u_max, rate_max), strict=False)
@@ -104,15 +131,38 @@ def build_controller(
 
 
 def replaced_controller(header: str, controller: ControllerCoefficients) -> dict[str, str]:
-    """File name -> text of what changes in a vehicle folder that gets another controller; ``header``: its
-    sizes so far."""
+    """Return the files of a vehicle folder that change with another controller.
+
+    Parameters
+    ----------
+    header : str, text of lpvguard_vehicle.h so far
+    controller : ControllerCoefficients
+
+    Returns
+    -------
+    dict[str, str], text by file name
+    """
     for name, value in controller.sizes.items():
         header = re.sub(rf"(#define LPVG_{name}) \d+", rf"\1 {value}", header)
     return {"lpvguard_vehicle.h": header, "lpvguard_control.c": coefficient_source(controller)}
 
 
 def read_controller(path: Path) -> dict[str, Any]:
-    """The document of a ``controller.json`` that is sealed and complete; InputError otherwise."""
+    """Read the document of a ``controller.json``.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    dict[str, Any]
+
+    Raises
+    ------
+    InputError
+        If it is not sealed or not complete.
+    """
     document = artefacts.read_json(path)
     if not isinstance(document, dict):
         raise InputError(path, "", "not an object", "controller.json as `lpvguard design` writes it")
@@ -125,7 +175,21 @@ def read_controller(path: Path) -> dict[str, Any]:
 
 
 def load_controller(path: Path) -> ControllerCoefficients:
-    """Read and check ``controller.json`` (the module's docstring says what it holds). Raises InputError."""
+    """Read and check a ``controller.json``; the module's docstring lists its content.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    ControllerCoefficients
+
+    Raises
+    ------
+    InputError
+        If it is not sealed, not complete or not consistent.
+    """
     document = read_controller(path)
     arrays = []
     for key in ARRAYS:
@@ -135,15 +199,12 @@ def load_controller(path: Path) -> ControllerCoefficients:
             raise InputError(path, key, "not an array of numbers", "nested lists of equal lengths") from None
     if not isinstance(document["Ts_s"], (int, float)):
         raise InputError(path, "Ts_s", repr(document["Ts_s"]), "a number of seconds")
-    origin = {
-        "sha256": hashlib.sha256(path.read_bytes()).hexdigest(),
-        "certificates": document.get("certificates"),
-    }
+    origin = {"sha256": artefacts.file_hash(path)}
     return build_controller(float(document["Ts_s"]), *arrays, origin=origin, where=path)
 
 
 def _check(where: object, Ts_s: float, arrays: dict[str, np.ndarray]) -> None:
-    """InputError unless the arrays fit each other, are finite and the anti-windup is stable."""
+    """Require arrays that fit each other and are finite, and a stable anti-windup; InputError otherwise."""
 
     def refuse(key: str, what: str, expected: str) -> None:
         raise InputError(where, key, what, expected)
@@ -188,8 +249,10 @@ def _check(where: object, Ts_s: float, arrays: dict[str, np.ndarray]) -> None:
 
 
 def control_files(project: Project, controller: ControllerCoefficients) -> dict[str, str]:
-    """File name -> text of the controller's part of a vehicle folder. InputError when it does not fit the
-    vehicle."""
+    """Text by file name of the controller's part of a vehicle folder.
+
+    Raises InputError when the controller does not fit the vehicle.
+    """
     where = f"controller for vehicle {project.name}"
     n_u = int(controller.words["sizes"][-1])
     if controller.sizes["NM"] != project.n_y + 1 or n_u != project.n_u:

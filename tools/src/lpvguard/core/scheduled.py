@@ -1,5 +1,4 @@
-"""A controller over speed as the core runs it (lib/include/lpvguard/controller.h): one realisation with fixed
-poles.
+"""A controller over speed with fixed poles, as the core runs it (lib/include/lpvguard/controller.h).
 
     K(z, v) = c(z)' B(v),    c(z) = C (z I - A)^-1 with A, C constant
 
@@ -22,12 +21,19 @@ from ..engine.synthesis.statespace import StateSpace
 
 @dataclass(frozen=True)
 class Scheduled:
-    """Strictly proper discrete controllers over speed: x+ = A x + B(v) m + L(v) (u - C x), u = C x, per
-    demand.
+    """Strictly proper discrete controllers over speed, one a demand.
 
-    speeds (G,), equally spaced; a (n,): first columns of the pairs of A - I, then of a single state where n
-    is odd, the same for every demand; B (G, n_u, n, 1 + n_y); L (G, n_u, n, n_u). m = [reference, outputs].
-    u_max (G, n_u): largest |demand| [input unit].
+    x+ = A x + B(v) m + L(v) (u - C x), u = C x, with the measurement m = [reference, outputs].
+
+    Attributes
+    ----------
+    Ts : float, s
+    speeds : ndarray (G,), m/s, equally spaced
+    a : ndarray (n,)
+        First columns of the pairs of A - I, then of a single state if n is odd, for every demand.
+    B : ndarray (G, n_u, n, 1 + n_y)
+    L : ndarray (G, n_u, n, n_u)
+    u_max : ndarray (G, n_u), largest |demand| [input unit]
     """
 
     Ts: float
@@ -39,23 +45,23 @@ class Scheduled:
 
     @classmethod
     def read(cls, document: dict) -> Scheduled:
-        """From a controller.json."""
+        """Controller of a controller.json document."""
         arrays = (np.array(document[key], float) for key in ("speeds", "a", "B", "L", "u_max"))
         return cls(document["Ts_s"], *arrays)
 
     def digest(self) -> str:
-        """SHA-256 over every coefficient: which controller a certificate is about."""
+        """SHA-256 over every coefficient; a certificate names its controller by it."""
         arrays = (np.array(self.Ts), self.speeds, self.a, self.B, self.L, self.u_max)
         return hashlib.sha256(b"".join(np.ascontiguousarray(x, "<f8").tobytes() for x in arrays)).hexdigest()
 
     @property
     def order(self) -> int:
-        """States of all demands."""
+        """Number of states of all demands."""
         return self.B.shape[1] * len(self.a)
 
     def at(self, v: float) -> StateSpace:
-        """The controller the core runs at speed v: float32 coefficients with A - I formed in double,
-        interpolated."""
+        """Controller that the core runs at speed v: interpolated float32 coefficients, A - I formed in
+        double."""
         A, C = self._constant()
         B = self._rows(self.B, v)
         return StateSpace(A, B, C, np.zeros((len(C), B.shape[1])), self.Ts)
@@ -70,7 +76,7 @@ class Scheduled:
         return float(np.abs(np.linalg.eigvals(A - self.injection(v) @ C)).max())
 
     def limit(self, v: float) -> np.ndarray:
-        """(n_u,): largest |demand| at speed v."""
+        """Largest |demand| (n_u,) at speed v."""
         return self._between(self.u_max, v)
 
     def _constant(self) -> tuple[np.ndarray, np.ndarray]:
@@ -80,11 +86,11 @@ class Scheduled:
         return np.kron(np.eye(n_u), A), np.kron(np.eye(n_u), c)
 
     def _rows(self, values: np.ndarray, v: float) -> np.ndarray:
-        """(order, columns): rows of B or L at speed v."""
+        """Rows (order, columns) of B or L at speed v."""
         return self._between(values, v).reshape(self.order, -1)
 
     def _between(self, values: np.ndarray, v: float) -> np.ndarray:
-        """What has values (G, ...) at the nodes, at speed v."""
+        """Interpolate values (G, ...) at the nodes to speed v."""
         position = np.clip((v - self.speeds[0]) / (self.speeds[-1] - self.speeds[0]), 0.0, 1.0) * (
             len(self.speeds) - 1
         )
@@ -94,7 +100,7 @@ class Scheduled:
 
 
 def realisation(a: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """A (n, n) and C (1, n) of one demand's states, pairs and a single one where n is odd."""
+    """A (n, n) and C (1, n) of one demand's states: pairs, and a single one if n is odd."""
     n = len(a)
     A, heads = np.eye(n), np.arange(0, n, 2)
     A[np.arange(n), np.arange(n) // 2 * 2] += a
@@ -103,12 +109,11 @@ def realisation(a: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def engagement(a: np.ndarray, B: np.ndarray) -> np.ndarray:
-    """E (n, 2): x += E (u - C x, -(C (A x + B m) - C x)) makes this and the next wanted demand u; a, B as in
-    ``Scheduled``.
+    """Matrix E (n, 2) that sets the demand at engagement; a (n,), B (n_u, n, m) as in ``Scheduled``.
 
-    The likeliest such change: least in the metric of the covariance that white m of equal size at all speeds
-    gives x. Where no state can meet both, the second is left out. Raises LinAlgError unless the poles are
-    stable.
+    The change x += E (u - C x, -(C (A x + B m) - C x)) makes this and the next wanted demand u. It is the
+    likeliest one: least in the metric of the covariance of x under white m of equal size at all speeds. Where
+    no state can meet both demands, the second is left out. Raises LinAlgError unless the poles are stable.
     """
     A, c = realisation(a)
     if np.abs(np.linalg.eigvals(A)).max() >= 1:

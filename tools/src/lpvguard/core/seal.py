@@ -1,5 +1,4 @@
-"""Coefficient structs of the C core, as text and as bytes: 32-bit words, then numbers, under one CRC-32
-(base/layout.py)."""
+"""Coefficient structs of the C core as text and bytes (base/layout.py)."""
 
 from __future__ import annotations
 
@@ -15,12 +14,18 @@ from ..base.layout import Layout
 
 @dataclass(frozen=True)
 class Sealed:
-    """A coefficient struct of the core: 32-bit words, then numbers, under one CRC, in the order of its
-    LAYOUT.
+    """Coefficient struct of the core: 32-bit words, then numbers, under one CRC, in the order of LAYOUT.
 
-    ``sizes`` by dimension are those that the struct brings to lpvguard_vehicle.h; all that it depends on
-    stand in words["sizes"]. Raises InputError for a field that is missing, unknown, of another shape than the
-    layout's, not finite or out of its range.
+    Attributes
+    ----------
+    sizes : dict[str, int], by dimension, those that the struct brings to lpvguard_vehicle.h
+    words : dict[str, ndarray], by field; words["sizes"] holds all sizes that the struct depends on
+    reals : dict[str, ndarray], by field
+
+    Raises
+    ------
+    InputError
+        If a field is missing, unknown, of the wrong shape, not finite or out of its range.
     """
 
     LAYOUT: ClassVar[Layout]
@@ -49,7 +54,7 @@ class Sealed:
         return zlib.crc32(payload + numbers)
 
     def crc32_by_type(self) -> dict[str, int]:
-        """For the manifest."""
+        """CRC-32 by number type, for the manifest."""
         return {"float": self.crc32(4), "double": self.crc32(8)}
 
 
@@ -64,8 +69,10 @@ def _braced(values: np.ndarray, show) -> str:
 
 
 def _literals(value: float) -> str:
-    """C text for ``value`` rounded once to float and, separately, to double: a compiler that read one decimal
-    text for both would round it differently from numpy where the double lies midway between two floats."""
+    """C text for ``value`` rounded to float and separately to double.
+
+    One decimal text for both would round differently from numpy where the double lies between two floats.
+    """
 
     def text(digits: str) -> str:
         return digits if any(c in digits for c in ".en") else digits + ".0"

@@ -1,14 +1,13 @@
-"""The core on ECU instruction sets, without hardware: built by the cross compiler, run by QEMU, counted by
-the guest.
+"""The core on ECU instruction sets, without hardware: cross-compiled, run by QEMU, counted by the guest.
 
     cortex-m4f   QEMU mps2-an386          cortex-m7   QEMU mps2-an500          cortex-r5f   QEMU xlnx-zcu102,
                  RPU core 0
 
 ``run_target`` builds firmware_sim/ports/target_bench.cpp with a vehicle's generated folder and runs it over a
-drive. It returns what the core answered, bit for bit, and what every part cost. Costs are *instructions, not
-cycles*: QEMU models no pipeline, cache or flash waits. ``run_host`` answers the same with the PC's compiler,
-to compare with. ``emulated_ecu`` builds the whole firmware for the loop of `lpvguard sim`, over the emulated
-CAN controller.
+drive. It returns the core's answers, bit for bit, and the cost of every part. Costs are *instructions, not
+cycles*: QEMU models no pipeline, cache or flash waits. ``run_host`` does the same with the PC's compiler, for
+comparison. ``emulated_ecu`` builds the whole firmware for the loop of `lpvguard sim`, over the emulated CAN
+controller.
 
 There are two builds. The one for comparing bits has ``-ffp-contract=off`` on every side, because M4F and M7
 have a fused multiply-add and the R5F has not. The one for counting has the compiler's default, as an ECU
@@ -45,7 +44,7 @@ SAME_BITS = "-ffp-contract=off"
 WARNINGS = ("-Wall", "-Wextra", "-Wconversion", "-Wdouble-promotion", "-Wshadow", "-Werror")
 CXX = ("-std=c++17", "-fno-exceptions", "-fno-rtti", "-fno-threadsafe-statics")
 SECTIONS = {".core_code": "code", ".core_coefficients": "coefficients", ".core_libraries": "libraries"}
-"""Sections of the linker scripts that are the core's, and what the report calls them."""
+"""The core's sections in the linker scripts, and their names in the report."""
 SEMIHOSTING = ("-semihosting-config", "enable=on,target=native")
 TIMEOUT_S = 300
 R5_START = "qom-set /machine/soc/rpu-cluster/rpu-cpu[0] start-powered-off false\nsystem_reset\ncont\n"
@@ -54,7 +53,7 @@ R5_START = "qom-set /machine/soc/rpu-cluster/rpu-cpu[0] start-powered-off false\
 
 @dataclass(frozen=True)
 class Target:
-    """A processor: how to compile for it, which port, and the emulator's command up to the ELF."""
+    """A processor: compiler options, port, and the emulator's command without the ELF."""
 
     name: str
     title: str
@@ -65,8 +64,7 @@ class Target:
     elf_option: str
     monitor_input: str | None = None
     can: tuple[str, ...] = ()
-    """Options that put the processor's CAN controller on QEMU's bus canbus0; empty where the board has
-    none."""
+    """Options that put the CAN controller on QEMU's bus canbus0; empty where the board has none."""
 
 
 def _mps2(name: str, title: str, board: str, *cpu: str) -> Target:
@@ -130,8 +128,14 @@ def missing_tools(target: Target) -> list[str]:
 
 @dataclass(frozen=True)
 class Input:
-    """A drive as the core takes it: v (N,), u (N, n_u), y (N, n_y), rounded to float, one row a sample
-    period."""
+    """A drive as the core takes it, rounded to float, one row a sample period.
+
+    Attributes
+    ----------
+    v : ndarray (N,), m/s
+    u : ndarray (N, n_u)
+    y : ndarray (N, n_y)
+    """
 
     v: np.ndarray
     u: np.ndarray
@@ -144,14 +148,21 @@ class Input:
         return (
             f"// Made by lpvguard.core.targets: speed, inputs, outputs, one row a sample.\n#pragma once\n"
             f"#define TARGET_INPUT_SAMPLES {len(rows)}U\n"
-            f"static const lpvg_real_t target_input[TARGET_INPUT_SAMPLES][{rows.shape[1]}] = {{\n{text}}};\n"
+            f"static const float target_input[TARGET_INPUT_SAMPLES][{rows.shape[1]}] = {{\n{text}}};\n"
         )
 
 
 @dataclass(frozen=True)
 class Program:
-    """What runs on a target beside the core and the port: sources, folders of their headers, generated
-    headers by name."""
+    """Program that runs on a target with the core and the port.
+
+    Attributes
+    ----------
+    name : str
+    sources : tuple of Path
+    headers : dict[str, str], text of generated headers by name
+    folders : tuple of Path, folders of the sources' headers
+    """
 
     name: str
     sources: tuple[Path, ...]
@@ -172,8 +183,14 @@ def _target(name: str) -> Target:
 
 @dataclass(frozen=True)
 class EmulatedEcu:
-    """The firmware of one vehicle for an emulated processor: ``program`` starts it as lpvguard_ecu is
-    started, ``elf_sha256`` says what runs."""
+    """Firmware of one vehicle for an emulated processor.
+
+    Attributes
+    ----------
+    target : str
+    program : Path, starts it as lpvguard_ecu is started
+    elf_sha256 : str, identifies the image
+    """
 
     target: str
     program: Path
@@ -181,7 +198,7 @@ class EmulatedEcu:
 
 
 def _emulator(target: Target, elf: Path) -> list[str]:
-    """The emulator's command for an image, without a console."""
+    """Emulator command for an image, without a console."""
     return [
         *target.emulator,
         "-display",
@@ -193,8 +210,10 @@ def _emulator(target: Target, elf: Path) -> list[str]:
 
 
 def on_can(name: str, elf: Path, interface: str) -> tuple[list[str], str]:
-    """The command that runs an image with its CAN controller on a SocketCAN interface, and what its standard
-    input must be. Raises InputError as `emulated_ecu`."""
+    """Command and standard input that run an image with its CAN controller on a SocketCAN interface.
+
+    Raises InputError as `emulated_ecu`.
+    """
     target = _with_can(name)
     host = f"can-host-socketcan,id=can,if={interface},canbus=canbus0"
     command = [*_emulator(target, elf), *target.can, "-object", host, *SEMIHOSTING]
@@ -202,7 +221,7 @@ def on_can(name: str, elf: Path, interface: str) -> tuple[list[str], str]:
 
 
 def _with_can(name: str) -> Target:
-    """A target whose emulated machine has a CAN controller."""
+    """Target whose emulated machine has a CAN controller."""
     if name in TARGETS and not TARGETS[name].can:
         raise InputError(
             name,
@@ -214,11 +233,21 @@ def _with_can(name: str) -> Target:
 
 
 def emulated_ecu(name: str, vehicle: Path) -> EmulatedEcu:
-    """Build the firmware (firmware_sim/ports/cortex_r5_ecu) of a generated folder, results bit for bit those
-    of the host.
+    """Build the firmware (firmware_sim/ports/cortex_r5_ecu) of a generated folder, bit-equal to the host.
 
-    Raises InputError when tools are missing, it does not build, or the emulated machine has no CAN
-    controller.
+    Parameters
+    ----------
+    name : str, the target
+    vehicle : Path, generated folder
+
+    Returns
+    -------
+    EmulatedEcu
+
+    Raises
+    ------
+    InputError
+        If tools are missing, it does not build, or the machine has no CAN controller.
     """
     target = _with_can(name)
     ports, ecu = firmware_root() / "ports", firmware_root() / "ecu"
@@ -261,14 +290,93 @@ def emulated_ecu(name: str, vehicle: Path) -> EmulatedEcu:
 
 
 def image_with_debug_information(name: str, vehicle: Path, program: Program) -> Path:
-    """The ELF of a program with the core, as an ECU project builds it, with -g. Raises InputError as
-    `run_target`."""
+    """ELF of a program with the core, built as for an ECU, with -g. Raises InputError as `run_target`."""
     return _build(_target(name), vehicle, program, (*LANGUAGE, "-g"))[0]
 
 
+@dataclass(frozen=True)
+class Verdicts:
+    """What an image of the monitor alone says of drives: a list of (sample, verdict) a drive, where the
+    verdict changes. ``rom`` as of `run_target`; ``ram_bytes`` of the monitor."""
+
+    changes: list[list[tuple[int, int]]]
+    rom: dict[str, int]
+    ram_bytes: int
+
+
+def run_verdicts(
+    name: str, vehicle: Path, drives: Sequence[Input], *, double: bool = False, fused: bool = False
+) -> Verdicts:
+    """Run the monitor alone over drives on a target.
+
+    Parameters
+    ----------
+    name : str, the target
+    vehicle : Path, generated folder
+    drives : Sequence[Input]
+    double : bool, numbers are double, default False
+    fused : bool, fuse multiply and add where the processor can, default False
+
+    Returns
+    -------
+    Verdicts
+
+    Raises
+    ------
+    InputError
+        If tools are missing, or the program does not build or fails.
+    """
+    target = _target(name)
+    numbers = ("-DLPVG_DOUBLE",) if double else ()
+    language = (*LANGUAGE, "-ffp-contract=fast" if fused else SAME_BITS, *numbers)
+    whole = Input(*(np.concatenate([getattr(drive, field) for drive in drives]) for field in ("v", "u", "y")))
+    starts = np.cumsum([0, *(len(drive.v) for drive in drives)])
+    header = whole.header() + (
+        f"#define TARGET_DRIVES {len(drives)}U\n"
+        "static const unsigned long target_drives[TARGET_DRIVES + 1U] = "
+        f"{{{', '.join(f'{start}UL' for start in starts)}}};\n"
+    )
+    program = Program("verdicts", (firmware_root() / "ports" / "verdicts.cpp",), {"target_input.h": header})
+    elf, _ = _build(target, vehicle, program, language)
+    changes: list[list[tuple[int, int]]] = []
+    ram_bytes, ended = 0, False
+    for line in run_image(name, elf):
+        kind, *words = line.split()
+        if kind == "size":
+            ram_bytes = int(words[1])
+        elif kind == "drive":
+            changes.append([])
+        elif kind == "verdict":
+            changes[-1].append((int(words[0]), int(words[1])))
+        ended = kind == "end"
+    if not ended:
+        raise InputError(
+            f"target {name}", f"run of {elf.name}", "it did not come to its end", "a last line `end`"
+        )
+    return Verdicts(changes, _sections(elf)["rom"], ram_bytes)
+
+
 def run_program(name: str, vehicle: Path, program: Program, *, timeout_s: float = TIMEOUT_S) -> list[str]:
-    """The lines that a program with the core writes on a target, or on this PC as ``host``; results bit for
-    bit the same on all. Raises InputError as `run_target`; ``timeout_s``: of the emulator [s]."""
+    """Run a program with the core on a target, or on this PC for ``host``.
+
+    The results have the same bits on all targets.
+
+    Parameters
+    ----------
+    name : str, target or ``host``
+    vehicle : Path, generated folder
+    program : Program
+    timeout_s : float, s, of the emulator
+
+    Returns
+    -------
+    list of str, lines that it writes
+
+    Raises
+    ------
+    InputError
+        If tools are missing, or the program does not build or fails.
+    """
     if name == "host":
         return _host_lines(vehicle, program)
     elf, _ = _build(_target(name), vehicle, program, (*LANGUAGE, SAME_BITS))
@@ -276,8 +384,10 @@ def run_program(name: str, vehicle: Path, program: Program, *, timeout_s: float 
 
 
 def run_image(name: str, elf: Path, timeout_s: float = TIMEOUT_S) -> list[str]:
-    """Run an image in the target's emulator, ``timeout_s`` [s] at most; the lines that it wrote. Raises
-    InputError when it fails."""
+    """Run an image in the target's emulator for ``timeout_s`` [s] at most; returns its lines.
+
+    Raises InputError when it fails.
+    """
     target = _target(name)
     command = [*_emulator(target, elf), *SEMIHOSTING]
     # Semihosting writes to standard error; standard output is the monitor's.
@@ -306,13 +416,26 @@ def run_image(name: str, elf: Path, timeout_s: float = TIMEOUT_S) -> list[str]:
 
 
 def run_target(name: str, vehicle: Path, drive: Input, *, same_bits: bool) -> dict[str, Any]:
-    """Build for a target and run in QEMU; ``vehicle`` is a generated folder. ``same_bits``: results as on
-    every other target; else multiply and add may be fused, which is what to count.
+    """Build the benchmark for a target and run it in QEMU over a drive.
 
-    Returns target, elf_sha256, rom {code, coefficients, libraries} and structs {name: bytes}, map {section:
-    {address, bytes}}, parts {name: {calls, worst, median, stack}} (instructions of one call, by the program's
-    own counter; bytes), imports (symbols that the core's objects take from libraries) and results (lines).
-    Raises InputError when tools are missing, or the program does not build or fails.
+    Parameters
+    ----------
+    name : str, the target
+    vehicle : Path, generated folder
+    drive : Input
+    same_bits : bool, results with the same bits on all targets; False allows fused operations, for counting
+
+    Returns
+    -------
+    dict
+        target; elf_sha256; rom {code, coefficients, libraries}; structs {name: bytes}; map {section:
+        {address, bytes}}; parts {name: {calls, worst, median, stack}} in instructions of one call and bytes;
+        imports, symbols that the core's objects take from libraries; results, lines.
+
+    Raises
+    ------
+    InputError
+        If tools are missing, or the program does not build or fails.
     """
     target = _target(name)
     program = _bench_of(drive)
@@ -333,8 +456,22 @@ def run_target(name: str, vehicle: Path, drive: Input, *, same_bits: bool) -> di
 
 
 def run_host(vehicle: Path, drive: Input) -> dict[str, Any]:
-    """The same program on this PC: results and structs; its counts are zero. Raises InputError when it does
-    not build."""
+    """Run the same program on this PC; its counts are zero.
+
+    Parameters
+    ----------
+    vehicle : Path, generated folder
+    drive : Input
+
+    Returns
+    -------
+    dict, results and structs
+
+    Raises
+    ------
+    InputError
+        If it does not build.
+    """
     return {"target": "host", **_parse(_host_lines(vehicle, _bench_of(drive)))}
 
 
@@ -345,7 +482,7 @@ def _bench_of(drive: Input) -> Program:
 
 
 def _host_lines(vehicle: Path, program: Program) -> list[str]:
-    """What a program writes on this PC, up to its last line ``end``."""
+    """Lines that a program writes on this PC, up to its last line ``end``."""
     ports = firmware_root() / "ports"
     with tempfile.TemporaryDirectory() as scratch:
         write_files(Path(scratch), program.headers)
@@ -379,15 +516,14 @@ def _host_lines(vehicle: Path, program: Program) -> list[str]:
 
 
 def _sources(vehicle: Path) -> tuple[list[Path], list[Path]]:
-    """Sources of the core and of the vehicle."""
-    return sorted((library_root() / "src").glob("*.cpp")), sorted(Path(vehicle).glob("*.c"))
+    """Sources of the core and the vehicle."""
+    return sorted((library_root() / "src").rglob("*.cpp")), sorted(Path(vehicle).glob("*.c"))
 
 
 def _build(
     target: Target, vehicle: Path, program: Program, language: tuple[str, ...]
 ) -> tuple[Path, list[str]]:
-    """The ELF, from the cache when nothing has changed, and the symbols that the core's objects leave to
-    libraries."""
+    """ELF, cached, and the symbols that the core's objects take from libraries."""
     vehicle = Path(vehicle)
     sources = _named_sources(target, vehicle, program)
     flags = (*target.cpu, *language, *WARNINGS, "-ffunction-sections", "-fdata-sections")
@@ -408,7 +544,7 @@ def _build(
 
 
 def _named_sources(target: Target, vehicle: Path, program: Program) -> dict[str, Path]:
-    """Object's name -> source; the linker scripts tell the core's objects by the prefixes."""
+    """Source by object name; the linker scripts select the core's objects by their prefixes."""
     ports = firmware_root() / "ports"
     port = ports / target.port
     core_sources, vehicle_sources = _sources(vehicle)
@@ -428,7 +564,7 @@ def _named_sources(target: Target, vehicle: Path, program: Program) -> dict[str,
 def _build_key(
     target: Target, vehicle: Path, program: Program, sources: dict[str, Path], flags: tuple[str, ...]
 ) -> str:
-    """Hash of all that a build depends on: compiler, flags, sources and headers."""
+    """Hash of compiler, flags, sources and headers."""
     ports, core = firmware_root() / "ports", library_root()
     key = hashlib.sha256()
     version = subprocess.run(
@@ -443,7 +579,7 @@ def _build_key(
         *(h for folder in program.folders for h in sorted(folder.glob("*.h*"))),
         *sorted(vehicle.glob("*.h")),
         *sorted((core / "include").rglob("*.h")),
-        *sorted((core / "src").glob("*.hpp")),
+        *sorted((core / "src").rglob("*.hpp")),
     ):
         key.update(path.name.encode() + b"\0" + path.read_bytes() + b"\0")
     return key.hexdigest()[:24]
@@ -452,8 +588,7 @@ def _build_key(
 def _compile(
     vehicle: Path, program: Program, sources: dict[str, Path], flags: tuple[str, ...], folder: Path
 ) -> list[Path]:
-    """Objects of all sources, in ``folder``; the program's generated headers are written there first. The
-    core's are the same in every program and come from the cache."""
+    """Compile all sources into ``folder`` with the program's headers; the core's objects are cached."""
     write_files(folder, program.headers)
     ports, core = firmware_root() / "ports", library_root()
     eigen = ("-isystem", eigen_include())
@@ -532,7 +667,7 @@ def _sections(elf: Path) -> dict[str, Any]:
 
 
 def _parse(lines: list[str]) -> dict[str, Any]:
-    """What target_bench.cpp wrote."""
+    """Parse the output of target_bench.cpp."""
     structs, parts, results = {}, {}, []
     for line in lines:
         kind, *words = line.split() or [""]

@@ -1,5 +1,4 @@
-"""The paper's plain DFT estimator: one rectangular frame per experiment at constant speed, its transient
-removed exactly.
+"""The paper's plain DFT estimator: one rectangular frame per experiment at constant speed, without transient.
 
 With X(k) = sum_{n<N} x_n z_k^-n, z_k = exp(2 pi j k / N), the recursion x_{n+1} = Ad x_n + B_old u_{n-d-1} +
 B_new u_{n-d} reads at the DFT's own lines
@@ -10,9 +9,9 @@ Let Z = C (z_k I - Ad)^-1 (B_old U_old + B_new U_new). Y - Z then holds the tran
 
     C (z_k I - Ad)^-1 z_k (x_0 - x_N)
 
-besides the model's error: |Y - Z| / |Y| would be near one even without an error. x_0 - x_N is a real vector
-of n numbers. It is fitted by least squares over all lines but DC, which holds the offsets. What is left is E.
-On data of the nominal model that is zero.
+in addition to the model's error: |Y - Z| / |Y| would be near one even without an error. x_0 - x_N is a real
+vector of n numbers. It is fitted by least squares over all lines but DC, which holds the offsets. The
+remainder is E, which is zero on data of the nominal model.
 """
 
 from __future__ import annotations
@@ -25,8 +24,19 @@ from .tables import Drive
 
 
 def lines(x: np.ndarray, estimator: Estimator) -> np.ndarray:
-    """Scaled DFT (..., K, m) at the estimator's lines of x (..., N, m): a sinusoid of amplitude a in a line
-    reads a, DC its mean."""
+    """Compute the scaled DFT at the estimator's lines.
+
+    A sinusoid of amplitude a in a line reads a; DC reads the mean.
+
+    Parameters
+    ----------
+    x : ndarray (..., N, m)
+    estimator : Estimator
+
+    Returns
+    -------
+    ndarray (..., K, m) of complex, units of x
+    """
     return _scale(estimator)[:, None] * np.fft.fft(x, axis=-2)[..., estimator.cycles, :]
 
 
@@ -43,8 +53,23 @@ def resolvent(Ad: np.ndarray, estimator: Estimator) -> tuple[np.ndarray, np.ndar
 def spectra(
     drive: Drive, start: int, model: NominalModel, estimator: Estimator
 ) -> tuple[np.ndarray, np.ndarray]:
-    """E and Z (K, n_y) of the frame that starts at sample ``start``, by the model at the frame's mean
-    speed."""
+    """Compute nominal error and nominal output of a frame, by the model at the frame's mean speed.
+
+    Parameters
+    ----------
+    drive : Drive
+    start : int, first sample of the frame
+    model : NominalModel
+    estimator : Estimator
+
+    Returns
+    -------
+    tuple of E and Z, ndarray (K, n_y) of complex, units of the outputs
+
+    References
+    ----------
+    THEORY 3.2; paper, (2).
+    """
     frame = slice(start, start + int(estimator.length[0]))
     held = model.discretise(np.array([drive.v[frame].mean()]))
     z, inverse = resolvent(held.Ad[0], estimator)

@@ -1,4 +1,4 @@
-"""Faults injected into recorded drives, from a given time on, to see what the monitor finds.
+"""Faults injected into recorded drives, to see whether the monitor finds them.
 
 Gain, sign, freeze and bias act on every output. A delay acts on the input (the recorded input lags) or on the
 outputs. A fault comes at once, or its share s grows from 0 to 1 over a ramp:
@@ -6,7 +6,7 @@ outputs. A fault comes at once, or its share s grows from 0 to 1 over a ramp:
     gain        y becomes (1 + s (value - 1)) y
     freeze      y becomes (1 - s) y + s y_0, with y_0 at the fault's first sample
     bias        y becomes y + s value
-    delay       x(t) becomes x(t - s value), linear between samples; before the drive x stands at its first
+    delay       x(t) becomes x(t - s value), linear between samples; before the drive x keeps its first value
     dead zone   y becomes sign(y) max(|y| - s value, 0)
     saturation  y becomes y / (1 + s |y| / value)
 
@@ -28,9 +28,15 @@ KINDS = ("gain", "freeze", "bias", "input_delay", "output_delay", "dead_zone", "
 
 @dataclass(frozen=True)
 class Fault:
-    """``value``: factor (gain), output units (bias, dead zone, saturation), seconds (delays); unused for
-    freeze. ``spread`` (n_y): of the outputs; what is in output units is then ``value`` of it. ``also``: a
-    fault that comes with it."""
+    """A fault of the recorded signals.
+
+    Attributes
+    ----------
+    kind : str
+    value : float, factor (gain), output units (bias, dead zone, saturation) or s (delays); unused for freeze
+    spread : tuple (n_y,) of float, spread of the outputs; where given, output units are ``value`` times it
+    also : Fault or None, a fault that comes with it
+    """
 
     kind: str
     value: float = 0.0
@@ -45,7 +51,7 @@ class Fault:
 
     @property
     def label(self) -> str:
-        """The fault in words, with its size."""
+        """Name of the fault, with its size."""
         texts = {
             "gain": "output × {:g}",
             "freeze": "output frozen",
@@ -60,12 +66,31 @@ class Fault:
 
 
 def injected_delay_s(value: float, Ts: float) -> float:
-    """The delay [s] that `inject` makes of one of ``value`` [s]: whole samples."""
+    """Round a delay to the whole samples that `inject` makes.
+
+    Parameters
+    ----------
+    value, Ts : float, s
+
+    Returns
+    -------
+    float, s
+    """
     return round(value / Ts) * Ts
 
 
 def stated(settings: EvaluationSettings, spread: np.ndarray) -> tuple[Fault, ...]:
-    """The faults of a project file's settings, the coarse ones first; ``spread`` (n_y,): of the outputs."""
+    """Return the faults of a project file's settings, the coarse ones first.
+
+    Parameters
+    ----------
+    settings : EvaluationSettings
+    spread : ndarray (n_y,), spread of the outputs [output units]
+
+    Returns
+    -------
+    tuple of Fault
+    """
     gains, delays = settings.gains, settings.delays_s
     bias = (
         Fault("bias", settings.bias_of_spread, tuple(map(float, spread)))
@@ -80,7 +105,16 @@ def stated(settings: EvaluationSettings, spread: np.ndarray) -> tuple[Fault, ...
 
 
 def no_single_cause(spread: np.ndarray) -> tuple[Fault, ...]:
-    """Faults that are two at once, or that no gain, delay or bias is; ``spread`` (n_y,): of the outputs."""
+    """Return faults that are two at once, or none of gain, delay and bias.
+
+    Parameters
+    ----------
+    spread : ndarray (n_y,), spread of the outputs [output units]
+
+    Returns
+    -------
+    tuple of Fault
+    """
     own = tuple(map(float, spread))
     bias, delay = Fault("bias", 0.5, own), Fault("output_delay", 0.3)
     return (
@@ -93,14 +127,35 @@ def no_single_cause(spread: np.ndarray) -> tuple[Fault, ...]:
 
 
 def share_of(after: np.ndarray, Ts: float, ramp_s: float) -> np.ndarray:
-    """Share (N,) of a fault that is there, by the samples (N,) since its first, below 0 before it."""
+    """Compute the share of a growing fault.
+
+    Parameters
+    ----------
+    after : ndarray (N,), samples since the fault's first, negative before it
+    Ts, ramp_s : float, s
+
+    Returns
+    -------
+    ndarray (N,), 0 to 1
+    """
     return np.where(after < 0, 0.0, np.minimum(1.0, after * Ts / ramp_s) if ramp_s else 1.0)
 
 
 def inject(drive: Drive, fault: Fault, start_s: float, Ts: float, ramp_s: float = 0.0) -> Drive:
-    """The drive with ``fault`` from ``start_s`` seconds after its first sample on.
+    """Inject a fault into a drive.
 
-    It has its full size ``ramp_s`` [s] later. ``Ts`` [s]: between samples. A full delay is whole samples.
+    Parameters
+    ----------
+    drive : Drive
+    fault : Fault
+    start_s : float, s after the drive's first sample
+    Ts : float, s
+    ramp_s : float, s until the fault has its full size, default 0
+        A full delay is whole samples.
+
+    Returns
+    -------
+    Drive
     """
     first = round(start_s / Ts)
     after = np.arange(len(drive.t)) - first

@@ -1,9 +1,9 @@
 """Seeded synthetic drives of a passenger car, for machines without the measured data.
 
-The truth is not the nominal model. It is a two-state bicycle model (side-slip and yaw rate, tyre cornering
-stiffness) with its own delay. A lateral disturbance, a sensor bias of each drive, noise and the sensors'
-quantisation come on top. The drives stand in for measured ones in tests and the demo. Numbers that are stated
-for a measured car come from measured drives only.
+The truth is a two-state bicycle model (side-slip and yaw rate, tyre cornering stiffness) with its own delay,
+not the nominal model. A lateral disturbance, a sensor bias of each drive, noise and quantisation are added.
+The drives replace measured ones in tests and the demo. Numbers about a measured car come from measured drives
+only.
 
 A vehicle with a second input, in kN m, has torque vectoring: a yaw moment that acts without delay.
 """
@@ -58,14 +58,26 @@ def _coloured(random: np.random.Generator, n: int, band_hz: tuple[float, float],
 
 
 def _yaw_moment(random: np.random.Generator, n: int, mean_speed: float, Ts: float) -> np.ndarray:
-    """(n,) [kN m]: of such a size that it turns the car about three quarters as much as the steering does."""
+    """Yaw moment (n,) [kN m] that turns the car about three quarters as much as the steering."""
     return 12.0 / (1.0 + 0.02 * mean_speed**2) * _coloured(random, n, (0.05, 1.0), Ts)
 
 
 def drive_columns(
     random: np.random.Generator, mean_speed: float, duration: float, Ts: float, seed: list[int] | None
 ) -> tuple[dict[str, np.ndarray], np.ndarray | None]:
-    """Columns (n,) of a drive, and the yaw moment (n,) [kN m] from ``seed`` (None: the car has none)."""
+    """Simulate a drive of the synthetic car.
+
+    Parameters
+    ----------
+    random : np.random.Generator
+    mean_speed : float, m/s
+    duration, Ts : float, s
+    seed : list of int, optional, of the yaw moment; None: the car has none
+
+    Returns
+    -------
+    tuple of the columns, dict of ndarray (n,), and the yaw moment, ndarray (n,) [kN m] or None
+    """
     n = round(duration / Ts) + 1
     t = np.arange(n) * Ts
     # Starts and ends at standstill; in between the speed wanders by some ten per cent.
@@ -124,9 +136,24 @@ def _csv(columns: dict[str, np.ndarray]) -> str:
 
 
 def write_drives(project: Project, folder: Path, seed: int, tell: Callable[[str], None]) -> list[Row]:
-    """Write the car's drive tables into an existing folder; returns the rows of experiments.csv.
+    """Write the car's drive tables into an existing folder.
 
-    InputError where a second input is no yaw moment in kN m."""
+    Parameters
+    ----------
+    project : Project
+    folder : Path
+    seed : int
+    tell : Callable, reports progress
+
+    Returns
+    -------
+    list of Row, rows of experiments.csv
+
+    Raises
+    ------
+    InputError
+        If a second input is no yaw moment in kN m.
+    """
     vectored = project.inputs[1] if project.n_u == 2 else None
     if vectored is not None and vectored.unit != "kN m":
         raise InputError(

@@ -1,5 +1,4 @@
-"""Stage 2, the estimator: constant-Q Hann frames of the nominal error e = y - yhat and of the nominal output
-yhat.
+"""Stage 2, the estimator: constant-Q Hann frames of nominal error e = y - yhat and nominal output yhat.
 
 A bin k > 0 has N_k samples (even) that hold ``periods`` periods, so its frequency is periods / (N_k Ts). Bin
 0 is DC and as long as the lowest bin. A frame of bin k that starts at sample i reads
@@ -39,7 +38,16 @@ from ..vehicle.project import FrameSettings, Project
 
 
 def not_for_the_core(project: Project) -> InputError:
-    """The error of a project of the plain DFT: the core computes Hann frames only."""
+    """Make the error for a project of the plain DFT: the core computes Hann frames only.
+
+    Parameters
+    ----------
+    project : Project
+
+    Returns
+    -------
+    InputError
+    """
     return InputError(
         f"vehicle {project.name}",
         "frames.estimator",
@@ -49,13 +57,34 @@ def not_for_the_core(project: Project) -> InputError:
 
 
 def require_core(project: Project) -> None:
-    """InputError for a project of the plain DFT."""
+    """Require a project that the core can run.
+
+    Parameters
+    ----------
+    project : Project
+
+    Raises
+    ------
+    InputError
+        If the estimator is the plain DFT.
+    """
     if project.frames.estimator != "hann":
         raise not_for_the_core(project)
 
 
 def settled(v: np.ndarray, speed_range: tuple[float, float], settle: int) -> np.ndarray:
-    """(N,) True where the speed v (N,) has been in the range [m/s] for more than ``settle`` samples."""
+    """Mark the samples whose speed has been in range long enough.
+
+    Parameters
+    ----------
+    v : ndarray (N,), m/s
+    speed_range : tuple[float, float], m/s
+    settle : int, samples
+
+    Returns
+    -------
+    ndarray (N,) of bool
+    """
     in_range = (v >= speed_range[0]) & (v <= speed_range[1])
     index = np.arange(1, len(v) + 1)
     last_outside = np.maximum.accumulate(np.where(in_range, 0, index))
@@ -64,20 +93,22 @@ def settled(v: np.ndarray, speed_range: tuple[float, float], settle: int) -> np.
 
 @lru_cache(maxsize=256)
 def _turns(samples: int, cycles: int) -> np.ndarray:
-    """exp(-2 pi j n c / samples), (samples, 3), of samples n and the cycles c beside and at ``cycles``."""
+    """exp(-2 pi j n c / samples), (samples, 3), for samples n and the cycles c beside and at ``cycles``."""
     lines = np.outer(np.arange(samples), cycles + np.arange(-1, 2)) % samples
     return np.exp(-2j * np.pi * lines / samples)
 
 
 class _Extremes:
-    """Least and largest values of all windows of a signal (N,): those of 2^j samples are kept, and any window
-    is two of them."""
+    """Minima and maxima of all windows of a signal (N,).
+
+    Those of windows of 2^j samples are kept; any window is the union of two.
+    """
 
     def __init__(self, x: np.ndarray):
         self._of = [(x, x)]
 
     def of_windows(self, samples: int) -> tuple[np.ndarray, np.ndarray]:
-        """Least and largest of the windows of so many ``samples``, (N - samples + 1,) each."""
+        """Minima and maxima of the windows of ``samples`` samples, (N - samples + 1,) each."""
         power = samples.bit_length() - 1
         while len(self._of) <= power:
             self._of.append(self._joined(len(self._of) - 1, 1 << (len(self._of) - 1)))
@@ -91,10 +122,17 @@ class _Extremes:
 
 @dataclass(frozen=True)
 class Estimator:
-    """The frame grid of a vehicle; everything a bound must have been made with to be comparable.
+    """Frame grid of a vehicle: everything that two comparable bounds must share.
 
-    length (K,) samples a frame; cycles (K,) periods a frame, 0 at DC; omega (K,) [rad/s]; settle [samples];
-    window: ``hann`` or ``rectangular``, the latter for the plain DFT.
+    Attributes
+    ----------
+    Ts : float, s
+    length : ndarray (K,) of int, samples of a frame
+    cycles : ndarray (K,) of int, periods in a frame, 0 at DC
+    settle : int, samples
+    speed_tolerance : float, relative
+    speed_range : tuple[float, float], m/s
+    window : str, ``hann``, or ``rectangular`` for the plain DFT
     """
 
     Ts: float
@@ -107,7 +145,7 @@ class Estimator:
 
     @classmethod
     def of(cls, project: Project, model: NominalModel) -> Estimator:
-        """The estimator of a project (THEORY 3.2). Raises InputError for settings that it cannot realise."""
+        """Estimator of a project (THEORY 3.2). Raises InputError for settings that it cannot realise."""
         settings: FrameSettings = project.frames
         if settings.length_s is not None:
             return cls._plain_dft(project, model, settings, settings.length_s)
@@ -182,7 +220,7 @@ class Estimator:
         return len(self.length)
 
     def identifier(self) -> int:
-        """CRC-32 of the estimator's definition: bounds and core must agree on it."""
+        """CRC-32 of the estimator's definition, on which bounds and core must agree."""
         definition = {
             "window": self.window,
             "Ts_ns": round(self.Ts * 1e9),
@@ -198,8 +236,7 @@ class Estimator:
 
     @property
     def hop(self) -> np.ndarray:
-        """(K,) samples from one frame to the next where frames are not taken at every start: half a frame, or
-        a whole one."""
+        """Samples (K,) between frames: half a frame, or a whole one."""
         return self.length // (2 if self.window == "hann" else 1)
 
     def kernel(self, k: int) -> np.ndarray:
@@ -210,15 +247,15 @@ class Estimator:
         return scale * w * np.exp(-2j * np.pi * self.cycles[k] * n / self.length[k])
 
     def settled(self, v: np.ndarray) -> np.ndarray:
-        """(N,) True where the speed has been in range for more than ``settle`` samples."""
+        """True (N,) where the speed v (N,) has been in range for more than ``settle`` samples."""
         return settled(v, self.speed_range, self.settle)
 
     def counted(self, v: np.ndarray, k: int) -> np.ndarray:
-        """(N - N_k + 1,) True for the start samples whose frame of bin k counts."""
+        """True (N - N_k + 1,) for the start samples whose frame of bin k counts; v (N,) [m/s]."""
         return self._counted(_Extremes(v), *self._sums(v), k)
 
     def stretches(self, v: np.ndarray) -> list[np.ndarray]:
-        """Per bin: first start and the one after the last (R, 2) of every run of frames that count."""
+        """Runs of counting frames per bin: first start and the one after the last (R, 2); v (N,) [m/s]."""
         extremes, sums = _Extremes(v), self._sums(v)
         return [runs(self._counted(extremes, *sums, k)) for k in range(self.n_bins)]
 
@@ -236,7 +273,7 @@ class Estimator:
         return steady & (whole[N:] - whole[:-N] == N)
 
     def transform(self, x: np.ndarray, k: int, starts: np.ndarray) -> np.ndarray:
-        """Frames of bin k of the signals x (N, m) at the given start samples: (len(starts), m) complex."""
+        """Frames (S, m) of bin k of the signals x (N, m) at the start samples (S,), complex."""
         if not len(starts):
             return np.zeros((0, x.shape[1]), complex)
         if self.window == "hann" and (lib := native.kernels("hann")):
@@ -245,7 +282,7 @@ class Estimator:
         return oaconvolve(x, kernel, mode="valid", axes=0)[starts]
 
     def _slid(self, lib: ctypes.CDLL, x: np.ndarray, k: int, starts: np.ndarray) -> np.ndarray:
-        """`transform` by sliding sums, over each stretch of starts that follow one another closely."""
+        """Compute `transform` by sliding sums over stretches of close starts."""
         N, m = int(self.length[k]), x.shape[1]
         turn = _turns(N, int(self.cycles[k]))
         scale = ctypes.c_double((2.0 if self.cycles[k] else 1.0) / (0.5 * N))

@@ -1,4 +1,4 @@
-"""Stage 0: logs as users have them to uniform drive tables, with a report of what was left out and why.
+"""Stage 0: turn raw logs into uniform drive tables, with a report of what was left out and why.
 
 Reads   candump, ASC, BLF, TRC, MF4, CSV, Parquet (can/logs.py); a CAN database; a signal map (signal_map.py)
 Writes  into the folder <out>
@@ -43,8 +43,7 @@ if TYPE_CHECKING:  # cantools takes long to import
     from cantools.database.can import Database, Message, Signal
 
 _WRAP_SHARE = 0.75
-"""A signal that moves by more than this share of its range between two samples is reported as a suspected
-wrap."""
+"""A step by more than this share of a signal's range is reported as a suspected wrap."""
 
 
 # ---------------------------------------------------------------------------------------------------- signals
@@ -75,8 +74,7 @@ def _unknown(where: Path | str, field_: str, name: str, what: str, names: Iterab
 
 
 def _of_several(messages: list[Message], frames: Frames, given: Inputs, where: str) -> Message:
-    """The message of a name; where a database gives the name to several, the one whose identifier is in the
-    log."""
+    """Message of a name; if several have it, the one whose identifier is in the log."""
     if len(messages) > 1:
         in_log = [m for m in messages if len(find_frames(frames, m, j1939=is_j1939(m)))]
         if len(in_log) != 1:
@@ -92,7 +90,7 @@ def _of_several(messages: list[Message], frames: Frames, given: Inputs, where: s
 
 
 def _warn_of_range(message: str, signal: Signal, outside: int, count: int) -> None:
-    """Warn where values of a drive lie outside the database's range, which the ECU takes for its own."""
+    """Warn where a drive has values outside the database's range, which the ECU would refuse."""
     if not outside:
         return
     why = contradicting_range(signal) or (
@@ -178,7 +176,7 @@ def _unwrap(value: np.ndarray, term: Term, report: dict) -> np.ndarray:
 
 
 def _log_time(log: Frames | Table) -> np.ndarray:
-    """Time of everything in the log, in its order: frames, or all samples of all series."""
+    """Times of all frames, or of all samples of all series, in the order of the log."""
     if isinstance(log, Frames):
         return log.t_ns
     axes = {id(s.t_ns): s.t_ns for s in log.series.values()}
@@ -188,7 +186,7 @@ def _log_time(log: Frames | Table) -> np.ndarray:
 
 
 def _stretch(log: Frames | Table, clock: LogClock, first: int, end: int) -> Frames | Table:
-    """The part of the log between two jumps of its clock."""
+    """Part of the log between two jumps of its clock."""
     if len(clock.cuts) == 2:
         return log
     if isinstance(log, Frames):
@@ -207,7 +205,14 @@ def _stretch(log: Frames | Table, clock: LogClock, first: int, end: int) -> Fram
 
 @dataclass(frozen=True)
 class Inputs:
-    """What is the same for all logs: the CAN database and the signal map, each with where it is from."""
+    """Inputs common to all logs: the CAN database and the signal map, each with its origin.
+
+    Attributes
+    ----------
+    database : Database
+    database_path, map_path : Path or str
+    map : SignalMap
+    """
 
     database: Database
     database_path: Path | str
@@ -292,9 +297,22 @@ def _write_piece(piece: Piece, path: Path) -> None:
 
 
 def write_tables(path: Path, given: Inputs, folder: Path) -> dict:
-    """Write the drive tables and the report of one log into an existing folder; returns the report.
+    """Write the drive tables and the report of one log into an existing folder.
 
-    Raises InputError when nothing of the log remains.
+    Parameters
+    ----------
+    path : Path
+    given : Inputs
+    folder : Path
+
+    Returns
+    -------
+    dict, the report
+
+    Raises
+    ------
+    InputError
+        If nothing of the log remains.
     """
     pieces, report = _ingest_one(path, given)
     report["drives"] = []
@@ -315,13 +333,25 @@ def write_tables(path: Path, given: Inputs, folder: Path) -> dict:
 
 
 def ingest(logs: Iterable[Path], *, dbc: Path | None, signals_map: Path | SignalMap, out: Path) -> dict:
-    """Turn ``logs`` into uniform drive tables in the folder ``out``; returns what the reports say, log by
-    log.
+    """Turn logs into uniform drive tables in a folder.
 
-    ``dbc`` None takes our own DBC; decoded logs need none. ``signals_map`` is a file, or a map that is made
-    already (``map_of_project``). Raises InputError for a file that cannot be read, and for a map that does
-    not fit database or log. Two logs of the same name are refused, and so is a log of which nothing remains.
-    Nothing is written then.
+    Nothing is written when a log is refused.
+
+    Parameters
+    ----------
+    logs : Iterable of Path
+    dbc : Path, or None for our own DBC; decoded logs need none
+    signals_map : Path, or a SignalMap of `map_of_project`
+    out : Path, new folder
+
+    Returns
+    -------
+    dict, the reports by log
+
+    Raises
+    ------
+    InputError
+        If a file cannot be read, the map does not fit, two logs share a name, or nothing of one remains.
     """
     paths = [Path(log) for log in logs]
     if not paths:

@@ -1,7 +1,7 @@
-"""Drives of MATLAB's files: a vector of numbers a column, as `save -v7` writes it.
+"""Drives in MATLAB files: one vector of numbers a column, as `save -v7` writes it.
 
-scipy takes a damaged number for the place of a type in its tables, from whatever memory lies there. So a
-variable's description is read here first, and scipy reads the variables that are sound vectors of numbers.
+A damaged number makes scipy read foreign memory, because it indexes its table of types. This module therefore
+checks the variables' descriptions first. scipy then reads only sound vectors of numbers.
 """
 
 from __future__ import annotations
@@ -27,18 +27,20 @@ _COMPLEX = 0x800
 _DESCRIBED = 4096
 """Bytes of a compressed variable that hold its description."""
 _DENSEST = 1032
-"""No byte of zlib's becomes more bytes."""
+"""Largest number of bytes that zlib unpacks from one byte."""
 
 
 def read_matlab(path: Path) -> pa.Table:
-    """The vectors of numbers among the variables; InputError where their lengths differ, where one is
-    damaged, and for files of version 7.3, which are HDF5."""
+    """Read the vectors of numbers among the variables.
+
+    Raises InputError where their lengths differ, where one is damaged, and for HDF5 files of version 7.3.
+    """
     try:
         content = path.read_bytes()
         found = loadmat(io.BytesIO(content), squeeze_me=True, variable_names=_vectors(content))
     except MemoryError:
         raise
-    except Exception as error:  # scipy has no exception of its own for a broken file
+    except Exception as error:  # scipy has no exception class for a broken file
         raise InputError(path, "", f"cannot be parsed ({type(error).__name__}: {error})", EXPECTED) from None
     columns = {n: v for n, v in found.items() if getattr(v, "ndim", 0) == 1 and v.dtype.kind in "fiu"}
     if len({len(v) for v in columns.values()}) > 1:
@@ -49,8 +51,10 @@ def read_matlab(path: Path) -> pa.Table:
 
 
 def _vectors(content: bytes) -> list[str] | None:
-    """Names of the vectors of numbers in a file of version 5 (to 7.2); None for another version, of which
-    scipy decides. ValueError for one that is damaged."""
+    """Names of the vectors of numbers in a file of version 5 (to 7.2); None for another version.
+
+    Raises ValueError for a damaged file.
+    """
     order = {b"IM": "<", b"MI": ">"}.get(content[126:128])
     if order is None or 0 in content[:4] or int(np.frombuffer(content, order + "u2", 1, 124)[0]) >> 8 != 1:
         return None
@@ -74,14 +78,16 @@ def _vectors(content: bytes) -> list[str] | None:
 
 
 def _tag(content: bytes, at: int, order: str) -> tuple[int, int, int]:
-    """Type of an element, where its data begin, and how many bytes they are."""
+    """Type of an element, start of its data, and their number of bytes."""
     first, second = (int(word) for word in np.frombuffer(content, order + "u4", 2, at))
     return (first & 0xFFFF, at + 4, first >> 16) if first >> 16 else (first, at + 8, second)
 
 
 def _vector(element: bytes, size: int, order: str) -> str:
-    """The name of a variable of so many bytes that is a vector of numbers, or "" for another one. ValueError
-    where its parts have other types or sizes than its description says."""
+    """Name of a variable that is a vector of numbers, else "".
+
+    Raises ValueError where its parts contradict its description.
+    """
     at, parts = 0, []
     for types in ({_UINT32}, {_INT32}, {_INT8, _UTF8}):
         kind, start, length = _tag(element, at, order)

@@ -1,4 +1,4 @@
-"""Samples of several signals on one uniform grid, with what was left out and why.
+"""Samples of several signals on one uniform grid, with a record of what was left out.
 
 Resampling is linear interpolation between the signal's own samples at their time of arrival. No signal is
 filtered. The table starts with the first time at which every column has a sample (t = 0 there) and never
@@ -15,12 +15,12 @@ import numpy as np
 from .signal_map import Column, SignalMap
 
 REORDER_S = 0.1
-"""A step back of the clock up to this is a matter of order (several interfaces, buffered frames): the log is
+"""A smaller step back of the clock is a matter of order (several interfaces, buffered frames): the log is
 sorted."""
 MIN_ROWS = 2
 """Shorter pieces are left out: a drive table needs at least two samples."""
 _LISTED = 50
-"""At most so many gaps are listed for a signal; all are counted."""
+"""Most gaps listed for a signal; all are counted."""
 
 NS = 1_000_000_000
 """Nanoseconds in a second."""
@@ -28,8 +28,7 @@ NS = 1_000_000_000
 
 @dataclass
 class Source:
-    """A term of a column with the samples of one log; time in ns of the log's clock, value in the column's
-    unit."""
+    """A term of a column with its samples: time in ns of the log's clock, value in the column's unit."""
 
     t_ns: np.ndarray
     value: np.ndarray
@@ -38,7 +37,7 @@ class Source:
 
 @dataclass
 class LogClock:
-    """The log's time axis cut where it jumps: [start, end) positions in the log, and the jumps."""
+    """Time axis of a log, cut where it jumps: [start, end) positions in the log, and the jumps."""
 
     t_ns: np.ndarray
     jumps: list[dict]
@@ -46,10 +45,18 @@ class LogClock:
 
 
 def clock_of(t_ns: np.ndarray, max_gap_s: float) -> LogClock:
-    """The log's time axis ``t_ns`` (N,) [ns], cut where it jumps.
+    """Cut a log's time axis where it jumps.
 
-    It jumps where it goes back by more than REORDER_S. It also jumps where it goes forward by more than 1 s
-    and more than ``max_gap_s`` [s], the largest gap that is interpolated.
+    It jumps back by more than REORDER_S, or forward by more than 1 s and ``max_gap_s``.
+
+    Parameters
+    ----------
+    t_ns : ndarray (N,) of int, ns
+    max_gap_s : float, s, largest gap that is interpolated
+
+    Returns
+    -------
+    LogClock
     """
     step = np.diff(t_ns)
     back = step < -REORDER_S * NS
@@ -79,8 +86,7 @@ class Piece:
 
 
 def _resample(grid_ns: np.ndarray, source: Source, max_gap_ns: float) -> tuple[np.ndarray, np.ndarray]:
-    """Linear interpolation at ``grid_ns``; also True where the samples around lie at most ``max_gap_ns``
-    apart."""
+    """Interpolate linearly at ``grid_ns``; also mark where the samples around lie within ``max_gap_ns``."""
     t = source.t_ns
     after = np.searchsorted(t, grid_ns, side="left")
     exact = t[np.minimum(after, len(t) - 1)] == grid_ns
@@ -93,13 +99,13 @@ def _resample(grid_ns: np.ndarray, source: Source, max_gap_ns: float) -> tuple[n
 
 
 def _runs(mask: np.ndarray) -> list[tuple[int, int]]:
-    """[first, end) of every stretch of True."""
+    """First and end [first, end) of every stretch of True."""
     edges = np.flatnonzero(np.diff(np.concatenate(([0], mask.astype(np.int8), [0]))))
     return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=False))
 
 
 class TableMaker:
-    """Makes the pieces of one log; collects what was left out."""
+    """Makes the pieces of one log and collects what was left out."""
 
     def __init__(self, signal_map: SignalMap):
         self.map = signal_map
@@ -108,7 +114,7 @@ class TableMaker:
         self._first_start: int | None = None
 
     def add_stretch(self, first_ns: int, last_ns: int, members: dict[str, list[Source]]) -> None:
-        """Grid of one stretch of unbroken clock; ``members`` are the samples in it."""
+        """Add the grid of one stretch of unbroken clock with its samples ``members``."""
         empty = [c for c, terms in members.items() if any(len(s.t_ns) == 0 for s in terms)]
         if empty:
             self._leave_out(first_ns, last_ns, empty, "no sample in this stretch of the log")
@@ -159,7 +165,7 @@ class TableMaker:
 
 
 def within_limits(column: Column, terms: list[Source]) -> None:
-    """Drops the samples outside [min, max] of the column (which then has one term)."""
+    """Drop the samples outside [min, max] of the column (which then has one term)."""
     if column.min is None and column.max is None:
         return
     source = terms[0]
@@ -175,8 +181,7 @@ def within_limits(column: Column, terms: list[Source]) -> None:
 
 
 def in_order(source: Source) -> Source:
-    """Samples by time. Two at the same time (frames read from a buffer) both stay: a step, of the earlier to
-    the later."""
+    """Sort samples by time. Two at the same time both stay and make a step."""
     t = source.t_ns
     source.report["same_time"] = int((np.diff(t) == 0).sum())
     if (np.diff(t) < 0).any():
@@ -187,7 +192,7 @@ def in_order(source: Source) -> Source:
 
 
 def describe(source: Source, max_gap_s: float) -> dict:
-    """The report of a term: how many samples, how often, and where they pause."""
+    """Report of a term: number of samples, rate and gaps."""
     step = np.diff(source.t_ns)
     pauses = np.flatnonzero(step > max_gap_s * NS)
     listed = [[source.t_ns[i] / NS, source.t_ns[i + 1] / NS] for i in pauses[:_LISTED].tolist()]

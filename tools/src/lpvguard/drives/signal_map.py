@@ -76,7 +76,7 @@ class Column(StrictModel):
     @model_validator(mode="before")
     @classmethod
     def _one_term(cls, given: Any) -> Any:
-        """A column of one signal may carry the keys of its term itself."""
+        """Let a column of one signal carry the keys of its term."""
         if isinstance(given, dict) and "terms" not in given:
             of_column = {k: v for k, v in given.items() if k in cls.model_fields}
             return {**of_column, "terms": [{k: v for k, v in given.items() if k not in of_column}]}
@@ -92,7 +92,19 @@ class Column(StrictModel):
 
 
 class SignalMap(StrictModel):
-    """What a drive table is made of; the module's text says what the keys mean."""
+    """Content of a drive table; the module's text explains the keys.
+
+    Attributes
+    ----------
+    schema_ : int, version of the format
+    Ts_s : float, s, grid of the table
+    columns : dict[str, Column], by name
+    max_gap_s : float, s, longest pause of a signal that is interpolated
+    channel : str or None, interface whose frames are read, by default all
+    j1939 : bool or None, whether 29-bit messages are J1939 groups, by default as the database says
+    time : str or None, time column of decoded tables [s], by default t, time or timestamp
+    format : str, of the tables
+    """
 
     schema_: Literal[1] = Field(alias="schema")
     Ts_s: Positive
@@ -115,7 +127,7 @@ class SignalMap(StrictModel):
 
 
 def load_signal_map(path: Path) -> SignalMap:
-    """Read and check a signal map. InputError names file, field and what was expected."""
+    """Read and check a signal map. Raises InputError that names file, field and what was expected."""
     return checked(
         SignalMap,
         read_toml(Path(path), "a signal map"),
@@ -125,10 +137,24 @@ def load_signal_map(path: Path) -> SignalMap:
 
 
 def map_of_project(project: Project) -> SignalMap:
-    """The signal map of a vehicle whose signals have a CAN place: bus value = factor * value.
+    """Make the signal map of a vehicle whose signals have a CAN place.
 
-    A sum of signals has no ``min`` and ``max``, for a drive table is judged by the vehicle's. Nor has a gate:
-    what it shuts out stays in the table."""
+    The bus value is factor * value. Gates and sums of signals get no ``min`` and ``max``: the vehicle's
+    ranges judge the drive table.
+
+    Parameters
+    ----------
+    project : Project
+
+    Returns
+    -------
+    SignalMap
+
+    Raises
+    ------
+    InputError
+        If a signal has no CAN place.
+    """
     without = [s.name for s in project.signals if s.can is None]
     if without:
         raise InputError(

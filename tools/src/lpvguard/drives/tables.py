@@ -1,12 +1,10 @@
-"""Stage 0, drives: uniform drive tables (CSV, Parquet or MATLAB) checked against the signal table of the
-vehicle.
+"""Stage 0: uniform drive tables (CSV, Parquet or MATLAB), checked against the vehicle's signal table.
 
 A drive folder holds one table a drive and ``experiments.csv``. That index has at least the columns
-``experiment`` (file stem) and ``split``; ``driver`` is carried along when present. Drives that are pieces of
-one recording say so in ``recording``, and drives with something in common in ``group``. A drive that shall
-not count stays listed, with ``use`` = no and the ``reason``. Nothing is repaired
-here: what does not fit is an InputError that names file, line and column. Raw logs are turned into such
-tables by ``lpvguard ingest``.
+``experiment`` (file stem) and ``split``. A ``driver`` is carried along. Pieces of one recording name it in
+``recording``, and drives with something in common name it in ``group``. A drive that shall not count stays
+listed, with ``use`` = no and the ``reason``. Nothing is repaired here: an InputError names file, line and
+column of what does not fit. ``lpvguard ingest`` turns raw logs into such tables.
 """
 
 from __future__ import annotations
@@ -32,16 +30,26 @@ from .matlab import read_matlab
 TABLE_SUFFIXES = (".csv", ".parquet", ".mat")
 EXPERIMENTS = INDEX
 MOST_MISSING = 0.1
-"""Share of a table's samples that may have no value or an impossible one. A wrong unit makes more of them."""
+"""Largest share of a table's samples with no value or an impossible one. A wrong unit makes more of them."""
 
 
 @dataclass(frozen=True)
 class Drive:
-    """One drive on a uniform grid: t (N,) [s], v (N,) [m/s], u (N, n_u), y (N, n_y) in the units of the
-    signal table; ``instrument`` (N,) in its own, where the project names one.
+    """One drive on a uniform grid, in the units of the signal table.
 
-    ``missing`` (N,) bool, None for nowhere: there was no sample, no value, or one outside its signal's range.
-    Inputs and outputs are filled there, and v is outside the model's range, so that nothing is judged.
+    Where samples are missing, inputs and outputs are filled, and v is outside the model's range. Nothing is
+    judged there.
+
+    Attributes
+    ----------
+    name : str
+    t : ndarray (N,), s
+    v : ndarray (N,), m/s
+    u : ndarray (N, n_u)
+    y : ndarray (N, n_y)
+    instrument : ndarray (N,) or None, the column that the project names, in its unit
+    missing : ndarray (N,) of bool, or None for nowhere
+        No sample, no value, or one outside its signal's range.
     """
 
     name: str
@@ -54,12 +62,12 @@ class Drive:
 
     @property
     def missing_samples(self) -> int:
-        """How many samples are missing."""
+        """Number of missing samples."""
         return 0 if self.missing is None else int(self.missing.sum())
 
     @property
     def present(self) -> Drive:
-        """The samples that are not missing; its time has gaps."""
+        """The drive without its missing samples; its time has gaps."""
         return self if self.missing is None else self._piece(~self.missing)
 
     @property
@@ -68,7 +76,7 @@ class Drive:
         return float(self.t[-1] - self.t[0])
 
     def from_sample(self, k: int) -> Drive:
-        """The same drive with its first k samples cut."""
+        """The drive without its first k samples."""
         return self._piece(slice(k, None))
 
     def before_sample(self, k: int) -> Drive:
@@ -84,8 +92,15 @@ class Drive:
 
 @dataclass(frozen=True)
 class Experiment:
-    """An entry of ``experiments.csv``; ``recording``: its own name where none is given; ``group``: driver,
-    road, day or whatever else drives have in common, None where none is given."""
+    """An entry of ``experiments.csv``.
+
+    Attributes
+    ----------
+    name, split, driver : str
+    path : Path, its table
+    recording : str, by default the drive's own name
+    group : str or None, driver, road, day or anything else that drives have in common
+    """
 
     name: str
     path: Path
@@ -101,17 +116,55 @@ class Experiment:
 
 
 def list_experiments(folder: Path) -> list[Experiment]:
-    """The drives of a folder that are in use, in the order of its experiments.csv."""
+    """List the drives in use, in the order of the folder's experiments.csv.
+
+    Parameters
+    ----------
+    folder : Path
+
+    Returns
+    -------
+    list[Experiment]
+
+    Raises
+    ------
+    InputError
+        If the index cannot be read, or names no drives.
+    """
     return _listed(folder)[0]
 
 
 def set_aside(folder: Path) -> dict[str, str]:
-    """The drives whose ``use`` in experiments.csv is no, with the reason that stands there."""
+    """Return the drives whose ``use`` is no.
+
+    Parameters
+    ----------
+    folder : Path
+
+    Returns
+    -------
+    dict[str, str], reason by drive
+    """
     return {name: f"set aside in {EXPERIMENTS}: {why}" for name, why in _listed(folder)[1].items()}
 
 
 def index_column(folder: Path, column: str) -> dict[str, str]:
-    """The text of a column of experiments.csv, by drive. InputError where a drive has none."""
+    """Read a column of experiments.csv.
+
+    Parameters
+    ----------
+    folder : Path
+    column : str
+
+    Returns
+    -------
+    dict[str, str], text by drive
+
+    Raises
+    ------
+    InputError
+        If a drive has none.
+    """
     index = folder / EXPERIMENTS
     found = {row["experiment"]: row.get(column) or "" for row in _rows(index)}
     lacking = next((name for name, text in found.items() if not text), None)
@@ -121,7 +174,7 @@ def index_column(folder: Path, column: str) -> dict[str, str]:
 
 
 def _listed(folder: Path) -> tuple[list[Experiment], dict[str, str]]:
-    """The drives in use, and the reasons of those that are not."""
+    """Drives in use, and the reasons of the others."""
     index = folder / EXPERIMENTS
     if not folder.is_dir():
         raise InputError(folder, "", "no such folder", f"a folder of drives with {EXPERIMENTS}")
@@ -153,8 +206,7 @@ def _listed(folder: Path) -> tuple[list[Experiment], dict[str, str]]:
 
 
 def _rows(index: Path) -> list[dict[str, str]]:
-    """The lines of an experiments.csv by its header; InputError where it cannot be read, or names no
-    drives."""
+    """Lines of an experiments.csv by its header; InputError where it cannot be read, or names no drives."""
     expected = "a CSV in UTF-8 with the columns experiment and split"
     try:
         with index.open(newline="", encoding="utf-8-sig") as stream:
@@ -169,8 +221,7 @@ def _rows(index: Path) -> list[dict[str, str]]:
 
 
 def _in_use(row: dict[str, str], index: Path, line: int) -> bool:
-    """Whether a line of the index says that its drive counts. InputError where it says it otherwise than with
-    yes or no, or no without a reason."""
+    """Whether a line's drive counts. Raises InputError unless ``use`` is yes, or no with a reason."""
     use = row.get("use") or "yes"
     if use not in ("yes", "no"):
         raise InputError(index, f"line {line}, column use", repr(use), "yes or no")
@@ -182,15 +233,40 @@ def _in_use(row: dict[str, str], index: Path, line: int) -> bool:
 
 
 def index_text(rows: Iterable[tuple[str, str, str]], third: str = "recording") -> str:
-    """An experiments.csv of drives: name, split and ``third``, by default the recording that each is a piece
-    of."""
+    """Write an experiments.csv.
+
+    Parameters
+    ----------
+    rows : Iterable of (drive, split, third)
+    third : str, name of the third column, default 'recording'
+
+    Returns
+    -------
+    str
+    """
     text = io.StringIO()
     csv.writer(text, lineterminator="\n").writerows([("experiment", "split", third), *rows])
     return text.getvalue()
 
 
 def bound_setting(project: Project, experiments: list[Experiment], folder: Path) -> list[Experiment]:
-    """The drives whose split sets the bounds; InputError when there is none."""
+    """Select the drives whose split sets the bounds.
+
+    Parameters
+    ----------
+    project : Project
+    experiments : list[Experiment]
+    folder : Path, the drives' folder, for errors
+
+    Returns
+    -------
+    list of Experiment
+
+    Raises
+    ------
+    InputError
+        If there is none.
+    """
     setting = [e for e in experiments if e.split in project.data.bound_split]
     if not setting:
         raise InputError(
@@ -205,10 +281,23 @@ def bound_setting(project: Project, experiments: list[Experiment], folder: Path)
 def read_drive(path: Path, project: Project, *, any_values: bool = False) -> Drive:
     """Read and check one drive table.
 
-    Samples without a value (an empty cell, NaN) or with one outside its signal's range (a spike, a reverse
-    piece) are missing, up to MOST_MISSING of the table; more are an InputError. Those that a gate shuts out
-    are missing too, however many. With ``any_values`` all numbers are taken as they are, and none may be
-    absent.
+    A sample is missing when it has no value (an empty cell, NaN) or one outside its signal's range (a spike,
+    a reverse piece). Samples that a gate shuts out are missing too, however many.
+
+    Parameters
+    ----------
+    path : Path
+    project : Project
+    any_values : bool, take all numbers unchanged and allow no empty cell, default False
+
+    Returns
+    -------
+    Drive
+
+    Raises
+    ------
+    InputError
+        If a column is missing or no number, the grid does not fit, or more than MOST_MISSING are missing.
     """
     table = _read_table(path)
     signals = project.recorded
@@ -280,7 +369,7 @@ def _line(index: int) -> str:
 
 
 def _column(path: Path, table: pa.Table, column: str) -> np.ndarray:
-    """The numbers of a column, (N,); NaN where a cell is empty. InputError for text that is no number."""
+    """Numbers (N,) of a column, NaN where a cell is empty; InputError for text that is no number."""
     chunked = table.column(column)
     if pa.types.is_floating(chunked.type) or pa.types.is_integer(chunked.type):
         values = chunked.cast(pa.float64()).to_numpy(zero_copy_only=False)
@@ -335,15 +424,17 @@ def _require_uniform(path: Path, t: np.ndarray, Ts: float) -> None:
 
 
 def _other_rate(typical: float, Ts: float) -> str:
-    """What the table's typical step [s] says beside the sample time Ts [s]."""
+    """Hint on a table's typical step [s] that is not the sample time Ts [s]."""
     if abs(typical - Ts) <= 0.25 * Ts:
         return ""
     return f"; the table has {Ts / typical:.3g} times the rate of the project file"
 
 
 def _missing(path: Path, project: Project, values: dict[str, np.ndarray]) -> np.ndarray | None:
-    """Where a sample has no value or an impossible one, or a gate is shut, (N,) bool; ``values`` are filled
-    there in place. None where all are."""
+    """True (N,) where a sample has no possible value, or a gate is shut; None where nowhere.
+
+    ``values`` are filled there in place.
+    """
     signals = [project.speed, *project.inputs, *project.outputs]
     outside = {s.name: _outside(s, values[s.name]) for s in project.recorded}
     missing = np.logical_or.reduce([outside[s.name] for s in signals])
@@ -364,22 +455,41 @@ def _missing(path: Path, project: Project, values: dict[str, np.ndarray]) -> np.
 
 
 def speed_of_missing(project: Project) -> float:
-    """A speed outside the model's range [m/s], as missing samples have."""
+    """Return the speed of missing samples, outside the model's range.
+
+    Parameters
+    ----------
+    project : Project
+
+    Returns
+    -------
+    float, m/s
+    """
     return 0.0 if project.model.speed_min_mps > 0 else 2.0 * project.model.speed_max_mps
 
 
 def missing_words(name: str, samples: int) -> str:
-    """What is said of a drive of which ``samples`` are missing."""
+    """Word the number of a drive's missing samples.
+
+    Parameters
+    ----------
+    name : str, the drive
+    samples : int
+
+    Returns
+    -------
+    str
+    """
     return f"{name}: {samples} samples without a value, or with one outside its signal's range, are missing"
 
 
 def _outside(signal: Signal, values: np.ndarray) -> np.ndarray:
-    """(N,) bool: where there is no value within the signal's range."""
+    """True (N,) where there is no value within the signal's range."""
     return ~((values >= signal.min) & (values <= signal.max))
 
 
 def _refuse_outside(path: Path, signal: Signal, values: np.ndarray) -> None:
-    """InputError that names the first value outside the signal's range, if there is one."""
+    """Raise InputError for the first value outside the signal's range."""
     outside = np.flatnonzero(_outside(signal, values))
     if len(outside):
         k = outside[0]
@@ -393,11 +503,23 @@ def _refuse_outside(path: Path, signal: Signal, values: np.ndarray) -> None:
 
 
 def require_units(path: Path | str, drive: Drive, nominal_output: np.ndarray, settled: np.ndarray) -> None:
-    """Refuse a drive whose output is 57 times (or 1/57 of) what the nominal model says: degrees for radians.
+    """Refuse a drive whose output is about 57 times (or 1/57 of) the nominal one: degrees for radians.
 
-    Small angles given in degrees can stay within the signal's range. Refused is a factor of 40 to 80 together
-    with a correlation above 0.8. A faulty sensor does not do that; it would be a finding and no input error.
-    ``settled`` (N,) bool: in speed range, and the start at the measured output forgotten.
+    Small angles in degrees can stay within the signal's range. A factor of 40 to 80 together with a
+    correlation above 0.8 is refused. A faulty sensor does not do that; it would be a finding and no input
+    error.
+
+    Parameters
+    ----------
+    path : Path or str
+    drive : Drive
+    nominal_output : ndarray (N, n_y), output units
+    settled : ndarray (N,) of bool, in speed range, and the initial state forgotten
+
+    Raises
+    ------
+    InputError
+        If an output seems to have the other unit.
     """
     for j in range(drive.y.shape[1]):
         y, yhat = drive.y[settled, j], nominal_output[settled, j]
@@ -414,7 +536,22 @@ def require_units(path: Path | str, drive: Drive, nominal_output: np.ndarray, se
 
 
 def table_hashes(experiments: list[Experiment], workers: Map = map) -> dict[str, str]:
-    """SHA-256 of every drive's table; InputError where two are the same: one drive would count twice."""
+    """Hash every drive's table.
+
+    Parameters
+    ----------
+    experiments : list[Experiment]
+    workers : Map
+
+    Returns
+    -------
+    dict[str, str], SHA-256 by drive
+
+    Raises
+    ------
+    InputError
+        If two are the same: one drive would count twice.
+    """
     found: dict[str, str] = {}
     first: dict[str, str] = {}
     for e, digest in zip(

@@ -57,8 +57,18 @@ _BY_LOWER_CASE = {name.lower(): name for name in _UNITS}
 
 
 def unit_factor(source: str, target: str) -> float | None:
-    """Factor from unit ``source`` to ``target``; None when it is unknown or they measure different things.
+    """Return the factor between two units.
 
+    Parameters
+    ----------
+    source, target : str
+
+    Returns
+    -------
+    float, or None if a unit is unknown or they measure different things
+
+    Examples
+    --------
     >>> round(unit_factor("deg/s", "rad/s"), 6), unit_factor("km/h", "rad")
     (0.017453, None)
     """

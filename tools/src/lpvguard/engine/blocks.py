@@ -1,4 +1,4 @@
-"""The diagonal blocks of an uncertainty Delta, for validation and synthesis alike."""
+"""Diagonal blocks of an uncertainty Delta, for validation and synthesis."""
 
 from __future__ import annotations
 
@@ -11,12 +11,19 @@ KINDS = ("full", "repeated_complex", "repeated_real")
 
 @dataclass(frozen=True)
 class Block:
-    """One diagonal block Delta_i of Delta, ``rows`` × ``cols``: ``cols`` inputs eta_i, ``rows`` outputs xi_i
-    = Delta_i eta_i.
+    """One diagonal block Delta_i of Delta with xi_i = Delta_i eta_i.
 
-    ``kind``: full (any complex matrix), repeated_complex or repeated_real (one scalar times the identity, so
-    rows = cols). Of a matrix M in eta = M xi the block's part is cols × rows. Raises InputError for another
-    kind and for sizes that do not fit.
+    In a matrix M with eta = M xi the block's part is cols × rows.
+
+    Attributes
+    ----------
+    kind : str, full (any complex matrix), repeated_complex or repeated_real (a scalar times the identity)
+    rows, cols : int, numbers of outputs xi_i and inputs eta_i
+
+    Raises
+    ------
+    InputError
+        If the kind is unknown, or the sizes do not fit.
     """
 
     kind: str

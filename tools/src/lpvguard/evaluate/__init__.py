@@ -1,5 +1,7 @@
-"""How good the tests are. In: an identification, drives, faults put into them. Out: false alarms and
-detection, leave-one-drive-out or on held-out drives, beside baselines. Which rooms it may import:
-MAY_IMPORT."""
+"""Evaluation of the tests.
+
+In: an identification, drives, faults injected into them. Out: false alarms and detection, leave-one-drive-out
+or on held-out drives, in comparison with baselines. MAY_IMPORT lists what a room may import.
+"""
 
 MAY_IMPORT = ("base", "vehicle", "drives", "core", "identify", "replay")

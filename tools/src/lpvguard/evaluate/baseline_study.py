@@ -2,8 +2,7 @@
 
 A baseline gets the same drives, residuals, calibration drives and alpha as the monitor. Its parameters are
 those that find most injected faults (then soonest), all ways and rows together, on the bound-setting and the
-other calibration drives. The drive under test takes part in nothing, whether it was left out or never seen by
-the identification.
+other calibration drives. The drive under test takes part in neither tuning nor calibration.
 """
 
 from __future__ import annotations
@@ -19,9 +18,9 @@ from ..core.compiled import Core
 from ..drives.tables import Experiment
 from ..identify.bounds import nominal_error
 from ..identify.calibration import Calibration, calibrate
+from ..identify.identification import DriveSet, StoredIdentification
 from ..identify.passes import DriveReader
-from ..identify.run import DriveSet, StoredIdentification
-from ..replay.run import Replayer
+from ..replay.replayer import Replayer
 from .baselines import GRID, KINDS, TITLES, WITH_COMPONENTS, Bank, Baseline, Scales, Sizes
 from .detection import Case, FaultOutcome, Injection, Outcomes, fault_rows, with_refutable
 from .false_alarms import false_alarms, piece_starts
@@ -45,7 +44,7 @@ def _largest(
 def _component_squares(
     reader: DriveReader, bank: Bank, item: tuple[Experiment, tuple[Baseline, ...]]
 ) -> dict[Baseline, tuple[np.ndarray, int]]:
-    """Sums of the squared components of the item's baselines over its drive, and of how many samples."""
+    """Sums of the squared components of the item's baselines over its drive, and the number of samples."""
     experiment, baselines = item
     drive, e, yhat = reader.read(experiment)
     found = {}
@@ -66,8 +65,8 @@ def _outcomes(
     bank: Bank,
     item: tuple[Experiment, tuple[Key, ...]],
 ) -> Iterator[tuple[Key, Case, FaultOutcome]]:
-    """What becomes of every fault injected into a drive, by each of the keys; nothing where the drive does
-    not qualify."""
+    """Outcomes of every fault injected into a drive, by each of the keys; nothing where the drive does not
+    qualify."""
     experiment, keys = item
     drive, e, yhat = reader.read(experiment)
     Ts, thresholds = reader.project.Ts_s, dict[Baseline, list[float]]()
@@ -90,7 +89,7 @@ def _outcomes(
 
 @dataclass(frozen=True)
 class Merit:
-    """How many injected faults were found, and the seconds until then; the time allowed where one was not."""
+    """Number of injected faults found, and their seconds; a miss counts as the time allowed."""
 
     found: int = 0
     seconds: float = 0.0
@@ -103,7 +102,7 @@ def _merits(
     bank: Bank,
     item: tuple[Experiment, tuple[Key, ...]],
 ) -> dict[Key, Merit]:
-    """The merit of each of the keys on a drive."""
+    """Merit of each of the keys on a drive."""
     merits = dict.fromkeys(item[1], Merit())
     for key, _, outcome in _outcomes(core, injection, reader, bank, item):
         s = injection.within_s if outcome.s is None else outcome.s
@@ -118,7 +117,7 @@ def _judged(
     bank: Bank,
     item: tuple[Experiment, tuple[Key, ...]],
 ) -> dict[Key, Outcomes]:
-    """The outcomes of each of the keys on a drive."""
+    """Outcomes of each of the keys on a drive."""
     found: dict[Key, Outcomes] = {key: {case: [] for case in injection.cases} for key in item[1]}
     for key, case, outcome in _outcomes(core, injection, reader, bank, item):
         found[key][case].append(outcome)
@@ -127,10 +126,8 @@ def _judged(
 
 @dataclass(frozen=True)
 class OnDrives:
-    """What the best baseline of each kind makes of drives, by drive.
-
-    Its calibration; its alarmed and all 60 s pieces; what became of faults.
-    """
+    """Results of the best baseline of each kind, by drive: calibration, alarmed and all 60 s pieces,
+    outcomes."""
 
     chosen: dict[str, dict[str, tuple[Baseline, Calibration]]]
     pieces: dict[str, dict[str, tuple[int, int]]]
@@ -138,7 +135,20 @@ class OnDrives:
 
 
 class BaselineStudy:
-    """The baselines on the drives of an identification: scores, thresholds, searched parameters."""
+    """The baselines on the drives of an identification: scores, thresholds, searched parameters.
+
+    Only bound-setting drives with commands as in use (``data.command_split``) take part.
+
+    Parameters
+    ----------
+    stored : StoredIdentification
+    drives : DriveSet, the identification's drives
+    core : Core
+    left_out : tuple of str or None, drives that will be left out; None: all calibration drives count
+    injection : Injection, faults by which parameters are chosen
+    workers : Map
+    progress : Callable, reports progress
+    """
 
     def __init__(
         self,
@@ -151,11 +161,6 @@ class BaselineStudy:
         workers: Map = map,
         progress: Callable[[str], None] = lambda _: None,
     ):
-        """``left_out``: the drives that will be asked about, None for "all calibration drives count".
-        ``injection``: the faults to choose parameters by.
-
-        Of the bound-setting drives those count whose input is a command as in use (``data.command_split``).
-        """
         used = stored.project.data.command_splits
         setting = [n for n in stored.manifest["drives"]["bounds"] if drives.experiments[n].split in used]
         self.alpha, self.calibration_drives = stored.project.frame_test.alpha, list(stored.calibration.scores)
@@ -170,7 +175,7 @@ class BaselineStudy:
         self.merits: dict[str, dict[Key, Merit]] = self._inject(_merits, [(e, keys) for e in chosen])
 
     def _bank(self, setting: list[Experiment]) -> Bank:
-        """The detectors, with their sizes on the ``setting`` drives."""
+        """The detectors, scaled by the ``setting`` drives."""
         model, estimator = self.reader.model, self.reader.estimator
         scales = Scales.of(self.workers(partial(_sizes, self.reader), setting))
         self.bank = Bank(model, estimator, scales).prepared(GRID)
@@ -183,7 +188,7 @@ class BaselineStudy:
         return Bank(model, estimator, scales, sizes).prepared(GRID)
 
     def _over(self, task: Callable, items: list[tuple], what: str) -> dict:
-        """``task`` of every item, a tuple that begins with an experiment, by the experiment's name."""
+        """Results of ``task`` by name of the experiment that begins each item."""
         results = {}
         mapped = self.workers(partial(task, self.reader, self.bank), items)
         for (experiment, *_), result in zip(items, mapped, strict=False):
@@ -192,12 +197,14 @@ class BaselineStudy:
         return results
 
     def _inject(self, task: Callable, items: list[tuple]) -> dict:
-        """``task`` of faults injected into every item."""
+        """Results of ``task`` on faults injected into every item."""
         return self._over(partial(task, self.core, self.injection), items, "baselines on faults")
 
     def calibration(self, b: Baseline, without: str | None = None) -> Calibration:
-        """Conformal threshold from the calibration drives but the recording of ``without``; drives on which
-        it never spoke give no score, and without any score it never alarms."""
+        """Conformal threshold from the calibration drives without the recording of ``without``.
+
+        Drives on which the baseline never spoke give no score. Without any score it never alarms.
+        """
         others = self.recordings.others(self.calibration_drives, without)
         scores = {n: float(self.largest[n][b].max()) for n in others}
         spoken = {n: s for n, s in scores.items() if np.isfinite(s)}
@@ -205,8 +212,10 @@ class BaselineStudy:
         return calibrate(spoken, self.alpha, floor=floor, recordings=self.recordings)
 
     def best(self, kind: str, without: str | None = None) -> tuple[Baseline, Calibration]:
-        """The parameters of ``kind`` that find most faults, then soonest, on all drives but the recording of
-        ``without``; with their calibration."""
+        """Parameters of ``kind`` that find most faults, then soonest, with their calibration.
+
+        The recording of ``without`` does not count.
+        """
         others = self.recordings.others(self.merits, without)
 
         def merit(b: Baseline) -> tuple[int, float]:
@@ -218,8 +227,10 @@ class BaselineStudy:
         return b, self.calibration(b, without)
 
     def on(self, judged: list[Experiment], *, left_out: bool) -> OnDrives:
-        """The best of each kind on the ``judged`` drives; ``left_out``: each tuned and calibrated without it,
-        otherwise on all of the study's drives."""
+        """The best of each kind on the ``judged`` drives.
+
+        ``left_out``: each is tuned and calibrated without the drive, otherwise on all of the study's drives.
+        """
         chosen = {
             e.name: {kind: self.best(kind, e.name if left_out else None) for kind in KINDS} for e in judged
         }
@@ -240,8 +251,10 @@ def alarmed(largest: np.ndarray, threshold: float) -> tuple[int, int]:
 
 
 def evaluate_baselines(rows: list[dict], on: OnDrives, known: Outcomes) -> list[dict]:
-    """Per kind: false alarms, parameters chosen, and per case its outcomes, on the drives of ``rows``.
-    ``known``: outcomes of the monitor, which say when a fault was refutable."""
+    """False alarms, chosen parameters and outcomes per kind, on the drives of ``rows``.
+
+    ``known`` holds outcomes of the monitor, which say when a fault was refutable.
+    """
     table: list[dict] = []
     for kind in KINDS:
         counts = [on.pieces[r["run"]][kind] for r in rows]

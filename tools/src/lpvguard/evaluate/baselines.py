@@ -1,4 +1,4 @@
-"""What is used in the monitor's place: five detectors on the same residual e = y - yhat.
+"""Baselines: five detectors on the monitor's residual e = y - yhat.
 
 They are tuned and calibrated alike.
 
@@ -12,23 +12,24 @@ They are tuned and calibrated alike.
 s_j is the rms of e_j on the drives that set the bounds. The filter runs on e. With the input known,
 the error of the nominal model obeys x+ = A(v) x + w, e = C x + n. Its innovations are therefore those of a
 filter on y. n has covariance diag(s_j^2), w has q^2 diag(X). X is the state covariance of the nominal model
-under white input of the rms met. Gains are stationary at each of SPEED_NODES speeds; the nearest one acts.
-Only samples in range and settled are used (drives/frames.py); the sums restart after others.
+under white input of the measured rms. Gains are stationary at each of SPEED_NODES speeds; the nearest one
+acts. Only samples in range and settled are used (drives/frames.py); the sums restart after others.
 
-The tracker estimates theta = (a, b, c) of each output. A prior keeps it near 0 where nothing excites it: its
-weight is ``prior`` times the memory in such driving as the bound-setting drives hold. The ratio's directions
-are yhat_j, -dyhat_j/dt and 1, each in one output, filtered as e is; with q = 0 the filter ignores e. Over the
-newest n samples it is (sum nu' S^-1 phi)^2 / sum phi' S^-1 phi. Its onset is searched: n is the window, half
-of it, a quarter and so on, down to SHORTEST_ONSET_S. Both have a component a direction, |theta_i| or the
-ratio's root. The statistic is the largest, each over its own rms on the bound-setting drives.
+The tracker estimates theta = (a, b, c) of each output. A prior keeps it near 0 where nothing excites it. The
+prior's weight is ``prior`` times the memory, in driving like that of the bound-setting drives. The ratio's
+directions are yhat_j, -dyhat_j/dt and 1, each in one output, filtered as e is; with q = 0 the filter ignores
+e. Over the newest n samples it is (sum nu' S^-1 phi)^2 / sum phi' S^-1 phi. Its onset is searched: n is the
+window, half of it, a quarter and so on, down to SHORTEST_ONSET_S. Tracker and ratio have a component a
+direction, |theta_i| or the ratio's root. The statistic is the largest, each over its own rms on the
+bound-setting drives.
 
-A detector alarms where its statistic exceeds a threshold. That is the conformal one of
+A detector alarms where its statistic exceeds its threshold. This is the conformal one of
 identify/calibration.py from the same calibration drives, one score a drive. Where enough drives calibrate,
 all detectors have the same guaranteed rate of false alarms. Parameters are searched over GRID, on
-bound-setting and calibration drives alone. The best find the most injected faults in time there; of those
-that tie, the fastest is taken. The search knows the faults that are to be found. So did who chose the
-monitor's tests, frames and memories, with all measured drives in view (tools/DESIGN_LOG.md). That search
-leaves out no drive, while the baselines' leaves out the one under test.
+bound-setting and calibration drives alone. The best find the most injected faults in time there; ties go to
+the fastest. The search knows the faults to be found. The monitor's tests, frames and memories were chosen
+with all measured drives in view (tools/DESIGN_LOG.md). That choice leaves out no drive, while the baselines'
+search leaves out the one under test.
 """
 
 from __future__ import annotations
@@ -58,13 +59,21 @@ TITLES = {
 }
 WITH_COMPONENTS = ("tracker", "glr")
 SHORTEST_ONSET_S = 0.2
-"""The latest onset that the likelihood ratio tries, before the newest sample."""
+"""Latest onset that the likelihood ratio tries, before the newest sample."""
 
 
 @dataclass(frozen=True)
 class Baseline:
-    """One detector with its parameters; those that its kind does not have are 0. ``window_s`` is the
-    tracker's memory, the time constant of its forgetting."""
+    """A detector with its parameters; those that its kind lacks are 0.
+
+    Attributes
+    ----------
+    kind : str
+    window_s : float, s; for the tracker the time constant of the forgetting
+    drift : float, of cusum, in units of s_j
+    process_ratio : float, q of the filter
+    prior : float, of the tracker
+    """
 
     kind: str
     window_s: float = 0.0
@@ -74,8 +83,7 @@ class Baseline:
 
     @property
     def label(self) -> str:
-        """The detector and its parameters in words, for tables: the window in seconds, drift, process ratio
-        and prior bare numbers."""
+        """The detector and its parameters for tables; the window is in seconds."""
         if self.kind == "cusum":
             return f"cusum, drift {self.drift:g}"
         own = {"nis": f", q {self.process_ratio:g}", "glr": f", q {self.process_ratio:g}"}
@@ -99,14 +107,20 @@ GRID = (
         for w in (1.25, 2.5, 5.0, 10.0, 20.0)
     ),
 )
-"""What is searched. Windows up to the 30 s within which a fault is wanted; as q falls the filter follows e
-less, until nis is rms. The ratio's windows share their onsets."""
+"""Parameters of the search. Windows reach the 30 s within which a fault is wanted. As q falls the filter
+follows e less, until nis is rms. The ratio's windows share their onsets."""
 
 
 @dataclass(frozen=True)
 class Scales:
-    """Sizes on the bound-setting drives: error (n_y,) rms of e [output units], input (n_u,) rms of u [input
-    units]. moments (n_y, 3, 3): mean products of the ``regressors`` of each output."""
+    """Sizes on the bound-setting drives.
+
+    Attributes
+    ----------
+    error : ndarray (n_y,), rms of e [output units]
+    input : ndarray (n_u,), rms of u [input units]
+    moments : ndarray (n_y, 3, 3), mean products of each output's ``regressors``
+    """
 
     error: np.ndarray
     input: np.ndarray
@@ -114,7 +128,7 @@ class Scales:
 
     @classmethod
     def of(cls, drives: Iterable[Sizes]) -> Scales:
-        """From the sums of each drive; all samples count alike."""
+        """Means from the sums of each drive; all samples count alike."""
         sums = reduce(lambda a, b: a + b, drives)
         return cls(
             np.sqrt(sums.error / sums.count), np.sqrt(sums.input / sums.count), sums.moments / sums.count
@@ -123,7 +137,7 @@ class Scales:
 
 @dataclass(frozen=True)
 class Sizes:
-    """Sums over ``count`` usable samples of a drive, of what Scales holds the means of."""
+    """Sums over ``count`` usable samples of a drive, for the means of Scales."""
 
     error: np.ndarray
     input: np.ndarray
@@ -132,7 +146,7 @@ class Sizes:
 
     @classmethod
     def of(cls, e: np.ndarray, yhat: np.ndarray, u: np.ndarray, usable: np.ndarray, Ts: float) -> Sizes:
-        """Of a drive: e, yhat (N, n_y), u (N, n_u), usable (N,)."""
+        """Sums of a drive: e, yhat (N, n_y), u (N, n_u), usable (N,)."""
         phi = regressors(yhat, Ts)[:, :, usable]
         error, given = (np.sum(x[usable] ** 2, axis=0) for x in (e, u))
         return cls(error, given, np.einsum("jik,jlk->jil", phi, phi), int(usable.sum()))
@@ -142,15 +156,24 @@ class Sizes:
 
 
 def regressors(yhat: np.ndarray, Ts: float) -> np.ndarray:
-    """(n_y, 3, N): yhat_j, -dyhat_j/dt [1/s] and 1 for every output of yhat (N, n_y). A fault in gain, delay
-    [s] or bias [output unit] makes an error along them."""
+    """(n_y, 3, N): yhat_j, -dyhat_j/dt [1/s] and 1 for every output of yhat (N, n_y).
+
+    A fault in gain, delay [s] or bias [output unit] makes an error along them.
+    """
     slope = np.diff(yhat, axis=0, prepend=yhat[:1]) / Ts
     return np.stack([yhat.T, -slope.T, np.ones_like(yhat.T)], axis=1)
 
 
 class Bank:
-    """The detectors of one vehicle. ``sizes``: per baseline of WITH_COMPONENTS the rms (3 n_y,) of its
-    components on the bound-setting drives."""
+    """The detectors of one vehicle.
+
+    Parameters
+    ----------
+    model : NominalModel
+    estimator : Estimator
+    scales : Scales
+    sizes : Mapping, ndarray (3 n_y,) by baseline of WITH_COMPONENTS, rms of its components
+    """
 
     def __init__(
         self,
@@ -164,8 +187,10 @@ class Bank:
     def statistics(
         self, baselines: Iterable[Baseline], e: np.ndarray, yhat: np.ndarray, v: np.ndarray, first: int = 0
     ) -> Iterator[tuple[Baseline, np.ndarray]]:
-        """Each baseline with its statistic (N - first,) along a drive from its sample ``first`` on: e, yhat
-        (N, n_y), v (N,); -inf where it says nothing."""
+        """Each baseline with its statistic (N - first,) along a drive from its sample ``first`` on.
+
+        e, yhat (N, n_y), v (N,) [m/s]. -inf marks samples without a statistic.
+        """
         along = _Along(self, e, yhat, v, first)
         for b in baselines:
             found = getattr(along, b.kind)(b)
@@ -181,14 +206,16 @@ class Bank:
         yield from ((b, getattr(along, b.kind)(b)) for b in baselines if b.kind in WITH_COMPONENTS)
 
     def prepared(self, baselines: Iterable[Baseline]) -> Bank:
-        """This bank with the filters of ``baselines`` made, so that no worker makes them."""
+        """This bank with the filters of ``baselines``, so that no worker makes them."""
         for ratio in {b.process_ratio for b in baselines} - {0.0}:
             self._filters(ratio)
         return self
 
     def innovations(self, process_ratio: float, e: np.ndarray, v: np.ndarray) -> np.ndarray:
-        """White innovations (N, n_y) of errors e (N, n_y) along a drive: L' nu with S^-1 = L L'. They are
-        linear in e. With a ratio of 0 the filter ignores e."""
+        """White innovations (N, n_y) of errors e (N, n_y) along a drive: L' nu with S^-1 = L L'.
+
+        They are linear in e. With a ratio of 0 the filter ignores e.
+        """
         if process_ratio == 0.0:
             return e / self.scales.error
         closed, injected, root = self._filters(process_ratio)
@@ -214,7 +241,7 @@ class Bank:
         return {}
 
     def _stationary(self, process_ratio: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """A (I - K C), A K and L, S^-1 = L L', of the stationary filter at each node."""
+        """A (I - K C), A K and L with S^-1 = L L' of the stationary filter at each node."""
         d, C, R = self.model.discretise(self._nodes), self.model.C, np.diag(self.scales.error**2)
         closed, injected, roots = [], [], []
         for A, B in zip(d.Ad, d.B_old + d.B_new, strict=True):
@@ -229,8 +256,7 @@ class Bank:
 
 
 class _Along:
-    """The statistics along one drive from its sample ``first`` on, (M,) each; what several settings of a kind
-    share is computed once."""
+    """Statistics (M,) along one drive from its sample ``first`` on; settings of a kind share computations."""
 
     def __init__(self, bank: Bank, e: np.ndarray, yhat: np.ndarray, v: np.ndarray, first: int):
         self.bank, self.e, self.yhat, self.v, self.first = bank, e, yhat, v, first
@@ -261,7 +287,7 @@ class _Along:
         return out[self.first :]
 
     def tracker(self, b: Baseline) -> np.ndarray:
-        """(3 n_y, M) Sizes of the estimated gain, delay and bias of each output; -inf at unusable samples."""
+        """(3 n_y, M) sizes of the estimated gain, delay and bias of each output; -inf at unusable samples."""
         weight, found = b.prior * b.window_s / self.bank.estimator.Ts, []
         moments = self.bank.scales.moments[..., None]
         for (R, r), M in zip(self._once(self._forgetting, b.window_s), moments, strict=True):
@@ -269,8 +295,7 @@ class _Along:
         return np.where(self.run > 0, np.concatenate(found), -np.inf)
 
     def glr(self, b: Baseline) -> np.ndarray:
-        """(3 n_y, M) Root of the largest ratio over onsets, per direction; -inf where even the latest onset
-        is not usable."""
+        """(3 n_y, M) root of the largest ratio over onsets, per direction; -inf if no onset is usable."""
         n, shortest = self._samples(b.window_s), self._samples(SHORTEST_ONSET_S)
         out = self._once(self._ratio, b.process_ratio, n)
         while n // 2 >= shortest:
@@ -279,7 +304,7 @@ class _Along:
         return np.sqrt(out, where=out >= 0, out=np.full_like(out, -np.inf))
 
     def _once(self, make: Callable, *of: float) -> Any:
-        """What ``make`` makes of these parameters, made once."""
+        """Result of ``make`` for these parameters, cached."""
         key = (make.__name__, *of)
         if key not in self._shared:
             self._shared[key] = make(*of)
@@ -295,8 +320,8 @@ class _Along:
         return total
 
     def _over(self, total: np.ndarray, n: int) -> np.ndarray:
-        """Of running sums (..., N + 1) those over the newest n samples (..., M); of fewer where there are not
-        as many."""
+        """Sums over the newest n samples (..., M), or over fewer at the start, from running sums (..., N +
+        1)."""
         begin = self.first + 1 - n
         before = total[..., max(0, begin) : max(0, total.shape[-1] - n)]
         newest = total[..., self.first + 1 :].copy()
@@ -304,8 +329,10 @@ class _Along:
         return newest
 
     def _mean_square(self, process_ratio: float, window_s: float) -> np.ndarray:
-        """Mean square of the innovations over the last window_s; -inf where the window is not within the run
-        of usable samples that ends there."""
+        """Mean square of the innovations over the last window_s.
+
+        It is -inf where the window exceeds the run of usable samples.
+        """
         total, n = self._once(self._squares, process_ratio), self._samples(window_s)
         # A difference of sums may round below zero, whose root would be NaN.
         return np.where(self.run >= n, np.maximum(self._over(total, n) / n, 0.0), -np.inf)
@@ -322,8 +349,8 @@ class _Along:
         return regressors(self.yhat, self.bank.estimator.Ts)
 
     def _forgetting(self, memory_s: float) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Per output the forgetting sums of phi phi' (3, 3, M) and phi e_j (3, M), from 0 at each first
-        usable sample."""
+        """Forgetting sums of phi phi' (3, 3, M) and phi e_j (3, M) per output, from 0 at each first usable
+        sample."""
         keep, found = float(np.exp(-self.bank.estimator.Ts / memory_s)), []
         for j, phi in enumerate(self._once(self._phi)):
             products = np.concatenate([phi[list(UPPER[0])] * phi[list(UPPER[1])], phi * self.e[:, j]])
@@ -348,10 +375,10 @@ class _Along:
         return cross, power
 
     def _ratio(self, process_ratio: float, n: int) -> np.ndarray:
-        """(3 n_y, M) Ratios with an onset n samples ago; -inf where these are not usable."""
+        """(3 n_y, M) ratios with an onset n samples ago; -inf where these are not usable."""
         cross, power = self._once(self._onsets, process_ratio)
         fits, of = self._over(cross, n), self._over(power, n)
-        # Differences of sums round; a direction that nothing excites says nothing.
+        # Differences of sums round; a direction without excitation has no statistic.
         least = 1e-9 * power[:, -1:] + np.finfo(float).tiny
         ratio = np.where(of > least, fits**2 / np.maximum(of, least), 0.0)
         return np.where(self.run >= n, ratio, -np.inf)
@@ -360,12 +387,14 @@ class _Along:
 UPPER = ((0, 0, 0, 1, 1, 2), (0, 1, 2, 1, 2, 2))
 """Rows and columns of the upper triangle of a symmetric matrix of three."""
 SYMMETRIC = (0, 1, 2, 1, 3, 4, 2, 4, 5)
-"""Where the entries of the whole matrix, row by row, stand in UPPER."""
+"""Position in UPPER of each entry of the whole matrix, row by row."""
 
 
 def _solved(A: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """x (3, N) with A x = b, for symmetric positive definite A (3, 3, N) and b (3, N), by Cramer's rule on A
-    with a diagonal of 1."""
+    """x (3, N) with A x = b, for symmetric positive definite A (3, 3, N) and b (3, N).
+
+    It uses Cramer's rule on A with a diagonal of 1.
+    """
     scale = 1.0 / np.sqrt(np.maximum(A[[0, 1, 2], [0, 1, 2]], np.finfo(float).tiny))
     p, q, r = (A[i, k] * scale[i] * scale[k] for i, k in ((0, 1), (0, 2), (1, 2)))
     c = b * scale

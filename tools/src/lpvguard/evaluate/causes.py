@@ -1,19 +1,19 @@
-"""Which cause the core names of injected faults, and whether it is right (THEORY 7.9).
+"""Causes that the core names for injected faults, and whether they are right (THEORY 7.9).
 
-A fault counts that was found in time (detection.py), with the thresholds as exported. Its drive goes on for
+A fault counts if it was found in time (detection.py), with the thresholds as exported. Its drive goes on for
 DIAGNOSED_S beyond that time, so that late alarms are diagnosed, too. The diagnosis is that of the first alarm
-from the fault's start on. Where a drive ends before the whole record is judged, what was said from half of it
-counts: preliminary.
+from the fault's start on. Where a drive ends before the whole record is judged, the preliminary diagnosis
+from half of it counts.
 
 **Known** faults have one cause: gain, sign, frozen, bias, delay. An output is right when the cause is that,
-"other" when it is other, wrong in all other cases. Truth of an interval is the size that the fault has in the
-mean from the alarm to the diagnosis: all of it, or the share of a ramp. A delayed input is a negative delay:
-the output is sooner than the model says.
+"other" when it is other, wrong in all other cases. The truth of an interval is the fault's mean size from the
+alarm to the diagnosis: all of it, or the share of a ramp. A delayed input is a negative delay: the output is
+earlier than the model's.
 
-**No single cause** has a fault of `no_single_cause`: two at once, a dead zone, an output that saturates.
-There "other" is right. A gain is, too, when its interval holds the equivalent gain. That is by least squares
-of the faulty output on the untouched one over the same samples. Uneven is a record in which the root mean
-square of the untouched output differs by UNEVEN or more between the halves of these samples.
+Faults of `no_single_cause` are two at once, a dead zone, or a saturating output. For them "other" is right. A
+gain is right, too, when its interval holds the equivalent gain: the least-squares gain of the faulty output
+on the untouched one over the same samples. A record is uneven if the root mean square of the untouched output
+differs by UNEVEN or more between the halves of these samples.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from ..drives.faults import Fault, injected_delay_s, share_of
 from ..drives.tables import Drive
 from ..identify.diagnosis import DiagnosisScales
 from ..replay.causes import WITH_INTERVAL, Diagnosis
-from ..replay.run import Replay
+from ..replay.replayer import Replay
 from ..vehicle.project import Project
 from .detection import WAY_WORDS, Case, JudgedClock
 
@@ -38,13 +38,13 @@ DIAGNOSED_S = 30.0
 """Driving after the time in which a fault may be found, for the diagnosis of its alarm."""
 UNEVEN = 2.0
 TRUE_CAUSE = {"freeze": "frozen", "bias": "bias", "input_delay": "delay", "output_delay": "delay"}
-"""By the kind of a fault; a gain below 0 is a sign."""
+"""Cause by the kind of a fault; a gain below 0 is a sign."""
 RIGHT, OTHER, WRONG, NOT_YET = "right", "other", "wrong", "not yet"
 JUDGEMENTS = (RIGHT, OTHER, WRONG, NOT_YET)
 
 
 def true_cause(fault: Fault) -> str | None:
-    """The one cause of a fault; None where it has no single one."""
+    """The one cause of a fault, or None."""
     if fault.also is not None:
         return None
     if fault.kind == "gain":
@@ -54,7 +54,7 @@ def true_cause(fault: Fault) -> str | None:
 
 @dataclass(frozen=True)
 class OutputCause:
-    """What was named of an output. ``truth``: the size that its interval should hold, None without one."""
+    """Cause named for an output; ``truth`` is the size that its interval should hold, or None."""
 
     output: str
     cause: str
@@ -66,7 +66,8 @@ class OutputCause:
 
     @property
     def held(self) -> bool | None:
-        """Whether the interval holds the truth; None where there is none, or the cause is not right."""
+        """Whether the interval of a right cause holds the truth; None without an interval or a right
+        cause."""
         if self.judgement != RIGHT or self.truth is None or self.low is None or self.high is None:
             return None
         return self.low <= self.truth <= self.high
@@ -74,8 +75,11 @@ class OutputCause:
 
 @dataclass(frozen=True)
 class CauseOutcome:
-    """Of a found fault in the drive ``run`` from ``start_s`` [s] on: the judgement, the seconds from alarm to
-    diagnosis, None without one. ``uneven``, ``preliminary``: the module's docstring."""
+    """Outcome of a found fault in the drive ``run`` from ``start_s`` [s] on.
+
+    ``after_s`` is the time from alarm to diagnosis [s], None without one. The module's docstring explains
+    ``uneven`` and ``preliminary``.
+    """
 
     run: str
     start_s: float
@@ -89,7 +93,8 @@ class CauseOutcome:
     def of(
         cls, case: Case, project: Project, clock: JudgedClock, drive: Drive, faulty: Drive, replay: Replay
     ) -> CauseOutcome:
-        """The outcome of a ``case`` from the start of ``clock`` on; ``replay``: of the ``faulty`` drive."""
+        """Outcome of a ``case`` from the start of ``clock`` on; ``replay`` is that of the ``faulty``
+        drive."""
         start_s = clock.first * replay.Ts
         since = [d for d in replay.diagnoses if d.alarm_s >= start_s - replay.Ts / 2]
         if not since:
@@ -132,7 +137,7 @@ def _output(
 
 
 def _size(fault: Fault, j: int, share: float, Ts: float) -> float:
-    """Of output j, where ``share`` of the fault is there, as it was injected."""
+    """Size of the injected fault in output j at a ``share`` of it."""
     if fault.kind == "gain":
         return 1.0 + share * (fault.value - 1.0)
     if fault.kind == "bias":
@@ -148,9 +153,10 @@ def _uneven(y: np.ndarray) -> bool:
 
 
 def can_be_named(fault: Fault, project: Project, scales: DiagnosisScales) -> bool:
-    """Whether a fault with one cause is larger, in some output, than what healthy vehicles differ by.
+    """Whether a fault with one cause exceeds, in some output, the difference between healthy vehicles.
 
-    What is smaller no record names, however long (DiagnosisScales.least)."""
+    No record, however long, names a smaller one (DiagnosisScales.least).
+    """
     if fault.kind == "freeze":
         return True
     least = scales.least
@@ -162,12 +168,15 @@ def can_be_named(fault: Fault, project: Project, scales: DiagnosisScales) -> boo
 
 
 CauseOutcomes = dict[Case, list[CauseOutcome]]
-"""Per case, what was named where it was found."""
+"""Named causes per case, where it was found."""
 
 
 def cause_table(found: CauseOutcomes, project: Project, scales: DiagnosisScales | None) -> dict:
-    """JSON-able: per case a row. Sums are over known faults, over those of them that can be named, and over
-    those without a single cause. ``scales``: say which can be named; None: not known."""
+    """JSON-able table, a row per case.
+
+    Sums are over known faults, over those of them that can be named, and over those without a single cause.
+    ``scales`` decide which can be named; None: unknown.
+    """
     rows = [_row(case, members) for case, members in found.items()]
     known = [m for case, of in found.items() if true_cause(case.fault) is not None for m in of]
     named = [
@@ -197,8 +206,8 @@ def _said_other(m: CauseOutcome) -> bool:
 
 
 def _counts(members: Iterable[CauseOutcome]) -> dict:
-    """Faults found, judgements of them, how many of these are preliminary; intervals of right causes, and how
-    many of them hold the truth."""
+    """Faults found, their judgements, the number of preliminary ones, intervals of right causes, and those
+    that hold."""
     members = list(members)
     judged = Counter(m.judgement for m in members)
     held = [o.held for m in members for o in m.outputs if o.held is not None]
@@ -251,7 +260,16 @@ CAUSE_HEAD = (
 
 
 def cause_rows(table: dict) -> list[list[str]]:
-    """Cells of the table, a row per case and one per sum."""
+    """Format the table of causes.
+
+    Parameters
+    ----------
+    table : dict, of `cause_table`
+
+    Returns
+    -------
+    list of list of str, a row per case and one per sum
+    """
     rows = []
     for row in table["rows"]:
         named = ", ".join(f"{cause} {n}" for cause, n in row["named"].items()) or "–"
@@ -271,11 +289,20 @@ def _held(of: dict) -> str:
 
 
 def cause_sentences(table: dict) -> list[str]:
-    """What the table comes to, in words, with exact 95 % intervals of the shares."""
+    """Summarise the table of causes in sentences, with exact 95 % intervals of the shares.
+
+    Parameters
+    ----------
+    table : dict, of `cause_table`
+
+    Returns
+    -------
+    list of str
+    """
     known, single = table["known"], table["no_single_cause"]
     large = table["can_be_named"]
     of_large = (
-        "of those larger than what healthy vehicles differ by: right "
+        "of those larger than the difference of healthy vehicles: right "
         f"{_share(large[RIGHT], large['found'])}, wrong {_share(large[WRONG], large['found'])}"
         if large
         else "how much healthy vehicles differ is not known: no diagnosis in the identification"

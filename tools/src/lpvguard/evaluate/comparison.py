@@ -1,7 +1,7 @@
-"""What terminal and page show of an evaluation.
+"""Tables and words of an evaluation, for terminal and page.
 
 The tables have a column per detector and a row per fault and way. The words say at which rate of false alarms
-the detectors are compared. Beside each baseline alone stands the monitor, way by way (`duels`).
+the detectors are compared. The monitor is compared with each baseline alone, way by way (`duels`).
 """
 
 from __future__ import annotations
@@ -14,24 +14,34 @@ from .detection import WAY_WORDS, median_time, ranking
 from .false_alarms import PIECE_S
 
 MONITOR = "monitor"
-"""Name of our own detector beside the kinds of baselines.KINDS: all tests together, at one threshold."""
+"""Name of our detector, like the kinds of baselines.KINDS: all tests together, at one threshold."""
 LEFT_ONE_OUT, HELD_OUT = "left_one_out", "held_out"
-"""Which drives are judged: those of the identification, each without itself, or drives that it never saw."""
+"""Judged drives: those of the identification, each without itself, or drives that it never saw."""
 CALIBRATED = {LEFT_ONE_OUT: "each drive without itself", HELD_OUT: "drives that it never saw"}
-"""What the thresholds judge, in words."""
+"""Words for the drives that the thresholds judge."""
 TOGETHER = "all"
-"""In the place of a way: the starts of all ways, one row a fault."""
+"""Name that replaces a way: the starts of all ways, one row a fault."""
 EXPORTED = "exported"
 """Both tests, each at its own threshold, as `lpvguard export` writes them."""
 COUNTS_ONLY = "counts only"
-"""What stands in the place of a rate of false alarms that is not stated."""
+"""Words that replace an unstated rate of false alarms."""
 
 
 def equal_rates(stated: Mapping[str, float | None]) -> str:
-    """The clause for terminal and page that says how detectors are compared.
+    """Word the comparison of detectors: their one rate, or counts only and the detector without a rate.
 
-    It states the one rate of all of them. Where a rate is missing it says whose, and that there are counts
-    only. ``stated``: per detector its rate or None. ValueError when the rates differ.
+    Parameters
+    ----------
+    stated : Mapping, rate by detector, or None
+
+    Returns
+    -------
+    str
+
+    Raises
+    ------
+    ValueError
+        If the rates differ.
     """
     missing = [name for name, rate in stated.items() if rate is None]
     if missing:
@@ -45,8 +55,14 @@ def equal_rates(stated: Mapping[str, float | None]) -> str:
 
 @dataclass(frozen=True)
 class DetectorColumn:
-    """A detector in the table of detector_rows: its object of FalseAlarms, its rows of fault_rows, its stated
-    rate or None."""
+    """A detector in the table of detector_rows.
+
+    Attributes
+    ----------
+    alarms : dict, of FalseAlarms
+    faults : list of dict, of fault_rows
+    stated : float or None
+    """
 
     alarms: dict
     faults: list[dict]
@@ -54,8 +70,16 @@ class DetectorColumn:
 
 
 def columns(evaluation: dict) -> dict[str, DetectorColumn]:
-    """Every detector of an evaluation by name, in the order of its JSON: the monitor, exported and each test,
-    the baselines."""
+    """List the detectors of an evaluation.
+
+    Parameters
+    ----------
+    evaluation : dict, JSON of `lpvguard evaluate`
+
+    Returns
+    -------
+    dict[str, DetectorColumn], by name: the monitor, exported and each test, the baselines
+    """
     found = {MONITOR: (evaluation["false_alarms"]["all"], evaluation["faults"])}
     found |= {name: (t["false_alarms"], t["faults"]) for name, t in evaluation["tests"].items()}
     found |= {b["kind"]: (b["false_alarms"], b["faults"]) for b in evaluation["baselines"]}
@@ -63,7 +87,7 @@ def columns(evaluation: dict) -> dict[str, DetectorColumn]:
 
 
 def pieces_an_hour(alarms: dict) -> str:
-    """Alarmed pieces an hour of judged driving, of an object of FalseAlarms; a dash without any."""
+    """Alarmed pieces an hour of judged driving, of a FalseAlarms object; a dash without any."""
     return "–" if alarms["per_judged_h"] is None else f"{alarms['per_judged_h']:.2f}"
 
 
@@ -80,7 +104,16 @@ ALARM_HEAD = (
 
 
 def alarm_rows(evaluation: dict) -> list[list[str]]:
-    """False alarms of the monitor, a row per group of drivers."""
+    """Format the monitor's false alarms, a row per group of drivers.
+
+    Parameters
+    ----------
+    evaluation : dict, JSON of `lpvguard evaluate`
+
+    Returns
+    -------
+    list of list of str
+    """
     return [
         [
             group,
@@ -96,8 +129,17 @@ def alarm_rows(evaluation: dict) -> list[list[str]]:
 
 
 def detector_rows(detectors: list[DetectorColumn], best: list[str] | None = None) -> list[list[str]]:
-    """Table rows of false alarms and found faults, a column per detector; ``best``: who leads, per fault, in
-    a last column."""
+    """Format false alarms and found faults, a column per detector.
+
+    Parameters
+    ----------
+    detectors : list[DetectorColumn]
+    best : list of str, optional, leader per fault, for a last column
+
+    Returns
+    -------
+    list of list of str
+    """
 
     def found(row: dict) -> str:
         if not row["counted"]:
@@ -139,17 +181,37 @@ def detector_rows(detectors: list[DetectorColumn], best: list[str] | None = None
 
 
 def row_name(row: dict) -> str:
-    """The way and the fault of a row of fault_rows, in words."""
+    """Name a row of fault_rows by way and fault.
+
+    Parameters
+    ----------
+    row : dict
+
+    Returns
+    -------
+    str
+    """
     return f"{WAY_WORDS[row['way']]}: {row['fault']}"
 
 
 REFUTABLE_HEAD = "refutable"
-"""Heading of the column that says how many starts were refutable in time."""
+"""Heading of the number of starts that were refutable in time."""
 
 
 def refutable_rows(detectors: list[DetectorColumn]) -> list[list[str]]:
-    """Table rows of the faults from when they are refutable on: of how many starts. Per detector how many of
-    these were found, and the median time from then on; negative where an alarm is sooner."""
+    """Format the found faults counted from when they are refutable.
+
+    A row has the number of starts, and per detector the number found and the median time. A negative time
+    means an earlier alarm.
+
+    Parameters
+    ----------
+    detectors : list[DetectorColumn]
+
+    Returns
+    -------
+    list of list of str
+    """
 
     def found(row: dict) -> str:
         return f"{row['refutable_found']}" + (
@@ -163,15 +225,16 @@ def refutable_rows(detectors: list[DetectorColumn]) -> list[list[str]]:
 
 
 def duels(monitor: list[dict], baselines: list[dict]) -> list[dict]:
-    """The monitor beside each baseline alone, way by way. Where there are several, all ways together come
-    last. Said is who leads on a row (`ranking`), and how often over the rows of a way.
+    """The monitor in comparison with each baseline alone, way by way, then for all ways together.
 
-    ``monitor``: rows of fault_rows; ``baselines``: objects of the JSON. ``leads``: "monitor", the kind,
-    "tie", or "nobody", where neither found one. ``as_often``: rows on which the monitor found as many or
-    more. ``sooner``, ``later``: rows on which its median is less, more; no median counts as later than any.
-    ``precluded``: starts at which monitor and baseline missed a fault since the untouched drive makes them
-    alarm in the time allowed. Such a miss says where a false alarm fell, not what a detector can see.
-    ``behind``: faults on which it found fewer, or found as many and later.
+    ``monitor`` holds rows of fault_rows, ``baselines`` objects of the JSON. Keys of the result:
+
+    leads       leader of a row (`ranking`): "monitor", the kind, "tie", or "nobody"
+    as_often    rows on which the monitor found as many or more
+    sooner      rows on which its median is less; no median counts as later than any
+    later       rows on which its median is more
+    precluded   missed starts at which the untouched drive alarms in the time allowed
+    behind      faults on which it found fewer, or found as many and later
     """
     ways = list(dict.fromkeys(m["way"] for m in monitor))
     found = []
@@ -185,7 +248,7 @@ def duels(monitor: list[dict], baselines: list[dict]) -> list[dict]:
 
 
 def _together(rows: list[dict]) -> list[dict]:
-    """One row a fault, of the starts of all its ways."""
+    """One row a fault, with the starts of all its ways."""
     faults: dict[str, list[dict]] = {}
     for row in rows:
         faults.setdefault(row["fault"], []).append(row)
@@ -202,7 +265,7 @@ def _together(rows: list[dict]) -> list[dict]:
 
 
 def _duel(way: str, kind: str, pairs: list[tuple[dict, dict]]) -> dict:
-    """One baseline in one way; ``pairs``: the monitor's row and its, fault by fault."""
+    """One baseline in one way; ``pairs`` are the monitor's row and the baseline's, fault by fault."""
 
     def leads(monitor: dict, other: dict) -> str:
         first = ranking({MONITOR: monitor, kind: other})
@@ -256,9 +319,19 @@ DUEL_HEAD = (
 
 
 def duel_rows(evaluation: dict) -> list[list[str]]:
-    """The monitor beside each baseline alone, a row a way. Counted are rows of faults: where it found as many
-    or more, where its median is less or more, where it leads, where it ties. Named is where it is behind.
-    Starts missed since the untouched drive alarms are counted for both (`duels`)."""
+    """Format the comparison of the monitor with each baseline, a row a way (`duels`).
+
+    A row counts the faults on which the monitor found as many or more, was sooner or later, leads or ties. It
+    names those on which it is behind, and counts precluded starts for both.
+
+    Parameters
+    ----------
+    evaluation : dict, JSON of `lpvguard evaluate`
+
+    Returns
+    -------
+    list of list of str
+    """
     rows = []
     for duel in evaluation["duels"]:
         of, leads = len(duel["rows"]), [r["leads"] for r in duel["rows"]]
@@ -282,8 +355,18 @@ WAYS_HEAD = ("way", "runs")
 
 
 def way_rows(summary: dict) -> list[list[str]]:
-    """Of a campaign's summary, table rows of the faults that come in several ways. Per detector the average
-    found at calibrated and at matched thresholds, and the median time."""
+    """Format a campaign's faults that come in several ways.
+
+    A row has per detector the average found at calibrated and at matched thresholds, and the median time.
+
+    Parameters
+    ----------
+    summary : dict, of a campaign
+
+    Returns
+    -------
+    list of list of str
+    """
 
     def found(of: dict, d: str) -> str:
         s = of["median_s"][d]

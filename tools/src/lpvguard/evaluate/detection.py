@@ -1,4 +1,4 @@
-"""Faults put into drives: from which instants, how time runs after them, and whether a detector found them.
+"""Faults injected into drives: their instants, the clock after them, and whether a detector found them.
 
 **Faults** are those of an Injection, in three ways:
 
@@ -7,21 +7,23 @@
     start   whole from the first sample of such a drive
 
 The span from ``from_s`` to the last instant that leaves ``within_s`` of judged, excited driving is divided
-into so many equal parts. One instant is drawn in each (why several: tools/DESIGN_LOG.md).
+into equal parts, one an instant. One instant is drawn in each (reason: tools/DESIGN_LOG.md).
 
-**Time** runs in judged, excited, in-range driving since the first faulty sample, which counts. Judged is the
-monitor's for all detectors, though a baseline may alarm outside of it. An alarm stands at the sample with
-which the core said so, not at the end of its frame.
+**Time** runs in judged, excited, in-range driving from the first faulty sample on. The monitor's judged
+driving
+counts for all detectors, though a baseline may alarm outside it. An alarm stands at the sample at which the
+core judged, not at the end of its frame.
 
 **Found**: the first alarm from the fault's start on comes within ``within_s``. It also comes before any alarm
 of the same detector on the untouched drive since that instant. An alarm that the untouched drive raises too
-does not count, nor does one that stands when the fault starts. The table also states how often the untouched
-drive alarms in the time allowed.
+does not count, and an alarm that stands when the fault starts does not count. The table also states how often
+the untouched drive alarms in the time allowed.
 
-**Refutable** is what was injected from the first judged instant at which the off-line margin of the faulty
-record exceeds 1 and that of the untouched one does not (`margins`). No detector that allows all that the
-bounds allow can know of the fault before. Times are counted from there, too: negative where an alarm was
-sooner.
+**Refutable**: an injected fault is refutable from the first judged instant at which the off-line margin of
+the
+faulty record exceeds 1 and that of the untouched one does not (`margins`). No detector that allows all that
+the
+bounds allow can find the fault earlier. Times are also counted from there: negative for an earlier alarm.
 """
 
 from __future__ import annotations
@@ -34,31 +36,37 @@ import numpy as np
 
 from ..drives.faults import Fault, inject, no_single_cause, stated
 from ..drives.tables import Drive
-from ..replay.run import Replay
+from ..replay.replayer import Replay
 from ..vehicle.project import EvaluationSettings, Way
 
 WAY_WORDS: dict[Way, str] = {"step": "step", "ramp": "ramp", "start": "from the start"}
-"""How a fault comes, in words."""
+"""Words for the way in which a fault begins."""
 
 
 @dataclass(frozen=True)
 class Case:
-    """What is injected: ``fault``, in which ``way``; its ramp lasts ``ramp_s`` [s]."""
+    """An injection: ``fault`` in a ``way``; its ramp lasts ``ramp_s`` [s]."""
 
     way: Way
     fault: Fault
     ramp_s: float
 
     def into(self, drive: Drive, clock: JudgedClock, Ts: float, after_s: float = 0.0) -> Drive:
-        """The drive with the fault, cut ``after_s`` [s] after it can no longer be found in time."""
+        """The drive with the fault, cut ``after_s`` [s] after the last time at which it counts as found."""
         end = min(clock.end + round(after_s / Ts), len(drive.t))
         return inject(drive.before_sample(end), self.fault, clock.first * Ts, Ts, self.ramp_s)
 
 
 @dataclass(frozen=True)
 class JudgedClock:
-    """Judged, excited, in-range seconds of a drive from its sample ``first`` on, that one included, (N,) at
-    every sample. ``within_s``: of them, until when a fault counts as found."""
+    """Clock of judged, excited, in-range driving from a sample of a drive on.
+
+    Attributes
+    ----------
+    seconds : ndarray (N,), s at every sample, the first one included
+    first : int, sample at which the clock starts
+    within_s : float, s until which a fault counts as found
+    """
 
     seconds: np.ndarray
     first: int
@@ -66,31 +74,39 @@ class JudgedClock:
 
     @classmethod
     def of(cls, replay: Replay, first: int, within_s: float) -> JudgedClock:
-        """The clock of a replayed drive, from its sample ``first`` on."""
+        """Clock of a replayed drive from its sample ``first`` on."""
         relevant = replay.judged & replay.in_range & replay.excited
         relevant[:first] = False
         return cls(np.cumsum(relevant) * replay.Ts, first, within_s)
 
     @property
     def end(self) -> int:
-        """Samples up to the last with which a fault is still found in time."""
+        """Number of samples up to the last at which a fault counts as found."""
         return int(np.searchsorted(self.seconds, self.within_s * (1 + 1e-9), side="right"))
 
     def read(self, hits: np.ndarray) -> float | None:
-        """The reading [s] at the first True of ``hits`` (N or fewer samples) from ``first`` on; None:
-        nowhere."""
+        """Reading [s] at the first True of ``hits`` (M,), M <= N, from ``first`` on; None without any."""
         return self.read_after(hits[self.first :])
 
     def read_after(self, hits: np.ndarray) -> float | None:
-        """The reading [s] at the first True of ``hits``, which begin at ``first``; None: nowhere."""
+        """Reading [s] at the first True of ``hits`` (M,), which begin at ``first``; None without any."""
         found = np.flatnonzero(hits)
         return float(self.seconds[self.first + found[0]]) if len(found) else None
 
 
 @dataclass(frozen=True)
 class Injection:
-    """Which faults are put into drives, and when: the module's docstring. Times in seconds. ``further``: at
-    once, for their causes only (causes.py)."""
+    """Faults that are injected into drives, and their instants (the module's docstring).
+
+    Attributes
+    ----------
+    from_s, shortest_s, within_s : float, s
+    starts : int, instants per drive
+    faults : tuple[Fault, ...]
+    ways : tuple[Way, ...]
+    ramp_s : float, s
+    further : tuple of Fault, injected at once, for their causes only (causes.py)
+    """
 
     from_s: float
     shortest_s: float
@@ -103,20 +119,22 @@ class Injection:
 
     @classmethod
     def usual(cls) -> Injection:
-        """Of the settings' defaults, with a bias of 0.05."""
+        """Defaults of the settings, with a bias of 0.05."""
         return cls.of(EvaluationSettings(bias=0.05), np.zeros(0))
 
     @classmethod
     def of(cls, settings: EvaluationSettings, spread: np.ndarray) -> Injection:
-        """That of a project file's settings; ``spread`` (n_y,): of the outputs; none: without
-        further faults."""
+        """Injection of a project file's settings; ``spread`` (n_y,) is that of the outputs.
+
+        Without a spread there are no further faults.
+        """
         times = (settings.fault_from_s, settings.shortest_drive_s, settings.found_within_s)
         faults = stated(settings, spread)
         further = no_single_cause(spread) if len(spread) else ()
         return cls(*times, settings.starts, faults, settings.ways, settings.ramp_s, further)
 
     def to_dict(self) -> dict:
-        """The times, the number of starts and the ways, JSON-able."""
+        """Times, number of starts and ways, JSON-able."""
         return {k: v for k, v in vars(self).items() if k not in ("faults", "further")} | {
             "ways": list(self.ways)
         }
@@ -129,20 +147,18 @@ class Injection:
 
     @property
     def further_cases(self) -> list[Case]:
-        """Those of the further faults."""
+        """The further faults."""
         return [Case("step", fault, 0.0) for fault in self.further]
 
     def into(self, untouched: Replay, seed: int) -> Iterator[tuple[Case, JudgedClock]]:
-        """Every case with the clock of each instant from which it is injected into a drive; none where the
-        drive does not qualify."""
+        """Every case with the clock of each instant in a drive; none where the drive does not qualify."""
         clocks = self.clocks(untouched, seed)
         whole = [JudgedClock.of(untouched, 0, self.within_s)] if clocks else []
         for case in self.cases:
             yield from ((case, clock) for clock in (whole if case.way == "start" else clocks))
 
     def clocks(self, untouched: Replay, seed: int) -> list[JudgedClock]:
-        """One clock for each instant from which faults are injected into a drive, but for those that are
-        there from the start; none where the drive does not qualify."""
+        """Clocks of all instants in a drive but its start; none where the drive does not qualify."""
         if untouched.duration_s <= self.shortest_s:
             return []
         earliest = round(self.from_s / untouched.Ts)
@@ -159,11 +175,11 @@ class Injection:
 
 @dataclass(frozen=True)
 class FaultOutcome:
-    """A fault in the drive ``run`` from ``start_s`` [s] on.
+    """Outcome of a fault in the drive ``run`` from ``start_s`` [s] on.
 
-    ``s``: judged, excited seconds until it was found; None: it was not. ``untouched_s``: those until the
-    detector would have alarmed without the fault; None: not within the time allowed. ``refutable_s``: those
-    until it was refutable; None: not within the time allowed.
+    All times are judged, excited seconds, or None for none in the time allowed. ``s`` is the time until it
+    was found, ``untouched_s`` that of an alarm without the fault, and ``refutable_s`` that until it was
+    refutable.
     """
 
     run: str
@@ -182,10 +198,10 @@ class FaultOutcome:
         untouched: float | None,
         refutable_s: float | None = None,
     ) -> FaultOutcome:
-        """The outcome of a fault from the start of ``clock`` on, in a drive of samples at ``Ts`` [s].
+        """Outcome of a fault from the start of ``clock`` on, in a drive of samples at ``Ts`` [s].
 
-        ``s``, ``untouched``: the clock [s] at the detector's first alarm with and without the fault, None
-        without any. ``refutable_s``: what `refutable` says.
+        ``s``, ``untouched``: the clock [s] at the detector's first alarm with and without the fault, or None.
+        ``refutable_s`` is the result of `refutable`.
         """
         in_time = clock.seconds[clock.end - 1]
         caused = s is not None and s <= in_time and (untouched is None or s < untouched)
@@ -204,9 +220,11 @@ class FaultOutcome:
 
 
 def margins(replay: Replay, first_s: float) -> np.ndarray:
-    """(N,) Off-line margin at each sample: the largest t* of the counted frames that end there, or the energy
-    test's ratio where that is larger; 0 where nothing is judged. ``first_s``: time of the drive's first
-    sample [s]."""
+    """Off-line margin (N,) at each sample; 0 where nothing is judged.
+
+    It is the larger of the energy test's ratio and the largest t* of the counted frames that end there.
+    ``first_s`` is the time of the drive's first sample [s].
+    """
     frames, found = replay.run.frames, replay.run.energy.copy()
     ends = np.round((frames.t_end_s[frames.counted] - first_s) / replay.Ts).astype(int)
     np.maximum.at(found, ends, frames.margin[frames.counted])
@@ -216,18 +234,18 @@ def margins(replay: Replay, first_s: float) -> np.ndarray:
 def refutable(clock: JudgedClock, faulty: np.ndarray, untouched: np.ndarray) -> float | None:
     """The clock [s] when an injected fault is first refutable, None: not in the time allowed.
 
-    ``faulty`` (N or fewer samples), ``untouched`` (N,): `margins` of the records with and without it.
+    ``faulty`` (M,), M <= N, and ``untouched`` (N,) are `margins` of the records with and without it.
     """
     n = min(clock.end, len(faulty))
     return clock.read((faulty[:n] > 1.0) & (untouched[:n] <= 1.0))
 
 
 Outcomes = dict[Case, list[FaultOutcome]]
-"""Per case, what became of it from every instant of every drive."""
+"""Outcomes per case, from every instant of every drive."""
 
 
 def with_refutable(cases: Outcomes, known: Outcomes) -> Outcomes:
-    """The ``cases`` of a detector, with what `refutable` said in the ``known`` ones of another."""
+    """The ``cases`` of a detector with the refutable times of the ``known`` ones."""
     at = {(case, c.run, c.start_s): c.refutable_s for case, of in known.items() for c in of}
     return {
         case: [replace(c, refutable_s=at[case, c.run, c.start_s]) for c in of] for case, of in cases.items()
@@ -235,9 +253,12 @@ def with_refutable(cases: Outcomes, known: Outcomes) -> Outcomes:
 
 
 def fault_rows(cases: Outcomes) -> list[dict]:
-    """Per case, in the order of ``cases``: outcomes found and all of them; drives and those in which it was
-    found from every start; those whose untouched drive alarms in the time allowed; median time [s]. Of those
-    that were refutable: how many, found, and the median time from then on [s]."""
+    """A row per case, in the order of ``cases``.
+
+    It has the outcomes found and all, the drives and those with the fault found from every start. It also has
+    the outcomes whose untouched drive alarms in the time allowed, and the median time [s]. For refutable ones
+    it has their number, those found, and the median time from then on [s].
+    """
     rows = []
     for case, members in cases.items():
         runs, refuted = {c.run for c in members}, [c for c in members if c.refutable_s is not None]
@@ -262,8 +283,16 @@ def fault_rows(cases: Outcomes) -> list[dict]:
 
 
 def median_time(seconds: list[float | None]) -> float | None:
-    """Median time to the first alarm, a miss counting as later than all; None: at least half are misses, or
-    there is none."""
+    """Compute the median time to the first alarm; a miss counts as later than all.
+
+    Parameters
+    ----------
+    seconds : list of float or None, s
+
+    Returns
+    -------
+    float, s, or None if at least half are misses or there is none
+    """
     if not seconds:
         return None
     middle = float(np.median([np.inf if s is None else s for s in seconds]))
@@ -271,10 +300,10 @@ def median_time(seconds: list[float | None]) -> float | None:
 
 
 def ranking(rows: dict[str, dict]) -> list[str]:
-    """The detectors that do best on one fault, all that tie. The share of cases in which each found it
-    counts first, then the median time. Empty where there is no case, or where no detector found one.
+    """Detectors that do best on one fault, all that tie.
 
-    ``rows``: per detector its row of fault_rows.
+    The share of cases in which each found it counts first, then the median time. The result is empty where
+    there is no case, or where no detector found one. ``rows`` holds a row of fault_rows per detector.
     """
 
     def merit(row: dict) -> tuple[float, float]:

@@ -1,10 +1,10 @@
 """False alarms of a detector on drives without a fault: in pieces of 60 s, in drives and in recordings.
 
 Every second of a drive counts, judged or not. A drive's last piece may be shorter. Rates are stated per
-recording and per hour of judged driving; judged is the monitor's for all detectors. Exact intervals
-(rates.py) are over recordings, for alarms of one recording come together. They hold for drives that are
-judged by one calibration. Where each drive is judged by the others, the drives share what calibrates:
-at a stated alpha no more than a share alpha of them can alarm, whatever the test (THEORY 7.3).
+recording and per hour of the monitor's judged driving, for all detectors. Exact intervals (rates.py) are over
+recordings, because alarms of one recording depend on each other. They hold for drives that are judged by one
+calibration. Where each drive is judged by the others, the drives share what calibrates. At a stated alpha no
+more than a share alpha of them can then alarm, whatever the test (THEORY 7.3).
 """
 
 from __future__ import annotations
@@ -14,18 +14,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..base.rates import per_hour, rate
-from ..replay.run import Replay
+from ..replay.replayer import Replay
 
 PIECE_S = 60.0
 
 
 @dataclass(frozen=True)
 class FalseAlarms:
-    """Alarmed and all 60 s pieces, a drive's shorter last one included; and drives, and recordings.
+    """Alarmed and all 60 s pieces, a drive's shorter last one included; drives and recordings.
 
     drives, alarmed_drives: all, and those with an alarmed piece; judged_h: hours of judged driving;
-    per_judged_h: alarmed pieces an hour of it, None without any. recordings: those that alarm, of all, as
-    rates.rate has it; recordings_per_judged_h: those an hour of judged driving, as rates.per_hour has it.
+    per_judged_h: alarmed pieces an hour of it, or None. recordings: share that alarms, of rates.rate;
+    recordings_per_judged_h: alarming ones an hour of judged driving, of rates.per_hour.
     """
 
     drives: int
@@ -39,8 +39,7 @@ class FalseAlarms:
 
     @classmethod
     def of(cls, counts: list[tuple[int, int]], judged_s: list[float], recordings: list[str]) -> FalseAlarms:
-        """``counts``: (alarmed, all) pieces of each drive; ``judged_s``: the judged seconds of each;
-        ``recordings``: what each is a piece of."""
+        """False alarms from (alarmed, all) pieces, judged seconds and recording of each drive."""
         alarmed, pieces = (int(sum(c[i] for c in counts)) for i in (0, 1))
         judged_h = sum(judged_s) / 3600
         alarming = {r for r, c in zip(recordings, counts, strict=True) if c[0]}
@@ -57,16 +56,24 @@ class FalseAlarms:
 
 
 def false_alarms(counts: list[tuple[int, int]], rows: list[dict]) -> dict:
-    """The object of FalseAlarms from (alarmed, all) pieces of every one of the drives' ``rows``."""
+    """FalseAlarms object from (alarmed, all) pieces of each of the drives' ``rows``."""
     return vars(FalseAlarms.of(counts, [r["judged_s"] for r in rows], [r["recording"] for r in rows]))
 
 
 def alarming(replay: Replay, test: str | None = None) -> np.ndarray:
-    """(N,) True at samples where a test (None: any) speaks against the model.
+    """Mark the samples at which a test contradicts the model.
 
-    For "frame" these are the samples with which a falsifying frame was judged. For "energy" and
-    "change" they are all samples above the threshold, because these tests' values persist. A frame is judged
-    once.
+    A falsifying frame marks the sample of its judgement. The energy and the change test mark all samples
+    above their threshold.
+
+    Parameters
+    ----------
+    replay : Replay
+    test : str, optional, "frame", "energy" or "change", by default any
+
+    Returns
+    -------
+    ndarray (N,) of bool
     """
     found = {"frame": replay.falsified, "energy": replay.over, "change": replay.changed}
     return np.logical_or.reduce(list(found.values())) if test is None else found[test]
@@ -75,7 +82,7 @@ def alarming(replay: Replay, test: str | None = None) -> np.ndarray:
 def piece_starts(samples: int, Ts: float) -> np.ndarray:
     """First samples (P,) of the 60 s pieces of a drive of ``samples`` at ``Ts`` [s].
 
-    The last piece is what remains, up to 60 s with the closing sample.
+    The last piece is the remainder, up to 60 s with the closing sample.
     """
     return np.arange(0, max(1, samples - 1), round(PIECE_S / Ts))
 

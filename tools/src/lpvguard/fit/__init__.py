@@ -1,5 +1,8 @@
-"""A nominal model's numbers from drives. In: `Drive`s and a `Project` whose parameters are guesses. Out: the
-parameters, delay and offsets with their standard errors, and how well they explain each drive. What is wrong
-with drives that no parameters explain is named. Which rooms it may import: MAY_IMPORT."""
+"""Fit of a nominal model to drives.
+
+In: `Drive`s and a `Project` whose parameters are guesses. Out: the parameters, delay and offsets with their
+standard errors, and the explained variance of each drive. Drives that no parameters explain get a diagnosis.
+MAY_IMPORT lists what a room may import.
+"""
 
 MAY_IMPORT = ("base", "vehicle", "drives")

@@ -1,16 +1,15 @@
-"""The fit: parameters, delay and offsets that leave the least whitened error of prediction.
+"""The fit: parameters, delay and offsets with the least whitened error of prediction.
 
     e(theta) = y - yhat(theta),   V(theta) = sum over drives and outputs |A(q) e(theta)|^2 / sigma^2
 
 A and sigma are the noise model of the residuals (noise.py). Fit and noise model alternate until theta rests:
 generalised least squares, which is efficient for a coloured disturbance (Ljung, System Identification, 2nd
-ed., 7.5 and 10.2). Where that leaves much more of the outputs than plain least squares do, the residuals are
-the model's own error and no noise. Then the plain fit is taken. A trim a drive enters linearly and is
-projected out.
+ed., 7.5 and 10.2). If that leaves much more of the outputs than plain least squares do, the residuals are
+model error and no noise. Then the plain fit is taken. A trim a drive enters linearly and is projected out.
 
 Standard errors are those of a sandwich H^-1 S H^-1. H is of the whitened derivatives, S the spread of the
-scores over blocks of the drives. They hold where the noise differs by speed or drive, and allow for what the
-noise model leaves.
+scores over blocks of the drives. They hold where the noise differs by speed or drive, and allow for
+correlation that the noise model leaves.
 """
 
 from __future__ import annotations
@@ -33,10 +32,12 @@ PASSES = 5
 RESTS = 0.05
 """The fit rests when no unknown moves by more than this share of its standard error."""
 BLOCKS, COLOURED_BLOCKS = 120, 40
-"""About so many blocks of all drives together give the spread of the scores. Coloured residuals are
-remembered longer, so the blocks of a plain fit are longer."""
+"""Approximate number of blocks of all drives for the spread of the scores.
+
+Coloured residuals are remembered longer, so the blocks of a plain fit are longer.
+"""
 WORSE = 1.3
-"""A whitened fit may leave so many times what the plain one leaves."""
+"""Largest ratio of the remainders of a whitened and a plain fit."""
 SHORTEST_S = 2.0
 """Shorter stretches of judged speed are left out."""
 HOPELESS = 1e3
@@ -45,9 +46,11 @@ HOPELESS = 1e3
 
 @dataclass(frozen=True)
 class Estimate:
-    """The unknowns' values and covariance: theta (p,), covariance (p, p), trims (n_drives, n_u) less the
-    common input_offset, trim_errors of the same shape; both have no columns where the trim is common, and are
-    NaN where nothing is judged."""
+    """Values and covariance of the unknowns: theta (p,), covariance (p, p), trims (n_drives, n_u).
+
+    The trims are less the common input_offset; trim_errors has the same shape. Both have no columns where the
+    trim is common, and are NaN where nothing is judged.
+    """
 
     unknowns: Unknowns
     theta: np.ndarray
@@ -60,12 +63,12 @@ class Estimate:
 
     @property
     def standard_error(self) -> np.ndarray:
-        """(p,) in the units of the unknowns."""
+        """Standard errors (p,) in the units of the unknowns."""
         return np.sqrt(np.diag(self.covariance))
 
     @property
     def correlation(self) -> np.ndarray:
-        """(p, p), of the estimates' errors."""
+        """Correlation (p, p) of the estimates' errors."""
         s = np.where(self.standard_error > 0, self.standard_error, 1.0)
         return self.covariance / np.outer(s, s)
 
@@ -82,8 +85,8 @@ class Fit:
         self.pieces = self._pieces(unknowns.start)
 
     def _pieces(self, theta: np.ndarray) -> list[list[slice]]:
-        """Judged stretches of each drive: in the speed range, and the start at the measured output
-        forgotten. InputError when there is none at all."""
+        """Judged stretches of each drive: in the speed range, initial state forgotten. InputError without
+        any."""
         model = self.unknowns.model(theta)
         shortest = max(round(SHORTEST_S / self.Ts), 3 * noise.LARGEST_ORDER)
         found = [stretches_of(judged_samples(model, d.v), shortest) for d in self.drives]
@@ -103,7 +106,7 @@ class Fit:
         return [d.y - model.simulate(d.v, d.u, d.y[0]) for d in self.drives]
 
     def _trim_responses(self, theta: np.ndarray) -> list[np.ndarray]:
-        """What a unit of trim adds to e, of every drive: (N, n_y, n_u)."""
+        """Change (N, n_y, n_u) of every drive's e per unit of trim."""
         model, found = self.unknowns.model(theta), []
         for d in self.drives:
             at_rest = model.simulate(d.v, d.u, d.y[0])
@@ -115,8 +118,8 @@ class Fit:
         return found
 
     def _whitened(self, signal: list[np.ndarray]) -> list[np.ndarray]:
-        """Whitened, scaled columns of every drive, outputs and stretches below one another; of arrays
-        (N, n_y) or (N, n_y, n)."""
+        """Whitened, scaled columns of every drive, outputs and stretches stacked, from (N, n_y) or (N,
+        n_y, n)."""
         found = []
         for i, (x, pieces) in enumerate(zip(signal, self.pieces, strict=True)):
             x = x.reshape(*x.shape[:2], -1)
@@ -145,7 +148,7 @@ class Fit:
         return [np.column_stack([column[i] for column in columns]) for i in range(len(self.drives))]
 
     def minimised(self, theta: np.ndarray, evaluations: int = 40) -> np.ndarray:
-        """The unknowns (p,) of least V near theta (p,), with the noise model as it is."""
+        """Unknowns (p,) of least V near theta (p,), with the noise model fixed."""
         span = self.unknowns.high - self.unknowns.low
         inset = np.where(np.isfinite(span), 1e-6 * np.where(np.isfinite(span), span, 1.0), 0.0)
         start = np.clip(theta, self.unknowns.low + inset, self.unknowns.high - inset)
@@ -161,14 +164,14 @@ class Fit:
         ).x
 
     def plain(self, theta: np.ndarray) -> np.ndarray:
-        """The unknowns (p,) of least plain squares, from theta (p,) and from the delay that fits best."""
+        """Unknowns (p,) of least plain squares, from theta (p,) with the best delay."""
         self.pieces = self._pieces(theta)
         stretches = self._stretches(self.errors(theta))
         self.whitening = [noise.white([[np.ones(1)] for _ in drives]) for drives in stretches]
         return self.minimised(self._with_delay(theta))
 
     def _with_delay(self, theta: np.ndarray) -> np.ndarray:
-        """theta with the delay, of those a sample apart, that leaves the least when a gain is free."""
+        """Theta with the best delay, of those a sample apart, when a gain is free."""
         if DELAY not in self.unknowns.names:
             return theta
         j, best = self.unknowns.names.index(DELAY), (np.inf, theta)
@@ -191,7 +194,7 @@ class Fit:
         return np.maximum(np.std(np.concatenate([d.y for d in self.drives]), axis=0), 1e-12)
 
     def _stretches(self, errors: list[np.ndarray]) -> list[list[list[np.ndarray]]]:
-        """Of each output, of each drive: its judged stretches of the errors."""
+        """Judged stretches of the errors, for each output and each drive."""
         return [
             [[e[s, j] for s in pieces] for e, pieces in zip(errors, self.pieces, strict=True)]
             for j in range(self.n_y)
@@ -206,8 +209,10 @@ class Fit:
         return [e + t @ np.nan_to_num(d) for e, t, d in zip(errors, responses, trims, strict=True)]
 
     def _trims(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Trim of every drive beside the common input_offset, and its standard error: (n_drives, n_u), NaN
-        where nothing is judged; no columns where the trim is common."""
+        """Trim of every drive beside the common input_offset, and its standard error: (n_drives, n_u).
+
+        It is NaN where nothing is judged, and has no columns where the trim is common.
+        """
         if not self.own_trim:
             return np.zeros((len(self.drives), 0)), np.zeros((len(self.drives), 0))
         errors, responses = self._whitened(self.errors(theta)), self._whitened(self._trim_responses(theta))
@@ -244,7 +249,7 @@ class Fit:
         return Estimate(self.unknowns, theta, covariance, list(self.whitening), trims, trim_errors, taken)
 
     def _left(self, theta: np.ndarray) -> float:
-        """Sum of what is left of the outputs, each over its variance, about the mean of each stretch."""
+        """Sum of the outputs' remainders, each over its variance, about the mean of each stretch."""
         errors = self._trimmed_errors(theta)
         return sum(
             float(np.sum((e[s] - e[s].mean(0)) ** 2 / self._scale**2))
@@ -253,7 +258,7 @@ class Fit:
         )
 
     def _mean_trim_written(self, theta: np.ndarray, trims: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The unknowns as they were; their project gets the mean trim as input_offset."""
+        """The unknowns, with the mean trim as input_offset of their project."""
         mean = np.nanmean(trims, axis=0)
         model = self.unknowns.base.model
         offset = [float(a + b) for a, b in zip(model.input_offset or [], mean, strict=True)]
@@ -266,8 +271,8 @@ class Fit:
         return theta, trims - mean
 
     def _covariance(self, theta: np.ndarray, blocks: int) -> np.ndarray:
-        """Covariance (p, p) of the unknowns by the sandwich of so many blocks. Unknowns at an end of their
-        range are taken as known."""
+        """Covariance (p, p) of the unknowns by the sandwich of blocks. Unknowns at an end of their range
+        count as known."""
         residuals, derivatives = self.residuals(theta), self.derivatives(theta)
         free = np.array([name not in self.unknowns.at_end(theta) for name in self.unknowns.names])
         H = sum((J[:, free].T @ J[:, free] for J in derivatives), np.zeros((free.sum(),) * 2))

@@ -1,4 +1,4 @@
-"""The noise model of a fit: an autoregression of the residuals of all drives, by which they are made white.
+"""Noise model of a fit: an autoregression of the residuals of all drives, which whitens them.
 
     A(q) e_k = sigma n_k,   A(q) = 1 + a_1 q^-1 + ... + a_m q^-m
 
@@ -25,21 +25,21 @@ class Whitening:
 
     @property
     def order(self) -> int:
-        """m."""
+        """Order m."""
         return len(self.a) - 1
 
     def filtered(self, x: np.ndarray) -> np.ndarray:
-        """A(q) of the columns of a stretch x (N, n); its first m samples are lost: (N - m, n)."""
+        """A(q) of the columns of a stretch x (N, n); without its first m samples: (N - m, n)."""
         return lfilter(self.a, [1.0], x, axis=0)[self.order :]
 
 
 def white(stretches: list[list[np.ndarray]]) -> Whitening:
-    """No autoregression, and the drives' own sigma; ``stretches`` as of `fitted`, entry by entry."""
+    """No autoregression, and the drives' own sigma; ``stretches`` as in `fitted`, entry by entry."""
     return Whitening(np.ones(1), _spread(stretches))
 
 
 def fitted(stretches: list[list[np.ndarray]]) -> Whitening:
-    """The autoregression of residuals: for each drive its stretches (N,), each at its own mean's level."""
+    """Autoregression of residuals, from each drive's stretches (N,), each about its own mean."""
     order = min(LARGEST_ORDER, max(len(e) for drive in stretches for e in drive) // 20)
     sigma = _spread(stretches)
     a = np.ones(1)
@@ -62,7 +62,7 @@ def _spread(stretches: list[list[np.ndarray]]) -> np.ndarray:
 
 
 def _least_of_schwarz(moments: np.ndarray, count: int) -> np.ndarray:
-    """Coefficients of the order with the least criterion; ``moments`` of lags 0..m."""
+    """Coefficients of the order with the least criterion; ``moments`` are of lags 0..m."""
     best, least = np.ones(1), count * np.log(moments[0, 0] / count)
     for m in range(1, len(moments)):
         tail = np.linalg.lstsq(moments[1 : m + 1, 1 : m + 1], -moments[1 : m + 1, 0], rcond=None)[0]

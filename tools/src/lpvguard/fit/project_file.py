@@ -1,4 +1,4 @@
-"""The project file with other numbers in it: everything else, comments too, stays as it was."""
+"""The project file with new numbers; the rest, comments too, stays unchanged."""
 
 from __future__ import annotations
 
@@ -20,7 +20,21 @@ _ENTRY = re.compile(r"(\w+)\[(\d+)\]")
 
 
 def text_of(vehicle: str) -> str:
-    """The text of a project file, of a path or of a shipped vehicle's name."""
+    """Read the text of a project file.
+
+    Parameters
+    ----------
+    vehicle : str, path or shipped vehicle's name
+
+    Returns
+    -------
+    str
+
+    Raises
+    ------
+    InputError
+        If it cannot be read.
+    """
     path = Path(vehicle)
     if path.suffix == ".toml" or path.is_file():
         return path.read_text(encoding="utf-8")
@@ -28,8 +42,10 @@ def text_of(vehicle: str) -> str:
 
 
 def with_numbers(text: str, where: str, values: dict[str, float]) -> str:
-    """The text with these values of the unknowns, by the names of `Unknowns`, and with its CAN database
-    beside it. InputError where the text cannot be edited."""
+    """The text with new values by names of `Unknowns`, and with its CAN database beside it.
+
+    Raises InputError where the text cannot be edited.
+    """
     try:
         document = tomlkit.parse(text)
         model = document["model"]
@@ -49,7 +65,7 @@ def with_numbers(text: str, where: str, values: dict[str, float]) -> str:
 
 
 def values_of(unknowns: Unknowns, theta: np.ndarray) -> dict[str, float]:
-    """Fitted numbers by name, and the input_offset that a trim a drive leads to; theta (p,)."""
+    """Fitted numbers by name, with the input_offset from the drives' trims; theta (p,)."""
     values = dict(zip(unknowns.names, (float(x) for x in theta), strict=True))
     if unknowns.base.fit.trim == "drive":
         offsets = unknowns.base.model.input_offset or []

@@ -1,4 +1,4 @@
-"""How well a model explains drives: variance accounted for, gain and residual tests, by drive and by speed.
+"""Quality of a model on drives: variance accounted for, gain and residual tests, by drive and by speed.
 
     VAF_j = 1 - var(y_j - yhat_j) / var(y_j)
 
@@ -26,16 +26,25 @@ LAGS_S = 1.0
 PASSED = 4.0
 """A test is passed below this many standard deviations, the largest of some fifty lags."""
 POOR_VAF = 0.9
-"""Below it a model is called poor."""
+"""A model below it is called poor."""
 CELLS = 4
 """Speed cells, each with the same number of judged samples."""
 
 
 @dataclass(frozen=True)
 class Quality:
-    """What a model explains of some samples: vaf, gain and the outputs' variance (n_y,); whiteness and
-    left_by_input (n_y,) in standard deviations, NaN without a noise model; speed_mps: least and largest;
-    ``missing``: samples of the drive that are."""
+    """Quality of a model on some samples.
+
+    Attributes
+    ----------
+    name : str
+    judged_s : float, s
+    speed_mps : tuple[float, float], m/s, least and largest
+    vaf, gain : ndarray (n_y,)
+    variance : ndarray (n_y,), of the outputs, output units squared
+    whiteness, left_by_input : ndarray (n_y,), standard deviations, NaN without a noise model
+    missing : int, missing samples of the drive
+    """
 
     name: str
     judged_s: float
@@ -64,7 +73,7 @@ class Quality:
 def quality(
     name: str, v: np.ndarray, y: np.ndarray, yhat: np.ndarray, Ts: float, whitening: list[Whitening]
 ) -> Quality:
-    """Of judged samples: v (N,) [m/s], y and yhat (N, n_y); Ts [s]. NaN where nothing can be said."""
+    """Quality on judged samples: v (N,) [m/s], y and yhat (N, n_y); Ts [s]. NaN where it is undefined."""
     n_y = y.shape[1]
     vaf, gain, white, left = (np.full(n_y, np.nan) for _ in range(4))
     variance = y.var(axis=0) if len(y) else np.zeros(n_y)
@@ -98,7 +107,7 @@ def _residual_tests(e: np.ndarray, yhat: np.ndarray, a: np.ndarray, lags: int) -
 def by_drive(
     model: NominalModel, drives: list[Drive], whitening: list[Whitening], trims: np.ndarray | None = None
 ) -> list[Quality]:
-    """Of each drive; ``trims`` (n_drives, n_u) beside the common input_offset, or None."""
+    """Quality of each drive; ``trims`` (n_drives, n_u) are less the common input_offset, or None."""
     found = []
     for i, d in enumerate(drives):
         u = d.u - np.nan_to_num(trims[i]) if trims is not None and trims.shape[1] else d.u
@@ -107,14 +116,29 @@ def by_drive(
 
 
 def of_drive(model: NominalModel, drive: Drive, yhat: np.ndarray, whitening: list[Whitening]) -> Quality:
-    """Of one drive, whose nominal output is yhat (N, n_y); without a noise model residuals are not tested."""
+    """Compute the quality of a model on one drive.
+
+    Parameters
+    ----------
+    model : NominalModel
+    drive : Drive
+    yhat : ndarray (N, n_y), nominal output [output units]
+    whitening : list of Whitening, one an output; without any, residuals are not tested
+
+    Returns
+    -------
+    Quality
+    """
     judged = judged_samples(model, drive.v)
     found = quality(drive.name, drive.v[judged], drive.y[judged], yhat[judged], model.Ts, whitening)
     return replace(found, missing=drive.missing_samples)
 
 
 def by_speed(model: NominalModel, drives: list[Drive]) -> list[Quality]:
-    """Of all drives together, in CELLS of speed; residuals are not tested, for cells break the time axis."""
+    """Quality on all drives together, in CELLS of speed.
+
+    Residuals are not tested, because cells break the time axis.
+    """
     parts = [
         (d.v[j], d.y[j], model.simulate(d.v, d.u, d.y[0])[j])
         for d in drives
@@ -133,12 +157,30 @@ def by_speed(model: NominalModel, drives: list[Drive]) -> list[Quality]:
 
 
 def gaps(found: list[Quality]) -> list[str]:
-    """A line a drive with missing samples."""
+    """Word the missing samples, a line a drive with any.
+
+    Parameters
+    ----------
+    found : list of Quality
+
+    Returns
+    -------
+    list of str
+    """
     return [missing_words(q.name, q.missing) for q in found if q.missing]
 
 
 def pooled_vaf(found: list[Quality]) -> np.ndarray:
-    """VAF of all that ``found`` judges together, (n_y,): a drive counts by its length and its variance."""
+    """Compute the VAF of all samples together; a drive counts by its length and its variance.
+
+    Parameters
+    ----------
+    found : list of Quality
+
+    Returns
+    -------
+    ndarray (n_y,)
+    """
     seconds = np.array([q.judged_s for q in found])[:, None]
     there = seconds * np.array([q.variance for q in found])
     left = there * (1 - np.nan_to_num(np.array([q.vaf for q in found])))

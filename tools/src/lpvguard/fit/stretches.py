@@ -1,4 +1,4 @@
-"""Which samples of a drive are judged: those in the model's speed range, once the start is forgotten."""
+"""Judged samples of a drive: in the model's speed range, with the initial state forgotten."""
 
 from __future__ import annotations
 
@@ -21,7 +21,17 @@ def stretches_of(mask: np.ndarray, shortest: int) -> list[slice]:
 
 
 def liveliest(drive: Drive, samples: int) -> slice:
-    """The stretch of so many samples, or the whole drive, in which the outputs spread most."""
+    """Find the stretch in which the outputs spread most.
+
+    Parameters
+    ----------
+    drive : Drive
+    samples : int, its length; a shorter drive is taken whole
+
+    Returns
+    -------
+    slice
+    """
     n = min(samples, len(drive.t))
     if n == len(drive.t):
         return slice(0, n)

@@ -1,9 +1,9 @@
-"""Why drives do not fit: signs, units, columns and delays that are not what the project file says.
+"""Reasons why drives do not fit: signs, units, columns and delays that contradict the project file.
 
-A *reading* is a drive with one thing turned round: a sign, a unit, two columns, a shift in time. Where the
-drives as they are leave much unexplained, every reading is tried within the ranges of [fit]. A reading that
-leaves a quarter or less, and little, names the fault. Ranges decide what can be told: speed in km/h is a
-wheelbase of 3.6 times the size, so a wide range for the wheelbase hides it.
+A *reading* is a drive with one change: a sign, a unit, two columns, a shift in time. Where the recorded
+drives leave much unexplained, every reading is tried within the ranges of [fit]. A reading that leaves a
+quarter or less, and little, names the fault. Ranges decide what can be distinguished: speed in km/h acts like
+a wheelbase of 3.6 times the size, so a wide range for the wheelbase hides it.
 """
 
 from __future__ import annotations
@@ -26,15 +26,19 @@ LITTLE, SURE = 0.1, 0.02
 """Shares of the output's variance. A drive that leaves no more than LITTLE is explained; with an unknown at
 the end of its range, no more than SURE."""
 MUCH, NOTHING = 0.6, 0.9
-"""Shares of the same, in the mean over drives: where one reading alone leaves no more than MUCH, and the
-drives as they are and every other reading NOTHING and more, that reading is named."""
+"""Shares of the same, averaged over drives, at which one reading is named.
+
+It leaves no more than MUCH. The recorded drives and every other reading leave NOTHING or more.
+"""
 BETTER = 0.25
-"""A reading that leaves no more than this share of what the drive as it is leaves is the better one."""
+"""A reading is better if it leaves no more than this share of the recorded drive's remainder."""
 AS_GOOD = 1.5
-"""A reading that leaves more than this many times what parameters of the drive's own leave is not the reason:
-it is another car's drive."""
+"""A reading is no reason if it leaves this many times more than parameters of the drive alone.
+
+Such a drive is another car's.
+"""
 TRIED_ALONE = 6
-"""So many drives are fitted alone to find parameters that most drives share, where not all agree."""
+"""Number of drives fitted alone to find parameters that most drives share, where not all agree."""
 OTHER_UNITS = {"m/s": ("km/h", "mph"), "rad": ("deg",), "rad/s": ("deg/s",), "deg": ("rad",)}
 LONGEST_SHIFT = 0.9
 """Share of a drive by which columns may be shifted and still be compared."""
@@ -44,7 +48,7 @@ WHEEL_RATIOS = (12.0, 16.0, 20.0)
 
 @dataclass(frozen=True)
 class Reading:
-    """A drive read otherwise: where the fault would be, what it would be, and the drive without it."""
+    """A changed drive: place of the fault, its kind, and the drive without it."""
 
     where: str
     what: str
@@ -53,14 +57,15 @@ class Reading:
 
 
 def readings(project: Project) -> Iterator[Reading]:
-    """Every reading of drives of a project, but for shifts in time."""
+    """All readings of a project's drives except shifts in time."""
     yield from _signs(project)
     yield from _units(project)
     yield from _swapped(project)
 
 
 def _signs(project: Project) -> Iterator[Reading]:
-    """An input and all outputs together are turned by either; so one alone is named with the other."""
+    """Readings with changed signs. An input and all outputs together are equivalent; the message names
+    both."""
     several = project.n_u * project.n_y > 1
     for i, s in enumerate(project.inputs):
         turned = np.where(np.arange(project.n_u) == i, -1.0, 1.0)
@@ -137,8 +142,8 @@ def _ordered(project: Project, order: list[int], drive: Drive) -> Drive:
 def shifts(project: Project, theta: np.ndarray, drive: Drive) -> Iterator[Reading]:
     """Readings with the outputs moved to where they follow the inputs best.
 
-    Best is the largest product over what overlaps, and the largest correlation, which a short overlap after a
-    long shift does not hide. Nothing within the range of the delay. ``theta`` (p,): unknowns.
+    Best is the largest product over the overlap, and the largest correlation, which a short overlap after a
+    long shift does not hide. Shifts within the range of the delay are left out. ``theta`` (p,): unknowns.
     """
     model = Unknowns.of(project).model(theta)
     yhat, judged = model.simulate(drive.v, drive.u, drive.y[0]), judged_samples(model, drive.v)
@@ -162,13 +167,13 @@ def shifts(project: Project, theta: np.ndarray, drive: Drive) -> Iterator[Readin
 
 
 def _overlap_energy(x: np.ndarray) -> np.ndarray:
-    """Sums (2 n - 1,) of x² over what overlaps when x (n,) is moved back by -(n - 1) to n - 1 samples."""
+    """Sums (2 n - 1,) of x² over the overlap when x (n,) is moved back by -(n - 1) to n - 1 samples."""
     squares = x**2
     return np.r_[np.cumsum(squares), np.cumsum(squares[::-1])[-2::-1]]
 
 
 def _moved(project: Project, lag: int, high: float) -> Reading:
-    """The reading with the outputs ``lag`` samples sooner; ``high``: the longest delay expected [s]."""
+    """Reading with the outputs ``lag`` samples earlier; ``high`` is the longest delay expected [s]."""
     k, word = abs(lag), "later" if lag > 0 else "earlier"
 
     def read(d: Drive) -> Drive:
@@ -190,8 +195,10 @@ def _moved(project: Project, lag: int, high: float) -> Reading:
 
 @dataclass(frozen=True)
 class Screened:
-    """Which drives the model can explain, start values (p,) from them, and what is wrong with the others:
-    an error each. ``certain``: names of drives of which the fault is known."""
+    """Drives that the model can explain, start values (p,) from them, and an error for each other drive.
+
+    ``certain`` names the drives whose fault is known.
+    """
 
     explained: list[Drive]
     theta: np.ndarray
@@ -200,8 +207,10 @@ class Screened:
 
 
 def screened(project: Project, drives: list[Drive]) -> Screened:
-    """Sort drives into those that one set of parameters explains and those that it does not, with a reason
-    each. Raises InputError when all are wrong in the same way."""
+    """Sort drives into those that one set of parameters explains and the others, with a reason each.
+
+    Raises InputError when all have the same fault.
+    """
     unknowns = Unknowns.of(project)
     theta, left = _common(unknowns, drives)
     bad_end = bool(unknowns.at_end(theta))
@@ -227,8 +236,7 @@ def screened(project: Project, drives: list[Drive]) -> Screened:
 def judged_beside(
     unknowns: Unknowns, theta: np.ndarray, drives: list[Drive]
 ) -> tuple[dict[str, InputError], set[str]]:
-    """What is wrong with each drive that theta (p,) does not explain, and the names of those of which it is
-    certain."""
+    """Fault of each drive that theta (p,) does not explain, and the names of those whose fault is certain."""
     left = [_left(unknowns, theta, d) for d in drives]
     faults: dict[str, InputError] = {}
     certain: set[str] = set()
@@ -240,7 +248,7 @@ def judged_beside(
 
 
 def _left(unknowns: Unknowns, theta: np.ndarray, drive: Drive) -> float:
-    """Share of the outputs' variance that the model leaves, the mean of the outputs; inf where nothing is
+    """Share of the outputs' variance that the model leaves, averaged over outputs; inf where nothing is
     judged."""
     try:
         model = unknowns.model(theta)
@@ -262,7 +270,7 @@ def _fitted(unknowns: Unknowns, drives: list[Drive]) -> np.ndarray | None:
 
 
 def _common(unknowns: Unknowns, drives: list[Drive]) -> tuple[np.ndarray, list[float]]:
-    """Parameters (p,) that explain as many drives as possible, and what they leave of each."""
+    """Parameters (p,) that explain as many drives as possible, and the remainder of each."""
 
     def left(theta: np.ndarray) -> list[float]:
         return [_left(unknowns, theta, d) for d in drives]
@@ -287,8 +295,7 @@ def _common(unknowns: Unknowns, drives: list[Drive]) -> tuple[np.ndarray, list[f
 
 
 def _together(left: list[float]) -> float:
-    """Mean of what is left of the drives, where a drive counts 1 at most: more, or nothing judged, is no
-    worse."""
+    """Mean remainder of the drives, at most 1 each."""
     return float(np.mean(np.minimum(left, 1.0)))
 
 
@@ -297,10 +304,10 @@ def _agreeing(left: list[float]) -> int:
 
 
 def _require_no_common_fault(unknowns: Unknowns, drives: list[Drive], left: list[float]) -> None:
-    """InputError when one reading explains the drives together, and they as they are do not.
+    """Raise InputError when one reading explains the drives together, and the recorded drives do not.
 
-    Where many of them are beyond any model, a reading may leave up to MUCH, if the drives as they are and
-    every other reading leave all but nothing explained.
+    Where many of them are beyond any model, a reading may leave up to MUCH. The recorded drives and every
+    other reading must then leave almost everything unexplained.
     """
     now = _together(left)
     tried: list[tuple[bool, float, int, Reading]] = []
@@ -337,8 +344,10 @@ def _shift_of(unknowns: Unknowns, theta: np.ndarray, drive: Drive, left: float) 
 def _fault_of(
     unknowns: Unknowns, theta: np.ndarray, drive: Drive, left: float
 ) -> tuple[InputError, bool] | None:
-    """What is wrong with one drive beside others that theta (p,) explains, and whether it is certain; None
-    where the drive is only explained poorly."""
+    """Fault of one drive among others that theta (p,) explains, and whether it is certain.
+
+    The result is None where the drive is only explained poorly.
+    """
     tried = [(_left(unknowns, theta, r.read(drive)), i, r) for i, r in enumerate(readings(unknowns.base))]
     then, _, reading = min(tried)
     own = _fitted(unknowns, [drive])
@@ -387,6 +396,6 @@ def _error(name: str, reading: Reading, then: float, now: float) -> InputError:
     return InputError(
         name,
         reading.where,
-        f"{reading.what}: read so, the model leaves {then:.1%} of the output; as it is, {as_it_is}",
+        f"{reading.what}: with this change the model leaves {then:.1%} of the output; without it, {as_it_is}",
         reading.expected,
     )

@@ -1,5 +1,5 @@
-"""The unknowns of a fit: which numbers of a project file are looked for, and between which ends. From them a
-project is made with other numbers in their place."""
+"""Unknowns of a fit: the fitted numbers of a project file with their ranges, and the project with new
+values."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ from ..vehicle.project import Project
 
 DELAY = "input_delay_s"
 REACH = 5.0
-"""Without a range, a parameter is looked for from its value over REACH to its value times REACH."""
+"""Default range of a parameter: its value over REACH to its value times REACH."""
 LONGEST_DELAY_S = 1.0
-"""Without a range, no longer delay is looked for; a vehicle has none."""
+"""Largest delay of the default range; a vehicle has no longer one."""
 AT_END = 2e-3
-"""An unknown this close to an end, as a share of its range, is at its end."""
+"""Distance from an end, as a share of the range, below which an unknown is at its end."""
 SEARCH_CELLS = 24
-"""Cells of the speed table of models that are tried."""
+"""Cells of the speed table of tried models."""
 
 
 class TriedModel(NominalModel):
-    """A nominal model that is made often: SEARCH_CELLS cells over speed, and quick exponentials."""
+    """Nominal model for frequent construction: SEARCH_CELLS cells over speed, and quick exponentials."""
 
     @cached_property
     def table(self) -> SpeedTable:
-        """The entries over speed."""
+        """Entries over speed."""
         return tabulate(self.discrete_entries, *self.speed_range, SEARCH_CELLS)
 
     @staticmethod
@@ -50,7 +50,7 @@ class TriedModel(NominalModel):
 class Unknowns:
     """The p unknowns of a project: names, and start, low, high, step (p,) in the project file's units.
 
-    ``step``: half the difference by which derivatives are taken.
+    ``step`` is half the difference of derivatives.
     """
 
     base: Project
@@ -62,8 +62,8 @@ class Unknowns:
 
     @classmethod
     def of(cls, project: Project) -> Unknowns:
-        """The unknowns that the project's [fit] names. InputError where a range lacks or leaves its value
-        out."""
+        """Unknowns that the project's [fit] names. InputError where a range is missing or excludes its
+        value."""
         rows = [*_parameters(project), *_delay(project), *_offsets(project)]
         if not rows:
             raise InputError(
@@ -92,7 +92,7 @@ class Unknowns:
         return TriedModel(self.project(theta))
 
     def at_end(self, theta: np.ndarray) -> list[str]:
-        """Names of the unknowns that stand at an end of their range, but for a delay of 0; ``theta`` (p,)."""
+        """Names of the unknowns at an end of their range, except a delay of 0; ``theta`` (p,)."""
         width = np.where(np.isfinite(self.high - self.low), self.high - self.low, np.inf)
         near = np.minimum(theta - self.low, self.high - theta) < AT_END * width
         return [

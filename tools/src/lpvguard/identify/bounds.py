@@ -2,18 +2,17 @@
 2-6).
 
 Drives are streamed: every pass reduces a drive to maxima per bin (``reduce_...``), and maxima are joined
-(``fold``), so neither memory nor the result depends on the number or the order of the drives. Bins: 0 is DC.
-Units of E, Z, B1, B2, gamma_w, B_w: the outputs' own.
+(``fold``). Neither memory nor the result depends on the number or the order of the drives. Bin 0 is DC.
+E, Z, B1, B2, gamma_w and B_w have the outputs' units.
 
-Rule of step 4 (T8): a ceiling nu_bar(omega) on the uncertainty is known beforehand, a setting or the band of
-the model error; the disturbance bound is what the frames need beyond it,
+Rule of step 4 (T8): a ceiling nu_bar(omega) on the uncertainty is known in advance, a setting or the band of
+the model error. The disturbance bound covers what the frames need beyond it,
 
     gamma_w(omega_k) = max over frames of sqrt(B1^2 + |Z|^2 max(0, |delta0| - nu_bar)^2),   gamma_w(0) = B2(0)
 
-smoothed upward by an overbounding weight; then nu = min |delta| subject to |E - delta Z| <= gamma_w (step 5).
-W_delta lies above nu and above what the model error model asks for (model_error.py). B_w then is what no
-|delta| <= W_delta explains, frame by frame.
-A bin without a counted frame is NaN: "no information", never 0.
+smoothed upward by an overbounding weight. Then nu = min |delta| subject to |E - delta Z| <= gamma_w (step 5).
+W_delta lies above nu and above the model error model's bound (model_error.py). B_w is the remainder that no
+|delta| <= W_delta explains, frame by frame. A bin without a counted frame is NaN: "no information", never 0.
 """
 
 from __future__ import annotations
@@ -38,15 +37,23 @@ uniform."""
 
 
 FIRST_LARGEST = 8
-"""Largest sums that thin out pairs of sizes before the rest is sorted."""
+"""Number of largest sums that thin out pairs of sizes before the others are sorted."""
 FRONT_BLOCK = 64
-"""Frames one after another that the search for the front bounds together."""
+"""Number of successive frames that the search for the front bounds together."""
 
 
 @dataclass(frozen=True)
 class FrameSet:
-    """Counted frames of one drive in one bin: E, Z (F, n_y) complex, starts (F,) first samples;
-    ``experiment`` is the drive's name, for messages."""
+    """Counted frames of one drive in one bin.
+
+    Attributes
+    ----------
+    bin : int
+    E : ndarray (F, n_y) of complex, nominal error [output units]
+    Z : ndarray (F, n_y) of complex, nominal output [output units]
+    starts : ndarray (F,) of int, first samples
+    experiment : str, name of the drive, for messages
+    """
 
     bin: int
     E: np.ndarray
@@ -62,8 +69,10 @@ class FrameSet:
     def require(
         self, good: np.ndarray, estimator: Estimator, what: Callable[[int], str], expected: str
     ) -> None:
-        """InputError unless all frames are ``good`` (F,): names the experiment, the bin and the first bad
-        frame's first sample."""
+        """Raise InputError unless all frames are ``good`` (F,).
+
+        It names the experiment, the bin and the first bad frame's first sample.
+        """
         if not np.all(good):
             first = int(np.argmin(good))
             raise InputError(
@@ -76,8 +85,21 @@ class FrameSet:
 
 
 def nominal_error(drive: Drive, model: NominalModel) -> tuple[np.ndarray, np.ndarray]:
-    """Nominal error and nominal output along a drive: e, yhat (N, n_y) each, e = y - yhat (paper, e = y_n -
-    P23 u)."""
+    """Compute the nominal error e = y - yhat and the nominal output along a drive.
+
+    Parameters
+    ----------
+    drive : Drive
+    model : NominalModel
+
+    Returns
+    -------
+    tuple of e and yhat, ndarray (N, n_y) [output units]
+
+    References
+    ----------
+    Paper, (2): e = y_n - P23 u.
+    """
     yhat = model.simulate(drive.v, drive.u, drive.y[0])
     return drive.y - yhat, yhat
 
@@ -90,10 +112,26 @@ def counted_frames(
     estimator: Estimator,
     stretches: list[np.ndarray] | None = None,
 ) -> Iterator[FrameSet]:
-    """Counted frames of a drive, one set per bin; e, yhat (N, n_y) in output units, e = y - yhat.
+    """Compute the counted frames of a drive, one set per bin.
 
-    Frames start at every sample that counts, in rising order; ``stretches``: the runs of these starts, where
-    they are known. The plain DFT has one frame: the first that counts.
+    Frames start at every sample that counts, in rising order. The plain DFT has one frame: the first that
+    counts.
+
+    Parameters
+    ----------
+    drive : Drive
+    e, yhat : ndarray (N, n_y), output units, e = y - yhat
+    model : NominalModel
+    estimator : Estimator
+    stretches : list of ndarray (R, 2), optional, runs of the counted starts by bin, where known
+
+    Yields
+    ------
+    FrameSet
+
+    References
+    ----------
+    THEORY 3.2.
     """
     if estimator.window == "rectangular":
         starts = np.flatnonzero(estimator.counted(drive.v, 0))[:1]
@@ -112,12 +150,14 @@ def counted_frames(
 
 @dataclass(frozen=True)
 class Bounds:
-    """Bounds per bin (K,), nu (K, n_delta), B_w and B_w_floor (K, n_y); ``frames`` counts counted frames,
-    ``excitation`` is max |Z|. B_w is what no |delta| <= W_delta explains (``remainder``), and not below
-    B_w_floor, what the sensors cannot tell by their ``resolution``.
+    """Bounds per bin (K,), nu (K, n_delta), B_w and B_w_floor (K, n_y).
 
+    ``frames`` is the number of counted frames, ``excitation`` is max |Z|. B_w is the remainder that no
+    |delta| <=
+    W_delta explains (``remainder``). It is at least B_w_floor, the limit of the sensors' ``resolution``.
     front_gamma_w, front_nu (K, FRONT_POINTS): the least nu that explains every frame, over gamma_w; NaN at DC
-    and without frames.
+    and
+    without frames.
     """
 
     omega: np.ndarray
@@ -136,12 +176,12 @@ class Bounds:
 
 
 Part = dict[str, np.ndarray]
-"""What a drive, or some drives, come to: ``frames`` is a sum of whole numbers, all else are maxima (NaN: no
+"""Result of one or more drives: ``frames`` is a sum of whole numbers, all others are maxima (NaN: no
 frame)."""
 
 
 def fold(parts: Iterable[Part]) -> Part:
-    """Join the parts of drives; the order does not matter."""
+    """Join the parts of drives in any order."""
     total: Part = {}
     for part in parts:
         for key, value in part.items():
@@ -153,8 +193,10 @@ def fold(parts: Iterable[Part]) -> Part:
 
 
 class Deciders:
-    """Which frames decide a bound ``key`` (K, m): the drive, the frame's first sample and the bound without
-    that frame and those that overlap it. In memory that does not grow with the drives."""
+    """Frames that decide a bound ``key`` (K, m), in memory independent of the number of drives.
+
+    They hold the drive, the frame's first sample, and the bound without that frame and those that overlap it.
+    """
 
     def __init__(self, key: str, shape: tuple[int, int]):
         self.key = key
@@ -162,7 +204,7 @@ class Deciders:
         self.first, self.drive = np.zeros(shape, int), np.full(shape, "", dtype=object)
 
     def watched(self, names: Iterable[str], parts: Iterable[Part]) -> Iterator[Part]:
-        """The parts, one of each drive, without what only this asks for."""
+        """The parts, one a drive, without the data for this class."""
         for name, part in zip(names, parts, strict=False):
             value, first, rest = (part.pop(f"{self.key}{suffix}") for suffix in ("", FIRST, REST))
             beaten = ~(value <= self.largest) & ~np.isnan(value)
@@ -174,18 +216,21 @@ class Deciders:
 
     @property
     def without(self) -> np.ndarray:
-        """The bound without the frame (K, m): of the rest of its drive, and of the other drives; 0: of
-        none."""
+        """Bound without the frame (K, m): of the rest of its drive, and of the other drives; 0 without
+        any."""
         return np.nan_to_num(np.fmax(self.rest, self.others))
 
 
 FIRST, REST = "_first", "_rest"
-"""What a part has of a bound beside its value, for Deciders."""
+"""Fields of a part for Deciders, in addition to a bound's value."""
 
 
 def _decided(key: str, values: np.ndarray, s: FrameSet, estimator: Estimator, out: Part) -> None:
-    """Writes the largest of ``values`` (F, m) >= 0 of the frames ``s``, their starts rising, into the part,
-    and what Deciders ask for."""
+    """Store the largest of ``values`` (F, m) >= 0 of the frames ``s`` in the part, with the data for
+    Deciders.
+
+    The starts of the frames rise.
+    """
     if not len(values):
         return
     columns = np.arange(values.shape[1])
@@ -208,7 +253,7 @@ def _undecided(key: str, shape: tuple[int, int]) -> Part:
 
 
 def _maximum(values: np.ndarray) -> np.ndarray | float:
-    """Largest over the first axis; column by column, sixty times as fast as numpy's for a few columns."""
+    """Largest over the first axis, column by column: sixty times as fast as numpy for a few columns."""
     if not len(values):
         return np.nan
     return values.max() if values.ndim == 1 else np.array([column.max() for column in values.T])
@@ -217,11 +262,26 @@ def _maximum(values: np.ndarray) -> np.ndarray | float:
 def reduce_disturbance(
     sets: Iterable[FrameSet], estimator: Estimator, nu_ceiling: np.ndarray, n_y: int
 ) -> Part:
-    """Steps 2-4 before smoothing. ``nu_ceiling`` (K,), 0 at DC.
+    """Reduce a drive's frames to the maxima of steps 2-4, before smoothing.
 
-    ``E`` (K, n_y) is the largest |E_j|: of zero-input drives it bounds the sensors' noise (W_n), of all
-    others the disturbance of class S0. ``Y`` (K,) is the largest |E + Z| of the first output, the yaw rate:
-    it bounds the commands that such drives contain (W_C; paper, section V).
+    ``E`` (K, n_y) is the largest |E_j|. For zero-input drives it bounds the sensors' noise (W_n), for others
+    the disturbance of class S0. ``Y`` (K,) is the largest |E + Z| of the first output, the yaw rate: it
+    bounds the commands in such drives (W_C; paper, section V).
+
+    Parameters
+    ----------
+    sets : Iterable of FrameSet
+    estimator : Estimator
+    nu_ceiling : ndarray (K,), ceiling on nu, 0 at DC
+    n_y : int, number of outputs
+
+    Returns
+    -------
+    Part
+
+    References
+    ----------
+    THEORY 5, (T8); paper, steps 2-4.
     """
     K = estimator.n_bins
     out = {key: np.full(K, np.nan) for key in ("excitation", "B1", "B2", "gamma_rule", "Y")}
@@ -247,11 +307,27 @@ def reduce_disturbance(
 def explain(
     s: FrameSet, estimator: Estimator, gamma_w: np.ndarray, structure: str
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Step 5 on every frame: least |delta| (F,), in class S1_diagonal |delta_j| (F, n_y), and the disturbance
-    w (F, n_y) that goes with it, given ``gamma_w`` (K,).
+    """Find the least uncertainty that explains every frame (step 5).
 
-    Raises InputError for a frame that is not finite, or whose B1 is above gamma_w: nothing in class S1
-    explains it. In class S1_diagonal gamma_w bounds each |w_j|, and what Z_j = 0 leaves above it is refused.
+    Parameters
+    ----------
+    s : FrameSet
+    estimator : Estimator
+    gamma_w : ndarray (K,), bound on |w|; in class S1_diagonal on each |w_j| [output units]
+    structure : str, class of the uncertainty
+
+    Returns
+    -------
+    tuple of |delta|, ndarray (F,) or in class S1_diagonal (F, n_y), and w, ndarray (F, n_y) of complex
+
+    Raises
+    ------
+    InputError
+        If a frame is not finite, or nothing in the class explains it under gamma_w.
+
+    References
+    ----------
+    Paper, step 5.
     """
     if structure == "S0" or estimator.cycles[s.bin] == 0:
         return np.zeros(s.E.shape if structure == "S1_diagonal" else len(s.E)), s.E
@@ -270,8 +346,10 @@ def explain(
 
 
 def _needed_each(s: FrameSet, estimator: Estimator, gamma_w: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Class S1_diagonal, every output by itself: least |delta_j| (F, n_y) with E_j = delta_j Z_j + w_j, |w_j|
-    <= gamma_w, and what |E_j| has above gamma_w."""
+    """Least |delta_j| (F, n_y) in class S1_diagonal, and the excess of |E_j| over gamma_w.
+
+    It solves E_j = delta_j Z_j + w_j with |w_j| <= gamma_w for every output.
+    """
     size, gain = s.sizes
     excess = np.maximum(0.0, size - gamma_w[s.bin])
     nu = np.divide(excess, gain, out=np.where(excess > 0, np.inf, 0.0), where=gain > 0)
@@ -285,8 +363,7 @@ def _needed_each(s: FrameSet, estimator: Estimator, gamma_w: np.ndarray) -> tupl
 
 
 def front_grid(B1: np.ndarray, B2: np.ndarray, estimator: Estimator, structure: str) -> np.ndarray:
-    """gamma_w (K, FRONT_POINTS) of the Pareto front; NaN where there is none: at DC, in class S0, without
-    frames."""
+    """gamma_w (K, FRONT_POINTS) of the Pareto front; NaN at DC, in class S0 and without frames."""
     t = np.linspace(0.0, 1.0, FRONT_POINTS) ** 2
     grid = B1[:, None] + (B2 - B1)[:, None] * t
     grid[:, -1] = B2
@@ -294,12 +371,13 @@ def front_grid(B1: np.ndarray, B2: np.ndarray, estimator: Estimator, structure: 
 
 
 def front(E: np.ndarray, Z: np.ndarray, gamma_w: np.ndarray) -> np.ndarray:
-    """max over frames of nu(gamma_w), exact, at each gamma_w (P,), all >= max B1 of the frames E, Z (F, n_y);
-    NaN for NaN.
+    """Exact max over frames of nu(gamma_w) at each gamma_w (P,), all >= max B1 of the frames E, Z (F, n_y).
 
-    nu = |delta0| - sqrt(gamma_w^2 - B1^2) / |Z| with its rounding error tells which frames can be the
-    largest; only those are solved without cancellation. Frames that follow one another are alike: the largest
-    |delta0|, B1 and |Z| of FRONT_BLOCK frames bound their nu, and most blocks stay below a first frame's.
+    NaN stays NaN. nu = |delta0| - sqrt(gamma_w^2 - B1^2) / |Z| with its rounding error selects the frames
+    that can
+    be the largest. Only those are solved without cancellation. Successive frames are alike: the largest
+    |delta0|,
+    B1 and |Z| of FRONT_BLOCK frames bound their nu, and most blocks stay below a first frame's.
     """
     out, asked = np.full(len(gamma_w), np.nan), np.flatnonzero(~np.isnan(gamma_w))
     if not len(E) or not len(asked):
@@ -313,7 +391,7 @@ def front(E: np.ndarray, Z: np.ndarray, gamma_w: np.ndarray) -> np.ndarray:
         room = np.sqrt(np.maximum(gamma[:, None] ** 2 - b1**2, 0.0))
         high = centre - room / z + _slack(centre, least_z, gamma[:, None])
     open_blocks = (size > gamma[:, None]) & (z > 0) & (high >= low.max(axis=1, keepdims=True))
-    # So many gamma_w at once that their open blocks hold about as many frames as there are.
+    # The open blocks of the gamma_w handled at once hold about as many frames as there are.
     turns = np.cumsum(open_blocks.sum(axis=1)) // len(firsts)
     for turn in np.unique(turns):
         some = np.flatnonzero(turns == turn)
@@ -329,7 +407,7 @@ def _front_within(
     open_blocks: np.ndarray,
     firsts: np.ndarray,
 ) -> np.ndarray:
-    """The front (P,) at ``gamma_w`` (P,) by the frames of its open blocks (P, blocks); 0 where none is."""
+    """Front (P,) at ``gamma_w`` (P,) by the frames of its open blocks (P, blocks); 0 without any."""
     of, block = np.nonzero(open_blocks)
     inside = (firsts[block, None] + np.arange(FRONT_BLOCK)).ravel()
     of = np.repeat(of, FRONT_BLOCK)[inside < len(E)]
@@ -346,13 +424,12 @@ def _front_within(
 
 
 def _slack(centre: np.ndarray, z: np.ndarray, gamma: np.ndarray) -> np.ndarray:
-    """How far off |delta0| - sqrt(gamma_w^2 - B1^2) / |Z| may be: the root loses half the digits near B1."""
+    """Error bound of |delta0| - sqrt(gamma_w^2 - B1^2) / |Z|: the root loses half the digits near B1."""
     return 1e-6 * (centre + gamma / z)
 
 
 def _about(found: s1.LeastSquares, gamma: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Bounds of nu of frames (F,), where it is not 0, in the shape that they make with gamma; -inf where it
-    is."""
+    """Bounds of nu of frames (F,), where it is not 0, broadcast with gamma; -inf where it is."""
     with np.errstate(divide="ignore", invalid="ignore"):
         about = found.delta - np.sqrt(np.maximum(gamma**2 - found.b1**2, 0.0)) / found.z
         slack = _slack(found.delta, found.z, gamma)
@@ -368,7 +445,7 @@ def reduce_uncertainty(
     n_y: int,
     structure: str,
 ) -> Part:
-    """Step 5 given ``gamma_w`` (K,): nu (K, n_delta), and the front over ``grid`` (K, FRONT_POINTS)."""
+    """Step 5 under ``gamma_w`` (K,): nu (K, n_delta), and the front over ``grid`` (K, FRONT_POINTS)."""
     out = _undecided("nu", (estimator.n_bins, n_y if structure == "S1_diagonal" else 1))
     out["front"] = np.full(grid.shape, np.nan)
     for s in sets:
@@ -382,9 +459,24 @@ def reduce_uncertainty(
 
 
 def remainder(s: FrameSet, estimator: Estimator, W_delta: np.ndarray, structure: str) -> np.ndarray:
-    """w (F, n_y) of least norm that no |delta| <= W_delta (K, n_delta) explains: delta_0 is shortened to it.
+    """Compute the w of least norm that no |delta| <= W_delta explains: delta_0 is shortened to W_delta.
 
     At DC and in class S0 delta is 0.
+
+    Parameters
+    ----------
+    s : FrameSet
+    estimator : Estimator
+    W_delta : ndarray (K, n_delta)
+    structure : str, class of the uncertainty
+
+    Returns
+    -------
+    ndarray (F, n_y) of complex, output units
+
+    References
+    ----------
+    Paper, step 6.
     """
     if structure == "S0" or estimator.cycles[s.bin] == 0:
         return s.E
@@ -414,8 +506,10 @@ def reduce_remainder(
     structure: str,
     joint: bool = False,
 ) -> tuple[Part, list[np.ndarray]]:
-    """Step 6: largest |w_j| (K, n_y) that no |delta| <= W_delta (K, n_delta) explains; with ``joint`` the
-    `undominated` ones of every bin, for `covering`."""
+    """Step 6: largest |w_j| (K, n_y) that no |delta| <= W_delta (K, n_delta) explains.
+
+    With ``joint`` the result has the `undominated` ones of every bin, for `covering`.
+    """
     out, fronts = _undecided("B_w", (estimator.n_bins, n_y)), [np.zeros((0, n_y))] * estimator.n_bins
     for s in sets:
         sizes = remainder_sizes(s, estimator, W_delta, structure)
@@ -426,8 +520,10 @@ def reduce_remainder(
 
 
 def undominated(sizes: np.ndarray) -> np.ndarray:
-    """Those of ``sizes`` (F, m) >= 0 that no other one reaches in every column, each once. A sum that rises
-    with every column is largest among them."""
+    """Rows of ``sizes`` (F, m) >= 0 that no other row reaches in every column, each once.
+
+    They contain the largest of any sum that rises with every column.
+    """
     found = [np.zeros((0, sizes.shape[1]))]
     share = 1 / np.maximum(_maximum(sizes), np.finfo(float).tiny)
     while len(sizes) and (sizes.shape[1] != 2 or len(found) <= FIRST_LARGEST):
@@ -442,8 +538,10 @@ def undominated(sizes: np.ndarray) -> np.ndarray:
 
 
 def covering(fronts: list[np.ndarray], B_w: np.ndarray) -> np.ndarray:
-    """(K,) largest sqrt(sum_j |w_j / B_w,j|^2), the factor with which B_w (K, n_y) covers every frame's w
-    jointly; of the `undominated` |w_j| of every bin. NaN: no frame."""
+    """Largest sqrt(sum_j |w_j / B_w,j|^2) (K,), the factor with which B_w (K, n_y) covers every w jointly.
+
+    It uses the `undominated` |w_j| of every bin. NaN: no frame.
+    """
     scale = np.full(len(fronts), np.nan)
     for k, (w, bound) in enumerate(zip(fronts, B_w, strict=True)):
         relative = np.divide(w, bound, out=np.zeros(w.shape), where=bound > 0)

@@ -1,7 +1,7 @@
-"""Stage 5, calibration of the frame test and of the energy test by split conformal prediction.
+"""Stage 5: calibrate the frame test and the energy test by split conformal prediction.
 
-Each test is calibrated by itself, or both together (`joint_scores`). The exchangeable unit is the recording
-(THEORY 7.3): a drive, or all drives that experiments.csv says are pieces of one.
+Tests are calibrated one by one or together (`joint_scores`). The exchangeable unit is the recording
+(THEORY 7.3): a drive, or all drives that experiments.csv names as pieces of one.
 
 A drive's score is the largest k-of-m statistic over its counted frames, or the largest ratio of the energy
 test, read from the compiled core. A recording's score is the largest of its drives. The threshold is the
@@ -9,13 +9,12 @@ ceil((n + 1)(1 - alpha))-th smallest score of n recordings of which no drive set
 exchangeable recording then alarms with probability at most alpha. With n < 1/alpha - 1 no finite threshold
 has that property, and alpha is not stated.
 
-Where experiments.csv names groups, a group with recordings enough for alpha has a threshold of its own, from
-its recordings alone (Mondrian conformal prediction). A further recording of that group then alarms with
+Where experiments.csv names groups, a group with enough recordings for alpha has its own threshold, from its
+recordings alone (Mondrian conformal prediction). A further recording of that group then alarms with
 probability at most alpha. Any other group has the pooled threshold. Its alpha holds for a further recording
-of whatever group where all are judged by it, and not for that group by itself.
+of any group if all are judged by it, and not for that group alone.
 
-The core carries one threshold: the largest of all, with which every one of these claims holds, or the one of
-a group that is named.
+The core carries one threshold: the largest of all, with which every claim holds, or that of a named group.
 """
 
 from __future__ import annotations
@@ -23,7 +22,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 
 import numpy as np
 from scipy.stats import beta
@@ -36,15 +34,18 @@ ROUNDING = 1e-3
 """Relative margin of an exported threshold for rounding: float, double and fused multiply-add differ by less
 (tests/golden/test_one_verdict.py)."""
 FEWEST_FOR_ALPHA = 9
-"""Below this many recordings no alpha is stated at all (THEORY 7.3)."""
+"""Fewest recordings for which an alpha is stated (THEORY 7.3)."""
 
 
 @dataclass(frozen=True)
 class Recordings:
-    """Which drives are pieces of one recording: their scores are no draws of their own.
+    """Drives as pieces of recordings, whose scores are not independent draws.
 
-    of: drive -> recording, where experiments.csv says so; any other is a recording of its own. setting:
-    recordings of calibration drives that also set the bounds. groups: drive -> group, where it has one.
+    Attributes
+    ----------
+    of : dict[str, str], recording by drive, where experiments.csv names it
+    setting : tuple of str, recordings of calibration drives that also set the bounds
+    groups : dict[str, str], group by drive, where it has one
     """
 
     of: dict[str, str] = field(default_factory=dict)
@@ -53,9 +54,11 @@ class Recordings:
 
     @classmethod
     def listed(cls, setting: Iterable[Experiment], others: Iterable[Experiment]) -> Recordings:
-        """Those of the drives that set the bounds and of the ``others``, as experiments.csv has them.
-        InputError where pieces of one recording are of several groups, or only some of the others have a
-        group."""
+        """Recordings of the bound-setting drives and the ``others``, from experiments.csv.
+
+        Raises InputError where pieces of one recording are of several groups, or only some others have a
+        group.
+        """
         setting, others = list(setting), list(others)
         both = {e.recording for e in setting} & {e.recording for e in others}
         of = {e.name: e.recording for e in (*setting, *others) if e.recording != e.name}
@@ -81,11 +84,11 @@ class Recordings:
         return cls(of, tuple(sorted(both)), {e.name: e.group for e in others if e.group is not None})
 
     def named(self, drive: str) -> str:
-        """The recording that ``drive`` is a piece of."""
+        """Recording of the piece ``drive``."""
         return self.of.get(drive, drive)
 
     def others(self, drives: Iterable[str], without: str | None) -> list[str]:
-        """The ``drives`` that are no pieces of the recording of drive ``without``; None: all."""
+        """The ``drives`` outside the recording of drive ``without``; None: all."""
         return [d for d in drives if without is None or self.named(d) != self.named(without)]
 
     def in_group(self, scores: Mapping[str, float], group: str) -> dict[str, float]:
@@ -102,12 +105,12 @@ class Recordings:
 
 
 NO_RECORDINGS = Recordings()
-"""Every drive is a recording of its own."""
+"""Every drive is a separate recording."""
 
 
 @dataclass(frozen=True)
 class GroupThreshold:
-    """What so many ``recordings`` calibrate; the rest is None where they are too few for alpha."""
+    """Threshold of a group from its ``recordings``; None where they are too few for alpha."""
 
     recordings: int
     threshold: float | None = None
@@ -115,11 +118,11 @@ class GroupThreshold:
     conditional_bound: float | None = None
 
     def words(self, group: str) -> str:
-        """What may be said of a further recording of the ``group``."""
+        """Claim on a further recording of the ``group``."""
         if self.alpha is None:
             return (
-                f"group {group}: {self.recordings} recordings are too few for a threshold of its own, so it "
-                "has the pooled one, and alpha is not stated for it"
+                f"group {group}: {self.recordings} recordings are too few for its own threshold; it has "
+                "the pooled one without alpha"
             )
         return (
             f"group {group}: threshold {self.threshold:.4g}, alpha {self.alpha:g} from {self.recordings} "
@@ -129,13 +132,19 @@ class GroupThreshold:
 
 @dataclass(frozen=True)
 class Calibration:
-    """``scores``: by drive. ``alpha`` and ``conditional_bound`` are None where no claim can be made; then the
-    threshold is the largest score.
+    """Threshold of a test with its claim.
 
-    conditional_bound: with 95 % confidence over the calibration recordings, the false-alarm probability of a
-    further one is below this number. groups: of each group that experiments.csv names; ``threshold`` is then
-    the pooled one. group: the one whose threshold this is (``of_group``), None: pooled. judged_s: by drive,
-    in counted frames; empty where no claim an hour is made.
+    Attributes
+    ----------
+    threshold : float, pooled; the largest score where no claim can be made
+    scores : dict[str, float], by drive
+    alpha : float or None, probability of an alarm on a further recording, None without a claim
+    conditional_bound : float or None
+        Bound on that probability with 95 % confidence over calibration recordings.
+    recordings : Recordings
+    groups : dict[str, GroupThreshold], by group of experiments.csv
+    group : str or None, group of this threshold (``of_group``), None: pooled
+    judged_s : dict[str, float], s in counted frames by drive; empty without a claim an hour
     """
 
     threshold: float
@@ -148,24 +157,25 @@ class Calibration:
     judged_s: dict[str, float] = field(default_factory=dict)
 
     def over(self, judged_s: Mapping[str, float]) -> Calibration:
-        """With the time that was judged of every drive [s], so that claims are stated an hour, too."""
+        """The calibration with the judged time of every drive [s], for claims an hour."""
         return replace(self, judged_s={d: judged_s[d] for d in self.scores})
 
     @property
     def carried(self) -> float:
-        """The threshold that the core carries: the largest of the pooled one and the groups', or that of
-        ``group``."""
+        """Threshold in the core: the largest of the pooled one and the groups', or that of ``group``."""
         own = [] if self.group else [g.threshold for g in self.groups.values() if g.threshold is not None]
         return max([self.threshold, *own])
 
     @property
     def exported(self) -> float:
-        """The carried threshold with the margin for rounding, as the core compares with it."""
+        """Carried threshold with the margin for rounding, as the core compares with it."""
         return self.carried * (1 + ROUNDING)
 
     def of_group(self, group: str | None) -> Calibration:
-        """With the threshold for drives of a group: its own, or the pooled one, without alpha, where it has
-        none. For drives of no group: the one that the core carries."""
+        """The calibration for drives of a group: its own threshold, or the pooled one without alpha.
+
+        Drives of no group have the carried one.
+        """
         if group is None:
             return replace(self, threshold=self.carried)
         if not self.groups:
@@ -183,11 +193,11 @@ class Calibration:
 
     @property
     def decided_by(self) -> str | None:
-        """The drive whose score is the threshold that the core carries; None where its floor is."""
+        """Drive whose score is the carried threshold; None if it is the floor."""
         return next((d for d, s in self.scores.items() if s == self.carried), None)
 
     def to_dict(self) -> dict:
-        """JSON-able, for `from_dict`; ``recordings`` and ``groups`` where experiments.csv names any."""
+        """JSON-able, for `from_dict`; ``recordings`` and ``groups`` only if experiments.csv names any."""
         named = self.recordings
         out: dict = {k: getattr(self, k) for k in ("threshold", "scores", "alpha", "conditional_bound")}
         if named.of:
@@ -201,7 +211,7 @@ class Calibration:
 
     @classmethod
     def from_dict(cls, data: dict) -> Calibration:
-        """From what `to_dict` gave."""
+        """Calibration from `to_dict`."""
         pieces = data.get("recordings", {"of": {}, "setting": ()})
         grouped = data.get("groups", {"of": {}, "thresholds": {}})
         own = {k: v for k, v in data.items() if k not in ("recordings", "groups")}
@@ -212,12 +222,12 @@ class Calibration:
         )
 
     def units(self) -> str:
-        """How many drives or recordings calibrate, in words."""
+        """Number of calibrating drives or recordings, in words."""
         count = len(self.recordings.largest(self.scores))
         return f"{count} recordings" if self.recordings.of else f"{count} drives"
 
     def claim(self) -> str:
-        """What may be said of the threshold's false alarms, in words; never a threshold without it."""
+        """Claim on the threshold's false alarms, in words."""
         if not self.groups:
             return self._pooled_claim()
         told = "; ".join(
@@ -245,12 +255,12 @@ class Calibration:
 
     @property
     def hourly(self) -> str:
-        """The pooled claim an hour judged, in words that go on from it; empty where none is made."""
+        """Pooled claim an hour judged, as a continuation of it; empty without one."""
         return self._hourly(self.scores, self)
 
     def _hourly(self, scores: Mapping[str, float], of: GroupThreshold | Calibration) -> str:
-        """The claim of recordings with these ``scores``, an hour judged: of a further one that is judged for
-        as long as they are in the mean."""
+        """Claim of recordings with these ``scores`` an hour judged, for a further one judged for their
+        mean time."""
         counted = self.recordings.largest(scores)
         drives = [d for d in scores if self.recordings.named(d) in counted]
         hours = sum(self.judged_s.get(d, 0.0) for d in drives) / 3600
@@ -262,44 +272,23 @@ class Calibration:
 
 @dataclass(frozen=True)
 class Peak:
-    """Where a score of a drive comes from: ``t_s`` after its first sample, in which ``place``: the bin, or
-    the energy test's band; None: not said. ``without``: the drive's score but for that frame and those of its
-    bin that overlap it; None: of no frame."""
+    """Origin of a drive's score: ``t_s`` after its first sample, and ``place``: the bin, or the energy test's
+    band.
+
+    ``place`` is None if unknown. ``without`` is the drive's score without that frame and those of its bin
+    that overlap it; None for tests without frames.
+    """
 
     t_s: float
     place: int | None = None
     without: float | None = None
 
 
-def require_calibration(
-    folder: Path, drives: Iterable[str], left_out: Mapping[str, str], judged: bool
-) -> None:
-    """InputError where nothing calibrates: there is no drive to do so, or no test has ``judged`` any.
-
-    ``drives``: all but those that set the bounds or are without input; ``left_out``: drive -> why it has no
-    frame. A threshold without a drive would be a number that nobody measured.
-    """
-    names = list(drives)
-    if not names:
-        raise InputError(
-            folder / EXPERIMENTS,
-            "column split",
-            "nothing calibrates: every drive sets the bounds or is without input",
-            f"at least one drive of another split; alpha is stated from {FEWEST_FOR_ALPHA} recordings on",
-        )
-    if not judged:
-        reason = next((f"{n}: {left_out[n]}" for n in names if n in left_out), "every bin is silent")
-        raise InputError(
-            folder,
-            f"drives that calibrate ({len(names)})",
-            f"nothing calibrates: no test judges any of them ({reason})",
-            "at least one with a frame of a bin that speaks, or with settled driving for the other tests",
-        )
-
-
 def peaks(run: Run, t0: float, Ts: float, length: np.ndarray) -> dict[str, Peak]:
-    """Of every test that judged the drive; ``t0``: time of its first sample [s], ``length`` (K,): samples of
-    a frame."""
+    """Peaks of every test that judged the drive.
+
+    ``t0`` is the time of its first sample [s], ``length`` (K,) samples of a frame.
+    """
     found, f = {}, run.frames
     statistic = np.where(f.counted, f.statistic, -np.inf)
     if f.counted.any():
@@ -315,38 +304,86 @@ def peaks(run: Run, t0: float, Ts: float, length: np.ndarray) -> dict[str, Peak]
 
 
 def score(run: Run) -> float | None:
-    """Score of a drive; None when no frame counted."""
+    """Return a drive's score in the frame test.
+
+    Parameters
+    ----------
+    run : Run
+
+    Returns
+    -------
+    float, or None if no frame counted
+    """
     counted = run.frames.counted
     return float(run.frames.statistic[counted].max()) if counted.any() else None
 
 
 def energy_score(run: Run) -> float | None:
-    """Score of a drive in the energy test: its largest ratio; None when it was never judged."""
+    """Return a drive's score in the energy test, its largest ratio.
+
+    Parameters
+    ----------
+    run : Run
+
+    Returns
+    -------
+    float, or None if nothing was judged
+    """
     return float(run.energy.max()) if (run.energy > 0).any() else None
 
 
 def change_score(run: Run) -> float | None:
-    """Score of a drive in the change test: its largest ratio; None when it was never judged."""
+    """Return a drive's score in the change test, its largest ratio.
+
+    Parameters
+    ----------
+    run : Run
+
+    Returns
+    -------
+    float, or None if nothing was judged
+    """
     return float(run.change.max()) if (run.change > 0).any() else None
 
 
 def joint_score(scores: Mapping[str, float | None], floors: Mapping[str, float]) -> float:
-    """Score of a drive in all tests together, from its ``scores`` by test (None: not judged).
+    """Compute a drive's score in all tests together, the largest score above its test's floor.
 
-    It is the largest of those that are above their tests' ``floors``, 0 without one.
+    Every score is in units of the bound-setting drives. A margin and a ratio of the energy test are the least
+    inflation of the bounds that agrees with the data. A ratio of the change test is over the largest met. One
+    threshold T therefore serves for the largest. A test alarms above the larger of T and its floor, so a
+    score below the floor does not count. A monitor of all tests with T alarms on a further drive, by any,
+    with probability at most alpha. With a threshold per test that probability is at most alpha times their
+    number.
 
-    Every score is in units of what the bound-setting drives showed. A margin and a ratio of the energy test
-    are the least inflation of the bounds with which the data agree, a ratio of the change test is over the
-    largest met. One threshold T therefore serves for the largest. A test alarms above the larger of T and its
-    floor, whatever T is, so a score that is not above the floor is none. A monitor of all tests with T
-    alarms on a further drive, by any, with probability at most alpha. With each test at its own threshold
-    that probability is at most alpha times the number of tests.
+    Parameters
+    ----------
+    scores : Mapping, score by test, None if not judged
+    floors : Mapping, floor by test
+
+    Returns
+    -------
+    float, 0 without a score above its floor
+
+    References
+    ----------
+    THEORY 7.3.
     """
     return max((s for test, s in scores.items() if s is not None and s > floors[test]), default=0.0)
 
 
 def joint_scores(tests: Mapping[str, Mapping[str, float]], floors: Mapping[str, float]) -> dict[str, float]:
-    """`joint_score` of every drive that any of the ``tests`` judged; their scores by drive."""
+    """Compute `joint_score` of every drive that any test judged.
+
+    Parameters
+    ----------
+    tests : Mapping, scores by test and drive
+    floors : Mapping, floor by test
+
+    Returns
+    -------
+    dict[str, float], by drive
+    """
     drives = sorted({n for scores in tests.values() for n in scores})
     return {n: joint_score({test: s[n] for test, s in tests.items() if n in s}, floors) for n in drives}
 
@@ -359,9 +396,24 @@ def calibrate(
     unstated_floor: float | None = None,
     recordings: Recordings = NO_RECORDINGS,
 ) -> Calibration:
-    """Threshold from the scores of the calibration drives, at least ``floor``: a margin of 1 falsifies
-    nothing; and that of every group of drives. Drives too few for alpha give the largest score, at least
-    ``unstated_floor`` (None: ``floor``)."""
+    """Compute the threshold from the scores of the calibration drives, and that of every group.
+
+    Parameters
+    ----------
+    scores : Mapping, by drive
+    alpha : float, probability of an alarm on a further recording
+    floor : float, least threshold, default 1.0: a margin of 1 falsifies nothing
+    unstated_floor : float, optional, least threshold without alpha, by default ``floor``
+    recordings : Recordings, default NO_RECORDINGS
+
+    Returns
+    -------
+    Calibration, with the largest score as threshold if drives are too few for alpha
+
+    References
+    ----------
+    THEORY 7.3.
+    """
     names = sorted({recordings.groups[d] for d in scores if d in recordings.groups})
     groups = {g: _conformal(recordings.largest(recordings.in_group(scores, g)), alpha, floor) for g in names}
     pooled = _conformal(recordings.largest(scores), alpha, floor)
@@ -371,7 +423,7 @@ def calibrate(
 
 
 def _conformal(largest: Mapping[str, float], alpha: float, floor: float) -> GroupThreshold:
-    """What recordings with these scores calibrate; no threshold where they are too few for alpha."""
+    """Threshold of recordings with these scores; None where they are too few for alpha."""
     n = len(largest)
     rank = math.ceil((n + 1) * (1 - alpha) - 1e-12)
     if n < FEWEST_FOR_ALPHA or rank > n:

@@ -1,5 +1,5 @@
-"""Stage 5, the change test: are gain, delay and bias still those of the drives that set the bounds? (THEORY
-7.7; lib/include/lpvguard/change.h)
+"""Stage 5, the change test: whether gain, delay and bias are still those of the bound-setting drives (THEORY
+7.7; lib/include/lpvguard/change.h).
 
     e_j = theta_1 yhat_j - theta_2 dyhat_j/dt + theta_3                                              (T34)
 
@@ -8,10 +8,10 @@ their rms on the bound-setting drives. The prior adds PRIOR memories of the prod
 estimate near 0 where nothing excites it.
 
 The ratio of a part is |theta_i| over its size: its rms on the bound-setting drives, times one number for all
-parts and outputs with which the largest ratio there is 1. So 1 is as large as was met. It is
-no bound on what Delta or the disturbance may be, so an exceedance refutes none. The threshold is conformal,
-as that of the other tests, and may be below 1: a further drive like those that calibrate exceeds it with
-probability at most alpha. Above it the vehicle is another than the one identified, and theta estimates how.
+parts and outputs with which the largest ratio there is 1. It does not bound Delta or the disturbance, so an
+exceedance refutes neither. The threshold is conformal, as in the other tests, and may be below 1. A further
+drive like the calibration drives exceeds it with probability at most alpha. Above it the vehicle differs from
+the identified one, and theta estimates the difference.
 """
 
 from __future__ import annotations
@@ -32,15 +32,17 @@ from .calibration import Calibration, Recordings, calibrate
 
 BLOCK = int(CONSTANTS["NBLOCK"][0])
 FIRST_BLOCK_END = 2
-"""Sample, counted from 0, with which the core's first block ends, not a whole one."""
+"""Last sample, counted from 0, of the core's first block, which is not a whole one."""
 PRIOR = 0.2
-"""Weight of the prior, in memories of such driving as set the bounds."""
+"""Weight of the prior, in memories of driving as in the bound-setting drives."""
 SMALLEST = 1e-2
-"""Floor of a part's size over the rms of yhat_j: an error of 1 % is none."""
+"""Floor of a part's size over the rms of yhat_j: an error of 1 % does not count."""
 FLOOR, UNSTATED_FLOOR = 0.05, 1.1
-"""Of the threshold, and of one that no alpha is stated for: that stays above the largest on the drives that
-set the bounds. The core drops a block beside which it has no time (change.h), the definition here none: on
-the largest ratios of three vehicles' drives that made 6 % at most."""
+"""Least threshold, and least one without alpha, which stays above the largest of the bound-setting drives.
+
+The core drops a block for which it has no time (change.h), the definition here none. On the largest ratios of
+three vehicles' drives that made 6 % at most.
+"""
 UPPER = ((0, 0, 0, 1, 1, 2), (0, 1, 2, 1, 2, 2))
 """Rows and columns of the upper triangle of a symmetric matrix of three."""
 
@@ -52,9 +54,14 @@ def block_means(x: np.ndarray, ends: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Blocks:
-    """The settled blocks of a drive in which the core knows the block before, in stretches: index of the last
-    sample of each (M,); means of e_j (M, n_y); regressors (M, n_y, 3), in output units, the second per
-    block."""
+    """Settled blocks of a drive whose predecessor the core knows, as a stretch.
+
+    Attributes
+    ----------
+    ends : ndarray (M,) of int, last sample of each
+    e : ndarray (M, n_y), means of e_j [output units]
+    phi : ndarray (M, n_y, 3), regressors [output units], the second per block
+    """
 
     ends: np.ndarray
     e: np.ndarray
@@ -62,7 +69,7 @@ class Blocks:
 
     @classmethod
     def of(cls, e: np.ndarray, yhat: np.ndarray, usable: np.ndarray) -> Iterator[Blocks]:
-        """One for each stretch of blocks of ``usable`` (N,) samples; e, yhat (N, n_y)."""
+        """Stretches of blocks of ``usable`` (N,) samples; e, yhat (N, n_y)."""
         ends = np.arange(FIRST_BLOCK_END + BLOCK, len(e), BLOCK)
         at = ends[:, None] + np.arange(1 - BLOCK, 1)
         whole = usable[at].all(axis=1)
@@ -74,8 +81,11 @@ class Blocks:
 
 @dataclass(frozen=True)
 class Met:
-    """Estimates along drives: the ``largest`` |theta_i| (n_y, 3) [output units] and the sum of their squares
-    (n_y, 3), over ``count`` blocks."""
+    """Estimates along drives over ``count`` blocks: largest |theta_i| (n_y, 3) [output units], sum of
+    squares.
+
+    The sum ``squares`` is (n_y, 3).
+    """
 
     largest: np.ndarray
     squares: np.ndarray
@@ -89,9 +99,17 @@ class Met:
 
 @dataclass(frozen=True)
 class ChangeTest:
-    """Memory, sizes and calibration. ``unit`` (n_y, 2): rms of yhat_j and of its change over a block [output
-    units]. ``moments`` (n_y, 3, 3): mean products of the regressors over their rms. ``largest`` (n_y, 3): of
-    |theta_i| on the bound-setting drives; ``size`` (n_y, 3): what a ratio of 1 is [output units]."""
+    """Memory, sizes and calibration of the change test.
+
+    Attributes
+    ----------
+    Ts, memory_s : float, s
+    unit : ndarray (n_y, 2), rms of yhat_j and of its change over a block [output units]
+    moments : ndarray (n_y, 3, 3), mean products of the regressors over their rms
+    largest : ndarray (n_y, 3), largest |theta_i| on the bound-setting drives [output units]
+    size : ndarray (n_y, 3), |theta_i| at a ratio of 1 [output units]
+    calibration : Calibration
+    """
 
     Ts: float
     memory_s: float
@@ -103,7 +121,8 @@ class ChangeTest:
 
     @classmethod
     def design(cls, project: Project) -> ChangeTest:
-        """With its memory; sizes are yet to be found. InputError for a memory of less than two blocks."""
+        """A test with its memory, before its sizes are known. InputError for a memory of less than two
+        blocks."""
         memory = project.change_test.memory_s or 0.25 / project.frames.f_min_hz
         shortest = 2 * BLOCK * project.Ts_s
         if project.change_test.memory_s is not None and memory < shortest:
@@ -125,12 +144,12 @@ class ChangeTest:
 
     @property
     def keep(self) -> float:
-        """Share of the sums that a block leaves."""
+        """Share of the sums after a block."""
         return float(np.exp(-BLOCK * self.Ts / self.memory_s))
 
     @property
     def prior(self) -> np.ndarray:
-        """What is added to the sums of products (n_y, 3, 3). A thousandth of the identity keeps it positive
+        """Prior of the sums of products (n_y, 3, 3). A thousandth of the identity keeps it positive
         definite."""
         met = 0.999 * self.moments + 0.001 * np.eye(3)
         return PRIOR / (1 - self.keep) * met
@@ -147,8 +166,11 @@ class ChangeTest:
         return np.linalg.solve(gram + self.prior, sums[..., len(UPPER[0]) :, None])[..., 0]
 
     def with_moments(self, sums: np.ndarray) -> ChangeTest:
-        """With sizes and prior from the ``products`` of all bound-setting drives. InputError where there are
-        no blocks."""
+        """The test with sizes and prior from the ``products`` of all bound-setting drives; InputError without
+        blocks.
+
+        ``sums`` has shape (n_y, 3, 3).
+        """
         count = sums[0, 2, 2]
         if count == 0:
             raise InputError(
@@ -159,16 +181,17 @@ class ChangeTest:
         return replace(self, unit=rms[:, :2], moments=mean / (rms[:, :, None] * rms[:, None, :]))
 
     def with_sizes(self, met: Met) -> ChangeTest:
-        """With the sizes that the estimates ``met`` on all bound-setting drives have.
+        """The test with sizes from the estimates ``met`` on all bound-setting drives.
 
-        A part's rms is over all blocks, its largest is one block. Unlike sizes by the largest, those by the
-        rms leave no part half blind for one block's sake (tools/DESIGN_LOG.md)."""
+        A part's rms is over all blocks, its largest is one block. Sizes by the rms therefore leave no part
+        half blind for one block (tools/DESIGN_LOG.md).
+        """
         rms = np.sqrt(met.squares / max(1, met.count))
         ratio = np.divide(met.largest, rms, out=np.ones_like(rms), where=rms > 0).max()
         return replace(self, largest=met.largest, size=np.maximum(ratio * rms, SMALLEST * self.unit[:, :1]))
 
     def calibrated(self, scores: dict[str, float], alpha: float, recordings: Recordings) -> ChangeTest:
-        """With the threshold from the scores of calibration drives."""
+        """The test with the threshold from the scores of calibration drives."""
         return replace(self, calibration=calibrated_change(scores, alpha, recordings))
 
     def coefficients(self) -> tuple[dict[str, int], dict[str, int], dict[str, np.ndarray]]:
@@ -185,7 +208,7 @@ class ChangeTest:
         return {}, words, {name: np.array(value) for name, value in reals.items()}
 
     def sizes_text(self, project: Project) -> str:
-        """The largest gain, delay and bias of the bound-setting drives, per output."""
+        """Largest gain, delay and bias of the bound-setting drives, per output."""
         block_s = BLOCK * self.Ts
         return "; ".join(
             f"{signal.name} {largest[0] / unit[0]:.3g}, {largest[1] / unit[1] * block_s:.3g} s, "
@@ -205,7 +228,7 @@ class ChangeTest:
         }
 
     def restored(self, data: dict, where: str) -> ChangeTest:
-        """With the stored sizes and calibration; InputError when ``data`` is of another memory."""
+        """The test with stored sizes and calibration; InputError when ``data`` is of another memory."""
         if data["memory_s"] != self.memory_s:
             raise InputError(
                 where, "memory_s", f"{data['memory_s']:g}", f"{self.memory_s:g}, which project.json describes"
@@ -221,7 +244,22 @@ class ChangeTest:
 
 
 def calibrated_change(scores: Mapping[str, float], alpha: float, recordings: Recordings) -> Calibration:
-    """The change test's threshold from the scores of calibration drives."""
+    """Calibrate the change test from the scores of calibration drives.
+
+    Parameters
+    ----------
+    scores : Mapping, by drive
+    alpha : float, probability of an alarm on a further recording
+    recordings : Recordings
+
+    Returns
+    -------
+    Calibration
+
+    References
+    ----------
+    THEORY 7.7.
+    """
     return calibrate(scores, alpha, floor=FLOOR, unstated_floor=UNSTATED_FLOOR, recordings=recordings)
 
 
@@ -236,7 +274,7 @@ def regressor_products(e: np.ndarray, yhat: np.ndarray, v: np.ndarray, estimator
 def estimates_met(
     test: ChangeTest, e: np.ndarray, yhat: np.ndarray, v: np.ndarray, estimator: Estimator
 ) -> Met:
-    """The estimates along a drive, e and yhat (N, n_y), v (N,); of no block where nothing is settled."""
+    """Estimates along a drive, e and yhat (N, n_y), v (N,); without a block where nothing is settled."""
     found = Met(np.zeros((e.shape[1], 3)), np.zeros((e.shape[1], 3)), 0)
     for blocks in Blocks.of(e, yhat, estimator.settled(v)):
         theta = np.abs(test.estimates(blocks))

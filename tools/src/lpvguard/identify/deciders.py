@@ -1,7 +1,7 @@
-"""What decides the bounds and the thresholds of an identification, in words, and where a bin is silent.
+"""Frames that decide the bounds and thresholds of an identification, in words, and silent bins.
 
-A frame that alone decides a bound or a threshold is worth a look: a crash, a slide or a wrong sample may have
-made it. Nothing is dropped in silence: experiments.csv sets a drive aside, with its reason.
+A frame that alone decides a bound or a threshold deserves a look: a crash, a slide or a wrong sample may have
+caused it. Nothing is dropped in silence: experiments.csv sets a drive aside, with its reason.
 """
 
 from __future__ import annotations
@@ -12,26 +12,38 @@ import numpy as np
 
 from ..drives.tables import EXPERIMENTS
 from .calibration import Calibration, calibrate
+from .identification import Identification
 from .model_error import FEWEST_FRAMES
-from .run import Identification
 
 ONE_FRAME = 1.1
-"""One frame is said to decide a number that is larger by this factor than it would be without it."""
+"""Ratio of a number to its value without one frame from which that frame decides it."""
 OUTLYING, FEWEST_TO_COMPARE = 3.5, 5
-"""A score lies outside the others whose logarithm is so many standard deviations above their median, the
-deviation by the median one (Iglewicz and Hoaglin's modified z-score); among so many scores at least."""
+"""Number of deviations above the median of the scores' logarithms from which a score is an outlier.
+
+The deviation is the median one (Iglewicz and Hoaglin's modified z-score), among at least so many scores.
+"""
 
 
 class Decision(NamedTuple):
-    """``text``: what decides a number, in words. ``alone``: one frame does, which is worth a warning."""
+    """``text`` says what decides a number. ``alone``: one frame does, which is worth a warning."""
 
     text: str
     alone: bool
 
 
 def decides_bounds(result: Identification) -> list[Decision]:
-    """Of every nu and B_w above 0, and of B_w above its floor: the drive, and the time of the frame that
-    decides it. Where one frame does: what it would be without that one and those that overlap it."""
+    """Name the drive and time that decide every nu and B_w above 0 and above its floor.
+
+    Where one frame decides alone, the text has the bound without it and those that overlap it.
+
+    Parameters
+    ----------
+    result : Identification
+
+    Returns
+    -------
+    list of Decision
+    """
     Ts, said = result.project.Ts_s, []
     for key, of in result.origins.decided.items():
         shared = of.largest.shape[1] == 1 and key == "nu"
@@ -52,8 +64,18 @@ def decides_bounds(result: Identification) -> list[Decision]:
 
 
 def decides_thresholds(result: Identification) -> list[Decision]:
-    """Of every threshold: the drive, the time and the bin or band that decide it. Where one frame does: what
-    the threshold would be without it."""
+    """Name the drive, time and bin or band that decide every threshold.
+
+    Where one frame decides alone, the text has the threshold without it.
+
+    Parameters
+    ----------
+    result : Identification
+
+    Returns
+    -------
+    list of Decision
+    """
     return [_decides(result, test, c) for test, c in _tests(result).items()]
 
 
@@ -72,7 +94,7 @@ def _decides(result: Identification, test: str, c: Calibration) -> Decision:
         return Decision(f"{test} test: no drive decides the threshold {c.carried:.4g}, its floor", False)
     said = f"{test} test: {drive} decides the threshold {c.carried:.4g}{_where(result, test, drive)}"
     peak = result.origins.peaks[drive].get(test)
-    if peak is None or peak.without is None:  # without a core nothing says where
+    if peak is None or peak.without is None:  # without a core the place is unknown
         return Decision(said, False)
     alpha = result.project.frame_test.alpha
     left = calibrate(c.scores | {drive: peak.without}, alpha, recordings=c.recordings).carried
@@ -82,7 +104,7 @@ def _decides(result: Identification, test: str, c: Calibration) -> Decision:
 
 
 def _where(result: Identification, test: str, drive: str) -> str:
-    """Where the score of a ``drive`` comes from, in words that go on; nothing without a core."""
+    """Origin of a ``drive``'s score as a continuation; nothing without a core."""
     peak = result.origins.peaks[drive].get(test)
     if peak is None:
         return ""
@@ -95,8 +117,18 @@ def _where(result: Identification, test: str, drive: str) -> str:
 
 
 def outlying(result: Identification) -> list[str]:
-    """A sentence for each calibration drive whose score in a test lies outside the others', as a crash makes
-    it. The drive calibrates all the same."""
+    """Name each calibration drive whose score lies outside the others', as after a crash.
+
+    The drive still calibrates.
+
+    Parameters
+    ----------
+    result : Identification
+
+    Returns
+    -------
+    list of str, sentences
+    """
     said = []
     for test, c in _tests(result).items():
         scores = {drive: s for drive, s in c.scores.items() if s > 0}
@@ -107,8 +139,8 @@ def outlying(result: Identification) -> list[str]:
         deviation = 1.4826 * float(np.median(np.abs(size - middle)))
         least = middle + max(OUTLYING * deviation, np.log(ONE_FRAME))
         said += [
-            f"{test} test: {drive} lies outside the other drives that calibrate: {s:.4g} beside a median of "
-            f"{np.exp(middle):.3g}{_where(result, test, drive)}; it calibrates as they do, unless "
+            f"{test} test: {drive} lies outside the other calibration drives: {s:.4g}, their median is "
+            f"{np.exp(middle):.3g}{_where(result, test, drive)}; the drive calibrates unless "
             f"{EXPERIMENTS} sets it aside"
             for drive, s in scores.items()
             if np.log(s) > least
@@ -121,14 +153,23 @@ def _all_silent(result: Identification) -> bool:
 
 
 def unresolved(result: Identification) -> list[str]:
-    """A sentence for each output of which the sensor, and no drive, sets a disturbance bound."""
+    """Name each output whose disturbance bound comes from the sensor and no drive.
+
+    Parameters
+    ----------
+    result : Identification
+
+    Returns
+    -------
+    list of str, sentences
+    """
     said, bounds = [], result.bounds
     for j, signal in enumerate(result.project.outputs):
         bins = np.flatnonzero(bounds.B_w[:, j] <= bounds.B_w_floor[:, j])
         if len(bins):
             step, noise = bounds.resolution.step[j], bounds.resolution.noise[j]
             said.append(
-                f"B_w of {signal.name} is what its sensor cannot tell, and the drives ask for no more, at "
+                f"B_w of {signal.name} is the limit of its sensor, and the drives need no more, at "
                 f"{', '.join(_hertz(result, k) for k in bins.tolist())}: steps of {step:.3g} {signal.unit}, "
                 f"noise of {noise:.3g} {signal.unit}"
             )
@@ -136,7 +177,16 @@ def unresolved(result: Identification) -> list[str]:
 
 
 def silence(result: Identification) -> list[str]:
-    """A sentence for each silent bin, and one for silent bands of the energy test."""
+    """Name the silent bins, and the silent bands of the energy test.
+
+    Parameters
+    ----------
+    result : Identification
+
+    Returns
+    -------
+    list of str, sentences
+    """
     said = []
     for k in result.weights.silent:
         few = f"fewer than {FEWEST_FRAMES} frames one after another set its bounds"

@@ -1,16 +1,16 @@
-"""Stage 5, what a healthy vehicle's error looks like after an alarm: the scales of the diagnosis (THEORY 7.9;
-lib/include/lpvguard/diagnosis.h)
+"""Stage 5: scales of the diagnosis, from the error of healthy vehicles (THEORY 7.9;
+lib/include/lpvguard/diagnosis.h).
 
     e_j = theta_1 yhat_j - theta_2 dyhat_j/dt + theta_3 + theta_4 yhat_j |yhat_j| + residue             (T38)
 
-by least squares over WINDOW_S of settled blocks. Every number is of drives that set the bounds. The
-covariance of a healthy theta is that of a random effect: what its estimates from window to window show
+by least squares over WINDOW_S of settled blocks. Every number comes from drives that set the bounds. The
+covariance of a healthy theta is that of a random effect: the variation of its estimates from window to window
 beyond their own standard errors, by expectation and maximisation. Theta then has the covariance spread +
 errors. Both are enlarged until 95 % of a drive's windows lie within the 95 % region of the other drives.
 
-One drive keeps a share of the spread: what theta was foretells what it will be. The share is that of KEPT
-with which windows are likeliest, each given what came before it in its drive, by the spread of the other
-drives, of those with which 95 % of them lie within the 95 % region.
+A drive keeps a share of the spread: past values of theta predict future ones. The share comes from KEPT. It
+must put 95 % of the windows within the 95 % region, by the spread of the other drives. Among such shares it
+is that with the likeliest windows, each given the past of its drive.
 """
 
 from __future__ import annotations
@@ -34,23 +34,25 @@ from ..vehicle.project import Project
 from .change import BLOCK, FIRST_BLOCK_END, block_means
 
 WINDOW_S = 10.0
-"""Settled driving since an alarm from which causes are judged."""
+"""Settled driving after an alarm from which causes are judged."""
 DELAYS, MOST_STRIDE, REACH_S = 6, 4, 0.5
-"""Delays that are tried (LPVG_DIAGNOSIS_DELAYS), blocks between them at most, and how far they reach at
-least, where the stride allows."""
+"""Delays that are tried (LPVG_DIAGNOSIS_DELAYS), most blocks between them, and their least reach, if
+possible."""
 CELL_S = 0.8
-"""Of the ring before an alarm, whose cells say since when."""
+"""Cell of the ring before an alarm, which dates the onset."""
 PARTS = 4
 UPPER = np.triu_indices(PARTS)
 COVERED = 0.95
 EXCITED = 0.05
-"""Mean square of yhat over its size, from which causes are judged."""
+"""Least mean square of yhat over its size from which causes are judged."""
 FITS = float(chi2.ppf(0.99, PARTS - 1))
 MARGIN = 2.0
-"""By which the next cause must be worse: chi-squared, a likelihood ratio of e."""
+"""Margin of the best cause over the next: chi-squared, a likelihood ratio of e."""
 ROUGHER, STILLER, STILLEST = 4.0, 0.05, 0.01
-"""Noise is four times the largest healthy mean square within blocks; a frozen output moves by less than a
-twentieth of the least, and less than a hundredth of what the model says."""
+"""Noise is four times the largest healthy mean square within blocks.
+
+A frozen output moves by less than a twentieth of the least, and less than a hundredth of the model's.
+"""
 KEPT = (0.0, 0.9, 0.99)
 """Shares of the spread that one drive may keep. Of two windows a share below 0.9 makes no interval half as
 wide: it counts as none."""
@@ -58,14 +60,17 @@ GAP = 3
 """Windows, each of which begins in the middle of the one before, from the end of a past to the window it
 foretells: half a window lies between them, as before an alarm in the mean."""
 STEPS, FEWER_STEPS = 200, 20
-"""Of expectation and maximisation, from nothing, and from what nearly the same windows gave."""
+"""Steps of expectation and maximisation, from nothing, and from the result of nearly the same windows."""
 
 
 @dataclass(frozen=True)
 class Windows:
-    """Sums over windows of a drive's settled blocks, W windows: n (W,) blocks; gram (W, n_y, 4, 4), along
-    (W, n_y, 4), square (W, n_y) of e; rough, moved, still (W, n_y): mean squares of noise in blocks, of the
-    changes of yhat and of y; correlated (W, n_y): variance factor of the residue's correlation."""
+    """Sums over W windows of a drive's settled blocks.
+
+    n (W,) blocks; gram (W, n_y, 4, 4), along (W, n_y, 4), square (W, n_y) of e; rough, moved, still (W, n_y):
+    mean squares of noise in blocks, of the changes of yhat and of y; correlated (W, n_y): variance factor of
+    the residue's correlation.
+    """
 
     n: np.ndarray
     gram: np.ndarray
@@ -78,21 +83,21 @@ class Windows:
 
     @classmethod
     def joined(cls, parts: Sequence[Windows]) -> Windows:
-        """Those of several drives, one after the other."""
+        """Windows of several drives in sequence."""
         return cls(*(np.concatenate([getattr(p, name) for p in parts]) for name in vars(parts[0])))
 
     def of(self, chosen: np.ndarray) -> Windows:
-        """The ``chosen`` (W,) ones."""
+        """The ``chosen`` (W,) windows."""
         return Windows(*(value[chosen] for value in vars(self).values()))
 
     @property
     def theta(self) -> np.ndarray:
-        """Estimates (W, n_y, 4), as the core's."""
+        """Estimates (W, n_y, 4), as in the core."""
         return np.linalg.solve(self._regular, self.along[..., None])[..., 0]
 
     @property
     def residue(self) -> np.ndarray:
-        """Mean square (W, n_y) that theta leaves."""
+        """Mean square (W, n_y) of the residue."""
         left = self.square - np.einsum("wji,wji->wj", self.along, self.theta)
         return np.maximum(left, 0.0) / self.n[:, None]
 
@@ -101,7 +106,8 @@ class Windows:
         return (correlated * self.residue)[..., None, None] * np.linalg.inv(self._regular)
 
     def pasts(self) -> Windows:
-        """Of one drive's windows from the GAP-th on: all that does not overlap, up to GAP before each."""
+        """Pasts of one drive's windows from the GAP-th on: everything before, without overlap, up to GAP
+        earlier."""
         sums = {name: getattr(self, name).copy() for name in ("n", "gram", "along", "square")}
         for value in sums.values():
             for k in range(2, len(value)):
@@ -116,9 +122,11 @@ class Windows:
 def windows_of(
     e: np.ndarray, yhat: np.ndarray, v: np.ndarray, estimator: Estimator, unit: np.ndarray
 ) -> Windows:
-    """The windows of a drive, each of half the blocks of the one before; e, yhat (N, n_y), v (N,), ``unit``
-    (n_y, 2): 1 / size of yhat and of its change over a block. One of at least half the length where there are
-    no more."""
+    """Windows of a drive, each starting half the blocks after the last; e, yhat (N, n_y), v (N,).
+
+    ``unit`` (n_y, 2): 1 / size of yhat and of its change over a block. A single shorter window of at least
+    half the length is allowed.
+    """
     ends = np.arange(FIRST_BLOCK_END, len(e), BLOCK)[1:]
     at = ends[:, None] + np.arange(1 - BLOCK, 1)
     whole = estimator.settled(v)[at].all(axis=1)
@@ -166,10 +174,12 @@ def _correlated(left: np.ndarray) -> np.ndarray:
 
 
 def _spread(theta: np.ndarray, errors: np.ndarray, start: np.ndarray | None = None) -> np.ndarray:
-    """Second moments (n_y, 4, 4) of a random theta about 0, of estimates (W, n_y, 4) with ``errors`` (W, n_y,
-    4, 4), by expectation and maximisation; ``start`` (n_y, 4, 4): those of nearly the same windows.
+    """Second moments (n_y, 4, 4) of a random theta about 0, by expectation and maximisation.
 
-    With S_w = found + errors_w and u_w = S_w^-1 theta_w a step adds found (mean of u u' - S^-1) found."""
+    The estimates are (W, n_y, 4) with ``errors`` (W, n_y, 4, 4). ``start`` (n_y, 4, 4) are those of nearly
+    the same windows. With S_w = found + errors_w and u_w = S_w^-1 theta_w a step adds found (mean of u u' -
+    S^-1) found.
+    """
     theta = np.ascontiguousarray(np.moveaxis(theta, 0, -1))
     errors = np.ascontiguousarray(errors.transpose(2, 3, 1, 0))
     windows = theta.shape[-1]
@@ -185,8 +195,11 @@ def _spread(theta: np.ndarray, errors: np.ndarray, start: np.ndarray | None = No
 
 
 def _surplus(theta: np.ndarray, errors: np.ndarray, found: np.ndarray) -> np.ndarray:
-    """Sums (n_y, 4, 4) over windows of u u' - S^-1, of theta (n_y, 4, W), errors (4, 4, n_y, W) and found
-    (n_y, 4, 4). Compiled where possible; the numpy version agrees to rounding."""
+    """Sums (n_y, 4, 4) over windows of u u' - S^-1, for theta (n_y, 4, W), errors (4, 4, n_y, W), found (n_y,
+    4, 4).
+
+    The numpy version agrees with the compiled one to rounding.
+    """
     surplus = np.empty_like(found)
     if lib := native.kernels("spread"):
         sizes = (ctypes.c_ssize_t(size) for size in (len(found), theta.shape[-1]))
@@ -209,8 +222,7 @@ def _products(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def _inverse_factor(S: np.ndarray) -> list[list[np.ndarray]]:
-    """Rows of the lower triangle M with M' M = S^-1 of positive definite S (4, 4, ...): its Cholesky factor's
-    inverse."""
+    """Rows of the lower triangle M with M' M = S^-1 of positive definite S (4, 4, ...)."""
     L: dict[tuple[int, int], np.ndarray] = {}
     M: list[list[np.ndarray]] = []
     for i in range(PARTS):
@@ -226,12 +238,21 @@ def _inverse_factor(S: np.ndarray) -> list[list[np.ndarray]]:
 
 @dataclass(frozen=True)
 class DiagnosisScales:
-    """What the drives that set the bounds show of every output; ``unit`` (n_y, 2) as the change test's sizes.
+    """Scales of every output from the drives that set the bounds.
 
-    spread (n_y, 4, 4): covariance of a healthy theta. correlated (n_y,): on the variance of its estimate.
-    residue (n_y, 2), rough, still (n_y,): as in diagnosis.h. enlarged (n_y,): factor on both covariances,
-    included. interval: half width of a 95 % interval in standard deviations. kept (n_y,): share of the spread
-    that one drive keeps. windows, drives: how many there were."""
+    Attributes
+    ----------
+    Ts : float, s
+    unit : ndarray (n_y, 2), as in the change test
+    spread : ndarray (n_y, 4, 4), covariance of a healthy theta
+    correlated : ndarray (n_y,), factor on the variance of its estimate
+    residue : ndarray (n_y, 2), as in diagnosis.h
+    rough, still : ndarray (n_y,), as in diagnosis.h
+    enlarged : ndarray (n_y,), factor on both covariances, included
+    interval : float, half width of a 95 % interval in standard deviations
+    kept : ndarray (n_y,), share of the spread that one drive keeps
+    windows, drives : int, their numbers
+    """
 
     Ts: float
     unit: np.ndarray
@@ -248,8 +269,8 @@ class DiagnosisScales:
 
     @classmethod
     def of(cls, project: Project, unit: np.ndarray, drives: Sequence[Windows]) -> DiagnosisScales:
-        """From the windows of every bound-setting drive; ``unit`` (n_y, 2): sizes. InputError where there are
-        none."""
+        """Scales from the windows of every bound-setting drive; ``unit`` (n_y, 2): sizes. InputError
+        without any."""
         drives = [w for w in drives if len(w.n)]
         if not drives:
             raise InputError(
@@ -287,7 +308,7 @@ class DiagnosisScales:
 
     @property
     def table(self) -> DiagnosisTable:
-        """The core's."""
+        """Table of the core."""
         block_s = BLOCK * self.Ts
         n_y = len(self.unit)
         words = {
@@ -319,7 +340,7 @@ class DiagnosisScales:
 
     @classmethod
     def restored(cls, project: Project, data: dict) -> DiagnosisScales:
-        """Those of diagnosis.json; one of before names no share that a drive keeps."""
+        """Scales of diagnosis.json; an older one has no share that a drive keeps."""
         data = {"kept": np.zeros(project.n_y), **data}
         scalars: dict[str, Any] = {k: data[k] for k in ("interval", "windows", "drives")}
         arrays: dict[str, Any] = {
@@ -329,10 +350,11 @@ class DiagnosisScales:
 
     @property
     def least(self) -> np.ndarray:
-        """Least change of gain, delay [s] and bias (n_y, 3) that an interval can tell from none.
+        """Least change of gain, delay [s] and bias (n_y, 3) that an interval can distinguish from none.
 
-        However long the record is, and the drive before it: healthy vehicles differ by as much. Of a gain g
-        it is of (g - 1)/g, as g scales the spread."""
+        It does not fall with the length of the record or of the drive before: healthy vehicles differ by as
+        much. For a gain g it is that of (g - 1)/g, because g scales the spread.
+        """
         spread = (1 - self.kept**2)[:, None, None] * self.spread
         alone = self.interval / np.sqrt(np.einsum("jii->ji", np.linalg.inv(spread)))
         return alone[:, : PARTS - 1] / np.column_stack(
@@ -351,7 +373,7 @@ class DiagnosisScales:
 
 @dataclass(frozen=True)
 class DiagnosisTable(Sealed):
-    """The scales as the core has them (diagnosis.h)."""
+    """The scales in the core's form (diagnosis.h)."""
 
     LAYOUT = DIAGNOSIS
 
@@ -359,8 +381,11 @@ class DiagnosisTable(Sealed):
 def _of_others(
     windows: Sequence[int], theta: np.ndarray, errors: np.ndarray, spread: np.ndarray
 ) -> np.ndarray:
-    """Per window the spread (W, n_y, 4, 4) of the drives but its own; with one drive its own. ``windows``:
-    how many each drive has, one drive after the other in ``theta`` and ``errors``; ``spread``: of all."""
+    """Spread (W, n_y, 4, 4) per window of the drives but its own; with one drive its own.
+
+    ``windows`` are the numbers of each drive's windows, in the order of ``theta`` and ``errors``; ``spread``
+    is that of all.
+    """
     found = np.empty_like(errors)
     for first, end in pairwise(np.cumsum([0, *windows])):
         own = slice(first, end)
@@ -372,12 +397,12 @@ def _of_others(
 def _needed(
     drives: int, theta: np.ndarray, errors: np.ndarray, others: np.ndarray
 ) -> tuple[np.ndarray, float]:
-    """Factor (n_y,) on the covariances, 1 or more, with which COVERED of the windows lie within the region
-    that the other drives make. Half width of an interval, in standard deviations.
+    """Factor (n_y,) >= 1 on the covariances with which COVERED of the windows lie within the other drives'
+    region.
 
-    The latter is Student's t with as many degrees of freedom as drives, since about 0 each gives the spread
-    one. It is more where COVERED of the windows' gains, delays or biases ask for it, all else being free.
-    ``others``: as of _of_others.
+    Also the half width of an interval, in standard deviations. It is Student's t with as many degrees of
+    freedom as drives, because about 0 each drive gives one. It is larger where COVERED of the windows' gains,
+    delays or biases need it, all others being free. ``others``: see _of_others.
     """
     information = np.linalg.inv(others + errors)
     alone = (information @ theta[..., None])[..., 0]
@@ -392,9 +417,11 @@ def _needed(
 def _kept(
     drives: Sequence[Windows], others: np.ndarray, correlated: np.ndarray, enlarged: np.ndarray
 ) -> np.ndarray:
-    """Share (n_y,) of KEPT, of those with which COVERED of the windows lie within the region that their past
-    foretells the one with which they are likeliest. 0 where no drive is long enough. ``others``: as of
-    _of_others; ``correlated``: not ``enlarged`` yet."""
+    """Share (n_y,) of KEPT with the likeliest windows; 0 where no drive is long enough.
+
+    With it COVERED of the windows lie within the region predicted from their past. ``others``: see
+    _of_others; ``correlated``: not ``enlarged`` yet.
+    """
     noise, told, first = enlarged * correlated, [], 0
     for drive in drives:
         spread = enlarged[:, None, None] * others[first]
@@ -413,9 +440,12 @@ def _kept(
 def _foretold(
     drive: Windows, noise: np.ndarray, spread: np.ndarray, share: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Chi-squared of what its past foretells of a window, and the logarithm of the covariance's determinant,
-    (W - GAP, n_y) each, where the drive keeps a ``share`` of the ``spread`` (n_y, 4, 4): the best linear
-    estimate. ``noise`` (n_y,): as correlated."""
+    """Chi-squared of a window's prediction from its past, and log determinant of the covariance, (W - GAP,
+    n_y).
+
+    The prediction is the best linear estimate if the drive keeps a ``share`` of the ``spread`` (n_y, 4, 4).
+    ``noise`` (n_y,): as correlated.
+    """
     past, after = drive.pasts(), drive.of(np.arange(GAP, len(drive.n)))
     weights = share * spread @ np.linalg.inv(spread + past.errors(noise))
     beside = after.theta - (weights @ past.theta[..., None])[..., 0]

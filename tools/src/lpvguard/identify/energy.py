@@ -3,9 +3,9 @@
 
     || sum_j a_j F e_j || <= || sum_j a_j F W_delta yhat_j || + sum_j |a_j| sigma_j                (T19)
 
-for every real a and at every time T, with ||x||^2 = sum_{t <= T} rho^(2 (T - t)) x(t)^2. With one Delta_j an
-output (S1_diagonal) a is a unit vector, and W_delta,j filters yhat_j. THEORY 7.2 states the assumptions, the
-proof, and what an exceedance refutes.
+for every real a and at every time T, with ||x||^2 = sum_{t <= T} rho^(2 (T - t)) x(t)^2. On the left the last
+band forgets faster. With one Delta_j an output (S1_diagonal) a is a unit vector, and W_delta,j filters
+yhat_j. THEORY 7.2 states the assumptions, the proof, and what an exceedance refutes.
 
 **The weight** is a filter with the fitted weight's magnitude on |z| = rho, at the warped frequency (2/Ts)
 tan(omega Ts/2) (T20). ``verify_overbound`` proves it above the samples of nu at their warped frequencies.
@@ -13,17 +13,18 @@ Where the weight falls with frequency, a gain >= 1 is applied first.
 
 **F** is the filter of each band in turn (T21). L_1 ... L_m are first-order low-passes of the corners, lowest
 first. Band 0 is L_1 ... L_m, band b is (1 - L_b) L_(b+1) ... L_m, band m is 1 - L_m; they sum to 1. The
-corners are the frames' f_min_hz and f_max_hz, or the setting ``band_hz``. Above the last corner the constant
-``above`` = max(1, sup W_delta) stands for W_delta. The memory there is memory_s * f_first / f_last (T22).
+corners are the frames' f_min_hz and f_max_hz, or the setting ``band_hz``. The left memory of the last band is
+memory_s * f_first / f_last (T22).
 
 **sigma_j** of a band belongs to the inequality of output j alone, from rest. It is the least number with
 which that holds at every sample of every drive that set the bounds or the noise. A common factor per band
 then makes the fan of directions a hold too. Every direction is a condition by itself; the core tests one a
 judgement.
 
-**Starting in the middle** of a drive, the left sum begins at zero and the right sum at ``start``. That is the
-largest energy met on the identification drives. Transients of the model and of F are not covered by that; the
-common factors cover drives cut at random.
+**Starting in the middle** of a drive, all sums begin at zero. The right side gets what Delta, W_delta and F
+may remember, which fades with rho: sum_j |a_j| rho^(T - t0 + 1) start_j (T19b, remembered.py). ``start`` is
+the largest that the identification drives show. The model's transient is not covered by that; the common
+factors cover drives cut at random.
 """
 
 from __future__ import annotations
@@ -42,24 +43,29 @@ from ..engine.overbound.certificate import verify_overbound
 from ..engine.overbound.weight import Weight
 from ..vehicle.project import Project
 from .calibration import ROUNDING, Calibration, Recordings, calibrate
+from .remembered import remembered
 
 FAN_BITS = 4
 """2^4 directions for two outputs, evenly over the half circle in units of sigma."""
 FEWEST_SETTLED = 5.0
 """Time constants after which a transient counts as gone, as in drives/frames.py."""
 SMALLEST_SIGMA = 1e-2
-"""Floor of sigma_j over the largest ||F e_j|| and ||F W_delta yhat_j||: in units of sigma, sums stay where
-float adds finely enough."""
+"""Floor of sigma_j over the largest ||F e_j|| and ||F W_delta yhat_j||: float then adds sums in units of
+sigma finely
+enough."""
 UNBOUNDED = 1e6
-"""What the core's B_w and sigma are raised by where nothing is claimed: far beyond what a vehicle does, and
-within the range of float (lib/src/margin.hpp)."""
+"""Factor on the core's B_w and sigma where nothing is claimed: far beyond a vehicle's signals, and within the
+range
+of float (lib/src/monitor/margin.hpp)."""
+STATED_RTOL = 1e-8
+"""Largest relative difference between stored numbers and those that the weights give."""
 
 
 def fan(n_y: int) -> np.ndarray:
     """Directions (D, n_y) up to their sign, sum |a_j| = 1, single outputs among them, in units of sigma.
 
-    For two outputs in bit-reversed order: neighbours see nearly the same, so consecutive judgements take
-    distant directions.
+    For two outputs in bit-reversed order: neighbours are nearly equal, so consecutive judgements take distant
+    directions.
     """
     if n_y == 2:
         turn = np.array([int(f"{k:0{FAN_BITS}b}"[::-1], 2) for k in range(2**FAN_BITS)]) / 2**FAN_BITS
@@ -91,14 +97,14 @@ def _bands(corner_rad: np.ndarray, rate: float) -> np.ndarray:
 
 
 def _padded(filters: list[np.ndarray]) -> np.ndarray:
-    """Sections (N, S, 6) of filters of at most S sections each; fewer end with ones that pass all."""
+    """Sections (N, S, 6) of filters of at most S sections each, padded with sections that pass everything."""
     passing = np.array([[1.0, 0.0, 0.0, 1.0, 0.0, 0.0]])
     most = max(map(len, filters))
     return np.stack([np.concatenate([f, *[passing] * (most - len(f))]) for f in filters])
 
 
 def in_delta(sections: np.ndarray) -> np.ndarray:
-    """b0, b1, b2, a1, a2 (..., 5) in the operator z - 1 of sections (..., 6) in z, as the core takes them."""
+    """b0, b1, b2, a1, a2 (..., 5) in the core's operator z - 1, from sections (..., 6) in z."""
     b, a = sections[..., :3], sections[..., 3:]
     return np.stack(
         [b[..., 0], 2 * b[..., 0] + b[..., 1], b.sum(-1), 2 * a[..., 0] + a[..., 1], a.sum(-1)], axis=-1
@@ -108,8 +114,10 @@ def in_delta(sections: np.ndarray) -> np.ndarray:
 def _raised(
     project: Project, W_delta: Sequence[Weight], warped: np.ndarray, bounds: np.ndarray
 ) -> Iterator[tuple[float, Weight, dict]]:
-    """Of each weight: the gain >= 1 with which it is above its row of ``bounds`` (n_delta, K) at ``warped``
-    (K,) [rad/s], the weight so raised, and its certificate."""
+    """Gain >= 1 of each weight above its bound, the weight with it, and its certificate.
+
+    The bounds are rows of ``bounds`` (n_delta, K) at ``warped`` (K,) [rad/s].
+    """
     if not len(W_delta) == len(bounds) == project.n_delta:
         raise InputError(
             f"vehicle {project.name}",
@@ -141,14 +149,28 @@ def _norm_in(sums: np.ndarray, directions: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class EnergyTest:
-    """Filters, sigma and calibration in B bands, one more than ``band_hz`` has corners. Units: ``sigma`` (B,
-    n_y) the outputs', ``start`` (B, n_y) their squares.
+    """Filters, sigma and calibration of the energy test in B bands.
 
-    ``F`` (B, S, 6): sections in z per band. ``W`` (n_delta, S, 6): sections in z per Delta; ``above``
-    (n_delta,): the constant in its place above the corners. ``gain`` (n_delta,): what W_delta was raised by
-    to stay above its bound when warped, with a certificate each. ``joint`` (B,): the common factor >= 1 in
-    in sigma that the fan, or a cut drive, asked for. ``directions`` (D, n_y) in units of sigma. ``silent``:
-    bands that set no threshold and raise no alarm, since no frame of the drives shows evidence.
+    Attributes
+    ----------
+    Ts, memory_s : float, s
+    band_hz : tuple of float, Hz, the B - 1 corners
+    settle : int, samples
+    speed_range : tuple[float, float], m/s
+    F : ndarray (B, S, 6), sections in z per band
+    W : ndarray (n_delta, S, 6), sections in z per Delta
+    gain : ndarray (n_delta,), factor on W_delta that keeps it above its bound when warped
+    certificate : list of dict, one a Delta
+    directions : ndarray (D, n_y), in units of sigma
+    sigma : ndarray (B, n_y), output units
+    start : ndarray (B, n_y), memory at a restart [output units]
+    joint : ndarray (B,), common factor >= 1 in sigma for the fan and for cut drives
+    calibration : Calibration
+    silent : tuple of int, bands that set no threshold and raise no alarm, because no frame shows evidence
+
+    References
+    ----------
+    THEORY 7.2.
     """
 
     Ts: float
@@ -158,7 +180,6 @@ class EnergyTest:
     speed_range: tuple[float, float]
     F: np.ndarray
     W: np.ndarray
-    above: np.ndarray
     gain: np.ndarray
     certificate: list[dict]
     directions: np.ndarray
@@ -178,16 +199,17 @@ class EnergyTest:
         bound: np.ndarray,
         inflation: float,
     ) -> EnergyTest:
-        """Filters for the project's n_delta weights W_delta, which lie above the samples ``bound`` (K,
-        n_delta) at ``omega`` (K,), times the final inflation; sigma is 1 yet.
+        """Filters for the project's n_delta weights W_delta, before sigma is known.
 
-        Raises InputError for settings that make no test, and for weights of another structure.
+        The weights lie above the samples ``bound`` (K, n_delta) at ``omega`` (K,), times the final inflation.
+        Raises
+        InputError for settings that make no test, and for weights of another structure.
         """
         Ts, settings = estimator.Ts, project.energy_test
         corners = settings.band_hz or (project.frames.f_min_hz, project.frames.f_max_hz)
         memory = settings.memory_s or 1.0 / project.frames.f_min_hz
         corner_rad = np.array([2 / Ts * np.tan(np.pi * f * Ts) for f in corners])
-        low_rad, high_rad = corner_rad[0], corner_rad[-1]
+        low_rad = corner_rad[0]
         if not memory * low_rad > 1:
             raise InputError(
                 f"vehicle {project.name}",
@@ -200,7 +222,6 @@ class EnergyTest:
         rho = np.exp(-Ts / memory)
         settle = max(estimator.settle, int(np.ceil(FEWEST_SETTLED / low_rad / Ts)))
         each = (len(corners) + 1, project.n_y)
-        beyond = np.geomspace(high_rad, 1e4 * high_rad, 1000)
         return cls(
             Ts,
             memory,
@@ -214,7 +235,6 @@ class EnergyTest:
                     for W in raised
                 ]
             ),
-            np.array([max(1.0, inflation * float(W.magnitude(beyond).max())) for W in raised]),
             np.array(gain),
             list(certificate),
             fan(project.n_y) if project.n_delta == 1 else np.eye(project.n_y),
@@ -225,12 +245,12 @@ class EnergyTest:
 
     @property
     def memories_s(self) -> np.ndarray:
-        """Time constants of the forgetting (B,)."""
+        """Time constants (B,) of the left sums' forgetting; that of the right sums is the first."""
         return self.memory_s * np.array([*[1.0] * len(self.band_hz), self.band_hz[0] / self.band_hz[-1]])
 
     @property
     def single(self) -> bool:
-        """Whether every direction is one output, as where each has its own Delta."""
+        """Whether every direction is one output, as with a Delta an output."""
         return len(self.W) > 1
 
     @property
@@ -240,7 +260,7 @@ class EnergyTest:
 
     @property
     def rho(self) -> float:
-        """Of the bands in which W_delta is a filter."""
+        """Forgetting per sample of Delta and the right sums."""
         return float(np.exp(-self.Ts / self.memory_s))
 
     @property
@@ -256,8 +276,19 @@ class EnergyTest:
             for signal, per_band in zip(project.outputs, self.sigma.T, strict=False)
         )
 
+    @property
+    def claim_text(self) -> str:
+        """Claim of a ratio above 1, with its assumptions (THEORY 7.2)."""
+        blocks = "a Delta for each output" if self.single else "one Delta for all outputs"
+        return (
+            f"given sigma, a ratio above 1 refutes every error Delta W_delta yhat with {blocks}, linear, "
+            f"time-invariant, causal and |Delta(z)| <= 1 for |z| >= {self.rho:.6g} (memory {self.memory_s:g} "
+            "s), in every band; after a restart if the model has settled and the driving before it left no "
+            "more in Delta, W_delta and the filters than the identification's drives could"
+        )
+
     def at_rest(self) -> EnergyTest:
-        """With nothing remembered at the start."""
+        """The test for whole drives, without memory before their start."""
         return replace(self, start=np.zeros_like(self.start))
 
     def norms(
@@ -270,49 +301,61 @@ class EnergyTest:
 
     def _matrices(self, band: int, left: np.ndarray, right: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Left and right matrices of products (n, n_y, n_y) of a stretch in one band, from its `_sides`."""
-        of_left = self._sums(band, left[:, None] * left, np.diag(np.zeros_like(self.start[band])))
-        of_right = self._sums(band, right[:, None] * right, np.diag(self.start[band]))[..., self.settle :]
+        of_left = self._sums(band, left[:, None] * left)
+        of_right = self._sums(0, right[:, None] * right)[..., self.settle :]
         return np.moveaxis(of_left, -1, 0), np.moveaxis(of_right, -1, 0)
+
+    def _stretches(self, v: np.ndarray) -> Iterator[slice]:
+        """Runs of samples within the speed range that are longer than the settling time."""
+        inside = (v >= self.speed_range[0]) & (v <= self.speed_range[1])
+        for first, end in runs(inside):
+            if end - first > self.settle:
+                yield slice(first, end)
 
     def _sides(
         self, e: np.ndarray, yhat: np.ndarray, v: np.ndarray
     ) -> Iterator[tuple[int, int, np.ndarray, np.ndarray]]:
         """Per stretch in speed range and band: first judged sample, band, F e from there on (n_y, n), and F
         W_delta yhat from ``settle`` samples before."""
-        inside = (v >= self.speed_range[0]) & (v <= self.speed_range[1])
-        for first, end in runs(inside):
-            if end - first <= self.settle:
-                continue
-            error, explained, nominal = (
-                np.ascontiguousarray(x.T)
-                for x in (e[first:end], self.weighted(yhat[first:end]), yhat[first:end])
-            )
+        for stretch in self._stretches(v):
+            error, explained = (np.ascontiguousarray(x.T) for x in (e[stretch], self.weighted(yhat[stretch])))
             for band, F in enumerate(self.F):
-                allowed = explained if band < len(self.F) - 1 else self.above[:, None] * nominal
-                yield first + self.settle, band, sosfilt(F, error)[:, self.settle :], sosfilt(F, allowed)
+                yield (
+                    stretch.start + self.settle,
+                    band,
+                    sosfilt(F, error)[:, self.settle :],
+                    sosfilt(F, explained),
+                )
 
     def weighted(self, yhat: np.ndarray) -> np.ndarray:
-        """W_delta yhat_j (N, n_y) of the nominal output (N, n_y), from rest: each by the W_delta of its
-        Delta."""
+        """W_delta yhat_j (N, n_y) of the nominal output (N, n_y), from rest, each by its Delta's weight."""
         if len(self.W) == 1:
             return sosfilt(self.W[0], yhat, axis=0)
         return np.column_stack([sosfilt(W, column) for W, column in zip(self.W, yhat.T, strict=True)])
 
-    def _sums(self, band: int, products: np.ndarray, start: np.ndarray) -> np.ndarray:
-        """Forgetting sums over the last axis, of what ``start`` was before it."""
-        kept = np.exp(-2 * self.Ts / self.memories_s[band])
-        return lfilter([1.0], [1.0, -kept], products, zi=kept * start[..., None])[0]
+    def _sums(self, band: int, products: np.ndarray) -> np.ndarray:
+        """Sums over the last axis, with the forgetting of a band's left side; of band 0 it is rho."""
+        return lfilter([1.0], [1.0, -np.exp(-2 * self.Ts / self.memories_s[band])], products)
+
+    def _memory(self, band: int, samples: int, a: np.ndarray) -> np.ndarray:
+        """Memory before the restart (samples, D) in directions ``a`` (D, n_y), from the first judged
+        sample on."""
+        fading = self.rho ** (self.settle + 1 + np.arange(samples))
+        return np.outer(fading, np.abs(a) @ self.start[band])
 
     def ratios(self, e: np.ndarray, yhat: np.ndarray, v: np.ndarray) -> Iterator[tuple[int, int, np.ndarray]]:
         """Per stretch in speed range and band: first judged sample, band, left side over right (n, D) in
         every direction."""
         for first, band, left, right in self.norms(e, yhat, v):
             a = self.directions / self.sigma[band]
-            yield first, band, _norm_in(left, a) / (_norm_in(right, a) + 1.0)
+            allowed = _norm_in(right, a) + self._memory(band, len(left), a)
+            yield first, band, _norm_in(left, a) / (allowed + 1.0)
 
     def needs(self, e: np.ndarray, yhat: np.ndarray, v: np.ndarray) -> dict[str, np.ndarray]:
-        """What a drive asks of sigma: per output (B, n_y) and jointly (B,), and the largest norms met; NaN
-        where nothing is judged."""
+        """Sigma that a drive needs, per output (B, n_y) and jointly (B,), and the largest norms met.
+
+        e, yhat (N, n_y), v (N,). NaN where nothing is judged.
+        """
         out = {key: np.full(self.sigma.shape, np.nan) for key in ("sigma", "error", "bound")} | {
             "joint": np.full(len(self.F), np.nan)
         }
@@ -324,28 +367,43 @@ class EnergyTest:
 
     def _needs_in(self, band: int, left: np.ndarray, right: np.ndarray) -> dict[str, np.ndarray]:
         """`needs` of a stretch in one band, from its `_sides`."""
-        start = self.start[band]
         if self.single:
-            left, right = self._sums(band, left**2, np.zeros_like(start)), self._sums(band, right**2, start)
-            diagonals = left, right[:, self.settle :]
+            diagonals = self._sums(band, left**2), self._sums(0, right**2)[:, self.settle :]
         else:
             left, right = self._matrices(band, left, right)
             diagonals = tuple(np.einsum("njj->jn", x) for x in (left, right))
         error, bound = (np.sqrt(x) for x in diagonals)
+        bound += self._memory(band, bound.shape[1], np.eye(len(bound))).T
         needed = {"sigma": (error - bound).max(axis=1)}
         if self.single:
             joint = (needed["sigma"] / self.sigma[band]).max()
         else:
             a = self.directions / self.sigma[band]
-            error_in, bound_in = (_norm_in(x, a) for x in (left, right))
-            joint = (error_in - bound_in).max()
+            allowed = _norm_in(right, a) + self._memory(band, len(left), a)
+            joint = (_norm_in(left, a) - allowed).max()
         return needed | {"error": error.max(axis=1), "bound": bound.max(axis=1), "joint": joint}
 
+    def memory_met(self, e: np.ndarray, yhat: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """Largest norm (B, n_y) remembered at a restart at any sample of a drive: of F W_delta yhat and of F
+        e.
+
+        e, yhat (N, n_y), v (N,). NaN where nothing is judged.
+        """
+        largest = np.full(self.sigma.shape, np.nan)
+        for stretch in self._stretches(v):
+            for j, (error, nominal) in enumerate(zip(e[stretch].T, yhat[stretch].T, strict=True)):
+                W = self.W[min(j, len(self.W) - 1)]
+                for band, F in enumerate(self.F):
+                    right = remembered(np.concatenate([W, F]), nominal, self.rho)
+                    left = remembered(F, error, self.rho, settle=self.settle)
+                    largest[band, j] = np.fmax(largest[band, j], left + right)
+        return largest
+
     def with_sigma(self, needs: dict[str, np.ndarray], floor: np.ndarray | float = 0.0) -> EnergyTest:
-        """sigma per band and output from ``needs`` over all identification drives, at least ``floor`` (B,
-        n_y), what the sensors cannot tell; and what Delta may remember at the start: the largest energy met,
-        for each output; n_y times where one Delta is common, because products of different outputs start at
-        zero."""
+        """The test with sigma per band and output from ``needs`` over all identification drives.
+
+        Sigma is at least ``floor`` (B, n_y), the sensors' limit. The memory at a restart is the largest met.
+        """
         size = np.maximum(needs["error"], needs["bound"])
         if not (size > 0).all():
             raise InputError(
@@ -356,16 +414,18 @@ class EnergyTest:
                 f"and more within {self.speed_range[0]:g}..{self.speed_range[1]:g} m/s",
             )
         sigma = np.maximum(np.maximum(needs["sigma"], SMALLEST_SIGMA * size), floor)
-        return replace(self, sigma=sigma, start=sigma.shape[1] / len(self.W) * needs["bound"] ** 2)
+        return replace(self, sigma=sigma, start=needs["memory"])
 
     def with_joint(self, needs: dict[str, np.ndarray]) -> EnergyTest:
-        """sigma raised until the fan of directions holds too; ``needs`` met with sigma per output, NaN where
-        nothing is asked."""
+        """The test with sigma raised until the fan of directions holds too.
+
+        ``needs`` are those with sigma per output, NaN where nothing is needed.
+        """
         joint = np.fmax(1.0, needs["joint"])
         return replace(self, sigma=self.sigma * joint[:, None], joint=joint)
 
     def calibrated(self, scores: dict[str, float], alpha: float, recordings: Recordings) -> EnergyTest:
-        """With the threshold from the scores of calibration drives."""
+        """The test with the threshold from the scores of calibration drives."""
         return replace(
             self, calibration=calibrate(scores, alpha, floor=1.0 + ROUNDING, recordings=recordings)
         )
@@ -379,7 +439,6 @@ class EnergyTest:
         reals = {
             "energy_corner": tangent / (1 + tangent),
             "energy_W": in_delta(self.W),
-            "energy_above": self.above,
             "energy_scale": 1 / sigma,
             "energy_forget": -np.expm1(-2 * self.Ts / self.memories_s),
             "energy_start": self.start,
@@ -400,7 +459,6 @@ class EnergyTest:
             "bands": list(self.bands),
             "settle_samples": self.settle,
             "gain": self.gain,
-            "above": self.above,
             "certificate": self.certificate,
             "directions": self.directions,
             "sigma": self.sigma,
@@ -410,7 +468,9 @@ class EnergyTest:
         }
 
     def restored(self, data: dict, where: str) -> EnergyTest:
-        """With the stored sigma and calibration; InputError when ``data`` belongs to other filters."""
+        """The test with stored sigma and calibration; InputError when ``data`` belongs to other filters."""
+        if "above" in data:  # its `start` were squares
+            raise InputError(where, "above", "an identification of before", "one of this version: identify")
         stored = (data["memory_s"], *data["band_hz"], data["settle_samples"], *data.get("bands", ()))
         if stored != (self.memory_s, *self.band_hz, self.settle, *self.bands):
             raise InputError(
@@ -419,6 +479,7 @@ class EnergyTest:
                 f"{stored}",
                 "those that project.json describes",
             )
+        self._require_stated(data, where)
         return replace(
             self,
             sigma=np.array(data["sigma"]),
@@ -426,3 +487,20 @@ class EnergyTest:
             joint=np.array(data["joint"]),
             calibration=Calibration.from_dict(data["calibration"]),
         )
+
+    def _require_stated(self, data: dict, where: str) -> None:
+        """Raise InputError for an impossible sigma, or for gains and certificates of other weights.
+
+        sigma, which the drives set, is positive, ``start`` not negative and ``joint`` at least 1.
+        """
+        least = {"sigma": np.finfo(float).tiny, "start": 0.0, "joint": 1.0}
+        for name, low in least.items():
+            value, wanted = np.array(data[name], float), getattr(self, name).shape
+            if value.shape != wanted or not (np.isfinite(value) & (value >= low)).all():
+                raise InputError(where, name, f"{data[name]}", f"finite numbers {wanted}, {low:g} at least")
+        if not np.allclose(data["gain"], self.gain, rtol=STATED_RTOL, atol=0):
+            raise InputError(where, "gain", f"{data['gain']}", f"{self.gain}, of the weights")
+        for one, proved in zip(data["certificate"], self.certificate, strict=True):
+            held = one["ok"] and one["min_ratio"] <= proved["min_ratio"] * (1 + STATED_RTOL)
+            if not held or one["max_ratio"] < proved["max_ratio"] * (1 - STATED_RTOL):
+                raise InputError(where, "certificate", "is not proved of the weight", "the weights' own")

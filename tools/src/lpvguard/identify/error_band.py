@@ -83,9 +83,19 @@ class ErrorBand:
 
 
 def driven_amplitudes(domain: ErrorDomain, histogram: np.ndarray, speed: np.ndarray) -> np.ndarray:
-    """(S, 2) lowest and highest amplitude that was driven about each speed (S,) [m/s].
+    """Return the lowest and highest amplitude that was driven about each speed.
 
-    About a speed without samples it is that of the nearest speed with some. ``histogram``: of `ErrorSums`.
+    About a speed without samples it is that of the nearest speed with some.
+
+    Parameters
+    ----------
+    domain : ErrorDomain
+    histogram : ndarray (S', A') of int, of `ErrorSums`
+    speed : ndarray (S,), m/s
+
+    Returns
+    -------
+    ndarray (S, 2), input unit
     """
     cells = AMPLITUDE_CELLS_PER_KNOT * (len(domain.amplitude_knots) - 1)
     low, high = domain.amplitude_knots[[0, -1]]
@@ -122,15 +132,26 @@ def error_band(
     cells: tuple[np.ndarray, np.ndarray] | None = None,
     like: ErrorBand | None = None,
 ) -> ErrorBand:
-    """Band of a further drive's error.
+    """Compute the band of a further drive's error.
 
     Parameters
     ----------
-    omega : (G,) frequencies [rad/s].
-    seed : of the draws.
-    cells : speeds (S,) [m/s] and amplitudes (S, A) [input unit]; None for the model's range of speed and what
-        was driven there.
-    like : band of more drives, whose hyperparameters are taken; None: those of these drives are found.
+    domain : ErrorDomain
+    sums : ErrorSums
+    output : int, index of the output
+    omega : ndarray (G,), rad/s
+    seed : int, of the draws
+    scales : PriorScales, default USUAL
+    cells : tuple, optional, speeds (S,) [m/s] and amplitudes (S, A) [input unit], by default as driven
+    like : ErrorBand, optional, band of more drives whose hyperparameters are taken
+
+    Returns
+    -------
+    ErrorBand
+
+    References
+    ----------
+    THEORY 7.15.
     """
     of_output = OutputSums(sums, output)
     if like is None:

@@ -54,7 +54,12 @@ LARGEST = 4.0
 
 @dataclass(frozen=True)
 class PriorScales:
-    """Factors on the medians of the prior: all sizes of the common error, of deviations, of ignorance."""
+    """Factors on the medians of the prior.
+
+    Attributes
+    ----------
+    common, deviation, ignorance : float, on all sizes of the common error, of deviations, of ignorance
+    """
 
     common: float = 1.0
     deviation: float = 1.0

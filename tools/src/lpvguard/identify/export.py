@@ -1,4 +1,4 @@
-"""Stage 6, export: the generated folder of a stored identification."""
+"""Stage 6: export the generated folder of a stored identification."""
 
 from __future__ import annotations
 
@@ -7,14 +7,25 @@ from pathlib import Path
 from ..base import artefacts
 from ..core.coefficients import vehicle_files
 from ..core.control_coefficients import ControllerCoefficients
-from .run import StoredIdentification
+from .identification import StoredIdentification
 
 
 def export_vehicle(
     stored: StoredIdentification, target: Path, controller: ControllerCoefficients | None = None
 ) -> None:
-    """Write the generated folder of an identification, with its controller if there is one, whole or not at
-    all."""
+    """Write the generated folder of an identification, whole or not at all.
+
+    Parameters
+    ----------
+    stored : StoredIdentification
+    target : Path, new folder
+    controller : ControllerCoefficients, optional
+
+    Raises
+    ------
+    InputError
+        If the folder may not be replaced, or a part does not fit.
+    """
     coefficients = stored.coefficients
     provenance = {
         "kind": "vehicle",

@@ -6,8 +6,8 @@ At a frequency, in a cell of speed and amplitude, frames obey
     E_j = (a_j + b_j s) Z_j + residue,   s = (v - v_0)/h,   delta_c,j(v) = a_j + b_j s                (T30)
 
 v_0 and h are centre and half width of the speed range. The estimate is least squares, or with an instrument
-R the instrumental one. It is coherent: a disturbance that is not proportional to the input does not bias it,
-unless somebody steers against that disturbance and no instrument is named.
+R the instrumental one. It is coherent: a disturbance that is not proportional to the input does not bias it.
+The exception is a driver who steers against that disturbance, without a named instrument.
 
 Frames of this module are not the monitor's. They hold 4, 8, 16 or 32 periods of *whitened* signals: e, yhat
 and R pass one prediction-error filter of yhat, which commutes with Delta and makes yhat flat over a frame's
@@ -16,8 +16,8 @@ frame counts by its excitation: those in which a swept sine was elsewhere hardly
 
 Length: sums over frames, lines over pools of cells and the bound are one estimator, read together.
 
-Sums over frames are all that is kept of a drive. Drives are added in the order of their names, so the result
-does not depend on the order in which a folder lists them.
+Only sums over frames are kept of a drive. Drives are added in the order of their names, so the result does
+not depend on their order in a folder.
 """
 
 from __future__ import annotations
@@ -47,35 +47,35 @@ from .passes import DriveReader
 PERIODS = (4, 8, 16, 32)
 """Lengths of frames; each doubles the one before."""
 AR_ORDER, AR_FLOOR = 8, 1e-6
-"""Order of the whitening filter, and the white share that keeps it from amplifying what is 60 dB below."""
+"""Order of the whitening filter, and the white share that limits its gain to 60 dB."""
 STEP = 10 ** (1 / 12)
-"""From one frequency of the grid to the next, about."""
+"""Approximate distance between frequencies of the grid."""
 HIGHEST = 0.2
-"""Of the sampling rate: how far the grid goes."""
+"""End of the grid, as a share of the sampling rate."""
 HELD = 0.8
-"""Of the Nyquist frequency of decimated signals: up to where they hold the error."""
+"""Highest frequency of a band, as a share of the Nyquist frequency of decimated signals."""
 FEWEST_FRAMES = 8
 """A cell with fewer independent frames is pooled with its neighbour."""
 LEAST_FRAMES, FEW_LEVEL = 3.0, 1e-4
-"""What the pool of all cells must have to say anything, and the level at which fewer than FEWEST_FRAMES are
-judged by the F distribution."""
+"""Fewest frames in the pool of all cells, and the level of the F distribution for fewer than
+FEWEST_FRAMES."""
 INDEPENDENT = 1 / 1.056
-"""Of Hann frames that overlap by half."""
+"""Independent frames per Hann frame at half overlap."""
 LEVEL = 0.05
 """1 - simultaneous confidence of all estimates."""
 FOLDS = 64
-"""Groups of drives whose sums are kept apart for leave-one-out; with at most as many drives each is one."""
+"""Groups of drives with separate sums, for leave-one-out; up to that many drives each is a group."""
 LEAST_SPREAD = 0.01
-"""Of half the speed range: the least standard deviation of speeds that takes a line."""
+"""Least standard deviation of speeds for a line, as a share of half the speed range."""
 LACK_OF_FIT = 1e-3
-"""Level at which a cell's own line refutes that of a wider pool. Refuting in vain costs precision alone."""
+"""Level at which a cell's own line refutes that of a wider pool. A false refutation costs only precision."""
 ENDS = np.sqrt(3)
-"""Standard deviations from the mean to the ends of speeds that are spread evenly: where the line is read."""
+"""Standard deviations from the mean to the ends of evenly spread speeds, where the line is read."""
 TINY = 1e-300
 NEARLY_SINGULAR = 1e-6
 """Determinant of a matrix over the sum of its squared entries: below it the inverse loses half the digits."""
 POWERS = 5
-"""Of s that sums over frames are weighted with, from 0 on."""
+"""Number of powers of s, from 0 on, that weight sums over frames."""
 BIASED = (
     "delta_c is the least-squares estimate from the nominal output; a driver who steers against disturbances "
     "biases it, and no column was named that excites from outside"
@@ -83,13 +83,15 @@ BIASED = (
 INSTRUMENTAL = "delta_c is the instrumental estimate from the named column, which excites from outside"
 """``claim`` of model_error.json, without and with an instrument."""
 ASSUMED = "no reason stated: the vehicle is taken to respond no more than the model"
-"""``reason`` of an output of which the project says nothing: rho is 1."""
+"""``reason`` of an output that the project does not mention: rho is 1."""
 
 
 @dataclass(frozen=True)
 class ErrorGrid:
-    """Where the error is estimated: ``omega`` (G,) [rad/s]; ``speed_edges`` (C + 1,) [m/s];
-    ``amplitude_edges`` (A - 1,) [input unit]."""
+    """Grid of the estimate.
+
+    ``omega`` (G,) [rad/s]; ``speed_edges`` (C + 1,) [m/s]; ``amplitude_edges`` (A - 1,) [input unit].
+    """
 
     Ts: float
     omega: np.ndarray
@@ -98,8 +100,7 @@ class ErrorGrid:
 
     @classmethod
     def of(cls, project: Project, estimator: Estimator) -> ErrorGrid:
-        """The bins, points between them where they are wide apart, and STEP by STEP beyond them up to
-        HIGHEST."""
+        """The bins, points between distant ones, and STEP by STEP beyond them up to HIGHEST."""
         bins = estimator.omega[estimator.cycles > 0]
         kept = [bins[0]]
         for omega in bins[1:]:  # lines of the plain DFT lie denser than needed
@@ -131,16 +132,18 @@ class ErrorGrid:
         return (v - 0.5 * (low + high)) / (0.5 * (high - low))
 
     def speed(self, s: np.ndarray) -> np.ndarray:
-        """The speeds [m/s] of s."""
+        """Speeds [m/s] of s, in the shape of s."""
         low, high = self.speed_edges[[0, -1]]
         return 0.5 * (low + high) + 0.5 * (high - low) * s
 
 
 class Sums(NamedTuple):
-    """Sums over frames, (G, P, n_y, C, A, ...): ``ee`` of |E|^2; ``fourth`` of |R|^4; ``ze``, ``re`` (..., 2)
-    of s^k conj(Z) E and s^k conj(R) E; ``zz``, ``rr``, ``rz`` (..., 3) of s^k |Z|^2, s^k |R|^2 and
-    s^k conj(R) Z; ``ree`` (..., 3), ``rze`` (..., 4), ``rzz`` (..., 5) of s^k |R|^2 times |E|^2, conj(Z) E
-    and |Z|^2."""
+    """Sums over frames, (G, P, n_y, C, A, ...).
+
+    ``ee`` of |E|^2; ``fourth`` of |R|^4; ``ze``, ``re`` (..., 2) of s^k conj(Z) E and s^k conj(R) E; ``zz``,
+    ``rr``, ``rz`` (..., 3) of s^k |Z|^2, s^k |R|^2 and s^k conj(R) Z; ``ree`` (..., 3), ``rze`` (..., 4),
+    ``rzz`` (..., 5) of s^k |R|^2 times |E|^2, conj(Z) E and |Z|^2.
+    """
 
     fourth: np.ndarray
     ee: np.ndarray
@@ -155,7 +158,7 @@ class Sums(NamedTuple):
 
     @classmethod
     def none(cls, grid: ErrorGrid, n_y: int) -> Sums:
-        """Of no frame."""
+        """Sums of no frame."""
         shape = (len(grid.omega), len(PERIODS), n_y, *grid.cells)
         return cls(
             fourth=np.zeros(shape),
@@ -172,8 +175,12 @@ class Sums(NamedTuple):
 
     @classmethod
     def of_moments(cls, moments: np.ndarray) -> Sums:
-        """Of sums (..., m, POWERS) of products times powers of s: |E|^2, conj(Z) E by its parts, |Z|^2, and
-        |R|^2 times each; then, where R is not Z, conj(R) E, |R|^2, conj(R) Z and |R|^4."""
+        """Sums from moments (..., m, POWERS) of products times powers of s.
+
+        The products are |E|^2, conj(Z) E by its parts, |Z|^2, and |R|^2 times each; then, if R is not Z,
+        conj(R) E,
+        |R|^2, conj(R) Z and |R|^4.
+        """
 
         def real(row: int, powers: int) -> np.ndarray:
             return moments[..., row, :powers].copy()
@@ -197,16 +204,16 @@ class Sums(NamedTuple):
 
     @property
     def independent(self) -> np.ndarray:
-        """Independent frames that the estimate rests on, (sum |R|^2)^2 / sum |R|^4 of those that overlap."""
+        """Number of independent frames of the estimate, (sum |R|^2)^2 / sum |R|^4, reduced for overlap."""
         return INDEPENDENT * self.rr[..., 0] ** 2 / np.maximum(self.fourth, TINY)
 
     def plus(self, other: Sums) -> Sums:
-        """Of the frames of both."""
+        """Sums of the frames of both."""
         return Sums(*(a + b for a, b in zip(self, other, strict=True)))
 
 
 def prediction_error_filter(x: np.ndarray) -> np.ndarray:
-    """1 + a_1 z^-1 + ... (AR_ORDER + 1,) that whitens x (N,): Yule and Walker's, with AR_FLOOR added at lag
+    """Coefficients 1 + a_1 z^-1 + ... (AR_ORDER + 1,) that whiten x (N,): Yule-Walker with AR_FLOOR at lag
     0."""
     x = x - x.mean()
     lags = np.array([x[: len(x) - k] @ x[k:] for k in range(AR_ORDER + 1)])
@@ -225,8 +232,10 @@ def drive_sums(
     e: np.ndarray,
     yhat: np.ndarray,
 ) -> Sums:
-    """The sums of one drive, over frames in which the first input's rms is above ``excited_std`` [its unit];
-    e, yhat (N, n_y)."""
+    """Sums of one drive over frames in which the first input's rms exceeds ``excited_std`` [input unit].
+
+    e, yhat (N, n_y) [output units].
+    """
     settled = estimator.settled(drive.v)
     if settled.sum() < 2 * AR_ORDER:
         return Sums.none(grid, model.n_y)
@@ -274,8 +283,10 @@ def drive_sums(
 
 @lru_cache(maxsize=1024)
 def _kernel(angle: float, half: int) -> np.ndarray:
-    """Hann window times an exponential that turns by ``angle`` a sample, (half, 4): real and imaginary part
-    of the first half, and of the second. Every drive has the same, and a process makes them once."""
+    """Hann window times an exponential that turns by ``angle`` a sample, (half, 4), cached per process.
+
+    The columns are real and imaginary part of the first half, and of the second.
+    """
     n = np.arange(2 * half)
     window = 0.5 - 0.5 * np.cos(2 * np.pi * n / len(n))
     parts = (window * np.exp(-1j * angle * n)).reshape(2, -1)
@@ -285,14 +296,18 @@ def _kernel(angle: float, half: int) -> np.ndarray:
 def _by_halves(signals: np.ndarray, kernel: np.ndarray) -> np.ndarray:
     """Frames (m, N / h - 1) of signals (m, N) at every h-th start, by their ``kernel`` (h, 4).
 
-    Each half frame is the second half of one frame and the first of the next: it is taken once for both."""
+    Each half frame is the second half of one frame and the first of the next, and is computed once for both.
+    """
     sums = signals.reshape(len(signals), -1, len(kernel)) @ kernel
     return np.ascontiguousarray(sums[:, :-1, :2] + sums[:, 1:, 2:]).view(complex)[..., 0]
 
 
 class _Frames(NamedTuple):
-    """Counted frames of one drive, frequency and length ``at`` (g, p): complex ``frames`` (m, F) of E, Z and,
-    where Z is not R, R of every output in turn; speed and amplitude (F,)."""
+    """Counted frames of one drive, frequency and length ``at`` (g, p).
+
+    Complex ``frames`` (m, F) are E, Z and, if Z is not R, R of every output in turn; speed and amplitude are
+    (F,).
+    """
 
     at: tuple[int, int]
     frames: np.ndarray
@@ -301,7 +316,7 @@ class _Frames(NamedTuple):
 
 
 def _add(moments: np.ndarray, grid: ErrorGrid, found: list[_Frames]) -> None:
-    """Add frames to their cells of ``moments``, cell by cell; the order of frames in a cell stays."""
+    """Add frames to their cells of ``moments``; the order of frames in a cell stays."""
     n_y = moments.shape[2]
     speed, amplitude = (np.concatenate([getattr(f, name) for f in found]) for name in ("speed", "amplitude"))
     frames = np.concatenate([f.frames for f in found], axis=1)
@@ -339,12 +354,19 @@ def model_error_pass(reader: DriveReader, grid: ErrorGrid, experiment: Experimen
 
 @dataclass(frozen=True)
 class ErrorEstimate:
-    """Estimates by (G, n_y, C, A), at that end of each cell's speeds where |delta_c| + k se is largest; NaN
-    without frames. Cells that were pooled hold the same.
+    """Estimates by (G, n_y, C, A) at the end of each cell's speeds with the largest |delta_c| + k se.
 
-    delta (complex), se: of delta_c; v [m/s]; n: independent frames; periods: of a frame; moved: by how many
-    standard errors doubling the frames moves the estimate (inf: not known); coherent: share of sum |E|^2 that
-    delta_c Z explains.
+    They are NaN without frames. Pooled cells hold the same.
+
+    Attributes
+    ----------
+    delta : ndarray (G, n_y, C, A) of complex, delta_c
+    se : ndarray (G, n_y, C, A), standard error of delta_c
+    v : ndarray (G, n_y, C, A), m/s
+    n : ndarray (G, n_y, C, A), number of independent frames
+    periods : ndarray (G, n_y, C, A), periods in a frame
+    moved : ndarray (G, n_y, C, A), standard errors of the change by doubled frames, inf: unknown
+    coherent : ndarray (G, n_y, C, A), share of sum |E|^2 that delta_c Z explains
     """
 
     delta: np.ndarray
@@ -357,25 +379,25 @@ class ErrorEstimate:
 
     @property
     def k(self) -> float:
-        """Of the simultaneous level: sqrt(ln(N/LEVEL)) for N complex estimates (T31); cells of one pool share
-        theirs."""
+        """Factor of the simultaneous level: sqrt(ln(N/LEVEL)) for N complex estimates (T31); a pool counts
+        once."""
         estimates = self.se.reshape(-1, np.prod(self.se.shape[2:], dtype=int))
         N = sum(len(np.unique(row[np.isfinite(row)])) for row in estimates)
         return float(np.sqrt(np.log(max(1, N) / LEVEL)))
 
     @property
     def upper(self) -> np.ndarray:
-        """|delta_c| + k se; inf where nothing was estimated."""
+        """|delta_c| + k se; inf without an estimate."""
         return np.where(np.isfinite(self.se), np.abs(self.delta) + self.k * self.se, np.inf)
 
     @property
     def lower(self) -> np.ndarray:
-        """|delta_c| - k se, at least 0; 0 where nothing was estimated."""
+        """|delta_c| - k se, at least 0; 0 without an estimate."""
         return np.where(np.isfinite(self.se), np.maximum(np.abs(self.delta) - self.k * self.se, 0.0), 0.0)
 
     @property
     def tells(self) -> np.ndarray:
-        """(G, n_y): in every cell a vehicle that does not respond would have been refuted, k se < 1."""
+        """(G, n_y): every cell would have refuted a vehicle that does not respond, k se < 1."""
         return np.all(np.where(np.isfinite(self.se), self.k * self.se, np.inf) < 1, axis=(2, 3))
 
     def to_dict(self) -> dict:
@@ -393,10 +415,11 @@ class ErrorEstimate:
 
     @classmethod
     def of(cls, sums: Sums, grid: ErrorGrid) -> ErrorEstimate:
-        """From sums: of the lengths of frames that with the narrowest pool, converged, that knows best.
+        """Estimate from sums with the best length of frames.
 
-        Of the lengths with the narrowest pool: that with the least standard error of those that have
-        converged; where none has, that which doubling moves the least, in standard errors.
+        Best are the lengths with the narrowest pool, among these that with the least standard error of the
+        converged ones. If none has converged, it is the one with the least change by doubling, in standard
+        errors.
         """
         pools = _pools(sums)
         pool = _chosen(pools)
@@ -433,8 +456,11 @@ class ErrorEstimate:
 
 @dataclass(frozen=True)
 class _Lines:
-    """a + b s of every cell, (G, P, n_y, C, A): theta (..., 2), its covariance (..., 2, 2), mean and standard
-    deviation of the frames' s, independent frames n, and the residue's share of sum |E|^2."""
+    """Lines a + b s of every cell, (G, P, n_y, C, A): theta (..., 2), covariance (..., 2, 2), and statistics.
+
+    These are mean and standard deviation of the frames' s, independent frames n, and the residue's share of
+    sum |E|^2.
+    """
 
     theta: np.ndarray
     covariance: np.ndarray
@@ -455,7 +481,7 @@ class _Lines:
         return np.clip(self.mean[..., None] + away, -1, 1)
 
     def worst_end(self) -> np.ndarray:
-        """s at that end of each cell's speeds where |delta_c| + 3 se is larger."""
+        """s at the end of each cell's speeds with the larger |delta_c| + 3 se."""
         ends = self.ends(ENDS)
         delta, se = self.at(ends)
         size = np.abs(delta) + 3 * se
@@ -463,7 +489,7 @@ class _Lines:
         return np.take_along_axis(ends, end[..., None], -1)[..., 0]
 
     def replaced(self, where: np.ndarray, other: _Lines) -> _Lines:
-        """These lines, the ``other`` ones ``where`` (G, P, n_y, C, A) says so."""
+        """These lines, with the ``other`` ones at ``where`` (G, P, n_y, C, A)."""
 
         def one(mine: np.ndarray, theirs: np.ndarray) -> np.ndarray:
             return np.where(where.reshape(*where.shape, *[1] * (mine.ndim - where.ndim)), theirs, mine)
@@ -471,7 +497,7 @@ class _Lines:
         return _Lines(*(one(getattr(self, f.name), getattr(other, f.name)) for f in fields(self)))
 
     def doubled(self) -> _Lines:
-        """Those of the frames twice as long as in each but the last of P."""
+        """Lines of frames twice as long, for all but the last of P."""
         return _Lines(*(getattr(self, f.name)[:, 1:] for f in fields(self)))
 
 
@@ -485,7 +511,7 @@ def _quantile(n: np.ndarray, level: float) -> np.ndarray:
 
 
 def _few(n: np.ndarray) -> np.ndarray:
-    """Factor on standard errors from n < FEWEST_FRAMES frames, to the quantile of many; 1 elsewhere."""
+    """Factor on standard errors from n < FEWEST_FRAMES frames to the quantile of many; 1 elsewhere."""
     return np.where(n < FEWEST_FRAMES, _quantile(n, FEW_LEVEL) / np.sqrt(-np.log(FEW_LEVEL)), 1.0)
 
 
@@ -521,7 +547,7 @@ def _fitted(s: Sums) -> _Lines:
 
 
 def _inverse(M: np.ndarray) -> np.ndarray:
-    """Inverses of M (..., 2, 2), of nearly singular ones the pseudo-inverse."""
+    """Inverses of M (..., 2, 2); pseudo-inverses of nearly singular ones."""
     det = M[..., 0, 0] * M[..., 1, 1] - M[..., 0, 1] * M[..., 1, 0]
     near = np.abs(det) <= NEARLY_SINGULAR * (np.abs(M) ** 2).sum(axis=(-2, -1))
     out = np.empty_like(M)
@@ -548,10 +574,12 @@ def _scatter(s: Sums, theta: np.ndarray) -> np.ndarray:
 
 
 def _joined(second: np.ndarray, fourth: np.ndarray) -> np.ndarray:
-    """Group (N, K), from 0 on, of each of K neighbours, joined until each group has FEWEST_FRAMES, or one is
-    left; ``second`` and ``fourth`` (N, K): their sums of |R|^2 and |R|^4.
+    """Group (N, K), from 0 on, of each of K neighbours, joined until each group has FEWEST_FRAMES or one is
+    left.
 
-    The one with the fewest frames is joined first, with that of its neighbours that has fewer."""
+    ``second`` and ``fourth`` (N, K) are their sums of |R|^2 and |R|^4. The group with the fewest frames is
+    joined first, with the smaller of its neighbours.
+    """
     every = np.arange(second.shape[1])
     groups = np.broadcast_to(every, second.shape)
     for _ in every[1:]:
@@ -567,7 +595,7 @@ def _joined(second: np.ndarray, fourth: np.ndarray) -> np.ndarray:
 
 
 def _shared(s: Sums, cells: int) -> Sums:
-    """The sums with those of every ``cells`` neighbouring speed cells made one and given to each."""
+    """Sums of every ``cells`` neighbouring speed cells, added and given to each."""
 
     def one(field: np.ndarray) -> np.ndarray:
         shape = field.shape
@@ -578,8 +606,10 @@ def _shared(s: Sums, cells: int) -> Sums:
 
 
 def _classes_joined(s: Sums) -> Sums:
-    """The sums with every amplitude class's replaced by those of the classes that it is joined with, where
-    its drives alone have fewer than FEWEST_FRAMES."""
+    """Sums with each amplitude class replaced by those of its joined classes, where it has too few frames.
+
+    Classes are joined where their drives alone have fewer than FEWEST_FRAMES.
+    """
     second, fourth = (x.sum(axis=3) for x in (s.rr[..., 0], s.fourth))
     groups = _joined(*(x.reshape(-1, x.shape[-1]) for x in (second, fourth))).reshape(second.shape)
     same = (groups[..., :, None] == groups[..., None, :]).astype(float)[..., None, :, :]
@@ -591,19 +621,18 @@ def _classes_joined(s: Sums) -> Sums:
 
 
 def _pools(sums: Sums) -> list[_Lines]:
-    """Lines over single speed cells, over pools of two, of four and so on up to all; each cell has that of
-    its pool."""
+    """Lines over single speed cells, over pools of two, of four and so on up to all, at every cell."""
     joined, cells = _classes_joined(sums), sums.ee.shape[3]
     return [_fitted(_shared(joined, 2**k)) for k in range(cells.bit_length())]
 
 
 def _chosen(pools: list[_Lines]) -> np.ndarray:
-    """Of every cell the index of its pool (G, P, n_y, C, A): the widest that fits, or wider where that has
-    fewer than FEWEST_FRAMES.
+    """Index of every cell's pool (G, P, n_y, C, A): the widest that fits, wider with fewer than
+    FEWEST_FRAMES.
 
-    A pool fits when no cell in it with FEWEST_FRAMES has a line of its own that refutes it at LACK_OF_FIT,
-    one standard deviation of speed either side of the mean. Refuted with frames of one length, a pool is
-    refuted for all.
+    A pool fits when no cell in it with FEWEST_FRAMES has a line that refutes it at LACK_OF_FIT, one standard
+    deviation of speed to either side of the mean. A pool refuted with frames of one length is refuted for
+    all.
     """
     own, cells = pools[0], pools[0].n.shape[3]
     ends = own.ends(1.0)
@@ -624,12 +653,40 @@ def _chosen(pools: list[_Lines]) -> np.ndarray:
 
 
 def claim(project: Project) -> str:
-    """What delta_c is, and what may bias it, in words."""
+    """Describe delta_c and its possible bias, in words.
+
+    Parameters
+    ----------
+    project : Project
+
+    Returns
+    -------
+    str
+    """
     return BIASED if project.model_error.instrument is None else INSTRUMENTAL
 
 
 def beyond(project: Project, grid: ErrorGrid) -> np.ndarray:
-    """(G, n_y): 1 + rho, what |delta| may be where no drive tells; rho >= 1 bounds |G/P| there (T32)."""
+    """Return the bound on |delta| where no drive informs, 1 + rho with rho a bound on |G/P|.
+
+    Parameters
+    ----------
+    project : Project
+    grid : ErrorGrid
+
+    Returns
+    -------
+    ndarray (G, n_y), at least 2
+
+    Raises
+    ------
+    InputError
+        If the project's ratio is below 1 or not finite somewhere.
+
+    References
+    ----------
+    THEORY 7.6, (T32).
+    """
     said = {b.output: b for b in project.model_error.beyond}
     columns = []
     for signal in project.outputs:
@@ -647,16 +704,25 @@ def beyond(project: Project, grid: ErrorGrid) -> np.ndarray:
 
 
 def last_telling(estimate: ErrorEstimate) -> np.ndarray:
-    """(n_y,) index of the last grid frequency at which every cell tells; -1 where none does."""
+    """Return the last grid frequency at which every cell is informative.
+
+    Parameters
+    ----------
+    estimate : ErrorEstimate
+
+    Returns
+    -------
+    ndarray (n_y,) of int, index, -1 for none
+    """
     return np.array([np.flatnonzero(tells)[-1] if tells.any() else -1 for tells in estimate.tells.T])
 
 
 def uncertainty_bound(project: Project, grid: ErrorGrid, estimate: ErrorEstimate) -> np.ndarray:
-    """(G, n_delta): what W_delta must cover (T31, T32).
+    """(G, n_delta): bound that W_delta must cover (T31, T32).
 
-    Up to the last frequency that tells, the largest |delta_c| + k se of all cells. Where a cell would not
-    have refuted a vehicle that does not respond, no more than 1 + rho is asked unless |delta_c| - k se is
-    larger; beyond the last frequency that tells, at least 1 + rho.
+    Up to the last informative frequency it is the largest |delta_c| + k se of all cells. Where a cell would
+    not have refuted a vehicle that does not respond, it is at most 1 + rho unless |delta_c| - k se is larger.
+    Beyond the last informative frequency it is at least 1 + rho.
     """
     upper, lower = (x.max(axis=(2, 3)) for x in (estimate.upper, estimate.lower))
     dead = beyond(project, grid)
@@ -695,10 +761,19 @@ def bands_of(
 
 @dataclass(frozen=True)
 class ModelError:
-    """What identify finds: the grid; the estimate of the drives that set the bounds; the bound (G, n_delta),
-    of that or of ``bands``; the estimate of the drives that judge it (None without any); and, for each fold
-    of bound-setting drives, the least ratio of what the others ask for to its own |delta_c| - k se (inf: it
-    asks for nothing)."""
+    """Model error model of an identification.
+
+    Attributes
+    ----------
+    grid : ErrorGrid
+    setting : ErrorEstimate, of the drives that set the bounds
+    bound : ndarray (G, n_delta), bound from ``setting``, or from ``bands``
+    judging : ErrorEstimate or None, of the drives that judge the bound
+    left_out : list of float
+        Per fold the least ratio of the others' bound to its |delta_c| - k se, inf: no demand.
+    bands : list of dict
+        Per output the band of a further drive, where no ceiling on nu is set.
+    """
 
     grid: ErrorGrid
     setting: ErrorEstimate
@@ -716,8 +791,10 @@ class ModelError:
         judging: list[Sums],
         workers: Map = map,
     ) -> ModelError:
-        """From the sums of folds of drives, at least one that sets the bounds; ``workers`` share the
-        folds."""
+        """Model error from the sums of folds of drives, at least one of which sets the bounds.
+
+        ``workers`` share the folds.
+        """
         estimate = ErrorEstimate.of(_total(setting), grid)
         return cls(
             grid,
@@ -780,11 +857,11 @@ class ModelError:
 
     @property
     def coverage(self) -> float:
-        """Share of the folds that what the others ask for covers."""
+        """Share of the folds that the bound of the others covers."""
         return float(np.mean([ratio >= 1 for ratio in self.left_out])) if self.left_out else float("nan")
 
     def to_dict(self, project: Project) -> dict:
-        """JSON-able, for `from_dict`, with what is assumed beyond the data and why."""
+        """JSON-able, for `from_dict`, with the assumption beyond the data and its reason."""
         last = last_telling(self.setting)
         reasons = {b.output: b.reason for b in project.model_error.beyond}
         return {
@@ -810,7 +887,7 @@ class ModelError:
 
     @classmethod
     def from_dict(cls, project: Project, estimator: Estimator, data: dict) -> ModelError:
-        """Read back; the bound is found anew from the estimates, unless bands set it."""
+        """Read back; the bound is computed again from the estimates, unless bands set it."""
         grid = ErrorGrid.of(project, estimator)
         setting = ErrorEstimate.from_dict(data["setting"])
         judging = None if data["judging"] is None else ErrorEstimate.from_dict(data["judging"])
@@ -821,7 +898,7 @@ class ModelError:
 
 
 def _left_out(project: Project, grid: ErrorGrid, fold: tuple[Sums, Sums]) -> float:
-    """Least ratio of what the others ask for to the own |delta_c| - k se, of a ``fold``'s sums and theirs."""
+    """Least ratio of the others' bound to the own |delta_c| - k se, from a ``fold``'s sums and theirs."""
     own, others = (ErrorEstimate.of(sums, grid) for sums in fold)
     return covered(uncertainty_bound(project, grid, others), own)
 
@@ -834,7 +911,7 @@ def covered(asked: np.ndarray, own: ErrorEstimate) -> float:
 
 
 def _each_and_others(folds: list[Sums]) -> Iterator[tuple[Sums, Sums]]:
-    """Every fold with the sum of all others; none where there is but one."""
+    """Every fold with the sum of all others; none for a single fold."""
     after = list(accumulate(folds[:0:-1], Sums.plus))[::-1]
     before: Sums | None = None
     for own, later in zip_longest(folds[: len(folds) if after else 0], after):

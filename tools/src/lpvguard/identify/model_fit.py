@@ -1,31 +1,31 @@
-"""How well the nominal model explains the drives that set the bounds. Bounds around a model that is worse
-than none say nothing of the vehicle."""
+"""Quality of the nominal model on the drives that set the bounds.
+
+Bounds around a model that is worse than none say nothing about the vehicle.
+"""
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 
-from ..base.errors import InputError
 from ..drives.tables import Experiment
 from ..fit.quality import POOR_VAF, Quality, of_drive, pooled_vaf
 from ..vehicle.project import Project
+from .drive_set import DriveSet
 from .passes import DriveReader
 
 
 def drive_fit(reader: DriveReader, experiment: Experiment) -> Quality:
-    """What the model explains of one drive."""
+    """Quality of the model on one drive."""
     drive, _, yhat = reader.read(experiment)
     return of_drive(reader.model, drive, yhat, [])
 
 
-def require_better_than_none(project: Project, found: list[Quality], folder: Path) -> None:
-    """InputError where the model leaves more of an output than there is, over all drives together."""
-    for signal, vaf in zip(project.outputs, pooled_vaf(found), strict=True):
+def require_better_than_none(drives: DriveSet, found: list[Quality]) -> None:
+    """Raise InputError where the model leaves more of an output than its variance, over all drives
+    together."""
+    for signal, vaf in zip(drives.reader.project.outputs, pooled_vaf(found), strict=True):
         if vaf < 0:
-            raise InputError(
-                folder,
+            raise drives.error(
                 f"output {signal.name}",
                 f"the model is worse than none: it leaves {1 - vaf:.0%} of the variance of the bound-setting "
                 "drives",
@@ -36,10 +36,21 @@ def require_better_than_none(project: Project, found: list[Quality], folder: Pat
 def evidence(
     omega: np.ndarray, frames: np.ndarray, length: np.ndarray, Ts: float, found: list[Quality]
 ) -> list[str]:
-    """A line a bin above DC: how much of the bound-setting drives' time in range its counted frames start in.
+    """Word the share of driving in counted frames, a line a bin above DC.
 
-    It also says how many frames that is one after another. omega (K,) [rad/s]; ``frames`` (K,) that count;
-    ``length`` (K,) [samples]; Ts [s].
+    The line also has the number of successive frames.
+
+    Parameters
+    ----------
+    omega : ndarray (K,), rad/s
+    frames : ndarray (K,) of int, counted frames at every start
+    length : ndarray (K,) of int, samples of a frame
+    Ts : float, s
+    found : list of Quality, of the bound-setting drives
+
+    Returns
+    -------
+    list of str
     """
     in_range_s = sum(q.judged_s for q in found)
     return [
@@ -51,7 +62,17 @@ def evidence(
 
 
 def sentences(project: Project, found: list[Quality]) -> list[str]:
-    """A line a drive, and a warning where the model is poor."""
+    """Word the quality, a line a drive, with a warning for a poor model.
+
+    Parameters
+    ----------
+    project : Project
+    found : list of Quality
+
+    Returns
+    -------
+    list of str
+    """
     lines = []
     for q in found:
         for j, signal in enumerate(project.outputs):

@@ -1,4 +1,4 @@
-"""The passes of an identification over its drives: mapped by workers, joined as they come (run.py)."""
+"""Passes of an identification over its drives, mapped by workers and joined on arrival."""
 
 from __future__ import annotations
 
@@ -6,12 +6,10 @@ import operator
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import partial, reduce
-from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
 
-from ..base.errors import InputError
 from ..base.parallel import Map
 from ..base.progress import Progress
 from ..base.sampling import Rows, first_of_each, stacked
@@ -20,11 +18,10 @@ from ..drives.tables import (
     Experiment,
 )
 from .bounds import Bounds, Deciders, Part, covering, fold, front_grid, undominated
-from .calibration import Calibration, Peak, Recordings, calibrate, require_calibration
+from .calibration import Calibration, Peak, Recordings, calibrate
 from .change import ChangeTest
-from .chosen import Chosen
-from .chosen import DriveSet as DriveSet
 from .diagnosis import DiagnosisScales
+from .drive_set import Chosen, DriveSet, require_calibration
 from .energy import EnergyTest
 from .error_domain import ErrorDomain
 from .error_sums import ErrorSums, joined
@@ -32,7 +29,6 @@ from .healthy import HealthySet, healthy_set
 from .model_error import FEWEST_FRAMES, FOLDS, ErrorEstimate, ErrorGrid, ModelError, Sums, model_error_pass
 from .passes import (
     DRAWN_SPECTRA,
-    DriveReader,
     Judged,
     change_met_pass,
     change_products_pass,
@@ -60,10 +56,9 @@ from .weights import (
 CUTS = 5
 """Random first samples from which every bound-setting drive is replayed to find the final inflation."""
 FAR_BELOW = 0.99
-"""Of the energy ratio's bound: the core's, in single precision, is nearer to the definition than this."""
+"""Share of the energy ratio's bound: the single-precision core is closer to the definition than this."""
 JOINED_AT_ONCE = 32
-"""Samples of so many drives wait to be joined: sorting them together costs the process that joins less
-time."""
+"""Number of drives whose samples are joined at once: sorting them together is faster."""
 Result = TypeVar("Result")
 
 
@@ -76,10 +71,10 @@ def _folds(chosen: Iterable[Experiment]) -> dict[Experiment, int]:
 
 @dataclass
 class Origins:
-    """Where bounds and thresholds come from.
+    """Origins of bounds and thresholds.
 
-    evidence (K,): largest of the bound-setting drives by bin; empty without a core. peaks: where the scores
-    come from, by calibration drive and test. decided: which frames decide nu and B_w.
+    evidence (K,): largest of the bound-setting drives by bin; empty without a core. peaks: origin of the
+    scores by calibration drive and test. decided: frames that decide nu and B_w.
     """
 
     evidence: np.ndarray = field(default_factory=lambda: np.zeros(0))
@@ -88,17 +83,17 @@ class Origins:
 
 
 class OverDrives:
-    """Passes over the drives: mapped by ``workers``, joined as they come.
+    """Passes over the drives, mapped by ``workers`` and joined on arrival.
 
-    ``left_out``: drive -> why it has no counted frame; ``spectra``, ``met``: samples joined so far;
-    ``origins``: where bounds and thresholds come from, as far as they are found.
+    ``left_out``: reason by drive without a counted frame; ``spectra``, ``met``: samples joined so far;
+    ``origins``: origins of bounds and thresholds found so far.
     """
 
-    def __init__(self, reader: DriveReader, workers: Map, progress: Progress):
-        self.reader, self.workers, self.progress = reader, workers, progress
+    def __init__(self, drives: DriveSet, workers: Map, progress: Progress):
+        self.drives, self.reader, self.workers, self.progress = drives, drives.reader, workers, progress
         self.left_out: dict[str, str] = {}
         self._spectra: list[Rows] = []
-        self._seen = np.full((2, reader.project.n_y), np.nan)
+        self._seen = np.full((2, self.reader.project.n_y), np.nan)
         self._met: list[Excitation] = []
         self._judged_s: dict[str, float] = {}
         self.origins = Origins()
@@ -106,15 +101,17 @@ class OverDrives:
     def over(
         self, what: str, task: Callable[[Experiment], Result], chosen: Iterable[Experiment]
     ) -> Iterator[Result]:
-        """``task`` of every chosen drive, in order."""
+        """Results of ``task`` on every chosen drive, in order."""
         chosen = list(chosen)
         for e, result in zip(chosen, self.workers(task, chosen), strict=False):
             self.progress(f"{what} of {e.name}")
             yield result
 
     def first_parts(self, chosen: list[Experiment], ceiling: np.ndarray, *, keep: bool) -> Iterator[Part]:
-        """Bounds before smoothing under a ``ceiling`` (K,) on nu, and peaks, of every drive; with ``keep``
-        its spectra are sampled, and what its sensors show is kept."""
+        """Bounds before smoothing under a ``ceiling`` (K,) on nu, and peaks, of every drive.
+
+        With ``keep`` its spectra are sampled, and its sensors' resolution is kept.
+        """
         task = partial(first_pass, self.reader, ceiling)
         for e, (part, rows, seen) in zip(chosen, self.over("frames", task, chosen), strict=False):
             if not part["frames"].any():
@@ -136,24 +133,27 @@ class OverDrives:
         """Sample of the frames of all drives so far."""
         return thinned(stacked(self._spectra))
 
-    def with_frames(self, drives: Chosen, folder: Path) -> Chosen:
-        """The drives, of those that set the bounds only what was not left out; InputError when none remains,
-        or none calibrates."""
+    def with_frames(self, drives: Chosen) -> Chosen:
+        """The drives without bound-setting ones that were left out.
+
+        Raises InputError when none remains, or none calibrates.
+        """
         left = [e for e in drives.setting if e.name not in self.left_out]
         if not left:
             name, reason = next(iter(self.left_out.items()))
-            raise InputError(
-                folder,
+            raise self.drives.error(
                 "split " + ", ".join(self.reader.project.data.bound_split),
                 "no frame counts: no judged stretch at all",
                 f"at least one drive unlike {name} ({reason})",
             )
-        self._require_scores(drives, folder, judged=True)
+        self._require_scores(drives, judged=True)
         return replace(drives, setting=left)
 
     def model_error(self, drives: Chosen) -> ModelError:
-        """The model error model of the bound-setting drives, and that of the drives that judge it; without a
-        ceiling on nu its bound is that of the band of a further drive."""
+        """Model error model of the bound-setting drives, and that of the drives that judge it.
+
+        Without a ceiling on nu its bound is the band of a further drive.
+        """
         reader = self.reader
         project, grid = reader.project, ErrorGrid.of(reader.project, reader.estimator)
         task = partial(model_error_pass, reader, grid)
@@ -204,7 +204,7 @@ class OverDrives:
     def _deciders(
         self, key: str, columns: int, setting: list[Experiment], parts: Iterable[Part]
     ) -> Iterator[Part]:
-        """The parts of the ``setting`` drives, in whose passing it is kept what decides the bound ``key``."""
+        """Parts of the ``setting`` drives; records in passing what decides the bound ``key``."""
         self.origins.decided[key] = Deciders(key, (self.reader.estimator.n_bins, columns))
         return self.origins.decided[key].watched((e.name for e in setting), parts)
 
@@ -264,16 +264,18 @@ class OverDrives:
         )
 
     def calibrated(
-        self, weights: Weights, bounds: Bounds, drives: Chosen, folder: Path
+        self, weights: Weights, bounds: Bounds, drives: Chosen
     ) -> tuple[Weights, Calibration, EnergyTest | None, ChangeTest | None]:
-        """Weights with their final inflation, and the tests with their thresholds; the plain DFT has the
-        frame test only. InputError where nothing calibrates; ``folder``: the drives', for its message."""
+        """Weights with their final inflation, and the tests with their thresholds.
+
+        The plain DFT has the frame test only. Raises InputError where nothing calibrates.
+        """
         project, model, estimator = self.reader.project, self.reader.model, self.reader.estimator
         alpha, recordings = project.frame_test.alpha, Recordings.listed(drives.setting, drives.others)
         if estimator.window != "hann":
             inflated, _ = self._inflated(weights, None, drives)
             scores, _, _ = self._scores(weights, None, None, drives)
-            self._require_scores(drives, folder, judged=bool(scores))
+            self._require_scores(drives, judged=bool(scores))
             scores = {n: s / inflated.inflation for n, s in scores.items()}
             by_frames = calibrate(scores, alpha, recordings=recordings).over(self._judged_s)
             return inflated, by_frames, None, None
@@ -288,7 +290,7 @@ class OverDrives:
             reals = coefficients_of(project, model, estimator, inflated, 1.0, test, change).flat_reals()
             scores, energy_scores, change_scores = self._scores(weights, core, reals, drives)
             speaks = bool(scores) and len(inflated.silent) < estimator.n_bins
-            self._require_scores(drives, folder, judged=speaks or bool(energy_scores or change_scores))
+            self._require_scores(drives, judged=speaks or bool(energy_scores or change_scores))
             test = test.calibrated(energy_scores, alpha, recordings)
             change = change.calibrated(change_scores, alpha, recordings)
             return (
@@ -298,11 +300,11 @@ class OverDrives:
                 replace(change, calibration=change.calibration.over(self._judged_s)),
             )
 
-    def _require_scores(self, drives: Chosen, folder: Path, *, judged: bool) -> None:
-        require_calibration(folder, (e.name for e in drives.others), self.left_out, judged)
+    def _require_scores(self, drives: Chosen, *, judged: bool) -> None:
+        require_calibration(self.drives, (e.name for e in drives.others), self.left_out, judged)
 
     def visibility(self, weights: Weights, calibration: Calibration) -> dict:
-        """What the judged drives could have refuted, by bin: visibility.json."""
+        """visibility.json: what the judged drives could have refuted, by bin."""
         of, factor = self.reader.estimator, weights.inflation
         W_delta = weights.of_frames(of.omega)[0] / factor
         return visibility(
@@ -331,10 +333,12 @@ class OverDrives:
             yield j
 
     def _inflated(self, weights: Weights, core: Core | None, drives: Chosen) -> tuple[Weights, set[str]]:
-        """The final inflation: the least factor >= 1 on the weights with which no margin is above 1 on a
-        bound-setting drive, whole or with its first samples cut; rounded up by 1e-4 when it is above 1.
+        """Final inflation: the least factor >= 1 on the weights with which no margin exceeds 1 on
+        bound-setting drives.
 
-        And the drives on which, cut so, the core's energy ratio stays below FAR_BELOW."""
+        Drives count whole or with their first samples cut. A factor above 1 is rounded up by 1e-4. Also
+        returns the drives on which, so cut, the core's energy ratio stays below FAR_BELOW.
+        """
         worst, far = 1.0, set()
         judged = self._judged("inflation", weights, core, None, CUTS, drives.setting)
         for e, j in zip(drives.setting, judged, strict=True):
@@ -344,11 +348,12 @@ class OverDrives:
         return replace(weights, inflation=worst if worst == 1.0 else worst * (1 + 1e-4)), far
 
     def _silent(self, inflated: Weights, frames: np.ndarray) -> tuple[int, ...]:
-        """Bins in which no drive that sets the bounds shows evidence above 1, once `_inflated` judged them:
-        there a vehicle that does not respond would never have been refuted. nu is 0 at zero frequency, which
-        speaks of the disturbance and is silent only where all others are. And bins of fewer than
-        FEWEST_FRAMES ``frames`` one after another: a further frame is beyond so few too often. Of a healthy
-        set only those of one drive: drives left out of the others make it wide enough."""
+        """Bins in which no bound-setting drive shows evidence above 1, after `_inflated` judged them.
+
+        There a vehicle that does not respond would not be refuted. nu is 0 at zero frequency, which is silent
+        only where all others are. Silent are also bins of fewer than FEWEST_FRAMES successive ``frames``: a
+        further frame exceeds so few too often. A healthy set has such bins only where one drive has frames.
+        """
         estimator = self.reader.estimator
         self.origins.evidence = self.met.evidence(estimator.n_bins) / inflated.inflation
         thin = frames < FEWEST_FRAMES * estimator.length
@@ -362,7 +367,7 @@ class OverDrives:
         return tuple(int(k) for k in np.flatnonzero(weak | thin))
 
     def _with_sigma(self, test: EnergyTest, resolution: Resolution, drives: Chosen) -> EnergyTest:
-        """The energy test with the sigma that the drives with and without input ask for, or its floor."""
+        """Energy test with the sigma needed by the drives with and without input, or its floor."""
         task = partial(energy_pass, self.reader, test, 0)
         needs = fold(self.over("sigma", task, drives.setting + drives.noise))
         return test.with_sigma(needs, resolution.energy_floor(test.F, test.Ts, test.memories_s))
@@ -370,10 +375,11 @@ class OverDrives:
     def _energy_test(
         self, inflated: Weights, first: EnergyTest, far: set[str], resolution: Resolution, drives: Chosen
     ) -> EnergyTest:
-        """The energy test of the ``inflated`` weights, its sigma for all directions and cut drives.
+        """Energy test of the ``inflated`` weights, with sigma for all directions and cut drives.
 
-        ``first``: that of the weights before. Drives that are ``far`` below its bound ask for nothing more,
-        where each output has a direction of its own and the weights are the same."""
+        ``first`` is that of the previous weights. Drives ``far`` below its bound need nothing more if each
+        output has its own direction and the weights are the same.
+        """
         test = energy_filters(self.reader.project, self.reader.estimator, inflated)
         chosen = drives.setting + drives.noise
         if inflated.inflation > 1.0:
@@ -385,7 +391,7 @@ class OverDrives:
         return test.with_joint(needs or {"joint": np.ones(len(test.F))})
 
     def _change_test(self, drives: Chosen) -> ChangeTest:
-        """The change test with the sizes that the bound-setting drives show."""
+        """Change test with sizes from the bound-setting drives."""
         sums = self.over("change", partial(change_products_pass, self.reader), drives.setting)
         test = ChangeTest.design(self.reader.project).with_moments(np.sum(list(sums), axis=0))
         # By name: sums of floats depend on the order.
@@ -404,8 +410,10 @@ class OverDrives:
     def _scores(
         self, weights: Weights, core: Core | None, reals: np.ndarray | None, drives: Chosen
     ) -> tuple[dict[str, float], dict[str, float], dict[str, float]]:
-        """Scores of the calibration drives in frame, energy and change test; adds to ``left_out`` and to the
-        times judged."""
+        """Scores of the calibration drives in frame, energy and change test.
+
+        Adds to ``left_out`` and to the judged times.
+        """
         scores, energy_scores, change_scores = {}, {}, {}
         judged = self._judged("score", weights, core, reals, 0, drives.others)
         for e, j in zip(drives.others, judged, strict=False):

@@ -1,4 +1,4 @@
-"""What `identify` does to one drive: the functions that its passes map over the drives, sent to workers."""
+"""Per-drive functions of `identify`, mapped over the drives and sent to workers."""
 
 from __future__ import annotations
 
@@ -43,13 +43,15 @@ from .visibility import Excitation
 LARGEST_SPECTRA, DRAWN_SPECTRA = 250, 750
 """Frames a bin in spectra.npz: those of largest |E|, and a draw by hash among all."""
 KEPT_BYTES = 384 << 20
-"""Samples that a reader keeps: an identification passes over its drives a dozen times."""
+"""Bytes of samples that a reader keeps: an identification reads its drives a dozen times."""
 
 
 @dataclass
 class _Held:
-    """A drive with its nominal output yhat (N, n_y); its error is a difference away. ``stretches``: runs of
-    its counted frames, once they are asked for."""
+    """A drive with its nominal output yhat (N, n_y), from which its error follows.
+
+    ``stretches`` are runs of its counted frames, once requested.
+    """
 
     drive: Drive
     yhat: np.ndarray
@@ -61,10 +63,15 @@ class _Held:
 
 
 class DriveReader:
-    """Reads drives and takes their frames; what is sent to a worker.
+    """Reads drives and takes their frames; it is sent to a worker.
 
-    The drives read first are kept, up to KEPT_BYTES, and their arrays cannot be written. A worker begins with
-    none, and has one reader for all that it is sent by this one.
+    The drives read first are kept, up to KEPT_BYTES, with read-only arrays. A worker begins with none. It has
+    one reader for all copies of this one.
+
+    Parameters
+    ----------
+    project : Project
+    model : NominalModel
     """
 
     def __init__(self, project: Project, model: NominalModel):
@@ -86,7 +93,7 @@ class DriveReader:
         return self._frames(self._held(experiment))
 
     def seen(self, experiment: Experiment) -> tuple[Drive, np.ndarray, np.ndarray, Iterator[FrameSet]]:
-        """The drive, e and yhat (N, n_y) and the counted frames, of one reading."""
+        """The drive, e and yhat (N, n_y) and the counted frames, from one reading."""
         held = self._held(experiment)
         return *held.found(), self._frames(held)
 
@@ -112,7 +119,7 @@ class DriveReader:
         return counted_frames(*held.found(), self.model, self.estimator, held.stretches)
 
     def why_without_frames(self) -> str:
-        """Why a drive has no counted frame."""
+        """Reason why a drive has no counted frame."""
         low, high = self.estimator.speed_range
         shortest_s = self.estimator.length.min() * self.estimator.Ts
         settled_s = self.estimator.settle * self.estimator.Ts
@@ -124,11 +131,11 @@ class DriveReader:
 
 
 _of_worker: dict[uuid.UUID, DriveReader] = {}
-"""Of a worker: the reader that it was sent last."""
+"""Newest reader that a worker received."""
 
 
 def _sent(key: uuid.UUID, project: Project, model: NominalModel) -> DriveReader:
-    """A worker's reader for one that it was sent."""
+    """A worker's reader for a received one."""
     if key not in _of_worker:
         _of_worker.clear()
         _of_worker[key] = DriveReader(project, model)
@@ -136,8 +143,7 @@ def _sent(key: uuid.UUID, project: Project, model: NominalModel) -> DriveReader:
 
 
 def _spectra_rows(s: FrameSet, name: str, way: np.ndarray, estimator: Estimator) -> Rows:
-    """The frames that the core would see, as rows of a sample; ``way`` (N + 1,): sums of the drive's
-    speed."""
+    """The core's frames as rows of a sample; ``way`` (N + 1,): sums of the drive's speed."""
     on_grid = (
         s.starts % estimator.hop[s.bin] == 0 if estimator.window == "hann" else np.ones(len(s.starts), bool)
     )
@@ -156,8 +162,10 @@ def _spectra_rows(s: FrameSet, name: str, way: np.ndarray, estimator: Estimator)
 
 
 def thinned(rows: Rows) -> Rows:
-    """LARGEST_SPECTRA and DRAWN_SPECTRA rows a bin, each once; of the union of two thinned parts again those
-    of all."""
+    """LARGEST_SPECTRA and DRAWN_SPECTRA rows a bin, each once.
+
+    Thinning the union of two thinned parts gives that of all rows.
+    """
     both = stacked([first_of_each(rows, LARGEST_SPECTRA, "weakness"), first_of_each(rows, DRAWN_SPECTRA)])
     order = np.lexsort((both["hash"], both["group"]))
     both = {k: v[order] for k, v in both.items()}
@@ -186,8 +194,7 @@ def spectra_file(rows: Rows, bound_drives: list[str]) -> bytes:
 def first_pass(
     reader: DriveReader, nu_ceiling: np.ndarray, experiment: Experiment
 ) -> tuple[Part, Rows, np.ndarray]:
-    """Bounds before smoothing, peaks, a sample of the spectra of one drive, and step and noise (2, n_y) of
-    its outputs.
+    """Bounds before smoothing, peaks, a sample of the spectra, and step and noise (2, n_y) of one drive.
 
     ``nu_ceiling`` (K,): the ceiling on the uncertainty bound in every bin, 0 at DC.
     """
@@ -226,7 +233,7 @@ def _error_pass(
 def uncertainty_pass(
     reader: DriveReader, gamma_w: np.ndarray, grid: np.ndarray, experiment: Experiment
 ) -> Part:
-    """Step 5: nu that the drive asks for under gamma_w (K,), and its front over ``grid``."""
+    """Step 5: nu that the drive needs under gamma_w (K,), and its front over ``grid``."""
     return reduce_uncertainty(
         reader.frames(experiment),
         reader.estimator,
@@ -259,9 +266,11 @@ def remainder_pass(
 
 
 class Judged(NamedTuple):
-    """What the tests say of a drive: its largest margin, its scores (None: nothing judged), its excitation,
-    and the time in counted frames [s]. ``peaks``: where the scores come from, by test; none without a core.
-    ``energy_of_cuts``: the largest ratio of the energy test with its first samples cut; 0: none judged.
+    """Results of the tests on a drive: largest margin, scores (None: not judged), excitation, judged time
+    [s].
+
+    ``peaks``: origins of the scores by test; none without a core. ``energy_of_cuts``: largest ratio of the
+    energy test with its first samples cut; 0: not judged.
     """
 
     worst: float
@@ -283,8 +292,10 @@ def judge(
     cuts: int,
     experiment: Experiment,
 ) -> Judged:
-    """Judge a drive, whole and (for ``worst``) from ``cuts`` random first samples, by the compiled core;
-    without one (plain DFT) by the exact margin under W_delta (K, n_delta), B_w (K, n_y)."""
+    """Judge a drive, whole and (for ``worst``) from ``cuts`` random first samples, by the compiled core.
+
+    Without a core (plain DFT) the exact margin under W_delta (K, n_delta), B_w (K, n_y) judges.
+    """
     speed_range, name = reader.estimator.speed_range, experiment.name
     drive, _, _, frames = reader.seen(experiment)
     if core is None:
@@ -335,7 +346,7 @@ def judge(
 
 
 def _covered_s(start: np.ndarray, length: np.ndarray, Ts: float) -> float:
-    """Time [s] that frames of ``length`` (F,) samples from ``start`` (F,) on cover."""
+    """Time [s] covered by frames of ``length`` (F,) samples from ``start`` (F,) on."""
     frames_open = np.zeros(int((start + length).max(initial=0)) + 1, int)
     np.add.at(frames_open, start, 1)
     np.add.at(frames_open, start + length, -1)
@@ -350,14 +361,18 @@ def _first_samples(reader: DriveReader, name: str, samples: int, cuts: int) -> l
 
 
 def energy_pass(reader: DriveReader, test: EnergyTest, cuts: int, experiment: Experiment) -> Part:
-    """What a drive asks of sigma: whole, from rest; with its first samples cut, from what Delta may
-    remember. With ``cuts`` it is whole only where there are directions of several outputs: sigma covers a
-    single output's."""
+    """Sigma that a drive needs: whole, from rest; with its first samples cut, from what Delta may remember.
+
+    Without ``cuts`` it also gives what the drive shows of that memory. With ``cuts`` it is whole only for
+    directions of several outputs, because sigma covers a single output's.
+    """
     drive, e, yhat = reader.read(experiment)
 
     def parts() -> Iterator[Part]:
         if not cuts or not test.single:
             yield test.at_rest().needs(e, yhat, drive.v)
+        if not cuts:
+            yield {"memory": test.memory_met(e, yhat, drive.v)}
         for cut in _first_samples(reader, experiment.name, len(drive.t), cuts)[1:]:
             rest = drive.from_sample(cut)
             yield test.needs(*nominal_error(rest, reader.model), rest.v)
@@ -372,12 +387,12 @@ def change_products_pass(reader: DriveReader, experiment: Experiment) -> np.ndar
 
 
 def change_met_pass(reader: DriveReader, test: ChangeTest, experiment: Experiment) -> Met:
-    """The estimates of the change test along a drive."""
+    """Estimates of the change test along a drive."""
     drive, e, yhat = reader.read(experiment)
     return estimates_met(test, e, yhat, drive.v, reader.estimator)
 
 
 def diagnosis_pass(reader: DriveReader, unit: np.ndarray, experiment: Experiment) -> Windows:
-    """The windows of a drive, from which the diagnosis has its scales; ``unit`` (n_y, 2): 1 / sizes."""
+    """Windows of a drive for the scales of the diagnosis; ``unit`` (n_y, 2): 1 / sizes."""
     drive, e, yhat = reader.read(experiment)
     return windows_of(e, yhat, drive.v, reader.estimator, unit)

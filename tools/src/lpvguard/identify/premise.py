@@ -1,12 +1,11 @@
-"""The premise of a certificate, |delta| <= W_delta, held against drives that did not set the bounds (THEORY
-7.6).
+"""Premise of a certificate, |delta| <= W_delta, tested by drives that did not set the bounds (THEORY 7.6).
 
 At every frequency, output, speed cell and amplitude class of the judging drives,
 
     refuted where W_delta < |delta_c| - k se,   doubtful where W_delta < |delta_c| + k se                (T33)
 
-W_delta is the weight as the certificate has it: inflation included, Tustin's map of the frequency; 0 for
-K_inf, which is certified without uncertainty.
+W_delta is the certificate's weight: inflation included, Tustin's map of the frequency; 0 for K_inf, which is
+certified without uncertainty.
 """
 
 from __future__ import annotations
@@ -16,14 +15,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..base.errors import InputError
-from .run import StoredIdentification
+from .identification import StoredIdentification
 
 
 @dataclass(frozen=True)
 class Least:
-    """Where the ratio of W_delta to what the judging drives say is least.
+    """Least ratio of W_delta to the judging drives' error, at ``omega`` [rad/s] and ``v`` [m/s].
 
-    ``omega`` [rad/s], ``v`` [m/s]: where; ``delta``: |delta_c|, ``spread``: k se, and W_delta there."""
+    ``delta`` is |delta_c|, ``spread`` k se; W_delta is there, too.
+    """
 
     ratio: float
     output: str
@@ -44,10 +44,15 @@ class Least:
 
 @dataclass(frozen=True)
 class Premise:
-    """What the judging drives say of W_delta.
+    """Judgement of W_delta by the judging drives.
 
-    ``refuting``: against |delta_c| - k se (None: no drive objects to anything); ``doubting``: against
-    |delta_c| + k se. ``coverage``: share of bound-setting drives that the others cover, of ``folds``."""
+    Attributes
+    ----------
+    refuting : Least or None, against |delta_c| - k se, None if no drive objects
+    doubting : Least or None, against |delta_c| + k se
+    coverage : float or None, share of bound-setting drives that the others cover
+    folds : int, groups of these drives
+    """
 
     refuting: Least | None
     doubting: Least
@@ -90,14 +95,41 @@ class Premise:
 
 
 def weight_met(stored: StoredIdentification, omega: np.ndarray) -> np.ndarray:
-    """|W_delta| (K, n_delta) at ``omega`` (K,) [rad/s], below half the sampling rate, as certificates have
-    it: inflation included, Tustin's map of the frequency."""
+    """Compute |W_delta| as in certificates: inflation included, Tustin's map of the frequency.
+
+    Parameters
+    ----------
+    stored : StoredIdentification
+    omega : ndarray (K,), rad/s, below half the sampling rate
+
+    Returns
+    -------
+    ndarray (K, n_delta)
+    """
     Ts = stored.project.Ts_s
     return stored.fitted.at(2 / Ts * np.tan(omega * Ts / 2))[0]
 
 
 def premise(stored: StoredIdentification) -> Premise:
-    """What the judging drives say of the fitted W_delta. InputError without such drives."""
+    """Judge the fitted W_delta by the judging drives.
+
+    Parameters
+    ----------
+    stored : StoredIdentification
+
+    Returns
+    -------
+    Premise
+
+    Raises
+    ------
+    InputError
+        If there are no such drives.
+
+    References
+    ----------
+    THEORY 7.6, (T33).
+    """
     error = stored.model_error
     if error.judging is None or not np.isfinite(error.judging.se).any():
         raise InputError(
@@ -112,7 +144,7 @@ def premise(stored: StoredIdentification) -> Premise:
     if settings is not None and settings.structure == "K_inf":
         W = np.zeros_like(W)
     judging = error.judging
-    # What a frame cannot tell is no objection: beyond 1 + rho nothing was claimed from it.
+    # An uninformative frame is no objection: it supported no claim beyond 1 + rho.
     told = np.isfinite(judging.se) & (judging.k * judging.se < 1)
 
     def least(against: np.ndarray) -> Least | None:
@@ -144,7 +176,21 @@ def premise(stored: StoredIdentification) -> Premise:
 
 
 def require_premise(stored: StoredIdentification) -> Premise:
-    """The premise; InputError where drives that did not set the bounds refute it."""
+    """Require that no judging drive refutes the premise.
+
+    Parameters
+    ----------
+    stored : StoredIdentification
+
+    Returns
+    -------
+    Premise
+
+    Raises
+    ------
+    InputError
+        If one does, or there are no such drives.
+    """
     found = premise(stored)
     if found.refuted and found.refuting is not None:
         raise InputError(

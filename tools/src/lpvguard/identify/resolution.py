@@ -1,8 +1,8 @@
-"""What a sensor cannot tell: the least disturbance bound, from its resolution and noise (THEORY 7.13).
+"""Least disturbance bound that a sensor can resolve, from its resolution and noise (THEORY 7.13).
 
-Of every output the bound-setting drives show the step of the grid on which it is recorded, and its noise
-above the band of any frame. The project file may state either. Rounding moves a sample by half a step at
-most, whatever the signal is, so its share of a frame or of an energy has a bound that no data are needed for.
+For every output the bound-setting drives show the step of its recording grid, and its noise above the band of
+any frame. The project file may state either. Rounding moves a sample by half a step at most, for any signal.
+Its share of a frame or of an energy therefore has a bound that needs no data.
 """
 
 from __future__ import annotations
@@ -19,24 +19,24 @@ from ..vehicle.project import Project
 from .change import BLOCK
 
 GRID_FIT = 0.1
-"""Values stand on a grid when each is within so much of a step of it."""
+"""Largest distance, in steps, of values from their grid."""
 SAME = 1e-6
-"""Values that differ by less than this share of their span are one, written with few digits."""
+"""Share of the span below which differences are rounding of printed digits."""
 RARE = 1e-3
-"""Share of frames of noise alone that may be above its floor."""
+"""Share of frames of noise alone that may exceed its floor."""
 MEDIAN_OF_SQUARE = float(norm.ppf(0.75) ** 2)
 """Median of the square of a normal variable of variance 1."""
 
 
 def grid_step(y: np.ndarray) -> float:
-    """Step of the grid on which the samples y (N,) stand; 0: of none; NaN: where they do not move."""
+    """Step of the grid of the samples y (N,); 0: no grid; NaN: constant."""
     values = np.unique(y)
     gaps = np.diff(values)
     if not len(gaps):
         return np.nan
     gaps = np.where(gaps > SAME * (values[-1] - values[0]), gaps, 0.0)
     least = gaps[gaps > 0].min()
-    # The smallest gaps are one step each; all values together tell the step to more digits.
+    # The smallest gaps are one step each; all values together give more digits of the step.
     step = gaps[(gaps > 0) & (gaps < 1.5 * least)].mean()
     at = np.r_[0.0, np.cumsum(np.rint(gaps / step))]
     middle = at - at.mean()
@@ -46,11 +46,11 @@ def grid_step(y: np.ndarray) -> float:
 
 
 def noise_deviation(y: np.ndarray, settled: np.ndarray) -> float:
-    """Standard deviation of white noise in the samples y (N,), from blocks of which all are ``settled`` (N,);
-    NaN without such blocks.
+    """Standard deviation of white noise in the samples y (N,), from wholly ``settled`` (N,) blocks; NaN
+    without any.
 
-    (y_0 - y_1 - y_2 + y_3)/2 of a block has the noise's variance: its mean and slope do not count. The median
-    hears no rare jump.
+    (y_0 - y_1 - y_2 + y_3)/2 of a block has the noise's variance, independent of its mean and slope. The
+    median ignores rare jumps.
     """
     blocks = len(y) // BLOCK
     whole = settled[: BLOCK * blocks].reshape(blocks, BLOCK).all(axis=1)
@@ -61,8 +61,8 @@ def noise_deviation(y: np.ndarray, settled: np.ndarray) -> float:
 
 
 def largest_of_rounding(kernel: np.ndarray) -> float:
-    """max |sum_n kernel_n r_n| over all |r_n| <= 1/2, for kernel (N,): what rounding to steps of 1 can add to
-    a frame.
+    """max |sum_n kernel_n r_n| over all |r_n| <= 1/2, for kernel (N,): effect of rounding to steps of 1 on a
+    frame.
 
     The sums fill a zonotope whose edges are kernel_n; its vertices come from the edges in the order of their
     angles.
@@ -75,16 +75,21 @@ def largest_of_rounding(kernel: np.ndarray) -> float:
 
 @dataclass(frozen=True)
 class Resolution:
-    """Of every output: ``step`` (n_y,) of its grid, and ``noise`` (n_y,), its white noise's standard
-    deviation beyond that of rounding; in the output's unit, 0: none is seen."""
+    """Resolution of every output: ``step`` (n_y,) of its grid, ``noise`` (n_y,) beyond that of rounding.
+
+    Both are in the output's unit; 0: none is visible.
+    """
 
     step: np.ndarray
     noise: np.ndarray
 
     @classmethod
     def of(cls, project: Project, seen: np.ndarray) -> Resolution:
-        """From the least (2, n_y) of what `resolution_of` finds of the drives that set the bounds, NaN: of
-        none; or as the project file states it."""
+        """Resolution from the least (2, n_y) of `resolution_of` over bound-setting drives, or from the
+        project file.
+
+        NaN: no value.
+        """
         step, noise = np.nan_to_num(seen)
         for j, s in enumerate(project.outputs):
             step[j] = step[j] if s.resolution is None else s.resolution
@@ -92,8 +97,7 @@ class Resolution:
         return cls(step, np.sqrt(np.maximum(noise**2 - step**2 / 12, 0.0)))
 
     def floor(self, estimator: Estimator) -> np.ndarray:
-        """Least disturbance bound (K, n_y): what rounding can add, and what noise exceeds in RARE of the
-        frames."""
+        """Least disturbance bound (K, n_y): effect of rounding, and noise at a rate of RARE of the frames."""
         kernels = [estimator.kernel(k) for k in range(estimator.n_bins)]
         rounding = np.array([largest_of_rounding(kernel) for kernel in kernels])
         # A frame of noise is a complex normal number, at zero frequency a real one.
@@ -102,9 +106,10 @@ class Resolution:
         return rounding[:, None] * self.step + size[:, None] * self.noise
 
     def energy_floor(self, F: np.ndarray, Ts: float, memories_s: np.ndarray) -> np.ndarray:
-        """Least sigma (B, n_y) of the energy test: what rounding can add to the norm of each band.
+        """Least sigma (B, n_y) of the energy test: effect of rounding on the norm of each band.
 
-        ``F`` (B, S, 6): the bands' sections in z; forgetting over ``memories_s`` (B,)."""
+        ``F`` (B, S, 6): the bands' sections in z; forgetting over ``memories_s`` (B,).
+        """
         rho = np.exp(-Ts / memories_s)
         share = [_gain_inside(f, r) / np.sqrt(1 - r**2) / 2 for f, r in zip(F, rho, strict=True)]
         return np.array(share)[:, None] * self.step
@@ -119,10 +124,9 @@ def _gain_inside(sections: np.ndarray, rho: float) -> float:
 
 
 def resolution_of(drive: Drive, e: np.ndarray, estimator: Estimator) -> np.ndarray:
-    """Step and noise (2, n_y) that a drive with the nominal error ``e`` (N, n_y) shows.
+    """Step and noise (2, n_y) of a drive with the nominal error ``e`` (N, n_y).
 
-    Noise is the lesser of the output's and of e's. One has what a quick input does to the vehicle, the other
-    what a coarse input does to the model.
+    Noise is the smaller of the output's and of e's. A quick input adds to one, a coarse input to the other.
     """
     settled = estimator.settled(drive.v)
     noise = [min(noise_deviation(x, settled) for x in pair) for pair in zip(drive.y.T, e.T, strict=True)]

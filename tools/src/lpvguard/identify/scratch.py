@@ -1,4 +1,4 @@
-"""A core that is compiled for a moment only."""
+"""A temporary compiled core."""
 
 from __future__ import annotations
 
@@ -15,7 +15,17 @@ from ..vehicle.project import Project
 
 @contextmanager
 def scratch_core(project: Project, coefficients: Coefficients) -> Iterator[Core]:
-    """A core compiled from coefficients in a temporary folder."""
+    """Compile a core from coefficients in a temporary folder.
+
+    Parameters
+    ----------
+    project : Project
+    coefficients : Coefficients
+
+    Yields
+    ------
+    Core
+    """
     with tempfile.TemporaryDirectory() as folder:
         target = Path(folder) / project.name
         target.mkdir()

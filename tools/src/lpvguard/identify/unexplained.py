@@ -1,8 +1,8 @@
-"""Drives that the nominal model does not explain at all, and what they cost.
+"""Drives that the nominal model does not explain, and their cost.
 
-Such a drive (a slide, a crash, the wrong day or car) is bounded as every other: the bounds hold on it, and
-grow. Nothing is left out in silence. Who looks at the drive and finds that the model is not meant for it sets
-it aside in experiments.csv, with the reason.
+Such a drive (a slide, a crash, the wrong day or car) is bounded like every other: the bounds hold on it, and
+grow. Nothing is left out in silence. A user who finds that the model is not meant for the drive sets it aside
+in experiments.csv, with the reason.
 """
 
 from __future__ import annotations
@@ -22,19 +22,27 @@ from ..drives.frames import not_for_the_core
 from ..drives.tables import EXPERIMENTS, Experiment
 from ..fit.quality import Quality
 from ..vehicle.project import EvaluationSettings, Project
+from .identification import Identification, identify
 from .passes import DriveReader
-from .run import Identification, identify
 from .scratch import scratch_core
 from .weights import coefficients_of
 
 UNEXPLAINED_VAF = 0.5
-"""A drive of which the model leaves more than the rest is called unexplained."""
+"""Least explained share of an output's variance; below it a drive is called unexplained."""
 
 
 @dataclass(frozen=True)
 class Unexplained:
-    """A drive of which the model explains less than UNEXPLAINED_VAF of an output. ``sets_bounds``: or it
-    calibrates."""
+    """A drive of which the model explains less than UNEXPLAINED_VAF of an output.
+
+    Attributes
+    ----------
+    name : str
+    sets_bounds : bool, the drive sets the bounds; otherwise it calibrates
+    output : str
+    vaf : float, explained share of the output's variance
+    gain : float
+    """
 
     name: str
     sets_bounds: bool
@@ -43,14 +51,23 @@ class Unexplained:
     gain: float
 
     def sentence(self) -> str:
-        """The drive, what it does, and why it is named."""
+        """Sentence with the drive, its role and the reason."""
         left = f"the model leaves {1 - self.vaf:.0%} of {self.output}"
         gain = f", gain {self.gain:.3f}" if np.isfinite(self.gain) else ""
         return f"{self.name} {'sets the bounds' if self.sets_bounds else 'calibrates'}, and {left}{gain}"
 
 
 def unexplained(result: Identification) -> list[Unexplained]:
-    """The unexplained drives among those that set the bounds or calibrate, each with its worst output."""
+    """Find the unexplained drives among those that set the bounds or calibrate.
+
+    Parameters
+    ----------
+    result : Identification
+
+    Returns
+    -------
+    list of Unexplained, each with its worst output
+    """
     found = []
     judged = {*result.bound_drives, *result.calibration_drives}
     for sets_bounds, qualities in ((True, result.model_fit), (False, result.others_fit)):
@@ -62,7 +79,18 @@ def unexplained(result: Identification) -> list[Unexplained]:
 
 
 def left_unexplained(project: Project, found: Quality, sets_bounds: bool) -> Unexplained | None:
-    """The drive whose quality was ``found``, by its worst output; None where the model explains it."""
+    """Judge a drive by its worst output.
+
+    Parameters
+    ----------
+    project : Project
+    found : Quality, of the drive
+    sets_bounds : bool, otherwise it calibrates
+
+    Returns
+    -------
+    Unexplained, or None if the model explains the drive
+    """
     if np.isnan(found.vaf).all():
         return None
     j = int(np.nanargmin(found.vaf))
@@ -74,8 +102,10 @@ def left_unexplained(project: Project, found: Quality, sets_bounds: bool) -> Une
 
 @dataclass(frozen=True)
 class Cost:
-    """Faults that alarm in the drives that are left: ``found`` with the bounds as they are,
-    ``found_without`` with those of the other drives alone. ``of``: how many are put in."""
+    """Alarming faults in the remaining drives, out of ``of``: ``found`` with the bounds, ``found_without``.
+
+    The latter are with bounds of the other drives alone.
+    """
 
     names: tuple[str, ...]
     found: int
@@ -83,7 +113,7 @@ class Cost:
     of: int
 
     def sentences(self) -> list[str]:
-        """What the drives cost, and the lines of experiments.csv that set them aside."""
+        """Cost of the drives, and the lines of experiments.csv that set them aside."""
         these = "it" if len(self.names) == 1 else "them"
         return [
             f"with {these}, {self.found} of {self.of} faults as evaluate injects them alarm in the drives "
@@ -101,10 +131,22 @@ def cost(
     workers: Map = map,
     progress: Callable[[str], None] = lambda _: None,
 ) -> Cost | None:
-    """What the ``named`` drives cost; None where too little remains to identify from, or without a core.
+    """Compute the cost of unexplained drives by an identification without them.
 
-    The drives are identified once more without them. Every fault of the project's settings is put into each
-    drive that then calibrates, from its first sample (a frozen output: from a third of the drive on).
+    Every fault of the project's settings is injected into each calibration drive from its first sample on (a
+    frozen output: from a third of the drive on).
+
+    Parameters
+    ----------
+    result : Identification
+    folder : Path, drives
+    named : list of Unexplained
+    workers : Map
+    progress : Callable, reports progress
+
+    Returns
+    -------
+    Cost, or None if too little remains to identify from, or without a core
     """
     names = tuple(u.name for u in named)
     settings = result.project.evaluation
@@ -146,7 +188,7 @@ def _alarms(
 def _alarms_of_drive(
     reader: DriveReader, core: Core, settings: EvaluationSettings, experiment: Experiment
 ) -> int:
-    """How many of the faults alarm in a drive; none counts where it alarms untouched."""
+    """Number of faults that alarm in a drive; 0 where it alarms untouched."""
     drive, Ts = reader.read(experiment)[0], reader.estimator.Ts
     alarming = [VERDICTS.index(verdict) for verdict in ALARMING]
     if np.isin(core.monitor().run_drive(drive).verdict, alarming).any():

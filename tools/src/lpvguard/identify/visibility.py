@@ -1,5 +1,4 @@
-"""What stays invisible: the smallest gain and delay error that the frame test can see, per speed cell and bin
-(THEORY 7.4).
+"""Smallest gain and delay error that the frame test can see, per speed cell and bin (THEORY 7.4).
 
 A vehicle whose response is c times the nominal one shows the error E = -g Z in every output, with
 |g| = |1 - c|. The margin of a frame grows in proportion to g, because delta and w scale alike. It therefore
@@ -8,13 +7,12 @@ exceeds the threshold exactly when
     g > threshold / t*(-Z, Z),
 
 t* being the exact margin of validation.s1, of the project's structure. With one output this is g |Z| >
-threshold (B_w + W_delta |Z|). However strong the excitation, g below threshold x W_delta stays invisible, the
-least W_delta,j where every output has a Delta of its own. A delay tau has g = |1 - exp(-j omega tau)| =
-2 |sin(omega tau / 2)|. Only the phase of g is free here. The vehicle's ordinary nominal error
-comes on top and can add to the fault or hide it.
+threshold (B_w + W_delta |Z|). At any excitation, g below threshold x W_delta stays invisible; with a Delta
+per output this is the least W_delta,j. A delay tau has g = |1 - exp(-j omega tau)| = 2 |sin(omega tau / 2)|.
+Only the phase of g is free here. The vehicle's ordinary nominal error adds and can raise or hide the fault.
 
-Both lists are made for the strongest excitation met (what any drive could show) and for PERCENTILE (what one
-counted frame in ten shows). t*(-Z, Z) orders excitation: for one output as |Z| does, for several without
+Both lists are made for the strongest excitation met (the best case of any drive) and for PERCENTILE (reached
+by one counted frame in ten). t*(-Z, Z) orders excitation: for one output as |Z| does, for several without
 weighing their units.
 """
 
@@ -31,8 +29,7 @@ from ..engine.validation import s1
 PERCENTILE = 90
 """Typical excitation: reached by one in ten counted frames of the speed cell and bin (nearest rank)."""
 SAMPLED_FRAMES = 400
-"""The percentile is over so many frames a cell and bin, drawn by hash; over all of them where there are no
-more."""
+"""Frames a cell and bin for the percentile, drawn by hash; all of them if there are no more."""
 SPEED_CELLS = 5
 STATED_GAINS = (0.6, 0.7)
 STATED_DELAYS_S = (0.3, 0.15)
@@ -40,7 +37,7 @@ STATED_DELAYS_S = (0.3, 0.15)
 
 @dataclass(frozen=True)
 class Excitation:
-    """Excitation met by counted frames, in bounded memory: joined over drives by ``joined``.
+    """Excitation of counted frames, in bounded memory, joined over drives by ``joined``.
 
     count (SPEED_CELLS, K): all frames. Rows hold ``group`` (cell * K + bin), ``hash``, ``dead`` = t*(-Z, Z)
     and ``size`` |Z| [output units]: the frame of the largest ``dead`` of each group, and a sample of
@@ -66,7 +63,7 @@ class Excitation:
         """Excitation of the F counted frames of drive ``name``.
 
         bin_of (F,); ``speed`` (F,): mean of each frame [m/s]; Z (F, n_y) [output units]; ``number`` (F,)
-        tells the frames of a bin apart. ``speed_range`` [m/s] is cut into SPEED_CELLS equal cells. The bounds
+        identifies the frames of a bin. ``speed_range`` [m/s] is cut into SPEED_CELLS equal cells. The bounds
         are W_delta (K, n_delta) and B_w (K, n_y).
         """
         K = len(W_delta)
@@ -85,7 +82,7 @@ class Excitation:
 
     @classmethod
     def joined(cls, parts: Iterable[Excitation]) -> Excitation:
-        """Of the frames of all parts together."""
+        """Excitation of the frames of all parts."""
         parts = list(parts)
         return cls(
             np.sum([p.count for p in parts], axis=0),
@@ -119,9 +116,9 @@ def visibility(
 ) -> dict:
     """Smallest visible errors per speed cell and bin; JSON-able, None where no frame counts.
 
-    omega (K,) [rad/s], 0 at DC; W_delta (K, n_delta) as ``met`` was made with, ``inflation`` the factor on
-    it and on B_w since; ``silent``: bins that raise no alarm, so nothing is visible there. ``at_percentile``
-    and ``at_strongest`` list the cells; the lists of a cell run over the bins: ``frames``, ``excitation`` |Z|
+    omega (K,) [rad/s], 0 at DC; W_delta (K, n_delta) as in ``met``, ``inflation`` the factor on it and on B_w
+    since; ``silent``: bins that raise no alarm, so nothing is visible there. ``at_percentile`` and
+    ``at_strongest`` list the cells. The lists of a cell run over the bins: ``frames``, ``excitation`` |Z|
     [output units], ``gain_error`` [-], ``delay_s`` (None at DC and where no delay is large enough).
     """
     edges = _edges(speed_range)
@@ -153,8 +150,7 @@ def _cell(
     level: float,
     silent: Collection[int],
 ) -> dict:
-    """Cell ``c``; ``level`` is the margin that a fault must exceed, in units of the weights that ``rows``
-    were made with."""
+    """Cell ``c``; a fault must exceed the margin ``level``, in units of the weights of ``rows``."""
     K = len(omega)
     chosen = [
         _at_percentile(rows["dead"], np.flatnonzero(rows["group"] == c * K + k), percentile) for k in range(K)
@@ -196,7 +192,7 @@ def _delay_error(omega: np.ndarray | float, tau: float) -> np.ndarray:
 
 
 def _delay(gain_error: float | None, omega: float) -> float | None:
-    """Smallest delay [s] whose error reaches ``gain_error``; no delay makes an error above 2, nor any at
+    """Smallest delay [s] whose error reaches ``gain_error``; no delay gives an error above 2, or any at
     DC."""
     if gain_error is None or omega == 0 or gain_error > 2:
         return None

@@ -1,5 +1,5 @@
-"""Weights of an identification: rational magnitudes above the bounds (steps 6 and 7), and the core's numbers
-for them."""
+"""Weights of an identification: rational magnitudes above the bounds (steps 6 and 7), and their numbers in
+the core."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ..base.errors import InputError
 from ..base.parallel import Map
 from ..core.coefficients import Coefficients, build_coefficients
 from ..drives.frames import Estimator
-from ..engine.overbound.certificate import verify_overbound
+from ..engine.overbound.certificate import Certificate, verify_overbound
 from ..engine.overbound.fit import OverboundFit, fit_overbound
 from ..engine.overbound.noise import subtract_noise
 from ..engine.overbound.weight import Weight
@@ -24,9 +24,9 @@ from .energy import UNBOUNDED, EnergyTest
 from .healthy import HealthySet
 
 DC_STAND_IN = 0.1
-"""DC has no place on a logarithmic axis: its bound stands at this fraction of the lowest bin's frequency."""
+"""Fraction of the lowest bin's frequency at which DC's bound stands on a logarithmic axis."""
 SMALLEST_NU = 1e-3
-"""Floor of the uncertainty bound where the data ask for none; a weight must be positive."""
+"""Floor of the uncertainty bound where the data need none: a weight must be positive."""
 RISE, FALL = 3.0, 2.0
 """Steepest rise and fall of the uncertainty bound, in powers of the frequency."""
 LEAST_SHARE = 0.1
@@ -36,13 +36,22 @@ Less is left only where two weights happen to be equal, each of them a fit to so
 above what is left covers it. A floor far below would put a notch into the bound that no weight of low order
 follows.
 """
+RATIO_RTOL, RATIO_ATOL_DB = 1e-8, 1e-7
+"""Rounding of a proved ratio of weight over bound, and of its decibels."""
 LISTED = ("W_w", "W_n", "W_w_S0", "W_C", "W_delta")
 """Weights of which weights.json holds a list."""
 
 
 @dataclass(frozen=True)
 class FittedWeight:
-    """A weight with the samples it was fitted above: omega, bound (K',) (NaN: no data)."""
+    """A weight with the samples that it was fitted above.
+
+    Attributes
+    ----------
+    fit : OverboundFit
+    omega : ndarray (K',), rad/s
+    bound : ndarray (K',), NaN: no data
+    """
 
     fit: OverboundFit
     omega: np.ndarray
@@ -53,7 +62,7 @@ class FittedWeight:
         return self.fit.weight.magnitude(omega)
 
     def to_dict(self) -> dict:
-        """JSON-able: the weight, how it fits, and its samples."""
+        """JSON-able: the weight, its fit, and its samples."""
         f = self.fit
         return {
             "weight": f.weight.to_dict(),
@@ -70,15 +79,23 @@ class FittedWeight:
 
 @dataclass(frozen=True)
 class Weights:
-    """Fitted weights. ``inflation`` multiplies all bounds wherever they are used.
+    """Fitted weights. ``inflation`` multiplies all bounds in every use.
 
-    W_w, W_n and W_w_S0 hold one weight per output, W_delta one per Delta (n_delta). Without zero-input drives
-    W_n is empty, and so are W_w_S0 and W_C, which only synthesis needs. W_w_S0: disturbance of class S0,
-    where nothing is left to uncertainty (K_inf). ``healthy``: bounds of the frame test; None: it asks the
-    fitted weights. ``W_delta_healthy``: above its W_delta, for the energy test. ``floored``: step 7,
-    frequencies [rad/s] per weight where nothing was left of B_w after the sensor's share. ``silent``: bins
-    in which no drive that sets the bounds shows evidence above 1. They set no threshold and raise no alarm
-    (THEORY 7.1).
+    Attributes
+    ----------
+    W_w : list (n_y,) of FittedWeight, disturbance
+    W_delta : list (n_delta,) of FittedWeight, uncertainty
+    gamma_w : FittedWeight, disturbance bound of step 4
+    W_n : list (n_y,) of FittedWeight, noise; empty without zero-input drives
+    W_w_S0 : list (n_y,) of FittedWeight, disturbance of class S0 (K_inf), for synthesis; may be empty
+    W_C : list of FittedWeight, command, for synthesis; may be empty
+    floored : dict, frequencies [rad/s] by weight where B_w has nothing above the sensor's share (step 7)
+    disturbance_set : str
+    healthy : HealthySet or None, bounds of the frame test; None: it asks the fitted weights
+    W_delta_healthy : list of FittedWeight, above its W_delta, for the energy test; may be empty
+    inflation : float
+    silent : tuple of int
+        Bins without evidence above 1, which set no threshold and raise no alarm (THEORY 7.1).
     """
 
     W_w: list[FittedWeight]
@@ -95,8 +112,8 @@ class Weights:
     silent: tuple[int, ...] = ()
 
     def at(self, omega: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """W_delta (K, n_delta) and B_w (K, n_y) of the certificate: inflation included, the sensor's share
-        put back."""
+        """W_delta (K, n_delta) and B_w (K, n_y) of the certificate at omega (K,): with inflation and the
+        sensor's share."""
         B_w = np.column_stack([w.magnitude(omega) for w in self.W_w])
         if self.W_n:
             W_n = np.column_stack([w.magnitude(omega) for w in self.W_n])
@@ -112,7 +129,7 @@ class Weights:
         return self.inflation * self.healthy.W_delta, self.inflation * self.healthy.B_w
 
     def of_core(self, omega: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """`of_frames` as the core has it: without a bound on the disturbance in silent bins."""
+        """`of_frames` in the core: without a bound on the disturbance in silent bins."""
         W_delta, B_w = self.of_frames(omega)
         B_w = B_w.copy()
         B_w[list(self.silent)] *= UNBOUNDED
@@ -134,7 +151,7 @@ class Weights:
 
     @classmethod
     def from_dict(cls, data: dict, source: str) -> Weights:
-        """Read back; every certificate is proved anew against its samples, a failing one is an InputError."""
+        """Read back and prove every certificate again; InputError for a failing one."""
 
         def weight(entry: dict, name: str) -> FittedWeight:
             omega = np.array(entry["omega_rad_s"], float)
@@ -149,6 +166,7 @@ class Weights:
                     f"{certificate.min_ratio_at:.4g} rad/s",
                     "a weight that overbounds its data",
                 )
+            _require_stated(source, name, entry, certificate)
             fit = OverboundFit(
                 loaded,
                 entry["order"],
@@ -191,17 +209,58 @@ class Weights:
         )
 
 
+def _require_stated(source: str, name: str, entry: dict, proved: Certificate) -> None:
+    """InputError unless an entry of weights.json states of its weight what ``proved`` says of it.
+
+    The upper limit of weight over bound may not be below the one proved, nor below the level that is stated
+    as out of reach for the order.
+    """
+    stated, highest = entry["certificate"], 20 * np.log10(proved.max_ratio)
+    checks = {
+        "worst_ratio_db": entry["worst_ratio_db"] >= highest - RATIO_ATOL_DB,
+        "lp_optimum_db": entry["lp_optimum_db"] <= entry["worst_ratio_db"] + RATIO_ATOL_DB,
+        "certificate.min_ratio": float(stated["min_ratio"]) <= proved.min_ratio * (1 + RATIO_RTOL),
+        "certificate.max_ratio": float(stated["max_ratio"]) >= proved.max_ratio * (1 - RATIO_RTOL),
+        "certificate.omega_max": float(stated["omega_max"]) <= proved.omega_max,
+        "certificate": stated["ok"] and stated["stable"] and stated["minimum_phase"],
+    }
+    for key, held in checks.items():
+        if not held:
+            raise InputError(
+                source,
+                f"{name}.{key}",
+                f"is not proved: weight over bound lies in {proved.min_ratio:.9g} .. {proved.max_ratio:.9g}, "
+                f"{highest:.6g} dB, up to {proved.omega_max:.4g} rad/s",
+                "what `lpvguard identify` wrote",
+            )
+
+
 def fitting_grid(estimator: Estimator) -> np.ndarray:
-    """Frequencies (K,) [rad/s] at which weights are fitted: those of the bins, with a stand-in for DC."""
+    """Return the frequencies at which weights are fitted: those of the bins, with a replacement for DC.
+
+    Parameters
+    ----------
+    estimator : Estimator
+
+    Returns
+    -------
+    ndarray (K,), rad/s
+    """
     omega = estimator.omega.copy()
     omega[0] = DC_STAND_IN * omega[1]
     return omega
 
 
 def smallest_disturbance(B2: np.ndarray) -> float:
-    """Smallest disturbance bound, 1e-6 times the largest of B2 (K,) (NaN: no data), in its unit.
+    """Return the floor of disturbance bounds, 1e-6 times the largest, because a weight must be positive.
 
-    A weight must be positive where a bound is zero.
+    Parameters
+    ----------
+    B2 : ndarray (K,), output units, NaN: no data
+
+    Returns
+    -------
+    float, output units
     """
     return 1e-6 * float(np.nanmax(B2))
 
@@ -209,14 +268,14 @@ def smallest_disturbance(B2: np.ndarray) -> float:
 def uncertainty_samples(
     estimator: Estimator, nu: np.ndarray, omega: np.ndarray, asked: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """What W_delta must cover: frequencies (S,) [rad/s] and bound (S,), NaN at the stand-in of DC.
+    """Samples for W_delta: frequencies (S,) [rad/s] and bound (S,), NaN at the replacement of DC.
 
-    ``asked`` (G,) at ``omega`` (G,) is what the model error model asks for (THEORY 7.6), log-log between its
-    frequencies; nu (K,) what the frames of step 5 ask for at the bins. nu(0) = 0 by definition; below the
+    ``asked`` (G,) at ``omega`` (G,) is the bound of the model error model (THEORY 7.6), log-log between its
+    frequencies. nu (K,) is that of the frames of step 5 at the bins. nu(0) = 0 by definition; below the
     lowest bin any small value will do (paper, step 6).
 
     Dips that a weight of low order cannot follow are filled: the bound rises at most as omega^RISE and falls
-    at most as omega^-FALL. One deep dip would else cost the least worst ratio, and with it every frequency.
+    at most as omega^-FALL. One deep dip would otherwise cost the least worst ratio at every frequency.
     """
     bins = fitting_grid(estimator)
     samples = np.union1d(bins, omega)
@@ -234,10 +293,28 @@ def fit_uncertainty(
     omega: np.ndarray,
     column: tuple[np.ndarray, np.ndarray, str],
 ) -> FittedWeight:
-    """W_delta above ``uncertainty_samples`` of nu (K,) and of what is asked (G,) at ``omega`` (G,) [rad/s];
-    ``column``: these two of one Delta, and a name for errors.
+    """Fit W_delta above the uncertainty bounds.
 
-    InputError when no weight of the project's order fits."""
+    Parameters
+    ----------
+    project : Project
+    estimator : Estimator
+    omega : ndarray (G,), rad/s
+    column : tuple of nu, ndarray (K,), model error bound, ndarray (G,), and a name for errors, of one Delta
+
+    Returns
+    -------
+    FittedWeight
+
+    Raises
+    ------
+    InputError
+        If no weight of the project's order fits.
+
+    References
+    ----------
+    Paper, step 6; THEORY 7.6.
+    """
     nu, asked, name = column
     samples, bound = uncertainty_samples(estimator, nu, omega, asked)
     return _fitted(project, samples, bound, name)
@@ -257,10 +334,26 @@ def with_healthy(
 def fit_bound(
     project: Project, estimator: Estimator, bound: np.ndarray, name: str, floor: float
 ) -> FittedWeight:
-    """Weight above ``bound`` (K,) and ``floor``, in the bound's unit; NaN: no data. ``name``: for errors.
+    """Fit a weight above a bound and a floor.
 
-    Raises InputError when no weight of the project's order fits."""
-    # What the weight is proved against: the floor applied.
+    Parameters
+    ----------
+    project : Project
+    estimator : Estimator
+    bound : ndarray (K,), NaN: no data
+    name : str, for errors
+    floor : float, unit of the bound
+
+    Returns
+    -------
+    FittedWeight
+
+    Raises
+    ------
+    InputError
+        If no weight of the project's order fits.
+    """
+    # The proof is against the bound with the floor.
     return _fitted(
         project, fitting_grid(estimator), np.where(np.isnan(bound), np.nan, np.fmax(bound, floor)), name
     )
@@ -284,10 +377,10 @@ def fit_weights(
     command: np.ndarray,
     workers: Map = map,
 ) -> Weights:
-    """Steps 6 and 7 around the fitted ``W_delta``. ``noise``, ``error`` (K, n_y): peaks of E without and with
-    input; ``command`` (K,): of the first output. ``workers`` share the weights.
+    """Steps 6 and 7 for the fitted ``W_delta``.
 
-    Without zero-input drives (``noise`` all NaN) B_w itself is W_w.
+    ``noise``, ``error`` (K, n_y): peaks of E without and with input; ``command`` (K,): of the first output.
+    ``workers`` share the weights. Without zero-input drives (``noise`` all NaN) B_w is W_w.
     """
     floor = smallest_disturbance(bounds.B2)
     names = [s.name for s in project.outputs]
@@ -331,8 +424,30 @@ def disturbance_weights(
     what: str = "W_w",
     workers: Map = map,
 ) -> tuple[list[FittedWeight], list[list[float]]]:
-    """Step 7: W_w per output, what is left of B_w after the sensor's share, and the frequencies [rad/s] where
-    nothing is; ``workers`` share the outputs."""
+    """Fit W_w per output, the part of B_w above the sensor's share (step 7).
+
+    Parameters
+    ----------
+    project : Project
+    estimator : Estimator
+    B_w, W_n : list (n_y,) of FittedWeight
+    floor : float, output units
+    what : str, name for errors, default 'W_w'
+    workers : Map
+
+    Returns
+    -------
+    tuple of list of FittedWeight and list of the frequencies [rad/s] where nothing is left
+
+    Raises
+    ------
+    InputError
+        If no weight of the project's order fits.
+
+    References
+    ----------
+    Paper, step 7.
+    """
     omega, asked, floored = fitting_grid(estimator), [], []
     for b, noise, output in zip(B_w, W_n, project.outputs, strict=True):
         left, empty = subtract_noise(
@@ -356,15 +471,15 @@ def coefficients_of(
     energy: EnergyTest,
     change: ChangeTest,
 ) -> Coefficients:
-    """The core's coefficients for these weights."""
+    """Coefficients of the core for these weights."""
     return build_coefficients(
         project, model, estimator, *weights.of_core(estimator.omega), threshold, energy, change
     )
 
 
 def energy_filters(project: Project, estimator: Estimator, weights: Weights) -> EnergyTest:
-    """The energy test's filters for these weights; sigma is yet to be found. InputError for weights of
-    another structure than the project's."""
+    """Filters of the energy test for these weights, without sigma. InputError for weights of another
+    structure."""
     fitted = weights.W_delta_healthy or weights.W_delta
     test = EnergyTest.design(
         project,

@@ -1,10 +1,9 @@
-"""How far windowed spectra are from the truth where dynamics are inverted: class S2 and the general LFT
-(THEORY 4.2).
+"""Error of windowed spectra where dynamics are inverted: class S2 and the general LFT (THEORY 4.2).
 
-Class S1 compares windowed spectra of e and yhat and inverts nothing. Class S2 asks for xi_s in G_d xi_s = (z
+Class S1 compares windowed spectra of e and yhat and inverts nothing. Class S2 needs xi_s in G_d xi_s = (z
 I - Ad) d, with d = x - x_nom. A Hann frame of x_{n+1} is z times that of x_n only approximately. Here a known
-white xi_s [state units per s] drives the nominal model at frozen speeds. xi_s is then found back from frames
-of d; its relative error is what frames cost. For the plain DFT with x_0 - x_N known it is rounding.
+white xi_s [state units per s] drives the nominal model at frozen speeds. xi_s is then recovered from frames
+of d; its relative error is the error of frames. For the plain DFT with x_0 - x_N known it is rounding.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ from ..drives.frames import Estimator
 from ..vehicle.nominal import NominalModel, recursion
 
 SPEEDS = 3
-"""Frozen speeds, over the whole range; the largest of their medians and percentiles is stated."""
+"""Frozen speeds over the whole range; the largest of their medians and percentiles is stated."""
 FRAMES = 40
 PERCENTILE = 90
 

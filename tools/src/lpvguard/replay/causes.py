@@ -1,4 +1,4 @@
-"""The causes of alarms as the core found them, and in words."""
+"""Causes of alarms that the core found, as numbers and in words."""
 
 from __future__ import annotations
 
@@ -13,13 +13,19 @@ WITH_INTERVAL = ("gain", "delay", "bias", "sign")
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """The cause that the core found of an alarm in one output (diagnosis.h); times from the drive's start
-    [s].
+    """Cause that the core found for an alarm in one output (diagnosis.h).
 
-    ``value`` with its 95 % interval: the factor of a gain or sign, a delay [s], a bias, the mean of a frozen
-    output or the noise's standard deviation [output unit]. The interval is None where there is none, and
-    ``value`` too for "other". ``since_s``: the onset; ``at_least``: or sooner. ``final``: of the whole
-    record; else of its first half, and what comes later replaces it. ``says``: all of it in words.
+    Attributes
+    ----------
+    t_s, alarm_s : float, s from the drive's start, time of the diagnosis and of the alarm
+    output, cause : str
+    value : float or None
+        Factor of a gain or sign, s of a delay, output unit of bias, frozen mean or noise deviation.
+    low, high : float or None, ends of its 95 % interval, in the same unit
+    since_s : float, s, the onset
+    at_least : bool, the onset may be earlier
+    final : bool, from the whole record; otherwise from its first half, and a later diagnosis replaces it
+    says : str, all of it in words
     """
 
     t_s: float
@@ -47,8 +53,22 @@ def diagnosed(
     at_least: bool,
     final: bool = True,
 ) -> Diagnosis:
-    """What the core says of an output, by its index. ``cause``: of core.compiled.CAUSES. ``numbers``: value,
-    low and high of lpvg_found_t. Times are the drive's [s]; the advice is the project file's."""
+    """Put the core's diagnosis of an output into words.
+
+    Parameters
+    ----------
+    project : Project
+    cause : str, of core.compiled.CAUSES
+    output : int, index of the output
+    numbers : Sequence[float], value, low and high of lpvg_found_t
+    found_s, alarm_s, since_s : float, s, times of the drive
+    at_least : bool, the onset may be earlier
+    final : bool, from the whole record, default True
+
+    Returns
+    -------
+    Diagnosis, with the project file's advice
+    """
     signal = project.outputs[output]
     shown = 3 if cause in WITH_INTERVAL else 0 if cause == "other" else 1
     value, low, high = (x if k < shown else None for k, x in enumerate(numbers))
@@ -73,10 +93,19 @@ def diagnosed(
 def cause_sentence(
     name: str, unit: str, cause: str, numbers: Sequence[float], since_s: float, at_least: bool
 ) -> str:
-    """A cause of core.compiled.CAUSES of the output ``name``: its value, 95 % interval and onset.
+    """Word a cause of an output: value, 95 % interval and onset.
 
-    ``numbers``: value, low and high of lpvg_found_t (lib/include/lpvguard/diagnosis.h), of which those that
-    the cause has are read. ``since_s`` [s]; ``at_least``: or sooner.
+    Parameters
+    ----------
+    name, unit : str, of the output
+    cause : str, of core.compiled.CAUSES
+    numbers : Sequence[float], value, low and high of lpvg_found_t (lib/include/lpvguard/diagnosis.h)
+    since_s : float, s, the onset
+    at_least : bool, the onset may be earlier
+
+    Returns
+    -------
+    str
     """
     if cause == "other":
         return f"{name}: no single cause explains what it does"
@@ -91,10 +120,10 @@ def _what(unit: str, cause: str, numbers: Sequence[float]) -> str:
     if cause == "noise":
         return f"is noisy, with a standard deviation of {value:.3g} {unit}"
     if cause == "bias":
-        return f"{value:+.3g} {unit} beside what the model says ({low:+.3g} to {high:+.3g})"
+        return f"{value:+.3g} {unit} off the nominal output ({low:+.3g} to {high:+.3g})"
     if cause == "delay":
         near, far = sorted((abs(low), abs(high)))
-        when = "later" if value > 0 else "sooner"
-        return f"{abs(value):.2f} s {when} than the model says ({near:.2f} to {far:.2f})"
-    turned = "turned round: " if cause == "sign" else ""
-    return f"{turned}{value:.2f} of what the model says ({low:.2f} to {high:.2f})"
+        when = "later" if value > 0 else "earlier"
+        return f"{abs(value):.2f} s {when} than the nominal output ({near:.2f} to {far:.2f})"
+    turned = "inverted: " if cause == "sign" else ""
+    return f"{turned}{value:.2f} of the nominal output ({low:.2f} to {high:.2f})"

@@ -1,8 +1,8 @@
-"""A time series of a replay as messages of JSON, for MCAP files and Foxglove's WebSocket. Three topics:
+"""Time series of a replay as JSON messages, for MCAP files and Foxglove's WebSocket. Three topics:
 
-/lpvguard/sample   a row of the series but its margins: numbers and the verdict; what is null is left out
-/lpvguard/margin   a counted frame, when the core said so: rad_s of its bin, and t* as margin
-/lpvguard/alarm    foxglove.Log: what the alarm says
+/lpvguard/sample   a row of the series without margins: numbers and the verdict; null values are left out
+/lpvguard/margin   a counted frame at the time of its judgement: rad_s of its bin, and t* as margin
+/lpvguard/alarm    foxglove.Log: the alarm's sentence
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from .run import Alarm
+from .alarm_text import alarm_sentence
+from .replayer import Alarm
 from .series import MARGIN, numbers
-from .told import alarm_sentence
 
 WARNING = 3
 """Level of foxglove.Log."""
@@ -24,7 +24,7 @@ WARNING = 3
 
 @dataclass(frozen=True)
 class SeriesMessage:
-    """``t_ns``: time of the series [ns]. ``topic``: of ``schemas``. ``content``: what JSON holds."""
+    """A message: time ``t_ns`` of the series [ns], ``topic`` of ``schemas``, JSON ``content``."""
 
     t_ns: int
     topic: str
@@ -32,12 +32,21 @@ class SeriesMessage:
 
 
 def _dense(columns: Iterable[str]) -> list[str]:
-    """The columns that a sample says."""
+    """Columns of a sample message."""
     return [n for n in columns if n != "t" and not n.startswith(MARGIN)]
 
 
 def schemas(columns: Iterable[str]) -> dict[str, dict[str, Any]]:
-    """JSON schema by topic, its title the name of the type. ``columns``: those of the series."""
+    """Return the JSON schema of each topic; its title is the name of the type.
+
+    Parameters
+    ----------
+    columns : Iterable[str], of the series
+
+    Returns
+    -------
+    dict, by topic
+    """
     number = {"type": "number"}
     stamp = {"type": "object", "properties": {k: {"type": "integer"} for k in ("sec", "nsec")}}
     log = {
@@ -58,8 +67,17 @@ def schemas(columns: Iterable[str]) -> dict[str, dict[str, Any]]:
 
 
 def messages(series: pa.Table, alarms: Iterable[Alarm | dict[str, Any]]) -> list[SeriesMessage]:
-    """A time series (series.py) and its alarms, or their objects in the JSON of `replay`, in the order of
-    time."""
+    """Convert a time series and its alarms to messages, in the order of time.
+
+    Parameters
+    ----------
+    series : Table, of series.py
+    alarms : Iterable of Alarm or dict, as in the JSON of `replay`
+
+    Returns
+    -------
+    list of SeriesMessage
+    """
     times = np.round(numbers(series["t"]) * 1e9).astype(np.int64).tolist()
     found: list[SeriesMessage] = []
     for t, row in zip(times, series.select(_dense(series.column_names)).to_pylist(), strict=True):

@@ -1,16 +1,14 @@
-"""Raw CAN logs through the compiled receiver: supervision and decoder of lib/, as the ECU would have run
-them.
+"""Raw CAN logs through the compiled receiver: supervision and decoder of lib/, as on the ECU.
 
-can/logs.py reads the logs; run.py feeds the monitor with the samples.
+can/logs.py reads the logs; replayer.py feeds the monitor with the samples.
 
-Ticks are one sample period of the vehicle apart. A tick sees the newest accepted value of every signal, as in
-lpvg_ecu_step; nothing is interpolated. There is a sample where every message that carries a signal of the
+Ticks are one sample period of the vehicle apart. A tick reads the newest accepted value of every signal, as
+in lpvg_ecu_step; nothing is interpolated. There is a sample where every message that carries a signal of the
 vehicle is live (can.h), and a gap elsewhere. A tick lies half a period after the mean arrival time of the
 fastest of these messages. Jitter below half a period then moves no frame to another tick. A log of our own
-simulator gives the samples that its ECU had. The demand alone has the resolution of the bus.
+simulator gives the samples that its ECU had. Only the demand has the resolution of the bus.
 
 Frames of a car's own bus (``[can]`` of the project file) become frames of a catalogue first (can/own.py).
-From there on they go the same way.
 
 A clock that goes back by more than REORDER_S, or forward by more than CLOCK_JUMP_S, is a jump. It is
 replayed as a pause of PAUSE_S.
@@ -48,8 +46,8 @@ PAUSE_S = 1.0
 
 @dataclass(frozen=True)
 class Received:
-    """A log as the ECU would have sampled it: t (N,) [s] from 0, values (N, signals), present (N,) bool, and
-    the report."""
+    """A log as the ECU samples it: t (N,) [s] from 0, values (N, signals), present (N,) bool, and the
+    report."""
 
     t: np.ndarray
     values: np.ndarray
@@ -59,7 +57,7 @@ class Received:
 
 @dataclass(frozen=True)
 class _Place:
-    """Where the bus carries a signal of the vehicle: the sum of the bus's signals = factor * value."""
+    """Place of a vehicle's signal on the bus: the sum of the bus signals is factor * value."""
 
     message: Message
     signals: tuple[BusSignal, ...]
@@ -68,8 +66,11 @@ class _Place:
 
 @dataclass(frozen=True)
 class _Bus:
-    """The bus of a vehicle. Of each message of the catalogue ``sent`` says how it is called on the bus, its
-    identifier with its flags, and the bits of that which tell it. ``files``: the generated C."""
+    """The bus of a vehicle.
+
+    ``sent`` gives each message's name on the bus, its identifier with flags, and the identifying bits.
+    ``files`` is the generated C.
+    """
 
     catalogue: Catalogue
     places: list[_Place]
@@ -78,16 +79,23 @@ class _Bus:
 
 
 class Receiver:
-    """The compiled receiver of a vehicle: speed, inputs, outputs, gates of its signal table, in this order.
+    """Compiled receiver of a vehicle: speed, inputs, outputs and gates of its signal table, in this order.
 
-    They come out of frames of the catalogue, or of the car's own bus.
+    It reads frames of the catalogue, or of the car's own bus.
 
-    Raises InputError when a signal has no place on the bus, or nothing compiles here.
+    Parameters
+    ----------
+    project : Project
+    catalogue : Catalogue, optional, by default the shipped one
+    command : bool, add a column with the driver's yaw-rate command where the bus has it, default False
+
+    Raises
+    ------
+    InputError
+        If a signal has no place on the bus, or nothing compiles here.
     """
 
     def __init__(self, project: Project, catalogue: Catalogue | None = None, command: bool = False):
-        """``command``: values have one more column, the driver's yaw-rate command where the bus has it (it
-        needs none)."""
         self.project = project
         self.signals = project.recorded
         if project.can is None:
@@ -107,8 +115,11 @@ class Receiver:
             raise AssertionError("the events of can.h and of this module differ")
 
     def receive(self, frames: Frames, where: str | Path, *, channel: str | None = None) -> Received:
-        """Sample a log. InputError when no needed message is in it, or they come from several channels and
-        none was chosen."""
+        """Sample a log.
+
+        Raises InputError when it holds no needed message, or they come from several channels and none was
+        chosen.
+        """
         frames, ours = self._one_channel(frames.of_channel(channel, where), where)
         fastest = min(m.period_ms for m in self.needed) * 1000
         t_us, order, jumps = _one_clock(frames.t_ns, ours, fastest)
@@ -131,13 +142,17 @@ class Receiver:
         return Received(t, values, present, report)
 
     def running(self, start_us: int, where: str | Path) -> RunningReceiver:
-        """A receiver whose clock begins at ``start_us`` [us], which takes frames in pieces. InputError when
-        the supervision refuses that time."""
+        """Start a receiver whose clock begins at ``start_us`` [us]; it takes frames in pieces.
+
+        Raises InputError when the supervision refuses that time.
+        """
         return RunningReceiver(self, start_us, where)
 
     def presence(self, values: np.ndarray, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(needed, N) where each needed message is live, and (N,) where there is a sample that no gate shuts
-        out; ``values`` and ``states`` of ``RunningReceiver.take``."""
+        """True (needed, N) where each needed message is live, and (N,) where a sample passes all gates.
+
+        ``values`` (N, columns) and ``states`` (N, rules) come from ``RunningReceiver.take``.
+        """
         live = np.array([states[:, self._rules.index(m)] == LIVE for m in self.needed])
         present = live.all(axis=0) & np.isfinite(values[:, : len(self.signals)]).all(axis=1)
         for i, s in enumerate(self.signals):
@@ -146,13 +161,17 @@ class Receiver:
         return live, present
 
     def counted(self, counts: np.ndarray) -> dict[str, Any]:
-        """What became of the frames, from ``counts`` (rules + 1, events): by needed or seen message
-        ("messages"), and of all others ("other")."""
+        """Number of frames by outcome, from ``counts`` (rules + 1, events).
+
+        The key "messages" has each needed or seen message, and "other" has all others.
+        """
         return {"messages": self._counted(counts), "other": _named(counts[-1])}
 
     def _one_channel(self, frames: Frames, where: str | Path) -> tuple[Frames, np.ndarray]:
-        """The frames of the one channel that carries needed messages, and (N,) which of them these are.
-        InputError when no channel does, or several."""
+        """Frames of the one channel with needed messages, and (N,) which frames are these.
+
+        Raises InputError when no channel has them, or several do.
+        """
         ours = self.ours(frames)
         if not ours.any():
             raise InputError(
@@ -187,7 +206,7 @@ class Receiver:
         return len(self._places)
 
     def ours(self, frames: Frames) -> np.ndarray:
-        """(N,) True for the frames of needed messages; of J1939 groups whatever their priority."""
+        """True (N,) for the frames of needed messages; J1939 groups match at any priority."""
         ours = np.zeros(len(frames.id), bool)
         for m in self.needed:
             _, identifier, mask = self._sent[m.name]
@@ -204,8 +223,8 @@ class Receiver:
         }
 
     def _gaps(self, t: np.ndarray, live: np.ndarray, present: np.ndarray) -> list[dict[str, Any]]:
-        """Stretches without a sample: from the first tick without one to the tick that has one again (or the
-        end)."""
+        """Stretches without a sample: from the first tick without one to the next tick with one, or the
+        end."""
         edges = runs(~present)
         return [
             {
@@ -222,7 +241,14 @@ class Receiver:
 
 
 class RunningReceiver:
-    """One running instance of a vehicle's receiver; feed it frames in one or several pieces."""
+    """A running instance of a vehicle's receiver; frames come in one or several pieces.
+
+    Parameters
+    ----------
+    receiver : Receiver
+    start_us : int, us, start of its clock
+    where : str or Path, name of the log in errors
+    """
 
     def __init__(self, receiver: Receiver, start_us: int, where: str | Path):
         self._receiver, self._lib, self._where = receiver, receiver.library, where
@@ -243,11 +269,11 @@ class RunningReceiver:
     def take(
         self, t_us: np.ndarray, frames: Frames, first_us: int, ticks: int
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Frames with times t_us (N,) [us] in increasing order. Those after the last of ``ticks`` ticks
-        are not looked at; the ticks are a sample period apart from ``first_us`` on.
+        """Take frames with increasing times t_us (N,) [us], up to the last of ``ticks`` ticks.
 
-        Returns values (ticks, columns), NaN before the first, and the supervision's states (ticks, rules).
-        InputError when the supervision refuses a time.
+        Ticks are a sample period apart from ``first_us`` [us] on. Returns values (ticks, columns), NaN before
+        the first, and states of the supervision (ticks, rules). Raises InputError when the supervision
+        refuses a time.
         """
         values = np.empty((ticks, self._receiver.columns))
         states = np.empty((ticks, self._receiver.n_rules), np.uint8)
@@ -275,7 +301,7 @@ class RunningReceiver:
 
 
 def _our_bus(signals: list[Signal], catalogue: Catalogue) -> _Bus:
-    """The bus of the catalogue, on which identifiers tell messages by all but their priority."""
+    """The bus of the catalogue, whose identifiers match in all bits but the priority."""
     return _Bus(
         catalogue,
         [_place(s, catalogue) for s in signals],
@@ -285,14 +311,14 @@ def _our_bus(signals: list[Signal], catalogue: Catalogue) -> _Bus:
 
 
 def _command_place(catalogue: Catalogue) -> _Place:
-    """Where the bus of the catalogue carries the driver's command."""
+    """Place of the driver's command on the bus of the catalogue."""
     message = catalogue.message(REFERENCE.message)
     signal = next(s for s in message.signals if s.name == REFERENCE.signal)
     return _Place(message, (signal,), REFERENCE.factor)
 
 
 def _car_bus(signals: list[Signal], bus: CarBus) -> _Bus:
-    """The car's own bus, carried by messages of a catalogue of its own."""
+    """The car's own bus, carried by messages of a derived catalogue."""
     places = [bus.places[s.name] for s in signals]
     return _Bus(
         bus.catalogue,
@@ -303,7 +329,7 @@ def _car_bus(signals: list[Signal], bus: CarBus) -> _Bus:
 
 
 def _place(signal: Signal, catalogue: Catalogue) -> _Place:
-    """Where the bus of the catalogue carries a signal of the vehicle. InputError where it does not."""
+    """Place of a vehicle's signal on the bus of the catalogue; InputError where it has none."""
     where = f"vehicle signal {signal.name}"
     if signal.can is None:
         raise InputError(
@@ -356,7 +382,7 @@ def _library(name: str, take: str, *generated: tuple[str, str]) -> Path:
             folder / SOURCE,
             *own,
             folder / "take.cpp",
-            root / "src" / "can.cpp",
+            root / "src" / "guard" / "can.cpp",
             Path(__file__).with_name("receiver.cpp"),
         ]
         try:
@@ -396,7 +422,17 @@ def _one_clock(
 
 
 def phase_us(t_us: np.ndarray, period_us: int) -> float:
-    """Where in a period times t_us (N,) [us] lie, in the circular mean [us]."""
+    """Compute the circular mean of times within a period.
+
+    Parameters
+    ----------
+    t_us : ndarray (N,), us
+    period_us : int, us
+
+    Returns
+    -------
+    float, us
+    """
     return float(np.angle(np.exp(2j * np.pi / period_us * t_us).mean()) / (2 * np.pi) * period_us)
 
 

@@ -1,7 +1,7 @@
-"""Time series of a replay in the files of other tools: Parquet, MCAP (Foxglove, PlotJuggler), MF4.
+"""Time series of a replay in the files of other tools: Parquet, MCAP (Foxglove, PlotJuggler; ROS 2), MF4.
 
-MCAP has the messages of messages.py, with their schemas. Times are those of the series [ns].
-MF4 has a channel a column with its unit. A margin has its own times, those at which the core said it.
+MCAP has the messages of messages.py, with their schemas. Times are those of the series [ns]. MF4 has a
+channel with a unit for each column. A margin has its own times, those of the judgement.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 import numpy as np
 import pyarrow as pa
@@ -17,23 +17,40 @@ from pyarrow.parquet import write_table
 
 from ..base.errors import InputError
 from .messages import messages, schemas
+from .ros import write_ros2
 from .series import MARGIN, numbers
 
-Kind = Literal["parquet", "mcap", "mf4"]
-KINDS: tuple[Kind, ...] = get_args(Kind)
+Kind = Literal["parquet", "mcap", "mf4", "ros2"]
+SUFFIX: dict[Kind, str] = {"parquet": ".parquet", "mcap": ".mcap", "mf4": ".mf4", "ros2": ".mcap"}
 BEGINNING = datetime(1970, 1, 1, tzinfo=UTC)
-"""What files call their start: a series says seconds after its first sample, and no time of day."""
+"""Start time in the files: a series has seconds after its first sample, and no time of day."""
 _HISTORY = "<FHcomment><TX>lpvguard replay</TX><tool_id>lpvguard</tool_id></FHcomment>"
 
 
-def write_series(path: Path, kind: Kind, series: pa.Table, alarms: list[dict[str, Any]]) -> None:
-    """Write a time series (series.py) to ``path``. ``alarms``: those of the object of `replay --json`.
+def write_series(
+    path: Path, kind: Kind, series: pa.Table, alarms: list[dict[str, Any]], vehicle: str
+) -> None:
+    """Write a time series to a file of another tool.
 
-    InputError where the package of ``kind`` is not installed."""
+    Parameters
+    ----------
+    path : Path
+    kind : Kind
+    series : Table, of series.py
+    alarms : list of dict, as in the JSON of `replay`
+    vehicle : str
+
+    Raises
+    ------
+    InputError
+        If the package of ``kind`` is not installed.
+    """
     if kind == "parquet":
         write_table(series, path)
     elif kind == "mcap":
         _write_mcap(path, series, alarms)
+    elif kind == "ros2":
+        write_ros2(path, vehicle, series, alarms)
     else:
         _write_mf4(path, series)
 
@@ -63,7 +80,7 @@ def _write_mf4(path: Path, series: pa.Table) -> None:
     dense: list[Signal] = []
     margins: list[Signal] = []
     for name in series.column_names:
-        if name in ("t", "verdict"):  # verdict_code says it in numbers
+        if name in ("t", "verdict"):  # verdict_code has its number
             continue
         values = numbers(series[name])
         here = np.isfinite(values) if name.startswith(MARGIN) else np.ones(len(t), bool)

@@ -2,14 +2,14 @@
 
 t             s after the first sample; of a series in pieces, the time of the source
 NAME          speed, inputs and outputs by the names of the signal table, in its units; null without a sample
-yhat/NAME     nominal output, started at the first measured one and never again
+yhat/NAME     nominal output, started at the first measured one
 e/NAME        NAME less yhat/NAME
-margin/RAD_S  t* of the bin with that frequency [rad/s]; null but where the core judged a counted frame of it
+margin/RAD_S  t* of the bin with that frequency [rad/s]; null unless the core judged a counted frame of it
 energy_ratio  the energy test's ratio; null where it does not judge
 change_ratio  the change test's newest; null before its first
 verdict       text, and verdict_code: its number in monitor.h
 
-A column with a unit says it in its metadata, as "unit".
+A column's metadata hold its unit as "unit".
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from ..drives.tables import Drive
 from ..vehicle.project import Project
 
 MARGIN = "margin/"
-"""How the names of columns of margins begin."""
+"""Prefix of the names of margin columns."""
 
 
 def margin_column(omega: float) -> str:
@@ -38,10 +38,10 @@ def numbers(column: pa.ChunkedArray) -> np.ndarray:
 def table_of(
     project: Project, yhat: np.ndarray, omega: np.ndarray, drive: Drive, run: Run, t0: float
 ) -> pa.Table:
-    """The series of a drive of N samples as a table of N rows; see the module's docstring for the columns.
+    """Series of a drive as a table of N rows; the module's docstring lists the columns.
 
-    ``yhat`` (N, n_y): nominal outputs. ``omega`` (K,) [rad/s]: frequencies of the bins. ``t0`` [s]: where
-    the column t counts from.
+    ``yhat`` (N, n_y) are nominal outputs, ``omega`` (K,) [rad/s] the bins' frequencies. Column t counts from
+    ``t0`` [s].
     """
     absent = np.zeros(len(drive.t), bool) if drive.missing is None else drive.missing
     columns: dict[str, pa.Array] = {"t": pa.array(drive.t - t0)}

@@ -1,4 +1,7 @@
-"""What people see. In: everything that the rooms below wrote. Out: one self-contained page, and its pictures
-as SVG. Which rooms it may import: MAY_IMPORT."""
+"""The page and pictures for people.
+
+In: the results of all rooms below. Out: one self-contained page, and its pictures as SVG. MAY_IMPORT lists
+what a room may import.
+"""
 
 MAY_IMPORT = ("base", "vehicle", "engine", "drives", "fit", "core", "identify", "replay", "evaluate")

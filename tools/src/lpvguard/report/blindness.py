@@ -1,5 +1,5 @@
-"""What the model was tested for and what it is blind to, by speed and frequency: proved, blind, without data
-or violated (THEORY 7.4)."""
+"""Tested and blind regions of a model by speed and frequency: proved, blind, without data or violated (THEORY
+7.4)."""
 
 from __future__ import annotations
 
@@ -8,20 +8,27 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..replay.run import Alarm
+from ..replay.replayer import Alarm
 
 LEVEL = 0.3
-"""Gain error that the first screen asks about."""
+"""Gain error for the first screen's question."""
 PROVED, BLIND, EMPTY, VIOLATED = "proved", "blind", "no_data", "violated"
 
 
 @dataclass(frozen=True)
 class MapCell:
-    """A speed cell [m/s] and a bin ``omega`` [rad/s], 0 at DC.
+    """A cell of the map: a speed cell and a bin.
 
-    ``frames``: counted. Smallest gain error that the frame test sees: ``gain_error`` at the excitation that
-    the percentile of visibility.json reached, ``strongest`` at the strongest frame, ``floor`` at any
-    excitation; None without a frame. ``alarms``: of the frame test.
+    Attributes
+    ----------
+    speed_mps : tuple[float, float], m/s
+    bin : int
+    omega : float, rad/s, 0 at DC
+    frames : int, counted frames
+    gain_error : float or None, smallest one that the frame test sees, at the percentile's excitation
+    strongest : float or None, the same at the strongest frame
+    floor : float, the same at any excitation
+    alarms : int, of the frame test
     """
 
     speed_mps: tuple[float, float]
@@ -35,8 +42,11 @@ class MapCell:
 
     @property
     def state(self) -> str:
-        """PROVED: judged without an alarm, and a gain error of LEVEL alone would have been one. BLIND: it
-        could stay unseen."""
+        """State of the cell.
+
+        PROVED: judged without an alarm, and a gain error of LEVEL alone would have raised one. BLIND: such an
+        error could stay unseen.
+        """
         if self.alarms:
             return VIOLATED
         if self.gain_error is None:
@@ -45,7 +55,21 @@ class MapCell:
 
 
 def cells(seen: dict, alarms: Iterable[Alarm]) -> list[list[MapCell]]:
-    """Cells by speed, slowest first, and by bin. ``seen``: visibility.json; ``alarms``: of all drives."""
+    """Make the cells by speed, slowest first, and by bin.
+
+    Parameters
+    ----------
+    seen : dict, visibility.json
+    alarms : Iterable of Alarm, of all drives
+
+    Returns
+    -------
+    list of list of MapCell
+
+    References
+    ----------
+    THEORY 7.4.
+    """
     omega = np.array(seen["omega_rad_s"])
     typical, strongest = seen["at_percentile"], seen["at_strongest"]
     count = np.zeros((len(typical), len(omega)), int)
@@ -71,22 +95,21 @@ def cells(seen: dict, alarms: Iterable[Alarm]) -> list[list[MapCell]]:
 
 
 def speed_row(seen: dict, speed_mps: float) -> int:
-    """The speed cell of visibility.json ``seen`` that holds the speed [m/s]; the nearest one beyond."""
+    """Speed cell of visibility.json ``seen`` that holds the speed [m/s], or else is nearest."""
     starts = [c["speed_mps"][0] for c in seen["at_percentile"]]
     return int(np.clip(np.searchsorted(starts, speed_mps, side="right") - 1, 0, len(starts) - 1))
 
 
 @dataclass(frozen=True)
 class Region:
-    """Speeds [m/s] at which the same runs of bins, first and last, were chosen."""
+    """Speeds [m/s] with the same chosen runs of bins, first and last."""
 
     speed_mps: tuple[float, float]
     runs: tuple[tuple[MapCell, MapCell], ...]
 
 
 def regions(grid: list[list[MapCell]], chosen: Callable[[MapCell], bool]) -> list[Region]:
-    """The chosen cells as few regions: runs of bins of each speed cell, neighbours with the same runs
-    joined."""
+    """Chosen cells as few regions: runs of bins per speed cell, with equal neighbours joined."""
     found: list[Region] = []
     for row in grid:
         runs: list[tuple[MapCell, MapCell]] = []

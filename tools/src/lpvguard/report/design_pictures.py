@@ -1,5 +1,4 @@
-"""The pictures of what `lpvguard design` writes: Figs. 5 and 6, and the trade-off, each drawn from the
-numbers in its file."""
+"""Pictures of `lpvguard design`: Figs. 5 and 6 and the trade-off, drawn from the numbers in its files."""
 
 from __future__ import annotations
 
@@ -12,7 +11,7 @@ from .pictures.drawing import Picture, standalone
 
 
 def draw(figures: dict) -> dict[str, Picture]:
-    """Pictures by name, "fig5" and "fig6", of what ``figures`` holds: figures.json."""
+    """Pictures by name, "fig5" and "fig6", of figures.json."""
     out = {}
     if "fig5" in figures:
         f = figures["fig5"]
@@ -30,9 +29,15 @@ def draw(figures: dict) -> dict[str, Picture]:
 
 
 def pictures(files: dict[str, str]) -> dict[str, Picture]:
-    """Pictures by name of what figures.json and tradeoff.json hold.
+    """Draw figures.json and tradeoff.json.
 
-    ``files``: text by file name; a missing file has no pictures.
+    Parameters
+    ----------
+    files : dict[str, str], text by file name; a missing file has no pictures
+
+    Returns
+    -------
+    dict[str, Picture], by name
     """
     found = draw(json.loads(files["figures.json"])) if "figures.json" in files else {}
     if "tradeoff.json" in files:
@@ -41,5 +46,14 @@ def pictures(files: dict[str, str]) -> dict[str, Picture]:
 
 
 def drawn(files: dict[str, str]) -> dict[str, str]:
-    """SVG files by name of these pictures."""
+    """Draw figures.json and tradeoff.json as SVG files.
+
+    Parameters
+    ----------
+    files : dict[str, str], text by file name; a missing file has no pictures
+
+    Returns
+    -------
+    dict[str, str], SVG by file name
+    """
     return {f"{name}.svg": standalone(of) for name, of in pictures(files).items()}

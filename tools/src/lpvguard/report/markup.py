@@ -1,4 +1,4 @@
-"""Pieces of HTML that the sections of the page share."""
+"""HTML helpers of the page's sections."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from .pictures.numbers import to_json
 
 
 def html_table(head: Iterable[str], rows: Iterable[Iterable[str]], kind: str = "") -> str:
-    """A table; ``head`` (may be empty) and cells are HTML already, ``kind`` is its CSS class."""
+    """A table; ``head`` (may be empty) and cells are HTML, ``kind`` is its CSS class."""
     top = "".join(f"<th>{h}</th>" for h in head)
     top = f"<thead><tr>{top}</tr></thead>" if top else ""
     body = "".join("<tr>" + "".join(f"<td>{c}</td>" for c in row) + "</tr>\n" for row in rows)
@@ -21,10 +21,7 @@ def html_table(head: Iterable[str], rows: Iterable[Iterable[str]], kind: str = "
 
 
 def captioned(picture: Picture | None, caption: str) -> str:
-    """A picture, or none where there is nothing to draw, with its caption, which is HTML already.
-
-    Its numbers stand beside it: page.js makes them zoom.
-    """
+    """A picture, if any, with its caption in HTML. page.js zooms it by the numbers beside it."""
     below = f"<figcaption>{caption}</figcaption>" if caption else ""
     if picture is None:
         return f"<figure>{below}</figure>"
@@ -33,19 +30,19 @@ def captioned(picture: Picture | None, caption: str) -> str:
 
 
 def number(value: float | np.floating | None, digits: int = 3) -> str:
-    """A number with this many significant digits; a dash when there is none or it is not finite."""
+    """A number with this many significant digits; a dash for None or a value that is not finite."""
     return "–" if value is None or not np.isfinite(value) else f"{value:.{digits}g}"
 
 
 def yes_or_no(value: bool | None, yes: str, no: str) -> str:
-    """One of two texts (HTML already) in the colour that it means; a dash for None."""
+    """One of two HTML texts in its colour; a dash for None."""
     if value is None:
         return "–"
     return f'<span class="yes">{yes}</span>' if value else f'<span class="no">{no}</span>'
 
 
 def premise_words(found: dict) -> str:
-    """The premise of certificates, as controller.json has it, in words: evidence, and what it comes to."""
+    """Premise of certificates, as in controller.json, in words: evidence and conclusion."""
     refuting, doubting = found["refuting"], found["doubting"]
     not_refuted = refuting is None or refuting["ratio"] >= 1
     words = yes_or_no(not_refuted, "Premise, not refuted:", "Premise, refuted:")

@@ -1,8 +1,8 @@
 """`lpvguard report`: one self-contained HTML page with every picture and table of an identification.
 
-Every number is read from the identification folder or computed here. Computing uses the folder's frames and
-a replay of the drives through the compiled core. The page asks for nothing from outside
-and holds no clock time: the same input gives the same bytes. Without its script everything can be read.
+Every number is read from the identification folder or computed here, from the folder's frames and a replay of
+the drives through the compiled core. The page loads nothing from outside and holds no clock time: the same
+input gives the same bytes. It can be read without its script.
 """
 
 from __future__ import annotations
@@ -14,11 +14,12 @@ from pathlib import Path
 
 from .. import __version__
 from ..base import artefacts
-from ..identify.run import DriveSet, StoredIdentification
-from ..replay.run import Alarm, Replayer
+from ..identify.identification import DriveSet, StoredIdentification
+from ..replay.replayer import Alarm, Replayer
 from ..vehicle.project import Project
 from .blindness import cells
-from .drawn import OfIdentification
+from .drive_summary import DriveSummary
+from .identification_pictures import IdentificationPictures
 from .pictures.drawing import files, kept, shared
 from .sections.bounds import bound_sections
 from .sections.campaign import campaign_section
@@ -31,17 +32,16 @@ from .sections.overview import blind_map, overview_section
 from .sections.summary import summary_section
 from .sections.tradeoff import tradeoff_section
 from .sections.visibility import visibility_section
-from .told import Told
 from .visits import Visits
 
 LIBRARIES = ("bokeh", "bokeh-api")
-"""Parts of BokehJS that the pictures need, in the order of loading."""
+"""Parts of BokehJS for the pictures, in the order of loading."""
 SCRIPTS = ("page.js", "zoom.js")
-"""What the page does beyond being read."""
+"""Scripts for zooming, sorting and searching."""
 PICTURES = "report"
 """Kind of the folder of pictures."""
 POLICY = "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; img-src data: blob:"
-"""What a browser may load for the page: only what stands in it."""
+"""Content policy: a browser loads nothing from outside the page."""
 
 
 def write_report(
@@ -57,13 +57,25 @@ def write_report(
     campaign: dict | None = None,
     pictures: Path | None = None,
 ) -> None:
-    """Write the page; InputError when a drive cannot be read or ``out`` cannot be written.
+    """Write the page.
 
-    ``replayer``: None for bounds of the plain DFT, which the core does not compute; drives are then judged by
-    the exact margin. ``evaluation``: JSON of `lpvguard evaluate`; ``loops``: folder written by `lpvguard sim
-    -o`, with its results.json; ``design``, ``tradeoff``: folders written by `lpvguard design`, without and
-    with --tradeoff; ``campaign``: summary.json of `lpvguard campaign`; ``pictures``: folder to write, every
-    picture as SVG and CSV.
+    Parameters
+    ----------
+    stored : StoredIdentification
+    drives : DriveSet, the identification's drives
+    replayer : Replayer, or None for bounds of the plain DFT, whose drives are judged by the exact margin
+    out : Path, the page
+    evaluation : dict or None, JSON of `lpvguard evaluate`
+    progress : Callable, reports progress
+    loops : Path, optional, folder of `lpvguard sim -o`, with results.json
+    design, tradeoff : Path, optional, folders of `lpvguard design`, without and with --tradeoff
+    campaign : dict, optional, summary.json of `lpvguard campaign`
+    pictures : Path, optional, folder for every picture as SVG and CSV
+
+    Raises
+    ------
+    InputError
+        If a drive cannot be read, or the page cannot be written.
     """
     with kept() as drawn:
         sections = list(
@@ -88,7 +100,7 @@ def _sections(
     tradeoff: Path | None,
     campaign: dict | None,
 ) -> Iterator[str]:
-    """All sections. Arguments: as of ``write_report``."""
+    """All sections; the arguments are those of ``write_report``."""
     yield from _identification_sections(stored, drives, replayer, progress, design, evaluation)
     if evaluation is not None:
         yield evaluation_section(evaluation)
@@ -110,29 +122,39 @@ def _identification_sections(
     design: Path | None,
     evaluation: dict | None,
 ) -> Iterator[str]:
-    """The sections that every page has. The drives are read first: some sections show what they hold."""
+    """Sections of every page. The drives are read first, because some sections show their content."""
     visits = Visits()
-    told: list[Told] = []
+    summaries: list[DriveSummary] = []
     rows: list[list[str]] = []
     for name in drives.experiments:
         progress(name)
         drive, _, yhat = drives.load(name)
         if replayer is not None:
-            told.append(visit(visits, stored, replayer, drive, yhat, f"d{len(told)}"))
+            summaries.append(visit(visits, stored, replayer, drive, yhat, f"d{len(summaries)}"))
         else:
             rows.append(visit_plain(visits, stored, drives, drive))
     progress("pictures")
-    drawn = OfIdentification(stored, drives.reader.estimator)
-    yield overview_section(stored, told, replayer is not None, design, evaluation)
+    drawn = IdentificationPictures(stored, drives.reader.estimator)
+    yield overview_section(stored, summaries, replayer is not None, design, evaluation)
     yield summary_section(stored, replayer, drives)
     yield from bound_sections(drawn)
     yield time_section(visits, stored, drives)
     yield visibility_section(visits, drawn)
-    yield drive_section(told, replayer.threshold) if replayer is not None else plain_section(rows)
+    yield drive_section(summaries, replayer.threshold) if replayer is not None else plain_section(rows)
 
 
 def map_page(stored: StoredIdentification, alarms: list[Alarm]) -> str:
-    """The one picture of the first screen as a page of its own. ``alarms``: of all drives."""
+    """Write the first screen's picture as a page.
+
+    Parameters
+    ----------
+    stored : StoredIdentification
+    alarms : list of Alarm, of all drives
+
+    Returns
+    -------
+    str, HTML
+    """
     shown = blind_map(stored, cells(stored.visibility, alarms), alarms)
     return f"""<!DOCTYPE html>
 <html lang="en"><head><meta charset="utf-8"><meta http-equiv="Content-Security-Policy" content="{POLICY}">
@@ -147,8 +169,7 @@ def _own(name: str) -> str:
 
 
 def _scripts() -> str:
-    """BokehJS as the package bokeh carries it, as text that zoom.js runs when the first picture zooms; then
-    the scripts of this room."""
+    """BokehJS as text, which zoom.js runs at the first zoom, then the scripts of this room."""
     folder = resources.files("bokeh").joinpath("server", "static", "js")
     found = [folder.joinpath(f"{name}.min.js").read_text(encoding="utf-8") for name in LIBRARIES]
     own = [_own(name) for name in SCRIPTS]
@@ -158,7 +179,7 @@ def _scripts() -> str:
 
 
 def _page(project: Project, sections: list[str]) -> str:
-    """The whole page. Each section begins with its title as an h2; the line of links is made from these."""
+    """The whole page; the section titles, each an h2, give the line of links."""
     titles = [s[s.index("<h2>") + 4 : s.index("</h2>")] for s in sections]
     nav = " ".join(f'<a href="#s{i}">{title}</a>' for i, title in enumerate(titles, start=1))
     body = "".join(f'<section id="s{i}">{s}</section>\n' for i, s in enumerate(sections, start=1))

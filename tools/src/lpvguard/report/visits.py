@@ -1,4 +1,4 @@
-"""What the page keeps of one pass over the drives: counted frames, and the stretches that Fig. 4 shows."""
+"""Counted frames, and the stretches for Fig. 4, collected in one pass over the drives."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from ..base.runs import runs
 
 @dataclass(frozen=True)
 class Longest:
-    """The longest stretch met so far: name of its drive, first sample, and the sample after its last."""
+    """The longest stretch so far: name of its drive, first sample, and the sample after its last."""
 
     drive: str = ""
     start: int = 0
@@ -19,7 +19,7 @@ class Longest:
 
     @property
     def samples(self) -> int:
-        """Length of the stretch [samples]; 0 when none was met."""
+        """Length of the stretch [samples]; 0 without one."""
         return self.stop - self.start
 
     def or_longer(self, drive: str, span: slice) -> Longest:
@@ -30,8 +30,10 @@ class Longest:
 
 @dataclass
 class Visits:
-    """Counted frames of all drives: lists over drives of bins (F,) and Z (F, n_y). Longest judged, excited
-    stretches in the lower and in the upper third of the model's speed range."""
+    """Counted frames of all drives: lists over drives of bins (F,) and Z (F, n_y).
+
+    Also the longest judged, excited stretches in the lower and in the upper third of the model's speed range.
+    """
 
     bin: list[np.ndarray] = field(default_factory=list)
     Z: list[np.ndarray] = field(default_factory=list)
@@ -40,7 +42,7 @@ class Visits:
 
 
 def longest_run(mask: np.ndarray) -> slice:
-    """The longest run of True in ``mask`` (N,); an empty slice when there is none."""
+    """Longest run of True in ``mask`` (N,); an empty slice without one."""
     edges = runs(mask)
     if not len(edges):
         return slice(0, 0)

@@ -9,6 +9,7 @@ FORMATS.md is ``markdown()``.
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterator
 from importlib import resources
 from typing import Any
@@ -42,7 +43,7 @@ def markdown() -> str:
     """The page FORMATS.md: tables and TOML files by hand (tables.md), the settings and the JSON from their
     schemas."""
     from ..drives.signal_map import SignalMap
-    from ..loop.sim import Expectation
+    from ..extras.loop.sim import Expectation
     from ..vehicle.project import Project
 
     text = [resources.files(__package__).joinpath("tables.md").read_text(encoding="utf-8").rstrip(), ""]
@@ -79,6 +80,7 @@ def _rows(
             {**target, **{k: v for k, v in node.items() if k != "$ref"}},
             (*open_refs, reference),
         )
+    node = _with_meanings(node)
     if path:
         yield (
             f"`{path}`",
@@ -95,6 +97,22 @@ def _rows(
         value = node.get(key)
         if isinstance(value, dict) and ("properties" in value or "$ref" in value):
             yield from list(_rows(root, value, (path + mark).lstrip("."), open_refs))[0 if not path else 1 :]
+
+
+def _with_meanings(node: dict) -> dict:
+    """The node with the Attributes of its docstring as descriptions of its properties."""
+    summary, _, listed = node.get("description", "").partition("\n\nAttributes\n----------\n")
+    if not listed:
+        return node
+    properties = dict(node["properties"])
+    for entry in re.split(r"\n(?! )", listed):
+        line, *more = entry.split("\n")
+        names, _, kind = line.partition(" : ")
+        words = [*re.split(r", (?![^\[(]*[\])])", kind, maxsplit=1)[1:], " ".join(map(str.strip, more))]
+        for name in set(names.split(", ")) & set(properties):
+            if any(words) and "description" not in properties[name]:
+                properties[name] = {**properties[name], "description": ". ".join(filter(None, words))}
+    return {**node, "description": summary, "properties": properties}
 
 
 def _type(node: dict) -> str:

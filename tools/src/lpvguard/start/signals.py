@@ -1,10 +1,9 @@
-"""Which signals of a log are speed, steering and yaw rate: by name, then by what the data say of unit and
-sign.
+"""Identify speed, steering and yaw rate among a log's signals, by name, then by the data's unit and sign.
 
 A car that does not slide turns as its wheels roll: v (delta - trim) = L r, with L the wheelbase. A regression
-of v delta on r, each less its part along v, reads L in whatever units the columns are in. Its sign is the
-relative sign. With the wheelbase known, units follow: 3.6 times says km/h, 57.3 times degrees, 10 to 24 times
-the angle of the steering wheel.
+of v delta on r, each without its part along v, gives L in the columns' units. Its sign is the relative sign.
+With the wheelbase known, units follow: a factor of 3.6 means km/h, 57.3 degrees, 10 to 24 the angle of the
+steering wheel.
 """
 
 from __future__ import annotations
@@ -25,20 +24,20 @@ WORDS = {
     "input": (r"^(delta|steer|swa)$|road_?wheel", r"steer.*ang|ang.*steer|steer|delta|wheel_?angle|lenk"),
     "output": (r"^(r|wz|yaw_?rate)$", r"yaw_?rate|angular_vel_z|gyro_?z|omega_?z|psi_?dot|yaw_?vel|gier"),
 }
-"""By role: what a name is for certain, and what it may hold."""
+"""By role: certain names, and parts of likely names."""
 NOT = {
     "speed": r"cmd|command|control|target|desired|set_?point|wheel|engine|fan|wind|ang|steer|_y$|_z$",
     "input": r"rate|torque|tq|request|override|speed|vel|fraction|calculated|command|cmd|control",
     "output": r"acc|target|desired|ref",
 }
-"""By role: what lowers a name's rank. Commands, derivatives and other things share a word."""
+"""By role: words that lower a name's rank, as of commands and derivatives."""
 SI = {"speed": "m/s", "input": "rad", "output": "rad/s"}
 GUESSED_UNITS = {
     "speed": ("m/s", "km/h"),
     "input": ("rad", "deg"),
     "output": ("rad/s", "deg/s"),
 }
-"""The likelier first. Data never tell mph from a car that understeers: only a name or a stated unit does."""
+"""Likely units, best first. Only a name or a stated unit can distinguish mph from understeer."""
 UNIT_MARKS = {
     "speed": {"m/s": r"mps|m_s|ms", "km/h": r"k(m_?h|mph|ph)", "mph": r"mph"},
     "input": {"rad": r"rad", "deg": r"deg|degrees?|grad"},
@@ -48,9 +47,9 @@ UNIT_MARKS = {
 FASTEST_MPS = 90.0
 LARGEST_LATERAL_MPS2 = 12.0
 LARGEST_ROAD_WHEEL_RAD = 0.8
-"""What no road car exceeds."""
+"""Largest angle of a road car."""
 AS_KNOWN = (0.7, 1.45)
-"""The wheelbase that the data read, over the known one, where units are right; understeer lengthens it."""
+"""Wheelbase from the data over the known one, where units are right; understeer lengthens it."""
 STEERING_RATIO = (10.0, 24.0)
 LONGEST_LAG_S = 0.6
 SIGN_BIT = re.compile(r"sign|sgn|vorzeichen|(?:^|_)vz(?:_|$)|direction|richtung")
@@ -59,8 +58,7 @@ SIGN_BIT = re.compile(r"sign|sgn|vorzeichen|(?:^|_)vz(?:_|$)|direction|richtung"
 
 @dataclass(frozen=True)
 class Recording:
-    """Signals of one log on one time axis: t (N,) [s], values name -> (N,), and their units, "" where the log
-    says none."""
+    """Signals of one log on one time axis: t (N,) [s], values (N,) by name, and units ("" if unknown)."""
 
     name: str
     t: np.ndarray
@@ -70,7 +68,7 @@ class Recording:
 
 @dataclass(frozen=True)
 class Proposal:
-    """A signal for a role: SI value = factor * signal in ``unit``; ``why``: sentences."""
+    """A signal for a role: SI value = factor * signal in ``unit``; ``why`` holds sentences."""
 
     role: str
     name: str
@@ -80,7 +78,7 @@ class Proposal:
 
 
 def ranked(role: str, names: Iterable[str]) -> list[str]:
-    """Names that may have the role, the likeliest first."""
+    """Names that may have the role, likeliest first."""
     scores = {}
     for name in names:
         low = re.sub(r"[\s-]+", "_", name.rsplit(".", 1)[-1].lower())
@@ -93,9 +91,9 @@ def ranked(role: str, names: Iterable[str]) -> list[str]:
 def proposed(
     recordings: list[Recording], chosen: dict[str, str | None], wheelbase_m: float | None
 ) -> dict[str, Proposal]:
-    """A signal a role, of those that all recordings hold. ``chosen``: role -> name, or None to choose.
+    """A signal a role, of those that all recordings hold. ``chosen``: name by role, or None to choose.
 
-    InputError where nothing fits a role, or the units cannot be made to agree with the wheelbase.
+    Raises InputError where nothing fits a role, or no units agree with the wheelbase.
     """
     common = [n for n in recordings[0].values if all(n in r.values for r in recordings)]
     names, why = {}, {}
@@ -123,7 +121,7 @@ def proposed(
 
 
 def _require_sign(role: str, name: str, common: list[str], recordings: list[Recording]) -> None:
-    """Raise InputError where a signal is a magnitude whose sign stands in a bit of its message."""
+    """Raise InputError for a magnitude whose sign is a bit of its message."""
     if min(float(r.values[name].min()) for r in recordings) < 0:
         return
     message, _, signal = name.rpartition(".")
@@ -135,8 +133,8 @@ def _require_sign(role: str, name: str, common: list[str], recordings: list[Reco
             raise InputError(
                 "new",
                 f"--{role}",
-                f"{name} is never negative and {other} lies beside it: a magnitude and its sign apart",
-                f"one signal with its sign, as a table in which {signal} is turned round where {bit} says so",
+                f"{name} is never negative and {other} holds its sign",
+                f"one signal with its sign, for example a table with {signal} negated where {bit} is set",
             )
 
 
@@ -159,10 +157,9 @@ def _named(
 
 
 def rolled_length(recordings: list[Recording], names: dict[str, str]) -> tuple[float, float]:
-    """Wheelbase that the columns read in their own units, with its sign, and the largest correlation.
+    """Signed wheelbase in the columns' units, and the largest correlation of v times input with the output.
 
-    That is of v times input with the output, over lags; ``names``: column by role. InputError where nothing
-    moves.
+    The correlation is over lags; ``names`` is the column by role. Raises InputError where nothing moves.
     """
     best = (0.0, 0.0)
     lags = round(LONGEST_LAG_S / float(np.median(np.diff(recordings[0].t))))
@@ -186,14 +183,14 @@ def rolled_length(recordings: list[Recording], names: dict[str, str]) -> tuple[f
 
 
 def _without(along: np.ndarray, x: np.ndarray) -> np.ndarray:
-    """x (N,) less its part along another signal (N,): what a trim adds to v delta."""
+    """x (N,) without its part along another signal (N,): the effect of a trim on v delta."""
     return x - along * (np.dot(along, x) / max(float(np.dot(along, along)), 1e-300))
 
 
 def _units(
     recordings: list[Recording], names: dict[str, str], length: float, wheelbase_m: float | None
 ) -> tuple[dict[str, str], float, list[str]]:
-    """Units, steering ratio, and why; ``length``: wheelbase in the columns' own units."""
+    """Units, steering ratio and reasons; ``length`` is the wheelbase in the columns' units."""
     stated = {role: recordings[0].units.get(names[role], "") for role in ROLES}
     choices = [
         (stated[role],) if unit_factor(stated[role], SI[role]) else _unit_in_name(role, names[role])
@@ -227,7 +224,7 @@ def _units(
 
 
 def _unit_in_name(role: str, name: str) -> tuple[str, ...]:
-    """The unit that the last words of a name state, or all that are likely."""
+    """Unit in the last words of a name, or else all likely units."""
     words = re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_")
     marked = tuple(u for u, mark in UNIT_MARKS[role].items() if re.search(rf"(^|_)({mark})$", words))
     return marked or GUESSED_UNITS[role]

@@ -1,4 +1,4 @@
-"""Nominal models to start from: each a piece of a project file with its physics in three lines."""
+"""Templates of nominal models: each a piece of a project file with its physics in three lines."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Scale:
-    """What a template's guesses rest on: wheelbase [m], its range [m], typical and largest speed [m/s]."""
+    """Basis of a template's guesses: wheelbase [m], its range [m], typical and largest speed [m/s]."""
 
     wheelbase_m: float
     range_m: tuple[float, float]
@@ -16,7 +16,7 @@ class Scale:
 
 
 def yaw_first_order(scale: Scale) -> str:
-    """One state: the yaw rate follows the steady turn of a car that understeers, with one lag."""
+    """One state: the yaw rate follows the steady turn of an understeering car, with one lag."""
     k = scale.wheelbase_m / scale.largest_mps**2
     t = scale.typical_mps
     return f"""\

@@ -1,5 +1,7 @@
-"""One vehicle as its project file states it. In: a project file (`shipped/*.toml` are data of this room).
-Out: `Project`, checked, and `NominalModel`: matrices over speed, delay, the recursion along a drive. Which
-rooms it may import: MAY_IMPORT."""
+"""One vehicle as its project file describes it.
+
+In: a project file (`shipped/*.toml` are data of this room). Out: the checked `Project`, and `NominalModel`
+with matrices over speed, delay and the recursion along a drive. MAY_IMPORT lists what a room may import.
+"""
 
 MAY_IMPORT = ("base",)

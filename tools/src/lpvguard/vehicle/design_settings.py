@@ -1,4 +1,4 @@
-"""The part of a project file that says what `lpvguard design` is asked for."""
+"""Settings of `lpvguard design` in a project file."""
 
 from __future__ import annotations
 
@@ -10,19 +10,29 @@ from ..base.documents import Fraction, Positive, StrictModel
 
 
 class DesignSettings(StrictModel):
-    """Step 8: objectives of Fig. 1 and the scheduled controller. W_t, W_u: gain A_t, A_u and the paper's
-    break frequencies.
+    """Settings of step 8: objectives of Fig. 1 and the scheduled controller.
 
-    Weights are gain * prod(s/zero + 1) / prod(s/pole + 1), rad/s. ``nodes``: scheduling speeds of the
-    controller, uniform over the model's range. ``synthesised_for`` [A_t, A_u]: what the controller is
-    synthesised for where that is not what it is certified for; a higher A_t can leave room for a moving
-    speed. ``table``: the objectives [A_t, A_u] of Table II; ``lambda_s`` [s^2]: weight of the state
-    uncertainty beside the input's in (8), Lambda_nu = diag(1, lambda_s), for its K_is. ``input_max`` [input
-    unit] and ``input_rate_max_per_s`` limit the demand; ``lateral_acceleration_max_mps2``, where given,
-    limits it further over speed: the nominal model's steady yaw rate, the first output, times the speed stays
-    within it (control/input_limit.py).
-    ``amplitudes``: edges of the classes of the demand's amplitude [unit of the input], at which `bench
-    robust` measures; None: its own.
+    Weights are gain * prod(s/zero + 1) / prod(s/pole + 1) with zeros and poles in rad/s. The gains are A_t
+    and A_u; the default break frequencies are the paper's.
+
+    Attributes
+    ----------
+    structure : str, uncertainty structure of the synthesis
+    A_t, A_u : float, gains of W_t and W_u
+    W_t_zeros, W_t_poles, W_u_zeros, W_u_poles : list of float, rad/s
+    W_R_num, W_R_den : list of float, reference model
+    design_speed_mps : float, m/s
+    nodes : int, scheduling speeds, uniform over the model's range
+    synthesised_for : [A_t, A_u] or None, targets of the synthesis if they differ from the certified ones
+        A higher A_t can leave room for a moving speed.
+    backoff, order_loss : float, relative losses allowed in synthesis and order reduction
+    table : list of [A_t, A_u] or None, columns of Table II
+    lambda_s : float, s^2, weight of the state uncertainty in (8) for K_is, Lambda_nu = diag(1, lambda_s)
+    amplitudes : list of float or None, edges of the amplitude classes of `bench robust` [input unit]
+    input_max : list of float, limit of the demand [input unit]
+    lateral_acceleration_max_mps2 : float or None
+        Limits the demand over speed by steady yaw rate times speed (control/input_limit.py).
+    input_rate_max_per_s : list of float, limit of the demand's rate [input unit/s]
     """
 
     structure: Literal["K_inf", "K_i", "K_is", "K_o"] = "K_i"
@@ -48,13 +58,13 @@ class DesignSettings(StrictModel):
 
     @property
     def for_synthesis(self) -> DesignSettings:
-        """With the A_t and A_u that the controller is synthesised for."""
+        """Settings with the A_t and A_u of the synthesis."""
         A_t, A_u = self.synthesised_for or (self.A_t, self.A_u)
         return self.model_copy(update={"A_t": A_t, "A_u": A_u})
 
     @property
     def objectives(self) -> list[tuple[float, float]]:
-        """(A_t, A_u) of Table II's columns: the table's, or as in the paper A_t with A_u, 75/95 of A_t, and a
-        tenth of A_u."""
+        """(A_t, A_u) of Table II's columns. By default the paper's: A_t with A_u, 75/95 of A_t, and a tenth
+        of A_u."""
         own = [[self.A_t, self.A_u], [self.A_t * 75 / 95, self.A_u], [self.A_t, self.A_u / 10]]
         return [(A_t, A_u) for A_t, A_u in (self.table or own)]

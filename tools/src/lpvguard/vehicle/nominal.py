@@ -1,12 +1,11 @@
-"""Stage 1, nominal model: continuous LPV model of the project file, exact zero-order hold, recursion along a
-drive.
+"""Stage 1: continuous LPV model of the project file, exact zero-order hold, recursion along a drive.
 
     x_{k+1} = Ad(v_k) x_k + B_old(v_k) u_{k-d-1} + B_new(v_k) u_{k-d},   yhat_k = C x_k + y0
 
-with u the input minus ``input_offset``. The input delay td = (d + f) Ts is split into whole samples d and a
+The input u is without ``input_offset``. The input delay td = (d + f) Ts is split into whole samples d and a
 fraction f. During the first f Ts of an interval the older input acts; this is exact for an input that is held
-between samples. Outside the speed range the model runs at the nearest speed of the range. What it says there
-is not judged (THEORY 3.1).
+between samples. Outside the speed range the model runs at the nearest speed of the range, and the monitor
+does not judge (THEORY 3.1).
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ from .project import ModelSettings, Project
 from .taylor import COEFFICIENTS, Taylor, greatest, least
 
 Speed = TypeVar("Speed", np.ndarray, Taylor)
-"""What stands for the speed in an expression of a project file: speeds (m,) or an interval of speeds."""
+"""Value of the speed in an expression of a project file: speeds (m,) or an interval of speeds."""
 _OPERATORS: dict[type[ast.AST], Callable[..., Any]] = {
     ast.Add: operator.add,
     ast.Sub: operator.sub,
@@ -45,7 +44,7 @@ def _sqrt(x: Any) -> Any:
 
 
 def _of_several(choose: Callable[..., Any], choose_bounds: Callable[..., Taylor]) -> Callable[..., Any]:
-    """``choose`` over several values, ``choose_bounds`` where one of two is an interval."""
+    """Apply ``choose`` to several values, and ``choose_bounds`` where one of two is an interval."""
 
     def function(*values: Any) -> Any:
         return reduce(
@@ -62,18 +61,33 @@ _FUNCTIONS: dict[str, tuple[Callable[..., Any], int, int]] = {
     "min": (_of_several(np.minimum, least), 2, 99),
     "max": (_of_several(np.maximum, greatest), 2, 99),
 }
-"""Functions of an expression: what each does, and how many values it takes at least and at most."""
+"""Functions of an expression, each with its least and largest number of arguments."""
 
 
 @lru_cache(maxsize=1024)
 def _parsed(expression: str) -> ast.expr:
-    """Its syntax tree; a fit asks for the same few thousands of times."""
+    """Syntax tree of an expression, cached because a fit asks for the same ones often."""
     return ast.parse(expression, mode="eval").body
 
 
 def evaluate(expression: float | str, names: Mapping[str, Speed | float], where: str) -> Speed | float:
-    """Value of an arithmetic expression of + - * / **, abs, min, max and sqrt over ``names``; InputError
-    names ``where`` and the culprit."""
+    """Evaluate an arithmetic expression of + - * / **, abs, min, max and sqrt.
+
+    Parameters
+    ----------
+    expression : float or str
+    names : Mapping, value of each name, ndarray (m,), float or interval
+    where : str, place of the expression in errors
+
+    Returns
+    -------
+    ndarray (m,), float or interval
+
+    Raises
+    ------
+    InputError
+        If the expression is malformed; it names ``where`` and the culprit.
+    """
     if not isinstance(expression, str):
         return expression
 
@@ -129,17 +143,23 @@ class DiscreteModel:
 
 
 TABLE_TOLERANCE = 1e-6
-"""Largest error of a tabulated model entry, relative to that entry's largest magnitude over the speed
-range."""
+"""Largest error of a tabulated model entry, relative to its largest magnitude over the speed range."""
 
 
 @dataclass(frozen=True)
 class SpeedTable:
-    """Model entries over speed, as the core tabulates them: ``base`` (n_entries,), cubics ``cell`` (cells,
-    varying, 4) for the entries ``varying``.
+    """Model entries over speed, as the core tabulates them.
 
-    Entries are Ad, B_old, B_new row by row. Cell c of equal width holds a cubic in the position 0..1 within
-    it. ``error`` is the largest relative error found between the table and the exact zero-order hold.
+    Entries are Ad, B_old, B_new row by row. A cell of equal width holds a cubic in the position 0..1 within
+    it.
+
+    Attributes
+    ----------
+    speed_range : tuple[float, float], m/s
+    base : ndarray (n_entries,)
+    varying : ndarray (n_varying,) of int, indices of the entries that vary
+    cell : ndarray (cells, n_varying, 4), coefficients of the cubics
+    error : float, largest relative error against the exact zero-order hold
     """
 
     speed_range: tuple[float, float]
@@ -159,7 +179,7 @@ class SpeedTable:
         return out
 
     def position(self, v: np.ndarray) -> np.ndarray:
-        """Place (m,) of speeds v (m,), clamped to the range, in cells from its low end."""
+        """Position (m,) of speeds v (m,) in cells from the low end, clamped to the range."""
         low, high = self.speed_range
         return (np.clip(v, low, high) - low) / (high - low) * len(self.cell)
 
@@ -167,9 +187,21 @@ class SpeedTable:
 def tabulate(
     entries: Callable[[np.ndarray], np.ndarray], low: float, high: float, cells: int | None = None
 ) -> SpeedTable:
-    """Cubic interpolation of ``entries``, speeds (m,) -> (m, n), at four Chebyshev points a cell.
+    """Interpolate entries over speed by cubics at four Chebyshev points a cell.
 
-    ``cells`` None: as many as needed. A number: so many, and the error is not computed (NaN).
+    Parameters
+    ----------
+    entries : Callable, speeds (m,) -> (m, n)
+    low, high : float, m/s
+    cells : int, optional, by default as many as needed; a given number leaves the error NaN
+
+    Returns
+    -------
+    SpeedTable
+
+    References
+    ----------
+    THEORY 3.1.
     """
     samples = entries(np.linspace(low, high, 101 if cells is None else 2 * cells + 1))
     size = np.abs(samples).max(axis=0)
@@ -188,7 +220,7 @@ def tabulate(
         cell = np.einsum("ij,cjv->cvi", to_cubic, at_nodes)
         if cells is not None:
             break
-        # A few points of a cell refuse most tables; what is told of the one that is kept is the error of all.
+        # A few points of a cell refuse most tables; the kept one is checked at all points.
         for points in (check,) if count == counts[-1] else (check[::8], check):
             exact = entries((left[:, None] + width * points).ravel())[:, varying]
             table = np.einsum("cvi,pi->cpv", cell, np.vander(points, 4, increasing=True))
@@ -202,9 +234,19 @@ def tabulate(
 
 
 def recursion(Ad: np.ndarray, forced: np.ndarray, x_first: np.ndarray) -> np.ndarray:
-    """States (N, n) of x_{k+1} = Ad_k x_k + forced_k from x_first (n,); Ad (N, n, n), forced (N, n).
+    """Run x_{k+1} = Ad_k x_k + forced_k.
 
-    Compiled where possible; the numpy version gives the same bits.
+    The compiled kernel and the numpy version give the same bits.
+
+    Parameters
+    ----------
+    Ad : ndarray (N, n, n)
+    forced : ndarray (N, n)
+    x_first : ndarray (n,)
+
+    Returns
+    -------
+    ndarray (N, n), states
     """
     Ad, forced, x = (np.ascontiguousarray(a, float) for a in (Ad, forced, x_first))
     samples, n = forced.shape
@@ -223,7 +265,7 @@ def recursion(Ad: np.ndarray, forced: np.ndarray, x_first: np.ndarray) -> np.nda
 
 
 def _product(M: np.ndarray, x: np.ndarray) -> np.ndarray:
-    """M x (m, n) of M (m, n, k), x (m, k), summed from the first column on."""
+    """M x (m, n) for M (m, n, k) and x (m, k), summed from the first column on."""
     out = M[:, :, 0] * x[:, :1]
     for j in range(1, x.shape[1]):
         out += M[:, :, j] * x[:, j : j + 1]
@@ -233,7 +275,7 @@ def _product(M: np.ndarray, x: np.ndarray) -> np.ndarray:
 def entries_at(
     model: ModelSettings, v: Speed, where: str
 ) -> tuple[list[list[Speed | float]], list[list[Speed | float]]]:
-    """Entries of A and B, row by row, with ``v`` in place of the speed."""
+    """Entries of A and B, row by row, at speed ``v``."""
     names: dict[str, Speed | float] = {"v": v, **model.parameters}
     for name, expression in model.let.items():
         names[name] = evaluate(expression, names, f"{where}, model.let.{name}")
@@ -248,8 +290,10 @@ def entries_at(
 
 
 def state_space(model: ModelSettings, v: np.ndarray | float, where: str) -> tuple[np.ndarray, np.ndarray]:
-    """A (m, n, n) and B (m, n, n_u) of a project file's model at speeds v (m,) [m/s], in its range or not;
-    ``where``: for errors."""
+    """A (m, n, n) and B (m, n, n_u) of a project file's model at any speeds v (m,) [m/s].
+
+    ``where`` is the model's name in errors.
+    """
     v = np.atleast_1d(np.asarray(v, float))
 
     def filled(entries: list[list[np.ndarray | float]]) -> np.ndarray:
@@ -268,10 +312,18 @@ def state_space(model: ModelSettings, v: np.ndarray | float, where: str) -> tupl
 
 
 class NominalModel:
-    """The nominal LPV model of a project file.
+    """Nominal LPV model of a project file: n states, n_u inputs, n_y outputs.
 
-    n states, n_u inputs, n_y outputs; v [m/s] within ``speed_range``; matrices in the units of the signal
-    table.
+    Matrices have the units of the signal table; speeds [m/s] lie within ``speed_range``.
+
+    Parameters
+    ----------
+    project : Project
+
+    Raises
+    ------
+    InputError
+        If the model is unstable or not finite somewhere in its speed range.
     """
 
     def __init__(self, project: Project):
@@ -297,9 +349,10 @@ class NominalModel:
 
         Ad, Bd, Gd are the zero-order hold of A, B and of an input on every state. The bounds are rigorous up
         to rounding. The exponential's power series has positive coefficients. Bounds of A, B and their Taylor
-        coefficients in v therefore bound those of the hold. InputError when an entry has a fractional
-        exponent, a kink of abs, min or max between low and high, or a denominator or root whose bounds
-        contain 0.
+        coefficients in v therefore bound those of the hold.
+
+        Raises InputError when an entry has a fractional exponent, a kink of abs, min or max between low and
+        high, or a denominator or root whose bounds contain 0.
         """
         n, width = self.n, 2 * self.n + self.n_u
         bounds = np.zeros((COEFFICIENTS, width, width))
@@ -356,12 +409,11 @@ class NominalModel:
 
     @property
     def settle_samples(self) -> int:
-        """Samples until the initial state has decayed by e^-5, at the slowest pole of the range (THEORY
-        3.2)."""
+        """Samples until the initial state has decayed by e^-5 at the slowest pole (THEORY 3.2)."""
         return int(np.ceil(5.0 / self.slowest_pole / self.Ts))
 
     def require_speed(self, v: float) -> None:
-        """InputError when v [m/s] is outside the speed range."""
+        """Raise InputError when v [m/s] is outside the speed range."""
         low, high = self.speed_range
         if not low <= v <= high:
             raise InputError(
@@ -395,13 +447,15 @@ class NominalModel:
         return self.C @ np.linalg.solve(z * np.eye(self.n) - d.Ad[0], numerator)
 
     def dc_gain(self, v: np.ndarray) -> np.ndarray:
-        """Steady outputs per constant input, (m, n_y, n_u), at frozen speeds v (m,) [m/s], less offsets."""
+        """Steady outputs per constant input (m, n_y, n_u) at frozen speeds v (m,) [m/s], without offsets."""
         A, B = self.matrices(v)
         return -(self.C @ np.linalg.solve(A, B))
 
     def acting_inputs(self, u: np.ndarray, before: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
-        """The inputs u_{k-d-1} and u_{k-d} that act during step k, offset removed: (N, n_u) each, from u (N,
-        n_u). ``before`` (delay + 1, n_u): the inputs before u[0] (None: all equal to it)."""
+        """Inputs u_{k-d-1} and u_{k-d} (N, n_u) that act during step k, without offset, from u (N, n_u).
+
+        ``before`` (delay + 1, n_u) holds the inputs before u[0]; by default they equal u[0].
+        """
         u = np.asarray(u, float)
         du = u - self.input_offset
         earlier = np.repeat(u[:1], self.delay + 1, axis=0) if before is None else before
@@ -409,17 +463,19 @@ class NominalModel:
         return past[: len(du)], past[1 : len(du) + 1]
 
     def simulate(self, v: np.ndarray, u: np.ndarray, y_first: np.ndarray) -> np.ndarray:
-        """Nominal output yhat (N, n_y) along a drive: v (N,) [m/s], u (N, n_u), started at the measured
-        y_first (n_y,).
+        """Nominal output yhat (N, n_y) for v (N,) [m/s], u (N, n_u), from the measured y_first (n_y,).
 
-        Before the first sample the input is taken as constant. The initial state is the least one with that
-        output. Runs on the speed table, so that identification sees the model that the core runs.
+        Before the first sample the input is constant. The initial state is the least one with that output.
+        The model runs on the speed table, as in the core.
         """
         return RunningModel(self, y_first).run(v, u)
 
     def states(self, v: np.ndarray, older: np.ndarray, newer: np.ndarray, first: np.ndarray) -> np.ndarray:
-        """States (N + 1, n) along speeds v (N,) from ``first`` (n,), under the `acting_inputs` (N, n_u) each,
-        by the speed table. Compiled where possible; the numpy version gives the same bits."""
+        """States (N + 1, n) along speeds v (N,) from ``first`` (n,), by the speed table.
+
+        The inputs are the `acting_inputs`, (N, n_u) each. The compiled kernel and the numpy version give the
+        same bits.
+        """
         table = self.table
         if lib := native.kernels("recursion"):
             states = np.empty((len(v) + 1, self.n))
@@ -439,7 +495,7 @@ class NominalModel:
 
     @cached_property
     def table(self) -> SpeedTable:
-        """The entries over speed that identification and the core run on."""
+        """Entries over speed, used by identification and the core."""
         return _table_of(_ByText(f"{self.Ts} {self._settings.model_dump_json()}", self))
 
     def discrete_entries(self, v: np.ndarray) -> np.ndarray:
@@ -465,7 +521,7 @@ class NominalModel:
 
 @dataclass(frozen=True)
 class _ByText:
-    """A model that counts as the one with the same ``text``, which says all that its table depends on."""
+    """A model compared by ``text``, which determines its table."""
 
     text: str
     model: NominalModel = field(compare=False)
@@ -473,15 +529,20 @@ class _ByText:
 
 @lru_cache(maxsize=16)
 def _table_of(one: _ByText) -> SpeedTable:
-    """Made once for all models of a project: it takes most of the time in which one is made."""
+    """Speed table, cached for all models of a project because it is the costly part."""
     return tabulate(one.model.discrete_entries, *one.model.speed_range)
 
 
 class RunningModel:
-    """The nominal model along a drive that comes in one or several pieces."""
+    """Nominal model along a drive that comes in one or several pieces.
+
+    Parameters
+    ----------
+    model : NominalModel
+    y_first : ndarray (n_y,), measured output; the run starts at the least state with it
+    """
 
     def __init__(self, model: NominalModel, y_first: np.ndarray):
-        """Started at the measured ``y_first`` (n_y,), with the least state that has that output."""
         self._model = model
         self._x = model.least_state_of_output @ (np.asarray(y_first, float) - model.output_offset)
         self._before: np.ndarray | None = None

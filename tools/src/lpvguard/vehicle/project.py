@@ -1,7 +1,7 @@
-"""Project files: one vehicle = one TOML file, validated on load.
+"""Project files: one vehicle is one TOML file, validated on load.
 
-The signal table of the project file is the only place where names, units, signs, ranges and CAN places of
-signals stand; ``SignalTable`` order is: scheduling, inputs, outputs, gates.
+Its signal table alone states names, units, signs, ranges and CAN places of signals. Signals have the order
+scheduling, inputs, outputs, gates.
 """
 
 from __future__ import annotations
@@ -19,15 +19,20 @@ from ..base.errors import InputError
 from .design_settings import DesignSettings
 
 NAME = r"^[a-z][a-z0-9_]*$"
-"""What a vehicle's or a signal's name may be: identifiers in C are made of it."""
+"""Pattern of a vehicle's or a signal's name, from which identifiers in C are made."""
 
 
 class CanPlace(StrictModel):
-    """Message and signal of the bus that carry a signal: bus value = factor * value, in the bus signal's
-    unit.
+    """Place of a signal on the bus: bus value = factor * value, in the bus signal's unit.
 
-    The bus is ours, of the CAN catalogue, or the car's own (``[can]``). The bus value is the sum of
-    ``signal`` and of the signals in ``plus``, of the same message."""
+    The message is ours, of the CAN catalogue, or the car's own (``[can]``).
+
+    Attributes
+    ----------
+    message, signal : str, names on the bus
+    factor : float, bus value per value
+    plus : tuple of str, signals of the message that are added to ``signal``
+    """
 
     message: str
     signal: str
@@ -42,7 +47,7 @@ class CanPlace(StrictModel):
 
     @model_serializer(mode="wrap")
     def _brief(self, plain: SerializerFunctionWrapHandler) -> dict[str, object]:
-        """Without ``plus`` where there is nothing in it, as settings were stored before there was one."""
+        """Leave out an empty ``plus``, which older settings lack."""
         return {key: value for key, value in plain(self).items() if key != "plus" or value}
 
 
@@ -63,11 +68,15 @@ Checksum = Literal[
 
 
 class OwnMessage(StrictModel):
-    """How a message of the car's own bus is watched.
+    """Supervision of a message of the car's own bus.
 
-    ``period_ms``: by default the database's cycle time. ``checksum``: its name. ``data_id``: of an AUTOSAR
-    profile; profiles 2 and 22 have a list of 16. ``checksum_signal``, ``counter``: the signals that hold
-    them, by default the ones called CHECKSUM and COUNTER, and where there are none the profile's place.
+    Attributes
+    ----------
+    period_ms : int or None, by default the database's cycle time
+    checksum : str or None, its name
+    data_id : int, list of int or None, of an AUTOSAR profile; profiles 2 and 22 have a list of 16
+    checksum_signal, counter : str or None
+        By default the signals CHECKSUM and COUNTER, else the profile's place.
     """
 
     period_ms: Annotated[int, Field(ge=1, le=10_000)] | None = None
@@ -78,10 +87,12 @@ class OwnMessage(StrictModel):
 
 
 class OwnBus(StrictModel):
-    """The car's own bus: where its messages are described, and how they are watched; no part of what an
-    identification was made with.
+    """The car's own bus; no part of what an identification was made with.
 
-    ``dbc``: CAN database, beside the project file. The messages of the signals' ``can`` are taken from it.
+    Attributes
+    ----------
+    dbc : str, CAN database beside the project file, which describes the messages
+    messages : dict[str, OwnMessage], supervision of each message
     """
 
     dbc: str
@@ -89,11 +100,19 @@ class OwnBus(StrictModel):
 
 
 class Signal(StrictModel):
-    """One measured signal; ``min`` and ``max`` bound what is physically possible, in ``unit``.
+    """One measured signal.
 
-    Those of a gate (a gear, a lateral acceleration) bound what the model is meant for. A sample outside is
-    missing. ``resolution``, ``noise``: the step of an output's sensor and its white noise's standard
-    deviation, in ``unit``; None: as the bound-setting drives show them (THEORY 7.13)."""
+    Attributes
+    ----------
+    name, column, unit : str
+    role : str, scheduling, input, output or gate
+    positive : str, direction of positive values
+    min, max : float, physical limits in ``unit``; those of a gate bound the model's use
+        A sample outside counts as missing.
+    can : CanPlace or None
+    resolution, noise : float or None, step and white-noise deviation of an output's sensor in ``unit``
+        By default as the bound-setting drives show them (THEORY 7.13).
+    """
 
     name: Annotated[str, Field(pattern=NAME)]
     role: Literal["scheduling", "input", "output", "gate"]
@@ -116,13 +135,27 @@ class Signal(StrictModel):
 
     @model_serializer(mode="wrap")
     def _brief(self, plain: SerializerFunctionWrapHandler) -> dict[str, object]:
-        """Without what is not stated of the sensor, as settings were stored before it could be."""
+        """Leave out unstated sensor data, which older settings lack."""
         return {k: v for k, v in plain(self).items() if k not in ("resolution", "noise") or v is not None}
 
 
 class ModelSettings(StrictModel):
-    """Continuous-time nominal model; entries of A and B are numbers or expressions in v, the parameters and
-    ``let``, of + - * / ** and abs, min, max, sqrt."""
+    """Continuous-time nominal model.
+
+    Entries of A and B are numbers or expressions in v, the parameters and ``let``, of + - * / ** and abs,
+    min, max, sqrt.
+
+    Attributes
+    ----------
+    input_delay_s : float, s
+    speed_min_mps, speed_max_mps : float, m/s
+    input_offset, output_offset : list of float or None
+    A : list (n, n) of float or str
+    B : list (n, n_u) of float or str
+    C : list (n_y, n) of float
+    parameters : dict[str, float], values by name
+    let : dict[str, str], expressions by name
+    """
 
     input_delay_s: Annotated[float, Field(ge=0)] = 0.0
     speed_min_mps: Positive
@@ -137,11 +170,19 @@ class ModelSettings(StrictModel):
 
 
 class FrameSettings(StrictModel):
-    """The estimator (THEORY 3.2, 3.3).
+    """Settings of the estimator (THEORY 3.2, 3.3).
 
-    ``hann``: constant-Q Hann frames of ``periods`` periods, ``bins_per_decade``. ``dft``: the paper's plain
-    DFT, one rectangular frame of ``length_s`` per experiment, driven at constant speed, every line from
-    f_min_hz to f_max_hz; for analysis only.
+    Attributes
+    ----------
+    estimator : str
+        ``hann``: constant-Q Hann frames. ``dft``: the paper's plain DFT, every line of one frame an
+        experiment.
+    length_s : float or None, s, length of the frame of ``dft``
+    periods : int, periods in a Hann frame
+    bins_per_decade : int
+    f_min_hz, f_max_hz : float, Hz
+    hop_per_frame : int, hops in a frame
+    speed_tolerance : float, relative change of speed within a frame
     """
 
     estimator: Literal["hann", "dft"] = "hann"
@@ -161,7 +202,13 @@ class FrameSettings(StrictModel):
 
 
 class NuCeiling(StrictModel):
-    """Ceiling on the uncertainty bound over frequency (THEORY 5.1): ``nu`` at ``f_hz`` [Hz]."""
+    """Ceiling on the uncertainty bound over frequency (THEORY 5.1).
+
+    Attributes
+    ----------
+    f_hz : list of float, Hz
+    nu : list of float, ceiling at f_hz
+    """
 
     f_hz: list[Positive]
     nu: list[Positive]
@@ -175,18 +222,23 @@ class NuCeiling(StrictModel):
         return self
 
     def at(self, f_hz: np.ndarray) -> np.ndarray:
-        """Ceiling at frequencies ``f_hz`` [Hz], in the same shape as f_hz: linear in log f, constant outside;
-        0 at DC."""
+        """Ceiling (F,) at ``f_hz`` (F,) [Hz]: linear in log f, constant outside; 0 at DC."""
         f = np.asarray(f_hz, float)
         safe = np.where(f > 0, f, self.f_hz[0])
         return np.where(f > 0, np.interp(np.log(safe), np.log(self.f_hz), self.nu), 0.0)
 
 
 class BoundSettings(StrictModel):
-    """Bounds (THEORY 5): structure of the uncertainty (THEORY 4.1: S0 none, S1 one Delta common to all
-    outputs, S1_diagonal one an output), set of the disturbance. ``nu_ceiling``: the share of the error that
-    is given to uncertainty, as the paper sets it; None: W_delta is the band of the model error of all drives
-    (THEORY 7.15), and the frame test has a healthy set of its own (7.16)."""
+    """Settings of the bounds (THEORY 5).
+
+    Attributes
+    ----------
+    structure : str, S0 (no Delta), S1 (one Delta for all outputs) or S1_diagonal (one an output), THEORY 4.1
+    disturbance_set : str, the paper's set, or one that covers the record
+    nu_ceiling : NuCeiling, optional
+        Ceiling on the uncertainty bound, as the paper sets it. By default W_delta is the band of the model
+        error (THEORY 7.15), and the frame test has a healthy set of its own (THEORY 7.16).
+    """
 
     structure: Literal["S0", "S1", "S1_diagonal"] = "S1"
     disturbance_set: Literal["paper", "covering"] = "covering"
@@ -194,10 +246,14 @@ class BoundSettings(StrictModel):
 
 
 class Beyond(StrictModel):
-    """What is assumed of an output where no drive tells (THEORY 7.6).
+    """Assumption on an output where no drive informs (THEORY 7.6).
 
-    ``ratio``: bound on |G/P|, true over nominal response, a number or an expression in omega [rad/s]; at
-    least 1. ``reason``: why, in words."""
+    Attributes
+    ----------
+    output : str
+    ratio : float or str, bound on |G/P|, at least 1: a number or an expression in omega [rad/s]
+    reason : str
+    """
 
     output: str
     ratio: float | str
@@ -205,12 +261,14 @@ class Beyond(StrictModel):
 
 
 class ModelErrorSettings(StrictModel):
-    """The model error model (THEORY 7.6).
+    """Settings of the model error model (THEORY 7.6).
 
-    ``amplitude_edges``: between the classes of a frame's amplitude, sqrt(2) times the first input's rms
-    [input unit]. ``speed_cells``: of equal width over the model's speed range, pooled where a line in speed
-    fits. ``instrument``: a column of the drives that excites from outside the loop, as a command does; None:
-    the nominal output stands for it.
+    Attributes
+    ----------
+    amplitude_edges : list of float, between the classes of sqrt(2) times the first input's rms [input unit]
+    speed_cells : int, cells of equal width over the model's speed range, pooled where a line in speed fits
+    instrument : str or None, column that excites from outside the loop, by default the nominal output
+    beyond : list of Beyond
     """
 
     amplitude_edges: list[Positive] = Field(default=[])
@@ -226,18 +284,28 @@ class ModelErrorSettings(StrictModel):
 
 
 class WeightSettings(StrictModel):
-    """Fits of the weights: largest order, and tolerance above the least worst ratio [dB]."""
+    """Settings of the weight fits.
+
+    Attributes
+    ----------
+    max_order : int, largest order
+    tolerance_db : float, dB above the least worst ratio
+    """
 
     max_order: Annotated[int, Field(ge=0, le=8)] = 4
     tolerance_db: Positive = 0.3
 
 
 class FrameTestSettings(StrictModel):
-    """Frame test (THEORY 7.1).
+    """Settings of the frame test (THEORY 7.1).
 
-    ``confirm`` exceedances among the last ``of_last`` frames of a bin make an alarm. ``alpha``: the rate of
-    false alarms that calibration aims at. ``excited_std``: a sample is excited where the first input's
-    standard deviation over 10 s is above this, in the input's unit.
+    Attributes
+    ----------
+    confirm : int, exceedances that make an alarm
+    of_last : int, frames of a bin among which they are counted
+    alpha : float, false-alarm rate that calibration aims at
+    excited_std : float
+        The first input's least standard deviation over 10 s in an excited sample [input unit].
     """
 
     confirm: Annotated[int, Field(ge=1, le=8)] = 1
@@ -253,25 +321,41 @@ class FrameTestSettings(StrictModel):
 
 
 class EnergyTestSettings(StrictModel):
-    """The energy test (THEORY 7.2). ``band_hz``: the corners between its bands, two to seven that rise, by
-    default the frames' f_min_hz and f_max_hz, which make three bands. ``memory_s``: time constant of the
-    forgetting, by default one period of f_min_hz."""
+    """Settings of the energy test (THEORY 7.2).
+
+    Attributes
+    ----------
+    band_hz : tuple of float or None, Hz
+        Two to seven rising corners, by default the frames' f_min_hz and f_max_hz.
+    memory_s : float or None, s, time constant of the forgetting, by default one period of f_min_hz
+    """
 
     band_hz: Annotated[tuple[Positive, ...], Field(min_length=2, max_length=7)] | None = None
     memory_s: Positive | None = None
 
 
 class ChangeTestSettings(StrictModel):
-    """The change test (THEORY 7.7). ``memory_s``: time constant of the forgetting, by default a quarter of a
-    period of f_min_hz, two blocks at least."""
+    """Settings of the change test (THEORY 7.7).
+
+    Attributes
+    ----------
+    memory_s : float or None, s, time constant of the forgetting
+        By default a quarter of a period of f_min_hz, at least two blocks.
+    """
 
     memory_s: Positive | None = None
 
 
 class DataSettings(StrictModel):
-    """Which splits set the bounds, which are zero-input runs (W_n), and what `generate` makes; all other
-    splits calibrate. ``command_split``: the bound-setting splits whose input is a command as in use, from
-    which W_C is (None: all of them)."""
+    """Roles of the splits, and the data generator; all other splits calibrate.
+
+    Attributes
+    ----------
+    bound_split : list of str, splits that set the bounds
+    command_split : list of str or None, those of bound_split with commands as in use, for W_C; by default all
+    noise_split : list of str, zero-input runs, for W_n
+    generator : str or None, what `generate` makes
+    """
 
     bound_split: list[str]
     command_split: list[str] | None = None
@@ -280,7 +364,7 @@ class DataSettings(StrictModel):
 
     @property
     def command_splits(self) -> list[str]:
-        """The splits that W_C is from."""
+        """Splits that W_C comes from."""
         return self.bound_split if self.command_split is None else self.command_split
 
     @model_validator(mode="after")
@@ -297,13 +381,17 @@ Range = Annotated[list[float], Field(min_length=2, max_length=2)]
 
 
 class FitSettings(StrictModel):
-    """What `fit` looks for, and where. Of these settings nothing but the fit is computed: they are no part of
-    what an identification was made with.
+    """Settings of `fit`; no part of what an identification was made with.
 
-    ``parameters``: range of each fitted entry of model.parameters; by default all entries, from a fifth to
-    five times their value. ``input_delay_s``: range of the delay [s], by default from 0 to ten samples or
-    three times its value, at most 1 s; equal ends keep it. Offsets are fitted where the model gives them.
-    ``trim``: one input_offset for all drives, or one a drive, of which the mean is written.
+    Offsets are fitted where the model gives them.
+
+    Attributes
+    ----------
+    parameters : dict or None
+        Range of each fitted entry, by default all, from a fifth to five times their value.
+    input_delay_s : (low, high) or None, s, at most 1 s; equal ends keep the delay
+        By default 0 to ten samples or three times the value.
+    trim : str, one input_offset for all drives, or one a drive, of which the mean is written
     """
 
     parameters: dict[str, Range] | None = None
@@ -321,18 +409,25 @@ class FitSettings(StrictModel):
 
 
 Way = Literal["step", "ramp", "start"]
-"""How `evaluate` lets a fault come (evaluate/detection.py)."""
+"""Ways in which `evaluate` lets a fault begin (evaluate/detection.py)."""
 
 
 class EvaluationSettings(StrictModel):
-    """Which faults `evaluate` injects, and when; no part of what an identification was made with.
+    """Faults that `evaluate` injects, and when; no part of what an identification was made with.
 
-    Faults begin ``fault_from_s`` after a drive's start or later, at ``starts`` instants of each drive that is
-    longer than ``shortest_drive_s``, and count as found within ``found_within_s`` of judged, excited driving.
-    ``gains``: factors on the outputs; ``delays_s``: of the input and of the outputs; ``bias``: on every
-    output, in its unit, or ``bias_of_spread`` of the output's own spread, the standard deviation within the
-    bound-setting drives. ``ways``: in which they come: at once, growing for ``ramp_s``, or there from the
-    drive's first sample.
+    Attributes
+    ----------
+    fault_from_s : float, s, earliest begin of a fault in a drive
+    shortest_drive_s : float, s, drives must be longer
+    found_within_s : float, s of judged, excited driving within which a fault counts as found
+    starts : int, instants per drive
+    gains : tuple of float, factors on the outputs
+    delays_s : tuple of float, s, of the input and of the outputs
+    bias : float or None, on every output, in its unit
+    bias_of_spread : float
+        Bias by default, as a share of the output's standard deviation in bound-setting drives.
+    ways : tuple of str, at once, growing for ``ramp_s``, or from the drive's first sample
+    ramp_s : float, s
     """
 
     fault_from_s: Annotated[float, Field(ge=0)] = 60.0
@@ -356,8 +451,8 @@ class EvaluationSettings(StrictModel):
 
 
 class AdviceSettings(StrictModel):
-    """What to check where a cause of alarms is found, in words; one text, or one an output. No part of what
-    an identification was made with."""
+    """Advice on each cause of alarms, one text or one an output; no part of what an identification was made
+    with."""
 
     gain: str | dict[str, str] | None = None
     delay: str | dict[str, str] | None = None
@@ -367,13 +462,36 @@ class AdviceSettings(StrictModel):
     noise: str | dict[str, str] | None = None
 
     def of(self, cause: str, output: str) -> str | None:
-        """The advice on a cause that an output has; None without any."""
+        """Advice on a cause at an output; None without any."""
         text = getattr(self, cause, None)
         return text.get(output) if isinstance(text, dict) else text
 
 
 class Project(StrictModel):
-    """A vehicle's project file."""
+    """Project file of a vehicle.
+
+    Attributes
+    ----------
+    schema_ : int, version of the format
+    name, title : str
+    Ts_s : float, s, sample period
+    seed : int
+    signals : list of Signal
+    model : ModelSettings
+    frames : FrameSettings
+    bounds : BoundSettings
+    model_error : ModelErrorSettings
+    weights : WeightSettings
+    frame_test : FrameTestSettings
+    energy_test : EnergyTestSettings
+    change_test : ChangeTestSettings
+    data : DataSettings
+    design : DesignSettings or None
+    can : OwnBus or None
+    fit : FitSettings
+    evaluation : EvaluationSettings
+    advice : AdviceSettings
+    """
 
     schema_: Literal[1] = Field(alias="schema")
     name: Annotated[str, Field(pattern=NAME)]
@@ -442,14 +560,13 @@ class Project(StrictModel):
         return self
 
     def _require_own_bus(self, bus: OwnBus) -> None:
-        """Every message that ``[can]`` watches carries a signal of the table."""
+        """Require that every message of ``[can]`` carries a signal of the table."""
         used = {s.can.message for s in self.signals if s.can is not None}
         if unknown := sorted(set(bus.messages) - used):
             raise ValueError(f"can.messages: {', '.join(unknown)} in no signal's can.message")
 
     def _require_vehicle_of_fig1(self, design: DesignSettings) -> None:
-        """Identification and monitor take any sizes; what Fig. 1 draws, and design makes a controller for, is
-        one vehicle."""
+        """Require the sizes of Fig. 1 for a design; identification and monitor take any."""
         first_two = [[float(i == j) for j in range(len(self.model.A))] for i in range(2)]
         if self.gates:
             names = ", ".join(s.name for s in self.gates)
@@ -489,7 +606,7 @@ class Project(StrictModel):
 
     @property
     def gates(self) -> list[Signal]:
-        """Signals within whose range the model is meant, in the order of the file."""
+        """Signals that bound the model's use, in the order of the file."""
         return self.of_role("gate")
 
     @property
@@ -509,12 +626,12 @@ class Project(StrictModel):
 
     @property
     def n_delta(self) -> int:
-        """Number of uncertainty blocks Delta: one an output in class S1_diagonal, else one common to all."""
+        """Number of uncertainty blocks Delta: one an output for S1_diagonal, else one."""
         return self.n_y if self.bounds.structure == "S1_diagonal" else 1
 
 
 def shipped_vehicles() -> list[str]:
-    """Names of the vehicles that come with the package."""
+    """Names of the package's vehicles."""
     return sorted(
         p.name.removesuffix(".toml")
         for p in resources.files(__package__).joinpath("shipped").iterdir()
@@ -525,7 +642,18 @@ def shipped_vehicles() -> list[str]:
 def load_project(vehicle: str | Path) -> Project:
     """Load a project file by shipped name or by path.
 
-    Raises InputError naming the file, the field and what was expected.
+    Parameters
+    ----------
+    vehicle : str or Path
+
+    Returns
+    -------
+    Project
+
+    Raises
+    ------
+    InputError
+        If the file is refused; it names the file, the field and what was expected.
     """
     path = Path(vehicle)
     if path.suffix == ".toml" or path.is_file():
@@ -543,7 +671,7 @@ def load_project(vehicle: str | Path) -> Project:
 
 
 def _parsed(document: dict, folder: Path, where: str) -> Project:
-    """The project of a file in ``folder``, from where it names its CAN database."""
+    """Project of a file in ``folder``, where its CAN database lies."""
     project = parse_project(document, where)
     if project.can is None:
         return project
@@ -552,5 +680,20 @@ def _parsed(document: dict, folder: Path, where: str) -> Project:
 
 
 def parse_project(document: object, where: str) -> Project:
-    """Validate a project document; InputError names ``where``, the field and what was expected."""
+    """Validate a project document.
+
+    Parameters
+    ----------
+    document : object
+    where : str, the document's name in errors
+
+    Returns
+    -------
+    Project
+
+    Raises
+    ------
+    InputError
+        If a field is refused; it names ``where``, the field and what was expected.
+    """
     return checked(Project, document, "a project file as project.py describes", where)

@@ -20,19 +20,19 @@ COEFFICIENTS = 3
 
 @dataclass(frozen=True)
 class Taylor:
-    """low <= [f, f', f''/2] <= high, (3,) each."""
+    """Enclosure low <= [f, f', f''/2] <= high, (3,) each."""
 
     low: np.ndarray
     high: np.ndarray
 
     @classmethod
     def variable(cls, low: float, high: float) -> Taylor:
-        """The variable itself on [low, high]."""
+        """The variable on [low, high]."""
         return cls(np.array([low, 1.0, 0.0]), np.array([high, 1.0, 0.0]))
 
     @classmethod
     def of(cls, value: Taylor | float) -> Taylor:
-        """``value`` itself, or a number as a constant function."""
+        """``value``, or a number as a constant function."""
         if isinstance(value, Taylor):
             return value
         constant = np.array([float(value), 0.0, 0.0])
@@ -112,7 +112,7 @@ class Taylor:
 
 
 def greatest(one: Taylor | float, other: Taylor | float) -> Taylor:
-    """The larger of two. TypeError where the interval may hold the kink at which they change places."""
+    """Larger of two. Raises TypeError where the interval may hold a kink."""
     one, other = Taylor.of(one), Taylor.of(other)
     if one.low[0] >= other.high[0]:
         return one
@@ -122,7 +122,7 @@ def greatest(one: Taylor | float, other: Taylor | float) -> Taylor:
 
 
 def least(one: Taylor | float, other: Taylor | float) -> Taylor:
-    """The smaller of two. TypeError as of ``greatest``."""
+    """Smaller of two. Raises TypeError where the interval may hold a kink."""
     return -greatest(-Taylor.of(one), -Taylor.of(other))
 
 

@@ -1,6 +1,8 @@
-"""The paper's nominal truck at one frozen speed, any speed and wheelbase: continuous, exact zero-order hold,
-frequency response. Equations and Table I stand in vehicle/shipped/truck.toml, with the brakes' lag as a last
-state; here the input is the brake pressure itself, as in the paper.
+"""The paper's nominal truck at a frozen speed, for any speed and wheelbase.
+
+It gives the continuous model, the exact zero-order hold and the frequency response. Equations and Table I
+stand in vehicle/shipped/truck.toml, with the brakes' lag as a last state. Here the input is the brake
+pressure, as in the paper.
 
 The state is ``[r, delta, delta_dot]``: yaw rate [rad/s], road-wheel angle [rad], its rate [rad/s]. The input
 is the brake pressure difference [bar], right minus left. The outputs are ``[r, delta]``; left is positive.
@@ -33,10 +35,27 @@ def _positive(value: float, name: str, unit: str) -> float:
 
 
 def continuous(speed_mps: float, wheelbase_m: float) -> tuple[np.ndarray, np.ndarray]:
-    """State matrix A(v) (3, 3) and input matrix B (3, 1) of section IV.
+    """Return A(v) and B of the truck's continuous model.
 
-    Raises InputError for a speed or wheelbase that is not finite and positive, and for a speed at which the
-    model is unstable. The paper's parameters turn unstable at high speed. Both errors name the speed.
+    The paper's parameters turn unstable at high speed.
+
+    Parameters
+    ----------
+    speed_mps : float, m/s
+    wheelbase_m : float, m
+
+    Returns
+    -------
+    tuple of ndarray (3, 3) and (3, 1)
+
+    Raises
+    ------
+    InputError
+        If a value is not finite and positive, or the model is unstable at the speed.
+
+    References
+    ----------
+    Paper, section IV.
     """
     v = _positive(speed_mps, "v", "m/s")
     length = _positive(wheelbase_m, "wheelbase", "m")
@@ -52,7 +71,18 @@ def continuous(speed_mps: float, wheelbase_m: float) -> tuple[np.ndarray, np.nda
 
 
 def zoh(speed_mps: float, wheelbase_m: float, ts_s: float) -> tuple[np.ndarray, np.ndarray]:
-    """Exact zero-order hold: A_d (3, 3) and B_d (3, 1), by one exponential of the augmented matrix."""
+    """Discretise the truck exactly by zero-order hold, with one exponential of the augmented matrix.
+
+    Parameters
+    ----------
+    speed_mps : float, m/s
+    wheelbase_m : float, m
+    ts_s : float, s
+
+    Returns
+    -------
+    tuple of A_d, ndarray (3, 3), and B_d, ndarray (3, 1)
+    """
     a, b = continuous(speed_mps, wheelbase_m)
     ts = _positive(ts_s, "Ts", "s")
     phi = expm(np.block([[a, b], [np.zeros((1, 4))]]) * ts)
@@ -60,10 +90,23 @@ def zoh(speed_mps: float, wheelbase_m: float, ts_s: float) -> tuple[np.ndarray, 
 
 
 def frequency_response(speed_mps: float, wheelbase_m: float, ts_s: float, omega_rad_s) -> np.ndarray:
-    """G(e^{j omega Ts}) of the zero-order-hold model: complex, shape of ``omega_rad_s`` + (2,), rad/s and rad
-    per bar.
+    """Return G(e^{j omega Ts}) of the zero-order-hold model.
 
-    Frequencies above Nyquist are refused: there the sampled model only repeats itself.
+    Parameters
+    ----------
+    speed_mps : float, m/s
+    wheelbase_m : float, m
+    ts_s : float, s
+    omega_rad_s : array_like (...), rad/s
+
+    Returns
+    -------
+    ndarray (..., 2) of complex, rad/s and rad per bar
+
+    Raises
+    ------
+    InputError
+        If a frequency is above Nyquist, where the sampled model repeats itself.
     """
     a_d, b_d = zoh(speed_mps, wheelbase_m, ts_s)
     omega = np.asarray(omega_rad_s, dtype=float)

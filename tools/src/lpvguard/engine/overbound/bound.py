@@ -1,7 +1,8 @@
-"""A bound as its samples: checked, without bins that have no data, in units near one.
+"""A bound by its samples: checked, without bins that have no data, in units near one.
 
 Between samples the bound is linear in (ln w, ln bound). Below the first sample and above the last it is
-constant."""
+constant.
+"""
 
 from __future__ import annotations
 
@@ -22,9 +23,9 @@ class SampledBound:
     """A checked bound, without its NaN samples: ``omega`` (K,) in rad/s, ``bound`` (K,) over ``level``.
 
     ``unit`` and ``level`` are powers of two near the middle of omega and bound, so the change of units is
-    exact. With y = (w/unit)^2, powers of y and squares of the bound stay in range.
-    ``without_data``: frequencies (rad/s) of NaN samples. ``floored``: frequencies (rad/s) where the floor
-    replaced a smaller bound.
+    exact. With y = (w/unit)^2, powers of y and squares of the bound stay in range. ``without_data``:
+    frequencies (rad/s) of NaN samples. ``floored``: frequencies (rad/s) where the floor replaced a smaller
+    bound.
     """
 
     omega: np.ndarray

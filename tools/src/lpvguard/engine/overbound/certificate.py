@@ -1,19 +1,20 @@
-"""The proof that a weight lies above a bound, from the weight's coefficients alone (T10).
+"""Proof that a weight lies above a bound, from the weight's coefficients alone (T10).
 
 A grid proves nothing between its points, so the proof goes piece by piece. With y = w^2, |W|^2 = N(y)/D(y)
 for polynomials N and D. On one piece bound^2 = c y^q with a real q, which is no polynomial. But y^q is
-convex (q <= 0 or q >= 1) or concave (0 < q < 1). So a straight line L lies above it on [a, b]: the chord
+convex (q <= 0 or q >= 1) or concave (0 < q < 1). A straight line L lies above it on [a, b]: the chord
 where it is convex, a tangent where it is concave.
 
-N - r^2 L D is then a polynomial. If all its Bernstein coefficients on [a, b] are >= 0, so is the
-polynomial, because it is a convex combination of them. Then |W| >= r bound on [a, b]. Where a coefficient
-is negative the interval is halved. L and the Bernstein coefficients converge quadratically, so the search
-ends. [0, w_1] is such a piece with q = 0; [w_K, inf) becomes one in 1/y.
+N - r^2 L D is then a polynomial. If all its Bernstein coefficients on [a, b] are >= 0, the polynomial is >=
+0, because it is a convex combination of them. Then |W| >= r bound on [a, b]. Where a coefficient is negative
+the interval is halved. L and the Bernstein coefficients converge quadratically, so the search ends. [0, w_1]
+is a piece with q = 0; [w_K, inf) becomes one in 1/y.
 
-The coefficients of N and D follow from those of W in rational arithmetic. The rounding error of the rest is
+The coefficients of N and D follow from those of W in rational arithmetic. All other rounding errors are
 subtracted (up to one rounding of the frequency). A proved ratio is 5e-10 below the one attained: a weight
 that merely touches its bound is not accepted. Routh's array in rational arithmetic decides stability and
-minimum phase. The same search with N and D exchanged bounds the worst ratio from above."""
+minimum phase. The same search with N and D exchanged bounds the worst ratio from above.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +31,7 @@ from .bound import SampledBound
 from .weight import Weight
 
 _PROOF_MARGIN = 1e-9
-"""Relative, on |W|^2: a proved ratio is this much below the one attained."""
+"""Relative margin, on |W|^2, of a proved ratio below the one attained."""
 
 _PATIENCE = 18
 """Halvings beyond which the margin grows four times with each, because rounding stops the proof."""
@@ -43,11 +44,16 @@ _ROUNDING = 1e-13
 
 @dataclass(frozen=True)
 class Certificate:
-    """What :func:`verify_overbound` proved about a weight and a bound.
+    """Proved facts about a weight and a bound.
 
-    ``min_ratio`` <= |W|/bound <= ``max_ratio`` for all 0 <= w <= ``omega_max``. ``*_at`` (rad/s) is where the
-    extreme is attained within 1e-9. ``omega_max`` is inf, or the last sample when W is strictly proper.
-    ``intervals``: Bernstein tests made. ``without_data``: frequencies of NaN samples, bridged by the bound.
+    Attributes
+    ----------
+    ok, stable, minimum_phase : bool
+    min_ratio, max_ratio : float, min_ratio <= |W|/bound <= max_ratio for all 0 <= w <= omega_max
+    min_ratio_at, max_ratio_at : float, rad/s, where the extreme is attained within 1e-9
+    omega_max : float, rad/s, inf, or the last sample when W is strictly proper
+    intervals : int, Bernstein tests made
+    without_data : tuple of float, rad/s, frequencies of NaN samples, bridged by the bound
     """
 
     ok: bool
@@ -70,10 +76,28 @@ class Certificate:
 def verify_overbound(
     weight: Weight, omega: ArrayLike, bound: ArrayLike, *, floor: float | None = None, name: str = ""
 ) -> Certificate:
-    """Prove or refute |W| >= bound from the coefficients of W alone; nothing of the fit is reused.
+    """Prove or refute |W| >= bound from the coefficients of W alone, independent of the fit.
 
-    ``omega`` (K,) rad/s, ``bound`` (K,), ``floor`` and ``name`` as in :func:`fit.fit_overbound`. ``ok`` is
-    true when W is stable, minimum-phase and ``min_ratio`` >= 1. Raises InputError on what is no bound.
+    Parameters
+    ----------
+    weight : Weight
+    omega : array_like (K,), rad/s
+    bound : array_like (K,), unit of the weighted signal
+    floor : float, optional, replaces smaller bounds
+    name : str, of the bound, for messages, default ''
+
+    Returns
+    -------
+    Certificate, whose ``ok`` means W stable, minimum-phase and above the bound
+
+    Raises
+    ------
+    InputError
+        If the samples are no bound.
+
+    References
+    ----------
+    THEORY 5.3, (T10).
     """
     samples = SampledBound.read(name or "weight check", omega, bound, floor)
     strict = weight.num.size < weight.den.size
@@ -96,7 +120,7 @@ def verify_overbound(
 
 
 def is_hurwitz(coefficients: np.ndarray) -> bool:
-    """Whether all roots lie in the open left half-plane: Routh's array in rational arithmetic, no rounding.
+    """Whether all roots lie in the open left half-plane, by Routh's array in rational arithmetic.
 
     ``coefficients`` (n + 1,) in descending powers, the first not 0.
     """
@@ -129,7 +153,7 @@ def squared(coefficients: np.ndarray, unit: float) -> np.ndarray:
 
 @cache
 def _blossom(degree: int) -> tuple[np.ndarray, ...]:
-    """Of each power i the share (degree + 1, i + 1) that hi^j lo^(i - j) has in Bernstein coefficient k."""
+    """Share (degree + 1, i + 1) of each power i's hi^j lo^(i - j) in Bernstein coefficient k."""
     return tuple(
         np.array(
             [
@@ -212,7 +236,7 @@ def _least_ratio(
 
 
 def _twice(shapes: _Shapes) -> _Shapes:
-    """Every piece's shape for its two halves: all left ones, then all right ones."""
+    """Shape of every piece's two halves: all left ones, then all right ones."""
     y0, log0, slope = (np.tile(v, 2) for v in shapes)
     return y0, log0, slope
 

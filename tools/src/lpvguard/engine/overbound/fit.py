@@ -1,20 +1,20 @@
 """Stage 4: stable, minimum-phase weights of low order that provably lie above the identified bounds.
 
 Reads   omega (K,) rad/s, bound (K,) in the unit of the weighted signal (NaN: bin without data)
-Gives   ``Weight`` W(s) with |W(jw)| >= bound(w) for every w >= 0, and how tight it is
+Gives   ``Weight`` W(s) with |W(jw)| >= bound(w) for every w >= 0, and its tightness
 Source  Roedoenyi & Bokor, section III, steps 6 and 7; THEORY 5.3
 
 The *worst ratio* is sup |W|/bound over all w, the ends included. A strictly proper weight cannot stay above
-a constant for ever: its claims, both ways, stop at the last sample.
+a constant for ever: its claims stop at the last sample.
 
 Linear programs find the squared magnitude with the least worst ratio (``minimax``). Its left-half-plane
-spectral factors are the weight. One scalar gain, ``inflation``, closes the fit: it lifts the weight by what
-the certificate (``certificate``) found missing between the grid points.
+spectral factors are the weight. One scalar gain, ``inflation``, closes the fit: it lifts the weight by the
+deficit between the grid points, which the certificate (``certificate``) found.
 
 The optimum of a given order may have a break beyond the first or last sample. It may also have a sharp
 resonance around a single deep bin of raw scatter. Both are kept, because leaving them out costs more than
-0.01 dB. ``breaks_outside`` names breaks beyond the samples. Hand in an envelope where the scatter's shape is
-not wanted.
+0.01 dB. ``breaks_outside`` names breaks beyond the samples. Pass an envelope where the scatter's shape is not
+wanted.
 """
 
 from __future__ import annotations
@@ -36,16 +36,19 @@ _MAX_REFITS = 8
 
 @dataclass(frozen=True)
 class OverboundFit:
-    """A fitted weight and how good it is.
+    """A fitted weight and its quality.
 
-    ``worst_ratio_db``: proved upper limit of sup |W|/bound, 20 log10.
-    ``lp_optimum_db``: level proved infeasible for this order, up to the LP solver's 1e-9. The fit is within
-    ``worst_ratio_db - lp_optimum_db`` of the best there is.
-    ``inflation``: the final scalar gain, already in ``weight``.
-    ``certificate``: ``Certificate.to_dict()``.
-    ``ratios_db``: worst ratio reached per order tried.
-    ``floored``: frequencies (rad/s) where the floor replaced a smaller bound.
-    ``breaks_outside``: |pole| and |zero| (rad/s) beyond the first or last sample that the optimum asked for.
+    Attributes
+    ----------
+    weight : Weight, with the inflation
+    order : int
+    worst_ratio_db : float, dB, proved upper limit of sup |W|/bound, 20 log10
+    lp_optimum_db : float, dB, no bound: the LP solver finds no weight of this order below it, to 1e-9
+    inflation : float, final scalar gain
+    certificate : dict, of ``Certificate.to_dict()``
+    ratios_db : dict[int, float], dB, worst ratio per order tried
+    floored : tuple of float, rad/s, frequencies where the floor replaced a smaller bound
+    breaks_outside : tuple of float, rad/s, |pole| and |zero| beyond the first or last sample
     """
 
     weight: Weight
@@ -70,21 +73,36 @@ def fit_overbound(
     proper: str = "biproper",
     name: str = "",
 ) -> OverboundFit:
-    """Lowest-order stable minimum-phase weight above ``bound`` with the least worst ratio.
+    """Fit the lowest-order stable minimum-phase weight above a bound with the least worst ratio.
 
-    omega     (K,) rad/s, > 0, strictly increasing
-    bound     (K,) >= 0; NaN: no data there (the neighbours are joined); values under ``floor`` are raised to
-              it
-    max_order highest order considered. Taken is the smallest order n that is good enough: no order n + k up
-              to max_order lowers the worst ratio by more than k ``tol_db``
-    order     this order instead; a lower one is returned when the extra states gain nothing (0.002 dB)
-    floor     > 0, needed where the bound is 0
-    proper    "biproper" (D(inf) > 0, which H-infinity rank conditions need) or "strict" (rolls off, from 10
-              omega[-1] on at the latest; claims end at omega[-1])
-    name      of the bound, for messages
+    Parameters
+    ----------
+    omega : array_like (K,), rad/s, > 0, strictly increasing
+    bound : array_like (K,), >= 0, NaN: no data, the neighbours are joined
+    max_order : int, highest order, default 4
+        The smallest n is taken for which no n + k lowers the worst ratio by more than k ``tol_db``.
+    order : int, optional, this order instead, or a lower one within 0.002 dB
+    floor : float, optional, replaces smaller bounds; needed where the bound is 0
+    tol_db : float, dB, default 0.3
+    proper : str, "biproper" (D(inf) > 0, for H-infinity) or "strict"
+        "strict" rolls off from 10 omega[-1] at the latest; claims end at omega[-1].
+    name : str, of the bound, for messages, default ''
 
-    Raises ``InputError`` naming the index or the frequency.
+    Returns
+    -------
+    OverboundFit
 
+    Raises
+    ------
+    InputError
+        If an input does not fit; it names the index or the frequency.
+
+    References
+    ----------
+    Paper, section III, steps 6 and 7; THEORY 5.3.
+
+    Examples
+    --------
     >>> fit = fit_overbound([0.1, 1.0, 10.0], [2.0, 2.0, 2.0])
     >>> fit.order, round(float(fit.weight.magnitude(1.0)), 6)
     (0, 2.0)

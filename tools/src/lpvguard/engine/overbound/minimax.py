@@ -3,16 +3,16 @@
 With y = w^2, |W|^2 = N(y)/D(y) for polynomials N and D. For a fixed t, "bound^2 D <= N <= t^2 bound^2 D" is
 linear in (N, D). Each program minimises the violation of the upper inequality at a trial t: the
 differential correction of Barrodale, Powell and Roberts, SIAM J. Numer. Anal. 9, 1972. Either it returns a
-better weight, or the trial t is infeasible. An infeasible t is a lower limit of what any weight of that
-order can reach. Trials sit 0.002 dB under the best weight so far.
+better weight, or the trial t is infeasible. An infeasible t is a lower limit for any weight of that order.
+Trials sit 0.002 dB under the best weight so far.
 
 Rows are divided by bound^2 D of the current D (not under 1e-5 of its sum |d_i| y^i). Columns are divided by
-the largest entry they then have: the max-plus scaling around that D. In this form monomials keep their
+their largest entry after that: the max-plus scaling around that D. In this form monomials keep their
 accuracy over six decades. A verdict "infeasible" counts only when the D that scaled the rows was itself
 within 0.5 dB of the optimum.
 
-A program carries only the points that matter. Points where its answer fails are added until none fails on a
-fine grid. That grid also takes up every lightly damped pole and zero.
+A program carries only the necessary points. Points where its answer fails are added until none fails on a
+fine grid. That grid also contains every lightly damped pole and zero.
 """
 
 from __future__ import annotations
@@ -239,8 +239,8 @@ def _program(
         D >= 1e-5 D_old,  mean of D = 1,  least tau
 
     Each row is divided by D_old, or by 1e-5 of its sum |d_i| y^i where that is more. The solver's tolerance
-    is then relative even in a sharp resonance.
-    Where a strictly proper weight may leave the bound, N only stays positive.
+    is then relative even in a sharp resonance. Where a strictly proper weight may leave the bound, N only
+    stays positive.
     """
     t = 10.0 ** (level_db / 20.0)
     size = powers @ np.abs(bottom)

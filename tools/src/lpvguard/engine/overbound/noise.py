@@ -1,4 +1,4 @@
-"""Step 7 of the paper: the disturbance without the share that the sensors' noise already explains (T9)."""
+"""Step 7 of the paper: the disturbance without the share of the sensors' noise (T9)."""
 
 from __future__ import annotations
 
@@ -17,15 +17,31 @@ def subtract_noise(
     disturbance_set: str,
     floor: ArrayLike,
 ) -> tuple[np.ndarray, list[float]]:
-    """Step 7: the disturbance's magnitude without the sensor's share.
+    """Subtract the sensor's share from the disturbance's magnitude (step 7).
 
-    B_w, W_n  Weight, or magnitudes (K,) at ``omega`` (K,) rad/s (NaN: no data, stays NaN)
-    disturbance_set  "paper": |B_w| - |W_n|; "covering": sqrt(|B_w|^2 - |W_n|^2)
-    floor     > 0, scalar or (K,): the least value returned
+    Parameters
+    ----------
+    B_w, W_n : Weight, or array_like (K,) of magnitudes, NaN: no data
+    omega : array_like (K,), rad/s
+    disturbance_set : str, "paper": |B_w| - |W_n|; "covering": sqrt(|B_w|^2 - |W_n|^2)
+    floor : float or array_like (K,), least value returned, > 0
 
-    Returns the values (K,) and the frequencies (rad/s) at which the difference was not positive: there the
-    floor is all that is left. Raises InputError on magnitudes, floors and sets that mean nothing.
+    Returns
+    -------
+    tuple of ndarray (K,) and list of float
+        The values and the frequencies [rad/s] where only the floor is left.
 
+    Raises
+    ------
+    InputError
+        If magnitudes, floors or the set are meaningless.
+
+    References
+    ----------
+    Paper, step 7; THEORY 5.3, (T9).
+
+    Examples
+    --------
     >>> options = {"disturbance_set": "covering", "floor": 0.1}
     >>> values, lost = subtract_noise([5.0, 1.0], [3.0, 2.0], [1.0, 10.0], **options)
     >>> values.tolist(), lost

@@ -1,4 +1,4 @@
-"""The weight itself: a real rational transfer function, its magnitude and its state-space realisation."""
+"""A weight: a real rational transfer function, its magnitude and its state-space realisation."""
 
 from __future__ import annotations
 
@@ -14,11 +14,20 @@ from ...base.errors import InputError
 
 @dataclass(frozen=True, eq=False)
 class Weight:
-    """Real rational W(s) = num(s)/den(s), proper.
+    """Real rational, proper W(s) = num(s)/den(s).
 
-    ``num`` (m+1,), ``den`` (n+1,), m <= n: real coefficients in descending powers of s, s in rad/s.
-    Raises InputError for coefficients that are not finite, a leading zero, and an improper W.
+    Attributes
+    ----------
+    num : ndarray (m + 1,), m <= n, real coefficients in descending powers of s [rad/s]
+    den : ndarray (n + 1,), likewise
 
+    Raises
+    ------
+    InputError
+        If coefficients are not finite, a leading one is zero, or W is improper.
+
+    Examples
+    --------
     >>> float(Weight(num=np.array([1.0, 2.0]), den=np.array([1.0, 1.0])).magnitude(0.0))
     2.0
     """
@@ -122,7 +131,8 @@ def _quadratics(roots: np.ndarray) -> list[np.ndarray]:
 def _sections(num: np.ndarray, den: np.ndarray) -> list[tuple[np.ndarray, ...]]:
     """(A, B, C, D) of first- and second-order factors whose product is num/den.
 
-    Pairs come first on both sides. A proper weight has no more pairs of zeros than of poles: each fits.
+    Pairs come first on both sides. A proper weight has at most as many pairs of zeros as of poles, so each
+    fits.
     """
     gain = num[0] / den[0]
     tops, bottoms = _quadratics(polynomial_roots(num)), _quadratics(polynomial_roots(den))

@@ -18,12 +18,12 @@ NEAR = 25.0
 
 
 class Barrier:
-    """F_i(P) = E' (sum_k phi_ik P_k) E - M_i' (sum_k next_ik P_k) M_i - N_i' N_i + diag(0, I) and the
-    derivatives of its log det.
+    """Barrier of the inequalities F_i(P) > 0: value and derivatives of log det F_i.
 
-    parts: (M, N) per i; phi, next (count, terms); P (terms, n, n) symmetric, as a vector its upper triangles
-    row by row. M is near E where sampling is fast. So all is said by D = M - E and by phi - next: products of
-    M would leave of slow states, whose P is large, nothing but rounding.
+    F_i(P) = E' (sum_k phi_ik P_k) E - M_i' (sum_k next_ik P_k) M_i - N_i' N_i + diag(0, I). parts: (M, N) per
+    i; phi, next (count, terms); P (terms, n, n) symmetric, as a vector its upper triangles row by row. M is
+    near E where sampling is fast. All is therefore computed from D = M - E and phi - next. Products of M
+    would leave only rounding of slow states, whose P is large.
     """
 
     def __init__(self, parts: list[tuple[np.ndarray, np.ndarray]], phi: np.ndarray, next_: np.ndarray):
@@ -67,7 +67,7 @@ class Barrier:
         return self._vector(np.einsum("ik,ab->kab", self.next + self.moved, cost))
 
     def _vector(self, G: np.ndarray) -> np.ndarray:
-        """The derivative by P's vector of what has the symmetric derivative G (terms, n, n) by P."""
+        """Derivative by P's vector, from the symmetric derivative G (terms, n, n) by P."""
         return (G[:, self.upper[0], self.upper[1]] * self.twice).ravel()
 
     def hessian(self, S: np.ndarray) -> np.ndarray:
@@ -92,7 +92,7 @@ class Barrier:
         weight = 0.25 * np.outer(self.twice, self.twice)
 
         def product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-            """Of tr(Q a R b) by symmetric Q and R."""
+            """Products of tr(Q a R b) for symmetric Q and R."""
             b = b.T
             straight = a[np.ix_(i, i)] * b[np.ix_(j, j)] + a[np.ix_(j, j)] * b[np.ix_(i, i)]
             return weight * (straight + a[np.ix_(i, j)] * b[np.ix_(j, i)] + a[np.ix_(j, i)] * b[np.ix_(i, j)])
@@ -155,7 +155,8 @@ def newton_step(
 
     The objective is ``price`` (size,) p + ``slope`` (k,) y - sum_i log det(F_i(P) + sum_j y_j
     directions_ji), where p is the vector of P; ``directions`` (k, count or 1, N, N). LinAlgError where
-    rounding is larger than what is left."""
+    rounding exceeds the remaining decrement.
+    """
     F = barrier.F(P) + np.tensordot(y, directions, 1)
     L = np.linalg.inv(np.linalg.cholesky(F))
     S = np.swapaxes(L, 1, 2) @ L

@@ -1,6 +1,4 @@
-"""The paper case: every weight of Fig. 1 frozen in one TOML file, and Table II computed from it beside the
-paper's.
-"""
+"""The paper case: every weight of Fig. 1 in one TOML file, and Table II computed from it."""
 
 from __future__ import annotations
 
@@ -30,7 +28,13 @@ PAPER_DIGITS = 5e-4
 
 @dataclass(frozen=True)
 class TableRow(Cell):
-    """A cell beside a reference's and the paper's; None where not given."""
+    """A cell with the reference's and the paper's numbers.
+
+    Attributes
+    ----------
+    reference, paper : float or None, mu
+    reference_order, paper_order : int or None
+    """
 
     reference: float | None
     reference_order: int | None
@@ -48,7 +52,21 @@ PAPER_WEIGHTS = tuple(f.name for f in fields(PlantWeights) if f.default is MISSI
 
 
 def read_case(path) -> dict:
-    """The case file as a dict; InputError when it cannot be read or a weight is missing."""
+    """Read a case file.
+
+    Parameters
+    ----------
+    path : path
+
+    Returns
+    -------
+    dict
+
+    Raises
+    ------
+    InputError
+        If it cannot be read, or a weight is missing.
+    """
     case = read_toml(Path(path), "a case file")
     for name in ("v", "wheelbase", "objective", *PAPER_WEIGHTS):
         if name not in case:
@@ -57,7 +75,17 @@ def read_case(path) -> dict:
 
 
 def case_weights(case: dict, objective: dict) -> PlantWeights:
-    """The ten weights of a case with one objective's A_t and A_u."""
+    """Build the ten weights of a case with one objective's A_t and A_u.
+
+    Parameters
+    ----------
+    case : dict, the case file
+    objective : dict, with A_t and A_u
+
+    Returns
+    -------
+    PlantWeights
+    """
     gains = {"A_t": objective["A_t"], "A_u": objective["A_u"]}
     return PlantWeights(**{name: weight_from_table(case[name], **gains) for name in PAPER_WEIGHTS})
 
@@ -71,7 +99,21 @@ def case_plant(
     dt: float = 0.0,
     delay: int = 0,
 ) -> GeneralisedPlant:
-    """Fig. 1 for one objective (A_t, A_u) of a case; ``speed`` in m/s replaces the case's own."""
+    """Build Fig. 1 for one objective of a case.
+
+    Parameters
+    ----------
+    case : dict, the case file
+    objective : dict, with A_t and A_u
+    structure : str
+    speed : float, m/s, optional, replaces the case's own
+    dt : float, s, 0: continuous time, default 0.0
+    delay : int, samples, default 0
+
+    Returns
+    -------
+    GeneralisedPlant
+    """
     weights = case_weights(case, objective)
     A, B = truck_model.continuous(case["v"] if speed is None else speed, case["wheelbase"])
     return generalised_plant(A, B, weights, structure, dt, delay)
@@ -80,9 +122,22 @@ def case_plant(
 def paper_case(
     path, dt: float = 0.0, progress: Callable[[str], None] = lambda _: None, **options
 ) -> list[TableRow]:
-    """Table II for a case file: K_inf, K_i and K_is for each of its objectives, in that order.
+    """Compute Table II for a case file: K_inf, K_i and K_is for each of its objectives.
 
-    ``dt`` > 0 designs in discrete time. ``options`` go to dk_synthesis.
+    Parameters
+    ----------
+    path : path, the case file
+    dt : float, s, > 0 designs in discrete time, default 0.0
+    progress : Callable, reports progress
+    **options : passed to `dk_synthesis`
+
+    Returns
+    -------
+    list of TableRow
+
+    References
+    ----------
+    Paper, Table II.
     """
     case = read_case(path)
     rows: list[TableRow] = []
@@ -129,8 +184,17 @@ def format_table(rows: list[TableRow]) -> str:
 
 
 def differences(case: dict, rows: list[TableRow]) -> list[str]:
-    """One sentence a row: how it differs from the paper's, and why, by what the case's weights allow at
-    all."""
+    """Explain each row's difference from the paper by the limits of the case's weights.
+
+    Parameters
+    ----------
+    case : dict, the case file
+    rows : list of TableRow
+
+    Returns
+    -------
+    list of str, a sentence a row
+    """
     return [_difference(case, row, rows) for row in rows]
 
 

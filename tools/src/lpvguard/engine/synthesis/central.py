@@ -1,4 +1,4 @@
-"""The central controller at a level γ from the two Riccati solutions, and the coupling that they keep."""
+"""Central controller at a level γ from the two Riccati solutions, and their coupling."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from lpvguard.engine.synthesis.statespace import StateSpace
 
 
 def coupling_margin(control: RiccatiSolution, filter_: RiccatiSolution, gamma: float) -> float:
-    """γ²/ρ(XY); −1 when X or Y is not positive semidefinite: then γ lies below one of them blowing up."""
+    """γ²/ρ(XY); −1 when X or Y is not positive semidefinite, because γ is then too low for one of them."""
     if not (control.definite and filter_.definite):
         return -1.0
     if control.X.size == 0:

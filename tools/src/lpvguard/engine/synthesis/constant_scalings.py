@@ -1,7 +1,7 @@
-"""Constants that scale the blocks of a loop: what proves a norm for uncertainty that varies at any speed.
+"""Constant block scalings of a loop, which prove a norm for uncertainty that varies at any speed.
 
-They are searched on a grid of frequencies. What is claimed is the upper end of the scaled norm's bracket
-over all frequencies.
+They are searched on a grid of frequencies. The claim is the upper end of the scaled norm's bracket over all
+frequencies.
 """
 
 from __future__ import annotations
@@ -24,21 +24,24 @@ SEARCH_STEPS, SHORTENED = 40, 30
 SHORTER = 0.05, 0.5
 """Least and largest share of itself to which it is."""
 LONGEST_STEP = 4.0
-"""Of a constant's logarithm: far from its optimum the mean has hardly any curvature."""
+"""Longest step of a constant's logarithm: far from its optimum the mean has hardly any curvature."""
 LEAST_GAIN = 1e-8
-"""What a step must promise of the mean's logarithm."""
+"""Least predicted gain of a step, in the mean's logarithm."""
 LEAST_GAP = 1e-6
 """Between the largest eigenvalue and the others, relative to it, for a second derivative."""
 POWER = 300.0
-"""Of the mean over frequency that stands for the largest value: it is smooth and, in the logarithms of the
-constants, convex."""
+"""Power of the mean over frequency that replaces the largest value: smooth, and convex in the constants'
+logarithms."""
 FARTHEST = 30.0
 """Largest |logarithm| of a constant: what never matters must not wander off."""
 
 
 class ConstantScalings:
-    """A stable discrete ``system`` whose first outputs and inputs belong to blocks of ``rows`` and ``cols``
-    signals. The rest is performance. The first ``fixed`` blocks keep the constant 1."""
+    """Constant scalings of a stable discrete ``system``, whose first signals belong to the blocks.
+
+    The blocks have ``rows`` and ``cols`` signals; the others are performance. The first ``fixed`` blocks keep
+    the constant 1.
+    """
 
     def __init__(self, system: StateSpace, rows: Sequence[int], cols: Sequence[int], fixed: int = 0):
         self.system, self.rows, self.cols, self.fixed = system, list(rows), list(cols), fixed
@@ -49,8 +52,11 @@ class ConstantScalings:
         return len(self.rows) - self.fixed
 
     def scaled(self, sizes: np.ndarray, rest: float, log_constants: np.ndarray) -> StateSpace:
-        """The scaled loop: ``sizes`` (blocks,) of what is connected to each block, ``rest``: factor of the
-        other outputs, and the logarithms (free,) of the constants."""
+        """The scaled loop.
+
+        ``sizes`` (blocks,) are gains of the block's uncertainty, ``rest`` is the factor of the other outputs,
+        and ``log_constants`` (free,) are the logarithms of the constants.
+        """
         left, right = self._factors(sizes, rest, log_constants)
         G = self.system
         return StateSpace(G.A, G.B * right, G.C * left[:, None], G.D * left[:, None] * right, G.dt)
@@ -124,7 +130,7 @@ class ConstantScalings:
         left, right = self._factors(sizes, rest, log_constants)
         N = left[:, None] * self._grid * right
         gram = N @ np.conj(np.swapaxes(N, 1, 2))
-        # What is below the largest by so much has no part in the mean; sigma^2 is at most the trace.
+        # Values so far below the largest do not change the mean; sigma^2 is at most the trace.
         diagonal = np.diagonal(gram, axis1=1, axis2=2).real
         counts = diagonal.sum(axis=1) >= diagonal.max() * EPS ** (2 / POWER)
         N, frequencies = N[counts], len(N)
@@ -141,11 +147,11 @@ class ConstantScalings:
         return float(top + np.log(weight.sum() / frequencies) / POWER), slope, curvature
 
     def _derivatives(self, N: np.ndarray, values: np.ndarray, U: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Of the logarithm of the largest singular value of every scaled response N (k, rows, columns): its
-        slope (k, free) and second derivatives (k, free, free); ``values``, U: eigenvalues, ascending, and
-        eigenvectors of N N^H.
+        """Slope (k, free) and second derivatives (k, free, free) of the responses' log largest singular
+        value.
 
-        With the rows P_i and columns Q_i of block i, d(N N^H) = P_i N N^H + N N^H P_i - 2 N Q_i N^H.
+        The responses are N (k, rows, columns); ``values``, U: eigenvalues, ascending, and eigenvectors of N
+        N^H. With the rows P_i and columns Q_i of block i, d(N N^H) = P_i N N^H + N N^H P_i - 2 N Q_i N^H.
         """
         largest, u = values[:, -1], U[:, :, -1]
         sigma = np.sqrt(largest)[:, None, None]
@@ -184,8 +190,10 @@ class ConstantScalings:
 
 
 def _shorter(change: float, promised: float, slope: float) -> float:
-    """The share of a step at which the cubic through its ends is least: it changes the value by ``change``,
-    begins with the slope -``promised`` and ends with ``slope``."""
+    """Share of a step at the minimum of the cubic through its ends.
+
+    The step changes the value by ``change``, begins with the slope -``promised`` and ends with ``slope``.
+    """
     # The root is of something positive: the value has not fallen by a quarter of the promise.
     a, b = slope - promised - 2 * change, 3 * change + 2 * promised - slope
     return float(np.clip(promised / (b + np.sqrt(b * b + 3 * a * promised)), *SHORTER))

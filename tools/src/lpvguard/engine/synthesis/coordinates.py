@@ -1,6 +1,4 @@
-"""Coordinates of the state in which the Riccati equations lose few digits, and the pole that a plant's own
-coordinates leave uncertain.
-"""
+"""Coordinates of the state in which the Riccati equations lose few digits, and the least certain pole."""
 
 from __future__ import annotations
 
@@ -26,8 +24,7 @@ def schur_coordinates(G: StateSpace) -> tuple[StateSpace, np.ndarray]:
 def modal_coordinates(G: StateSpace) -> tuple[StateSpace, np.ndarray]:
     """G with A in real blocks, one for each pole or pair, and the basis T (n, n): x = T x̃.
 
-    Slow modes then stand apart from fast ones. G itself is returned where the eigenvectors do not span the
-    space.
+    Slow modes are then separate from fast ones. G is returned where the eigenvectors do not span the space.
     """
     values, vectors = np.linalg.eig(G.A)
     T = sl.cdf2rdf(values, vectors)[1] if np.iscomplexobj(values) else vectors

@@ -1,4 +1,5 @@
-"""The direct terms of a generalised plant: the rank of D12 and D21, and what no controller cancels of D11."""
+"""Direct terms of a generalised plant: rank of D12 and D21, and the part of D11 that no controller
+cancels."""
 
 from __future__ import annotations
 

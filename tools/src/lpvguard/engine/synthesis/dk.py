@@ -5,9 +5,9 @@ Robust performance holds at level β when μ(F_l(P, K)(jω)) ≤ β over the blo
 block. With scalar D_i(s) per Δ block, stable with stable inverse, ‖D F_l(P, K) D⁻¹‖∞ ≤ β proves it at every
 frequency, DC and infinity included (Doyle 1985; Packard & Doyle 1993). K and D are improved in turn. H∞
 synthesis for the scaled plant gives K. A fit of Π (s/z + 1)/(s/p + 1) that lowers the scaled singular values
-over the whole band gives D. The number reported is the certified norm of the final scaled loop: no fit of
-frequency-wise scalings stands between the bound and the proof. D(s) covers an LTI Δ, and how slow a
-varying one must be says slow_delta; a constant D (degree 0) covers Δ varying arbitrarily fast.
+over the whole band gives D. The reported number is the certified norm of the final scaled loop: the proof
+needs no fit of frequency-wise scalings. D(s) covers an LTI Δ; slow_delta says how slowly Δ may vary. A
+constant D (degree 0) covers Δ that varies arbitrarily fast.
 """
 
 from __future__ import annotations
@@ -44,11 +44,12 @@ SLOWEST, FASTEST = 1e-4, 1e4
 
 @dataclass(frozen=True)
 class Scaling:
-    """D(s) = diag(d_1 I, d_2 I, ..., I): d_i = g Π_k (s/z_k + 1)/(s/p_k + 1), one row of ``log_parameters``
-    per block.
+    """Scaling D(s) = diag(d_1 I, d_2 I, ..., I) with d_i = g Π_k (s/z_k + 1)/(s/p_k + 1).
 
-    log_parameters (τ, 1 + 2·degree): [ln g, ln z_1, ln p_1, ...], z and p in rad/s. Without blocks τ = 0 and
-    D = I.
+    Attributes
+    ----------
+    log_parameters : ndarray (τ, 1 + 2·degree), a row a block, [ln g, ln z_1, ln p_1, ...], z and p in rad/s
+        Without blocks τ = 0 and D = I.
     """
 
     log_parameters: np.ndarray
@@ -93,10 +94,16 @@ def _squares(omega, corners):
 
 @dataclass(frozen=True)
 class RobustPerformance:
-    """μ bounds of one closed loop.
+    """Bounds on μ of one closed loop.
 
-    ``upper`` is proved over all frequencies by ``scaling`` (the bracket's upper end). ``lower`` comes from a
-    ``delta`` found and checked at ``lower_frequency`` [rad/s].
+    Attributes
+    ----------
+    upper : float, proved over all frequencies by ``scaling``
+    lower : float, from a ``delta`` that was found and checked
+    lower_frequency : float, rad/s
+    bracket : NormBracket, norm of the scaled loop
+    scaling : Scaling
+    delta : ndarray (n_in, n_out) of complex or None, uncertainty behind ``lower``
     """
 
     upper: float
@@ -128,12 +135,31 @@ def dk_synthesis(
     start: Scaling | None = None,
     workers: Map = map,
 ) -> DKResult:
-    """Controller for robust performance of ``plant`` (continuous or discrete; blocks full complex).
+    """Synthesise a controller for robust performance.
 
-    degree: order of each d_i. iterations: K and D steps. polish: further K steps that move D's parameters
-    directly. reduction_loss: relative rise of the certified level that order reduction may cost. start: the
-    first D (default: I). ``workers`` share the two ways of such a step. Without blocks: H∞ synthesis. Raises
-    SynthesisError where H∞ synthesis does, and for blocks that are not full.
+    Parameters
+    ----------
+    plant : GeneralisedPlant, continuous or discrete, blocks full complex
+        Without blocks: H∞ synthesis.
+    degree : int, order of each d_i, default 1
+    iterations : int, K and D steps, default 4
+    polish : int, further K steps that change D's parameters directly, default 40
+    reduction_loss : float, relative rise of the certified level by order reduction, default 3e-05
+    start : Scaling, optional, the first D, by default I
+    workers : Map, shares the two directions of such a step
+
+    Returns
+    -------
+    DKResult
+
+    Raises
+    ------
+    SynthesisError
+        If a block is not full, or H∞ synthesis fails.
+
+    References
+    ----------
+    THEORY 6; Doyle 1985; Packard & Doyle 1993.
     """
     if any(b.kind != "full" for b in plant.blocks):
         raise SynthesisError("D-K iteration", "blocks", "a repeated block", "full complex blocks")
@@ -162,10 +188,20 @@ def dk_synthesis(
 def certify(
     plant: GeneralisedPlant, controller: StateSpace, scaling: Scaling | None = None
 ) -> RobustPerformance:
-    """Bounds of μ over frequency for any controller of ``plant``; inf when the loop is unstable.
+    """Bound μ over frequency for any controller of a plant.
 
-    The upper bound is the certified norm under ``scaling``, or under one re-fitted from it when that is
+    The upper bound is the certified norm under ``scaling``, or under one fitted again from it when that is
     lower.
+
+    Parameters
+    ----------
+    plant : GeneralisedPlant
+    controller : StateSpace
+    scaling : Scaling, optional, by default I
+
+    Returns
+    -------
+    RobustPerformance, inf for an unstable loop
     """
     work = _Work(plant)
     K = to_continuous(controller)
@@ -326,8 +362,7 @@ def _polish(work: _Work, scaling: Scaling, level: float, budget: int, workers: M
 
 
 def reduce_controller(work: _Work, K: StateSpace, scaling: Scaling, level: float) -> StateSpace:
-    """K with the fewest states whose certified scaled norm stays ≤ ``level``; K itself when nothing can
-    go."""
+    """K with the fewest states whose certified scaled norm stays ≤ ``level``, or K itself."""
     scaled_plant = work.scaled(work.system, scaling)
     truncated, rank = _truncations(scaled_plant, K)
 

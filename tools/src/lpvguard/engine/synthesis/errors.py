@@ -1,4 +1,4 @@
-"""Errors of the synthesis: which assumption fails, where, and what to change."""
+"""Errors of the synthesis: the failing assumption, its place and the remedy."""
 
 from __future__ import annotations
 
@@ -6,4 +6,4 @@ from lpvguard.base.errors import InputError
 
 
 class SynthesisError(InputError):
-    """A problem that cannot be answered as posed; ``expected`` says what to change."""
+    """A problem without an answer; ``expected`` is the remedy."""

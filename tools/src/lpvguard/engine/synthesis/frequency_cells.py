@@ -29,6 +29,8 @@ NEAR, ROUNDED = 1e-2, 1e-8
 """Real part, over the eigenvalue's size and over the matrix's norm, up to which an eigenvalue may be one on
 the imaginary axis that rounding moved: a double one moves by about sqrt(eps) of the norm."""
 MOST_CELLS = 3000
+ROOM = 0.25
+"""Share of the tolerance that must lie between a bound and a level that is asked for."""
 CLEARLY = 0.95
 """Of the largest bound: below it a cell is wide with any scalings, and those at hand will do."""
 
@@ -86,6 +88,7 @@ def cover(
     rtol: float,
     at: Callable[[np.ndarray, float], PointBound],
     held: Callable[[np.ndarray, PointBound], float],
+    least: float = 0.0,
 ) -> IntervalBound:
     """Cover the interval from ``low`` to ``high`` [rad/s] by cells.
 
@@ -106,6 +109,8 @@ def cover(
         M (Σcols, Σrows) and the largest bound so far to the bound at that frequency.
     held : callable
         M and a bound elsewhere to what its scalings prove at M; inf: nothing.
+    least : float
+        Level from which the search begins: ``upper`` is that level where it can be proved.
 
     Raises
     ------
@@ -122,7 +127,7 @@ def cover(
     size = float(np.abs(G.poles()).max()) if G.order else 1.0
     todo: list[tuple[float, float, PointBound | None]] = [(first, last, None)]
     start = _likely_peak(G, at, held, first, last, size)
-    level, largest, where = 0.0, -1.0, 0.0
+    level, largest, where = least, -1.0, 0.0
     cells: list[FrequencyCell] = []
     while todo:
         a, b, known = todo.pop()
@@ -140,7 +145,8 @@ def cover(
             largest, where = point.value, centre
         if np.isinf(largest):
             return IntervalBound(np.inf, np.inf, unwarped(where), tuple(cells))
-        level = max(level, point.value * (1 + rtol), 1e-12)
+        if point.value * (1 + ROOM * rtol) >= least:
+            level = max(level, point.value * (1 + rtol), 1e-12)
         left, right = cell(G, point, level, centre, a, b, partial(_positive_on, G, point, level))
         cells.append(FrequencyCell(left, right, point))
         if left > a:
@@ -179,15 +185,16 @@ def _positive_on(G: StateSpace, point: PointBound, level: float, omega: float) -
 
 
 def response_rounding(G: StateSpace, omega: float) -> np.ndarray:
-    """Return how much rounding of the entries of A, B, C, D moves each entry of G(jω), shape (p, m).
+    """Return how much rounding of the entries of A, B, C, D moves each entry of G at ``omega``, shape (p, m).
 
     An error of first order, entry by entry: it does not depend on the units of the states.
     """
     moved = np.abs(G.D)
     if G.order and np.isfinite(omega):
-        inverse = np.linalg.inv(1j * omega * np.eye(G.order) - G.A)
+        point = np.exp(1j * omega * G.dt) if G.dt else 1j * omega
+        inverse = np.linalg.inv(point * np.eye(G.order) - G.A)
         left, right = np.abs(G.C @ inverse), np.abs(inverse @ G.B)
-        pencil = np.abs(G.A) + omega * np.eye(G.order)
+        pencil = np.abs(G.A) + abs(point) * np.eye(G.order)
         moved = moved + left @ pencil @ right + np.abs(G.C) @ right + left @ np.abs(G.B)
     return 16 * EPS * moved
 

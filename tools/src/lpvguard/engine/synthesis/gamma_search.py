@@ -1,8 +1,8 @@
-"""The search for γ_opt, the least level that a stabilising controller reaches.
+"""Search for γ_opt, the least level of any stabilising controller.
 
-The Riccati equations decide one level. The search starts from what single frequencies allow, most often the
-optimum of a weighted problem, and else brackets it. The reduced problem of a singular plant does not contain
-the Parrott bound at the frequency where rank is lost; that bound is kept separately, as ``floor``.
+The Riccati equations decide one level. The search starts from the bound at single frequencies, most often the
+optimum of a weighted problem, and otherwise brackets it. The reduced problem of a singular plant does not
+contain the Parrott bound at the frequency where rank is lost; that bound is kept separately, as ``floor``.
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ def _above_one(value: float | None) -> TypeGuard[float]:
 class GammaProblem:
     """One continuous plant: the search for its optimum and the central controllers.
 
-    notes: what is singular, in words. floor: the Parrott bounds, direct and at zeros on the imaginary axis.
-    axis: frequencies of those zeros in rad/s.
+    notes: singularities in words. floor: the Parrott bounds, direct and at zeros on the imaginary axis. axis:
+    frequencies of those zeros in rad/s.
     """
 
     def __init__(self, P: Plant):
@@ -167,7 +167,7 @@ class GammaProblem:
         """
         sides = self.control, self.filter
         bound, level, value = self._lowest, self.floor, None
-        if self.axis or bound * (1 - LIMIT_RTOL) <= level:  # near the floor rounding hides what is reached
+        if self.axis or bound * (1 - LIMIT_RTOL) <= level:  # near the floor rounding hides the reached level
             return level, None
         for _ in range(20):
             if bound <= level:

@@ -84,15 +84,34 @@ def hinf_synthesis(
     level: float | None = None,
     thorough: bool = False,
 ) -> HinfResult:
-    """Controller u = K y with ‖F_l(P, K)‖∞ ≤ (1 + backoff) γ_opt, certified; u the last inputs, y the last
-    outputs.
+    """Synthesise a controller u = K y with ‖F_l(P, K)‖∞ ≤ (1 + backoff) γ_opt, certified.
 
-    Exists when (A, B2) is stabilisable and (A, C2) detectable; SynthesisError says which is not and what to
-    change. Singular problems are regularised and the result says so. ``backoff`` keeps the controller's poles
-    slow: at the optimum itself they run off to infinity. ``rtol``: width of the bracket of γ_opt; ``guess``:
-    a level near it, which only saves time. ``level``, above γ_opt, stands in the place of both: what the
-    controller may reach. ``thorough``: the best of all coordinates of the state, even if the first seems
-    resolved.
+    It exists when (A, B2) is stabilisable and (A, C2) detectable. Singular problems are regularised, with a
+    note in
+    the result.
+
+    Parameters
+    ----------
+    plant : StateSpace, whose last inputs are u and last outputs y
+    n_control, n_measurement : int, sizes of u and y
+    backoff : float, keeps the controller's poles slow, which diverge at the optimum, default 0.008
+    rtol : float, width of the bracket of γ_opt
+    guess : float, optional, level near γ_opt, which saves time
+    level : float, optional, level above γ_opt for the controller, instead of backoff and bracket
+    thorough : bool, try all coordinates of the state even if the first resolves the problem, default False
+
+    Returns
+    -------
+    HinfResult
+
+    Raises
+    ------
+    SynthesisError
+        If no controller exists; it names the failing condition and the remedy.
+
+    References
+    ----------
+    THEORY 6; Zhou, Doyle & Glover 1996.
     """
     best: HinfResult | None = None
     failures: list[SynthesisError | np.linalg.LinAlgError] = []
@@ -154,15 +173,17 @@ class LowerBound:
 
 
 def proved_lower_bound(plant: StateSpace, n_control: int, n_measurement: int, gamma: float) -> LowerBound:
-    """Prove a lower bound of the H∞ optimum on the numbers of the plant as given.
+    """Prove a lower bound of the H∞ optimum on the given numbers of the plant.
 
     Parameters
     ----------
     plant : StateSpace
-    n_control, n_measurement : int
-        As in ``hinf_synthesis``.
-    gamma : float
-        The optimum that the Riccati equations claim.
+    n_control, n_measurement : int, as in `hinf_synthesis`
+    gamma : float, the optimum that the Riccati equations claim
+
+    Returns
+    -------
+    LowerBound
 
     Notes
     -----

@@ -1,5 +1,4 @@
-"""Fig. 1: the generalised plant of the yaw-rate tracking problem, with any of the three uncertainty
-structures.
+"""Fig. 1: generalised plant of the yaw-rate tracking problem, with any of the three uncertainty structures.
 
 The nominal vehicle takes u (brake pressure difference, bar) to r (yaw rate, rad/s) and δ (road-wheel angle,
 rad):
@@ -10,7 +9,7 @@ rad):
     y = [W_C r_c, r_m + W_nr n_r, δ_m + W_nδ n_δ]                 (controller input)
 
 Inputs are [Δ outputs, w_r, w_δ, n_r, n_δ, r_c, u], outputs [Δ inputs, z_t, z_u, y_c, y_r, y_δ], with
-η_i = u and η_s = x where present. W_u weighs u, not ũ. Every external signal is normalised.
+η_i = u and η_s = x where present. W_u weights u, not ũ. Every external signal is normalised.
 
 K_o has one Δ an output in place of Δ_i, as class S1_diagonal of the identification (THEORY 4.1):
 
@@ -37,8 +36,13 @@ Terms = dict[str | tuple[str, int], int]
 
 @dataclass(frozen=True)
 class PlantWeights:
-    """The ten weights of Fig. 1 as single-input single-output continuous systems, s in rad/s; W_delta_r and
-    W_delta_delta for K_o only."""
+    """The ten weights of Fig. 1 as single-input single-output continuous systems, s in rad/s.
+
+    Attributes
+    ----------
+    W_R, W_C, W_t, W_u, W_nr, W_ndelta, W_wr, W_wdelta, W_delta_i, W_delta_s : StateSpace
+    W_delta_r, W_delta_delta : StateSpace or None, for K_o only
+    """
 
     W_R: StateSpace
     W_C: StateSpace
@@ -67,8 +71,15 @@ class PlantWeights:
 
 @dataclass(frozen=True)
 class GeneralisedPlant:
-    """The plant with its bookkeeping: ``system`` (named signals), the blocks of Δ, and the numbers of Δ
-    outputs, Δ inputs, controls and measurements."""
+    """A generalised plant with its signals.
+
+    Attributes
+    ----------
+    system : StateSpace, with named signals
+    blocks : tuple of Block, of Δ
+    n_delta_out, n_delta_in : int, outputs and inputs of Δ
+    n_control, n_measurement : int
+    """
 
     system: StateSpace
     blocks: tuple[Block, ...]
@@ -86,8 +97,20 @@ class GeneralisedPlant:
 
 
 def rational(num, den) -> StateSpace:
-    """num(s)/den(s), coefficients in descending powers of s (rad/s), proper; a balanced companion
-    realisation.
+    """Realise num(s)/den(s), proper, by a balanced companion form.
+
+    Parameters
+    ----------
+    num, den : array_like, coefficients in descending powers of s [rad/s]
+
+    Returns
+    -------
+    StateSpace
+
+    Raises
+    ------
+    SynthesisError
+        If it is improper or not finite.
     """
     num, den = (np.trim_zeros(np.atleast_1d(np.asarray(c, dtype=float)), "f") for c in (num, den))
     if den.size == 0 or num.size > den.size:
@@ -110,7 +133,22 @@ def rational(num, den) -> StateSpace:
 
 
 def zeros_poles(gain: float, zeros, poles) -> StateSpace:
-    """gain · Π(s/zero + 1) / Π(s/pole + 1), zeros and poles real in rad/s; a cascade of sections."""
+    """Realise gain · Π(s/zero + 1) / Π(s/pole + 1) as a cascade of sections.
+
+    Parameters
+    ----------
+    gain : float
+    zeros, poles : array_like, rad/s, real
+
+    Returns
+    -------
+    StateSpace
+
+    Raises
+    ------
+    SynthesisError
+        If it is improper, or a zero or pole is 0.
+    """
     zeros, poles = sorted(float(z) for z in zeros), sorted(float(p) for p in poles)
     if len(zeros) > len(poles) or any(v == 0 or not np.isfinite(v) for v in (*zeros, *poles)):
         raise SynthesisError(
@@ -130,8 +168,16 @@ def zeros_poles(gain: float, zeros, poles) -> StateSpace:
 
 
 def weight_from_table(entry: dict, **gains: float) -> StateSpace:
-    """A weight of a case file: {num, den} or {gain, zeros, poles}; a gain given as a name is looked up in
-    ``gains``.
+    """Realise a weight of a case file: {num, den} or {gain, zeros, poles}.
+
+    Parameters
+    ----------
+    entry : dict
+    **gains : float, values of gains that are given as a name
+
+    Returns
+    -------
+    StateSpace
     """
     if "num" in entry:
         return rational(entry["num"], entry["den"])
@@ -142,13 +188,35 @@ def weight_from_table(entry: dict, **gains: float) -> StateSpace:
 def generalised_plant(
     A, B, weights: PlantWeights, structure: str, dt: float = 0.0, delay: int = 0, probes: bool = False
 ) -> GeneralisedPlant:
-    """Fig. 1 around the vehicle x' = A x + B u, [r; δ] the first two states; A (n, n), B (n, 1) continuous.
+    """Build Fig. 1 around the vehicle x' = A x + B u, whose first two states are [r; δ].
 
-    ``dt`` > 0: the vehicle sampled exactly with u and ξ_s held (so ξ_s enters through ∫exp(As)ds), every
-    weight by Tustin's map; signals then are sequences. ``delay``: samples by which u reaches the vehicle
-    late, as computation and bus make it; Δ_i and W_u see u at once. ``probes``: the vehicle's state (n),
-    input (1) and, with state uncertainty, input on every state (n) are outputs too, behind z and counted as
-    part of it. The vehicle's are the first n states of the plant.
+    The plant's first n states are the vehicle's. In discrete time u and ξ_s are held (ξ_s enters through
+    ∫exp(As)ds), and the weights are mapped by Tustin; signals then are sequences.
+
+    Parameters
+    ----------
+    A : array_like (n, n), continuous
+    B : array_like (n, 1), continuous
+    weights : PlantWeights
+    structure : str, K_inf, K_i, K_is or K_o
+    dt : float, s, > 0: discrete time, default 0.0
+    delay : int, samples from u to the vehicle, for computation and bus, default 0
+        Δ_i and W_u read u at once.
+    probes : bool, add outputs after z, default False
+        They are the vehicle's state (n), input (1) and with state uncertainty input on every state (n).
+
+    Returns
+    -------
+    GeneralisedPlant
+
+    Raises
+    ------
+    SynthesisError
+        If the structure is unknown, or a shape or a delay does not fit.
+
+    References
+    ----------
+    Paper, Fig. 1.
     """
     if delay < 0 or (delay and not dt):
         raise SynthesisError(

@@ -1,11 +1,11 @@
 """Storage functions that are linear between knots, and D's gain, for the search in least_level.py.
 
-P(v) has a value of its own at every knot. An inequality at one speed then concerns the two knots around it,
+P(v) has a separate value at every knot. An inequality at one speed then concerns the two knots around it,
 so that the Hessian is block tridiagonal and a step costs little more than one for a few functions of speed.
 
-What F is measured in decides how far Newton's method has to go. F(P) at rate 0 is positive for the P of the
+The unit of F decides how far Newton's method has to go. F(P) at rate 0 is positive for the P of the
 rate before, and at f times that rate F(P) + (f - 1) F_0(P) > 0: from there a doubling takes a few steps.
-Steps to the centre follow, else P lies where hardly any direction is left to the next rate.
+Steps to the centre follow; otherwise P would have hardly any direction left to the next rate.
 """
 
 from __future__ import annotations
@@ -25,12 +25,14 @@ from lpvguard.engine.synthesis.statespace import StateSpace
 from lpvguard.engine.synthesis.storage_grid import parts_in
 
 FIRST_WEIGHT, NEXT_FACTOR = 10.0, 5.0
-"""Weight of what F lacks over the number of its rows: at first, and its factor once near the centre."""
+"""Weight of F's deficit over the number of its rows: at first, and its factor once near the centre."""
 STEPS = 60
-"""Of Newton's method, after which a rate counts as not found."""
+"""Steps of Newton's method after which a rate counts as not found."""
 OUT_OF_REACH = 2.0
-"""Over the weight, what F lacks near the centre from which on more weight is of no use: at the centre the
-least lies within one over the weight."""
+"""Deficit of F near the centre, over the weight, beyond which more weight does not help.
+
+At the centre the least lies within one over the weight.
+"""
 NEAR, CENTRING_STEPS = 200.0, 4
 """Decrement at which P is near enough to the centre, and the most steps to it once F > 0."""
 ADDITIONS = (1e-13, 1e-11, 1e-9, 1e-7)
@@ -114,8 +116,8 @@ Chain = tuple[list[np.ndarray], list[np.ndarray]]
 
 
 def _lower(block: np.ndarray, beside: list[np.ndarray], extra: float) -> np.ndarray:
-    """The Cholesky factor of ``block`` with the diagonal 1 + extra, less what it has by its neighbours'
-    blocks ``beside`` of the factor."""
+    """Cholesky factor of ``block`` with the diagonal 1 + extra, less the share of its neighbours'
+    ``beside``."""
     rest = block.copy()
     np.fill_diagonal(rest, 1 + extra)
     for one in beside:
@@ -196,8 +198,10 @@ class KnotGrid:
 
     @cached_property
     def _rows(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Of every inequality its speed's index, the segment of P's slope and the slope's sign: a knot has
-        the segments on either side, and a speed rises and falls."""
+        """Index of each inequality's speed, segment of P's slope, and sign of the slope.
+
+        A knot has the segments on either side, and a speed rises and falls.
+        """
         inside = (self.knots[:-1] <= self.speeds[:, None]) & (self.speeds[:, None] <= self.knots[1:])
         speed, segment = np.nonzero(inside)
         return np.repeat(speed, 2), np.repeat(segment, 2), np.tile([1.0, -1.0], len(speed))
@@ -214,7 +218,7 @@ class KnotGrid:
         return KnotBarrier([self._parts[i] for i in speed], now, after, segment)
 
     def gain_direction(self) -> np.ndarray:
-        """What F gains where the square of D's gain grows by 1, (count, N, N)."""
+        """Change of F per unit of the square of D's gain, (count, N, N)."""
         n, (n_eta, n_xi) = len(self.basis), self.delta
         N = np.array([N for _, N in self._parts])
         X = -np.swapaxes(N[:, :n_eta], 1, 2) @ N[:, :n_eta]
@@ -226,8 +230,8 @@ class KnotGrid:
         return self.barrier(rate).F(point.P) + point.excess * self.gain_direction()
 
     def violated(self, point: Point, rate: float, speeds: np.ndarray) -> np.ndarray:
-        """Of ``speeds`` (m,) the worst in every segment in which F is not positive; those that the grid asks
-        are left out."""
+        """Worst of ``speeds`` (m,) in every segment in which F is not positive, without speeds of the
+        grid."""
         others = np.setdiff1d(speeds, self.speeds)
         if not len(others):
             return others
@@ -241,7 +245,7 @@ class KnotGrid:
         return others[np.array(worst, int)]
 
     def asked_at(self, speeds: np.ndarray) -> KnotGrid:
-        """With inequalities at ``speeds`` (m,) besides."""
+        """The grid with further inequalities at ``speeds`` (m,)."""
         return replace(self, speeds=np.union1d(self.speeds, speeds))
 
     def bent_at(self, point: Point, knots: np.ndarray) -> tuple[KnotGrid, Point]:
@@ -252,8 +256,10 @@ class KnotGrid:
         return replace(self, knots=knots), replace(point, P=P)
 
     def evened(self, point: Point) -> tuple[KnotGrid, Point]:
-        """The same in coordinates in which the mean of P is diagonal and what it dissipates is even; as they
-        stand where it does not dissipate. The Hessian's rounding is least in them."""
+        """The grid in coordinates in which the mean of P is diagonal and its dissipation even.
+
+        The Hessian's rounding is least in them. Without dissipation the coordinates stay.
+        """
         n = len(self.basis)
         F = self.F(point, 0.0).mean(axis=0)[:n, :n]
         if not np.linalg.eigvalsh(F)[0] > 0:

@@ -6,15 +6,15 @@ outputs and w. It keeps the level beta at a rate when a gain g and P(v) > 0 exis
     x' P(v) x - x+' P(v+) x+ + g^2 (|xi|^2 - |eta|^2) + |w|^2 - |z|^2 / beta^2 > 0
 
 for all v in the range and |v+ - v| <= rate Ts. Then every LTI Delta within the bound leaves a gain from w to
-z below beta, from rest: beta = 1 is robust performance, and beta is robust performance with z weighed by 1 /
+z below beta, from rest: beta = 1 is robust performance, and beta is robust performance with z weighted by 1 /
 beta. g is the gain of the scaling D, whose shape is given (``tuned``: the best at frozen speeds).
 
-``find_level`` looks for a P that is linear between knots, and for g, by the barrier method (knot_search.py).
-It asks the inequality at speeds between the knots as well, since from knots alone it would hold nowhere else.
-From the frozen solutions a moving speed is out of reach: their P follows the speed wherever little is lost.
-So the search begins at rate 0 with P0 + v P1 + P2 / v near them, and the rate doubles step by step, each from
-the P before. P has a cost besides, ``COST``. Where a proof fails, more speeds at which the inequality does
-are asked. What is claimed is proved by ``prove`` for all speeds.
+``find_level`` searches a P that is linear between knots, and g, by the barrier method (knot_search.py). It
+also demands the inequality at speeds between the knots, because knots alone would not imply it elsewhere. A
+moving speed cannot be reached from the frozen solutions: their P follows the speed wherever little is lost.
+The search therefore begins at rate 0 with P0 + v P1 + P2 / v near them. The rate doubles step by step, each
+from the P before. P also has a cost, ``COST``. Where a proof fails, its speeds are added. ``prove`` proves
+the claim for all speeds.
 """
 
 from __future__ import annotations
@@ -49,15 +49,19 @@ GAIN_SPEEDS = 4
 RATE_STEPS = 6
 """Rates up to the wanted one, each twice the one before, after rate 0."""
 COST = 1e-4
-"""Cost of P in the search, over the frozen solutions' mean: it weighs against log det F from about 1e4 times
-that mean on, and what P gains beyond is lost between the speeds."""
+"""Cost of P in the search, over the frozen solutions' mean.
+
+It acts against log det F from about 1e4 times that mean on. Gains of P beyond are lost between the speeds.
+"""
 KNOT_PARTS, SPEED_PARTS = 2, 4
-"""Segments of P in every interval between nodes, and parts of a segment between the speeds asked: with knots
-at the nodes alone there is no P for the truck's rate."""
+"""Segments of P in every interval between nodes, and parts of a segment between the speeds.
+
+With knots at the nodes alone there is no P for the truck's rate.
+"""
 COARSE_SHARE = 0.25
-"""Of the rate, up to which the nodes are knots enough; a step costs by the number of knots."""
+"""Share of the rate up to which the nodes are enough knots; the cost of a step grows with the knots."""
 GRID_SHARE = 0.99
-"""Of the rate that P bears at the speeds asked, to be proved between them."""
+"""Share of the rate at the grid's speeds that is to be proved between them."""
 ROUNDS = 6
 """Proofs tried; after each one that fails more speeds are asked."""
 TUNING_STEPS = (0.3, 0.04)
@@ -69,8 +73,19 @@ FARTHEST_GAIN = 2.0
 
 
 def weighed(family: Family, delta: tuple[int, int], level: float, gain: float) -> Family:
-    """The family with its rows eta times ``gain``, its columns xi over ``gain`` and its rows z over
-    ``level``. delta: number of rows eta and of columns xi; both stand first."""
+    """Weight a family for a level and a gain of D.
+
+    Parameters
+    ----------
+    family : Family
+    delta : tuple[int, int], numbers of rows eta and columns xi, which stand first
+    level : float, divides the rows z
+    gain : float, multiplies the rows eta and divides the columns xi
+
+    Returns
+    -------
+    Family
+    """
     n_eta, n_xi = delta
 
     def at(v: float) -> StateSpace:
@@ -88,9 +103,22 @@ def weighed(family: Family, delta: tuple[int, int], level: float, gain: float) -
 def tuned(
     loops: list[StateSpace], delta: tuple[int, int], level: float, starts: Sequence[Scaling]
 ) -> Scaling:
-    """D with the least frozen gain at ``level`` over ``loops``, which are discrete and unscaled. A pattern
-    search begins at the best of ``starts``, which are of one degree. Every block of Delta is one row eta and
-    one column xi, else D is the first."""
+    """Search the D with the least frozen gain over several loops.
+
+    A pattern search begins at the best start. Unless every block of Delta is one row eta and one column xi, D
+    is the first start.
+
+    Parameters
+    ----------
+    loops : list of StateSpace, discrete and unscaled
+    delta : tuple[int, int], see `weighed`
+    level : float
+    starts : Sequence[Scaling], of one degree
+
+    Returns
+    -------
+    Scaling
+    """
     if delta != (len(starts[0].log_parameters),) * 2:
         return starts[0]
     n = delta[0]
@@ -126,9 +154,23 @@ def find_level(
     rate: float,
     progress: Callable[[str], None] = lambda _: None,
 ) -> LpvCertificate | None:
-    """A storage function proved for |dv/dt| <= ``rate`` [m/s^2], at the first of ``LEVELS`` for which one is
-    found; None where there is none. family_at(level): the loop under the D that suits the level; ``delta`` as
-    of ``weighed``."""
+    """Search a storage function at the first of ``LEVELS`` with a proof.
+
+    Parameters
+    ----------
+    family_at : Callable, level -> loop under its D
+    delta : tuple[int, int], see `weighed`
+    rate : float, m/s^2, largest |dv/dt|
+    progress : Callable, reports progress
+
+    Returns
+    -------
+    LpvCertificate, or None
+
+    References
+    ----------
+    THEORY 6.
+    """
     for level in LEVELS:
 
         def tell(text: str, level: float = level) -> None:

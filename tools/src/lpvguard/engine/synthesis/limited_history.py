@@ -1,10 +1,10 @@
-"""The loop of saturation.py with the limit itself in it, and the inputs that drive it furthest.
+"""The loop of saturation.py with its limit, and the inputs of given size that drive it furthest.
 
-Their size is given. Furthest is said of the wanted demand, of its step, or of the output.
+Furthest means the largest wanted demand, its largest step, or the largest output.
 
-For a given input each sample is either within the limit or beyond it. So the run's derivative by the input is
-a linear loop that varies, and its adjoint costs one run. Repeating w = size · gradient / ‖gradient‖ climbs.
-What is returned was run, so it is reached.
+For a given input each sample is either within the limit or beyond it. The run's derivative by the input is
+therefore a linear loop that varies, and its adjoint costs one run. Repeating w = size · gradient / ‖gradient‖
+climbs. The result was simulated, so it is reached.
 """
 
 from __future__ import annotations
@@ -18,13 +18,19 @@ from lpvguard.engine.synthesis.statespace import StateSpace
 CLIMBS = 12
 """Repetitions at most."""
 AIMS = ("demand", "step", "gain")
-"""The last wanted demand, the last step of it, and the output's norm over all samples."""
+"""Objectives: the last wanted demand, its last step, and the output's norm over all samples."""
 
 
 @dataclass(frozen=True)
 class LimitedHistory:
-    """``loop``: from [p; w] to [u; z], the sector's middle closed (limited_loop with kappa inf, Δ closed).
-    p = 2 q − u with q what the limit ``u_max`` cuts off of u."""
+    """Loop with a limited demand.
+
+    Attributes
+    ----------
+    loop : StateSpace, from [p; w] to [u; z], sector's middle closed (limited_loop, kappa inf, Δ closed)
+        p = 2 q − u, with q the excess of u over its limit.
+    u_max : float, limit of u [input unit]
+    """
 
     loop: StateSpace
     u_max: float

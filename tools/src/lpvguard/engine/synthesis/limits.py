@@ -1,4 +1,4 @@
-"""What no controller can do: a lower bound of μ over all controllers of a plant, frequency by frequency.
+"""Lower bound of μ over all controllers of a plant, frequency by frequency.
 
 At one frequency a controller is any matrix Q in M = M11 + M12 Q M21, and for a given D (Parrott 1978)
 
@@ -25,6 +25,8 @@ GRID = np.r_[0.0, np.geomspace(1e-3, 1e2, 16)]
 """rad/s"""
 KERNEL_RTOL = 1e-9
 """Singular values of M21 and M12 below this fraction of the largest are zero."""
+ROUNDING = 4 * float(np.finfo(float).eps)
+"""Of a product of two entries and its place in a sum."""
 WIDEST = 15.0
 """Largest |ln d| searched."""
 BOXES_AT_ONCE, MOST_ROUNDS = 128, 150
@@ -32,10 +34,13 @@ BOXES_AT_ONCE, MOST_ROUNDS = 128, 150
 
 @dataclass(frozen=True)
 class Floor:
-    """No controller, whatever its order, has a D-scaled μ bound below ``value`` at ``frequency`` [rad/s], |ln
-    d_i| ≤ WIDEST.
+    """Lower bound of every controller's D-scaled μ bound.
 
-    ``at``: the least bound that was met while searching, value ≤ infimum ≤ at.
+    Attributes
+    ----------
+    value : float, the bound, for |ln d_i| ≤ WIDEST and any order
+    at : float, least bound met in the search, value ≤ infimum ≤ at
+    frequency : float, rad/s
     """
 
     value: float
@@ -44,8 +49,22 @@ class Floor:
 
 
 def mu_floor(plant: GeneralisedPlant, omega=GRID, rtol: float = 2e-5) -> Floor:
-    """The highest floor over the frequencies ``omega`` [rad/s] (those above Nyquist are left out), to
-    ``rtol``."""
+    """Compute the highest floor over frequencies.
+
+    Parameters
+    ----------
+    plant : GeneralisedPlant
+    omega : array_like (K,), rad/s, those above Nyquist are left out
+    rtol : float, relative accuracy, default 2e-05
+
+    Returns
+    -------
+    Floor
+
+    References
+    ----------
+    THEORY 6, (T14); Parrott 1978.
+    """
     omega = np.atleast_1d(np.asarray(omega, dtype=float))
     omega = omega[omega * plant.system.dt <= np.pi]
     best = Floor(0.0, 0.0, float(omega[0]))
@@ -104,7 +123,7 @@ class _Frequency:
         return min(least, values.min(initial=np.inf), best), best
 
     def exceeds(self, level: float) -> bool:
-        """Whether the infimum over D is known to lie above ``level``."""
+        """Whether the infimum over D is known to exceed ``level``."""
         low, high = np.full((1, self.dim), -WIDEST), np.full((1, self.dim), WIDEST)
         values, new = self.bound(low, high), 1
         for _ in range(MOST_ROUNDS):
@@ -138,10 +157,18 @@ def _halves(low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _gain(image: np.ndarray, source: np.ndarray, left: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """max over v of ‖exp(left) image v‖ / ‖exp(right) source v‖ for each row of ``left`` and ``right``."""
+    """max over v of ‖exp(left) image v‖ / ‖exp(right) source v‖ for each row of ``left`` and ``right``.
+
+    What is returned is the ratio of one v that was found, less what rounding of its terms may add: a lower
+    bound, however v was found.
+    """
     if source.shape[1] == 0:
         return np.zeros(len(left))
     R = np.linalg.qr(np.exp(right)[:, :, None] * source, mode="r")
     scaled = np.exp(left)[:, :, None] * image
     adjoint = np.linalg.solve(np.conj(np.swapaxes(R, 1, 2)), np.conj(np.swapaxes(scaled, 1, 2)))
-    return np.linalg.norm(adjoint, 2, axis=(1, 2))
+    v = np.linalg.solve(R, np.linalg.svd(adjoint, full_matrices=False)[0][:, :, :1])[:, :, 0].T
+    moved = ROUNDING * len(v) * np.abs(v)
+    above = np.maximum(np.abs(image @ v) - np.abs(image) @ moved, 0.0).T * np.exp(left)
+    below = (np.abs(source @ v) + np.abs(source) @ moved).T * np.exp(right)
+    return np.linalg.norm(above, axis=1) / np.linalg.norm(below, axis=1)

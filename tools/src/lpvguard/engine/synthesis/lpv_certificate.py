@@ -8,25 +8,24 @@ The loop is x+ = A(v) x + B(v) w, z = C(v) x + D(v) w with v+ - v in [-a Ts, a T
 
 x' P(v) x is a storage function: the gain from w to z is below 1 for every speed history with |dv/dt| <= a,
 from rest. The adjoint loop, x+ = A' x + C' z, w = B' x + D' z with time reversed, has the same gain over the
-same histories: a storage function of either serves. A controller whose B follows the speed moves its states
-with the speed. In the adjoint these are read through B instead, and the states stay.
+same histories: a storage function of either is enough. A controller whose B follows the speed moves its
+states with the speed. In the adjoint these are read through B instead, and the states stay.
 
-``find`` asks the adjoint first, then the loop itself. A barrier method on a grid of speeds finds P0 + v P1 +
-P2 / v, in which F is linear. Where there is none, strict bounded-real Riccati equations give another P.
+``find`` tries the adjoint first, then the loop. A barrier method on a grid of speeds finds P0 + v P1 +
+P2 / v, in which F is linear. If there is none, strict bounded-real Riccati equations give another P.
 Either is taken piecewise linear between ``KNOTS`` knots in every interval of the controller's nodes.
-``prove`` decides on all speeds. Cells cover the range, and F is tested at a cell's ends. A matrix bounds what
-F may lose between them:
+``prove`` decides on all speeds. Cells cover the range, and F is tested at a cell's ends. A matrix bounds the
+loss of F between them:
 
-- P is affine in a cell, and P(v+) is a mean of matrices that are: ``Storage.afterwards``. Each is tested.
-- F is concave along the chord between the ends but for the product of dP, of P(v+), and dM (M = [A B]). A
+- P is affine in a cell, and P(v+) is a mean of affine matrices: ``Storage.afterwards``. Each is tested.
+- F is concave along the chord between the ends except for the product of dP, of P(v+), and dM (M = [A B]). A
   bound of that product is subtracted.
 - [M; N] (N = [C D]) leaves its chord in the vehicle's rows only (of the adjoint: columns): all else is
-  affine between two nodes of the controller. How far it does follows from bounds on the derivatives of the
+  affine between two nodes of the controller. The deviation follows from bounds on the derivatives of the
   vehicle's zero-order hold over the cell (``NominalModel.hold_bounds``).
 
-A cell that fails is cut in two, down to ``SMALLEST_CELL``; near a knot where speeds begin to reach across it,
-for the parts have fewer slopes to bear. Every test is by eigenvalues with a reserve for
-rounding.
+A failing cell is cut in two, down to ``SMALLEST_CELL``. Near a knot it is cut where speeds begin to reach
+across it, because the parts then have fewer slopes. Every test is by eigenvalues with a margin for rounding.
 """
 
 from __future__ import annotations
@@ -53,21 +52,20 @@ FIRST_CELLS = 2
 MOST_CELLS = 1000
 """Cells after which a proof is given up: it would take too long to be repeated at every export."""
 FIRST_RATE, LARGEST_RATE, SMALLEST_RATE = 0.25, 8.0, 0.015
-"""Rates |dv/dt| tried [m/s^2]: from the first by factors of four, no further than these; a truck brakes with
-less than the largest."""
+"""Rates |dv/dt| tried [m/s^2]: the first one, then by factors of four, up to these; a truck brakes with less
+than
+the largest."""
 SHARES = (0.95, 0.7, 0.5)
-"""Of the rate for which a storage function was found on the grid, tried in the proof between its speeds; the
-last for Riccati solutions, which are taken as they come and waver between the knots."""
+"""Shares of the grid's rate that are tried in the proof between its speeds; the last one for Riccati
+solutions, which vary irregularly between the knots."""
 GRIDS = (1, 2, 4)
-"""Speeds of the search in every interval between nodes: more of them where what was found is not proved
-between them."""
+"""Speeds of the search in every interval between nodes; more of them after a failed proof."""
 KNOTS = 16
-"""Knots of a storage function in every interval between nodes: what it loses between knots is of second
-order."""
+"""Knots of a storage function in every interval between nodes: the loss between knots is of second order."""
 DOUBLINGS = 20
-"""Of the steps that a Gramian sums: a million, three hours at 0.01 s."""
+"""Doublings of the number of steps that a Gramian sums: a million, three hours at 0.01 s."""
 HIDDEN = 1e-12
-"""Of the largest Gramian entry, added to the Gramians that make the coordinates."""
+"""Share of the largest Gramian entry, added to the Gramians that make the coordinates."""
 SLACKS = (3e-4, 1e-4, 3e-5, 1e-5, 1e-6)
 """Extra input and output on every state with which the frozen Riccati equations are made strict, relative to
 the coordinates."""
@@ -77,11 +75,16 @@ the coordinates."""
 class Family:
     """The scaled closed loop over speed.
 
-    at(v): StateSpace at speed v [m/s]. Its last ``n_probes`` outputs are the probes: the vehicle's state and
-    inputs. vehicle: the rows of [A B] that are Xi(v) times the probes. hold_bounds(low, high): entrywise
-    bounds of |Xi'| and |Xi''| over speeds low..high, columns in the order of the probes. nodes: speeds
-    between which everything else in ``at`` is affine. Ts: sampling time in seconds. adjoint: storage
-    functions are sought of the adjoint loop.
+    Attributes
+    ----------
+    at : Callable
+        Speed [m/s] -> StateSpace, whose last ``n_probes`` outputs are the vehicle's state and inputs.
+    nodes : ndarray (K,), m/s, between them all but the vehicle is affine
+    vehicle : slice, rows of [A B] that are Xi(v) times the probes
+    n_probes : int
+    hold_bounds : Callable, (low, high) -> entrywise bounds of |Xi'| and |Xi''| over these speeds
+    Ts : float, s
+    adjoint : bool, storage functions are those of the adjoint loop
     """
 
     at: Callable[[float], StateSpace]
@@ -97,21 +100,31 @@ class Family:
         return self.unprobed(self.at(v))
 
     def unprobed(self, G: StateSpace) -> StateSpace:
-        """What ``at`` gave, or its adjoint, without probes."""
+        """The system of ``at``, or its adjoint, without probes."""
         G = G.select(slice(0, G.n_outputs - self.n_probes), slice(None))
         return StateSpace(G.A.T, G.C.T, G.B.T, G.D.T, G.dt) if self.adjoint else G
 
 
 def relevant(family: Family, rows: slice, columns: slice) -> Family:
-    """The family from the inputs ``columns`` to the outputs ``rows``, without the states that these neither
-    reach nor are moved by at any speed. ``rows`` ends before the probes."""
+    """Restrict a family to some inputs and outputs, without states that are irrelevant at every speed.
+
+    Parameters
+    ----------
+    family : Family
+    rows : slice, outputs, before the probes
+    columns : slice, inputs
+
+    Returns
+    -------
+    Family
+    """
     loops = [family.at(float(v)) for v in refined(family.nodes, 2)]
     [n_z] = {G.n_outputs - family.n_probes for G in loops}
 
     def any_of(parts: list[np.ndarray]) -> np.ndarray:
         return np.max([np.abs(part) for part in parts], axis=0) > 0
 
-    # What is affine between nodes and zero at two speeds is zero. The vehicle's rows are taken as full.
+    # An entry that is affine between nodes and zero at two speeds is zero. The vehicle's rows count as full.
     moves: np.ndarray = any_of([G.A for G in loops])
     moves[family.vehicle] |= any_of([G.C[n_z:] for G in loops]).any(axis=0)
     entered: np.ndarray = np.asarray(any_of([G.B[:, columns] for G in loops]).any(axis=1))
@@ -144,8 +157,15 @@ def relevant(family: Family, rows: slice, columns: slice) -> Family:
 
 @dataclass(frozen=True)
 class Storage:
-    """P(v) linear between ``knots`` (K,) [m/s], P (K, n, n) there, in the coordinates x = basis x~; basis (n,
-    n). adjoint: of the adjoint loop."""
+    """Storage function P(v), linear between knots, in the coordinates x = basis x~.
+
+    Attributes
+    ----------
+    basis : ndarray (n, n)
+    knots : ndarray (K,), m/s
+    P : ndarray (K, n, n), at the knots
+    adjoint : bool, of the adjoint loop
+    """
 
     basis: np.ndarray
     knots: np.ndarray
@@ -171,11 +191,11 @@ class Storage:
         return np.diff(self.P, axis=0) / np.diff(self.knots)[:, None, None]
 
     def afterwards(self, low: float, high: float, step: float) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Pairs of matrices at ``low`` and ``high``, of one segment. For every v between and |v+ - v| <=
-        ``step``, P(v+) is a mean of what lies on the pairs' chords at v.
+        """Pairs of matrices at ``low`` and ``high`` of one segment that bound P(v+).
 
-        Where v + step lies in one segment for all v, or v - step, the chords are P there and P at the knots
-        on the way. Elsewhere they are P(v) and a step along the slope of every segment on the way.
+        For every v between and |v+ - v| <= ``step``, P(v+) is a mean of points on the pairs' chords at v.
+        Where v + step, or v - step, lies in one segment for all v, the chords are P there and P at the knots
+        between. Elsewhere they are P(v) and a step along the slope of every segment between.
         """
         reserve = INSIDE * np.spacing(high)
         own = self._segment(0.5 * (low + high))
@@ -194,8 +214,7 @@ class Storage:
         return pairs
 
     def cut(self, low: float, high: float, step: float) -> float:
-        """Where to cut low..high: in the middle, or at a speed inside from which a knot is ``step`` away, the
-        nearest to the middle."""
+        """Where to cut low..high: in the middle, or at the speed nearest to it with a knot ``step`` away."""
         inner = self.knots[1:-1]
         bends = np.concatenate([inner - step, inner + step])
         middle, reserve = 0.5 * (low + high), INSIDE * np.spacing(high)
@@ -205,8 +224,10 @@ class Storage:
 
 @dataclass(frozen=True)
 class Proof:
-    """What ``prove`` found: number of cells and the least eigenvalue of F at their ends, remainder
-    subtracted, relative to the storage's trace over its order."""
+    """Result of ``prove``: number of cells, and the least eigenvalue of F at their ends.
+
+    The remainder is subtracted. The eigenvalue is relative to the storage's trace over its order.
+    """
 
     cells: int
     margin: float
@@ -214,11 +235,19 @@ class Proof:
 
 @dataclass(frozen=True)
 class LpvCertificate:
-    """``P`` (3, n, n): P0, P1, P2 in the coordinates ``storage.basis``; None: Riccati solutions, which
-    ``riccati_storage`` makes anew, or with ``own_knots`` P at the storage's knots. Gain below 1 for |dv/dt|
-    <= rate [m/s^2]. not_found: the least rate tried for which no storage function was found (None: the
-    largest tried was proved); it may exist all the same. level, gain: those that the loop is weighed with
-    (least_level.py)."""
+    """Certificate of a gain below 1 for |dv/dt| <= rate.
+
+    Attributes
+    ----------
+    rate : float, m/s^2
+    storage : Storage
+    P : ndarray (3, n, n), P0, P1, P2 in ``storage.basis``, or None for Riccati solutions
+        With ``own_knots`` P at the storage's knots.
+    proof : Proof
+    not_found : float or None, least rate tried without a storage function, which may still exist
+    level, gain : float, weights of the loop (least_level.py)
+    own_knots : bool
+    """
 
     rate: float
     storage: Storage
@@ -231,8 +260,22 @@ class LpvCertificate:
 
 
 def prove(family: Family, storage: Storage, rate: float) -> Proof | None:
-    """The proof for all speeds between the first and the last node and |dv/dt| <= rate; None where it
-    fails."""
+    """Prove a storage function for all speeds between the first and the last node.
+
+    Parameters
+    ----------
+    family : Family
+    storage : Storage
+    rate : float, m/s^2, largest |dv/dt|
+
+    Returns
+    -------
+    Proof, or None if it fails
+
+    References
+    ----------
+    THEORY 6.
+    """
     family = replace(family, adjoint=storage.adjoint)
     ends: dict[float, _End] = {}
 
@@ -286,8 +329,11 @@ class _End:
 def _share(
     family: Family, basis: np.ndarray, G: StateSpace, shape: tuple[int, int]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """What stands left and right of Xi(v), of the adjoint of its transpose, in S of this shape, in the
-    coordinates of ``basis``; G: the family at v."""
+    """Factors left and right of Xi(v) (of the adjoint: of its transpose) in S, in the coordinates of
+    ``basis``.
+
+    G is the family at v.
+    """
     n = len(basis)
     rows, probes = np.eye(n)[:, family.vehicle], np.hstack([G.C, G.D])[G.n_outputs - family.n_probes :]
     if family.adjoint:
@@ -368,8 +414,10 @@ def _weighed(X: np.ndarray, Y: np.ndarray, inverse: np.ndarray) -> np.ndarray:
 
 
 def _crossed(left: list[np.ndarray], bound: np.ndarray, right: np.ndarray, inverse: np.ndarray) -> np.ndarray:
-    """More than x rho r + (x rho r)' for every mean x of ``left`` (N, a) and |rho| <= bound (a, b), r =
-    ``right`` (b, N): every product with the eta that costs least against the inverse of F."""
+    """Upper bound of x rho r + (x rho r)' for every mean x of ``left`` (N, a) and |rho| <= bound (a, b).
+
+    r = ``right`` (b, N). Every product has the eta of least cost against the inverse of F.
+    """
     x_size = np.sqrt(sum(np.sum(x * (inverse @ x), axis=0) for x in left))
     r_size = np.sqrt(np.sum(right.T * (inverse @ right.T), axis=0))
     x_safe, r_safe = (np.where(size > 0, size, 1.0) for size in (x_size, r_size))
@@ -380,23 +428,43 @@ def _crossed(left: list[np.ndarray], bound: np.ndarray, right: np.ndarray, inver
 
 
 def polynomial_storage(family: Family, basis: np.ndarray, P: np.ndarray) -> Storage:
-    """P0 + v P1 + P2 / v at the knots that refine the family's nodes; P (3, n, n) in the coordinates
-    ``basis`` (n, n)."""
+    """Evaluate P0 + v P1 + P2 / v at the knots that refine the family's nodes.
+
+    Parameters
+    ----------
+    family : Family
+    basis : ndarray (n, n), coordinates
+    P : ndarray (3, n, n)
+
+    Returns
+    -------
+    Storage
+    """
     knots = refined(family.nodes, KNOTS)
     return Storage(basis, knots, np.tensordot(terms(knots), P, 1), family.adjoint)
 
 
 def riccati_storage(family: Family) -> Storage | None:
-    """Strict solutions of the bounded-real Riccati equation at the knots; None where a frozen gain is not
-    below 1."""
+    """Solve the bounded-real Riccati equation strictly at the knots.
+
+    Parameters
+    ----------
+    family : Family
+
+    Returns
+    -------
+    Storage, or None if a frozen gain is not below 1
+    """
     knots = refined(family.nodes, KNOTS)
     frozen = frozen_at(family, knots)
     return frozen and Storage(frozen[0], knots, frozen[2], family.adjoint)
 
 
 def frozen_at(family: Family, speeds: np.ndarray):
-    """Basis (n, n), pairs ([A B], [C D]) and Riccati solutions (k, n, n) at ``speeds`` (k,), in coordinates
-    that suit all of them; None without solutions."""
+    """Basis (n, n), pairs ([A B], [C D]) and Riccati solutions (k, n, n) at ``speeds`` (k,), or None.
+
+    The coordinates suit all speeds.
+    """
     loops = [family.loop(v) for v in speeds]
     if not all(G.stability_margin() > 0 for G in loops):
         return None
@@ -407,8 +475,20 @@ def frozen_at(family: Family, speeds: np.ndarray):
 
 
 def find(family: Family) -> LpvCertificate | None:
-    """The storage function with the largest rate that was found and proved, of the adjoint or else of the
-    loop itself; None when there is none."""
+    """Search and prove the storage function with the largest rate, of the adjoint or else of the loop.
+
+    Parameters
+    ----------
+    family : Family
+
+    Returns
+    -------
+    LpvCertificate, or None
+
+    References
+    ----------
+    THEORY 6.
+    """
     for adjoint in (True, False):
         one = replace(family, adjoint=adjoint)
         found = _polynomial(one) or _riccati(one)
@@ -427,8 +507,7 @@ def _polynomial(family: Family) -> LpvCertificate | None:
 
 
 def _on_grid(family: Family, grid: np.ndarray) -> tuple[bool, LpvCertificate | None]:
-    """Whether there is a storage function at the speeds ``grid`` for any rate, and what of it is proved
-    between them."""
+    """Whether a storage function exists at the speeds ``grid`` for any rate, and its proof between them."""
     start = frozen_at(family, grid)
     if start is None:
         return False, None
@@ -488,9 +567,9 @@ def _next_rate(found: float | None, failed: float | None) -> float | None:
 def _coordinates(loops: list[StateSpace]) -> np.ndarray:
     """Basis in which the sums over the loops of both Gramians are nearly equal and diagonal.
 
-    States are scaled to like Gramians first, and each Gramian has HIDDEN of its largest entry added: what is
-    hardly reached or seen must not make the basis singular. Factors are never multiplied out: scales of
-    states may differ by more than rounding leaves.
+    States are first scaled to similar Gramians. Each Gramian has HIDDEN of its largest entry added, so that
+    states that are hardly reached or observed do not make the basis singular. Factors are never multiplied
+    out, because scales of states may differ by more than the number range.
     """
     reach = _rows(np.hstack([_reached(G.A, G.B) for G in loops]))
     seen = _rows(np.hstack([_reached(G.A.T, G.C.T) for G in loops]))
@@ -547,9 +626,11 @@ def _frozen(parts: list[tuple[np.ndarray, np.ndarray]], Ts: float) -> np.ndarray
 
 
 def _even(basis, parts, frozen):
-    """The same in the coordinates in which the frozen solutions' mean is diagonal and what they dissipate in
-    a step is even: slow states lose little of their storage in a step, and elsewhere the barrier's curvature
-    would drown in theirs."""
+    """Coordinates in which the frozen solutions' mean is diagonal and their dissipation in a step even.
+
+    Slow states lose little of their storage in a step. In other coordinates the barrier's curvature would
+    drown in theirs.
+    """
     n = len(basis)
     lost = unmoved(parts).F(frozen).mean(axis=0)[:n, :n]
     T = sl.eigh(frozen.mean(axis=0), lost)[1]

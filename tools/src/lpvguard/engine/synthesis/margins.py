@@ -1,8 +1,8 @@
-"""Stability margins of a single loop, and the margins that a set of loops has for certain (THEORY 7.5, [13]).
+"""Stability margins of a single loop, and those that a set of loops certainly has (THEORY 7.5, [13]).
 
 L is the loop's frequency response, broken at the plant's input, with negative feedback: S = 1/(1 + L) and
 T = L/(1 + L). Frequencies are in rad/s, gains are factors, phases are in rad and delays in s. The open loop
-must be stable: then the loop is stable exactly when 1 + L does not go round 0.
+must be stable: then the loop is stable exactly when 1 + L does not encircle 0.
 
 ``Response`` is any function from omega (k,) to L (k,). ``of_samples`` makes one of measured samples, and
 ``of_system`` of a system. A first grid is refined until log L and log (1 + L) change by at most STEP from
@@ -58,8 +58,13 @@ class LoopMargin:
 
 @dataclass(frozen=True)
 class LoopMargins:
-    """``unstable_poles``: of the closed loop. ``found``: a margin for each of NAMES, empty where the loop is
-    unstable."""
+    """Margins of a loop.
+
+    Attributes
+    ----------
+    unstable_poles : int, of the closed loop
+    found : dict[str, LoopMargin], by NAMES, empty for an unstable loop
+    """
 
     unstable_poles: int
     found: dict[str, LoopMargin]
@@ -71,14 +76,37 @@ class LoopMargins:
 
 
 def shown(name: str, value: float) -> float:
-    """The ``value`` of the margin ``name`` in the unit in which people read it (SHOWN)."""
+    """Convert a margin to its display unit (SHOWN).
+
+    Parameters
+    ----------
+    name : str, of the margin
+    value : float
+
+    Returns
+    -------
+    float
+    """
     return value * SHOWN[name][1] if name in SHOWN else value
 
 
 def disk_gain_and_phase(alpha: float, skew: float) -> tuple[float, float, float]:
-    """Least factor, largest factor and phase [rad] that a disk margin ``alpha`` of ``skew`` covers (T28).
+    """Compute the gain and phase that a disk margin covers.
 
     Gain alone may lie between the factors, phase alone between minus and plus the phase.
+
+    Parameters
+    ----------
+    alpha : float, disk margin
+    skew : float
+
+    Returns
+    -------
+    tuple of least factor, largest factor and phase [rad]
+
+    References
+    ----------
+    THEORY 7.5, (T28).
     """
     if np.isinf(alpha):
         return 0.0, np.inf, np.pi
@@ -98,12 +126,24 @@ def disk_gain_and_phase(alpha: float, skew: float) -> tuple[float, float, float]
 
 
 def of_samples(omega: np.ndarray, L: np.ndarray) -> Response:
-    """L between its samples (K,) at rising ``omega`` (K,) [rad/s]: a cubic spline of L over log omega,
-    constant beyond the samples.
+    """Interpolate a response by a cubic spline of L over log omega, constant beyond the samples.
 
-    Its error falls with the fourth power of the samples' distance. A sixteenth of what the spline through
-    every second sample misses at the others therefore estimates it. SynthesisError where that exceeds
-    TOLERANCE (1 + |L|), or samples are not finite.
+    The error falls with the fourth power of the samples' distance. A sixteenth of the error at every second
+    sample of the spline through the others therefore estimates it.
+
+    Parameters
+    ----------
+    omega : ndarray (K,), rad/s, rising
+    L : ndarray (K,) of complex
+
+    Returns
+    -------
+    Response
+
+    Raises
+    ------
+    SynthesisError
+        If that error exceeds TOLERANCE (1 + |L|), or samples are not finite.
     """
     omega, L = np.asarray(omega, float), np.asarray(L, complex)
     if len(omega) < FEWEST or omega[0] <= 0 or (np.diff(omega) <= 0).any() or L.shape != omega.shape:
@@ -129,8 +169,21 @@ def of_samples(omega: np.ndarray, L: np.ndarray) -> Response:
 
 
 def of_system(loop: StateSpace) -> tuple[Response, np.ndarray]:
-    """The response of a single loop and a first grid (K,) [rad/s]. SynthesisError unless it has one input,
-    one output and stable poles."""
+    """Return the response of a single loop and a first grid for its margins.
+
+    Parameters
+    ----------
+    loop : StateSpace
+
+    Returns
+    -------
+    tuple of Response and ndarray (K,), rad/s
+
+    Raises
+    ------
+    SynthesisError
+        If it has not one input, one output and stable poles, or is not well posed.
+    """
     if loop.D.shape != (1, 1):
         raise SynthesisError("loop", "L", f"{loop.D.shape} system", "one input and one output")
     if loop.stability_margin() <= 0:
@@ -151,10 +204,28 @@ def of_system(loop: StateSpace) -> tuple[Response, np.ndarray]:
 
 
 def margins(response: Response, omega: np.ndarray) -> LoopMargins:
-    """The margins of the loop (T26), (T27); ``omega`` (K,): rising first grid [rad/s].
+    """Compute the margins of a loop.
 
-    The grid begins where L is nearly real, and ends where it is nearly real or stays within the unit circle:
-    SynthesisError otherwise.
+    The grid must begin where L is nearly real, and end where it is nearly real or stays within the unit
+    circle.
+
+    Parameters
+    ----------
+    response : Response
+    omega : ndarray (K,), rad/s, rising first grid
+
+    Returns
+    -------
+    LoopMargins
+
+    Raises
+    ------
+    SynthesisError
+        If the grid does not.
+
+    References
+    ----------
+    THEORY 7.5, (T26), (T27).
     """
     omega, L = _refined(response, np.asarray(omega, float))
     poles = unstable_poles(L)
@@ -168,11 +239,22 @@ def margins(response: Response, omega: np.ndarray) -> LoopMargins:
 
 
 def guaranteed(centre: Response, radius: Response, omega: np.ndarray) -> LoopMargins | None:
-    """The least margins over all loops with |L - centre| <= radius at every frequency (T29); None where one
-    of them is unstable.
+    """Compute the least margins over all loops with |L - centre| <= radius at every frequency.
 
-    ``omega`` (K,): rising first grid [rad/s], with ends as for ``margins``. Each least margin is attained by
-    a loop of the set: none larger holds for all.
+    Each least margin is attained by a loop of the set, so no larger one holds for all.
+
+    Parameters
+    ----------
+    centre, radius : Response
+    omega : ndarray (K,), rad/s, rising first grid, with ends as for `margins`
+
+    Returns
+    -------
+    LoopMargins, or None if a loop is unstable
+
+    References
+    ----------
+    THEORY 7.5, (T29).
     """
     omega, c = _refined(centre, np.asarray(omega, float))
     poles = unstable_poles(c)
@@ -245,7 +327,7 @@ def _refined(response: Response, omega: np.ndarray) -> tuple[np.ndarray, np.ndar
     for _ in range(ROUNDS):
         with np.errstate(all="ignore"):
             moved = np.maximum(*(np.abs(np.log(x[1:] / x[:-1])) for x in (L, 1 + L)))
-        # Near a zero of L its logarithm never settles: what is small beside 1 need not be resolved.
+        # Near a zero of L its logarithm never settles: values far below 1 need no resolution.
         small = (np.abs(L[1:]) < 1e-3) & (np.abs(L[:-1]) < 1e-3)
         wide = (moved > STEP) & ~small & (np.diff(omega) > 1e-12 * omega[1:])
         if not wide.any():

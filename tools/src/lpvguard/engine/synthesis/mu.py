@@ -21,9 +21,15 @@ import scipy.linalg as sl
 
 from lpvguard.engine.blocks import Block
 from lpvguard.engine.synthesis.errors import SynthesisError
-from lpvguard.engine.synthesis.frequency_cells import PointBound, continuous_interval, cover, quadratic
-from lpvguard.engine.synthesis.mu_lower import lower_bound
-from lpvguard.engine.synthesis.mu_upper import POINT_RTOL, upper_bound
+from lpvguard.engine.synthesis.frequency_cells import (
+    PointBound,
+    continuous_interval,
+    cover,
+    quadratic,
+    response_rounding,
+)
+from lpvguard.engine.synthesis.mu_lower import SINGULAR_RTOL, attained, lower_bound
+from lpvguard.engine.synthesis.mu_upper import POINT_RTOL, scaled_size, upper_bound
 from lpvguard.engine.synthesis.real_boxes import ParameterBox, Part, Prover
 from lpvguard.engine.synthesis.real_mu import ZERO, real_mu
 from lpvguard.engine.synthesis.statespace import StateSpace
@@ -48,17 +54,13 @@ class MuBounds:
 
     Attributes
     ----------
-    upper : float
-        Proved by ``proof``.
-    lower : float
-        Attained at ``omega`` by ``delta``, shape (Σrows, Σcols), which makes I − M Δ singular with
-        max_i σ̄(Δ_i) = 1 / ``lower``; ``delta`` is None for a lower bound of 0.
-    omega : float
-        Frequency in rad/s; of a matrix 0.
-    proof : tuple of Part
-        In continuous time, of a discrete loop by the bilinear map.
-    size : float
-        ‖M‖, the largest over the interval where that was looked at; a bound far below it counts as 0.
+    upper : float, proved by ``proof``
+    lower : float, attained at ``omega`` by ``delta``
+    omega : float, rad/s, for a matrix 0
+    delta : ndarray (Σrows, Σcols) of complex, or None for a lower bound of 0
+        It makes I − M Δ singular with max_i σ̄(Δ_i) = 1 / ``lower``.
+    proof : tuple of Part, in continuous time, for a discrete loop by the bilinear map
+    size : float, ``scaled_size`` of M at ``omega``, or its largest; a bound far below it counts as 0
     """
 
     upper: float
@@ -86,15 +88,22 @@ def mu_bounds(M: np.ndarray, blocks: Sequence[Block], rtol: float = 1e-8) -> MuB
 
     Parameters
     ----------
-    M : ndarray, shape (Σcols, Σrows)
-    blocks : sequence of Block
-    rtol : float
-        Accuracy of the scalings' bound. With real blocks the gap aimed at is ``REAL_RTOL``.
+    M : ndarray (Σcols, Σrows) of complex
+    blocks : Sequence[Block]
+    rtol : float, accuracy of the scalings' bound, default 1e-8; with real blocks the target is ``REAL_RTOL``
+
+    Returns
+    -------
+    MuBounds
 
     Raises
     ------
     SynthesisError
-        M is not finite, its shape is not that of the blocks, or no bound could be proved.
+        If M is not finite, its shape does not fit the blocks, or no bound could be proved.
+
+    References
+    ----------
+    THEORY 6.
     """
     M = np.asarray(M, dtype=complex)
     structure = Structure(tuple(blocks))
@@ -105,7 +114,7 @@ def mu_bounds(M: np.ndarray, blocks: Sequence[Block], rtol: float = 1e-8) -> MuB
         )
     if not np.all(np.isfinite(M)):
         raise SynthesisError("mu", "M", "a NaN or infinite entry", "finite numbers")
-    size = float(np.linalg.norm(M, 2))
+    size = scaled_size(M, structure)
     if size == 0:
         return MuBounds(0.0, 0.0, 0.0, None, (), 0.0)
     prover = Prover(M, structure)
@@ -118,37 +127,52 @@ def mu_bounds(M: np.ndarray, blocks: Sequence[Block], rtol: float = 1e-8) -> MuB
         lower, delta, proof = real.lower, real.delta, (part,)
         if real.upper < upper:
             upper, proof = real.upper, real.proof
-    return _required(prover, MuBounds(upper, min(lower, upper), 0.0, delta, proof, size), 0.0, 0.0)
+    bounds = MuBounds(upper, min(lower, upper), 0.0, delta, proof, size)
+    _require(prover, bounds, 0.0, 0.0, M, np.zeros(M.shape))
+    return bounds
 
 
 def mu_interval(
-    loop: StateSpace, blocks: Sequence[Block], low: float, high: float, rtol: float = REAL_RTOL
+    loop: StateSpace,
+    blocks: Sequence[Block],
+    low: float,
+    high: float,
+    rtol: float = REAL_RTOL,
+    least: float = 0.0,
 ) -> MuBounds:
     """Bound μ of a loop at every frequency of an interval.
 
     Parameters
     ----------
-    loop : StateSpace
-        Stable, with Σcols outputs and Σrows inputs.
-    blocks : sequence of Block
-    low, high : float
-        Interval in rad/s. The last may be infinite, or in discrete time pi / dt.
-    rtol : float
-        Gap aimed at.
+    loop : StateSpace, stable, with Σcols outputs and Σrows inputs
+    blocks : Sequence[Block]
+    low, high : float, rad/s, high may be infinite, or in discrete time pi / dt
+    rtol : float, target of the gap
+    least : float, start of the search, default 0.0; ``upper`` is that level where it can be proved
+
+    Returns
+    -------
+    MuBounds
 
     Raises
     ------
     SynthesisError
-        The loop is not stable or of another shape than the blocks, or no bound could be proved.
+        If the loop is not stable, its shape does not fit the blocks, or no bound could be proved.
+
+    References
+    ----------
+    THEORY 6.
     """
     structure = Structure(tuple(blocks))
     G, first, last, unwarped = continuous_interval("mu_interval", loop, structure, low, high)
     if structure.complex_only:
-        bounds = _complex_interval(loop, structure, low, high, rtol)
+        bounds = _complex_interval(loop, structure, low, high, rtol, least)
     else:
-        real = real_mu(G, structure, first, last, _aim(structure, rtol))
+        real = real_mu(G, structure, first, last, _aim(structure, rtol), least)
         bounds = MuBounds(real.upper, real.lower, unwarped(real.omega), real.delta, real.proof, real.size)
-    return _required(Prover(G, structure), bounds, first, last)
+    M, moved = loop.response([bounds.omega])[0], response_rounding(loop, bounds.omega)
+    _require(Prover(G, structure), bounds, first, last, M, moved)
+    return bounds
 
 
 def _aim(structure: Structure, rtol: float) -> float:
@@ -171,7 +195,8 @@ def _scaled_bound(prover: Prover, M: np.ndarray, rtol: float) -> tuple[float, Pa
         for share in INFLATIONS:
             upper = max(least, np.finfo(float).tiny) * (1 + share)
             edge = np.full(n_real, 1 / upper)
-            point = PointBound(1.0, D_left, np.zeros_like(D_right), D_right, G / upper)
+            with np.errstate(over="ignore"):  # an endless G proves nothing
+                point = PointBound(1.0, D_left, np.zeros_like(D_right), D_right, G / upper)
             part = Part(ParameterBox(-edge, edge), 0.0, 0.0, point)
             if prover.verified([part], upper, 0.0, 0.0):
                 return float(upper), part, left, right
@@ -181,7 +206,7 @@ def _scaled_bound(prover: Prover, M: np.ndarray, rtol: float) -> tuple[float, Pa
 
 
 def _complex_interval(
-    loop: StateSpace, structure: Structure, low: float, high: float, rtol: float
+    loop: StateSpace, structure: Structure, low: float, high: float, rtol: float, least: float
 ) -> MuBounds:
     """Bound μ over an interval without real blocks; arguments as in ``mu_interval``."""
 
@@ -193,25 +218,36 @@ def _complex_interval(
     def held(M: np.ndarray, point: PointBound) -> float:
         return float(np.sqrt(max(sl.eigvalsh(quadratic(M, point), point.scaled)[-1], 0.0)))
 
-    bound = cover("mu_interval", loop, structure, low, high, rtol, at, held)
+    bound = cover("mu_interval", loop, structure, low, high, rtol, at, held, least)
     M = loop.response([bound.omega])[0]
     upper, _, left, right, _ = upper_bound(M, structure, POINT_RTOL)
     lower, delta = lower_bound(M, structure, left, right, upper * (1 - POINT_RTOL), INTERVAL_STARTS)
     proof = tuple(Part(EMPTY, c.low, c.high, c.point) for c in bound.cells)
-    return MuBounds(bound.upper, lower, bound.omega, delta, proof, float(np.linalg.norm(M, 2)))
+    return MuBounds(bound.upper, lower, bound.omega, delta, proof, scaled_size(M, structure))
 
 
-def _required(prover: Prover, bounds: MuBounds, low: float, high: float) -> MuBounds:
-    """Return ``bounds`` if its proof holds on [``low``, ``high``]; else an error."""
-    if not prover.verified(bounds.proof, bounds.upper, low, high):
-        raise SynthesisError(
-            "mu",
-            "mu_upper",
-            f"not proved: the scalings of {bounds.upper:.6g} do not hold within rounding; mu is at least "
-            f"{bounds.lower:.6g}",
-            "a loop whose signals and states are scaled to like sizes",
-        )
-    return bounds
+def _require(
+    prover: Prover, bounds: MuBounds, low: float, high: float, M: np.ndarray, moved: np.ndarray
+) -> None:
+    """Raise SynthesisError unless both bounds are proved; it says which one is not and which one is known.
+
+    The proof of the upper bound must hold on [``low``, ``high``] [rad/s], and Δ must attain the lower bound
+    at M, whose entries have the rounding ``moved``.
+    """
+    upper = prover.verified(bounds.proof, bounds.upper, low, high)
+    lower = bounds.lower == 0 or _attains(M, prover.structure, bounds.delta, bounds.lower, moved)
+    if upper and lower:
+        return
+    wrong = [] if upper else [f"the scalings of {bounds.upper:.6g} do not hold within rounding"]
+    wrong += [] if lower else [f"Delta does not attain {bounds.lower:.6g} within rounding"]
+    known = f"; mu is at least {bounds.lower:.6g}" if lower else ""
+    known += f"; mu is at most {bounds.upper:.6g}" if upper else ""
+    raise SynthesisError(
+        "mu",
+        "mu_lower" if upper else "mu_upper",
+        f"not proved: {', and '.join(wrong)}{known}",
+        "a loop whose signals and states are scaled to like sizes",
+    )
 
 
 def mu_lower(
@@ -226,6 +262,19 @@ def mu_lower(
 
     ``left`` (Σcols, Σcols) and ``right`` (Σrows, Σrows) make leftᴴ M right⁻ᴴ a well-scaled image of M, which
     speeds the search up. They are factors as ``upper_bound`` gives them. The search ends early at a value of
-    ``enough``.
+    ``enough``. A Δ that does not attain its value within rounding counts as none.
     """
-    return lower_bound(np.asarray(M, dtype=complex), Structure(tuple(blocks)), left, right, enough, starts)
+    M, structure = np.asarray(M, dtype=complex), Structure(tuple(blocks))
+    value, delta = lower_bound(M, structure, left, right, enough, starts)
+    held = _attains(M, structure, delta, value, np.zeros(M.shape))
+    return (value, delta) if held else (0.0, None)
+
+
+def _attains(
+    M: np.ndarray, structure: Structure, delta: np.ndarray | None, value: float, moved: np.ndarray
+) -> bool:
+    """Tell whether Δ proves the lower bound ``value`` at M; ``moved`` is rounding of its entries."""
+    if delta is None:
+        return False
+    moved = np.maximum(moved, SINGULAR_RTOL * np.abs(M))
+    return bool(value <= attained(M, structure, delta, moved) * (1 + SINGULAR_RTOL))

@@ -1,8 +1,8 @@
 """The lower bound of μ: a Δ with I − M Δ singular, searched from many starts at once, and checked.
 
 Where the upper bound is attained at a simple singular value, its vectors give Δ. Else the mixed power
-iteration (Young & Doyle 1990) finds candidates. A local ascent improves the best of them
-where blocks are complex or mixed.
+iteration (Young & Doyle 1990) finds candidates. A local ascent improves the best of them where blocks are
+complex or mixed.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import scipy.linalg as sl
 from lpvguard.engine.blocks import Block
 from lpvguard.engine.synthesis.mu_upper import simple_infimum
 from lpvguard.engine.synthesis.real_crossings import is_singular
+from lpvguard.engine.synthesis.statespace import EPS
 from lpvguard.engine.synthesis.structure import Structure
 
 ATTAINED_RTOL = 1e-10
@@ -46,8 +47,8 @@ def lower_bound(
     """
     if not M.any():
         return 0.0, None
-    if (attained := _attained(M, structure, left)) is not None:
-        return attained
+    if (meeting := _attained(M, structure, left)) is not None:
+        return meeting
     N = left.conj().T @ M @ np.linalg.inv(right.conj().T)
     scaled = N / np.linalg.norm(N, 2)
     candidates = _power_iteration(scaled, structure, starts, steps)
@@ -68,6 +69,31 @@ def lower_bound(
             if value > found[0][0] and _is_singular(M, delta):
                 found.insert(0, (value, delta, parts))
     return found[0][:2] if found else (0.0, None)
+
+
+def attained(M: np.ndarray, structure: Structure, delta: np.ndarray, moved: np.ndarray) -> float:
+    """Return the lower bound of μ that a Δ proves, 1 / max_i σ̄(Δ_i); 0 where it proves none.
+
+    Parameters
+    ----------
+    M : ndarray, shape (Σcols, Σrows)
+    structure : Structure
+    delta : ndarray, shape (Σrows, Σcols)
+        It proves a bound if it has the blocks' structure and makes I − M Δ singular.
+    moved : ndarray, shape (Σcols, Σrows)
+        Rounding of each entry of M.
+    """
+    rest = np.array(delta, complex)
+    for block, r, c in _places(structure):
+        if block.kind != "full":
+            number = rest[c.start, r.start]
+            number = number.real if block.kind == "repeated_real" else number
+            if np.abs(rest[c, r] - number * np.eye(block.rows)).max() > 8 * EPS * abs(number):
+                return 0.0
+        rest[c, r] = 0.0
+    if rest.any() or not np.any(delta) or not is_singular(M, delta, moved):
+        return 0.0
+    return 1 / _size(structure, delta)
 
 
 def _parts_of(M: np.ndarray, structure: Structure, x: np.ndarray, level: float) -> Parts:
@@ -104,8 +130,8 @@ def _attained(M: np.ndarray, structure: Structure, start: np.ndarray) -> tuple[f
     u, _, v = np.linalg.svd(left @ M @ np.linalg.inv(right))
     u, v = u[:, 0], v[0].conj()
     parts: Parts = [_rank_one(v[c], u[r]) for _, r, c in _places(structure)]
-    attained = _checked(M, structure, parts, upper * (1 - 10 * ATTAINED_RTOL))
-    return attained and attained[:2]
+    meeting = _checked(M, structure, parts, upper * (1 - 10 * ATTAINED_RTOL))
+    return meeting and meeting[:2]
 
 
 def _places(structure: Structure) -> list[tuple[Block, slice, slice]]:

@@ -7,6 +7,8 @@ value of a scaled M, and where that is simple Newton's method finds it sooner.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import scipy.linalg as sl
 
@@ -18,6 +20,8 @@ POINT_RTOL = 1e-4
 """Of the bound at one of many frequencies."""
 WEAK = 1e-5
 """Couplings of M below this share of its norm make no scalings more extreme."""
+LEAST_SIZE = 1e-3
+"""Share of ‖M‖ that counts as its size where couplings that Δ does not feel make up the rest."""
 G_WEIGHT = 0.1
 """Weight of |G|² in the centre that is searched for."""
 UNFELT = 1e-10
@@ -83,6 +87,18 @@ def upper_bound(
         right @ np.linalg.cholesky(D_right),
         size * right @ G @ left.conj().T,
     )
+
+
+def scaled_size(M: np.ndarray, structure: Structure) -> float:
+    """Return the bound of M (Σcols, Σrows) with its real blocks taken as complex: no units enter it.
+
+    It is at least ``LEAST_SIZE`` of ‖M‖ in balanced units.
+    """
+    left, right = _both_sides(_balance(M, structure), structure)
+    balanced = float(np.linalg.norm(left @ M @ np.linalg.inv(right), 2))
+    kinds = {"repeated_real": "repeated_complex"}
+    taken = Structure(tuple(replace(b, kind=kinds.get(b.kind, b.kind)) for b in structure.blocks))
+    return max(upper_bound(M, taken, POINT_RTOL)[0], LEAST_SIZE * balanced)
 
 
 def _forms(N: np.ndarray, structure: Structure) -> tuple[np.ndarray, np.ndarray]:

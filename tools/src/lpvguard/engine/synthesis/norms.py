@@ -1,7 +1,7 @@
 """The H∞ norm as a bracket: a lower bound attained at a frequency and an upper bound from a level test.
 
-Continuous time by the eigenvalues of the Hamiltonian matrix (Boyd & Balakrishnan 1990; Bruinsma & Steinbuch
-1990); a discrete system is first mapped bilinearly, which keeps the norm (its symplectic pencil is that
+Continuous time uses the eigenvalues of the Hamiltonian matrix (Boyd & Balakrishnan 1990; Bruinsma & Steinbuch
+1990). A discrete system is first mapped bilinearly, which keeps the norm (its symplectic pencil is that
 Hamiltonian's image).
 """
 
@@ -15,13 +15,17 @@ import scipy.linalg as sl
 from lpvguard.engine.synthesis.statespace import EPS, StateSpace, balanced, to_continuous
 
 SMALLEST = 1e-100
-"""Level that stands for zero: B / level still has a square."""
+"""Level used for zero: B / level still has a square."""
 
 
 @dataclass(frozen=True)
 class NormBracket:
-    """lower = σ̄(G) at ``peak_frequency`` (rad/s, possibly inf or 0) ≤ ‖G‖∞ ≤ upper; both inf when G is
-    unstable.
+    """Bracket of an H∞ norm: lower ≤ ‖G‖∞ ≤ upper, both inf when G is unstable.
+
+    Attributes
+    ----------
+    lower, upper : float
+    peak_frequency : float, rad/s, where σ̄(G) is lower, possibly inf or 0
     """
 
     lower: float
@@ -30,14 +34,26 @@ class NormBracket:
 
 
 def hinf_norm(G: StateSpace, rtol: float = 1e-6) -> NormBracket:
-    """Bracket ‖G‖∞ so that upper ≤ (1 + rtol) lower, plus the rounding of G at its peak; DC and infinite (or
-    Nyquist) frequency included. Where rounding of A may lift G above that at DC or at the frequency of a
-    pole, upper is that level.
+    """Bracket ‖G‖∞ with upper ≤ (1 + rtol) lower, plus the rounding of G at its peak.
 
-    An unstable G gives (inf, inf). The response is evaluated wherever an eigenvalue of the Hamiltonian comes
-    near the axis, and between such neighbours. Near means 1e-3 of its size, far more than rounding moves it:
-    a crossing that rounding has pushed off the axis is still found. Raises ArithmeticError if 60 levels do
-    not suffice.
+    DC and infinite (or Nyquist) frequency are included. Where rounding of A may lift G above that at DC or at
+    the frequency of a pole, upper is that level. The response is evaluated wherever an eigenvalue of the
+    Hamiltonian comes near the axis, and between such neighbours. Near means 1e-3 of its size, far more than
+    rounding moves it. A crossing that rounding has pushed off the axis is therefore still found.
+
+    Parameters
+    ----------
+    G : StateSpace
+    rtol : float, default 1e-06
+
+    Returns
+    -------
+    NormBracket, (inf, inf) for an unstable G
+
+    Raises
+    ------
+    ArithmeticError
+        If 60 levels do not suffice.
     """
     if not G.stability_margin() > 0:
         return NormBracket(np.inf, np.inf, np.nan)
@@ -81,12 +97,11 @@ def _largest(H: StateSpace, omega) -> tuple[float, float]:
 
 
 def _sizes(H: StateSpace, omega: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """σ̄(H(jω)) at each of ``omega`` (k,), and how much rounding of the entries of A, by a few units in the
-    last place each, moves it: an error of first order, entry by entry, so that the units of the states do not
-    matter.
+    """σ̄(H(jω)) at each of ``omega`` (k,), and its change by rounding of A's entries.
 
-    Far below any rtol unless the loop is nearly unstable or its signals are many decades apart. A slow pole
-    that A's large entries hide shows at its own frequency.
+    The rounding is a few units in the last place of each entry, to first order, so that the states' units do
+    not matter. It is far below any rtol unless the loop is nearly unstable or its signals are many decades
+    apart. A slow pole hidden by A's large entries shows at its own frequency.
     """
     response = np.broadcast_to(H.D.astype(complex), (len(omega), *H.D.shape)).copy()
     moved, finite = np.zeros(len(omega)), np.isfinite(omega)

@@ -1,8 +1,10 @@
-"""The ν-gap between two plants and the robust-stability margin that belongs to it (THEORY 7.10).
+"""The ν-gap between two plants and its robust-stability margin (THEORY 7.10).
 
 With normalised coprime factors G₁ = [N₁; M₁] and G̃₂ = [−M̃₂, Ñ₂] the chordal distance of two plants at a
-frequency is σ̄(G̃₂G₁). Where det(I + P₂ᴴP₁) has the right winding number the ν-gap is ‖G̃₂G₁‖∞, and 1 otherwise.
-A controller with b(P₁, K) > ν(P₁, P₂) stabilises P₂ too. Both norms are bracketed over all frequencies.
+frequency is σ̄(G̃₂G₁). Where det(I + P₂ᴴP₁) has the right winding number the ν-gap is ‖G̃₂G₁‖∞, and 1
+otherwise. A controller with b(P₁, K) > ν(P₁, P₂) stabilises P₂ too. Both norms are bracketed over all
+frequencies. The factors come from Riccati equations. So the distance of the plants' own responses is held
+against theirs.
 """
 
 from __future__ import annotations
@@ -22,14 +24,29 @@ from lpvguard.engine.synthesis.statespace import (
 )
 
 NORM_RTOL = 1e-6
+DISTANCE_ATOL = 1e-6
+"""Largest difference between the chordal distance of the plants and that of their factors, of at most 1."""
 
 
 def nu_gap(first: StateSpace, second: StateSpace) -> NormBracket:
-    """Bracket of the ν-gap of two plants with the same inputs, outputs and dt, at its frequency [rad/s]; (1,
-    1) where the winding number is not the right one.
+    """Bracket the ν-gap of two plants, with its frequency [rad/s].
 
-    SynthesisError where shapes or dt differ, or a plant has a mode that is not stabilisable or not
-    detectable.
+    Parameters
+    ----------
+    first, second : StateSpace
+
+    Returns
+    -------
+    NormBracket, (1, 1) for a wrong winding number
+
+    Raises
+    ------
+    SynthesisError
+        If shapes or dt differ, or a mode is not stabilisable or not detectable.
+
+    References
+    ----------
+    THEORY 7.10.
     """
     same_time(first, second)
     if first.D.shape != second.D.shape:
@@ -42,6 +59,7 @@ def nu_gap(first: StateSpace, second: StateSpace) -> NormBracket:
     if _unstable_zeros(P1, P2) != P2.order:
         return NormBracket(1.0, 1.0, np.nan)
     found = hinf_norm(chordal, NORM_RTOL)
+    _require_distance(P1, P2, chordal, found.peak_frequency)
     where = found.peak_frequency
     return NormBracket(
         found.lower,
@@ -51,8 +69,20 @@ def nu_gap(first: StateSpace, second: StateSpace) -> NormBracket:
 
 
 def nu_margin(plant: StateSpace, controller: StateSpace) -> float:
-    """b(P, K), the reciprocal of ‖[I; K](I − P K)⁻¹[I, P]‖∞, from the upper end of its bracket; u = K y, 0
-    where the loop is unstable."""
+    """Compute b(P, K), the reciprocal of ‖[I; K](I − P K)⁻¹[I, P]‖∞, for u = K y.
+
+    Parameters
+    ----------
+    plant, controller : StateSpace
+
+    Returns
+    -------
+    float, from the upper end of the norm's bracket, 0 for an unstable loop
+
+    References
+    ----------
+    THEORY 7.10.
+    """
     n, p, m = plant.order, plant.n_outputs, plant.n_inputs
     # From [w_y, w_u, u] to [y, u, y]: y = P (u + w_u) + w_y.
     B = np.hstack([np.zeros((n, p)), plant.B, plant.B])
@@ -62,11 +92,40 @@ def nu_margin(plant: StateSpace, controller: StateSpace) -> float:
     return float(1 / hinf_norm(lft(StateSpace(plant.A, B, C, D, plant.dt), controller), NORM_RTOL).upper)
 
 
-def _unstable_zeros(P1: StateSpace, P2: StateSpace) -> int:
-    """Zeros of det(I + P₂(−s)ᵀ P₁(s)) with a positive real part; the winding number is right where there are
-    as many as P₂ has states.
+def _require_distance(P1: StateSpace, P2: StateSpace, chordal: StateSpace, peak: float) -> None:
+    """Raise SynthesisError unless the plants' own distance is that of their factors.
 
-    A zero on the axis is a distance of 1, which the norm shows; so is one at infinity, told as -1.
+    It is looked at at ``peak`` [rad/s], zero, infinity, and the frequencies of the plants' poles.
+    """
+    omega = np.unique(np.concatenate([[0.0, peak, np.inf], np.abs(P1.poles()), np.abs(P2.poles())]))
+    omega = omega[[_has_response(P1, w) and _has_response(P2, w) for w in omega]]
+    of_factors = np.linalg.norm(chordal.response(omega), 2, axis=(1, 2))
+    for w, G1, G2, size in zip(omega, P1.response(omega), P2.response(omega), of_factors, strict=True):
+        distance = float(np.linalg.norm(_root(G2) @ (G2 - G1) @ _root(G1.conj().T).conj().T, 2))
+        if not abs(distance - size) <= DISTANCE_ATOL:
+            raise SynthesisError(
+                "nu_gap",
+                f"{w:.6g} rad/s",
+                f"not proved: the distance is {distance:.7g}, that of the factors {size:.7g}",
+                "plants whose inputs and outputs are scaled to like sizes",
+            )
+
+
+def _has_response(P: StateSpace, omega: float) -> bool:
+    """Tell whether P has no pole within rounding of j ``omega``."""
+    return not P.order or np.isinf(omega) or np.abs(P.poles() - 1j * omega).min() > 1e-9 * max(omega, 1.0)
+
+
+def _root(G: np.ndarray) -> np.ndarray:
+    """Return a root R of (I + G Gᴴ)⁻¹ = Rᴴ R, for G (p, m)."""
+    return np.linalg.inv(np.linalg.cholesky(np.eye(len(G)) + G @ G.conj().T))
+
+
+def _unstable_zeros(P1: StateSpace, P2: StateSpace) -> int:
+    """Zeros of det(I + P₂(−s)ᵀ P₁(s)) with a positive real part.
+
+    The winding number is right if their number is P₂'s order. A zero on the axis, or at infinity (-1), is a
+    distance of 1, which the norm shows.
     """
     adjoint = StateSpace(-P2.A.T, -P2.C.T, P2.B.T, P2.D.T)
     H = series(adjoint, P1)

@@ -1,5 +1,5 @@
-"""The generalised plant as the Riccati equations take it: continuous, cut into blocks, without D22; and
-whether a stabilising controller exists.
+"""The generalised plant for the Riccati equations: continuous, in blocks, without D22; and whether a
+stabilising controller exists.
 
 A discrete plant comes here as its bilinear image, which has no pole at z = −1. D22 is left out and put back
 into the controller afterwards.
@@ -77,8 +77,7 @@ def move_pole_at_minus_one(
 
 
 def partition(plant: StateSpace, n_u: int, n_y: int) -> tuple[Plant, np.ndarray]:
-    """The blocks of a plant whose last ``n_u`` inputs are u and whose last ``n_y`` outputs are y; and D22
-    (n_y, n_u)."""
+    """Blocks of a plant whose last signals are u (n_u,) and y (n_y,); and D22 (n_y, n_u)."""
     w, u = slice(0, plant.n_inputs - n_u), slice(plant.n_inputs - n_u, None)
     z, y = slice(0, plant.n_outputs - n_y), slice(plant.n_outputs - n_y, None)
     A, B, C, D = plant.A, plant.B, plant.C, plant.D
@@ -86,7 +85,7 @@ def partition(plant: StateSpace, n_u: int, n_y: int) -> tuple[Plant, np.ndarray]
 
 
 def absorb_feedthrough(K: StateSpace, D22: np.ndarray) -> StateSpace:
-    """K (I + D22 K)⁻¹: the controller for the plant with D22 from the one designed without it."""
+    """K (I + D22 K)⁻¹: the controller for the plant with D22, from the one designed without."""
     if not np.any(D22):
         return K
     S = np.linalg.inv(np.eye(D22.shape[0]) + D22 @ K.D)
@@ -96,7 +95,7 @@ def absorb_feedthrough(K: StateSpace, D22: np.ndarray) -> StateSpace:
 def check_existence(P: Plant, plant: StateSpace) -> None:
     """Popov–Belevitch–Hautus test of (A, B2) and (C2, A) at every pole that is not strictly stable.
 
-    SynthesisError names the pole as one of ``plant``, the plant as given, and says what is missing.
+    SynthesisError names the pole of ``plant``, the given plant, and the missing property.
     """
     if P.A.size == 0:
         return

@@ -93,9 +93,10 @@ class Shift:
     def matrix(self, M: np.ndarray, moved: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return M_c of M, shape (Σcols, Σrows), and the rounding of its entries from ``moved`` of M's."""
         opened = np.linalg.inv(np.eye(len(M)) - M @ self.offset)
-        shifted = opened @ M * self.scale
-        entries = np.abs(opened) @ moved
-        return shifted, entries * self.scale + entries @ np.abs(self.offset) @ np.abs(shifted)
+        with np.errstate(over="ignore", invalid="ignore"):  # of a Δ without end: it is refused as not finite
+            shifted = opened @ M * self.scale
+            entries = np.abs(opened) @ moved
+            return shifted, entries * self.scale + entries @ np.abs(self.offset) @ np.abs(shifted)
 
     def system(self, G: StateSpace) -> StateSpace:
         """Return the loop whose response is M_c of that of ``G``."""
@@ -196,21 +197,24 @@ class Prover:
             Frequency [rad/s] at which scalings were looked for.
         """
         shift = Shift(self.structure, part.box, 1 / beta)
-        omega = self._centre(part)
-        try:
-            M, moved = shift.matrix(*self.response(omega))
-        except np.linalg.LinAlgError:  # the centre of the box is singular
-            return None, self._halves(part, None), omega
-        point = proved_at(M, moved, self.structure, self.slack, part.point)
-        if point is None:
-            return None, self._halves(part, M), omega
-        low, high = self._reached(shift, FrequencyCell(part.low, part.high, point), omega)
-        cut = low > part.low or high < part.high
-        if (cut and self._is_narrow(part)) or not self._holds(shift, low, high, point):
-            return None, self._halves(part, M), omega
-        rest = [replace(part, high=low, point=point)] if low > part.low else []
-        rest += [replace(part, low=high, point=point)] if high < part.high else []
-        return Part(part.box, low, high, point), rest, omega
+        centre, M = self._centre(part), None
+        inside = middle(part.low, part.high, self.fastest)
+        for omega in dict.fromkeys((centre, inside)) if part.low < part.high else (centre,):
+            try:
+                M, moved = shift.matrix(*self.response(omega))
+            except np.linalg.LinAlgError:  # the centre of the box is singular
+                continue
+            point = proved_at(M, moved, self.structure, self.slack, part.point)
+            if point is None:
+                break
+            low, high = self._reached(shift, FrequencyCell(part.low, part.high, point), omega)
+            cut = low > part.low or high < part.high
+            if (cut and self._is_narrow(part)) or not self._holds(shift, low, high, point):
+                continue
+            rest = [replace(part, high=low, point=point)] if low > part.low else []
+            rest += [replace(part, low=high, point=point)] if high < part.high else []
+            return Part(part.box, low, high, point), rest, centre
+        return None, self._halves(part, M), centre
 
     def verified(self, parts: Sequence[Part], beta: float, low: float, high: float) -> bool:
         """Tell whether ``parts`` prove μ < ``beta`` from ``low`` to ``high`` [rad/s].

@@ -128,9 +128,9 @@ def least_parameters(A: np.ndarray, b: np.ndarray, free: np.ndarray | None) -> t
 def nearest_parameters(
     A: np.ndarray, b: np.ndarray, free: np.ndarray | None, delta: np.ndarray, omega: float
 ) -> tuple[np.ndarray, float]:
-    """Solve A δ + free s = b for the δ nearest to ``delta``, shape (k,); s is weighed by 1 / ``omega``.
+    """Solve A δ + free s = b for the δ nearest to ``delta`` (k,); s is weighed by 1 / ``omega`` [rad/s].
 
-    A (2, k) or (1, k), b and free (2,) or (1,), and what is returned, are as in ``least_parameters``.
+    A, b, ``free`` and what is returned are as in ``least_parameters``: (2, k) or (1, k), (2,) or (1,), (2,).
     """
     if free is None:
         return delta + np.linalg.pinv(A) @ (b - A @ delta), 0.0
@@ -229,7 +229,7 @@ class RealSearch:
             Grid in rad/s. An eigenvalue of M(jω) Q, Q of entries ±1, that is real or that changes the side of
             the real axis before the next frequency marks a start.
         count : int
-            Starts wanted.
+            Starts wanted where M is real, and as many elsewhere: an eigenvalue may be nearly real all around.
         real_part : float
             Least share of an eigenvalue's size that its real part has where it marks a start by itself.
         """
@@ -248,7 +248,9 @@ class RealSearch:
             largest = np.take_along_axis(kept, np.abs(kept).argmax(1)[:, None], 1)[:, 0]
             marks += [(value, n, j) for j, value in enumerate(largest) if value]
         marks.sort(key=lambda mark: -abs(mark[0]))
-        return [(signs[n] / value, float(omega[j])) for value, n, j in marks[:count]]
+        where_real = ~M.imag.any((1, 2))
+        marks = [m for real in (True, False) for m in [m for m in marks if where_real[m[2]] == real][:count]]
+        return [(signs[n] / value, float(omega[j])) for value, n, j in marks]
 
 
 def _signs(k: int) -> np.ndarray:

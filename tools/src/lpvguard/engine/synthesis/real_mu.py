@@ -14,7 +14,7 @@ import scipy.linalg as sl
 
 from lpvguard.engine.synthesis.frequency_cells import PointBound, quadratic
 from lpvguard.engine.synthesis.mu_lower import lower_bound
-from lpvguard.engine.synthesis.mu_upper import POINT_RTOL, upper_bound
+from lpvguard.engine.synthesis.mu_upper import POINT_RTOL, scaled_size, upper_bound
 from lpvguard.engine.synthesis.real_boxes import ParameterBox, Part, Prover
 from lpvguard.engine.synthesis.real_crossings import NOTHING, Crossing, RealSearch
 from lpvguard.engine.synthesis.statespace import StateSpace
@@ -25,7 +25,7 @@ MOST_PARTS, MOST_MIXED, MORE_PARTS = 800, 150, 40
 RAISE = 0.05
 """Share by which the level is raised then; it doubles from level to level."""
 ZERO = 1e-6
-"""A μ below this share of ‖M‖ counts as zero; the level proved then is that share."""
+"""A μ below this share of the loop's size counts as zero; the level proved then is that share."""
 GRID, STARTS, AT_PEAKS = 120, 8, 3
 MISSES = 6
 """Searches at one frequency, one after the other, that find nothing better: there are no more then."""
@@ -47,7 +47,7 @@ class RealMu:
     delta : ndarray or None
     proof : tuple of Part
     size : float
-        Largest ‖M‖ on a grid of frequencies.
+        ``scaled_size`` where ‖M‖ is largest on a grid of frequencies.
     """
 
     upper: float
@@ -59,7 +59,12 @@ class RealMu:
 
 
 def real_mu(
-    loop: StateSpace | np.ndarray, structure: Structure, low: float, high: float, rtol: float
+    loop: StateSpace | np.ndarray,
+    structure: Structure,
+    low: float,
+    high: float,
+    rtol: float,
+    least: float = 0.0,
 ) -> RealMu:
     """Bound μ of a loop that has real blocks.
 
@@ -73,13 +78,16 @@ def real_mu(
     rtol : float
         Share by which the upper bound should exceed the lower at most. Where the parts that are allowed do
         not suffice it exceeds it by more.
+    least : float
+        Level from which the search begins.
     """
     prover = Prover(loop, structure, 0.4 * rtol)
     grid = _grid(loop, low, high)
-    size = max(float(np.linalg.norm(prover.response(omega)[0], 2)) for omega in grid)
+    largest = max((prover.response(omega)[0] for omega in grid), key=np.linalg.norm)
+    size = scaled_size(largest, structure)
     search = _LowerSearch(prover, low, high)
     search.start(grid)
-    level = max(search.best.value * (1 + rtol), ZERO * size, np.finfo(float).tiny)
+    level = max(search.best.value * (1 + rtol), ZERO * size, np.finfo(float).tiny, least)
     edge = np.full(len(search.real), 1 / level)
     todo, proof = [Part(ParameterBox(-edge, edge), low, high)], []
     tried, resisting, share, most = 0, 0, RAISE, MOST_PARTS if search.pure else MOST_MIXED

@@ -1,8 +1,8 @@
 """The two Riccati equations of H∞ synthesis at a level γ (Zhou, Doyle & Glover 1996, section 17.1).
 
 Each is one side of the problem: the control side of the plant, the filter side as that of its dual. The
-stabilising solution comes from the stable invariant subspace of a balanced Hamiltonian; where nearly free
-controls have cost it its digits, from the extended pencil.
+stabilising solution comes from the stable invariant subspace of a balanced Hamiltonian. Where nearly free
+controls make that inaccurate, it comes from the extended pencil.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from lpvguard.engine.synthesis.statespace import EPS, StateSpace
 STIFF = 1e4
 """A Hamiltonian this much larger than the plant's A has lost digits to nearly free controls."""
 CANCELLED = 1e-9
-"""Share of G11 at a frequency below which what v leaves of it is rounding."""
+"""Share of G11 at a frequency below which its remainder under v is rounding."""
 
 
 class RiccatiSolution(NamedTuple):
@@ -55,7 +55,7 @@ class Side:
 
     @staticmethod
     def regular(P: Plant) -> Side:
-        """The control side of a plant whose D12 has full column rank: nothing to remove."""
+        """Control side of a plant whose D12 has full column rank: nothing to remove."""
         return Side(
             P.A,
             P.B1,
@@ -131,7 +131,7 @@ def hamiltonian(side: Side, gamma: float) -> np.ndarray:
     H = np.block([[side.A, np.zeros((n, n))], [-side.C1.T @ side.C1, -side.A.T]])
     left = np.vstack([B, -side.C1.T @ D])
     out = H - left @ F
-    # what is left where terms cancel is rounding; balancing would blow it up
+    # cancelled terms leave rounding, which balancing would amplify
     terms = np.abs(H) + np.abs(left) @ np.abs(F)
     out[np.abs(out) <= 500 * EPS * terms] = 0.0
     out[n:, :n] -= side.weight**2 * np.eye(n)
@@ -159,13 +159,13 @@ def balance_hamiltonian(H: np.ndarray, floor: float = 0.0) -> tuple[np.ndarray, 
 def stabilising_solution(
     H: np.ndarray, side: Side | None = None, gamma: float = np.inf
 ) -> RiccatiSolution | None:
-    """X = X2 X1⁻¹ (n, n) from the stable invariant subspace of H (2n, 2n), symmetric.
+    """Solution X = X2 X1⁻¹ (n, n) from the stable invariant subspace of H (2n, 2n), symmetric; None on the
+    axis.
 
-    None when eigenvalues lie on the axis. The balancing that takes every entry seriously is tried first.
-    Where rounding stands in place of zeros (X exactly singular) it makes X1 nearly singular, and a balancing
-    that ignores such entries is used. Where H is much larger than the A of its ``side`` (nearly free
-    controls) the answer is trusted only when it is well conditioned. Otherwise the extended pencil at
-    ``gamma`` decides, which never forms the inverse that made H large.
+    A balancing that uses every entry is tried first. Where rounding replaces zeros (X exactly singular) it
+    makes X1 nearly singular, and a balancing that ignores such entries is used. Where H is much larger than
+    the A of its ``side`` (nearly free controls) the answer is trusted only when it is well conditioned.
+    Otherwise the extended pencil at ``gamma`` decides, which never forms the inverse that made H large.
     """
     best: tuple[RiccatiSolution | None, float] = None, np.inf
     for floor in (0.0, EPS):
@@ -224,7 +224,7 @@ def _pencil_solution(side: Side, gamma: float, t: np.ndarray) -> tuple[RiccatiSo
     Q = sl.qr(M[:, 2 * n :], mode="full")[0][:, m + p :].T
     try:
         S, _, alpha, beta, _, V = sl.ordqz(Q @ M[:, : 2 * n], Q[:, : 2 * n], sort="lhp", output="real")
-    except ValueError:  # eigenvalues of both sides too close to be told apart
+    except ValueError:  # eigenvalues of both sides too close to separate
         return None, 0.0
     stable = np.count_nonzero(alpha.real * beta < 0)
     if stable != n or np.any(np.abs(alpha.real) <= 20 * EPS * np.linalg.norm(S) + 1e-11 * np.abs(alpha.imag)):

@@ -1,11 +1,10 @@
-"""A loop whose demand is limited, with the controller's anti-windup as built: sector bounds of the dead
-zone (THEORY 7.12).
+"""A loop with limited demand and anti-windup: sector bounds of the dead zone (THEORY 7.12).
 
-The controller wants u = C x and gets v = u − q, where q is the dead zone of u: nothing within u_max, and
-beyond it what is cut off. It runs x⁺ = A x + B m − L q. While |u| ≤ κ u_max the dead zone lies in the
-sector from 0 to s = 1 − 1/κ, so q = ½ s (u + p) with |p| ≤ |u| sample by sample. p is one more block of
-uncertainty, memoryless: constants commute with it, as D(s) commutes with an LTI Δ. With the loop's outputs
-and inputs so scaled a matrix Q ≻ 0 with
+The controller wants u = C x and gets v = u − q, where q is the dead zone of u: zero within u_max, and the
+excess beyond. It runs x⁺ = A x + B m − L q. While |u| ≤ κ u_max the dead zone lies in the sector from 0 to s
+= 1 − 1/κ, so q = ½ s (u + p) with |p| ≤ |u| sample by sample. p is one more block of uncertainty, memoryless:
+constants commute with it, as D(s) commutes with an LTI Δ. With the loop's outputs and inputs so scaled a
+matrix Q ≻ 0 with
 
     diag(Q, I) − [A B; C D] diag(Q, I) [A B; C D]ᵀ ≻ 0
 
@@ -29,12 +28,12 @@ from lpvguard.engine.synthesis.interconnection import GeneralisedPlant
 from lpvguard.engine.synthesis.statespace import EPS, StateSpace, append, balancing, gain, series, to_discrete
 
 GAIN_RTOL = 0.02
-"""To which gains are searched."""
+"""Relative accuracy of the search for gains."""
 LARGEST_GAIN = 1e3
 BACKOFF = 1.05
 """Over the least gain found on the grid, at which it is proved."""
 OFFSETS = (-4.0, -2.0, 0.0, 2.0, 4.0)
-"""Of the logarithms of all constants together, tried for the energy: they weigh the blocks against w."""
+"""Offsets of the logarithms of all constants, tried for the energy: they weight the blocks against w."""
 SLACK = 1e-7
 """Extra input on every state with which Q's equation is made strict, relative to B Bᵀ."""
 DOUBLINGS = 40
@@ -59,11 +58,30 @@ def sector(kappa: float) -> float:
 def limited_loop(
     plant: GeneralisedPlant, controller: StateSpace, L: np.ndarray, kappa: float, scaling: Scaling
 ) -> StateSpace:
-    """The loop from [Δ outputs, p, w] to [Δ inputs, u, z], those of Δ scaled by D; states [.., x, x_K, u
-    of the sample before, ..].
+    """Build the loop from [Δ outputs, p, w] to [Δ inputs, u, z], with Δ's signals scaled by D.
 
-    ``controller`` strictly proper from the measurements; L (n, 1): its anti-windup. SynthesisError unless one
-    control enters the plant with a delay.
+    The states are [.., x, x_K, u of the sample before, ..].
+
+    Parameters
+    ----------
+    plant : GeneralisedPlant
+    controller : StateSpace, strictly proper, from the measurements
+    L : ndarray (n, 1), its anti-windup
+    kappa : float, wanted demand over its limit
+    scaling : Scaling
+
+    Returns
+    -------
+    StateSpace
+
+    Raises
+    ------
+    SynthesisError
+        Unless one control enters the plant with a delay.
+
+    References
+    ----------
+    THEORY 7.12.
     """
     P, K, s = plant.system, controller, sector(kappa)
     n_w, n_z = P.n_inputs - plant.n_control, P.n_outputs - plant.n_measurement
@@ -111,7 +129,16 @@ def limited_loop(
 
 
 class LimitedLoop:
-    """A loop of ``limited_loop`` with its blocks: Δ, the limit, then performance."""
+    """A loop of `limited_loop` with its blocks: Δ, the limit, then performance.
+
+    Parameters
+    ----------
+    plant : GeneralisedPlant
+    controller : StateSpace
+    L : ndarray (n, 1), anti-windup
+    kappa : float
+    scaling : Scaling
+    """
 
     def __init__(
         self, plant: GeneralisedPlant, controller: StateSpace, L: np.ndarray, kappa: float, scaling: Scaling

@@ -1,12 +1,10 @@
-"""One family of controllers over the operating points of a scheduled plant, made so that it may be
-interpolated.
+"""One family of controllers over the operating points of a scheduled plant, suited for interpolation.
 
-Three things keep neighbours alike. One scaling D, the best for the worst point, and one level γ for all
-points: central controllers of neighbouring plants at the same level are neighbours, while near each plant's
-own optimum they are not. The plant's own coordinates: the central controller's state stands for the plant's.
-And one projection for all of them, from the sums over the points of the closed loops' Gramians (the
-frozen-parameter average of Wood, Goddard & Glover 1996): truncating each one by itself would keep different
-states of each.
+Three measures keep neighbours alike. One scaling D, the best for the worst point, and one level γ serve all
+points: central controllers of neighbouring plants at the same level are neighbours, but not near each plant's
+own optimum. The plant's own coordinates are kept: the central controller's state estimates the plant's. One
+projection serves all, from the sums over the points of the closed loops' Gramians (the frozen-parameter
+average of Wood, Goddard & Glover 1996). Separate truncation would keep different states of each.
 """
 
 from __future__ import annotations
@@ -50,8 +48,19 @@ def scaled_plant(plant: GeneralisedPlant, scaling: Scaling) -> StateSpace:
 
 
 def closed_scaled(plant: GeneralisedPlant, controller: StateSpace, scaling: Scaling) -> StateSpace:
-    """The discrete closed loop D F_l(P, K) D⁻¹ from [Δ outputs; w] to [Δ inputs; z], states [D⁻¹; P; K; D]; D
-    by Tustin's map.
+    """Close the discrete loop D F_l(P, K) D⁻¹ from [Δ outputs; w] to [Δ inputs; z].
+
+    The states are [D⁻¹; P; K; D]; D is mapped by Tustin.
+
+    Parameters
+    ----------
+    plant : GeneralisedPlant
+    controller : StateSpace
+    scaling : Scaling
+
+    Returns
+    -------
+    StateSpace
     """
     loop = lft(plant.system, controller)
     left, right = (to_discrete(G, loop.dt) for G in scaling.systems(plant))
@@ -61,8 +70,18 @@ def closed_scaled(plant: GeneralisedPlant, controller: StateSpace, scaling: Scal
 def common_scaling(
     plants: Sequence[GeneralisedPlant], start: Scaling, workers: Map = map
 ) -> tuple[Scaling, float]:
-    """The scaling with the least worst-case optimum over ``plants``, by pattern search from ``start``; and
-    that optimum. ``workers`` share the two ways to go along a parameter."""
+    """Search the scaling with the least worst-case optimum over plants, by pattern search.
+
+    Parameters
+    ----------
+    plants : Sequence[GeneralisedPlant]
+    start : Scaling
+    workers : Map, shares the two directions of a parameter
+
+    Returns
+    -------
+    tuple of Scaling and float, the optimum
+    """
     order = list(range(len(plants)))
     best = start
     level = max(
@@ -106,11 +125,22 @@ def _worst_below(
 def common_family(
     plants: Sequence[GeneralisedPlant], scaling: Scaling, level: float, workers: Map = map
 ) -> tuple[Callable[[int], list[StateSpace]], int]:
-    """Controllers of all ``plants`` at one ``level``: a function of the order that they are truncated to, and
-    the largest such order.
+    """Compute controllers of all plants at one level, truncated in one set of states.
 
-    The plants are discrete and of one structure, the level is above each optimum. Truncated or not the
-    controllers share one set of states. ``workers`` share the plants.
+    Parameters
+    ----------
+    plants : Sequence[GeneralisedPlant], discrete, of one structure
+    scaling : Scaling
+    level : float, above each optimum
+    workers : Map, shares the plants
+
+    Returns
+    -------
+    tuple of Callable, order -> list of StateSpace, and int, the largest order
+
+    References
+    ----------
+    Wood, Goddard & Glover 1996.
     """
     scaled = [scaled_plant(plant, scaling) for plant in plants]
     t = balancing(scaled[len(scaled) // 2])

@@ -1,4 +1,4 @@
-"""A Δ that varies slowly: the commutator of Δ and a dynamic scaling D, as one more uncertainty (THEORY 7.11).
+"""A slowly varying Δ: the commutator of Δ and a dynamic scaling D, as one more uncertainty (THEORY 7.11).
 
 A block's scaling is d = D∞ + C (q − A)⁻¹ B in discrete time, stable with stable inverse, q the shift by
 one sample. For any causal linear Δ and its change over one sample, E = q Δ q⁻¹ − Δ,
@@ -7,7 +7,8 @@ one sample. For any causal linear Δ and its change over one sample, E = q Δ q�
 
 with E acting on each of d's states alike. Where no Δ changes by more than r Ts in gain from sample to
 sample, the loop with DΔD⁻¹ is the scaled loop with the blocks Δ, of gain 1, and E, of gain r Ts. Constants
-commute with operators of any speed. So a norm below 1 under constant scalings of the blocks is a proof.
+commute with operators of any speed. A norm below 1 under constant scalings of the blocks is therefore a
+proof.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from lpvguard.engine.synthesis.scheduling import closed_scaled
 from lpvguard.engine.synthesis.statespace import StateSpace, append, gain, series, to_discrete
 
 SHARES = (0.98, 0.9, 0.7, 0.4)
-"""Of the rate found on the grid, tried in the proof."""
+"""Shares of the grid's rate that are tried in the proof."""
 RATES = 1e-6, 1e4
 """Least and largest rate that is looked for [1/s]."""
 RATE_RTOL = 0.03
@@ -41,10 +42,14 @@ class SlowProof:
 
 
 class SlowLoop:
-    """The scaled closed loop of ``plant`` and ``controller`` with the blocks Δ, then E, then performance.
+    """The scaled closed loop with the blocks Δ, then E, then performance.
 
-    ``performance``: whether the gain from [w; n; r_c] to z counts too; without, only stability. The loop
-    must be stable and discrete.
+    Parameters
+    ----------
+    plant : GeneralisedPlant
+    controller : StateSpace, which makes a stable discrete loop
+    scaling : Scaling
+    performance : bool, count the gain from [w; n; r_c] to z; otherwise only stability
     """
 
     def __init__(self, plant: GeneralisedPlant, controller: StateSpace, scaling: Scaling, performance: bool):

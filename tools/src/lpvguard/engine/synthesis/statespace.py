@@ -1,4 +1,4 @@
-"""Linear systems in state space: the small algebra that synthesis and analysis share.
+"""Linear systems in state space: the algebra shared by synthesis and analysis.
 
 All matrices are real doubles. ``dt = 0`` is continuous time (G(s)), ``dt > 0`` is discrete time with that
 sampling time in seconds (G(z)). Objects are immutable; every function returns a new one.
@@ -18,11 +18,24 @@ EPS = np.finfo(float).eps
 
 @dataclass(frozen=True)
 class StateSpace:
-    """G = D + C (λI − A)⁻¹ B with λ = s or z.
+    """System G = D + C (λI − A)⁻¹ B with λ = s or z.
 
-    A (n, n), B (n, m), C (p, n), D (p, m); ``inputs`` and ``outputs`` are names (m and p of them, or empty).
-    Raises SynthesisError when shapes disagree, an entry is not finite or dt is negative.
+    Attributes
+    ----------
+    A : ndarray (n, n)
+    B : ndarray (n, m)
+    C : ndarray (p, n)
+    D : ndarray (p, m)
+    dt : float, s, 0: continuous time
+    inputs, outputs : tuple of str, m and p names, or empty
 
+    Raises
+    ------
+    SynthesisError
+        If shapes disagree, an entry is not finite or dt is negative.
+
+    Examples
+    --------
     >>> lag = StateSpace([[-2.0]], [[2.0]], [[1.0]], [[0.0]])
     >>> float(abs(lag.response([0.0])[0, 0, 0]))
     1.0
@@ -151,13 +164,32 @@ def _picked(labels: tuple[str, ...], index) -> tuple[str, ...]:
 
 
 def gain(D, dt: float = 0.0) -> StateSpace:
-    """The constant matrix D as a system of order 0."""
+    """Make a system of order 0 from a matrix.
+
+    Parameters
+    ----------
+    D : array_like (p, m)
+    dt : float, s, default 0.0
+
+    Returns
+    -------
+    StateSpace
+    """
     D = np.atleast_2d(np.asarray(D, dtype=float))
     return StateSpace(np.zeros((0, 0)), np.zeros((0, D.shape[1])), np.zeros((D.shape[0], 0)), D, dt)
 
 
 def series(second: StateSpace, first: StateSpace) -> StateSpace:
-    """second · first: the signal passes ``first`` before ``second``."""
+    """Connect two systems in series: the signal passes ``first`` before ``second``.
+
+    Parameters
+    ----------
+    second, first : StateSpace
+
+    Returns
+    -------
+    StateSpace
+    """
     same_time(first, second)
     A = np.block([[first.A, np.zeros((first.order, second.order))], [second.B @ first.C, second.A]])
     return StateSpace(
@@ -172,7 +204,16 @@ def series(second: StateSpace, first: StateSpace) -> StateSpace:
 
 
 def append(*systems: StateSpace) -> StateSpace:
-    """diag(G1, G2, ...): inputs and outputs side by side, nothing connected."""
+    """Append systems as diag(G1, G2, ...), without connections.
+
+    Parameters
+    ----------
+    *systems : StateSpace
+
+    Returns
+    -------
+    StateSpace
+    """
     for one in systems[1:]:
         same_time(systems[0], one)
 
@@ -199,11 +240,22 @@ def append(*systems: StateSpace) -> StateSpace:
 
 
 def lft(plant: StateSpace, controller: StateSpace) -> StateSpace:
-    """Lower linear fractional transformation F_l(P, K): u = K y closed around the last inputs and outputs of
-    P.
+    """Close u = K y around the last inputs and outputs of a plant: the lower LFT F_l(P, K).
 
-    Exists when I − D22 D_K is invertible (a well-posed loop); SynthesisError otherwise. The state is [x;
-    x_K].
+    The state is [x; x_K].
+
+    Parameters
+    ----------
+    plant, controller : StateSpace
+
+    Returns
+    -------
+    StateSpace
+
+    Raises
+    ------
+    SynthesisError
+        If the loop is not well posed: I − D22 D_K is singular.
     """
     same_time(plant, controller)
     n_u, n_y = controller.n_outputs, controller.n_inputs
@@ -302,10 +354,22 @@ def to_continuous(G: StateSpace, alpha: float | None = None) -> StateSpace:
 
 
 def to_discrete(G: StateSpace, dt: float, alpha: float | None = None) -> StateSpace:
-    """Bilinear map s = α (z − 1)/(z + 1) of a continuous system, default α = 2/dt (Tustin); inverse of
-    to_continuous.
+    """Map a continuous system bilinearly, s = α (z − 1)/(z + 1), the inverse of to_continuous.
 
-    Exists when α is no eigenvalue of A (SynthesisError otherwise).
+    Parameters
+    ----------
+    G : StateSpace
+    dt : float, s
+    alpha : float, rad/s, optional, by default 2/dt (Tustin)
+
+    Returns
+    -------
+    StateSpace
+
+    Raises
+    ------
+    SynthesisError
+        If α is an eigenvalue of A.
     """
     alpha = 2 / dt if alpha is None else alpha
     minus = alpha * np.eye(G.order) - G.A
@@ -325,7 +389,17 @@ def to_discrete(G: StateSpace, dt: float, alpha: float | None = None) -> StateSp
 
 
 def zero_order_hold(G: StateSpace, dt: float) -> StateSpace:
-    """Exact sampling of a continuous system whose inputs are held over each step of ``dt`` seconds."""
+    """Sample a continuous system exactly, with inputs held over each step.
+
+    Parameters
+    ----------
+    G : StateSpace
+    dt : float, s
+
+    Returns
+    -------
+    StateSpace
+    """
     n, m = G.order, G.n_inputs
     big = np.zeros((n + m, n + m))
     big[:n, :n], big[:n, n:] = G.A * dt, G.B * dt

@@ -40,9 +40,9 @@ def unmoved(parts: list[tuple[np.ndarray, np.ndarray]]) -> Barrier:
 
 @dataclass(frozen=True)
 class StorageGrid:
-    """Speeds ``grid`` (k,) [m/s] of a loop sampled at Ts [s]; parts: [A B] and [C D]
-    at every one in the coordinates ``basis`` (n, n). units (3, 3): the terms of P by which it is searched,
-    of like size, from 1, v and 1 / v."""
+    """Speeds ``grid`` (k,) [m/s] of a loop sampled at Ts [s]; parts: [A B] and [C D] at every one in the
+    coordinates ``basis`` (n, n). units (3, 3): the terms of P by which it is searched, of like size, from 1,
+    v and 1 / v."""
 
     Ts: float
     grid: np.ndarray
@@ -58,7 +58,7 @@ class StorageGrid:
         basis: np.ndarray,
         parts: list[tuple[np.ndarray, np.ndarray]],
     ) -> StorageGrid:
-        """With the units that suit ``grid``."""
+        """Grid with units that suit ``grid``."""
         mean, spread = float(grid.mean()), float(np.ptp(grid))
         units = np.array([[1.0, 0, 0], [-mean / spread, 1 / spread, 0], [-1, 0, mean]])
         return cls(Ts, grid, basis, parts, units)
@@ -70,7 +70,7 @@ class StorageGrid:
         return flat.reshape(3, *values.shape[1:])
 
     def coefficients(self, P: np.ndarray) -> np.ndarray:
-        """Of 1, v and 1 / v, (3, n, n), from the terms ``P``."""
+        """Coefficients (3, n, n) of 1, v and 1 / v from the terms ``P``."""
         return np.tensordot(self.units.T, P, 1)
 
     def barrier(self, rate: float) -> Barrier:

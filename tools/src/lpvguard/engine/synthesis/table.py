@@ -1,5 +1,5 @@
-"""Cells of Table II: one controller a structure and objective, its certificate, and the level that no
-controller goes below.
+"""Cells of Table II: a controller per structure and objective, its certificate, and the floor of any
+controller.
 
 Seconds are measured for the console; files are made from ``Cell.to_dict`` and ``to_csv``, which leave them
 out.
@@ -34,7 +34,16 @@ COLUMNS = (
 
 @dataclass(frozen=True)
 class Cell:
-    """One cell: ``result`` with certificate, ``floor``, ``seconds`` of the synthesis."""
+    """One cell of Table II.
+
+    Attributes
+    ----------
+    structure : str
+    A_t, A_u : float, the objective
+    result : DKResult, controller with its certificate
+    floor : Floor, lower bound of any controller
+    seconds : float, s of the synthesis
+    """
 
     structure: str
     A_t: float
@@ -86,7 +95,19 @@ class Cell:
 
 
 def cell(plant: GeneralisedPlant, structure: str, A_t: float, A_u: float, **options) -> Cell:
-    """Design and certify one controller; ``options`` go to dk_synthesis."""
+    """Design and certify one controller.
+
+    Parameters
+    ----------
+    plant : GeneralisedPlant
+    structure : str
+    A_t, A_u : float, the objective
+    **options : passed to `dk_synthesis`
+
+    Returns
+    -------
+    Cell
+    """
     start = time.perf_counter()
     result = dk_synthesis(plant, **options)
     seconds = time.perf_counter() - start
@@ -94,7 +115,16 @@ def cell(plant: GeneralisedPlant, structure: str, A_t: float, A_u: float, **opti
 
 
 def to_csv(rows: Sequence[dict]) -> str:
-    """The rows of ``Cell.to_dict`` (and more columns, if any) as CSV with a header."""
+    """Write rows as CSV with a header.
+
+    Parameters
+    ----------
+    rows : Sequence[dict], of ``Cell.to_dict``, with any further columns
+
+    Returns
+    -------
+    str
+    """
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
     writer.writerow(rows[0])

@@ -1,10 +1,9 @@
-"""Linear loops whose matrices change from sample to sample: what gain one history of them reaches, and
-whether it grows.
+"""Linear loops whose matrices change from sample to sample: the gain of one history, and its growth.
 
 A history is [x(k+1); z(k)] = S_k [x(k); w(k)], k = 0..T − 1, from rest, with each S_k one of a stack. Its
 gain is the largest ‖z‖/‖w‖, ‖·‖ the Euclidean norm over all samples and channels. The bidiagonal iteration of
 Golub and Kahan (1965) on the loop and its adjoint finds the input. A simulation of that input measures the
-gain. So the number returned is reached, and a lower bound of the largest.
+gain. The result is therefore reached, and a lower bound of the largest.
 """
 
 from __future__ import annotations
@@ -23,12 +22,19 @@ from lpvguard.engine.synthesis.storage_grid import refined
 PARTS = 16
 """Points of the vehicle's splines in every interval between nodes."""
 STEPS = 8
-"""Of the bidiagonal iteration, each a simulation forwards and one backwards."""
+"""Steps of the bidiagonal iteration, each a simulation forwards and one backwards."""
 
 
 @dataclass(frozen=True)
 class History:
-    """S (K, n + p, n + m), each [A B; C D]; ``index`` (T,) of the one that acts in each sample; n states."""
+    """History of a loop with varying matrices.
+
+    Attributes
+    ----------
+    S : ndarray (K, n + p, n + m), each [A B; C D]
+    index : ndarray (T,) of int, matrix of each sample
+    n : int, number of states
+    """
 
     S: np.ndarray
     index: np.ndarray
@@ -119,8 +125,14 @@ class History:
 
 
 class OverSpeed:
-    """The matrices of a family of loops at any speeds: affine between its nodes, but for the vehicle's rows,
-    which cubic splines follow."""
+    """Matrices of a family of loops at any speed.
+
+    They are affine between the family's nodes, except for the vehicle's rows, which cubic splines follow.
+
+    Parameters
+    ----------
+    family : Family
+    """
 
     def __init__(self, family: Family):
         self.nodes = np.asarray(family.nodes, float)
@@ -164,9 +176,23 @@ def _whole(family: Family, v: float) -> np.ndarray:
 
 
 def close(S: np.ndarray, n: int, delta: StateSpace) -> np.ndarray:
-    """The stack S (K, n + p, n + m) with Δ closed around its first outputs and inputs: (K, n + n_Δ + p', n +
-    n_Δ + m'), p' and m' those that are left. SynthesisError where an input of these moves such an output at
-    once."""
+    """Close Δ around the first outputs and inputs of a stack.
+
+    Parameters
+    ----------
+    S : ndarray (K, n + p, n + m)
+    n : int, number of states
+    delta : StateSpace
+
+    Returns
+    -------
+    ndarray (K, n + n_Δ + p', n + n_Δ + m'), with p' and m' the remaining signals
+
+    Raises
+    ------
+    SynthesisError
+        If one of these inputs acts on such an output at once.
+    """
     q, r = delta.n_inputs, delta.n_outputs
     eta, xi = slice(n, n + q), slice(n, n + r)
     if S[:, eta, xi].any():
@@ -186,8 +212,18 @@ def close(S: np.ndarray, n: int, delta: StateSpace) -> np.ndarray:
 
 
 def all_pass(sign: float, corner: float, dt: float) -> StateSpace:
-    """sign (c − s)/(c + s) under Tustin's map, c = ``corner`` [rad/s], inf: the number ``sign``; of gain 1 at
-    every frequency where ``sign`` is 1 or −1."""
+    """Build sign (c − s)/(c + s) under Tustin's map, of gain 1 at every frequency for a sign of 1 or −1.
+
+    Parameters
+    ----------
+    sign : float
+    corner : float, rad/s, inf: the constant ``sign``
+    dt : float, s
+
+    Returns
+    -------
+    StateSpace
+    """
     if np.isinf(corner):
         return gain([[sign]], dt)
     continuous = StateSpace(
@@ -197,8 +233,18 @@ def all_pass(sign: float, corner: float, dt: float) -> StateSpace:
 
 
 def steered(slope: np.ndarray, moves: int, places: int) -> np.ndarray:
-    """The places (T,) in 0..places − 1, whole numbers that move by at most ``moves`` a sample, with the
-    largest sum of ``slope`` (T,) times place; by dynamic programming."""
+    """Find the history of places with the largest sum of slope times place, by dynamic programming.
+
+    Parameters
+    ----------
+    slope : ndarray (T,)
+    moves : int, largest change a sample
+    places : int, number of places
+
+    Returns
+    -------
+    ndarray (T,) of int, in 0..places − 1
+    """
     at, reach = np.arange(places), 2 * moves + 1
     best = np.empty((len(slope), places), np.float32)
     ahead = np.zeros(places)

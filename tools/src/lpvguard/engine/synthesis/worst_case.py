@@ -1,4 +1,4 @@
-"""The worst stable Δ of size 1 for a closed loop, as a system that can be simulated.
+"""The worst stable Δ of size 1 for a closed loop, as a system for simulation.
 
 Let γ be the largest gain from [w; n; r_c] to z over ‖Δ_i‖ ≤ 1 at a frequency. The loop with its performance
 rows divided by γ has μ = 1 (skewed μ; Packard & Doyle 1993). The lower bound of μ returns the Δ that
@@ -29,12 +29,21 @@ GRID = np.r_[0.0, np.geomspace(1e-3, 1e2, 61)]
 REFINED = 4
 """Frequencies, those of largest gain, at which the search goes on to the end."""
 GAIN_RTOL = 1e-6
+LEAST_LEVEL = 1e-12
+"""Share of ‖M‖ that stands for a gain of zero."""
 
 
 @dataclass(frozen=True)
 class WorstCase:
-    """``delta`` (stable, ‖Δ‖∞ = ``size``, at most 1 within rounding) raises the loop's gain from [w; n; r_c]
-    to z at ``frequency`` [rad/s] from ``nominal`` to ``gain``, measured on the closed loop with it.
+    """A worst Δ and its effect.
+
+    Attributes
+    ----------
+    delta : StateSpace, stable
+    size : float, ‖Δ‖∞, at most 1 within rounding
+    frequency : float, rad/s
+    gain : float, gain from [w; n; r_c] to z at ``frequency``, measured on the closed loop
+    nominal : float, the same without Δ
     """
 
     delta: StateSpace
@@ -45,7 +54,16 @@ class WorstCase:
 
 
 def close_delta(loop: StateSpace, delta: StateSpace) -> StateSpace:
-    """Upper LFT: Δ closed around the first outputs and inputs of ``loop``."""
+    """Close Δ around the first outputs and inputs of a loop: the upper LFT.
+
+    Parameters
+    ----------
+    loop, delta : StateSpace
+
+    Returns
+    -------
+    StateSpace
+    """
     n_in, n_out = delta.n_inputs, delta.n_outputs
     rows = np.r_[n_in : loop.n_outputs, :n_in]
     cols = np.r_[n_out : loop.n_inputs, :n_out]
@@ -55,12 +73,30 @@ def close_delta(loop: StateSpace, delta: StateSpace) -> StateSpace:
 def worst_case(
     plant: GeneralisedPlant, controller: StateSpace, scaling: Scaling | None = None, omega=GRID
 ) -> WorstCase:
-    """The worst Δ found over the frequencies ``omega`` [rad/s] (those above Nyquist are left out), verified:
-    stable, of size 1, the closed loop stable and its gain measured. Without blocks: Δ of size 0 × 0 and the
-    nominal peak.
+    """Search and verify the worst Δ over frequencies.
 
-    ``scaling``: the loop's certificate, which only helps the search. Raises ArithmeticError when at no
-    frequency a Δ of size 1 was found that keeps the loop stable.
+    Verified are stability, size 1, and the closed loop's stability and gain. Without blocks Δ is of size 0 ×
+    0, and the gain is the nominal peak.
+
+    Parameters
+    ----------
+    plant : GeneralisedPlant
+    controller : StateSpace
+    scaling : Scaling, optional, the loop's certificate, which helps the search
+    omega : array_like (K,), rad/s, those above Nyquist are left out
+
+    Returns
+    -------
+    WorstCase
+
+    Raises
+    ------
+    ArithmeticError
+        If no Δ of size 1 was found that keeps the loop stable.
+
+    References
+    ----------
+    Packard & Doyle 1993.
     """
     loop = lft(plant.system, controller)
     omega = np.unique(omega[omega * loop.dt < np.pi])
@@ -113,9 +149,10 @@ class _Search:
             for sizes in ([b.cols for b in self.blocks], [b.rows for b in self.blocks])
         )
         level, best = float(np.linalg.norm(M[self.a :, self.b :], 2)), np.zeros((self.b, self.a), complex)
+        least = max(LEAST_LEVEL * float(np.linalg.norm(M, 2)), float(np.finfo(float).tiny))
         for _ in range(steps):
             scaled = M.copy()
-            scaled[self.a :] /= max(level, 1e-300)
+            scaled[self.a :] /= max(level, least)
             _, delta = mu_lower(scaled, self.blocks, np.diag(left), np.diag(right), np.inf, starts=4)
             if delta is None:
                 break

@@ -6,7 +6,7 @@ At one frequency γ bounds it where scalings D, G of the blocks of Δ give (skew
 
 With D and G given the least γ is a largest eigenvalue of a Schur complement. The scalings of μ with the
 performance rows divided by γ lower γ, until neither moves. Between frequencies the bound is proved by the
-cells of frequency_cells.
+cells of frequency_cells, which are tested anew at the bound that is returned.
 """
 
 from __future__ import annotations
@@ -17,25 +17,56 @@ from dataclasses import replace
 import numpy as np
 
 from lpvguard.engine.blocks import Block
-from lpvguard.engine.synthesis.frequency_cells import IntervalBound, PointBound, cover, quadratic
+from lpvguard.engine.synthesis.frequency_cells import (
+    IntervalBound,
+    PointBound,
+    continuous_interval,
+    cover,
+    quadratic,
+)
 from lpvguard.engine.synthesis.mu_upper import POINT_RTOL, upper_bound
+from lpvguard.engine.synthesis.real_boxes import ParameterBox, Part, Prover
 from lpvguard.engine.synthesis.statespace import StateSpace
 from lpvguard.engine.synthesis.structure import Structure
 
 STEPS = 12
-"""At one frequency."""
+"""Steps at one frequency."""
 LARGEST = 1e6
 """Times the nominal gain; above it the gain counts as unbounded."""
 
 
 def worst_gain(
-    loop: StateSpace, blocks: Sequence[Block], performance: Block, low: float, high: float, rtol: float = 2e-3
+    loop: StateSpace,
+    blocks: Sequence[Block],
+    performance: Block,
+    low: float,
+    high: float,
+    rtol: float = 2e-3,
+    least: float = 0.0,
 ) -> IntervalBound:
-    """The bound for ``loop`` from ``low`` to ``high`` [rad/s], frequencies as in ``cover``. Its first
-    outputs and inputs are those of Δ, the last those of the full ``performance`` block (z, then [w; n; r_c]).
+    """Bound the gain from disturbances to errors over every Δ of size 1 and a range of frequencies.
 
-    ``upper`` is inf where scalings do not show the loop stable for every Δ of size 1. SynthesisError as
-    ``cover``.
+    Parameters
+    ----------
+    loop : StateSpace, whose first outputs and inputs are Δ's, the last those of ``performance``
+    blocks : Sequence[Block], of Δ
+    performance : Block, full, z to [w; n; r_c]
+    low, high : float, rad/s, as in `cover`
+    rtol : float, default 0.002
+    least : float, least upper bound returned, default 0.0
+
+    Returns
+    -------
+    IntervalBound, upper is inf if no scalings prove stability, or the cells fail when tested again
+
+    Raises
+    ------
+    SynthesisError
+        If `cover` raises it.
+
+    References
+    ----------
+    THEORY 7.10.
     """
     structure = Structure((*blocks, performance))
     rows, cols = structure.n_rows - performance.cols, structure.n_cols - performance.rows
@@ -67,7 +98,42 @@ def worst_gain(
     def held(M: np.ndarray, point: PointBound) -> float:
         return _gain(M, point, cols)
 
-    return cover("worst_gain", loop, structure, low, high, rtol, at, held)
+    bound = cover("worst_gain", loop, structure, low, high, rtol, at, held, least)
+    G, first, last, _ = continuous_interval("worst_gain", loop, structure, low, high)
+    return bound if proves(bound, G, structure, first, last) else replace(bound, upper=np.inf)
+
+
+def proves(bound: IntervalBound, G: StateSpace, structure: Structure, low: float, high: float) -> bool:
+    """Tell whether the cells of ``bound`` prove its level, rounding allowed for.
+
+    Parameters
+    ----------
+    bound : IntervalBound
+    G : StateSpace
+        The loop in continuous time.
+    structure : Structure
+        Blocks of Δ, then the performance block.
+    low, high : float
+        Interval in rad/s.
+
+    Notes
+    -----
+    With the performance columns divided by the level, Δ of size 1 and performance of gain 1 are proved.
+    """
+    if not np.isfinite(bound.upper):
+        return False
+    units = np.ones(structure.n_cols)
+    units[structure.col[-1]] = 1 / bound.upper
+    edge = np.ones(sum(b.kind == "repeated_real" for b in structure.blocks))
+    parts = []
+    for one in bound.cells:
+        point = one.point
+        fixed = np.zeros_like(point.fixed)
+        skew = point.skew * units[:, None]
+        scalings = PointBound(1.0, point.left, fixed, point.fixed + point.scaled, skew)
+        parts.append(Part(ParameterBox(-edge, edge), one.low, one.high, scalings))
+    scaled = StateSpace(G.A, G.B * units, G.C, G.D * units)
+    return Prover(scaled, structure).verified(parts, 1.0, low, high)
 
 
 def _bound(M: np.ndarray, structure: Structure, rows: int, cols: int, gamma: float) -> PointBound | None:

@@ -7,10 +7,10 @@
 
 ``lft`` is built, lowest first, on
 
-``lmi``           small Hermitian feasibility problems: where every certificate comes from
+``lmi``           small Hermitian feasibility problems, the source of every certificate
 ``problem``       one frequency point, and all signals that satisfy its second equation
 ``well_posed``    whether the LFT stays regular for every Delta of a size
-``quadratic``     the quadratic problem that is left, its cost and its feasible points
+``quadratic``     the remaining quadratic problem, its cost and its feasible points
 ``local_search``  local improvement of a point, and first points for repeated blocks
 ``relaxation``    certified lower bounds over cones of sizes and boxes of scalars
 ``branch``        the branch and bound that closes the two sides

@@ -19,6 +19,9 @@ GAP = 1e-4
 MAX_NODES = 5000
 """Nodes after which the branch and bound stops with the interval that it has."""
 
+SLACK = 1e-5
+"""Share by which a level that is proved anew lies below what the search found."""
+
 COSTLY = 24
 """Multipliers of repeated blocks from which the relaxation is used sparingly."""
 
@@ -54,7 +57,7 @@ class Incumbent:
         self.offer(polish(self._problem, z))
 
     def start(self, points: Sequence[np.ndarray]) -> float:
-        """Offer the points and what a local search makes of them; the least cost before any search."""
+        """Offer the points and their local improvements; returns the least cost before any search."""
         for z in points:
             self.offer(z)
         raw = self.cost
@@ -105,6 +108,30 @@ def minimise(
     if free is not None:
         return Interval(0.0, 0.0, free, 0)
     return _Search(problem, gap).run(max_nodes, zero, points, enough)
+
+
+def proves(problem: Quadratic, level: float, cost: float, max_nodes: int = 2 * MAX_NODES) -> bool:
+    """Tell whether no point of ``problem`` costs less than ``level``.
+
+    Every node that the proof ends with is bounded anew. ``cost``, not below ``level``, is that of a known
+    point, and only decides on the cuts. False where ``max_nodes`` nodes do not suffice.
+    """
+    if level <= 0.0:
+        return True
+    search = _Search(problem, max(0.0, 1.0 - level * (1.0 + SLACK) / cost))
+    search.best.cost = cost
+    open_nodes = [BranchNode(0.0, 0, np.eye(problem.params), {})]
+    for _ in range(max_nodes):
+        node = open_nodes.pop()
+        bounds = search._bound(node)
+        if bounds.lower < level:
+            children = search._branch(node, bounds)
+            if children is None:
+                return False
+            open_nodes += [BranchNode(bounds.lower, 0, rays, boxes) for rays, boxes in children]
+        if not open_nodes:
+            return True
+    return False
 
 
 class _Search:

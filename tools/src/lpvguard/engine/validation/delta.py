@@ -49,7 +49,7 @@ def construct(block: Block, xi: np.ndarray, eta: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Verification:
-    """What :func:`verify` found.
+    """Result of :func:`verify`.
 
     ``deltas``: Delta_i (rows, cols) a block; ``sizes`` (tau,): their largest singular values. ``residual``:
     |e - M [xi; w]| with xi = Delta eta re-simulated, relative to |e|.
@@ -65,9 +65,9 @@ def verify(
 ) -> Verification:
     """Build Delta from (xi, w), close the loop with it and check that it re-simulates the data.
 
-    ``p`` holds P11, P12, P21, P22 and eta0 = P13 u; ``nu`` (tau,). Closing the loop means solving
-    (I - P11 Delta) eta = P12 w + eta0 anew, so xi is only used to build Delta. Raises InputError when a block
-    is larger than its nu, or the data are not reproduced: no explanation leaves this package unverified.
+    ``p`` holds P11, P12, P21, P22 and eta0 = P13 u; ``nu`` (tau,). The loop is closed by solving (I - P11
+    Delta) eta = P12 w + eta0 again, so xi is only used to build Delta. Raises InputError when a block is
+    larger than its nu, or the data are not reproduced: no explanation leaves this package unverified.
     """
     eta = p["P11"] @ xi + p["P12"] @ w + p["eta0"]
     pieces = list(zip(blocks, split(blocks, xi, "rows"), split(blocks, eta, "cols"), strict=True))

@@ -4,11 +4,11 @@ frequency point.
     eta = P11 xi + P12 w + eta0 (= P13 u),   e = P21 xi + P22 w,   xi_i = Delta_i eta_i
 
 with full complex, repeated complex and repeated real blocks (Lim). Every solution of the second equation is
-``x = maps @ (phi, psi, 1)`` with phi = U1^* w free inside the ball (5) and psi free altogether
-(:func:`problem.parametrise`). What remains is a quadratic problem that is not convex (``quadratic``). The
+``x = maps @ (phi, psi, 1)`` with phi = U1^* w free inside the ball (5) and psi completely free
+(:func:`problem.parametrise`). The remaining quadratic problem is not convex (``quadratic``). The
 S-procedure (``relaxation``) inside a branch and bound (``branch``) bounds its optimum from below. A feasible
 point that a local method improves (``local_search``) bounds it from above. The two sides meet for one or two
-full blocks beside a disturbance ball, and leave an interval otherwise. Both sides are returned.
+full blocks and a disturbance ball, and leave an interval otherwise. Both sides are returned.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ from numpy.typing import ArrayLike
 
 from lpvguard.base.errors import InputError
 from lpvguard.engine.validation import s2
-from lpvguard.engine.validation.branch import GAP, MAX_NODES, Incumbent, Interval, minimise
-from lpvguard.engine.validation.posed import EDGE, ROUNDING, Posed, Solution, ball, block_form, pose
+from lpvguard.engine.validation.branch import GAP, MAX_NODES, SLACK, Incumbent, Interval, minimise, proves
 from lpvguard.engine.validation.problem import Lft
 from lpvguard.engine.validation.quadratic import Form, Quadratic
+from lpvguard.engine.validation.scaled_problem import EDGE, ROUNDING, Posed, Solution, ball, block_form, pose
 from lpvguard.engine.validation.well_posed import block_caps
 
 ZERO = 1e-12
@@ -39,11 +39,28 @@ def optimum(
     *,
     gap: float = GAP,
 ) -> Solution:
-    """Optimum of (8): min sum_i lambda_nu,i nu_i^2 + sum_j lambda_w,j |w_j|^2 subject to |w| <= gamma_w.
+    """Compute the optimum of (8): min sum lambda_nu,i nu_i^2 + sum lambda_w,j |w_j|^2 with |w| <= gamma_w.
 
-    ``lambda_nu`` (tau,), ``lambda_w`` (n_w,) >= 0, default 0. Raises InputError when e is not in Im M or
-    gamma_w < B1. It also does where nothing in the structure explains e, and where the optimum lies at the
-    well-posedness cap.
+    Parameters
+    ----------
+    problem : Lft
+    gamma_w : float, bound on |w|
+    lambda_nu : array_like (tau,), >= 0
+    lambda_w : array_like (n_w,), optional, >= 0, by default 0
+    gap : float, relative distance of the two sides
+
+    Returns
+    -------
+    Solution
+
+    Raises
+    ------
+    InputError
+        If e is not in Im M, gamma_w < B1, nothing explains e, or the optimum is at the well-posedness cap.
+
+    References
+    ----------
+    Paper, section II, (8).
     """
     posed = pose(problem, gamma_w)
     lam = np.asarray(lambda_nu, dtype=float)
@@ -74,7 +91,22 @@ def optimum(
     )
     if interval is None or not interval.upper - interval.lower <= 2.0 * gap * interval.upper:
         interval = minimise(quadratic_problem, gap=gap)
-    return posed.finish(interval, "gamma_w")
+    return posed.finish(_proved(quadratic_problem, interval, problem.source), "gamma_w")
+
+
+def _proved(problem: Quadratic, interval: Interval, source: str) -> Interval:
+    """Return the interval with a lower bound that is proved apart from its search, or raise InputError."""
+    if interval.z is None:
+        return interval
+    lower = interval.lower * (1.0 - SLACK)
+    if not proves(problem, lower, interval.upper):
+        raise InputError(
+            source,
+            "the lower bound",
+            f"not proved: a cost of at least {lower:.9g}; {interval.upper:.9g} is attained",
+            "data scaled to like sizes",
+        )
+    return replace(interval, lower=lower)
 
 
 def _one_block(problem: Quadratic, caps: np.ndarray, posed: Posed) -> Interval | None:
@@ -119,7 +151,7 @@ def _one_block(problem: Quadratic, caps: np.ndarray, posed: Posed) -> Interval |
 def _last_block_is_free(problem: Lft, gamma_w: float, gap: float, max_nodes: int) -> bool:
     """Whether an explanation without the last block was found: its smallest disturbance is at most gamma_w.
 
-    Only asked beside repeated blocks. Without them the least-squares point of
+    Only for structures with repeated blocks. Otherwise the least-squares point of
     :meth:`quadratic.Quadratic.zero` decides.
     """
     last = len(problem.blocks) - 1
@@ -146,10 +178,24 @@ def smallest_last_block(
     max_nodes: int = MAX_NODES,
     known: Solution | None = None,
 ) -> tuple[float, float]:
-    """(lower, upper) of the smallest size of the last block alone, the others free, at the same gamma_w.
+    """Bound the smallest size of the last block alone, the others free, at a given gamma_w.
 
-    ``known``: an explanation at the same gamma_w to begin with.
-    Raises InputError as :func:`optimum` does, and when that size is at or above the block's own cap.
+    Parameters
+    ----------
+    problem : Lft
+    gamma_w : float, bound on |w|
+    gap : float, relative distance of the two sides
+    max_nodes : int, of the branch and bound
+    known : Solution, optional, explanation at the same gamma_w, start of the search
+
+    Returns
+    -------
+    tuple of float, lower and upper bound
+
+    Raises
+    ------
+    InputError
+        If `optimum` raises it, or that size is at or above the block's own cap.
     """
     posed = pose(problem, gamma_w)
     last = len(problem.blocks) - 1
@@ -183,9 +229,24 @@ def smallest_common_size(
     max_nodes: int = MAX_NODES,
     known: Solution | None = None,
 ) -> Solution:
-    """Smallest t with all nu_i <= t at the same gamma_w; the interval is that of t^2.
+    """Compute the smallest t with all nu_i <= t at a given gamma_w.
 
-    ``known``: an explanation at the same gamma_w to begin with. Raises InputError as :func:`optimum` does.
+    Parameters
+    ----------
+    problem : Lft
+    gamma_w : float, bound on |w|
+    gap : float, relative distance of the two sides
+    max_nodes : int, of the branch and bound
+    known : Solution, optional, explanation at the same gamma_w, start of the search
+
+    Returns
+    -------
+    Solution, whose interval is that of t^2
+
+    Raises
+    ------
+    InputError
+        If `optimum` raises it.
     """
     posed = pose(problem, gamma_w)
     forms = ball(posed, gamma_w)
@@ -195,10 +256,23 @@ def smallest_common_size(
 
 
 def margin(problem: Lft, w_delta: ArrayLike, w_w: ArrayLike, *, gap: float = GAP) -> Solution:
-    """Least t with nu_i <= t W_delta,i and |w_j| <= t W_w,j: the margin with one bound per output.
+    """Compute the margin with one bound per output: least t with nu_i <= t W_delta,i and |w_j| <= t W_w,j.
 
-    ``w_delta`` (tau,), ``w_w`` (n_w,), both > 0. The interval is that of t. Raises InputError as
-    :func:`optimum` does.
+    Parameters
+    ----------
+    problem : Lft
+    w_delta : array_like (tau,), > 0
+    w_w : array_like (n_w,), > 0
+    gap : float, relative distance of the two sides
+
+    Returns
+    -------
+    Solution, whose interval is that of t
+
+    Raises
+    ------
+    InputError
+        If `optimum` raises it.
     """
     delta, w = np.asarray(w_delta, dtype=float), np.asarray(w_w, dtype=float)
     posed = Posed(problem, w)
@@ -206,5 +280,7 @@ def margin(problem: Lft, w_delta: ArrayLike, w_w: ArrayLike, *, gap: float = GAP
     forms += [
         block_form(posed, i, param=0, slope=float(b) ** 2) for i, b in enumerate(delta) if i not in posed.dead
     ]
-    solution = posed.finish(minimise(Quadratic(forms, 1, posed.n), gap=2.0 * gap), "W_delta, W_w")
+    quadratic = Quadratic(forms, 1, posed.n)
+    interval = _proved(quadratic, minimise(quadratic, gap=2.0 * gap), problem.source)
+    solution = posed.finish(interval, "W_delta, W_w")
     return replace(solution, lower=float(np.sqrt(solution.lower)), upper=float(np.sqrt(solution.upper)))

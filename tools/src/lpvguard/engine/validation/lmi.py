@@ -4,8 +4,8 @@ The multipliers y are split into groups: a scalar group is one number >= 0; a ma
 Hermitian D >= 0 (the D-scaling of a repeated block); a free group has no sign (the G-scaling of a real
 block). The traces of all groups with a sign sum to one. A positive x proves that the forms z^* Q_j z (and
 their matrix versions) cannot all be <= 0 at once: the S-procedure. The method is Newton's on a log barrier.
-The forms have at most about ten rows. Each iterate is feasible, so every bound read from it is rigorous
-whenever the iteration stops.
+The forms have at most about ten rows. Each iterate is feasible, so every bound from it is rigorous whenever
+the iteration stops.
 """
 
 from __future__ import annotations
@@ -198,7 +198,7 @@ def _feasible_step(
 def rounding(y: np.ndarray, forms: np.ndarray) -> float:
     """Bound on the rounding error (2-norm) of sum_j y_j forms_j; ``y`` (m,), ``forms`` (m, n, n).
 
-    Free multipliers may be large and cancel. A certificate must not rest on what is left of that.
+    Free multipliers may be large and cancel, and a certificate must not rest on their remainder.
     """
     _, n, _ = forms.shape
     return 4.0 * n * np.finfo(float).eps * float(np.abs(y) @ np.linalg.norm(forms, axis=(1, 2)))

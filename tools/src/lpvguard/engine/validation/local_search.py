@@ -1,4 +1,4 @@
-"""Feasible points of the quadratic problem: local improvement of one, and first ones for repeated blocks."""
+"""Feasible points of the quadratic problem: local improvement, and first points for repeated blocks."""
 
 from __future__ import annotations
 

@@ -20,9 +20,21 @@ IMAGE_TOLERANCE = 1e-8
 class Lft:
     """One frequency point of (1).
 
-    Shapes: P11 (q, p), P12 (q, n_w), P21 (n_y, p), P22 (n_y, n_w), eta0 (q,), e (n_y,). p and q are the sums
-    of the blocks' rows and cols. Raises InputError, naming ``source``, for shapes that do not fit and values
-    that are not finite.
+    Attributes
+    ----------
+    blocks : tuple of Block, whose rows sum to p and cols to q
+    p11 : ndarray (q, p) of complex
+    p12 : ndarray (q, n_w) of complex
+    p21 : ndarray (n_y, p) of complex
+    p22 : ndarray (n_y, n_w) of complex
+    eta0 : ndarray (q,) of complex
+    e : ndarray (n_y,) of complex
+    source : str, name of the point in errors
+
+    Raises
+    ------
+    InputError
+        If shapes do not fit or values are not finite; it names ``source``.
     """
 
     blocks: tuple[Block, ...]

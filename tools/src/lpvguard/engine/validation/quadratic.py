@@ -1,4 +1,4 @@
-"""The quadratic problem, not convex, that is left of an LFT point: least sizes p for signals z.
+"""The non-convex quadratic problem of an LFT point: least sizes p for signals z.
 
 min sum_j p_j over z = (theta, 1) and p >= 0 subject to :class:`Form` s. A full block or the disturbance's
 ball is a form. A repeated block is a form and an equation a z = delta b z with one scalar delta.
@@ -21,9 +21,9 @@ CANCELLED = 1e-12
 class Form:
     """|a z|^2 <= (constant + sizes[param]) slope |b z|^2, and for a repeated block a z = delta b z as well.
 
-    ``a`` (r, n), ``b`` (r', n); r = r' for a repeated block, whose kind is ``repeated``.
-    ``param`` -1: the constant alone; it is inf when a repeated block has no bound (its own cap is infinite).
-    ``parts``: the signals that a is stacked from, when there are several.
+    ``a`` (r, n), ``b`` (r', n); r = r' for a repeated block, whose kind is ``repeated``. ``param`` -1: the
+    constant alone; it is inf when a repeated block has no bound (its own cap is infinite). ``parts``: the
+    signals that a is stacked from, when there are several.
     """
 
     a: np.ndarray
@@ -44,7 +44,7 @@ class Quadratic:
     """min sum_j p_j over z = (theta, 1) of length ``n`` and p >= 0 (``params`` of them) subject to ``forms``.
 
     ``repeated``: indices of the forms of repeated blocks. ``boxed``: sizes that one repeated block alone
-    decides. The box of that block bounds the size, so it needs no direction of its own.
+    decides. The box of that block bounds the size, so it needs no separate direction.
     """
 
     def __init__(self, forms: Sequence[Form], params: int, n: int):
@@ -89,7 +89,7 @@ class Quadratic:
         """
         if not deltas:
             return z, None
-        # Rows of a block in units of its own: sizes of blocks may be 1e10 apart.
+        # Rows of a block in its own units: sizes of blocks may be 1e10 apart.
         scaled, sizes = [], []
         for k, d in deltas.items():
             f = self.forms[k]
@@ -158,7 +158,7 @@ class Quadratic:
         """A point (n,) that needs no size at all, when there is one: the optimum is then exactly zero."""
         if any(f.repeated and f.param < 0 for f in self.forms):
             return None
-        # Each signal in units of its own: xi and w may be 1e14 apart, or their weights, and one must not hide
+        # Each signal in its own units: xi and w may be 1e14 apart, or their weights, and one must not hide
         # in the other's rounding.
         wanted = [
             a / (np.linalg.norm(a) or 1.0) for f in self.forms if f.param >= 0 for a in f.parts or (f.a,)

@@ -1,11 +1,12 @@
 """Certified lower bounds of the quadratic problem over a node of the branch and bound (S-procedure).
 
 Two facts make the branch and bound short. First, a certificate y found at sizes p stays valid for every p'
-with sum_j y_j Q_j(p') >= 0. That is a convex set that contains [0, p]. So a cone of directions is bounded at
-its edges, with an error of second order in its angle (Tuy). Second, a certificate is an eigenvalue problem in
-the length along a ray. So each multiplier vector is used up to the largest length that it proves
-(Dinkelbach). With the scalars of repeated blocks as linear constraints, a certificate is affine in them too.
-So a box is bounded at its corners, again with an error of second order (:meth:`Relaxation.tangent`).
+with sum_j y_j Q_j(p') >= 0. That is a convex set that contains [0, p]. A cone of directions is therefore
+bounded at its edges, with an error of second order in its angle (Tuy). Second, a certificate is an eigenvalue
+problem in the length along a ray. Each multiplier vector is therefore used up to the largest length that it
+proves (Dinkelbach). With the scalars of repeated blocks as linear constraints, a certificate is affine in
+them too. A box is therefore bounded at its corners, again with an error of second order
+(:meth:`Relaxation.tangent`).
 """
 
 from __future__ import annotations
@@ -99,8 +100,8 @@ class Tangent:
 
 @dataclass(frozen=True)
 class _Generators:
-    """What a certificate is combined from: Q0 (m, n, n) and level part G (m, n, n), the parameter of each
-    (m,), and the multiplier cone."""
+    """Parts of a certificate: Q0 (m, n, n) and level part G (m, n, n), parameter of each (m,), multiplier
+    cone."""
 
     q0: np.ndarray
     level: np.ndarray
@@ -124,7 +125,7 @@ class _HeldScalars:
         self._unit = [1.0 / (np.linalg.norm(f.a) + abs(c) * np.linalg.norm(f.b)) for f, c in forms]
 
     def rows(self, scalars: np.ndarray) -> np.ndarray:
-        """Rows a - d b of all blocks, each block in units of its own."""
+        """Rows a - d b of all blocks, each block in a separate unit."""
         return np.vstack(
             [u * (f.a - d * f.b) for u, f, d in zip(self._unit, self._forms, scalars, strict=True)]
         )
@@ -206,15 +207,14 @@ class Relaxation:
         return base + edges, base + length, inverse
 
     def tangent(self, node: BranchNode, cutoff: float) -> Tangent | None:
-        """Second bound over a node with boxes, whose error is of second order in their size; None without
-        one.
+        """Second bound over a node with boxes, with an error of second order in their size; None without one.
 
         At the boxes' centre c the repeated blocks are linear constraints, A(c) z = 0 with rows a - c b. The
         other forms give multipliers y on its kernel. Finsler: some Y makes the certificate Q(y, p) + Y^* A(c)
         + A(c)^* Y positive on the whole space. With the same y and Y it is affine in the scalars and the
-        sizes. So it holds over the box when it holds at the corners, and |delta|^2 lies above its tangent at
-        c. Y's part outside the kernel is free: a ladder of penalties on |A z|^2 is tried, and the best corner
-        bound kept.
+        sizes. It therefore holds over the box when it holds at the corners, and |delta|^2 lies above its
+        tangent at c. Y's part outside the kernel is free: a ladder of penalties on |A z|^2 is tried, and the
+        best corner bound kept.
         """
         if self._plain is None or not node.boxes:
             return None

@@ -1,8 +1,8 @@
 """Class S1: E = delta Z + w at every bin, one complex scalar delta common to all n_y outputs (T4).
 
 E is the windowed DFT of the nominal error, Z of the nominal output, both ``(..., n_y)`` complex in the
-outputs' own units; every other argument broadcasts against the leading shape. Closed forms, exact to rounding
-also where the usual ones cancel (delta0 -> nu, gamma_w -> B1, gamma_w -> abs(E), E parallel to Z):
+outputs' own units; every other argument broadcasts against the leading shape. The closed forms are exact to
+rounding, even where the usual ones cancel (delta0 -> nu, gamma_w -> B1, gamma_w -> abs(E), E parallel to Z):
 differences of nearly equal products are formed in double-double arithmetic. The compiled kernels and the
 numpy versions agree to 1e-13 relative. Margins agree to 1e-11, and to 1e-6 where the outputs' Z lie decades
 apart: the meeting point of three discs is then a small difference.
@@ -33,9 +33,17 @@ feasible."""
 
 @dataclass(frozen=True)
 class S1Result:
-    """Per point: all arrays have the leading shape of E, ``w`` has the shape of E.
+    """Explanation of every point in class S1.
 
-    ``nu`` is inf and ``feasible`` False where gamma_w < B1; everything is NaN where an input was not finite.
+    Everything is NaN where an input was not finite.
+
+    Attributes
+    ----------
+    b1 : ndarray (...), smallest disturbance [output units]
+    feasible : ndarray (...) of bool, False where gamma_w < B1
+    nu : ndarray (...), |delta|, inf where not feasible
+    delta : ndarray (...) of complex
+    w : ndarray (..., n_y) of complex, output units
     """
 
     b1: np.ndarray
@@ -166,11 +174,27 @@ def _points(source: str, e, z, *extra: tuple[str, object, bool]):
 
 
 def solve(e, z, gamma_w) -> S1Result:
-    """Smallest |delta| with ||E - delta Z||_2 <= gamma_w, with the delta and w that attain it, at every
-    point.
+    """Find the smallest |delta| with ||E - delta Z||_2 <= gamma_w at every point.
 
-    ``e``, ``z`` (..., n_y) complex; ``gamma_w`` (...) >= 0 in the outputs' units. Raises InputError on shapes
-    that do not fit and on a negative gamma_w. About 20 ns a point compiled.
+    Compiled it takes about 20 ns a point.
+
+    Parameters
+    ----------
+    e, z : array_like (..., n_y) of complex, output units
+    gamma_w : array_like (...), >= 0, output units
+
+    Returns
+    -------
+    S1Result, with the delta and w that attain it
+
+    Raises
+    ------
+    InputError
+        If shapes do not fit, or gamma_w is negative.
+
+    References
+    ----------
+    Paper, step 5; THEORY 4.1, (T4), (T5).
     """
     shape, e, z, gamma = _points("S1", e, z, ("gamma_w", gamma_w, False))
     points, n = e.shape
@@ -198,7 +222,13 @@ def solve(e, z, gamma_w) -> S1Result:
 
 
 class LeastSquares(NamedTuple):
-    """Per point, in the leading shape of E: |E|, |Z|, the smallest disturbance B1, and |delta0|."""
+    """Least-squares quantities per point, in the leading shape of E.
+
+    Attributes
+    ----------
+    e, z, b1 : ndarray (...), |E|, |Z| and the smallest disturbance B1 [output units]
+    delta : ndarray (...), |delta0|
+    """
 
     e: np.ndarray
     z: np.ndarray
@@ -213,8 +243,16 @@ def _size(x: np.ndarray) -> np.ndarray:
 
 
 def least(e, z) -> LeastSquares:
-    """Sizes of E and Z (..., n_y), and of what the least-squares scalar leaves and is; B1 and delta0 as
-    `solve` and `least_squares_delta` have them. NaN where an input is not finite."""
+    """Compute |E|, |Z|, B1 and |delta0|, consistent with `solve` and `least_squares_delta`.
+
+    Parameters
+    ----------
+    e, z : array_like (..., n_y) of complex, output units
+
+    Returns
+    -------
+    LeastSquares, NaN where an input is not finite
+    """
     shape, e, z = _points("S1", e, z)
     lib = native.kernels("s1")
     if lib is None:
@@ -230,7 +268,16 @@ def least(e, z) -> LeastSquares:
 
 
 def least_squares_delta(e, z) -> np.ndarray:
-    """delta0 = Z^H E / |Z|^2, shape (...): the scalar that leaves the smallest disturbance; 0 where Z = 0."""
+    """Compute delta0 = Z^H E / |Z|^2, the scalar with the smallest disturbance.
+
+    Parameters
+    ----------
+    e, z : array_like (..., n_y) of complex, output units
+
+    Returns
+    -------
+    ndarray (...) of complex, 0 where Z = 0
+    """
     e, z = np.asarray(e, dtype=complex), np.asarray(z, dtype=complex)
     scale = np.max(np.abs(z), axis=-1, keepdims=True)
     unit = np.divide(z, scale, out=np.zeros_like(z), where=scale > 0.0)
@@ -253,11 +300,30 @@ class TradeoffResult:
 
 
 def tradeoff(e, z, gamma_w, lambda_nu, lambda_w) -> TradeoffResult:
-    """Minimum of (8), lambda_nu nu^2 + sum_j lambda_w,j |w_j|^2 subject to |w| <= gamma_w.
+    """Minimise (8): lambda_nu nu^2 + sum_j lambda_w,j |w_j|^2 subject to |w| <= gamma_w.
 
-    ``lambda_nu`` (...) and ``lambda_w`` (..., n_y) >= 0; the other arguments and errors as for :func:`solve`.
-    The cost is an isotropic quadratic in delta. So its minimiser is the unconstrained one, projected on the
-    disc of explanations.
+    The cost is an isotropic quadratic in delta. Its minimiser is therefore the unconstrained one, projected
+    on the disc of explanations.
+
+    Parameters
+    ----------
+    e, z : array_like (..., n_y) of complex, output units
+    gamma_w : array_like (...), >= 0, output units
+    lambda_nu : array_like (...), >= 0
+    lambda_w : array_like (..., n_y), >= 0
+
+    Returns
+    -------
+    TradeoffResult
+
+    Raises
+    ------
+    InputError
+        If shapes do not fit, or a value is negative.
+
+    References
+    ----------
+    Paper, (8).
     """
     base = solve(e, z, gamma_w)
     shape, e, z, gamma, lam, lam_w = _points(
@@ -309,7 +375,7 @@ def _pair(i, j):
 
 
 def _reach(i, j, k):
-    """Level at which disc k reaches the one point that discs i and j share at their own level."""
+    """Level at which disc k contains the one point that discs i and j share at their own level."""
     den = i[2] * j[3] + j[2] * i[3]
     delta = np.conj(i[1]) * i[0] * (j[2] / (i[3] * den)) + np.conj(j[1]) * j[0] * (i[2] / (j[3] * den))
     return np.abs(k[0] - delta * k[1]) / k[2]
@@ -357,7 +423,7 @@ def _margin_numpy(e, z, w_delta, w_w):
                 tuple(np.choose(worst, [d[o[slot]][field] for o in order]) for field in range(4))
                 for slot in range(3)
             )
-            # Where the third disc holds the point of the worst pair this is at most that pair's level.
+            # If the third disc holds the point of the worst pair, this is at most that pair's level.
             joint = np.minimum(_reach(first, second, third), _triple(first, second, third))
             best = np.fmax(best, joint)  # NaN with a Z = 0, and where the third disc never leaves the first
     finite = np.isfinite(e).all(-1) & np.isfinite(z).all(-1) & np.isfinite(w_delta) & np.isfinite(w_w).all(-1)
@@ -369,16 +435,35 @@ MAX_OUTPUTS = 64
 
 
 def margin(e, z, w_delta, w_w) -> np.ndarray:
-    """On-line margin t* (...) (T17): least t with |delta_j| <= t W_delta,j and |E_j - delta_j Z_j| <= t
-    W_w,j.
+    """Compute the on-line margin: least t with |delta_j| <= t W_delta,j and |E_j - delta_j Z_j| <= t W_w,j.
 
-    ``e``, ``z``, ``w_w`` (..., n_y), ``w_delta`` (..., n_delta), a number standing for (1,); w_w > 0, w_delta
-    >= 0. With n_delta = 1 one delta is common to all outputs: a weighted 1-centre problem of n_y + 1 discs.
-    By Helly's theorem it is the worst of the problems of three discs. Each of those is a pair of discs, or
-    the smaller root of a quadratic. With n_delta = n_y every output has its own: the largest |E_j| / (W_w,j +
-    W_delta,j |Z_j|). t* > 1: no complex delta and w within the bounds explain the frame; a causal Delta with
-    memory may (lpvguard.bench._memory). NaN where an input was not finite. Raises InputError on shapes that
-    do not fit, a negative W_delta and a W_w that is not positive.
+    With n_delta = 1 one delta is common to all outputs: a weighted 1-centre problem of n_y + 1 discs. By
+    Helly's
+    theorem it is the worst of the problems of three discs. Each of those is a pair of discs, or the smaller
+    root of a
+    quadratic. With n_delta = n_y each output has its own delta: the largest |E_j| / (W_w,j + W_delta,j
+    |Z_j|). At
+    t > 1 no complex delta and w within the bounds explain the frame. A causal Delta with memory may
+    (tools/README.md).
+
+    Parameters
+    ----------
+    e, z : array_like (..., n_y) of complex, output units
+    w_delta : array_like (..., n_delta), >= 0, a number for (1,)
+    w_w : array_like (..., n_y), > 0, output units
+
+    Returns
+    -------
+    ndarray (...), NaN where an input is not finite
+
+    Raises
+    ------
+    InputError
+        If shapes do not fit, W_delta is negative, or W_w is not positive.
+
+    References
+    ----------
+    THEORY 7.1, (T17).
     """
     n = np.shape(e)[-1] if np.ndim(e) else 0
     w_delta = np.atleast_1d(np.asarray(w_delta, float))

@@ -7,8 +7,8 @@
 G_d = int_0^Ts e^{As} ds makes nu_s a rate (1/s), G_d = I a size per sample. At fixed nu_s this is a complex
 quadratic problem with two constraints. Its dual has no gap as long as nu_s < 1/sigma_max(H_s), H_s = (z I -
 A_d)^-1 G_d. At that cap an allowed Delta_s makes the loop singular. The optimum over nu_s is found by branch
-and bound: see base/_native/s2.c, whose numpy version is here. ``solve_forms`` is the kernel for any problem
-with one full block beside plain quadratics.
+and bound in base/_native/s2.c, with a numpy version here. ``solve_forms`` is the kernel for any problem with
+one full block and plain quadratics.
 """
 
 from __future__ import annotations
@@ -236,12 +236,12 @@ class _Point:
 
 @dataclass(frozen=True)
 class S2Result:
-    """Per point (K,): certified ``lower`` <= optimum <= attained ``upper``, and what attains it.
+    """Per point (K,): certified ``lower`` <= optimum <= attained ``upper``, and the attaining explanation.
 
     ``nu_i``, ``nu_s`` (K,): the sizes. ``xi`` (K, 1 + n_x), ``w`` (K, n_y): the signals. ``duals``: dual
     problems used. Points with gamma_w < B1 have inf bounds and NaN signals. ``at_cap`` marks points whose
-    best nu_s is the well-posedness cap itself, or whose bounds did not meet near it. Their figures are no
-    bound on the vehicle: they say that the class does not fit.
+    best nu_s is the well-posedness cap itself, or whose bounds did not meet near it. Their numbers do not
+    bound the vehicle: they show that the class does not fit.
     """
 
     lower: np.ndarray
@@ -383,12 +383,32 @@ def solve(
     gap: float = GAP,
     names: Sequence[str] | None = None,
 ) -> S2Result:
-    """Optimum of (8) for class S2 at K points.
+    """Compute the optimum of (8) for class S2 at K points.
 
-    ``e`` (K, n_y), ``u`` (K,), ``x_nom`` (K, n_x): complex DFTs. ``h_i`` (K, n_x) = (zI - A_d)^-1 B_d;
-    ``h_s`` (K, n_x, n_x) = (zI - A_d)^-1 G_d; ``c`` (n_y, n_x). ``gamma_w``, ``lambda_i``, ``lambda_s``:
-    (K,) or numbers, > 0. ``names`` (K,): the points' experiment and bin, for messages. Raises InputError on
-    shapes that do not fit and, naming the point, on values that are not finite or not positive.
+    Parameters
+    ----------
+    e : array_like (K, n_y) of complex
+    u : array_like (K,) of complex
+    x_nom : array_like (K, n_x) of complex
+    h_i : array_like (K, n_x) of complex, (zI - A_d)^-1 B_d
+    h_s : array_like (K, n_x, n_x) of complex, (zI - A_d)^-1 G_d
+    c : array_like (n_y, n_x)
+    gamma_w, lambda_i, lambda_s : array_like (K,) or float, > 0
+    gap : float, relative distance of the two sides
+    names : Sequence[str], optional, experiment and bin of each point, for messages
+
+    Returns
+    -------
+    S2Result
+
+    Raises
+    ------
+    InputError
+        If shapes do not fit, or a value is not finite or not positive; it names the point.
+
+    References
+    ----------
+    Paper, (8); THEORY 4.2, (T6).
     """
     e, u, x_nom, h_i, h_s, c = (np.asarray(a, dtype=complex) for a in (e, u, x_nom, h_i, h_s, c))
     points = len(e)

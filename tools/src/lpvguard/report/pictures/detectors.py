@@ -14,7 +14,7 @@ from ...evaluate.comparison import row_name
 from .drawing import BLUE, GREEN, ORANGE, PINK, POINTS, RED, SKY, new_figure, picture
 
 SOONEST_S = 0.01
-"""Where times below stand in `time_to_find`: its axis is logarithmic."""
+"""Least time on the logarithmic axis of `time_to_find`; smaller ones stand here."""
 
 DETECTOR_STYLES = (
     (BLUE, "-", "o", 2.0),
@@ -28,9 +28,16 @@ DETECTOR_STYLES = (
 
 @picture
 def time_to_find(faults: list[dict], allowed_s: float) -> Figure:
-    """Judged, excited time [s] from each fault to the alarm that it caused, a mark per case.
+    """Draw the judged, excited time from each fault to the alarm that it caused, a mark a case.
 
-    ``faults``: rows of an evaluation; ``allowed_s``: the alarm must come within this time [s].
+    Parameters
+    ----------
+    faults : list of dict, rows of an evaluation
+    allowed_s : float, s, time in which the alarm must come
+
+    Returns
+    -------
+    Figure
     """
     figure = new_figure(8.2, 1.0 + 0.32 * len(faults))
     axes = figure.subplots()
@@ -73,9 +80,8 @@ def _over_severity(
 ) -> Figure:
     """A panel per kind of fault with more than one severity.
 
-    ``draw(axes, x, rows)`` fills a panel; ``rows`` stand in the order of their severities ``x``. ``units``:
-    kind of fault -> unit of its severity; ``label``: of the
-    vertical axes.
+    ``draw(axes, x, rows)`` fills a panel with ``rows`` in the order of their severities ``x``. ``units`` has
+    the severity's unit by kind of fault. ``label`` is that of the vertical axes.
     """
     kinds = [k for k in units if sum(s["kind"] == k for s in severities) > 1]
     columns = 4
@@ -145,7 +151,7 @@ def detection(severities: list[dict], units: dict[str, str], names: dict[str, st
 def detection_time(severities: list[dict], units: dict[str, str], names: dict[str, str]) -> Figure:
     """Median judged, excited time [s] from a fault to the first alarm, against its severity.
 
-    Where fewer than half of the runs alarmed there is no point. Arguments: as of ``detection``.
+    There is no point where fewer than half of the runs alarmed. The arguments are those of ``detection``.
     """
 
     def draw(axes: Axes, x: np.ndarray, rows: list[dict]) -> None:

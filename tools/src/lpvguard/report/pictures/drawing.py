@@ -1,9 +1,8 @@
-"""What all pictures share: colours, style, and the way from a matplotlib figure to inline SVG.
+"""Shared parts of all pictures: colours, style, and the conversion of a matplotlib figure to inline SVG.
 
 Ink, rules and paper are CSS variables of the page (--ink, --rule, --paper), so one picture is legible on
-light, dark and printed pages. The other colours are Okabe and Ito's: colour-blind readers tell them apart.
-Line styles tell them apart as well. Point clouds are rasterised. Frequencies are in rad/s, signals in the
-units of the signal table.
+light, dark and printed pages. The other colours are Okabe and Ito's, for colour-blind readers. Line styles
+differ too. Point clouds are rasterised. Frequencies are in rad/s, signals in the units of the signal table.
 """
 
 from __future__ import annotations
@@ -32,7 +31,7 @@ if TYPE_CHECKING:
 Arguments = ParamSpec("Arguments")
 
 INK, RULE, PAPER = "#010203", "#040506", "#070809"
-"""Stand-ins that become CSS variables; no other element may use them."""
+"""Placeholders for CSS variables; no other element may use them."""
 BLUE, SKY, GREEN, RED, ORANGE, PINK, POINTS = (
     "#1b84c6",
     "#56b4e9",
@@ -75,7 +74,7 @@ _kept: ContextVar[list[Picture]] = ContextVar("kept")
 
 @contextmanager
 def kept() -> Iterator[list[Picture]]:
-    """Every picture drawn within the block, in the order of drawing."""
+    """Collect every picture drawn within the block, in the order of drawing."""
     token = _kept.set([])
     try:
         yield _kept.get()
@@ -85,25 +84,32 @@ def kept() -> Iterator[list[Picture]]:
 
 @dataclass(frozen=True)
 class Picture:
-    """A drawn picture: its name, its own on a page; inline SVG; the numbers that it shows."""
+    """A drawn picture.
+
+    Attributes
+    ----------
+    name : str, unique on a page
+    svg : str, inline SVG
+    panels : list of Panel, the numbers that it shows
+    """
 
     name: str
     svg: str
     panels: list[Panel]
 
     def _repr_svg_(self) -> str:
-        """What a notebook shows."""
+        """SVG for a notebook."""
         return standalone(self)
 
     @property
     def csv(self) -> str:
-        """The numbers as a table of text; InputError where the picture has none."""
+        """The numbers as a table of text; InputError for a picture without numbers."""
         if not self.panels:
             raise InputError(self.name, "", "a picture without numbers", "one with axes")
         return to_csv(self.panels)
 
     def save(self, path: str | Path) -> None:
-        """Write the picture as the suffix says: .svg, or .csv for its numbers."""
+        """Write the picture by the suffix: .svg, or .csv for its numbers."""
         suffix = Path(path).suffix.lower()
         if suffix not in (".svg", ".csv"):
             raise InputError(path, "suffix", suffix or "none", ".svg or .csv")
@@ -111,14 +117,14 @@ class Picture:
 
 
 def new_figure(width: float, height: float, layout: Literal["constrained"] | None = "constrained") -> Figure:
-    """An empty figure of this width and height [inch]; ``layout`` None: the caller places the axes."""
+    """An empty figure of this width and height [inch]; with ``layout`` None the caller places the axes."""
     figure = Figure(figsize=(width, height), layout=layout)
     FigureCanvasSVG(figure)
     return figure
 
 
 def _svg(figure: Figure, name: str) -> str:
-    """The figure as inline SVG; ``name`` keeps its ids apart from those of the page's other pictures."""
+    """The figure as inline SVG; ``name`` makes its ids unique on the page."""
     stream = io.StringIO()
     metadata = dict.fromkeys(("Date", "Creator", "Format", "Type"))
     style: dict[RcKeyType, object] = {"svg.hashsalt": name, **STYLE}
@@ -135,8 +141,7 @@ def _svg(figure: Figure, name: str) -> str:
 
 
 def _compact(svg: str) -> str:
-    """The same picture in fewer bytes: coordinates to a hundredth of a point, ids only where something refers
-    to them, no comments and no line breaks."""
+    """Shorten an SVG: coordinates to 0.01 point, only ids that are used, no comments and no line breaks."""
 
     def rounded(match: re.Match[str]) -> str:
         return re.sub(r"-?\d+\.\d{3,}", lambda n: f"{float(n.group()):.2f}", match.group())
@@ -153,12 +158,12 @@ def _compact(svg: str) -> str:
 
 
 def shared(page: str) -> str:
-    """The page with what its pictures have in common said once: outlines of letters, and styles."""
+    """The page with letter outlines and styles of its pictures stated once."""
     return _share_styles(_share_glyphs(page))
 
 
 def _share_glyphs(page: str) -> str:
-    """The page with every letter of its pictures drawn once, at the start of its body."""
+    """Draw every letter of the page's pictures once, at the start of its body."""
     outlines: dict[str, str] = {}
 
     def taken(match: re.Match[str]) -> str:
@@ -177,8 +182,7 @@ def _share_glyphs(page: str) -> str:
 
 
 def _share_styles(page: str) -> str:
-    """The page with each style that its pictures repeat as a class, in a style sheet at the end of its
-    head."""
+    """Turn each style that the page's pictures repeat into a class of one style sheet in its head."""
     pictures = re.compile(r"<svg.*?</svg>", re.DOTALL)
     style = re.compile(r' style="([^"]*)"')
     page = page.replace(f'<defs><style type="text/css">{EVERYWHERE}</style></defs>', "")
@@ -195,18 +199,18 @@ def _share_styles(page: str) -> str:
 
 
 EVERYWHERE = "*{stroke-linejoin: round; stroke-linecap: butt}"
-"""Style that matplotlib gives everything in a picture."""
+"""Style that matplotlib repeats in every element."""
 OFTEN = 3
-"""A style that stands so often gets a name."""
+"""Least number of repetitions for which a style gets a name."""
 GLYPH = r"DejaVu\w+(?:-\w+)*-[0-9a-f]+"
-"""Name that matplotlib gives the outline of a letter: its font and its number in hexadecimal."""
+"""matplotlib's name of a letter's outline: its font and its number in hexadecimal."""
 
 
 def picture(draw: Callable[Arguments, Figure]) -> Callable[Concatenate[str, Arguments], Picture]:
-    """Decorator of a function that draws a figure in the style of the report.
+    """Decorate a function that draws a figure in the style of the report.
 
-    The decorated function takes a name before its arguments and returns the picture. The name must be its
-    own on a page: it keeps the ids of the pictures apart.
+    The decorated function takes a name before its arguments and returns the picture. The name must be unique
+    on a page, because the ids of the picture contain it.
     """
 
     def wrapped(name: str, *arguments: Arguments.args, **named: Arguments.kwargs) -> Picture:
@@ -241,7 +245,16 @@ def files(pictures: list[Picture]) -> dict[str, str]:
 
 
 def standalone(picture: Picture) -> str:
-    """A picture as an SVG file of its own, dark on white."""
+    """Write a picture as an independent SVG file, dark on white.
+
+    Parameters
+    ----------
+    picture : Picture
+
+    Returns
+    -------
+    str
+    """
     svg = picture.svg
     for variable, colour in (("--ink", "#1b1e23"), ("--rule", "#c9ced6"), ("--paper", "#ffffff")):
         svg = svg.replace(f"var({variable})", colour)

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from ...core.compiled import REASONS, VERDICTS
-from ...replay.run import Replay
+from ...replay.replayer import Replay
 from .drawing import GREEN, INK, ORANGE, PINK, POINTS, RED, new_figure, picture
 from .numbers import Cells, attach
 
@@ -28,8 +28,7 @@ VERDICT_COLOURS = dict(zip(VERDICTS, (POINTS, GREEN, RED, "#b9d3e6", PINK, ORANG
 MAP_WIDTH, ROW_PIXELS = 1200, 9
 """Pixels of the map over margin: along time, and of one bin."""
 MAP_PAPER = "#ffffff"
-"""Maps stand on white also on dark pages: their darkest colour means the largest margin and must not
-vanish."""
+"""Maps are white also on dark pages, so that their darkest colour, the largest margin, stays visible."""
 
 
 def _colours() -> matplotlib.colors.Colormap:
@@ -63,8 +62,8 @@ def _paint(kind: np.ndarray, value: np.ndarray) -> np.ndarray:
 def _cells(replay: Replay, t0: float, lengths: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Kind and margin of every cell of the map, each (K, MAP_WIDTH).
 
-    A frame stands on its central half, where its window has its weight. ``t0``: start of the drive [s];
-    ``lengths`` (K,): frame lengths [samples].
+    A frame fills its central half, where its window has its weight. ``t0`` is the start of the drive [s],
+    ``lengths`` (K,) are frame lengths [samples].
     """
     frames = replay.run.frames
     kind, value = np.full((len(lengths), MAP_WIDTH), -1), np.zeros((len(lengths), MAP_WIDTH))
@@ -74,7 +73,7 @@ def _cells(replay: Replay, t0: float, lengths: np.ndarray) -> tuple[np.ndarray, 
     first = np.floor((end - 0.75 * length_s) * scale).astype(int)
     last = np.maximum(np.floor((end - 0.25 * length_s) * scale).astype(int), first + 1)
     for k, a, b, reason, margin in zip(frames.bin, first, last, frames.reason, frames.margin, strict=False):
-        # Of frames that share a pixel the largest margin must not vanish.
+        # Frames that share a pixel show the largest margin.
         if b == a + 1 and kind[k, min(a, MAP_WIDTH - 1)] >= 0 and value[k, min(a, MAP_WIDTH - 1)] > margin:
             continue
         kind[k, a:b], value[k, a:b] = reason, margin
@@ -82,7 +81,8 @@ def _cells(replay: Replay, t0: float, lengths: np.ndarray) -> tuple[np.ndarray, 
 
 
 def _frames(replay: Replay, t0: float, lengths: np.ndarray, threshold: float) -> Cells:
-    """Every frame with its numbers. ``t0``: start of the drive [s]; else as of ``margin_map``."""
+    """Every frame with its numbers; ``t0`` is the start of the drive [s]. See ``margin_map`` for the
+    others."""
     frames = replay.run.frames
     end = np.round((frames.t_end_s - t0) / replay.Ts).astype(int) + 1
     order = np.lexsort((end, frames.bin))
@@ -103,7 +103,7 @@ def _bin_labels(omega: np.ndarray) -> list[str]:
 
 
 def _mark_alarms(axes: Axes, replay: Replay, omega: np.ndarray) -> None:
-    """A triangle per alarm: of the frame test in the row of its bin, of the others above the map."""
+    """Draw a triangle per alarm: in the row of its bin for the frame test, else above the map."""
     at = {w: k for k, w in enumerate(omega)}
     above = len(omega) - 0.4
     for test, marker in (("frame", "<"), ("energy", "v"), ("change", "d")):
@@ -122,7 +122,7 @@ def _mark_alarms(axes: Axes, replay: Replay, omega: np.ndarray) -> None:
 
 
 def _draw_verdicts(axes: Axes, replay: Replay) -> None:
-    """The verdict over time, as a bar of its colours."""
+    """Draw the verdict over time as a bar."""
     verdict = replay.run.verdict
     edges = np.r_[0, np.flatnonzero(np.diff(verdict)) + 1, len(verdict)]
     for a, b in pairwise(edges):
@@ -144,8 +144,8 @@ def margin_map(
 ) -> Figure:
     """Margin of one drive over time and bins, with its alarms; below it speed and verdict.
 
-    ``t``, ``v`` (N,): time [s] and speed [m/s]; ``omega``, ``lengths`` (K,): bins [rad/s] and frame lengths
-    [samples]; ``speed_range``: of the model [m/s].
+    ``t``, ``v`` (N,) are time [s] and speed [m/s]. ``omega``, ``lengths`` (K,) are bins [rad/s] and frame
+    lengths [samples]. ``speed_range`` is that of the model [m/s].
     """
     K = len(omega)
     map_in, speed_in, verdict_in, gap_in, below_in = 0.135 * K, 0.72, 0.13, 0.13, 0.45
@@ -189,7 +189,7 @@ def margin_map(
 
 @picture
 def map_key() -> Figure:
-    """Key of the maps: colours of the margin, patterns of what was not judged, colours of the verdicts."""
+    """Key of the maps: colours of the margin, patterns of unjudged frames, colours of the verdicts."""
     figure = new_figure(8.2, 1.35)
     axes = figure.subplots(1, 3, width_ratios=[1.2, 1.25, 1.0])
     bar = figure.colorbar(

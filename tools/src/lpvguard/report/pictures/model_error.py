@@ -1,6 +1,7 @@
-"""The picture of the model error model: what follows the input, beside W_delta.
+"""Picture of the model error model beside W_delta.
 
-Estimates are of the drives that set the bounds and of those that judge them. Frequencies are in rad/s."""
+Estimates come from the drives that set the bounds and from those that judge them. Frequencies are in rad/s.
+"""
 
 from __future__ import annotations
 
@@ -17,11 +18,11 @@ from ...identify.model_error import ErrorEstimate, ModelError
 from .drawing import BLUE, GREEN, INK, ORANGE, PINK, POINTS, RED, SKY, new_figure, picture
 
 CLASS_COLOURS = (BLUE, ORANGE, GREEN, PINK, SKY)
-"""Of the amplitude classes, the smallest first; of more classes they repeat."""
+"""Colours of the amplitude classes, smallest first; they repeat after the last."""
 APART = 0.022
-"""Between classes at one frequency, as a part of it, so that their bars do not hide each other."""
+"""Relative distance between classes at one frequency, so that their bars do not hide each other."""
 LEAST = 1e-2
-"""Lower end of the axis: smaller errors stand there."""
+"""Lower end of the axis; smaller errors are drawn there."""
 REASON_WIDTH = 26
 
 
@@ -35,11 +36,11 @@ def model_error(
     reasons: Sequence[str],
     names: Sequence[str],
 ) -> Figure:
-    """|delta_c| over frequency, a panel an output, with W_delta and what is assumed beyond the data.
+    """|delta_c| over frequency, a panel an output, with W_delta and the assumption beyond the data.
 
-    ``W_delta`` (N, n_y) at ``omega`` (N,) [rad/s], inflation included; ``last``: per output the last
-    frequency that tells [rad/s], None where none does; ``beyond`` (G, n_y): 1 + rho at the grid's
-    frequencies; ``reasons``, ``names``: per output.
+    ``W_delta`` (N, n_y) at ``omega`` (N,) [rad/s] includes inflation. ``last`` holds per output the last
+    informative frequency [rad/s], or None. ``beyond`` (G, n_y) is 1 + rho at the grid's frequencies.
+    ``reasons`` and ``names`` are per output.
     """
     figure = new_figure(8.2, 0.6 + 3.3 * len(names))
     panels = np.atleast_1d(figure.subplots(len(names), 1, sharex=True))
@@ -62,8 +63,10 @@ def model_error(
 
 
 def _estimates(axes: Axes, estimate: ErrorEstimate, grid: np.ndarray, j: int, marker: str, bars: str) -> None:
-    """Every cell's |delta_c| of output j at each frequency, the bar + k se, or with ``bars`` "both" also
-    - k se. Estimates that cannot tell, k se >= 1, are pale."""
+    """Draw every cell's |delta_c| of output j with the bar + k se, and - k se for ``bars`` "both".
+
+    Uninformative estimates, k se >= 1, are pale.
+    """
     classes = estimate.se.shape[-1]
     for a in range(classes):
         x = np.repeat(grid * (1 + APART * (a - (classes - 1) / 2)), estimate.se.shape[2])
@@ -90,7 +93,7 @@ def _estimates(axes: Axes, estimate: ErrorEstimate, grid: np.ndarray, j: int, ma
 
 
 def _assumed(axes: Axes, grid: np.ndarray, beyond: np.ndarray, last: float | None, reason: str) -> None:
-    """Shade what lies beyond the ``last`` frequency that tells, with 1 + rho and the ``reason``."""
+    """Shade the range beyond the ``last`` informative frequency, with 1 + rho and the ``reason``."""
     start = grid[0] if last is None else last
     if last is not None:
         axes.axvline(last, ls=":", lw=1.0, color=INK)

@@ -1,7 +1,7 @@
-"""The numbers of a picture: what its axes show, read back from the drawn figure, for zooming and for CSV.
+"""Numbers of a picture, read back from the drawn figure, for zooming and for CSV.
 
 A picture is drawn once. Its lines, markers, bars and cells are the one source of its interactive form and of
-its table, which therefore cannot say anything else.
+its table.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import FixedFormatter, FuncFormatter
 
 MOST_POINTS, MOST_BESIDE_CELLS = 1500, 300
-"""Points of a line in the page; of a longer one the extremes of each stretch. CSV has all."""
+"""Most points of a line in the page; a longer one keeps the extremes of each stretch. CSV has all."""
 SYMBOLS = {
     r"\bar\nu": "ν̄",
     r"\infty": "∞",
@@ -38,14 +38,16 @@ SYMBOLS = {
     r"\rho": "ρ",
     r"\omega": "ω",
 }
-"""What mathematical text of the pictures holds, as characters."""
+"""Characters for the mathematical text of the pictures."""
 
 
 @dataclass(frozen=True)
 class Trace:
-    """What one artist shows. ``kind``: "line" (with or without markers), "bar", "area", "level" (all x at
-    y[0]) or "instant" (all y at x[0]). ``x``, ``y`` (N,): NaN breaks a line. ``look``: colour, dash, marker,
-    size, width, alpha."""
+    """Numbers of one artist.
+
+    ``kind``: "line" (with or without markers), "bar", "area", "level" (all x at y[0]) or "instant" (all y at
+    x[0]). ``x``, ``y`` (N,): NaN breaks a line. ``look``: colour, dash, marker, size, width, alpha.
+    """
 
     kind: str
     label: str
@@ -56,9 +58,12 @@ class Trace:
 
 @dataclass(frozen=True)
 class Cells:
-    """Frames of a drive, sorted by bin, then by time: ``bin`` (F,); ``end`` (F,) [samples after the drive's
-    first], the sample after the frame's last; ``margin`` (F,); ``reason`` (F,) index into ``reasons``.
-    ``lengths`` (K,) [samples] of the bins; ``Ts`` [s]; ``threshold`` of the margin."""
+    """Frames of a drive, sorted by bin, then by time.
+
+    ``bin`` (F,), ``end`` (F,) the sample after the frame's last [samples after the drive's first], ``margin``
+    (F,), ``reason`` (F,) index into ``reasons``. ``lengths`` (K,) [samples] of the bins, ``Ts`` [s],
+    ``threshold`` of the margin.
+    """
 
     bin: np.ndarray
     end: np.ndarray
@@ -72,9 +77,10 @@ class Cells:
 
 @dataclass(frozen=True)
 class Panel:
-    """Axes of a picture: labels, limits, whether logarithmic, named ticks, and what stands in them.
+    """Axes of a picture: labels, limits, logarithmic or not, named ticks, and their traces.
 
-    ``row``: counted from above; panels of one ``shared`` number move together in x."""
+    ``row`` counts from above; panels of one ``shared`` number move together in x.
+    """
 
     title: str
     labels: tuple[str, str]
@@ -92,7 +98,7 @@ _CELLS: WeakKeyDictionary[Axes, Cells] = WeakKeyDictionary()
 
 
 def attach(axes: Axes, cells: Cells) -> None:
-    """Say which cells the image in ``axes`` shows."""
+    """Attach the cells that the image in ``axes`` shows."""
     _CELLS[axes] = cells
 
 
@@ -107,7 +113,7 @@ def plain(text: str) -> str:
 
 
 def panels(figure: Figure) -> list[Panel]:
-    """The panels of a drawn figure that hold numbers, in the order of its axes."""
+    """Panels of a drawn figure that hold numbers, in the order of its axes."""
     shown = [a for a in figure.axes if a.axison and a.get_visible()]
     boxes = [a.get_window_extent() for a in shown]
     rows = sorted({round(b.y1) for b in boxes}, reverse=True)
@@ -139,13 +145,13 @@ def panels(figure: Figure) -> list[Panel]:
 
 
 def _label(axes: Axes) -> str:
-    """Label of the horizontal axis, of the axes that share it where this one has none."""
+    """Label of the horizontal axis, or else of an axis that shares it."""
     labels = (a.get_xlabel() for a in axes.get_shared_x_axes().get_siblings(axes))
     return axes.get_xlabel() or next((label for label in labels if label), "")
 
 
 def _ticks(axis: Axis) -> dict[float, str]:
-    """Ticks that have a name of their own; empty where the axis counts."""
+    """Ticks with names; empty for a numeric axis."""
     formatter = axis.get_major_formatter()
     if not isinstance(formatter, (FixedFormatter, FuncFormatter)):
         return {}
@@ -154,7 +160,7 @@ def _ticks(axis: Axis) -> dict[float, str]:
 
 
 def _traces(axes: Axes) -> list[Trace]:
-    """What stands in the axes, in the order of drawing."""
+    """Traces of the axes, in the order of drawing."""
     named = {c.lines[0]: c.get_label() for c in axes.containers if isinstance(c, ErrorbarContainer)}
     found = [
         s for line in axes.lines if (s := _of_line(line, axes, named.get(line, line.get_label()))) is not None
@@ -183,7 +189,7 @@ def _traces(axes: Axes) -> list[Trace]:
 
 
 def _of_line(line: Line2D, axes: Axes, label: object) -> Trace | None:
-    """A line called ``label``; None where it is not placed by data."""
+    """A line with ``label``; None if data do not place it."""
     in_x, in_y = line.get_transform().contains_branch_seperately(axes.transData)
     x, y = (np.asarray(v, float).ravel() for v in line.get_data(orig=False))
     if not (in_x or in_y) or not len(x):
@@ -204,12 +210,12 @@ def _of_line(line: Line2D, axes: Axes, label: object) -> Trace | None:
 
 
 def _name(label: object) -> str:
-    """A label as text; matplotlib's own names of what is not in a legend are none."""
+    """A label as text; empty for matplotlib's own names."""
     return "" if str(label).startswith("_") else plain(str(label))
 
 
 def _colour(colour: Any) -> str:
-    """Hexadecimal colour of one colour or of the first of several."""
+    """Hexadecimal colour, or the first of several."""
     rgba = np.atleast_2d(colour)[0] if not isinstance(colour, str) else colour
     return to_hex(tuple(rgba) if not isinstance(rgba, str) else rgba)
 
@@ -260,8 +266,8 @@ def to_json(found: list[Panel]) -> str:
 
 
 def _told_cells(cells: Cells) -> dict[str, Any]:
-    """Cells in few bytes: how many frames each bin has; as steps from frame to frame, with how often a step
-    repeats, the ends [samples]; reasons as one digit each."""
+    """Compact cells: number of frames per bin, run-length coded steps of the ends [samples], reasons as
+    digits."""
     steps: list[int] = []
     for k in range(len(cells.lengths)):
         for step, same in groupby(np.diff(cells.end[cells.bin == k], prepend=0).tolist()):
@@ -285,7 +291,7 @@ def _told(trace: Trace, most: int) -> dict[str, Any]:
 
 
 def _thinned(x: np.ndarray, y: np.ndarray, most: int) -> tuple[np.ndarray, np.ndarray]:
-    """At most about ``most`` points: the least and the largest of each of most / 2 stretches."""
+    """At most about ``most`` points: the extremes of each of most / 2 stretches."""
     if len(x) <= most:
         return x, y
     kept = []

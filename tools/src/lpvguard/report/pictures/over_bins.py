@@ -1,5 +1,7 @@
-"""Pictures over the bins of an identification: Figs. 2 and 3 of the paper, the Pareto fronts and the
-excitation. Frequencies are in rad/s; DC stands at a place of its own, left of the lowest bin."""
+"""Pictures over the bins of an identification: Figs. 2 and 3 of the paper, Pareto fronts and excitation.
+
+Frequencies are in rad/s. DC has a place left of the lowest bin.
+"""
 
 from __future__ import annotations
 
@@ -18,12 +20,12 @@ from .drawing import BLUE, GREEN, INK, ORANGE, PINK, POINTS, RED, SKY, legend_ab
 
 MOST_BIN_LABELS = 6
 POINTS_PER_BIN = 400
-"""More points in a bin are thinned: the largest stay, of the others every n-th in order of size."""
+"""Most points in a bin: the largest stay, and every n-th of the others in order of size."""
 DELTA_COLOURS = ((RED, BLUE), (ORANGE, SKY), (PINK, GREEN), (POINTS, INK))
-"""Colours of an uncertainty's bound and of its weight, one pair a Delta."""
+"""Colours of a bound and its weight, one pair a Delta."""
 FRONT_COLUMNS = 5
 MOST_FRONTS = 30
-"""Panels of the Pareto picture: of more bins every n-th is drawn."""
+"""Most panels of the Pareto picture; with more bins every n-th is drawn."""
 
 
 @dataclass(frozen=True)
@@ -77,7 +79,7 @@ def _cloud(axes: Axes, grid: np.ndarray, values: list[np.ndarray], colour: str, 
 
 
 def _bound(axes: Axes, grid: np.ndarray, values: np.ndarray, style: str, label: str, **look: Any) -> None:
-    """A bound (K,) over the bins. DC is a star of its own: nothing is known between DC and the lowest bin.
+    """A bound (K,) over the bins. DC is a separate star: nothing is known between DC and the lowest bin.
 
     ``look``: further arguments of matplotlib's ``Axes.plot``.
     """
@@ -87,9 +89,9 @@ def _bound(axes: Axes, grid: np.ndarray, values: np.ndarray, style: str, label: 
 
 
 def _bins(axes: Axes, grid: np.ndarray, without: np.ndarray, *, label: bool = True) -> None:
-    """Logarithmic frequency axis that names some of the bins. DC stands at its place ``grid[0]``.
+    """Logarithmic frequency axis that names some of the bins, with DC at ``grid[0]``.
 
-    ``without`` (K,): bins without a counted frame; they are hatched.
+    ``without`` (K,) marks bins without a counted frame; they are hatched.
     """
     step = -(-len(grid) // MOST_BIN_LABELS)
     named = grid[1::step]
@@ -124,10 +126,10 @@ def disturbance_design(
     fine: np.ndarray,
     unit: str,
 ) -> Figure:
-    """Fig. 2: the disturbance bound and what it was made of; below it the ceiling on the uncertainty.
+    """Fig. 2: the disturbance bound and its parts; below it the ceiling on the uncertainty.
 
-    Points are |E| and B1 of frames. Lines are B1, B2 and gamma_w: as the rule asks for it, and smoothed.
-    ``bounds``: arrays of bounds.json; ``gamma_fine`` (N,): gamma_w smoothed, at ``fine`` (N,) [rad/s].
+    Points are |E| and B1 of frames. Lines are B1, B2 and gamma_w, by the rule and smoothed. ``bounds`` holds
+    arrays of bounds.json; ``gamma_fine`` (N,) is the smoothed gamma_w at ``fine`` (N,) [rad/s].
     """
     figure = new_figure(8.2, 5.6)
     top, low = figure.subplots(2, 1, sharex=True, height_ratios=[3, 1.1])
@@ -244,7 +246,7 @@ def pareto(
 ) -> Figure:
     """Pareto fronts nu(gamma_w) (K, P), a panel per bin.
 
-    ``taken``: what was taken, gamma_w (K,) and nu (K, n_delta); ``ceiling`` (K,): ceiling on nu.
+    ``taken`` is the chosen point, gamma_w (K,) and nu (K, n_delta); ``ceiling`` (K,) is that on nu.
     """
     known = np.flatnonzero(np.isfinite(nu).any(axis=1))
     shown = known[:: -(-len(known) // MOST_FRONTS)]
@@ -280,10 +282,10 @@ def excitation(
     disturbance: np.ndarray,
     unit: str,
 ) -> Figure:
-    """|Z| per bin beside the disturbance bound, and how many frames counted.
+    """|Z| per bin with the disturbance bound, and the number of counted frames.
 
-    All arrays are (K,). ``every_start_max``: largest |Z| over frames at every start of the bound-setting
-    drives. ``unit``: unit of |Z| and of ``disturbance``.
+    All arrays are (K,). ``every_start_max`` is the largest |Z| over frames at every start of the
+    bound-setting drives. ``unit`` is that of |Z| and of ``disturbance``.
     """
     figure = new_figure(8.2, 4.0)
     top, low = figure.subplots(2, 1, sharex=True, height_ratios=[2, 1])

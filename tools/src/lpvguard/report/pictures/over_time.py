@@ -15,7 +15,15 @@ from .drawing import BLUE, INK, RED, new_figure, picture
 
 @dataclass(frozen=True)
 class Stretch:
-    """A piece of a drive: t (N,) [s after the drive's start], v (N,) [m/s], y, yhat (N, n_y)."""
+    """A piece of a drive.
+
+    Attributes
+    ----------
+    title : str
+    t : ndarray (N,), s after the drive's start
+    v : ndarray (N,), m/s
+    y, yhat : ndarray (N, n_y), output units
+    """
 
     title: str
     t: np.ndarray
@@ -26,7 +34,17 @@ class Stretch:
 
 @picture
 def model_in_time(stretches: list[Stretch], outputs: Sequence[Signal]) -> Figure:
-    """Fig. 4: measurement and nominal model, and the nominal error, on each stretch."""
+    """Draw Fig. 4: measurement, nominal model and nominal error on each stretch.
+
+    Parameters
+    ----------
+    stretches : list[Stretch]
+    outputs : Sequence[Signal]
+
+    Returns
+    -------
+    Figure
+    """
     rows = 2 * len(outputs)
     figure = new_figure(8.2, 1.2 + 3.2 * len(outputs))
     grid = np.atleast_2d(
@@ -80,12 +98,12 @@ def closed_loop(
     fault_start_s: float | None,
     first_invalid_s: float | None,
 ) -> Figure:
-    """Yaw rate against what was wanted, the demand, and the margins of the counted frames, over one simulated
+    """Yaw rate with its wanted value, the demand and the margins of the counted frames, over one simulated
     run.
 
     ``rows`` (N,): telemetry with fields t_s, wanted_radps, yaw_rate_radps, demand_bar. ``frames`` (F,):
-    fields t_end_s, reason, margin. ``fault_start_s`` and ``first_invalid_s`` [s] are marked where they are
-    given. Margins above four thresholds stand at the upper edge.
+    fields t_end_s, reason, margin. ``fault_start_s`` and ``first_invalid_s`` [s] are marked if given. Margins
+    above four thresholds stand at the upper edge.
     """
     figure = new_figure(8.2, 5.6)
     rate, demand, margin = figure.subplots(3, 1, sharex=True, height_ratios=[3, 2, 2])

@@ -8,16 +8,16 @@ from html import escape
 import numpy as np
 
 from ...drives.frames import Estimator
+from ...identify.identification import StoredIdentification
 from ...identify.model_error import claim, last_telling
-from ...identify.run import StoredIdentification
 from ...identify.weights import DC_STAND_IN, SMALLEST_NU
-from ..drawn import OfIdentification
+from ..identification_pictures import IdentificationPictures
 from ..markup import captioned
 from ..pictures.over_bins import POINTS_PER_BIN
 from .summary import premise_of
 
 
-def bound_sections(drawn: OfIdentification) -> list[str]:
+def bound_sections(drawn: IdentificationPictures) -> list[str]:
     """The four sections; each begins with its h2."""
     stored, estimator = drawn.stored, drawn.estimator
     return [
@@ -29,7 +29,7 @@ def bound_sections(drawn: OfIdentification) -> list[str]:
 
 
 def _data_words(bounds: dict[str, np.ndarray], grid: np.ndarray) -> str:
-    """What the caption of Fig. 2 says of B1, of DC and of bins without frames."""
+    """Words of Fig. 2's caption on B1, DC and bins without frames."""
     without = int((~(bounds["frames"] > 0)).sum())
     gaps = (
         f" {without} bins without a counted frame are hatched: no information."
@@ -54,8 +54,8 @@ def _data_words(bounds: dict[str, np.ndarray], grid: np.ndarray) -> str:
     return f"{b1} {stars}{gaps}"
 
 
-def _disturbance(stored: StoredIdentification, estimator: Estimator, drawn: OfIdentification) -> str:
-    """Counterpart of Fig. 2, and what its caption says of these data."""
+def _disturbance(stored: StoredIdentification, estimator: Estimator, drawn: IdentificationPictures) -> str:
+    """Counterpart of Fig. 2 with its caption."""
     bounds = stored.bounds
     points = sum(len(c) for c in drawn.clouds.E)
     nu = np.fmax.reduce(bounds["nu"], axis=1)
@@ -80,8 +80,8 @@ def _disturbance(stored: StoredIdentification, estimator: Estimator, drawn: OfId
     )
 
 
-def _weights(stored: StoredIdentification, drawn: OfIdentification) -> str:
-    """Counterpart of Fig. 3, and what its caption says of these data."""
+def _weights(stored: StoredIdentification, drawn: IdentificationPictures) -> str:
+    """Counterpart of Fig. 3 with its caption."""
     weights, inflation = stored.weights, stored.weights["inflation"]
     clouds, structure = drawn.clouds, stored.project.bounds.structure
     points = sum(len(c) for c in clouds.E)
@@ -111,8 +111,8 @@ def _weights(stored: StoredIdentification, drawn: OfIdentification) -> str:
     )
 
 
-def _model_error(stored: StoredIdentification, drawn: OfIdentification) -> str:
-    """The model error model beside W_delta, and the premise of every certificate in a sentence."""
+def _model_error(stored: StoredIdentification, drawn: IdentificationPictures) -> str:
+    """Model error model beside W_delta, and the premise of every certificate in a sentence."""
     project, error = stored.project, stored.model_error
     names = [s.name for s in project.outputs]
     last = [None if k < 0 else float(error.grid.omega[k]) for k in last_telling(error.setting)]
@@ -134,8 +134,8 @@ def _model_error(stored: StoredIdentification, drawn: OfIdentification) -> str:
     return f"<p>{premise_of(stored)}</p>{captioned(drawn.model_error('model-error'), caption)}"
 
 
-def _front(stored: StoredIdentification, drawn: OfIdentification) -> str:
-    """Pareto front per bin; in words where there is none."""
+def _front(stored: StoredIdentification, drawn: IdentificationPictures) -> str:
+    """Pareto front per bin, or words where there is none."""
     front, shown = stored.front, drawn.front("front")
     if shown is None:
         return "<p>Structure S0 puts all error into the disturbance: there is nothing to trade.</p>"

@@ -1,4 +1,4 @@
-"""Section "Campaign in the closed loop": many trucks and faults, the monitor beside the baselines."""
+"""Section "Campaign in the closed loop": many trucks and faults, the monitor and the baselines."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def _level(severity: dict) -> str:
 
 
 def _falsified(c: dict) -> str:
-    """Runs of trucks within the bounds that did what the certificate rules out, each by name."""
+    """Names of the runs of trucks within the bounds that contradict the certificate."""
     falsified = c["falsified"]
     text = f"""<p><b>Falsified certificates: {share_words(falsified["rate"])}</b> of the runs within the \
 bounds. There a run that oscillates,
@@ -50,7 +50,7 @@ saturates for a second or leaves the tracking bound contradicts the certificate.
     if not falsified["runs"]:
         return text
     return text + html_table(
-        ["run", "seed", "truck", "mean speed, m/s", "what it did"],
+        ["run", "seed", "truck", "mean speed, m/s", "contradiction"],
         [
             [
                 str(r["number"]),
@@ -65,7 +65,7 @@ saturates for a second or leaves the tracking bound contradicts the certificate.
 
 
 def _checked(within: dict) -> str:
-    """At which speeds, amplitudes and frequencies the trucks' responses were measured."""
+    """Speeds, amplitudes and frequencies at which the trucks' responses were measured."""
     checked = within["checked"]
     speeds = ", ".join(f"{v:g}" for v in checked["speeds_mps"])
     bars = [u for amplitudes in checked["amplitudes_bar"] for u in amplitudes]
@@ -77,7 +77,7 @@ def _checked(within: dict) -> str:
 
 
 def _runs(c: dict) -> str:
-    """What was driven, how rates are stated, and what visible means."""
+    """Description of the runs, of the rates, and of "visible"."""
     within = c["within"]
     faulted = sum(s["runs"] for s in c["severities"])
     claims = "; ".join(f"{escape(t)} test: {escape(limit['claim'])}" for t, limit in c["calibrated"].items())
@@ -121,7 +121,7 @@ def _overall(c: dict) -> str:
 
 
 def _alarm_table(c: dict) -> str:
-    """Alarms of each test of the monitor in the runs within the bounds, beside what was calibrated."""
+    """Alarms of each of the monitor's tests in the runs within the bounds, with the calibrated rate."""
     tests = c["within"]["tests"]
     return html_table(
         [
@@ -151,7 +151,7 @@ def _alarm_table(c: dict) -> str:
 
 
 def _baselines(c: dict) -> str:
-    """How the baselines are calibrated and compared."""
+    """Calibration and comparison of the baselines."""
     baselines = ", ".join(escape(b["label"]) for b in c["baselines"])
     return f"""<p>Baselines ({baselines}) run on the same samples with thresholds from the same calibration \
 drives by the same rule. Those drives are of one
@@ -162,7 +162,7 @@ bounds and before the faults.</p>"""
 
 
 def _ways(c: dict) -> str:
-    """Faults that come in several ways: at once, growing, from the start of the run."""
+    """Faults that begin in several ways: at once, growing, from the start of the run."""
     names = [escape(title) for title in c["detectors"].values()]
     rows = [[escape(cell) for cell in row] for row in way_rows(c)]
     return f"""<p>Faults of the truck alone come in several ways. Everything else here is of the first, at \
@@ -172,7 +172,16 @@ calibrated thresholds, found {escape(c["matched_claim"])}, and the median time f
 
 
 def drawn_campaign(c: dict) -> dict[str, Picture]:
-    """Detection and time to the first alarm against severity; ``c``: summary.json of `lpvguard campaign`."""
+    """Draw detection and time to the first alarm against severity.
+
+    Parameters
+    ----------
+    c : dict, summary.json of `lpvguard campaign`
+
+    Returns
+    -------
+    dict[str, Picture], by name
+    """
     severities, units, names = c["severities"], c["units"], c["detectors"]
     return {
         "matched": detection("c0", severities, units, names, "matched"),
@@ -204,7 +213,7 @@ def _pictures(c: dict) -> str:
 
 
 def _kind_table(c: dict) -> str:
-    """Share found per kind of fault and detector, at both sets of thresholds, and who leads."""
+    """Share found per kind of fault and detector, at both sets of thresholds, and the leader."""
     names, matched = c["detectors"], escape(c["matched_claim"])
 
     def best(detectors: list[str]) -> str:
@@ -230,7 +239,7 @@ def _kind_table(c: dict) -> str:
 
 
 def _beaten(c: dict) -> str:
-    """Where a baseline finds more than the monitor."""
+    """Faults of which a baseline finds more than the monitor."""
     names = c["detectors"]
     return (
         "; ".join(
@@ -271,7 +280,7 @@ def _severity_table(c: dict) -> str:
 
 
 def _invisible(c: dict) -> str:
-    """Faults with which robust performance is lost though few runs show them."""
+    """Faults that lose robust performance though few runs show it."""
     hidden = "; ".join(
         f"{escape(s['kind'])} {_severity(c, s)} (mu {_level(s)}, found {s['found']['monitor']} of "
         f"{s['runs']})"
@@ -284,7 +293,7 @@ it. The largest mu over three speeds is meant; it exists for faults that are lin
 
 
 def _bus(c: dict) -> str:
-    """What the supervision had to say about faults of the bus, and what it said."""
+    """Expected and actual answers of the supervision to bus faults."""
     faulty, healthy = c["supervision"]["faulty"], c["supervision"]["healthy"]
     return f"""<h3>Faults of the bus</h3><p>What the supervision must say at every tick follows from the \
 frames that were on the bus and the message table:

@@ -14,7 +14,18 @@ from ..pictures.over_time import closed_loop
 
 
 def drawn_run(folder: Path, name: str, r: dict) -> Picture:
-    """Picture of the run ``r`` of results.json; ``name`` is the picture's, its own on a page."""
+    """Draw a simulated run.
+
+    Parameters
+    ----------
+    folder : Path, of `lpvguard sim -o`
+    name : str, of the picture, unique on a page
+    r : dict, a run of results.json
+
+    Returns
+    -------
+    Picture
+    """
     rows, frames = (
         np.genfromtxt(folder / f"{r['scenario']}-{r['seed']}.{kind}.csv", delimiter=",", names=True, ndmin=1)
         for kind in ("telemetry", "frames")

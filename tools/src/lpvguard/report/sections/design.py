@@ -1,5 +1,4 @@
-"""Section "Controller and its certificates": what the truck's loop has beside what is promised, Table II, and
-the counterparts of Figs. 5 and 6."""
+"""Section "Controller and its certificates": robustness of the truck's loop, Table II, and Figs. 5 and 6."""
 
 from __future__ import annotations
 
@@ -15,7 +14,7 @@ from ..markup import captioned, html_table, number, premise_words, yes_or_no
 from ..pictures.drawing import Picture
 
 ROBUST = "robust.json"
-"""Written by `lpvguard bench robust --json`, beside the design's folder."""
+"""File of `lpvguard bench robust --json`, beside the design's folder."""
 MARGINS = {
     "gain_up": "gain, up",
     "phase": "phase",
@@ -26,12 +25,14 @@ MARGINS = {
     "disk_gain": "disk: gain",
     "disk_phase": "disk: phase",
 }
-"""Margins that are shown, with their titles."""
+"""Margins on the page, with their titles."""
 
 
 def design_section(folder: Path) -> str:
-    """The section. ``folder``: written by `lpvguard design`; Table II and its pictures may be missing, and so
-    may ROBUST beside it. InputError where ROBUST is of another controller.
+    """The section; ``folder`` is written by `lpvguard design`.
+
+    Table II and its pictures may be missing, and ROBUST too. Raises InputError where ROBUST is of another
+    controller.
     """
     controller = artefacts.read_json(folder / "controller.json")["certificates"]
     speeds = html_table(
@@ -63,7 +64,7 @@ def design_section(folder: Path) -> str:
 
 
 def _robustness(found: dict | None) -> str:
-    """What the loop has at every node beside mu; "" where nothing is claimed."""
+    """Robustness of the loop at every node besides mu; "" without a claim."""
     if found is None:
         return ""
 
@@ -104,7 +105,7 @@ may be in the ν-gap and still be stabilised.</p>{html_table(titles, rows, "tigh
 
 
 def _slow_delta(found: dict | None) -> str:
-    """How fast Δ may vary; "" where nothing is claimed."""
+    """Allowed rate of Δ; "" without a claim."""
     if found is None:
         return ""
 
@@ -138,7 +139,7 @@ see the mean of a Δ that turns its sign within them: {number(hidden[0])}/s in t
 
 
 def _limits(found: dict | None) -> str:
-    """What is proved where the demand meets its limits; "" where nothing is claimed."""
+    """Proof for a demand at its limits; "" without a claim."""
     if found is None:
         return ""
     rows = []
@@ -171,8 +172,10 @@ untouched.</p>{table}"""
 
 
 def _true_loop(path: Path, controller: str) -> str:
-    """Promised and true margins and the distance from the nominal model, from ROBUST at ``path``; SHA-256 of
-    the ``controller``."""
+    """Promised and true margins and the distance from the nominal model, from ROBUST at ``path``.
+
+    ``controller`` is its SHA-256.
+    """
     found = artefacts.read_json(path)
     if found["coefficients_sha256"] != controller:
         raise InputError(
@@ -191,14 +194,15 @@ def _true_loop(path: Path, controller: str) -> str:
     )
     within = yes_or_no(found["beyond"] == 0, "within W<sub>Δ</sub> everywhere", "beyond W<sub>Δ</sub>")
     return f"""<h3>What the loop has, and what is promised</h3>
-<p>Promised: the least margins over every vehicle within W<sub>Δ</sub> (THEORY 7.5). True: the loop around \
-the simulated truck's response to sines of each amplitude. The response lies {within}: {found["beyond"]} of \
+<p>Promised: the least margins over every vehicle within W<sub>Δ</sub> (THEORY 7.5), on a grid of \
+frequencies that is refined where the loop bends, not proved between its points. True: the loop around the \
+simulated truck's response to sines of each amplitude. The response lies {within}: {found["beyond"]} of \
 {sum(len(r["deviations"]) for r in found["true"])} ratios exceed 1. What is promised holds only for a truck \
 within W<sub>Δ</sub>.</p>{table}"""
 
 
 def _margin_cells(margins: dict | None) -> list[str]:
-    """Cells of MARGINS; a dash is an unlimited margin, words stand where the loop is unstable."""
+    """Cells of MARGINS; a dash is an unlimited margin, words mark an unstable loop."""
     if margins is None:
         return ['<span class="no">unstable</span>', *[""] * (len(MARGINS) - 1)]
     return [
@@ -207,7 +211,7 @@ def _margin_cells(margins: dict | None) -> list[str]:
 
 
 def _farthest(deviations: list[dict]) -> str:
-    """Each output's largest ratio with both numbers and where."""
+    """Largest ratio of each output, with both numbers and its place."""
     return "<br>".join(
         f"{escape(d['output'])} {yes_or_no(d['ratio'] <= 1, number(d['ratio']), number(d['ratio']))}: "
         f"{number(d['delta'])} against {number(d['W_delta'])} at {number(d['omega_rad_s'])} rad/s"
@@ -254,9 +258,9 @@ def _table_2(table: dict, fig5: Picture) -> str:
 certified over all frequencies
 (K<sub>∞</sub>: the closed-loop norm); K<sub>is</sub> takes state uncertainty with Λ<sub>ν</sub> = diag(1, \
 {table["lambda_s"]:g} s²), its
-bounds from the {escape(table["state_uncertainty_from"])}. “No controller below” bounds every controller of \
-any order with these
-weights.</p>{rows}{weights}"""
+bounds from the {escape(table["state_uncertainty_from"])}. “No controller below” bounds μ of every \
+controller of any order from below, with these weights, at one frequency and for scalings from \
+e<sup>−15</sup> to e<sup>15</sup>.</p>{rows}{weights}"""
 
 
 def _worst_case(run: dict, fig6: Picture) -> str:

@@ -1,5 +1,7 @@
-"""Index of the drives: a row a drive with its course in small, linked to its section; page.js sorts and
-searches it."""
+"""Index of the drives: a row a drive with its course as a small picture and a link to its section.
+
+page.js sorts and searches it.
+"""
 
 from __future__ import annotations
 
@@ -9,8 +11,8 @@ from itertools import groupby
 import numpy as np
 
 from ...core.compiled import VERDICTS
+from ..drive_summary import COLUMNS, DriveSummary
 from ..pictures.margin_map import VERDICT_COLOURS
-from ..told import COLUMNS, Told
 from .overview import place
 
 HEAD = (
@@ -29,18 +31,21 @@ HEAD = (
     ("alarms", "number"),
     ("final verdict", "text"),
 )
-"""Column titles, and how page.js sorts them; "" does not sort."""
+"""Column titles, and the order in which page.js sorts them; "" does not sort."""
 STEP, TOP, LINE, STRIP = 2, 2, 8, 4
-"""Of the small picture, in pixels: width of a column, height of what is beyond the axis, of the threshold
-from above, and of the strip of verdicts."""
+"""Small picture, in pixels: column width, height beyond the axis, height of the threshold, height of the
+verdicts."""
 HEIGHT = 26
 MOST = 1.25
 """End of its axis, in thresholds."""
 
 
-def _small(drive: Told) -> str:
-    """The drive's course as a small picture: bars up to the largest statistic over threshold, a dashed line
-    at the threshold, triangles for what is beyond it, and the verdict as a strip below."""
+def _small(drive: DriveSummary) -> str:
+    """The drive's course as a small picture.
+
+    Bars show the largest statistic over threshold, a dashed line the threshold, triangles larger values, and
+    a strip below the verdict.
+    """
     base = HEIGHT - STRIP - 1
     scale = (base - LINE) / 1.0
     quiet, beyond, marks = "", "", ""
@@ -72,15 +77,15 @@ def _colour(code: int) -> str:
     return VERDICT_COLOURS[VERDICTS[code]]
 
 
-def _explained(drive: Told) -> tuple[str, float | None]:
-    """Text and value of what the nominal model explains of the drive."""
+def _explained(drive: DriveSummary) -> tuple[str, float | None]:
+    """Text and value of the drive's explained variance."""
     if np.isnan(drive.vaf):
         return "–", None
     text = f"{drive.vaf:.1%}"
     return (f'<span class="no">{text}</span>' if drive.unexplained else text), drive.vaf
 
 
-def _row(drive: Told) -> str:
+def _row(drive: DriveSummary) -> str:
     near = drive.nearest
     share = drive.judged_relevant_s / drive.relevant_s if drive.relevant_s else None
     low, high = drive.speed_mps
@@ -112,7 +117,7 @@ def _row(drive: Told) -> str:
     )
 
 
-def drive_index(told: list[Told]) -> str:
+def drive_index(summaries: list[DriveSummary]) -> str:
     """The table, with its key."""
     head = "".join(f'<th scope="col" data-sort="{kind}">{title}</th>' for title, kind in HEAD)
     key = " ".join(
@@ -121,7 +126,7 @@ def drive_index(told: list[Told]) -> str:
     )
     return f"""<h3>All drives</h3><div id="drive-tools"></div>
 <div class="scroll"><table id="drive-index"><thead><tr>{head}</tr></thead>
-<tbody>{"".join(_row(d) for d in told)}</tbody></table></div>
+<tbody>{"".join(_row(d) for d in summaries)}</tbody></table></div>
 <p class="note">Course: the largest statistic of all tests over time, as a part of its threshold (dashed); \
 triangles: beyond. Strip: the verdict: {key}. Largest: where the drive came nearest to an alarm, or went \
 farthest beyond. Explained: 1 − var(y − ŷ) / var(y) of the output that the nominal model explains \

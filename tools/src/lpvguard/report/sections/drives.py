@@ -11,13 +11,13 @@ from ...drives.tables import Drive
 from ...engine.validation import s1
 from ...fit.quality import of_drive
 from ...identify.bounds import counted_frames
-from ...identify.run import DriveSet, StoredIdentification
+from ...identify.identification import DriveSet, StoredIdentification
 from ...identify.unexplained import left_unexplained
-from ...replay.run import Alarm, Replay, Replayer, excited_samples
-from ..drawn import drive_map
+from ...replay.replayer import Alarm, Replay, Replayer, excited_samples
+from ..drive_summary import DriveSummary, course, nearest
+from ..identification_pictures import drive_map
 from ..markup import captioned, html_table, number
 from ..pictures.margin_map import REASON_WORDS, map_key
-from ..told import Told, course, nearest
 from ..visits import Visits, longest_run
 from .drive_index import drive_index
 
@@ -31,10 +31,11 @@ def visit(
     drive: Drive,
     yhat: np.ndarray,
     key: str,
-) -> Told:
-    """Replay a drive, keep its counted frames and longest stretches in ``visits``, and return what to tell.
+) -> DriveSummary:
+    """Replay a drive, keep its counted frames and longest stretches in ``visits``, and return its summary.
 
-    yhat (N, n_y): nominal output. ``key``: id of its section and name of its picture, its own on the page.
+    yhat (N, n_y) is the nominal output. ``key`` is the id of its section and name of its picture, unique on
+    the page.
     """
     replay = replayer.replay(drive)
     frames = replay.run.frames
@@ -51,7 +52,7 @@ def visit(
     groups = stored.manifest["drives"]
     sets_bounds = drive.name in groups["bounds"]
     used = sets_bounds or drive.name in groups["calibration"]
-    return Told(
+    return DriveSummary(
         key,
         drive.name,
         stored.manifest["drivers"][drive.name],
@@ -127,7 +128,7 @@ frame.</p>{table}"""
 
 
 def _role(stored: StoredIdentification, name: str) -> str:
-    """What the identification did with a drive."""
+    """Role of a drive in the identification."""
     groups = stored.manifest["drives"]
     if name in groups["bounds"]:
         return "set the bounds"
@@ -163,7 +164,7 @@ def _facts(replay: Replay) -> str:
 
 
 def _alarm_table(alarms: list[Alarm]) -> str:
-    """The first alarms of a drive with their evidence, and how many more there are."""
+    """First alarms of a drive with their evidence, and the number of others."""
     if not alarms:
         return ""
     head = [
@@ -204,7 +205,7 @@ def _alarm_table(alarms: list[Alarm]) -> str:
 
 
 def _causes(replay: Replay) -> str:
-    """What causes the core found of a drive's alarms."""
+    """Causes that the core found for a drive's alarms."""
     rows = [[f"{d.t_s:.2f}", f"{d.alarm_s:.2f}", escape(d.says)] for d in replay.diagnoses]
     return html_table(["found at, s", "alarm at, s", "cause"], rows, "words") if rows else ""
 
@@ -222,9 +223,8 @@ def _drive_page(
 {_causes(replay)}</div>"""
 
 
-def drive_section(told: list[Told], threshold: float) -> str:
-    """The section: the index of drives, how to read the maps, then the drives one by one, as ``visit`` told
-    them."""
+def drive_section(summaries: list[DriveSummary], threshold: float) -> str:
+    """The section: the index of drives, the key of the maps, then each drive, as returned by ``visit``."""
     key = captioned(
         map_key("key"),
         "<b>How to read the maps.</b> Time runs to the right, a line per bin, DC at the bottom. Each cell is "
@@ -237,11 +237,12 @@ def drive_section(told: list[Told], threshold: float) -> str:
         "diamonds above: of the change test. Below: "
         "speed, with the model's range dashed, and the monitor's verdict. In the alarm tables |E| and |Z| "
         "are Euclidean norms in output units (energy test, below, between or above its corners: |E| of F e, "
-        "|Z| of F W<sub>Δ</sub> ŷ with forgetting, B<sub>w</sub> is σ; the change test has none), and "
-        "evidence is the margin of a vehicle that does not respond. "
+        "|Z| of F W<sub>Δ</sub> ŷ with forgetting, B<sub>w</sub> is σ, what a restart leaves is "
+        "not shown; the change test has none), and evidence is the margin of a vehicle that does not "
+        "respond. "
         "Judged seconds lie in a counted frame of any bin, with evidence or "
         "not; the verdict “valid” asks for evidence within the longest frame, so a drive can be judged all "
         "along and its verdict still be “not judged”.",
     )
-    sections = "".join(d.section for d in told)
-    return f"<h2>Margin over time and frequency, drive by drive</h2>{drive_index(told)}{key}{sections}"
+    sections = "".join(d.section for d in summaries)
+    return f"<h2>Margin over time and frequency, drive by drive</h2>{drive_index(summaries)}{key}{sections}"

@@ -1,4 +1,4 @@
-"""Section "Evaluation": false alarms, injected faults, and the baselines, leave-one-drive-out or on held-out
+"""Section "Evaluation": false alarms, injected faults and baselines, leave-one-drive-out or on held-out
 drives."""
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ JUDGED = {
     LEFT_ONE_OUT: ("Evaluation, leave one drive out", "Every drive that did not set the bounds"),
     HELD_OUT: ("Evaluation, held-out drives", "Every drive"),
 }
-"""Title of the section, and which drives are judged."""
+"""Title of the section, and the judged drives."""
 TEST_TITLES = {
     MONITOR: "all tests",
     "frame": "frame test",
@@ -66,9 +66,9 @@ def _alarm_table(evaluation: dict) -> str:
 
 
 def _claim_table(evaluation: dict) -> str:
-    """What the thresholds promise: as identified, and each drive without itself."""
+    """Promise of the thresholds: as identified, and for each drive without itself."""
     return html_table(
-        ["calibration", "what its threshold promises"],
+        ["calibration", "promise of its threshold"],
         [
             *(
                 [f"{TEST_TITLES[t]}, as identified", escape(claim)]
@@ -88,7 +88,7 @@ def _claim_table(evaluation: dict) -> str:
 
 
 def _drive_table(evaluation: dict) -> str:
-    """A row per drive: thresholds, scores, alarms, judged time, where faults were injected."""
+    """A row per drive: thresholds, scores, alarms, judged time, fault instants."""
     without = " without it" if evaluation["mode"] == LEFT_ONE_OUT else ""
     return html_table(
         [
@@ -135,7 +135,7 @@ def _time_to_find(faults: list[dict], within_s: float) -> str:
 
 
 def _injected_faults(evaluation: dict) -> str:
-    """Which injected faults were found: by all tests at one threshold, as exported, by each test alone."""
+    """Injected faults found: by all tests at one threshold, as exported, by each test alone."""
     without = "; ".join(f"{escape(n)}: {escape(why)}" for n, why in evaluation["without_faults"].items())
     titles = {MONITOR: OURS, EXPORTED: "as exported, each test at its threshold"} | {
         t: f"{t} test alone" for t in TESTS
@@ -167,7 +167,7 @@ later than all. Not into {without or "none left"}.</p>{times}{table}
 
 
 def _causes(evaluation: dict) -> str:
-    """Which causes the core names; empty where it names none."""
+    """Causes that the core names; empty where it names none."""
     causes = evaluation["causes"]
     if causes is None:
         return ""
@@ -182,9 +182,9 @@ equivalent gain. {said}.</p>{table}"""
 
 
 def _detectors(detectors: dict[str, DetectorColumn], best: list[str] | None = None) -> str:
-    """False alarms and found faults, a column per detector; ``best``: who leads, per fault.
+    """False alarms and found faults, a column per detector; ``best`` is the leader per fault.
 
-    ``detectors``: by title, which is text.
+    ``detectors`` are by title.
     """
     return html_table(
         ["", *map(escape, detectors), *(["best"] if best else [])],
@@ -193,7 +193,7 @@ def _detectors(detectors: dict[str, DetectorColumn], best: list[str] | None = No
 
 
 def _baselines(evaluation: dict) -> str:
-    """The baselines beside the monitor: settings, claims, and who leads."""
+    """The baselines and the monitor: settings, claims and leaders."""
     others, detectors, rates = evaluation["baselines"], columns(evaluation), evaluation["stated_rates"]
     if not others:
         return "<h3>Beside what is used today</h3><p>Not compared: too few drives calibrate a baseline.</p>"

@@ -6,13 +6,13 @@ from html import escape
 
 import numpy as np
 
-from ...identify.run import DriveSet, StoredIdentification
+from ...identify.identification import DriveSet, StoredIdentification
 from ..markup import captioned
 from ..pictures.over_time import Stretch, model_in_time
 from ..visits import Visits
 
 LONGEST_STRETCH_S = 60.0
-"""At most this much of a stretch is drawn, so that single corners can be seen."""
+"""Longest drawn part of a stretch, so that single corners can be seen."""
 
 
 def time_section(visits: Visits, stored: StoredIdentification, drives: DriveSet) -> str:

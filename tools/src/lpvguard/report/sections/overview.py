@@ -1,5 +1,5 @@
-"""Section "At a glance", the first screen: what the model is good for and blind to, alarms, and what a
-controller promises."""
+"""Section "At a glance", the first screen: tested and blind regions, alarms, and the controller's
+promises."""
 
 from __future__ import annotations
 
@@ -12,86 +12,87 @@ from ...base.claims import claim_words, worst_frozen
 from ...base.errors import InputError
 from ...drives.tables import EXPERIMENTS
 from ...evaluate.comparison import HELD_OUT
+from ...identify.identification import StoredIdentification
 from ...identify.premise import premise
-from ...identify.run import StoredIdentification
-from ...replay.run import Alarm
+from ...replay.replayer import Alarm
 from ..blindness import BLIND, EMPTY, LEVEL, PROVED, VIOLATED, MapCell, Region, cells, regions, speed_row
+from ..drive_summary import DriveSummary, Nearest
 from ..markup import number, yes_or_no
-from ..told import Nearest, Told
 
 ALARMS_SHOWN = 4
 UNEXPLAINED_SHOWN = 3
 SIGNS = {PROVED: "●", BLIND: "○", EMPTY: "–", VIOLATED: "▲"}
-"""What says a cell's state without its colour."""
+"""Signs of a cell's state, independent of its colour."""
 AS_NEAR = 5e-4
-"""Ratios to the threshold that differ by less are shown as the same number."""
+"""Largest difference between ratios to the threshold that are shown as equal."""
 NEVER = 2.0
-"""A gain error above this is none: the vehicle would answer with more than the opposite."""
+"""Largest meaningful gain error: beyond it the vehicle would answer with more than the opposite."""
 
 
 def overview_section(
     stored: StoredIdentification,
-    told: list[Told],
+    summaries: list[DriveSummary],
     replayed: bool,
     design: Path | None,
     evaluation: dict | None,
 ) -> str:
-    """The section. ``told``: the replayed drives, none unless ``replayed``; ``design``: folder written by
-    `lpvguard design`; ``evaluation``: JSON of `lpvguard evaluate`."""
-    alarms = [(d, a) for d in told for a in d.alarms]
+    """The section.
+
+    ``summaries``: the replayed drives, none unless ``replayed``; ``design``: folder of `lpvguard design`;
+    ``evaluation``: JSON of `lpvguard evaluate`.
+    """
+    alarms = [(d, a) for d in summaries for a in d.alarms]
     grid = cells(stored.visibility, (a for _, a in alarms))
     shown = blind_map(stored, grid, (a for _, a in alarms))
-    return f"""<h2>At a glance</h2>{_headline(grid, told, replayed)}
+    return f"""<h2>At a glance</h2>{_headline(grid, summaries, replayed)}
 <div class="glance" id="glance"><div class="wide">{_good_for(grid)}{shown}</div>
-<div class="cards">{_alarms(told, alarms, _independence(stored, told, evaluation))}\
-{_promise(stored, design)}{_to_do(grid, told)}</div></div>"""
+<div class="cards">{_alarms(summaries, alarms, _independence(stored, summaries, evaluation))}\
+{_promise(stored, design)}{_to_do(grid, summaries)}</div></div>"""
 
 
-def _headline(grid: list[list[MapCell]], told: list[Told], replayed: bool) -> str:
-    """Whether the model held, and how much of its range that says anything about, in a sentence."""
+def _headline(grid: list[list[MapCell]], summaries: list[DriveSummary], replayed: bool) -> str:
+    """One sentence: whether the model held, and on how much of its range."""
     flat = [c for row in grid for c in row]
     proved = sum(c.state == PROVED for c in flat)
     sees = f"A gain error of {_percent(LEVEL)} would be seen in {proved} of {len(flat)} cells of speed and "
     sees = f'<span class="{"" if proved else "no"}">{sees}frequency.</span>'
     if not replayed:
         return f'<p id="headline"><b>Not replayed.</b> {sees}</p>'
-    hours = sum(d.judged_s for d in told) / 3600
-    words = outcome(told)
-    held = yes_or_no(not any(drive.alarms for drive in told), words, words)
+    hours = sum(d.judged_s for d in summaries) / 3600
+    words = outcome(summaries)
+    held = yes_or_no(not any(drive.alarms for drive in summaries), words, words)
     return f'<p id="headline" data-proved="{proved}">{held}, {hours:.2f} h judged. {sees}</p>'
 
 
-def outcome(told: list[Told]) -> str:
-    """What the alarms of the drives say of the model, as text; those of the change test refute no bound
-    (THEORY 7.7)."""
-    alarms = [a for drive in told for a in drive.alarms]
+def outcome(summaries: list[DriveSummary]) -> str:
+    """Meaning of the drives' alarms for the model; those of the change test refute no bound (THEORY 7.7)."""
+    alarms = [a for drive in summaries for a in drive.alarms]
     if not alarms:
-        return f"Not falsified: no alarm on {len(told)} drives"
+        return f"Not falsified: no alarm on {len(summaries)} drives"
     refuted = any(a.test != "change" for a in alarms)
-    of = sum(bool(drive.alarms) for drive in told)
+    of = sum(bool(drive.alarms) for drive in summaries)
     word = "Falsified" if refuted else "Changed, not falsified"
     found = "1 alarm" if len(alarms) == 1 else f"{len(alarms)} alarms"
-    return f"{word}: {found} on {of} of {len(told)} drives"
+    return f"{word}: {found} on {of} of {len(summaries)} drives"
 
 
 # ------------------------------------------------------------------------------------ good for, and blind to
 
 
 def _percent(error: float) -> str:
-    """A gain error as text, HTML; above NEVER no number means anything."""
+    """A gain error as HTML text; none above NEVER."""
     return f"{100 * error:.0f} %" if error <= NEVER else f"&gt;{100 * NEVER:.0f} %"
 
 
 def _short(error: float) -> str:
-    """A gain error [%] as a cell shows it, HTML; with a decimal where rounding would hide on which side of
-    LEVEL it lies."""
+    """A gain error [%] in a cell, with a decimal where rounding would hide its side of LEVEL."""
     if error > NEVER:
         return f"&gt;{100 * NEVER:.0f}"
     return f"{100 * error:.{1 if 0 < abs(error - LEVEL) < 5e-3 else 0}f}"
 
 
 def _frequency(omega: float, unit: str = "") -> str:
-    """A frequency [rad/s] as text, with ``unit`` unless it is none."""
+    """A frequency [rad/s] as text, with ``unit`` if any."""
     return "DC" if omega == 0 else f"{omega:.3g}{unit}"
 
 
@@ -121,7 +122,7 @@ def _listed(name: str, found: list[Region]) -> str:
 
 
 def _good_for(grid: list[list[MapCell]]) -> str:
-    """Where a gain error of LEVEL is seen, and where it could stay unseen, in words."""
+    """Words on where a gain error of LEVEL is seen, and where it could stay unseen."""
     seen = regions(grid, lambda c: c.state == PROVED)
     unseen = regions(grid, lambda c: c.state in (BLIND, EMPTY))
     broken = regions(grid, lambda c: c.state == VIOLATED)
@@ -174,8 +175,10 @@ def _map_cell(row: int, cell: MapCell) -> str:
 
 
 def blind_map(stored: StoredIdentification, grid: list[list[MapCell]], alarms: Iterable[Alarm]) -> str:
-    """The one picture, HTML: speed over frequency, the fastest cell on top. ``alarms``: of all drives; those
-    of other tests than the frame test have a column of their own."""
+    """The main picture, HTML: speed over frequency, the fastest cell on top.
+
+    ``alarms`` are of all drives; those of other tests than the frame test have a separate column.
+    """
     others = [0] * len(grid)
     for a in (a for a in alarms if a.bin_rad_s is None):
         others[speed_row(stored.visibility, a.speed_mps)] += 1
@@ -207,13 +210,13 @@ here: the vehicle's ordinary error can hide or add to it.</figcaption></figure>"
 
 
 def place(test: str, omega: float | None, band: str | None = None) -> str:
-    """Test and frequency [rad/s] of an alarm or of what came near one, as text."""
+    """Test and frequency [rad/s] of an alarm or near alarm, as text."""
     if omega is None:
         return f"{test} test" + (f", {band.replace('_', ' ')} the corners" if band else "")
     return f"{test} test, {_frequency(omega, ' rad/s')}"
 
 
-def _alarm_row(drive: Told, alarm: Alarm) -> str:
+def _alarm_row(drive: DriveSummary, alarm: Alarm) -> str:
     ratio = alarm.statistic / alarm.threshold
     return (
         f'<tr data-drive="{escape(drive.name)}" data-t="{alarm.t_s:.2f}" data-ratio="{ratio:.4g}">'
@@ -223,8 +226,8 @@ def _alarm_row(drive: Told, alarm: Alarm) -> str:
     )
 
 
-def _nearest_words(drive: Told, near: Nearest, quiet: list[tuple[Told, Nearest]]) -> str:
-    """The drive that came nearest to an alarm of all ``quiet`` ones, and those that came as near."""
+def _nearest_words(drive: DriveSummary, near: Nearest, quiet: list[tuple[DriveSummary, Nearest]]) -> str:
+    """The drive nearest to an alarm among all ``quiet`` ones, and those as near."""
     data = {
         "drive": escape(drive.name),
         "ratio": f"{near.ratio:.4g}",
@@ -244,10 +247,12 @@ def _nearest_words(drive: Told, near: Nearest, quiet: list[tuple[Told, Nearest]]
     )
 
 
-def _independence(stored: StoredIdentification, told: list[Told], evaluation: dict | None) -> str:
-    """What the alarms, or their absence, are worth: whether drives set what they are judged by."""
+def _independence(
+    stored: StoredIdentification, summaries: list[DriveSummary], evaluation: dict | None
+) -> str:
+    """Evidence value of alarms or silence: whether drives set the bounds that judge them."""
     groups = stored.manifest["drives"]
-    others = len({d.name for d in told} - set(groups["bounds"]) - set(groups["calibration"]))
+    others = len({d.name for d in summaries} - set(groups["bounds"]) - set(groups["calibration"]))
     words = (
         f"{others} of the drives set neither bounds nor threshold."
         if others
@@ -257,7 +262,7 @@ def _independence(stored: StoredIdentification, told: list[Told], evaluation: di
         return words
     of = evaluation["false_alarms"]["all"]
     which = (
-        "Of drives that the identification never saw"
+        "Drives that the identification never saw"
         if evaluation["mode"] == HELD_OUT
         else "Each left out of its own threshold"
     )
@@ -267,19 +272,19 @@ def _independence(stored: StoredIdentification, told: list[Told], evaluation: di
     )
 
 
-def _alarms(told: list[Told], alarms: list[tuple[Told, Alarm]], worth: str) -> str:
-    """Card: what alarmed and why, what that is ``worth``, HTML, and the drive that came nearest."""
-    if not told:
+def _alarms(summaries: list[DriveSummary], alarms: list[tuple[DriveSummary, Alarm]], worth: str) -> str:
+    """Card: the alarms with their reasons, their ``worth`` as HTML, and the nearest drive."""
+    if not summaries:
         return (
             '<div class="card" id="alarms"><h3>Alarms</h3><p>Not replayed: the core computes Hann frames '
             "only. The exact margins stand drive by drive below.</p></div>"
         )
     worst = sorted(alarms, key=lambda one: -one[1].statistic / one[1].threshold)
-    first: dict[str, tuple[Told, Alarm]] = {}
+    first: dict[str, tuple[DriveSummary, Alarm]] = {}
     for drive, alarm in worst:
         first.setdefault(drive.name, (drive, alarm))
     shown = list(first.values())[:ALARMS_SHOWN]
-    head = f"{len(alarms)} on {len(first)} of {len(told)} drives" if alarms else "None"
+    head = f"{len(alarms)} on {len(first)} of {len(summaries)} drives" if alarms else "None"
     table = (
         '<div class="scroll"><table><thead><tr><th>drive</th><th>worst alarm</th><th>threshold</th>'
         "<th>at</th><th>speed</th></tr></thead>"
@@ -288,7 +293,7 @@ def _alarms(told: list[Told], alarms: list[tuple[Told, Alarm]], worth: str) -> s
         else ""
     )
     more = f"<p>{len(first) - len(shown)} more drives with alarms.</p>" if len(first) > len(shown) else ""
-    quiet = [(d, d.nearest) for d in told if not d.alarms and d.nearest is not None]
+    quiet = [(d, d.nearest) for d in summaries if not d.alarms and d.nearest is not None]
     nearest = max(quiet, key=lambda one: one[1].ratio, default=None)
     words = (
         _nearest_words(*nearest, quiet)
@@ -304,7 +309,7 @@ def _alarms(told: list[Told], alarms: list[tuple[Told, Alarm]], worth: str) -> s
 
 
 def _promise(stored: StoredIdentification, design: Path | None) -> str:
-    """Card: what the controller promises, and the premise of every promise."""
+    """Card: the controller's promise, and the premise of every promise."""
     try:
         found = premise(stored)
         least = found.refuting
@@ -345,10 +350,10 @@ vehicle within |δ| ≤ W<sub>Δ</sub>. {
     }</p><p>{held}</p></div>"""
 
 
-def _unexplained(told: list[Told]) -> str:
-    """The drives that the model does not explain, the worst first, and what to do with them; "" without."""
+def _unexplained(summaries: list[DriveSummary]) -> str:
+    """Drives that the model does not explain, worst first, with advice; "" without any."""
     found = sorted(
-        ((d, d.unexplained) for d in told if d.unexplained is not None), key=lambda one: one[1].vaf
+        ((d, d.unexplained) for d in summaries if d.unexplained is not None), key=lambda one: one[1].vaf
     )
     if not found:
         return ""
@@ -365,14 +370,14 @@ def _unexplained(told: list[Told]) -> str:
     )
 
 
-def _to_do(grid: list[list[MapCell]], told: list[Told]) -> str:
-    """Card: what would make blind cells see, and drives that cost sight."""
+def _to_do(grid: list[list[MapCell]], summaries: list[DriveSummary]) -> str:
+    """Card: remedies for blind cells, and drives that reduce visibility."""
     level = _percent(LEVEL)
     flat = [c for row in grid for c in row]
     louder = regions(grid, lambda c: c.state == BLIND and c.floor <= LEVEL)
     empty = regions(grid, lambda c: c.state == EMPTY)
     never = sum(c.state == BLIND and c.floor > LEVEL for c in flat)
-    lines = [line for line in [_unexplained(told)] if line]
+    lines = [line for line in [_unexplained(summaries)] if line]
     if empty:
         lines.append(f"Drive there, nothing was counted:{_listed('to-drive', empty)}")
     if louder:

@@ -1,4 +1,4 @@
-"""Section "Settings and proofs": which drives and estimator, what is claimed, how tight the weights are."""
+"""Section "Settings and proofs": drives, estimator, claims, tightness of the weights."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from ...base.errors import InputError
 from ...drives.frames import Estimator
 from ...identify.change import ChangeTest
 from ...identify.energy import EnergyTest
+from ...identify.identification import DriveSet, StoredIdentification
 from ...identify.premise import premise
-from ...identify.run import DriveSet, StoredIdentification
 from ...identify.weights import DC_STAND_IN
 from ...identify.window_error import PERCENTILE, SPEEDS
-from ...replay.run import Replayer
+from ...replay.replayer import Replayer
 from ...vehicle.project import Project, Signal
 from ..markup import html_table, number, premise_words, yes_or_no
 
@@ -42,7 +42,7 @@ def _estimator_words(stored: StoredIdentification, estimator: Estimator) -> str:
 
 
 def _core_words(stored: StoredIdentification, replayer: Replayer | None) -> str:
-    """Whether the core that replayed carries the numbers of this identification."""
+    """Whether the replaying core has the numbers of this identification."""
     if replayer is None:
         return (
             "none: the core computes Hann frames only; these bounds are for analysis, and export, replay and "
@@ -58,7 +58,7 @@ def _core_words(stored: StoredIdentification, replayer: Replayer | None) -> str:
 
 
 def _claim(stored: StoredIdentification) -> str:
-    """What the threshold of the frame test promises."""
+    """Promise of the frame test's threshold."""
     calibration = stored.calibration
     if calibration.groups:
         return escape(calibration.claim())
@@ -74,7 +74,7 @@ def _claim(stored: StoredIdentification) -> str:
 
 
 def _conditional_claim(stored: StoredIdentification) -> str:
-    """What the threshold promises with 95 % confidence over the calibration drives."""
+    """Promise of the threshold with 95 % confidence over the calibration drives."""
     bound = stored.calibration.conditional_bound
     if bound is None:
         return "–"
@@ -86,7 +86,7 @@ def _drive_rows(stored: StoredIdentification) -> list[tuple[str, str]]:
     groups, drivers = stored.manifest["drives"], stored.manifest["drivers"]
 
     def listed(names: list[str]) -> str:
-        """How many drives of which drivers; the index of drives names them."""
+        """Number of drives and their drivers; the index of drives names them."""
         of = Counter(drivers[n] for n in names)
         return f"{len(names)}" + (f" ({', '.join(f'{n} {escape(d)}' for d, n in of.items())})" if of else "")
 
@@ -100,7 +100,7 @@ def _drive_rows(stored: StoredIdentification) -> list[tuple[str, str]]:
 
 
 def premise_of(stored: StoredIdentification) -> str:
-    """The premise's sentence, and what it comes to; the reason where nothing judges it."""
+    """Sentence of the premise and its conclusion, or the reason why nothing judges it."""
     try:
         return premise_words(premise(stored).to_dict())
     except InputError as error:
@@ -151,7 +151,7 @@ def _rows(
 
 
 def _proof_table(stored: StoredIdentification) -> str:
-    """How tight each weight is, and what is proved of it."""
+    """Tightness and proof of each weight."""
     weights = [
         (f"W<sub>{index}</sub> of {escape(s.name)}", w)
         for index in ("w", "n")
@@ -172,7 +172,7 @@ def _proof_table(stored: StoredIdentification) -> str:
             "weight",
             "order",
             "worst |W|/bound, dB",
-            "no weight of this order below, dB",
+            "no weight of this order found below, dB",
             "smallest |W|/bound proved",
             "at, rad/s",
             "proved up to, rad/s",
@@ -220,7 +220,7 @@ DC stands at {DC_STAND_IN:g} times the lowest bin's frequency, so “at”
 
 
 def _window_error(stored: StoredIdentification, estimator: Estimator) -> str:
-    """What the estimator costs where dynamics are inverted, per bin."""
+    """Cost of the estimator where dynamics are inverted, per bin."""
 
     def row(label: str, key: str) -> list[str]:
         return [label, *(number(x, 2) for x in stored.bounds[key])]
@@ -270,15 +270,11 @@ def _change_words(test: ChangeTest, project: Project) -> str:
 def _energy_words(test: EnergyTest, project: Project) -> str:
     """Settings and numbers of the energy test in a sentence."""
     c = test.calibration
-    above = ", ".join(f"{x:.3g}" for x in test.above)
     least = min(certificate["min_ratio"] for certificate in test.certificate)
     corners = ", ".join(f"{f:g}" for f in test.band_hz[:-1])
     return (
-        f"corners {corners} and {test.band_hz[-1]:g} Hz, memory {test.memory_s:g} s, above them "
-        f"{test.memories_s[-1]:.3g} s and the constant {above} for W<sub>Δ</sub>, judged "
-        f"{test.settle * test.Ts:.3g} s after entering the range; σ: {escape(test.sigma_text(project))}; "
+        f"corners {corners} and {test.band_hz[-1]:g} Hz; judged {test.settle * test.Ts:.3g} s after entering "
+        f"the range; {escape(test.claim_text)}; σ: {escape(test.sigma_text(project))}; "
         f"{len(test.directions)} direction(s); W<sub>Δ</sub> as a filter proved above its bound on the "
-        f"circle |z| = {test.rho:.6g} (least ratio {least:.9g}); holds for every causal Δ of gain 1 that "
-        "forgets within the memory, above the corners for Δ times that constant, so that an error of exactly "
-        f"W<sub>Δ</sub> ŷ may exceed it there; threshold {c.carried:.4g}: {c.claim()}"
+        f"circle |z| = {test.rho:.6g} (least ratio {least:.9g}); threshold {c.carried:.4g}: {c.claim()}"
     )

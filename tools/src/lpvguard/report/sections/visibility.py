@@ -8,19 +8,19 @@ import numpy as np
 
 from ...drives.frames import Estimator
 from ...identify.visibility import STATED_GAINS
-from ..drawn import OfIdentification
+from ..identification_pictures import IdentificationPictures
 from ..markup import captioned, html_table, number, unit_of_norm, yes_or_no
 from ..visits import Visits
 
 
-def visibility_section(visits: Visits, drawn: OfIdentification) -> str:
+def visibility_section(visits: Visits, drawn: IdentificationPictures) -> str:
     """The section: excitation in the counted frames of ``visits``, and the tables of visibility.json."""
     stored, estimator = drawn.stored, drawn.estimator
     return f"""<h2>Excitation and what stays invisible</h2>{_excitation(visits, drawn)}
 {_smallest_visible(stored.visibility, estimator, unit_of_norm(stored.project.outputs))}"""
 
 
-def _excitation(visits: Visits, drawn: OfIdentification) -> str:
+def _excitation(visits: Visits, drawn: IdentificationPictures) -> str:
     """Picture of |Z| per bin over the counted frames."""
     unit = unit_of_norm(drawn.stored.project.outputs)
     bin_of, Z = np.concatenate(visits.bin), np.concatenate(visits.Z)
@@ -36,7 +36,7 @@ def _excitation(visits: Visits, drawn: OfIdentification) -> str:
 
 
 def _cell_names(cells: list[dict]) -> list[str]:
-    """Speed range of every cell [m/s], as text that no line break divides."""
+    """Speed range of every cell [m/s], as text without line breaks."""
     return [f"{c['speed_mps'][0]:.3g}–\N{WORD JOINER}{c['speed_mps'][1]:.3g}" for c in cells]
 
 

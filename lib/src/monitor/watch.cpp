@@ -1,0 +1,81 @@
+// watch.cpp -- see watch.h.
+#include "lpvguard/watch.h"
+
+#include <cmath>
+#include <cstring>
+
+#include "model_step.hpp"
+
+namespace {
+
+using Real = lpvg_real_t;
+constexpr std::size_t ny = LPVG_NY;
+constexpr std::size_t group = LPVG_NY / LPVG_NDELTA;  // outputs that one Delta is common to
+using lpvguard::ConstMap;
+using Outputs = Eigen::Array<Real, LPVG_NY, 1>;
+using Signals = Eigen::Array<Real, 2 * LPVG_NY, 1>;
+
+// The largest constant error of output j's gain that is inside of the certificate set, or of the healthy set where that one is too wide.
+Real largest_gain(const lpvg_coeff_reals_t& r, std::size_t j) {
+    const auto largest = static_cast<Real>(LPVG_WATCH_GAIN_MAX);
+    Real least = r.W_delta[0][j / group];
+    for (const auto& bin : r.W_delta) {
+        least = bin[j / group] < least ? bin[j / group] : least;
+    }
+    if (least <= largest) {
+        return least;
+    }
+    const Real healthy = r.change_threshold * r.change_unit[j][0] / r.change_scale[j][0];
+    return healthy <= largest ? healthy : Real(1);
+}
+
+}  // namespace
+
+extern "C" void lpvg_watch_limits(lpvg_watch_limits_t* limits, const lpvg_coeff_t* coeff) {
+    const lpvg_coeff_reals_t& r = coeff->reals;
+    const Real period = static_cast<Real>(coeff->words.sample_period_us) * Real(1e-6);
+    const Real turn = static_cast<Real>(LPVG_WATCH_CORNER_RPS) * period;
+    limits->share = turn / (Real(1) + turn);
+    limits->forget[0] = period / (static_cast<Real>(LPVG_WATCH_SHORT_S) + period);
+    limits->forget[1] = period / (static_cast<Real>(LPVG_WATCH_LONG_S) + period);
+    const Real coherence = static_cast<Real>(LPVG_WATCH_COHERENCE_S) / period + Real(1);
+    for (std::size_t j = 0; j < ny; ++j) {
+        // Power of the disturbance a sample: of each band sigma^2 over the samples of its memory.
+        Real power = Real(0);
+        for (std::size_t b = 1; b + 1U < LPVG_NBANDS; ++b) {
+            power += r.energy_forget[b] / (r.energy_scale[b][j] * r.energy_scale[b][j]);
+        }
+        limits->disturbance[j] = std::sqrt(power * coherence);
+        limits->gain[j] = largest_gain(r, j);
+    }
+}
+
+extern "C" void lpvg_watch_start(lpvg_watch_t* self, const lpvg_real_t* e) {
+    std::memset(self, 0, sizeof *self);
+    std::memcpy(self->slow, e, ny * sizeof(Real));
+}
+
+extern "C" void lpvg_watch_take(lpvg_watch_t* self, const lpvg_watch_limits_t* limits, const lpvg_coeff_t* coeff, const lpvg_model_t* model,
+                                bool settled, const lpvg_real_t* e, const lpvg_real_t* u) {
+    Signals signal;
+    signal.head<LPVG_NY>() = Eigen::Map<const Outputs>(e);
+    signal.tail<LPVG_NY>() = (ConstMap<LPVG_NY, LPVG_NX>(&coeff->reals.C[0][0]) * ConstMap<LPVG_NX, 1>(self->x)).array();
+    Eigen::Map<Signals> slow(self->slow);
+    slow += (settled ? limits->share : Real(1)) * (signal - slow);
+    const Signals quick = signal - slow;
+    lpvguard::step_model(model->entry, self->x, self->past, u);
+    self->violated = false;
+    self->evidence = false;
+    const auto error = quick.head<LPVG_NY>(), response = quick.tail<LPVG_NY>();
+    for (std::size_t m = 0; m < LPVG_WATCH_MEMORIES; ++m) {
+        Eigen::Map<Outputs> P(self->P[m]), Q(self->Q[m]);
+        P += error * response - limits->forget[m] * P;
+        Q += response * response - limits->forget[m] * Q;
+        for (std::size_t j = 0; j < ny; ++j) {
+            const Real q = self->Q[m][j], limit = limits->gain[j] * q + limits->disturbance[j] * std::sqrt(q);
+            const bool watched = limits->gain[j] < Real(1);
+            self->violated = self->violated || (watched && !(std::fabs(self->P[m][j]) <= limit));
+            self->evidence = self->evidence || (watched && q > limit);
+        }
+    }
+}

@@ -1,0 +1,96 @@
+"""A replay as ROS 2 messages: two other libraries read back what the core said."""
+
+from __future__ import annotations
+
+from itertools import groupby
+
+import numpy as np
+import pytest
+from mcap_ros2.reader import read_ros2_messages
+from rosbags.typesys import Stores, get_typestore
+
+from lpvguard.replay.alarm_text import alarm_sentence
+from lpvguard.replay.ros import DIAGNOSTICS, DRIVE, LEVELS, STALE, TWIST, write_ros2
+
+
+@pytest.fixture(scope="module")
+def recorded(replayer, alarmed, tmp_path_factory):
+    """Path of the file, series and alarms of a drive with a fault."""
+    path, said = alarmed
+    series = replayer.series(replayer.read_file(path), said)
+    alarms = said.to_dict()["alarms"]
+    out = tmp_path_factory.mktemp("ros") / "run.mcap"
+    write_ros2(out, "g80", series, alarms)
+    return out, series, alarms
+
+
+def read(path) -> dict[str, list]:
+    """Messages by topic, in the order of the file."""
+    found: dict[str, list] = {}
+    for message in read_ros2_messages(str(path)):
+        found.setdefault(message.channel.topic, []).append(message)
+    return found
+
+
+def test_the_diagnostics_say_each_verdict_and_each_alarm(recorded):
+    path, series, alarms = recorded
+    messages = read(path)["/diagnostics"]
+    times = [m.log_time_ns for m in messages]
+    assert max(np.diff(times)) <= 1.1e9
+    said = [m.ros_msg.status[0] for m in messages]
+    words = {sentence for s in said for sentence in s.message.split("; frame")}
+    assert all(any(alarm_sentence(alarm).removeprefix("frame") in w for w in words) for alarm in alarms)
+    told = [s.values[0].value for s in said]
+    assert [v for v, _ in groupby(told)] == [v for v, _ in groupby(series["verdict"].to_pylist())]
+    assert all(
+        s.level in (LEVELS.get(v, STALE), bytes([LEVELS.get(v, STALE)]))
+        for s, v in zip(said, told, strict=True)
+    )
+    assert {s.hardware_id for s in said} == {"g80"}
+
+
+def test_the_motions_are_the_recorded_signals(recorded):
+    path, series, _ = recorded
+    messages = read(path)
+    for topic, column, part in (
+        ("/vehicle/twist", "yaw_rate", lambda m: m.twist.angular.z),
+        ("/vehicle/twist_nominal", "yhat/yaw_rate", lambda m: m.twist.angular.z),
+        ("/vehicle/drive", "road_wheel_angle", lambda m: m.drive.steering_angle),
+    ):
+        values = [x for x in series[column].to_pylist() if x is not None]
+        assert [part(m.ros_msg) for m in messages[topic]] == pytest.approx(values, rel=1e-6)
+
+
+@pytest.mark.parametrize("kind", [DIAGNOSTICS, TWIST])
+def test_the_types_are_those_of_ros_itself(recorded, kind):
+    """rosbags has the definitions of ROS 2 Humble and decodes the bytes with them."""
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    from mcap.reader import make_reader
+
+    with recorded[0].open("rb") as stream:
+        rows = [(s.name, m.data) for s, _, m in make_reader(stream).iter_messages() if s.name == kind]
+    decoded = store.deserialize_cdr(rows[-1][1], kind)
+    assert decoded.header.frame_id == "base_link"
+
+
+def test_ackermann_messages_have_their_five_fields(recorded):
+    drive = read(recorded[0])["/vehicle/drive"][0].ros_msg.drive
+    names = ("steering_angle", "steering_angle_velocity", "speed", "acceleration", "jerk")
+    assert all(hasattr(drive, name) for name in names) and DRIVE.startswith("ackermann_msgs")
+
+
+def test_the_command_writes_a_file_a_drive(lpvguard, vehicle, synthetic, tmp_path):
+    drive = synthetic / "synthetic_01.csv"
+    done = lpvguard(
+        "replay",
+        "--vehicle",
+        "g80",
+        drive,
+        "--coefficients",
+        vehicle,
+        "--table",
+        tmp_path / "t",
+        "--as",
+        "ros2",
+    )
+    assert done.returncode in (0, 1) and "/diagnostics" in read(tmp_path / "t/synthetic_01.mcap")

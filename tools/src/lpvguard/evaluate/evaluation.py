@@ -1,0 +1,354 @@
+"""`lpvguard evaluate`: the monitor, its tests and five baselines on drives that did not set the bounds.
+
+Every drive runs through the compiled core. One drive of the identification is left out at a time (THEORY
+7.3), with thresholds calibrated on all *other* drives that did not set the bounds. Drives that the
+identification never saw are judged with its stored thresholds (judged_drives.py).
+
+The monitor is compared with all tests at one threshold, calibrated jointly (calibration.joint_scores). It
+alarms by any test on a further drive with probability at most alpha, as a baseline does. The table also has
+each test alone at alpha, and all as exported: each at its own threshold, together at most three times alpha.
+Where fewer drives calibrate than alpha needs, no rate is stated, and the detectors are compared by counts
+only (`stated_rates`).
+
+false_alarms.py defines false alarms, detection.py defines found faults, and baseline_study.py tunes the
+baselines.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from functools import partial
+from itertools import product
+
+import numpy as np
+
+from ..base.errors import InputError
+from ..base.parallel import Map
+from ..core.compiled import TESTS, Core
+from ..drives.tables import Drive, Experiment
+from ..identify.calibration import Calibration, Recordings, change_score, energy_score, joint_score, score
+from ..identify.identification import DriveSet, StoredIdentification
+from ..identify.passes import DriveReader
+from ..replay.replayer import Replay, Replayer
+from ..vehicle.project import EvaluationSettings
+from .baseline_study import BaselineStudy, evaluate_baselines
+from .causes import DIAGNOSED_S, CauseOutcome, CauseOutcomes, cause_table
+from .comparison import EXPORTED, LEFT_ONE_OUT, MONITOR, duels
+from .detection import (
+    FaultOutcome,
+    Injection,
+    Outcomes,
+    fault_rows,
+    margins,
+    ranking,
+    refutable,
+)
+from .false_alarms import alarmed_pieces, alarming, false_alarms, piece_starts
+from .judged_drives import FLOORS, JudgedDrives, calibrations_of, joint_thresholds
+
+FEWEST_FOR_BASELINES = 2
+"""Fewest calibration drives: a baseline has no natural threshold, so one must remain when a drive is left
+out."""
+
+
+Found = dict[str, Outcomes]
+"""Outcomes per detector and case."""
+
+
+def _evaluate_drive(
+    reader: DriveReader,
+    core: Core,
+    injection: Injection,
+    item: tuple[Experiment, Recordings, dict[str, Calibration]],
+) -> tuple[dict, Found, CauseOutcomes]:
+    """Row of one drive, outcomes per detector and case, and the causes that EXPORTED names.
+
+    Recordings and calibrations are the drive's own. A drive without qualified stretches has no outcomes.
+    """
+    experiment, recordings, calibrations = item
+    project, thresholds = reader.project, {what: c.threshold for what, c in calibrations.items()}
+    together, apart = (
+        Replayer(project, core, threshold=frame, energy_threshold=energy, change_threshold=change)
+        for frame, energy, change in (joint_thresholds(thresholds[MONITOR]), [thresholds[t] for t in TESTS])
+    )
+    detectors = {
+        MONITOR: (together, None),
+        EXPORTED: (apart, None),
+        **{test: (apart, test) for test in TESTS},
+    }
+    drive, Ts = reader.read(experiment)[0], project.Ts_s
+    untouched = {replayer: replayer.replay(drive) for replayer in (together, apart)}
+    replay, injected = untouched[together], list(injection.into(untouched[together], project.seed))
+    relevant, starts = replay.in_range & replay.excited, piece_starts(len(replay.judged), Ts)
+    row = {
+        **_identity(experiment, recordings),
+        "calibration": {what: _stated(c) for what, c in calibrations.items()},
+        "alarmed": {
+            name: alarmed_pieces(untouched[replayer], test)[0] for name, (replayer, test) in detectors.items()
+        },
+        "pieces": len(starts),
+        "last_piece_s": round((len(replay.judged) - 1 - int(starts[-1])) * Ts, 6),
+        "duration_s": replay.duration_s,
+        "judged_s": replay.judged_s,
+        "missing_samples": replay.missing_samples,
+        "judged_of_in_range_excited": (
+            float((replay.judged & relevant).sum() / relevant.sum()) if relevant.any() else None
+        ),
+        "fault_starts_s": sorted({clock.first * Ts for _, clock in injected}),
+        "scores": _drive_scores(replay),
+    }
+    found: Found = {name: {case: [] for case in injection.cases} for name in detectors}
+    own = margins(replay, drive.t[0])
+    causes: CauseOutcomes = {case: [] for case in injection.cases}
+
+    for case, clock in injected:
+        faulty_drive = case.into(drive, clock, Ts, DIAGNOSED_S)
+        faulty = {replayer: replayer.replay(faulty_drive) for replayer in untouched}
+        known = refutable(clock, margins(faulty[together], drive.t[0]), own)
+        for name, (replayer, test) in detectors.items():
+            first, without = (clock.read(alarming(r[replayer], test)) for r in (faulty, untouched))
+            outcome = FaultOutcome.of(experiment.name, Ts, clock, first, without, known)
+            found[name][case].append(outcome)
+        if found[EXPORTED][case][-1].found:
+            causes[case].append(CauseOutcome.of(case, project, clock, drive, faulty_drive, faulty[apart]))
+    if core.diagnoses:
+        causes |= _further_causes(apart, injection, drive, untouched[apart])
+    return row, found, causes
+
+
+def _identity(experiment: Experiment, recordings: Recordings) -> dict[str, str]:
+    """Driver, recording and group of a drive."""
+    group = recordings.groups.get(experiment.name)
+    named = {
+        "run": experiment.name,
+        "driver": experiment.driver,
+        "recording": recordings.named(experiment.name),
+    }
+    return named if group is None else named | {"group": group}
+
+
+def _further_causes(
+    replayer: Replayer, injection: Injection, drive: Drive, untouched: Replay
+) -> CauseOutcomes:
+    """Causes named for the further faults that the monitor of ``replayer`` found."""
+    project, Ts = replayer.project, replayer.project.Ts_s
+    causes: CauseOutcomes = {case: [] for case in injection.further_cases}
+    hits = alarming(untouched)
+    for case, clock in product(causes, injection.clocks(untouched, project.seed)):
+        faulty = case.into(drive, clock, Ts, DIAGNOSED_S)
+        replay = replayer.replay(faulty)
+        first, without = clock.read(alarming(replay)), clock.read(hits)
+        if FaultOutcome.of(drive.name, Ts, clock, first, without).found:
+            causes[case].append(CauseOutcome.of(case, project, clock, drive, faulty, replay))
+    return causes
+
+
+def _drive_scores(replay: Replay) -> dict[str, float | None]:
+    """Scores of a drive: a detector alarms if they exceed its threshold. None where it did not judge."""
+    tests = {
+        "frame": score(replay.run),
+        "energy": energy_score(replay.run),
+        "change": change_score(replay.run),
+    }
+    return {MONITOR: joint_score(tests, FLOORS)} | tests
+
+
+def _stated(c: Calibration) -> dict:
+    """Statement of a calibration in the row of a drive."""
+    return {
+        "threshold": c.threshold,
+        "drives": len(c.scores),
+        "alpha": c.alpha,
+        "conditional_bound": c.conditional_bound,
+        "claim": c.claim(),
+    }
+
+
+def _without_faults(row: dict, injection: Injection) -> str:
+    """Reason why no fault is injected into a drive."""
+    if row["duration_s"] <= injection.shortest_s:
+        return f"{row['duration_s']:.1f} s long, no more than {injection.shortest_s:g} s"
+    return f"less than {injection.within_s:g} s of judged, excited driving after {injection.from_s:g} s"
+
+
+def _variance(reader: DriveReader, experiment: Experiment) -> np.ndarray:
+    """Variance (n_y,) of the outputs of a drive."""
+    return reader.read(experiment)[0].y.var(axis=0)
+
+
+def _injection(
+    stored: StoredIdentification, drives: DriveSet, settings: EvaluationSettings | None, workers: Map
+) -> Injection:
+    """Injection of the settings, scaled by the outputs' spread in bound-setting drives; by default the
+    usual one."""
+    if settings is None:
+        return Injection.usual()
+    setting = [drives.experiments[n] for n in stored.manifest["drives"]["bounds"]]
+    within = np.mean(list(workers(partial(_variance, drives.reader), setting)), axis=0)
+    return Injection.of(settings, np.sqrt(within))
+
+
+def one_rate(alphas: Iterable[float | None]) -> float | None:
+    """Common alpha of a detector's calibrations, one for each drive left out; None where any states none."""
+    found = set(alphas)
+    return None if None in found else found.pop()
+
+
+def _false_alarms(detector: str, rows: list[dict]) -> dict:
+    """FalseAlarms object of a detector over ``rows`` of drives."""
+    return false_alarms([(r["alarmed"][detector], r["pieces"]) for r in rows], rows)
+
+
+def _stated_rates(rows: list[dict], baselines: list[dict], scored: Iterable[str]) -> dict[str, float | None]:
+    """Stated rate of false alarms on a further drive per detector; None: counts only.
+
+    The tests as exported have at most the sum of their rates.
+    """
+    stated = {what: one_rate(r["calibration"][what]["alpha"] for r in rows) for what in scored}
+    apart = [rate for test in TESTS if (rate := stated[test]) is not None]
+    stated |= {EXPORTED: sum(apart) if len(apart) == len(TESTS) else None}
+    return stated | {b["kind"]: one_rate(c["alpha"] for c in b["chosen"].values()) for b in baselines}
+
+
+def evaluate(
+    stored: StoredIdentification,
+    drives: DriveSet,
+    core: Core,
+    *,
+    held_out: list[Experiment] | None = None,
+    settings: EvaluationSettings | None = None,
+    workers: Map = map,
+    progress: Callable[[str], None] = lambda _: None,
+) -> dict:
+    """Evaluate the monitor, its tests and the baselines on judged drives.
+
+    By default each drive of the identification is judged without itself.
+
+    Parameters
+    ----------
+    stored : StoredIdentification
+    drives : DriveSet, the identification's drives
+    core : Core
+    held_out : list of Experiment, optional, judged instead (judged.drives_to_judge)
+    settings : EvaluationSettings, optional, of the faults, by default the usual ones
+    workers : Map
+    progress : Callable, reports progress
+
+    Returns
+    -------
+    dict, JSON-able table
+
+    Raises
+    ------
+    InputError
+        If no drive is judged.
+
+    References
+    ----------
+    THEORY 7.3, 7.9.
+    """
+    judged = (
+        JudgedDrives.left_one_out(stored, drives)
+        if held_out is None
+        else JudgedDrives.held_out(stored, held_out)
+    )
+    injection = _injection(stored, drives, settings, workers)
+    items = [(e, judged.recordings, judged.calibrations[n]) for n, e in judged.experiments.items()]
+    rows: list[dict] = []
+    cases: Found = {d: {case: [] for case in injection.cases} for d in (MONITOR, EXPORTED, *TESTS)}
+    causes: CauseOutcomes = {case: [] for case in (*injection.cases, *injection.further_cases)}
+    left_out: dict[str, str] = dict(stored.manifest["drives"]["left_out"]) if held_out is None else {}
+    evaluated: Iterator[tuple[dict, Found, CauseOutcomes]] = workers(
+        partial(_evaluate_drive, drives.reader, core, injection), items
+    )
+    for row, found, named in evaluated:
+        progress(row["run"])
+        if row["scores"]["frame"] is None:
+            left_out[row["run"]] = drives.reader.why_without_frames()
+            continue
+        rows.append(row)
+        for detector, by_case in found.items():
+            for case, members in by_case.items():
+                cases[detector][case] += members
+        for case, of in named.items():
+            causes[case] += of
+    if not rows:
+        name, why = next(iter(left_out.items()))
+        raise InputError(
+            judged.experiments[name].path, "", f"{why}, and so for every drive to judge", "a judged drive"
+        )
+    known = cases[MONITOR]
+    baselines = _baselines(stored, drives, core, judged, rows, known, injection, workers, progress)
+    table = _table(stored, judged, rows, cases, baselines, injection)
+    of_causes = cause_table(causes, stored.project, stored.diagnosis) if core.diagnoses else None
+    return table | {"causes": of_causes, "left_out": left_out}
+
+
+def _baselines(
+    stored: StoredIdentification,
+    drives: DriveSet,
+    core: Core,
+    judged: JudgedDrives,
+    rows: list[dict],
+    known: Outcomes,
+    injection: Injection,
+    workers: Map,
+    progress: Callable[[str], None],
+) -> list[dict]:
+    """Baselines on the judged drives of ``rows``; none where too few drives calibrate."""
+    alone = judged.mode == LEFT_ONE_OUT
+    if len(stored.calibration.scores) < FEWEST_FOR_BASELINES - (not alone):
+        return []
+    study = BaselineStudy(
+        stored,
+        drives,
+        core,
+        left_out=tuple(judged.experiments) if alone else (None,),
+        injection=injection,
+        workers=workers,
+        progress=progress,
+    )
+    on = study.on([judged.experiments[r["run"]] for r in rows], left_out=alone)
+    return evaluate_baselines(rows, on, known)
+
+
+def _table(
+    stored: StoredIdentification,
+    judged: JudgedDrives,
+    rows: list[dict],
+    cases: Found,
+    baselines: list[dict],
+    injection: Injection,
+) -> dict:
+    """Object of `lpvguard evaluate --json` from the drives' rows, the monitor's cases and the baselines'."""
+    scored = (MONITOR, *TESTS)
+    groups = {"all": rows} | {
+        d: [r for r in rows if r["driver"] == d] for d in sorted({r["driver"] for r in rows})
+    }
+    for name in sorted({r["group"] for r in rows if "group" in r}):
+        groups[f"group {name}"] = [r for r in rows if r.get("group") == name]
+    faults = fault_rows(cases[MONITOR])
+    best = [
+        ranking({MONITOR: row} | {b["kind"]: b["faults"][i] for b in baselines})
+        for i, row in enumerate(faults)
+    ]
+    return {
+        "mode": judged.mode,
+        "threshold_rule": judged.rule,
+        "claims": {
+            "identified": {test: c.claim() for test, c in calibrations_of(stored).items()},
+            judged.mode: {what: sorted({r["calibration"][what]["claim"] for r in rows}) for what in scored},
+        },
+        "stated_rates": _stated_rates(rows, baselines, scored),
+        "drives": rows,
+        "injection": injection.to_dict(),
+        "without_faults": {r["run"]: _without_faults(r, injection) for r in rows if not r["fault_starts_s"]},
+        "false_alarms": {g: _false_alarms(MONITOR, members) for g, members in groups.items()},
+        "faults": [row | {"best": names} for row, names in zip(faults, best, strict=True)],
+        "tests": {
+            d: {"false_alarms": _false_alarms(d, rows), "faults": fault_rows(cases[d])}
+            for d in (EXPORTED, *TESTS)
+        },
+        "baselines": baselines,
+        "duels": duels(faults, baselines),
+    }

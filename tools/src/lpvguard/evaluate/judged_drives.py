@@ -1,0 +1,185 @@
+"""Judged drives and the calibrations that judge them.
+
+Judged is each drive of the identification without itself, or drives that the identification never saw. These
+are judged by its stored calibration. A drive of a group is judged with the threshold of that group, if any.
+
+Held-out drives calibrate nothing. Tables that set bounds or noise, or that calibrated, are refused by their
+bytes. Other pieces of such a recording are refused, too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+from ..base.errors import InputError
+from ..core.compiled import TESTS
+from ..drives.tables import Experiment, list_experiments, table_hashes
+from ..identify.calibration import ROUNDING, Calibration, Recordings, calibrate, joint_scores
+from ..identify.change import FLOOR, calibrated_change
+from ..identify.identification import DriveSet, StoredIdentification
+from .comparison import HELD_OUT, LEFT_ONE_OUT, MONITOR
+
+FLOORS = {"frame": 1.0, "energy": 1.0 + ROUNDING, "change": FLOOR}
+"""Least threshold of each test."""
+SAW = {"bounds": "set the bounds", "calibration": "calibrated", "noise": "set the noise"}
+"""Use of a group of drives in the identification."""
+
+
+@dataclass(frozen=True)
+class JudgedDrives:
+    """Drives by name, the calibrations of MONITOR and each test that judge them, and their recordings.
+
+    ``mode`` is LEFT_ONE_OUT or HELD_OUT. ``rule`` describes the calibrating drives.
+    """
+
+    mode: str
+    rule: str
+    experiments: dict[str, Experiment]
+    calibrations: dict[str, dict[str, Calibration]]
+    recordings: Recordings
+
+    @classmethod
+    def left_one_out(cls, stored: StoredIdentification, drives: DriveSet) -> JudgedDrives:
+        """Every calibration drive, judged by all drives of other recordings. InputError where none has a
+        frame."""
+        if not stored.calibration.scores:
+            raise InputError(
+                stored.folder,
+                "drives",
+                "no frame counts in a drive that calibrates: none is left to evaluate",
+                "at least one drive whose "
+                f"split is not {' or '.join(stored.project.data.bound_split)} and in which a frame counts",
+            )
+        names, recordings = list(stored.calibration.scores), stored.calibration.recordings
+        return cls(
+            LEFT_ONE_OUT,
+            "all other drives that did not set the bounds",
+            {name: drives.experiments[name] for name in names},
+            {name: _of_group(_calibrations(stored, name), recordings.groups.get(name)) for name in names},
+            recordings,
+        )
+
+    @classmethod
+    def held_out(cls, stored: StoredIdentification, experiments: list[Experiment]) -> JudgedDrives:
+        """Drives that the identification never saw, judged by its stored calibration."""
+        together = _calibrations(stored, None)[MONITOR]
+        as_stored = {MONITOR: together, **calibrations_of(stored)}
+        return cls(
+            HELD_OUT,
+            "drives that took no part in the identification",
+            {e.name: e for e in experiments},
+            {e.name: _of_group(as_stored, e.group) for e in experiments},
+            Recordings.listed((), experiments),
+        )
+
+
+def joint_thresholds(joint: float) -> list[float]:
+    """Thresholds of each of TESTS under one ``joint`` threshold: none alarms below its floor."""
+    return [max(joint, FLOORS[test]) for test in TESTS]
+
+
+def _of_group(calibrations: dict[str, Calibration], group: str | None) -> dict[str, Calibration]:
+    """Thresholds for drives of the group."""
+    return {what: c.of_group(group) for what, c in calibrations.items()}
+
+
+def _calibrations(stored: StoredIdentification, without: str | None) -> dict[str, Calibration]:
+    """Calibrations of MONITOR and each test by all calibration drives but the recording of ``without``."""
+    scores = {test: c.scores for test, c in calibrations_of(stored).items()}
+    scores[MONITOR] = joint_scores(scores, FLOORS)
+    rules: dict[str, Callable[..., Calibration]] = {
+        MONITOR: calibrated_change,
+        "frame": calibrate,
+        "energy": partial(calibrate, floor=FLOORS["energy"]),
+        "change": calibrated_change,
+    }
+    alpha, recordings = stored.project.frame_test.alpha, stored.calibration.recordings
+    return {
+        what: rules[what](
+            {k: scores[what][k] for k in recordings.others(scores[what], without)},
+            alpha,
+            recordings=recordings,
+        )
+        for what in (MONITOR, *TESTS)
+    }
+
+
+def calibrations_of(stored: StoredIdentification) -> dict[str, Calibration]:
+    """Return the stored calibration of each test.
+
+    Parameters
+    ----------
+    stored : StoredIdentification
+
+    Returns
+    -------
+    dict[str, Calibration], by test
+
+    Raises
+    ------
+    InputError
+        If there is the frame test only: with frames of the plain DFT.
+    """
+    if stored.energy is None or stored.change is None:
+        raise InputError(
+            stored.folder, "energy", "no energy test was identified", "an identification with Hann frames"
+        )
+    return {
+        "frame": stored.calibration,
+        "energy": stored.energy.calibration,
+        "change": stored.change.calibration,
+    }
+
+
+def drives_to_judge(stored: StoredIdentification, folders: Iterable[Path]) -> list[Experiment]:
+    """List the drives of folders that the identification never saw.
+
+    Parameters
+    ----------
+    stored : StoredIdentification
+    folders : Iterable[Path]
+
+    Returns
+    -------
+    list of Experiment
+
+    Raises
+    ------
+    InputError
+        If it saw one or a piece of the same recording, or a name or table occurs twice.
+    """
+    experiments: dict[str, Experiment] = {}
+    for e in (e for folder in folders for e in list_experiments(folder)):
+        if (other := experiments.setdefault(e.name, e)) is not e:
+            raise InputError(e.path, "", f"is named as {other.path}", "drives of different names")
+    chosen = list(experiments.values())
+    seen = {stored.manifest["sha256"][n]: (n, SAW[k]) for k in SAW for n in stored.manifest["drives"][k]}
+    for name, digest in table_hashes(chosen).items():
+        if digest in seen:
+            raise InputError(
+                experiments[name].path,
+                "",
+                f"is {seen[digest][0]}, byte for byte, which {seen[digest][1]} in {stored.folder}",
+                "drives that the identification did not see",
+            )
+    for e in chosen:
+        _require_new_recording(stored, e)
+    return chosen
+
+
+def _require_new_recording(stored: StoredIdentification, e: Experiment) -> None:
+    """Raise InputError for another piece of a recording that the identification knows."""
+    if e.recording == e.name:
+        return
+    for what, did in SAW.items():
+        for name in stored.manifest["drives"][what]:
+            if stored.calibration.recordings.named(name) == e.recording:
+                raise InputError(
+                    e.path,
+                    "",
+                    f"is of recording {e.recording}, and so is {name}, which {did} in {stored.folder}",
+                    "recordings that the identification did not see",
+                )

@@ -1,0 +1,104 @@
+"""Performance tables, measured and not asserted: ``lpvguard bench NAME``, each beside its peers in one run.
+
+A module of this package is a bench unless its name begins with _: its ``main(argv)`` is the command line of
+``lpvguard bench <module>``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable
+from importlib import import_module
+from pathlib import Path
+from pkgutil import iter_modules
+from typing import Any
+
+from ...base import artefacts
+from ...base.errors import InputError
+
+MAY_IMPORT = (
+    "base",
+    "vehicle",
+    "engine",
+    "can",
+    "drives",
+    "core",
+    "identify",
+    "control",
+    "replay",
+    "fleet",
+    "loop",
+    "problems",
+)
+
+
+def names() -> list[str]:
+    """The benches there are."""
+    return sorted(m.name for m in iter_modules(__path__) if not m.name.startswith("_"))
+
+
+def run(name: str, argv: list[str]) -> None:
+    """Run a bench with its own options.
+
+    Parameters
+    ----------
+    name : str, of the bench
+    argv : list of str, its options
+
+    Raises
+    ------
+    InputError
+        If there is no such bench.
+    """
+    if name not in names():
+        raise InputError("bench", name, "no such bench", " or ".join(names()))
+    import_module(f"{__name__}.{name}").main(argv)
+
+
+class _JsonOut(argparse.Action):
+    """``--json``: (path, kind). A file that may not be replaced is refused before the bench runs."""
+
+    def __call__(self, parser: Any, namespace: Any, values: Any, option_string: str | None = None) -> None:
+        if values != "-":
+            artefacts.require_replaceable_file(Path(values), str(self.const))
+        setattr(namespace, self.dest, (values, self.const))
+
+
+def parser(name: str, description: str | None) -> argparse.ArgumentParser:
+    """Parser of a bench's options; ``--json`` is common to all."""
+    made = argparse.ArgumentParser(
+        prog=f"lpvguard bench {name}",
+        description=description,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    made.add_argument(
+        "--json",
+        dest="json_out",
+        metavar="PATH",
+        action=_JsonOut,
+        const=f"bench {name}",
+        help="write the numbers as JSON; - is standard output",
+    )
+    return made
+
+
+def numbers_of(
+    bench: str, option: str, given: str, good: Callable[[float], bool], expected: str
+) -> list[float]:
+    """Numbers of an option, comma-separated; InputError with ``expected`` unless all are ``good``."""
+    try:
+        found = [float(word) for word in given.split(",")]
+    except ValueError:
+        found = []
+    if not found or not all(map(good, found)):
+        raise InputError(f"bench {bench}", option, repr(given), f"{expected}, comma between")
+    return found
+
+
+def show(text: str, value: Any, json_out: tuple[str, str] | None) -> None:
+    """Print the table, or (``--json -``) the numbers; write the numbers where asked. ``json_out``: path and
+    kind, as `parser` has them."""
+    print(text, file=sys.stderr if json_out and json_out[0] == "-" else sys.stdout)
+    if json_out:
+        artefacts.write_json(json_out[0], value, json_out[1])

@@ -1,0 +1,270 @@
+"""Cars of known truth: a nonlinear single-track model, many at a time, with the nominal model of the g80.
+
+Tyre forces lag by a relaxation length and saturate. The steering lags, and an elastic element with friction
+takes a share of small angles. The true error at a frequency, speed and amplitude is the car's describing
+function over the nominal response, less 1: it is measured with sines, without disturbance.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.signal import butter, sosfilt
+
+from ...drives.tables import Drive
+from ...vehicle.nominal import NominalModel
+from ...vehicle.project import Project
+
+MASS_KG, INERTIA_KGM2 = 2000.0, 3500.0
+FRONT_M, REAR_M = 1.30, 1.36
+RELAXATION_M = 0.4
+STEPS = 4
+"""Integration steps a sample."""
+PERIODS, SETTLE_S = 3, 4.0
+"""Periods of a sine that are measured, after so long a time."""
+SIDE_FORCE_N, NOISE_RPS, BIAS_RPS = 250.0, 6.5e-4, 1.5e-3
+"""Disturbance by bank and wind, noise and bias of the yaw rate, rms."""
+PARTS = ((0.6, (0.03, 0.2)), (0.4, (0.1, 0.8)), (0.15, (0.6, 3.0)))
+"""Parts of the steering angle: share of its size, and band [Hz]."""
+MULTISINE_S, REALISATIONS = 40.0, 6
+"""Period of the multisines that measure the best linear approximation, and how many there are."""
+START_S = 2.0
+"""Standstill before a drive's record, in which filters settle."""
+
+
+@dataclass(frozen=True)
+class Car:
+    """Parameters of a car.
+
+    Attributes
+    ----------
+    front, rear : cornering stiffness of the axles [N/rad].
+    grip_n : largest side force of an axle [N].
+    steering_lag_s, delay_s : first-order lag and dead time of the steering [s].
+    friction_share, friction_rad : share of small angles that friction takes, and largest angle it takes.
+    """
+
+    front: float = 126e3
+    rear: float = 180e3
+    grip_n: float = 1e6
+    steering_lag_s: float = 0.03
+    delay_s: float = 0.02
+    friction_share: float = 0.0
+    friction_rad: float = 0.01
+
+
+CARS = {
+    "linear": Car(),
+    "friction": Car(front=115e3, grip_n=14e3, friction_share=0.2),
+}
+"""A car nearly linear, and one softer in front that loses 20 % of gain at small amplitudes."""
+
+
+@dataclass(frozen=True)
+class DriveDeviations:
+    """Differences between drives: gain (D,) and delay (D,) [s] of every drive."""
+
+    gain: np.ndarray
+    delay_s: np.ndarray
+
+
+def yaw_rates(car: Car, Ts: float, v: np.ndarray, angle: np.ndarray, side_force: np.ndarray) -> np.ndarray:
+    """Yaw rates (D, N) [rad/s] of cars that begin straight.
+
+    Parameters
+    ----------
+    v, angle, side_force : (D, N) speed [m/s], road-wheel angle [rad] as acts, side force [N].
+    """
+    h = Ts / STEPS
+    out = np.empty_like(v)
+    x = np.zeros((6, len(v)))  # steering, slip velocity, yaw rate, front and rear force, friction's angle
+    last = np.zeros(len(v))
+    for k in range(v.shape[1]):
+        out[:, k] = x[2]
+        rate = (angle[:, k] - angle[:, k - 1]) / Ts if k else last
+        for step in range(STEPS):
+            command = (angle[:, k - 1] if k else angle[:, 0]) + rate * h * step
+            middle = x + 0.5 * h * _derivative(car, x, v[:, k], command, side_force[:, k])
+            x = x + h * _derivative(car, middle, v[:, k], command + 0.5 * h * rate, side_force[:, k])
+            # Elastic until friction_rad, then sliding: the stop operator of the steering angle.
+            x[5] = np.clip(x[5] + h * rate, -car.friction_rad, car.friction_rad)
+    return out
+
+
+def _derivative(
+    car: Car, x: np.ndarray, v: np.ndarray, command: np.ndarray, side_force: np.ndarray
+) -> np.ndarray:
+    steering, slip, rate, front, rear, friction = x
+    speed = np.maximum(v, 1.0)
+    forces = []
+    for angle, stiffness in (
+        (steering - (slip + FRONT_M * rate) / speed, car.front),
+        (-(slip - REAR_M * rate) / speed, car.rear),
+    ):
+        linear = stiffness * angle
+        forces.append(linear / np.sqrt(1 + (linear / car.grip_n) ** 2))
+    out = np.zeros_like(x)
+    out[0] = (command - car.friction_share * friction - steering) / car.steering_lag_s
+    out[1] = (front + rear + side_force) / MASS_KG - v * rate
+    out[2] = (FRONT_M * front - REAR_M * rear) / INERTIA_KGM2
+    out[3] = (forces[0] - front) * speed / RELAXATION_M
+    out[4] = (forces[1] - rear) * speed / RELAXATION_M
+    return out
+
+
+def true_error(
+    car: Car, model: NominalModel, omega: np.ndarray, speed: np.ndarray, amplitude: np.ndarray
+) -> np.ndarray:
+    """(G, S, A) complex error of a car by its describing function.
+
+    Parameters
+    ----------
+    omega : (G,) [rad/s].
+    speed : (S,) [m/s].
+    amplitude : (S, A) amplitude of the steering sine [rad].
+    """
+    Ts, out = model.Ts, np.empty((len(omega), *amplitude.shape), complex)
+    v, a = np.repeat(speed, amplitude.shape[1]), amplitude.ravel()
+    settle = round(SETTLE_S / Ts)
+    for g, w in enumerate(omega):
+        count = settle + round(2 * np.pi * PERIODS / w / Ts)
+        t = Ts * np.arange(count)
+        angle = a[:, None] * np.sin(w * np.maximum(t - car.delay_s, 0.0))
+        r = yaw_rates(car, Ts, np.tile(v[:, None], count), angle, np.zeros((len(v), count)))
+        carrier = np.column_stack([np.sin(w * t), np.cos(w * t), np.ones(count)])[settle:]
+        sine, cosine, _ = np.linalg.lstsq(carrier, r[:, settle:].T, rcond=None)[0]
+        nominal = [model.frequency_response(np.array([w]), float(x))[0, 0, 0] for x in speed]
+        measured = (sine + 1j * cosine) / a
+        out[g] = measured.reshape(amplitude.shape) / np.array(nominal)[:, None] - 1
+    return out
+
+
+def best_linear_error(
+    car: Car, model: NominalModel, omega: np.ndarray, speed: np.ndarray, amplitude: np.ndarray
+) -> np.ndarray:
+    """(G, S, A) complex error of a car's best linear approximation under inputs as drives have them.
+
+    Random-phase multisines with the drives' spectrum replace the sines of `true_error`; ``amplitude`` is
+    sqrt(2) times their rms (Pintelon and Schoukens, System Identification, 2012).
+    """
+
+    def rates(v: np.ndarray, angle: np.ndarray) -> np.ndarray:
+        acted = np.roll(angle, round(car.delay_s / model.Ts), axis=1)
+        return yaw_rates(car, model.Ts, v, acted, np.zeros_like(acted))
+
+    U, Y = multisine_response(model.Ts, speed, amplitude, REALISATIONS, rates)
+    return spectral_error(model, omega, speed, amplitude, U, Y)
+
+
+def multisine_response(
+    Ts: float,
+    speed: np.ndarray,
+    amplitude: np.ndarray,
+    realisations: int,
+    rates: Callable[[np.ndarray, np.ndarray], np.ndarray],
+) -> tuple[np.ndarray, np.ndarray]:
+    """Spectra of angle and yaw rate (S, A, R, K) over the second of two periods of multisines.
+
+    Parameters
+    ----------
+    speed, amplitude : (S,) [m/s] and (S, A) [rad].
+    rates : yaw rates (D, N) [rad/s] of speeds (D, N) and angles (D, N).
+    """
+    n = round(MULTISINE_S / Ts)
+    lines = 2 * np.pi * np.fft.rfftfreq(n, Ts)
+    random = np.random.default_rng(1)
+    shape = np.sqrt(sum(spectrum_of(lines, band) * w**2 / _power(lines, band) for w, band in PARTS))
+    phase = np.exp(2j * np.pi * random.random((realisations, len(lines))))
+    u = np.fft.irfft(shape * phase, n, axis=1)
+    u /= u.std(axis=1, keepdims=True) * np.sqrt(2)
+    v = np.repeat(speed, amplitude.shape[1] * realisations)
+    size = np.repeat(amplitude.ravel(), realisations)
+    angle = size[:, None] * np.tile(np.hstack([u, u]), (amplitude.size, 1))
+    r = rates(np.repeat(v[:, None], 2 * n, axis=1), angle)
+    U, Y = (np.fft.rfft(x[:, n:], axis=1).reshape(*amplitude.shape, realisations, -1) for x in (angle, r))
+    return U, Y
+
+
+def spectral_error(
+    model: NominalModel,
+    omega: np.ndarray,
+    speed: np.ndarray,
+    amplitude: np.ndarray,
+    U: np.ndarray,
+    Y: np.ndarray,
+) -> np.ndarray:
+    """(G, S, A) complex error by spectra U and Y (S, A, R, K): least squares over lines about each frequency.
+
+    omega : (G,) [rad/s]; speed : (S,) [m/s]; amplitude : (S, A) [rad].
+    """
+    lines = 2 * np.pi * np.arange(U.shape[-1]) / MULTISINE_S
+    out = np.empty((len(omega), *amplitude.shape), complex)
+    for g, w in enumerate(omega):
+        near = np.abs(np.log(np.maximum(lines, 1e-9) / w)) <= max(0.05, 1.01 * np.pi / MULTISINE_S / w)
+        nominal = [model.frequency_response(lines[near], float(x))[:, 0, 0] for x in speed]
+        yhat = np.array(nominal)[:, None, None] * U[..., near]
+        cross = ((Y[..., near] - yhat) * yhat.conj()).sum(axis=(2, 3))
+        out[g] = cross / (np.abs(yhat) ** 2).sum(axis=(2, 3))
+    return out
+
+
+def spectrum_of(omega: np.ndarray, band_hz: tuple[float, float]) -> np.ndarray:
+    """(K,) power gain of `band_noise`'s filter at omega (K,) [rad/s], of the analogue prototype."""
+    low, high = (2 * np.pi * f for f in band_hz)
+    safe = np.maximum(omega, 1e-9)
+    return 1 / (1 + ((safe**2 - low * high) / (safe * (high - low))) ** 4)
+
+
+def _power(omega: np.ndarray, band_hz: tuple[float, float]) -> float:
+    return float(spectrum_of(omega, band_hz).sum())
+
+
+def deviations_drawn(count: int, gain: float, delay_s: float, random: np.random.Generator) -> DriveDeviations:
+    """Normal deviations of ``count`` drives with standard deviations of gain and delay, (count,) each."""
+    return DriveDeviations(gain * random.standard_normal(count), delay_s * random.standard_normal(count))
+
+
+def band_noise(
+    random: np.random.Generator, shape: tuple[int, int], band_hz: tuple[float, float], Ts: float
+) -> np.ndarray:
+    """Gaussian noise of unit variance within a band, in the shape given."""
+    settle = round(40 / Ts)
+    white = random.standard_normal((shape[0], shape[1] + settle))
+    x = sosfilt(butter(2, band_hz, "bandpass", fs=1 / Ts, output="sos"), white, axis=1)[:, settle:]
+    return x / x.std(axis=1, keepdims=True)
+
+
+def known_drives(
+    car: Car,
+    project: Project,
+    count: int,
+    duration_s: float,
+    random: np.random.Generator,
+    deviation: DriveDeviations | None = None,
+) -> list[Drive]:
+    """Drives of a car; each has its own mean speed, amplitude, bias and disturbance.
+
+    ``deviation`` multiplies a drive's gain by 1 + gain and adds to its delay; None for none.
+    """
+    Ts = project.Ts_s
+    n = round((duration_s + START_S) / Ts) + 1
+    low, high = project.model.speed_min_mps, project.model.speed_max_mps
+    mean = random.uniform(low, high, (count, 1))
+    v = np.clip(mean * (1 + 0.06 * band_noise(random, (count, n), (0.004, 0.02), Ts)), low, high)
+    size = np.exp(random.uniform(np.log(0.015), np.log(0.12), (count, 1))) / (1 + (mean / 12) ** 2)
+    delta = size * sum(w * band_noise(random, (count, n), band, Ts) for w, band in PARTS)
+    force = SIDE_FORCE_N * band_noise(random, (count, n), (0.03, 1.0), Ts)
+    gain, late = (np.zeros(count),) * 2 if deviation is None else (deviation.gain, deviation.delay_s)
+    t = np.arange(n) * Ts
+    acted = np.array([np.interp(t - car.delay_s - x, t, row) for x, row in zip(late, delta, strict=True)])
+    r = yaw_rates(car, Ts, v, acted * (1 + gain[:, None]), force)
+    r += BIAS_RPS * random.standard_normal((count, 1)) + NOISE_RPS * random.standard_normal((count, n))
+    first = round(START_S / Ts)
+    return [
+        Drive(
+            f"drive_{k:03d}", t[first:] - t[first], v[k, first:], delta[k, first:, None], r[k, first:, None]
+        )
+        for k in range(count)
+    ]

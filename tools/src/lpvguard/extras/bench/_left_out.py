@@ -1,0 +1,120 @@
+"""Measured drives against the band of all others: every group of drives is left out once (THEORY 7.15)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from scipy.stats import chi2
+
+from ...base.errors import InputError
+from ...base.parallel import Map
+from ...drives.frames import Estimator
+from ...drives.tables import list_experiments
+from ...identify.error_band import ErrorBand, error_band
+from ...identify.error_domain import ErrorDomain
+from ...identify.error_sums import DIRECTIONS, ErrorSums, deviations, joined
+from ...identify.passes import DriveReader, error_sums_of
+from ...vehicle.nominal import NominalModel
+from ...vehicle.project import Project
+
+DOUBT = 0.01
+"""Probability with which a drive's own error lies beyond the interval that is taken off."""
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """A drive of a group that was left out, one output.
+
+    Attributes
+    ----------
+    drive, group, output : names.
+    within : share of the bins at which the drive's own error lies within the others' band.
+    largest : largest ratio of the drive's own error to the band over bins.
+    refuted : the same with the error's own interval taken off; above 1 the drive refutes the band.
+    vehicle_bound : (K,) the others' bound over all speeds and amplitudes.
+    """
+
+    drive: str
+    group: str
+    output: str
+    within: float
+    largest: float
+    refuted: float
+    vehicle_bound: list[float]
+
+
+def left_out(
+    project: Project, folder: Path, seed: int, workers: Map
+) -> tuple[list[LeftOut], list[ErrorBand]]:
+    """Every drive beside the band of the other groups, and the band of all drives by output."""
+    model = NominalModel(project)
+    reader, estimator = DriveReader(project, model), Estimator.of(project, model)
+    domain = ErrorDomain.of(estimator, project.frame_test.excited_std)
+    experiments = sorted(list_experiments(folder), key=lambda e: e.name)
+    sums = error_sums_of(reader, domain, experiments, workers)
+    groups = [e.group_or_recording for e in experiments]
+    names = sorted(set(groups))
+    if len(names) < 2:
+        raise InputError(folder, "column group", f"{len(names)} group", "at least two")
+    parts = [(g, [s for of, s in zip(groups, sums, strict=True) if of != g]) for g in names]
+    rows = []
+    outputs = range(project.n_y)
+    for j in outputs:
+        task = partial(_band_of, domain, j, seed)
+        for (name, _), band in zip(parts, workers(task, [joined(rest) for _, rest in parts]), strict=True):
+            own = [(e, s) for e, s in zip(experiments, sums, strict=True) if e.group_or_recording == name]
+            output = project.outputs[j].name
+            rows += [_beside(domain, band, e.name, name, output, s, j) for e, s in own if s.samples[j]]
+    return rows, [_band_of(domain, j, seed, joined(sums)) for j in outputs]
+
+
+def _band_of(domain: ErrorDomain, output: int, seed: int, sums: ErrorSums) -> ErrorBand:
+    return error_band(domain, sums, output, domain.omega, seed)
+
+
+def _beside(
+    domain: ErrorDomain, band: ErrorBand, drive: str, group: str, output: str, sums: ErrorSums, j: int
+) -> LeftOut:
+    """A drive's own error, that of the others' mean and its own deviation, beside their band."""
+    T, cells = deviations(domain), sums.histogram.sum()
+    covariance = np.linalg.pinv(sums.drive_own[0, j], rcond=1e-10, hermitian=True)
+    deviation = covariance @ (sums.drive_cross[0, j] - band.mean @ sums.drive_gram[0, j])
+    response = domain.response(band.omega) @ T
+    quantile = np.sqrt(chi2.ppf(1 - DOUBT, DIRECTIONS))
+    spread = quantile * np.sqrt(np.einsum("gi,ij,gj->g", response.conj(), covariance, response).real)
+    share = sums.histogram.sum(axis=1) / cells
+    middle = -1 + (2 * np.arange(len(share)) + 1) / len(share)
+    node = int(np.argmin(np.abs(domain.relative_speed(band.speed) - share @ middle)))
+    factor = 1 + band.centre[:, node]
+    size = np.abs(band.centre[:, node] + factor * (response @ deviation)[:, None])
+    ratio = size / band.upper[:, node]
+    least = np.maximum(size - np.abs(factor) * spread[:, None], 0) / band.upper[:, node]
+    return LeftOut(
+        drive,
+        group,
+        output,
+        float((ratio.max(axis=1) <= 1).mean()),
+        float(ratio.max()),
+        float(least.max()),
+        band.bound.tolist(),
+    )
+
+
+def left_out_table(rows: list[LeftOut], bands: list[ErrorBand]) -> str:
+    """Rows as text, a line a drive, and W of all drives."""
+    lines = [f"{'left out':<28}{'group':<24}{'output':<16}{'within':>8}{'largest':>9}{'refuted':>9}"]
+    lines += [
+        f"{r.drive:<28.27}{r.group:<24.23}{r.output:<16.15}{r.within:>8.0%}{r.largest:>9.2f}{r.refuted:>9.2f}"
+        for r in rows
+    ]
+    for band in bands:
+        middle = np.median(band.upper, axis=(1, 2))
+        lines.append("rad/s  " + " ".join(f"{w:7.2f}" for w in band.omega))
+        lines.append("W      " + " ".join(f"{w:7.3f}" for w in band.bound))
+        lines.append("median " + " ".join(f"{w:7.3f}" for w in middle))
+    refuting = sum(r.refuted > 1 for r in rows)
+    lines.append(f"{sum(r.largest <= 1 for r in rows)} of {len(rows)} within, {refuting} refute")
+    return "\n".join(lines)

@@ -1,0 +1,68 @@
+"""Public peers in a separate virtual environment, made on demand (binary wheels only).
+
+Their requirements and versions do not touch the package's environment. The calling bench judges their
+answers.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import tempfile
+import venv
+from pathlib import Path
+
+PACKAGES = ("slycot", "control", "dkpy", "clarabel==0.9.0")  # dkpy 0.1.9 panics with clarabel 0.11
+
+
+class Peers:
+    """The peers' environment in ``folder`` (made when missing); ``note`` says why there is none, and is empty
+    otherwise."""
+
+    def __init__(self, folder: Path | None):
+        self.note = "not asked for"
+        if folder is None:
+            return
+        self.note = ""
+        self._python = Path(folder) / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
+        if not self._python.exists():
+            venv.create(folder, with_pip=True)
+            made = subprocess.run(
+                [self._python, "-m", "pip", "install", "--quiet", "--only-binary", ":all:", *PACKAGES],
+                capture_output=True,
+                text=True,
+                check=False,
+            )
+            if made.returncode:
+                self._python.unlink()
+                self.note = f"could not be installed: {made.stderr.strip().splitlines()[-1:]}"
+
+    def ask(self, script: str, question: dict, limit_s: float) -> dict:
+        """Answer of ``script`` (argv: files of question and answer, both JSON), or {"note": reason why
+        there is none}."""
+        if self.note:
+            return {"note": self.note}
+        return ask(self._python, script, question, limit_s)
+
+
+def ask(python: Path | str, script: str, question: dict, limit_s: float) -> dict:
+    """Run ``script`` by the interpreter ``python``; see :meth:`Peers.ask`."""
+    environment = {k: v for k, v in os.environ.items() if k != "PYTHONPATH"}
+    with tempfile.TemporaryDirectory() as folder:
+        given, answer = Path(folder) / "question.json", Path(folder) / "answer.json"
+        given.write_text(json.dumps(question))
+        try:
+            done = subprocess.run(
+                [python, "-c", script, given, answer],
+                capture_output=True,
+                text=True,
+                timeout=limit_s,
+                env=environment,
+                check=False,
+            )
+        except subprocess.TimeoutExpired:
+            return {"note": f"no answer in {limit_s:g} s"}
+        if done.returncode or not answer.exists():
+            return {"note": f"failed: {(done.stderr.strip().splitlines() or ['no message'])[-1][:80]}"}
+        return json.loads(answer.read_text())

@@ -1,0 +1,114 @@
+"""Bounds of μ and of the H∞ optimum with known values: false, loose and refused answers, counted.
+
+Each family draws its problems from a seed, and ``solve`` answers them like any problem. An answer is false
+where its upper bound lies below the value or its lower bound above it, by more than rounding. It is loose
+where its upper bound is more than 1 % above the value and it does not say so. It is unresolved where it says
+that its bounds are more than 1 % apart. A refused problem got an error. The same seed gives the same table.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from functools import partial
+
+from lpvguard.base.parallel import workers as parallel_map
+from lpvguard.extras.bench import _hinf_families, _mu_families, parser, show
+from lpvguard.extras.bench._mu_families import Family, problems
+from lpvguard.extras.problems.solve import solve_problem
+
+FALSE_RTOL = 1e-7
+"""Rounding of the value and of the answer, relative."""
+LOOSE = 1.01
+FAMILIES: dict[str, list[Family]] = {**_mu_families.FAMILIES, "hinf": _hinf_families.PROBLEMS}
+BOUNDS = {
+    "mu": ("mu_lower", "mu_upper"),
+    "mu_interval": ("mu_lower", "mu_upper"),
+    "hinf": ("gamma_lower", "gamma_achieved"),
+}
+"""Fields of an answer by kind."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """Counts of one family.
+
+    Attributes
+    ----------
+    kind, family : str
+    count, false, loose, unresolved, refused : int
+    worst : float
+        Largest upper bound over its value.
+    """
+
+    kind: str
+    family: str
+    count: int
+    false: int
+    loose: int
+    unresolved: int
+    refused: int
+    worst: float
+
+
+def _outcome(family: Family, seed: int, index: int) -> tuple[bool, bool, bool, bool, float]:
+    """Return whether the answer is false, loose, unresolved, refused, and its upper bound over the value."""
+    problem, value = next(problems(family, 1, seed, index))
+    answer = solve_problem({"id": index, **problem})
+    if answer["status"] != "ok":
+        return False, False, False, True, 1.0
+    lower, upper = (answer[field] for field in BOUNDS[problem["kind"]])
+    false = upper < value * (1 - FALSE_RTOL) or lower > value * (1 + FALSE_RTOL)
+    ratio = upper / value if value > 0 else 1.0
+    resolved = bool(answer["resolved"])
+    return false, ratio > LOOSE and resolved, not resolved, False, ratio
+
+
+def bench_bounds(count: int, seed: int, jobs: int) -> list[Row]:
+    """Return a row for each family; ``count`` problems of each kind are solved by ``jobs`` processes."""
+    rows = []
+    with parallel_map(jobs) as pool:
+        for kind, families in FAMILIES.items():
+            for k, family in enumerate(families):
+                share = (count + k) // len(families)
+                outcomes = list(pool(partial(_outcome, family, seed), range(share)))
+                false, loose, unresolved, refused = (sum(bool(o[k]) for o in outcomes) for k in range(4))
+                worst = max((o[4] for o in outcomes), default=1.0)
+                row = Row(kind, family.__name__, share, false, loose, unresolved, refused, worst)
+                rows.append(row)
+    return rows
+
+
+def table(rows: list[Row]) -> str:
+    """Return the rows as a text table, with their sums."""
+
+    def lines() -> Iterator[str]:
+        counts = (
+            f"{'problems':>8} {'false':>6} {'loose':>6} {'unresolved':>10} {'refused':>8} {'worst/value':>12}"
+        )
+        yield f"{'kind':12} {'family':22} {counts}"
+        for r in rows:
+            yield (
+                f"{r.kind:12} {r.family:22} {r.count:8} {r.false:6} {r.loose:6} {r.unresolved:10} "
+                f"{r.refused:8} {r.worst:12.6f}"
+            )
+        sums = [
+            sum(getattr(r, name) for r in rows)
+            for name in ("count", "false", "loose", "unresolved", "refused")
+        ]
+        yield f"{'all':35} {sums[0]:8} {sums[1]:6} {sums[2]:6} {sums[3]:10} {sums[4]:8}"
+
+    return "\n".join(lines())
+
+
+def main(argv: list[str]) -> None:
+    """Run ``lpvguard bench bounds``."""
+    options = parser("bounds", __doc__)
+    options.add_argument(
+        "--count", type=int, default=2000, help="problems of each kind, evenly of its families"
+    )
+    options.add_argument("--seed", type=int, default=1)
+    options.add_argument("--jobs", type=int, default=1, help="processes")
+    asked = options.parse_args(argv)
+    rows = bench_bounds(asked.count, asked.seed, asked.jobs)
+    show(table(rows), [asdict(row) for row in rows], asked.json_out)

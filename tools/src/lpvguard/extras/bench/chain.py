@@ -1,0 +1,167 @@
+"""The whole chain of a vehicle in comparison with one synthesis by a public package, in the same run.
+
+Stages: identification from the drives, the frozen design with its proofs of mu, and the generated C with
+these proofs repeated. Their sum is compared with one K_i synthesis of the paper's case by dkpy. The search
+for a proof at a moving speed has a separate row and is not in the sum. The processors of this machine share
+drives and speeds, as with `--jobs` of the commands; dkpy uses one. The result is the ratio of waiting times.
+Other work on the machine stretches both, so the table also has the ratio of processor seconds.
+"""
+
+from __future__ import annotations
+
+import os
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from ...base.parallel import Map, workers
+from ...control import design
+from ...control.controller_export import export_chosen
+from ...control.moving_speed import moving_certificates
+from ...control.plants import DesignProblem
+from ...engine.synthesis.cases import case_plant, read_case
+from ...identify import identification as identify
+from ...vehicle.project import load_project
+from . import parser, show
+from ._peers import Peers
+from .synthesis import PEER_SCRIPT, judged, question
+
+WANTED = 2.0
+"""Chain over the peer's synthesis, in seconds by the clock."""
+PEER_LIMIT_S = 3600.0
+
+
+@dataclass(frozen=True)
+class Stage:
+    """A stage's ``seconds`` by the clock and ``processor`` seconds, of children too; ``summed``: part of the
+    chain's sum."""
+
+    name: str
+    seconds: float
+    processor: float
+    summed: bool = True
+
+
+def main(argv: list[str]) -> None:
+    """`lpvguard bench chain DRIVES CASE`."""
+    options = parser("chain", __doc__)
+    options.add_argument("drives", type=Path, help="folder of drives with experiments.csv")
+    options.add_argument("case", type=Path, help="the paper case, tests/data/paper_case.toml")
+    options.add_argument("--vehicle", default="truck", help="shipped vehicle, or path to a project file")
+    options.add_argument("--moving", action="store_true", help="search the proof at a moving speed too")
+    options.add_argument("--jobs", type=int, default=len(os.sched_getaffinity(0)), help="processes")
+    options.add_argument("--peers", type=Path, help="folder for the peers' environment, made when missing")
+    given = options.parse_args(argv)
+    with workers(given.jobs) as run:
+        stages, worst = chain(given.vehicle, given.drives, given.moving, run)
+    peer = synthesis_by_peer(given.case, Peers(given.peers))
+    show(table(stages, worst, peer), as_dict(stages, worst, peer), given.json_out)
+
+
+def chain(vehicle: str, drives: Path, moving: bool, run: Map = map) -> tuple[list[Stage], float]:
+    """The stages of ``vehicle`` (name or project file) on ``drives``, and the largest mu proved at a frozen
+    speed. ``moving``: with the search at a moving speed. ``run``: the workers."""
+    project, stages = load_project(vehicle), []
+
+    def timed(name: str, job: Callable[[], Any], summed: bool = True) -> Any:
+        clock, busy = time.perf_counter(), _processor()
+        result = job()
+        stages.append(Stage(name, time.perf_counter() - clock, _processor() - busy, summed))
+        return result
+
+    with tempfile.TemporaryDirectory() as folder:
+        identified, designed = Path(folder) / "identify", Path(folder) / "design"
+        timed(
+            "identification",
+            lambda: identify.save(*identify.identify(project, drives, workers=run), identified),
+        )
+        stored = identify.load(identified)
+        result = timed(
+            "frozen design and proofs", lambda: design.design(stored, moving_speed=False, workers=run)
+        )
+        design.save(result, stored, designed)
+        timed(
+            "C, proved anew", lambda: export_chosen(stored, Path(folder) / "vehicle", designed, workers=run)
+        )
+        if moving:
+            found = DesignProblem.of(stored), result.schedule, result.scaling
+            timed("moving speed", lambda: moving_certificates(*found, workers=run), False)
+    return stages, result.worst
+
+
+def synthesis_by_peer(case_path: Path, peers: Peers) -> dict:
+    """dkpy's K_i of the case: {"seconds", "processor", "claimed", "level", "order", "note"}, or {"note": why
+    there is none}."""
+    case = read_case(case_path)
+    plant = case_plant(case, case["objective"][0], "K_i")
+    answer = peers.ask(PEER_SCRIPT, question(plant), PEER_LIMIT_S)
+    found = judged(answer, plant)
+    return found | {key: answer[key] for key in ("processor",) if key in answer}
+
+
+def ratios(stages: list[Stage], peer: dict) -> tuple[float, float] | None:
+    """The chain's seconds over the peer's, by the clock and of the processor; None without a peer."""
+    if "processor" not in peer:
+        return None
+    summed = [stage for stage in stages if stage.summed]
+    clock, processor = sum(s.seconds for s in summed), sum(s.processor for s in summed)
+    return clock / peer["seconds"], processor / peer["processor"]
+
+
+def table(stages: list[Stage], worst: float, peer: dict) -> str:
+    """The rows as text."""
+
+    def row(name: str, seconds: float, processor: float, note: str = "") -> str:
+        return f"{name:34}{seconds:>10.1f}{processor:>12.1f}   {note}".rstrip()
+
+    summed = [stage for stage in stages if stage.summed]
+    lines = [f"{'stage':34}{'clock s':>10}{'processor s':>12}"]
+    lines += [row(s.name, s.seconds, s.processor, "" if s.summed else "not in the sum") for s in stages]
+    whole = sum(s.seconds for s in summed), sum(s.processor for s in summed)
+    lines.append(row("chain", *whole, f"worst mu {worst:.4f}"))
+    found = ratios(stages, peer)
+    if found is None:
+        return "\n".join([*lines, f"dkpy, K_i of the paper's case: {peer['note']}"])
+    lines.append(
+        row("dkpy, K_i of the paper's case", peer["seconds"], peer["processor"], f"mu {peer['level']:.4f}")
+    )
+    clock, processor = found
+    lines.append(f"ratio of seconds {clock:.2f} (wanted {WANTED:g}), of processor seconds {processor:.2f}")
+    return "\n".join(lines)
+
+
+def as_dict(stages: list[Stage], worst: float, peer: dict) -> dict:
+    """The numbers for ``--json``."""
+    found = ratios(stages, peer)
+    return {
+        "stages": [asdict(stage) for stage in stages],
+        "worst_mu": worst,
+        "peer": peer,
+        "ratio": None if found is None else found[0],
+        "ratio_processor": None if found is None else found[1],
+        "wanted": WANTED,
+        "ok": None if found is None else found[0] <= WANTED,
+    }
+
+
+def _processor() -> float:
+    """Processor seconds of this process and of all that it started, as far as they run or were waited for."""
+    below: dict[int, list[int]] = {}
+    ticks: dict[int, int] = {}
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            fields = stat.read_text().rsplit(")", 1)[1].split()
+        except OSError:
+            continue  # it ended meanwhile
+        process = int(stat.parent.name)
+        below.setdefault(int(fields[1]), []).append(process)
+        ticks[process] = sum(map(int, fields[11:15]))
+    whole, rest = 0, [os.getpid()]
+    while rest:
+        process = rest.pop()
+        whole += ticks.get(process, 0)
+        rest += below.get(process, [])
+    return whole / os.sysconf("SC_CLK_TCK")

@@ -1,0 +1,346 @@
+"""`lpvguard bench core`: cost of the core on an ECU: ROM, RAM, stack, instructions of every part, processor
+load.
+
+It is measured on emulated Cortex-M4F, M7 and R5F over a seeded drive. The vehicle is that of the budget in
+lib/INTEGRATION.md: the truck with 20 bins, 2 outputs and a controller of 25 states. Every count is of
+executed
+*instructions, not cycles*: multiply by the part's cycles per instruction, flash waits included.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import tempfile
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...base.artefacts import write_files
+from ...base.errors import InputError
+from ...core.coefficients import build_coefficients, vehicle_files
+from ...core.compiled import shipped_vehicle
+from ...core.control_coefficients import ControllerCoefficients, build_controller
+from ...core.targets import TARGETS, Input, run_host, run_target, run_verdicts
+from ...drives.frames import Estimator
+from ...engine.overbound.weight import Weight
+from ...identify.change import ChangeTest
+from ...identify.diagnosis import PARTS, DiagnosisScales
+from ...identify.energy import EnergyTest
+from ...vehicle.nominal import NominalModel
+from ...vehicle.project import Project, load_project, parse_project
+
+WORST_STEP = 10_800  # instructions, Cortex-M4F, everything included
+INIT = 150_000  # instructions, Cortex-M4F
+WORST_TO_MEDIAN = 1.35
+RAM_BYTES = 12_288
+RECORDED_FRAMES = 4  # in that RAM, at least
+ROM_BYTES = 57_344  # of all parts that this image links, the diagnosis of 9.2 kB included
+STACK_BYTES = 2048
+MONITOR_ROM_BYTES = 16_384  # of an image of the monitor alone, for the shipped g80
+MONITOR_RAM_BYTES = 4_096
+XCP_IDLE = 0.02  # of the step, where the XCP slave has nothing to do
+TRUCK_FRAMES = 4  # of its own that the truck sends in a step, at most
+DENSE_TO_CONTROLLER = 5.0
+"""A step with full matrices takes at least this factor more instructions, under the same scheduling
+(firmware_sim/ports/dense_controller.hpp)."""
+CONTROLLER_STATES = 25
+CYCLES_PER_INSTRUCTION = 1.0
+"""Assumed where a share of the processor is given; the report says so."""
+
+
+def budget_project() -> Project:
+    """The truck's project with 20 bins, DC included."""
+    document = load_project("truck").model_dump(by_alias=True)
+    document["frames"] |= {"bins_per_decade": 12, "f_max_hz": 1.9}
+    return parse_project(document, "truck with 20 bins")
+
+
+def budget_controller(project: Project) -> ControllerCoefficients:
+    """A stable controller of 25 states, scheduled over 8 nodes: the size of the budget, not a design."""
+    model = NominalModel(project)
+    rng = np.random.default_rng(25)
+    speeds = np.linspace(*model.speed_range, 8)
+    n, Ts = CONTROLLER_STATES, project.Ts_s
+    decay, turn = rng.uniform(0.2, 10.0, (2, n // 2))
+    d = np.expm1((-decay + 1j * turn) * Ts)  # a pole less one, of every pair
+    a = np.append(np.column_stack([2 * d.real, -(np.abs(d) ** 2)]).ravel(), -1.0)
+    scale = np.append(Ts * np.column_stack([np.ones(n // 2), np.abs(d)]).ravel(), 1.0)
+    B = (
+        0.5
+        * scale[:, None]
+        * rng.standard_normal((n, 1 + model.n_y))
+        * np.linspace(1.0, 1.2, len(speeds))[:, None, None, None]
+    )
+    B = np.repeat(B, model.n_u, axis=1)
+    return build_controller(
+        Ts,
+        speeds,
+        a,
+        B,
+        np.zeros((len(speeds), model.n_u, n, model.n_u)),
+        np.repeat(np.linspace(6.0, 4.0, len(speeds))[:, None], model.n_u, axis=1),
+        np.full(model.n_u, 40.0),
+    )
+
+
+def budget_diagnosis(project: Project) -> DiagnosisScales:
+    """Scales of the size of the budget, of no vehicle."""
+    n_y = project.n_y
+    return DiagnosisScales(
+        project.Ts_s,
+        np.full((n_y, 2), [0.1, 0.01]),
+        np.tile(1e-4 * np.eye(PARTS), (n_y, 1, 1)),
+        np.full(n_y, 4.0),
+        np.full((n_y, 2), [1e-2, 1e-2]),
+        np.full(n_y, 1e-1),
+        np.full(n_y, 1e-2),
+        np.ones(n_y),
+        2.0,
+        np.full(n_y, 0.9),
+        windows=100,
+        drives=10,
+    )
+
+
+def write_budget_vehicle(folder: Path) -> Project:
+    """A generated folder of the budget's sizes, with placeholder bounds."""
+    project = budget_project()
+    model = NominalModel(project)
+    estimator = Estimator.of(project, model)
+    W_delta = np.outer(np.linspace(0.1, 0.4, estimator.n_bins), np.ones(project.n_delta))
+    B_w = np.outer(np.linspace(0.02, 0.01, estimator.n_bins), np.ones(project.n_y))
+    # Sixth order, the truck project's highest: three sections a Delta.
+    corners = np.geomspace(0.5, 20.0, 6)
+    weight = Weight(0.4 * np.poly(-1.2 * corners), np.poly(-corners))
+    energy = EnergyTest.design(
+        project,
+        estimator,
+        [weight] * project.n_delta,
+        estimator.omega[1:],
+        np.full((estimator.n_bins - 1, project.n_delta), 0.1),
+        1.0,
+    )
+    sigma = np.tile([0.1, 0.05], (len(energy.F), 1))
+    energy = replace(energy, sigma=sigma, start=50.0 * sigma**2)
+    coefficients = build_coefficients(
+        project, model, estimator, W_delta, B_w, 1.5, energy, ChangeTest.design(project)
+    )
+    folder.mkdir(parents=True, exist_ok=True)
+    write_files(
+        folder,
+        vehicle_files(
+            project,
+            coefficients,
+            {"kind": "vehicle", "project": project.model_dump(by_alias=True)},
+            budget_controller(project),
+            budget_diagnosis(project).table,
+        ),
+    )
+    return project
+
+
+def drive_of(project: Project, *, seed: int = 3) -> Input:
+    """A seeded drive, long enough that every bin ends frames that count; the speed moves in every sample."""
+    model = NominalModel(project)
+    estimator = Estimator.of(project, model)
+    n = int(estimator.settle + 1.75 * estimator.length[0])
+    rng = np.random.default_rng(seed)
+    t = np.arange(n) * project.Ts_s
+    low, high = model.speed_range
+    v = 0.5 * (low + high) * (1.0 + 0.05 * np.sin(0.1 * t))
+    frequencies = rng.uniform(0.05, 2.0, 8)
+    u = np.column_stack(
+        [
+            0.05 * s.max * np.sin(2 * np.pi * np.outer(t, frequencies) + rng.uniform(0, 6, 8)).sum(axis=1)
+            for s in project.inputs
+        ]
+    )
+    yhat = model.simulate(v, u, model.output_offset)
+    scale = np.std(yhat, axis=0)
+    # Twice the gain: frames of the higher bins, whose bounds are wide, pass, and those of the lower bins
+    # falsify.
+    y = 2.0 * yhat + 0.05 * scale * rng.standard_normal(yhat.shape)
+    return Input(v, u, y)
+
+
+def bench_core(targets: tuple[str, ...] = tuple(TARGETS), *, clock_mhz: float = 168.0) -> dict[str, Any]:
+    """The report: one entry a target, and whether results agree with the host's bit for bit.
+
+    ``load_percent`` is the worst whole step of a sample period at ``clock_mhz`` with one cycle an
+    instruction.
+    """
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = Path(scratch) / "truck"
+        project = write_budget_vehicle(folder)
+        drive = drive_of(project)
+        host = run_host(folder, drive)
+        rows = []
+        for name in targets:
+            run = count(name, folder, drive)
+            run["bit_identical"] = (
+                run_target(name, folder, drive, same_bits=True)["results"] == host["results"]
+            )
+            del run["results"]
+            step = run["parts"]["ecu_step"]
+            run["dense_to_controller"] = dense_to_controller(run)
+            run["load_percent"] = (
+                100 * step["worst"] * CYCLES_PER_INSTRUCTION / (clock_mhz * 1e6 * project.Ts_s)
+            )
+            rows.append(run)
+    return {
+        "vehicle": "truck, 20 bins x 2 outputs, controller of 25 states",
+        "Ts_s": project.Ts_s,
+        "clock_mhz": clock_mhz,
+        "unit": "executed instructions, not cycles (QEMU -icount)",
+        "samples": len(drive.v),
+        "targets": rows,
+    }
+
+
+def count(target: str, folder: Path, drive: Input) -> dict[str, Any]:
+    """Counts of `run_target` for an ECU project's build, with ``rom_total``, ``worst_to_median`` and
+    ``monitor_only``."""
+    run = run_target(target, folder, drive, same_bits=False)
+    step = run["parts"]["ecu_step"]
+    run["rom_total"] = sum(run["rom"].values())
+    run["worst_to_median"] = step["worst"] / step["median"]
+    run["monitor_only"] = monitor_only(target)
+    return run
+
+
+def dense_to_controller(run: dict[str, Any]) -> float:
+    """How many times more instructions a step of the same controller takes with full matrices."""
+    return run["parts"]["dense_step"]["median"] / run["parts"]["control_step"]["median"]
+
+
+def print_report(report: dict[str, Any]) -> None:
+    """The table, for people."""
+    print(
+        f"{report['vehicle']}; counts are {report['unit']}, "
+        "read by the program on the target from its own counter"
+    )
+    for run in report["targets"]:
+        rom, structs = run["rom"], run["structs"]
+        agrees = "bit-identical to" if run["bit_identical"] else "DIFFER FROM"
+        print(f"\n{run['title']}  ELF {run['elf_sha256'][:16]}  results {agrees} the host's")
+        print(f"  ROM {run['rom_total']} bytes (" + ", ".join(f"{k} {v}" for k, v in rom.items()) + ")")
+        print(
+            "  RAM "
+            + ", ".join(f"{k} {v}" for k, v in structs.items())
+            + " bytes (the ECU's includes the others)"
+        )
+        print(
+            f"  {'part':<14} {'worst [instr]':>14} {'median [instr]':>15} {'worst/median':>13} "
+            f"{'stack [B]':>10}"
+        )
+        for name, part in run["parts"].items():
+            print(
+                f"  {name:<14} {part['worst']:>14} {part['median']:>15} "
+                f"{part['worst'] / part['median']:>13.2f} {part['stack']:>10}"
+            )
+        print(
+            "  memory map "
+            + ", ".join(f"{name} {s['bytes']} at {s['address']:#010x}" for name, s in run["map"].items())
+        )
+        print(
+            "  dense_step: the same controller with full matrices, "
+            f"{run['dense_to_controller']:.1f} times control_step"
+        )
+        print(
+            f"  whole step: {run['load_percent']:.2f} % of {report['clock_mhz']:g} MHz "
+            f"at Ts {report['Ts_s']:g} s, if an instruction took one cycle"
+        )
+
+
+BUDGET = ("<!-- budget: written by `lpvguard bench core --guide`, do not edit -->\n", "<!-- budget: end -->")
+"""Marks the table in the integration guide."""
+
+
+def monitor_only(target: str) -> dict[str, int]:
+    """Bytes of ``rom`` and ``ram`` that an image takes which calls the monitor of the shipped g80 and nothing
+    else of the core."""
+    at_rest = Input(np.full(2, 10.0), np.zeros((2, 1)), np.zeros((2, 1)))
+    alone = run_verdicts(target, shipped_vehicle("g80"), [at_rest], fused=True)
+    return {"rom": sum(alone.rom.values()), "ram": alone.ram_bytes}
+
+
+def _part(name: str, count: str = "worst") -> Callable[[dict[str, Any]], str]:
+    return lambda run: str(run["parts"][name][count])
+
+
+GUIDE_ROWS: tuple[tuple[str, str, Callable[[dict[str, Any]], str]], ...] = (
+    ("worst step [instr]", f"{WORST_STEP} (Cortex-M4F)", _part("ecu_step")),
+    ("median [instr]", "", _part("ecu_step", "median")),
+    ("worst/median", f"{WORST_TO_MEDIAN:g}", lambda run: f"{run['worst_to_median']:.2f}"),
+    ("monitor in it, worst [instr]", "", _part("monitor_push")),
+    ("controller in it, worst [instr]", "", _part("control_step")),
+    ("watch in it, worst [instr]", "", _part("watch_take")),
+    ("RAM [B]", f"{RAM_BYTES}", lambda run: str(run["structs"]["ecu"])),
+    ("ROM [B]", f"{ROM_BYTES} (Cortex-M4F)", lambda run: str(run["rom_total"])),
+    ("stack [B]", f"{STACK_BYTES}", lambda run: str(max(p["stack"] for p in run["parts"].values()))),
+    ("init [instr]", f"{INIT}", _part("ecu_init")),
+    ("step, full bus [instr]", "", _part("ecu_step_full")),
+    ("authenticated message [instr]", "", _part("auth_pair")),
+    ("J1939 step, beside [instr]", "", _part("j1939_step")),
+    ("J1939 RAM [B]", "", lambda run: str(run["structs"]["j1939"])),
+    ("diagnosis, a sample [instr]", "", _part("diagnosis_take")),
+    ("diagnosis, a call beside [instr]", "", _part("diagnosis_work")),
+    ("diagnosis RAM [B]", "", lambda run: str(run["structs"]["diagnosis"])),
+    ("XCP idle, a frame [instr]", "", _part("xcp_idle")),
+    ("XCP idle, a step [instr]", "", _part("xcp_event")),
+    ("XCP upload [instr]", "", _part("xcp_upload")),
+    ("XCP list of 56 entries, a step [instr]", "", _part("xcp_list")),
+    ("monitor alone, g80: ROM [B]", f"{MONITOR_ROM_BYTES}", lambda run: str(run["monitor_only"]["rom"])),
+    ("monitor alone, g80: RAM [B]", f"{MONITOR_RAM_BYTES}", lambda run: str(run["monitor_only"]["ram"])),
+)
+"""Of the guide's table: the row's name, its budget, and what a target needs."""
+
+
+def write_guide(path: Path, report: dict[str, Any]) -> None:
+    """Put the measured table between its marks in the guide. InputError when the guide has none."""
+    text = path.read_text(encoding="utf-8")
+    before, begin, rest = text.partition(BUDGET[0])
+    _, end, after = rest.partition(BUDGET[1])
+    if not end:
+        raise InputError(path, "", "no place for the table", f"{BUDGET[0].strip()} and {BUDGET[1]}")
+    targets, clock = report["targets"], f"of {report['clock_mhz']:g} MHz"
+    rows = [
+        ["target", "budget", *(run["title"] for run in targets)],
+        ["---"] * (2 + len(targets)),
+        *([name, budget, *map(measured, targets)] for name, budget, measured in GUIDE_ROWS),
+        [clock, "", *(f"{run['load_percent']:.2f} %" for run in targets)],
+        ["ELF", "", *(run["elf_sha256"][:16] for run in targets)],
+    ]
+    table = "".join(f"| {' | '.join(row)} |\n" for row in rows)
+    path.write_text(before + begin + table + end + after, encoding="utf-8")
+
+
+def main(argv: list[str] | None = None) -> None:
+    """Prints the table: ``lpvguard bench core [--clock-mhz 168] [--target cortex-m4f] [--json]
+    [--guide lib/INTEGRATION.md]``."""
+    import argparse
+
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--clock-mhz", type=float, default=168.0)
+    parser.add_argument("--target", action="append", choices=tuple(TARGETS))
+    parser.add_argument("--json", action="store_true")
+    parser.add_argument(
+        "--guide", type=Path, help="also write the budget's table into this integration guide"
+    )
+    arguments = parser.parse_args(argv)
+    report = bench_core(tuple(arguments.target or TARGETS), clock_mhz=arguments.clock_mhz)
+    if arguments.guide:
+        write_guide(arguments.guide, report)
+    if arguments.json:
+        json.dump(report, sys.stdout, indent=1)
+        print()
+    else:
+        print_report(report)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,191 @@
+"""Every certificate of a design against loops that try to refute it, and the least rate of a violation.
+
+The first table has loops drawn within the limits of each certificate, each with its worst input found
+(bench/_trials.py). It shows for every proof the worst found number over the proved one. None may be above 1.
+The second table has the least |dv/dt| at which a search finds a gain above 1, or growth, with an admissible
+Delta (control/violations.py), and the proved rate. A row that is not found proves nothing. Between them
+stands the largest mu at a frozen speed with the largest optimum of controllers for one speed: the price of a
+controller that is scheduled, or synthesised for other objectives.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from ...base.claims import worst_frozen
+from ...base.errors import InputError
+from ...control import controller_file
+from ...control.design import frozen_optimum
+from ...control.violations import Found, Search, fastest_growth, least_violating
+from ...identify import identification as identify
+from . import parser, show
+from ._trials import NEAR, Trial, Trials
+
+LOOPS, SEED, SAMPLES = 500, 21, 3000
+LARGEST_MPS2, SMALLEST_MPS2 = 50.0, 0.015
+"""Range of rates in the search for a violation; a vehicle brakes with a fifth of the largest."""
+WANTED = 0.5
+"""Proved rate over least violating rate."""
+
+
+@dataclass(frozen=True)
+class ClaimRow:
+    """``loops`` trials of a ``claim``, at ``rate_mps2`` (None: frozen speeds). ``worst``: the largest share
+    of the bound that was reached, ``where``. ``above``: how many refute."""
+
+    claim: str
+    rate_mps2: float | None
+    loops: int
+    worst: float
+    where: str
+    above: int
+
+
+@dataclass(frozen=True)
+class FrozenMu:
+    """The largest proved ``mu`` at a frozen speed, at ``v_mps``, and the largest ``optimum`` of controllers
+    for one speed alone, at ``optimum_v_mps``."""
+
+    mu: float
+    v_mps: float
+    optimum: float
+    optimum_v_mps: float
+
+
+@dataclass(frozen=True)
+class RateRow:
+    """``proved_mps2`` (None: nothing) beside ``violating_mps2``, the least rate with a violation found (None:
+    none up to ``tried_mps2``). ``without_mps2``: the largest rate below it at which the search found none."""
+
+    claim: str
+    proved_mps2: float | None
+    violating_mps2: float | None
+    without_mps2: float
+    tried_mps2: float
+
+    @property
+    def ratio(self) -> float | None:
+        """Proved over violating rate; None where nothing violates."""
+        return None if self.violating_mps2 is None else (self.proved_mps2 or 0.0) / self.violating_mps2
+
+
+def main(argv: list[str]) -> None:
+    """`lpvguard bench proofs IDENTIFICATION DESIGN`."""
+    options = parser("proofs", __doc__)
+    options.add_argument("identification", type=Path, help="folder written by identify")
+    options.add_argument("design", type=Path, help="folder written by design")
+    options.add_argument("--loops", type=_count, default=LOOPS, help="of all certificates together")
+    options.add_argument("--samples", type=_count, default=SAMPLES, help="of a history")
+    options.add_argument("--seed", type=int, default=SEED)
+    options.add_argument("--no-search", action="store_true", help="leave out the search over rates")
+    given = options.parse_args(argv)
+    stored = identify.load(given.identification)
+    path = given.design / "controller.json"
+    document = controller_file.require_designed_for(stored, path)
+    if not document["certificates"]["scaling_log_parameters"]:
+        raise InputError(path, "structure", "a design without Delta", "K_i or K_o")
+    if document["certificates"]["structure"] == "K_is":
+        raise InputError(path, "structure", "K_is", "K_i or K_o: the search is over scalar Delta")
+    trials = Trials(stored, document, given.samples, given.seed)
+    claims = claim_rows(trials, given.loops)
+    rates = [] if given.no_search else rate_rows(trials)
+    frozen = frozen_mu(stored, document["certificates"])
+    show("\n".join(lines(claims, frozen, rates)), as_dict(claims, frozen, rates), given.json_out)
+
+
+def _count(text: str) -> int:
+    value = int(text)
+    if value < 1:
+        raise argparse.ArgumentTypeError(f"{text}: at least 1")
+    return value
+
+
+def claim_rows(trials: Trials, loops: int) -> list[ClaimRow]:
+    """A row a certificate; ``loops`` are shared out evenly, and each has at least one."""
+    claims = list(trials.claims())
+    rows = []
+    for k, (name, rate, job) in enumerate(claims):
+        share = max(1, loops // len(claims) + (k < loops % len(claims)))
+        rows.append(_row(name, rate, [job() for _ in range(share)]))
+    return rows
+
+
+def _row(name: str, rate: float | None, found: list[Trial]) -> ClaimRow:
+    worst = max(found, key=lambda one: (one.grows, one.share))
+    return ClaimRow(name, rate, len(found), worst.share, worst.where, sum(one.above for one in found))
+
+
+def frozen_mu(stored: identify.StoredIdentification, certificates: dict) -> FrozenMu:
+    """The largest mu of ``certificates`` over frozen speeds, beside the largest optimum."""
+    worst = worst_frozen(certificates)
+    return FrozenMu(worst["mu_upper"], worst["v_mps"], *frozen_optimum(stored))
+
+
+def rate_rows(trials: Trials) -> list[RateRow]:
+    """The ladder of rates for stability and for performance."""
+    stated = trials.stated["moving_speed"]
+
+    def grows(rate: float) -> bool:
+        return fastest_growth(trials.stability, rate, trials.samples, trials.seed)[0] > 1
+
+    search = Search(trials.performance, trials.samples, trials.seed)
+    level = stated["performance"].get("level", 1.0)
+    last: Found | None = None
+
+    def exceeds(rate: float) -> bool:
+        nonlocal last
+        found = search.at(rate, level, last)
+        last = found if found.gain > level else last
+        return found.gain > level
+
+    rows = []
+    for claim, violates in (("stability", grows), ("performance", exceeds)):
+        found = least_violating(violates, LARGEST_MPS2, SMALLEST_MPS2)
+        proved = stated[claim]["rate_mps2"]
+        rows.append(RateRow(claim, proved, found.rate, found.without, LARGEST_MPS2))
+    return rows
+
+
+def lines(claims: list[ClaimRow], frozen: FrozenMu, rates: list[RateRow]) -> Iterator[str]:
+    """Both tables in text, and the line between them."""
+    yield f"{'proof':30}{'m/s2':>7}{'loops':>7}{'worst':>8}{'above':>7}  where the worst was found"
+    for row in claims:
+        rate = "-" if row.rate_mps2 is None else f"{row.rate_mps2:.3g}"
+        yield f"{row.claim:30}{rate:>7}{row.loops:>7}{row.worst:>8.3f}{row.above:>7}  {row.where}"
+    far = [row.claim for row in claims if row.worst < NEAR]
+    above, loops = sum(row.above for row in claims), sum(row.loops for row in claims)
+    yield f"{above} of {loops} loops are above what is proved"
+    if far:
+        yield f"further than {1 - NEAR:.0%} from the bound: {'; '.join(far)}"
+    yield (
+        f"frozen speed: mu at most {frozen.mu:.4f}, at {frozen.v_mps:.4g} m/s; of controllers for one speed "
+        f"at most {frozen.optimum:.4f}, at {frozen.optimum_v_mps:.4g} m/s: "
+        f"mu is {frozen.mu / frozen.optimum - 1:.1%} above it"
+    )
+    if rates:
+        yield ""
+        yield f"{'claim':14}{'proved m/s2':>12}{'violated m/s2':>15}{'none found at':>15}{'ratio':>8}"
+    for one in rates:
+        proved = "nothing" if one.proved_mps2 is None else f"{one.proved_mps2:.3g}"
+        if one.ratio is None:
+            yield f"{one.claim:14}{proved:>12}{'no violation found up to ' + format(one.tried_mps2, 'g'):>30}"
+        else:
+            short = "" if one.ratio >= WANTED else f"  below {WANTED:g}"
+            yield (
+                f"{one.claim:14}{proved:>12}{one.violating_mps2:>15.3g}{one.without_mps2:>15.3g}"
+                f"{one.ratio:>8.2f}{short}"
+            )
+
+
+def as_dict(claims: list[ClaimRow], frozen: FrozenMu, rates: list[RateRow]) -> dict:
+    """The numbers for ``--json``."""
+    return {
+        "claims": [asdict(row) for row in claims],
+        "above": sum(row.above for row in claims),
+        "frozen_mu": asdict(frozen),
+        "rates": [asdict(row) | {"ratio": row.ratio} for row in rates],
+        "wanted_ratio": WANTED,
+    }

@@ -1,0 +1,202 @@
+"""Certificates in comparison with the truth.
+
+First, the certified gain is simulated: sampled and worst stable Delta with the compiled controller at several
+speeds. Then the simulated truck is measured with sines over speed, amplitude and frequency. The margins of
+the loop around its response are compared with the promised ones. The distance of the response from the
+nominal model is compared with W_delta.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...base.parallel import Map, workers
+from ...control import controller_file
+from ...control.plants import DesignProblem, design_settings
+from ...control.robust_run import QUANTISATION, CompiledController, RobustRun, run
+from ...control.true_loop import CertifiedLoop, MeasuredResponse, TrueLoop
+from ...core.scheduled import Scheduled
+from ...engine.synthesis.dk import certify
+from ...engine.synthesis.margins import NAMES, LoopMargins, shown
+from ...identify import identification as identify
+from ...identify.identification import StoredIdentification
+from ..loop.response import frequency_response
+from ..loop.sim import Simulator, load_scenario
+from . import numbers_of, parser, show
+
+DRAWS = 500
+SPEEDS = 12
+OMEGA = np.concatenate([np.geomspace(0.02, 1.0, 20, endpoint=False), np.geomspace(1.0, 60.0, 72)])
+"""[rad/s] From below the steering task to where the loop's gain is small; dense where the truck resonates."""
+PROCESSES = 2
+AMPLITUDES_BAR = (0.25, 0.5, 1.0, 2.0)
+"""Default amplitudes, without those of the command or the project file."""
+
+
+def main(argv: list[str]) -> None:
+    """`lpvguard bench robust IDENTIFICATION DESIGN VEHICLE`."""
+    options = parser("robust", __doc__)
+    options.add_argument("identification", type=Path, help="folder written by identify")
+    options.add_argument("design", type=Path, help="folder written by design")
+    options.add_argument("vehicle", type=Path, help="folder written by export with that design's controller")
+    options.add_argument("--draws", type=int, default=DRAWS, help="of Delta and input, all speeds together")
+    options.add_argument(
+        "--amplitudes",
+        help="of the demand [bar], comma between; default: design.amplitudes of the project file, else "
+        + ", ".join(f"{u:g}" for u in AMPLITUDES_BAR),
+    )
+    given = options.parse_args(argv)
+    stored = identify.load(given.identification)
+    document = controller_file.require_designed_for(stored, given.design / "controller.json")
+    controller_file.require_exported_with(given.design / "controller.json", given.vehicle)
+    schedule = Scheduled.read(document)
+    asked = amplitudes(given.amplitudes, design_settings(stored).amplitudes)
+    runs = certified_runs(stored, document, CompiledController(given.vehicle), given.draws)
+    empirical = Simulator(given.vehicle).run(load_scenario("nominal"))
+    ratio = empirical["tracking_rms"] / empirical["command_rms"]
+    with workers(PROCESSES) as run_all:
+        table = true_table(CertifiedLoop(stored, schedule), asked, run_all)
+    show(
+        "\n".join([*_run_lines(runs, ratio), *true_lines(table)]),
+        {
+            "kind": "robust",
+            "schema": 1,
+            "vehicle": stored.project.name,
+            "coefficients_sha256": schedule.digest(),
+            "linear": [asdict(r) | {"kept": r.kept} for r in runs],
+            "nonlinear_tracking_ratio": ratio,
+            **table,
+        },
+        given.json_out,
+    )
+
+
+def amplitudes(given: str | None, of_project: Sequence[float] | None) -> list[float]:
+    """The amplitudes [bar] of ``--amplitudes``, or of the project file, or AMPLITUDES_BAR; InputError unless
+    all are positive numbers."""
+    if given is None:
+        return list(of_project or AMPLITUDES_BAR)
+    return numbers_of("robust", "--amplitudes", given, lambda u: 0 < u < np.inf, "positive numbers")
+
+
+def certified_runs(
+    stored: StoredIdentification, document: dict, compiled: CompiledController, draws: int
+) -> list[RobustRun]:
+    """The compiled controller in the nominal loop with sampled and worst Delta at some of its speeds;
+    ``draws``: of all speeds together."""
+    schedule, problem = Scheduled.read(document), DesignProblem.of(stored)
+    speeds = schedule.speeds[:: max(1, (len(schedule.speeds) - 1) // 3)]
+    rows = []
+    for k, v in enumerate(map(float, speeds)):
+        plant = problem.plant(v)
+        scaling = controller_file.stated_scaling(document) if plant.blocks else None
+        proved = certify(plant, schedule.at(v), scaling)
+        share, seed = -(-draws // len(speeds)), stored.project.seed + k
+        rows.append(run(compiled, plant, schedule.at(v), v, proved, share, seed))
+    return rows
+
+
+def true_table(loop: CertifiedLoop, asked: Sequence[float], run_all: Map, tables: str = "") -> dict[str, Any]:
+    """The fields ``amplitudes``, ``promised``, ``true`` and ``beyond`` of robust.json, for SPEEDS speeds over
+    the model's range and each amplitude ``asked`` [bar].
+
+    ``tables``: variation and faults of the truck, as scenario tables.
+    """
+    speeds = np.linspace(*loop.model.speed_range, SPEEDS).tolist()
+    plan = [(v, a, u) for v in speeds for a, u in zip(asked, loop.amplitudes(v, asked), strict=True)]
+    found = [loop.true(measured) for measured in run_all(partial(_measured, tables), plan)]
+    rows = [_row(one) for one in found]
+    return {
+        "amplitudes": list(asked),
+        "promised": [{"v_mps": v, "margins": _fields(loop.promised(v))} for v in speeds],
+        "true": rows,
+        "beyond": sum(d["ratio"] > 1 for row in rows for d in row["deviations"]),
+    }
+
+
+def _measured(tables: str, point: tuple[float, float, float]) -> MeasuredResponse:
+    v, asked, amplitude = point
+    return MeasuredResponse(v, asked, amplitude, *frequency_response(tables, v, amplitude, OMEGA))
+
+
+def _fields(found: LoopMargins | None) -> dict[str, Any] | None:
+    """Each margin's value and place; None where there are none to have. A value of None is unlimited."""
+    if found is None or not found.stable:
+        return None
+    return {name: {"value": m.value, "omega_rad_s": m.omega} for name, m in found.found.items()}
+
+
+def _row(one: TrueLoop) -> dict[str, Any]:
+    return {
+        "v_mps": one.v,
+        "asked": one.asked,
+        "amplitude": one.amplitude,
+        "unstable_poles": one.margins.unstable_poles,
+        "margins": _fields(one.margins),
+        "deviations": [
+            {
+                "output": d.output,
+                "ratio": d.ratio,
+                "omega_rad_s": d.omega,
+                "delta": d.delta,
+                "W_delta": d.W_delta,
+            }
+            for d in one.deviations
+        ],
+    }
+
+
+def _run_lines(runs: list[RobustRun], ratio: float) -> Iterator[str]:
+    yield (
+        f"{'v m/s':>6}{'mu':>9}{'sampled':>9}{'worst':>9}{'rounding':>11}  "
+        f"kept (quantisation term {QUANTISATION:g})"
+    )
+    for r in runs:
+        yield (
+            f"{r.v:6.1f}{r.bound:9.4f}{r.sampled:9.4f}{r.worst:9.4f}{r.rounding:11.2e}  "
+            f"{'yes' if r.kept else 'NO'}"
+        )
+    yield (
+        "nonlinear truck, scenario nominal (measured, not certified): "
+        f"tracking error {ratio:.1%} of the command"
+    )
+
+
+def true_lines(table: dict[str, Any]) -> Iterator[str]:
+    """Both tables in text; an output that is farther from the nominal model than W_delta is marked."""
+    yield ""
+    yield "margins, promised for every vehicle within W_delta and true of the truck: gains as factors, phases"
+    yield "in degrees, delay in ms, radii of disk margins, and gain and phase that the balanced disk covers"
+    titles = ("gain up", "down", "phase", "delay", "Ms", "Mt", "disk S", "disk T", "disk", "gain", "phase")
+    yield f"{'v m/s':>6}{'bar':>9}" + "".join(f"{title:>9}" for title in titles)
+    promised = {row["v_mps"]: row["margins"] for row in table["promised"]}
+    for v, held in promised.items():
+        yield f"{v:6.2f}{'promised':>9}" + _numbers(held, "none: a vehicle within W_delta is unstable")
+        for row in (r for r in table["true"] if r["v_mps"] == v):
+            unstable = f"UNSTABLE: {row['unstable_poles']} poles"
+            yield f"{v:6.2f}{row['amplitude']:9.3g}" + _numbers(row["margins"], unstable)
+    yield ""
+    yield "distance from the nominal model: where |delta| is largest beside W_delta"
+    yield f"{'v m/s':>6}{'bar':>9}{'ratio':>9}{'|delta|':>9}{'W_delta':>9}{'rad/s':>9}  output"
+    for row in table["true"]:
+        for d in row["deviations"]:
+            numbers = (d["ratio"], d["delta"], d["W_delta"], d["omega_rad_s"])
+            yield (
+                f"{row['v_mps']:6.2f}{row['amplitude']:9.3g}"
+                + "".join(f" {x:8.3f}" for x in numbers)
+                + f"  {d['output']}{'  BEYOND W_delta' if d['ratio'] > 1 else ''}"
+            )
+
+
+def _numbers(margins: dict[str, Any] | None, otherwise: str) -> str:
+    if margins is None:
+        return "  " + otherwise
+    values = {name: margins[name]["value"] for name in NAMES}
+    texts = ["-" if x is None or np.isinf(x) else f"{shown(name, x):.3f}" for name, x in values.items()]
+    return "".join(f" {text:>8}" for text in texts)

@@ -1,0 +1,169 @@
+"""Score of a recording: the mean of the change test's ratio over a fixed length of judged driving.
+
+A sample is judged where the speed is in range, the model settled, and the core has a ratio. A recording is a
+drive, or successive drives that experiments.csv names as pieces of one, with their judged samples in
+sequence. Only the first ``judged_s`` seconds count, so that the length of a recording does not raise its
+score. A shorter recording has no score; it is reported by name.
+
+The ratio is the compiled core's. Its mean shows lasting changes, its maximum the worst moment. Sums for least
+squares over the same samples give an estimate of gain, delay and bias.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from ...base import artefacts
+from ...base.errors import InputError
+from ...base.parallel import Map
+from ...core.compiled import ALARMING, CHANGE_PARTS, VERDICTS
+from ...drives.tables import Drive, Experiment
+from ...identify.bounds import nominal_error
+from ...identify.change import Blocks
+from ...replay.replayer import Replayer
+
+
+@dataclass(frozen=True)
+class ScoredDrive:
+    """Contribution of a drive to its recording's score.
+
+    Attributes
+    ----------
+    drive, recording, sha256 : str, names, and hash of the table
+    ratios : ndarray (M,), of the judged samples
+    products : ndarray (n_y, 3, 3), sums of regressors over whole blocks, the delay's per second
+    along : ndarray (n_y, 3), sums of regressors times error over whole blocks
+    alarmed : bool, the verdict was invalid or degraded up to the last of those samples
+    """
+
+    drive: str
+    recording: str
+    sha256: str
+    ratios: np.ndarray
+    products: np.ndarray
+    along: np.ndarray
+    alarmed: bool
+
+    @classmethod
+    def of(cls, replayer: Replayer, drive: Drive, most: int) -> ScoredDrive:
+        """Contribution of a drive, with ``most`` judged samples at most; its recording and table have no
+        name."""
+        run = replayer.replay(drive).run
+        judged = np.flatnonzero(replayer.estimator.settled(drive.v) & (run.change > 0))[:most]
+        usable = np.zeros(len(drive.t), bool)
+        usable[judged] = True
+        e, yhat = nominal_error(drive, replayer.model)
+        n_y = e.shape[1]
+        products, along = np.zeros((n_y, len(CHANGE_PARTS), len(CHANGE_PARTS))), np.zeros((n_y, 3))
+        block_s = float(replayer.core.fields(replayer.core.compiled[1])["change_block_s"][0])
+        for blocks in Blocks.of(e, yhat, usable):
+            phi = blocks.phi / np.array([1.0, block_s, 1.0])
+            products += np.einsum("mji,mjk->jik", phi, phi)
+            along += np.einsum("mji,mj->ji", phi, blocks.e)
+        until = judged[-1] + 1 if len(judged) else 0
+        alarmed = np.isin(run.verdict[:until], [VERDICTS.index(v) for v in ALARMING]).any()
+        return cls(drive.name, drive.name, "", run.change[judged], products, along, bool(alarmed))
+
+
+@dataclass(frozen=True)
+class DriveEstimate:
+    """Least-squares estimate of an output over a recording: e = gain yhat - delay_s dyhat/dt + bias."""
+
+    output: str
+    gain: float
+    delay_s: float
+    bias: float
+
+
+@dataclass(frozen=True)
+class Scored:
+    """A recording: its drives with hashes of their tables, judged time that counts [s], and the score.
+
+    The score is None where that time is short.
+    """
+
+    name: str
+    sha256: dict[str, str]
+    judged_s: float
+    score: float | None
+    estimates: tuple[DriveEstimate, ...]
+    alarmed: bool
+
+
+def _piece(replayer: Replayer, most: int, experiment: Experiment) -> ScoredDrive | InputError:
+    """Piece of a drive's file; errors are returned, so that they pass between processes."""
+    try:
+        recorded = replayer.read_file(experiment.path)
+    except InputError as error:
+        return error
+    found = vars(ScoredDrive.of(replayer, recorded.drive, most))
+    named = {"recording": experiment.recording, "sha256": artefacts.file_hash(experiment.path)}
+    return ScoredDrive(**{**found, "drive": experiment.name, **named})
+
+
+def pieces_of(
+    replayer: Replayer,
+    experiments: Iterable[Experiment],
+    judged_s: float,
+    workers: Map = map,
+    progress: Callable[[str], None] = lambda _: None,
+) -> list[ScoredDrive]:
+    """Pieces of every drive, in order. InputError for a drive that cannot be read."""
+    most = round(judged_s / replayer.project.Ts_s)
+    found = []
+    for piece in workers(partial(_piece, replayer, most), experiments):
+        if isinstance(piece, InputError):
+            raise piece
+        progress(piece.drive)
+        found.append(piece)
+    return found
+
+
+def scored(replayer: Replayer, pieces: Iterable[ScoredDrive], judged_s: float) -> list[Scored]:
+    """Recordings of the pieces, in the order of their first ones.
+
+    The piece in which the length is reached gives its first samples to the score, and its sums in proportion.
+    """
+    most = round(judged_s / replayer.project.Ts_s)
+    of: dict[str, list[ScoredDrive]] = {}
+    for piece in pieces:
+        of.setdefault(piece.recording, []).append(piece)
+    return [_scored(replayer, name, members, most) for name, members in of.items()]
+
+
+def _scored(replayer: Replayer, name: str, pieces: list[ScoredDrive], most: int) -> Scored:
+    products, along = np.zeros_like(pieces[0].products), np.zeros_like(pieces[0].along)
+    left, alarmed = most, False
+    for piece in pieces:
+        alarmed |= left > 0 and piece.alarmed
+        share = min(1.0, left / len(piece.ratios)) if len(piece.ratios) else 0.0
+        left = max(0, left - len(piece.ratios))
+        products += share * piece.products
+        along += share * piece.along
+    ratios = np.concatenate([p.ratios for p in pieces])
+    return Scored(
+        name,
+        {p.drive: p.sha256 for p in pieces},
+        min(len(ratios), most) * replayer.project.Ts_s,
+        float(ratios[:most].mean()) if len(ratios) >= most else None,
+        tuple(
+            DriveEstimate(signal.name, *map(float, np.linalg.lstsq(A, b, rcond=1e-9)[0]))
+            for signal, A, b in zip(replayer.project.outputs, products, along, strict=True)
+        ),
+        alarmed,
+    )
+
+
+def require_new(path: Path, scores: Iterable[Scored], seen: dict[str, str]) -> None:
+    """Raise InputError where ``seen`` (use by hash) names a table."""
+    for recording in scores:
+        for drive, digest in recording.sha256.items():
+            if digest in seen:
+                raise InputError(
+                    path, drive, f"is a table that {seen[digest]}", "drives of a life of their own"
+                )

@@ -1,0 +1,118 @@
+"""State of a fleet between calls: a small JSON file, sealed, written whole or not at all.
+
+It holds the calibration recordings, so that their set stays fixed, and each vehicle's wealth and counted
+recordings. A state is refused if it was changed by hand or is of another vehicle, generated folder, length or
+rate; the error names the difference.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from ...base import artefacts
+from ...base.errors import InputError
+from .wealth import Life, LifeTable
+
+KIND = "fleet"
+SCHEMA = 1
+
+
+@dataclass(frozen=True)
+class Terms:
+    """Conditions of a wealth: vehicle, digest of the generated folder, judged driving a recording [s],
+    both rates."""
+
+    vehicle: str
+    coefficients: str
+    judged_s: float
+    alpha: float
+    eta: float
+
+
+@dataclass(frozen=True)
+class Member:
+    """A vehicle: its life, its first alarm's cause, and the counted recordings with their tables."""
+
+    life: Life = field(default_factory=Life)
+    changed_by: str | None = None
+    counted: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+
+    def after(self, recording: str, sha256: Mapping[str, str], place: int, table: LifeTable) -> Member:
+        """Member after a further recording with these tables, whose score is at ``place``."""
+        life = self.life.after(place, table)
+        first = recording if life.changed_at and not self.life.changed_at else self.changed_by
+        return Member(life, first, {**self.counted, recording: dict(sha256)})
+
+
+@dataclass(frozen=True)
+class FleetState:
+    """State of a fleet. calibration: score by recording; calibrated: SHA-256 by recording and drive."""
+
+    terms: Terms
+    calibration: Mapping[str, float]
+    calibrated: Mapping[str, Mapping[str, str]]
+    members: Mapping[str, Member] = field(default_factory=dict)
+
+    @cached_property
+    def table(self) -> LifeTable:
+        """Levels and factors of the calibration set."""
+        return LifeTable.of(self.calibration.values(), self.terms.alpha, self.terms.eta)
+
+    def with_member(self, vehicle: str, member: Member) -> FleetState:
+        """State with another state of one vehicle."""
+        return replace(self, members={**self.members, vehicle: member})
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-able and sealed, for `read`."""
+        return artefacts.sealed(
+            artefacts.marked(
+                {
+                    "kind": KIND,
+                    "schema": SCHEMA,
+                    "terms": asdict(self.terms),
+                    "calibration": dict(self.calibration),
+                    "calibrated": {k: dict(v) for k, v in self.calibrated.items()},
+                    "members": {
+                        name: {
+                            "recordings": m.life.recordings,
+                            "bets": list(m.life.bets),
+                            "changed_at": m.life.changed_at,
+                            "changed_by": m.changed_by,
+                            "counted": {k: dict(v) for k, v in m.counted.items()},
+                        }
+                        for name, m in self.members.items()
+                    },
+                },
+                KIND,
+            )
+        )
+
+    def write(self, path: Path) -> None:
+        """Write the file, whole or not at all."""
+        artefacts.write_file(path, artefacts.to_json(self.to_dict()), KIND)
+
+    @classmethod
+    def read(cls, path: Path) -> FleetState:
+        """State from a file of `write`. InputError for another file, another schema, or a changed one."""
+        found = artefacts.read_json(path)
+        if not isinstance(found, dict) or (found.get("kind"), found.get("schema")) != (KIND, SCHEMA):
+            raise InputError(path, "kind, schema", "not those of a fleet's state", f"{KIND!r}, {SCHEMA}")
+        artefacts.require_seal(path, found, "`lpvguard fleet`")
+        members = {
+            name: Member(
+                Life(m["recordings"], tuple(m["bets"]), m["changed_at"]), m["changed_by"], m["counted"]
+            )
+            for name, m in found["members"].items()
+        }
+        return cls(Terms(**found["terms"]), found["calibration"], found["calibrated"], members)
+
+    def require(self, path: Path, asked: Mapping[str, Any]) -> None:
+        """Raise InputError unless the terms are those ``asked`` for, by name; None asks for nothing."""
+        for name, value in asked.items():
+            own = getattr(self.terms, name)
+            if value is not None and value != own:
+                raise InputError(path, f"terms.{name}", f"{own}", f"{value}; another state has other terms")

@@ -1,0 +1,105 @@
+"""Builds the FMU: compiles the core, and packs binary, sources and descriptions."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import zipfile
+from pathlib import Path
+
+from ...base import native
+from ...base.errors import InputError
+from ...core.compiled import DIAGNOSIS_SOURCE, Core, core_objects, library_root
+from ...vehicle.project import Project
+from .description import build_description, model_description
+from .variables import monitor_variables
+
+BINARY = {2: "binaries/linux64", 3: "binaries/x86_64-linux"}
+"""Folder of the binary, by the version of FMI."""
+WRAPPER = Path(__file__).with_name("monitor.cpp")
+DIAGNOSIS_DEFINE = "LPVG_FMU_DIAGNOSIS"
+LINK_FLAGS = ("-static-libstdc++", "-static-libgcc")
+
+
+def monitor_fmu(project: Project, folder: Path, version: int) -> bytes:
+    """Return a vehicle's monitor as a co-simulation FMU.
+
+    Parameters
+    ----------
+    project : Project
+    folder : Path
+        Generated folder of the vehicle, by ``lpvguard export``.
+    version : int
+        Of FMI, 2 or 3.
+
+    Returns
+    -------
+    bytes
+        The archive. The same inputs and compiler give the same bytes.
+
+    Raises
+    ------
+    InputError
+        The folder is incomplete or does not compile.
+    """
+    core = Core(folder)
+    fields = core.fields(core.compiled[1])
+    thresholds = {
+        name: float(fields[name][0]) for name in ("threshold", "energy_threshold", "change_threshold")
+    }
+    period_s = float(core.words["sample_period_us"][0]) * 1e-6
+    name = f"lpvguard_{project.name}_monitor"
+    sources = _sources(folder)
+    compiled = sorted(path for path in sources if path.endswith((".cpp", ".c")))
+    defines = [DIAGNOSIS_DEFINE] if core.diagnoses else []
+    binary = _binary(folder, defines).read_bytes()
+    variables = monitor_variables(project, thresholds)
+    token = hashlib.sha256(binary)
+    for path, content in sources.items():
+        token.update(path.encode() + b"\0" + content)
+    description = model_description(
+        version, name, project.title, "{" + token.hexdigest()[:32] + "}", period_s, variables, compiled
+    )
+    files = {"modelDescription.xml": description, f"{BINARY[version]}/{name}.so": binary}
+    files |= {f"sources/{path}": content for path, content in sources.items()}
+    if version == 3:
+        files["sources/buildDescription.xml"] = build_description(
+            name, compiled, ("include", "src", "vehicle"), defines
+        )
+    return _archive(files)
+
+
+def _binary(folder: Path, defines: list[str]) -> Path:
+    """Return the shared library; InputError with the compiler's complaint."""
+    try:
+        objects = core_objects(folder, [WRAPPER], flags=[f"-D{name}" for name in defines])
+        return native.compile_shared(objects, flags=LINK_FLAGS, name=f"fmu_{folder.name}")
+    except native.NativeError as error:
+        raise InputError(
+            folder, "compiling the FMU", str(error).strip(), "a C++17 compiler and Eigen 3.4"
+        ) from None
+
+
+def _sources(folder: Path) -> dict[str, bytes]:
+    """Return the wrapper, the monitor and the generated folder by their paths below ``sources/``."""
+    root = library_root()
+    patterns = ["include/**/*.h", "src/monitor/*.[ch]pp"]
+    if (folder / DIAGNOSIS_SOURCE).is_file():
+        patterns.append("src/services/diagnosis*.[ch]pp")
+    paths = {str(path.relative_to(root)): path for pattern in patterns for path in root.glob(pattern)}
+    paths |= {f"vehicle/{path.name}": path for path in sorted(folder.glob("*.[ch]"))}
+    return {"monitor_fmu.cpp": WRAPPER.read_bytes()} | {
+        name: path.read_bytes() for name, path in paths.items()
+    }
+
+
+def _archive(files: dict[str, bytes]) -> bytes:
+    """Return a ZIP archive without clock times."""
+    out = io.BytesIO()
+    with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as archive:
+        for name in sorted(files):
+            entry = zipfile.ZipInfo(name, (1980, 1, 1, 0, 0, 0))
+            entry.external_attr = 0o644 << 16
+            entry.compress_type = zipfile.ZIP_DEFLATED
+            archive.writestr(entry, files[name])
+    return out.getvalue()

@@ -1,0 +1,70 @@
+"""Live messages of an MCAP recording, for Foxglove and PlotJuggler on this machine.
+
+The server is Foxglove's own (package foxglove-sdk) and only allows reading. Its queue for a client is BACKLOG
+messages. A slower client loses the oldest of them, and nothing waits for it.
+"""
+
+from __future__ import annotations
+
+import json
+
+import foxglove
+import pyarrow as pa
+
+from ...base.errors import InputError
+from ...replay.messages import messages, schemas
+from ...replay.replayer import Alarm, Replayer
+
+LOOPBACK = "127.0.0.1"
+BACKLOG = 16_384
+"""More messages than a piece of any source has."""
+
+
+class FoxgloveServer:
+    """Listener of a watch that serves clients of Foxglove's WebSocket until ``stop``.
+
+    Parameters
+    ----------
+    replayer : Replayer
+    port : int, 0 is any free one
+
+    Raises
+    ------
+    InputError
+        If the port is taken.
+    """
+
+    def __init__(self, replayer: Replayer, port: int):
+        # The server knows its channels through the context while somebody holds it.
+        self._context = context = foxglove.Context()
+        self._channels = {
+            topic: foxglove.Channel(topic, schema=schema, context=context)
+            for topic, schema in schemas(replayer.series_columns()).items()
+        }
+        try:
+            self._server = foxglove.start_server(
+                name="lpvguard live",
+                host=LOOPBACK,
+                port=port,
+                capabilities=[],
+                context=context,
+                message_backlog_size=BACKLOG,
+            )
+        except RuntimeError as error:
+            expected = "a free port of this machine"
+            raise InputError("live", f"--foxglove {port}", str(error), expected) from None
+        self.url = f"ws://{LOOPBACK}:{self._server.port}"
+
+    def listens(self) -> bool:
+        """Whether a client subscribes to any topic."""
+        return any(channel.has_sinks() for channel in self._channels.values())
+
+    def hear(self, series: pa.Table, alarms: list[Alarm]) -> None:
+        """Queue the messages of a piece for the clients."""
+        for message in messages(series, alarms):
+            content = json.dumps(message.content).encode()
+            self._channels[message.topic].log(content, log_time=message.t_ns)
+
+    def stop(self) -> None:
+        """Closes every connection."""
+        self._server.stop()

@@ -1,0 +1,58 @@
+"""Largest tracking error that the certificate allows a run within the bounds.
+
+mu < 1 bounds the worst gain from the normalised inputs of Fig. 1 to W_t e_t by 1 at every frequency, for
+every Delta within W_Delta. The error e_t of the yaw rate to the reference model's answer then obeys
+
+    |e_t|^2 <= (|c / W_C|^2 + |w_r / W_wr|^2 + |w_d / W_wd|^2 + |n_r / W_nr|^2 + |n_d / W_nd|^2) / |W_t|^2
+
+with the run's own command c, disturbance w and noise n, of yaw rate and road-wheel angle. w is the motion of
+the same truck without command and controller, on the same road in the same wind. n is its sensors' noise.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ....control.plants import DesignProblem
+from ....engine.synthesis.interconnection import PlantWeights
+from ....engine.synthesis.statespace import StateSpace
+from ....identify.identification import StoredIdentification
+from .conduct import STEERING_RADPS, band_rms
+
+
+@dataclass(frozen=True)
+class TrackingBound:
+    """Bound by the certificate with these weights."""
+
+    weights: PlantWeights
+
+    @classmethod
+    def of(cls, stored: StoredIdentification) -> TrackingBound:
+        """Bound for designs of an identification. InputError where it cannot be designed for."""
+        return cls(DesignProblem.of(stored).weights)
+
+    def rms(self, command: np.ndarray, w: np.ndarray, n: np.ndarray, Ts: float, Ts_n: float) -> float:
+        """Largest rms error up to STEERING_RADPS [rad/s].
+
+        ``command`` (N,) [rad/s] and disturbance ``w`` (N, 2) [rad/s, rad]: every ``Ts`` [s]. Noise ``n`` (M,
+        2): every ``Ts_n`` [s].
+        """
+        W = self.weights
+        parts = (
+            (command, Ts, W.W_C),
+            (w[:, 0], Ts, W.W_wr),
+            (w[:, 1], Ts, W.W_wdelta),
+            (n[:, 0], Ts_n, W.W_nr),
+            (n[:, 1], Ts_n, W.W_ndelta),
+        )
+        return float(np.sqrt(sum(self._rms(x, step, weight) ** 2 for x, step, weight in parts)))
+
+    def _rms(self, x: np.ndarray, Ts: float, normalised_by: StateSpace) -> float:
+        """Share of one input, on the lines of its own record."""
+
+        def gain(omega: np.ndarray) -> np.ndarray:
+            return 1.0 / np.abs(self.weights.W_t.response(omega) * normalised_by.response(omega))[:, 0, 0]
+
+        return band_rms(x, Ts, STEERING_RADPS, gain)

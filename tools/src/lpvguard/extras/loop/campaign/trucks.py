@@ -1,0 +1,169 @@
+"""Trucks within the bounds by their own frequency response, and mu of the loops with a fault.
+
+G is the truck's measured response to sines on a flat road without wind (`plant response`), w = 0, at OMEGA,
+at RESPONSE_SPEEDS and with amplitudes of RESPONSE_BAR, the last of which is reduced to the edge of use (the
+lateral-acceleration limit). P is the nominal response. A truck is within the bounds when each output has
+
+    |delta_j| = |G_j / P_j - 1| <= W_delta,j
+
+everywhere there, W_delta as in the certificate. Speeds and demands of the runs lie in the checked ranges
+(scenarios.py). Nothing here uses the monitor's answers or a run.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ....base.errors import InputError
+from ....base.parallel import Map
+from ....base.progress import Progress
+from ....control.controller_file import faulted_performance
+from ....control.true_loop import (
+    certified_weight,
+    deviations,
+    require_certified_by_W_delta,
+    within_use,
+)
+from ....identify.identification import StoredIdentification
+from ....identify.weights import Weights
+from ....vehicle.nominal import NominalModel
+from ....vehicle.project import Project
+from ..response import frequency_response
+from . import faults
+from .conduct import LEAST_BAR
+from .scenarios import HIGHEST_COMMAND_RADPS, draw_variation
+
+PLANTS = 24
+"""Number of trucks within the bounds that share the runs "within"."""
+RESPONSE_SPEEDS = (8.0, 12.0, 17.0, 22.0)
+RESPONSE_BAR = (LEAST_BAR, 0.7, np.inf)
+OMEGA = (np.geomspace(1.0, 60.0, 28), np.geomspace(0.02, 1.0, 12, endpoint=False))
+"""[rad/s] Slow ones last: they take most of the time, and most trucks beyond the bounds show it above 1
+rad/s."""
+LOOP_SPEEDS = (8.5, 15.0, 21.5)
+"""Speeds for mu of a faulted loop; the largest value counts."""
+
+
+@dataclass(frozen=True)
+class Distance:
+    """Distance of a truck from the nominal model.
+
+    ratio: largest |delta_j| / W_delta,j; measurement ends where it exceeds 1, so it is then a lower bound.
+    output,
+    omega_radps, speed_mps, amplitude_bar: its place. least_gain: for a truck within the bounds, least
+    |G_1/P_1| at
+    the edge of use up to the highest frequency of a command.
+    """
+
+    ratio: float
+    output: str
+    omega_radps: float
+    speed_mps: float
+    amplitude_bar: float
+    least_gain: float | None
+
+
+@dataclass(frozen=True)
+class CertifiedSet:
+    """Set of trucks of a certificate: a project's nominal model and its fitted weights."""
+
+    project: Project
+    fitted: Weights
+
+    @classmethod
+    def of(cls, stored: StoredIdentification) -> CertifiedSet:
+        """Set of an identification. InputError where the certificate is not about W_delta alone."""
+        require_certified_by_W_delta(stored)
+        return cls(stored.project, stored.fitted)
+
+    def distance(self, tables: str) -> Distance:
+        """Distance of the truck with these scenario tables, measured until it exceeds the bounds."""
+        model, outputs = NominalModel(self.project), [signal.name for signal in self.project.outputs]
+        worst, least_gain = Distance(0.0, outputs[0], 0.0, 0.0, 0.0, None), np.inf
+        for v, amplitude, wanted in self._points(model):
+            omega, G = frequency_response(tables, v, amplitude, wanted)
+            ratio = G / model.frequency_response(omega, v)[..., 0]
+            if amplitude == within_use(model, v, RESPONSE_BAR)[-1]:
+                gain = np.abs(ratio[omega <= HIGHEST_COMMAND_RADPS, 0])
+                least_gain = min(least_gain, float(gain.min()))
+            W = certified_weight(self.fitted, model.Ts, omega)
+            for d in deviations(outputs, omega, np.abs(ratio - 1), W):
+                if d.ratio > worst.ratio:
+                    worst = Distance(d.ratio, d.output, d.omega, v, amplitude, None)
+            if worst.ratio > 1:
+                return worst
+        return replace(worst, least_gain=least_gain)
+
+    def checked(self) -> dict[str, Any]:
+        """Measured speeds (S,) [m/s], amplitudes (S, A) [bar], frequencies (K,) [rad/s] of ``distance``,
+        JSON-able."""
+        model = NominalModel(self.project)
+        return {
+            "speeds_mps": list(RESPONSE_SPEEDS),
+            "amplitudes_bar": [within_use(model, v, RESPONSE_BAR) for v in RESPONSE_SPEEDS],
+            "omega_rad_s": sorted(np.concatenate(OMEGA).tolist()),
+        }
+
+    @staticmethod
+    def _points(model: NominalModel) -> Iterator[tuple[float, float, np.ndarray]]:
+        """(speed, amplitude, frequencies) of every measurement."""
+        for omega in OMEGA:
+            for v in RESPONSE_SPEEDS:
+                for amplitude in within_use(model, v, RESPONSE_BAR):
+                    yield v, amplitude, omega
+
+
+def plants(certified: CertifiedSet, seed: int, workers: Map, progress: Progress) -> dict[str, Any]:
+    """The first PLANTS drawn trucks within the bounds, and the distance of every faulted truck with a
+    response."""
+    candidates: list[dict[str, Any]] = []
+    while sum(c["ratio"] <= 1 for c in candidates) < PLANTS:
+        tables = [draw_variation(seed, len(candidates) + i) for i in range(8)]
+        if len(candidates) >= 20 * PLANTS:
+            raise InputError(
+                "campaign",
+                "within",
+                f"{len(candidates)} trucks drawn, too few within the bounds",
+                f"{PLANTS} that are",
+            )
+        for t, found in zip(tables, workers(certified.distance, tables), strict=False):
+            progress(f"frequency response of truck {len(candidates)}")
+            candidates.append({"tables": t, **vars(found)})
+    chosen = [(kind, x) for kind in faults.KINDS if kind.response for x in kind.values]
+    faulted = []
+    texts = [k.text(x, "start") for k, x in chosen]
+    for (kind, x), found in zip(chosen, workers(certified.distance, texts), strict=False):
+        progress(f"frequency response, {kind.name} {x:g}")
+        faulted.append({"kind": kind.name, "severity": x, **vars(found)})
+    nominal = vars(certified.distance(""))
+    return {
+        "checked": certified.checked(),
+        "nominal": nominal,
+        "candidates": candidates,
+        "faulted": faulted,
+    }
+
+
+def loop_levels(stored: StoredIdentification, controller: Path, progress: Progress) -> list[dict[str, Any]]:
+    """Upper bound of mu of the certified loop with each linear fault, largest over LOOP_SPEEDS; None if
+    unstable."""
+    found = []
+    linear = [(kind, x, kind.loop) for kind in faults.KINDS if kind.loop for x in kind.values]
+    for kind, x, loop in linear:
+        progress(f"mu, {kind.name} {x:g}")
+        applied, measured = loop(x, stored.project.Ts_s)
+        levels = [faulted_performance(controller, stored, v, applied, measured) for v in LOOP_SPEEDS]
+        found.append(
+            {
+                "kind": kind.name,
+                "severity": x,
+                "stable": bool(np.isfinite(max(levels))),
+                "mu_upper": max(levels) if np.isfinite(max(levels)) else None,
+            }
+        )
+    return found

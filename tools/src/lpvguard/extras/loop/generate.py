@@ -1,0 +1,157 @@
+"""`lpvguard generate`: seeded synthetic drives of a vehicle, as a drive folder.
+
+`car` replaces the measured car (drives/fixture.py). `truck` runs the simulated truck of firmware_sim/plant,
+which shares nothing with the nominal model, at held speeds over the model's range. It drives sines swept from
+0.1 to 30 rad/s at the edges of the amplitudes of use, brake manoeuvres between them, and zero-input runs.
+"""
+
+from __future__ import annotations
+
+import subprocess
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from ...base import artefacts, native
+from ...base.errors import InputError
+from ...core.compiled import firmware_root
+from ...drives import fixture
+from ...drives.tables import EXPERIMENTS, index_text
+from ...vehicle.project import Project
+
+DURATION_S = 180.0
+SWEEP_DURATION_S = 599.0
+MANOEUVRE_BAR = (0.25, 1.0)
+"""Least and largest amplitude of a manoeuvre's demand."""
+SWEEPS_BAR = (0.24, 0.24, 0.24, 0.24, 0.8, 2.1, 2.1, 2.1)
+"""Amplitudes of the swept sines, from dominant kingpin friction to the edge of use, 4 m/s2 of lateral
+acceleration (2.06 bar). The small one is driven four times, because road and wind are as large there. The
+large one is driven three times, because tyres make the error depend on the speed there."""
+EDGE_SWEEPS_BAR = (2.1, 2.1, 2.1)
+"""Further ones at the least and the largest speed. The error, and its distance from a line over all speeds,
+is largest there."""
+ZERO_INPUT_DURATION_S = 240.0
+# Just inside 8 to 22 m/s: the speed sensor's noise must not put samples out of range.
+BOUND_SPEEDS = (8.1, 10.0, 12.0, 14.0, 16.0, 18.0, 20.0, 21.9)
+CALIBRATION_SPEEDS = (8.5, 9.5, 11.0, 13.0, 15.0, 17.0, 19.0, 21.0, 21.5)
+ZERO_INPUT_SPEEDS = (8.1, 12.0, 17.0, 21.9)
+PROGRAMMES = ("pulses", "telegraph", "multisine")
+
+
+def plant_tool() -> Path:
+    """Compile the plant's tool from firmware_sim/plant on first use.
+
+    Returns
+    -------
+    Path
+
+    Raises
+    ------
+    InputError
+        If the sources are absent.
+    """
+    root = firmware_root() / "plant"
+    sources = [*sorted((root / "src").glob("*.cpp")), *sorted((root / "tool").glob("*.cpp"))]
+    flags = ("-std=c++17", "-O2", "-ffp-contract=off", f'-DLPVGUARD_TRUCK_TOML="{root / "truck.toml"}"')
+    try:
+        return native.compile_executable(
+            sources,
+            flags=flags,
+            include_dirs=[root / "include", root / "src", root / "tool"],
+            name="plant_tool",
+        )
+    except native.NativeError as error:
+        raise InputError(
+            root, "compiling the simulated truck", str(error), "a C++17 compiler and libtomlplusplus-dev"
+        ) from None
+
+
+@dataclass(frozen=True)
+class _Planned:
+    """One drive of the truck: split, programme, held speed [m/s], duration [s] and amplitudes [bar]."""
+
+    split: str
+    programme: str
+    speed: float
+    duration: float
+    amplitudes: tuple[float, float] = MANOEUVRE_BAR
+
+
+def _truck_plan() -> list[_Planned]:
+    """Plan of the drives: bound-setting sweeps have every amplitude at every speed; calibrating ones take
+    turns."""
+    plan = [_Planned("train", p, v, DURATION_S) for v in BOUND_SPEEDS for p in PROGRAMMES]
+    sweeps = [(v, u) for v in BOUND_SPEEDS for u in SWEEPS_BAR]
+    sweeps += [(v, u) for v in (BOUND_SPEEDS[0], BOUND_SPEEDS[-1]) for u in EDGE_SWEEPS_BAR]
+    plan += [_Planned("sweep", "sweep", v, SWEEP_DURATION_S, (u, u)) for v, u in sweeps]
+    plan += [_Planned("valid", p, v, DURATION_S) for v in CALIBRATION_SPEEDS for p in PROGRAMMES]
+    for k, v in enumerate(CALIBRATION_SPEEDS):
+        u = SWEEPS_BAR[k % len(SWEEPS_BAR)]
+        plan.append(_Planned("valid", "sweep", v, SWEEP_DURATION_S, (u, u)))
+    return plan + [_Planned("noise", "zero", v, ZERO_INPUT_DURATION_S) for v in ZERO_INPUT_SPEEDS]
+
+
+def _truck(project: Project, folder: Path, seed: int, tell: Callable[[str], None]) -> list[fixture.Row]:
+    tool, rows = plant_tool(), []
+    for index, d in enumerate(_truck_plan()):
+        name = f"{d.programme}_{index:02d}_{d.speed:g}mps".replace(".", "p")
+        tell(name)
+        command = [
+            tool,
+            "generate",
+            "-o",
+            folder / f"{name}.csv",
+            "--speed",
+            d.speed,
+            "--program",
+            d.programme,
+            "--amplitude-low",
+            d.amplitudes[0],
+            "--amplitude-high",
+            d.amplitudes[1],
+            "--duration",
+            d.duration,
+            "--seed",
+            seed * 1000 + index,
+        ]
+        done = subprocess.run([str(c) for c in command], capture_output=True, text=True, check=False)
+        if done.returncode != 0:
+            raise InputError(tool, name, done.stderr.strip(), "a drive of the simulated truck")
+        rows.append((name, d.split, d.programme))
+    return rows
+
+
+def generate(project: Project, target: Path, seed: int, tell: Callable[[str], None] = lambda _: None) -> int:
+    """Write a drive folder of synthetic drives, whole or not at all.
+
+    Parameters
+    ----------
+    project : Project
+    target : Path, new folder
+    seed : int
+    tell : Callable, reports progress
+
+    Returns
+    -------
+    int, number of drives
+
+    Raises
+    ------
+    InputError
+        If the project names no generator, or the folder may not be replaced.
+    """
+    makers = {"car": fixture.write_drives, "truck": _truck}
+    if project.data.generator not in makers:
+        raise InputError(f"vehicle {project.name}", "data.generator", "not set", " or ".join(makers))
+    with artefacts.new_folder(target, "generate", project.name) as folder:
+        rows = makers[project.data.generator](project, folder, seed, tell)
+        artefacts.write_files(
+            folder,
+            {
+                EXPERIMENTS: index_text(rows, "driver"),
+                artefacts.MANIFEST: artefacts.manifest(
+                    "generate", vehicle=project.name, seed=seed, drives=[r[0] for r in rows]
+                ),
+            },
+        )
+    return len(rows)

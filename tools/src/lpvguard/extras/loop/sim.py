@@ -1,0 +1,610 @@
+"""`lpvguard sim`: the closed loop on a PC -- simulated truck, CAN frames, the compiled ECU loop -- and its
+expectations.
+
+The simulator (firmware_sim/) is compiled on first use with the vehicle's generated folder, into the cache of
+`replay`. A scenario file states the driving and the faults (firmware_sim/sim/scenario.hpp). Its table
+``expect`` states the required answers and their deadlines, and is judged here:
+
+    [expect]
+    verdict = "never_invalid"     # or "any"; or "invalid": not before fault_start_s, then in within_judged_s
+    fault_start_s = 60.0
+    within_judged_s = 30.0        # seconds of judged driving (THEORY 11) after the fault's start
+    supervision = "live"          # once live, always live; or "reacts": live until fault_start_s, then
+    within_periods = 5            #   not live within so many periods, and live within 1 s after fault_end_s
+    fault_end_s = 35.0
+    tracking_ratio_max = 0.25     # optional: tracking_rms / command_rms
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.csv as pa_csv
+from pydantic import Field, model_validator
+
+from ...base import artefacts, native
+from ...base.documents import StrictModel, checked, read_toml
+from ...base.errors import InputError
+from ...can.catalogue import load_catalogue
+from ...core.compiled import (
+    CAUSES,
+    EVENTS,
+    SUPERVISION,
+    VERDICTS,
+    core_objects,
+    firmware_root,
+    library_root,
+)
+from ...core.control_coefficients import ControllerCoefficients, build_controller, replaced_controller
+from ...core.targets import EmulatedEcu, emulated_ecu
+from ...drives.tables import Drive, speed_of_missing
+from ...replay.causes import diagnosed
+from ...vehicle.nominal import NominalModel
+from ...vehicle.project import Project, Signal, parse_project
+
+Controller = Literal["designed", "feedforward", "off"]
+RECOVERY_S = 1.0
+"""Time after a bus fault within which supervision must be live again: five frames of the slowest message, and
+a reserve."""
+
+REPORT_ONLY = ("--reactions", "report")
+"""Findings are reported and do not release."""
+LCM_LINK = ("-Wl,--no-as-needed", "-llcm")
+FLAGS = ("-std=c++17", "-O2", "-ffp-contract=off", "-fno-math-errno")
+OF_NO_VEHICLE = {"command", "live_scenario", "memory_bus", "scenario", "socketcan_bus"}
+"""Sources of firmware_sim/sim without a vehicle's sizes, compiled once for all vehicles."""
+Seconds = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+
+
+class Expectation(StrictModel):
+    """Table ``expect`` of a scenario (the module's docstring).
+
+    Attributes
+    ----------
+    verdict, supervision : str
+    fault_start_s, fault_end_s : float or None, s
+    within_judged_s : float or None, s of judged driving
+    within_periods : int or None, periods
+    tracking_ratio_max : float or None, tracking_rms / command_rms
+    """
+
+    verdict: Literal["never_invalid", "invalid", "any"]
+    supervision: Literal["live", "reacts"]
+    fault_start_s: Seconds | None = None
+    fault_end_s: Seconds | None = None
+    within_judged_s: Seconds | None = None
+    within_periods: Annotated[int, Field(ge=1)] | None = None
+    tracking_ratio_max: Annotated[float, Field(gt=0)] | None = None
+
+    @model_validator(mode="after")
+    def _complete(self) -> Expectation:
+        if self.verdict == "invalid" and (self.fault_start_s is None or self.within_judged_s is None):
+            raise ValueError('verdict "invalid" needs fault_start_s and within_judged_s')
+        if self.supervision == "reacts" and (self.fault_start_s is None or self.within_periods is None):
+            raise ValueError('supervision "reacts" needs fault_start_s and within_periods')
+        return self
+
+    def reaction_s(self, Ts_s: float) -> tuple[float, float] | None:
+        """Times [s] from and by which the supervision must leave live, or None where it must stay live."""
+        if self.supervision == "live" or self.fault_start_s is None or self.within_periods is None:
+            return None
+        return self.fault_start_s, self.fault_start_s + self.within_periods * Ts_s
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """A scenario file.
+
+    Attributes
+    ----------
+    name : str
+    path : Path
+    title : str
+    seed : int
+    expect : Expectation
+    """
+
+    name: str
+    path: Path
+    title: str
+    seed: int
+    expect: Expectation
+
+
+def shipped_scenarios() -> list[str]:
+    """Names of the scenarios in firmware_sim/scenarios."""
+    return sorted(p.stem for p in (firmware_root() / "scenarios").glob("*.toml"))
+
+
+def load_scenario(name: str) -> Scenario:
+    """Load a scenario by shipped name or by path.
+
+    Parameters
+    ----------
+    name : str
+
+    Returns
+    -------
+    Scenario
+
+    Raises
+    ------
+    InputError
+        If a field is refused; it names the file, the field and what was expected.
+    """
+    path = Path(name)
+    if path.suffix != ".toml":
+        path = firmware_root() / "scenarios" / f"{name}.toml"
+        if not path.is_file():
+            raise InputError(
+                name, "SCENARIO", "unknown", f"one of {', '.join(shipped_scenarios())}, or a path to *.toml"
+            )
+    document = read_toml(path, "a scenario file")
+    expect = checked(Expectation, document.get("expect"), "a scenario file", path, table="expect")
+    seed = document.get("seed", 1)
+    if not isinstance(seed, int) or seed < 0:
+        raise InputError(path, "seed", repr(seed), "a whole number from 0")
+    return Scenario(path.stem, path, str(document.get("title", "")), seed, expect)
+
+
+def steady_scenario(
+    duration_s: float,
+    tables: str = "",
+    *,
+    title: str = "steady driving",
+    speed_mps: float = 15.0,
+    rms_radps: float = 0.08,
+    seed: int = 1,
+    expect: str = 'verdict = "any"\nsupervision = "live"',
+) -> str:
+    """Text of a scenario: constant speed, a multisine yaw-rate command of 0.5 to 4 rad/s, and further
+    ``tables``."""
+    return f"""\
+title = {json.dumps(title)}
+duration_s = {duration_s:g}
+seed = {seed}
+[plant]
+speed_profile = [[0.0, {speed_mps:.6g}]]
+[command]
+kind = "multisine"
+spacing = "log"
+low_radps = 0.5
+high_radps = 4.0
+rms_radps = {rms_radps:g}
+{tables}
+[expect]
+{expect}
+"""
+
+
+def can_fault_table(message: str, kind: str, start_s: float, end_s: float, **more: float) -> str:
+    """Scenario table of one fault on the bus; ``more``: its further keys."""
+    values = {"message": message, "kind": kind, "start_s": start_s, "end_s": end_s, **more}
+    return "[[can_fault]]\n" + "".join(f"{key} = {json.dumps(value)}\n" for key, value in values.items())
+
+
+def feedforward(
+    project: Project, nodes: np.ndarray, u_max: np.ndarray, rate_max: np.ndarray
+) -> ControllerCoefficients:
+    """Controller for comparison: the command over the nominal DC gain, without feedback, one sample late.
+
+    It has the limits of the compared controller: u_max (G, 1) [input unit] at its nodes (G,) [m/s], rate_max
+    (1,) [input unit/s]. Its nodes are these nodes and the speeds midway, so the limits are the same
+    everywhere. Raises InputError as ``build_controller``.
+    """
+    model = NominalModel(project)
+    speeds = np.linspace(nodes[0], nodes[-1], 2 * len(nodes) - 1)
+    gain = model.dc_gain(speeds)[:, 0, 0]
+    numerators = np.zeros((len(speeds), 1, 1, 1 + model.n_y))
+    numerators[:, 0, 0, 0] = 1.0 / gain
+    return build_controller(
+        project.Ts_s,
+        speeds,
+        np.array([-1.0]),
+        numerators,
+        np.zeros((len(speeds), 1, 1, 1)),
+        np.interp(speeds, nodes, u_max[:, 0])[:, None],
+        rate_max,
+        where="feedforward",
+    )
+
+
+def _replace_controller(folder: Path, controller: ControllerCoefficients, target: Path) -> None:
+    """A copy of a vehicle folder with another controller."""
+    shutil.copytree(folder, target)
+    artefacts.write_files(
+        target, replaced_controller((target / "lpvguard_vehicle.h").read_text(), controller)
+    )
+
+
+class Simulator:
+    """Compiled simulator of one vehicle.
+
+    Parameters
+    ----------
+    folder : Path, generated folder with a controller
+    controller : str, the folder's own ("designed"), or another one for comparison
+    lcm : bool, allow publishing and control over LCM (needs liblcm-dev and lcm-gen), default False
+
+    Raises
+    ------
+    InputError
+        If the folder has no controller or does not compile.
+    """
+
+    def __init__(self, folder: Path, *, controller: Controller = "designed", lcm: bool = False):
+        self.folder, self.controller, self._lcm = Path(folder), controller, lcm
+        self._emulated: dict[str, EmulatedEcu] = {}
+        manifest = artefacts.read_manifest(self.folder, "vehicle")
+        if "controller" not in manifest:
+            raise InputError(
+                folder, "controller", "the vehicle has none", "a folder exported with a controller"
+            )
+        self.project = parse_project(manifest["project"], str(self.folder / artefacts.MANIFEST))
+        self.nodes = np.array(manifest["controller"]["speeds"])
+        """(G,) speeds [m/s] between which the limit of the demand is interpolated."""
+        self.u_max = np.array(manifest["controller"]["u_max"])
+        """(G, n_u) limit of the demand there [input unit]."""
+        if controller == "feedforward":
+            limits = (self.nodes, self.u_max, np.array(manifest["controller"]["rate_max"]))
+            with tempfile.TemporaryDirectory() as scratch:
+                variant = Path(scratch) / self.folder.name
+                _replace_controller(self.folder, feedforward(self.project, *limits), variant)
+                self.program = self._build(variant)
+        else:
+            self.program = self._build(self.folder)
+
+    @cached_property
+    def ecu_program(self) -> Path:
+        """lpvguard_ecu: the firmware alone, as a process on a CAN interface."""
+        root = firmware_root()
+        own = [*_ecu_sources(root), root / "ports" / "linux_ecu" / "main.cpp"]
+        try:
+            objects = core_objects(self.folder) + _objects(
+                own, [*_ecu_folders(root), *_core_folders(self.folder)]
+            )
+            return native.compile_executable(objects, flags=(), name=f"ecu_{self.folder.name}")
+        except native.NativeError as error:
+            raise InputError(
+                self.folder,
+                "compiling the ECU's program",
+                str(error).strip(),
+                "a C++17 compiler and Eigen 3.4",
+            ) from None
+
+    def emulated(self, target: str) -> EmulatedEcu:
+        """Firmware for an emulated processor with a CAN controller."""
+        if target not in self._emulated:
+            self._emulated[target] = emulated_ecu(target, self.folder)
+        return self._emulated[target]
+
+    def _build(self, folder: Path) -> Path:
+        main = firmware_root() / "sim" / "main.cpp"
+        try:
+            objects = loop_objects(folder, main, lcm=self._lcm)
+            return native.compile_executable(
+                objects, flags=LCM_LINK if self._lcm else (), name=f"sim_{folder.name}"
+            )
+        except native.NativeError as error:
+            raise InputError(
+                folder,
+                "compiling the simulator",
+                str(error).strip(),
+                "a C++17 compiler, Eigen 3.4 and libtomlplusplus-dev",
+            ) from None
+
+    def run(
+        self,
+        scenario: Scenario,
+        *,
+        seed: int | None = None,
+        bus: str = "memory",
+        out: Path | None = None,
+        ecu_process: bool = False,
+        target: str = "host",
+        pace: float | None = None,
+        lcm: str | None = None,
+        paused: bool = False,
+        report_only: bool = False,
+    ) -> dict[str, Any]:
+        """One run: the object of `lpvguard sim --json`.
+
+        seed         None: the scenario's
+        bus          memory, or socketcan:INTERFACE
+        out          folder for NAME-SEED.log (candump -L), .frames.csv, .telemetry.csv and .drive.csv (a
+        drive table)
+        ecu_process  the firmware is a separate process; it needs SocketCAN
+        target       host, or an emulated processor, which needs SocketCAN too. The object of the latter has
+                     ``ecu``: the target, the hash of the ELF file and the instructions of the ticks
+        pace         largest multiple of real time
+        lcm          URL for publishing and commands (for a simulator made with ``lcm``). With ``out``,
+                     NAME-SEED.applied.toml is the scenario with the clients' changes
+        paused       wait until a client says resume
+        report_only  findings do not release, as in ``drive``; not on an emulated processor
+
+        The same scenario, seed and vehicle give the same bytes except for real_time_factor: simulated time
+        over processor time, or over elapsed time with another process. Raises InputError where the simulator
+        refuses its input.
+        """
+        seed = scenario.seed if seed is None else seed
+        emulated = None if target == "host" else self.emulated(target)
+        command: list[Any] = ["--seed", seed, "--bus", bus]
+        command += REPORT_ONLY if report_only else ()
+        if ecu_process or emulated is not None:
+            command += ["--ecu", _joining(bus, self.ecu_program if emulated is None else emulated.program)]
+        if lcm is not None:
+            command += ["--lcm", lcm, "--start", "paused" if paused else "running"]
+        if pace is not None:
+            command += ["--pace", pace]
+        with tempfile.TemporaryDirectory() as scratch:
+            stem = (out or Path(scratch)) / f"{scenario.name}-{seed}"
+            frames = stem.with_name(stem.name + ".frames.csv")
+            command += ["--frames", frames]
+            if out is not None:
+                out.mkdir(parents=True, exist_ok=True)
+                command += ["--log", f"{stem}.log", "--telemetry", f"{stem}.telemetry.csv"]
+                command += ["--drive", f"{stem}.drive.csv"]
+                command += [] if lcm is None else ["--applied", f"{stem}.applied.toml"]
+            facts = self._execute(scenario.path, command)
+            rows = np.genfromtxt(frames, delimiter=",", names=True, ndmin=1)
+        result = self._result(scenario, facts, rows)
+        if emulated is not None:
+            counted, elf = facts["reception"]["instructions"], emulated.elf_sha256
+            result["ecu"] = {"target": target, "elf_sha256": elf, "instructions": counted}
+        return result
+
+    def drive(
+        self,
+        path: Path,
+        *,
+        seed: int | None = None,
+        log: Path | None = None,
+        telemetry: Path | None = None,
+    ) -> tuple[dict[str, Any], Drive]:
+        """One run of the scenario file ``path``: its facts, and the drive.
+
+        The facts are the simulator's output. The drive is the monitor's input; samples that it did not get
+        are missing. ``log``: file for every frame of the bus as candump -L writes it; ``telemetry``: CSV of
+        the loop every 100 ms. Findings are only reported, so that the loop goes on after the first one.
+        """
+        with tempfile.TemporaryDirectory() as scratch:
+            table = Path(scratch) / f"{path.stem}.csv"
+            command: list[Any] = ["--drive", table, *REPORT_ONLY]
+            for option, value in (("--seed", seed), ("--log", log), ("--telemetry", telemetry)):
+                command += () if value is None else (option, value)
+            facts = self._execute(path, command)
+            return facts, self._without_gaps(path.stem, pa_csv.read_csv(table))
+
+    def _execute(self, scenario: Path, options: list[Any]) -> dict[str, Any]:
+        """Output of the simulator for a scenario file with further options. InputError where it refuses
+        them."""
+        words = [self.program, scenario, "--parameters", firmware_root() / "plant" / "truck.toml"]
+        words += ["--engage", "no" if self.controller == "off" else "yes", *options]
+        done = subprocess.run([str(w) for w in words], capture_output=True, text=True, check=False)
+        if done.returncode != 0:
+            raise InputError(
+                scenario, "", done.stderr.strip(), "a scenario and a bus that the simulator accepts"
+            )
+        facts = json.loads(done.stdout)
+        found = [
+            asdict(
+                diagnosed(
+                    self.project,
+                    CAUSES[cause],
+                    output,
+                    numbers,
+                    found_s=found_s,
+                    alarm_s=alarm_s,
+                    since_s=onset_s,
+                    at_least=bool(before),
+                )
+            )
+            for found_s, alarm_s, onset_s, before, output, cause, *numbers in facts["causes"]
+        ]
+        changes = {
+            key: [[t, names[value]] for t, value in facts[key]]
+            for key, names in (("verdicts", VERDICTS), ("supervision", SUPERVISION))
+        }
+        del facts["causes"]
+        return facts | changes | {"verdict_final": VERDICTS[facts["verdict_final"]], "diagnoses": found}
+
+    def _without_gaps(self, name: str, table: pa.Table) -> Drive:
+        p = self.project
+        t = table["t"].to_numpy()
+        row = np.round((t - t[0]) / p.Ts_s).astype(int)
+        newest = np.searchsorted(row, np.arange(row[-1] + 1), side="right") - 1
+        missing = row[newest] != np.arange(row[-1] + 1)
+
+        def stack(signals: list[Signal]) -> np.ndarray:
+            return np.column_stack([table[s.column].to_numpy().astype(float) for s in signals])[newest]
+
+        v = stack([p.speed])[:, 0]
+        return Drive(
+            name,
+            t[0] + np.arange(len(v)) * p.Ts_s,
+            np.where(missing, speed_of_missing(p), v),
+            stack(p.inputs),
+            stack(p.outputs),
+            missing=missing if missing.any() else None,
+        )
+
+    def _result(self, scenario: Scenario, facts: dict[str, Any], rows: np.ndarray) -> dict[str, Any]:
+        expect = scenario.expect
+        first_invalid = next((t for t, verdict in facts["verdicts"] if verdict == "invalid"), None)
+        start = expect.fault_start_s or 0.0
+        spans = judged_spans(rows)
+        judged = None if first_invalid is None else overlap(spans, start, first_invalid)
+        result = {
+            "scenario": scenario.name,
+            "title": scenario.title,
+            "controller": self.controller,
+            "expected": expect.model_dump(exclude_none=True),
+            "first_invalid_s": first_invalid,
+            "judged_to_invalid_s": judged,
+            "judged_s": overlap(spans, start, facts["duration_s"]),
+            "max_margin": float(rows["margin"].max(initial=0.0)),
+            **facts,
+            "reception": _reception(facts["reception"]),
+        }
+        return result | {"missed": list(missed(expect, result, self.project.Ts_s))}
+
+
+def _joining(bus: str, program: Path) -> Path:
+    """Firmware in a separate process. InputError where it cannot join ``bus``."""
+    if not bus.startswith("socketcan:"):
+        raise InputError(bus, "bus", "joins nothing outside the simulator", "socketcan:INTERFACE")
+    return program
+
+
+def loop_objects(folder: Path, main: Path, *, lcm: bool = False) -> list[Path]:
+    """Objects of a program ``main`` around the simulated loop of a generated folder with a controller.
+
+    Raises NativeError where one does not compile.
+    """
+    root = firmware_root()
+    plant = [root / "plant" / "include", root / "plant" / "src", root / "plant" / "tool"]
+    of_no_vehicle = [root / "sim", *_ecu_folders(root), *plant, library_root() / "include"]
+    of_vehicle = [*of_no_vehicle, *_core_folders(folder)]
+    without = {"main", "publisher_none"} if lcm else {"main"}
+    sim = [s for s in sorted((root / "sim").glob("*.cpp")) if s.stem not in without]
+    truth = [*sorted((root / "plant" / "src").glob("*.cpp")), root / "plant" / "tool" / "arguments.cpp"]
+    objects = core_objects(folder)
+    objects += _objects(truth, plant)
+    with tempfile.TemporaryDirectory() as codec:
+        shutil.copy(folder / "lpvg_can_codec.h", codec)
+        objects += _objects([s for s in sim if s.stem in OF_NO_VEHICLE], [*of_no_vehicle, Path(codec)])
+    own = [s for s in sim if s.stem not in OF_NO_VEHICLE]
+    objects += _objects([*own, *_ecu_sources(root), main], of_vehicle)
+    return objects + ([_lcm_publisher(root, FLAGS, of_vehicle)] if lcm else [])
+
+
+def _objects(sources: list[Path], includes: list[Path]) -> list[Path]:
+    """Objects of sources of firmware_sim/. NativeError where one does not compile."""
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        return list(pool.map(lambda s: native.compile_object(s, flags=FLAGS, include_dirs=includes), sources))
+
+
+def _core_folders(folder: Path) -> list[Path]:
+    """Folders of the core's headers, for a generated folder."""
+    return [library_root() / "include", library_root() / "src", folder]
+
+
+def _ecu_folders(root: Path) -> list[Path]:
+    """Folders of the headers of the firmware and its ports."""
+    return [root / "ecu", root / "ports", *_ports(root)]
+
+
+def _ecu_sources(root: Path) -> list[Path]:
+    """Sources of the firmware for both the simulator and the process on a CAN interface."""
+    return [*sorted((root / "ecu").glob("*.c")), *(s for p in _ports(root) for s in sorted(p.glob("*.cpp")))]
+
+
+def _ports(root: Path) -> list[Path]:
+    """Folders shared by an ECU on Linux and its simulator."""
+    return [root / "ports" / "ecu_process", root / "ports" / "linux"]
+
+
+def _lcm_publisher(root: Path, flags: tuple[str, ...], includes: list[Path]) -> Path:
+    """Object of the LCM publisher, with its message types. NativeError without lcm-gen."""
+    # That of the library that is linked: C++ from another version's does not compile with it.
+    found = subprocess.run(
+        ["pkg-config", "--variable=prefix", "lcm"], capture_output=True, text=True, check=False
+    ).stdout.strip()
+    generator = Path(found, "bin", "lcm-gen")
+    if not found or not generator.is_file():
+        raise native.NativeError("LCM not found; install liblcm-dev, liblcm-bin and libglib2.0-dev")
+    with tempfile.TemporaryDirectory() as types:
+        subprocess.run(
+            [generator, "--cpp", "--cpp-hpath", types, *sorted((root / "lcm").glob("*.lcm"))], check=True
+        )
+        return native.compile_object(
+            root / "lcm" / "publisher_lcm.cpp", flags=flags, include_dirs=[*includes, types]
+        )
+
+
+def _reception(raw: dict[str, Any]) -> dict[str, Any]:
+    """Counters of the supervision by message and kind ("other": frames of no rule), and first time of each
+    kind [s]."""
+    names = {m.id: m.name for m in load_catalogue().messages} | {0: "other"}
+    messages = {}
+    for identifier, state, counts, first_s in raw["rules"]:
+        seen = [(kind, n, t) for kind, n, t in zip(EVENTS, counts, first_s, strict=False) if n]
+        messages[names[identifier]] = {
+            **({"state": SUPERVISION[state]} if identifier else {"bus_off": bool(state)}),
+            "counts": {kind: n for kind, n, _ in seen},
+            "first_s": {kind: t for kind, _, t in seen},
+        }
+    return {"send_failures": raw["send_failures"], "messages": messages}
+
+
+def judged_spans(rows: np.ndarray) -> list[list[float]]:
+    """Joined spans [t0, t1] of the counted frames [s], in order of time.
+
+    ``rows`` (F,): the simulator's table of frames with fields reason, t_begin_s, t_end_s.
+    """
+    counted = rows[rows["reason"] <= 1]
+    spans: list[list[float]] = []
+    for begin, end in sorted(zip(counted["t_begin_s"].tolist(), counted["t_end_s"].tolist(), strict=False)):
+        if spans and begin <= spans[-1][1]:
+            spans[-1][1] = max(spans[-1][1], end)
+        else:
+            spans.append([begin, end])
+    return spans
+
+
+def overlap(spans: list[list[float]], start: float, end: float) -> float:
+    """Length of the part of ``spans`` within start..end [s]."""
+    return round(sum(max(0.0, min(b, end) - max(a, start)) for a, b in spans), 6)
+
+
+def missed(expect: Expectation, result: dict[str, Any], Ts_s: float) -> Iterator[str]:
+    """Expectations of a scenario that a run did not meet, one sentence each."""
+    first = result["first_invalid_s"]
+    if expect.verdict == "never_invalid" and first is not None:
+        yield f"invalid at {first:g} s"
+    if expect.verdict == "invalid":
+        if first is None:
+            yield "never invalid"
+        elif first < expect.fault_start_s:
+            yield f"invalid at {first:g} s, before the fault"
+        elif result["judged_to_invalid_s"] > expect.within_judged_s:
+            yield f"invalid only after {result['judged_to_invalid_s']:g} s of judged driving"
+    ratio = result["tracking_rms"] / result["command_rms"] if result["command_rms"] else 0.0
+    if expect.tracking_ratio_max is not None and ratio > expect.tracking_ratio_max:
+        yield f"tracking error is {ratio:.1%} of the command"
+    yield from _supervision_missed(expect, result["supervision"], Ts_s)
+
+
+def _supervision_missed(expect: Expectation, changes: list[list], Ts_s: float) -> Iterator[str]:
+    """Expectations on the supervision that a run did not meet, one sentence each."""
+    first_live = next((t for t, state in changes if state == "live"), None)
+    if first_live is None:
+        yield "supervision was never live"
+        return
+    left = [t for t, state in changes if t > first_live and state != "live"]
+    reaction = expect.reaction_s(Ts_s)
+    if reaction is None:
+        if left:
+            yield f"supervision left live at {left[0]:g} s"
+        return
+    start, deadline = reaction
+    if left and left[0] < start:
+        yield f"supervision left live at {left[0]:g} s, before the fault"
+    elif not left or left[0] > deadline + 1e-9:
+        yield f"supervision still live at {deadline:g} s"
+    elif expect.fault_end_s is not None:
+        at_deadline = [state for t, state in changes if t <= expect.fault_end_s + RECOVERY_S]
+        if at_deadline[-1] != "live":
+            yield f"supervision not live again at {expect.fault_end_s + RECOVERY_S:g} s"

@@ -1,0 +1,280 @@
+"""Required states of the bus supervision, from the frames and the message table alone (rules:
+lib/include/lpvguard/can.h).
+
+It is written from the rules, not from lib/src/guard/can.cpp, so that each tests the other. Per message, with
+its period from the table, starting off:
+
+    off -> live         RECOVER_FRAMES good frames in a row
+    live -> hold -> off the newest good frame is older than HOLD_MISSED + 1/2, OFF_MISSED + 1/2 periods; a
+                        good frame ends "hold"
+    live, hold -> off   the score reaches SCORE_OFF: +1 for a bad frame, -1 for a good one, at least 0; 0
+                        after recovery
+    live, hold -> off   WINDOW_BAD of the newest WINDOW frames were bad
+    any -> off          ARRIVALS frames came within ARRIVALS_PERIODS periods; all are bad until as many took
+                        longer
+    any -> off          a bus-off report
+
+A frame is bad when one of these holds:
+
+    time        it comes within a quarter of a period of the one before (babbling)
+    length      it is not of 8 bytes
+    checksum    it fails, where the table gives it one
+    counter     it is as in the frame before, 15, or more than COUNTER_STEP on, where the table gives it one
+    signal      a supervised one is "error", "not available" or outside its range, or it changed faster than
+                allowed plus one raw step since the newest good frame
+
+"Off" forgets counter and values.
+
+At every tick the ECU reports the worst state of the messages that its vehicle needs, from the frames up to
+it. It also reports off where all are live but a newest good value is outside the range of the vehicle's own
+signal table: such a sample is refused.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+
+from ...base.runs import runs
+from ...can.bus import OVERRIDE, REFERENCE
+from ...can.catalogue import BusSignal, Message, load_catalogue
+from ...can.codegen import ANY_PRIORITY, GAP_FRACTION
+from ...can.logs import EXTENDED, Frames
+from ...can.play import COUNTERS, e2e_crc
+from ...core.compiled import SUPERVISION
+from ...vehicle.project import Project
+
+OFF, HOLD, LIVE = (SUPERVISION.index(state) for state in ("off", "hold", "live"))
+"""lpvg_can_state_t; a smaller value is worse."""
+HOLD_MISSED, OFF_MISSED = 3, 5
+SCORE_OFF, RECOVER_FRAMES, COUNTER_STEP = 5, 5, 5
+WINDOW, WINDOW_BAD = 16, 8
+ARRIVALS, ARRIVALS_PERIODS = 8, 6
+
+
+def needed_messages(project: Project) -> list[Message]:
+    """Messages that the ECU of a vehicle needs: for speed, outputs, command, and the driver's brakes."""
+    catalogue = load_catalogue()
+    places = [project.speed.can, REFERENCE, OVERRIDE, *(s.can for s in project.outputs)]
+    return [catalogue.message(name) for name in sorted({p.message for p in places if p is not None})]
+
+
+Limits = Mapping[tuple[str, str], tuple[float, float]]
+"""Least and largest accepted bus value by message and signal."""
+
+
+def limits(project: Project) -> dict[tuple[str, str], tuple[float, float]]:
+    """Limits by the vehicle's signal table for the monitor's signals on the bus."""
+    found = {}
+    for s in (project.speed, *project.outputs):
+        if s.can is not None:
+            ends = s.can.factor * s.min, s.can.factor * s.max
+            found[s.can.message, s.can.signal] = min(ends), max(ends)
+    return found
+
+
+def required(
+    frames: Frames,
+    messages: Sequence[Message],
+    ticks_us: np.ndarray,
+    bus_off_us: Sequence[int] = (),
+    within: Limits = MappingProxyType({}),
+) -> np.ndarray:
+    """Required state (N,) at each tick (N,) [us], from ``messages`` and ``frames`` in the order of arrival.
+
+    ``bus_off_us``: times of the reports; ``within``: limits of the vehicle, see ``limits``.
+    """
+    worst, refused = np.full(len(ticks_us), LIVE), np.zeros(len(ticks_us), bool)
+    for message in messages:
+        at = np.flatnonzero(
+            (frames.id & np.uint32(ANY_PRIORITY)) == np.uint32((message.id | EXTENDED) & ANY_PRIORITY)
+        )
+        watch = _watched(
+            message, frames.t_ns[at] // 1000, frames.length[at], frames.data[at, :8], sorted(bus_off_us)
+        )
+        times, states = zip(*watch.changes, strict=False)
+        worst = np.minimum(worst, np.array(states)[np.searchsorted(times, ticks_us, side="right") - 1])
+        newest = np.searchsorted([t for t, _ in watch.taken], ticks_us, side="right")  # 0: none yet
+        for column, signal in enumerate(message.supervised):
+            if (message.name, signal.name) in within:
+                low, high = within[message.name, signal.name]
+                value = np.array(
+                    [low, *(signal.scale * values[column] + signal.offset for _, values in watch.taken)]
+                )
+                refused |= ((value < low) | (value > high))[newest]
+    return np.where(refused & (worst == LIVE), OFF, worst)
+
+
+@dataclass
+class _Watch:
+    """One message at the time of its newest frame.
+
+    ``changes``: (time [us], state from then on); ``taken``: (time [us], raw values) of every good frame.
+    """
+
+    period: int
+    state: int = OFF
+    accepted: int = 0
+    score: int = 0
+    in_row: int = 0
+    counter: int | None = None
+    values: list[int] | None = None
+    arrived: int | None = None
+    arrivals: int = 0
+    fast: bool = False
+
+    def __post_init__(self) -> None:
+        self.changes = [(-1, OFF)]
+        self.taken: list[tuple[int, list[int]]] = []
+        self.window = deque[bool](maxlen=WINDOW)
+
+    def go(self, t: int, state: int) -> None:
+        if state == OFF:
+            self.in_row, self.counter, self.values = 0, None, None
+            self.window.clear()
+        if state != self.state:
+            self.state = state
+            self.changes.append((t, state))
+
+    def pass_time(self, t: int) -> None:
+        due = self.accepted + self.period // 2 + 1
+        held, off = due + HOLD_MISSED * self.period, due + OFF_MISSED * self.period
+        if t >= held and self.state == LIVE:
+            self.go(held, HOLD)
+        if t >= off:
+            self.go(off, OFF)
+
+    def arrive(self, t: int) -> None:
+        if self.arrived is None:
+            self.arrived = t
+            return
+        self.arrivals += 1
+        if self.arrivals == ARRIVALS:
+            self.fast = t - self.arrived < ARRIVALS_PERIODS * self.period
+            self.arrived, self.arrivals = t, 0
+
+    def bad(self, t: int) -> None:
+        self.score = min(self.score + 1, SCORE_OFF)
+        if self.state == OFF:
+            self.in_row, self.values = 0, None
+        elif self.score == SCORE_OFF or self.fast:
+            self.go(t, OFF)
+        self.window.append(True)
+        if self.state != OFF and sum(self.window) >= WINDOW_BAD:
+            self.go(t, OFF)
+
+    def good(self, t: int, values: list[int]) -> None:
+        self.accepted, self.values = t, values
+        self.taken.append((t, values))
+        if self.state != OFF:
+            self.score = max(0, self.score - 1)
+            self.window.append(False)
+            self.go(t, LIVE)
+            return
+        self.in_row += 1
+        if self.in_row == RECOVER_FRAMES:
+            self.score, self.in_row = 0, 0
+            self.window.clear()
+            self.go(t, LIVE)
+
+
+def _watched(
+    message: Message, t_us: np.ndarray, length: np.ndarray, data: np.ndarray, bus_off_us: Sequence[int]
+) -> _Watch:
+    """Of a message's frames, t_us (N,), length (N,), data (N, 8): changes of state, and the good ones."""
+    signals = message.supervised
+    raw = np.column_stack([_raw(data, s) for s in signals]) if signals else np.zeros((len(t_us), 0), int)
+    early = np.diff(t_us, prepend=-message.period_ms * 1000) < message.period_ms * 1000 // GAP_FRACTION
+    unreadable = early | (length != 8)
+    if message.e2e:
+        unreadable |= (e2e_crc(data, message.e2e.data_id) != data[:, 0]) | ((data[:, 1] & 0x0F) >= COUNTERS)
+    outside = np.zeros(len(t_us), bool)
+    rates = []  # column, raw steps a microsecond
+    rules = [s.supervise for s in signals if s.supervise is not None]
+    for k, (signal, rule, column) in enumerate(zip(signals, rules, raw.T, strict=True)):
+        outside |= (
+            (column < math.ceil((rule.min - signal.offset) / signal.scale))
+            | (column > math.floor((rule.max - signal.offset) / signal.scale))
+            | (column >= (signal.raw_error_min or 1 << signal.length))
+        )
+        if rule.max_rate:
+            rates.append((k, rule.max_rate / signal.scale * 1e-6))
+    watch, reports = _Watch(message.period_ms * 1000), list(bus_off_us)
+    for t, wrong, counter, beyond, values in zip(
+        t_us.tolist(),
+        unreadable.tolist(),
+        (data[:, 1] & 0x0F).tolist(),
+        outside.tolist(),
+        raw.tolist(),
+        strict=False,
+    ):
+        while reports and reports[0] <= t:
+            watch.pass_time(reports[0])
+            watch.go(reports.pop(0), OFF)
+        watch.pass_time(t)
+        watch.arrive(t)
+        wrong = wrong or watch.fast
+        if not wrong and message.e2e:
+            wrong = (
+                watch.counter is not None and not 1 <= (counter - watch.counter) % COUNTERS <= COUNTER_STEP
+            )
+            watch.counter = counter
+        if not wrong and not beyond and watch.values is not None:
+            since = max(t - watch.accepted, watch.period)
+            for k, rate in rates:
+                beyond = beyond or abs(values[k] - watch.values[k]) > rate * since + 1
+        if wrong or beyond:
+            watch.bad(t)
+        else:
+            watch.good(t, values)
+    for t in (*reports, np.iinfo(np.int64).max):
+        watch.pass_time(int(t))
+        watch.go(int(t), OFF)
+    return watch
+
+
+def _raw(data: np.ndarray, signal: BusSignal) -> np.ndarray:
+    whole = np.ascontiguousarray(data).view("<u8")[:, 0]
+    return (whole >> np.uint64(signal.start) & np.uint64((1 << signal.length) - 1)).astype(int)
+
+
+@dataclass(frozen=True)
+class Reactions:
+    """What was said against what had to be said.
+
+    due             stretches of ticks for which a worse state than live is required
+    met             those of them in which every tick said it
+    late_s          longest time on end for which a better state was said than required [s]
+    unwarranted_s   time in which a worse state was said than required [s]
+    away_s          time for which a state other than live was required [s]
+    """
+
+    due: int
+    met: int
+    late_s: float
+    unwarranted_s: float
+    away_s: float
+
+    @classmethod
+    def of(cls, said: np.ndarray, must: np.ndarray, Ts: float) -> Reactions:
+        """``said``, ``must``: (N,) states at ticks ``Ts`` [s] apart."""
+        missed = said > must
+        stretches = _stretches(must < LIVE)
+        late = max((b - a for a, b in _stretches(missed)), default=0)
+        return cls(
+            len(stretches),
+            sum(not missed[a:b].any() for a, b in stretches),
+            late * Ts,
+            float((said < must).sum() * Ts),
+            float((must < LIVE).sum() * Ts),
+        )
+
+
+def _stretches(where: np.ndarray) -> list[tuple[int, int]]:
+    """[begin, end) of the runs of True."""
+    return [(int(a), int(b)) for a, b in runs(where)]

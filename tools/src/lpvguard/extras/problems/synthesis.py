@@ -1,0 +1,216 @@
+"""Kinds ``hinf``, ``mu`` and ``mu_interval`` of the problem interface.
+
+Fields are as in lpvguard/extras/problems/solve.py: complex numbers are [re, im], matrices row-major nested
+lists. An impossible problem raises InputError (what, where, expected), which becomes an error answer.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lpvguard.base.errors import InputError
+from lpvguard.engine.blocks import Block
+from lpvguard.engine.synthesis.errors import SynthesisError
+from lpvguard.engine.synthesis.hinf import hinf_synthesis, proved_lower_bound
+from lpvguard.engine.synthesis.hinf_lower import DATA_RTOL
+from lpvguard.engine.synthesis.mu import MuBounds, mu_bounds, mu_interval
+from lpvguard.engine.synthesis.statespace import StateSpace
+
+RESOLVED = 1.01
+"""Largest ratio of the achieved to the proved level of a resolved H∞ answer."""
+ZERO = 1e-9
+"""Share of the plant's gain below which an achieved level counts as zero."""
+UNDETERMINED = 1e-2
+"""Relative change of the optimum by the data's last digits above which no answer is given."""
+
+
+def solve_hinf(problem: dict) -> dict:
+    """Answer kind ``hinf``: the H∞ controller of a plant, its certified level and what is proved below it.
+
+    The fields are A, B, C, D, n_control, n_measurement, dt (default 0).
+
+    Returns
+    -------
+    dict
+        ``gamma_achieved``, the proved norm of the closed loop with the ``controller``. ``gamma_lower``, a
+        proved level that no controller goes below. ``gamma``, the optimum that the Riccati equations claim,
+        between both. ``resolved``: both are within 1 %. ``note`` says what is singular or not proved.
+
+    Raises
+    ------
+    SynthesisError
+        It names the field that cannot be answered. So it does where the last digits of the data decide on
+        the optimum.
+    """
+    name = str(problem.get("id", "hinf"))
+    plant = _system(problem, name)
+    counts = _count(problem, "n_control", name), _count(problem, "n_measurement", name)
+    try:
+        result = hinf_synthesis(plant, *counts, thorough=True)
+        lower = proved_lower_bound(plant, *counts, result.gamma)
+    except (np.linalg.LinAlgError, ArithmeticError) as exc:
+        raise SynthesisError(
+            name, "arithmetic", str(exc), "a plant whose signals are scaled to order one"
+        ) from exc
+    proved, achieved = min(lower.value, result.certificate.lower), result.gamma_achieved
+    resolved = achieved <= max(RESOLVED * proved, ZERO * lower.size)
+    if not resolved and lower.moved > UNDETERMINED:
+        raise SynthesisError(
+            name,
+            "A, B, C, D",
+            f"a relative change of {DATA_RTOL:g} of the entries moves the optimum by {lower.moved:.2g} of "
+            f"itself; known is {proved:.6g} <= optimum <= {achieved:.6g}",
+            "data in coordinates whose digits determine it: balanced or modal states",
+        )
+    notes = list(result.notes)
+    if not resolved:
+        notes.append(f"not proved: the optimum lies between {proved:.6g} and {achieved:.6g}")
+    K = result.controller
+    return {
+        "gamma": float(np.clip(result.gamma, proved, achieved)),
+        "gamma_lower": proved,
+        "gamma_achieved": achieved,
+        "resolved": resolved,
+        "controller": {
+            "A": K.A.tolist(),
+            "B": K.B.tolist(),
+            "C": K.C.tolist(),
+            "D": K.D.tolist(),
+            "dt": K.dt,
+        },
+        "norm_lower": result.certificate.lower,
+        "peak_frequency": _finite(result.certificate.peak_frequency),
+        "regularisation": result.regularisation,
+        "note": "; ".join(notes),
+    }
+
+
+def solve_mu(problem: dict) -> dict:
+    """Answer kind ``mu``: both bounds of μ for the fields M and blocks.
+
+    Returns
+    -------
+    dict
+        ``mu_upper`` (proved), ``mu_lower``, and ``delta``, which makes I − M Δ singular at size 1/mu_lower.
+        ``gap`` is mu_upper/mu_lower − 1; ``resolved`` tells whether it is at most 1 %. ``delta`` and ``gap``
+        are null for mu_lower = 0.
+
+    Raises
+    ------
+    SynthesisError
+        It names the field that cannot be answered.
+    """
+    name = str(problem.get("id", "mu"))
+    return _bounds(mu_bounds(_complex_matrix(problem, "M", name), _blocks(problem, name)))
+
+
+def solve_mu_interval(problem: dict) -> dict:
+    """Answer kind ``mu_interval``: both bounds of μ between ``low`` and ``high`` [rad/s].
+
+    The fields are A, B, C, D, dt (default 0), blocks, low (default 0), high (default or null: infinite, of a
+    discrete system pi / dt).
+
+    Returns
+    -------
+    dict
+        As ``solve_mu``, with the frequency ``omega`` [rad/s] of ``mu_lower`` (null: infinite) and the number
+        ``cells`` of boxes and intervals that the proof of ``mu_upper`` is made of.
+
+    Raises
+    ------
+    SynthesisError
+        It names the field that cannot be answered.
+    """
+    name = str(problem.get("id", "mu_interval"))
+    loop, blocks = _system(problem, name), _blocks(problem, name)
+    last = np.pi / loop.dt if loop.dt else np.inf
+    high = last if problem.get("high") is None else _number(problem, "high", name, last)
+    bounds = mu_interval(loop, blocks, _number(problem, "low", name, 0.0), high)
+    return _bounds(bounds) | {"omega": _finite(bounds.omega), "cells": len(bounds.proof)}
+
+
+def _bounds(bounds: MuBounds) -> dict:
+    """Fields of an answer that both kinds of μ share."""
+    delta = bounds.delta
+    return {
+        "mu_upper": bounds.upper,
+        "mu_lower": bounds.lower,
+        "gap": _finite(bounds.gap),
+        "resolved": bounds.resolved,
+        "delta": None if delta is None else np.stack([delta.real, delta.imag], axis=-1).tolist(),
+    }
+
+
+def _system(problem: dict, name: str) -> StateSpace:
+    D = _matrix(problem, "D", name)
+    n = len(problem["A"]) if isinstance(problem.get("A"), list) else 0
+    A, B, C = (
+        _matrix(problem, key, name, shape)
+        for key, shape in (("A", (n, n)), ("B", (n, D.shape[1])), ("C", (D.shape[0], n)))
+    )
+    return StateSpace(A, B, C, D, _number(problem, "dt", name, 0.0))
+
+
+def _blocks(problem: dict, name: str) -> list[Block]:
+    listed = problem.get("blocks")
+    if not isinstance(listed, list) or not listed:
+        raise SynthesisError(name, "blocks", "missing or empty", "a list of {type, rows, cols}")
+    blocks = []
+    for k, b in enumerate(listed):
+        if not isinstance(b, dict):
+            raise SynthesisError(name, f"blocks[{k}]", repr(b), "{type, rows, cols}")
+        where = f"{name}: blocks[{k}]"
+        rows_of_M, cols_of_M = _count(b, "rows", where), _count(b, "cols", where)
+        try:
+            # The contract states M's part; Block is Delta_i.
+            blocks.append(Block(b.get("type", "full"), cols_of_M, rows_of_M))
+        except InputError as error:
+            what = error.what if error.where == "type" else f"{rows_of_M} x {cols_of_M}"
+            raise SynthesisError(where, error.where, what, error.expected) from None
+    return blocks
+
+
+def _matrix(problem: dict, key: str, name: str, shape: tuple[int, int] | None = None) -> np.ndarray:
+    try:
+        value = np.asarray(problem[key], dtype=float)
+    except KeyError:
+        raise SynthesisError(name, key, "missing", "a matrix as nested lists") from None
+    except (TypeError, ValueError):
+        raise SynthesisError(name, key, "not a matrix of numbers", "nested lists of equal length") from None
+    if shape is not None and value.size == 0 and 0 in shape:
+        return value.reshape(shape)
+    if value.ndim != 2:
+        raise SynthesisError(name, key, f"{value.ndim} dimensions", "a matrix as nested lists")
+    return value
+
+
+def _complex_matrix(problem: dict, key: str, name: str) -> np.ndarray:
+    try:
+        value = np.asarray(problem[key], dtype=float)
+    except KeyError:
+        raise SynthesisError(name, key, "missing", "a matrix of [re, im]") from None
+    except (TypeError, ValueError):
+        raise SynthesisError(name, key, "not a matrix of numbers", "nested lists of [re, im]") from None
+    if value.ndim == 2:
+        return value.astype(complex)
+    if value.ndim != 3 or value.shape[2] != 2:
+        raise SynthesisError(name, key, f"shape {value.shape}", "rows of [re, im]")
+    return value[..., 0] + 1j * value[..., 1]
+
+
+def _number(problem: dict, key: str, name: str, default: float) -> float:
+    value = problem.get(key, default)
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        raise SynthesisError(name, key, repr(value), "a number")
+    return float(value)
+
+
+def _count(problem: dict, key: str, name: str) -> int:
+    value = problem.get(key)
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or value != int(value) or value < 1:
+        raise SynthesisError(name, key, repr(value), "a whole number of at least 1")
+    return int(value)
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None

@@ -1,0 +1,472 @@
+"""`lpvguard identify`: drives -> unfalsified bounds -> weights -> calibrated frame test (paper, steps 1-7).
+
+Writes a folder with
+
+    bounds.json       bounds per bin (bounds.py), the drives that set them, and the estimator's window error
+    front.json        Pareto front nu(gamma_w) per bin, and the chosen point on it
+    model_error.json  the part of the error that follows the input, with its standard error, of the drives
+                      that set the bounds and of those that judge them (model_error.py)
+    weights.json      W_w per output and W_delta with their certificates, and the final inflation
+    calibration.json  scores, threshold, alpha
+    energy.json       energy test: filters, certificate, sigma, scores, threshold (energy.py); Hann frames
+    only
+    change.json       change test: sizes, scores, threshold (change.py); Hann frames only
+    diagnosis.json    scales of the diagnosis of alarms (diagnosis.py); Hann frames only
+    visibility.json   smallest visible gain and delay errors, at typical and at the strongest excitation met
+    spectra.npz       E, Z and mean speed of frames of the bound-setting drives, thinned, for the pictures and
+                      step 8's trade-offs
+    project.json      the project file as it was
+    MANIFEST.json     inputs, drives, estimator, and the seal of all of it (base/artefacts.py)
+
+Every pass is one map over the drives (base/parallel.py) whose results are joined on arrival. Memory does
+not grow with the number of drives, except for kept samples (KEPT_BYTES of passes.py). Neither the
+number of workers nor the order of the drives changes a bit of the bounds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+
+from ..base import artefacts
+from ..base.errors import InputError
+from ..base.parallel import Map
+from ..base.progress import Progress
+from ..base.sampling import Rows
+from ..core.coefficients import Coefficients
+from ..drives.frames import Estimator, not_for_the_core
+from ..drives.tables import (
+    EXPERIMENTS,
+    Experiment,
+    table_hashes,
+)
+from ..fit.quality import Quality
+from ..vehicle.nominal import NominalModel
+from ..vehicle.project import Project, parse_project
+from .bounds import FRONT_POINTS, Bounds, Part, fold
+from .calibration import Calibration
+from .change import ChangeTest
+from .diagnosis import DiagnosisScales
+from .drive_set import Chosen
+from .drive_set import DriveSet as DriveSet
+from .energy import EnergyTest
+from .model_error import ModelError
+from .model_fit import drive_fit, require_better_than_none
+from .over_drives import Origins, OverDrives
+from .passes import spectra_file
+from .weights import (
+    Weights,
+    coefficients_of,
+    energy_filters,
+    fit_bound,
+    fit_weights,
+    smallest_disturbance,
+    with_healthy,
+)
+from .window_error import window_error
+
+Result = TypeVar("Result")
+
+
+def _quiet(_: str) -> None:
+    pass
+
+
+@dataclass(frozen=True)
+class Identification:
+    """Result of identify; the module's docstring lists the files.
+
+    Attributes
+    ----------
+    project : Project
+    model : NominalModel
+    estimator : Estimator
+    bounds : Bounds
+    model_error : ModelError
+    weights : Weights
+    calibration : Calibration
+    energy : EnergyTest or None
+    change : ChangeTest or None
+    diagnosis : DiagnosisScales or None
+    visibility : dict
+    spectra : Rows
+    bound_drives, calibration_drives, noise_drives : list[str]
+    left_out, sha256 : dict[str, str]
+    model_fit, others_fit : list[Quality]
+    origins : Origins
+    """
+
+    project: Project
+    model: NominalModel
+    estimator: Estimator
+    bounds: Bounds
+    model_error: ModelError
+    weights: Weights
+    calibration: Calibration
+    energy: EnergyTest | None
+    change: ChangeTest | None
+    diagnosis: DiagnosisScales | None
+    visibility: dict
+    spectra: Rows
+    bound_drives: list[str]
+    calibration_drives: list[str]
+    noise_drives: list[str]
+    left_out: dict[str, str]
+    sha256: dict[str, str]
+    model_fit: list[Quality]
+    others_fit: list[Quality]
+    origins: Origins
+
+
+def _of_commands(drives: DriveSet, setting: list[Experiment], parts: list[Part]) -> Part:
+    """Joined parts of the bound-setting drives for W_C; InputError when there is none."""
+    splits = drives.reader.project.data.command_splits
+    chosen = [p for e, p in zip(setting, parts, strict=True) if e.split in splits]
+    if not chosen:
+        raise drives.index_error(
+            f"no drive has split {' or '.join(splits)}, of data.command_split",
+            "at least one drive whose input is a command as in use",
+        )
+    return fold(chosen)
+
+
+def _ceiling(project: Project, estimator: Estimator, error: ModelError) -> np.ndarray:
+    """(K,) ceiling on nu at the bins, 0 at DC: the project's, or what the drives' model error asks for."""
+    stated = project.bounds.nu_ceiling
+    if stated is None:
+        return error.at_bins(estimator).max(axis=1)
+    return stated.at(estimator.omega / (2 * np.pi))
+
+
+def _weighted(
+    run: OverDrives, chosen: Chosen, error: ModelError, first: Part, noise: np.ndarray, command: np.ndarray
+) -> tuple[Bounds, Weights]:
+    """Steps 4 to 7: bounds and weights. ``first``: of the bound-setting drives; ``noise`` (K, n_y) and
+    ``command`` (K,): peaks."""
+    project, estimator = run.reader.project, run.reader.estimator
+    gamma_w = fit_bound(project, estimator, first["gamma_rule"], "gamma_w", smallest_disturbance(first["B2"]))
+    smooth = gamma_w.magnitude(estimator.omega)
+    second, W_delta = run.uncertainty(first, smooth, error, chosen.setting)
+    bounds, healthy = run.bounds(first, smooth, second, W_delta, chosen.setting), None
+    if project.bounds.nu_ceiling is None:
+        healthy = run.healthy(error, W_delta, bounds.B_w_floor, chosen.setting)
+        # The certificate's set contains the healthy one: what refutes it leaves that.
+        bounds = replace(bounds, B_w=np.fmax(bounds.B_w, healthy.B_w))
+    given = project, estimator, bounds, gamma_w, W_delta, noise, first["E"], command
+    weights = fit_weights(*given, run.workers)
+    if healthy is not None:
+        weights = with_healthy(project, estimator, weights, healthy, run.workers)
+    return bounds, weights
+
+
+def identify(
+    project: Project,
+    folder: Path,
+    *,
+    workers: Map = map,
+    progress: Progress = _quiet,
+    without: Collection[str] = (),
+) -> tuple[Identification, DriveSet]:
+    """Run steps 1-7 on a drive folder.
+
+    Parameters
+    ----------
+    project : Project
+    folder : Path, drives with experiments.csv
+    workers : Map
+    progress : Callable, reports progress
+    without : Collection[str], drives to leave out, default ()
+
+    Returns
+    -------
+    tuple of Identification and DriveSet
+
+    Raises
+    ------
+    InputError
+        If an input does not fit, no bound-setting drive has a frame, or nothing calibrates.
+
+    References
+    ----------
+    Paper, steps 1-7; THEORY 3 to 7.
+    """
+    drives = DriveSet(project, NominalModel(project), folder, without)
+    estimator, run = drives.reader.estimator, OverDrives(drives, workers, progress)
+    hashes = table_hashes(list(drives.experiments.values()), workers)
+    chosen = Chosen.by_split(drives)
+    fit_of = partial(drive_fit, drives.reader)
+    model_fit, others_fit = (list(run.over("model", fit_of, of)) for of in (chosen.setting, chosen.others))
+    require_better_than_none(drives, model_fit)
+    error = run.model_error(chosen)
+    ceiling = _ceiling(project, estimator, error)
+    parts = list(run.first_parts(chosen.setting, ceiling, keep=True))
+    first = fold(parts)
+    command = _of_commands(drives, chosen.setting, parts)
+    chosen = run.with_frames(chosen)
+    progress("weights")
+    noise_peak = np.full(first["E"].shape, np.nan)
+    if chosen.noise:
+        noise_peak = fold(run.first_parts(chosen.noise, ceiling, keep=False))["E"]
+    bounds, weights = _weighted(run, chosen, error, first, noise_peak, command["Y"])
+    weights, calibration, energy, change = run.calibrated(weights, bounds, chosen)
+    progress("window error")
+    result = Identification(
+        project=project,
+        model=drives.reader.model,
+        estimator=estimator,
+        bounds=bounds,
+        model_error=error,
+        weights=weights,
+        calibration=calibration,
+        energy=energy,
+        change=change,
+        diagnosis=run.diagnosis(change, chosen),
+        visibility=run.visibility(weights, calibration),
+        spectra=run.spectra,
+        bound_drives=[e.name for e in chosen.setting],
+        calibration_drives=list(calibration.scores),
+        noise_drives=[e.name for e in chosen.noise],
+        left_out=drives.set_aside | run.left_out,
+        sha256=hashes,
+        model_fit=model_fit,
+        others_fit=others_fit,
+        origins=run.origins,
+    )
+    return result, drives
+
+
+def _bounds_table(result: Identification) -> dict[str, np.ndarray]:
+    """Content of bounds.json."""
+    bounds, estimator = result.bounds, result.estimator
+    error = window_error(result.model, estimator, result.project.seed)
+    return {
+        "omega_rad_s": bounds.omega,
+        "length_samples": estimator.length,
+        "frames": bounds.frames,
+        "nu_ceiling": _ceiling(result.project, estimator, result.model_error),
+        "excitation": bounds.excitation,
+        "B1": bounds.B1,
+        "B2": bounds.B2,
+        "gamma_rule": bounds.gamma_rule,
+        "gamma_w": bounds.gamma_w,
+        "nu": bounds.nu,
+        "B_w": bounds.B_w,
+        "B_w_floor": bounds.B_w_floor,
+        "resolution": bounds.resolution.step,
+        "sensor_noise": bounds.resolution.noise,
+        "window_error_median": error["median"],
+        "window_error_percentile": error["percentile"],
+    }
+
+
+def save(result: Identification, drives: DriveSet, target: Path) -> None:
+    """Write the identification folder, whole or not at all.
+
+    Parameters
+    ----------
+    result : Identification
+    drives : DriveSet, the identification's drives
+    target : Path, new folder
+
+    Raises
+    ------
+    InputError
+        If the folder may not be replaced.
+    """
+    bounds, weights = result.bounds, result.weights
+    table = _bounds_table(result)
+    front = {
+        "omega_rad_s": bounds.omega,
+        "points": FRONT_POINTS,
+        "gamma_w": bounds.front_gamma_w,
+        "nu": bounds.front_nu,
+        "taken": {"gamma_w": bounds.gamma_w, "nu": bounds.nu},
+    }
+    with artefacts.new_folder(target, "identify", result.project.name) as folder:
+        artefacts.write_files(
+            folder,
+            {
+                "bounds.json": artefacts.to_json(table),
+                "front.json": artefacts.to_json(front),
+                "model_error.json": artefacts.to_json(result.model_error.to_dict(result.project)),
+                "weights.json": artefacts.to_json(weights.to_dict()),
+                "calibration.json": artefacts.to_json(result.calibration.to_dict()),
+                **({"energy.json": artefacts.to_json(result.energy.to_dict())} if result.energy else {}),
+                **({"change.json": artefacts.to_json(result.change.to_dict())} if result.change else {}),
+                **(
+                    {"diagnosis.json": artefacts.to_json(result.diagnosis.to_dict())}
+                    if result.diagnosis
+                    else {}
+                ),
+                "visibility.json": artefacts.to_json(result.visibility),
+                "project.json": artefacts.to_json(result.project.model_dump(by_alias=True)),
+                "spectra.npz": spectra_file(result.spectra, result.bound_drives),
+                artefacts.MANIFEST: artefacts.manifest(
+                    "identify",
+                    vehicle=result.project.name,
+                    estimator_id=result.estimator.identifier(),
+                    drives={
+                        "bounds": result.bound_drives,
+                        "calibration": result.calibration_drives,
+                        "noise": result.noise_drives,
+                        "left_out": result.left_out,
+                    },
+                    drivers={n: e.driver for n, e in drives.experiments.items()},
+                    sha256=result.sha256,
+                ),
+            },
+        )
+
+
+@dataclass(frozen=True)
+class StoredIdentification:
+    """Identification folder as read back.
+
+    Attributes
+    ----------
+    folder : Path
+    manifest : dict
+    project : Project
+    bounds, front : dict of ndarray, by name, of bounds.json and front.json
+    weights : dict
+    fitted : Weights
+    calibration : Calibration
+    energy : EnergyTest or None
+    change : ChangeTest or None
+    diagnosis : DiagnosisScales or None
+    visibility : dict
+    model_error : ModelError
+    """
+
+    folder: Path
+    manifest: dict
+    project: Project
+    bounds: dict[str, np.ndarray]
+    weights: dict
+    fitted: Weights
+    calibration: Calibration
+    energy: EnergyTest | None
+    change: ChangeTest | None
+    diagnosis: DiagnosisScales | None
+    front: dict[str, np.ndarray]
+    visibility: dict
+    model_error: ModelError
+
+    @cached_property
+    def model(self) -> NominalModel:
+        """The nominal model of the project."""
+        return NominalModel(self.project)
+
+    @cached_property
+    def estimator(self) -> Estimator:
+        """The estimator of the project's frames."""
+        return Estimator.of(self.project, self.model)
+
+    @cached_property
+    def coefficients(self) -> Coefficients:
+        """Coefficients of the core; InputError for bounds of an estimator that the core does not compute."""
+        return coefficients_of(
+            self.project,
+            self.model,
+            self.estimator,
+            self.fitted,
+            self.calibration.exported,
+            self.energy_of_core,
+            self.change_of_core,
+        )
+
+    def of_group(self, group: str) -> StoredIdentification:
+        """The identification with thresholds of all tests for a group; InputError where no drive is of it."""
+        known = sorted(self.calibration.groups)
+        if group not in known:
+            raise InputError(
+                self.folder, "group", group, ", ".join(known) or f"groups, a column of {EXPERIMENTS}"
+            )
+        energy, change = self.energy_of_core, self.change_of_core
+        return replace(
+            self,
+            calibration=self.calibration.of_group(group),
+            energy=replace(energy, calibration=energy.calibration.of_group(group)),
+            change=replace(change, calibration=change.calibration.of_group(group)),
+        )
+
+    @property
+    def energy_of_core(self) -> EnergyTest:
+        """The energy test; InputError for bounds of an estimator that the core does not compute."""
+        if self.energy is None:
+            raise not_for_the_core(self.project)
+        return self.energy
+
+    @property
+    def change_of_core(self) -> ChangeTest:
+        """The change test; InputError for bounds of an estimator that the core does not compute."""
+        if self.change is None:
+            raise not_for_the_core(self.project)
+        return self.change
+
+
+def load(folder: Path) -> StoredIdentification:
+    """Read an identification folder and prove its weights' certificates again.
+
+    Parameters
+    ----------
+    folder : Path
+
+    Returns
+    -------
+    StoredIdentification
+
+    Raises
+    ------
+    InputError
+        If a file does not fit or was changed, or a certificate fails.
+    """
+    folder = Path(folder)
+    manifest = artefacts.read_manifest(folder, "identify")
+
+    def read(name: str, use: Callable[[Any, str], Result]) -> Result:
+        path = folder / f"{name}.json"
+        with artefacts.reading(path):
+            return use(artefacts.read_json(path), str(path))
+
+    project = read("project", parse_project)
+    bounds = read("bounds", lambda document, _: {k: np.array(v, float) for k, v in document.items()})
+    calibration = read("calibration", lambda document, _: Calibration.from_dict(document))
+    with artefacts.reading(folder / "project.json"):
+        model = NominalModel(project)
+        estimator = Estimator.of(project, model)
+    if manifest.get("estimator_id") != estimator.identifier():
+        raise InputError(
+            folder / artefacts.MANIFEST,
+            "estimator_id",
+            f"{manifest.get('estimator_id')}",
+            f"{estimator.identifier()}, the estimator that project.json describes",
+        )
+    weights, fitted = read("weights", lambda document, where: (document, Weights.from_dict(document, where)))
+    energy = change = diagnosis = None
+    if estimator.window == "hann":
+        energy = read("energy", energy_filters(project, estimator, fitted).restored)
+        change = read("change", ChangeTest.design(project).restored)
+        if (folder / "diagnosis.json").is_file():  # an identification of before has none
+            diagnosis = read("diagnosis", lambda document, _: DiagnosisScales.restored(project, document))
+    front = read("front", lambda document, _: {k: np.array(document[k], float) for k in ("gamma_w", "nu")})
+    return StoredIdentification(
+        folder,
+        manifest,
+        project,
+        bounds,
+        weights,
+        fitted,
+        calibration,
+        energy,
+        change,
+        diagnosis,
+        front,
+        read("visibility", lambda document, _: dict(document)),
+        read("model_error", lambda document, _: ModelError.from_dict(project, estimator, document)),
+    )

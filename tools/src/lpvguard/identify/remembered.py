@@ -1,0 +1,82 @@
+"""What filters remember at a restart: the norm of their response to what came before it (THEORY 7.2).
+
+A filter was fed with x up to a restart. Its response x0 to that past goes on. The least m is sought with
+
+    || x0 || (T) <= rho^(T - t0 + 1) m    at every T >= t0,
+
+where t0 is the first sample after the restart. The energy from before t0 is a forgetting sum. That from t0 on
+is a quadratic form in the filter's state, summed exactly by a discrete Lyapunov equation.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.linalg import solve_discrete_lyapunov
+from scipy.signal import lfilter, sosfilt
+
+
+def section_states(sections: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """States (2 S, N) of second-order sections before each sample, and the output (N,), from rest.
+
+    Parameters
+    ----------
+    sections : ndarray (S, 6)
+        Filter in z, direct form II transposed, as `scipy.signal.sosfilt` has its states.
+    x : ndarray (N,)
+        Input.
+    """
+    states = np.zeros((len(sections), 2, len(x)))
+    for state, section in zip(states, sections, strict=True):
+        b, a = section[:3], section[3:]
+        y = sosfilt(section[None], x)
+        second = b[2] * x - a[2] * y
+        state[1, 1:] = second[:-1]
+        state[0, 1:] = (b[1] * x - a[1] * y + state[1])[:-1]
+        x = y
+    return states.reshape(-1, states.shape[-1]), x
+
+
+def free_response(sections: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """A (2 S, 2 S) and C (2 S,) of the sections without input: s -> A s, response C s."""
+    unit = np.eye(2 * len(sections)).reshape(-1, len(sections), 2)
+    response, after = zip(*(sosfilt(sections, [0.0], zi=state) for state in unit), strict=True)
+    return np.array(after).reshape(len(unit), -1).T, np.concatenate(response)
+
+
+def response_energy(sections: np.ndarray, rho: float, settle: int = 0) -> np.ndarray:
+    """Energy (2 S, 2 S) of the free response, a quadratic form in the state, over rho^(2 (n + 1)) of n more
+    samples.
+
+    Parameters
+    ----------
+    sections : ndarray (S, 6)
+        Filter in z, its poles below ``rho``.
+    rho : float
+        Forgetting a sample.
+    settle : int
+        Samples of the response that do not count.
+    """
+    A, C = free_response(sections)
+    power = np.linalg.matrix_power(A / rho, settle)
+    return power.T @ solve_discrete_lyapunov((A / rho).T, np.outer(C, C)) @ power / rho**2
+
+
+def remembered(sections: np.ndarray, x: np.ndarray, rho: float, settle: int | None = None) -> float:
+    """Largest m over restarts before each sample of an input that the filter is fed with from rest.
+
+    Parameters
+    ----------
+    sections : ndarray (S, 6)
+        Filter in z, its poles below ``rho``.
+    x : ndarray (N,)
+        Input.
+    rho : float
+        Forgetting a sample.
+    settle : int or None
+        Samples after the restart at which the sum begins. None: it counts what came before, too.
+    """
+    states, y = section_states(sections, x)
+    energy = np.einsum("in,ij,jn->n", states, response_energy(sections, rho, settle or 0), states)
+    if settle is None:
+        energy += lfilter([0.0, 1.0], [1.0, -(rho**2)], y**2)
+    return float(np.sqrt(max(energy.max(), 0.0)))

@@ -1,0 +1,51 @@
+"""Sentences about alarms."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from .replayer import Alarm
+
+
+def alarm_sentence(alarm: Alarm | dict[str, Any]) -> str:
+    """Word an alarm: test, place, margin and the broken bound.
+
+    Parameters
+    ----------
+    alarm : Alarm, or dict as in the JSON of `replay`
+
+    Returns
+    -------
+    str
+    """
+    a = alarm if isinstance(alarm, dict) else asdict(alarm)
+    if a["test"] == "energy":
+        return (
+            f"energy test, v = {a['speed_mps']:.1f} m/s: ratio {a['margin']:.2f} > {a['threshold']:.2f} "
+            f"{a['band']} the corners, in direction ({_listed(a['direction'])}); ||F e|| = {_listed(a['E'])} "
+            f"against ||F W_delta yhat|| {_listed(a['Z'])} + sigma {_listed(a['B_w'])} + what a restart "
+            "leaves"
+        )
+    if a["test"] == "change":
+        return (
+            f"change test, v = {a['speed_mps']:.1f} m/s: {a['part']} of {a['output']} at {a['margin']:.2f} > "
+            f"{a['threshold']:.2f} of the largest on the bound-setting drives; gain "
+            f"{1 + a['estimate']['gain']:.3g} of the model's, {a['estimate']['delay_s']:.3g} s later, bias "
+            f"{a['estimate']['bias']:.3g}"
+        )
+    return (
+        f"frame test, {a['bin_rad_s']:.3g} rad/s, v = {a['speed_mps']:.1f} m/s: "
+        f"margin {a['margin']:.2f} (statistic {a['statistic']:.2f} > {a['threshold']:.2f}); |E| = "
+        f"{_norm(a['E']):.3g} against W_delta {_listed(a['W_delta'])} x |Z| {_norm(a['Z']):.3g} + B_w "
+        f"{_listed(a['B_w'])}"
+    )
+
+
+def _listed(values: list[float]) -> str:
+    return ", ".join(f"{x:.3g}" for x in values)
+
+
+def _norm(values: list[complex]) -> float:
+    return sum(abs(x) ** 2 for x in values) ** 0.5

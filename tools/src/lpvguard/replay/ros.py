@@ -1,0 +1,150 @@
+"""Time series of a replay as ROS 2 messages in an MCAP file (rosbag2), without an installation of ROS.
+
+/diagnostics            diagnostic_msgs/DiagnosticArray: at each change of verdict, alarm and second
+/vehicle/twist          geometry_msgs/TwistStamped: speed as linear.x, measured yaw rate as angular.z
+/vehicle/twist_nominal  the same with the nominal yaw rate
+/vehicle/drive          ackermann_msgs/AckermannDriveStamped: speed and road-wheel angle
+
+A topic whose signals the vehicle does not have is left out. A yaw rate is an output in rad/s whose name has
+the word yaw; a road-wheel angle is an input in rad.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+
+from ..base.errors import InputError
+from .alarm_text import alarm_sentence
+from .series import MARGIN, numbers
+
+OK, WARN, ERROR, STALE = range(4)
+"""Levels of diagnostic_msgs/DiagnosticStatus."""
+LEVELS = {"valid": OK, "degraded": WARN, "invalid": ERROR, "fault": ERROR}
+"""Level of each verdict; the others judge nothing and are STALE."""
+PERIOD_NS = 10**9
+"""Longest time between two diagnostics [ns]."""
+_LINE = "=" * 80
+_HEADER = (
+    f"{_LINE}\nMSG: std_msgs/Header\nbuiltin_interfaces/Time stamp\nstring frame_id\n"
+    f"{_LINE}\nMSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n"
+)
+DEFINITIONS = {
+    "diagnostic_msgs/msg/DiagnosticArray": (
+        f"std_msgs/Header header\ndiagnostic_msgs/DiagnosticStatus[] status\n"
+        f"{_LINE}\nMSG: diagnostic_msgs/DiagnosticStatus\nbyte level\nstring name\nstring message\n"
+        f"string hardware_id\ndiagnostic_msgs/KeyValue[] values\n"
+        f"{_LINE}\nMSG: diagnostic_msgs/KeyValue\nstring key\nstring value\n{_HEADER}"
+    ),
+    "geometry_msgs/msg/TwistStamped": (
+        f"std_msgs/Header header\ngeometry_msgs/Twist twist\n"
+        f"{_LINE}\nMSG: geometry_msgs/Twist\ngeometry_msgs/Vector3 linear\ngeometry_msgs/Vector3 angular\n"
+        f"{_LINE}\nMSG: geometry_msgs/Vector3\nfloat64 x\nfloat64 y\nfloat64 z\n{_HEADER}"
+    ),
+    "ackermann_msgs/msg/AckermannDriveStamped": (
+        f"std_msgs/Header header\nackermann_msgs/AckermannDrive drive\n"
+        f"{_LINE}\nMSG: ackermann_msgs/AckermannDrive\nfloat32 steering_angle\n"
+        f"float32 steering_angle_velocity\nfloat32 speed\nfloat32 acceleration\nfloat32 jerk\n{_HEADER}"
+    ),
+}
+"""Fields of the message types, as ROS 2 defines them."""
+DIAGNOSTICS, TWIST, DRIVE = DEFINITIONS
+
+
+def write_ros2(path: Path, vehicle: str, series: pa.Table, alarms: list[dict[str, Any]]) -> None:
+    """Write a time series to an MCAP file with ROS 2 messages.
+
+    Parameters
+    ----------
+    path : Path
+    vehicle : str, hardware_id of the diagnostics
+    series : Table, of series.py
+    alarms : list of dict, as in the JSON of `replay`
+
+    Raises
+    ------
+    InputError
+        If mcap-ros2-support is not installed.
+    """
+    try:
+        from mcap.writer import CompressionType
+        from mcap_ros2.writer import Writer
+    except ImportError:
+        raise InputError("mcap_ros2", "", "the Python package is not installed", "lpvguard[ros2]") from None
+    stamps = np.round(numbers(series["t"]) * 1e9).astype(np.int64)
+    found = [*_diagnostics(vehicle, stamps, series, alarms), *_motions(stamps, series)]
+    with path.open("wb") as stream:
+        writer = Writer(stream, compression=CompressionType.NONE)
+        kinds = {kind: writer.register_msgdef(kind, text) for kind, text in DEFINITIONS.items()}
+        for number, (t, topic, kind, content) in enumerate(sorted(found, key=lambda m: m[0])):
+            stamp = {"sec": t // 10**9, "nanosec": t % 10**9}
+            message = {"header": {"stamp": stamp, "frame_id": "base_link"}, **content}
+            writer.write_message(topic, kinds[kind], message, t, t, number)
+        writer.finish()
+
+
+Message = tuple[int, str, str, dict[str, Any]]
+"""Time [ns], topic, type and content below the header."""
+
+
+def _diagnostics(
+    vehicle: str, stamps: np.ndarray, series: pa.Table, alarms: list[dict[str, Any]]
+) -> Iterator[Message]:
+    """Yield the monitor's state at each change, alarm and second."""
+    verdicts = series["verdict"].to_pylist()
+    ratios = {name: numbers(series[name]) for name in ("energy_ratio", "change_ratio")}
+    margins = np.array([numbers(series[n]) for n in series.column_names if n.startswith(MARGIN)])
+    said: dict[int, list[str]] = {}
+    for one in alarms:
+        said.setdefault(int(np.argmin(np.abs(stamps - one["t_s"] * 1e9))), []).append(alarm_sentence(one))
+    before, last, begin = None, -PERIOD_NS, 0
+    for k, (t, verdict) in enumerate(zip(stamps.tolist(), verdicts, strict=True)):
+        if verdict == before and t - last < PERIOD_NS and k not in said:
+            continue
+        values = {"verdict": verdict}
+        judged = margins[:, begin : k + 1]
+        if np.isfinite(judged).any():
+            values["largest margin"] = f"{np.nanmax(judged):.4g}"
+        values |= {name: f"{x[k]:.4g}" for name, x in ratios.items() if np.isfinite(x[k])}
+        status = {
+            "level": LEVELS.get(verdict, STALE),
+            "name": "lpvguard: nominal model",
+            "message": "; ".join(said.get(k, [verdict.replace("_", " ")])),
+            "hardware_id": vehicle,
+            "values": [{"key": key, "value": value} for key, value in values.items()],
+        }
+        yield t, "/diagnostics", DIAGNOSTICS, {"status": [status]}
+        before, last, begin = verdict, t, k + 1
+
+
+def _motions(stamps: np.ndarray, series: pa.Table) -> Iterator[Message]:
+    """Yield speed with the measured and nominal yaw rate, and with the road-wheel angle."""
+    names = series.column_names
+    speed, *signals = names[1 : next(k for k, n in enumerate(names) if n.startswith("yhat/"))]
+    unit = {n: (series.schema.field(n).metadata or {}).get(b"unit", b"").decode() for n in signals}
+    outputs = [n for n in signals if f"yhat/{n}" in names]
+    yaw = next((n for n in outputs if "yaw" in n and unit[n] == "rad/s"), None)
+    angle = next((n for n in signals if n not in outputs and unit[n] == "rad"), None)
+    wanted = [
+        ("/vehicle/twist", yaw),
+        ("/vehicle/twist_nominal", yaw and f"yhat/{yaw}"),
+        ("/vehicle/drive", angle),
+    ]
+    v = numbers(series[speed])
+    for topic, column in wanted:
+        if column is None:
+            continue
+        x = numbers(series[column])
+        for k in np.flatnonzero(np.isfinite(v) & np.isfinite(x)):
+            t, moving, value = int(stamps[k]), float(v[k]), float(x[k])
+            if topic == "/vehicle/drive":
+                drive = dict.fromkeys(("steering_angle_velocity", "acceleration", "jerk"), 0.0)
+                yield t, topic, DRIVE, {"drive": {**drive, "steering_angle": value, "speed": moving}}
+            else:
+                parts = {"linear": (moving, 0.0, 0.0), "angular": (0.0, 0.0, value)}
+                twist = {name: dict(zip("xyz", xyz, strict=True)) for name, xyz in parts.items()}
+                yield t, topic, TWIST, {"twist": twist}

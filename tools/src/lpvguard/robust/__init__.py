@@ -1,0 +1,37 @@
+"""Robust control on objects of python-control: no drive, no vehicle, no file (lib/THEORY.md 6).
+
+====================  ===========================================================================
+``hinfsyn``           H-infinity controller with its certified level
+``musyn``             D-K iteration with its certified level of mu
+``mu``                structured singular value of a matrix or a loop, from both sides
+``worst_gain``        largest gain over every Delta of size 1
+``disk_margin``       gain, phase, delay and disk margins of one loop
+``nu_gap``            distance of two plants for feedback
+``overbound``         stable minimum-phase weight of low order that provably lies above samples
+``uncertainty_set``   smallest set of one form that contains measured frequency responses
+====================  ===========================================================================
+
+Which rooms it may import: MAY_IMPORT.
+"""
+
+from ..engine.blocks import Block
+from .analysis import disk_margin, mu, nu_gap, worst_gain
+from .synthesis import Synthesis, hinfsyn, musyn
+from .uncertainty import FORMS, UncertaintySet, overbound, uncertainty_set
+
+MAY_IMPORT = ("base", "engine")
+
+__all__ = [
+    "FORMS",
+    "Block",
+    "Synthesis",
+    "UncertaintySet",
+    "disk_margin",
+    "hinfsyn",
+    "mu",
+    "musyn",
+    "nu_gap",
+    "overbound",
+    "uncertainty_set",
+    "worst_gain",
+]

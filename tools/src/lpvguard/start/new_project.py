@@ -1,0 +1,478 @@
+"""`lpvguard new`: makes a project file with the reason for each line, a signal map and a folder of drives.
+
+Writes a folder with
+
+    NAME.toml       the project file; every guessed value has its source in a comment
+    signals.toml    the signal map, for further logs (`lpvguard ingest --signals`)
+    drives/         drive tables, reports and experiments.csv, every second recording to set bounds
+    MANIFEST.json   the logs' hashes, and the seal
+"""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import tomlkit
+
+from ..base import artefacts
+from ..base.errors import InputError
+from ..can.decode import decode_all, load_database, own_database
+from ..can.logs import Frames, Series, Table, read_log, stem
+from ..drives.frames import Estimator
+from ..drives.ingest import Inputs, write_tables
+from ..drives.signal_map import SignalMap
+from ..drives.tables import Drive, index_text, read_drive
+from ..drives.units import unit_factor
+from ..vehicle.nominal import NominalModel
+from ..vehicle.project import NAME, EvaluationSettings, Project, parse_project
+from .signals import ROLES, SI, Proposal, Recording, proposed, rolled_length
+from .templates import TEMPLATES, Scale
+
+COLUMNS = {"speed": "v", "input": "delta", "output": "r"}
+SPIKE, USUAL = 2.0, 0.999
+"""A sample above SPIKE times the largest of the share USUAL of the samples is no measurement."""
+LONGEST_STEP_S = 0.5
+"""A longer step between samples is a gap, as for `ingest`, and not a slow rate."""
+RATES_HZ = (1000.0, 500.0, 200.0, 100.0, 50.0, 40.0, 25.0, 20.0, 10.0, 5.0)
+"""Rates of a grid: the largest that the slowest signal reaches."""
+JUDGED = 0.3
+"""Least share of the drives that should count in the lowest bin."""
+GRIDS = tuple((f, tolerance) for f in (0.1, 0.2, 0.3, 0.5) for tolerance in (0.15, 0.25, 0.35))
+"""Lowest frequency [Hz] and speed tolerance, best first."""
+
+
+@dataclass(frozen=True)
+class NewProject:
+    """Result of `new`: project, proposals, drives with their split, left-out logs with reasons, and
+    sentences."""
+
+    project: Project
+    proposals: dict[str, Proposal]
+    splits: dict[str, str]
+    left_out: dict[str, str]
+    notes: list[str]
+
+
+def new(
+    name: str,
+    logs: list[Path],
+    out: Path,
+    *,
+    dbc: Path | None = None,
+    model: str = "yaw-first-order",
+    chosen: dict[str, str | None] | None = None,
+    wheelbase_m: float | None = None,
+) -> NewProject:
+    """Make a project from logs and write its folder.
+
+    Parameters
+    ----------
+    name : str, of the vehicle
+    logs : list[Path]
+    out : Path, new folder
+    dbc : Path, optional, CAN database of raw logs
+    model : str, template of the nominal model, default 'yaw-first-order'
+    chosen : dict, optional, signal by role, or None to choose
+    wheelbase_m : float, optional, m
+
+    Returns
+    -------
+    NewProject
+
+    Raises
+    ------
+    InputError
+        If no signal fits a role, or no drive remains.
+    """
+    if not re.fullmatch(NAME, name):
+        raise InputError("new", "NAME", repr(name), "lower case letters, digits and _, a letter first")
+    if model not in TEMPLATES:
+        raise InputError("new", "--model", model, f"one of {', '.join(TEMPLATES)}")
+    if wheelbase_m is None and model == "bicycle":
+        raise InputError("new", "--wheelbase", "not given", "the wheelbase in m, which the bicycle needs")
+    recordings, left_out = _recordings(logs, dbc)
+    proposals = proposed(recordings, chosen or {}, wheelbase_m)
+    Ts = _sample_time(recordings)
+    limits = {role: _limits(role, p, recordings) for role, p in proposals.items()}
+    signals = _signal_map(proposals, limits, Ts)
+    with artefacts.new_folder(out, "new", name) as folder:
+        (folder / "drives").mkdir()
+        kept = {r.name for r in recordings}
+        given = Inputs(
+            load_database(dbc) if dbc else own_database(),
+            dbc or "lpvguard's own DBC (no --dbc given)",
+            SignalMap.model_validate(tomllib.loads(signals)),
+            Path("signals.toml"),
+        )
+        names: dict[str, str] = {}
+        for path in logs:
+            if stem(path) not in kept:
+                continue
+            try:
+                report = write_tables(path, given, folder / "drives")
+                names |= {Path(d["file"]).stem: stem(path) for d in report["drives"]}
+            except InputError as error:
+                left_out[stem(path)] = str(error)
+        if not names:
+            reason = next(iter(left_out.values()))
+            raise InputError("new", "LOG", f"no drive remains of the logs ({reason})", "logs of driving")
+        project, text, notes = _project(
+            name, model, (proposals, limits), folder / "drives", list(names), Ts, wheelbase_m
+        )
+        splits = _splits(project, folder / "drives", names)
+        artefacts.write_files(
+            folder,
+            {
+                f"{name}.toml": text,
+                "signals.toml": signals,
+                "drives/experiments.csv": index_text((n, s, names[n]) for n, s in splits.items()),
+                artefacts.MANIFEST: artefacts.manifest(
+                    "new", vehicle=name, inputs={p.name: artefacts.file_hash(p) for p in logs}
+                ),
+            },
+        )
+    return NewProject(project, proposals, splits, left_out, notes)
+
+
+def _recordings(logs: list[Path], dbc: Path | None) -> tuple[list[Recording], dict[str, str]]:
+    found: list[Recording] = []
+    left_out: dict[str, str] = {}
+    for path in logs:
+        if any(stem(path) == r.name for r in found):
+            raise InputError(path, "", f"two logs would both become the drive {stem(path)}", "other names")
+        try:
+            log = read_log(path)
+            found.append(_recording(stem(path), _decoded(log, dbc, path) if isinstance(log, Frames) else log))
+        except InputError as error:
+            left_out[stem(path)] = str(error)
+    if not found:
+        raise InputError("new", "LOG", next(iter(left_out.values()), "no log given"), "logs that can be read")
+    return found, left_out
+
+
+def _decoded(log: Frames, dbc: Path | None, path: Path) -> Table:
+    """All signals of the database in the log; InputError where the two have nothing in common."""
+    database = load_database(dbc) if dbc else own_database()
+    decoded = decode_all(log, database)
+    units = {f"{m.name}.{s.name}": s.unit or "" for m in database.messages for s in m.signals}
+    series = {
+        name: Series(log.t_ns[samples.frame], samples.value, units[name])
+        for message, signals in decoded.items()
+        for signal, samples in signals.items()
+        if len(samples.value) and (name := f"{message}.{signal}")
+    }
+    if not series:
+        ids = len(np.unique(log.id))
+        raise InputError(
+            dbc or "lpvguard's own DBC (no --dbc given)",
+            "messages",
+            f"none of its {len(database.messages)} messages is among the {ids} identifiers of {path.name}: "
+            "it is the database of another bus",
+            "--dbc with the database of this car",
+        )
+    return Table(series)
+
+
+def _recording(name: str, table: Table) -> Recording:
+    """All signals on the time axis with the most samples."""
+    moving = {n: s for n, s in table.series.items() if len(s.t_ns) > 10}
+    if not moving:
+        raise InputError(name, "", "no signal with more than ten samples", "a log of driving")
+    fastest, longest = max(moving.items(), key=lambda item: len(item[1].t_ns))
+    step = float(np.median(np.diff(longest.t_ns))) * 1e-9
+    if not 0.0 < step <= LONGEST_STEP_S:
+        expected = f"times in s that grow by at most {LONGEST_STEP_S:g} s from sample to sample"
+        raise InputError(name, f"time of {fastest}", f"the median step is {step:g} s", expected)
+    t = (longest.t_ns - longest.t_ns[0]) * 1e-9
+    values = {
+        n: np.interp(longest.t_ns, s.t_ns[ok], s.value[ok])
+        for n, s in moving.items()
+        if (ok := _measured(s.value)).any()
+    }
+    return Recording(name, t, values, {n: s.unit for n, s in moving.items()})
+
+
+def _measured(value: np.ndarray) -> np.ndarray:
+    """True (N,) where a signal has a value that is no spike."""
+    finite = np.isfinite(value)
+    return (
+        finite & (np.abs(value) <= SPIKE * np.quantile(np.abs(value[finite]), USUAL))
+        if finite.any()
+        else finite
+    )
+
+
+def _sample_time(recordings: list[Recording]) -> float:
+    rate = 1.0 / float(np.median([np.median(np.diff(r.t)) for r in recordings]))
+    return 1.0 / next((f for f in RATES_HZ if f <= 1.02 * rate), RATES_HZ[-1])
+
+
+def _limits(role: str, proposal: Proposal, recordings: list[Recording]) -> tuple[float, float]:
+    """Range of possible values, in SI; a sample beyond is a spike."""
+    size = np.abs(np.concatenate([r.values[proposal.name] for r in recordings]))
+    largest = SPIKE * float(np.quantile(size, USUAL)) * abs(proposal.factor)
+    largest = float(f"{largest * (unit_factor(proposal.unit, SI[role]) or 1.0):.3g}")
+    return (-0.5 * largest if role == "speed" else -largest, largest)
+
+
+def _signal_map(proposals: dict[str, Proposal], limits: dict[str, tuple[float, float]], Ts: float) -> str:
+    lines = [
+        "# Signal map for `lpvguard ingest`. Left turns are positive.",
+        "schema = 1",
+        f"Ts_s = {Ts:g}",
+    ]
+    for role in ROLES:
+        p = proposals[role]
+        message, _, signal = p.name.rpartition(".")
+        lines += ["", *(_comment(sentence) for sentence in p.why), f"[columns.{COLUMNS[role]}]"]
+        lines += [
+            f'unit = "{SI[role]}"',
+            *([f"message = {_quoted(message)}"] if message else []),
+            f"signal = {_quoted(signal)}",
+        ]
+        lines += [f"source_unit = {_quoted(p.unit)}", f"factor = {p.factor!r}"]
+        lines += [f"min = {limits[role][0]:g}      # samples beyond are spikes, and left out"]
+        lines += [f"max = {limits[role][1]:g}"]
+    return "\n".join(lines) + "\n"
+
+
+def _quoted(text: str) -> str:
+    """A signal's name as a string of a TOML file."""
+    return tomlkit.item(text).as_string()
+
+
+def _comment(text: str) -> str:
+    """A comment of a TOML file: one line without control characters."""
+    return "# " + "".join(c if c.isprintable() else " " for c in text)
+
+
+# ------------------------------------------------------------------------------------------- the project file
+
+
+def _read(drives: Path, names: list[str], Ts: float) -> list[Drive]:
+    """The written drives, before a project can check them."""
+    wide = {"min": -1e9, "max": 1e9, "positive": ""}
+    document = {
+        "schema": 1,
+        "name": "unknown",
+        "title": "",
+        "Ts_s": Ts,
+        "seed": 0,
+        "signals": [
+            {"name": role, "role": kind, "column": COLUMNS[role], "unit": SI[role], **wide}
+            for role, kind in zip(ROLES, ("scheduling", "input", "output"), strict=True)
+        ],
+        "model": {"speed_min_mps": 1.0, "speed_max_mps": 2.0, "A": [[-1.0]], "B": [[1.0]], "C": [[1.0]]},
+        "frames": {"f_min_hz": 0.01 / Ts, "f_max_hz": 0.02 / Ts},
+        "bounds": {},
+        "weights": {},
+        "frame_test": {"excited_std": 1.0},
+        "data": {"bound_split": ["train"]},
+    }
+    project = parse_project(document, "new")
+    return [read_drive(drives / f"{n}.csv", project) for n in names]
+
+
+def _project(
+    name: str,
+    model: str,
+    signals: tuple[dict[str, Proposal], dict[str, tuple[float, float]]],
+    folder: Path,
+    names: list[str],
+    Ts: float,
+    wheelbase_m: float | None,
+) -> tuple[Project, str, list[str]]:
+    """The project, its text, and notes; frames are tried until enough of the drives counts."""
+    drives = _read(folder, names, Ts)
+    v = np.concatenate([d.v for d in drives])
+    top = float(np.quantile(v, 0.99))
+    driving = v > 0.1 * top
+    low, high = (
+        float(f"{x:.2g}") for x in (max(0.98 * float(np.quantile(v[driving], 0.05)), 0.15 * top), 1.02 * top)
+    )
+    steering = np.concatenate([_spreads(d, Ts) for d in drives])
+    excited = float(f"{np.quantile(steering[steering > 0], 0.25):.1g}")
+    length = wheelbase_m or _length_of(drives)
+    scale = Scale(length, (length / 1.35, length * 1.35), float(np.median(v[driving])), high)
+    best = None
+    for f_min, tolerance in GRIDS:
+        text = _text(name, model, signals, Ts, (low, high), scale, (f_min, tolerance), excited)
+        found = _with_highest_frequency(text, Ts, name)
+        if found is None:
+            continue
+        project, text = found
+        nominal = NominalModel(project)
+        estimator = Estimator.of(project, nominal)
+        judged = _judged_shares(estimator, drives)
+        if best is None or judged[0] > best[3][0]:
+            best = (project, text, (f_min, tolerance), judged)
+        if judged[0] >= JUDGED:
+            break
+    if best is None:
+        raise InputError("new", "", f"a sample time of {Ts:g} s leaves no frames", "a faster log")
+    project, text, (f_min, tolerance), judged = best
+    text += _evaluation(float(np.median([d.duration_s for d in drives])))
+    notes = [
+        f"{len(drives)} drives, {sum(d.duration_s for d in drives):.0f} s, at {1 / Ts:g} Hz",
+        f"frames from {f_min:g} to {project.frames.f_max_hz:g} Hz, speed within {tolerance:.0%} of a frame's "
+        f"mean: {judged[0]:.0%} of the frames' starts count in the lowest bin",
+        "by bin: " + ", ".join(f"{f:.3g} Hz {s:.0%}" for f, s in _above_dc(project, judged)),
+        f"excited from {excited:g} rad over 10 s: {np.mean(steering >= excited):.0%} of the pieces of 10 s",
+        f"speed range {low:g} to {high:g} m/s: from the 5th to the 99th percentile of driving, and 2% beyond",
+    ]
+    return project, text, notes
+
+
+def _judged_shares(estimator: Estimator, drives: list[Drive]) -> list[float]:
+    """Share of all samples at which a counted frame of each bin starts."""
+    samples = sum(len(d.v) for d in drives)
+    return [
+        sum(int(estimator.counted(d.v, k).sum()) for d in drives) / samples for k in range(estimator.n_bins)
+    ]
+
+
+def _above_dc(project: Project, shares: list[float]) -> list[tuple[float, float]]:
+    """Frequency [Hz] and share of every bin but DC."""
+    omega = Estimator.of(project, NominalModel(project)).omega
+    return [(w / (2 * np.pi), share) for w, share in zip(omega.tolist(), shares, strict=True) if w > 0]
+
+
+def _spreads(drive: Drive, Ts: float) -> np.ndarray:
+    """Standard deviations of the input over pieces of 10 s."""
+    pieces = max(1, round(drive.duration_s / 10))
+    return np.array([float(x.std()) for x in np.array_split(drive.u[:, 0], pieces)])
+
+
+def _length_of(drives: list[Drive]) -> float:
+    """Wheelbase [m] estimated from the drives."""
+    recordings = [Recording(d.name, d.t, {"v": d.v, "delta": d.u[:, 0], "r": d.y[:, 0]}, {}) for d in drives]
+    return abs(rolled_length(recordings, COLUMNS)[0])
+
+
+def _with_highest_frequency(text: str, Ts: float, name: str) -> tuple[Project, str] | None:
+    """The project with the highest f_max_hz, up to a fifth of the rate, that the core supports."""
+    for f_max in (3.2, 2.5, 2.0, 1.6, 1.25, 1.0, 0.8):
+        if f_max > 0.2 / Ts:
+            continue
+        tried = text.replace("F_MAX", f"{f_max:g}")
+        try:
+            project = parse_project(tomllib.loads(tried), name)
+            Estimator.of(project, NominalModel(project))
+        except InputError:
+            continue
+        return project, tried
+    return None
+
+
+def _text(
+    name: str,
+    model: str,
+    signals: tuple[dict[str, Proposal], dict[str, tuple[float, float]]],
+    Ts: float,
+    speeds: tuple[float, float],
+    scale: Scale,
+    grid: tuple[float, float],
+    excited: float,
+) -> str:
+    """The project file without F_MAX.
+
+    Length: one file, in its order.
+    """
+    lines = [
+        f'# Project file of the vehicle "{name}", proposed from its logs by `lpvguard new`. Change what you',
+        "# know better: every error names key and place. Next: lpvguard fit, then identify with its file.",
+        "schema = 1",
+        f'name = "{name}"',
+        f'title = "{name}, steering angle to yaw rate"',
+        f"Ts_s = {Ts:g}      # s, the rate of the slowest signal",
+        "seed = 1      # of every random choice",
+    ]
+    kinds = ("scheduling", "input", "output")
+    described = ("speed", "road_wheel_angle", "yaw_rate")
+    proposals, limits = signals
+    for role, kind, signal in zip(ROLES, kinds, described, strict=True):
+        p, (least, largest) = proposals[role], limits[role]
+        lines += [
+            "",
+            _comment(f"{p.name} in {p.unit}, factor {p.factor:.6g}: {'; '.join(p.why)}."),
+            "[[signals]]",
+            f'name = "{signal}"',
+            f'role = "{kind}"',
+            f'column = "{COLUMNS[role]}"',
+            f'unit = "{SI[role]}"',
+            f'positive = "{"forward" if role == "speed" else "left turn"}"',
+            f"min = {least:g}      # beyond it a value is impossible: twice what the logs hold",
+            f"max = {largest:g}",
+        ]
+    lines += [
+        "",
+        "[model]",
+        f"input_delay_s = {2 * Ts:g}      # a guess; fit finds it",
+        f"speed_min_mps = {speeds[0]:g}",
+        f"speed_max_mps = {speeds[1]:g}",
+        "input_offset = [0.0]      # trim of the steering; fit finds it",
+        TEMPLATES[model](scale),
+        "[fit]",
+        "input_delay_s = [0.0, 0.5]",
+        'trim = "drive"      # a trim a recording; the mean is written. "common": one for all',
+        "",
+        "# Three periods a frame let an alarm come early; the lowest bin decides how early.",
+        "[frames]",
+        'estimator = "hann"',
+        "periods = 3",
+        "bins_per_decade = 6",
+        f"f_min_hz = {grid[0]:g}",
+        "f_max_hz = F_MAX      # at most a fifth of the rate, and what the core can compute",
+        f"speed_tolerance = {grid[1]:g}      # within a frame",
+        "",
+        "[bounds]",
+        'structure = "S1"',
+        "",
+        "[weights]",
+        "max_order = 6",
+        "",
+        "[frame_test]",
+        "alpha = 0.10      # false alarms of a further drive, where enough drives calibrate",
+        f"excited_std = {excited:g}      # rad over 10 s: the lower quartile of the logs' steering",
+        "",
+        "[data]",
+        'bound_split = ["train"]      # in drives/experiments.csv; the others calibrate',
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _evaluation(median_s: float) -> str:
+    """Section of a project file for `evaluate`; half of the drives last ``median_s`` or longer."""
+    usual = EvaluationSettings()
+    quarter = min(median_s / 4, usual.found_within_s)
+    begin, shortest = (
+        min(most, share * median_s)
+        for most, share in ((usual.fault_from_s, 0.25), (usual.shortest_drive_s, 0.6))
+    )
+    return f"""
+# Faults that evaluate injects: from a quarter of the median drive on, where time is left to find them.
+[evaluation]
+fault_from_s = {begin:.3g}
+shortest_drive_s = {shortest:.3g}
+found_within_s = {quarter:.3g}      # of judged, excited driving
+ramp_s = {usual.ramp_s / usual.found_within_s * quarter:.3g}      # until a growing fault is whole
+bias_of_spread = {usual.bias_of_spread:g}      # of the output's standard deviation within a drive
+"""
+
+
+def _splits(project: Project, folder: Path, names: dict[str, str]) -> dict[str, str]:
+    """Let every second recording in the order of mean speed set the bounds, so that both halves have all
+    speeds.
+
+    A single recording is split by its drives. ``names`` is the recording by drive.
+    """
+    by = names if len(set(names.values())) > 1 else {n: n for n in names}
+    speeds: dict[str, list[np.ndarray]] = {}
+    for n in names:
+        speeds.setdefault(by[n], []).append(read_drive(folder / f"{n}.csv", project).v)
+    order = sorted(speeds, key=lambda r: (float(np.concatenate(speeds[r]).mean()), r))
+    return {n: "train" if order.index(by[n]) % 2 == 0 else "valid" for n in names}
