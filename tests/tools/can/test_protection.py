@@ -13,7 +13,7 @@ from lpvguard.can.protection import PROTECTIONS, check_source
 HONDA = [(0x33D, f"41050000{c}0", 4, 11 - c) for c in range(4)] + [
     (0x33DA, f"41050000{c}0", 4, 4 - c) for c in range(4)
 ]
-"""commaai/opendbc, test_checksums.py, test_honda_checksum: LKAS_HUD and LKAS_HUD_A by counter."""
+"""commaai/opendbc, test_honda_checksum: LKAS_HUD and LKAS_HUD_A by counter."""
 LWI_01 = ("6b00bd0000000000", "ee010a0000000000", "d802a90000000000", "0303bea212000000", "7b04312003000000")
 """The same, test_volkswagen_mqb_crc_lwi_01: the list of data ids is 0x86 throughout."""
 FRAMES = {
