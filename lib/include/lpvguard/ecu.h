@@ -13,8 +13,8 @@
 ///
 /// Released is the safe state. The demand reaches zero after at most the largest u_max / rate_max. The controller's state follows the
 /// demand, so a new engagement does not jump (controller.h). A message in state off returns to live after LPVG_CAN_RECOVER_FRAMES good
-/// frames. The report shows the loss of a message as hold in the first step that is more than LPVG_CAN_HOLD_MISSED + 1/2 periods of the
-/// message after its newest good frame.
+/// frames. The report shows the loss of a message as hold once its newest good frame is older than LPVG_CAN_HOLD_MISSED + 1/2 of its
+/// periods.
 ///
 /// Engagement. The causes LPVG_ECU_CAUSE_* release the loop while they last. The causes in `report_only` of the configuration are
 /// reported and release nothing. The loop engages again LPVG_ECU_WAIT_US after the last cause has gone. These rules lock the loop:
@@ -42,9 +42,9 @@
 /// invalid during the trial, no further acknowledgement is taken until init.
 ///
 /// Permission. The vehicle asks for control with its request message (bus.h). A request for control counts once another request has been
-/// received since init. Nothing is engaged in three cases: another command on the actuator has a higher priority than `priority`, the
-/// brake pedal is beyond LPVG_ECU_PEDAL_PERCENT, or ABS acts. A request to acknowledge acts once, when it begins, as
-/// lpvg_ecu_acknowledge does. The measured output of the actuator is compared with the lagged demand: LPVG_ECU_CAUSE_ACTUATOR.
+/// received since init. Nothing is engaged while another command on the actuator has a higher priority than `priority`. Nothing is
+/// engaged while the brake pedal is beyond LPVG_ECU_PEDAL_PERCENT, or while ABS acts. A request to acknowledge acts once, when it begins,
+/// as lpvg_ecu_acknowledge does. The measured output of the actuator is compared with the lagged demand: LPVG_ECU_CAUSE_ACTUATOR.
 ///
 /// Time. A step is due one sample period after the previous one, and is taken from half a period on. An earlier call is refused. A call
 /// more than one and a half periods and at most LPVG_ECU_JUMP_US after the previous step is taken as a gap. Any other time is a jump of
