@@ -29,6 +29,7 @@ DOCUMENTS = (
     "lib/MISRA.md",
     "lib/MISRA_CPP.md",
     "lib/README.md",
+    "lib/REQUIREMENTS.md",
     "lib/THEORY.md",
     "lib/theory/*.md",
     "tests/README.md",
