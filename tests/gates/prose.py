@@ -6,8 +6,9 @@
     claims      a sentence with two semicolons: make each claim a sentence of its own
 
 The gate reads the documents of ``DOCUMENTS``, the public docstrings of ``DOCSTRINGS`` and the comments of
-``HEADERS``. Blocks of code, inline code, formulas and addresses do not count. A table cell, a list
-item and a heading end a sentence. In a header, each status of a list "Returns ...; ..." ends a sentence too.
+``HEADERS``. Blocks of code, inline code, formulas, addresses, units and matrices in brackets do not count. A
+table cell, a line "name   text", a list item and a heading end a sentence. In a header, each status of a list
+"Returns ...; ..." ends a sentence too.
 """
 
 from __future__ import annotations
@@ -43,12 +44,31 @@ DOCSTRINGS = (
     "tests/gates/references.py",
     "tools/release.py",
     "tools/site/*.py",
+    "tools/src/lpvguard/*.py",
     "tools/src/lpvguard/api/*.py",
+    "tools/src/lpvguard/base/*.py",
+    "tools/src/lpvguard/can/*.py",
+    "tools/src/lpvguard/cli/*.py",
+    "tools/src/lpvguard/control/*.py",
+    "tools/src/lpvguard/core/*.py",
+    "tools/src/lpvguard/drives/*.py",
+    "tools/src/lpvguard/evaluate/*.py",
     "tools/src/lpvguard/extras/measure/*.py",
+    "tools/src/lpvguard/fit/*.py",
+    "tools/src/lpvguard/identify/*.py",
+    "tools/src/lpvguard/replay/*.py",
+    "tools/src/lpvguard/report/**/*.py",
     "tools/src/lpvguard/robust/*.py",
     "tools/src/lpvguard/schemas/*.py",
+    "tools/src/lpvguard/start/*.py",
+    "tools/src/lpvguard/vehicle/*.py",
 )
 """Patterns of the Python modules whose public docstrings the gate reads."""
+UNDONE = tuple(
+    f"tools/src/lpvguard/identify/{name}.py"
+    for name in ("error_band", "error_sums", "healthy", "model_error")
+)
+"""Modules of these patterns that the gate does not read yet."""
 HEADERS = ("lib/include/lpvguard/*.h",)
 """Patterns of the C headers whose documentation comments the gate reads."""
 INVERSION = re.compile(
@@ -76,7 +96,7 @@ def units(text: str) -> Iterator[tuple[int, str]]:
     text = re.sub(r"<!--.*?-->", lambda m: "\n" * m[0].count("\n"), text, flags=re.DOTALL)
     start, words = 0, ""
     for number, line in enumerate([*text.splitlines(), ""], 1):
-        begins = re.match(r"\s*(?:[-*+] |\d+\. |#+ |\||>)", line)
+        begins = re.match(r"\s*(?:[-*+] |\d+\. |#+ |\||>)|\S+(?:, \S+)* {2,}\S", line)
         if not line.strip() or begins or line.startswith("    "):
             if words:
                 yield start, words
@@ -95,6 +115,7 @@ def sentences(words: str) -> list[str]:
     words = re.sub(r"!?\[((?:[^\[\]]|\[[^\]]*\])*)\]\([^)]*\)", r"\1", words)
     words = re.sub(r"\{\w+\}(?=`)", "", words)
     words = re.sub(r"``[^`]+``|`[^`]+`", "code", words)
+    words = re.sub(r"\[[^\[\]]*\]", "", words)
     words = re.sub(r"https?://\S+", "address", re.sub(r"[*]{1,2}(?=\S)|(?<=\S)[*]{1,2}", "", words))
     words = re.sub(r"^(?:[-*+]|\d+\.|#+|>)\s+", "", words)
     out, rest = [], words
@@ -125,7 +146,7 @@ def entries_apart(said: str) -> str:
     """A numpydoc docstring with each entry of its sections, and its description, as a paragraph."""
     first, *rest = SECTION.split(said)
     for title, body in zip(rest[::2], rest[1::2], strict=True):
-        lines = [f"{line.strip()}\n" if line[:1].strip() else line.strip() for line in body.splitlines()]
+        lines = [f"\n{line.strip()}\n" if line[:1].strip() else line.strip() for line in body.splitlines()]
         first += f"\n{title}\n\n" + "\n".join(lines).replace("\n\n", "\n \n")
     return first
 
@@ -172,6 +193,8 @@ def prose(tree: Path, scratch: Path) -> list[str]:
         findings += [] if paths else [f"{pattern}: names no file"]
         for path in paths:
             text, name = path.read_text(encoding="utf-8"), path.relative_to(tree).as_posix()
+            if name in UNDONE:
+                continue
             read_texts = {".py": docstrings, ".h": comments}.get(path.suffix, lambda text: [(1, text)])
             for first, said in read_texts(text):
                 for line, words in units(said):

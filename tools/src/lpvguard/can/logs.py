@@ -506,7 +506,9 @@ def _read_table(path: Path, suffix: str, time_column: str | None) -> Frames | Ta
         ) from None
     names = table.column_names
     if twice := sorted({name for name in names if names.count(name) > 1}):
-        raise InputError(path, "header", f"two columns are named {twice[0]!r}", "a name of its own for each")
+        raise InputError(
+            path, "header", f"two columns are named {twice[0]!r}", "a different name for each column"
+        )
     if set(names) >= _RAW_COLUMNS:
         if suffix == ".csv" and path.suffix.lower() == ".csv":
             return _read_python_can(path)

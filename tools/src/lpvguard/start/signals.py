@@ -133,7 +133,7 @@ def _require_sign(role: str, name: str, common: list[str], recordings: list[Reco
             raise InputError(
                 "new",
                 f"--{role}",
-                f"{name} is never negative and {other} holds its sign",
+                f"{name} is never negative; {other} holds its sign",
                 f"one signal with its sign, for example a table with {signal} negated where {bit} is set",
             )
 
@@ -218,7 +218,7 @@ def _units(
     raise InputError(
         "new",
         ", ".join(names.values()),
-        f"read a wheelbase of {length:.3g} in their own units, in no units {wheelbase_m:g} m",
+        f"give a wheelbase of {length:.3g} in their own units, and {wheelbase_m:g} m in no known units",
         "--speed, --input and --output of this car, with their units in names or database (speed_mph)",
     )
 
