@@ -52,6 +52,7 @@ DOCSTRINGS = (
     "tools/src/lpvguard/control/*.py",
     "tools/src/lpvguard/core/*.py",
     "tools/src/lpvguard/drives/*.py",
+    "tools/src/lpvguard/engine/**/*.py",
     "tools/src/lpvguard/evaluate/*.py",
     "tools/src/lpvguard/extras/measure/*.py",
     "tools/src/lpvguard/fit/*.py",
