@@ -44,30 +44,18 @@ DOCSTRINGS = (
     "tests/gates/references.py",
     "tools/release.py",
     "tools/site/*.py",
-    "tools/src/lpvguard/*.py",
-    "tools/src/lpvguard/api/*.py",
-    "tools/src/lpvguard/base/*.py",
-    "tools/src/lpvguard/can/*.py",
-    "tools/src/lpvguard/cli/*.py",
-    "tools/src/lpvguard/control/*.py",
-    "tools/src/lpvguard/core/*.py",
-    "tools/src/lpvguard/drives/*.py",
-    "tools/src/lpvguard/engine/**/*.py",
-    "tools/src/lpvguard/evaluate/*.py",
-    "tools/src/lpvguard/extras/measure/*.py",
-    "tools/src/lpvguard/fit/*.py",
-    "tools/src/lpvguard/identify/*.py",
-    "tools/src/lpvguard/replay/*.py",
-    "tools/src/lpvguard/report/**/*.py",
-    "tools/src/lpvguard/robust/*.py",
-    "tools/src/lpvguard/schemas/*.py",
-    "tools/src/lpvguard/start/*.py",
-    "tools/src/lpvguard/vehicle/*.py",
+    "tools/src/lpvguard/**/*.py",
 )
 """Patterns of the Python modules whose public docstrings the gate reads."""
 UNDONE = tuple(
-    f"tools/src/lpvguard/identify/{name}.py"
-    for name in ("error_band", "error_sums", "healthy", "model_error")
+    f"tools/src/lpvguard/{name}.py"
+    for name in (
+        "extras/bench/sharpness",
+        "identify/error_band",
+        "identify/error_sums",
+        "identify/healthy",
+        "identify/model_error",
+    )
 )
 """Modules of these patterns that the gate does not read yet."""
 HEADERS = ("lib/include/lpvguard/*.h",)
