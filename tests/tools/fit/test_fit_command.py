@@ -11,6 +11,8 @@ import pytest
 from known_car import KnownCar
 from lpvguard import schemas
 from lpvguard.base.artefacts import read_manifest
+from lpvguard.base.errors import InputError
+from lpvguard.fit.plausible import require_plausible
 from lpvguard.fit.project_file import text_of, with_numbers
 from lpvguard.vehicle.project import load_project
 
@@ -96,3 +98,16 @@ def test_half_the_rate_and_shuffled_time_are_named(lpvguard, folder):
     path.write_text("\n".join([lines[0], *(lines[k] for k in order)]) + "\n")
     done = lpvguard("fit", "--vehicle", "g80", folder / "drives", "-o", folder / "fit")
     assert done.returncode == 2 and "the rows are shuffled" in done.stderr
+
+
+def test_a_model_that_no_car_can_have_is_refused_unless_told(g80):
+    require_plausible(g80)
+    stated = g80.model_copy(update={"fit": g80.fit.model_copy(update={"kind": "car"})})
+    require_plausible(stated)
+    for change, says in (
+        ({"input_delay_s": 1.3}, "delay and time constant of 1.3"),
+        ({"B": [[f"3.6*({b})" for b in row] for row in g80.model.B]}, "wheelbase of 0.7"),
+    ):
+        model = stated.model.model_copy(update=change)
+        with pytest.raises(InputError, match=says):
+            require_plausible(stated.model_copy(update={"model": model}))

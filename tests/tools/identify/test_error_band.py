@@ -16,11 +16,14 @@ from lpvguard.identify.error_prior import USUAL, ErrorPrior, OutputSums, hyperpa
 from lpvguard.identify.error_sums import (
     DIRECTIONS,
     ErrorSums,
+    common_fit,
+    common_products,
     counted_samples,
     deviations,
     error_sums,
     joined,
     noise_filter,
+    sum_of,
 )
 from lpvguard.vehicle.nominal import NominalModel
 from lpvguard.vehicle.project import load_project
@@ -58,10 +61,9 @@ def drive_of(
 
 
 def sums_of(*drives: tuple[Drive, np.ndarray, np.ndarray], groups: list[str] | None = None) -> ErrorSums:
-    named = groups or [""] * len(drives)
-    return joined(
-        [error_sums(DOMAIN, MODEL, ESTIMATOR, *d, group) for d, group in zip(drives, named, strict=True)]
-    )
+    named, given = groups or [""] * len(drives), (DOMAIN, MODEL, ESTIMATOR)
+    common = common_fit(sum_of([common_products(*given, *d) for d in drives]))
+    return joined([error_sums(*given, *d, g, common) for d, g in zip(drives, named, strict=True)])
 
 
 def test_the_hats_of_the_lags_sum_to_one_up_to_the_last_knot():
@@ -200,6 +202,20 @@ def test_drives_that_deviate_make_the_band_wider(six_drives):
     assert 0.03 < wide.hyper["gain"] < 0.12 and narrow.hyper["gain"] < 0.015
     driven = (wide.speed > 7.5) & (wide.speed < 11.5)
     assert wide.sd[0, driven].min() > 3 * narrow.sd[0, driven].max()
+
+
+@pytest.mark.slow("8 s: the hyperparameters of a band")
+def test_a_drive_does_not_explain_its_own_error():
+    """Drives that deviate by a delay: of the drive's own error their gains would be found far from 0."""
+    random = np.random.default_rng(10)
+    delays = np.round(random.standard_normal(10)).astype(int)
+    drives = [
+        drive_of(random, 0.0, delay=d, speed=v) for d, v in zip(delays, np.linspace(5, 16, 10), strict=True)
+    ]
+    band = error_band(DOMAIN, sums_of(*drives), 0, DOMAIN.omega, seed=1)
+    assert band.hyper["gain"] < 0.02
+    middle = (band.speed > 6) & (band.speed < 15)
+    assert np.abs(band.centre[0, middle]).max() < 0.05
 
 
 @pytest.mark.slow("8 s: the hyperparameters of two bands")

@@ -410,7 +410,8 @@ def test_class_S0_is_given_no_uncertainty_and_drives_of_commands_must_be_there(t
         bounds = vehicle.project.bounds.model_copy(update={"structure": structure})
         project = vehicle.project.model_copy(update={"bounds": bounds})
         run = OverDrives(DriveSet(project, vehicle.model, tmp_path), map, _quiet)
-        first = fold(run.first_parts(chosen, keep=False))
+        ceiling = project.bounds.nu_ceiling.at(run.reader.estimator.omega / (2 * np.pi))
+        first = fold(run.first_parts(chosen, ceiling, keep=False))
         gamma_w = 2 * first["B2"]
         _, (W_delta,) = run.uncertainty(first, gamma_w, error, chosen)
         sizes = W_delta.magnitude(vehicle.grid.omega)

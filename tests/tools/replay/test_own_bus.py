@@ -44,6 +44,11 @@ SETTINGS = {
     "autosar_p05": {"data_id": 0x1234},
     "autosar_p11": {"data_id": 0x0A5F},
     "autosar_p22": {"data_id": DATA_IDS},
+    "honda": {"checksum_signal": "HALF"},
+    "subaru": {},
+    "tesla": {},
+    "chrysler": {},
+    "volkswagen_xor": {},
 }
 PLACES = {
     "hyundai_sum": ["CHECKSUM : 48|8@1+", "COUNTER : 0|2@1+"],
@@ -51,10 +56,16 @@ PLACES = {
     "hyundai_nibbles": ["HALF : 63|4@0+", "COUNTER : 0|3@1+"],
     "hyundai_crc8": ["CHECKSUM : 55|8@0+", "COUNTER : 3|4@0+"],
     "hyundai_canfd": ["COUNTER : 16|8@1+"],
+    "honda": ["HALF : 59|4@0+", "COUNTER : 61|2@0+"],
+    "subaru": ["CHECKSUM : 0|8@1+", "COUNTER : 8|4@1+"],
+    "tesla": ["CHECKSUM : 56|8@1+", "COUNTER : 52|4@1+"],
+    "chrysler": ["COUNTER : 52|4@1+"],
+    "volkswagen_xor": ["CHECKSUM : 56|8@1+", "COUNTER : 0|4@1+"],
 }
 COUNTERS = {"toyota": 0, "hyundai_sum": 4, "hyundai_sum_before": 0, "hyundai_nibbles": 8, "hyundai_crc8": 16}
 COUNTERS |= {"hyundai_canfd": 256, "autosar_p05": 256, "autosar_p02": 16, "autosar_p22": 16}
 COUNTERS |= {"autosar_p01": 15, "autosar_p11": 15}
+COUNTERS |= {"honda": 4, "subaru": 16, "tesla": 16, "chrysler": 16, "volkswagen_xor": 16}
 
 
 def project(names: list[str]) -> Project:
@@ -113,6 +124,8 @@ def protected(name: str, identifier: int, data: bytearray, count: int) -> bytes:
     if name == "toyota":
         data[7] = (identifier // 256 + identifier % 256 + 8 + sum(data[:7])) % 256
         return bytes(data)
+    if name in ("honda", "subaru", "tesla", "chrysler", "volkswagen_xor"):
+        return of_other_makes(name, identifier, data, count % COUNTERS[name])
     masks = {"hyundai_sum": 3, "hyundai_nibbles": 7, "hyundai_crc8": 15}
     if name in masks:
         data[0] = data[0] & ~masks[name] | count % (masks[name] + 1)
@@ -129,6 +142,29 @@ def protected(name: str, identifier: int, data: bytearray, count: int) -> bytes:
         data[2] = count % 256
         value = crc(0, bytes([*data[2:], identifier % 256, identifier // 256]), 16, 0x1021) ^ 0x5F29
         data[:2] = value.to_bytes(2, "little")
+    return bytes(data)
+
+
+def of_other_makes(name: str, identifier: int, data: bytearray, count: int) -> bytes:
+    """The frame of a make whose checksum is a sum, an exclusive or, or the CRC of SAE J1850."""
+    high, low = divmod(identifier, 256)
+    if name == "honda":
+        data[7] = data[7] & 0xC0 | count << 4
+        halves = f"{identifier:x}" + data.hex()
+        data[7] |= (8 - sum(int(digit, 16) for digit in halves)) % 16
+    elif name == "subaru":
+        data[1] = data[1] & 0xF0 | count
+        data[0] = (high + low + sum(data[1:])) % 256
+    elif name == "volkswagen_xor":
+        data[0] = data[0] & 0xF0 | count
+        data[7] = 0
+        for byte in data[:7]:
+            data[7] ^= byte
+    else:
+        data[6] = data[6] & 0x0F | count << 4
+        data[7] = (
+            (high + low + sum(data[:7])) % 256 if name == "tesla" else crc(0xFF, data[:7], 8, 0x1D) ^ 0xFF
+        )
     return bytes(data)
 
 
@@ -174,7 +210,7 @@ def log_of(names: list[str], raw: np.ndarray, first: int = 0) -> Frames:
     )
 
 
-GROUPS = [list(SETTINGS)[:6], ["autosar_p01", "autosar_p02", "autosar_p05", "autosar_p11", "autosar_p22"]]
+GROUPS = [list(SETTINGS)[:6], list(SETTINGS)[6:11], list(SETTINGS)[11:]]
 
 
 @pytest.fixture(scope="module", params=range(len(GROUPS)))

@@ -15,6 +15,7 @@ from lpvguard.base.errors import InputError
 from lpvguard.drives.ingest import ingest
 from lpvguard.drives.tables import list_experiments, read_drive
 from lpvguard.start.new_project import new
+from lpvguard.start.readings import ROLES, Known
 from lpvguard.start.signals import Recording, proposed, ranked
 from lpvguard.start.templates import TEMPLATES
 from lpvguard.vehicle.project import load_project
@@ -39,7 +40,7 @@ def write_logs(folder, names=("time", "speed", "steering_angle", "yaw_rate"), sc
 UNITS = {
     "SI": ((1.0, 1.0, 1.0), ("m/s", "rad", "rad/s"), 1.0),
     "km/h": ((3.6, 1.0, 1.0), ("km/h", "rad", "rad/s"), 1.0),
-    "degrees": ((1.0, 180 / np.pi, 1.0), ("m/s", "deg", "rad/s"), 1.0),
+    "degrees a second": ((1.0, 1.0, 180 / np.pi), ("m/s", "rad", "deg/s"), 1.0),
     "turned round": ((1.0, -1.0, 1.0), ("m/s", "rad", "rad/s"), -1.0),
     "steering wheel": ((1.0, 16.0, 1.0), ("m/s", "rad", "rad/s"), 1 / 16),
 }
@@ -78,18 +79,51 @@ def test_the_unit_in_a_name_is_read_as_words(tmp_path, case):
     assert tuple(p.unit for p in made.proposals.values()) == units
 
 
-def test_miles_an_hour_without_a_word_are_refused(tmp_path):
+def test_miles_an_hour_without_a_word_follow_from_the_wheelbase(tmp_path):
     logs = write_logs(tmp_path, scale=(1 / 0.44704, 1.0, 1.0))
-    with pytest.raises(InputError, match="speed_mph"):
-        new("mine", logs, tmp_path / "out", wheelbase_m=2.8)
-
-
-def test_kilometres_an_hour_and_degrees_are_no_impossible_car(tmp_path):
-    scale = (3.6, 15 * 180 / np.pi, 180 / np.pi)
-    logs = write_logs(tmp_path, scale=scale)
     made = new("mine", logs, tmp_path / "out", wheelbase_m=2.8)
-    assert tuple(p.unit for p in made.proposals.values()) == ("km/h", "deg", "deg/s")
-    assert abs(made.proposals["input"].factor * 15 - 1) < 0.25
+    assert [p.unit for p in made.proposals.values()] == ["mph", "rad", "rad/s"]
+
+
+ASKED = {
+    "speed at a steering wheel": (
+        (3.6, 15 * 180 / np.pi, 180 / np.pi),
+        {"speed": "km/h"},
+        ("km/h", "deg", "deg/s"),
+        1 / 15,
+    ),
+    "steering at low speed": ((1.0, 180 / np.pi, 1.0), {"input": "Grad"}, ("m/s", "deg", "rad/s"), 1.0),
+}
+
+
+@pytest.mark.parametrize("name", ASKED)
+def test_where_two_readings_fit_the_option_that_settles_it_is_named(tmp_path, name):
+    scale, settled, units, factor = ASKED[name]
+    logs = write_logs(tmp_path, scale=scale)
+    role = next(iter(settled))
+    said = rf"readings fit: .*; expected .*--{role}-unit {units[ROLES.index(role)]}"
+    with pytest.raises(InputError, match=said):
+        new("mine", logs, tmp_path / "out", wheelbase_m=2.8)
+    made = new("mine", logs, tmp_path / "out", wheelbase_m=2.8, units=settled)
+    assert tuple(p.unit for p in made.proposals.values()) == units
+    assert abs(made.proposals["input"].factor / factor - 1) < 0.15
+    with pytest.raises(InputError, match=f"--{role}-unit: furlong"):
+        new("mine", logs, tmp_path / "other", wheelbase_m=2.8, units={role: "furlong"})
+
+
+def test_units_of_log_and_name_that_differ_are_named():
+    t = np.arange(0.0, 60.0, 0.05)
+    delta = 0.02 * np.sin(0.5 * t)
+    values = {"speed": 10 + np.sin(0.1 * t), "steering_deg": delta, "yaw_rate": 3.5 * delta}
+    for units, says in (
+        ({"steering_deg": "rad"}, "steering_deg: two units: the log states rad, its name deg"),
+        ({"yaw_rate": "m/s"}, "yaw_rate: its unit is m/s, none of a yaw rate"),
+    ):
+        with pytest.raises(InputError, match=says):
+            proposed([Recording("a", t, values, units)], {}, Known("car", 2.7))
+    named = {"speed": values["speed"], "steering_deg": np.degrees(delta), "yaw_rate_kmh": values["yaw_rate"]}
+    with pytest.raises(InputError, match="yaw_rate_kmh: its name states km/h, none of a yaw rate"):
+        proposed([Recording("a", t, named, {})], {}, Known("car", 2.7))
 
 
 def test_one_column_is_never_input_and_output(tmp_path):
@@ -133,6 +167,25 @@ def test_names_are_ranked_by_what_they_say():
     assert ranked("output", names) == ["yaw_rate"]
 
 
+def test_units_and_messages_rank_the_signals_of_a_database():
+    """Names as public databases of cars have them."""
+    units = {
+        "ACC_HUD.PCM_SPEED": "kph",
+        "CAR_SPEED.CAR_SPEED": "kph",
+        "ESP_02.ESP_VZ_Gierrate": "",
+        "ESP_02.ESP_Gierrate": "Unit_DegreOfArcPerSecon",
+        "ESP_21.ESP_v_Signal": "Unit_KiloMeterPerHour",
+        "LH_EPS_03.EPS_Lenkmoment": "Unit_centiNewtoMeter",
+        "LWI_01.LWI_Lenkradwinkel": "Unit_DegreOfArc",
+        "STEER_STATUS.STEER_STATUS": "",
+        "LTA_RELATED.STEER_ANGLE": "",
+        "ParkAid_Data.ExtSteeringAngleReq": "Degrees",
+    }
+    assert ranked("speed", units, units)[:2] == ["CAR_SPEED.CAR_SPEED", "ESP_21.ESP_v_Signal"]
+    assert ranked("input", units, units)[0] == "LWI_01.LWI_Lenkradwinkel"
+    assert ranked("output", units, units)[0] == "ESP_02.ESP_Gierrate"
+
+
 def write_speed(log: Path, value: str) -> None:
     """Write ``value`` as the speed of one sample."""
     lines = log.read_text().splitlines()
@@ -156,8 +209,8 @@ def test_what_cannot_be_is_refused_by_name(tmp_path):
         new("mine", logs, tmp_path / "out", wheelbase_m=2.8)
     made = new("mine", logs, tmp_path / "out", wheelbase_m=2.8, chosen={"input": "a"})
     assert made.proposals["input"].why[0] == "chosen by you"
-    with pytest.raises(InputError, match=r"0.5 m in no known units"):
-        new("mine", logs, tmp_path / "other", wheelbase_m=0.5, chosen={"input": "a"})
+    with pytest.raises(InputError, match=r"no units make a model of them"):
+        new("mine", logs, tmp_path / "other", wheelbase_m=0.2, chosen={"input": "a"})
     with pytest.raises(InputError, match="--model: truck"):
         new("mine", logs, tmp_path / "other", model="truck")
 
@@ -169,7 +222,7 @@ def test_a_vehicles_name_is_checked_before_anything_is_read(tmp_path):
 
 
 TIMES = {
-    "milliseconds": (lambda t: 1000 * t, "time of speed: the median step is 20 s"),
+    "a second or a thousandth": (lambda t: 50 * t, "steps of 1 are a second, or a thousandth"),
     "whole seconds": (np.floor, "time of speed: the median step is 0 s"),
     "the last sample first": (lambda t: -t, "time of speed: the median step is -0.02 s"),
     "a jump of 30,000 years": (lambda t: t + 1e12 * (t > 130), "line 1504, column time: a time of 1e.12 s"),
@@ -190,7 +243,7 @@ def test_times_that_are_none_are_named_with_their_step_or_line(tmp_path, name):
     assert not (tmp_path / "out").exists()
 
 
-def test_where_no_log_becomes_a_drive_the_first_reason_is_told(tmp_path):
+def test_signals_that_never_meet_are_named(tmp_path):
     logs = write_logs(tmp_path, n=1)
     lines = logs[0].read_text().splitlines()
     for k, line in enumerate(lines[2:], start=2):  # a speed in the first half, a yaw rate in the second
@@ -198,7 +251,7 @@ def test_where_no_log_becomes_a_drive_the_first_reason_is_told(tmp_path):
         cells[1 if k > 1500 else 3] = ""
         lines[k] = ",".join(cells)
     logs[0].write_text("\n".join(lines) + "\n")
-    with pytest.raises(InputError, match=r"no drive remains of the logs \(.*log_0.csv: nothing remains: "):
+    with pytest.raises(InputError, match=r"nowhere recorded at the same time"):
         new("mine", logs, tmp_path / "out")
 
 
@@ -287,6 +340,25 @@ def test_a_magnitude_beside_its_sign_is_refused(bit):
     log = Recording("a", t, values, units)
     chosen = {"speed": "A.Speed", "input": "B.Steering_Angle", "output": "C.Yaw_Rate"}
     with pytest.raises(InputError, match=f"never negative; B.{bit} holds its sign"):
-        proposed([log], chosen, 2.7)
+        proposed([log], chosen, Known("car", 2.7))
     signed = replace(log, values=values | {"B.Steering_Angle": delta})
-    assert proposed([signed], chosen, None)["input"].name == "B.Steering_Angle"
+    assert proposed([signed], chosen, Known("car"))["input"].name == "B.Steering_Angle"
+
+
+@pytest.mark.parametrize("held", [True, False])
+def test_the_rate_is_that_of_the_signals_and_not_of_the_table_they_are_merged_in(tmp_path, held):
+    """Topics of 25 Hz in a table of 200 Hz, which repeats their values or leaves cells empty."""
+    logs = write_logs(tmp_path)
+    for log in logs:
+        rows = np.genfromtxt(log, delimiter=",", skip_header=2)[::2]
+        cells = [[f"{x:.9g}" for x in row] for row in rows]
+        empty = [""] * 4
+        merged = [
+            [f"{rows[k, 0] + 0.005 * j:.3f}", *(cells[k][1:] if held or j == 0 else empty)]
+            for k in range(len(rows))
+            for j in range(8)
+        ]
+        header = "time,speed,steering_angle,yaw_rate,counter"
+        log.write_text("\n".join([header, *(",".join(row) for row in merged)]) + "\n")
+    made = new("mine", logs, tmp_path / "out", wheelbase_m=2.8)
+    assert made.project.Ts_s == 0.04

@@ -76,7 +76,7 @@ class Identified:
     @property
     def weights(self) -> pandas.DataFrame:
         """Table of the monitor's W_delta and B_w with final inflation, a row a bin [rad/s]. Needs pandas."""
-        return self._table(dict(zip(("W_delta", "B_w"), self.fitted.at(self.omega), strict=True)))
+        return self._table(dict(zip(("W_delta", "B_w"), self.fitted.of_frames(self.omega), strict=True)))
 
     @property
     def threshold(self) -> float:

@@ -141,7 +141,7 @@ def reading(path: Path) -> Iterator[None]:
 
 
 def file_hash(path: Path) -> str:
-    """Return the SHA-256 of a file's bytes.
+    """Return the SHA-256 of a file's bytes; of a folder, that of its files' hashes.
 
     Parameters
     ----------
@@ -151,6 +151,9 @@ def file_hash(path: Path) -> str:
     -------
     str
     """
+    if path.is_dir():
+        text = "".join(file_hash(p) for p in sorted(path.iterdir()) if p.is_file())
+        return hashlib.sha256(text.encode()).hexdigest()
     with path.open("rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 

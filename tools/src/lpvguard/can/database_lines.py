@@ -23,13 +23,17 @@ def read_sound_lines(text: str) -> tuple[Database, list[str]]:
     Returns
     -------
     tuple of Database and list of str
-        Sound statements, and a sentence for each other statement: line number and text.
+        Sound statements, and a sentence for each other or corrected one: line number and text.
     """
     blocks: list[list[tuple[int, str]]] = []
     others: list[tuple[int, str]] = []
+    corrected: list[tuple[int, str]] = []
     for number, line in _statements(text):
         if line.startswith("BO_ "):
-            blocks.append([(number, line)])
+            flagged = _with_flag(line)
+            if flagged != line:
+                corrected.append((number, line))
+            blocks.append([(number, flagged)])
         elif line.lstrip().startswith("SG_ ") and blocks:
             blocks[-1].append((number, line))
         elif _KEPT.match(line):
@@ -42,7 +46,25 @@ def read_sound_lines(text: str) -> tuple[Database, list[str]]:
     if database is None:  # statements that are sound one by one, and not together
         database = _database(_HEAD)
         left_out = [*left_out, *((number, line) for block in blocks for number, line in block)]
-    return database, [f"line {number}: {line.strip()[:80]}" for number, line in sorted(left_out)]
+    said = [
+        (number, f"left out, cannot be read: line {number}: {line.strip()[:80]}") for number, line in left_out
+    ]
+    said += [
+        (
+            number,
+            f"line {number}: {line.strip()[:80]}: read as an identifier of 29 bits, though its flag lacks",
+        )
+        for number, line in corrected
+    ]
+    return database, [text for _, text in sorted(said)]
+
+
+def _with_flag(line: str) -> str:
+    """The head of a message whose identifier has more than 11 bits, with the flag that says so."""
+    head = re.match(r"BO_ (\d+)", line)
+    if head is None or not 0x7FF < int(head[1]) < 1 << 29:
+        return line
+    return f"BO_ {int(head[1]) | 1 << 31}{line[head.end() :]}"
 
 
 def _statements(text: str) -> list[tuple[int, str]]:

@@ -19,6 +19,7 @@ from .catalogue import j1939_data_max
 from .database_lines import read_sound_lines
 from .dbc import dbc_text
 from .logs import EXTENDED, Frames
+from .sign_bits import sign_bits
 
 if TYPE_CHECKING:  # cantools takes long to import
     from cantools.database.can import Database, Message, Signal
@@ -81,7 +82,7 @@ def _sound_dbc(path: Path) -> Database | None:
     if not database.messages:
         return None
     for line in left_out:
-        warnings.warn(f"{path}: left out, cannot be read: {line}", InputWarning, stacklevel=1)
+        warnings.warn(f"{path}: {line}", InputWarning, stacklevel=1)
     return database
 
 
@@ -172,7 +173,7 @@ def find_frames(
     frames : Frames
     message : Message, of cantools
     j1939 : bool, find by parameter group
-    channel : str, optional, by default every channel
+    channel : str, optional, by default the one that the message is on
     source_address : int, optional, of the sender
     where : str, name of the log in errors
 
@@ -183,7 +184,7 @@ def find_frames(
     Raises
     ------
     InputError
-        If a J1939 group comes from several senders, and nothing says which.
+        If a message is on several channels, or a J1939 group from several senders, and nothing says which.
     """
     if j1939 and message.is_extended_frame:
         wanted = _j1939(frames, message, source_address, where)
@@ -195,6 +196,13 @@ def find_frames(
                 where, "channel", f"{channel} is not in the log", f"one of {', '.join(frames.channels)}"
             )
         wanted &= frames.channel == frames.channels.index(channel)
+    elif len(present := np.unique(frames.channel[wanted])) > 1:
+        raise InputError(
+            where,
+            message.name,
+            "is on the channels " + " and ".join(frames.channels[c] for c in present),
+            "--channel, or channel in the signal map, to say which",
+        )
     return np.flatnonzero(wanted)
 
 
@@ -261,13 +269,34 @@ def decode_signal(
     return Samples(positions, physical, left_out)
 
 
-def decode_all(frames: Frames, database) -> dict[str, dict[str, Samples]]:
-    """Decode every signal of every message of a database.
+def signed(frames: Frames, samples: Samples, message: Message, bit: Signal) -> Samples:
+    """Give samples of a magnitude the sign that a bit of the same frame tells.
+
+    Parameters
+    ----------
+    frames : Frames
+    samples : Samples, of the magnitude
+    message : Message, of cantools
+    bit : Signal, not 0 where the magnitude is negative
+
+    Returns
+    -------
+    Samples
+    """
+    turned = decode_signal(frames, samples.frame, message, bit, j1939_codes=False)
+    sign = np.ones(len(samples.frame))
+    sign[np.searchsorted(samples.frame, turned.frame)] -= 2.0 * (turned.value != 0)
+    return Samples(samples.frame, sign * samples.value, samples.left_out)
+
+
+def decode_all(frames: Frames, database, where: str = "") -> dict[str, dict[str, Samples]]:
+    """Decode every signal of every message of a database, magnitudes with the sign of a bit beside them.
 
     Parameters
     ----------
     frames : Frames
     database : Database, of cantools
+    where : str, name of the log in errors
 
     Returns
     -------
@@ -276,12 +305,15 @@ def decode_all(frames: Frames, database) -> dict[str, dict[str, Samples]]:
     decoded = {}
     for message in database.messages:
         j1939 = is_j1939(message)
-        positions = find_frames(frames, message, j1939=j1939)
+        positions = find_frames(frames, message, j1939=j1939, where=where)
         if len(positions):
-            decoded[message.name] = {
+            of_message = {
                 s.name: decode_signal(frames, positions, message, s, j1939_codes=j1939)
                 for s in message.signals
             }
+            for name, bit in sign_bits(message).items():
+                of_message[name] = signed(frames, of_message[name], message, message.get_signal_by_name(bit))
+            decoded[message.name] = of_message
     return decoded
 
 

@@ -3,7 +3,8 @@
 raw      candump (-l, -L, and the screen with -t), ASC, BLF, MF4 with bus logging, CSV and Parquet with the
          columns of python-can (timestamp, arbitration_id, extended, dlc, data);
          each also with .gz where it is text
-decoded  CSV and Parquet with one column a signal, MF4 with one channel a signal
+decoded  CSV and Parquet with one column a signal, MF4 with one channel a signal; rosbag, MCAP, ULog,
+         DataFlash and openpilot's logs (foreign_logs.py)
 
 candump goes through a compiled parser, or through a slow one in Python when there is no compiler; the result
 is the same. Other raw forms go through python-can (which takes a bus-off report of a candump log as a frame)
@@ -15,80 +16,43 @@ from __future__ import annotations
 import ctypes
 import gzip
 import re
+import warnings
 import zlib
-from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
 from ..base import artefacts, native
-from ..base.errors import InputError
+from ..base.errors import InputError, InputWarning
 from .damaged import python_can_reader, require_sound_blocks
-
-EXTENDED = 0x80000000
-"""Flag in ``Frames.id``: 29-bit identifier."""
-ERROR_REPORT = 0x20000000
-"""Flag in the identifier of a bus-error report, as candump logs it."""
+from .foreign_logs import read_foreign, reader_of
+from .log_types import ERROR_REPORT as ERROR_REPORT
+from .log_types import EXTENDED as EXTENDED
+from .log_types import FD_BYTES, LATEST_S, frames_of_rows, row_of
+from .log_types import Frames as Frames
+from .log_types import Series as Series
+from .log_types import Table as Table
 
 INDEX = "experiments.csv"
 """Index of a drive folder."""
 
-_NAME_BYTES, _CHANNELS, _COUNTS, _FD_BYTES = 16, 64, 6, 64
+_NAME_BYTES, _CHANNELS, _COUNTS = 16, 64, 6
 _CANDUMP_SUFFIXES = {".log", ".candump", ".txt"}
 _PYTHON_CAN_SUFFIXES = {".asc", ".blf", ".trc"}
 _MDF_SUFFIXES = {".mf4", ".mdf", ".dat"}
-_SUFFIXES = {".gz", *_CANDUMP_SUFFIXES, *_PYTHON_CAN_SUFFIXES, *_MDF_SUFFIXES, ".csv", ".parquet", ".mat"}
+_TEXT_SUFFIXES = {".csv", ".tsv", ".txt"}
+_FOREIGN_SUFFIXES = {".bag", ".mcap", ".ulg", ".bin", ".db3", ".bz2", ".zst"}
+_SUFFIXES = {
+    ".gz",
+    *_TEXT_SUFFIXES,
+    *_CANDUMP_SUFFIXES,
+    *_PYTHON_CAN_SUFFIXES,
+    *_MDF_SUFFIXES,
+    *_FOREIGN_SUFFIXES,
+    ".parquet",
+    ".mat",
+}
 _RAW_COLUMNS = {"timestamp", "arbitration_id", "data"}
-
-
-@dataclass(frozen=True)
-class Frames:
-    """Raw frames in the order of the log.
-
-    Attributes
-    ----------
-    t_ns : ndarray (N,) of int, ns
-    id : ndarray (N,) of int, with EXTENDED
-    channel : ndarray (N,) of int, index into ``channels``
-    length : ndarray (N,) of int, bytes
-    data : ndarray (N, width) of uint8
-    channels : list of str
-    """
-
-    t_ns: np.ndarray
-    id: np.ndarray
-    channel: np.ndarray
-    length: np.ndarray
-    data: np.ndarray
-    channels: list[str]
-    left_out: dict[str, int] = field(default_factory=dict)
-    """Other contents of the log by kind: error reports, remote frames, lines that are no frame."""
-
-    def __len__(self) -> int:
-        return len(self.t_ns)
-
-    def of_channel(self, channel: str | None, where: Path | str) -> Frames:
-        """Frames of one channel (all for None). InputError when the log ``where`` has no such channel."""
-        if channel is None:
-            return self
-        if channel not in self.channels:
-            raise InputError(
-                where, "channel", f"{channel} is not in the log", f"one of {', '.join(self.channels)}"
-            )
-        at = self.channel == self.channels.index(channel)
-        return self.at(at)
-
-    def at(self, rows: np.ndarray | slice) -> Frames:
-        """Some of the frames; ``rows`` (K,) is a mask, positions or a slice."""
-        return Frames(
-            self.t_ns[rows],
-            self.id[rows],
-            self.channel[rows],
-            self.length[rows],
-            self.data[rows],
-            self.channels,
-            self.left_out,
-        )
 
 
 def candump_line(t_us: int, channel: str, identifier: int, data: bytes) -> str:
@@ -110,41 +74,14 @@ def candump_line(t_us: int, channel: str, identifier: int, data: bytes) -> str:
     return f"({t_us // 10**6}.{t_us % 10**6:06d}) {channel} {frame}\n"
 
 
-@dataclass(frozen=True)
-class Series:
-    """A signal of a decoded log.
-
-    Attributes
-    ----------
-    t_ns : ndarray (N,) of int, ns
-    value : ndarray (N,), NaN where the log has none
-    unit : str, as the log says, or ""
-    """
-
-    t_ns: np.ndarray
-    value: np.ndarray
-    unit: str = ""
-
-
-@dataclass(frozen=True)
-class Table:
-    """A decoded log.
-
-    Attributes
-    ----------
-    series : dict[str, Series], by signal
-    """
-
-    series: dict[str, Series]
-
-
-def read_log(path: Path, *, time_column: str | None = None) -> Frames | Table:
+def read_log(path: Path, *, time_column: str | None = None, schema: Path | None = None) -> Frames | Table:
     """Read one log; its form follows from the suffix, and from the content of CSV, Parquet and MF4.
 
     Parameters
     ----------
     path : Path
     time_column : str, optional, time [s] of a decoded table, by default the first of t, time, timestamp
+    schema : Path, optional, log.capnp of an openpilot log
 
     Returns
     -------
@@ -156,24 +93,26 @@ def read_log(path: Path, *, time_column: str | None = None) -> Frames | Table:
         If the file is missing, of unknown form, or holds no frame.
     """
     path = Path(path)
+    if reader_of(path) is not None and path.exists():
+        return read_foreign(path, schema)
     if not path.is_file():
         raise InputError(path, "", "no such file", "a log: candump, ASC, BLF, MF4, CSV or Parquet")
     suffixes = [s.lower() for s in path.suffixes]
     suffix = suffixes[-2] if len(suffixes) > 1 and suffixes[-1] == ".gz" else suffixes[-1] if suffixes else ""
-    if suffix in _CANDUMP_SUFFIXES:
+    if suffix in _CANDUMP_SUFFIXES and not _is_table(path):
         log: Frames | Table = _read_candump(path)
     elif suffix in _PYTHON_CAN_SUFFIXES:
         log = _read_python_can(path)
     elif suffix in _MDF_SUFFIXES:
         log = _read_mf4(path)
-    elif suffix in {".csv", ".parquet"}:
+    elif suffix in {*_TEXT_SUFFIXES, *_CANDUMP_SUFFIXES, ".parquet"}:
         log = _read_table(path, suffix, time_column)
     else:
         raise InputError(
             path,
             "",
             f"unknown kind of log {suffix or '(no suffix)'}",
-            ".log (candump), .asc, .blf, .trc, .mf4, .csv or .parquet, also with .gz",
+            ".log (candump), .asc, .blf, .trc, .mf4, .csv, .tsv, .txt or .parquet, also with .gz",
         )
     if isinstance(log, Frames) and len(log) == 0:
         raise InputError(path, "", "holds no data frame" + _in_words(log.left_out), "at least one frame")
@@ -200,8 +139,11 @@ def logs_among(paths: list[Path]) -> list[Path]:
     """
     found: list[Path] = []
     for path in paths:
-        inside = [p for p in sorted(path.iterdir()) if p.is_file()] if path.is_dir() else []
-        logs = [p for p in inside if p.name != INDEX and p.suffix.lower() in _SUFFIXES]
+        if path.is_dir() and reader_of(path) is not None:  # a rosbag2 is a folder
+            found.append(path)
+            continue
+        inside = sorted(path.iterdir()) if path.is_dir() else []
+        logs = [p for p in inside if p.name != INDEX and _is_log(p)]
         if path.is_dir() and not logs:
             raise InputError(path, "", "holds no log", "a folder of logs, or the logs themselves")
         found += logs if path.is_dir() else [path] if path.name != INDEX else []
@@ -212,8 +154,14 @@ def logs_among(paths: list[Path]) -> list[Path]:
     return found
 
 
+def _is_log(path: Path) -> bool:
+    """Whether something in a folder is a log, by its name."""
+    known = path.is_file() and path.suffix.lower() in _SUFFIXES - _FOREIGN_SUFFIXES
+    return known or reader_of(path) is not None
+
+
 def stem(path: Path) -> str:
-    """Return the file name without the suffixes of logs: drive.log.gz is drive.
+    """Return a log's file name without suffixes, with its folder where openpilot wrote it.
 
     Parameters
     ----------
@@ -227,7 +175,22 @@ def stem(path: Path) -> str:
     for suffix in reversed(path.suffixes):
         if suffix.lower() in _SUFFIXES:
             name = name.removesuffix(suffix)
-    return name
+    return f"{path.absolute().parent.name}_{name}" if name in ("rlog", "qlog") else name
+
+
+def _is_table(path: Path) -> bool:
+    """Whether a file of a name that candump gives holds a table: numbers in columns under names, no frame."""
+    from .text_tables import read_text_table
+
+    head = _bytes(path)[:_HEAD]
+    if _SCREEN.search(head) or any(_LINE.fullmatch(line) for line in head.split(b"\n")):
+        return False
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", InputWarning)
+            return len(read_text_table(head, path).table) > 1
+    except (InputError, ValueError):
+        return False
 
 
 def is_raw_table(path: Path) -> bool:
@@ -243,13 +206,15 @@ def is_raw_table(path: Path) -> bool:
     """
     import pyarrow.parquet as pa_parquet
 
+    from .raw_tables import is_raw
+
     if path.suffix.lower() == ".mat":
         return False
     try:
         if path.suffix.lower() == ".parquet":
             return set(pa_parquet.read_schema(path).names) >= _RAW_COLUMNS
         with path.open(encoding="utf-8") as text:
-            return {name.strip() for name in text.readline().split(",")} >= _RAW_COLUMNS
+            return is_raw(re.split(r"[;,\t]", text.readline().strip()))
     except (OSError, ValueError):  # of pyarrow too
         return False
 
@@ -350,7 +315,7 @@ def parse_candump(text: np.ndarray, library: ctypes.CDLL) -> Frames:
     capacity = 1 + sum(
         int(np.count_nonzero(text[i : i + block] == ord("\n"))) for i in range(0, len(text), block)
     )
-    for width in (8, _FD_BYTES):
+    for width in (8, FD_BYTES):
         t_ns, id_ = np.empty(capacity, np.int64), np.empty(capacity, np.uint32)
         channel, length = np.empty(capacity, np.uint8), np.empty(capacity, np.uint8)
         data = np.empty((capacity, width), np.uint8)
@@ -383,8 +348,6 @@ def parse_candump(text: np.ndarray, library: ctypes.CDLL) -> Frames:
     )
 
 
-_LATEST_S = 9_000_000_000
-"""Latest second that 64 bits of nanoseconds hold, rounded down."""
 _LINE = re.compile(
     rb" *\((\d{1,10})\.(\d{1,9})\) +([!-\xff]{1,15}) +([0-9A-Fa-f]{3}|[0-9A-Fa-f]{8})#"
     rb"(?:([Rr].*)|(?:#[0-9A-Fa-f])?((?:[0-9A-Fa-f]{2}){0,64})(?:[ _].*)?)\r?"
@@ -404,7 +367,7 @@ def parse_candump_slowly(text: np.ndarray) -> Frames:
         if line in (b"", b"\r"):
             continue
         match = _LINE.fullmatch(line)
-        kind = "" if match is not None and int(match[1]) <= _LATEST_S else "lines that are no frame"
+        kind = "" if match is not None and int(match[1]) <= LATEST_S else "lines that are no frame"
         if match is not None and not kind:
             seconds, fraction, interface, identifier, remote, data = match.groups()
             value = int(identifier, 16)
@@ -423,7 +386,7 @@ def parse_candump_slowly(text: np.ndarray) -> Frames:
             leave_out(kind)
         if kind == "lines that are no frame":
             left_out.setdefault("first line that is no frame", number)
-    return _from_rows(rows, left_out)
+    return frames_of_rows(rows, left_out)
 
 
 # ------------------------------------------------------------------------------------------------- python-can
@@ -442,45 +405,15 @@ def _read_python_can(path: Path) -> Frames:
                 else:
                     identifier, extended = message.arbitration_id, message.is_extended_id
                     data = bytes(message.data)
-                    rows.append(_row(message.timestamp, identifier, extended, message.channel, data))
-    except Exception as error:  # each reader of python-can has its own exceptions
+                    rows.append(row_of(message.timestamp, identifier, extended, message.channel, data))
+    except Exception as error:  # each reader of python-can has exceptions of its own
         raise InputError(
             path,
             f"frame {len(rows) + 1}",
             f"cannot be read ({type(error).__name__}: {error})",
             f"a {path.suffix} log that python-can reads",
         ) from None
-    return _from_rows(rows, {kind: n for kind, n in left_out.items() if n})
-
-
-def _row(
-    t_s: float, identifier: int, extended: bool, channel: object, data: bytes
-) -> tuple[int, int, str, bytes]:
-    """Time [ns], identifier with its flag, channel and data; ValueError for an impossible frame."""
-    if not 0 <= identifier < (1 << 29 if extended else 1 << 11):
-        raise ValueError(f"identifier {identifier:#x} has too many bits")
-    if not abs(t_s) <= _LATEST_S:
-        raise ValueError(f"time {t_s} s")
-    if len(data) > _FD_BYTES:
-        raise ValueError(f"{len(data)} bytes of data")
-    return round(t_s * 1e9), identifier | (EXTENDED if extended else 0), str(channel), data
-
-
-def _from_rows(rows: list[tuple[int, int, str, bytes]], left_out: dict[str, int]) -> Frames:
-    width = max((len(row[3]) for row in rows), default=8)
-    width = 8 if width <= 8 else _FD_BYTES
-    channels = sorted({row[2] for row in rows})
-    position = {name: i for i, name in enumerate(channels)}
-    data = np.frombuffer(b"".join(row[3].ljust(width, b"\0") for row in rows), np.uint8).reshape(-1, width)
-    return Frames(
-        np.array([row[0] for row in rows], np.int64),
-        np.array([row[1] for row in rows], np.uint32),
-        np.array([position[row[2]] for row in rows], np.uint8),
-        np.array([len(row[3]) for row in rows], np.uint8),
-        data,
-        channels,
-        left_out,
-    )
+    return frames_of_rows(rows, {kind: n for kind, n in left_out.items() if n})
 
 
 # ----------------------------------------------------------------------------------------------- CSV, Parquet
@@ -490,13 +423,22 @@ def _read_table(path: Path, suffix: str, time_column: str | None) -> Frames | Ta
     import pyarrow as pa
     import pyarrow.parquet as pa_parquet
 
-    from .delimited import read_csv
+    from .raw_tables import is_raw, raw_frames
+    from .text_tables import read_text_table
+    from .time_columns import time_of
 
+    units: dict[str, str] = {}
+    first_line = 1
     try:
         if suffix == ".parquet":
-            table, skipped = pa_parquet.read_table(path), 0
+            table = pa_parquet.read_table(path)
         else:
-            table, skipped = read_csv(_bytes(path))
+            data = _bytes(path)
+            as_text = read_text_table(data, path, text_columns=True)
+            if is_raw(as_text.table.column_names):
+                return raw_frames(as_text, path)
+            read = read_text_table(data, path)
+            table, first_line, units = read.table, read.first_line, read.units
     except (pa.ArrowException, OSError) as error:
         raise InputError(
             path,
@@ -510,26 +452,14 @@ def _read_table(path: Path, suffix: str, time_column: str | None) -> Frames | Ta
             path, "header", f"two columns are named {twice[0]!r}", "a different name for each column"
         )
     if set(names) >= _RAW_COLUMNS:
-        if suffix == ".csv" and path.suffix.lower() == ".csv":
-            return _read_python_can(path)
         return _raw_table(path, table)
-    time = time_column or next((c for c in ("t", "time", "timestamp") if c in names), None)
-    if time is None or time not in names:
-        raise InputError(
-            path,
-            "header",
-            f"no time column{f' {time}' if time else ''}",
-            f"one of t, time, timestamp in s (or `time` in the signal map); there are {', '.join(names)}",
-        )
-    t_s = _numbers(path, table, time)
-    bad = np.flatnonzero(~(np.abs(t_s) <= _LATEST_S))
-    if len(bad):
-        line, t = f"line {bad[0] + 2 + skipped}, column {time}", t_s[bad[0]]
-        what = "no time" if np.isnan(t) else f"a time of {t:g} s"
-        raise InputError(path, line, what, f"a time in s in every line, at most {_LATEST_S:g}")
-    t_ns = np.rint(t_s * 1e9).astype(np.int64)
+    t_ns, keep, made_of = time_of(table, units, path, first_line, time_column)
     return Table(
-        {c: Series(t_ns, _numbers(path, table, c)) for c in names if c != time and _numeric(table, c)}
+        {
+            c: Series(t_ns, _numbers(path, table, c)[keep], units.get(c, ""))
+            for c in names
+            if c not in made_of and _numeric(table, c)
+        }
     )
 
 
@@ -567,7 +497,7 @@ def _raw_table(path: Path, table) -> Frames:
                 identifier = int(identifier, 16)
             payload = bytes.fromhex(data) if isinstance(data, str) else bytes(data)
             wide = identifier > 0x7FF if extended is None else bool(extended)
-            rows.append(_row(float(t), identifier, wide, channel, payload))
+            rows.append(row_of(float(t), identifier, wide, channel, payload))
         except (TypeError, ValueError) as error:
             raise InputError(
                 path,
@@ -575,7 +505,7 @@ def _raw_table(path: Path, table) -> Frames:
                 f"no frame ({error})",
                 "timestamp in s, arbitration_id, data as bytes or hexadecimal text",
             ) from None
-    return _from_rows(rows, {})
+    return frames_of_rows(rows, {})
 
 
 # -------------------------------------------------------------------------------------------------------- MF4
@@ -621,7 +551,7 @@ def _mf4_frames(mdf, places: list[tuple[int, int]]) -> Frames:
         channel.append(np.asarray(part("BusChannel", 0), np.uint8))
         length.append(np.asarray(part("DataLength", payload.shape[1]), np.uint8))
         data.append(payload)
-    width = 8 if max(d.shape[1] for d in data) <= 8 else _FD_BYTES
+    width = 8 if max(d.shape[1] for d in data) <= 8 else FD_BYTES
     padded = np.concatenate([np.pad(d, ((0, 0), (0, width - d.shape[1]))) for d in data])
     t_ns = np.concatenate(t)
     order = np.argsort(
@@ -640,8 +570,8 @@ def _mf4_frames(mdf, places: list[tuple[int, int]]) -> Frames:
 
 
 def _mf4_time(t_s: np.ndarray) -> np.ndarray:
-    """Times (N,) in ns from times in s; ValueError for an impossible one."""
-    bad = t_s[~(np.abs(t_s) <= _LATEST_S)]
+    """Times (N,) in ns of times in s; ValueError for one that is none."""
+    bad = t_s[~(np.abs(t_s) <= LATEST_S)]
     if len(bad):
         raise ValueError(f"time {bad[0]} s")
     return np.rint(t_s * 1e9).astype(np.int64)

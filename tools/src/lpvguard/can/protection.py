@@ -4,6 +4,12 @@ For a frame of identifier I with L bytes, "others" are the bytes that do not hol
 public databases and packers of commaai/opendbc; AUTOSAR_PRS_E2EProtocol.
 
     toyota               bytes of I + L + others, modulo 256; the last byte
+    honda                8 (11 for 29-bit I) - (all half bytes of I and of the frame but the checksum),
+                         modulo 16
+    subaru, tesla        low and second byte of I + others, modulo 256
+    chrysler             CRC-8, polynomial 0x1D, over the others; register starts at 0xFF, xor-out 0xFF
+                         (SAE J1850); the last byte
+    volkswagen_xor       exclusive or of the others
     hyundai_sum          others, modulo 256
     hyundai_sum_before   bytes before the checksum, modulo 256
     hyundai_nibbles      -(all half bytes but the checksum), modulo 16
@@ -55,6 +61,11 @@ _E2E_1 = Protection("check_p11", 8, Place(0, 8), _COUNTER, 15, 1)
 _E2E_2 = Protection("check_p22", 8, Place(0, 8), _COUNTER, 16, 16)
 PROTECTIONS = {
     "toyota": Protection("check_toyota", 8, Place(-8, 8)),
+    "honda": Protection("check_honda", 4),
+    "subaru": Protection("check_sum_id", 8),
+    "tesla": Protection("check_sum_id", 8),
+    "chrysler": Protection("check_j1850", 8, Place(-8, 8)),
+    "volkswagen_xor": Protection("check_xor", 8),
     "hyundai_sum": Protection("check_sum", 8),
     "hyundai_sum_before": Protection("check_sum_before", 8),
     "hyundai_nibbles": Protection("check_nibbles", 4),
@@ -116,6 +127,32 @@ _BODIES = {
         "for (i = 0u; i < frame->length; ++i) {\n"
         "        const uint32_t byte = frame->data[i] & ((i == frame->at) ? frame->keep : 0xFFu);\n"
         "        value += (byte >> 4) + (byte & 0xFu);\n    }\n    return (0u - value) & 0xFu;",
+    ),
+    "check_honda": (
+        "",
+        "uint32_t value = 0u;\n    uint32_t left = frame->id;",
+        "while (left != 0u) {\n        value += left & 0xFu;\n        left >>= 4;\n    }\n"
+        "    for (i = 0u; i < frame->length; ++i) {\n"
+        "        const uint32_t byte = frame->data[i] & ((i == frame->at) ? frame->keep : 0xFFu);\n"
+        "        value += (byte >> 4) + (byte & 0xFu);\n    }\n"
+        "    return (((frame->id > 0x7FFu) ? 11u : 8u) - value) & 0xFu;",
+    ),
+    "check_sum_id": (
+        "",
+        "uint32_t value = (frame->id & 0xFFu) + ((frame->id >> 8) & 0xFFu);",
+        _OTHERS + "            value += frame->data[i];\n        }\n    }\n    return value & 0xFFu;",
+    ),
+    "check_j1850": (
+        _CRC8,
+        "uint32_t value = 0xFFu;",
+        _OTHERS
+        + "            value = crc8(value, 0x1Du, frame->data[i]);\n        }\n    }\n"
+        + "    return value ^ 0xFFu;",
+    ),
+    "check_xor": (
+        "",
+        "uint32_t value = 0u;",
+        _OTHERS + "            value ^= frame->data[i];\n        }\n    }\n    return value;",
     ),
     "check_crc8": (
         _CRC8,

@@ -22,6 +22,9 @@ def fit(
     vehicle: Vehicle,
     drives: Annotated[Path, typer.Argument(help="Folder of drives with experiments.csv.")],
     out: Out,
+    accept_unusual: Annotated[
+        bool, typer.Option("--accept-unusual", help="Accept a model beyond the stated kind of vehicle.")
+    ] = False,
     json_out: JsonOut = None,
 ) -> None:
     """Fit the model's parameters, delay and offsets; writes the project file anew beside the old one.
@@ -34,7 +37,7 @@ def fit(
 
     project = project_of(vehicle)
     with progress_bar("fit") as tell:
-        result = stage(project, drives, tell)
+        result = stage(project, drives, tell, accept_unusual)
         save(result, text_of(vehicle), vehicle, out, {"measured.svg": _picture(result)})
     emit(json_out, result.to_dict())
     print_fit(result)

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from ..vehicle.physics import KindName
 from .shared import Out, app, console, progress_bar
 
 
@@ -20,9 +21,23 @@ def new(
     wheelbase: Annotated[
         float | None, typer.Option(help="Wheelbase [m]; with it units are checked.", min=0.05, max=20)
     ] = None,
+    channel: Annotated[str | None, typer.Option(help="Interface of raw logs with several.")] = None,
+    schema: Annotated[Path | None, typer.Option(help="log.capnp of openpilot's logs.")] = None,
+    kind: Annotated[
+        KindName | None, typer.Option(help="Kind of vehicle (default: as the wheelbase suggests).")
+    ] = None,
+    ratio: Annotated[
+        float | None,
+        typer.Option(
+            "--steering-ratio", help="Steering wheel over road wheel; 1: road wheel.", min=0.1, max=100
+        ),
+    ] = None,
     speed: Annotated[str | None, typer.Option(help="Signal that is the speed.")] = None,
     input_: Annotated[str | None, typer.Option("--input", help="Signal that is the steering.")] = None,
     output: Annotated[str | None, typer.Option(help="Signal that is the yaw rate.")] = None,
+    speed_unit: Annotated[str | None, typer.Option(help="Its unit, as km/h.")] = None,
+    input_unit: Annotated[str | None, typer.Option(help="Its unit, as deg.")] = None,
+    output_unit: Annotated[str | None, typer.Option(help="Its unit, as deg/s.")] = None,
 ) -> None:
     """Look at logs, propose signals, units, signs, rate and frames; write a project file and its drives."""
     from ..can.logs import logs_among
@@ -37,6 +52,11 @@ def new(
             model=model,
             chosen={"speed": speed, "input": input_, "output": output},
             wheelbase_m=wheelbase,
+            kind=kind,
+            schema=schema,
+            channel=channel,
+            ratio=ratio,
+            units={"speed": speed_unit, "input": input_unit, "output": output_unit},
         )
     for p in made.proposals.values():
         console.print(f"{p.role}: {p.name} in {p.unit}, factor {p.factor:.6g}: {'; '.join(p.why)}")

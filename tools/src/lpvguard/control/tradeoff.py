@@ -173,12 +173,9 @@ class TradeOff:
     def setting(self) -> dict:
         """Setting for the project file."""
         omega = self.problem.frames.estimator.omega
-        ceiling = (
-            self.problem.stored.project.bounds.nu_ceiling.model_dump()
-            if self.best.candidate.own
-            else between(self.best.candidate, omega).model_dump()
-        )
-        return {"bounds.nu_ceiling": ceiling} | (
+        own = self.problem.stored.project.bounds.nu_ceiling
+        ceiling = own if self.best.candidate.own else between(self.best.candidate, omega)
+        return {"bounds.nu_ceiling": None if ceiling is None else ceiling.model_dump()} | (
             {} if self.best.candidate.lambda_s is None else {"design.lambda_s": self.best.candidate.lambda_s}
         )
 

@@ -34,6 +34,7 @@ from ..can.decode import (
     is_j1939,
     load_database,
     own_database,
+    signed,
 )
 from ..can.logs import Frames, Series, Table, read_log, stem
 from .resample import NS, LogClock, Piece, Source, TableMaker, clock_of, describe, in_order, within_limits
@@ -150,6 +151,10 @@ def _from_frames(frames: Frames, given: Inputs, column: str, term: Term) -> Sour
         if term.wrap is None:
             leaps = np.abs(np.diff(samples.value)) > _WRAP_SHARE * (float(high) - float(low))
             report["suspected_wraps"] = int(leaps.sum())
+    if term.sign is not None:
+        if term.sign not in signals:
+            raise _unknown(given.database_path, f"{where} of {map_path}, sign", term.sign, "signal", signals)
+        samples = signed(frames, samples, message, signals[term.sign])
     scale = _scale(term, column, given.map.columns[column].unit, signal.unit or "", map_path)
     return Source(frames.t_ns[samples.frame], _unwrap(samples.value, term, report) * scale, report)
 
@@ -214,12 +219,14 @@ class Inputs:
     database : Database
     database_path, map_path : Path or str
     map : SignalMap
+    schema : Path or None, log.capnp of openpilot's logs
     """
 
     database: Database
     database_path: Path | str
     map: SignalMap
     map_path: Path
+    schema: Path | None = None
 
 
 def _sources(log: Frames | Table, path: Path, given: Inputs) -> dict[str, list[Source]]:
@@ -236,7 +243,7 @@ def _sources(log: Frames | Table, path: Path, given: Inputs) -> dict[str, list[S
 
 def _ingest_one(path: Path, given: Inputs) -> tuple[list[Piece], dict]:
     """Pieces and report of one log; InputError when nothing of it remains."""
-    log = read_log(path, time_column=given.map.time)
+    log = read_log(path, time_column=given.map.time, schema=given.schema)
     t_ns = _log_time(log)
     if len(t_ns) == 0:
         raise InputError(path, "", "holds no signal", "at least one column of numbers")
@@ -334,7 +341,14 @@ def write_tables(path: Path, given: Inputs, folder: Path) -> dict:
     return report
 
 
-def ingest(logs: Iterable[Path], *, dbc: Path | None, signals_map: Path | SignalMap, out: Path) -> dict:
+def ingest(
+    logs: Iterable[Path],
+    *,
+    dbc: Path | None,
+    signals_map: Path | SignalMap,
+    out: Path,
+    schema: Path | None = None,
+) -> dict:
     """Turn logs into uniform drive tables in a folder.
 
     Nothing is written when a log is refused.
@@ -345,6 +359,7 @@ def ingest(logs: Iterable[Path], *, dbc: Path | None, signals_map: Path | Signal
     dbc : Path, or None for our own DBC; decoded logs need none
     signals_map : Path, or a SignalMap of `map_of_project`
     out : Path, new folder
+    schema : Path, optional, log.capnp of openpilot's logs
 
     Returns
     -------
@@ -371,6 +386,7 @@ def ingest(logs: Iterable[Path], *, dbc: Path | None, signals_map: Path | Signal
             if isinstance(signals_map, SignalMap)
             else (load_signal_map(signals_map), Path(signals_map))
         ),
+        schema,
     )
     reports = {}
     with artefacts.new_folder(out, "ingest") as folder:

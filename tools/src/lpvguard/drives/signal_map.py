@@ -27,7 +27,8 @@ It is a TOML file::
 
 Further keys of a column: ``min``, ``max`` (in ``unit``; samples outside are left out) and ``max_gap_s``.
 Further keys of a term: ``source_unit`` (instead of the database's), ``wrap``, ``channel``, ``source_address``
-(J1939) and ``not_available``. ``wrap`` is a period in the signal's own unit: the signal is unwrapped before
+(J1939), ``sign`` and ``not_available``. ``sign`` is a signal of the same message: where it is not 0, the
+signal is negative. ``wrap`` is a period in the signal's own unit: the signal is unwrapped before
 interpolation. Without it wraps are only suspected, and counted in the report. ``not_available`` is "j1939" or
 "none", by default "j1939" when the message is a J1939 group.
 """
@@ -55,6 +56,7 @@ class Term(StrictModel):
     wrap: Positive | None = None
     channel: str | None = None
     source_address: Annotated[int, Field(ge=0, le=253)] | None = None
+    sign: str | None = None
     not_available: Literal["j1939", "none"] | None = None
 
     @property
@@ -127,7 +129,21 @@ class SignalMap(StrictModel):
 
 
 def load_signal_map(path: Path) -> SignalMap:
-    """Read and check a signal map. Raises InputError that names file, field and what was expected."""
+    """Read and check a signal map.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    SignalMap
+
+    Raises
+    ------
+    InputError
+        If it does not fit: file, field and what was expected.
+    """
     return checked(
         SignalMap,
         read_toml(Path(path), "a signal map"),

@@ -109,6 +109,11 @@ class Experiment:
     recording: str
     group: str | None = None
 
+    @property
+    def group_or_recording(self) -> str:
+        """The group, of a drive without one its recording."""
+        return self.group or self.recording
+
 
 def list_experiments(folder: Path) -> list[Experiment]:
     """List the drives in use, in the order of the folder's experiments.csv.

@@ -16,6 +16,7 @@ _UNITS = {
     "km/h": ("speed", 1 / 3.6),
     "mph": ("speed", 0.44704),
     "kn": ("speed", 1852 / 3600),
+    "ft/s": ("speed", 0.3048),
     "m/s2": ("acceleration", 1.0),
     "g": ("acceleration", 9.80665),
     "Pa": ("pressure", 1.0),
@@ -35,6 +36,8 @@ _UNITS = {
 }
 _SPELLINGS = {
     "°": "deg",
+    "grad": "deg",
+    "grad/s": "deg/s",
     "degree": "deg",
     "degrees": "deg",
     "°/s": "deg/s",
@@ -76,8 +79,10 @@ def unit_factor(source: str, target: str) -> float | None:
         return 1.0
     known = []
     for text in (source, target):
-        plain = text.strip().lower().replace(" ", "")
-        known.append(_UNITS.get(_BY_LOWER_CASE.get(_SPELLINGS.get(plain, plain), "")))
+        exact = text.strip()
+        plain = exact.lower().replace(" ", "")
+        name = exact if exact in _UNITS else _BY_LOWER_CASE.get(_SPELLINGS.get(plain, plain), "")
+        known.append(_UNITS.get(name))
     if known[0] is None or known[1] is None or known[0][0] != known[1][0]:
         return None
     return known[0][1] / known[1][1]

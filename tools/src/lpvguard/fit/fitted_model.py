@@ -27,6 +27,7 @@ from ..vehicle.nominal import NominalModel
 from ..vehicle.project import Project
 from .damaged_drives import require_unspoiled
 from .estimate import Estimate, Fit
+from .plausible import require_plausible
 from .project_file import values_of, with_numbers
 from .quality import POOR_VAF, Quality, by_drive, by_speed
 from .suspicions import judged_beside, screened
@@ -98,7 +99,12 @@ class FittedModel:
         }
 
 
-def fit(project: Project, folder: Path, progress: Callable[[str], None] = lambda _: None) -> FittedModel:
+def fit(
+    project: Project,
+    folder: Path,
+    progress: Callable[[str], None] = lambda _: None,
+    accept_unusual: bool = False,
+) -> FittedModel:
     """Fit a project's model to the bound-setting drives of a folder.
 
     Parameters
@@ -106,6 +112,7 @@ def fit(project: Project, folder: Path, progress: Callable[[str], None] = lambda
     project : Project
     folder : Path, drives
     progress : Callable, reports progress
+    accept_unusual : bool, accept a model that its kind of vehicle cannot have
 
     Returns
     -------
@@ -114,7 +121,8 @@ def fit(project: Project, folder: Path, progress: Callable[[str], None] = lambda
     Raises
     ------
     InputError
-        If an input does not fit, or signs, units, columns or times of drives are wrong.
+        If an input does not fit, signs, units, columns or times of drives are wrong, or the model is none of
+        its kind of vehicle.
 
     References
     ----------
@@ -141,6 +149,8 @@ def fit(project: Project, folder: Path, progress: Callable[[str], None] = lambda
     runner = Fit(unknowns, screen.explained)
     estimate = runner.estimated(screen.theta)
     fitted = estimate.unknowns.project(estimate.theta)
+    if not accept_unusual:
+        require_plausible(fitted)
     model = NominalModel(fitted)
     progress("judging")
     of_fitted = by_drive(model, screen.explained, estimate.whitening, estimate.trims)

@@ -5,8 +5,8 @@ Drives are streamed: every pass reduces a drive to maxima per bin (``reduce_...`
 (``fold``). Neither memory nor the result depends on the number or the order of the drives. Bin 0 is DC.
 E, Z, B1, B2, gamma_w and B_w have the outputs' units.
 
-Rule of step 4 (T8): a ceiling nu_bar(omega) on the uncertainty is set in advance. The disturbance bound
-covers what the frames need beyond it,
+Rule of step 4 (T8): a ceiling nu_bar(omega) on the uncertainty is known in advance, a setting or the band of
+the model error. The disturbance bound covers what the frames need beyond it,
 
     gamma_w(omega_k) = max over frames of sqrt(B1^2 + |Z|^2 max(0, |delta0| - nu_bar)^2),   gamma_w(0) = B2(0)
 

@@ -194,7 +194,10 @@ def silence(result: Identification) -> list[str]:
             "on the drives that set the bounds a vehicle that does not respond would have had margins up to "
             f"{result.origins.evidence[k]:.2f}"
         )
-        said.append(f"{_hertz(result, k)} is silent: {weak if result.origins.evidence[k] <= 1 else few}")
+        why = weak if result.origins.evidence[k] <= 1 else few
+        if _all_silent(result) and result.bounds.omega[k] == 0:
+            why = "every other bin is"
+        said.append(f"{_hertz(result, k)} is silent: {why}")
     if result.energy is not None and result.energy.silent:
         names = ", ".join(result.energy.bands[b] for b in result.energy.silent)
         said.append(f"energy test: silent in the bands {names}, since every bin is")

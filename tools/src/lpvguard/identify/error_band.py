@@ -43,7 +43,7 @@ class ErrorBand:
     sd : (G, S, A) standard deviation of a further drive's error about it.
     k : factor on ``sd``.
     mean : (p,) posterior mean of the lag values.
-    hyper : most probable hyperparameters, by name.
+    prior, found : prior of the lag values, and its hyperparameters.
     """
 
     omega: np.ndarray
@@ -53,12 +53,28 @@ class ErrorBand:
     sd: np.ndarray
     k: float
     mean: np.ndarray
-    hyper: dict[str, float]
+    prior: ErrorPrior
+    found: Hyperparameters
+
+    @property
+    def hyper(self) -> dict[str, float]:
+        """Most probable hyperparameters, by name."""
+        return {n: self.prior.size(self.found.x, n) for n in self.prior.names}
+
+    @property
+    def lower(self) -> np.ndarray:
+        """(G, S, A) what |delta| is at least, by frequency, speed and amplitude."""
+        return np.maximum(np.abs(self.centre) - self.k * self.sd, 0.0)
 
     @property
     def upper(self) -> np.ndarray:
         """(G, S, A) bound of |delta| by frequency, speed and amplitude."""
         return np.abs(self.centre) + self.k * self.sd
+
+    def typical(self, alpha: float) -> np.ndarray:
+        """(G,) bound of |delta| of a further drive, in the median over speeds and amplitudes, that it exceeds
+        with probability ``alpha`` at one frequency: its error is complex normal."""
+        return np.median(np.abs(self.centre) + np.sqrt(-np.log(alpha)) * self.sd, axis=(1, 2))
 
     @property
     def bound(self) -> np.ndarray:
@@ -114,6 +130,7 @@ def error_band(
     seed: int,
     scales: PriorScales = USUAL,
     cells: tuple[np.ndarray, np.ndarray] | None = None,
+    like: ErrorBand | None = None,
 ) -> ErrorBand:
     """Compute the band of a further drive's error.
 
@@ -126,6 +143,7 @@ def error_band(
     seed : int, of the draws
     scales : PriorScales, default USUAL
     cells : tuple, optional, speeds (S,) [m/s] and amplitudes (S, A) [input unit], by default as driven
+    like : ErrorBand, optional, band of more drives whose hyperparameters are taken
 
     Returns
     -------
@@ -135,9 +153,12 @@ def error_band(
     ----------
     THEORY 7.15.
     """
-    groups = 1 < len(set(sums.groups)) < len(sums.groups)
-    prior, of_output = ErrorPrior(domain, groups, scales), OutputSums(sums, output)
-    hyper = hyperparameters(prior, of_output)
+    of_output = OutputSums(sums, output)
+    if like is None:
+        prior = ErrorPrior(domain, 1 < len(set(sums.groups)) < len(sums.groups), scales)
+        hyper = hyperparameters(prior, of_output)
+    else:
+        prior, hyper = like.prior, like.found
     speed, amplitude = band_cells(domain, sums.histogram) if cells is None else cells
     s = np.repeat(domain.relative_speed(speed), amplitude.shape[1])
     features = domain.features(s, amplitude.ravel())
@@ -157,9 +178,8 @@ def error_band(
     variation = np.abs(centre - centre.mean(axis=1, keepdims=True)).max(axis=1, keepdims=True)
     sd = np.hypot(sd, INTERPOLATION * variation)
     shape = (len(omega), *amplitude.shape)
-    named = {n: prior.size(hyper.x, n) for n in prior.names}
     shaped = centre.reshape(shape), sd.reshape(shape)
-    return ErrorBand(omega, speed, amplitude, *shaped, k, values.mean(axis=0), named)
+    return ErrorBand(omega, speed, amplitude, *shaped, k, values.mean(axis=0), prior, hyper)
 
 
 def _draws(

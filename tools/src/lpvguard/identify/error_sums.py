@@ -1,8 +1,9 @@
 """Sums of a drive for the regularised model error model: all that is kept of it (THEORY 7.15).
 
-Signals of a drive are decimated and whitened by the drive's own autoregression of its residue. Offsets that
-are constant and linear in speed are projected out. Sums of drives add; what a drive deviates by is kept a
-drive, in three directions, so memory is a few kilobytes a drive.
+Drives are passed over twice: first for the gain, delay and second difference that all share, then for these
+sums. Signals of a drive are decimated and whitened by the drive's own autoregression of its residue. Offsets
+that are constant and linear in speed are projected out. Sums of drives add. What a drive deviates by is kept
+a drive, in three directions, so memory is a few kilobytes a drive.
 """
 
 from __future__ import annotations
@@ -23,6 +24,8 @@ NOISE_ORDER = 12
 """Order of the autoregression that whitens a drive's residue."""
 DIRECTIONS = 3
 """Directions in which drives deviate: gain, delay and second difference."""
+COMMON = 2 * DIRECTIONS
+"""What all drives share of them: constant and linear in relative speed."""
 LEAST_OFFSET = 1e-6
 """Singular value over the largest, below which an offset is no direction of its own."""
 SPEED_CELLS, AMPLITUDE_CELLS_PER_KNOT = 16, 4
@@ -144,6 +147,107 @@ def counted_samples(domain: ErrorDomain, inside: np.ndarray) -> np.ndarray:
     return out
 
 
+@dataclass(frozen=True)
+class _Counted:
+    """Decimated signals of a drive: error and nominal output, or what of it follows the instrument, (n_y, N);
+    relative speed and amplitude (N,); which samples count (N,) bool."""
+
+    error: np.ndarray
+    nominal: np.ndarray
+    s: np.ndarray
+    amplitude: np.ndarray
+    counted: np.ndarray
+
+    @classmethod
+    def of(
+        cls,
+        domain: ErrorDomain,
+        model: NominalModel,
+        estimator: Estimator,
+        drive: Drive,
+        e: np.ndarray,
+        yhat: np.ndarray,
+    ) -> _Counted:
+        """Those of a drive; e and yhat (N, n_y) in the outputs' units."""
+        n_y = e.shape[1]
+        outside = [] if drive.instrument is None else [drive.instrument]
+        signals = domain.decimated(np.vstack([e.T, yhat.T, drive.v, *outside]))
+        every = slice(None, None, domain.decimation)
+        nominal, s = signals[n_y : 2 * n_y], domain.relative_speed(signals[2 * n_y])
+        if outside:
+            nominal = np.array([projected_input(domain, z, signals[-1], s) for z in nominal])
+        amplitude = domain.amplitude(drive, model)[every]
+        inside = estimator.settled(drive.v)[every] & (amplitude >= domain.lowest_knot)
+        counted = counted_samples(domain, inside)
+        counted &= counted.sum() > 4 * (NOISE_ORDER + COMMON + 2)
+        return cls(signals[:n_y], nominal, s, amplitude, counted)
+
+    def by_speed(self, domain: ErrorDomain, output: int) -> np.ndarray:
+        """(N, COMMON) gain, delay and second difference of the nominal output, constant and linear in s."""
+        own = lagged_signals(domain, self.nominal[output]) @ deviations(domain)
+        return np.column_stack([own, self.s[:, None] * own])
+
+    def whitened(
+        self, output: int, by_speed: np.ndarray, signals: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+        """Counted samples of error (n,) and signals (n, m), whitened, and a basis (n, 0 to 2) of offsets.
+
+        The noise has unit variance. The residue is that of the drive's own ``by_speed`` (N, COMMON). None
+        where the nominal output or the residue is silent.
+        """
+        ones = np.column_stack([np.ones_like(self.s), self.s])
+        X, e, counted = np.column_stack([by_speed, ones]), self.error[output], self.counted
+        if not np.any(by_speed[counted]):
+            return None
+        whiten, variance = noise_filter(
+            e - X @ np.linalg.lstsq(X[counted], e[counted], rcond=1e-10)[0], counted
+        )
+        if not variance > 0:
+            return None
+        y, L, offsets, X = (lfilter(whiten, [1.0], x, axis=0)[counted] for x in (e, signals, ones, X))
+        left = y - X @ np.linalg.lstsq(X, y, rcond=1e-10)[0]
+        scale = np.sqrt(max(left @ left / (len(y) - X.shape[1] - NOISE_ORDER), 1e-300))
+        basis, sizes, _ = np.linalg.svd(offsets, full_matrices=False)
+        return y / scale, L / scale, basis[:, sizes > LEAST_OFFSET * sizes[0]]
+
+
+def _without(basis: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """x (n, ...) with its projection on an orthonormal basis (n, m) taken off."""
+    return x - basis @ (basis.T @ x)
+
+
+def common_products(
+    domain: ErrorDomain,
+    model: NominalModel,
+    estimator: Estimator,
+    drive: Drive,
+    e: np.ndarray,
+    yhat: np.ndarray,
+) -> np.ndarray:
+    """(n_y, COMMON, COMMON + 1) normal equations of one drive, for `common_fit`; e and yhat (N, n_y) in the
+    outputs' units."""
+    of = _Counted.of(domain, model, estimator, drive, e, yhat)
+    out = np.zeros((e.shape[1], COMMON, COMMON + 1))
+    for j in range(e.shape[1]):
+        by_speed = of.by_speed(domain, j)
+        found = of.whitened(j, by_speed, by_speed)
+        if found is not None:
+            y, X, basis = found
+            y, X = _without(basis, y), _without(basis, X)
+            out[j] = X.T @ np.column_stack([X, y])
+    return out
+
+
+def common_fit(products: np.ndarray) -> np.ndarray:
+    """(n_y, COMMON) gain, delay and second difference that all drives share, constant and linear in s.
+
+    Parameters
+    ----------
+    products : (n_y, COMMON, COMMON + 1) sum of `common_products` over drives.
+    """
+    return np.array([np.linalg.lstsq(part[:, :-1], part[:, -1], rcond=1e-10)[0] for part in products])
+
+
 def error_sums(
     domain: ErrorDomain,
     model: NominalModel,
@@ -152,16 +256,16 @@ def error_sums(
     e: np.ndarray,
     yhat: np.ndarray,
     group: str,
+    common: np.ndarray,
 ) -> ErrorSums:
-    """Sums of one drive; e and yhat (N, n_y) in the outputs' units."""
+    """Sums of one drive; e and yhat (N, n_y) in the outputs' units, ``common`` (n_y, COMMON) of `common_fit`.
+
+    A drive deviates by a factor on the vehicle's response, so signals of deviation are taken of the nominal
+    output and the error that all drives share. Of a drive's own error they would let it explain itself.
+    """
     n_y = e.shape[1]
-    outside = [] if drive.instrument is None else [drive.instrument]
-    signals = domain.decimated(np.vstack([e.T, yhat.T, drive.v, *outside]))
-    every = slice(None, None, domain.decimation)
-    v, amplitude = signals[2 * n_y], domain.amplitude(drive, model)[every]
-    inside = estimator.settled(drive.v)[every] & (amplitude >= domain.lowest_knot)
-    counted, s = counted_samples(domain, inside), domain.relative_speed(v)
-    features = domain.features(s, amplitude)
+    of = _Counted.of(domain, model, estimator, drive, e, yhat)
+    features = domain.features(of.s, of.amplitude)
     p = features.shape[1] * len(domain.lags)
     out = ErrorSums(
         np.zeros((n_y, p, p)),
@@ -171,55 +275,23 @@ def error_sums(
         np.zeros((1, n_y, p, DIRECTIONS)),
         np.zeros((1, n_y, DIRECTIONS)),
         np.zeros((1, n_y, DIRECTIONS, DIRECTIONS)),
-        _histogram(domain, s[counted], amplitude[counted]),
+        _histogram(domain, of.s[of.counted], of.amplitude[of.counted]),
         (group,),
     )
-    for j in range(n_y if counted.sum() > 4 * (NOISE_ORDER + 2 * DIRECTIONS + 2) else 0):
-        z = signals[n_y + j]
-        if outside:
-            z = projected_input(domain, z, signals[-1], s)
-        lagged = lagged_signals(domain, z)
-        whitened = _whitened(domain, signals[j], lagged, z, s, counted)
-        if whitened is None:
+    for j in range(n_y):
+        by_speed, z = of.by_speed(domain, j), of.nominal[j]
+        response = lagged_signals(domain, z + by_speed @ common[j]) @ deviations(domain)
+        found = of.whitened(j, by_speed, np.column_stack([lagged_signals(domain, z), response]))
+        if found is None:
             continue
-        y, L, own, offsets = whitened
-        X = (features[counted][:, :, None] * L[:, None, :]).reshape(len(y), -1)
-        left, sizes, _ = np.linalg.svd(offsets, full_matrices=False)
-        orthogonal = left[:, sizes > LEAST_OFFSET * sizes[0]]
-        X, y, own = (x - orthogonal @ (orthogonal.T @ x) for x in (X, y, own))
+        y, signals, basis = found
+        lagged, own = np.split(signals, [-DIRECTIONS], axis=1)
+        X = (features[of.counted][:, :, None] * lagged[:, None, :]).reshape(len(y), -1)
+        X, y, own = (_without(basis, x) for x in (X, y, own))
         out.gram[j], out.cross[j] = X.T @ X, X.T @ y
-        out.square[j], out.samples[j] = y @ y, len(y) - orthogonal.shape[1]
+        out.square[j], out.samples[j] = y @ y, len(y) - basis.shape[1]
         out.drive_gram[0, j], out.drive_cross[0, j], out.drive_own[0, j] = X.T @ own, y @ own, own.T @ own
     return out
-
-
-def _whitened(
-    domain: ErrorDomain,
-    e: np.ndarray,
-    lagged: np.ndarray,
-    z: np.ndarray,
-    s: np.ndarray,
-    counted: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray] | None:
-    """Counted samples of error (n,), lagged signals (n, L), deviations (n, 3) and offsets (n, 2), whitened.
-
-    The noise has unit variance. The residue is that of the drive's own gain, delay and second difference,
-    linear in speed. A drive deviates by a factor on its response, so signals of deviation are taken of the
-    nominal output z (N,) and the error that these explain. None where z or the residue is silent.
-    """
-    T = deviations(domain)
-    ones, own = np.column_stack([np.ones_like(s), s]), lagged @ T
-    X = np.column_stack([own, s[:, None] * own, ones])
-    theta = np.linalg.lstsq(X[counted], e[counted], rcond=1e-10)[0]
-    whiten, variance = noise_filter(e - X @ theta, counted)
-    if not (variance > 0 and np.any(lagged[counted])):
-        return None
-    explained = X[:, : 2 * DIRECTIONS] @ theta[: 2 * DIRECTIONS]
-    response = lagged_signals(domain, z + explained) @ T
-    y, L, D, offsets, X = (lfilter(whiten, [1.0], x, axis=0)[counted] for x in (e, lagged, response, ones, X))
-    left = y - X @ np.linalg.lstsq(X, y, rcond=1e-10)[0]
-    scale = np.sqrt(max(left @ left / (len(y) - X.shape[1] - NOISE_ORDER), 1e-300))
-    return y / scale, L / scale, D / scale, offsets
 
 
 def _histogram(domain: ErrorDomain, s: np.ndarray, a: np.ndarray) -> np.ndarray:

@@ -66,6 +66,7 @@ from .weights import (
     fit_bound,
     fit_weights,
     smallest_disturbance,
+    with_healthy,
 )
 from .window_error import window_error
 
@@ -134,6 +135,35 @@ def _of_commands(drives: DriveSet, setting: list[Experiment], parts: list[Part])
     return fold(chosen)
 
 
+def _ceiling(project: Project, estimator: Estimator, error: ModelError) -> np.ndarray:
+    """(K,) ceiling on nu at the bins, 0 at DC: the project's, or what the drives' model error asks for."""
+    stated = project.bounds.nu_ceiling
+    if stated is None:
+        return error.at_bins(estimator).max(axis=1)
+    return stated.at(estimator.omega / (2 * np.pi))
+
+
+def _weighted(
+    run: OverDrives, chosen: Chosen, error: ModelError, first: Part, noise: np.ndarray, command: np.ndarray
+) -> tuple[Bounds, Weights]:
+    """Steps 4 to 7: bounds and weights. ``first``: of the bound-setting drives; ``noise`` (K, n_y) and
+    ``command`` (K,): peaks."""
+    project, estimator = run.reader.project, run.reader.estimator
+    gamma_w = fit_bound(project, estimator, first["gamma_rule"], "gamma_w", smallest_disturbance(first["B2"]))
+    smooth = gamma_w.magnitude(estimator.omega)
+    second, W_delta = run.uncertainty(first, smooth, error, chosen.setting)
+    bounds, healthy = run.bounds(first, smooth, second, W_delta, chosen.setting), None
+    if project.bounds.nu_ceiling is None:
+        healthy = run.healthy(error, W_delta, bounds.B_w_floor, chosen.setting)
+        # The certificate's set contains the healthy one: what refutes it leaves that.
+        bounds = replace(bounds, B_w=np.fmax(bounds.B_w, healthy.B_w))
+    given = project, estimator, bounds, gamma_w, W_delta, noise, first["E"], command
+    weights = fit_weights(*given, run.workers)
+    if healthy is not None:
+        weights = with_healthy(project, estimator, weights, healthy, run.workers)
+    return bounds, weights
+
+
 def identify(
     project: Project,
     folder: Path,
@@ -172,20 +202,17 @@ def identify(
     fit_of = partial(drive_fit, drives.reader)
     model_fit, others_fit = (list(run.over("model", fit_of, of)) for of in (chosen.setting, chosen.others))
     require_better_than_none(drives, model_fit)
-    parts = list(run.first_parts(chosen.setting, keep=True))
+    error = run.model_error(chosen)
+    ceiling = _ceiling(project, estimator, error)
+    parts = list(run.first_parts(chosen.setting, ceiling, keep=True))
     first = fold(parts)
     command = _of_commands(drives, chosen.setting, parts)
     chosen = run.with_frames(chosen)
     progress("weights")
     noise_peak = np.full(first["E"].shape, np.nan)
     if chosen.noise:
-        noise_peak = fold(run.first_parts(chosen.noise, keep=False))["E"]
-    gamma_w = fit_bound(project, estimator, first["gamma_rule"], "gamma_w", smallest_disturbance(first["B2"]))
-    error, smooth = run.model_error(chosen), gamma_w.magnitude(estimator.omega)
-    second, W_delta = run.uncertainty(first, smooth, error, chosen.setting)
-    bounds = run.bounds(first, smooth, second, W_delta, chosen.setting)
-    given = project, estimator, bounds, gamma_w, W_delta, noise_peak, first["E"], command["Y"]
-    weights = fit_weights(*given, workers)
+        noise_peak = fold(run.first_parts(chosen.noise, ceiling, keep=False))["E"]
+    bounds, weights = _weighted(run, chosen, error, first, noise_peak, command["Y"])
     weights, calibration, energy, change = run.calibrated(weights, bounds, chosen)
     progress("window error")
     result = Identification(
@@ -221,7 +248,7 @@ def _bounds_table(result: Identification) -> dict[str, np.ndarray]:
         "omega_rad_s": bounds.omega,
         "length_samples": estimator.length,
         "frames": bounds.frames,
-        "nu_ceiling": result.project.bounds.nu_ceiling.at(bounds.omega / (2 * np.pi)),
+        "nu_ceiling": _ceiling(result.project, estimator, result.model_error),
         "excitation": bounds.excitation,
         "B1": bounds.B1,
         "B2": bounds.B2,

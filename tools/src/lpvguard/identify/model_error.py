@@ -23,7 +23,7 @@ not depend on their order in a folder.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields, replace
 from functools import lru_cache, partial
 from itertools import accumulate, pairwise, zip_longest
 from typing import NamedTuple
@@ -38,6 +38,10 @@ from ..drives.frames import Estimator
 from ..drives.tables import Drive, Experiment
 from ..vehicle.nominal import NominalModel, evaluate
 from ..vehicle.project import Project
+from .error_band import LEVEL as BAND_LEVEL
+from .error_band import ErrorBand, error_band
+from .error_domain import ErrorDomain
+from .error_sums import ErrorSums, joined
 from .passes import DriveReader
 
 PERIODS = (4, 8, 16, 32)
@@ -48,6 +52,8 @@ STEP = 10 ** (1 / 12)
 """Approximate distance between frequencies of the grid."""
 HIGHEST = 0.2
 """End of the grid, as a share of the sampling rate."""
+HELD = 0.8
+"""Highest frequency of a band, as a share of the Nyquist frequency of decimated signals."""
 FEWEST_FRAMES = 8
 """A cell with fewer independent frames is pooled with its neighbour."""
 LEAST_FRAMES, FEW_LEVEL = 3.0, 1e-4
@@ -728,6 +734,33 @@ def uncertainty_bound(project: Project, grid: ErrorGrid, estimate: ErrorEstimate
     return out if project.n_delta == project.n_y else out.max(axis=1, keepdims=True)
 
 
+def band_bound(project: Project, grid: ErrorGrid, bands: list[ErrorBand]) -> np.ndarray:
+    """(G, n_delta): what W_delta must cover by the ``bands`` of all outputs, over the first of the grid's
+    frequencies. At a speed and amplitude of which a band says nothing, k sd >= 1 + rho, and beyond its
+    frequencies no more than 1 + rho is asked (T32)."""
+    out = beyond(project, grid)
+    for j, band in enumerate(bands):
+        dead = out[: len(band.omega), j, None, None]
+        asked = np.where(band.k * band.sd < dead, band.upper, np.maximum(dead, band.lower))
+        out[: len(band.omega), j] = asked.max(axis=(1, 2))
+    return out if project.n_delta == project.n_y else out.max(axis=1, keepdims=True)
+
+
+def band_frequencies(grid: ErrorGrid, domain: ErrorDomain) -> np.ndarray:
+    """Those of the grid's frequencies [rad/s] that the decimated signals hold."""
+    return grid.omega[grid.omega <= HELD * np.pi / domain.step_s]
+
+
+def bands_of(
+    domain: ErrorDomain, omega: np.ndarray, seed: int, likes: list[ErrorBand] | None, sums: ErrorSums
+) -> list[ErrorBand]:
+    """Band of every output of the drives' ``sums`` at ``omega`` (G,) [rad/s]; ``likes``: of more drives."""
+    return [
+        error_band(domain, sums, j, omega, seed, like=None if likes is None else likes[j])
+        for j in range(len(sums.gram))
+    ]
+
+
 @dataclass(frozen=True)
 class ModelError:
     """Model error model of an identification.
@@ -736,10 +769,12 @@ class ModelError:
     ----------
     grid : ErrorGrid
     setting : ErrorEstimate, of the drives that set the bounds
-    bound : ndarray (G, n_delta), bound from ``setting``
+    bound : ndarray (G, n_delta), bound from ``setting``, or from ``bands``
     judging : ErrorEstimate or None, of the drives that judge the bound
     left_out : list of float
         Per fold the least ratio of the others' bound to its |delta_c| - k se, inf: no demand.
+    bands : list of dict
+        Per output the band of a further drive, where no ceiling on nu is set.
     """
 
     grid: ErrorGrid
@@ -747,6 +782,7 @@ class ModelError:
     bound: np.ndarray
     judging: ErrorEstimate | None
     left_out: list[float]
+    bands: list[dict] = field(default_factory=list)
 
     @classmethod
     def of(
@@ -769,6 +805,57 @@ class ModelError:
             ErrorEstimate.of(_total(judging), grid) if judging else None,
             list(workers(partial(_left_out, project, grid), _each_and_others(setting))),
         )
+
+    def by_bands(
+        self,
+        project: Project,
+        domain: ErrorDomain,
+        sums: list[ErrorSums],
+        folds: list[ErrorEstimate],
+        workers: Map = map,
+    ) -> ModelError:
+        """With the bound of the bands of ``sums``, one a fold; ``folds``: each one's own estimate."""
+        of = partial(bands_of, domain, band_frequencies(self.grid, domain), project.seed)
+        bands = of(None, joined(sums))
+        others = [joined(sums[:k] + sums[k + 1 :]) for k in range(len(sums))] if len(sums) > 1 else []
+        ratios = [
+            covered(band_bound(project, self.grid, left), own)
+            for left, own in zip(workers(partial(of, bands), others), folds, strict=False)
+        ]
+        return replace(
+            self,
+            bound=band_bound(project, self.grid, bands),
+            left_out=ratios,
+            bands=[
+                {
+                    "omega_rad_s": b.omega,
+                    "speed_mps": b.speed,
+                    "amplitude": b.amplitude,
+                    "upper": b.upper,
+                    "lower": b.lower,
+                    "typical": b.typical(project.frame_test.alpha),
+                    "k": b.k,
+                    "level": 1 - BAND_LEVEL,
+                    "hyperparameters": b.hyper,
+                }
+                for b in bands
+            ],
+        )
+
+    def at_bins(self, estimator: Estimator) -> np.ndarray:
+        """(K, n_delta) the bound at the bins, 0 at DC."""
+        return np.where(estimator.cycles[:, None] > 0, self.bound[self._places(estimator)], 0.0)
+
+    def typical(self, estimator: Estimator) -> np.ndarray:
+        """(K, n_delta) error of a further drive at the bins in the median over speeds and amplitudes, at DC
+        that of the lowest frequency; only of bands."""
+        each = np.column_stack([np.array(b["typical"])[self._places(estimator)] for b in self.bands])
+        return each if self.bound.shape[1] > 1 else each.max(axis=1, keepdims=True)
+
+    def _places(self, estimator: Estimator) -> np.ndarray:
+        """(K,) index of the grid's frequency at each bin; DC has the lowest."""
+        bins = np.maximum(estimator.omega, self.grid.omega[0])
+        return np.argmin(np.abs(np.log(bins[:, None] / self.grid.omega)), axis=1)
 
     @property
     def coverage(self) -> float:
@@ -797,23 +884,31 @@ class ModelError:
             "setting": self.setting.to_dict(),
             "judging": None if self.judging is None else self.judging.to_dict(),
             "left_out": {"folds": len(self.left_out), "coverage": self.coverage, "ratios": self.left_out},
+            **({"bands": self.bands} if self.bands else {}),
         }
 
     @classmethod
     def from_dict(cls, project: Project, estimator: Estimator, data: dict) -> ModelError:
-        """Read back; the bound is computed again from the estimates."""
+        """Read back; the bound is computed again from the estimates, unless bands set it."""
         grid = ErrorGrid.of(project, estimator)
         setting = ErrorEstimate.from_dict(data["setting"])
         judging = None if data["judging"] is None else ErrorEstimate.from_dict(data["judging"])
         ratios = [np.inf if r is None else r for r in data["left_out"]["ratios"]]
-        return cls(grid, setting, uncertainty_bound(project, grid, setting), judging, ratios)
+        bands = data.get("bands", [])
+        bound = np.array(data["bound"], float) if bands else uncertainty_bound(project, grid, setting)
+        return cls(grid, setting, bound, judging, ratios, bands)
 
 
 def _left_out(project: Project, grid: ErrorGrid, fold: tuple[Sums, Sums]) -> float:
     """Least ratio of the others' bound to the own |delta_c| - k se, from a ``fold``'s sums and theirs."""
     own, others = (ErrorEstimate.of(sums, grid) for sums in fold)
+    return covered(uncertainty_bound(project, grid, others), own)
+
+
+def covered(asked: np.ndarray, own: ErrorEstimate) -> float:
+    """Least ratio of what is ``asked`` for (G, n_delta) to |delta_c| - k se of an estimate; inf: it asks for
+    nothing."""
     lower = own.lower.max(axis=(2, 3))
-    asked = uncertainty_bound(project, grid, others)
     return float((asked / np.maximum(lower, TINY)).min(where=lower > 0, initial=np.inf))
 
 

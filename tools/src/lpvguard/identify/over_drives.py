@@ -12,7 +12,7 @@ import numpy as np
 
 from ..base.parallel import Map
 from ..base.progress import Progress
-from ..base.sampling import Rows, stacked
+from ..base.sampling import Rows, first_of_each, stacked
 from ..core.compiled import Core
 from ..drives.tables import (
     Experiment,
@@ -23,14 +23,20 @@ from .change import ChangeTest
 from .diagnosis import DiagnosisScales
 from .drive_set import Chosen, DriveSet, require_calibration
 from .energy import EnergyTest
-from .model_error import FEWEST_FRAMES, FOLDS, ErrorGrid, ModelError, Sums, model_error_pass
+from .error_domain import ErrorDomain
+from .error_sums import ErrorSums, joined
+from .healthy import HealthySet, healthy_set
+from .model_error import FEWEST_FRAMES, FOLDS, ErrorEstimate, ErrorGrid, ModelError, Sums, model_error_pass
 from .passes import (
+    DRAWN_SPECTRA,
     Judged,
     change_met_pass,
     change_products_pass,
     diagnosis_pass,
     energy_pass,
+    error_sums_of,
     first_pass,
+    healthy_pass,
     judge,
     remainder_pass,
     thinned,
@@ -54,6 +60,13 @@ FAR_BELOW = 0.99
 JOINED_AT_ONCE = 32
 """Number of drives whose samples are joined at once: sorting them together is faster."""
 Result = TypeVar("Result")
+
+
+def _folds(chosen: Iterable[Experiment]) -> dict[Experiment, int]:
+    """The fold of every drive, by name: sums of floats depend on the order. Groups are kept together."""
+    ordered = sorted(chosen, key=lambda e: e.name)
+    groups = list(dict.fromkeys(e.group_or_recording for e in ordered))
+    return {e: groups.index(e.group_or_recording) % FOLDS for e in ordered}
 
 
 @dataclass
@@ -95,12 +108,11 @@ class OverDrives:
             self.progress(f"{what} of {e.name}")
             yield result
 
-    def first_parts(self, chosen: list[Experiment], *, keep: bool) -> Iterator[Part]:
-        """Bounds before smoothing and peaks of every drive.
+    def first_parts(self, chosen: list[Experiment], ceiling: np.ndarray, *, keep: bool) -> Iterator[Part]:
+        """Bounds before smoothing under a ``ceiling`` (K,) on nu, and peaks, of every drive.
 
         With ``keep`` its spectra are sampled, and its sensors' resolution is kept.
         """
-        ceiling = self.reader.project.bounds.nu_ceiling.at(self.reader.estimator.omega / (2 * np.pi))
         task = partial(first_pass, self.reader, ceiling)
         for e, (part, rows, seen) in zip(chosen, self.over("frames", task, chosen), strict=False):
             if not part["frames"].any():
@@ -111,6 +123,11 @@ class OverDrives:
                 if len(self._spectra) == JOINED_AT_ONCE:
                     self._spectra = [self.spectra]
             yield part
+
+    @property
+    def resolution(self) -> Resolution:
+        """What the sensors of the bound-setting drives cannot tell."""
+        return Resolution.of(self.reader.project, self._seen)
 
     @property
     def spectra(self) -> Rows:
@@ -134,23 +151,56 @@ class OverDrives:
         return replace(drives, setting=left)
 
     def model_error(self, drives: Chosen) -> ModelError:
-        """Model error model of the bound-setting drives, and that of the drives that judge it."""
+        """Model error model of the bound-setting drives, and that of the drives that judge it.
+
+        Without a ceiling on nu its bound is the band of a further drive.
+        """
         reader = self.reader
-        grid = ErrorGrid.of(reader.project, reader.estimator)
+        project, grid = reader.project, ErrorGrid.of(reader.project, reader.estimator)
         task = partial(model_error_pass, reader, grid)
 
         def folds(chosen: list[Experiment]) -> list[Sums]:
-            # By name: sums of floats depend on the order.
-            chosen = sorted(chosen, key=lambda e: e.name)
             found: list[Sums] = []
-            for k, sums in enumerate(self.over("model error", task, chosen)):
-                if k < FOLDS:
+            of = _folds(chosen)
+            for k, sums in zip(of.values(), self.over("model error", task, list(of)), strict=True):
+                if k == len(found):
                     found.append(sums)
                 else:
-                    found[k % FOLDS] = found[k % FOLDS].plus(sums)
+                    found[k] = found[k].plus(sums)
             return found
 
-        return ModelError.of(reader.project, grid, folds(drives.setting), folds(drives.others), self.workers)
+        setting = folds(drives.setting)
+        error = ModelError.of(project, grid, setting, folds(drives.others), self.workers)
+        if project.bounds.nu_ceiling is not None:
+            return error
+        self.progress("model error band")
+        domain = ErrorDomain.of(reader.estimator, project.frame_test.excited_std)
+        of = _folds(drives.setting)
+        parts: list[list[ErrorSums]] = [[] for _ in setting]
+        for k, sums in zip(of.values(), error_sums_of(reader, domain, list(of), self.workers), strict=True):
+            parts[k].append(sums)
+        own = [ErrorEstimate.of(s, grid) for s in setting]
+        return error.by_bands(project, domain, [joined(p) for p in parts], own, self.workers)
+
+    def healthy(
+        self, error: ModelError, W_delta: list[FittedWeight], floor: np.ndarray, setting: list[Experiment]
+    ) -> HealthySet:
+        """The healthy set of the frame test, within the certificate's ``W_delta``; ``floor`` (K, n_y) of
+        B_w."""
+        project, of = self.reader.project, _folds(setting)
+        task = partial(healthy_pass, self.reader)
+        needs: list[np.ndarray] = []
+        for k, own in zip(of.values(), self.over("healthy set", task, list(of)), strict=True):
+            if k == len(needs):
+                needs.append(own)
+            else:
+                needs[k] = np.maximum(needs[k], own)
+        omega, typical = self.reader.estimator.omega, error.typical(self.reader.estimator)
+        largest = np.column_stack([w.magnitude(omega) for w in W_delta])
+        if project.bounds.structure == "S0":
+            typical, largest = 0 * typical, 0 * largest
+        drawn = first_of_each(self.spectra, DRAWN_SPECTRA)
+        return healthy_set(needs, drawn, floor, typical, largest)
 
     def _deciders(
         self, key: str, columns: int, setting: list[Experiment], parts: Iterable[Part]
@@ -201,8 +251,7 @@ class OverDrives:
         B_w = fold(self._deciders("B_w", project.n_y, setting, parts()))["B_w"]
         if joint:
             B_w = B_w * np.fmax(1.0, covering(fronts, B_w))[:, None]
-        resolution = Resolution.of(project, self._seen)
-        floor = resolution.floor(estimator)
+        floor = self.resolution.floor(estimator)
         return Bounds(
             omega=estimator.omega,
             **{k: first[k] for k in ("frames", "excitation", "B1", "B2", "gamma_rule")},
@@ -210,7 +259,7 @@ class OverDrives:
             nu=second["nu"],
             B_w=np.maximum(B_w, floor),
             B_w_floor=floor,
-            resolution=resolution,
+            resolution=self.resolution,
             front_gamma_w=second["grid"],
             front_nu=second["front"],
         )
@@ -258,7 +307,7 @@ class OverDrives:
     def visibility(self, weights: Weights, calibration: Calibration) -> dict:
         """visibility.json: what the judged drives could have refuted, by bin."""
         of, factor = self.reader.estimator, weights.inflation
-        W_delta = weights.at(of.omega)[0] / factor
+        W_delta = weights.of_frames(of.omega)[0] / factor
         return visibility(
             of.omega, of.speed_range, self.met, W_delta, calibration.carried, factor, weights.silent
         )
@@ -277,7 +326,7 @@ class OverDrives:
         cuts: int,
         chosen: list[Experiment],
     ) -> Iterator[Judged]:
-        task = partial(judge, self.reader, *weights.at(self.reader.estimator.omega), core, reals, cuts)
+        task = partial(judge, self.reader, *weights.of_frames(self.reader.estimator.omega), core, reals, cuts)
         for j in self.over(what, task, chosen):
             self._met.append(j.met)
             if len(self._met) == JOINED_AT_ONCE:
@@ -304,13 +353,18 @@ class OverDrives:
 
         There a vehicle that does not respond would not be refuted. nu is 0 at zero frequency, which is silent
         only where all others are. Silent are also bins of fewer than FEWEST_FRAMES successive ``frames``: a
-        further frame exceeds so few too often.
+        further frame exceeds so few too often. A healthy set has such bins only where one drive has frames.
         """
         estimator = self.reader.estimator
         self.origins.evidence = self.met.evidence(estimator.n_bins) / inflated.inflation
         thin = frames < FEWEST_FRAMES * estimator.length
         weak, steady = self.origins.evidence <= 1.0, estimator.omega == 0
-        weak &= ~steady | weak[~steady].all()
+        if inflated.healthy is None:
+            weak &= ~steady | weak[~steady].all()
+        else:
+            # Beside a W_delta near 0 every error at zero frequency is evidence.
+            weak[steady] = weak[~steady].all()
+            thin &= inflated.healthy.folds < 2
         return tuple(int(k) for k in np.flatnonzero(weak | thin))
 
     def _with_sigma(self, test: EnergyTest, resolution: Resolution, drives: Chosen) -> EnergyTest:

@@ -7,10 +7,12 @@ import uuid
 import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
+from ..base.parallel import Map
 from ..base.sampling import Rows, first_of_each, row_hash, stacked
 from ..core.compiled import Core
 from ..drives.frames import Estimator
@@ -32,6 +34,9 @@ from .calibration import Peak, change_score, energy_score, peaks, score
 from .change import ChangeTest, Met, estimates_met, regressor_products
 from .diagnosis import Windows, windows_of
 from .energy import EnergyTest
+from .error_domain import ErrorDomain
+from .error_sums import ErrorSums, common_fit, common_products, error_sums, sum_of
+from .healthy import needed
 from .resolution import resolution_of
 from .visibility import Excitation
 
@@ -206,6 +211,25 @@ def first_pass(
     return part, thinned(stacked(rows)), resolution_of(drive, e, reader.estimator)
 
 
+def error_sums_of(
+    reader: DriveReader, domain: ErrorDomain, experiments: list[Experiment], workers: Map
+) -> list[ErrorSums]:
+    """Sums of each drive for the regularised model error model."""
+    common = common_fit(sum_of(list(workers(partial(_common_pass, reader, domain), experiments))))
+    return list(workers(partial(_error_pass, reader, domain, common), experiments))
+
+
+def _common_pass(reader: DriveReader, domain: ErrorDomain, experiment: Experiment) -> np.ndarray:
+    return common_products(domain, reader.model, reader.estimator, *reader.read(experiment))
+
+
+def _error_pass(
+    reader: DriveReader, domain: ErrorDomain, common: np.ndarray, experiment: Experiment
+) -> ErrorSums:
+    of = domain, reader.model, reader.estimator
+    return error_sums(*of, *reader.read(experiment), experiment.group_or_recording, common)
+
+
 def uncertainty_pass(
     reader: DriveReader, gamma_w: np.ndarray, grid: np.ndarray, experiment: Experiment
 ) -> Part:
@@ -218,6 +242,13 @@ def uncertainty_pass(
         reader.project.n_y,
         reader.project.bounds.structure,
     )
+
+
+def healthy_pass(reader: DriveReader, experiment: Experiment) -> np.ndarray:
+    """What the drive asks of the healthy set (K, P, n_y), as `needed`."""
+    project = reader.project
+    frames = list(reader.frames(experiment))
+    return needed(frames, reader.estimator, project.n_delta, project.bounds.structure)
 
 
 def remainder_pass(

@@ -3,7 +3,7 @@ the core."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
@@ -21,6 +21,7 @@ from ..vehicle.project import Project
 from .bounds import Bounds
 from .change import ChangeTest
 from .energy import UNBOUNDED, EnergyTest
+from .healthy import HealthySet
 
 DC_STAND_IN = 0.1
 """Fraction of the lowest bin's frequency at which DC's bound stands on a logarithmic axis."""
@@ -78,7 +79,7 @@ class FittedWeight:
 
 @dataclass(frozen=True)
 class Weights:
-    """Fitted weights. ``inflation`` multiplies W_w, W_n and W_delta in every use.
+    """Fitted weights. ``inflation`` multiplies all bounds in every use.
 
     Attributes
     ----------
@@ -90,6 +91,8 @@ class Weights:
     W_C : list of FittedWeight, command, for synthesis; may be empty
     floored : dict, frequencies [rad/s] by weight where B_w has nothing above the sensor's share (step 7)
     disturbance_set : str
+    healthy : HealthySet or None, bounds of the frame test; None: it asks the fitted weights
+    W_delta_healthy : list of FittedWeight, above its W_delta, for the energy test; may be empty
     inflation : float
     silent : tuple of int
         Bins without evidence above 1, which set no threshold and raise no alarm (THEORY 7.1).
@@ -103,11 +106,13 @@ class Weights:
     W_C: list[FittedWeight]
     floored: dict[str, list[float]]
     disturbance_set: str
+    healthy: HealthySet | None = None
+    W_delta_healthy: list[FittedWeight] = field(default_factory=list)
     inflation: float = 1.0
     silent: tuple[int, ...] = ()
 
     def at(self, omega: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """W_delta (K, n_delta) and B_w (K, n_y) of the monitor at omega (K,): with inflation and the
+        """W_delta (K, n_delta) and B_w (K, n_y) of the certificate at omega (K,): with inflation and the
         sensor's share."""
         B_w = np.column_stack([w.magnitude(omega) for w in self.W_w])
         if self.W_n:
@@ -116,21 +121,32 @@ class Weights:
         W_delta = np.column_stack([w.magnitude(omega) for w in self.W_delta])
         return self.inflation * W_delta, self.inflation * B_w
 
+    def of_frames(self, omega: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """W_delta (K, n_delta) and B_w (K, n_y) of the frame test at the bins omega (K,), inflation included:
+        the healthy set, or without one `at`."""
+        if self.healthy is None:
+            return self.at(omega)
+        return self.inflation * self.healthy.W_delta, self.inflation * self.healthy.B_w
+
     def of_core(self, omega: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """`at` the bins omega (K,) in the core: without a bound on the disturbance in silent bins."""
-        W_delta, B_w = self.at(omega)
+        """`of_frames` in the core: without a bound on the disturbance in silent bins."""
+        W_delta, B_w = self.of_frames(omega)
+        B_w = B_w.copy()
         B_w[list(self.silent)] *= UNBOUNDED
         return W_delta, B_w
 
     def to_dict(self) -> dict:
         """JSON-able, for `from_dict`."""
         lists = {key: [w.to_dict() for w in getattr(self, key)] for key in LISTED}
+        of_energy = [w.to_dict() for w in self.W_delta_healthy]
         return lists | {
             "gamma_w": self.gamma_w.to_dict(),
             "floored_rad_s": self.floored,
             "disturbance_set": self.disturbance_set,
             "inflation": self.inflation,
             "silent_bins": list(self.silent),
+            **({} if self.healthy is None else {"healthy": self.healthy.to_dict()}),
+            **({"W_delta_healthy": of_energy} if of_energy else {}),
         }
 
     @classmethod
@@ -184,6 +200,10 @@ class Weights:
             gamma_w=weight(data["gamma_w"], "gamma_w"),
             floored=data["floored_rad_s"],
             disturbance_set=data["disturbance_set"],
+            healthy=HealthySet.from_dict(data["healthy"]) if "healthy" in data else None,
+            W_delta_healthy=[
+                weight(e, f"W_delta_healthy[{j}]") for j, e in enumerate(data.get("W_delta_healthy", []))
+            ],
             inflation=float(inflation),
             silent=tuple(data.get("silent_bins", ())),
         )
@@ -204,11 +224,11 @@ def _require_stated(source: str, name: str, entry: dict, proved: Certificate) ->
         "certificate.omega_max": float(stated["omega_max"]) <= proved.omega_max,
         "certificate": stated["ok"] and stated["stable"] and stated["minimum_phase"],
     }
-    for field, held in checks.items():
+    for key, held in checks.items():
         if not held:
             raise InputError(
                 source,
-                f"{name}.{field}",
+                f"{name}.{key}",
                 f"is not proved: weight over bound lies in {proved.min_ratio:.9g} .. {proved.max_ratio:.9g}, "
                 f"{highest:.6g} dB, up to {proved.omega_max:.4g} rad/s",
                 "what `lpvguard identify` wrote",
@@ -298,6 +318,17 @@ def fit_uncertainty(
     nu, asked, name = column
     samples, bound = uncertainty_samples(estimator, nu, omega, asked)
     return _fitted(project, samples, bound, name)
+
+
+def with_healthy(
+    project: Project, estimator: Estimator, weights: Weights, healthy: HealthySet, workers: Map = map
+) -> Weights:
+    """The weights with the ``healthy`` set of the frame test, and W_delta of the energy test above it."""
+    omega, names = estimator.omega[1:], [f"healthy W_delta {j + 1}" for j in range(project.n_delta)]
+    none = np.full((estimator.n_bins, project.n_delta), np.nan)
+    columns = zip(none.T, healthy.W_delta[1:].T, names, strict=True)
+    fitted = list(workers(partial(fit_uncertainty, project, estimator, omega), columns))
+    return replace(weights, healthy=healthy, W_delta_healthy=fitted)
 
 
 def fit_bound(
@@ -449,7 +480,7 @@ def coefficients_of(
 def energy_filters(project: Project, estimator: Estimator, weights: Weights) -> EnergyTest:
     """Filters of the energy test for these weights, without sigma. InputError for weights of another
     structure."""
-    fitted = weights.W_delta
+    fitted = weights.W_delta_healthy or weights.W_delta
     test = EnergyTest.design(
         project,
         estimator,

@@ -14,6 +14,7 @@ import re
 import tomllib
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import tomlkit
@@ -22,21 +23,31 @@ from ..base import artefacts
 from ..base.errors import InputError
 from ..can.decode import decode_all, load_database, own_database
 from ..can.logs import Frames, Series, Table, read_log, stem
+from ..can.sign_bits import sign_bits
 from ..drives.frames import Estimator
 from ..drives.ingest import Inputs, write_tables
 from ..drives.signal_map import SignalMap
 from ..drives.tables import Drive, index_text, read_drive
+from ..drives.unit_names import DIMENSIONS as SI
 from ..drives.units import unit_factor
 from ..vehicle.nominal import NominalModel
+from ..vehicle.physics import KindName, kind_of
 from ..vehicle.project import NAME, EvaluationSettings, Project, parse_project
-from .signals import ROLES, SI, Proposal, Recording, proposed, rolled_length
+from .readings import ROLES, Known
+from .signals import Proposal, Recording, proposed
+from .steady_turn import Driven, steady_turn
 from .templates import TEMPLATES, Scale
+
+if TYPE_CHECKING:  # cantools takes long to import
+    from cantools.database.can import Database
 
 COLUMNS = {"speed": "v", "input": "delta", "output": "r"}
 SPIKE, USUAL = 2.0, 0.999
 """A sample above SPIKE times the largest of the share USUAL of the samples is no measurement."""
 LONGEST_STEP_S = 0.5
-"""A longer step between samples is a gap, as for `ingest`, and not a slow rate."""
+"""Samples further apart are a gap, as `ingest` takes it, and not driving at a slow rate."""
+MANY_CHANGES = 100
+"""So many changes of a signal tell how often it has a new value."""
 RATES_HZ = (1000.0, 500.0, 200.0, 100.0, 50.0, 40.0, 25.0, 20.0, 10.0, 5.0)
 """Rates of a grid: the largest that the slowest signal reaches."""
 JUDGED = 0.3
@@ -66,6 +77,11 @@ def new(
     model: str = "yaw-first-order",
     chosen: dict[str, str | None] | None = None,
     wheelbase_m: float | None = None,
+    kind: KindName | None = None,
+    ratio: float | None = None,
+    units: dict[str, str | None] | None = None,
+    channel: str | None = None,
+    schema: Path | None = None,
 ) -> NewProject:
     """Make a project from logs and write its folder.
 
@@ -78,6 +94,11 @@ def new(
     model : str, template of the nominal model, default 'yaw-first-order'
     chosen : dict, optional, signal by role, or None to choose
     wheelbase_m : float, optional, m
+    kind : str, optional, kind of vehicle, by default as the wheelbase suggests
+    ratio : float, optional, steering wheel over road wheel
+    units : dict, optional, unit by role, or None to find it
+    channel : str, optional, of raw logs with several
+    schema : Path, optional, log.capnp of openpilot's logs
 
     Returns
     -------
@@ -94,34 +115,29 @@ def new(
         raise InputError("new", "--model", model, f"one of {', '.join(TEMPLATES)}")
     if wheelbase_m is None and model == "bicycle":
         raise InputError("new", "--wheelbase", "not given", "the wheelbase in m, which the bicycle needs")
-    recordings, left_out = _recordings(logs, dbc)
-    proposals = proposed(recordings, chosen or {}, wheelbase_m)
-    Ts = _sample_time(recordings)
+    recordings, left_out = recordings_of(logs, dbc, channel, schema)
+    known = Known(kind or kind_of(wheelbase_m), wheelbase_m, ratio)
+    proposals = proposed(recordings, chosen or {}, known, units)
+    Ts = _sample_time(recordings, [p.name for p in proposals.values()])
     limits = {role: _limits(role, p, recordings) for role, p in proposals.items()}
-    signals = _signal_map(proposals, limits, Ts)
+    database = load_database(dbc) if dbc else own_database()
+    signals = _signal_map(proposals, limits, Ts, channel, _sign_bits_of(database))
     with artefacts.new_folder(out, "new", name) as folder:
         (folder / "drives").mkdir()
-        kept = {r.name for r in recordings}
         given = Inputs(
-            load_database(dbc) if dbc else own_database(),
+            database,
             dbc or "lpvguard's own DBC (no --dbc given)",
             SignalMap.model_validate(tomllib.loads(signals)),
             Path("signals.toml"),
+            schema,
         )
-        names: dict[str, str] = {}
-        for path in logs:
-            if stem(path) not in kept:
-                continue
-            try:
-                report = write_tables(path, given, folder / "drives")
-                names |= {Path(d["file"]).stem: stem(path) for d in report["drives"]}
-            except InputError as error:
-                left_out[stem(path)] = str(error)
+        kept_logs = [p for p in logs if stem(p) in {r.name for r in recordings}]
+        names = _written(kept_logs, given, folder / "drives", left_out)
         if not names:
             reason = next(iter(left_out.values()))
             raise InputError("new", "LOG", f"no drive remains of the logs ({reason})", "logs of driving")
         project, text, notes = _project(
-            name, model, (proposals, limits), folder / "drives", list(names), Ts, wheelbase_m
+            name, model, (proposals, limits), folder / "drives", list(names), Ts, known
         )
         splits = _splits(project, folder / "drives", names)
         artefacts.write_files(
@@ -138,15 +154,32 @@ def new(
     return NewProject(project, proposals, splits, left_out, notes)
 
 
-def _recordings(logs: list[Path], dbc: Path | None) -> tuple[list[Recording], dict[str, str]]:
+def _written(logs: list[Path], given: Inputs, folder: Path, left_out: dict[str, str]) -> dict[str, str]:
+    """Write the drives of all logs; drive -> recording. ``left_out`` gets what could not be written."""
+    names: dict[str, str] = {}
+    for path in logs:
+        try:
+            report = write_tables(path, given, folder)
+            names |= {Path(d["file"]).stem: stem(path) for d in report["drives"]}
+        except InputError as error:
+            left_out[stem(path)] = str(error)
+    return names
+
+
+def recordings_of(
+    logs: list[Path], dbc: Path | None, channel: str | None = None, schema: Path | None = None
+) -> tuple[list[Recording], dict[str, str]]:
+    """Read logs as recordings; also the logs that cannot be read, with the reason."""
     found: list[Recording] = []
     left_out: dict[str, str] = {}
     for path in logs:
         if any(stem(path) == r.name for r in found):
             raise InputError(path, "", f"two logs would both become the drive {stem(path)}", "other names")
         try:
-            log = read_log(path)
-            found.append(_recording(stem(path), _decoded(log, dbc, path) if isinstance(log, Frames) else log))
+            log = read_log(path, schema=schema)
+            if isinstance(log, Frames):
+                log = _decoded(log.of_channel(channel, path), dbc, path)
+            found.append(_recording(stem(path), log))
         except InputError as error:
             left_out[stem(path)] = str(error)
     if not found:
@@ -157,7 +190,7 @@ def _recordings(logs: list[Path], dbc: Path | None) -> tuple[list[Recording], di
 def _decoded(log: Frames, dbc: Path | None, path: Path) -> Table:
     """All signals of the database in the log; InputError where the two have nothing in common."""
     database = load_database(dbc) if dbc else own_database()
-    decoded = decode_all(log, database)
+    decoded = decode_all(log, database, str(path))
     units = {f"{m.name}.{s.name}": s.unit or "" for m in database.messages for s in m.signals}
     series = {
         name: Series(log.t_ns[samples.frame], samples.value, units[name])
@@ -189,11 +222,28 @@ def _recording(name: str, table: Table) -> Recording:
         raise InputError(name, f"time of {fastest}", f"the median step is {step:g} s", expected)
     t = (longest.t_ns - longest.t_ns[0]) * 1e-9
     values = {
-        n: np.interp(longest.t_ns, s.t_ns[ok], s.value[ok])
+        n: np.interp(longest.t_ns, s.t_ns[ok], s.value[ok], np.nan, np.nan)
         for n, s in moving.items()
         if (ok := _measured(s.value)).any()
     }
-    return Recording(name, t, values, {n: s.unit for n, s in moving.items()})
+    steps = {n: _step_of(moving[n]) for n in values}
+    return Recording(name, t, values, {n: s.unit for n, s in moving.items()}, steps)
+
+
+def _step_of(series: Series) -> float:
+    """Usual time [s] from one value of a signal to the next; a value that is held is one.
+
+    A table that is merged of slow topics repeats their values, or leaves cells empty.
+    """
+    ok = np.isfinite(series.value)
+    t, value = series.t_ns[ok] * 1e-9, series.value[ok]
+    if len(t) < 2:
+        return np.inf
+    changes = np.flatnonzero(np.diff(value) != 0) + 1
+    between, usual = np.diff(t[changes]), float(np.median(np.diff(t)))
+    driven = between[between <= LONGEST_STEP_S]
+    held = len(driven) > MANY_CHANGES and float(np.median(driven)) > 1.5 * usual
+    return float(np.median(driven)) if held else usual
 
 
 def _measured(value: np.ndarray) -> np.ndarray:
@@ -206,24 +256,35 @@ def _measured(value: np.ndarray) -> np.ndarray:
     )
 
 
-def _sample_time(recordings: list[Recording]) -> float:
-    rate = 1.0 / float(np.median([np.median(np.diff(r.t)) for r in recordings]))
+def _sample_time(recordings: list[Recording], names: list[str]) -> float:
+    """Sample time [s] of the slowest of the signals; a speed changes slowly, and may be slower by half."""
+    slowest = [max(r.steps_s[n] for n in names[1:]) for r in recordings]
+    rate = 1.0 / float(
+        np.median([max(s, 0.5 * r.steps_s[names[0]]) for s, r in zip(slowest, recordings, strict=True)])
+    )
     return 1.0 / next((f for f in RATES_HZ if f <= 1.02 * rate), RATES_HZ[-1])
 
 
 def _limits(role: str, proposal: Proposal, recordings: list[Recording]) -> tuple[float, float]:
     """Range of possible values, in SI; a sample beyond is a spike."""
     size = np.abs(np.concatenate([r.values[proposal.name] for r in recordings]))
-    largest = SPIKE * float(np.quantile(size, USUAL)) * abs(proposal.factor)
+    largest = SPIKE * float(np.nanquantile(size, USUAL)) * abs(proposal.factor)
     largest = float(f"{largest * (unit_factor(proposal.unit, SI[role]) or 1.0):.3g}")
     return (-0.5 * largest if role == "speed" else -largest, largest)
 
 
-def _signal_map(proposals: dict[str, Proposal], limits: dict[str, tuple[float, float]], Ts: float) -> str:
+def _signal_map(
+    proposals: dict[str, Proposal],
+    limits: dict[str, tuple[float, float]],
+    Ts: float,
+    channel: str | None,
+    sign_bit: dict[str, str],
+) -> str:
     lines = [
         "# Signal map for `lpvguard ingest`. Left turns are positive.",
         "schema = 1",
         f"Ts_s = {Ts:g}",
+        *([f"channel = {_quoted(channel)}"] if channel else []),
     ]
     for role in ROLES:
         p = proposals[role]
@@ -233,11 +294,21 @@ def _signal_map(proposals: dict[str, Proposal], limits: dict[str, tuple[float, f
             f'unit = "{SI[role]}"',
             *([f"message = {_quoted(message)}"] if message else []),
             f"signal = {_quoted(signal)}",
+            *([f"sign = {_quoted(sign_bit[p.name])}"] if p.name in sign_bit else []),
         ]
         lines += [f"source_unit = {_quoted(p.unit)}", f"factor = {p.factor!r}"]
         lines += [f"min = {limits[role][0]:g}      # samples beyond are spikes, and left out"]
         lines += [f"max = {limits[role][1]:g}"]
     return "\n".join(lines) + "\n"
+
+
+def _sign_bits_of(database: Database) -> dict[str, str]:
+    """MESSAGE.SIGNAL of every magnitude -> the signal beside it that tells its sign."""
+    return {
+        f"{message.name}.{name}": bit
+        for message in database.messages
+        for name, bit in sign_bits(message).items()
+    }
 
 
 def _quoted(text: str) -> str:
@@ -268,7 +339,7 @@ def _read(drives: Path, names: list[str], Ts: float) -> list[Drive]:
         ],
         "model": {"speed_min_mps": 1.0, "speed_max_mps": 2.0, "A": [[-1.0]], "B": [[1.0]], "C": [[1.0]]},
         "frames": {"f_min_hz": 0.01 / Ts, "f_max_hz": 0.02 / Ts},
-        "bounds": {"nu_ceiling": {"f_hz": [1.0], "nu": [0.3]}},
+        "bounds": {},
         "weights": {},
         "frame_test": {"excited_std": 1.0},
         "data": {"bound_split": ["train"]},
@@ -284,7 +355,7 @@ def _project(
     folder: Path,
     names: list[str],
     Ts: float,
-    wheelbase_m: float | None,
+    known: Known,
 ) -> tuple[Project, str, list[str]]:
     """The project, its text, and notes; frames are tried until enough of the drives counts."""
     drives = _read(folder, names, Ts)
@@ -296,8 +367,8 @@ def _project(
     )
     steering = np.concatenate([_spreads(d, Ts) for d in drives])
     excited = float(f"{np.quantile(steering[steering > 0], 0.25):.1g}")
-    length = wheelbase_m or _length_of(drives)
-    scale = Scale(length, (length / 1.35, length * 1.35), float(np.median(v[driving])), high)
+    length = known.wheelbase_m or _length_of(drives)
+    scale = Scale(length, (length / 1.35, length * 1.35), float(np.median(v[driving])), high, known.kind)
     best = None
     for f_min, tolerance in GRIDS:
         text = _text(name, model, signals, Ts, (low, high), scale, (f_min, tolerance), excited)
@@ -350,9 +421,10 @@ def _spreads(drive: Drive, Ts: float) -> np.ndarray:
 
 
 def _length_of(drives: list[Drive]) -> float:
-    """Wheelbase [m] estimated from the drives."""
-    recordings = [Recording(d.name, d.t, {"v": d.v, "delta": d.u[:, 0], "r": d.y[:, 0]}, {}) for d in drives]
-    return abs(rolled_length(recordings, COLUMNS)[0])
+    """Wheelbase [m] that the drives read."""
+    turn = steady_turn([Driven(d.t, d.v, d.u[:, 0], d.y[:, 0]) for d in drives])
+    assert turn is not None  # the recordings moved
+    return abs(float(np.median(turn.length)))
 
 
 def _with_highest_frequency(text: str, Ts: float, name: str) -> tuple[Project, str] | None:
@@ -419,6 +491,7 @@ def _text(
         "input_offset = [0.0]      # trim of the steering; fit finds it",
         TEMPLATES[model](scale),
         "[fit]",
+        f'kind = "{scale.kind}"      # fit refuses what no {scale.kind} can do',
         "input_delay_s = [0.0, 0.5]",
         'trim = "drive"      # a trim a recording; the mean is written. "common": one for all',
         "",
@@ -433,7 +506,6 @@ def _text(
         "",
         "[bounds]",
         'structure = "S1"',
-        "nu_ceiling = { f_hz = [0.5, 2.0], nu = [0.3, 0.6] }      # share of the error given to uncertainty",
         "",
         "[weights]",
         "max_order = 6",

@@ -1,69 +1,93 @@
 """Identify speed, steering and yaw rate among a log's signals, by name, then by the data's unit and sign.
 
-A car that does not slide turns as its wheels roll: v (delta - trim) = L r, with L the wheelbase. A regression
-of v delta on r, each without its part along v, gives L in the columns' units. Its sign is the relative sign.
-With the wheelbase known, units follow: a factor of 3.6 means km/h, 57.3 degrees, 10 to 24 the angle of the
-steering wheel.
+A unit that the log or its database states counts first, then one in the name (`drives/unit_names.py`). What
+is left open is decided by physics (`readings.py`), or asked.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
-from dataclasses import dataclass
-from itertools import product
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from ..base.errors import InputError
-from ..drives.units import unit_factor
+from ..can.sign_bits import SIGN_BIT
+from ..drives.unit_names import tokens, unit_of_text, units_in_name, without_unit
+from .readings import ROLES, Known, decided
+from .steady_turn import Driven, steady_turn
 
-ROLES = ("speed", "input", "output")
 WORDS = {
-    "speed": (r"^(v|vx|v_x|vel|speed)$", r"linear_vel_x|vehicle_speed|speed|velocity|\bvel|geschw"),
-    "input": (r"^(delta|steer|swa)$|road_?wheel", r"steer.*ang|ang.*steer|steer|delta|wheel_?angle|lenk"),
-    "output": (r"^(r|wz|yaw_?rate)$", r"yaw_?rate|angular_vel_z|gyro_?z|omega_?z|psi_?dot|yaw_?vel|gier"),
+    "speed": (
+        r"^(v|vx|v_x|vel|speed|v_?ego)$",
+        r"linear_vel_x|vehicle_?speed|speed|velocity|\bvel|geschw|(^|_)v_signal|_speed_|whl_spd|veh_v_",
+    ),
+    "input": (
+        r"^(delta|steer|swa)$|road_?wheel",
+        r"steer.*(ang|pos)|ang.*steer|steer|(^|_)delta(_|$)|wheel_?angle|lenk|sas_angle|stepin.*_an|_lrw$|stw_angl|internal_?sas",
+    ),
+    "output": (
+        r"^(r|wz|yaw_?rate)$",
+        r"yaw_?rate|angular_vel_z|gyro?_?z|omega_?z|psi_?dot|yaw_?vel|gier|yaw_w_",
+    ),
 }
-"""By role: certain names, and parts of likely names."""
+"""By role: what a name is for certain, and what it may hold."""
+OF_PATHS = {
+    "speed": r"twist_linear_x$|linear_velocity_x$",
+    "input": r"ackermann.*steering_angle$",
+    "output": r"(angular|angular_velocity)_z$|angular_velocity_xyz_2_?$|gyro_rad_2_?$",
+}
+"""By role: what the last words of a topic with its fields may be."""
 NOT = {
-    "speed": r"cmd|command|control|target|desired|set_?point|wheel|engine|fan|wind|ang|steer|_y$|_z$",
-    "input": r"rate|torque|tq|request|override|speed|vel|fraction|calculated|command|cmd|control",
-    "output": r"acc|target|desired|ref",
+    "speed": r"cmd|command|control|target|desired|set_?(point|speed)|wheel|rad_?geschw|whl|engine|fan|wind|"
+    r"ang|steer|sas|_y$|_z$|rel|cruise|idle|shaft|axle|object|lead|wiper|digital|hud|pcm|cluster|wunsch|regel|gier|"
+    r"gps|saved|low|mod_|bump|analog|ziel|abbruch|setz|max|condition|offset",
+    "input": r"rate|torque|tq|request|override|speed|vel|fraction|calculated|command|cmd|control|moment|"
+    r"hilfe|typ|_2$|rechts|required|hold|assist|sw$|gesch|verbau",
+    "output": r"acc|target|desired|ref|yaw_?rate_?\d|raw",
 }
-"""By role: words that lower a name's rank, as of commands and derivatives."""
-SI = {"speed": "m/s", "input": "rad", "output": "rad/s"}
+"""By role: what lowers a name's rank. Commands, derivatives and other things share a word."""
+NO_MEASUREMENT = re.compile(
+    r"checksum|crc|counter|cnt|qf$|qbit|valid|status|(^|_)sta(_|$)|fault|error|req|button|icon|mode|units?$|sign(?!al)|lamp|force|_rq|offst|"
+    r"direction|(^|_)vz(_|$)|limit|diag|init|group|bias|rate_?v$|speed_?v$|ack$|pressed|reboot|reduced"
+)
+"""In names of what tells of a measurement, and is none."""
+NO_SIGNALS_UNIT = ("Nm", "rpm", "RPM", "r/min", "%", "V", "A", "Amps", "minute", "ms", "s")
+"""Units of other things."""
+OTHERS_MESSAGE = re.compile(
+    r"cmd|command|lka|lta|acc|cruise|hud|object|track|radar|cam_|das_|nav|gps|tsk|smgr|tbd"
+)
+"""In names of messages that carry a signal for another purpose."""
+WHAT = {"speed": "speed", "input": "steering angle", "output": "yaw rate"}
+"""By role: what its signal measures."""
 GUESSED_UNITS = {
-    "speed": ("m/s", "km/h"),
+    "speed": ("m/s", "km/h", "mph"),
     "input": ("rad", "deg"),
     "output": ("rad/s", "deg/s"),
 }
-"""Likely units, best first. Only a name or a stated unit can distinguish mph from understeer."""
-UNIT_MARKS = {
-    "speed": {"m/s": r"mps|m_s|ms", "km/h": r"k(m_?h|mph|ph)", "mph": r"mph"},
-    "input": {"rad": r"rad", "deg": r"deg|degrees?|grad"},
-    "output": {"rad/s": r"rad(_?p?_?s(ec)?)?", "deg/s": r"(deg|grad)(_?p?_?s(ec)?)?|dps"},
-}
-"""By role: the last words of a name that state its unit."""
-FASTEST_MPS = 90.0
-LARGEST_LATERAL_MPS2 = 12.0
-LARGEST_ROAD_WHEEL_RAD = 0.8
-"""Largest angle of a road car."""
-AS_KNOWN = (0.7, 1.45)
-"""Wheelbase from the data over the known one, where units are right; understeer lengthens it."""
-STEERING_RATIO = (10.0, 24.0)
-LONGEST_LAG_S = 0.6
-SIGN_BIT = re.compile(r"sign|sgn|vorzeichen|(?:^|_)vz(?:_|$)|direction|richtung")
-"""In the name of a bit that tells the sign of a magnitude beside it."""
+"""Units of a signal whose log and name state none."""
+RATE_OF = {"deg": "deg/s", "rad": "rad/s", "mrad": "mrad/s"}
+"""A yaw rate whose unit leaves the second out."""
+STEERING_WHEEL = re.compile(r"steering_?wheel|hand_?wheel|lenkrad|^swa|_swa|(^|_)lw[iz]?(_|$)|volant")
+ROAD_WHEEL = re.compile(r"road_?wheel|front_?wheel|tyre|tire")
+"""Names of an angle at the steering wheel, and of one at the road wheels."""
+LEAST_SAMPLES = 20
+"""A recording with fewer samples of all three signals says nothing."""
 
 
 @dataclass(frozen=True)
 class Recording:
-    """Signals of one log on one time axis: t (N,) [s], values (N,) by name, and units ("" if unknown)."""
+    """Signals of one log on one time axis: t (N,) [s], values (N,) by name, and units ("" if unknown).
+
+    A value is NaN where a signal has none yet or no more."""
 
     name: str
     t: np.ndarray
     values: dict[str, np.ndarray]
     units: dict[str, str]
+    steps_s: dict[str, float] = field(default_factory=dict)
+    """Time from one value of a signal to the next, as far as it is known."""
 
 
 @dataclass(frozen=True)
@@ -77,58 +101,157 @@ class Proposal:
     why: list[str]
 
 
-def ranked(role: str, names: Iterable[str]) -> list[str]:
-    """Names that may have the role, likeliest first."""
+def ranked(role: str, names: Iterable[str], units: Mapping[str, str] | None = None) -> list[str]:
+    """Names that may have the role, the likeliest first; ``units``: those that are stated, by name."""
     scores = {}
     for name in names:
-        low = re.sub(r"[\s-]+", "_", name.rsplit(".", 1)[-1].lower())
-        certain, likely = (re.search(pattern, low) for pattern in WORDS[role])
+        message, _, last = name.rpartition(".")
+        low = re.sub(r"[\s-]+", "_", last.lower())
+        sure, may = WORDS[role]
+        certain = re.search(sure, low) or re.search(sure, without_unit(last, role))
+        path = re.sub(r"[^a-z0-9]+", "_", name.lower())
+        likely = re.search(may, low) or re.search(OF_PATHS[role], path)
         if certain or likely:
-            scores[name] = (2 if certain else 1) - (1.5 if re.search(NOT[role], low) else 0)
+            less = 1.5 * bool(re.search(NOT[role], low)) + 2.0 * bool(NO_MEASUREMENT.search(low))
+            less += 0.5 * bool(OTHERS_MESSAGE.search(message.lower()))
+            more = _fitting((units or {}).get(name, ""), role)
+            scores[name] = (2 if certain else 1) - less + more
     return sorted(scores, key=lambda name: (-scores[name], len(name), name))
 
 
-def proposed(
-    recordings: list[Recording], chosen: dict[str, str | None], wheelbase_m: float | None
-) -> dict[str, Proposal]:
-    """A signal a role, of those that all recordings hold. ``chosen``: name by role, or None to choose.
+def _fitting(unit: str, role: str) -> float:
+    """How much a stated unit speaks for a role: for it, against it, or nothing where it is not known."""
+    if _unit(unit, role):
+        return 0.75
+    return -2.0 if unit.strip() and (_of_another_role(unit, role) or unit.strip() in NO_SIGNALS_UNIT) else 0.0
 
-    Raises InputError where nothing fits a role, or no units agree with the wheelbase.
+
+def proposed(
+    recordings: list[Recording],
+    chosen: Mapping[str, str | None],
+    known: Known,
+    units: Mapping[str, str | None] | None = None,
+) -> dict[str, Proposal]:
+    """A signal a role, of those that all recordings hold.
+
+    ``chosen``, ``units``: role -> name and unit that the user states, or None. InputError where nothing fits
+    a role, or where units cannot be told.
     """
     common = [n for n in recordings[0].values if all(n in r.values for r in recordings)]
     names, why = {}, {}
     for role in ROLES:
         names[role], why[role] = _named(role, common, recordings, chosen.get(role))
-    if names["input"] == names["output"]:
-        raise InputError(
-            "new", "--input, --output", f"{names['input']} is both", "a steering angle and a yaw rate"
-        )
+    if len(set(names.values())) < len(names):
+        twice = next(n for n in names.values() if list(names.values()).count(n) > 1)
+        options = ", ".join(f"--{role}" for role in ROLES if names[role] == twice)
+        raise InputError("new", options, f"{twice} is both", "a signal of its own for each")
     for role in ("input", "output"):
         _require_sign(role, names[role], common, recordings)
-    length, correlation = rolled_length(recordings, names)
-    units, ratio, said = _units(recordings, names, abs(length), wheelbase_m)
-    sign = -1.0 if correlation < 0 else 1.0
+    choices = {}
+    for role in ROLES:
+        choices[role], told = _choices(role, names[role], recordings, (units or {}).get(role))
+        why[role] += told
+    drives = [d for r in recordings if len((d := _together(r, names)).t) > LEAST_SAMPLES]
+    if not drives:
+        raise InputError(
+            "new", ", ".join(names.values()), "are nowhere recorded at the same time", "one clock for all"
+        )
+    turn = steady_turn(drives)
+    known = replace(known, at_steering_wheel=at_steering_wheel(names["input"]))
+    reading, said = decided(turn, drives, choices, known)
+    sign = -1.0 if turn is not None and turn.length[0] < 0 else 1.0
     why["input"].append(
-        f"correlation of v times it with {names['output']} {correlation:+.2f}: "
-        + ("turned round, so that both are positive in the same turn" if sign < 0 else "same sign")
+        f"in a turn it and {names['output']} have "
+        + ("opposite signs: turned round, so that both are positive" if sign < 0 else "the same sign")
     )
     why["input"] += said
-    found = {}
-    for role in ROLES:
-        factor = {"speed": 1.0, "input": sign / ratio, "output": 1.0}[role]
-        found[role] = Proposal(role, names[role], units[role], factor, why[role])
-    return found
+    factors = {"speed": 1.0, "input": sign / reading.ratio, "output": 1.0}
+    return {
+        role: Proposal(role, names[role], reading.units[role], factors[role], why[role]) for role in ROLES
+    }
+
+
+def _together(recording: Recording, names: Mapping[str, str]) -> Driven:
+    """The samples of a recording at which all three signals have a value."""
+    columns = np.array([recording.t, *(recording.values[names[role]] for role in ROLES)])
+    return Driven(*columns[:, np.isfinite(columns).all(axis=0)])
+
+
+def _choices(
+    role: str, name: str, recordings: list[Recording], given: str | None
+) -> tuple[tuple[str, ...], list[str]]:
+    """The units that are possible for a signal, and where from. InputError where two sources differ."""
+    if given is not None:
+        unit = _unit(given, role)
+        if unit is None:
+            raise InputError(
+                "new", f"--{role}-unit", given, f"a unit such as {', '.join(GUESSED_UNITS[role])}"
+            )
+        return (unit,), [f"unit {unit} as you say"]
+    stated = sorted({u for r in recordings if (u := r.units.get(name, "").strip())})
+    if len(stated) > 1:
+        raise InputError(
+            "new", name, f"the logs state the units {' and '.join(stated)}", f"one unit, or --{role}-unit"
+        )
+    in_name = list(dict.fromkeys(unit for text in units_in_name(name, role) if (unit := text)))
+    by_log = _unit(stated[0], role) if stated else None
+    if stated and by_log is None:
+        if _of_another_role(stated[0], role):
+            raise InputError(
+                "new",
+                name,
+                f"its unit is {stated[0]}, none of a {WHAT[role]}",
+                f"--{role} NAME, or --{role}-unit",
+            )
+        if not in_name:
+            return GUESSED_UNITS[role], [f"its unit {stated[0]} is not known"]
+    told = [by_log] if by_log else in_name
+    if len({*told, *in_name}) > 1:
+        where = (
+            f"the log states {by_log}, its name {' and '.join(in_name)}" if by_log else " and ".join(in_name)
+        )
+        raise InputError("new", name, f"two units: {where}", f"--{role}-unit")
+    if told:
+        source = f"the log states {stated[0]}" if by_log else "by its name"
+        return (told[0],), [f"unit {told[0]}, {source}"]
+    if elsewhere := next((u for r in ROLES if r != role for u in units_in_name(name, r)), None):
+        raise InputError(
+            "new",
+            name,
+            f"its name states {elsewhere}, none of a {WHAT[role]}",
+            f"--{role} NAME, or --{role}-unit",
+        )
+    return GUESSED_UNITS[role], []
+
+
+def _unit(text: str, role: str) -> str | None:
+    """The unit of a role that a text spells; of a yaw rate also where it leaves the second out."""
+    return unit_of_text(text, role) or (
+        RATE_OF.get(unit_of_text(text, "input") or "") if role == "output" else None
+    )
+
+
+def _of_another_role(text: str, role: str) -> bool:
+    """Whether a text is a unit, though not one of the role."""
+    return any(unit_of_text(text, other) is not None for other in ROLES if other != role)
+
+
+def at_steering_wheel(name: str) -> bool | None:
+    """Whether a name says that its angle is the steering wheel's, or the road wheels'; None where neither."""
+    low = "_".join(tokens(name))
+    wheel, road = STEERING_WHEEL.search(low) is not None, ROAD_WHEEL.search(low) is not None
+    return None if wheel == road else wheel
 
 
 def _require_sign(role: str, name: str, common: list[str], recordings: list[Recording]) -> None:
-    """Raise InputError for a magnitude whose sign is a bit of its message."""
-    if min(float(r.values[name].min()) for r in recordings) < 0:
+    """Raise InputError where a signal is a magnitude whose sign stands in a bit of its message."""
+    if min(float(np.nanmin(r.values[name])) for r in recordings) < 0:
         return
     message, _, signal = name.rpartition(".")
     for other in common:
         beside, _, bit = other.rpartition(".")
         values = np.concatenate([r.values[other] for r in recordings])
-        is_bit = values.min() == 0 and values.max() == 1
+        is_bit = np.nanmin(values) == 0 and np.nanmax(values) == 1
         if beside == message and other != name and is_bit and SIGN_BIT.search(bit.lower()):
             raise InputError(
                 "new",
@@ -146,97 +269,12 @@ def _named(
         if given not in common:
             raise InputError("new", option, f"no signal {given} in every log", f"one of {', '.join(common)}")
         return given, ["chosen by you"]
-    moving = [n for n in common if any(np.ptp(r.values[n]) > 0 for r in recordings)]
-    found = ranked(role, moving)
+    moving = [n for n in common if any(np.nanmin(r.values[n]) < np.nanmax(r.values[n]) for r in recordings)]
+    units = {n: u for r in recordings for n, u in r.units.items()}
+    found = ranked(role, moving, units)
     if not found:
-        still = ranked(role, common)
+        still = ranked(role, common, units)
         what = f"{still[0]} never moves" if still else f"no name looks like the {role}"
         raise InputError("new", option, what, f"{option} NAME, one of {', '.join(moving or common)}")
     others = f"; others: {', '.join(found[1:4])}" if found[1:] else ""
     return found[0], [f"by its name{others}"]
-
-
-def rolled_length(recordings: list[Recording], names: dict[str, str]) -> tuple[float, float]:
-    """Signed wheelbase in the columns' units, and the largest correlation of v times input with the output.
-
-    The correlation is over lags; ``names`` is the column by role. Raises InputError where nothing moves.
-    """
-    best = (0.0, 0.0)
-    lags = round(LONGEST_LAG_S / float(np.median(np.diff(recordings[0].t))))
-    for lag in range(0, lags + 1):
-        a, b = [], []
-        for r in recordings:
-            v, u, y = (r.values[names[role]] for role in ROLES)
-            if len(v) > 2 * lags:
-                along = v[: len(v) - lag]
-                a.append(_without(along, along * u[: len(v) - lag]))
-                b.append(_without(along, y[lag:]))
-        x, z = (np.concatenate(part) if part else np.zeros(2) for part in (a, b))
-        if not (x.any() and z.any()):
-            continue
-        correlation = float(np.dot(x, z) / np.sqrt(np.dot(x, x) * np.dot(z, z)))
-        if abs(correlation) > abs(best[1]):
-            best = (float(np.dot(x, z) / np.dot(z, z)), correlation)
-    if best[1] == 0.0:
-        raise InputError("new", ", ".join(names.values()), "do not move", "logs with driving and steering")
-    return best
-
-
-def _without(along: np.ndarray, x: np.ndarray) -> np.ndarray:
-    """x (N,) without its part along another signal (N,): the effect of a trim on v delta."""
-    return x - along * (np.dot(along, x) / max(float(np.dot(along, along)), 1e-300))
-
-
-def _units(
-    recordings: list[Recording], names: dict[str, str], length: float, wheelbase_m: float | None
-) -> tuple[dict[str, str], float, list[str]]:
-    """Units, steering ratio and reasons; ``length`` is the wheelbase in the columns' units."""
-    stated = {role: recordings[0].units.get(names[role], "") for role in ROLES}
-    choices = [
-        (stated[role],) if unit_factor(stated[role], SI[role]) else _unit_in_name(role, names[role])
-        for role in ROLES
-    ]
-    for ratio_free in (False, True):
-        for units in product(*choices):
-            factors = [unit_factor(u, SI[role]) or 1.0 for u, role in zip(units, ROLES, strict=True)]
-            metres = length * factors[0] * factors[1] / factors[2]
-            found = dict(zip(ROLES, units, strict=True))
-            if wheelbase_m is None:
-                return (
-                    found,
-                    1.0,
-                    [f"no wheelbase given: units as assumed read {metres:.3g} m; compare it with the car's"],
-                )
-            share = metres / wheelbase_m
-            if not _possible(recordings, names, factors, share if ratio_free else 1.0):
-                continue
-            if not ratio_free and AS_KNOWN[0] <= share <= AS_KNOWN[1]:
-                return found, 1.0, [f"the data read a wheelbase of {metres:.3g} m in these units"]
-            if ratio_free and STEERING_RATIO[0] <= share <= STEERING_RATIO[1]:
-                ratio = float(f"{share:.3g}")
-                return found, ratio, [f"{ratio:g} times too large for road wheels: taken as steering wheel"]
-    raise InputError(
-        "new",
-        ", ".join(names.values()),
-        f"give a wheelbase of {length:.3g} in their own units, and {wheelbase_m:g} m in no known units",
-        "--speed, --input and --output of this car, with their units in names or database (speed_mph)",
-    )
-
-
-def _unit_in_name(role: str, name: str) -> tuple[str, ...]:
-    """Unit in the last words of a name, or else all likely units."""
-    words = re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_")
-    marked = tuple(u for u, mark in UNIT_MARKS[role].items() if re.search(rf"(^|_)({mark})$", words))
-    return marked or GUESSED_UNITS[role]
-
-
-def _possible(recordings: list[Recording], names: dict[str, str], factors: list[float], ratio: float) -> bool:
-    """Whether a road car can reach the speeds, angles and lateral accelerations of the recordings."""
-    scaled = [
-        np.concatenate([np.abs(r.values[names[role]]) for r in recordings]) * factor
-        for role, factor in zip(ROLES, factors, strict=True)
-    ]
-    speed, angle, lateral = (
-        float(np.quantile(x, 0.99)) for x in (scaled[0], scaled[1] / ratio, scaled[0] * scaled[2])
-    )
-    return speed <= FASTEST_MPS and angle <= LARGEST_ROAD_WHEEL_RAD and lateral <= LARGEST_LATERAL_MPS2

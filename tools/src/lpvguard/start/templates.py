@@ -4,15 +4,19 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from ..vehicle.physics import KindName
+
 
 @dataclass(frozen=True)
 class Scale:
-    """Basis of a template's guesses: wheelbase [m], its range [m], typical and largest speed [m/s]."""
+    """What guesses rest on: wheelbase [m], its range [m], typical and largest speed [m/s], kind of
+    vehicle."""
 
     wheelbase_m: float
     range_m: tuple[float, float]
     typical_mps: float
     largest_mps: float
+    kind: KindName
 
 
 def yaw_first_order(scale: Scale) -> str:

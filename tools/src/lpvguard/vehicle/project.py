@@ -17,6 +17,7 @@ from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, mod
 from ..base.documents import Fraction, Positive, StrictModel, checked, read_toml
 from ..base.errors import InputError
 from .design_settings import DesignSettings
+from .physics import KindName
 
 NAME = r"^[a-z][a-z0-9_]*$"
 """Pattern of a vehicle's or a signal's name, from which identifiers in C are made."""
@@ -53,6 +54,11 @@ class CanPlace(StrictModel):
 
 Checksum = Literal[
     "toyota",
+    "honda",
+    "subaru",
+    "tesla",
+    "chrysler",
+    "volkswagen_xor",
     "hyundai_sum",
     "hyundai_sum_before",
     "hyundai_nibbles",
@@ -235,12 +241,14 @@ class BoundSettings(StrictModel):
     ----------
     structure : str, S0 (no Delta), S1 (one Delta for all outputs) or S1_diagonal (one an output), THEORY 4.1
     disturbance_set : str, the paper's set, or one that covers the record
-    nu_ceiling : NuCeiling, ceiling on the uncertainty bound
+    nu_ceiling : NuCeiling, optional
+        Ceiling on the uncertainty bound, as the paper sets it. By default W_delta is the band of the model
+        error (THEORY 7.15), and the frame test has a healthy set of its own (THEORY 7.16).
     """
 
     structure: Literal["S0", "S1", "S1_diagonal"] = "S1"
     disturbance_set: Literal["paper", "covering"] = "covering"
-    nu_ceiling: NuCeiling
+    nu_ceiling: NuCeiling | None = None
 
 
 class Beyond(StrictModel):
@@ -390,8 +398,10 @@ class FitSettings(StrictModel):
     input_delay_s : (low, high) or None, s, at most 1 s; equal ends keep the delay
         By default from 0 to ten samples or three times the value.
     trim : str, one input_offset for all drives, or one for each drive; then the mean is written
+    kind : str or None, kind of vehicle, beyond which a fit is refused; None judges nothing
     """
 
+    kind: KindName | None = None
     parameters: dict[str, Range] | None = None
     input_delay_s: Range | None = None
     trim: Literal["common", "drive"] = "common"

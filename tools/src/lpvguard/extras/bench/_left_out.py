@@ -12,11 +12,11 @@ from scipy.stats import chi2
 from ...base.errors import InputError
 from ...base.parallel import Map
 from ...drives.frames import Estimator
-from ...drives.tables import Experiment, list_experiments
+from ...drives.tables import list_experiments
 from ...identify.error_band import ErrorBand, error_band
 from ...identify.error_domain import ErrorDomain
-from ...identify.error_sums import DIRECTIONS, ErrorSums, deviations, error_sums, joined
-from ...identify.passes import DriveReader
+from ...identify.error_sums import DIRECTIONS, ErrorSums, deviations, joined
+from ...identify.passes import DriveReader, error_sums_of
 from ...vehicle.nominal import NominalModel
 from ...vehicle.project import Project
 
@@ -46,16 +46,6 @@ class LeftOut:
     vehicle_bound: list[float]
 
 
-def group_of(experiment: Experiment) -> str:
-    """Group of a drive; its recording where experiments.csv names no group."""
-    return experiment.group or experiment.recording
-
-
-def drive_pass(reader: DriveReader, domain: ErrorDomain, experiment: Experiment) -> ErrorSums:
-    """Sums of one drive, read by a worker."""
-    return error_sums(domain, reader.model, reader.estimator, *reader.read(experiment), group_of(experiment))
-
-
 def left_out(
     project: Project, folder: Path, seed: int, workers: Map
 ) -> tuple[list[LeftOut], list[ErrorBand]]:
@@ -64,17 +54,18 @@ def left_out(
     reader, estimator = DriveReader(project, model), Estimator.of(project, model)
     domain = ErrorDomain.of(estimator, project.frame_test.excited_std)
     experiments = sorted(list_experiments(folder), key=lambda e: e.name)
-    sums = list(workers(partial(drive_pass, reader, domain), experiments))
-    names = sorted({group_of(e) for e in experiments})
+    sums = error_sums_of(reader, domain, experiments, workers)
+    groups = [e.group_or_recording for e in experiments]
+    names = sorted(set(groups))
     if len(names) < 2:
         raise InputError(folder, "column group", f"{len(names)} group", "at least two")
-    parts = [(g, [s for e, s in zip(experiments, sums, strict=True) if group_of(e) != g]) for g in names]
+    parts = [(g, [s for of, s in zip(groups, sums, strict=True) if of != g]) for g in names]
     rows = []
     outputs = range(project.n_y)
     for j in outputs:
         task = partial(_band_of, domain, j, seed)
         for (name, _), band in zip(parts, workers(task, [joined(rest) for _, rest in parts]), strict=True):
-            own = [(e, s) for e, s in zip(experiments, sums, strict=True) if group_of(e) == name]
+            own = [(e, s) for e, s in zip(experiments, sums, strict=True) if e.group_or_recording == name]
             output = project.outputs[j].name
             rows += [_beside(domain, band, e.name, name, output, s, j) for e, s in own if s.samples[j]]
     return rows, [_band_of(domain, j, seed, joined(sums)) for j in outputs]

@@ -33,7 +33,7 @@ from ...identify.bounds import nominal_error
 from ...identify.error_band import LEVEL, WAVEFORM, ErrorBand, driven_amplitudes, error_band
 from ...identify.error_domain import ErrorDomain
 from ...identify.error_prior import USUAL, PriorScales
-from ...identify.error_sums import ErrorSums, error_sums, joined
+from ...identify.error_sums import ErrorSums, common_fit, common_products, error_sums, joined, sum_of
 from ...vehicle.nominal import NominalModel
 from ...vehicle.project import Project, load_project
 from . import parser, show
@@ -83,18 +83,14 @@ class SetResult:
     further: int
 
 
-def sums_of(project: Project, drives: list[Drive], groups: list[str] | None = None) -> ErrorSums:
-    """Sums of drives with the model and the bins of a project."""
+def sums_of(project: Project, drives: list[Drive]) -> list[ErrorSums]:
+    """Sums of each of the drives with the model and the bins of a project."""
     model = NominalModel(project)
     estimator = Estimator.of(project, model)
-    domain = ErrorDomain.of(estimator, project.frame_test.excited_std)
-    named = groups or [""] * len(drives)
-    return joined(
-        [
-            error_sums(domain, model, estimator, d, *nominal_error(d, model), group)
-            for d, group in zip(drives, named, strict=True)
-        ]
-    )
+    given = ErrorDomain.of(estimator, project.frame_test.excited_std), model, estimator
+    seen = [(d, *nominal_error(d, model)) for d in drives]
+    common = common_fit(sum_of([common_products(*given, *of) for of in seen]))
+    return [error_sums(*given, *of, "", common) for of in seen]
 
 
 def one_set(project: Project, deviating: bool, job: tuple[str, int]) -> SetResult:
@@ -104,7 +100,7 @@ def one_set(project: Project, deviating: bool, job: tuple[str, int]) -> SetResul
     count = int(random.integers(FEWEST, MOST + 1))
     sizes = deviations_drawn(count, GAIN, DELAY_S, random) if deviating else None
     drives = known_drives(car, project, count, random.uniform(SHORTEST_S, LONGEST_S), random, sizes)
-    band = band_of(project, sums_of(project, drives), seed)
+    band = band_of(project, joined(sums_of(project, drives)), seed)
     model = NominalModel(project)
     driven = np.geomspace(band.amplitude[:, 0] * WAVEFORM, band.amplitude[:, -1] / WAVEFORM, 4).T
     where = (model, band.omega, band.speed, driven)
@@ -143,7 +139,7 @@ def sensitivity(project: Project, seed: int) -> dict[str, float]:
     """Largest change of the band's width, as a ratio, when a median of the prior is halved or doubled."""
     random = np.random.default_rng([seed, 2])
     drives = known_drives(CARS["friction"], project, FEWEST, SHORTEST_S, random)
-    sums = sums_of(project, drives)
+    sums = joined(sums_of(project, drives))
     usual = band_of(project, sums, seed).upper
     out = {}
     for label, field in SENSITIVITY.items():
@@ -160,7 +156,7 @@ def multibody_rows(sets: int, seed: int, over: Map) -> list[SetResult]:
     estimator = Estimator.of(project, model)
     domain = ErrorDomain.of(estimator, project.frame_test.excited_std)
     drives = multibody_drives(project, seed, over)
-    sums = [sums_of(project, [d]) for d in drives]
+    sums = sums_of(project, drives)
     speed = np.linspace(*domain.speed_range, MULTIBODY_CELLS[0])
     ends = driven_amplitudes(domain, joined(sums).histogram, speed) * [WAVEFORM, 1 / WAVEFORM]
     amplitude = np.array([np.geomspace(a, b, MULTIBODY_CELLS[1]) for a, b in ends])

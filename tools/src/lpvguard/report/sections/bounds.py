@@ -62,6 +62,8 @@ def _disturbance(stored: StoredIdentification, estimator: Estimator, drawn: Iden
     binding = np.nanargmax(
         np.where(estimator.cycles > 0, nu / np.maximum(bounds["nu_ceiling"], 1e-300), np.nan)
     )
+    stated = stored.project.bounds.nu_ceiling is not None
+    source = "set beforehand in the project file" if stated else "the band of a further drive's model error"
     return captioned(
         drawn.disturbance("f2"),
         f"<b>Counterpart of Fig. 2.</b> Grey: |E| of {points} frames of the "
@@ -70,8 +72,8 @@ def _disturbance(stored: StoredIdentification, estimator: Estimator, drawn: Iden
         f"frames at every start ({int(bounds['frames'].sum())} frames), hence on or above all points. "
         "Circles: γ<sub>w</sub> that the rule asks for, max √(B<sub>1</sub>² + |Z|² max(0, |δ<sub>0</sub>| − "
         "ν̄)²), and at DC B<sub>2</sub>; line: the overbounding fit that is used. "
-        f"{_data_words(bounds, drawn.grid)} Lower panel: the ceiling ν̄(ω) on the uncertainty, set beforehand "
-        "in the project file, and what was needed in the end (closest to its ceiling at "
+        f"{_data_words(bounds, drawn.grid)} Lower panel: the ceiling ν̄(ω) on the uncertainty, {source}, and "
+        "what was needed in the end (closest to its ceiling at "
         f"{estimator.omega[binding]:.3g} rad/s: ν = {nu[binding]:.3g} of "
         f"{bounds['nu_ceiling'][binding]:.3g}). How to read it: γ<sub>w</sub> near B<sub>2</sub> blames the "
         "disturbance, γ<sub>w</sub> near B<sub>1</sub> blames the model.",

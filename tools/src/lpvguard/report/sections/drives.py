@@ -95,7 +95,7 @@ def visit_plain(visits: Visits, stored: StoredIdentification, drives: DriveSet, 
             visits.slow = visits.slow.or_longer(drive.name, span)
         elif speed >= high - third:
             visits.fast = visits.fast.or_longer(drive.name, span)
-    margin = s1.margin(E, Z, *stored.fitted.at(estimator.omega))
+    margin = s1.margin(E, Z, *stored.fitted.of_frames(estimator.omega))
     worst = int(np.argmax(margin))
     return [
         *row,

@@ -1,0 +1,132 @@
+"""Text tables as loggers write them, times in any usual form, and raw frames as tables."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from lpvguard.base.errors import InputError, InputWarning
+from lpvguard.can.logs import Frames, Table, read_log
+
+ROWS = [(0.02 * k, 10 + 0.5 * k, -1.5 + k) for k in range(40)]
+
+
+def text(
+    header: str, delimiter: str, time=lambda t: f"{t:.3f}", comma: bool = False, before: str = ""
+) -> str:
+    """A table of ROWS under a header."""
+    lines = [delimiter.join([time(t), f"{v:.2f}", f"{d:.3f}"]) for t, v, d in ROWS]
+    body = "\n".join(lines).replace(".", ",") if comma else "\n".join(lines)
+    return f"{before}{header}\n{body}\n"
+
+
+FORMS = {
+    "tabs": text("t\tv\td", "\t"),
+    "semicolons and commas": text("t;v;d", ";", comma=True),
+    "tabs and commas": text("t\tv\td", "\t", comma=True),
+    "bars": text("t|v|d", "|"),
+    "blanks": text("t v d", "  "),
+    "Time [s]": text("Time [s],v,d", ","),
+    "preamble": text("t,v,d", ",", before="Logger 3.1\nvehicle: mine\n\n"),
+    "comments": text("t,v,d", ",", before="# logger 3.1, serial 5\n"),
+    "row of units": text("t,v,d\ns,km/h,deg", ","),
+    "units in brackets": text("t;v;d\n[s];[km/h];[deg]", ";"),
+    "milliseconds by name": text("time_ms,v,d", ",", lambda t: f"{1000 * t:.0f}"),
+    "milliseconds in brackets": text("Zeit (ms);v;d", ";", lambda t: f"{1000 * t:.1f}", comma=True),
+    "microseconds": text("timestamp_us,v,d", ",", lambda t: f"{1e6 * t:.0f}"),
+    "nanoseconds of an epoch": text(
+        "%time,v,d", ",", lambda t: f"{1_700_000_000_000_000_000 + round(1e9 * t)}"
+    ),
+    "milliseconds of an epoch": text("timestamp,v,d", ",", lambda t: f"{1_700_000_000_000 + round(1e3 * t)}"),
+    "seconds of an epoch": text("epoch,v,d", ",", lambda t: f"{1_700_000_000 + t:.3f}"),
+    "ISO 8601": text("time,v,d", ",", lambda t: f"2026-04-22T03:45:{t:06.3f}Z"),
+    "a date with a zone": text("DateTime,v,d", ",", lambda t: f"2026-04-22 03:45:{t:06.3f}+02:00"),
+    "a German date": text("Zeit;v;d", ";", lambda t: f"22.04.2026 03:45:{t:06.3f}", comma=True).replace(
+        "22,04,2026", "22.04.2026"
+    ),
+    "a time of day": text("Uhrzeit,v,d", ",", lambda t: f"03:45:{t:06.3f}"),
+    "past midnight": text(
+        "time,v,d",
+        ",",
+        lambda t: f"{'23:59:59' if t < 0.4 else '00:00:00'}.{round(600 + 1000 * t) % 1000:03d}",
+    ),
+    "stamp of ROS": text("stamp.secs,stamp.nsecs,v,d", ",", lambda t: f"1700000000,{round(1e9 * t)}"),
+    "a delimiter at the end": text("t;v;d;", ";").replace("\n", ";\n").replace(";;", ";"),
+    "quoted": text('"t","v","d"', ","),
+}
+
+
+@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.filterwarnings("ignore::lpvguard.base.errors.InputWarning")
+def test_a_text_table_is_read_in_whatever_form_it_has(tmp_path, form):
+    (tmp_path / "log.csv").write_text(FORMS[form], encoding="utf-8")
+    log = read_log(tmp_path / "log.csv")
+    assert isinstance(log, Table) and list(log.series) == ["v", "d"]
+    v = log.series["v"]
+    np.testing.assert_allclose((v.t_ns - v.t_ns[0]) / 1e9, [t for t, _, _ in ROWS], atol=2e-7)
+    np.testing.assert_allclose(v.value, [x for _, x, _ in ROWS])
+    np.testing.assert_allclose(log.series["d"].value, [x for _, _, x in ROWS])
+    assert v.unit == ("km/h" if "unit" in form else "")
+
+
+def test_other_encodings_and_suffixes_are_read(tmp_path):
+    (tmp_path / "wide.txt").write_bytes(FORMS["tabs"].encode("utf-16"))
+    (tmp_path / "old.tsv").write_bytes(FORMS["tabs"].replace("\td", "\tWinkel [°]").encode("cp1252"))
+    assert list(read_log(tmp_path / "wide.txt").series) == ["v", "d"]
+    assert list(read_log(tmp_path / "old.tsv").series) == ["v", "Winkel [°]"]
+
+
+def test_times_read_by_shape_are_named_and_doubtful_ones_asked(tmp_path):
+    log = tmp_path / "log.csv"
+    log.write_text(text("time,v,d", ",", lambda t: f"{1000 * t:.0f}"))
+    with pytest.warns(InputWarning, match="column time is taken to be in ms: its steps are 20"):
+        read_log(log)
+    log.write_text(text("time,v,d", ",", lambda t: f"{50 * t:.0f}"))
+    with pytest.raises(InputError, match="column time: its steps of 1 are a second, or a thousandth"):
+        read_log(log)
+
+
+def test_a_stray_cell_and_a_line_cut_short_are_named(tmp_path):
+    log, lines = tmp_path / "log.csv", text("t,v,d", ",").splitlines()
+    lines[7] = lines[7].replace(",13.", ",oops13.")
+    lines[-1] = lines[-1].rsplit(",", 1)[0]
+    log.write_text("\n".join(lines) + "\n")
+    with pytest.warns(InputWarning) as warned:
+        read = read_log(log)
+    said = " ".join(str(w.message) for w in warned)
+    assert "1 line(s) without 3 cells" in said and "column v: 1 cell(s) hold no number" in said
+    assert len(read.series["d"].value) == 39 and np.isnan(read.series["v"].value).sum() == 1
+
+
+RAW = {
+    "GVRET": "Time Stamp,ID,Extended,Dir,Bus,LEN,D1,D2,D3\n"
+    "1000,0000027E,false,Rx,0,2,0A,FF,\n21000,18FEF100,true,Rx,0,3,01,02,03\n",
+    "Cabana": "time,addr,bus,data\n0.001,0x27e,0,0x0AFF\n0.021,0x18FEF100,0,0x010203\n",
+    "comma": "time,addr,bus,data\n0.001,638,0,0aff\n0.021,419361024,0,010203\n",
+    "CSS": "TimestampEpoch;BusChannel;ID;IDE;DLC;DataLength;Dir;EDL;BRS;ESI;RTR;DataBytes\n"
+    "0.001;0;27E;0;2;2;0;0;0;0;0;0AFF\n0.021;0;18FEF100;1;3;3;0;0;0;0;0;010203\n",
+    "python-can": "timestamp,arbitration_id,extended,remote,error,dlc,data\n"
+    "0.001,0x27e,0,0,0,2,Cv8=\n0.021,0x18fef100,1,0,0,3,AQID\n",
+    "strym": "Time,Bus,MessageID,Message,MessageLength\n0.001,0,638,0aff,2\n0.021,0,419361024,010203,3\n",
+}
+
+
+@pytest.mark.parametrize("form", RAW)
+def test_raw_frames_as_a_table_are_read(tmp_path, form):
+    (tmp_path / "log.csv").write_text(RAW[form])
+    log = read_log(tmp_path / "log.csv")
+    assert isinstance(log, Frames)
+    assert log.t_ns.tolist() == [10**6, 21 * 10**6] and log.length.tolist() == [2, 3]
+    assert log.id.tolist() == [0x27E, 0x98FEF100]
+    assert log.data[:, :3].tolist() == [[0x0A, 0xFF, 0], [1, 2, 3]]
+
+
+def test_a_length_that_is_not_that_of_the_bytes_is_named(tmp_path):
+    (tmp_path / "log.csv").write_text(
+        RAW["GVRET"].replace("0,3,01", "0,2,01").replace("0,2,0A,FF", "0,3,0A,FF")
+    )
+    with pytest.raises(InputError, match="line 2: no frame"):
+        read_log(tmp_path / "log.csv")
+    (tmp_path / "log.csv").write_text(RAW["strym"].replace("010203,3", "010203,4"))
+    with pytest.raises(InputError, match=r"line 3: no frame \(3 bytes, where its length says 4"):
+        read_log(tmp_path / "log.csv")

@@ -1,0 +1,141 @@
+"""Units by evidence: cars whose units are known are read right, or the user is asked. Counted."""
+
+from __future__ import annotations
+
+from collections import Counter
+from itertools import product
+
+import numpy as np
+import pytest
+
+from known_car import KnownCar
+from lpvguard.base.errors import InputError
+from lpvguard.drives.unit_names import units_in_name
+from lpvguard.drives.units import unit_factor
+from lpvguard.start.readings import ROLES, Known
+from lpvguard.start.signals import GUESSED_UNITS, Recording, proposed
+from lpvguard.vehicle.physics import kind_of
+
+SI = {"speed": "m/s", "input": "rad", "output": "rad/s"}
+CARS = {
+    "small": (KnownCar(2.4, 0.0012, 0.005, 0.04, 0.001, 0.0), 14.0),
+    "saloon": (KnownCar(2.8, 0.003, 0.007, 0.08, -0.002, 0.002), 15.8),
+    "neutral": (KnownCar(2.6, 0.0003, 0.004, 0.0, 0.002, -0.001), 13.0),
+    "van": (KnownCar(3.2, 0.0045, 0.009, 0.1, 0.0, 0.001), 18.5),
+}
+"""Cars, each with its steering ratio."""
+SPEEDS = {"town": (5.0, 8.0), "country": (12.0, 20.0), "motorway": (24.0, 32.0)}
+COMBINATIONS = list(product(*(GUESSED_UNITS[role] for role in ROLES), (False, True)))
+
+
+def recordings(car: KnownCar, speeds: tuple[float, float]) -> list[Recording]:
+    """A drive at each speed, in SI units at the road wheels."""
+    random = np.random.default_rng(57)
+    found = []
+    for k, speed in enumerate(speeds):
+        d = car.drive(random, speed, 90.0, f"d{k}")
+        gentle = min(1.0, 3.0 / float(np.quantile(np.abs(d.v * d.y[:, 0]), 0.99)))  # as people drive
+        values = {"speed": d.v, "angle_of_steering": gentle * d.u[:, 0], "yaw_rate": gentle * d.y[:, 0]}
+        found.append(Recording(d.name, d.t, values, {}))
+    return found
+
+
+def in_units(logs: list[Recording], units: tuple[str, str, str], ratio: float) -> list[Recording]:
+    """The same logs in other units, at a steering wheel of a ratio."""
+    scale = [1.0 / unit_factor(u, SI[role]) for u, role in zip(units, ROLES, strict=True)]
+    scale[1] *= ratio
+    return [
+        Recording(
+            r.name,
+            r.t,
+            dict(zip(r.values, (s * x for s, x in zip(scale, r.values.values(), strict=True)), strict=True)),
+            {},
+        )
+        for r in logs
+    ]
+
+
+def outcome(logs: list[Recording], units: tuple[str, str, str], ratio: float, known: Known) -> str:
+    """Say right, asked, or what else came out."""
+    try:
+        found = proposed(logs, {}, known)
+    except InputError as error:
+        return "asked" if "readings fit" in str(error) else f"refused: {error}"
+    factor = found["input"].factor * ratio
+    if tuple(found[role].unit for role in ROLES) == units and 0.8 < factor < 1.25:
+        return "right"
+    return f"wrong: {[p.unit for p in found.values()]}, steering {factor:.3g} times the right one"
+
+
+def counted(car: str, speeds: str) -> Counter[str]:
+    """Outcomes of all combinations of units for a car and a range of speeds."""
+    model, ratio = CARS[car]
+    logs = recordings(model, SPEEDS[speeds])
+    known = Known(kind_of(model.L), model.L)
+    found: Counter[str] = Counter()
+    for *units, wheel in COMBINATIONS:
+        at = ratio if wheel else 1.0
+        found[outcome(in_units(logs, tuple(units), at), tuple(units), at, known)] += 1
+    return found
+
+
+@pytest.mark.slow("3 s: 24 logs")
+def test_logs_of_known_units_are_read_right_or_asked():
+    found = counted("saloon", "country")
+    assert set(found) == {"right", "asked"} and found.total() == 24 and found["right"] >= 12, found
+
+
+@pytest.mark.long("40 s: 288 logs")
+def test_288_logs_of_known_units_are_read_right_or_asked(capsys):
+    found = sum((counted(car, speeds) for car, speeds in product(CARS, SPEEDS)), Counter())
+    with capsys.disabled():
+        print("\nof 288 logs:", ", ".join(f"{n} {what}" for what, n in sorted(found.items())))
+    assert set(found) == {"right", "asked"} and found.total() == 288
+
+
+SPELLINGS = {
+    "speed": {
+        "m/s": ("v_m_s", "vehicle_speed_mps", "vx_ms", "speed (m s^-1)", "Speed [meter / second]"),
+        "km/h": (
+            "speed_kmh",
+            "Speed (km/h)",
+            "vehicleSpeedKph",
+            "v_km_h",
+            "Tempo in km/h",
+            "Geschw. [Km/hr]",
+        ),
+        "mph": ("SpeedMPH", "speed_mph_filtered", "VehSpd_miles_per_hour", "speed (mi/h)"),
+        "kn": ("GPS Speed (knots)",),
+        None: ("speed", "Geschwindigkeit", "v", "speed_2", "rms"),
+    },
+    "input": {
+        "rad": ("steer_rad", "steering_angle_rad_raw", "delta [radian]"),
+        "deg": (
+            "Lenkradwinkel_Grad",
+            "Lenkradwinkel (Grad)",
+            "SteeringAngle[deg]",
+            "SWA_degrees",
+            "StrAngle °",
+        ),
+        "mrad": ("winkel_mrad",),
+        None: ("LenkRadWinkel", "steering_angle", "steering_grade"),
+    },
+    "output": {
+        "rad/s": ("yaw_rate_radps", "yawRateRadPerSec", "r_rad_s", "gyro_z_rads", "yaw (rad s-1)"),
+        "deg/s": (
+            "Gierrate_Grad_s",
+            "Gierrate [°/s]",
+            "yaw_rate_dps",
+            "Gierrate in Grad pro Sekunde",
+            "YawRate_deg/s",
+        ),
+        None: ("yaw_rate", "gyro_z", "yaw_rate (rpm)"),
+    },
+}
+
+
+@pytest.mark.parametrize("role", SPELLINGS)
+def test_a_name_states_its_unit_in_any_usual_spelling(role):
+    for unit, names in SPELLINGS[role].items():
+        for name in names:
+            assert units_in_name(name, role)[:1] == ([unit] if unit else []), name

@@ -1,0 +1,202 @@
+"""Logs of robots, drones and driver assistance, read by their own libraries: extra ``lpvguard[sources]``.
+
+.bag, rosbag2 folders (metadata.yaml), .mcap, .ulg (PX4), .bin (ArduPilot), rlog and qlog (openpilot)
+
+Each message's numbers become series TOPIC.field, fields of fields and short arrays too. Times are those at
+which the log got the message; those of PX4 and ArduPilot are the vehicle's own.
+"""
+
+from __future__ import annotations
+
+import bz2
+from collections.abc import Callable, Iterable, Iterator
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..base.errors import InputError
+from .log_types import Series, Table
+
+OPENPILOT = ("rlog", "qlog", "rlog.bz2", "qlog.bz2", "rlog.zst", "qlog.zst")
+LONGEST_ARRAY, DEEPEST = 4, 4
+"""Arrays with more entries, and fields further down, are no signals of a vehicle."""
+_ZSTANDARD = b"\x28\xb5\x2f\xfd"
+Message = tuple[str, int, Any]
+"""Topic, time [ns], and fields as a dictionary, an object or a list."""
+
+
+def reader_of(path: Path) -> Callable[[Path, Path | None], Table] | None:
+    """The reader of a log of one of these forms, None for any other; given path and schema."""
+    if path.is_dir():
+        return _rosbag if (path / "metadata.yaml").is_file() else None
+    by_suffix = {".bag": _rosbag, ".mcap": _mcap, ".ulg": _ulog, ".bin": _dataflash, ".db3": _rosbag}
+    is_openpilot = any(path.name.lower().endswith(name) for name in OPENPILOT)
+    return _openpilot if is_openpilot else by_suffix.get(path.suffix.lower())
+
+
+def read_foreign(path: Path, schema: Path | None) -> Table:
+    """Read a log that ``reader_of`` knows. InputError where its library is missing, or it cannot be read."""
+    reader = reader_of(path)
+    assert reader is not None
+    try:
+        table = reader(path, schema)
+    except InputError:
+        raise
+    except ImportError as error:
+        raise InputError(
+            path, "", f"reading it needs the package {error.name}", "pip install 'lpvguard[sources]'"
+        ) from None
+    except Exception as error:  # each library has exceptions of its own
+        raise InputError(
+            path, "", f"cannot be read ({type(error).__name__}: {error})", "a whole log of this form"
+        ) from None
+    if not table.series:
+        raise InputError(path, "", "holds no number", "messages with numbers")
+    return table
+
+
+def _table(messages: Iterator[Message], units: dict[str, str] | None = None) -> Table:
+    """The series of all numbers of messages."""
+    times: dict[str, list[int]] = {}
+    values: dict[str, list[float]] = {}
+    for topic, t_ns, fields in messages:
+        for name, value in _numbers(topic, fields, 0):
+            times.setdefault(name, []).append(t_ns)
+            values.setdefault(name, []).append(value)
+    return Table(
+        {
+            name: Series(np.array(times[name], np.int64), np.array(values[name]), (units or {}).get(name, ""))
+            for name in sorted(values)
+        }
+    )
+
+
+def _numbers(name: str, value: Any, depth: int) -> Iterator[tuple[str, float]]:
+    """The numbers of a message by their names."""
+    if isinstance(value, bool | int | float | np.number):
+        yield name, float(value)
+    elif depth < DEEPEST:
+        items: Iterable[tuple[Any, Any]]
+        if isinstance(value, dict):
+            items = value.items()
+        elif isinstance(value, list | tuple | np.ndarray):
+            items = [(str(k), x) for k, x in enumerate(value)] if len(value) <= LONGEST_ARRAY else []
+        elif hasattr(value, "__dataclass_fields__"):
+            items = [(key, getattr(value, key)) for key in value.__dataclass_fields__]
+        elif hasattr(value, "__slots__") and not isinstance(value, str | bytes):
+            items = [(key, getattr(value, key)) for key in value.__slots__]
+        else:
+            return
+        for key, inside in items:
+            if not str(key).startswith("_"):
+                yield from _numbers(f"{name}.{key}", inside, depth + 1)
+
+
+def _rosbag(path: Path, _: Path | None) -> Table:
+    from rosbags.highlevel import AnyReader
+    from rosbags.typesys import Stores, get_typestore
+
+    folder = path.parent if path.suffix.lower() == ".db3" else path
+    with AnyReader([folder], default_typestore=get_typestore(Stores.LATEST)) as reader:
+        return _table(
+            (_topic(connection.topic), t_ns, reader.deserialize(raw, connection.msgtype))
+            for connection, t_ns, raw in reader.messages()
+            if connection.msgtype in reader.typestore.fielddefs
+        )
+
+
+def _topic(name: str) -> str:
+    return name.strip("/").replace("/", "_")
+
+
+def _mcap(path: Path, _: Path | None) -> Table:
+    from mcap.reader import make_reader
+    from mcap_ros2.decoder import DecoderFactory
+
+    with path.open("rb") as stream:
+        decoded = make_reader(stream, decoder_factories=[DecoderFactory()]).iter_decoded_messages()
+        return _table((_topic(channel.topic), message.log_time, ros) for _, channel, message, ros in decoded)
+
+
+def _ulog(path: Path, _: Path | None) -> Table:
+    from pyulog import ULog
+
+    series = {}
+    for data in ULog(str(path)).data_list:
+        topic = data.name if data.multi_id == 0 else f"{data.name}_{data.multi_id}"
+        t_ns = np.asarray(data.data["timestamp"], np.int64) * 1000
+        for field, value in data.data.items():
+            if field != "timestamp" and np.asarray(value).dtype.kind in "iufb":
+                series[f"{topic}.{field}"] = Series(t_ns, np.asarray(value, float))
+    return Table(series)
+
+
+_DATAFLASH_UNITS = {"deg/s": "deg/s", "deg": "deg", "rad": "rad", "rad/s": "rad/s", "m/s": "m/s", "s": "s"}
+
+
+def _dataflash(path: Path, _: Path | None) -> Table:
+    from pymavlink.DFReader import DFReader_binary
+
+    log = DFReader_binary(str(path))
+    units: dict[str, str] = {}
+
+    def messages() -> Iterator[Message]:
+        while (message := log.recv_msg()) is not None:
+            kind = message.get_type()
+            fields = message.to_dict()
+            fields.pop("mavpackettype", None)
+            if "TimeUS" in fields:
+                t_us = fields.pop("TimeUS")
+                for field in fields:
+                    unit = message.fmt.get_unit(field) if hasattr(message.fmt, "get_unit") else ""
+                    units.setdefault(f"{kind}.{field}", _DATAFLASH_UNITS.get(unit, ""))
+                yield kind, int(t_us) * 1000, fields
+
+    table = _table(messages())
+    return Table({n: Series(s.t_ns, s.value, units.get(n, "")) for n, s in table.series.items()})
+
+
+def _openpilot(path: Path, schema: Path | None) -> Table:
+    if schema is None:
+        raise InputError(
+            path,
+            "--schema",
+            "not given",
+            "the file log.capnp of the openpilot that wrote the log, with what it imports",
+        )
+    if not schema.is_file():
+        raise InputError(schema, "--schema", "no such file", "a schema of Cap'n Proto, log.capnp")
+    event = _event_of(schema)
+    data = path.read_bytes()
+    if data[:3] == b"BZh":
+        data = bz2.decompress(data)
+    elif data[:4] == _ZSTANDARD:
+        data = _unpacked(data)
+
+    def messages() -> Iterator[Message]:
+        for one in event.read_multiple_bytes(data):
+            kind = one.which()
+            fields = getattr(one, str(kind))
+            if hasattr(fields, "to_dict"):
+                yield str(kind), int(one.logMonoTime), fields.to_dict()
+
+    return _table(messages())
+
+
+@cache
+def _event_of(schema: Path) -> Any:
+    """The type Event of a schema, parsed apart from any other."""
+    import capnp
+
+    capnp.remove_import_hook()
+    return capnp.SchemaParser().load(str(schema)).Event
+
+
+def _unpacked(data: bytes) -> bytes:
+    """Bytes of a Zstandard stream, whose frames need not state their size."""
+    import pyarrow as pa
+
+    with pa.CompressedInputStream(pa.BufferReader(data), "zstd") as stream:
+        return stream.read()

@@ -1,0 +1,130 @@
+"""Raw CAN frames as text tables: python-can, SavvyCAN and GVRET, Cabana, CSS Electronics and their kin.
+
+Columns are found by name. One holds all data bytes, or there is one a byte.
+"""
+
+from __future__ import annotations
+
+import base64
+import binascii
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+from ..base.errors import InputError
+from .log_types import Frames, frames_of_rows, row_of
+from .text_tables import TextTable
+
+_COLUMNS = {
+    "time": ("timestamp", "time_stamp", "time", "timestampepoch", "t"),
+    "id": ("arbitration_id", "id", "addr", "address", "can_id", "canid", "messageid", "identifier"),
+    "data": ("data", "databytes", "payload", "message"),
+    "bus": ("bus", "channel", "buschannel", "src", "interface"),
+    "length": ("len", "dlc", "length", "datalength", "messagelength"),
+    "extended": ("extended", "ide"),
+    "remote": ("remote", "rtr"),
+    "error": ("error",),
+}
+_BYTE = re.compile(r"(?:d|b|data_?|byte_?)(\d{1,2})")
+_HEXADECIMAL = ("id", "can_id", "canid", "identifier", "arbitration_id")
+"""Names of identifiers that are hexadecimal whatever digits they have."""
+
+
+def _found(names: Sequence[str]) -> dict[str, str]:
+    """What a column is -> its name."""
+    low = {re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_"): name for name in reversed(names)}
+    return {
+        kind: low[word]
+        for kind, words in _COLUMNS.items()
+        if (word := next((w for w in words if w in low), None))
+    }
+
+
+def _bytes_of(names: Sequence[str]) -> list[str]:
+    """The columns of one byte each, in their order."""
+    numbered = {int(m[1]): n for n in names if (m := _BYTE.fullmatch(n.strip().lower().replace(" ", "_")))}
+    return [numbered[k] for k in sorted(numbered)]
+
+
+def is_raw(names: Sequence[str]) -> bool:
+    """Whether a table of these columns holds raw frames."""
+    found = _found(names)
+    return {"time", "id"} <= found.keys() and ("data" in found or len(_bytes_of(names)) > 1)
+
+
+def raw_frames(read: TextTable, path: Path) -> Frames:
+    """The frames of a table of text. InputError names the line that is none."""
+    table, found = read.table, _found(read.table.column_names)
+    columns = {kind: table.column(name).to_pylist() for kind, name in found.items()}
+    single = None if "data" in found else [table.column(n).to_pylist() for n in _bytes_of(table.column_names)]
+    scale = _seconds(columns["time"], found["time"], single is not None)
+    base = _base_of_ids(columns["id"], found["id"])
+    hexadecimal = single is not None or _is_hexadecimal(columns["data"])
+    rows, left_out = [], {"error reports": 0, "remote frames": 0}
+    for k, text in enumerate(columns["id"]):
+        cell = {kind: column[k] for kind, column in columns.items()}
+        kind = "error reports" if _yes(cell.get("error")) else "remote frames"
+        if _yes(cell.get("error")) or _yes(cell.get("remote")):
+            left_out[kind] += 1
+            continue
+        try:
+            identifier = int(str(text), 16 if str(text).lower().startswith("0x") else base)
+            wide = _yes(cell["extended"]) if cell.get("extended") is not None else identifier > 0x7FF
+            length = None if cell.get("length") is None else int(str(cell["length"]), 0)
+            data = (
+                _payload(cell["data"], hexadecimal)
+                if single is None
+                else bytes(int(c[k], 16) for c in single[: length or 0])
+            )
+            if length is not None and length != len(data):
+                raise ValueError(f"{len(data)} bytes, where its length says {length}")
+            bus = cell.get("bus")
+            t_s = float(str(cell["time"]).replace(",", ".")) * scale
+            rows.append(row_of(t_s, identifier, wide, "" if bus is None else bus, data))
+        except (TypeError, ValueError) as error:
+            raise InputError(
+                path,
+                f"line {k + read.first_line}",
+                f"no frame ({error})",
+                "a time, an identifier and as many bytes as the length says",
+            ) from None
+    return frames_of_rows(rows, {kind: n for kind, n in left_out.items() if n})
+
+
+def _yes(text: object) -> bool:
+    return str(text).strip().lower() in ("1", "true", "yes", "x")
+
+
+def _seconds(times: list[str | None], name: str, one_a_byte: bool) -> float:
+    """Seconds of a unit of the time column: GVRET counts microseconds, others write a decimal mark."""
+    first = next((t for t in times if t), "0")
+    if "us" in name.lower() or (one_a_byte and re.fullmatch(r"\d+", first)):
+        return 1e-9 if len(first) >= 19 else 1e-6
+    if re.fullmatch(r"\d{19}", first):
+        return 1e-9
+    return 1e-6 if re.fullmatch(r"\d{16}", first) else 1e-3 if re.fullmatch(r"\d{13}", first) else 1.0
+
+
+def _base_of_ids(texts: list[str | None], name: str) -> int:
+    low = re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_")
+    letters = any(re.search(r"[A-Fa-f]", t) for t in texts if t and not t.lower().startswith("0x"))
+    return 16 if low in _HEXADECIMAL or letters else 10
+
+
+def _squeezed(text: str | None) -> str:
+    """Text of bytes without 0x, blanks and marks between them."""
+    return re.sub(r"0x|[\s:.-]", "", (text or "").strip(), flags=re.IGNORECASE)
+
+
+def _is_hexadecimal(texts: list[str | None]) -> bool:
+    """Whether all cells are bytes in hexadecimal digits; else they are base64, as python-can writes them."""
+    return all(re.fullmatch(r"([0-9A-Fa-f]{2})*", _squeezed(text)) for text in texts)
+
+
+def _payload(text: str | None, hexadecimal: bool) -> bytes:
+    if hexadecimal:
+        return bytes.fromhex(_squeezed(text))
+    try:
+        return base64.b64decode((text or "").strip(), validate=True)
+    except binascii.Error as error:
+        raise ValueError(f"data {text!r}: {error}") from None

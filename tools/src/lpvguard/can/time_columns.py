@@ -1,0 +1,242 @@
+"""The time column of a table, by name and shape: s, ms, us, ns, since an epoch, or a date and time."""
+
+from __future__ import annotations
+
+import re
+import warnings
+from collections.abc import Mapping, Sequence
+from datetime import datetime
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+
+from ..base.errors import InputError, InputWarning
+from .text_tables import STRAY
+
+UNITS_NS = {"s": 10**9, "ms": 10**6, "us": 10**3, "ns": 1}
+_SPELLED = {
+    "s": "s sec secs second seconds sek sekunden",
+    "ms": "ms msec millis millisecond milliseconds millisekunden",
+    "us": "us µs μs usec micros microsecond microseconds mikrosekunden",
+    "ns": "ns nsec nanos nanosecond nanoseconds nanosekunden",
+}
+_UNIT_OF = {word: unit for unit, words in _SPELLED.items() for word in words.split()}
+_NAMES = (
+    r"^(t|time|timestamp|time_stamp|zeit|ts|zeitstempel)$",
+    r"(^|_)(time|timestamp|stamp|zeit|zeitstempel|epoch|datetime|date_time|datum|uhrzeit|elapsed|t)(_|$)",
+)
+_SECONDS, _NANOSECONDS = r"(^|_)(secs?|seconds)$", r"(^|_)(nsecs?|nanosecs?|nanoseconds)$"
+_EPOCH_S = (9.0e8, 4.0e9)
+"""Seconds since 1970 of the years 1998 to 2096."""
+_STEP_S = (2e-4, 0.6)
+"""Steps from sample to sample of a log of driving."""
+_LATEST_S = 9_000_000_000
+_OTHER_DATES = ("%d.%m.%Y %H:%M:%S.%f", "%d.%m.%Y %H:%M:%S", "%Y/%m/%d %H:%M:%S.%f", "%Y/%m/%d %H:%M:%S")
+_TIME_OF_DAY = re.compile(r"(\d{1,2}):(\d{2}):(\d{2})(?:[.,](\d+))?")
+
+
+def time_of(
+    table: pa.Table, units: Mapping[str, str], path: Path, first_line: int, named: str | None
+) -> tuple[np.ndarray, np.ndarray, set[str]]:
+    """Times (K,) [ns] of a table's rows, which rows have one (N,) bool, and the columns of the time.
+
+    ``named``: the column that the user says. ``units``: unit by column, where the log states one. InputError
+    where no column is the time, its unit cannot be told, or more than STRAY of the rows have none.
+    """
+    names = table.column_names
+    if named is None and (pair := _pair(names)):
+        seconds, nanoseconds = (_plain(table, n) for n in pair)
+        bad = ~np.isfinite(seconds) | ~np.isfinite(nanoseconds) | (np.abs(seconds) > _LATEST_S)
+        keep = _usable(bad, seconds, path, pair[0], first_line)
+        t_ns = seconds[keep].astype(np.int64) * 10**9 + np.rint(nanoseconds[keep]).astype(np.int64)
+        return t_ns, keep, set(pair)
+    column = named or _by_name(table)
+    if column is None or column not in names:
+        raise InputError(
+            path,
+            "header",
+            f"no time column{f' {column}' if column else ''}",
+            "one of t, time, timestamp (or `time` in the signal map); there are " + ", ".join(names),
+        )
+    values = table.column(column)
+    if pa.types.is_timestamp(values.type) or pa.types.is_time(values.type):
+        values = values.cast(pa.string())
+    if pa.types.is_string(values.type) or pa.types.is_large_string(values.type):
+        t_ns, bad = _of_text(values.to_pylist())
+        keep = _usable(bad, values.to_pylist(), path, column, first_line)
+        return t_ns[keep], keep, {column}
+    t = _plain(table, column)
+    unit = _stated(column, units) or _by_shape(t, path, column)
+    with np.errstate(invalid="ignore"):
+        bad = ~(np.abs(t) <= _LATEST_S * 1e9 / UNITS_NS[unit])
+    keep = _usable(bad, t, path, column, first_line)
+    kind = table.schema.field(column).type
+    if pa.types.is_integer(kind):
+        return table.column(column).filter(keep).cast(pa.int64()).to_numpy() * UNITS_NS[unit], keep, {column}
+    return np.rint(t[keep] * UNITS_NS[unit]).astype(np.int64), keep, {column}
+
+
+def _usable(
+    bad: np.ndarray, t: Sequence[object] | np.ndarray, path: Path, column: str, first_line: int
+) -> np.ndarray:
+    """Rows (N,) bool that have a time. InputError where more than STRAY of them have none."""
+    at = np.flatnonzero(bad)
+    if len(at) == 0:
+        return ~bad
+    value = t[at[0]]
+    what = "no time"
+    if isinstance(value, str):
+        what = f"{value!r} is no time"
+    elif isinstance(value, float) and not np.isnan(value):
+        what = f"a time of {value:g} s"
+    where = f"line {at[0] + first_line}, column {column}"
+    if len(at) > STRAY * len(bad):
+        raise InputError(
+            path,
+            where,
+            what,
+            f"a time in every line, at most {_LATEST_S:g} s, 2026-04-22T03:45:00.123 or 03:45:00.123",
+        )
+    warnings.warn(f"{path}: {where}: {what}; {len(at)} such row(s) left out", InputWarning, stacklevel=1)
+    return ~bad
+
+
+def _plain(table: pa.Table, column: str) -> np.ndarray:
+    try:
+        return table.column(column).cast(pa.float64()).fill_null(np.nan).to_numpy()
+    except pa.ArrowException:
+        return np.full(table.num_rows, np.nan)
+
+
+def _low(name: str) -> str:
+    """A name without brackets, in lower case, its words joined by _."""
+    plain = re.sub(r"[\[({].*?[\])}]", "", name)
+    return re.sub(r"[^a-z0-9]+", "_", re.sub(r"([a-z])([A-Z])", r"\1_\2", plain).lower()).strip("_")
+
+
+def _pair(names: list[str]) -> tuple[str, str] | None:
+    """Columns of seconds and nanoseconds, as ROS writes a stamp."""
+    low = {name: _low(name) for name in names}
+    for name in names:
+        if re.search(_SECONDS, low[name]) and not re.search(_NANOSECONDS, low[name]):
+            stem = re.sub(_SECONDS, "", low[name])
+            for other in names:
+                if re.search(_NANOSECONDS, low[other]) and re.sub(_NANOSECONDS, "", low[other]) == stem:
+                    return name, other
+    return None
+
+
+def _by_name(table: pa.Table) -> str | None:
+    """The column that is called the time; of several one that grows."""
+    names = table.column_names
+    without_unit = {n: "_".join(w for w in _low(n).split("_") if w not in _UNIT_OF) for n in names}
+    for pattern in _NAMES:
+        found = [n for n in names if re.search(pattern, without_unit[n])]
+        grows = [n for n in found if _is_text(table, n) or _grows(_plain(table, n))]
+        if found:
+            return (grows or found)[0]
+    bare = [n for n in names if _low(n) in _UNIT_OF or _low(n) in ("gmt", "utc")]
+    return next((n for n in bare if _grows(_plain(table, n))), None)
+
+
+def _is_text(table: pa.Table, name: str) -> bool:
+    kind = table.schema.field(name).type
+    return not (pa.types.is_floating(kind) or pa.types.is_integer(kind) or pa.types.is_boolean(kind))
+
+
+def _grows(t: np.ndarray) -> bool:
+    step = np.diff(t[np.isfinite(t)])
+    return len(step) > 0 and bool(np.mean(step >= 0) > 0.9 and step.max() > 0)
+
+
+def _stated(name: str, units: Mapping[str, str]) -> str | None:
+    """The unit that the log or the name states: in brackets, or as the last word."""
+    texts = [units.get(name, ""), *re.findall(r"[\[({](.*?)[\])}]", name)]
+    for text in texts:
+        if unit := _UNIT_OF.get(text.strip().lower()):
+            return unit
+    words = _low(name.replace("µ", "u").replace("μ", "u")).split("_")
+    return _UNIT_OF.get(words[-1]) if words and (len(words) > 1 or words[-1] != "s") else None
+
+
+def _by_shape(t: np.ndarray, path: Path, column: str) -> str:
+    """The unit of times whose name says none: since an epoch by their size, others by their step."""
+    t = t[np.isfinite(t)]
+    if len(t) < 3:
+        return "s"
+    size, step = float(np.median(np.abs(t))), float(np.median(np.abs(np.diff(t))))
+    since = [u for u, ns in UNITS_NS.items() if _EPOCH_S[0] <= size * ns / 1e9 <= _EPOCH_S[1]]
+    fitting = [u for u, ns in UNITS_NS.items() if _STEP_S[0] <= step * ns / 1e9 <= _STEP_S[1]]
+    whole = bool(np.all(t == np.rint(t)))
+    if since and since[0] != "s" and (since[0] in fitting or step == 0):
+        found = since[0]
+    elif not whole or "s" in fitting or step < 1:
+        return "s"
+    elif step <= 1.5:
+        raise InputError(
+            path,
+            f"column {column}",
+            f"its steps of {step:g} are a second, or a thousandth",
+            "its unit in its name or in a row of units, as time [ms]",
+        )
+    elif fitting:
+        found = fitting[0]
+    else:
+        return "s"
+    why = "its size is that of a date" if since else f"its steps are {step:g}"
+    warnings.warn(f"{path}: column {column} is taken to be in {found}: {why}", InputWarning, stacklevel=1)
+    return found
+
+
+def _of_text(texts: list[str | None]) -> tuple[np.ndarray, np.ndarray]:
+    """Times [ns] of dates with time of day, or of times of day, of which midnight begins another day; and
+    which rows (N,) bool hold none."""
+    found, bad = np.zeros(len(texts), np.int64), np.zeros(len(texts), bool)
+    day, before = 0, -1
+    for row, text in enumerate(texts):
+        try:
+            ns, of_day = _parsed(text or "")
+        except ValueError:
+            bad[row] = True
+            continue
+        if of_day and before - ns > 12 * 3600 * 10**9:
+            day += 1
+        before = ns
+        found[row] = ns + day * 86_400 * 10**9
+    return found, bad
+
+
+def _parsed(text: str) -> tuple[int, bool]:
+    """Time [ns] of a text, and whether it is one of day; ValueError where it is none."""
+    text = text.strip()
+    if match := _TIME_OF_DAY.fullmatch(text):
+        hours, minutes, seconds, rest = match.groups()
+        if int(hours) > 24 or int(minutes) > 59 or int(seconds) > 60:
+            raise ValueError(text)
+        whole = int(hours) * 3600 + int(minutes) * 60 + int(seconds)
+        return whole * 10**9 + int((rest or "0")[:9].ljust(9, "0")), True
+    text = text.replace(",", ".")
+    if re.match(r"\d{4}-\d{2}-\d{2}[T ]", text):
+        return _iso(text), False
+    for form in _OTHER_DATES:
+        try:
+            return _iso(datetime.strptime(text, form).isoformat()), False
+        except ValueError:
+            continue
+    raise ValueError(text)
+
+
+def _iso(text: str) -> int:
+    """Nanoseconds since 1970 of a date and time of ISO 8601; without a zone as if in UTC."""
+    match = re.fullmatch(
+        r"(\d{4}-\d{2}-\d{2})[T ](\d{2}:\d{2}(?::\d{2})?)(?:\.(\d+))?\s*(Z|UTC|[+-]\d{2}:?\d{2})?", text
+    )
+    if match is None:
+        raise ValueError(text)
+    date, clock, rest, zone = match.groups()
+    seconds = int(np.datetime64(f"{date}T{clock}", "s").astype(np.int64))
+    if zone and zone[0] in "+-":
+        offset = int(zone[1:3]) * 3600 + int(zone[-2:]) * 60
+        seconds -= offset if zone[0] == "+" else -offset
+    return seconds * 10**9 + int((rest or "0")[:9].ljust(9, "0"))

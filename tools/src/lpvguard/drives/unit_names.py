@@ -1,0 +1,243 @@
+"""Units that names and logs state, in the spellings of loggers: tokens of a name, brackets, German words.
+
+A unit is what a role's signal is measured in: a speed, an angle, or an angle over time. Spellings that
+loggers use in a sense of their own come first ("grad" is a degree in German, "ms" of a speed is m/s). What
+is not among them goes to pint.
+"""
+
+from __future__ import annotations
+
+import re
+from functools import cache
+from itertools import product
+from typing import Any
+
+from .units import unit_factor
+
+_LENGTHS = {
+    "m": ("m", "meter", "meters", "metre", "metres"),
+    "km": ("km", "kilometer", "kilometers", "kilometre", "kilometres"),
+    "mi": ("mi", "mile", "miles", "meilen"),
+    "ft": ("ft", "feet", "foot"),
+}
+_TIMES = {
+    "s": ("s", "sec", "secon", "secs", "second", "seconds", "sek", "sekunde"),
+    "h": ("h", "hr", "hour", "hours", "std", "stunde"),
+}
+_ANGLES = {
+    "rad": ("rad", "rads", "radian", "radians", "radiant"),
+    "deg": ("deg", "degs", "degreofarc", "degreeofarc", "degree", "degrees", "grad", "°", "º"),
+    "mrad": ("mrad", "milliradian", "milliradians"),
+}
+_OVER = ("", "p", "per", "pro")
+_SPEED_WORDS = {
+    "mph": "mph",
+    "kph": "km/h",
+    "kmph": "km/h",
+    "kmh": "km/h",
+    "mps": "m/s",
+    "fps": "ft/s",
+    "kn": "kn",
+    "kt": "kn",
+    "kts": "kn",
+    "knot": "kn",
+    "knots": "kn",
+    "knoten": "kn",
+}
+_RATE_WORDS = {"dps": "deg/s", "radps": "rad/s", "rps": "", "degps": "deg/s", "mdps": ""}
+_OF_SPEED = {("m", "s"): "m/s", ("km", "h"): "km/h", ("mi", "h"): "mph", ("ft", "s"): "ft/s"}
+_QUALIFIERS = frozenset(
+    (
+        "raw",
+        "roh",
+        "filtered",
+        "filt",
+        "gefiltert",
+        "corrected",
+        "measured",
+        "meas",
+        "est",
+        "estimated",
+        "signed",
+    )
+)
+"""Words behind a unit that say nothing of it."""
+_BRACKETS = re.compile(r"[\[({<]([^\])}>]*)[\])}>]")
+_IN = re.compile(r"[\s_,/](?:in|unit|einheit)[\s_:]+([^\s_].*)$", re.IGNORECASE)
+_TOKEN = re.compile(r"°|º|[A-Z]+(?![a-z])|[A-Z]?[a-zäöüß]+|\d+")
+DIMENSIONS = {"speed": "m/s", "input": "rad", "output": "rad/s"}
+"""By role: the SI unit of its signal."""
+
+
+@cache
+def _spellings(role: str) -> dict[str, str]:
+    """Spelling without separators -> unit of ``units.py``; empty where it is a unit that cannot be told."""
+    if role == "input":
+        return {word: unit for unit, words in _ANGLES.items() for word in words}
+    if role == "output":
+        found = dict(_RATE_WORDS)
+        for (unit, words), over in product(_ANGLES.items(), _OVER):
+            for word, time in product(words, _TIMES["s"]):
+                found.setdefault(word + over + time, f"{unit}/s")
+        return found
+    found = dict(_SPEED_WORDS)
+    for (length, time), unit in _OF_SPEED.items():
+        for word, over, per in product(_LENGTHS[length], _OVER, _TIMES[time]):
+            found.setdefault(word + over + per, unit)
+    return found
+
+
+def tokens(text: str) -> list[str]:
+    """Split a name into words at other signs than letters and at capitals.
+
+    Parameters
+    ----------
+    text : str
+
+    Returns
+    -------
+    list[str], in lower case
+
+    Examples
+    --------
+    >>> tokens("vehicleSpeedKph"), tokens("Gierrate [°/s]")
+    (['vehicle', 'speed', 'kph'], ['gierrate', '°', 's'])
+    """
+    return [word.lower() for word in _TOKEN.findall(text)]
+
+
+def unit_of_text(text: str, role: str) -> str | None:
+    """Find the unit that a whole text spells.
+
+    Parameters
+    ----------
+    text : str, as km/h or Grad pro Sekunde
+    role : str, speed, input or output
+
+    Returns
+    -------
+    str or None, where it is none of the role
+
+    Examples
+    --------
+    >>> unit_of_text("Grad/s", "output"), unit_of_text("m/s", "input"), unit_of_text("m s^-1", "speed")
+    ('deg/s', None, 'm/s')
+    """
+    if not text.strip():
+        return None
+    if unit_factor(text, DIMENSIONS[role]) is not None:
+        return _canonical(text, role)
+    squeezed = re.sub(r"[\s/_.·*]+", "", text.lower()).removeprefix("unit")
+    squeezed = re.sub(r"(s|sec|sek|h)\^?\(?-1\)?$|(s|h)⁻¹$", r"\1\2", squeezed)
+    known = _spellings(role)
+    if squeezed in known:
+        return known[squeezed] or None
+    return _by_pint(text, role)
+
+
+def _canonical(text: str, role: str) -> str:
+    """A unit as ``units.py`` names it, of a text that it knows."""
+    of = {"speed": ("m/s", "km/h", "mph", "kn", "ft/s"), "input": ("rad", "deg", "mrad"), "output": ()}[role]
+    of = of or ("rad/s", "deg/s", "mrad/s")
+    factor = unit_factor(text, DIMENSIONS[role])
+    return next((u for u in of if unit_factor(u, DIMENSIONS[role]) == factor), text.strip())
+
+
+@cache
+def _pint() -> Any:
+    """pint's registry."""
+    import pint  # costs 0.3 s, and is not needed for usual spellings
+
+    return pint.UnitRegistry(cache_folder=None)
+
+
+def _by_pint(text: str, role: str) -> str | None:
+    """The unit of a role that is as large as pint says ``text`` is; None for any other."""
+    if not re.fullmatch(r"[A-Za-z/*^().\s\d°-]{1,40}", text) or not re.search(r"[A-Za-z]", text):
+        return None
+    registry = _pint()
+    try:
+        unit = registry.parse_units(text.replace("°", "deg"))
+        target = {"speed": "m/s", "input": "rad", "output": "rad/s"}[role]
+        is_angle = any("radian" in part or "degree" in part for part in unit._units)
+        if role != "speed" and not is_angle:
+            return None  # pint takes an angle for a plain number: rad/s would be Hz
+        factor = float(registry.Quantity(1.0, unit).to(target).magnitude)
+    except Exception:  # pint raises classes of its own and of Python's tokenizer
+        return None
+    units = {"speed": ("m/s", "km/h", "mph", "kn", "ft/s"), "input": ("rad", "deg", "mrad")}
+    for name in units.get(role, ("rad/s", "deg/s", "mrad/s")):
+        ours = unit_factor(name, target)
+        if ours is not None and abs(factor / ours - 1) < 1e-6:
+            return name
+    return None
+
+
+def units_in_name(name: str, role: str) -> list[str]:
+    """Find the units that a name states: in brackets, after "in", or at its end.
+
+    Parameters
+    ----------
+    name : str
+    role : str, speed, input or output
+
+    Returns
+    -------
+    list[str], the surest first
+
+    Examples
+    --------
+    >>> units_in_name("yaw_rate_radps", "output"), units_in_name("Lenkwinkel in Grad", "input")
+    (['rad/s'], ['deg'])
+    >>> units_in_name("speed", "speed"), units_in_name("SteeringWheelAngleDeg", "input")
+    ([], ['deg'])
+    """
+    found: list[str] = []
+    plain = _BRACKETS.sub(" ", name)
+    texts = [*_BRACKETS.findall(name)]
+    if spelled := _IN.search(plain):
+        texts.append(spelled[1])
+    if "/" in plain and (slashed := re.search(r"[\s_]([^\s_]+/[^\s_/]+)$", plain)):
+        texts.append(slashed[1])
+    for text in texts:
+        unit = unit_of_text(text, role)
+        if unit is not None and unit not in found:
+            found.append(unit)
+    if found:
+        return found
+    _, unit = _ending(tokens(plain), role)
+    return [unit] if unit else []
+
+
+def without_unit(name: str, role: str) -> str:
+    """Join the words of a name without its unit by _.
+
+    Parameters
+    ----------
+    name : str
+    role : str, speed, input or output
+
+    Returns
+    -------
+    str
+
+    Examples
+    --------
+    >>> without_unit("v_mph", "speed"), without_unit("r [deg/s]", "output")
+    ('v', 'r')
+    """
+    plain = _BRACKETS.sub(" ", name)
+    spelled = _IN.search(plain)
+    words = tokens(plain[: spelled.start()] if spelled else plain)
+    return "_".join(words[: _ending(words, role)[0]])
+
+
+def _ending(words: list[str], role: str) -> tuple[int, str]:
+    """Where the unit at the end of a name's words begins, and the unit; of several the longest."""
+    known, end = _spellings(role), len(words)
+    while end and (words[end - 1] in _QUALIFIERS or words[end - 1].isdigit()):
+        end -= 1
+    for first in range(1, end):
+        if unit := known.get("".join(words[first:end])):
+            return first, unit
+    return len(words), ""

@@ -1,0 +1,139 @@
+"""Healthy set: W_delta and B_w of the frame test, bin by bin, as sharp as drives like these allow (THEORY
+7.16).
+
+The certificate set contains the vehicle at every speed and amplitude. It is too wide to see small faults. The
+healthy set holds every frame of the drives that set the bounds, and of all such pairs (W_delta, B_w) it shows
+the smallest gain error at typical excitation. It lies within the certificate set, so whatever refutes that
+set leaves this one.
+
+A candidate W_delta asks of drive d for B_d(W_delta), the largest remainder. The least factor s with which the
+other drives' pair holds a drive left out obeys B_d(s W_delta) <= s B_w. A further drive that has the typical
+model error of the band asks for no more than the remainder beside that error, and what the error exceeds
+W_delta by at the strongest excitation. Pairs are compared by what they see after the largest of these
+factors. Factors also make bins comparable: one that few frames bound gets the larger one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..base.sampling import Rows
+from ..drives.frames import Estimator
+from .bounds import FrameSet, remainder_sizes
+
+CANDIDATES = np.r_[1e-3, np.geomspace(0.01, 2.0, 32)]
+"""Values of W_delta that are compared; the core asks for one above 0."""
+TYPICAL = 90
+"""Percentile of excitation at which they are."""
+LARGEST_FACTOR = 1e3
+"""On a pair that does not hold a drive left out at all."""
+TINY = 1e-300
+
+
+@dataclass(frozen=True)
+class HealthySet:
+    """Bounds of the frame test at the bins: W_delta (K, n_delta), B_w (K, n_y) [output units].
+
+    factor (K, n_delta) is the one they were scaled by; 1 is the least. folds (K,): so many drives, or folds
+    of drives, have frames there.
+    """
+
+    W_delta: np.ndarray
+    B_w: np.ndarray
+    factor: np.ndarray
+    folds: np.ndarray
+
+    def to_dict(self) -> dict:
+        """JSON-able, for `from_dict`."""
+        return vars(self).copy()
+
+    @classmethod
+    def from_dict(cls, data: dict) -> HealthySet:
+        """Read back."""
+        return cls(*(np.array(data[key], float) for key in ("W_delta", "B_w", "factor", "folds")))
+
+
+def needed(frames: list[FrameSet], estimator: Estimator, n_delta: int, structure: str) -> np.ndarray:
+    """(K, P, n_y) B_w that a drive's ``frames`` ask for beside each of P CANDIDATES; 0 without a frame."""
+    n_y = frames[0].E.shape[1]
+    out = np.zeros((estimator.n_bins, len(CANDIDATES), n_y))
+    for s in frames:
+        if not len(s.E):
+            continue
+        for p, W in enumerate(CANDIDATES):
+            if n_y == 1 or n_delta > 1:  # at zero frequency, too
+                sizes = s.sizes[0] - W * s.sizes[1]
+            else:
+                sizes = remainder_sizes(s, estimator, np.full((estimator.n_bins, n_delta), W), structure)
+            out[s.bin, p] = np.maximum(sizes.max(axis=0), 0.0)
+    return out
+
+
+def healthy_set(
+    needs: list[np.ndarray], spectra: Rows, floor: np.ndarray, typical: np.ndarray, largest: np.ndarray
+) -> HealthySet:
+    """The pair of every bin and Delta that sees the smallest gain error.
+
+    Parameters
+    ----------
+    needs : of each drive or fold of drives (K, P, n_y), of `needed`.
+    spectra : sample of frames of these drives, columns ``group`` (bin) and Z (F, n_y).
+    floor : (K, n_y) what the sensors cannot tell.
+    typical, largest : (K, n_delta) error of a further drive at typical speed and amplitude, and W_delta of
+        the certificate.
+    """
+    each, (K, n_delta), n_y = np.array(needs), largest.shape, floor.shape[1]
+    outputs = [[j] for j in range(n_y)] if n_delta > 1 else [list(range(n_y))]
+    W_delta, B_w, factor = np.zeros((K, n_delta)), floor.copy(), np.ones((K, n_delta))
+    for k in range(K):
+        Z = np.abs(spectra["Z"][spectra["group"] == k])
+        for d, of in enumerate(outputs):
+            errors = float(typical[k, d]), float(largest[k, d])
+            W, B, factor[k, d] = _best(each[:, k][:, :, of], Z[:, of], floor[k, of], *errors)
+            W_delta[k, d], B_w[k, of] = W, B
+    folds = each.any(axis=(2, 3)).sum(axis=0)
+    # The threshold has what all bins share.
+    factor = np.where(folds[:, None] > 0, factor / factor[folds > 0].min(initial=np.inf), 1.0)
+    columns = factor if n_delta > 1 else np.repeat(factor, n_y, axis=1)
+    scaled = np.minimum(factor * W_delta, np.maximum(W_delta, largest))
+    return HealthySet(scaled, columns * B_w, factor, folds)
+
+
+def _best(
+    each: np.ndarray, Z: np.ndarray, floor: np.ndarray, typical: float, largest: float
+) -> tuple[float, np.ndarray, float]:
+    """W_delta, B_w (m,) and factor of one bin; needs of drives ``each`` (D, P, m), |Z| (F, m)."""
+    asked = each[each.any(axis=(1, 2))]
+    most = asked.max(axis=0, initial=0.0)
+    B_of = np.maximum(most, floor)
+    strongest = Z.max(axis=0, initial=0.0)
+    reached = np.maximum(CANDIDATES, typical)
+    beside = np.column_stack([np.interp(reached, CANDIDATES, column) for column in B_of.T])
+    further = beside + (reached - CANDIDATES)[:, None] * strongest
+    best: tuple[float, float, np.ndarray, float] | None = None
+    for p, (W, B) in enumerate(zip(CANDIDATES, B_of, strict=True)):
+        if p and largest < W:
+            break
+        factor = max(1.0, _least_factor(further, B, W))
+        # Without the drive that asks for the most the next one does.
+        for d in np.unique(asked[:, p].argmax(axis=0)) if len(asked) > 1 else ():
+            rest = np.maximum(np.delete(asked[:, p], d, axis=0).max(axis=0), floor)
+            factor = max(factor, _least_factor(asked[d], rest, W))
+        g = np.max(Z / np.maximum(B, TINY), axis=1) if len(Z) else np.zeros(1)
+        visible = factor * (W + 1 / max(float(np.percentile(g, TYPICAL)), TINY))
+        if best is None or visible < best[0]:
+            best = visible, float(W), B, factor
+    assert best is not None
+    return best[1:]
+
+
+def _least_factor(own: np.ndarray, B: np.ndarray, W: float) -> float:
+    """Least s with own(s W) <= s B in every column; ``own`` (P, m) falls with W, and is convex."""
+    low, high = 0.0, LARGEST_FACTOR
+    for _ in range(40):
+        middle = 0.5 * (low + high)
+        asked = [np.interp(middle * W, CANDIDATES, column) for column in own.T]
+        low, high = (low, middle) if np.all(np.array(asked) <= middle * B) else (middle, high)
+    return high

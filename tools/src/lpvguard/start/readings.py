@@ -1,0 +1,249 @@
+"""Readings of three columns: which units and which steering ratio make physics of them.
+
+Every combination of units that name and log leave open is held against the ranges of a kind of vehicle. One
+that fits is taken; where two do, the user is asked for the option that settles it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+
+from ..base.errors import InputError
+from ..drives.unit_names import DIMENSIONS
+from ..drives.units import unit_factor
+from ..vehicle.physics import KINDS, KindName, VehicleKind, degrees_per_g
+from .steady_turn import Driven, SteadyTurn
+
+ROLES = ("speed", "input", "output")
+KNOWN_WITHIN = {"car": 1.25, "truck": 1.25, "model": 1.5, "other": 1.5}
+STATED_WITHIN = 1.45
+"""The wheelbase that the columns read, over the known one or the other way, is at most this. Model cars
+slide; where all units are stated, only a wrong unit is larger."""
+DOUBTFUL = 1.4
+"""A reading whose lateral acceleration exceeds the kind's by no more may still be meant."""
+LEAST_LATERAL_MPS2 = {"car": 0.1, "truck": 0.1, "model": 0.35, "other": 0.1}
+LEAST_ANGLE_RAD = 0.01
+"""Where 99 % of a log stay below both, nobody steered: degrees would have been read as radians before."""
+LEAST_EXPLAINED = 0.3
+"""Columns that explain less of the yaw rate say nothing of their units."""
+
+
+@dataclass(frozen=True)
+class UnitReading:
+    """Units by role, and steering wheel over road wheel, which is 1 at the road wheels.
+
+    ``beyond`` says as a logarithm how far outside of physics the columns then are, ``why`` in words."""
+
+    units: Mapping[str, str]
+    ratio: float
+    wheelbase_m: float
+    understeer_deg_g: float
+    lateral_mps2: float
+    beyond: float
+    why: tuple[str, ...]
+
+    def words(self) -> str:
+        """The reading in words."""
+        at = "road wheels" if self.ratio == 1.0 else f"a steering wheel of {self.ratio:.3g}:1"
+        return (
+            f"speed in {self.units['speed']}, steering in {self.units['input']} at {at}, yaw rate in "
+            f"{self.units['output']} (wheelbase {self.wheelbase_m:.3g} m, understeer "
+            f"{self.understeer_deg_g:.2g} deg/g)"
+        )
+
+
+@dataclass(frozen=True)
+class Known:
+    """What is known of the vehicle: kind, wheelbase [m], steering ratio; None where it is not."""
+
+    kind: KindName
+    wheelbase_m: float | None = None
+    ratio: float | None = None
+    at_steering_wheel: bool | None = None
+    """Whether the steering's name says that it is the steering wheel's; None where it does not."""
+
+
+def decided(
+    turn: SteadyTurn | None, drives: Sequence[Driven], choices: Mapping[str, Sequence[str]], known: Known
+) -> tuple[UnitReading, list[str]]:
+    """The one reading that fits, and its evidence in sentences.
+
+    ``choices``: role -> units that are possible. InputError where none fits, or more than one.
+    """
+    if turn is None or not np.isfinite(turn.length).all():
+        raise InputError(
+            "new", "", "speed, steering and yaw rate do not move", "logs with driving and steering"
+        )
+    largest = _largest(drives)
+    stated = all(len(choices[role]) == 1 for role in ROLES)
+    within = STATED_WITHIN if stated else KNOWN_WITHIN[known.kind]
+    found = sorted(
+        (
+            _reading(turn, largest, dict(zip(ROLES, units, strict=True)), wheel, known, within)
+            for units in product(*(choices[role] for role in ROLES))
+            for wheel in _wheels(known)
+        ),
+        key=lambda reading: reading.beyond,
+    )
+    if turn.explained < LEAST_EXPLAINED and not (stated and found[0].beyond == 0.0):
+        raise InputError(
+            "new",
+            "--speed, --input, --output",
+            f"steering explains {max(turn.explained, 0.0):.0%} of the yaw rate: the columns say nothing of "
+            "their units",
+            "the columns of one vehicle on one clock, or " + ", ".join(_unit_options(choices)),
+        )
+    near = [reading for reading in found if reading.beyond == 0.0]
+    if len(near) > 1:
+        raise InputError(
+            "new",
+            _differing(near),
+            f"{len(near)} readings fit: " + "; or ".join(r.words() for r in near[:3]),
+            " or ".join(dict.fromkeys(_settles(r, near) for r in near)),
+        )
+    best = found[0]
+    if best.beyond > 0.0 or best.lateral_mps2 > KINDS[known.kind].lateral_mps2:
+        reasons = ", ".join(best.why) or f"lateral accelerations of {best.lateral_mps2:.3g} m/s^2"
+        raise InputError(
+            "new",
+            "--speed, --input, --output",
+            f"no units make a {known.kind} of them; the nearest: {best.words()}, but {reasons}",
+            "the signals of this vehicle, --kind, --wheelbase, or " + ", ".join(_unit_options(choices)),
+        )
+    if best.ratio != 1.0 and known.wheelbase_m is None and known.ratio is None:
+        raise InputError(
+            "new",
+            "--wheelbase",
+            f"not given, and the steering is at a steering wheel: {best.words()}",
+            "the wheelbase in m, or --steering-ratio",
+        )
+    said = [f"{turn.explained:.0%} of the yaw rate explained, {best.words()}"]
+    if known.wheelbase_m is None:
+        said.append(f"no wheelbase given: compare {best.wheelbase_m:.3g} m with the vehicle's")
+    if len(found) > 1:
+        said.append(f"next best: {found[1].words()}, but {', '.join(found[1].why)}")
+    return best, said
+
+
+def _wheels(known: Known) -> tuple[bool, ...]:
+    """Whether the steering is that of a steering wheel: what remains possible."""
+    if known.ratio is not None:
+        return (known.ratio != 1.0,)
+    if KINDS[known.kind].ratio is None:
+        return (False,)
+    return (False, True) if known.at_steering_wheel is None else (known.at_steering_wheel,)
+
+
+def _unit_options(choices: Mapping[str, Sequence[str]]) -> list[str]:
+    return [f"--{role}-unit" for role in ROLES if len(choices[role]) > 1] or ["--steering-ratio"]
+
+
+def _differing(near: Sequence[UnitReading]) -> str:
+    """The options whose value differs among readings."""
+    names = [f"--{role}-unit" for role in ROLES if len({r.units[role] for r in near}) > 1]
+    return ", ".join(names or ["--steering-ratio"])
+
+
+def _settles(reading: UnitReading, near: Sequence[UnitReading]) -> str:
+    """The options that leave one reading of several."""
+    said = [
+        f"--{role}-unit {reading.units[role]}" for role in ROLES if len({r.units[role] for r in near}) > 1
+    ]
+    if not said or sum(r.units == reading.units for r in near) > 1:
+        said.append(f"--steering-ratio {reading.ratio:.3g}")
+    return " ".join(said)
+
+
+def _largest(drives: Sequence[Driven]) -> tuple[float, float, float]:
+    """99th percentiles of speed, steering and speed times yaw rate, in the columns' units."""
+    v, delta, across = (
+        np.concatenate(parts) for parts in zip(*(_magnitudes(d) for d in drives), strict=True)
+    )
+    return tuple(float(np.quantile(x, 0.99)) for x in (v, delta, across))  # type: ignore[return-value]
+
+
+def _magnitudes(d: Driven) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Of speed, steering and speed times yaw rate, the latter two about their medians, (N,) each."""
+    turned, yaw = d.delta - np.median(d.delta), d.r - np.median(d.r)
+    return np.abs(d.v), np.abs(turned), np.abs(d.v * yaw)
+
+
+def _reading(
+    turn: SteadyTurn,
+    largest: tuple[float, float, float],
+    units: dict[str, str],
+    wheel: bool,
+    known: Known,
+    within: float,
+) -> UnitReading:
+    """One combination of units; of the likely spreads the one with which it is the nearest to physics."""
+    kind = KINDS[known.kind]
+    a, b, c = (unit_factor(units[role], DIMENSIONS[role]) or 1.0 for role in ROLES)
+    best: UnitReading | None = None
+    for length, spread in zip(np.abs(turn.length), turn.spread, strict=True):
+        read = float(length) * a * b / c
+        ratio, wheelbase = _steering(read, wheel, known, kind)
+        understeer = degrees_per_g(float(spread) * wheelbase / a**2)
+        speed, angle, lateral = largest[0] * a, largest[1] * b / ratio, largest[2] * a * c
+        reasons = [
+            _beyond(f"wheelbase {wheelbase:.3g} m", wheelbase, *_wheelbases(known, kind, within)),
+            _beyond(f"steering ratio {ratio:.3g}", ratio, *_ratios(wheel, known, kind)),
+            _beyond_by(f"understeer {understeer:.2g} deg/g", understeer, *kind.understeer_deg_g),
+            _beyond(f"speeds of {speed:.3g} m/s", speed, *kind.speed_mps),
+            _beyond(f"road wheels turned by {angle:.2g} rad", angle, 0.0, kind.angle_rad),
+            _beyond(
+                f"lateral accelerations of {lateral:.3g} m/s^2", lateral, 0.0, DOUBTFUL * kind.lateral_mps2
+            ),
+        ]
+        if angle < LEAST_ANGLE_RAD:
+            least = LEAST_LATERAL_MPS2[known.kind]
+            reasons.append(_beyond(f"lateral accelerations of {lateral:.1g} m/s^2", lateral, least, np.inf))
+        beyond = sum(size for size, _ in reasons)
+        if best is None or beyond < best.beyond:
+            why = tuple(text for size, text in reasons if size > 0)
+            best = UnitReading(units, ratio, wheelbase, understeer, lateral, beyond, why)
+    assert best is not None
+    return best
+
+
+def _steering(read: float, wheel: bool, known: Known, kind: VehicleKind) -> tuple[float, float]:
+    """Steering ratio and wheelbase [m], where the columns read a wheelbase of ``read`` at ratio 1."""
+    if not wheel:
+        return 1.0, read
+    if known.ratio is not None:
+        return known.ratio, read / known.ratio
+    if known.wheelbase_m is not None:
+        return float(f"{read / known.wheelbase_m:.3g}"), known.wheelbase_m
+    middle = float(np.sqrt(np.prod(kind.wheelbase_m)))
+    least, most = kind.ratio or (1.0, 1.0)
+    ratio = float(np.clip(read / middle, least, most))
+    return ratio, read / ratio
+
+
+def _wheelbases(known: Known, kind: VehicleKind, within: float) -> tuple[float, float]:
+    if known.wheelbase_m is None:
+        return kind.wheelbase_m
+    return known.wheelbase_m / within, known.wheelbase_m * within
+
+
+def _ratios(wheel: bool, known: Known, kind: VehicleKind) -> tuple[float, float]:
+    return kind.ratio if wheel and known.ratio is None and kind.ratio is not None else (0.0, np.inf)
+
+
+def _beyond(what: str, value: float, least: float, most: float) -> tuple[float, str]:
+    """How far a value is outside of a range, as a logarithm, with the words for it."""
+    if value > most:
+        return float(np.log(value / most)), f"{what}, at most {most:.3g}"
+    if value < least:
+        return float(np.log(least / max(value, 1e-300))), f"{what}, at least {least:.3g}"
+    return 0.0, ""
+
+
+def _beyond_by(what: str, value: float, least: float, most: float) -> tuple[float, str]:
+    """The same of a value that may be negative: over the range's width."""
+    outside = max(least - value, value - most, 0.0) / (most - least)
+    return outside, f"{what}, from {least:g} to {most:g}" if outside else ""
