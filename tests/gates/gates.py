@@ -19,7 +19,7 @@ each found.
                  lib/REQUIREMENTS.md is named by a test, and every one that a test names stands there
     references   every text, equation, requirement, file and symbol that the repository names is in it
                  (references.py)
-    prose        documents and public docstrings keep the rules of sentences (prose.py)
+    prose        documents, public docstrings and C headers keep the rules of sentences (prose.py)
     options      every option is in the configure summary, and every preset's setting arrives there
     double       the unit tests pass with double as number type (a third of them; all with LPVGUARD_FULL=1)
     big_endian   acceptance of coefficients, and CAN, pass their unit tests on a big-endian processor
@@ -1020,6 +1020,12 @@ PLANTS: dict[str, list[Plant]] = {
             '"""The compiled monitor',
             '"""Nor but for the compiled monitor',
             r"monitor\.py:1: inversion(.|\n)*monitor\.py:1: riddle: 'but for'",
+        ),
+        Plant(
+            "lib/include/lpvguard/watch.h",
+            "/// The sums, and F at rest, begin",
+            "/// Nor do the sums, and F at rest, begin",
+            r"watch\.h:\d+: inversion",
         ),
     ],
     "options": [

@@ -5,8 +5,10 @@
     riddle      a phrase that sends the reader back: "but for", "other ones", "the one before"
     claims      a sentence with two semicolons: make each claim a sentence of its own
 
-The gate reads the documents of ``DOCUMENTS`` and the public docstrings of ``DOCSTRINGS``. Blocks of code,
-inline code, formulas and addresses do not count. A table cell, a list item and a heading end a sentence.
+The gate reads the documents of ``DOCUMENTS``, the public docstrings of ``DOCSTRINGS`` and the comments of
+``HEADERS``. Blocks of code, inline code, formulas, addresses, units and matrices in brackets do not count. A
+table cell, a line "name   text", a list item and a heading end a sentence. In a header, each status of a list
+"Returns ...; ..." ends a sentence too.
 """
 
 from __future__ import annotations
@@ -28,6 +30,7 @@ DOCUMENTS = (
     "lib/MISRA.md",
     "lib/MISRA_CPP.md",
     "lib/README.md",
+    "lib/REQUIREMENTS.md",
     "lib/THEORY.md",
     "lib/theory/*.md",
     "tests/README.md",
@@ -41,12 +44,22 @@ DOCSTRINGS = (
     "tests/gates/references.py",
     "tools/release.py",
     "tools/site/*.py",
-    "tools/src/lpvguard/api/*.py",
-    "tools/src/lpvguard/extras/measure/*.py",
-    "tools/src/lpvguard/robust/*.py",
-    "tools/src/lpvguard/schemas/*.py",
+    "tools/src/lpvguard/**/*.py",
 )
 """Patterns of the Python modules whose public docstrings the gate reads."""
+UNDONE = tuple(
+    f"tools/src/lpvguard/{name}.py"
+    for name in (
+        "extras/bench/sharpness",
+        "identify/error_band",
+        "identify/error_sums",
+        "identify/healthy",
+        "identify/model_error",
+    )
+)
+"""Modules of these patterns that the gate does not read yet."""
+HEADERS = ("lib/include/lpvguard/*.h",)
+"""Patterns of the C headers whose documentation comments the gate reads."""
 INVERSION = re.compile(
     r"(?:Of|Nor|Neither of|So (?:does|do|did|is|are|was|has|have)|Beside (?:it|them|this|these)"
     r"|(?:Not|Never|Nowhere) (?:\w+ed|\w+n) (?:is|are|were|was)|Only then)\b"
@@ -56,7 +69,7 @@ RIDDLES = re.compile(
     r"|stands? (?:beside|in for)|what is not|that of which|nothing else than|by itself alone)\b",
     re.IGNORECASE,
 )
-NEXT = r"[A-Z0-9|`∎]|[^\x00-\x7f]|\w{1,2}_|[b-z]\d?²?[ ,]|se²|sd |code\b|lpvguard\b"
+NEXT = r"[A-Z0-9|`∎]|[^\x00-\x7f]|\w{1,2}_|[b-z]\d?²?[ ,]|se²|sd |code\b|lpvg\w+"
 ENDING = re.compile(rf"[.!?](?:[\"')\]]*)\s+(?=[\"'(\[]*(?:{NEXT}))")
 """End of a sentence, and what the next may begin with: a capital, a number, a symbol or a name of code."""
 ABBREVIATION = re.compile(r"\b(?:e\.g|i\.e|cf|vs|Fig|Figs|Eq|No|approx|min|max|St|Jr|Proc|IEEE|J)\.$")
@@ -72,7 +85,7 @@ def units(text: str) -> Iterator[tuple[int, str]]:
     text = re.sub(r"<!--.*?-->", lambda m: "\n" * m[0].count("\n"), text, flags=re.DOTALL)
     start, words = 0, ""
     for number, line in enumerate([*text.splitlines(), ""], 1):
-        begins = re.match(r"\s*(?:[-*+] |\d+\. |#+ |\||>)", line)
+        begins = re.match(r"\s*(?:[-*+] |\d+\. |#+ |\||>)|\S+(?:, \S+)* {2,}\S", line)
         if not line.strip() or begins or line.startswith("    "):
             if words:
                 yield start, words
@@ -91,6 +104,7 @@ def sentences(words: str) -> list[str]:
     words = re.sub(r"!?\[((?:[^\[\]]|\[[^\]]*\])*)\]\([^)]*\)", r"\1", words)
     words = re.sub(r"\{\w+\}(?=`)", "", words)
     words = re.sub(r"``[^`]+``|`[^`]+`", "code", words)
+    words = re.sub(r"\[[^\[\]]*\]", "", words)
     words = re.sub(r"https?://\S+", "address", re.sub(r"[*]{1,2}(?=\S)|(?<=\S)[*]{1,2}", "", words))
     words = re.sub(r"^(?:[-*+]|\d+\.|#+|>)\s+", "", words)
     out, rest = [], words
@@ -121,7 +135,7 @@ def entries_apart(said: str) -> str:
     """A numpydoc docstring with each entry of its sections, and its description, as a paragraph."""
     first, *rest = SECTION.split(said)
     for title, body in zip(rest[::2], rest[1::2], strict=True):
-        lines = [f"{line.strip()}\n" if line[:1].strip() else line.strip() for line in body.splitlines()]
+        lines = [f"\n{line.strip()}\n" if line[:1].strip() else line.strip() for line in body.splitlines()]
         first += f"\n{title}\n\n" + "\n".join(lines).replace("\n\n", "\n \n")
     return first
 
@@ -144,16 +158,34 @@ def docstrings(text: str) -> Iterator[tuple[int, str]]:
     yield from visit(ast.parse(text))
 
 
+def comments(text: str) -> Iterator[tuple[int, str]]:
+    """First line and text of each block of ``///`` lines and of each part of a ``///<`` comment."""
+    for block in re.finditer(r"(?:^[ ]*///(?!<).*\n)+", text, re.MULTILINE):
+        said = re.sub(r"^[ ]*/// ?", "", block[0], flags=re.MULTILINE)
+        said = re.sub(r"^(Returns .*?)(?=\n\n|\Z)", statuses_apart, said, flags=re.MULTILINE | re.DOTALL)
+        yield text.count("\n", 0, block.start()) + 1, said
+    for comment in re.finditer(r"///<[ ]*(.*?)\s*(?:\[[^\[\]]*\])?$", text, re.MULTILINE):
+        for part in comment[1].split("; "):
+            yield text.count("\n", 0, comment.start()) + 1, part
+
+
+def statuses_apart(returns: re.Match[str]) -> str:
+    """A list of statuses "Returns ok; bad_argument ..." with each status as a list item."""
+    return re.sub(r";\s", "\n- ", returns[1])
+
+
 def prose(tree: Path, scratch: Path) -> list[str]:
     """The gate: every breach with file and line. A pattern that names no file is a finding too."""
     findings, read = [], 0
-    for pattern in (*DOCUMENTS, *DOCSTRINGS):
+    for pattern in (*DOCUMENTS, *DOCSTRINGS, *HEADERS):
         paths = sorted(tree.glob(pattern))
         findings += [] if paths else [f"{pattern}: names no file"]
         for path in paths:
             text, name = path.read_text(encoding="utf-8"), path.relative_to(tree).as_posix()
-            texts = [(1, text)] if path.suffix == ".md" else list(docstrings(text))
-            for first, said in texts:
+            if name in UNDONE:
+                continue
+            read_texts = {".py": docstrings, ".h": comments}.get(path.suffix, lambda text: [(1, text)])
+            for first, said in read_texts(text):
                 for line, words in units(said):
                     read += 1
                     findings += [f"{name}:{first + line - 1}: {breach}" for breach in breaches(words)]

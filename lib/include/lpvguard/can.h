@@ -1,7 +1,7 @@
 /// @file can.h -- CAN frames, end-to-end protection, supervision of received messages, and J1939 trouble codes.
 ///
 /// `lpvguard export` generates the layout of each message from the CAN catalogue. lpvg_can_codec.h holds the functions to pack,
-/// unpack, encode and decode, and the table lpvg_can_rules for lpvg_can_init. This file is independent of the messages.
+/// unpack, encode and decode. It also holds the table lpvg_can_rules for lpvg_can_init. This file is independent of the messages.
 ///
 /// Use:     lpvg_can_init once -> lpvg_can_receive for every frame of the bus, in order of arrival
 ///          -> lpvg_can_advance once per control step -> read lpvg_can_state before using a message's newest value.
@@ -178,8 +178,8 @@ typedef struct lpvg_can_supervisor_t {
 } lpvg_can_supervisor_t;
 
 /// Initialises *self with every message off. It keeps a reference to `rules` [n_rules].
-/// Returns bad_argument when a pointer is NULL, n_rules is 0 or above LPVG_CAN_RULES_MAX, now_us < 0, or a number of a rule is
-/// outside its stated range. *self changes only with ok.
+/// Returns ok; bad_argument for NULL, n_rules outside 1 .. LPVG_CAN_RULES_MAX, now_us < 0, or a number of a rule out of range.
+/// *self changes only with ok.
 LPVG_NODISCARD lpvg_status_t lpvg_can_init(lpvg_can_supervisor_t* self, const lpvg_can_rule_t* rules, size_t n_rules, int64_t now_us);
 
 /// Judges one frame at its time frame->t_us. It first advances the time, as lpvg_can_advance does.
@@ -223,8 +223,8 @@ typedef struct lpvg_can_plausibility_t {
 } lpvg_can_plausibility_t;
 
 /// Takes one sample of the cross-checks. Yaw rate [rad/s] and lateral acceleration [m/s2] are positive to the left.
-/// wheel_difference is right wheel minus left wheel of one unbraked axle [m/s]; speed is in [m/s]. A check keeps its score when one
-/// of its inputs is not finite, or when the speed is below speed_min_mps.
+/// wheel_difference is right wheel minus left wheel of one unbraked axle [m/s]. `speed` is in [m/s]. A check keeps its score when
+/// one of its inputs is not finite, or when the speed is below speed_min_mps.
 /// Returns ok; bad_argument for NULL or a limit that is infinite or not > 0.
 LPVG_NODISCARD lpvg_status_t lpvg_can_plausibility(lpvg_can_plausibility_t* self, const lpvg_can_plausibility_limits_t* limits,
                                                    float yaw_rate, float lateral, float speed, float wheel_difference);

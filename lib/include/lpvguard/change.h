@@ -6,9 +6,9 @@
 ///
 /// It uses means over blocks of LPVG_NBLOCK samples, with forgetting. A prior keeps the estimate near 0 without excitation.
 ///
-/// The *ratio* is the largest |theta_i| / size_i. size_i is the largest |theta_i| on the drives that set the bounds, so a healthy
-/// vehicle has a ratio near 1. The ratio compares with earlier estimates, not with W_delta and B_w. It therefore refutes no bound.
-/// A ratio above the calibrated threshold says that the vehicle has changed, and the estimate says how (THEORY 7.7).
+/// The *ratio* is the largest |theta_i| / size_i. Here size_i is the largest |theta_i| on the drives that set the bounds. A healthy
+/// vehicle therefore has a ratio near 1. The ratio compares with earlier estimates, not with W_delta and B_w. It therefore refutes no
+/// bound. A ratio above the calibrated threshold says that the vehicle has changed, and the estimate says how (THEORY 7.7).
 ///
 /// Cost: constant. One call judges one output, so a block is spread over pushes. RAM: sizeof(lpvg_change_t).
 /// Threads: one instance per thread; no function blocks. Fields are private, except those that monitor.h documents.

@@ -23,8 +23,8 @@
 /// tools/src/lpvguard/control/input_limit.py computes u_max.
 ///
 /// Anti-windup: while a limit acts, or the controller is not engaged, u - v is not zero, and L feeds it into the states. L is
-/// designed for model recovery (tools/src/lpvguard/control/schedule.py): the states continue as in the loop without limits, and the
-/// difference of the nominal vehicle to that loop decays. A - L C is stable.
+/// designed for model recovery (tools/src/lpvguard/control/schedule.py). The states continue as in the loop without limits, and the
+/// nominal vehicle returns to that loop. A - L C is stable.
 /// Engaging: the state changes once by `engage` times (u - v, -(v_next - v)). v_next is the next demand at the present m. Neither
 /// this demand nor the next one then jumps. Among all such changes it is the most likely one when m is white noise.
 ///

@@ -12,8 +12,8 @@
 /// a settled block, whether or not yhat was settled there. A frozen output does not move while yhat does. Noise is visible within
 /// blocks.
 ///
-/// The named cause meets three conditions: it explains theta and the residue, its interval excludes "no change", and it explains
-/// better than every other cause by `margin`. Otherwise the result is "other": two causes at once, a dead zone, a saturated tyre, or
+/// The named cause meets three conditions. It explains theta and the residue. Its interval excludes "no change". It explains better
+/// than every other cause by `margin`. Otherwise the result is "other": two causes at once, a dead zone, a saturated tyre, or
 /// a false alarm. The interval covers 95 % of the possible gains, delays or biases, with the spread of healthy vehicles (THEORY 7.9).
 ///
 /// If half of the record already names a cause, that result is preliminary. The result of the whole record replaces it.

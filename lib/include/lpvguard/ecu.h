@@ -1,63 +1,69 @@
 /// @file ecu.h -- the guarded controller as one object: frames in, frames out, once per sample period.
 ///
-/// A step judges and decodes what was received, cross-checks it and runs the controller. It feeds the monitor with the outputs
-/// and the demand applied from this step on. It answers with two messages. The vehicle's report comes every step, end-to-end
-/// protected: demand, statistic, verdict, supervision state. The trouble-code message DM1 comes in the first step, then every second.
+/// A step decodes and checks the received frames, runs the controller and feeds the monitor. The monitor gets the outputs and the demand
+/// that is applied from this step on. The step returns up to two messages. The report to the vehicle is sent in every step, with
+/// end-to-end protection. It holds the demand, the statistic, the verdict and the supervision state. The trouble-code message DM1 is sent
+/// in the first step and then every second.
 ///
-/// Supervision is the worst state (can.h) among the messages that the loop needs:
+/// Supervision. Its state is the worst state (can.h) of the messages that the loop needs:
 ///
-///     live -- engaged when asked to be and no cause forbids it; the monitor is fed
-///     hold -- a needed message is late: not engaged, the demand runs to zero within the rate limit; the monitor has a gap
-///     off  -- a needed message is unusable, or a number was refused: the same, and a trouble code
+///     live -- The loop engages when it is asked to and no cause forbids it. The monitor gets samples.
+///     hold -- A needed message is late. The loop is released: the demand runs to zero within the rate limit. The monitor has a gap.
+///     off  -- A needed message is unusable, or a number was refused. As hold, with a trouble code.
 ///
-/// Not engaged is the safe state: the demand reaches zero after at most the largest u_max / rate_max. The controller's state
-/// follows the demand, so engaging again does not jump (controller.h). A message that went off must first deliver LPVG_CAN_RECOVER_FRAMES
-/// good frames. A lost message shows as hold in the report of the first step later than LPVG_CAN_HOLD_MISSED + 1/2 of its periods after its
-/// newest good frame.
+/// Released is the safe state. The demand reaches zero after at most the largest u_max / rate_max. The controller's state follows the
+/// demand, so a new engagement does not jump (controller.h). A message in state off returns to live after LPVG_CAN_RECOVER_FRAMES good
+/// frames. The report shows the loss of a message as hold once its newest good frame is older than LPVG_CAN_HOLD_MISSED + 1/2 of its
+/// periods.
 ///
-/// Engagement: the causes LPVG_ECU_CAUSE_* release while they last, but for those that `report_only` of the configuration names.
-/// After a release by any cause the loop engages again LPVG_ECU_WAIT_US after its causes have gone. A cause of LPVG_ECU_CAUSES_LATCHING
-/// that ends an engagement locks it. After LPVG_ECU_RELEASES_MAX releases by faults, each within LPVG_ECU_RELEASES_US of the one before,
-/// the next one locks. After LPVG_ECU_ENGAGEMENTS_MAX engagements within an hour, whatever ended them, the next one locks instead. An
-/// acknowledgement forgets none of these counts. The speed leaves the controller's
-/// range LPVG_ECU_SPEED_HYSTERESIS_MPS beyond its ends, so that noise at an end does not release, and is back within them.
-/// What "no excitation" means for the monitor, verdict not_judged, permits engagement, and so does degraded. Outside the range a valid
-/// verdict is reported as not_judged: it is about other speeds.
+/// Engagement. The causes LPVG_ECU_CAUSE_* release the loop while they last. The causes in `report_only` of the configuration are
+/// reported and release nothing. The loop engages again LPVG_ECU_WAIT_US after the last cause has gone. These rules lock the loop:
 ///
-/// Evidence: a start, a gap, a release and a lock void the monitor's evidence: the verdict is valid only from frames that began since. The
-/// watch (watch.h) judges the response from the first engaged sample on, behind a gap from LPVG_ECU_SETTLE_US on. What it finds makes the
-/// verdict invalid. An engagement begins with LPVG_ECU_PROBE_SHARE of u_max. Evidence of the watch raises that to 1 within
-/// LPVG_ECU_PROBE_US. A demand that rests at the limit for that long without evidence gets a step of another such share, which the watch
-/// can judge.
+///     A cause of LPVG_ECU_CAUSES_LATCHING locks when it ends an engagement.
+///     After LPVG_ECU_RELEASES_MAX releases by faults, each within LPVG_ECU_RELEASES_US of the previous one, the next one locks.
+///     After LPVG_ECU_ENGAGEMENTS_MAX engagements within an hour, the next engagement locks instead.
 ///
-/// Invalid: unless it is only reported, an invalid verdict stays and locks until it is acknowledged; time does not end it. An
-/// acknowledgement is refused while a latching cause stands, and while the hour's engagements are used up. An invalid verdict is
-/// acknowledged only after LPVG_ECU_CALM_US without engagement in which every message was live and no test falsified. That speaks against
-/// sensors and disturbances alone: the response is judged on trial, while engaged. When that ends invalid, before a verdict was valid and
-/// before the watch had evidence for LPVG_ECU_CALM_US, no further acknowledgement is taken until init.
+/// An acknowledgement resets none of these counts. The speed counts as outside the scheduling range once it is more than
+/// LPVG_ECU_SPEED_HYSTERESIS_MPS beyond an end. It counts as inside again once it is within the ends. Noise at an end therefore
+/// does not release. The verdicts not_judged and degraded permit engagement. Outside the range, a valid or degraded verdict is reported
+/// as not_judged, because it holds for other speeds.
 ///
-/// Permission: the vehicle asks for control by its message (bus.h). Control counts after any other request has been seen since init.
-/// While another command on the actuator has a higher priority than `priority`, while the brake pedal is beyond
-/// LPVG_ECU_PEDAL_PERCENT, and while ABS acts, nothing is engaged. The request to acknowledge acts as lpvg_ecu_acknowledge where it
-/// begins. The actuator is checked against the demand through a lag: LPVG_ECU_CAUSE_ACTUATOR.
+/// Evidence. A start, a gap, a release and a lock void the monitor's evidence. Only frames that began afterwards can make the verdict
+/// valid. The watch (watch.h) judges the response from the first engaged sample on. After a gap it judges from LPVG_ECU_SETTLE_US on.
+/// A violation makes the verdict invalid. An engagement begins with the share LPVG_ECU_PROBE_SHARE of u_max. Evidence of the watch for
+/// LPVG_ECU_PROBE_US raises the share to 1. If the demand rests at its limit for LPVG_ECU_PROBE_US without evidence, the share rises by
+/// one step of LPVG_ECU_PROBE_SHARE. The watch can judge such a step.
 ///
-/// Time: a step is taken half to one and a half sample periods after the newest one. Sooner it is refused. Up to LPVG_ECU_JUMP_US later
-/// it is taken as a gap. Anything else is a jump of the clock: refused, until LPVG_ECU_RESYNC_CALLS refused calls have followed
-/// each other by half to one and a half periods. The last of them is taken as a gap of LPVG_ECU_JUMP_US. A gap releases. The demand is
-/// engaged while the mean period over the newest second, half a second after a gap, is the exported one to LPVG_ECU_PERIOD_PERCENT.
-/// Monitor and supervision live on the ECU's own time `core_us`. It is the caller's clock up to the first jump, and never jumps.
+/// Invalid verdict. It lasts and locks the loop until it is acknowledged, unless `report_only` names it. An acknowledgement is refused
+/// while a latching cause is present, and while the engagements of the hour are used up. An invalid verdict can only be acknowledged
+/// after LPVG_ECU_CALM_US without engagement. During that time every message must have been live, and no test may have falsified the
+/// model. This excludes faulty sensors and disturbances, but says nothing about the response. The response is judged on trial, while
+/// engaged. The trial ends well with a valid verdict, or with evidence of the watch for LPVG_ECU_CALM_US. If the verdict becomes
+/// invalid during the trial, no further acknowledgement is taken until init.
 ///
-/// Integrity: what the reactions need is kept twice, once with every bit inverted, and compared in every step. The coefficients' CRCs run
-/// through in turn, a few words a step, at most LPVG_ECU_ROUND_US a round: damage is found within two. The demand that leaves a step is
-/// within the kept limits, whatever the controller made of it. Anything found sets LPVG_ECU_CAUSE_CORRUPT until the next init: verdict
-/// fault, neither controller nor monitor runs, and the demand goes to zero by the kept rate, at once where no copy of the kept values has
-/// their sum. The monitor checks its own state in turn.
+/// Permission. The vehicle asks for control with its request message (bus.h). A request for control counts once another request has been
+/// received since init. Nothing is engaged while another command on the actuator has a higher priority than `priority`. Nothing is
+/// engaged while the brake pedal is beyond LPVG_ECU_PEDAL_PERCENT, or while ABS acts. A request to acknowledge acts once, when it begins,
+/// as lpvg_ecu_acknowledge does. The measured output of the actuator is compared with the lagged demand: LPVG_ECU_CAUSE_ACTUATOR.
+///
+/// Time. A step is due one sample period after the previous one, and is taken from half a period on. An earlier call is refused. A call
+/// more than one and a half periods and at most LPVG_ECU_JUMP_US after the previous step is taken as a gap. Any other time is a jump of
+/// the clock, and the call is refused. After LPVG_ECU_RESYNC_CALLS such calls at distances of half to one and a half periods, the last
+/// one is taken as a gap of LPVG_ECU_JUMP_US. A gap releases. The loop engages only while the mean sample period is within
+/// LPVG_ECU_PERIOD_PERCENT of the exported one. The mean is taken over one second, or over half a second after a gap. Monitor and
+/// supervision use the ECU's own time `core_us`. It equals the caller's clock up to the first jump, and never jumps.
+///
+/// Integrity. The values that the reactions need are kept twice, once with every bit inverted. Each step compares the two copies. Each
+/// step also adds a few coefficients to a running CRC. One round over all coefficients takes at most LPVG_ECU_ROUND_US, so damage is
+/// found within two rounds. Each step limits the demand to the kept limits, whatever the controller has computed. Any damage sets
+/// LPVG_ECU_CAUSE_CORRUPT until the next init. The verdict is then fault, controller and monitor do not run, and the demand runs to zero
+/// at the kept rate. If neither copy of the kept values matches its sum, the demand is zero at once. The monitor checks its own state.
 ///
 /// Use:     init once -> step every sample period with all frames received since the last step, in order of arrival ->
-///          send what it returns. Ask for engagement with the configuration or lpvg_ecu_engage.
-/// Cost:    constant apart from lpvg_can_receive for LPVG_ECU_FRAMES_IN frames at most; one controller step, one monitor push.
+///          send the returned frames. Ask for engagement in the configuration or with lpvg_ecu_engage.
+/// Cost:    constant, apart from lpvg_can_receive for at most LPVG_ECU_FRAMES_IN frames: one controller step, one monitor push.
 /// RAM:     sizeof(lpvg_ecu_t). No heap, no locks, no I/O, no clock of its own.
-/// Threads: one instance per thread; interrupts may fill the queue of frames, not call in. Fields are for reading only.
+/// Threads: one instance per thread. Interrupts may fill the queue of frames but must not call these functions. Fields are read-only.
 #ifndef LPVGUARD_ECU_H
 #define LPVGUARD_ECU_H
 
@@ -73,10 +79,10 @@
 LPVG_EXTERN_C_BEGIN
 
 #define LPVG_ECU_FRAMES_OUT 2U  ///< Most frames that one step returns.
-#define LPVG_ECU_FRAMES_IN 20U  ///< Most frames that one step takes: what 250 kbit/s carry in 10 ms. Older ones are counted.
-#define LPVG_ECU_JUMP_US 1000000U  ///< Longest gap that is taken at once                          [us]
-#define LPVG_ECU_RESYNC_CALLS 3U  ///< Refused calls in step with each other that end a jump.
-#define LPVG_ECU_WINDOW_US 1000000U  ///< The mean sample period is measured over this time          [us]
+#define LPVG_ECU_FRAMES_IN 20U  ///< Most frames that one step takes: 10 ms of 250 kbit/s. Older frames are dropped and counted.
+#define LPVG_ECU_JUMP_US 1000000U  ///< Longest gap that a step takes at once                       [us]
+#define LPVG_ECU_RESYNC_CALLS 3U  ///< Consecutive refused calls, a period apart, that end a jump.
+#define LPVG_ECU_WINDOW_US 1000000U  ///< Time over which the mean sample period is measured         [us]
 #define LPVG_ECU_PERIOD_PERCENT 2U  ///< Allowed deviation of the mean sample period                [%]
 
 #define lpvg_ecu_config_t LPVG_SYM(ecu_config_t)
@@ -90,88 +96,96 @@ LPVG_EXTERN_C_BEGIN
 #define lpvg_ecu_findings LPVG_SYM(ecu_findings)
 #define lpvg_ecu_explain LPVG_SYM(ecu_explain)
 
-#define LPVG_ECU_SPEED_HYSTERESIS_MPS 0.25F  ///< Beyond an end of the range by more, the speed has left it [m/s]
-#define LPVG_ECU_WAIT_US 500000U  ///< From the end of a cause to engagement                    [us]
-#define LPVG_ECU_RELEASES_MAX 3U  ///< Releases by faults after which the next one locks.
-#define LPVG_ECU_RELEASES_US 60000000U  ///< Time without one that forgets them                       [us]
-#define LPVG_ECU_ENGAGEMENTS_MAX 60U  ///< Engagements within an hour, whatever ended them; the next one locks.
-#define LPVG_ECU_SLOTS 16U  ///< They are counted in so many slots of LPVG_ECU_SLOT_US.
-#define LPVG_ECU_SLOT_US 240000000U  ///< One slot less than all of them is an hour                 [us]
-#define LPVG_ECU_CALM_US 10000000U  ///< Without doubt before an invalid verdict may be acknowledged; evidence that ends a trial [us]
-#define LPVG_ECU_SETTLE_US 1000000U  ///< From the newest gap to what the watch judges           [us]
+#define LPVG_ECU_SPEED_HYSTERESIS_MPS 0.25F  ///< Distance beyond an end at which the speed has left the range [m/s]
+#define LPVG_ECU_WAIT_US 500000U  ///< Wait from the end of the last cause to engagement        [us]
+#define LPVG_ECU_RELEASES_MAX 3U  ///< Number of releases by faults after which the next one locks.
+#define LPVG_ECU_RELEASES_US 60000000U  ///< Time without a release by a fault that resets their number [us]
+#define LPVG_ECU_ENGAGEMENTS_MAX 60U  ///< Most engagements within an hour; the next one locks.
+#define LPVG_ECU_SLOTS 16U  ///< Number of time slots in which engagements are counted.
+#define LPVG_ECU_SLOT_US 240000000U  ///< Length of a slot; all slots but one make an hour           [us]
+#define LPVG_ECU_CALM_US 10000000U  ///< Calm time before an acknowledgement of an invalid verdict; also the evidence that ends a trial [us]
+#define LPVG_ECU_SETTLE_US 1000000U  ///< Time after the newest gap at which the watch begins to judge [us]
 #define LPVG_ECU_PROBE_SHARE 0.25F  ///< Share of u_max at which an engagement begins                 [-]
-#define LPVG_ECU_PROBE_US 500000U  ///< Evidence for so long raises it to 1; so does each so long at the limit by another such share [us]
+#define LPVG_ECU_PROBE_US 500000U  ///< Time of evidence that raises the share to 1; time at the limit that raises it by one step [us]
 
-#define LPVG_ECU_CAUSE_NOT_ASKED 0x0001U  ///< Nobody asks for engagement.
+#define LPVG_ECU_CAUSE_NOT_ASKED 0x0001U  ///< Engagement is not asked for.
 #define LPVG_ECU_CAUSE_MESSAGE 0x0002U  ///< A needed message is not live.
-#define LPVG_ECU_CAUSE_REFUSED 0x0004U  ///< The controller or the monitor refused its sample of the newest step.
-#define LPVG_ECU_CAUSE_TIME 0x0008U  ///< The sample period is not measured yet, or is another one.
+#define LPVG_ECU_CAUSE_REFUSED 0x0004U  ///< The controller or the monitor refused the sample of the previous step.
+#define LPVG_ECU_CAUSE_TIME 0x0008U  ///< The mean sample period is unknown or deviates from the exported one.
 #define LPVG_ECU_CAUSE_RANGE 0x0010U  ///< The speed is outside the controller's scheduling range.
 #define LPVG_ECU_CAUSE_UNJUDGED 0x0020U  ///< The newest verdict is unknown, stale or fault.
 #define LPVG_ECU_CAUSE_INVALID 0x0040U  ///< The newest verdict is invalid.
 #define LPVG_ECU_CAUSE_IMPLAUSIBLE 0x0080U  ///< Sensors contradict each other.
 #define LPVG_ECU_CAUSE_OVERRIDE 0x0400U  ///< The driver brakes, or ABS acts.
-#define LPVG_ECU_CAUSE_PERMISSION 0x0800U  ///< The vehicle does not ask for control, or another command goes first.
-#define LPVG_ECU_CAUSE_ACTUATOR 0x1000U  ///< The actuator does not do what is demanded.
-#define LPVG_ECU_CAUSE_OFTEN 0x4000U  ///< Engaged LPVG_ECU_ENGAGEMENTS_MAX times within the last hour.
-#define LPVG_ECU_CAUSE_CORRUPT 0x2000U  ///< Coefficients, kept values or state are damaged; until init.
-#define LPVG_ECU_CAUSE_WAIT 0x0100U  ///< The other causes have gone less than LPVG_ECU_WAIT_US ago.
-#define LPVG_ECU_CAUSE_LOCKED 0x0200U  ///< Waiting for lpvg_ecu_acknowledge.
+#define LPVG_ECU_CAUSE_PERMISSION 0x0800U  ///< The vehicle does not ask for control, or another command has priority.
+#define LPVG_ECU_CAUSE_ACTUATOR 0x1000U  ///< The actuator does not follow the demand.
+#define LPVG_ECU_CAUSE_OFTEN 0x4000U  ///< The loop was engaged LPVG_ECU_ENGAGEMENTS_MAX times within the last hour.
+#define LPVG_ECU_CAUSE_CORRUPT 0x2000U  ///< Coefficients, kept values or state are damaged. Lasts until init.
+#define LPVG_ECU_CAUSE_WAIT 0x0100U  ///< The last cause has gone less than LPVG_ECU_WAIT_US ago.
+#define LPVG_ECU_CAUSE_LOCKED 0x0200U  ///< The loop waits for an acknowledgement.
 
-/// What `report_only` may name.
+/// Causes that `report_only` may name.
 #define LPVG_ECU_CAUSES_OPTIONAL (LPVG_ECU_CAUSE_UNJUDGED | LPVG_ECU_CAUSE_INVALID | LPVG_ECU_CAUSE_IMPLAUSIBLE | LPVG_ECU_CAUSE_ACTUATOR)
-/// What locks when it ends an engagement.
+/// Causes that lock when they end an engagement.
 #define LPVG_ECU_CAUSES_LATCHING (LPVG_ECU_CAUSE_INVALID | LPVG_ECU_CAUSE_IMPLAUSIBLE | LPVG_ECU_CAUSE_ACTUATOR)
-/// Releases that are no fault: LPVG_ECU_RELEASES_MAX does not count them, LPVG_ECU_ENGAGEMENTS_MAX does.
+/// Causes that are no faults. LPVG_ECU_RELEASES_MAX does not count their releases. LPVG_ECU_ENGAGEMENTS_MAX counts every engagement.
 #define LPVG_ECU_CAUSES_ORDINARY (LPVG_ECU_CAUSE_NOT_ASKED | LPVG_ECU_CAUSE_RANGE | LPVG_ECU_CAUSE_OVERRIDE | LPVG_ECU_CAUSE_PERMISSION)
 
-#define LPVG_ECU_ROUND_US 5000000U  ///< Longest round of the coefficients; damage is found within two       [us]
-#define LPVG_ECU_ACTUATOR_US 500000U  ///< Time constant of the check of the actuator                [us]
-#define LPVG_ECU_PEDAL_PERCENT 2.0F  ///< The driver brakes beyond this pedal position                    [%]
+#define LPVG_ECU_ROUND_US 5000000U  ///< Longest round over all coefficients; damage is found within two     [us]
+#define LPVG_ECU_ACTUATOR_US 500000U  ///< Time constant of the actuator check                       [us]
+#define LPVG_ECU_PEDAL_PERCENT 2.0F  ///< Pedal position beyond which the driver brakes                   [%]
 
-/// What the newest step says of itself on the bus.
+/// Engagement state of the newest step, as reported on the bus.
 typedef enum lpvg_ecu_engagement_t {
     lpvg_ecu_released = 0,
     lpvg_ecu_engaged = 1,
-    lpvg_ecu_locked = 2  ///< Released, until it is acknowledged.
+    lpvg_ecu_locked = 2  ///< Released until an acknowledgement.
 } lpvg_ecu_engagement_t;
 
-/// Limits of the check of the actuator against the lagged demand of rms x. Means forget with LPVG_ECU_ACTUATOR_US. The deviation violates
-/// where its part along the demand is above relative x + tolerance, or its rms above x + tolerance. All are finite, and > 0 where
-/// nothing else is said. An actuator stuck at 0 must violate them at the largest demand: tolerance < (1 - relative) u_max.
+/// Limits of the actuator check. The check compares the measured output with the lagged demand of rms x. Its means forget with
+/// LPVG_ECU_ACTUATOR_US. The deviation violates the limits in two cases: its part along the demand exceeds relative x + tolerance, or
+/// its rms exceeds x + tolerance. All limits are finite and > 0; `relative` may be 0. An actuator stuck at 0 must violate them at the
+/// largest demand: tolerance < (1 - relative) u_max.
 typedef struct lpvg_ecu_actuator_limits_t {
-    float lag_s;  ///< from demand to measured value, as a first-order lag                [s]
+    float lag_s;  ///< first-order lag from the demand to the measured output             [s]
     float tolerance;  ///< absolute part of the allowed deviation                               [input unit]
-    uint16_t confirm;  ///< samples by which violations must outnumber agreements
-    float relative;  ///< part in proportion to the rms x of the lagged demand, 0 .. below 1    [-]
+    uint16_t confirm;  ///< number of samples by which violations must outnumber agreements
+    float relative;  ///< allowed deviation along the demand, as a share of x; 0 .. below 1       [-]
 } lpvg_ecu_actuator_limits_t;
 
-/// Zero is safe: not asked, and every cause releases.
+/// Configuration. `engage` and `report_only` are safe at zero: engagement is not asked for, and every cause releases.
 typedef struct lpvg_ecu_config_t {
+<<<<<<< HEAD
     bool engage;  ///< asked for engagement from the start
     uint16_t report_only;  ///< causes of LPVG_ECU_CAUSES_OPTIONAL that are reported and do not release
     uint8_t priority;  ///< other_priority (bus.h) up to which control is permitted, 0 .. 3
     bool authenticated;  ///< the caller hands over authenticated frames of the command message only (authentication.h): the report says so
+=======
+    bool engage;  ///< engagement is asked for from the start
+    uint16_t report_only;  ///< causes of LPVG_ECU_CAUSES_OPTIONAL that are reported but do not release
+    uint8_t priority;  ///< highest other_priority (bus.h) at which control is permitted, 0 .. 3
+    bool authenticated;  ///< the caller passes only authenticated frames of the command message (authentication.h); the report says so
+>>>>>>> words
     lpvg_can_plausibility_limits_t plausibility;  ///< limits of the cross-checks
-    lpvg_ecu_actuator_limits_t actuator;  ///< limits of the check of the actuator
+    lpvg_ecu_actuator_limits_t actuator;  ///< limits of the actuator check
 } lpvg_ecu_config_t;
 
-/// Findings that DM1 tells. Of those that are active it sends the gravest: corrupt, refused, time, message, invalid, actuator,
-/// implausible, locked, degraded.
+/// Findings that DM1 reports. It sends the most severe active one. The order of severity is corrupt, refused, time, message, invalid,
+/// actuator, implausible, locked, degraded.
 typedef enum lpvg_ecu_fault_t {
     lpvg_ecu_fault_none = 0,
-    lpvg_ecu_fault_refused = 1,  ///< Speed or a measurement was refused, or the controller's numbers broke down.
+    lpvg_ecu_fault_refused = 1,  ///< Speed or a measurement was refused, or the controller state was not finite.
     lpvg_ecu_fault_message = 2,  ///< A needed message is not live.
     lpvg_ecu_fault_invalid = 3,  ///< The model is falsified.
     lpvg_ecu_fault_implausible = 4,  ///< Sensors contradict each other.
-    lpvg_ecu_fault_time = 5,  ///< The mean sample period is not the exported one.
+    lpvg_ecu_fault_time = 5,  ///< The mean sample period deviates from the exported one.
     lpvg_ecu_fault_locked = 6,  ///< The loop waits for an acknowledgement.
-    lpvg_ecu_fault_actuator = 7,  ///< The actuator does not do what is demanded.
+    lpvg_ecu_fault_actuator = 7,  ///< The actuator does not follow the demand.
     lpvg_ecu_fault_corrupt = 8,  ///< Coefficients, kept values or state are damaged.
-    lpvg_ecu_fault_degraded = 9  ///< The change test spoke: the vehicle is another than the one identified. It releases nothing.
+    lpvg_ecu_fault_degraded = 9  ///< The change test found that the vehicle has changed since identification. Releases nothing.
 } lpvg_ecu_fault_t;
 
-#define LPVG_ECU_SPN_REFUSED 520200U  ///< Trouble codes without a standard number (J1939-73 leaves these to makers).
+#define LPVG_ECU_SPN_REFUSED 520200U  ///< Suspect parameter numbers of the trouble codes, from the range of J1939-73 for makers.
 #define LPVG_ECU_SPN_INVALID 520201U
 #define LPVG_ECU_SPN_IMPLAUSIBLE 520202U
 #define LPVG_ECU_SPN_TIME 520203U
@@ -180,132 +194,133 @@ typedef enum lpvg_ecu_fault_t {
 #define LPVG_ECU_SPN_CORRUPT 520206U
 #define LPVG_ECU_SPN_DEGRADED 520207U
 
-/// What is known of the sample period.
+/// State of the measurement of the mean sample period.
 typedef enum lpvg_ecu_pace_t {
-    lpvg_ecu_pace_unknown = 0,  ///< Not measured since init or the newest gap.
-    lpvg_ecu_pace_good = 1,  ///< The exported one.
-    lpvg_ecu_pace_bad = 2  ///< Another one.
+    lpvg_ecu_pace_unknown = 0,  ///< Not measured yet since init or the newest gap.
+    lpvg_ecu_pace_good = 1,  ///< Within LPVG_ECU_PERIOD_PERCENT of the exported period.
+    lpvg_ecu_pace_bad = 2  ///< Outside it.
 } lpvg_ecu_pace_t;
 
-/// The clock of the steps.
+/// Clock of the steps.
 typedef struct lpvg_ecu_clock_t {
-    int64_t jump_us;  ///< newest refused call                                         [us]
+    int64_t jump_us;  ///< time of the newest call outside the accepted times           [us]
     int64_t half_us;  ///< core_us when the current half window began                  [us]
-    uint32_t before_us;  ///< length of the half window before; 0: none                   [us]
-    uint32_t steps;  ///< in the current half window
-    uint32_t refused;  ///< calls refused for their time, saturating
-    uint32_t gaps;  ///< gaps and jumps taken, saturating
-    uint8_t in_step;  ///< refused calls that followed each other in step
+    uint32_t before_us;  ///< length of the previous half window; 0: none                 [us]
+    uint32_t steps;  ///< number of steps in the current half window
+    uint32_t refused;  ///< number of calls refused for their time, saturating
+    uint32_t gaps;  ///< number of gaps and jumps taken, saturating
+    uint8_t in_step;  ///< number of consecutive refused calls, a period apart
     uint8_t pace;  ///< lpvg_ecu_pace_t
     bool started;  ///< a step has been taken
 } lpvg_ecu_clock_t;
 
-/// What the reactions need, kept twice.
+/// Values that the reactions need. They are kept twice.
 typedef struct lpvg_ecu_kept_t {
     const lpvg_coeff_t* coeff;
     const lpvg_control_coeff_t* control;
     lpvg_ecu_config_t config;
-    lpvg_real_t u_max;  ///< largest of all nodes                                       [input unit]
+    lpvg_real_t u_max;  ///< largest |demand| of all nodes                              [input unit]
     lpvg_real_t rate_max;  ///< largest |change of demand|                              [input unit/s]
-    lpvg_real_t speed_min;  ///< lowest of the controller's scheduling range                [m/s]
-    lpvg_real_t speed_max;  ///< highest of it                                              [m/s]
-    lpvg_real_t demand;  ///< newest                                                     [input unit]
-    lpvg_watch_limits_t watch;  ///< limits of the check of the response
-    int64_t now_us;  ///< of the newest step, the caller's clock                          [us]
+    lpvg_real_t speed_min;  ///< lower end of the controller's scheduling range             [m/s]
+    lpvg_real_t speed_max;  ///< upper end of the controller's scheduling range             [m/s]
+    lpvg_real_t demand;  ///< newest demand                                              [input unit]
+    lpvg_watch_limits_t watch;  ///< limits of the watch of the response
+    int64_t now_us;  ///< time of the newest step on the caller's clock                   [us]
     uint32_t period_us;  ///< sample period                                                [us]
-    bool engage;  ///< asked for
-    bool locked;  ///< until acknowledged
-    bool standby;  ///< a request other than control has been seen since init
-    bool corrupt;  ///< until init
-    bool falsified;  ///< the verdict is invalid, until acknowledged
-    bool on_trial;  ///< an invalid verdict was acknowledged, and nothing has spoken for the response since
+    bool engage;  ///< engagement is asked for
+    bool locked;  ///< locked until an acknowledgement
+    bool standby;  ///< a request other than control has been received since init
+    bool corrupt;  ///< damage was found; lasts until init
+    bool falsified;  ///< the verdict is invalid until an acknowledgement
+    bool on_trial;  ///< an invalid verdict was acknowledged, and the response has not been confirmed since
 } lpvg_ecu_kept_t;
 
 typedef struct lpvg_ecu_t {
     lpvg_ecu_kept_t kept;
-    uint32_t inverted[sizeof(lpvg_ecu_kept_t) / sizeof(uint32_t)];  ///< its words with every bit inverted
-    uint32_t sum;  ///< of its words
-    uint32_t crc;  ///< of the coefficients in this round, so far
-    uint32_t next_item;  ///< of the model's coefficients, then of the controller's
-    uint32_t rounds;  ///< complete, saturating
+    uint32_t inverted[sizeof(lpvg_ecu_kept_t) / sizeof(uint32_t)];  ///< words of `kept` with every bit inverted
+    uint32_t sum;  ///< sum of the words of `kept`
+    uint32_t crc;  ///< CRC of the coefficients checked so far in this round
+    uint32_t next_item;  ///< next coefficient to check: first the model's, then the controller's
+    uint32_t rounds;  ///< number of complete rounds, saturating
     lpvg_can_supervisor_t supervisor;
     lpvg_can_plausibility_t plausibility;
     lpvg_bus_signals_t signals;
-    float expected;  ///< demand through the actuator's lag                           [input unit]
+    float expected;  ///< demand after the actuator's lag                             [input unit]
     int64_t live_us;  ///< core_us of the newest step that was not live                    [us]
-    float deviation_along;  ///< mean of (measured value - expected) expected                [input unit squared]
-    float deviation_square;  ///< mean square of measured value - expected                [input unit squared]
+    float deviation_along;  ///< mean of (measured - expected) expected                      [input unit squared]
+    float deviation_square;  ///< mean square of measured - expected                      [input unit squared]
     float expected_square;  ///< mean square of expected                                   [input unit squared]
-    uint16_t deviations;  ///< score of the check of the actuator
-    bool actuator_failed;  ///< as that check stands
+    uint16_t deviations;  ///< score of the actuator check
+    bool actuator_failed;  ///< result of the actuator check
     lpvg_control_t control;
     lpvg_monitor_t monitor;
-    lpvg_bus_report_t report;  ///< as sent by the newest step
-    lpvg_ecu_fault_t fault;  ///< gravest active
-    int64_t now_us;  ///< of the newest step, the caller's clock; init's before the first; for reading: a step takes the kept one [us]
-    int64_t core_us;  ///< of the newest step, the ECU's own time                      [us]
+    lpvg_bus_report_t report;  ///< report sent by the newest step
+    lpvg_ecu_fault_t fault;  ///< most severe active finding
+    int64_t now_us;  ///< copy of kept.now_us for reading; before the first step the time of init [us]
+    int64_t core_us;  ///< time of the newest step, the ECU's own time                 [us]
     lpvg_ecu_clock_t clock;
-    int64_t dm1_us;  ///< core_us when DM1 was sent                                   [us]
-    int64_t caused_us;  ///< core_us when waiting began, the newest time             [us]
+    int64_t dm1_us;  ///< core_us when DM1 was sent last                              [us]
+    int64_t caused_us;  ///< core_us of the newest step with a releasing cause        [us]
     int64_t released_us;  ///< core_us of the newest release by a fault                    [us]
-    int64_t doubted_us;  ///< core_us of the newest step that was engaged, not live, or in which a test falsified [us]
+    int64_t doubted_us;  ///< core_us of the newest step that was engaged or not live, or in which a test falsified [us]
     int64_t slot_us;  ///< core_us when the current slot began                           [us]
-    uint8_t engagements[LPVG_ECU_SLOTS];  ///< of each slot, a ring
-    uint8_t slot;  ///< the current one
-    lpvg_watch_t watch;  ///< of the response, while engaged
-    lpvg_real_t share;  ///< of u_max that the demand may take                             [-]
-    uint32_t limited;  ///< control.limited of the newest step
-    uint32_t settled_us;  ///< since the newest gap, up to LPVG_ECU_SETTLE_US           [us]
-    uint32_t trial_us;  ///< evidence of the watch since the newest acknowledgement of an invalid verdict [us]
-    uint32_t pressed_us;  ///< how long the demand has rested at its limit without evidence    [us]
-    bool watched;  ///< the watch runs: the newest step was engaged
+    uint8_t engagements[LPVG_ECU_SLOTS];  ///< number of engagements in each slot, as a ring
+    uint8_t slot;  ///< index of the current slot
+    lpvg_watch_t watch;  ///< watch of the response while engaged
+    lpvg_real_t share;  ///< share of u_max that the demand may use                       [-]
+    uint32_t limited;  ///< value of control.limited at the newest step
+    uint32_t settled_us;  ///< time since the newest gap, up to LPVG_ECU_SETTLE_US      [us]
+    uint32_t trial_us;  ///< time with evidence of the watch since the newest acknowledgement of an invalid verdict [us]
+    uint32_t pressed_us;  ///< time for which the demand has rested at its limit without evidence [us]
+    bool watched;  ///< the watch ran in the newest step
     uint16_t causes;  ///< LPVG_ECU_CAUSE_* of the newest step, report_only ones included
-    uint16_t lock_causes;  ///< what locked, 0 where nothing has since init
-    uint8_t releases;  ///< by faults, as LPVG_ECU_RELEASES_MAX counts them
-    bool in_range;  ///< the speed, with hysteresis
-    bool acknowledging;  ///< the newest request was to acknowledge
-    bool permitted;  ///< no cause released the newest step
-    bool was_engaged;  ///< since init
-    bool refused;  ///< speed or a measurement of the newest step was refused: the next is not engaged
+    uint16_t lock_causes;  ///< causes of the newest lock; 0: no lock since init
+    uint8_t releases;  ///< number of releases by faults for LPVG_ECU_RELEASES_MAX
+    bool in_range;  ///< the speed is in the scheduling range, with hysteresis
+    bool acknowledging;  ///< the newest request is to acknowledge
+    bool permitted;  ///< nothing prevented engagement in the newest step
+    bool was_engaged;  ///< the loop has been engaged since init
+    bool refused;  ///< the sample of the newest step was refused; the next step is not engaged
     bool seen_live;  ///< supervision has been live since init
-    uint32_t dropped;  ///< older frames beyond LPVG_ECU_FRAMES_IN of a step, saturating
-    uint8_t counter;  ///< of the report message's protection
-    uint8_t occurrence;  ///< times a trouble code became active, 126 at most
-    uint8_t explained;  ///< failure mode of the codes invalid and degraded, LPVG_CAN_FMI_*
+    uint32_t dropped;  ///< number of frames dropped beyond LPVG_ECU_FRAMES_IN of a step, saturating
+    uint8_t counter;  ///< counter of the report's end-to-end protection
+    uint8_t occurrence;  ///< number of activations of trouble codes, at most 126
+    uint8_t explained;  ///< failure mode LPVG_CAN_FMI_* of the codes invalid and degraded
 } lpvg_ecu_t;
 
-/// Makes *self ready at time now_us, 0 .. INT64_MAX / 2. Coefficients stay referenced and must outlive it.
-/// Returns bad_argument (NULL, now_us outside, report_only with another bit, a priority or limit outside its range).
-/// Returns what lpvg_coeff_check or lpvg_control_coeff_check say, or bad_value when the two sample periods differ or are above a
-/// quarter of LPVG_ECU_WINDOW_US.
-/// *self is untouched unless ok is returned.
+/// Makes *self ready at time now_us, 0 .. INT64_MAX / 2. The coefficients stay referenced and must outlive *self.
+/// Returns ok; bad_argument (NULL, now_us out of range, another bit in report_only, a priority or limit out of range); the status of
+/// lpvg_coeff_check or lpvg_control_coeff_check; bad_value when the two sample periods differ or exceed a quarter of LPVG_ECU_WINDOW_US.
+/// Unless ok is returned, *self is unchanged.
 LPVG_NODISCARD lpvg_status_t lpvg_ecu_init(lpvg_ecu_t* self, const lpvg_coeff_t* coeff, const lpvg_control_coeff_t* control,
                                            const lpvg_ecu_config_t* config, int64_t now_us);
 
-/// Asks for engagement or release from the next step on. Nothing for NULL.
+/// Asks for engagement or for release from the next step on. Does nothing for NULL.
 void lpvg_ecu_engage(lpvg_ecu_t* self, bool engage);
 
-/// Ends a lock from the next step on, unless what stands forbids it (see Invalid above). Returns whether the loop is not locked any more;
-/// false for NULL.
+/// Ends a lock from the next step on, unless the rules above refuse it (Invalid verdict).
+/// Returns whether the loop is unlocked; false for NULL.
 bool lpvg_ecu_acknowledge(lpvg_ecu_t* self);
 
-/// One sample period. frames_in [n_in] may be NULL when n_in is 0; a time stamp after now_us counts as now_us.
-/// *n_out frames are written to frames_out, with time now_us. Returns ok; bad_argument (NULL, or max_out < LPVG_ECU_FRAMES_OUT),
-/// not_ready (no init), out_of_order (a time that is refused, see above; the first step: before init or beyond INT64_MAX / 2).
-/// Unless it is ok, nothing is received or sent, nothing but `clock` is changed, and *n_out, where given, is 0.
+/// Takes the step at time now_us. frames_in [n_in] may be NULL when n_in is 0. A time stamp after now_us counts as now_us. Writes *n_out
+/// frames with time now_us to frames_out.
+/// Returns ok; bad_argument (NULL, or max_out < LPVG_ECU_FRAMES_OUT); not_ready (no init); out_of_order (now_us is refused, see Time above;
+/// in the first step, now_us is before init or beyond INT64_MAX / 2). Unless ok is returned, nothing is received or sent, and *n_out
+/// is 0 if it was given. After out_of_order only `clock`, and what the check of the kept values restored, may have changed.
 LPVG_NODISCARD lpvg_status_t lpvg_ecu_step(lpvg_ecu_t* self, int64_t now_us, const lpvg_can_frame_t* frames_in, size_t n_in,
                                            lpvg_can_frame_t* frames_out, size_t max_out, size_t* n_out);
 
-/// What is wrong after the newest step, for lpvg_j1939_step: every finding that is active, in the order of lpvg_ecu_fault_t's gravity, each
-/// message that is not live by itself. The freeze frame holds the causes, the speed, the time of the step on the caller's clock, and of
-/// the newest judged frame bin and statistic. While the verdict is invalid these are of the newest recorded alarm, where one waits.
-/// Returns ok; bad_argument (NULL), not_ready (no init), *findings is untouched then.
+/// Lists all active findings after the newest step for lpvg_j1939_step, the most severe first (lpvg_ecu_fault_t). Each message that is
+/// not live has a code of its own. The freeze frame holds the causes, the speed, and the time of the step on the caller's clock. It
+/// also holds bin, test and statistic of the newest judged frame. While the verdict is invalid or degraded, these come from the newest
+/// recorded alarm instead, if one waits to be read.
+/// Returns ok; bad_argument (NULL); not_ready (no init). Unless ok is returned, *findings is unchanged.
 LPVG_NODISCARD lpvg_status_t lpvg_ecu_findings(const lpvg_ecu_t* self, lpvg_j1939_findings_t* findings);
 
-/// What the newest alarm's cause is: from the next step on the codes invalid and degraded carry its failure mode. Gain and sign: out of
-/// calibration. Delay: abnormal update rate. Bias: data drifted high, or low. Frozen: abnormal rate of change. Noise: data erratic. Other:
-/// root cause not known. NULL and unknown: condition exists, as after init. Call it with what lpvg_diagnosis_named says whenever that may
-/// have changed. Nothing for NULL self.
+/// Sets the failure mode of the codes invalid and degraded, from the next step on, to the cause of the newest alarm. Gain and sign: out of
+/// calibration. Delay: abnormal update rate. Bias: data drifted high, or low. Frozen: abnormal rate of change. Noise: data erratic.
+/// Other: root cause not known. NULL and unknown: condition exists, as after init. Call it with the result of lpvg_diagnosis_named
+/// whenever that may have changed. Does nothing when self is NULL.
 void lpvg_ecu_explain(lpvg_ecu_t* self, const lpvg_found_t* found);
 
 LPVG_EXTERN_C_END

@@ -17,12 +17,17 @@
 /// at a time; the others wait, DM1 first.
 ///
 /// Memory: lpvg_j1939_memory_t holds the codes, their counts and their freeze frames. The integrator keeps it over a reset, in no-init RAM
-/// or non-volatile memory. init checks its CRC-32 and keeps or clears it; every change renews the CRC. A code that is still present
-/// after DM11 becomes active again.
+/// or non-volatile memory. lpvg_j1939_init checks its CRC-32 and keeps or clears it; every change renews the CRC. A code that is still
+/// present after DM11 becomes active again.
 ///
-/// Each freeze frame of DM4 holds: its length, the code, SPN 899, 102, 190, 92 and 110 as not available, the speed (SPN 84), then the
-/// data that DM25 holds after the speed: SPN 520210 bin (1 byte), 520211 statistic (2 bytes, 1/1024), 520212 causes (2 bytes,
-/// LPVG_ECU_CAUSE_*), 520213 time since start (4 bytes, ms), 520214 number of the run (1 byte). The low byte comes first.
+/// Each freeze frame of DM4 holds its length, the code, and SPN 899, 102, 190, 92 and 110 as not available. The speed (SPN 84) follows,
+/// then the data that DM25 holds after the speed. The low byte comes first. These data are:
+///
+/// - SPN 520210: bin (1 byte)
+/// - SPN 520211: statistic (2 bytes, 1/1024)
+/// - SPN 520212: causes LPVG_ECU_CAUSE_* (2 bytes)
+/// - SPN 520213: time since start (4 bytes, ms)
+/// - SPN 520214: number of the run (1 byte)
 ///
 /// Use:     lpvg_j1939_init once -> lpvg_j1939_step at least every LPVG_J1939_STEP_US with all frames received since the last step ->
 ///          send the returned frames. Ask lpvg_j1939_pass for each frame of lpvg_ecu_step, and send it only if the answer is true.

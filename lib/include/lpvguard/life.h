@@ -77,7 +77,7 @@ bool lpvg_life_changed(const lpvg_life_t* self);
 LPVG_NODISCARD lpvg_status_t lpvg_life_save(const lpvg_life_t* self, uint8_t bytes[LPVG_LIFE_BYTES]);
 
 /// Continues a life from the bytes that lpvg_life_save wrote.
-/// Returns the status of lpvg_life_init, bad_crc when a bit of the bytes has changed, or bad_value when they belong to another table
+/// Returns the status of lpvg_life_init; bad_crc when a bit of the bytes has changed; bad_value when they belong to another table
 /// or are no life. *self changes only with ok.
 LPVG_NODISCARD lpvg_status_t lpvg_life_load(lpvg_life_t* self, const lpvg_life_table_t* table, const uint8_t bytes[LPVG_LIFE_BYTES]);
 

@@ -15,8 +15,8 @@
 /// t* > 1 means: no complex number d within W_delta, with a disturbance within B_w, explains this frame in this bin.
 /// The frame test does not refute every causal Delta. Only the energy test makes a statement about causal Delta, given its sigma.
 ///
-/// A frame *counts* under three conditions: the model had settled, the speed stayed in the scheduling range, and the speed stayed
-/// within `speed_tolerance` of the frame's mean. The *statistic* of a bin is the k-th largest margin of its last m counted frames.
+/// A frame *counts* if the model had settled, the speed stayed in the scheduling range, and the speed stayed within
+/// `speed_tolerance` of the frame's mean. The *statistic* of a bin is the k-th largest margin of its last m counted frames.
 /// A statistic above `threshold` falsifies the model. The *evidence* of a frame is the margin that a vehicle without any response
 /// would have shown (T18). A frame with evidence at or below the threshold is "not excited". Such a frame cannot falsify any
 /// vehicle, so it does not make the verdict valid.

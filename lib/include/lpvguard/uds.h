@@ -10,8 +10,9 @@
 ///     22 4C02               -- NAME, the low byte first
 ///
 /// A code is 3 bytes as in DM1 (DTC format 02, SAE J1939-73). Status: 01 test failed, 08 confirmed; active 09, previously active 08. A
-/// record is 01, or FF for all. Any other request is refused with 7F, the service, and a reason: 11 service, 12 sub-function,
-/// 13 length, 14 answer too long, 31 no such code, record or identifier. Bit 7 of a sub-function suppresses a positive answer.
+/// record is 01, or FF for all. Any other request is refused with 7F, the service, and a reason. The reasons are 11 service,
+/// 12 sub-function, 13 length, 14 answer too long, 31 no such code, record or identifier. Bit 7 of a sub-function suppresses a positive
+/// answer.
 ///
 /// Use:     pass each complete ISO-TP request and send the answer. Link this file only if a tester asks.
 /// Cost:    one pass over the codes. No heap, no locks, no I/O, no recursion.

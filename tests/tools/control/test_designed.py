@@ -19,8 +19,8 @@ def test_a_folder_is_that_of_one_controller_file_byte_for_byte(tmp_path):
         with artefacts.new_folder(tmp_path / name, "vehicle", "truck") as folder:
             artefacts.write_files(folder, {artefacts.MANIFEST: artefacts.manifest("vehicle", **content)})
     require_exported_with(controller, tmp_path / "with")
-    with pytest.raises(InputError, match=r"controller\.sha256: is of another controller"):
+    with pytest.raises(InputError, match=r"controller\.sha256: belongs to another controller"):
         require_exported_with(controller, tmp_path / "without")
     controller.write_text(json.dumps({"certificates": {"gamma": 1.01}}))
-    with pytest.raises(InputError, match=r"controller\.sha256: is of another controller"):
+    with pytest.raises(InputError, match=r"controller\.sha256: belongs to another controller"):
         require_exported_with(controller, tmp_path / "with")

@@ -64,7 +64,7 @@ def test_a_log_has_no_sample_where_the_bus_says_that_a_gate_is_shut(gated, g80, 
     assert np.array_equal(with_gate.missing[sure], shut[sure])
     assert with_gate.y.shape == known.y.shape
     path = table(tmp_path, t=drive.t, v=drive.v, delta=drive.u[:, 0], r=drive.y[:, 0], ay=0 * drive.t)
-    with pytest.raises(InputError, match="has no value of a gate for the bus"):
+    with pytest.raises(InputError, match="holds no gate signal, which the bus needs"):
         bus_frames(path, gated)
 
 
@@ -78,5 +78,5 @@ def test_a_vehicle_that_is_steered_has_no_gates():
     text = (resources.files("lpvguard.vehicle") / "shipped" / "truck.toml").read_text(encoding="utf-8")
     document = tomllib.loads(text)
     document["signals"].append(GATE.model_dump(exclude={"can"}))
-    with pytest.raises(InputError, match=r"design: the ECU does not read gates, and lateral"):
+    with pytest.raises(InputError, match=r"design: the ECU does not read gates, so lateral"):
         parse_project(document, "truck.toml")

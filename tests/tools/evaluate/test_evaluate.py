@@ -237,7 +237,7 @@ def test_settings_say_when_and_how_large_faults_are():
     np.testing.assert_allclose(biased.y, [[0, 0], [1.0, 0.2], [1.0, 0.2]])
     with pytest.raises(ValueError, match="at least fault_from_s"):
         EvaluationSettings(fault_from_s=100.0)
-    with pytest.raises(ValueError, match="each at most once"):
+    with pytest.raises(ValueError, match="each way at most once"):
         EvaluationSettings(ways=("step", "step"))
 
 

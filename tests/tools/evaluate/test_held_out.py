@@ -55,7 +55,7 @@ def stored(identified):
 def test_a_table_that_the_identification_saw_is_refused_by_its_bytes(stored, synthetic, tmp_path, name, did):
     folder = held_out(tmp_path / "new", synthetic, {"one": "", "two": ""})
     shutil.copy(synthetic / f"{name}.csv", folder / "two.csv")
-    with pytest.raises(InputError, match=f"is {name}, byte for byte, which {did}") as caught:
+    with pytest.raises(InputError, match=f"is the same table as {name}, which {did}") as caught:
         drives_to_judge(stored, [folder])
     assert caught.value.source.endswith("two.csv") and str(stored.folder) in str(caught.value)
 
@@ -64,21 +64,21 @@ def test_a_drive_is_judged_once_and_no_piece_of_a_known_recording(stored, synthe
     one = held_out(tmp_path / "monday", synthetic, {"a": "m", "b": ""})
     two = held_out(tmp_path / "saturday", synthetic, {"b": ""})
     assert [e.name for e in drives_to_judge(stored, [one])] == ["a", "b"]
-    with pytest.raises(InputError, match=r"saturday.*is named as .*monday"):
+    with pytest.raises(InputError, match=r"saturday.*has the same name as .*monday"):
         drives_to_judge(stored, [one, two])
     two = held_out(tmp_path / "sunday", synthetic, {"c": ""})
     shutil.copy(one / "a.csv", two / "c.csv")
     with pytest.raises(InputError, match="c is the same table as a, byte for byte"):
         drives_to_judge(stored, [one, two])
     known = replace(stored.calibration, recordings=Recordings({"synthetic_07": "m"}))
-    with pytest.raises(InputError, match="is of recording m, and so is synthetic_07, which calibrated"):
+    with pytest.raises(InputError, match="is a piece of recording m, as is synthetic_07, which calibrated"):
         drives_to_judge(replace(stored, calibration=known), [one])
 
 
 def test_the_command_refuses_before_it_judges(lpvguard, identified, synthetic, tmp_path):
     words = ("evaluate", "--vehicle", "g80", identified, synthetic, "--drives-to-judge")
     done = lpvguard(*words, synthetic)
-    assert done.returncode == 2 and "is synthetic_00, byte for byte, which set the bounds" in done.stderr
+    assert done.returncode == 2 and "is the same table as synthetic_00, which set the bounds" in done.stderr
     done = lpvguard(*words, tmp_path / "none")
     assert done.returncode == 2 and "no such folder" in done.stderr
 
@@ -145,5 +145,5 @@ def test_held_out_drives_are_judged_with_the_thresholds_as_stored(
 def test_when_nothing_is_judged_the_reason_is_named(stored, synthetic, core, g80, tmp_path):
     folder = held_out(tmp_path / "new", synthetic, {"short": ""})
     drives = identify.DriveSet(g80, NominalModel(g80), synthetic)
-    with pytest.raises(InputError, match=r"no frame counts.* and so for every drive to judge"):
+    with pytest.raises(InputError, match=r"no frame counts.*no drive to judge is left"):
         evaluate(stored, drives, core, held_out=drives_to_judge(stored, [folder]))

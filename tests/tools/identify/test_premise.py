@@ -89,7 +89,7 @@ def test_what_cannot_tell_is_no_objection(stored):
     one, at = asking(stored, 50.0)
     judging = one.model_error.judging
     judging.se[at] = 1.01 / judging.k
-    with pytest.raises(InputError, match="tells anything of the model error"):
+    with pytest.raises(InputError, match="gives information about the model error"):
         premise(one)
 
 

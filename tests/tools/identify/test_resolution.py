@@ -119,7 +119,7 @@ def test_what_the_project_file_states_holds_and_the_least_of_the_drives_else(g80
     again = parse_project(parse_project(document, "g80").model_dump(by_alias=True), "g80").outputs[0]
     assert (again.resolution, again.noise) == (5e-3, 0.0)
     document["signals"][0] |= {"resolution": 0.1}
-    with pytest.raises(ValueError, match="speed: resolution and noise are of outputs"):
+    with pytest.raises(ValueError, match="speed: resolution and noise apply to outputs only"):
         parse_project(document, "g80")
 
 
@@ -139,7 +139,7 @@ def test_rounding_of_any_sign_stays_within_sigmas_floor(identified):
     assert largest[0] > 0.8 * floor[0] and largest[-1] > 0.8 * floor[-1], (
         "and close to it where a sign stays or alternates"
     )
-    needs = test.needs(np.full((n, 1), 1e-9), np.ones((n, 1)), v)
+    needs = test.needs(np.full((n, 1), 1e-9), np.ones((n, 1)), v) | {"memory": test.start}
     np.testing.assert_array_equal(test.with_sigma(needs, floor[:, None]).sigma[:, 0], floor)
 
 

@@ -209,7 +209,7 @@ def test_a_field_without_description_or_unit_is_refused(truck_elf, tmp_path):
         (tmp_path / header.name).write_text(header.read_text())
     ecu = (INCLUDE / "ecu.h").read_text()
     for pattern, said in (
-        (r"  ///< as that check stands", "lpvg_ecu_t.actuator_failed: not described"),
+        (r"  ///< result of the actuator check", "lpvg_ecu_t.actuator_failed: not described"),
         (r" +\[input unit\](?=\n    int64_t live_us)", "lpvg_ecu_t.expected: no unit"),
     ):
         planted, n = re.subn(pattern, "", ecu)

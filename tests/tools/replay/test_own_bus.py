@@ -390,7 +390,7 @@ def _rest(log: Frames) -> tuple:
         ({"yaw_rate": {"message": "REAL", "signal": "AY"}}, {}, "AY: has 32 bits of a float"),
         ({"yaw_rate": {"message": "MUXED", "signal": "YAW"}}, {}, "YAW: is multiplexed"),
         ({"yaw_rate": {"message": "RATE", "signal": "YAW", "factor": 0.0}}, {}, "factor must not be 0"),
-        ({}, {"RATES": {"period_ms": 10}}, "can.messages: RATES in no signal"),
+        ({}, {"RATES": {"period_ms": 10}}, "can.messages: RATES named by no signal"),
         ({}, {"RATE": {"checksum": "autosar_p11"}}, "data_id: 0 given; expected one number"),
         ({}, {"RATE": {"checksum": "autosar_p02", "data_id": 3}}, "expected a list of 16"),
         ({}, {"RATE": {"checksum": "toyota", "data_id": 3}}, "data_id: 1 given; expected none"),

@@ -314,7 +314,7 @@ def test_a_log_whose_name_is_no_utf8_is_named(tmp_path, lpvguard):
     log = write_logs(tmp_path / "logs")[0].rename(tmp_path / "logs" / os.fsdecode(b"f\xe4hrt.csv"))
     for given in (log.parent, log):
         done = lpvguard("new", "mine", given, "-o", tmp_path / "out")
-        assert done.returncode == 2 and r"f\xe4hrt.csv': the name is no UTF-8" in done.stderr
+        assert done.returncode == 2 and r"f\xe4hrt.csv': the name is not UTF-8" in done.stderr
 
 
 def test_the_command_says_what_to_do_next(tmp_path, lpvguard):
@@ -339,7 +339,7 @@ def test_a_magnitude_beside_its_sign_is_refused(bit):
     units = {"A.Speed": "m/s", "B.Steering_Angle": "rad", f"B.{bit}": "", "C.Yaw_Rate": "rad/s"}
     log = Recording("a", t, values, units)
     chosen = {"speed": "A.Speed", "input": "B.Steering_Angle", "output": "C.Yaw_Rate"}
-    with pytest.raises(InputError, match=f"never negative and B.{bit} holds its sign"):
+    with pytest.raises(InputError, match=f"never negative; B.{bit} holds its sign"):
         proposed([log], chosen, Known("car", 2.7))
     signed = replace(log, values=values | {"B.Steering_Angle": delta})
     assert proposed([signed], chosen, Known("car"))["input"].name == "B.Steering_Angle"

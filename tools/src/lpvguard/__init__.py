@@ -1,9 +1,9 @@
 """lpvguard: unfalsified LPV vehicle models, robust controllers and an on-line nominal-error monitor.
 
-One package per room, in the order of the data; ``tools/README.md`` is the map, and each room's docstring says
-what comes in, what goes out and which rooms it may import.
+There is one package per room, in the order of the data. ``tools/README.md`` is the map. The docstring of each
+room says what comes in, what goes out and which rooms it may import.
 
-The Python interface is the room ``api``; its names are here as well:
+The Python interface is the room ``api``. Its names are here as well:
 
     found = lpvguard.identify_drives("mycar.toml", "drives")           found.bounds, found.weights
     code = found.export("code")

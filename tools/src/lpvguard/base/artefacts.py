@@ -464,7 +464,7 @@ def require_unicode(path: Path) -> None:
     try:
         str(path.absolute()).encode()
     except UnicodeEncodeError:
-        raise InputError(repr(os.fsencode(path)), "", "the name is no UTF-8", "another name") from None
+        raise InputError(repr(os.fsencode(path)), "", "the name is not UTF-8", "another name") from None
 
 
 def require_apart(outputs: Iterable[Path], inputs: Iterable[Path]) -> None:
@@ -496,7 +496,7 @@ def require_apart(outputs: Iterable[Path], inputs: Iterable[Path]) -> None:
                     out,
                     "output",
                     f"{how} {given}, which this command reads or writes too",
-                    "an output apart from every input",
+                    "an output that is no input",
                 )
 
 
@@ -595,7 +595,10 @@ def _recover(place: Path, work: Path) -> None:
     foreign = sorted(names - {_SCRATCH, _NEW, _OLD} if _SCRATCH in names else names)
     if foreign:
         raise InputError(
-            work / foreign[0], "", "lies where lpvguard writes, and is not its own", "it moved elsewhere"
+            work / foreign[0],
+            "",
+            "is in a folder where lpvguard writes, but lpvguard did not write it",
+            "another place for it",
         )
     if _OLD in names and not os.path.lexists(place):
         (work / _OLD).rename(place)
@@ -790,7 +793,7 @@ class KeptFolder:
                     raise InputError(
                         self.folder / name,
                         "",
-                        "came here while this command ran",
+                        "appeared while this command ran",
                         "no other files in its folder",
                     )
                 (self.folder / name).unlink()

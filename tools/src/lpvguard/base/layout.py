@@ -10,10 +10,10 @@ estimator, monitor), CONTROL (controller) and DIAGNOSIS (causes of alarms) give
                                                  order, shapes and ranges of what is exported
     core/compiled.py                             names and shapes of what is read back
 
-``python -m lpvguard.base.layout`` in a checkout writes the first three. tests/tools/base/test_layout.py fails
-when they differ from the tables. coeff.cpp checks conditions between items of arrays (stable sections, even
-frames), and the field's meaning states them. A change of the tables needs a higher ``schema`` of its struct
-and a new export of every vehicle.
+``python -m lpvguard.base.layout`` in a checkout writes the first three. The test
+``tests/tools/base/test_layout.py`` fails when they differ from the tables. ``coeff.cpp`` checks conditions
+between items of arrays (stable sections, even frames), and the field's meaning states them. A change of the
+tables needs a higher ``schema`` of its struct and a new export of every vehicle.
 """
 
 from __future__ import annotations

@@ -3,8 +3,8 @@
 Reads   catalogue.toml (shipped), or another file of the same form
 Next    dbc.py writes our DBC from it, codegen.py the C codec and the receiver's rules
 
-Raw values follow SAE J1939-71: the top codes of n bits say "not available" and "error" (8 bits: 0xFF and
-0xFE, 16 bits: 0xFFnn and 0xFEnn, 2 bits: 3 and 2), and data end at 0xFA (8 bits) or 0xFAFF (16 bits).
+Raw values follow SAE J1939-71. The two top codes say "not available" and "error". They are 0xFF and 0xFE for
+8 bits, 0xFFnn and 0xFEnn for 16 bits, 3 and 2 for 2 bits. Data end at 0xFA (8 bits) or 0xFAFF (16 bits).
 """
 
 from __future__ import annotations

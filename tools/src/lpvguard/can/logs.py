@@ -448,7 +448,9 @@ def _read_table(path: Path, suffix: str, time_column: str | None) -> Frames | Ta
         ) from None
     names = table.column_names
     if twice := sorted({name for name in names if names.count(name) > 1}):
-        raise InputError(path, "header", f"two columns are named {twice[0]!r}", "a name of its own for each")
+        raise InputError(
+            path, "header", f"two columns are named {twice[0]!r}", "a different name for each column"
+        )
     if set(names) >= _RAW_COLUMNS:
         return _raw_table(path, table)
     t_ns, keep, made_of = time_of(table, units, path, first_line, time_column)

@@ -1,12 +1,13 @@
-"""A car's own bus: the messages of its CAN database that carry a vehicle's signals, as a catalogue of ours.
+"""A car's own bus: the messages of its CAN database that carry a vehicle's signals, as an own catalogue.
 
 Every such message becomes a message of a catalogue that the core's receiver supervises (can.h). Each of its
-needed signals keeps its bits there, as an unsigned number in Intel order. own_code.py generates the C that
-turns a frame of the car into a frame of that message. A checksum or counter of the car's frame becomes the
-CRC and counter of E2E profile 11. A wrong one stays wrong, and a repeated one stays repeated.
+needed signals keeps its bits there, as an unsigned number in Intel order. The module ``own_code.py``
+generates the C that turns a frame of the car into a frame of that message. A checksum or counter of the car's
+frame becomes the CRC and counter of E2E profile 11. A wrong one stays wrong, and a repeated one stays
+repeated.
 
-Limits: signals of at most 16 bits that are in every frame of their message; at most 52 bits of a message
-where it has a checksum or a counter, 64 elsewhere; 8 messages.
+Limits: a signal has at most 16 bits and is in every frame of its message. A message has at most 64 bits of
+signals, or 52 if it has a checksum or a counter. There are at most 8 messages.
 """
 
 from __future__ import annotations
@@ -117,7 +118,7 @@ def own_bus(project: Project) -> CarBus:
     """
     where = f"vehicle {project.name}"
     if project.can is None:
-        raise InputError(where, "can", "no own bus", "a [can] table with dbc")
+        raise InputError(where, "can", "no [can] table", "a [can] table with dbc")
     used: dict[str, list[str]] = {}
     for s in project.signals:
         place = _place(s.name, s.can, where)
@@ -296,7 +297,7 @@ def _protection(car: CarMessage, settings: OwnMessage, where: str) -> tuple[Bits
     _require_fit(kind, checksum, car, settings, where)
     counter = named or kind.counter
     if kind.data_ids > 1 and counter != kind.counter and (counter is None or counter.length != 4):
-        raise InputError(where, place, "the counter chooses the data id", "a counter of 4 bits")
+        raise InputError(where, place, "the data id depends on the counter", "a counter of 4 bits")
     return checksum, counter, 0 if counter is None else kind.counters or 1 << counter.length
 
 

@@ -81,9 +81,9 @@ def _refused(error: OSError) -> InputError:
     what = error.strerror or str(error)
     if error.errno == errno.ENOSPC:
         scratch = "standard output or a scratch file"
-        return InputError(scratch, "", f"cannot be written ({what})", "room on the disk")
+        return InputError(scratch, "", f"cannot be written ({what})", "free space on the disk")
     place = os.fsdecode(error.filename) if isinstance(error.filename, (str, bytes)) else "a file"
-    return InputError(place, "", f"cannot be used ({what})", "a file or folder that the system lets be used")
+    return InputError(place, "", f"cannot be used ({what})", "a file or folder that may be read and written")
 
 
 def _shown_plainly(usual: Callable[..., None]) -> Callable[..., None]:

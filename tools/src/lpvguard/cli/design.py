@@ -169,7 +169,8 @@ def _design_vehicle(
             console.print("Fig. 6 needs the drives: --drives")
     elif table:
         console.print(
-            "Table II compares structures with one Delta: left out, for this vehicle has one an output"
+            "Table II compares structures with one Delta: left out, because this vehicle has one "
+            "for each output"
         )
     print_design(result, design_settings(stored).structure)
     print_premise(premise(stored))

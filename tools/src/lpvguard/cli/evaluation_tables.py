@@ -44,7 +44,8 @@ def print_evaluation(result: dict[str, Any]) -> None:
     console.print(
         f"faults injected into {len(result['drives']) - len(result['without_faults'])} of "
         f"{len(result['drives'])} drives; found within {result['injection']['within_s']:g} s of judged, "
-        "excited driving, of all starts (drives: from every start), and the median time; a ramp lasts "
+        "excited driving, as a share of all starts (drives: from every start), with the median time; "
+        "a ramp lasts "
         f"{result['injection']['ramp_s']:g} s:"
     )
     detectors, others = columns(result), [b["kind"] for b in result["baselines"]]
@@ -81,12 +82,12 @@ def _print_baselines(result: dict[str, Any], detectors: dict[str, DetectorColumn
     _print_rates(detectors, list(detectors))
     console.print(
         "from when a fault is refutable (the faulty record's off-line margin exceeds 1, the untouched one's "
-        "does not), found of those starts and the median time, negative where an alarm is sooner:"
+        "does not): share of these starts that are found, and median time (negative: an alarm before it):"
     )
     console.print(_refutable_table(detectors))
     console.print(
-        f"{MONITOR} against each baseline alone, over the rows of faults; behind: fewer found, or as many "
-        "and later:"
+        f"{MONITOR} against each baseline alone, over the rows of faults; behind: fewer found, or "
+        "equally many and later:"
     )
     against = Table(*DUEL_HEAD, box=None)
     for row in duel_rows(result):

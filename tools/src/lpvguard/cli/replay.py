@@ -107,7 +107,7 @@ def _series_folder(table: Path | None, logs: list[Path], replayer: Replayer) -> 
     names = [stem(log) for log in logs]
     twice = next((n for n in names if names.count(n) > 1), None)
     if twice is not None:
-        raise InputError("replay", "--table", f"two logs are called {twice}", "names of their own")
+        raise InputError("replay", "--table", f"two logs are called {twice}", "different names")
     vehicle = replayer.project.name
     with artefacts.new_folder(table, "replay", vehicle) as folder:
         yield folder

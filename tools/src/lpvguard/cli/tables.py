@@ -296,7 +296,7 @@ def print_premise(found: Premise) -> None:
 def print_largest_A_t(largest: LargestA_t | None) -> None:
     """The largest A_t found with mu below 1 at the speeds looked at; None: the search found none."""
     console.print(
-        "largest A_t: none found with mu < 1 from half the DC floor's limit on"
+        "largest A_t: none found with mu < 1, searched from half the DC floor's limit upwards"
         if largest is None
         else f"largest A_t found with mu < 1 at every speed looked at: {largest.A_t:.4g}, "
         f"times the DC floor {largest.product:.3f} "
@@ -338,7 +338,8 @@ def print_slow_delta(result: Design) -> None:
         return
     stable = "at any rate" if found.stability_rate is None else f"up to {found.stability_rate:.3g} a second"
     console.print(
-        f"a Delta that varies: gain below 1 proved up to {found.performance_rate:.3g} a second, "
+        f"a Delta that varies: gain below 1 is proved up to a rate of "
+        f"{found.performance_rate:.3g} per second, "
         f"stable {stable}; frames hide {found.hidden_slow:.3g} (the longest) to {found.hidden_fast:.3g} "
         "a second (the shortest)"
     )
@@ -474,7 +475,7 @@ def _print_falsified(summary: dict[str, Any]) -> None:
             f"{run['speed_mps']:.2f} m/s: {'; '.join(run['did'])}"
         )
     wish = share_words(summary["within"]["beyond_wish"])
-    console.print(f"runs within the bounds with a larger error than asked for, a tenth of the motion: {wish}")
+    console.print(f"runs within the bounds with an error above the requested tenth of the motion: {wish}")
 
 
 def _print_within(summary: dict[str, Any]) -> None:
@@ -577,7 +578,7 @@ def _print_bus(summary: dict[str, Any]) -> None:
     for which, said in summary["supervision"].items():
         console.print(
             f"supervision of a {which} bus as its frames require: {share_words(said['as_required'])} runs; "
-            f"of {said['due']} reactions due {said['met']} at the very tick"
+            f"of {said['due']} reactions due, {said['met']} came in the required tick"
         )
 
 

@@ -52,7 +52,10 @@ def require_designed_for(stored: StoredIdentification, controller: Path) -> dict
     document = read_controller(controller)
     if artefacts.read_manifest(controller.parent, "design")["identification"] != stored.manifest:
         raise InputError(
-            controller.parent, "identification", "is another one", f"a design of {stored.folder}"
+            controller.parent,
+            "identification",
+            "belongs to another identification",
+            f"a design of {stored.folder}",
         )
     return document
 
@@ -75,7 +78,10 @@ def require_exported_with(controller: Path, vehicle: Path) -> None:
     exported = artefacts.read_manifest(vehicle, "vehicle").get("controller", {}).get("sha256")
     if exported != artefacts.file_hash(controller):
         raise InputError(
-            vehicle, "controller.sha256", "is of another controller", f"a folder exported with {controller}"
+            vehicle,
+            "controller.sha256",
+            "belongs to another controller",
+            f"a folder exported with {controller}",
         )
 
 

@@ -8,9 +8,9 @@ One scaling D and one level serve all speeds, so that neighbouring controllers d
 (engine/synthesis/scheduling.py). D-K iteration at the design speed gives the first D; the best for the worst
 speed replaces it. The controllers are reduced to as few common poles as possible, with numerators
 interpolated over speed (schedule.py). The certified controller is that of the core: float32 coefficients,
-interpolated, closed with the nominal model and the weights. mu certifies frozen speeds: the nodes and midway
-between them. Storage functions certify robust stability and robust performance, each for every speed history
-up to a stated rate of change (engine/synthesis/lpv_certificate.py).
+interpolated. It is closed with the nominal model and the weights. Frozen speeds are certified by mu: the
+nodes and midway between them. Storage functions certify robust stability and robust performance, each for
+every speed history up to a stated rate of change (engine/synthesis/lpv_certificate.py).
 """
 
 from __future__ import annotations
@@ -156,8 +156,8 @@ def design(
 def frozen_optimum(stored: StoredIdentification) -> tuple[float, float]:
     """Compute the largest optimum over single frozen speeds.
 
-    An optimum is the least bound of mu that D-K iteration finds for one speed alone, at some of the nodes,
-    with the certified A_t and A_u.
+    An optimum is the least bound of mu that D-K iteration finds for a single speed, with the certified A_t
+    and A_u. It is computed at some of the nodes.
 
     Parameters
     ----------
@@ -209,7 +209,7 @@ def _require_reach(stored: StoredIdentification, schedule: Scheduled) -> None:
         raise InputError(
             stored.folder,
             "model_error",
-            f"ends {len(omega) - 1 - last} frequencies past the last that tells, {omega[last]:.3g} rad/s",
+            f"ends {len(omega) - 1 - last} frequencies past the last informative {omega[last]:.3g} rad/s",
             "two",
         )
 

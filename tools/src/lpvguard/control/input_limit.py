@@ -3,8 +3,8 @@
     |u_k|_max(v) = min(input_max_k, a_max / (n_u v |G_1k(0; v)|))
 
 G_1k(0; v) [rad/s per input unit] is the nominal model's DC gain from input k to its first output, the yaw
-rate. Held at their limits with any signs, the inputs give v |yaw rate| <= a_max in the steady state: by the
-triangle inequality each of n_u inputs may take an equal share. The rule limits changes of the input. It
+rate. Inputs held at their limits, with any signs, give v |yaw rate| <= a_max in the steady state. By the
+triangle inequality, each of the n_u inputs may take an equal share. The rule limits changes of the input. It
 leaves out offsets of the model, transients and the model's error.
 
 The core interpolates linearly between nodes. Where the rule falls as 1 / v^2 it is convex in v, and a line
@@ -27,9 +27,10 @@ for rounding of float in the core."""
 
 
 def turning_limit(model: NominalModel, a_max: float, v: np.ndarray) -> np.ndarray:
-    """a_max / (n_u v |G_1k(0; v)|), (m, n_u) [input unit], at speeds v (m,) [m/s]; ``a_max`` [m/s^2].
+    """Compute the input limit of the lateral acceleration, ``a_max / (n_u v |G_1k(0; v)|)``.
 
-    It is inf for an input that does not turn the vehicle.
+    The result (m, n_u) [input unit] is for speeds v (m,) [m/s] and ``a_max`` [m/s^2]. It is inf for an input
+    that does not turn the vehicle.
     """
     with np.errstate(divide="ignore"):
         return a_max / (model.n_u * v[:, None] * np.abs(model.dc_gain(v)[:, 0]))

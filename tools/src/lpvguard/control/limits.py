@@ -35,9 +35,17 @@ ENERGY_RTOL, LEVEL_RTOL = 1e-5, 1e-4
 class LimitRow:
     """Row at ``v_mps``, for a demand within ``kappa`` (None: any) times its limit.
 
-    stability_level: below 1 the loop is stable, by its constants (None: unstable in the middle of the
-    sector). gain: bound from [w; n; r_c] to z (None: none found). energy: largest norm of [w; n; r_c] that
-    keeps the demand there (None: none found).
+    Attributes
+    ----------
+    v_mps : float, m/s
+    kappa : float or None
+    stability_level : float or None
+        Below 1 the loop is stable, by its constants. None: unstable in the middle of the sector.
+    stability_constants : tuple of float
+    gain : float or None, bound from [w; n; r_c] to z; None: none found
+    gain_constants : tuple of float
+    energy : float or None, largest norm of [w; n; r_c] that keeps the demand there; None: none found
+    energy_constants : tuple of float
     """
 
     v_mps: float

@@ -143,10 +143,10 @@ class DesignProblem:
 
     @cached_property
     def weights(self) -> fig1.PlantWeights:
-        """The weights of Fig. 1: those of the settings, the others as identified.
+        """Weights of Fig. 1: some from the settings, the others as identified.
 
-        InputError without drives of the noise split, and unless the identification and the design have the
-        same uncertainty: S1_diagonal goes with K_o, S1 with K_i and K_is, and K_inf with each.
+        Raises InputError without drives of the noise split. It also raises InputError when identification and
+        design differ in uncertainty. S1_diagonal goes with K_o, S1 with K_i and K_is, and K_inf with each.
         """
         stored, settings, fitted = self.stored, self.settings, self.stored.fitted
         outputwise = settings.structure == fig1.OUTPUTWISE

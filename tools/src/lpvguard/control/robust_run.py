@@ -1,10 +1,9 @@
 """The certified gain in simulation: nominal plant, weights, a stable Delta and the compiled float controller.
 
 The demand has no limits. For every Delta with ||Delta||_inf <= 1 / max(1, mu) the gain from [w; n; r_c] to z,
-both normalised (before the weights), is at most mu from rest. With the controller's rounding,
-||z|| <= mu ||[w; n; r_c]|| + ``QUANTISATION`` ||[w; n; r_c]||. It is tested on sampled Delta and inputs. It
-is
-also tested on the worst stable Delta found (engine/synthesis/worst_case.py) with the input of largest gain.
+both normalised (before the weights), is at most mu from rest. With the controller's rounding, ||z|| <= mu
+||[w; n; r_c]|| + ``QUANTISATION`` ||[w; n; r_c]||. It is tested on sampled Delta and inputs. It is also
+tested on the worst stable Delta found (engine/synthesis/worst_case.py) with the input of largest gain.
 """
 
 from __future__ import annotations

@@ -46,13 +46,19 @@ SCALING_NODES, SCALING_STEPS = 3, 60
 
 @dataclass(frozen=True)
 class NodeRobustness:
-    """One node, ``v_mps``.
+    """Robustness at one node.
 
-    mu_interval: bound of mu proved at every frequency. worst_gain: bound of the gain from [w; n; r_c] to z
-    over every Delta of size 1 (None: none proved); worst_gain_found: gain with one such Delta (None: none
-    found). disk_S, disk_T, disk_balanced: disk margins at the vehicle's input (T27). nu_margin: b(P, K).
-    nu_gap_next, nu_gap_midpoint: nu-gap to the vehicle at the next node and midway to it (None at the last
-    node).
+    Attributes
+    ----------
+    v_mps : float, m/s
+    mu_interval : float, bound of mu proved at every frequency
+    worst_gain : float or None
+        Bound of the gain from [w; n; r_c] to z over every Delta of size 1. None: none proved.
+    worst_gain_found : float or None, gain with one such Delta; None: none found
+    disk_S, disk_T, disk_balanced : float, disk margins at the vehicle's input (T27)
+    nu_margin : float, b(P, K)
+    nu_gap_next, nu_gap_midpoint : float or None
+        nu-gap to the vehicle at the next node and midway to it. None at the last node.
     """
 
     v_mps: float

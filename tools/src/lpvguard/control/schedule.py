@@ -1,22 +1,22 @@
 """Computes a controller over speed: common poles, and numerators and anti-windup at every node
 (core/scheduled.py).
 
-A controller of the order of an H-infinity design differs from speed to speed mostly in its zeros: a set of
-poles common to all speeds serves them all with few more states. The poles are those of one system: all nodes'
-demands side by side, each with separate inputs, summed into one output, truncated in balanced coordinates
-with weights (Enns 1984). Given them, every B is a linear least-squares fit. Both are weighted by the effect
-of a deviation of K on the scaled closed loop,
+Controllers of the order of an H-infinity design differ from speed to speed mostly in their zeros. A set of
+poles common to all speeds serves them all with few more states. The poles are those of one system. It holds
+the demands of all nodes in parallel, each with separate inputs, summed into one output. It is truncated in
+balanced coordinates with weights (Enns 1984). With these poles, every B is a linear least-squares fit. Both
+steps are weighted by the effect of a deviation of K on the scaled closed loop,
 
     D P12 (1 - K P22)^-1  dK  (1 - P22 K)^-1 P21 D^-1.
 
 States that nearly cancel would make B, and with it the storage of a moving loop, vary without need; balanced
 truncation has none.
 
-Limits are compensated by model recovery (Weston and Postlethwaite 2000). xi is the state of the loop without
-limits minus the vehicle's state, and follows xi+ = (A_p - B_p F) xi - B_p (u - v). The controller reads y +
-C_p xi instead of y. F xi is added to its output and makes xi decay. Both together are a transfer function
-from u - v to v. The controller's own states can realise it, because K's zeros cancel the vehicle's poles. L
-is a linear least-squares fit to it, per node.
+Limits are compensated by model recovery (Weston and Postlethwaite 2000). The state xi is that of the loop
+without limits minus the vehicle's. It follows ``xi+ = (A_p - B_p F) xi - B_p (u - v)``. The controller reads
+``y + C_p xi`` instead of y. F xi is added to its output and makes xi decay. Both together are a transfer
+function from u - v to v. The controller's own states can realise it, because K's zeros cancel the vehicle's
+poles. L is a linear least-squares fit to it, per node.
 """
 
 from __future__ import annotations

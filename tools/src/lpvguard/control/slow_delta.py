@@ -1,8 +1,8 @@
 """Largest rate of a varying Delta at every node, and the rates that the frames of its bounds leave hidden
 (THEORY 7.11).
 
-At a rate r [1/s] Delta changes in gain by at most r Ts from one sample to the next, for any causal linear
-Delta of gain 1. The speed is frozen.
+At a rate r [1/s], Delta changes in gain by at most r Ts from one sample to the next. Delta is any causal
+linear system of gain 1. The speed is frozen.
 """
 
 from __future__ import annotations
@@ -148,7 +148,12 @@ def require_slowness(
         return
     nodes = stated["nodes"]
     if [row["v_mps"] for row in nodes] != [float(v) for v in schedule.speeds]:
-        raise InputError(path, "certificates.slow_delta.nodes", "not the speeds", "one row a node")
+        raise InputError(
+            path,
+            "certificates.slow_delta.nodes",
+            "rows at other speeds than the nodes",
+            "one row for each node",
+        )
     rates = [row["performance_rate"] for row in nodes], [row["stability_rate"] for row in nodes]
     least = min(rates[0]), min((r for r in rates[1] if r is not None), default=None)
     of_frames = hidden_rates(problem)

@@ -1,14 +1,15 @@
 """Bounds and weights from few frames, quick enough for a search over trade-offs.
 
-A frame decides when no other frame of the bin exceeds it in B1, |Z| and |delta0| at once. gamma_w's rule (T8)
-and nu (T5) grow with each of the three, so their maxima over the deciding frames are those over all. Deciding
-frames come from every start sample of the drives that set the bounds; those within NEAR of a kept one
-are left out. Without the drives the stored sample replaces them (spectra.npz: per bin the frames of largest
-|E| and a draw, on the core's grid). The largest |w_j| over the sample and these frames only approximate their
-bounds. The result serves to choose a trade-off. `identify` computes the bounds for that choice.
+A frame decides when no other frame of the bin exceeds it in B1, |Z| and |delta0| at once. The rule of gamma_w
+(T8) and nu (T5) grow with each of the three. Their maxima over the deciding frames are therefore those over
+all frames. Deciding frames come from every start sample of the drives that set the bounds. Frames within NEAR
+of a kept one are left out. Without the drives the stored sample of ``spectra.npz`` replaces them. It holds
+per bin the frames of largest |E| and a draw, on the core's grid. The largest |w_j| over the sample and these
+frames only approximate their bounds. The result serves to choose a trade-off. `identify` computes the bounds
+for that choice.
 
 Class S2 (paper, K_is) needs u and the nominal state of a frame. They are taken from Z through the frozen
-model at the frame's mean speed: u the least-squares input behind Z, x_nom = (zI - A_d)^-1 B_d u.
+model at the frame's mean speed: u is the least-squares input behind Z, and ``x_nom = (zI - A_d)^-1 B_d u``.
 """
 
 from __future__ import annotations
@@ -39,9 +40,16 @@ NEAR = 0.02
 class Split:
     """Error of every stored frame divided among uncertainty and disturbance, as maxima per bin.
 
-    nu_i (K,): input-multiplicative; nu_s (K,) [1/s]: on the state, None in class S1; B_w (K, n_y):
-    disturbance, jointly covering where the project requires it. NaN: no frame. ``at_cap``: frames whose best
-    nu_s was the well-posedness cap, explained by nu_i alone instead.
+    Values are NaN where there is no frame.
+
+    Attributes
+    ----------
+    gamma_w : ndarray (K,)
+    nu_i : ndarray (K,), input-multiplicative uncertainty
+    nu_s : ndarray (K,) or None, 1/s, uncertainty on the state; None in class S1
+    B_w : ndarray (K, n_y), disturbance, jointly covering where the project requires it
+    at_cap : int
+        Number of frames whose best nu_s was the well-posedness cap. They are explained by nu_i alone.
     """
 
     gamma_w: np.ndarray

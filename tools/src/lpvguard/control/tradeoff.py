@@ -1,12 +1,12 @@
 """`lpvguard design --tradeoff`: the ceiling on nu (and with it gamma_w) and the Lambda_nu of least worst mu.
 
-A candidate is a ceiling nu_bar(omega), linear over log omega between levels at the lowest and the highest
-bin, and a structure: K_i (class S1), or K_is (class S2) with Lambda_nu = diag(1, lambda_s). Step 4 gives its
-gamma_w, steps 5 to 7 its weights, from few frames (stored_frames.py). Its measure is the optimum over speeds
-under the best common D (engine/synthesis/scheduling.py): an upper bound of the worst mu of the best frozen
-controllers, and the level that `design` starts from. The floor (engine/synthesis/limits.py) costs a hundredth
-of that and bounds every controller from below. A candidate whose floor is not below the best measure is not
-synthesised.
+A candidate is a ceiling nu_bar(omega) and a structure. The ceiling is linear over log omega between levels at
+the lowest and the highest bin. The structure is K_i (class S1), or K_is (class S2) with Lambda_nu = diag(1,
+lambda_s). Step 4 gives its gamma_w, steps 5 to 7 its weights, from few frames (stored_frames.py). Its measure
+is the optimum over speeds under the best common D (engine/synthesis/scheduling.py). This is an upper bound of
+the worst mu of the best frozen controllers, and the level that `design` starts from. The floor
+(engine/synthesis/limits.py) costs a hundredth of that and bounds every controller from below. A candidate
+whose floor is not below the best measure is not synthesised.
 
 The search tries uniform ceilings for both structures (the front), then steps of the two levels and of
 lambda_s from the best. Its size is fixed, so the same input gives the same bytes. The project's own ceiling

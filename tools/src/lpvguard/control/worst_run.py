@@ -4,8 +4,8 @@ Signals are those of the paper (section V). r_c is the filtered yaw rate of a dr
 w = diag(f, 1) e is the drive's nominal error; f reduces the yaw rate's share to keep the DC disturbance
 bound. The noise is white and band-limited, of power NOISE_POWER before W_n.
 
-The controllers run with their sample of delay on the nominal vehicle at the design speed: K_inf without Δ,
-K_i with the worst Δ_i, K_is with the worst Δ_i and Δ_s. The lower bound of μ finds the worst Δ, a stable
+The controllers run with their sample of delay on the nominal vehicle at the design speed. K_inf runs without
+Δ, K_i with the worst Δ_i, K_is with the worst Δ_i and Δ_s. The lower bound of μ finds the worst Δ, a stable
 all-pass system (engine/synthesis/worst_case.py).
 """
 

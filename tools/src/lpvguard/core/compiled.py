@@ -1,7 +1,7 @@
 """The compiled C core of one vehicle, called from Python. This package has no other monitor.
 
-The core is built on first use, into a cache keyed by a hash, from the sources for the ECU: lib/ and the
-vehicle's generated folder.
+The core is built on first use, from the sources for the ECU: ``lib/`` and the vehicle's generated folder. The
+result is kept in a cache, keyed by a hash.
 """
 
 from __future__ import annotations
@@ -279,10 +279,15 @@ class FrameLog:
 class CauseLog:
     """Causes that the core found during a run, in the order of time; arrays over outputs of alarms (C,).
 
-    t_found_s and t_alarm_s: time of the finding and of the alarm's block. output: index. cause: code of
-    CAUSES. value, low, high: in the cause's unit (diagnosis.h). onset_s: time from the onset to the alarm
-    [s]. before: the onset may precede the kept record. final: from the whole record; otherwise preliminary,
-    from its first half.
+    Attributes
+    ----------
+    t_found_s, t_alarm_s : ndarray (C,), s, time of the finding and of the alarm's block
+    output : ndarray (C,), index
+    cause : ndarray (C,), code of CAUSES
+    value, low, high : ndarray (C,), in the cause's unit (diagnosis.h)
+    onset_s : ndarray (C,), s, time from the onset to the alarm
+    before : ndarray (C,), the onset may precede the kept record
+    final : ndarray (C,), from the whole record; otherwise preliminary, from its first half
     """
 
     t_found_s: np.ndarray

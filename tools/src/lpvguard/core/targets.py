@@ -350,9 +350,7 @@ def run_verdicts(
             changes[-1].append((int(words[0]), int(words[1])))
         ended = kind == "end"
     if not ended:
-        raise InputError(
-            f"target {name}", f"run of {elf.name}", "it did not come to its end", "a last line `end`"
-        )
+        raise InputError(f"target {name}", f"run of {elf.name}", "it did not finish", "a last line `end`")
     return Verdicts(changes, _sections(elf)["rom"], ram_bytes)
 
 
@@ -428,9 +426,10 @@ def run_target(name: str, vehicle: Path, drive: Input, *, same_bits: bool) -> di
     Returns
     -------
     dict
-        target; elf_sha256; rom {code, coefficients, libraries}; structs {name: bytes}; map {section:
-        {address, bytes}}; parts {name: {calls, worst, median, stack}} in instructions of one call and bytes;
-        imports, symbols that the core's objects take from libraries; results, lines.
+        Keys: ``target``, ``elf_sha256``, ``rom {code, coefficients, libraries}``, ``structs {name: bytes}``,
+        ``map {section: {address, bytes}}``, ``parts {name: {calls, worst, median, stack}}``, ``imports``,
+        ``results``. The parts are in instructions of one call and bytes. The imports are the symbols that the
+        core's objects take from libraries. The results are lines.
 
     Raises
     ------
@@ -442,9 +441,7 @@ def run_target(name: str, vehicle: Path, drive: Input, *, same_bits: bool) -> di
     elf, imports = _build(target, vehicle, program, (*LANGUAGE, SAME_BITS) if same_bits else LANGUAGE)
     report = _parse(run_image(name, elf))
     if not report["ended"]:
-        raise InputError(
-            f"target {name}", f"run of {elf.name}", "it did not come to its end", "a last line `end`"
-        )
+        raise InputError(f"target {name}", f"run of {elf.name}", "it did not finish", "a last line `end`")
     return {
         "target": name,
         "title": target.title,

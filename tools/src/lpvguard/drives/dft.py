@@ -1,7 +1,7 @@
 """The paper's plain DFT estimator: one rectangular frame per experiment at constant speed, without transient.
 
-With X(k) = sum_{n<N} x_n z_k^-n, z_k = exp(2 pi j k / N), the recursion x_{n+1} = Ad x_n + B_old u_{n-d-1} +
-B_new u_{n-d} reads at the DFT's own lines
+Let ``X(k) = sum_{n<N} x_n z_k^-n`` with ``z_k = exp(2 pi j k / N)``. At the DFT's own lines, the recursion
+``x_{n+1} = Ad x_n + B_old u_{n-d-1} + B_new u_{n-d}`` reads
 
     X(k) = (z_k I - Ad)^-1 (B_old U_old(k) + B_new U_new(k) + z_k (x_0 - x_N)),
 

@@ -1,6 +1,8 @@
 """Stage 0: turn raw logs into uniform drive tables, with a report of what was left out and why.
 
-Reads   candump, ASC, BLF, TRC, MF4, CSV, Parquet (can/logs.py); a CAN database; a signal map (signal_map.py)
+Reads   logs: candump, ASC, BLF, TRC, MF4, CSV, Parquet (can/logs.py)
+        a CAN database
+        a signal map (signal_map.py)
 Writes  into the folder <out>
 
     <log>.csv           one table a drive (<log>_1, _2, ... when it falls into pieces): t [s] and the map's
@@ -84,7 +86,7 @@ def _of_several(messages: list[Message], frames: Frames, given: Inputs, where: s
                 f"{where} of {given.map_path}",
                 f"{len(messages)} messages are called {messages[0].name} "
                 f"({', '.join(f'{m.frame_id:X}' for m in messages)})",
-                "names of its own for each that is in the log",
+                "a different name for each message in the log",
             )
         messages = in_log
     return messages[0]

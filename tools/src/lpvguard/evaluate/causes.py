@@ -11,9 +11,9 @@ alarm to the diagnosis: all of it, or the share of a ramp. A delayed input is a 
 earlier than the model's.
 
 Faults of `no_single_cause` are two at once, a dead zone, or a saturating output. For them "other" is right. A
-gain is right, too, when its interval holds the equivalent gain: the least-squares gain of the faulty output
-on the untouched one over the same samples. A record is uneven if the root mean square of the untouched output
-differs by UNEVEN or more between the halves of these samples.
+gain is right, too, when its interval holds the equivalent gain. This is the least-squares gain of the faulty
+output on the untouched one over the same samples. A record is uneven if the root mean square of the untouched
+output differs by UNEVEN or more between the halves of these samples.
 """
 
 from __future__ import annotations

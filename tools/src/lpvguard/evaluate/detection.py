@@ -10,20 +10,18 @@ The span from ``from_s`` to the last instant that leaves ``within_s`` of judged,
 into equal parts, one an instant. One instant is drawn in each (reason: tools/DESIGN_LOG.md).
 
 **Time** runs in judged, excited, in-range driving from the first faulty sample on. The monitor's judged
-driving
-counts for all detectors, though a baseline may alarm outside it. An alarm stands at the sample at which the
-core judged, not at the end of its frame.
+driving counts for all detectors, though a baseline may alarm outside it. The time of an alarm is the sample
+at which the core judged, not the end of its frame.
 
 **Found**: the first alarm from the fault's start on comes within ``within_s``. It also comes before any alarm
 of the same detector on the untouched drive since that instant. An alarm that the untouched drive raises too
-does not count, and an alarm that stands when the fault starts does not count. The table also states how often
+does not count. An alarm that is present when the fault starts does not count. The table also states how often
 the untouched drive alarms in the time allowed.
 
-**Refutable**: an injected fault is refutable from the first judged instant at which the off-line margin of
-the
-faulty record exceeds 1 and that of the untouched one does not (`margins`). No detector that allows all that
-the
-bounds allow can find the fault earlier. Times are also counted from there: negative for an earlier alarm.
+**Refutable**: an injected fault is refutable from the first judged instant that meets two conditions. The
+off-line margin of the faulty record exceeds 1, and that of the untouched record does not (`margins`). A
+detector that accepts everything within the bounds cannot find the fault earlier. Times are also counted from
+there. They are negative for an earlier alarm.
 """
 
 from __future__ import annotations

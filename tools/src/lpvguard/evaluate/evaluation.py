@@ -1,7 +1,7 @@
 """`lpvguard evaluate`: the monitor, its tests and five baselines on drives that did not set the bounds.
 
 Every drive runs through the compiled core. One drive of the identification is left out at a time (THEORY
-7.3), with thresholds calibrated on all *other* drives that did not set the bounds. Drives that the
+7.3). Its thresholds are calibrated on all *other* drives that did not set the bounds. Drives that the
 identification never saw are judged with its stored thresholds (judged_drives.py).
 
 The monitor is compared with all tests at one threshold, calibrated jointly (calibration.joint_scores). It
@@ -10,8 +10,8 @@ each test alone at alpha, and all as exported: each at its own threshold, togeth
 Where fewer drives calibrate than alpha needs, no rate is stated, and the detectors are compared by counts
 only (`stated_rates`).
 
-false_alarms.py defines false alarms, detection.py defines found faults, and baseline_study.py tunes the
-baselines.
+The module ``false_alarms.py`` defines false alarms, ``detection.py`` defines found faults, and
+``baseline_study.py`` tunes the baselines.
 """
 
 from __future__ import annotations
@@ -275,7 +275,7 @@ def evaluate(
     if not rows:
         name, why = next(iter(left_out.items()))
         raise InputError(
-            judged.experiments[name].path, "", f"{why}, and so for every drive to judge", "a judged drive"
+            judged.experiments[name].path, "", f"{why}; no drive to judge is left", "a judged drive"
         )
     known = cases[MONITOR]
     baselines = _baselines(stored, drives, core, judged, rows, known, injection, workers, progress)

@@ -21,11 +21,16 @@ PIECE_S = 60.0
 
 @dataclass(frozen=True)
 class FalseAlarms:
-    """Alarmed and all 60 s pieces, a drive's shorter last one included; drives and recordings.
+    """False alarms by 60 s pieces, drives and recordings. The shorter last piece of a drive counts too.
 
-    drives, alarmed_drives: all, and those with an alarmed piece; judged_h: hours of judged driving;
-    per_judged_h: alarmed pieces an hour of it, or None. recordings: share that alarms, of rates.rate;
-    recordings_per_judged_h: alarming ones an hour of judged driving, of rates.per_hour.
+    Attributes
+    ----------
+    drives, alarmed_drives : int, all drives, and those with an alarmed piece
+    pieces, alarmed : int, all pieces, and the alarmed ones
+    judged_h : float, hours of judged driving
+    per_judged_h : float or None, alarmed pieces per hour of judged driving
+    recordings : dict, share of recordings that alarm, as from rates.rate
+    recordings_per_judged_h : dict, alarming recordings per hour of judged driving, as from rates.per_hour
     """
 
     drives: int

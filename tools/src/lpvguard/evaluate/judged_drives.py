@@ -154,7 +154,7 @@ def drives_to_judge(stored: StoredIdentification, folders: Iterable[Path]) -> li
     experiments: dict[str, Experiment] = {}
     for e in (e for folder in folders for e in list_experiments(folder)):
         if (other := experiments.setdefault(e.name, e)) is not e:
-            raise InputError(e.path, "", f"is named as {other.path}", "drives of different names")
+            raise InputError(e.path, "", f"has the same name as {other.path}", "drives of different names")
     chosen = list(experiments.values())
     seen = {stored.manifest["sha256"][n]: (n, SAW[k]) for k in SAW for n in stored.manifest["drives"][k]}
     for name, digest in table_hashes(chosen).items():
@@ -162,7 +162,7 @@ def drives_to_judge(stored: StoredIdentification, folders: Iterable[Path]) -> li
             raise InputError(
                 experiments[name].path,
                 "",
-                f"is {seen[digest][0]}, byte for byte, which {seen[digest][1]} in {stored.folder}",
+                f"is the same table as {seen[digest][0]}, which {seen[digest][1]} in {stored.folder}",
                 "drives that the identification did not see",
             )
     for e in chosen:
@@ -180,6 +180,6 @@ def _require_new_recording(stored: StoredIdentification, e: Experiment) -> None:
                 raise InputError(
                     e.path,
                     "",
-                    f"is of recording {e.recording}, and so is {name}, which {did} in {stored.folder}",
+                    f"is a piece of recording {e.recording}, as is {name}, which {did} in {stored.folder}",
                     "recordings that the identification did not see",
                 )

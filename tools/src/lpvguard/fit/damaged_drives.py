@@ -63,7 +63,7 @@ def _doubled(drives: list[Drive]) -> Iterator[InputError]:
                 yield InputError(
                     drives[i].name,
                     "",
-                    f"is the same recording as {drives[j].name}: {shared} rows stand in both",
+                    f"is the same recording as {drives[j].name}: {shared} rows are in both",
                     "every recording once",
                 )
 

@@ -2,14 +2,15 @@
 
     e(theta) = y - yhat(theta),   V(theta) = sum over drives and outputs |A(q) e(theta)|^2 / sigma^2
 
-A and sigma are the noise model of the residuals (noise.py). Fit and noise model alternate until theta rests:
-generalised least squares, which is efficient for a coloured disturbance (Ljung, System Identification, 2nd
-ed., 7.5 and 10.2). If that leaves much more of the outputs than plain least squares do, the residuals are
-model error and no noise. Then the plain fit is taken. A trim a drive enters linearly and is projected out.
+A and sigma are the noise model of the residuals (noise.py). Fit and noise model alternate until theta rests.
+This is generalised least squares, which is efficient for a coloured disturbance (Ljung, System
+Identification, 2nd ed., 7.5 and 10.2). If that leaves much more of the outputs than plain least squares do,
+the residuals are model error and no noise. Then the plain fit is taken. A trim per drive enters linearly and
+is projected out.
 
-Standard errors are those of a sandwich H^-1 S H^-1. H is of the whitened derivatives, S the spread of the
-scores over blocks of the drives. They hold where the noise differs by speed or drive, and allow for
-correlation that the noise model leaves.
+Standard errors come from a sandwich ``H^-1 S H^-1``. The matrix H comes from the whitened derivatives. The
+matrix S is the spread of the scores over blocks of the drives. The errors hold where the noise differs by
+speed or drive, and allow for correlation that the noise model leaves.
 """
 
 from __future__ import annotations

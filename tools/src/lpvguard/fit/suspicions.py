@@ -2,8 +2,8 @@
 
 A *reading* is a drive with one change: a sign, a unit, two columns, a shift in time. Where the recorded
 drives leave much unexplained, every reading is tried within the ranges of [fit]. A reading that leaves a
-quarter or less, and little, names the fault. Ranges decide what can be distinguished: speed in km/h acts like
-a wheelbase of 3.6 times the size, so a wide range for the wheelbase hides it.
+quarter or less, and little, names the fault. Ranges decide what can be distinguished. Speed in km/h acts like
+a wheelbase of 3.6 times the size. A wide range for the wheelbase therefore hides it.
 """
 
 from __future__ import annotations

@@ -116,7 +116,7 @@ def _parameters(project: Project) -> list[Row]:
             raise InputError(
                 f"vehicle {project.name}",
                 f"model.parameters.{name}",
-                "0 says nothing about its size",
+                "0 gives no scale for its range",
                 f"a range for it: fit.parameters.{name} = [low, high]",
             )
         low, high = ranges[name] if ranges is not None else sorted((value / REACH, value * REACH))
@@ -124,7 +124,7 @@ def _parameters(project: Project) -> list[Row]:
             raise InputError(
                 f"vehicle {project.name}",
                 f"fit.parameters.{name}",
-                f"{low:g} to {high:g} leaves out the value {value:g}",
+                f"{low:g} to {high:g} does not contain the value {value:g}",
                 "a range around model.parameters",
             )
         rows.append((name, value, low, high, 1e-3 * max(abs(value), 0.01 * (high - low))))

@@ -153,11 +153,9 @@ class Bounds:
     """Bounds per bin (K,), nu (K, n_delta), B_w and B_w_floor (K, n_y).
 
     ``frames`` is the number of counted frames, ``excitation`` is max |Z|. B_w is the remainder that no
-    |delta| <=
-    W_delta explains (``remainder``). It is at least B_w_floor, the limit of the sensors' ``resolution``.
-    front_gamma_w, front_nu (K, FRONT_POINTS): the least nu that explains every frame, over gamma_w; NaN at DC
-    and
-    without frames.
+    |delta| <= W_delta explains (``remainder``). It is at least B_w_floor, the limit of the sensors'
+    ``resolution``. The front (K, FRONT_POINTS) is the least nu that explains every frame, over gamma_w. Its
+    points are ``front_gamma_w`` and ``front_nu``, with NaN at DC and without frames.
     """
 
     omega: np.ndarray

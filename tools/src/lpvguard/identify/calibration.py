@@ -71,7 +71,7 @@ class Recordings:
                     "column group",
                     f"{other.name} ({other.group or 'none'}) and {e.name} ({e.group or 'none'}) are pieces "
                     f"of recording {e.recording}",
-                    "one group a recording",
+                    "one group for each recording",
                 )
         if len({e.group is None for e in others}) > 1:
             without = next(e for e in others if e.group is None)

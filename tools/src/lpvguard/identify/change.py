@@ -7,11 +7,11 @@ by least squares over the means of blocks of NBLOCK samples, with forgetting. Th
 their rms on the bound-setting drives. The prior adds PRIOR memories of the products met there, which keeps an
 estimate near 0 where nothing excites it.
 
-The ratio of a part is |theta_i| over its size: its rms on the bound-setting drives, times one number for all
-parts and outputs with which the largest ratio there is 1. It does not bound Delta or the disturbance, so an
-exceedance refutes neither. The threshold is conformal, as in the other tests, and may be below 1. A further
-drive like the calibration drives exceeds it with probability at most alpha. Above it the vehicle differs from
-the identified one, and theta estimates the difference.
+The ratio of a part is |theta_i| over its size. The size is its rms on the bound-setting drives, times a
+factor. One factor for all parts and outputs makes the largest ratio on these drives 1. The ratio does not
+bound Delta or the disturbance, so an exceedance refutes neither. The threshold is conformal, as in the other
+tests, and may be below 1. A further drive like the calibration drives exceeds it with probability at most
+alpha. Above the threshold the vehicle differs from the identified one, and theta estimates the difference.
 """
 
 from __future__ import annotations
@@ -130,7 +130,7 @@ class ChangeTest:
                 f"vehicle {project.name}",
                 "change_test.memory_s",
                 f"{memory:g} s",
-                f"{shortest:g} s at least, two blocks of {BLOCK} samples",
+                f"at least {shortest:g} s, two blocks of {BLOCK} samples",
             )
         n_y = project.n_y
         return cls(

@@ -4,9 +4,9 @@ lib/include/lpvguard/diagnosis.h).
     e_j = theta_1 yhat_j - theta_2 dyhat_j/dt + theta_3 + theta_4 yhat_j |yhat_j| + residue             (T38)
 
 by least squares over WINDOW_S of settled blocks. Every number comes from drives that set the bounds. The
-covariance of a healthy theta is that of a random effect: the variation of its estimates from window to window
-beyond their own standard errors, by expectation and maximisation. Theta then has the covariance spread +
-errors. Both are enlarged until 95 % of a drive's windows lie within the 95 % region of the other drives.
+covariance of a healthy theta is that of a random effect, by expectation and maximisation. It is the variation
+of the estimates from window to window beyond their own standard errors. Theta then has the covariance spread
++ errors. Both are enlarged until 95 % of a drive's windows lie within the 95 % region of the other drives.
 
 A drive keeps a share of the spread: past values of theta predict future ones. The share comes from KEPT. It
 must put 95 % of the windows within the 95 % region, by the spread of the other drives. Among such shares it
@@ -67,9 +67,15 @@ STEPS, FEWER_STEPS = 200, 20
 class Windows:
     """Sums over W windows of a drive's settled blocks.
 
-    n (W,) blocks; gram (W, n_y, 4, 4), along (W, n_y, 4), square (W, n_y) of e; rough, moved, still (W, n_y):
-    mean squares of noise in blocks, of the changes of yhat and of y; correlated (W, n_y): variance factor of
-    the residue's correlation.
+    Attributes
+    ----------
+    n : ndarray (W,), number of blocks
+    gram : ndarray (W, n_y, 4, 4)
+    along : ndarray (W, n_y, 4)
+    square : ndarray (W, n_y), of e
+    rough, moved, still : ndarray (W, n_y)
+        Mean squares of noise in blocks, of the changes of yhat and of the changes of y.
+    correlated : ndarray (W, n_y), variance factor of the residue's correlation
     """
 
     n: np.ndarray
@@ -277,7 +283,7 @@ class DiagnosisScales:
                 "diagnosis",
                 "",
                 "no drive that sets the bounds has a window",
-                f"{WINDOW_S / 2:g} s of settled driving in range, at least",
+                f"at least {WINDOW_S / 2:g} s of settled driving in range",
             )
         every = Windows.joined(drives)
         correlated = every.correlated.mean(axis=0)

@@ -409,7 +409,7 @@ class EnergyTest:
             raise InputError(
                 "energy test",
                 "",
-                "no excited drive that sets the bounds is judged by it",
+                "it judges no excited drive among those that set the bounds",
                 f"{self.settle * self.Ts:.3g} s "
                 f"and more within {self.speed_range[0]:g}..{self.speed_range[1]:g} m/s",
             )
@@ -470,7 +470,12 @@ class EnergyTest:
     def restored(self, data: dict, where: str) -> EnergyTest:
         """The test with stored sigma and calibration; InputError when ``data`` belongs to other filters."""
         if "above" in data:  # its `start` were squares
-            raise InputError(where, "above", "an identification of before", "one of this version: identify")
+            raise InputError(
+                where,
+                "above",
+                "made by an earlier version",
+                "an identification by this version: run `lpvguard identify` again",
+            )
         stored = (data["memory_s"], *data["band_hz"], data["settle_samples"], *data.get("bands", ()))
         if stored != (self.memory_s, *self.band_hz, self.settle, *self.bands):
             raise InputError(
@@ -503,4 +508,4 @@ class EnergyTest:
         for one, proved in zip(data["certificate"], self.certificate, strict=True):
             held = one["ok"] and one["min_ratio"] <= proved["min_ratio"] * (1 + STATED_RTOL)
             if not held or one["max_ratio"] < proved["max_ratio"] * (1 - STATED_RTOL):
-                raise InputError(where, "certificate", "is not proved of the weight", "the weights' own")
+                raise InputError(where, "certificate", "does not prove the weight", "the weights' own")

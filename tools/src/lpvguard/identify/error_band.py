@@ -1,9 +1,9 @@
 """Predictive band of a further drive's model error: true, and as sharp as the drives allow (THEORY 7.15).
 
-Hyperparameters come from the marginal likelihood, and their uncertainty is carried on: the band rests on
-draws of hyperparameters, of the common error and of a further drive's deviation. Its width is one factor on
-the standard deviation, the least with which a further drive lies within at all frequencies, speeds and
-amplitudes at once with the stated confidence.
+Hyperparameters come from the marginal likelihood. The band includes their uncertainty: it rests on draws of
+hyperparameters, of the common error and of a further drive's deviation. Its width is one factor on the
+standard deviation. With the least such factor a further drive lies within the band at all frequencies, speeds
+and amplitudes at once, with the stated confidence.
 """
 
 from __future__ import annotations

@@ -223,8 +223,8 @@ class OutputSums:
     def evidence_slope(self, prior: ErrorPrior, x: np.ndarray) -> tuple[float, np.ndarray]:
         """Logarithm of the marginal likelihood and its derivatives (H,) by the logarithms x (H,).
 
-        With the prior's root R, posterior mean m and covariance P, reduced sums S and c, and the logarithm of
-        the likelihood's part of deviations l, a change by dR, dS, dc and dl changes it by
+        R is the prior's root, m and P are posterior mean and covariance, S and c are the reduced sums. The
+        logarithm of the likelihood's part of deviations is l. A change by dR, dS, dc and dl changes it by
 
             (c - S m)' dR w - tr(M^-1 R' S dR) + m' dc - m' dS m / 2 - tr(P dS) / 2 + dl,   m = R w
         """

@@ -9,10 +9,10 @@ v_0 and h are centre and half width of the speed range. The estimate is least sq
 R the instrumental one. It is coherent: a disturbance that is not proportional to the input does not bias it.
 The exception is a driver who steers against that disturbance, without a named instrument.
 
-Frames of this module are not the monitor's. They hold 4, 8, 16 or 32 periods of *whitened* signals: e, yhat
-and R pass one prediction-error filter of yhat, which commutes with Delta and makes yhat flat over a frame's
-main lobe. They start every half frame; so many Hann frames are worth 1/1.056 of as many independent ones. A
-frame counts by its excitation: those in which a swept sine was elsewhere hardly count.
+Frames of this module are not the monitor's. They hold 4, 8, 16 or 32 periods of *whitened* signals. For
+this, e, yhat and R pass one prediction-error filter of yhat. It commutes with Delta and makes yhat flat over
+a frame's main lobe. Frames start every half frame. N such Hann frames are worth N / 1.056 independent ones. A
+frame counts by its excitation. Frames in which a swept sine was elsewhere hardly count.
 
 Length: sums over frames, lines over pools of cells and the bound are one estimator, read together.
 
@@ -90,7 +90,8 @@ ASSUMED = "no reason stated: the vehicle is taken to respond no more than the mo
 class ErrorGrid:
     """Grid of the estimate.
 
-    ``omega`` (G,) [rad/s]; ``speed_edges`` (C + 1,) [m/s]; ``amplitude_edges`` (A - 1,) [input unit].
+    It has frequencies ``omega`` (G,) [rad/s], ``speed_edges`` (C + 1,) [m/s] and ``amplitude_edges`` (A - 1,)
+    [input unit].
     """
 
     Ts: float
@@ -140,9 +141,10 @@ class ErrorGrid:
 class Sums(NamedTuple):
     """Sums over frames, (G, P, n_y, C, A, ...).
 
-    ``ee`` of |E|^2; ``fourth`` of |R|^4; ``ze``, ``re`` (..., 2) of s^k conj(Z) E and s^k conj(R) E; ``zz``,
-    ``rr``, ``rz`` (..., 3) of s^k |Z|^2, s^k |R|^2 and s^k conj(R) Z; ``ree`` (..., 3), ``rze`` (..., 4),
-    ``rzz`` (..., 5) of s^k |R|^2 times |E|^2, conj(Z) E and |Z|^2.
+    - ``ee`` sums |E|^2, and ``fourth`` sums |R|^4.
+    - ``ze``, ``re`` (..., 2) sum s^k conj(Z) E and s^k conj(R) E.
+    - ``zz``, ``rr``, ``rz`` (..., 3) sum s^k |Z|^2, s^k |R|^2 and s^k conj(R) Z.
+    - ``ree`` (..., 3), ``rze`` (..., 4), ``rzz`` (..., 5) sum s^k |R|^2 times |E|^2, conj(Z) E and |Z|^2.
     """
 
     fourth: np.ndarray

@@ -73,8 +73,9 @@ def _folds(chosen: Iterable[Experiment]) -> dict[Experiment, int]:
 class Origins:
     """Origins of bounds and thresholds.
 
-    evidence (K,): largest of the bound-setting drives by bin; empty without a core. peaks: origin of the
-    scores by calibration drive and test. decided: frames that decide nu and B_w.
+    ``evidence`` (K,) is the largest of the bound-setting drives by bin, empty without a core. ``peaks`` are
+    the origins of the scores by calibration drive and test. ``decided`` are the frames that decide nu and
+    B_w.
     """
 
     evidence: np.ndarray = field(default_factory=lambda: np.zeros(0))
@@ -85,8 +86,8 @@ class Origins:
 class OverDrives:
     """Passes over the drives, mapped by ``workers`` and joined on arrival.
 
-    ``left_out``: reason by drive without a counted frame; ``spectra``, ``met``: samples joined so far;
-    ``origins``: origins of bounds and thresholds found so far.
+    ``left_out`` holds the reason by drive without a counted frame. ``spectra`` and ``met`` are the samples
+    joined so far. ``origins`` are the origins of bounds and thresholds found so far.
     """
 
     def __init__(self, drives: DriveSet, workers: Map, progress: Progress):

@@ -169,7 +169,7 @@ def premise(stored: StoredIdentification) -> Premise:
         raise InputError(
             stored.folder,
             "premise",
-            "no drive that did not set the bounds tells anything of the model error",
+            "no drive that did not set the bounds gives information about the model error",
             "more excitation",
         )
     return Premise(least(judging.lower), doubting, error.coverage, len(error.left_out))
@@ -197,6 +197,6 @@ def require_premise(stored: StoredIdentification) -> Premise:
             stored.folder,
             "W_delta",
             found.refuting.sentence("-"),
-            "a W_delta that drives which did not set the bounds do not refute",
+            "a W_delta that the drives outside the bound-setting split do not refute",
         )
     return found

@@ -29,7 +29,7 @@ MEDIAN_OF_SQUARE = float(norm.ppf(0.75) ** 2)
 
 
 def grid_step(y: np.ndarray) -> float:
-    """Step of the grid of the samples y (N,); 0: no grid; NaN: constant."""
+    """Step of the grid of the samples y (N,). It is 0 without a grid and NaN for constant samples."""
     values = np.unique(y)
     gaps = np.diff(values)
     if not len(gaps):

@@ -133,8 +133,8 @@ def cost(
 ) -> Cost | None:
     """Compute the cost of unexplained drives by an identification without them.
 
-    Every fault of the project's settings is injected into each calibration drive from its first sample on (a
-    frozen output: from a third of the drive on).
+    Every fault of the project's settings is injected into each calibration drive, from its first sample on. A
+    frozen output begins after a third of the drive.
 
     Parameters
     ----------

@@ -6,14 +6,15 @@ exceeds the threshold exactly when
 
     g > threshold / t*(-Z, Z),
 
-t* being the exact margin of validation.s1, of the project's structure. With one output this is g |Z| >
-threshold (B_w + W_delta |Z|). At any excitation, g below threshold x W_delta stays invisible; with a Delta
-per output this is the least W_delta,j. A delay tau has g = |1 - exp(-j omega tau)| = 2 |sin(omega tau / 2)|.
-Only the phase of g is free here. The vehicle's ordinary nominal error adds and can raise or hide the fault.
+where t* is the exact margin of validation.s1 for the project's structure. With one output this is ``g |Z| >
+threshold (B_w + W_delta |Z|)``. At any excitation, g below threshold x W_delta stays invisible. With a Delta
+per output this is the least W_delta,j. A delay tau has ``g = |1 - exp(-j omega tau)| = 2 |sin(omega tau /
+2)|``. Only the phase of g is free here. The vehicle's ordinary nominal error adds and can raise or hide the
+fault.
 
-Both lists are made for the strongest excitation met (the best case of any drive) and for PERCENTILE (reached
-by one counted frame in ten). t*(-Z, Z) orders excitation: for one output as |Z| does, for several without
-weighing their units.
+Both lists are made for two excitations. One is the strongest that occurred in any drive. The other is
+PERCENTILE, which one counted frame in ten reaches. t*(-Z, Z) orders excitation. For one output the order is
+that of |Z|; for several it needs no weighing of units.
 """
 
 from __future__ import annotations
@@ -39,9 +40,9 @@ STATED_DELAYS_S = (0.3, 0.15)
 class Excitation:
     """Excitation of counted frames, in bounded memory, joined over drives by ``joined``.
 
-    count (SPEED_CELLS, K): all frames. Rows hold ``group`` (cell * K + bin), ``hash``, ``dead`` = t*(-Z, Z)
-    and ``size`` |Z| [output units]: the frame of the largest ``dead`` of each group, and a sample of
-    SAMPLED_FRAMES.
+    ``count`` (SPEED_CELLS, K) counts all frames. Each row holds ``group`` (cell * K + bin), ``hash``,
+    ``dead`` = t*(-Z, Z) and ``size`` = |Z| [output units]. The rows are the frame of the largest ``dead`` of
+    each group and a sample of SAMPLED_FRAMES.
     """
 
     count: np.ndarray
@@ -62,9 +63,9 @@ class Excitation:
     ) -> Excitation:
         """Excitation of the F counted frames of drive ``name``.
 
-        bin_of (F,); ``speed`` (F,): mean of each frame [m/s]; Z (F, n_y) [output units]; ``number`` (F,)
-        identifies the frames of a bin. ``speed_range`` [m/s] is cut into SPEED_CELLS equal cells. The bounds
-        are W_delta (K, n_delta) and B_w (K, n_y).
+        The frames have the bins ``bin_of`` (F,), the mean speeds ``speed`` (F,) [m/s] and the outputs Z (F,
+        n_y) [output units]. ``number`` (F,) identifies the frames of a bin. ``speed_range`` [m/s] is cut into
+        SPEED_CELLS equal cells. The bounds are W_delta (K, n_delta) and B_w (K, n_y).
         """
         K = len(W_delta)
         cell = np.searchsorted(_edges(speed_range), speed, side="right") - 1
@@ -116,10 +117,11 @@ def visibility(
 ) -> dict:
     """Smallest visible errors per speed cell and bin; JSON-able, None where no frame counts.
 
-    omega (K,) [rad/s], 0 at DC; W_delta (K, n_delta) as in ``met``, ``inflation`` the factor on it and on B_w
-    since; ``silent``: bins that raise no alarm, so nothing is visible there. ``at_percentile`` and
-    ``at_strongest`` list the cells. The lists of a cell run over the bins: ``frames``, ``excitation`` |Z|
-    [output units], ``gain_error`` [-], ``delay_s`` (None at DC and where no delay is large enough).
+    ``omega`` (K,) [rad/s] is 0 at DC. ``W_delta`` (K, n_delta) is as in ``met``, and ``inflation`` is the
+    later factor on it and on B_w. ``silent`` are bins that raise no alarm, so nothing is visible there.
+    ``at_percentile`` and ``at_strongest`` list the cells. The lists of a cell run over the bins: ``frames``,
+    ``excitation`` |Z| [output units], ``gain_error`` [-] and ``delay_s``. The latter is None at DC and where
+    no delay is large enough.
     """
     edges = _edges(speed_range)
 

@@ -270,12 +270,12 @@ def uncertainty_samples(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Samples for W_delta: frequencies (S,) [rad/s] and bound (S,), NaN at the replacement of DC.
 
-    ``asked`` (G,) at ``omega`` (G,) is the bound of the model error model (THEORY 7.6), log-log between its
-    frequencies. nu (K,) is that of the frames of step 5 at the bins. nu(0) = 0 by definition; below the
-    lowest bin any small value will do (paper, step 6).
+    ``asked`` (G,) at ``omega`` (G,) is the bound of the model error model (THEORY 7.6). It is log-log between
+    its frequencies. ``nu`` (K,) is the bound of the frames of step 5 at the bins. It is 0 at DC by
+    definition. Below the lowest bin any small value will do (paper, step 6).
 
-    Dips that a weight of low order cannot follow are filled: the bound rises at most as omega^RISE and falls
-    at most as omega^-FALL. One deep dip would otherwise cost the least worst ratio at every frequency.
+    Dips that a weight of low order cannot follow are filled. The bound rises at most as omega^RISE and falls
+    at most as omega^-FALL. One deep dip would otherwise worsen the best worst ratio at every frequency.
     """
     bins = fitting_grid(estimator)
     samples = np.union1d(bins, omega)

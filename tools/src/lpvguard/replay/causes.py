@@ -20,7 +20,7 @@ class Diagnosis:
     t_s, alarm_s : float, s from the drive's start, time of the diagnosis and of the alarm
     output, cause : str
     value : float or None
-        Factor of a gain or sign, s of a delay, output unit of bias, frozen mean or noise deviation.
+        A factor for gain and sign, s for delay, the output unit for bias, frozen mean and noise deviation.
     low, high : float or None, ends of its 95 % interval, in the same unit
     since_s : float, s, the onset
     at_least : bool, the onset may be earlier

@@ -545,7 +545,7 @@ def bus_frames(path: Path, project: Project) -> Frames:
         raise InputError(
             path,
             "",
-            "a drive table has no value of a gate for the bus",
+            "a drive table holds no gate signal, which the bus needs",
             "a raw log, for a vehicle with gates",
         )
     drive = read_drive(path, project).present

@@ -1,9 +1,9 @@
-"""Time series of a replay, a row a sample, for plots.
+"""Time series of a replay, one row per sample, for plots.
 
-t             s after the first sample; of a series in pieces, the time of the source
+t             s after the first sample; for a series in pieces, the time of the source
 NAME          speed, inputs and outputs by the names of the signal table, in its units; null without a sample
 yhat/NAME     nominal output, started at the first measured one
-e/NAME        NAME less yhat/NAME
+e/NAME        NAME minus yhat/NAME
 margin/RAD_S  t* of the bin with that frequency [rad/s]; null unless the core judged a counted frame of it
 energy_ratio  the energy test's ratio; null where it does not judge
 change_ratio  the change test's newest; null before its first

@@ -384,7 +384,9 @@ def _project(
         if judged[0] >= JUDGED:
             break
     if best is None:
-        raise InputError("new", "", f"a sample time of {Ts:g} s leaves no frames", "a faster log")
+        raise InputError(
+            "new", "", f"a sample time of {Ts:g} s leaves no frames", "a log with a shorter sample time"
+        )
     project, text, (f_min, tolerance), judged = best
     text += _evaluation(float(np.median([d.duration_s for d in drives])))
     notes = [

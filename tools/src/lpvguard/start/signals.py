@@ -256,7 +256,7 @@ def _require_sign(role: str, name: str, common: list[str], recordings: list[Reco
             raise InputError(
                 "new",
                 f"--{role}",
-                f"{name} is never negative and {other} holds its sign",
+                f"{name} is never negative; {other} holds its sign",
                 f"one signal with its sign, for example a table with {signal} negated where {bit} is set",
             )
 

@@ -351,8 +351,8 @@ class NominalModel:
         to rounding. The exponential's power series has positive coefficients. Bounds of A, B and their Taylor
         coefficients in v therefore bound those of the hold.
 
-        Raises InputError when an entry has a fractional exponent, a kink of abs, min or max between low and
-        high, or a denominator or root whose bounds contain 0.
+        Raises InputError when an entry has a fractional exponent, or a kink of abs, min or max between low
+        and high. It also raises it for a denominator or root whose bounds contain 0.
         """
         n, width = self.n, 2 * self.n + self.n_u
         bounds = np.zeros((COEFFICIENTS, width, width))

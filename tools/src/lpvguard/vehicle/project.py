@@ -136,7 +136,7 @@ class Signal(StrictModel):
         if not self.min < self.max:
             raise ValueError(f"signal {self.name}: min {self.min} must be below max {self.max}")
         if self.role != "output" and (self.resolution, self.noise) != (None, None):
-            raise ValueError(f"signal {self.name}: resolution and noise are of outputs")
+            raise ValueError(f"signal {self.name}: resolution and noise apply to outputs only")
         return self
 
     @model_serializer(mode="wrap")
@@ -394,10 +394,10 @@ class FitSettings(StrictModel):
     Attributes
     ----------
     parameters : dict or None
-        Range of each fitted entry, by default all, from a fifth to five times their value.
+        Range of each fitted entry. By default all entries are fitted, from a fifth to five times their value.
     input_delay_s : (low, high) or None, s, at most 1 s; equal ends keep the delay
-        By default 0 to ten samples or three times the value.
-    trim : str, one input_offset for all drives, or one a drive, of which the mean is written
+        By default from 0 to ten samples or three times the value.
+    trim : str, one input_offset for all drives, or one for each drive; then the mean is written
     kind : str or None, kind of vehicle, beyond which a fit is refused; None judges nothing
     """
 
@@ -452,9 +452,9 @@ class EvaluationSettings(StrictModel):
     @model_validator(mode="after")
     def _long_enough(self) -> EvaluationSettings:
         if len(set(self.ways)) < len(self.ways):
-            raise ValueError("evaluation.ways: each at most once")
+            raise ValueError("evaluation.ways: each way at most once")
         if self.shortest_drive_s < self.fault_from_s + self.found_within_s:
-            raise ValueError("evaluation.shortest_drive_s: at least fault_from_s + found_within_s")
+            raise ValueError("evaluation.shortest_drive_s: must be at least fault_from_s + found_within_s")
         return self
 
 
@@ -557,7 +557,9 @@ class Project(StrictModel):
         if unknown := set(self.fit.parameters or {}) - set(self.model.parameters):
             raise ValueError(f"fit.parameters: {', '.join(sorted(unknown))} not among model.parameters")
         if self.fit.trim == "drive" and self.model.input_offset is None:
-            raise ValueError("fit.trim: a trim a drive needs model.input_offset, where its mean is written")
+            raise ValueError(
+                "fit.trim: a trim for each drive needs model.input_offset, where its mean is written"
+            )
         if not self.model.speed_min_mps < self.model.speed_max_mps:
             raise ValueError("model: speed_min_mps must be below speed_max_mps")
         if not self.frames.f_min_hz < self.frames.f_max_hz < 0.5 / self.Ts_s:
@@ -571,14 +573,14 @@ class Project(StrictModel):
         """Require that every message of ``[can]`` carries a signal of the table."""
         used = {s.can.message for s in self.signals if s.can is not None}
         if unknown := sorted(set(bus.messages) - used):
-            raise ValueError(f"can.messages: {', '.join(unknown)} in no signal's can.message")
+            raise ValueError(f"can.messages: {', '.join(unknown)} named by no signal's can.message")
 
     def _require_vehicle_of_fig1(self, design: DesignSettings) -> None:
         """Require the sizes of Fig. 1 for a design; identification and monitor take any."""
         first_two = [[float(i == j) for j in range(len(self.model.A))] for i in range(2)]
         if self.gates:
             names = ", ".join(s.name for s in self.gates)
-            raise ValueError(f"design: the ECU does not read gates, and {names} would not hold")
+            raise ValueError(f"design: the ECU does not read gates, so {names} would have no effect")
         if self.n_u != 1 or self.n_y != 2 or first_two != self.model.C:
             raise ValueError(
                 "design: Fig. 1 has one input and two outputs, the first two states (model.C = [I 0]); got "

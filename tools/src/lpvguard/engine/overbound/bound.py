@@ -73,7 +73,7 @@ class SampledBound:
             raise InputError(
                 source,
                 f"bound at {w[np.argmin(b)]:g} rad/s",
-                "is 0, and no weight is nought on an interval",
+                "is 0, and no weight is zero on an interval",
                 "a floor > 0",
             )
         if b.max() / b.min() > _MAX_RANGE:

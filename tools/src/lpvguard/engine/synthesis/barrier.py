@@ -20,10 +20,12 @@ NEAR = 25.0
 class Barrier:
     """Barrier of the inequalities F_i(P) > 0: value and derivatives of log det F_i.
 
-    F_i(P) = E' (sum_k phi_ik P_k) E - M_i' (sum_k next_ik P_k) M_i - N_i' N_i + diag(0, I). parts: (M, N) per
-    i; phi, next (count, terms); P (terms, n, n) symmetric, as a vector its upper triangles row by row. M is
-    near E where sampling is fast. All is therefore computed from D = M - E and phi - next. Products of M
-    would leave only rounding of slow states, whose P is large.
+        F_i(P) = E' (sum_k phi_ik P_k) E - M_i' (sum_k next_ik P_k) M_i - N_i' N_i + diag(0, I)
+
+    ``parts`` holds (M, N) per i. ``phi`` and ``next`` have the shape (count, terms). P (terms, n, n) is
+    symmetric. As a vector it holds its upper triangles row by row. M is near E where sampling is fast. All is
+    therefore computed from D = M - E and phi - next. Products of M would leave only rounding of slow states,
+    whose P is large.
     """
 
     def __init__(self, parts: list[tuple[np.ndarray, np.ndarray]], phi: np.ndarray, next_: np.ndarray):
@@ -120,9 +122,12 @@ class Barrier:
 
 
 def feasible(barrier: Barrier, P: np.ndarray, unit: np.ndarray) -> np.ndarray | None:
-    """P with every F_i > 0, from any P: Newton's method on tau t - sum_i log det(F_i + t unit), until t <
-    -``WANTED``; what was reached with t < 0, or None, when ``NEWTON_STEPS`` do not get there. ``unit`` (N, N)
-    > 0: what F is measured in."""
+    """Search P with every F_i > 0, from any P.
+
+    Newton's method minimises ``tau t - sum_i log det(F_i + t unit)`` until t < -``WANTED``. After
+    ``NEWTON_STEPS`` steps it returns the P with t < 0, or None if t is not below 0. ``unit`` (N, N) > 0 is
+    the unit of F.
+    """
     size = len(barrier.constant) * len(unit)
     L = np.linalg.inv(np.linalg.cholesky(unit))
     t = 1.05 * max(-float(np.linalg.eigvalsh(L @ barrier.F(P) @ L.T).min()), 1e-3)
@@ -153,9 +158,9 @@ def newton_step(
 ) -> tuple[np.ndarray, np.ndarray, float]:
     """P, y after a step of Newton's method, and its decrement.
 
-    The objective is ``price`` (size,) p + ``slope`` (k,) y - sum_i log det(F_i(P) + sum_j y_j
-    directions_ji), where p is the vector of P; ``directions`` (k, count or 1, N, N). LinAlgError where
-    rounding exceeds the remaining decrement.
+    The objective is ``price p + slope y - sum_i log det(F_i(P) + sum_j y_j directions_ji)``, where p is the
+    vector of P. The shapes are ``price`` (size,), ``slope`` (k,) and ``directions`` (k, count or 1, N, N).
+    Raises LinAlgError where rounding exceeds the remaining decrement.
     """
     F = barrier.F(P) + np.tensordot(y, directions, 1)
     L = np.linalg.inv(np.linalg.cholesky(F))

@@ -69,9 +69,11 @@ class ConstantScalings:
     def least(
         self, sizes: np.ndarray, rest: float, start: np.ndarray, only_whether: bool = False
     ) -> tuple[float, np.ndarray]:
-        """The least norm on the grid, and the logarithms (free,) of its constants; ``sizes`` (blocks,) and
-        ``rest`` as of ``scaled``, ``start`` (free,): where the search begins. ``only_whether``: it ends as
-        soon as the norm is below 1."""
+        """Search the least norm on the grid, and the logarithms (free,) of its constants.
+
+        ``sizes`` (blocks,) and ``rest`` are as for ``scaled``. The search begins at ``start`` (free,). With
+        ``only_whether`` it ends as soon as the norm is below 1.
+        """
         found = self._least_mean(sizes, rest, start, only_whether) if self.free else start
         return self._largest(sizes, rest, found), found
 

@@ -2,12 +2,12 @@
 order.
 
 Robust performance holds at level β when μ(F_l(P, K)(jω)) ≤ β over the blocks of Δ and the full performance
-block. With scalar D_i(s) per Δ block, stable with stable inverse, ‖D F_l(P, K) D⁻¹‖∞ ≤ β proves it at every
-frequency, DC and infinity included (Doyle 1985; Packard & Doyle 1993). K and D are improved in turn. H∞
-synthesis for the scaled plant gives K. A fit of Π (s/z + 1)/(s/p + 1) that lowers the scaled singular values
-over the whole band gives D. The reported number is the certified norm of the final scaled loop: the proof
-needs no fit of frequency-wise scalings. D(s) covers an LTI Δ; slow_delta says how slowly Δ may vary. A
-constant D (degree 0) covers Δ that varies arbitrarily fast.
+block. Each Δ block has a scalar D_i(s), stable with stable inverse. Then ‖D F_l(P, K) D⁻¹‖∞ ≤ β proves the
+level at every frequency, with DC and infinity (Doyle 1985; Packard & Doyle 1993). K and D are improved in
+turn. H∞ synthesis for the scaled plant gives K. A fit of Π (s/z + 1)/(s/p + 1) that lowers the scaled
+singular values over the whole band gives D. The reported number is the certified norm of the final scaled
+loop: the proof needs no fit of frequency-wise scalings. D(s) covers an LTI Δ; slow_delta says how slowly Δ
+may vary. A constant D (degree 0) covers Δ that varies arbitrarily fast.
 """
 
 from __future__ import annotations
@@ -159,7 +159,7 @@ def dk_synthesis(
 
     References
     ----------
-    THEORY 6; Doyle 1985; Packard & Doyle 1993.
+    THEORY 6. Doyle 1985. Packard & Doyle 1993.
     """
     if any(b.kind != "full" for b in plant.blocks):
         raise SynthesisError("D-K iteration", "blocks", "a repeated block", "full complex blocks")

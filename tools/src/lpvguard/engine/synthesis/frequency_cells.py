@@ -66,10 +66,10 @@ class IntervalBound:
 
 @dataclass(frozen=True)
 class PointBound:
-    """A bound at one frequency and its scalings: Φ = fixed + β² scaled − Mᴴ left M − j (skew M − Mᴴ skew) is
-    positive definite for every β above ``value``.
+    """A bound at one frequency and its scalings.
 
-    left (Σcols, Σcols), fixed and scaled (Σrows, Σrows), skew (Σrows, Σcols).
+    ``Φ = fixed + β² scaled − Mᴴ left M − j (skew M − Mᴴ skew)`` is positive definite for every β above
+    ``value``. The shapes are left (Σcols, Σcols), fixed and scaled (Σrows, Σrows), skew (Σrows, Σcols).
     """
 
     value: float

@@ -2,7 +2,7 @@
 
 The Riccati equations decide one level. The search starts from the bound at single frequencies, most often the
 optimum of a weighted problem, and otherwise brackets it. The reduced problem of a singular plant does not
-contain the Parrott bound at the frequency where rank is lost; that bound is kept separately, as ``floor``.
+contain the Parrott bound at the frequency where rank is lost. That bound is kept separately, as ``floor``.
 """
 
 from __future__ import annotations
@@ -89,8 +89,9 @@ class GammaProblem:
         return max(side.frequency_bound() for side in (self.control, self.filter))
 
     def coupling(self, gamma: float) -> float | None:
-        """γ²/ρ(XY), above 1 exactly when γ is reached; negative past a blow-up of X or Y; None without
-        solution.
+        """γ²/ρ(XY), above 1 exactly when γ is reached.
+
+        It is negative past a blow-up of X or Y, and None without a solution.
         """
         if gamma not in self._couplings:
             X = self.control.solve(gamma)

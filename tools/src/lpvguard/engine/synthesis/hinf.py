@@ -54,13 +54,14 @@ Coordinates = Callable[[StateSpace], tuple[StateSpace, np.ndarray]]
 class HinfResult:
     """A controller with its certificate.
 
-    gamma: the optimum (infimum over stabilising controllers) by the Riccati equations. resolved: whether the
-    controller comes within the back-off of it. gamma is a claim of those equations; ``proved_lower_bound``
-    proves a level below it. gamma_achieved ≥ ‖F_l(P, K)‖∞: upper end of the bracket of the closed loop's norm
-    on the plant as given; ``certificate`` is the whole bracket, its peak frequency in rad/s. regularisation:
-    ε of the controller's design plant, 0 for a regular problem. notes: what was singular.
+    ``gamma`` is the optimum (infimum over stabilising controllers) by the Riccati equations. It is a claim of
+    those equations; ``proved_lower_bound`` proves a level below it. ``resolved`` says whether the controller
+    comes within the back-off of the optimum. ``gamma_achieved`` ≥ ‖F_l(P, K)‖∞ is the upper end of the
+    bracket of the closed loop's norm on the given plant. ``certificate`` is the whole bracket, with its peak
+    frequency in rad/s. ``regularisation`` is ε of the controller's design plant, 0 for a regular problem.
+    ``notes`` say what was singular.
 
-    basis (n, n): the controller's state x_K stands for the plant's state basis x_K. Controllers of
+    ``basis`` (n, n) maps the controller's state x_K to the plant's state basis x_K. Controllers of
     neighbouring plants are neighbours in the plant's coordinates.
     """
 

@@ -200,8 +200,9 @@ def proved_level(
 def frequency_level(plant: StateSpace, n_control: int, n_measurement: int) -> float:
     """Return a level that no controller goes below at single frequencies, rounding deducted.
 
-    At each frequency no matrix Q makes σ̄(M11 + M12 Q M21) less than what the left kernel of M12, or the right
-    kernel of M21, leaves of M11 (Parrott 1978). The largest of a grid about the poles is improved.
+    At each frequency, the left kernel of M12 and the right kernel of M21 leave a part of M11. No matrix Q
+    makes σ̄(M11 + M12 Q M21) less than this part (Parrott 1978). The largest of a grid about the poles is
+    improved.
     """
     poles = plant.poles()
     rates = np.abs(np.log(poles[poles != 0]) / plant.dt) if plant.dt else np.abs(poles)

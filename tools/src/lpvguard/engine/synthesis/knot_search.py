@@ -1,11 +1,11 @@
 """Storage functions that are linear between knots, and D's gain, for the search in least_level.py.
 
-P(v) has a separate value at every knot. An inequality at one speed then concerns the two knots around it,
-so that the Hessian is block tridiagonal and a step costs little more than one for a few functions of speed.
+P(v) has a separate value at every knot. An inequality at one speed then concerns the two knots around it.
+The Hessian is therefore block tridiagonal. A step costs little more than one for a few functions of speed.
 
-The unit of F decides how far Newton's method has to go. F(P) at rate 0 is positive for the P of the
-rate before, and at f times that rate F(P) + (f - 1) F_0(P) > 0: from there a doubling takes a few steps.
-Steps to the centre follow; otherwise P would have hardly any direction left to the next rate.
+The unit of F decides how far Newton's method has to go. F(P) at rate 0 is positive for the P of the previous
+rate. At f times that rate ``F(P) + (f - 1) F_0(P) > 0`` holds. From there a doubling takes a few steps. Steps
+to the centre follow. Without them P would have hardly any direction left to the next rate.
 """
 
 from __future__ import annotations
@@ -181,8 +181,10 @@ class Point:
 class KnotGrid:
     """Inequalities at ``speeds`` (k,) [m/s] for P between ``knots`` (K,).
 
-    loop_at(v): the loop at a speed, sampled at Ts [s]. basis (n, n): the coordinates. delta: how many outputs
-    and how many inputs, of the first, are Delta's. cost (n, n): of P in these coordinates."""
+    ``loop_at(v)`` gives the loop at a speed, sampled at Ts [s]. ``basis`` (n, n) are the coordinates.
+    ``delta`` says how many of the first outputs, and how many of the first inputs, belong to Delta. ``cost``
+    (n, n) is the cost of P in these coordinates.
+    """
 
     loop_at: Callable[[float], StateSpace]
     Ts: float

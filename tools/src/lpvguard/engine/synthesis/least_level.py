@@ -5,15 +5,16 @@ outputs and w. It keeps the level beta at a rate when a gain g and P(v) > 0 exis
 
     x' P(v) x - x+' P(v+) x+ + g^2 (|xi|^2 - |eta|^2) + |w|^2 - |z|^2 / beta^2 > 0
 
-for all v in the range and |v+ - v| <= rate Ts. Then every LTI Delta within the bound leaves a gain from w to
-z below beta, from rest: beta = 1 is robust performance, and beta is robust performance with z weighted by 1 /
-beta. g is the gain of the scaling D, whose shape is given (``tuned``: the best at frozen speeds).
+for all v in the range and |v+ - v| <= rate Ts. With every LTI Delta within the bound, the gain from w to z,
+from rest, is then below beta. The level beta = 1 is robust performance. Any other beta is robust performance
+with z weighted by 1 / beta. The gain g is that of the scaling D, whose shape is given (``tuned``: the best at
+frozen speeds).
 
 ``find_level`` searches a P that is linear between knots, and g, by the barrier method (knot_search.py). It
 also demands the inequality at speeds between the knots, because knots alone would not imply it elsewhere. A
 moving speed cannot be reached from the frozen solutions: their P follows the speed wherever little is lost.
 The search therefore begins at rate 0 with P0 + v P1 + P2 / v near them. The rate doubles step by step, each
-from the P before. P also has a cost, ``COST``. Where a proof fails, its speeds are added. ``prove`` proves
+from the previous P. P also has a cost, ``COST``. Where a proof fails, its speeds are added. ``prove`` proves
 the claim for all speeds.
 """
 

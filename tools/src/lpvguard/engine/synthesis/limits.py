@@ -8,8 +8,8 @@ At one frequency a controller is any matrix Q in M = M11 + M12 Q M21, and for a 
 (T14). The first term is the gain from inputs that no measurement shows. The second is the gain to outputs
 that no control reaches. The infimum over D is the least D-scaled bound of any controller at that frequency.
 For up to three full blocks, performance included, the D-scaled bound is μ itself. Branch and bound on ln d_i
-brackets the infimum. Over a box both terms are bounded from below: each d_i takes its small end on the left
-of M and its large end on the right.
+brackets the infimum. Over a box both terms are bounded from below. For this, each d_i takes its small end on
+the left of M and its large end on the right.
 """
 
 from __future__ import annotations

@@ -7,9 +7,9 @@ The loop is x+ = A(v) x + B(v) w, z = C(v) x + D(v) w with v+ - v in [-a Ts, a T
                                                                          <= a Ts
 
 x' P(v) x is a storage function: the gain from w to z is below 1 for every speed history with |dv/dt| <= a,
-from rest. The adjoint loop, x+ = A' x + C' z, w = B' x + D' z with time reversed, has the same gain over the
-same histories: a storage function of either is enough. A controller whose B follows the speed moves its
-states with the speed. In the adjoint these are read through B instead, and the states stay.
+from rest. The adjoint loop is ``x+ = A' x + C' z, w = B' x + D' z`` with time reversed. It has the same gain
+over the same histories, so a storage function of either is enough. A controller whose B follows the speed
+moves its states with the speed. In the adjoint these are read through B instead, and the states stay.
 
 ``find`` tries the adjoint first, then the loop. A barrier method on a grid of speeds finds P0 + v P1 +
 P2 / v, in which F is linear. If there is none, strict bounded-real Riccati equations give another P.

@@ -35,7 +35,7 @@ def upper_bound(
 
     D_left is (Σcols, Σcols), D_right (Σrows, Σrows), G (Σrows, Σcols). The search ends when β is within
     ``rtol`` (relative) of the infimum, or when rounding lets it go no lower. With a ``target`` it ends below
-    that β: the scalings are then the centre of those that prove ``target``, far from the borders of that set.
+    that β. The scalings are then the centre of those that prove ``target``, far from the borders of that set.
 
     After each centre its D + |G| is absorbed into the matrix (N ← Lᴴ N L⁻ᴴ, D + |G| = L Lᴴ). The next one so
     starts in well-scaled coordinates even where ever worse conditioned scalings approach the infimum. D alone
@@ -110,13 +110,14 @@ def _forms(N: np.ndarray, structure: Structure) -> tuple[np.ndarray, np.ndarray]
 def simple_infimum(
     M: np.ndarray, structure: Structure, rtol: float, d: np.ndarray | None = None
 ) -> tuple[float, float, np.ndarray, np.ndarray, np.ndarray] | None:
-    """`upper_bound` of M (Σcols, Σrows) where all blocks are full and the largest singular value is simple at
-    the infimum; else None. It is simple for up to three blocks, but for special M. ``d`` (blocks,): start
-    scales.
+    """`upper_bound` of M (Σcols, Σrows) if all blocks are full and the largest singular value is simple.
 
-    σ̄(D_L^½ M D_R^-½) is convex in the logarithms x of the blocks' scales d (Sezginer & Overton 1990), and
-    where it is simple Newton's method finds its minimum. With z = D_R^-½ v, v the right singular vector, no
-    scaling goes below the least ‖(M z)_i‖ / ‖z_i‖ over the blocks, and at the minimum all of these are σ̄.
+    None otherwise. The value at the infimum counts. It is simple for up to three blocks, except for special
+    M. ``d`` (blocks,) are the start scales.
+
+    σ̄(D_L^½ M D_R^-½) is convex in the logarithms x of the blocks' scales d (Sezginer & Overton 1990). Where
+    it is simple, Newton's method finds its minimum. Let ``z = D_R^-½ v`` with the right singular vector v. No
+    scaling goes below the least ``‖(M z)_i‖ / ‖z_i‖`` over the blocks. At the minimum all of these are σ̄.
     """
     k = len(structure.blocks)
     if k == 1 or any(b.kind != "full" for b in structure.blocks):

@@ -147,9 +147,10 @@ def _crossings(H: StateSpace, level: float) -> np.ndarray:
 
 
 def near_axis(eigenvalues: np.ndarray, scale: float) -> np.ndarray:
-    """(K,) True for eigenvalues (K,) that may be imaginary but for rounding; ``scale``: ‖A‖ of the system.
+    """(K,) True for eigenvalues (K,) that are imaginary up to rounding.
 
-    One of an n-fold near-defective cluster moves by about sqrt(eps) times the matrix norm.
+    ``scale`` is ‖A‖ of the system. An eigenvalue of an n-fold near-defective cluster moves by about sqrt(eps)
+    times the matrix norm.
     """
     return np.abs(eigenvalues.real) <= 1e-3 * np.abs(eigenvalues) + 1e2 * EPS * scale
 

@@ -74,8 +74,7 @@ class Shift:
     Parameters
     ----------
     structure : Structure
-    box : ParameterBox
-        Of the real blocks' parameters, in their order.
+    box : ParameterBox, of the real blocks' parameters, in their order
     size : float
         Size of complex blocks, 1/β.
     """

@@ -226,8 +226,8 @@ class RealSearch:
         Parameters
         ----------
         omega : ndarray, shape (K,)
-            Grid in rad/s. An eigenvalue of M(jω) Q, Q of entries ±1, that is real or that changes the side of
-            the real axis before the next frequency marks a start.
+            Grid in rad/s. An eigenvalue of M(jω) Q, with Q of entries ±1, marks a start in two cases. It is
+            real, or it changes the side of the real axis before the next frequency.
         count : int
             Starts wanted where M is real, and as many elsewhere: an eigenvalue may be nearly real all around.
         real_part : float

@@ -34,12 +34,13 @@ class RiccatiSolution(NamedTuple):
 
 @dataclass(frozen=True)
 class Side:
-    """One Riccati equation: the problem x' = A x + B1 w + B2 u, z = C1 x + D11 w + D12 u with D12 of full
-    column rank.
+    """One Riccati equation, of a problem with D12 of full column rank.
 
-    basis (n, n_r): the states that remain after the free ones were removed; the solution is basis X_r basisᵀ.
-    bound: the least γ that D11 and D12 allow (full information). axis: frequencies in rad/s of zeros on the
-    imaginary axis; weight: the state cost (times I) that moves them off it.
+        x' = A x + B1 w + B2 u,   z = C1 x + D11 w + D12 u
+
+    ``basis`` (n, n_r) are the states that remain without the free ones; the solution is basis X_r basisᵀ.
+    ``bound`` is the least γ that D11 and D12 allow (full information). ``axis`` are the frequencies in rad/s
+    of zeros on the imaginary axis. ``weight`` is the state cost (times I) that moves them off it.
     """
 
     A: np.ndarray
@@ -91,11 +92,12 @@ class Side:
         return StateSpace(self.A + self.B2 @ F, B, self.C1 + self.D12 @ F, D)
 
     def frequency_bound(self, level: float | None = None) -> float:
-        """A level that full information does not go below: max over frequencies of σ̄ of the part of G11(jω)
-        that no v cancels through G12(jω).
+        """A level that full information does not go below.
 
-        The frequencies: DC and those of the poles, or, with a ``level``, those where the bound may cross it
-        (axis eigenvalues of the Hamiltonian) and the points between them. 0 where no gain closes the loop.
+        It is the maximum over frequencies of σ̄ of the part of G11(jω) that no v cancels through G12(jω). The
+        frequencies are DC and those of the poles. With a ``level`` they are those where the bound may cross
+        it (axis eigenvalues of the Hamiltonian), and the points between them. It is 0 where no gain closes
+        the loop.
         """
         G = self._closed
         if G is None:

@@ -1,15 +1,15 @@
 """A loop with limited demand and anti-windup: sector bounds of the dead zone (THEORY 7.12).
 
-The controller wants u = C x and gets v = u − q, where q is the dead zone of u: zero within u_max, and the
-excess beyond. It runs x⁺ = A x + B m − L q. While |u| ≤ κ u_max the dead zone lies in the sector from 0 to s
-= 1 − 1/κ, so q = ½ s (u + p) with |p| ≤ |u| sample by sample. p is one more block of uncertainty, memoryless:
-constants commute with it, as D(s) commutes with an LTI Δ. With the loop's outputs and inputs so scaled a
-matrix Q ≻ 0 with
+The controller wants u = C x and gets v = u − q. Here q is the dead zone of u: zero within u_max, and the
+excess beyond. It runs x⁺ = A x + B m − L q. While |u| ≤ κ u_max the dead zone lies in the sector from 0 to
+``s = 1 − 1/κ``. Then ``q = ½ s (u + p)`` with |p| ≤ |u| sample by sample. The signal p is the output of one
+more block of uncertainty, which is memoryless. Constants commute with it, as D(s) commutes with an LTI Δ.
+With outputs and inputs of the loop scaled in this way, a matrix Q ≻ 0 with
 
     diag(Q, I) − [A B; C D] diag(Q, I) [A B; C D]ᵀ ≻ 0
 
-proves a gain from w of at most 1, and xᵀQ⁻¹x ≤ ‖w‖² at every time. Then |c x| ≤ ‖w‖ √(c Q cᵀ), which keeps
-u within κ u_max and its steps within a rate limit for every disturbance of bounded energy.
+proves a gain from w of at most 1, and xᵀQ⁻¹x ≤ ‖w‖² at every time. Then ``|c x| ≤ ‖w‖ √(c Q cᵀ)``. This
+keeps u within κ u_max and its steps within a rate limit for every disturbance of bounded energy.
 """
 
 from __future__ import annotations
@@ -167,8 +167,11 @@ class LimitedLoop:
         return ConstantScalings(self.system, self.rows, self.cols)
 
     def gain(self) -> tuple[float, np.ndarray] | None:
-        """A gain from w to z that holds for every Δ and demand within κ u_max, and the logarithms
-        (blocks,) of its constants; None: none up to LARGEST_GAIN."""
+        """Compute a gain from w to z for every Δ and every demand within κ u_max.
+
+        Returns the gain and the logarithms (blocks,) of its constants, or None if no gain up to LARGEST_GAIN
+        is proved.
+        """
         if not self.stable:
             return None
         scalings = self.performance()
@@ -202,8 +205,11 @@ class LimitedLoop:
         return max(found, key=lambda one: one.energy, default=None)
 
     def energy(self, log_constants: np.ndarray, u_max: float, step_max: float) -> float | None:
-        """The largest ‖w‖ with which |u| ≤ κ u_max and |u(k) − u(k − 1)| ≤ ``step_max`` are proved by
-        ``log_constants`` (blocks,); None where Q is not found or does not pass its test."""
+        """Compute the largest ‖w‖ with which the demand stays within its limits.
+
+        ``log_constants`` (blocks,) prove |u| ≤ κ u_max and |u(k) − u(k − 1)| ≤ ``step_max``. Returns None
+        where Q is not found or does not pass its test.
+        """
         whole = self.performance().scaled(self.ones, 1.0, log_constants)
         G = whole.select(slice(0, sum(self.rows)), slice(None))
         t = balancing(G)

@@ -1,10 +1,11 @@
 """One family of controllers over the operating points of a scheduled plant, suited for interpolation.
 
 Three measures keep neighbours alike. One scaling D, the best for the worst point, and one level γ serve all
-points: central controllers of neighbouring plants at the same level are neighbours, but not near each plant's
-own optimum. The plant's own coordinates are kept: the central controller's state estimates the plant's. One
-projection serves all, from the sums over the points of the closed loops' Gramians (the frozen-parameter
-average of Wood, Goddard & Glover 1996). Separate truncation would keep different states of each.
+points. Central controllers of neighbouring plants at the same level are neighbours. Near each plant's own
+optimum they are not. The plant's own coordinates are kept: the central controller's state estimates the
+plant's. One projection serves all, from the sums over the points of the closed loops' Gramians (the
+frozen-parameter average of Wood, Goddard & Glover 1996). Separate truncation would keep different states of
+each.
 """
 
 from __future__ import annotations

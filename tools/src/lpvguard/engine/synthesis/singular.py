@@ -1,10 +1,10 @@
 """Singular problems: the exact reduction that gives the optimum, and the regular plant for the controller.
 
-A control direction may have no direct cost. The states that it drives can then be set at no cost, and become
-the controls of a smaller problem (Stoorvogel 1992; in LMI form Gahinet & Apkarian 1994, where the free block
-of R replaces the feedback). The controller comes from a plant with an extra cost ε on the free directions and
-an extra noise ε on the unmeasured ones. Its level holds for the original plant too, because its cost is
-larger.
+A control direction may have no direct cost. The states that it drives can then be set at no cost. They become
+the controls of a smaller problem (Stoorvogel 1992). In the LMI form of Gahinet & Apkarian 1994, the free
+block of R replaces the feedback. The controller comes from a plant with an extra cost ε on the free
+directions and an extra noise ε on the unmeasured ones. Its level holds for the original plant too, because
+its cost is larger.
 """
 
 from __future__ import annotations

@@ -5,8 +5,8 @@ one sample. For any causal linear Δ and its change over one sample, E = q Δ q�
 
     d Δ d⁻¹ = Δ − C (q − A)⁻¹ E q X,     X = (q − A)⁻¹ B d⁻¹,
 
-with E acting on each of d's states alike. Where no Δ changes by more than r Ts in gain from sample to
-sample, the loop with DΔD⁻¹ is the scaled loop with the blocks Δ, of gain 1, and E, of gain r Ts. Constants
+with E acting on each of d's states alike. Let no Δ change by more than r Ts in gain from sample to sample.
+Then the loop with DΔD⁻¹ is the scaled loop with two blocks: Δ of gain 1, and E of gain r Ts. Constants
 commute with operators of any speed. A norm below 1 under constant scalings of the blocks is therefore a
 proof.
 """

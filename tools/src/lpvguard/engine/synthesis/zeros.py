@@ -65,9 +65,9 @@ def rank_defect(side: Side, omega: float) -> float:
 def axis_bounds(P: Plant, frequencies: tuple[float, ...]) -> list[float]:
     """Parrott bounds at the zeros on the imaginary axis, ``frequencies`` in rad/s, two for each.
 
-    There the loop cannot change part of T11 + T12 Q T21. T11, T12, T21 are the stable factors of all closed
-    loops (Zhou, Doyle & Glover 1996, section 12.8), with an LQ gain F and its dual L. A column that vanishes
-    at the zero is rounding and counts as a direction, so a single control gives no bound.
+    There the loop cannot change part of T11 + T12 Q T21. The stable factors of all closed loops are T11, T12
+    and T21 (Zhou, Doyle & Glover 1996, section 12.8). They use an LQ gain F and its dual L. A column that
+    vanishes at the zero is rounding and counts as a direction, so a single control gives no bound.
     """
     if not frequencies:
         return []

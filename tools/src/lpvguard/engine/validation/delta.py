@@ -32,9 +32,9 @@ def least_size(xi: np.ndarray, eta: np.ndarray) -> float:
 def construct(block: Block, xi: np.ndarray, eta: np.ndarray) -> np.ndarray:
     """Delta_i (rows, cols) of least norm with the block's structure that maps ``eta`` to ``xi``.
 
-    Full: xi eta^* / |eta|^2. Repeated: delta I with delta = eta^* xi / |eta|^2, its real part for a real
-    block; whether that delta maps eta to xi is for :func:`verify` to say. Raises InputError when eta = 0 but
-    xi is not.
+    A full block has xi eta^* / |eta|^2. A repeated block has ``delta I`` with ``delta = eta^* xi / |eta|^2``,
+    or its real part for a real block. Call :func:`verify` to check that this delta maps eta to xi. Raises
+    InputError when eta = 0 but xi is not.
     """
     if not np.any(xi):
         return np.zeros((block.rows, block.cols), dtype=complex)

@@ -216,7 +216,7 @@ def smallest_last_block(
             problem.source,
             f"block {last + 1}",
             f"needs {upper:.6g}, at or above its cap {cap:.6g}",
-            "a size below",
+            "a smaller size",
         )
     return lower, upper
 

@@ -1,7 +1,7 @@
 """Certificates for small Hermitian feasibility problems: max x so that sum_j y_j Q_j - x I >= 0.
 
-The multipliers y are split into groups: a scalar group is one number >= 0; a matrix group parametrises a
-Hermitian D >= 0 (the D-scaling of a repeated block); a free group has no sign (the G-scaling of a real
+The multipliers y are split into groups. A scalar group is one number >= 0. A matrix group parametrises a
+Hermitian D >= 0 (the D-scaling of a repeated block). A free group has no sign (the G-scaling of a real
 block). The traces of all groups with a sign sum to one. A positive x proves that the forms z^* Q_j z (and
 their matrix versions) cannot all be <= 0 at once: the S-procedure. The method is Newton's on a log barrier.
 The forms have at most about ten rows. Each iterate is feasible, so every bound from it is rigorous whenever
@@ -28,8 +28,11 @@ _NATIVE_N, _NATIVE_M, _NATIVE_ORDER = 16, 64, 4
 
 @dataclass(frozen=True)
 class Cone:
-    """Multiplier cones: ``start[g]``, ``size[g]`` locate group g in y; ``order[g]`` is r for Hermitian r x r
-    PSD matrices (r = 1: a number >= 0) and 0 for a free group."""
+    """Multiplier cones.
+
+    ``start[g]`` and ``size[g]`` locate group g in y. ``order[g]`` is r for Hermitian r x r PSD matrices (r =
+    1: a number >= 0) and 0 for a free group.
+    """
 
     start: tuple[int, ...]
     size: tuple[int, ...]
@@ -84,8 +87,10 @@ def _member(c: Cone, g: int, y: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Centre:
-    """``y`` is feasible with level ``x``; the optimum is below ``x_above``; ``inverse`` ~ (Q(y) - x I)^-1,
-    the primal."""
+    """A feasible ``y`` with level ``x``.
+
+    The optimum is below ``x_above``. ``inverse`` ~ (Q(y) - x I)^-1 is the primal.
+    """
 
     y: np.ndarray
     x: float

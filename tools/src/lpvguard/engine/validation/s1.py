@@ -1,11 +1,11 @@
 """Class S1: E = delta Z + w at every bin, one complex scalar delta common to all n_y outputs (T4).
 
-E is the windowed DFT of the nominal error, Z of the nominal output, both ``(..., n_y)`` complex in the
-outputs' own units; every other argument broadcasts against the leading shape. The closed forms are exact to
-rounding, even where the usual ones cancel (delta0 -> nu, gamma_w -> B1, gamma_w -> abs(E), E parallel to Z):
-differences of nearly equal products are formed in double-double arithmetic. The compiled kernels and the
-numpy versions agree to 1e-13 relative. Margins agree to 1e-11, and to 1e-6 where the outputs' Z lie decades
-apart: the meeting point of three discs is then a small difference.
+E is the windowed DFT of the nominal error, Z of the nominal output. Both are ``(..., n_y)`` complex in the
+outputs' own units. Every other argument broadcasts against the leading shape. The closed forms are exact to
+rounding. The usual forms cancel for delta0 -> nu, gamma_w -> B1, gamma_w -> abs(E) and for E parallel to Z.
+Differences of nearly equal products are therefore formed in double-double arithmetic. The compiled kernels
+and the numpy versions agree to 1e-13 relative. Margins agree to 1e-11, and to 1e-6 where the outputs' Z lie
+decades apart: the meeting point of three discs is then a small difference.
 
 With delta0 = Z^H E / Z^H Z (the least-squares scalar) and, by Lagrange's identity,
 

@@ -26,9 +26,9 @@ def block_caps(problem: Lft) -> np.ndarray:
 def well_posed(problem: Lft, nu: np.ndarray) -> bool:
     """Whether no Delta with ||Delta_i|| <= nu_i makes I - P11 Delta singular, certified; ``nu`` (tau,).
 
-    First by the spectral radius of the matrix of block norms. Then by the S-procedure on |xi_i| <= nu_i |(P11
-    xi)_i| with the multipliers of each block's structure: a matrix for a repeated scalar, and one more for a
-    real one (the D-G scalings of mu).
+    The first test uses the spectral radius of the matrix of block norms. The second is the S-procedure on
+    ``|xi_i| <= nu_i |(P11 xi)_i|`` with the multipliers of each block's structure. These are a matrix for a
+    repeated scalar, and one more for a real one (the D-G scalings of mu).
     """
     etas = split(problem.blocks, problem.p11, "cols")
     norms = np.array(

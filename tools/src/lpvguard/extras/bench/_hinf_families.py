@@ -1,9 +1,9 @@
 """Random H∞ problems whose optimum is known by algebra, in coordinates that hide it.
 
 A four-block problem of normalised coprime factors has γ² = 1 + λ_max(XZ) (Glover & McFarlane 1989). A zero of
-the plant in the right half plane sets γ by interpolation. The optimum depends neither on the coordinates of
-the state, nor on units of control and measurement, nor on an all-pass behind the outputs, nor on states that
-no input reaches.
+the plant in the right half plane sets γ by interpolation. The optimum does not depend on the coordinates of
+the state, or on the units of control and measurement. An all-pass behind the outputs does not change it, nor
+do states that no input reaches.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 Tyre forces lag by a relaxation length and saturate. The steering lags, and an elastic element with friction
 takes a share of small angles. The true error at a frequency, speed and amplitude is the car's describing
-function over the nominal response, less 1: it is measured with sines, without disturbance.
+function over the nominal response, minus 1. It is measured with sines, without disturbance.
 """
 
 from __future__ import annotations
@@ -197,7 +197,7 @@ def spectral_error(
 ) -> np.ndarray:
     """(G, S, A) complex error by spectra U and Y (S, A, R, K): least squares over lines about each frequency.
 
-    omega : (G,) [rad/s]; speed : (S,) [m/s]; amplitude : (S, A) [rad].
+    The shapes are omega (G,) [rad/s], speed (S,) [m/s] and amplitude (S, A) [rad].
     """
     lines = 2 * np.pi * np.arange(U.shape[-1]) / MULTISINE_S
     out = np.empty((len(omega), *amplitude.shape), complex)

@@ -1,7 +1,7 @@
 """Effect of Delta's memory on the frame test: t* of error that a causal Delta makes alone, w = 0.
 
-A frame's t* assumes one complex number d. A causal Delta with impulse response delta_k is no such number:
-with the Hann window h of N samples (scale 4/N) and any nominal output z
+A frame's t* assumes one complex number d. A causal Delta with impulse response delta_k is no such number. Let
+h be the Hann window of N samples (scale 4/N), and z any nominal output. Then
 
     E - Delta(jw) Z = (4/N) sum_k delta_k e^-jwk sum_m (h[m+k] - h[m]) z[m] e^-jwm.
 

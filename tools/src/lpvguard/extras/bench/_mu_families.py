@@ -1,7 +1,8 @@
 """Random problems of μ whose right value is known by algebra, for one frequency and for intervals.
 
-A problem is a dict as ``solve`` takes it. Families are built to be hard: M real or nearly so, coupled so that
-only extreme scalings would do, badly scaled, with hidden copies of states, poles that nearly coincide.
+A problem is a dict as ``solve`` takes it. Families are built to be hard. M is real or nearly real, badly
+scaled, or coupled so that only extreme scalings suffice. Others have hidden copies of states, or poles that
+nearly coincide.
 """
 
 from __future__ import annotations

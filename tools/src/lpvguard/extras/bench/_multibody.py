@@ -100,7 +100,8 @@ def multibody_error(
 ) -> np.ndarray:
     """(G, S, A) complex error of the car's best linear approximation.
 
-    omega : (G,) [rad/s]; speed : (S,) [m/s]; amplitude : (S, A) sqrt(2) times the rms of the angle [rad].
+    The shapes are omega (G,) [rad/s], speed (S,) [m/s] and amplitude (S, A) [rad]. The amplitude is sqrt(2)
+    times the rms of the angle.
     """
 
     def rates(v: np.ndarray, angle: np.ndarray) -> np.ndarray:

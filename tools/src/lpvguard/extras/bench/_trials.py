@@ -1,9 +1,9 @@
 """Loops drawn within the limits of each certificate of a controller.json, each with its worst input found.
 
-A trial draws a stable Delta: all-passes of first order, sampled rational systems up to fourth order, or one
-that the lower bound of mu constructs. Its gain is 1, or 1/mu for trials of mu. The input is not drawn.
-It is the one with the largest gain that the loop's adjoint finds over a finite horizon, or the one that
-climbs furthest where the demand is limited.
+A trial draws a stable Delta. It is an all-pass of first order, a sampled rational system up to fourth order,
+or one that the lower bound of mu constructs. Its gain is 1, or 1/mu for trials of mu. The input is not drawn.
+The loop's adjoint finds the input with the largest gain over a finite horizon. Where the demand is limited,
+the input is the one that climbs furthest.
 """
 
 from __future__ import annotations
@@ -51,8 +51,11 @@ ABOVE = 1e-6
 
 @dataclass(frozen=True)
 class Trial:
-    """A trial. ``share``: reached over proved number; ``grows``: a loop that is proved stable grew;
-    ``where``: place."""
+    """A trial.
+
+    ``share`` is the reached over the proved number. ``grows`` says that a loop that is proved stable grew.
+    ``where`` is the place.
+    """
 
     share: float
     grows: bool

@@ -2,10 +2,10 @@
 
 The first table has loops drawn within the limits of each certificate, each with its worst input found
 (bench/_trials.py). It shows for every proof the worst found number over the proved one. None may be above 1.
-The second table has the least |dv/dt| at which a search finds a gain above 1, or growth, with an admissible
-Delta (control/violations.py), and the proved rate. A row that is not found proves nothing. Between them
-stands the largest mu at a frozen speed with the largest optimum of controllers for one speed: the price of a
-controller that is scheduled, or synthesised for other objectives.
+The second table has the proved rate and the least |dv/dt| at which a search finds a gain above 1, or growth.
+The search uses an admissible Delta (control/violations.py). A row that is not found proves nothing. A line
+between the tables compares the largest mu at a frozen speed with the largest optimum of controllers for one
+speed. The difference is the price of a controller that is scheduled, or synthesised for other objectives.
 """
 
 from __future__ import annotations

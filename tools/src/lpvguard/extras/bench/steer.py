@@ -1,9 +1,9 @@
 """The closed loop of trucks that differ from the nominal one in one property, over speed and seeds.
 
 Every run follows the steering task's command, 0.02 to 1 rad/s, with the compiled controller. The table shows
-the worst run of each truck and contradictions to a certificate (loop/campaign/conduct.py): a steady line of
-the demand above the commanded band, a demand at its limit for long, an error beyond the allowed share of the
-command.
+the worst run of each truck and contradictions to a certificate (loop/campaign/conduct.py). A contradiction is
+a steady line of the demand above the commanded band, or a demand at its limit for long. An error beyond the
+allowed share of the command is one, too.
 """
 
 from __future__ import annotations

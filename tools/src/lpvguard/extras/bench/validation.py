@@ -1,9 +1,9 @@
 """Performance of the validation engine: one thread, 20 experiments x 1024 bins of the paper's truck.
 
-Three kernels run on arrays: S1 closed form, on-line margin, S2 to a certified gap of 1e-4. Beside them, in
-the same run, a conic solver (cvxpy + Clarabel, rebuilt per point) solves a subsample of the same problems.
-The peer for S2 is a bisection-free grid: one semidefinite relaxation per trial nu_s. cvxpy is a test
-dependency: without it the ratios are left out.
+Three kernels run on arrays: S1 closed form, on-line margin, S2 to a certified gap of 1e-4. In the same run, a
+conic solver (cvxpy + Clarabel, rebuilt per point) solves a subsample of the same problems. The peer for S2 is
+a bisection-free grid: one semidefinite relaxation per trial nu_s. The package cvxpy is a test dependency.
+Without it the ratios are left out.
 
 >>> data = truck_points(experiments=2, bins=4, seed=1)
 >>> data["e"].shape, data["h_s"].shape
@@ -55,9 +55,9 @@ def truck_points(
 ) -> dict[str, np.ndarray]:
     """Points of class S2 from a known (delta, Delta_s, w), all from ``seed``.
 
-    ``experiments`` speeds from 8 to 22 m/s, ``bins`` from 0.02 rad/s to 90 % of Nyquist, sampled at ``ts_s``.
-    Keys: e (K, 2), z (K, 2), u (K,), x_nom (K, 3), h_i (K, 3), h_s (K, 3, 3), c (2, 3), gamma_w (K,), w_delta
-    (K, 1), w_w (K, 2).
+    There are ``experiments`` speeds from 8 to 22 m/s. The ``bins`` go from 0.02 rad/s to 90 % of Nyquist,
+    sampled at ``ts_s``. Keys are ``e (K, 2)``, ``z (K, 2)``, ``u (K,)``, ``x_nom (K, 3)``, ``h_i (K, 3)``,
+    ``h_s (K, 3, 3)``, ``c (2, 3)``, ``gamma_w (K,)``, ``w_delta (K, 1)``, ``w_w (K, 2)``.
     """
     rng = np.random.default_rng(seed)
 

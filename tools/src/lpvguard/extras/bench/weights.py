@@ -1,9 +1,9 @@
 """Weight fits: tightness, speed and proof, in comparison with a public overbounding fit in the same run.
 
-There are 32 seeded bounds over 3 to 6 decades: exact third-order weights, rippled ones, random walks, 60 dB
-cliffs, steps and raw scatter of 1024 points. Ours is proved above the log-log linear bound at every
-frequency, and its worst ratio is over all frequencies. The exact weights are fitted once more at their order,
-which shows the distance of the fit from the weight.
+There are 32 seeded bounds over 3 to 6 decades. They are exact third-order weights, rippled ones, random
+walks, 60 dB cliffs, steps and raw scatter of 1024 points. The fitted weight is proved above the log-log
+linear bound at every frequency, and its worst ratio is over all frequencies. The exact weights are fitted
+once more at their order, which shows the distance of the fit from the weight.
 
 The peer (``--peers``) is dkpy's ``fit_uncertainty_weight``, a bisection over linear programs, at the order of
 our fit. It is judged only at the samples, as it claims. It runs twice: with uniform frequency weighting,

@@ -30,7 +30,7 @@ def monitor_fmu(project: Project, folder: Path, version: int) -> bytes:
     folder : Path
         Generated folder of the vehicle, by ``lpvguard export``.
     version : int
-        Of FMI, 2 or 3.
+        Version of FMI, 2 or 3.
 
     Returns
     -------

@@ -25,9 +25,9 @@ class Variable:
     kind : str
         real, integer, or a key of ``ENUMERATIONS``.
     unit : str
-        Of a real; "1" without one.
+        Unit of a real; "1" without one.
     start : float or None
-        Of an input, and of an output that never changes.
+        Start value of an input, and of an output that never changes.
     low, high : float or None
         Physical range.
     """

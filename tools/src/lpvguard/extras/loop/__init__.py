@@ -1,8 +1,8 @@
 """The closed loop on a PC.
 
 In: a generated folder with a controller, scenarios. Out: runs of simulated truck, CAN frames and compiled ECU
-loop; required reactions of the supervision; campaigns over seeds; the LCM client; drives of the simulated
-truck. MAY_IMPORT lists what a room may import.
+loop. Also out: required reactions of the supervision, campaigns over seeds, the LCM client, and drives of the
+simulated truck. MAY_IMPORT lists what a room may import.
 """
 
 MAY_IMPORT = (

@@ -16,18 +16,18 @@ its period from the table, starting off:
 
 A frame is bad when one of these holds:
 
-    time        it comes within a quarter of a period of the one before (babbling)
+    time        it comes within a quarter of a period after the previous one (babbling)
     length      it is not of 8 bytes
     checksum    it fails, where the table gives it one
-    counter     it is as in the frame before, 15, or more than COUNTER_STEP on, where the table gives it one
+    counter     it repeats, is 15, or is more than COUNTER_STEP on, where the table gives it one
     signal      a supervised one is "error", "not available" or outside its range, or it changed faster than
                 allowed plus one raw step since the newest good frame
 
 "Off" forgets counter and values.
 
 At every tick the ECU reports the worst state of the messages that its vehicle needs, from the frames up to
-it. It also reports off where all are live but a newest good value is outside the range of the vehicle's own
-signal table: such a sample is refused.
+it. It also reports off where all are live but a newest good value is outside the range of the vehicle's
+signal table. Such a sample is refused.
 """
 
 from __future__ import annotations

@@ -296,10 +296,11 @@ def _bracket_misses(stem: str, answer: dict, ref: dict, rtol: float) -> list[str
 def compare(problem: dict, answer: dict) -> Comparison:
     """Compare an answer with the problem's own, by the rules of the interface.
 
-    ``|x - ref| <= rtol max(|ref|, 1e-9 scale)``, arrays by their largest element, scale = ||E|| for B1 and 1
-    otherwise; brackets and mu by one-sided rules. A reference with status ``error`` wants an error. One floor
-    is added to the written rule: a B1 below the rounding of its own data (DATA_ROUNDING ||E||) cannot be
-    distinguished from zero, and the reference values there are rounding themselves.
+    The rule is ``|x - ref| <= rtol max(|ref|, 1e-9 scale)``, for arrays by their largest element. The scale
+    is ||E|| for B1 and 1 otherwise. Brackets and mu have one-sided rules. A reference with status ``error``
+    requires an error. One floor is added to the written rule. A B1 below the rounding of its own data
+    (DATA_ROUNDING ||E||) cannot be distinguished from zero. The reference values there are rounding errors
+    themselves.
     """
     ref = problem.get("answer") if isinstance(problem, dict) else None
     if not isinstance(ref, dict):

@@ -113,8 +113,8 @@ def solve_mu_interval(problem: dict) -> dict:
     Returns
     -------
     dict
-        As ``solve_mu``, with the frequency ``omega`` [rad/s] of ``mu_lower`` (null: infinite) and the number
-        ``cells`` of boxes and intervals that the proof of ``mu_upper`` is made of.
+        As from ``solve_mu``, with two more keys. ``omega`` [rad/s] is the frequency of ``mu_lower`` (null:
+        infinite). ``cells`` is the number of boxes and intervals in the proof of ``mu_upper``.
 
     Raises
     ------

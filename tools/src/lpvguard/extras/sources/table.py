@@ -79,9 +79,10 @@ Form = Annotated[Matlab | Csv | CanArrays | Copy, Field(discriminator="kind")]
 class PublicFile(StrictModel):
     """A file of a data set.
 
-    ``name``: place in the folder; ``path``: place in the repository at ``commit`` (for arrays their folder);
-    ``source_sha256``: of the bytes read there, parts in the order of their names; ``sha256``: of the result.
-    ``form`` None: the data set's. ``index``: its row of the data set's index.
+    ``name`` is its place in the folder. ``path`` is its place in the repository at ``commit`` (for arrays
+    their folder). ``source_sha256`` is the hash of the bytes read there, with parts in the order of their
+    names. ``sha256`` is that of the result. ``form`` None stands for the data set's. ``index`` is its row of
+    the data set's index.
     """
 
     name: str

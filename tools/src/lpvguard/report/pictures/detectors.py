@@ -117,8 +117,8 @@ def detection(severities: list[dict], units: dict[str, str], names: dict[str, st
 
     A panel per kind of fault, a line per detector.
 
-    ``severities``: rows of a campaign's summary; ``key``: "found" or "matched"; ``names``: detector -> title,
-    ours first.
+    ``severities`` are rows of a campaign's summary, and ``key`` is "found" or "matched". ``names`` maps
+    detectors to titles, the monitor first.
     """
 
     def draw(axes: Axes, x: np.ndarray, rows: list[dict]) -> None:

@@ -179,7 +179,10 @@ def _true_loop(path: Path, controller: str) -> str:
     found = artefacts.read_json(path)
     if found["coefficients_sha256"] != controller:
         raise InputError(
-            path, "coefficients_sha256", "is of another controller", "bench robust of this design, or no file"
+            path,
+            "coefficients_sha256",
+            "belongs to another controller",
+            "bench robust of this design, or no file",
         )
     promised = {row["v_mps"]: row["margins"] for row in found["promised"]}
     rows = []

@@ -36,10 +36,10 @@ def overview_section(
     design: Path | None,
     evaluation: dict | None,
 ) -> str:
-    """The section.
+    """Make the section.
 
-    ``summaries``: the replayed drives, none unless ``replayed``; ``design``: folder of `lpvguard design`;
-    ``evaluation``: JSON of `lpvguard evaluate`.
+    ``summaries`` are the replayed drives, none unless ``replayed``. ``design`` is the folder of `lpvguard
+    design`, and ``evaluation`` the JSON of `lpvguard evaluate`.
     """
     alarms = [(d, a) for d in summaries for a in d.alarms]
     grid = cells(stored.visibility, (a for _, a in alarms))

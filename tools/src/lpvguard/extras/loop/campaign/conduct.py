@@ -56,10 +56,11 @@ class Line:
 def steady_line(u: np.ndarray, Ts: float, commanded: float) -> Line:
     """Find the largest steady line of a demand above the commanded band.
 
-    A window of WINDOW_S, every half window one, holds a line if its highest peak has LINE_SHARE of the power
-    up to HIGHEST_RADPS in its main lobe. The peak must be no slope of a lower frequency's. The line is steady
-    if three windows in succession hold it within a tenth of its frequency and it keeps LINE_KEPT of its
-    amplitude. The response of a damped loop to noise has a broader peak, and a step's decays.
+    Windows of WINDOW_S begin every half window. A window holds a line if its highest peak has LINE_SHARE of
+    the power up to HIGHEST_RADPS in its main lobe. The peak must not be the slope of a peak at a lower
+    frequency. The line is steady if three windows in succession hold it within a tenth of its frequency and
+    it keeps LINE_KEPT of its amplitude. The response of a damped loop to noise has a broader peak, and a
+    step's decays.
 
     Parameters
     ----------

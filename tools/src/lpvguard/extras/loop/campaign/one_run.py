@@ -1,8 +1,8 @@
 """One run of a campaign: simulated, replayed through the compiled core, and judged by every detector.
 
-The visible effect of a fault is measured off line on the samples of the run, in double precision, by the
-estimator that set the bounds. Frames begin at every STRIDE-th start. An alarm is *due* by the time that class
-Offline derives. Runs in which a detector alarms before the fault do not count for it.
+The visible effect of a fault is measured off line on the samples of the run, in double precision. The
+estimator is the one that set the bounds. Frames begin at every STRIDE-th start. An alarm is *due* by the time
+that class Offline derives. Runs in which a detector alarms before the fault do not count for it.
 """
 
 from __future__ import annotations
@@ -45,11 +45,11 @@ VISIBLE_RATIO = 1.5
 class Offline:
     """Evidence in the samples of a run, independent of the monitor: frames of all bins, in double.
 
-    visible_share: share of the frames wholly in excited driving after the fault with t* >= VISIBLE_RATIO
-    times the threshold, 0 without any. due_s: time by which a monitor with these bounds must have alarmed [s
-    after the fault], None: never. The monitor judges a frame every half frame. If t* is that large at every
-    start of half a frame, one of these is judged by the end of the last. median, largest: of t* of the frames
-    after the fault.
+    ``visible_share`` counts frames wholly in excited driving after the fault. It is the share of them with
+    ``t* >= VISIBLE_RATIO`` times the threshold, 0 without any. ``due_s`` [s after the fault] is the time by
+    which a monitor with these bounds must have alarmed, None for never. The monitor judges a frame every half
+    frame. Let t* be that large at every start within half a frame. One of these frames is then judged by the
+    end of the last. ``median`` and ``largest`` are those of t* of the frames after the fault.
     """
 
     visible_share: float

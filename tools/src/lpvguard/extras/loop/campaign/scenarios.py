@@ -39,9 +39,9 @@ REFERENCE_RADPS = 3.0
 class PlannedRun:
     """One run.
 
-    ``plant``: index of the truck of group "within", -1 elsewhere; ``tables``: its fault or variation;
-    ``gain``: least gain of a truck within the bounds over the nominal one's; ``way``: way in which the fault
-    begins.
+    ``plant`` is the index of the truck of group "within", -1 elsewhere. ``tables`` are its fault or
+    variation. ``gain`` is the least gain of a truck within the bounds over the nominal one's. ``way`` is the
+    way in which the fault begins.
     """
 
     number: int
@@ -218,8 +218,8 @@ def _command(random: np.random.Generator, within: bool) -> Command:
 def speed_profile(random: np.random.Generator) -> list[tuple[float, float]]:
     """Knots (time [s], speed [m/s]) of a random speed profile.
 
-    The speed is constant, drifts by at most 3 m/s, or is swept to the farther end of the range and back at
-    0.05 to 0.3 m/s2.
+    The speed is constant, drifts by at most 3 m/s, or is swept to the farther end of the range and back. The
+    sweep has 0.05 to 0.3 m/s2.
     """
     slowest, fastest = SPEEDS
     first = random.uniform(slowest, fastest)

@@ -1,8 +1,8 @@
 """Tables of a campaign from the rows of its runs.
 
-A fault is *visible* in a run when t* is at least VISIBLE_RATIO (one_run.py) times the threshold in at least
-VISIBLE_SHARE of the frames that lie wholly in excited driving after its start. A visible fault must be found
-within FOUND_WITHIN_S of judged, excited driving.
+A fault is *visible* in a run when t* is at least VISIBLE_RATIO (one_run.py) times the threshold often enough.
+This must hold in VISIBLE_SHARE of the frames that lie wholly in excited driving after its start. A visible
+fault must be found within FOUND_WITHIN_S of judged, excited driving.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
 """Largest tracking error that the certificate allows a run within the bounds.
 
-mu < 1 bounds the worst gain from the normalised inputs of Fig. 1 to W_t e_t by 1 at every frequency, for
-every Delta within W_Delta. The error e_t of the yaw rate to the reference model's answer then obeys
+A mu below 1 bounds the worst gain from the normalised inputs of Fig. 1 to W_t e_t by 1. The bound holds at
+every frequency and for every Delta within W_Delta. The error e_t of the yaw rate to the reference model's
+answer then obeys
 
     |e_t|^2 <= (|c / W_C|^2 + |w_r / W_wr|^2 + |w_d / W_wd|^2 + |n_r / W_nr|^2 + |n_d / W_nd|^2) / |W_t|^2
 

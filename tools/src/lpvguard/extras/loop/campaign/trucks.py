@@ -1,8 +1,9 @@
 """Trucks within the bounds by their own frequency response, and mu of the loops with a fault.
 
-G is the truck's measured response to sines on a flat road without wind (`plant response`), w = 0, at OMEGA,
-at RESPONSE_SPEEDS and with amplitudes of RESPONSE_BAR, the last of which is reduced to the edge of use (the
-lateral-acceleration limit). P is the nominal response. A truck is within the bounds when each output has
+G is the truck's measured response to sines on a flat road without wind (`plant response`), with w = 0. It is
+measured at OMEGA and RESPONSE_SPEEDS with amplitudes of RESPONSE_BAR. The last amplitude is reduced to the
+edge of use (the lateral-acceleration limit). P is the nominal response. A truck is within the bounds when
+each output has
 
     |delta_j| = |G_j / P_j - 1| <= W_delta,j
 
@@ -53,11 +54,10 @@ LOOP_SPEEDS = (8.5, 15.0, 21.5)
 class Distance:
     """Distance of a truck from the nominal model.
 
-    ratio: largest |delta_j| / W_delta,j; measurement ends where it exceeds 1, so it is then a lower bound.
-    output,
-    omega_radps, speed_mps, amplitude_bar: its place. least_gain: for a truck within the bounds, least
-    |G_1/P_1| at
-    the edge of use up to the highest frequency of a command.
+    ``ratio`` is the largest |delta_j| / W_delta,j. Measurement ends where it exceeds 1, so it is then a lower
+    bound. ``output``, ``omega_radps``, ``speed_mps`` and ``amplitude_bar`` are its place. ``least_gain`` is
+    the least |G_1/P_1| of a truck within the bounds, at the edge of use up to the highest frequency of a
+    command.
     """
 
     ratio: float
