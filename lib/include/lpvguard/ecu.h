@@ -155,17 +155,10 @@ typedef struct lpvg_ecu_actuator_limits_t {
 
 /// Configuration. `engage` and `report_only` are safe at zero: engagement is not asked for, and every cause releases.
 typedef struct lpvg_ecu_config_t {
-<<<<<<< HEAD
-    bool engage;  ///< asked for engagement from the start
-    uint16_t report_only;  ///< causes of LPVG_ECU_CAUSES_OPTIONAL that are reported and do not release
-    uint8_t priority;  ///< other_priority (bus.h) up to which control is permitted, 0 .. 3
-    bool authenticated;  ///< the caller hands over authenticated frames of the command message only (authentication.h): the report says so
-=======
     bool engage;  ///< engagement is asked for from the start
     uint16_t report_only;  ///< causes of LPVG_ECU_CAUSES_OPTIONAL that are reported but do not release
     uint8_t priority;  ///< highest other_priority (bus.h) at which control is permitted, 0 .. 3
     bool authenticated;  ///< the caller passes only authenticated frames of the command message (authentication.h); the report says so
->>>>>>> words
     lpvg_can_plausibility_limits_t plausibility;  ///< limits of the cross-checks
     lpvg_ecu_actuator_limits_t actuator;  ///< limits of the actuator check
 } lpvg_ecu_config_t;
