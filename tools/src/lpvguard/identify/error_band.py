@@ -72,8 +72,10 @@ class ErrorBand:
         return np.abs(self.centre) + self.k * self.sd
 
     def typical(self, alpha: float) -> np.ndarray:
-        """(G,) bound of |delta| of a further drive, in the median over speeds and amplitudes, that it exceeds
-        with probability ``alpha`` at one frequency: its error is complex normal."""
+        """(G,) typical |delta| of a further drive, in the median over speeds and amplitudes.
+
+        A complex normal error exceeds it at one frequency with probability ``alpha``.
+        """
         return np.median(np.abs(self.centre) + np.sqrt(-np.log(alpha)) * self.sd, axis=(1, 2))
 
     @property

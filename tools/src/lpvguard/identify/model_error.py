@@ -735,9 +735,11 @@ def uncertainty_bound(project: Project, grid: ErrorGrid, estimate: ErrorEstimate
 
 
 def band_bound(project: Project, grid: ErrorGrid, bands: list[ErrorBand]) -> np.ndarray:
-    """(G, n_delta): what W_delta must cover by the ``bands`` of all outputs, over the first of the grid's
-    frequencies. At a speed and amplitude of which a band says nothing, k sd >= 1 + rho, and beyond its
-    frequencies no more than 1 + rho is asked (T32)."""
+    """(G, n_delta): least W_delta by the ``bands`` of all outputs, over the first of the grid's frequencies.
+
+    A band says nothing at a speed and amplitude with k sd >= 1 + rho. There, and beyond the band's
+    frequencies, only 1 + rho is required (T32).
+    """
     out = beyond(project, grid)
     for j, band in enumerate(bands):
         dead = out[: len(band.omega), j, None, None]
@@ -747,7 +749,7 @@ def band_bound(project: Project, grid: ErrorGrid, bands: list[ErrorBand]) -> np.
 
 
 def band_frequencies(grid: ErrorGrid, domain: ErrorDomain) -> np.ndarray:
-    """Those of the grid's frequencies [rad/s] that the decimated signals hold."""
+    """(G,) [rad/s]: the grid's frequencies that the decimated signals hold."""
     return grid.omega[grid.omega <= HELD * np.pi / domain.step_s]
 
 

@@ -1,8 +1,11 @@
-"""What steering and yaw rate say of each other, in the units of their columns.
+"""Steady turn of a vehicle, fitted in the units of the columns.
 
-In a steady turn r = v (delta - trim) / (L + K v^2), with L the wheelbase and K the understeer. With columns
-v = a v', delta = b delta', r = c r' this is r' = v' (delta' - trim') / (P (1 + q v'^2)), with P = L c / (a b)
-and q = K a^2 / L. The columns alone give P, q and the lag of r; units are what makes physics of them.
+In a steady turn r = v (delta - trim) / (L + K v^2), with the wheelbase L and the understeer K. Let the
+columns be v = a v', delta = b delta', r = c r'. Then
+
+    r' = v' (delta' - trim') / (P (1 + q v'^2)),    P = L c / (a b),    q = K a^2 / L
+
+The columns alone give P, q and the lag of r. Only their units give L and K.
 """
 
 from __future__ import annotations
@@ -45,9 +48,15 @@ class Driven:
 
 @dataclass(frozen=True)
 class SteadyTurn:
-    """What the columns say: ``length`` (Q,) is P, with the sign of the steering, for each of the likely
-    ``spread`` (Q,) q, the likeliest first; ``lag_s``: of the yaw rate behind the steering; ``explained``:
-    share of the yaw rate's variance."""
+    """Steady turn that fits the columns.
+
+    Attributes
+    ----------
+    length : ndarray (Q,), P with the sign of the steering, for each likely ``spread``
+    spread : ndarray (Q,), likely values of q, the likeliest first
+    lag_s : float, s, of the yaw rate behind the steering
+    explained : float, share of the yaw rate's variance
+    """
 
     length: np.ndarray
     spread: np.ndarray
