@@ -1,4 +1,4 @@
-/* filter.h -- which frames a firmware's driver hands on: those that a rule of its vehicle matches, and error reports. */
+/* filter.h -- which frames a firmware's driver hands on: those that a rule of its vehicle matches, authenticators, and error reports. */
 #ifndef LPVGUARD_FIRMWARE_FILTER_H
 #define LPVGUARD_FIRMWARE_FILTER_H
 
@@ -7,6 +7,8 @@
 
 #include "lpvguard/bus.h"
 
+#define FILTER_ANY_PRIORITY 0xE3FFFFFFu /* flags and identifier but the priority of J1939 */
+
 static inline bool filter_passes(const lpvg_can_frame_t* frame) {
     size_t i;
     for (i = 0u; i < lpvg_bus.n_rules; ++i) {
@@ -14,7 +16,7 @@ static inline bool filter_passes(const lpvg_can_frame_t* frame) {
             return true;
         }
     }
-    return (frame->id & LPVG_CAN_ERROR) != 0u;
+    return ((frame->id ^ lpvg_bus.authenticator_id) & FILTER_ANY_PRIORITY) == 0u || (frame->id & LPVG_CAN_ERROR) != 0u;
 }
 
 #endif

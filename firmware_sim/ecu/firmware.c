@@ -1,6 +1,10 @@
 /* firmware.c -- see firmware.h. */
 #include "firmware.h"
 
+#include <string.h>
+
+#include "filter.h"
+
 const lpvg_ecu_config_t firmware_config = {
     .engage = true,
     .report_only = 0u,
@@ -10,11 +14,35 @@ const lpvg_ecu_config_t firmware_config = {
     .actuator = {.lag_s = 0.14f, .tolerance = 0.04f, .confirm = 30u, .relative = 0.25f},
 };
 
-lpvg_status_t firmware_init(firmware_t* self, const bus_t* bus, const lpvg_ecu_config_t* config, int64_t now_us) {
-    if (self == NULL || bus == NULL) {
+lpvg_status_t firmware_authenticate(lpvg_can_auth_t* end, const firmware_key_t* key) {
+    const lpvg_can_auth_config_t config = {
+        .cmac = key->cmac,
+        .context = key->context,
+        .id = lpvg_bus.command_id,
+        .auth_id = lpvg_bus.authenticator_id,
+        .id_mask = FILTER_ANY_PRIORITY,
+        .pair_us = FIRMWARE_PAIR_US,
+        .data_id = lpvg_bus.command_data_id,
+    };
+    return lpvg_can_auth_init(end, &config, key->freshness);
+}
+
+lpvg_status_t firmware_init(firmware_t* self, const bus_t* bus, const lpvg_ecu_config_t* config, const firmware_key_t* key,
+                            int64_t now_us) {
+    lpvg_ecu_config_t own;
+    if (self == NULL || bus == NULL || config == NULL) {
         return lpvg_status_bad_argument;
     }
+    own = *config;
+    own.authenticated = key != NULL;
     self->bus = bus;
+    memset(&self->authentication, 0, sizeof self->authentication);
+    if (key != NULL) {
+        const lpvg_status_t status = firmware_authenticate(&self->authentication, key);
+        if (status != lpvg_status_ok) {
+            return status;
+        }
+    }
     self->send_failures = 0u;
 #if FIRMWARE_DIAGNOSES
     {
@@ -24,17 +52,30 @@ lpvg_status_t firmware_init(firmware_t* self, const bus_t* bus, const lpvg_ecu_c
         }
     }
 #endif
-    return lpvg_ecu_init(&self->ecu, &lpvg_coeff, &lpvg_control_coeff, config, now_us);
+    return lpvg_ecu_init(&self->ecu, &lpvg_coeff, &lpvg_control_coeff, &own, now_us);
+}
+
+/* Whether a received frame is for the ECU: with a key, a command waits for its authenticator. */
+static bool passes(firmware_t* self, const lpvg_can_frame_t* received, lpvg_can_frame_t* out) {
+    lpvg_can_auth_event_t event;
+    if (!self->ecu.kept.config.authenticated) {
+        *out = *received;
+        return true;
+    }
+    event = lpvg_can_auth_receive(&self->authentication, received, out);
+    return event == lpvg_can_auth_passed || event == lpvg_can_auth_other;
 }
 
 lpvg_status_t firmware_tick(firmware_t* self, int64_t now_us) {
     lpvg_can_frame_t out[LPVG_ECU_FRAMES_OUT];
+    lpvg_can_frame_t received;
+    size_t n_received;
     size_t n_in = 0u;
     size_t n_out = 0u;
     size_t i;
     lpvg_status_t status;
-    while (n_in < FIRMWARE_FRAMES_IN && bus_receive(self->bus, now_us, &self->in[n_in])) {
-        ++n_in;
+    for (n_received = 0u; n_received < FIRMWARE_FRAMES_IN && bus_receive(self->bus, now_us, &received); ++n_received) {
+        n_in += passes(self, &received, &self->in[n_in]) ? 1u : 0u;
     }
     status = lpvg_ecu_step(&self->ecu, now_us, self->in, n_in, out, LPVG_ECU_FRAMES_OUT, &n_out);
     for (i = 0u; i < n_out; ++i) {

@@ -490,7 +490,7 @@ static void write_hour(uint32_t number) {
 
 /* Ignition off and on between two hours: an invalid verdict that came again after an acknowledgement stands until then. */
 static void restart(const bus_t* bus) {
-    broken[rule_report] += firmware_init(&firmware, bus, &firmware_config, now_us + clock_off_us) == lpvg_status_ok ? 0u : 1u;
+    broken[rule_report] += firmware_init(&firmware, bus, &firmware_config, NULL, now_us + clock_off_us) == lpvg_status_ok ? 0u : 1u;
     counter_due = 0u;
     alarm_us = 0;
     fault.quiet_ms = request_ms = dead_ms = 0;
@@ -508,7 +508,7 @@ int main(void) {
         wave[i][0] = 1.0f;
     }
     lpvg_model_start(&model, &lpvg_coeff, no_input, still);
-    if (firmware_init(&firmware, &bus, &firmware_config, 0) != lpvg_status_ok) {
+    if (firmware_init(&firmware, &bus, &firmware_config, NULL, 0) != lpvg_status_ok) {
         port_write("the firmware refused its coefficients\n");
         return 2;
     }

@@ -358,7 +358,7 @@ void run_full_bus(uint8_t* counter) {
 void run_authentication() {
     const uint8_t key[16] = {0x2b, 0x7e, 0x15, 0x16, 0x28, 0xae, 0xd2, 0xa6, 0xab, 0xf7, 0x15, 0x88, 0x09, 0xcf, 0x4f, 0x3c};
     static AesCmac cmac(key);
-    const lpvg_can_auth_config_t config = {AesCmac::hook, &cmac,  LPVG_CAN_GUARD_IN_ID,         LPVG_CAN_GUARD_IN_ID ^ 0x0300U,
+    const lpvg_can_auth_config_t config = {AesCmac::hook, &cmac,  lpvg_bus.command_id,          lpvg_bus.authenticator_id,
                                            0xE3FFFFFFU,   5'000U, LPVG_CAN_GUARD_IN_E2E_DATA_ID};
     static lpvg_can_auth_t sender, receiver;
     require(lpvg_can_auth_init(&sender, &config, 0U) == lpvg_status_ok, "no sender\n");
@@ -488,7 +488,8 @@ void run_xcp() {
 // Everything at once: frames in, supervision, cross-checks, controller, monitor, frames out.
 void run_ecu() {
     // The drive is no answer to the demands of this controller: what is found of it must not end the measurement.
-    const lpvg_ecu_config_t config = {true, LPVG_ECU_CAUSES_OPTIONAL, 0U, {2.07F, 5.0F, 1.5F, 0.15F, 100U}, {0.14F, 0.04F, 30U, 0.25F}};
+    const lpvg_ecu_config_t config = {true,  LPVG_ECU_CAUSES_OPTIONAL,         0U,
+                                      false, {2.07F, 5.0F, 1.5F, 0.15F, 100U}, {0.14F, 0.04F, 30U, 0.25F}};
     Part init("ecu_init");
     init.run([&] {
         require(lpvg_ecu_init(&ecu, &lpvg_coeff, &lpvg_control_coeff, &config, 0) == lpvg_status_ok, "the ECU refused its set-up\n");

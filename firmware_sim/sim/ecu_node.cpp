@@ -20,6 +20,7 @@
 #include "memory_bus.hpp"
 #include "reception.hpp"
 #include "socketcan_bus.hpp"
+#include "test_key.hpp"
 #include "time_line.h"
 
 namespace lpvguard_sim {
@@ -33,7 +34,7 @@ public:
         lpvg_ecu_config_t config = firmware_config;
         config.engage = options.engage;
         config.report_only = options.report_only ? LPVG_ECU_CAUSES_OPTIONAL : config.report_only;
-        if (firmware_init(&firmware_, bus, &config, 0) != lpvg_status_ok) {
+        if (firmware_init(&firmware_, bus, &config, test_key(), 0) != lpvg_status_ok) {
             throw UsageError("the core refused its coefficients");
         }
     }

@@ -13,7 +13,7 @@
 ///     amplitude_radps = 0.05           # steps: from side to side
 ///     period_s = 10.0                  # steps: of a whole cycle
 ///     knots = [[0.0, 0.0], [9.0, 0.1]] # profile: [time s, yaw rate rad/s], linear between knots, constant outside them
-///     [[can_fault]]                    # any number, on messages to the controller
+///     [[can_fault]]                    # any number, on messages to the controller, before GUARD_IN is authenticated
 ///     message = "VDC2"
 ///     kind = "lost"                    # lost; corrupted (one bit flipped); delayed; repeated (the frame before in place of the
 ///                                      # new one); swapped (in pairs: both at the later one's time, in the wrong order);

@@ -4,6 +4,8 @@
 #include <cstring>
 #include <stdexcept>
 
+#include "test_key.hpp"
+
 namespace lpvguard_sim {
 namespace {
 
@@ -34,6 +36,7 @@ VehicleNode::VehicleNode(const bus_t* bus, double steering_ratio, const std::vec
     : bus_(bus), steering_ratio_(steering_ratio), random_(seed, bus_fault_stream) {
     revise(faults);
     require(lpvg_can_init(&supervisor_, &lpvg_can_rules[LPVG_CAN_GUARD_OUT_INDEX], 1, 0));
+    require(firmware_authenticate(&authentication_, test_key()));
 }
 
 void VehicleNode::revise(const std::vector<CanFault>& faults) {
@@ -130,7 +133,17 @@ void VehicleNode::put(const lpvg_can_frame_t& sent) {
     }
     newest = sent;
     if (goes_out && !bus_off_) {
-        bus_send(bus_, &frame);
+        transmit(frame);
+    }
+}
+
+// A command goes out with its authenticator.
+void VehicleNode::transmit(const lpvg_can_frame_t& frame) {
+    bus_send(bus_, &frame);
+    if (frame.id == lpvg_bus.command_id) {
+        lpvg_can_frame_t authenticator{};
+        require(lpvg_can_auth_protect(&authentication_, &frame, &authenticator));
+        bus_send(bus_, &authenticator);
     }
 }
 
@@ -151,7 +164,7 @@ bool VehicleNode::spoil(Fault& fault, lpvg_can_frame_t& frame, const lpvg_can_fr
                 fault.held = frame;
                 return false;
             }
-            bus_send(bus_, &frame);
+            transmit(frame);
             std::memcpy(frame.data, fault.held.data, sizeof frame.data);
             return true;
         case CanFault::Kind::repeated:
@@ -184,7 +197,7 @@ void VehicleNode::send_beside(const lpvg_can_frame_t& frame, std::uint32_t id) {
         for (std::uint8_t& byte : beside.data) {
             byte = static_cast<std::uint8_t>(random_.uniform(0.0, 256.0));
         }
-        bus_send(bus_, &beside);
+        transmit(beside);
     }
 }
 
@@ -213,7 +226,7 @@ void VehicleNode::release_due(std::int64_t now_us) {
         if (waiting.due_us <= now_us) {
             waiting.frame.t_us = now_us;
             if (!bus_off_) {
-                bus_send(bus_, &waiting.frame);
+                transmit(waiting.frame);
             }
         } else {
             delayed_[kept++] = waiting;
@@ -235,7 +248,7 @@ void VehicleNode::receive(std::int64_t now_us) {
             const float demand_bar = decoded(lpvg_can_guard_out_dp_demand_decode, out.dp_demand);
             demand_bar_ = static_cast<double>(demand_bar);
             report_ = {demand_bar, decoded(lpvg_can_guard_out_monitor_margin_decode, out.monitor_margin), out.monitor_verdict,
-                       out.supervision_state, out.engagement};
+                       out.supervision_state, out.engagement, out.command_authentication};
         } else if ((frame.id & 0x00FFFF00U) == 0x00FECA00U) {  // DM1: one frame, one code (lpvg_can_dm1_pack)
             trouble_.spn = frame.data[2] + 256U * frame.data[3] + 65536U * (frame.data[4] >> 5U);
             trouble_.fmi = frame.data[4] & 0x1FU;

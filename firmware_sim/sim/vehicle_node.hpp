@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "bus.h"
+#include "lpvguard/authentication.h"
 #include "lpvguard/bus.h"
 #include "lpvg_can_codec.h"
 #include "lpvguard_plant/plant.hpp"
@@ -28,7 +29,8 @@ public:
     /// Goes on with these faults: those before, whose ends may differ after the newest time of send(), then new ones that begin after it.
     void revise(const std::vector<CanFault>& faults);
 
-    /// Sends the messages that are due at now (VDC2 and GUARD_IN every 10 ms, the others every 100 ms), faults applied.
+    /// Sends the messages that are due at now (VDC2 and GUARD_IN every 10 ms, the others every 100 ms), faults applied. Faults are the
+    /// node's own: it authenticates each frame of GUARD_IN as the fault has left it.
     void send(std::int64_t now_us, const lpvguard_plant::Sensors& sensors, double command_radps);
 
     /// Takes what has arrived. The demand is kept while GUARD_OUT is late, and is 0 once the supervision of GUARD_OUT says off.
@@ -51,6 +53,7 @@ private:
 
     void send_slow(std::int64_t now_us, const lpvguard_plant::Sensors& sensors);
     void put(const lpvg_can_frame_t& frame);
+    void transmit(const lpvg_can_frame_t& frame);
     bool spoil(Fault& fault, lpvg_can_frame_t& frame, const lpvg_can_frame_t& before);
     bool off_the_bus(std::int64_t now_us);
     void send_beside(const lpvg_can_frame_t& frame, std::uint32_t id);
@@ -63,6 +66,7 @@ private:
     lpvguard_plant::Random random_;
     std::vector<Delayed> delayed_;  ///< In order of sending.
     lpvg_can_supervisor_t supervisor_{};
+    lpvg_can_auth_t authentication_{};
     std::uint8_t counter_ = 0;
     double demand_bar_ = 0.0;
     bool bus_off_ = false;

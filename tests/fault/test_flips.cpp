@@ -31,7 +31,7 @@ constexpr int64_t tick_us = 10'000;
 constexpr std::size_t found_steps = 2U * LPVG_ECU_ROUND_US / tick_us + 2;
 constexpr std::size_t times[] = {1'000U, 4'000U, 9'000U};  // steps before the flip
 
-const lpvg_ecu_config_t config = {true, 0U, 0U, {2.07F, 5.0F, 1.5F, 0.15F, 100U}, {0.14F, 0.04F, 30U, 0.25F}};
+const lpvg_ecu_config_t config = {true, 0U, 0U, false, {2.07F, 5.0F, 1.5F, 0.15F, 100U}, {0.14F, 0.04F, 30U, 0.25F}};
 
 lpvg_coeff_t model_coeff;
 lpvg_control_coeff_t control_coeff;

@@ -49,6 +49,11 @@ SHARED = (
 BYTES = [
     (SHARED.format(7, "supervision_state", "engagement"), "0xF0u", "241"),
     (SHARED.format(6, "control_request", "other_priority"), "0xF0u", "241"),
+    (
+        SHARED.format(6, "monitor_verdict", "command_authentication").replace("));", ") | 0xC0u);"),
+        "0x30u",
+        "49",
+    ),
     ("frame->data[0] = (uint8_t)((((uint32_t)message->abs_active << 4) & {}) | 0xCFu);", "0x30u", "49"),
 ]
 QUALITY = "const lpvg_can_quality_t q = quality"

@@ -99,7 +99,7 @@ def test_the_emulated_ecu_sends_the_hosts_frames_through_loss_and_bus_off(on_vca
         ).hexdigest()
     )
     counted = first["ecu"]["instructions"]
-    assert counted["ticks"] == 600 and 0 < counted["total"] / 600 < counted["worst"] < 20_000
+    assert counted["ticks"] == 600 and 0 < counted["total"] / 600 < counted["worst"] < 45_000, "step and CMAC"
     assert again["ecu"] == first["ecu"], "to the instruction"
 
 

@@ -13,6 +13,8 @@ import pytest
 
 from lpvguard.base import artefacts
 from lpvguard.base.errors import InputError
+from lpvguard.can.catalogue import load_catalogue
+from lpvguard.can.logs import EXTENDED, read_log
 from lpvguard.extras.loop.sim import (
     Expectation,
     Simulator,
@@ -83,10 +85,11 @@ def test_the_log_is_candump_with_simulated_time(simulator, scenario, tmp_path):
         and len(lines[0]) == len("(0.000000) can0 18F0093E#") + 16
     )
     ids = [line.split()[2].split("#")[0] for line in lines]
-    # 10 ms: VDC2, GUARD_IN, GUARD_OUT; 100 ms: EBC2, CCVS1, EBC3, EBC1; 1 s: DM1
+    # 10 ms: VDC2, GUARD_IN, its authenticator, GUARD_OUT; 100 ms: EBC2, CCVS1, EBC3, EBC1; 1 s: DM1
     assert {i: ids.count(i) for i in ids} == {
         "18F0093E": 100,
         "18FF000B": 100,
+        "18FF020B": 100,
         "0CFF01FC": 100,
         "18FEBF0B": 10,
         "18FEF100": 10,
@@ -94,6 +97,14 @@ def test_the_log_is_candump_with_simulated_time(simulator, scenario, tmp_path):
         "18F0010B": 10,
         "18FECAFC": 1,
     }
+
+
+def test_every_report_says_that_commands_are_authenticated(simulator, scenario, tmp_path):
+    run = simulator.run(scenario(1.0), out=tmp_path)
+    assert run["reception"]["authentication"] == {"passed": 100, "alone": 0, "length": 0, "forged": 0}
+    log = read_log(tmp_path / "scenario-1.log")
+    reports = log.data[log.id == np.uint32(load_catalogue().message("GUARD_OUT").id | EXTENDED)]
+    assert len(reports) == 100 and (reports[:, 6] >> 4 & 3 == 1).all()
 
 
 def test_not_engaged_the_brakes_stay_released(truck_folder, scenario):

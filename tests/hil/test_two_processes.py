@@ -216,3 +216,11 @@ def test_the_firmware_alone_says_what_is_wrong(simulator):
             [simulator.ecu_program, *arguments], capture_output=True, text=True, check=False
         )
         assert done.returncode == 2 and says in done.stderr
+
+
+@pytest.mark.serial
+def test_the_firmware_alone_says_whether_it_has_a_key(simulator):
+    none = {"passed": 0, "alone": 0, "length": 0, "forged": 0}
+    for key, said in (("test", none), ("none", None)):
+        done = with_vcan(simulator.ecu_program, "vcan0", "--seconds", "0.2", "--key", key)
+        assert done.returncode == 0 and json.loads(done.stdout)["authentication"] == said

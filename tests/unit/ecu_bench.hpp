@@ -16,7 +16,7 @@
 
 constexpr int64_t tick_us = 10'000;
 
-const lpvg_ecu_config_t bench_config = {true, 0U, 0U, {2.07F, 5.0F, 1.5F, 0.15F, 100U}, {0.14F, 0.04F, 30U, 0.25F}};
+const lpvg_ecu_config_t bench_config = {true, 0U, 0U, false, {2.07F, 5.0F, 1.5F, 0.15F, 100U}, {0.14F, 0.04F, 30U, 0.25F}};
 
 struct BenchReport {
     float demand = NAN, statistic = NAN, verdict = NAN, supervision = NAN, engagement = NAN;
@@ -212,6 +212,7 @@ private:
             lpvg_can_guard_out_monitor_verdict_decode(message.monitor_verdict, &report.verdict);
             lpvg_can_guard_out_supervision_state_decode(message.supervision_state, &report.supervision);
             lpvg_can_guard_out_engagement_decode(message.engagement, &report.engagement);
+            CHECK(message.command_authentication == (ecu.kept.config.authenticated ? 1U : 0U));
             CHECK(report.engagement ==
                   static_cast<float>(engaged() ? lpvg_ecu_engaged : (ecu.kept.locked ? lpvg_ecu_locked : lpvg_ecu_released)));
         }

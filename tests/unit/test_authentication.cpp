@@ -1,7 +1,9 @@
 // Authentication of the messages that command: published vectors, then an ECU whose bus has an attacker.
-#include "../../firmware_sim/ports/aes_cmac.hpp"
+#include "../../firmware_sim/ports/test_key.hpp"
 #include "ecu_bench.hpp"
 #include "lpvguard/authentication.h"
+
+#include <array>
 
 namespace {
 
@@ -34,6 +36,60 @@ struct Pair {
     }
     lpvg_can_auth_event_t take(const lpvg_can_frame_t& frame) { return lpvg_can_auth_receive(&receiver, &frame, &out); }
 };
+
+// The firmware on a bus with the bench's frames, each command followed by its authenticator, and with what `beside` adds.
+class Firmware {
+public:
+    Firmware(Bench& bench, const firmware_key_t* key) : bench_(bench) {
+        REQUIRE(firmware_authenticate(&sender_, test_key()) == lpvg_status_ok);
+        REQUIRE(firmware_init(&of, &bus_, &bench_config, key, 0) == lpvg_status_ok);
+        bench.filter = [this](const Frames& frames) {
+            for (const auto& frame : frames) {
+                received_.push_back(frame);
+                if (frame.id == LPVG_CAN_GUARD_IN_ID) {
+                    recording.push_back({frame, {}});
+                    REQUIRE(lpvg_can_auth_protect(&sender_, &frame, &recording.back()[1]) == lpvg_status_ok);
+                    received_.push_back(recording.back()[1]);
+                }
+            }
+            return frames;
+        };
+    }
+    void step() {
+        bench_.step();
+        REQUIRE(firmware_tick(&of, bench_.now_us) == lpvg_status_ok);
+        CHECK(received_.empty());
+    }
+    void beside(lpvg_can_frame_t frame, int64_t t_us) {
+        frame.t_us = t_us;
+        received_.push_back(frame);
+    }
+
+    using Frames = std::vector<lpvg_can_frame_t>;
+    firmware_t of{};
+    std::vector<std::array<lpvg_can_frame_t, 2>> recording;
+
+private:
+    static bool send(void*, const lpvg_can_frame_t*) { return true; }
+    static bool receive(void* self, int64_t, lpvg_can_frame_t* frame) {
+        Frames& frames = static_cast<Firmware*>(self)->received_;
+        if (frames.empty()) {
+            return false;
+        }
+        *frame = frames.front();
+        frames.erase(frames.begin());
+        return true;
+    }
+
+    Bench& bench_;
+    bus_t bus_{this, send, receive};
+    lpvg_can_auth_t sender_;
+    Frames received_;
+};
+
+bool same_report(const Bench& bench, const Firmware& firmware) {
+    return std::memcmp(&bench.ecu.report, &firmware.of.ecu.report, sizeof bench.ecu.report) == 0;
+}
 
 }  // namespace
 
@@ -300,12 +356,12 @@ TEST_CASE("wrong lengths, missing arguments, a hook that fails and the last fres
 }
 
 TEST_CASE("an attacker who knows counter, checksum and every frame sent gets no step of the ECU", "[unit][auth][ecu][REQ-AUTH-2]") {
-    // Frames as the bus of the bench has them; the second sender inserts one after each genuine one, or a recording is played again.
+    // Frames as the bus of the bench has them; the second sender inserts one after each genuine one, or a recording is played bench.
     const bool replayed = GENERATE(false, true);
     lpvg_can_auth_t sender, receiver;
     auto with = config();
     with.id = LPVG_CAN_GUARD_IN_ID;
-    with.auth_id = LPVG_CAN_GUARD_IN_ID ^ 0x0300U;
+    with.auth_id = lpvg_bus.authenticator_id;
     REQUIRE(lpvg_can_auth_init(&sender, &with, 0U) == lpvg_status_ok);
     REQUIRE(lpvg_can_auth_init(&receiver, &with, 0U) == lpvg_status_ok);
     Bench bench;
@@ -363,4 +419,66 @@ TEST_CASE("an attacker who knows counter, checksum and every frame sent gets no 
     }
     CHECK(commanded == 0U);
     CHECK(engaged == (replayed ? 0U : 495U));  // the genuine sender still steers; without it the loop is released
+}
+
+TEST_CASE("the firmware refuses a replayed command in one of five frames, counts it, and obeys the genuine ones alone",
+          "[unit][auth][ecu][REQ-AUTH-2][REQ-AUTH-4]") {
+    const bool whole = GENERATE(true, false);  // with its authenticator, or alone
+    lpvg_ecu_config_t with = bench_config;
+    with.authenticated = true;
+    Bench bench(with);
+    Firmware attacked(bench, test_key());
+    uint32_t replays = 0U;
+    for (int i = 0; i < 2'000; ++i) {
+        bench.command = 0.05F + 0.0001F * static_cast<float>(i % 100);
+        attacked.step();
+        CHECK(same_report(bench, attacked));
+        if (i >= 14 && i % 5 == 0) {  // it has the next frame's counter and comes 2 ms before that one
+            const auto& old = attacked.recording[attacked.recording.size() - 15U];
+            attacked.beside(old[0], bench.now_us + tick_us - 2'000);
+            if (whole) {
+                attacked.beside(old[1], bench.now_us + tick_us - 2'000);
+            }
+            ++replays;
+        }
+    }
+    CHECK(bench.engaged());
+    CHECK(attacked.of.ecu.report.authenticated == 1U);
+    CHECK(attacked.of.authentication.count[lpvg_can_auth_forged] == (whole ? replays : 0U));
+    CHECK(attacked.of.authentication.count[lpvg_can_auth_waiting] == 2'000U + replays);
+    CHECK(attacked.of.authentication.count[lpvg_can_auth_passed] == 2'000U);
+}
+
+TEST_CASE("a firmware without a key obeys every command and says so in each report", "[unit][auth][ecu][REQ-AUTH-4]") {
+    Bench bench;
+    Firmware firmware(bench, nullptr);
+    for (int i = 0; i < 300; ++i) {
+        firmware.step();
+        CHECK(same_report(bench, firmware));
+        CHECK(firmware.of.ecu.report.authenticated == 0U);
+    }
+    CHECK(bench.engaged());
+    CHECK(firmware.of.authentication.count[lpvg_can_auth_passed] == 0U);
+}
+
+TEST_CASE("a firmware with a key obeys no command without an authenticator, and refuses a key without a hook", "[unit][auth][ecu][REQ-AUTH-4]") {
+    firmware_key_t without = *test_key();
+    without.cmac = nullptr;
+    firmware_t firmware{};
+    const bus_t bus{};
+    CHECK(firmware_init(&firmware, &bus, &bench_config, &without, 0) == lpvg_status_bad_argument);
+    CHECK(firmware_init(&firmware, &bus, nullptr, test_key(), 0) == lpvg_status_bad_argument);
+    Bench bench;
+    Firmware other(bench, test_key());
+    bench.filter = [](const std::vector<lpvg_can_frame_t>& frames) { return frames; };
+    for (int i = 0; i < 100; ++i) {
+        bench.step();
+        for (const auto& frame : bench.handed) {
+            other.beside(frame, frame.t_us);
+        }
+        REQUIRE(firmware_tick(&other.of, bench.now_us) == lpvg_status_ok);
+    }
+    CHECK(bench.live());
+    CHECK(other.of.ecu.report.supervision == lpvg_can_state_off);
+    CHECK(other.of.ecu.report.demand == 0.0F);
 }

@@ -9,6 +9,7 @@
 #include "port.h"
 #include "reception.hpp"
 #include "telemetry.hpp"
+#include "test_key.hpp"
 #include "time_line.h"
 
 namespace {
@@ -42,7 +43,7 @@ int main() {
     port_command_line(engage, sizeof engage);
     lpvg_ecu_config_t config = firmware_config;
     config.engage = engage[0] == 'y';
-    lpvg_status_t status = firmware_init(&firmware, &bus, &config, 0);
+    lpvg_status_t status = firmware_init(&firmware, &bus, &config, test_key(), 0);
     port_counter_start();
     Reception reception;
     Judgements judgements;

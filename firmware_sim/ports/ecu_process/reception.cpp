@@ -30,6 +30,16 @@ void write_row(Text& out, std::uint32_t id, unsigned state, const std::uint32_t*
     out.put("]]");
 }
 
+// What was refused before the supervision; null without a key.
+void write_authentication(Text& out, const lpvg_can_auth_t& of) {
+    if (of.config.cmac == nullptr) {
+        out.put("null");
+        return;
+    }
+    out.put("{\"passed\": ").number(of.count[lpvg_can_auth_passed]).put(", \"alone\": ").number(of.count[lpvg_can_auth_alone]);
+    out.put(", \"length\": ").number(of.count[lpvg_can_auth_length]).put(", \"forged\": ").number(of.count[lpvg_can_auth_forged]).put('}');
+}
+
 }  // namespace
 
 Reception::Reception() {
@@ -49,7 +59,9 @@ void Reception::note(const lpvg_can_supervisor_t& supervisor, std::int64_t now_u
 
 void Reception::write(const firmware_t& firmware, Text& out) const {
     const lpvg_can_supervisor_t& supervisor = firmware.ecu.supervisor;
-    out.put("\"send_failures\": ").number(firmware.send_failures).put(", \"rules\": [");
+    out.put("\"send_failures\": ").number(firmware.send_failures).put(", \"authentication\": ");
+    write_authentication(out, firmware.authentication);
+    out.put(", \"rules\": [");
     for (std::size_t i = 0; i < supervisor.n_rules; ++i) {
         write_row(out, supervisor.rules[i].id & 0x1FFFFFFFU, supervisor.watch[i].state, supervisor.watch[i].count, first_us_[i]);
         out.put(", ");

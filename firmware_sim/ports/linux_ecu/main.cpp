@@ -1,11 +1,12 @@
 // main.cpp -- lpvguard_ecu: the ECU's firmware as a Linux process on a CAN interface, real or vcan.
 //
-//   lpvguard_ecu INTERFACE [--engage yes|no] [--reactions release|report] [--time-line FD | --seconds S]
+//   lpvguard_ecu INTERFACE [--engage yes|no] [--reactions release|report] [--key test|none] [--time-line FD | --seconds S]
 //
+// --key none: commands need no authenticator, and every report says so (default: the simulator's key).
 // Without --time-line it runs in real time, a tick every sample period of CLOCK_MONOTONIC, until SIGINT, SIGTERM or S seconds.
 // With it, in simulated time: FD is one end of a socket pair (stream), the other is the simulator's (time_line.h).
-// The kernel lets through what the supervision has a rule for, any priority, and error reports. At the end the supervision's
-// counters are written as JSON (reception.hpp).
+// The kernel lets through what the supervision has a rule for, authenticators, any priority, and error reports. At the end the
+// supervision's counters are written as JSON (reception.hpp).
 #include <cerrno>
 #include <csignal>
 #include <cstdio>
@@ -17,9 +18,11 @@
 #include <sys/socket.h>
 
 #include "counted_bus.hpp"
+#include "filter.h"
 #include "lpvguard/bus.h"
 #include "reception.hpp"
 #include "telemetry.hpp"
+#include "test_key.hpp"
 #include "time_line.h"
 
 namespace {
@@ -29,6 +32,7 @@ volatile std::sig_atomic_t g_stop = 0;
 struct Options {
     const char* interface = nullptr;
     bool engage = true, report_only = false;
+    const firmware_key_t* key = test_key();
     int time_line = -1;
     double seconds = 0.0;  // 0: until a signal
 };
@@ -45,6 +49,8 @@ bool parse(int argc, char** argv, Options& options) {
             options.engage = value == "yes";
         } else if (name == "--reactions" && (value == "release" || value == "report")) {
             options.report_only = value == "report";
+        } else if (name == "--key" && (value == "test" || value == "none")) {
+            options.key = value == "test" ? test_key() : nullptr;
         } else if (name == "--time-line") {
             options.time_line = static_cast<int>(std::strtol(value.c_str(), &end, 10));
         } else if (name == "--seconds") {
@@ -65,12 +71,13 @@ public:
         for (; n_ < lpvg_bus.n_rules; ++n_) {
             list_[n_] = {lpvg_bus.rules[n_].id, lpvg_bus.rules[n_].id_mask};
         }
+        list_[n_++] = {lpvg_bus.authenticator_id, FILTER_ANY_PRIORITY};
     }
     const socketcan_filter_t* list() const { return list_; }
     std::size_t size() const { return n_; }
 
 private:
-    socketcan_filter_t list_[LPVG_CAN_RULES_MAX];
+    socketcan_filter_t list_[LPVG_CAN_RULES_MAX + 1U];
     std::size_t n_ = 0;
 };
 
@@ -96,7 +103,7 @@ int run_on_time_line(const Options& options, const lpvg_ecu_config_t& config) {
     if (!bus.open(options.interface, Filters().list(), Filters().size())) {
         return complain(std::string(options.interface) + ": " + std::strerror(bus.driver().error));
     }
-    if (firmware_init(&firmware, bus.end(), &config, 0) != lpvg_status_ok) {
+    if (firmware_init(&firmware, bus.end(), &config, options.key, 0) != lpvg_status_ok) {
         return complain("the core refused its coefficients");
     }
     const auto send = [&](const void* data, std::size_t bytes) {
@@ -140,7 +147,7 @@ int run_in_real_time(const Options& options, const lpvg_ecu_config_t& config) {
     clock_gettime(CLOCK_MONOTONIC, &next);
     const auto micros = [](const timespec& t) { return static_cast<std::int64_t>(t.tv_sec) * 1'000'000 + t.tv_nsec / 1'000; };
     const std::int64_t start_us = micros(next);
-    if (firmware_init(&firmware, &bus, &config, start_us) != lpvg_status_ok) {
+    if (firmware_init(&firmware, &bus, &config, options.key, start_us) != lpvg_status_ok) {
         socketcan_close(&driver);
         return complain("the core refused its coefficients");
     }
@@ -165,7 +172,9 @@ int run_in_real_time(const Options& options, const lpvg_ecu_config_t& config) {
 int main(int argc, char** argv) {
     Options options;
     if (!parse(argc, argv, options)) {
-        return complain("usage: lpvguard_ecu INTERFACE [--engage yes|no] [--reactions release|report] [--time-line FD | --seconds S]");
+        return complain(
+            "usage: lpvguard_ecu INTERFACE [--engage yes|no] [--reactions release|report] [--key test|none] "
+            "[--time-line FD | --seconds S]");
     }
     std::signal(SIGINT, [](int) { g_stop = 1; });
     std::signal(SIGTERM, [](int) { g_stop = 1; });

@@ -46,6 +46,7 @@ typedef struct lpvg_bus_report_t {
     uint8_t verdict;       ///< lpvg_verdict_t
     uint8_t supervision;   ///< lpvg_can_state_t
     uint8_t engagement;    ///< lpvg_ecu_engagement_t
+    uint8_t authenticated;  ///< 1: only authenticated frames of the command message are obeyed; 0: any
 } lpvg_bus_report_t;
 
 /// A message that the loop needs.
@@ -58,6 +59,9 @@ typedef struct lpvg_bus_t {
     const lpvg_can_rule_t* rules;  ///< rules of the received messages [n_rules]
     uint8_t n_rules;
     uint8_t own_address;           ///< J1939 source address
+    uint32_t command_id;           ///< identifier and flags of the message that commands
+    uint32_t authenticator_id;     ///< identifier and flags of its authenticator (authentication.h)
+    uint16_t command_data_id;      ///< data id of the command message's end-to-end protection
     uint8_t n_needed;
     lpvg_bus_need_t needed[LPVG_BUS_NEEDED_MAX];
 } lpvg_bus_t;

@@ -158,6 +158,7 @@ typedef struct lpvg_ecu_config_t {
     bool engage;  ///< engagement is asked for from the start
     uint16_t report_only;  ///< causes of LPVG_ECU_CAUSES_OPTIONAL that are reported but do not release
     uint8_t priority;  ///< highest other_priority (bus.h) at which control is permitted, 0 .. 3
+    bool authenticated;  ///< the caller passes only authenticated frames of the command message (authentication.h); the report says so
     lpvg_can_plausibility_limits_t plausibility;  ///< limits of the cross-checks
     lpvg_ecu_actuator_limits_t actuator;  ///< limits of the actuator check
 } lpvg_ecu_config_t;

@@ -711,6 +711,7 @@ extern "C" lpvg_status_t lpvg_ecu_step(lpvg_ecu_t* self, int64_t now_us, const l
     }
     run_monitor(*self, live, step);
     self->report.demand = static_cast<float>(self->kept.demand);
+    self->report.authenticated = self->kept.config.authenticated ? 1U : 0U;
     const lpvg_ecu_engagement_t released = self->kept.locked ? lpvg_ecu_locked : lpvg_ecu_released;
     self->report.engagement = static_cast<uint8_t>(self->control.engaged ? lpvg_ecu_engaged : released);
     self->report.supervision = static_cast<uint8_t>(self->refused ? lpvg_can_state_off : supervision);

@@ -7,6 +7,9 @@ const lpvg_bus_t lpvg_bus = {
     .rules = lpvg_can_rules,
     .n_rules = LPVG_CAN_RECEIVED,
     .own_address = 0xFCu,
+    .command_id = LPVG_CAN_GUARD_IN_ID,
+    .authenticator_id = LPVG_CAN_EXTENDED | 0x18FF020Bu,
+    .command_data_id = LPVG_CAN_GUARD_IN_E2E_DATA_ID,
     .n_needed = 4u,
     .needed = {[0] = {LPVG_CAN_EBC2_INDEX, 904u}, [1] = {LPVG_CAN_GUARD_IN_INDEX, 520192u}, [2] = {LPVG_CAN_VDC2_INDEX, 1808u}, [3] = {LPVG_CAN_EBC1_INDEX, 563u}},
 };
@@ -89,6 +92,7 @@ lpvg_status_t lpvg_bus_pack_report(const lpvg_bus_report_t* report, lpvg_can_fra
     message.dp_demand = lpvg_can_guard_out_dp_demand_encode((float)report->demand);
     message.monitor_margin = lpvg_can_guard_out_monitor_margin_encode((float)report->statistic);
     message.monitor_verdict = lpvg_can_guard_out_monitor_verdict_encode((float)report->verdict);
+    message.command_authentication = lpvg_can_guard_out_command_authentication_encode((float)report->authenticated);
     message.supervision_state = lpvg_can_guard_out_supervision_state_encode((float)report->supervision);
     message.engagement = lpvg_can_guard_out_engagement_encode((float)report->engagement);
     status = lpvg_can_guard_out_pack(&message, frame);

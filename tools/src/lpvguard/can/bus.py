@@ -7,12 +7,15 @@ from ..vehicle.project import CanPlace, Project
 from .catalogue import BusSignal, Catalogue, Message, load_catalogue
 
 REFERENCE = CanPlace(message="GUARD_IN", signal="yaw_rate_command")
+AUTHENTICATOR = "GUARD_IN_AUTH"
+"""Message that authenticates the frame of REFERENCE's message before it."""
 REPORT = {
     "dp_demand": "demand",
     "monitor_margin": "statistic",
     "monitor_verdict": "verdict",
     "supervision_state": "supervision",
     "engagement": "engagement",
+    "command_authentication": "authenticated",
 }
 """Signals of the report message and their members of lpvg_bus_report_t."""
 CHECKS = {
@@ -102,6 +105,7 @@ def _places(project: Project, where: str) -> list[tuple[str, CanPlace]]:
 
 def _source(project: Project, catalogue: Catalogue, needed: dict[str, int], cases: str, report: str) -> str:
     """The C file; ``needed`` maps a message to the number that a report of its loss carries."""
+    command, authenticator = catalogue.message(REFERENCE.message), catalogue.message(AUTHENTICATOR)
     needs = ", ".join(
         f"[{i}] = {{LPVG_CAN_{name}_INDEX, {spn}u}}" for i, (name, spn) in enumerate(needed.items())
     )
@@ -116,6 +120,9 @@ const lpvg_bus_t lpvg_bus = {{
     .rules = lpvg_can_rules,
     .n_rules = LPVG_CAN_RECEIVED,
     .own_address = 0x{catalogue.own_address:02X}u,
+    .command_id = LPVG_CAN_{command.name}_ID,
+    .authenticator_id = LPVG_CAN_EXTENDED | 0x{authenticator.id:08X}u,
+    .command_data_id = LPVG_CAN_{command.name}_E2E_DATA_ID,
     .n_needed = {len(needed)}u,
     .needed = {{{needs}}},
 }};

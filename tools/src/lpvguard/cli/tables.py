@@ -172,6 +172,8 @@ def print_runs(runs: list[dict[str, Any]], bus: str, simulator: Simulator) -> No
         )
     console.print(table)
     console.print(f"{bus} bus, controller {simulator.controller}, coefficients {simulator.folder}")
+    keyed = all(r["reception"]["authentication"] for r in runs)
+    console.print(f"GUARD_IN {'authenticated' if keyed else 'not authenticated'}")
     for r in runs:
         for found in r["diagnoses"]:
             console.print(f"{r['scenario']}, seed {r['seed']}, {found['t_s']:.1f} s: {found['says']}")

@@ -546,7 +546,11 @@ def _reception(raw: dict[str, Any]) -> dict[str, Any]:
             "counts": {kind: n for kind, n, _ in seen},
             "first_s": {kind: t for kind, _, t in seen},
         }
-    return {"send_failures": raw["send_failures"], "messages": messages}
+    return {
+        "send_failures": raw["send_failures"],
+        "authentication": raw["authentication"],
+        "messages": messages,
+    }
 
 
 def judged_spans(rows: np.ndarray) -> list[list[float]]:
