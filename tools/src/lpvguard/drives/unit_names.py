@@ -1,7 +1,8 @@
 """Units that names and logs state, in the spellings of loggers: tokens of a name, brackets, German words.
 
-A role's signal is a speed, an angle, or an angle over time. Spellings with a sense of their own come first.
-For example, "grad" is a degree in German, and "ms" of a speed is m/s. pint reads all other spellings.
+A unit is what a role's signal is measured in: a speed, an angle, or an angle over time. Spellings that
+loggers use in a sense of their own come first ("grad" is a degree in German, "ms" of a speed is m/s). The
+package pint reads all other spellings.
 """
 
 from __future__ import annotations

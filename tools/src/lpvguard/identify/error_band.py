@@ -72,9 +72,10 @@ class ErrorBand:
         return np.abs(self.centre) + self.k * self.sd
 
     def typical(self, alpha: float) -> np.ndarray:
-        """(G,) typical |delta| of a further drive, in the median over speeds and amplitudes.
+        """Compute the bound (G,) of |delta| that a further drive exceeds with probability ``alpha``.
 
-        A complex normal error exceeds it at one frequency with probability ``alpha``.
+        The probability is for one frequency, with a complex normal error. The bound is the median over speeds
+        and amplitudes.
         """
         return np.median(np.abs(self.centre) + np.sqrt(-np.log(alpha)) * self.sd, axis=(1, 2))
 

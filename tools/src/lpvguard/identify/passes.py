@@ -214,7 +214,7 @@ def first_pass(
 def error_sums_of(
     reader: DriveReader, domain: ErrorDomain, experiments: list[Experiment], workers: Map
 ) -> list[ErrorSums]:
-    """Collect the sums of each drive for the regularised model error model.
+    """Compute the sums of each drive for the regularised model error model.
 
     Parameters
     ----------

@@ -1,11 +1,9 @@
-"""Steady turn of a vehicle, fitted in the units of the columns.
+"""What steering and yaw rate say of each other, in the units of their columns.
 
-In a steady turn r = v (delta - trim) / (L + K v^2), with the wheelbase L and the understeer K. Let the
-columns be v = a v', delta = b delta', r = c r'. Then
-
-    r' = v' (delta' - trim') / (P (1 + q v'^2)),    P = L c / (a b),    q = K a^2 / L
-
-The columns alone give P, q and the lag of r. Only their units give L and K.
+In a steady turn ``r = v (delta - trim) / (L + K v^2)``, with L the wheelbase and K the understeer. The
+columns have own units: ``v = a v'``, ``delta = b delta'``, ``r = c r'``. With ``P = L c / (a b)`` and ``q = K
+a^2 / L`` the steady turn is ``r' = v' (delta' - trim') / (P (1 + q v'^2))``. The columns alone give P, q and
+the lag of r. Units are needed to get L and K from them.
 """
 
 from __future__ import annotations
@@ -48,14 +46,11 @@ class Driven:
 
 @dataclass(frozen=True)
 class SteadyTurn:
-    """Steady turn that fits the columns.
+    """Steady turn in the units of the columns.
 
-    Attributes
-    ----------
-    length : ndarray (Q,), P with the sign of the steering, for each likely ``spread``
-    spread : ndarray (Q,), likely values of q, the likeliest first
-    lag_s : float, s, of the yaw rate behind the steering
-    explained : float, share of the yaw rate's variance
+    ``spread`` (Q,) are the likely q, the likeliest first. ``length`` (Q,) is P for each of them, with the
+    sign of the steering. ``lag_s`` is the lag of the yaw rate behind the steering. ``explained`` is the
+    explained share of the yaw rate's variance.
     """
 
     length: np.ndarray
