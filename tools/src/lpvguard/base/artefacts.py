@@ -37,12 +37,14 @@ MARK_KEY = "written_by"
 """Key of a JSON output, or of each member of a list, with `mark` as its value."""
 _SCRATCH, _NEW, _OLD, _LOCK = "lpvguard-scratch", "new", "old", "lpvguard-lock"
 """Names in a work folder: its marker, the new content, the replaced content, and the lock file."""
+_NUMBERS = re.compile(r"\[\n\s*-?\d[^\s,]*(,\n\s*-?\d[^\s,]*)*\n\s*\]")
+"""A list of numbers as `json` indents it; a text has no line break."""
 _held: dict[Path, Path] = {}
 """Work folders that this process holds, by target."""
 
 
 def to_json(value: Any) -> str:
-    """Return deterministic JSON text; arrays become lists, NaN becomes null.
+    """Return deterministic JSON text: arrays become lists, NaN becomes null. A list of numbers is one line.
 
     Parameters
     ----------
@@ -52,7 +54,8 @@ def to_json(value: Any) -> str:
     -------
     str
     """
-    return json.dumps(_plain(value), indent=1, allow_nan=False) + "\n"
+    text = json.dumps(_plain(value), indent=1, allow_nan=False) + "\n"
+    return _NUMBERS.sub(lambda row: " ".join(row[0].split()).replace("[ ", "[").replace(" ]", "]"), text)
 
 
 def _plain(item: Any) -> Any:
