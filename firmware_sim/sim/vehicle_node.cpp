@@ -247,8 +247,9 @@ void VehicleNode::receive(std::int64_t now_us) {
             require(lpvg_can_guard_out_unpack(&out, &frame));
             const float demand_bar = decoded(lpvg_can_guard_out_dp_demand_decode, out.dp_demand);
             demand_bar_ = static_cast<double>(demand_bar);
-            report_ = {demand_bar, decoded(lpvg_can_guard_out_monitor_margin_decode, out.monitor_margin), out.monitor_verdict,
-                       out.supervision_state, out.engagement, out.command_authentication};
+            report_ = {demand_bar,          decoded(lpvg_can_guard_out_monitor_margin_decode, out.monitor_margin),
+                       out.monitor_verdict, out.supervision_state,
+                       out.engagement,      out.command_authentication};
         } else if ((frame.id & 0x00FFFF00U) == 0x00FECA00U) {  // DM1: one frame, one code (lpvg_can_dm1_pack)
             trouble_.spn = frame.data[2] + 256U * frame.data[3] + 65536U * (frame.data[4] >> 5U);
             trouble_.fmi = frame.data[4] & 0x1FU;

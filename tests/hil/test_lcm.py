@@ -160,7 +160,7 @@ def test_the_causes_of_an_alarm_are_in_the_result_on_the_bus_and_over_lcm(lcm_si
     # The code says so from half of the record on; that of a test which alarms later says it with its alarm.
     assert found["alarm_s"] + 5.0 < told[0][0] < found["t_s"] - 3.0
     assert len({spn for _, spn in told}) == len(told) == 2
-    lines = [line for line in watch(read_log(tmp_path / "run.lcm")) if "what the model says" in line]
+    lines = [line for line in watch(read_log(tmp_path / "run.lcm")) if "of the nominal output" in line]
     assert len(lines) == 2 and "output 0 0." in lines[0]
 
 

@@ -461,7 +461,8 @@ TEST_CASE("a firmware without a key obeys every command and says so in each repo
     CHECK(firmware.of.authentication.count[lpvg_can_auth_passed] == 0U);
 }
 
-TEST_CASE("a firmware with a key obeys no command without an authenticator, and refuses a key without a hook", "[unit][auth][ecu][REQ-AUTH-4]") {
+TEST_CASE("a firmware with a key obeys no command without an authenticator, and refuses a key without a hook",
+          "[unit][auth][ecu][REQ-AUTH-4]") {
     firmware_key_t without = *test_key();
     without.cmac = nullptr;
     firmware_t firmware{};

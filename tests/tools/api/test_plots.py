@@ -134,7 +134,7 @@ def test_the_pictures_of_files_have_their_numbers(tmp_path):
         plots.design(tmp_path.parent)
     examples = ROOT / "tools/src/lpvguard/schemas/examples"
     assert len(plots.evaluation(examples / "evaluate.json").panels) == 1
-    with pytest.raises(lpvguard.InputError, match=r"what lpvguard\.replay returned"):
+    with pytest.raises(lpvguard.InputError, match=r"results of lpvguard\.replay"):
         plots.excitation(None)
 
 

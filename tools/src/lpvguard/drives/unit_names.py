@@ -1,8 +1,8 @@
 """Units that names and logs state, in the spellings of loggers: tokens of a name, brackets, German words.
 
 A unit is what a role's signal is measured in: a speed, an angle, or an angle over time. Spellings that
-loggers use in a sense of their own come first ("grad" is a degree in German, "ms" of a speed is m/s). What
-is not among them goes to pint.
+loggers use in a sense of their own come first ("grad" is a degree in German, "ms" of a speed is m/s). The
+package pint reads all other spellings.
 """
 
 from __future__ import annotations

@@ -72,8 +72,11 @@ class ErrorBand:
         return np.abs(self.centre) + self.k * self.sd
 
     def typical(self, alpha: float) -> np.ndarray:
-        """(G,) bound of |delta| of a further drive, in the median over speeds and amplitudes, that it exceeds
-        with probability ``alpha`` at one frequency: its error is complex normal."""
+        """Compute the bound (G,) of |delta| that a further drive exceeds with probability ``alpha``.
+
+        The probability is for one frequency, with a complex normal error. The bound is the median over speeds
+        and amplitudes.
+        """
         return np.median(np.abs(self.centre) + np.sqrt(-np.log(alpha)) * self.sd, axis=(1, 2))
 
     @property

@@ -33,9 +33,17 @@ SPEED_CELLS, AMPLITUDE_CELLS_PER_KNOT = 16, 4
 
 
 def deviations(domain: ErrorDomain) -> np.ndarray:
-    """(L, DIRECTIONS) lag values of a unit gain, delay and second difference.
+    """Compute the lag values of a unit gain, delay and second difference.
 
     Each has the frequency response of size 1 at the highest bin: 1, -j sin(w T) and 2 cos(w T) - 2, scaled.
+
+    Parameters
+    ----------
+    domain : ErrorDomain
+
+    Returns
+    -------
+    ndarray (L, DIRECTIONS)
     """
     zero = int(np.flatnonzero(domain.lags == 0)[0])
     angle = domain.omega[-1] * domain.step_s
@@ -79,7 +87,16 @@ class ErrorSums:
 
 
 def joined(parts: list[ErrorSums]) -> ErrorSums:
-    """Sums over all drives of the parts, in their order."""
+    """Join sums over drives, in the order of the parts.
+
+    Parameters
+    ----------
+    parts : list of ErrorSums
+
+    Returns
+    -------
+    ErrorSums
+    """
     return ErrorSums(
         gram=sum_of([p.gram for p in parts]),
         cross=sum_of([p.cross for p in parts]),
@@ -94,7 +111,16 @@ def joined(parts: list[ErrorSums]) -> ErrorSums:
 
 
 def sum_of(arrays: list[np.ndarray]) -> np.ndarray:
-    """Sum of arrays of one shape, entry by entry, in their order."""
+    """Add arrays of one shape, entry by entry, in their order.
+
+    Parameters
+    ----------
+    arrays : list of ndarray
+
+    Returns
+    -------
+    ndarray
+    """
     return reduce(np.add, arrays)
 
 
@@ -224,8 +250,20 @@ def common_products(
     e: np.ndarray,
     yhat: np.ndarray,
 ) -> np.ndarray:
-    """(n_y, COMMON, COMMON + 1) normal equations of one drive, for `common_fit`; e and yhat (N, n_y) in the
-    outputs' units."""
+    """Compute the normal equations of one drive for `common_fit`.
+
+    Parameters
+    ----------
+    domain : ErrorDomain
+    model : NominalModel
+    estimator : Estimator
+    drive : Drive
+    e, yhat : ndarray (N, n_y), in the outputs' units
+
+    Returns
+    -------
+    ndarray (n_y, COMMON, COMMON + 1)
+    """
     of = _Counted.of(domain, model, estimator, drive, e, yhat)
     out = np.zeros((e.shape[1], COMMON, COMMON + 1))
     for j in range(e.shape[1]):
@@ -239,11 +277,15 @@ def common_products(
 
 
 def common_fit(products: np.ndarray) -> np.ndarray:
-    """(n_y, COMMON) gain, delay and second difference that all drives share, constant and linear in s.
+    """Fit gain, delay and second difference that all drives share, constant and linear in s.
 
     Parameters
     ----------
-    products : (n_y, COMMON, COMMON + 1) sum of `common_products` over drives.
+    products : ndarray (n_y, COMMON, COMMON + 1), sum of `common_products` over drives
+
+    Returns
+    -------
+    ndarray (n_y, COMMON)
     """
     return np.array([np.linalg.lstsq(part[:, :-1], part[:, -1], rcond=1e-10)[0] for part in products])
 
@@ -258,10 +300,25 @@ def error_sums(
     group: str,
     common: np.ndarray,
 ) -> ErrorSums:
-    """Sums of one drive; e and yhat (N, n_y) in the outputs' units, ``common`` (n_y, COMMON) of `common_fit`.
+    """Compute the sums of one drive.
 
-    A drive deviates by a factor on the vehicle's response, so signals of deviation are taken of the nominal
-    output and the error that all drives share. Of a drive's own error they would let it explain itself.
+    A drive deviates by a factor on the vehicle's response. Signals of deviation therefore come from the
+    nominal output and the error that all drives share. If they came from a drive's own error, that error
+    would explain itself.
+
+    Parameters
+    ----------
+    domain : ErrorDomain
+    model : NominalModel
+    estimator : Estimator
+    drive : Drive
+    e, yhat : ndarray (N, n_y), in the outputs' units
+    group : str, the drive's group
+    common : ndarray (n_y, COMMON), by `common_fit`
+
+    Returns
+    -------
+    ErrorSums
     """
     n_y = e.shape[1]
     of = _Counted.of(domain, model, estimator, drive, e, yhat)

@@ -2,15 +2,16 @@
 7.16).
 
 The certificate set contains the vehicle at every speed and amplitude. It is too wide to see small faults. The
-healthy set holds every frame of the drives that set the bounds, and of all such pairs (W_delta, B_w) it shows
-the smallest gain error at typical excitation. It lies within the certificate set, so whatever refutes that
-set leaves this one.
+healthy set holds every frame of the drives that set the bounds. It is the pair (W_delta, B_w) of this kind
+that shows the smallest gain error at typical excitation. It lies within the certificate set. Whatever refutes
+the certificate set therefore refutes the healthy set, too.
 
-A candidate W_delta asks of drive d for B_d(W_delta), the largest remainder. The least factor s with which the
-other drives' pair holds a drive left out obeys B_d(s W_delta) <= s B_w. A further drive that has the typical
-model error of the band asks for no more than the remainder beside that error, and what the error exceeds
-W_delta by at the strongest excitation. Pairs are compared by what they see after the largest of these
-factors. Factors also make bins comparable: one that few frames bound gets the larger one.
+For a candidate W_delta, drive d needs B_d(W_delta), the largest remainder. One drive is left out at a time.
+The least factor s with which the other drives' pair holds this drive obeys ``B_d(s W_delta) <= s B_w``. A
+further drive can have the typical model error of the band. It then needs at most the sum of two parts. One is
+the remainder in addition to that error. The other is the excess of that error over W_delta at the strongest
+excitation. Pairs are compared by what they see after the largest of these factors. Factors also make bins
+comparable: a bin that few frames bound gets the larger factor.
 """
 
 from __future__ import annotations
@@ -36,8 +37,8 @@ TINY = 1e-300
 class HealthySet:
     """Bounds of the frame test at the bins: W_delta (K, n_delta), B_w (K, n_y) [output units].
 
-    factor (K, n_delta) is the one they were scaled by; 1 is the least. folds (K,): so many drives, or folds
-    of drives, have frames there.
+    They were scaled by ``factor`` (K, n_delta), which is at least 1. ``folds`` (K,) is the number of drives,
+    or folds of drives, with frames in the bin.
     """
 
     W_delta: np.ndarray

@@ -735,9 +735,11 @@ def uncertainty_bound(project: Project, grid: ErrorGrid, estimate: ErrorEstimate
 
 
 def band_bound(project: Project, grid: ErrorGrid, bands: list[ErrorBand]) -> np.ndarray:
-    """(G, n_delta): what W_delta must cover by the ``bands`` of all outputs, over the first of the grid's
-    frequencies. At a speed and amplitude of which a band says nothing, k sd >= 1 + rho, and beyond its
-    frequencies no more than 1 + rho is asked (T32)."""
+    """Compute the bound (G, n_delta) that W_delta must cover by the ``bands`` of all outputs.
+
+    The bands have the first of the grid's frequencies. A band gives no information at a speed and amplitude
+    with k sd >= 1 + rho. There, and beyond its frequencies, at most 1 + rho is required (T32).
+    """
     out = beyond(project, grid)
     for j, band in enumerate(bands):
         dead = out[: len(band.omega), j, None, None]
@@ -747,7 +749,7 @@ def band_bound(project: Project, grid: ErrorGrid, bands: list[ErrorBand]) -> np.
 
 
 def band_frequencies(grid: ErrorGrid, domain: ErrorDomain) -> np.ndarray:
-    """Those of the grid's frequencies [rad/s] that the decimated signals hold."""
+    """Select the grid's frequencies (F,) [rad/s] that the decimated signals hold."""
     return grid.omega[grid.omega <= HELD * np.pi / domain.step_s]
 
 
@@ -847,8 +849,10 @@ class ModelError:
         return np.where(estimator.cycles[:, None] > 0, self.bound[self._places(estimator)], 0.0)
 
     def typical(self, estimator: Estimator) -> np.ndarray:
-        """(K, n_delta) error of a further drive at the bins in the median over speeds and amplitudes, at DC
-        that of the lowest frequency; only of bands."""
+        """Compute the error (K, n_delta) of a further drive at the bins; only for bands.
+
+        It is the median over speeds and amplitudes. DC has the error of the lowest frequency.
+        """
         each = np.column_stack([np.array(b["typical"])[self._places(estimator)] for b in self.bands])
         return each if self.bound.shape[1] > 1 else each.max(axis=1, keepdims=True)
 

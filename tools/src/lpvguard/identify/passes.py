@@ -214,7 +214,19 @@ def first_pass(
 def error_sums_of(
     reader: DriveReader, domain: ErrorDomain, experiments: list[Experiment], workers: Map
 ) -> list[ErrorSums]:
-    """Sums of each drive for the regularised model error model."""
+    """Compute the sums of each drive for the regularised model error model.
+
+    Parameters
+    ----------
+    reader : DriveReader
+    domain : ErrorDomain
+    experiments : list of Experiment
+    workers : Map
+
+    Returns
+    -------
+    list of ErrorSums, in the order of the experiments
+    """
     common = common_fit(sum_of(list(workers(partial(_common_pass, reader, domain), experiments))))
     return list(workers(partial(_error_pass, reader, domain, common), experiments))
 

@@ -1,8 +1,9 @@
 """What steering and yaw rate say of each other, in the units of their columns.
 
-In a steady turn r = v (delta - trim) / (L + K v^2), with L the wheelbase and K the understeer. With columns
-v = a v', delta = b delta', r = c r' this is r' = v' (delta' - trim') / (P (1 + q v'^2)), with P = L c / (a b)
-and q = K a^2 / L. The columns alone give P, q and the lag of r; units are what makes physics of them.
+In a steady turn ``r = v (delta - trim) / (L + K v^2)``, with L the wheelbase and K the understeer. The
+columns have own units: ``v = a v'``, ``delta = b delta'``, ``r = c r'``. With ``P = L c / (a b)`` and ``q = K
+a^2 / L`` the steady turn is ``r' = v' (delta' - trim') / (P (1 + q v'^2))``. The columns alone give P, q and
+the lag of r. Units are needed to get L and K from them.
 """
 
 from __future__ import annotations
@@ -45,9 +46,12 @@ class Driven:
 
 @dataclass(frozen=True)
 class SteadyTurn:
-    """What the columns say: ``length`` (Q,) is P, with the sign of the steering, for each of the likely
-    ``spread`` (Q,) q, the likeliest first; ``lag_s``: of the yaw rate behind the steering; ``explained``:
-    share of the yaw rate's variance."""
+    """Steady turn in the units of the columns.
+
+    ``spread`` (Q,) are the likely q, the likeliest first. ``length`` (Q,) is P for each of them, with the
+    sign of the steering. ``lag_s`` is the lag of the yaw rate behind the steering. ``explained`` is the
+    explained share of the yaw rate's variance.
+    """
 
     length: np.ndarray
     spread: np.ndarray

@@ -1,18 +1,18 @@
 """Bounds that contain the vehicle and still see a fault: the model error band beside known truth.
 
-Every set draws 5 to 40 drives of 60 to 150 s of a car whose error is known (`_known_cars`), and estimates the
-band of a further drive from them alone. In the first table all drives are of one car; true and sharp are
-read at every frequency, speed and amplitude of the band:
+Every set draws 5 to 40 drives of 60 to 150 s of a car whose error is known (`_known_cars`). It estimates the
+band of a further drive from these drives alone. In the first table all drives are of one car. True and sharp
+are read at every frequency, speed and amplitude of the band:
 
     ratio      largest |delta| / W, 1 or less where the band is true
     loose      median W / |delta|, by cells of speed and amplitude and for one W over all of them
 
 In the second table drives deviate by a random gain and delay. Further drives are counted that lie within the
-band everywhere. The interval is Clopper and Pearson's, 95 %. ``sine``: the largest ratio to the response to
-single sines, a waveform that no drive has.
+band everywhere. The interval is Clopper and Pearson's, 95 %. ``sine`` is the largest ratio to the response
+to single sines, a waveform that no drive has.
 
 With ``--drives`` every group of measured drives is left out once. ``largest`` is the ratio of a drive's own
-error to the band of the others, ``refuted`` the same less the error's own interval.
+error to the band of the others. ``refuted`` is the same minus the error's own interval.
 """
 
 from __future__ import annotations
