@@ -64,9 +64,9 @@ def test_a_planted_fault_changes_the_margins(name, drive, core, vehicle, tmp_pat
 
 ENERGY_MUTANTS = {
     "forgetting left out": "gram[k] += x[i] * x[j] - forget * gram[k];|gram[k] += x[i] * x[j];",
-    "sigma left out": "/ (right + Real(1));|/ (right + Real(0.5));",
-    "bands of yhat forgotten": "add(band.right, x + (2 * ny), forget);"
-    "|add(band.right, whole.data() + (2 * ny), forget);",
+    "sigma left out": ".sum() + Real(1);|.sum() + Real(0.5);",
+    "bands of yhat forgotten": "add(band.right, x + (2 * ny), fades);"
+    "|add(band.right, whole.data() + (2 * ny), fades);",
     "weight forgotten": "section(r.energy_W[d][s], whole.data() + (2 * ny) + j, self->W[s][0] + j, "
     "self->W[s][1] + j);|(void)j;",
     "a band left out": "if (ratio > self->ratio) {|if (b < last && ratio > self->ratio) {",

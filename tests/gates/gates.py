@@ -903,7 +903,7 @@ PLANTS: dict[str, list[Plant]] = {
         ),
         Plant(
             MONITOR_H,
-            "/// Why the newest frame was no evidence; none before the first frame and for NULL.\n",
+            "/// Why the newest frame is no evidence. Returns none before the first frame and for NULL.\n",
             "",
             r"lpvg_monitor_reason is not described",
         ),

@@ -204,6 +204,16 @@ TEST_CASE("an invalid verdict that comes back on trial is not acknowledged again
         CHECK(bench.ecu.trial_us == static_cast<uint32_t>(tick_us));
         bench.ecu.trial_us = LPVG_ECU_CALM_US - static_cast<uint32_t>(tick_us) - (spoke == the_watch ? 0U : 1U);
         bench.step();
+        if (spoke == the_watch_too_shortly) {  // a step whose sample the monitor refuses is no evidence
+            bench.ecu.trial_us -= static_cast<uint32_t>(tick_us);
+            const uint32_t before_us = bench.ecu.trial_us;
+            ++bench.ecu.monitor.energy_sum;
+            bench.step();
+            REQUIRE(bench.engaged());
+            CHECK(bench.ecu.trial_us == before_us);
+            bench.run(2);
+            bench.run_until_engaged();
+        }
         std::memset(bench.ecu.watch.Q, 0, sizeof bench.ecu.watch.Q);
     }
     CHECK(bench.ecu.kept.on_trial != passed);

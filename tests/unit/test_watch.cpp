@@ -126,6 +126,45 @@ TEST_CASE("the largest gain is the certificate's, or the healthy one, or the out
     CHECK(limits.gain[0] == lpvg_real_t(1));
 }
 
+TEST_CASE("the limits are those of their formulas", "[unit][watch][REQ-ECU-17]") {
+    lpvg_coeff_t coeff = lpvg_coeff;
+    coeff.words.sample_period_us = 200'000U;
+    for (auto& bin : coeff.reals.W_delta) {
+        for (std::size_t d = 0; d < LPVG_NDELTA; ++d) {
+            bin[d] = lpvg_real_t(0.8) + lpvg_real_t(0.1) * static_cast<lpvg_real_t>(d);
+        }
+    }
+    coeff.reals.change_threshold = lpvg_real_t(0.3);
+    for (std::size_t j = 0; j < ny; ++j) {
+        coeff.reals.change_unit[j][0] = lpvg_real_t(0.5);
+        coeff.reals.change_unit[j][1] = lpvg_real_t(0.25);
+        coeff.reals.change_scale[j][0] = lpvg_real_t(0.5);
+    }
+    lpvg_watch_limits_t limits{};
+    lpvg_watch_limits(&limits, &coeff);
+    CHECK(static_cast<double>(limits.share) == Approx(0.2 / 1.2).epsilon(1e-5));
+    CHECK(static_cast<double>(limits.forget[0]) == Approx(0.2 / 1.2).epsilon(1e-5));
+    CHECK(static_cast<double>(limits.forget[1]) == Approx(0.2 / 5.2).epsilon(1e-5));
+    for (std::size_t j = 0; j < ny; ++j) {
+        CHECK(static_cast<double>(limits.gain[j]) == Approx(0.3).epsilon(1e-5));
+        double power = 0.0;
+        for (std::size_t b = 1; b + 1U < LPVG_NBANDS; ++b) {
+            const auto scale = static_cast<double>(coeff.reals.energy_scale[b][j]);
+            power += static_cast<double>(coeff.reals.energy_forget[b]) / (scale * scale);
+        }
+        CHECK(static_cast<double>(limits.disturbance[j]) == Approx(std::sqrt(power * 8.5)).epsilon(1e-4));
+    }
+    coeff.reals.change_threshold = LPVG_WATCH_GAIN_MAX;
+    lpvg_watch_limits(&limits, &coeff);
+    CHECK(limits.gain[0] == static_cast<lpvg_real_t>(LPVG_WATCH_GAIN_MAX));
+    std::fill(&coeff.reals.W_delta[0][0], &coeff.reals.W_delta[0][0] + LPVG_NBINS * LPVG_NDELTA, lpvg_real_t(0.5));
+    for (auto& bin : coeff.reals.W_delta) {
+        bin[0] = lpvg_real_t(0.2);
+    }
+    lpvg_watch_limits(&limits, &coeff);
+    CHECK(static_cast<double>(limits.gain[ny - 1U]) == Approx(LPVG_NDELTA > 1 ? 0.5 : 0.2).epsilon(1e-5));
+}
+
 TEST_CASE("what is not watched neither violates nor is evidence, and what is not a number violates", "[unit][watch][REQ-ECU-17]") {
     Vehicle blind;
     std::fill(std::begin(blind.limits.gain), std::end(blind.limits.gain), lpvg_real_t(1));
