@@ -97,5 +97,5 @@ def test_a_frame_with_more_bits_than_can_has_is_refused(tmp_path):
 def test_two_columns_of_one_name_are_refused(header, tmp_path):
     path = tmp_path / "twice.csv"
     path.write_text(f"{header}\n0.0,1.0,2.0\n")
-    with pytest.raises(InputError, match="header: two columns are named"):
+    with pytest.raises(InputError, match="header, line 1: two columns are named"):
         read_log(path)

@@ -214,7 +214,7 @@ def test_rates_are_proved_anew_and_larger_ones_are_refused(problem, result, sche
     with pytest.raises(InputError, match="hidden_slow_per_s"):
         altered = stated | {"hidden_slow_per_s": 0.5 * stated["hidden_slow_per_s"]}
         require_slowness(path, altered, problem, schedule, result.scaling)
-    with pytest.raises(InputError, match="one row a node"):
+    with pytest.raises(InputError, match="one row for each node"):
         require_slowness(path, stated | {"nodes": stated["nodes"][1:]}, problem, schedule, result.scaling)
 
 

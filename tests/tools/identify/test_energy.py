@@ -630,7 +630,7 @@ def test_sigma_is_the_least_for_each_output_and_then_for_the_joint_form():
         assert ratios.max() == pytest.approx(
             1.0, abs=1e-7
         )  # the right side cancels but for rounding, of which the root is taken
-    with pytest.raises(InputError, match="no excited drive that sets the bounds is judged"):
+    with pytest.raises(InputError, match="it judges no excited drive among those that set the bounds"):
         test.with_sigma(test.needs(e[:100], yhat[:100], v[:100]))
     quiet = test.with_sigma(test.needs(0.0 * e, yhat, v) | {"memory": test.memory_met(0.0 * e, yhat, v)})
     assert (quiet.sigma > 0).all() and np.isfinite(quiet.coefficients()[2]["energy_scale"]).all()

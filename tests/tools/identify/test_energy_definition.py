@@ -169,7 +169,7 @@ def test_sigma_is_what_is_needed_and_no_less_than_its_floor(test):
         spoiled = {k: v.copy() for k, v in needs.items()}
         spoiled[key][1, 1] = value
         spoiled["bound"][1, 1] = value
-        with pytest.raises(InputError, match="no excited drive that sets the bounds is judged"):
+        with pytest.raises(InputError, match="it judges no excited drive among those that set the bounds"):
             test.with_sigma(spoiled)
     joint = found.with_joint({"joint": np.array([0.4, 1.0, 2.5])})
     assert joint.joint.tolist() == [1.0, 1.0, 2.5]
