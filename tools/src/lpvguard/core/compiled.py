@@ -217,6 +217,46 @@ def core_objects(
         return list(pool.map(compiled, jobs))
 
 
+def shared_core(
+    folder: Path,
+    wrapper: Path,
+    name: str,
+    *,
+    flags: Sequence[str] = (),
+    link: Sequence[str] = (),
+    double: bool = False,
+    source_root: Path | None = None,
+) -> Path:
+    """Compile the core of a generated folder and a wrapper around it into a shared library.
+
+    Parameters
+    ----------
+    folder : Path, generated folder
+    wrapper : Path, source with the library's functions
+    name : str, beginning of the library's name
+    flags : Sequence[str], of the wrapper
+    link : Sequence[str], flags of the linker
+    double : bool, number type, default float
+    source_root : Path, optional, another lib/ than the package's
+
+    Returns
+    -------
+    Path, of the library
+
+    Raises
+    ------
+    InputError
+        If it does not compile.
+    """
+    try:
+        objects = core_objects(folder, [wrapper], flags=flags, double=double, source_root=source_root)
+        return native.compile_shared(objects, flags=tuple(link), name=f"{name}_{folder.name}")
+    except native.NativeError as error:
+        raise InputError(
+            folder, "compiling the C core", str(error).strip(), "a C++17 compiler and Eigen 3.4"
+        ) from None
+
+
 @dataclass(frozen=True)
 class FrameLog:
     """Frames judged by the core during a run, in the order of judgement.
@@ -390,19 +430,14 @@ class Core:
         return _rebuilt, (self.folder.name, self._files, self._double, self._source_root)
 
     def _compile(self) -> Path:
-        try:
-            objects = core_objects(
-                self.folder,
-                [Path(__file__).with_name("binding.cpp")],
-                flags=["-DLPVGB_DIAGNOSIS"] if self.diagnoses else [],
-                double=self._double,
-                source_root=self._source_root,
-            )
-            return native.compile_shared(objects, flags=(), name=f"core_{self.folder.name}")
-        except native.NativeError as error:
-            raise InputError(
-                self.folder, "compiling the C core", str(error).strip(), "a C++17 compiler and Eigen 3.4"
-            ) from None
+        return shared_core(
+            self.folder,
+            Path(__file__).with_name("binding.cpp"),
+            "core",
+            flags=["-DLPVGB_DIAGNOSIS"] if self.diagnoses else [],
+            double=self._double,
+            source_root=self._source_root,
+        )
 
     @cached_property
     def compiled(self) -> tuple[np.ndarray, np.ndarray]:

@@ -4,4 +4,4 @@ In: a project and its folder. Out: an FMU with the compiled core inside. MAY_IMP
 may import.
 """
 
-MAY_IMPORT = ("base", "vehicle", "core")
+MAY_IMPORT = ("vehicle", "core")

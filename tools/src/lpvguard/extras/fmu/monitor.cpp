@@ -68,8 +68,6 @@ struct Serialized {
     State state;
 };
 
-using Log = void (*)(void* environment, const char* name, int status, const char* category, const char* message);
-
 struct Model {
     State state;
     std::string name;
@@ -233,14 +231,15 @@ void restore(Model* self, const State& state) {
 }
 
 // The state without addresses, so that it has the same bytes in every process.
-void serialize(const Model* self, void* bytes) {
-    Serialized* copy = new (bytes) Serialized;
-    std::memset(static_cast<void*>(copy), 0, sizeof *copy);
-    copy->size = sizeof(State);
-    copy->coefficients = lpvg_coeff.words.crc32;
-    std::memcpy(static_cast<void*>(&copy->state), &self->state, sizeof(State));
-    copy->state.monitor.coeff = nullptr;
-    copy->state.diagnosis.table = nullptr;
+void serialize(const State& state, void* bytes) {
+    Serialized copy;
+    std::memset(static_cast<void*>(&copy), 0, sizeof copy);
+    copy.size = sizeof(State);
+    copy.coefficients = lpvg_coeff.words.crc32;
+    std::memcpy(static_cast<void*>(&copy.state), &state, sizeof(State));
+    copy.state.monitor.coeff = nullptr;
+    copy.state.diagnosis.table = nullptr;
+    std::memcpy(bytes, &copy, sizeof copy);  // the caller's bytes need not be aligned
 }
 
 Status deserialize(const Model* self, const void* bytes, std::size_t size, State** state) {
@@ -299,8 +298,6 @@ Status drop_state(void** kept) {
     return ok;
 }
 
-Status reset(Model* self) { return start(self); }
-
 Model* of(void* model) { return static_cast<Model*>(model); }
 
 Status nothing_of(void* model, const char* function) {
@@ -339,7 +336,7 @@ LPVG_FMI int fmi2ExitInitializationMode(void* model) {
     return enter(of(model), Phase::initialising, Phase::stepping, "fmi2ExitInitializationMode");
 }
 LPVG_FMI int fmi2Terminate(void* model) { return enter(of(model), Phase::stepping, Phase::terminated, "fmi2Terminate"); }
-LPVG_FMI int fmi2Reset(void* model) { return reset(of(model)); }
+LPVG_FMI int fmi2Reset(void* model) { return start(of(model)); }
 LPVG_FMI int fmi2GetReal(void* model, const unsigned* references, std::size_t n, double* values) {
     return get_numbers(model, references, n, values);
 }
@@ -363,8 +360,7 @@ LPVG_FMI int fmi2SerializeFMUstate(void* model, void* kept, unsigned char* bytes
     if (size < sizeof(Serialized)) {
         return say(of(model), error, "fmi2SerializeFMUstate: room for %zu bytes; expected %zu", size, sizeof(Serialized));
     }
-    Model copy{*static_cast<State*>(kept), "", nullptr, nullptr, nullptr};
-    serialize(&copy, bytes);
+    serialize(*static_cast<const State*>(kept), bytes);
     return ok;
 }
 LPVG_FMI int fmi2DeSerializeFMUstate(void* model, const unsigned char* bytes, std::size_t size, void** kept) {
@@ -407,7 +403,7 @@ LPVG_FMI int fmi3ExitInitializationMode(void* model) {
     return enter(of(model), Phase::initialising, Phase::stepping, "fmi3ExitInitializationMode");
 }
 LPVG_FMI int fmi3Terminate(void* model) { return enter(of(model), Phase::stepping, Phase::terminated, "fmi3Terminate"); }
-LPVG_FMI int fmi3Reset(void* model) { return reset(of(model)); }
+LPVG_FMI int fmi3Reset(void* model) { return start(of(model)); }
 LPVG_FMI int fmi3GetFloat64(void* model, const unsigned* references, std::size_t n, double* values, std::size_t) {
     return get_numbers(model, references, n, values);
 }

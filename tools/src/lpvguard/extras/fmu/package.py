@@ -7,9 +7,7 @@ import io
 import zipfile
 from pathlib import Path
 
-from ...base import native
-from ...base.errors import InputError
-from ...core.compiled import DIAGNOSIS_SOURCE, Core, core_objects, library_root
+from ...core.compiled import DIAGNOSIS_SOURCE, Core, library_root, shared_core
 from ...vehicle.project import Project
 from .description import build_description, model_description
 from .variables import monitor_variables
@@ -52,7 +50,8 @@ def monitor_fmu(project: Project, folder: Path, version: int) -> bytes:
     sources = _sources(folder)
     compiled = sorted(path for path in sources if path.endswith((".cpp", ".c")))
     defines = [DIAGNOSIS_DEFINE] if core.diagnoses else []
-    binary = _binary(folder, defines).read_bytes()
+    flags = [f"-D{define}" for define in defines]
+    binary = shared_core(folder, WRAPPER, "fmu", flags=flags, link=LINK_FLAGS).read_bytes()
     variables = monitor_variables(project, thresholds)
     token = hashlib.sha256(binary)
     for path, content in sources.items():
@@ -67,17 +66,6 @@ def monitor_fmu(project: Project, folder: Path, version: int) -> bytes:
             name, compiled, ("include", "src", "vehicle"), defines
         )
     return _archive(files)
-
-
-def _binary(folder: Path, defines: list[str]) -> Path:
-    """Return the shared library; InputError with the compiler's complaint."""
-    try:
-        objects = core_objects(folder, [WRAPPER], flags=[f"-D{name}" for name in defines])
-        return native.compile_shared(objects, flags=LINK_FLAGS, name=f"fmu_{folder.name}")
-    except native.NativeError as error:
-        raise InputError(
-            folder, "compiling the FMU", str(error).strip(), "a C++17 compiler and Eigen 3.4"
-        ) from None
 
 
 def _sources(folder: Path) -> dict[str, bytes]:
