@@ -67,6 +67,12 @@ _IN = re.compile(r"[\s_,/](?:in|unit|einheit)[\s_:]+([^\s_].*)$", re.IGNORECASE)
 _TOKEN = re.compile(r"°|º|[A-Z]+(?![a-z])|[A-Z]?[a-zäöüß]+|\d+")
 DIMENSIONS = {"speed": "m/s", "input": "rad", "output": "rad/s"}
 """By role: the SI unit of its signal."""
+_NAMES = {
+    "speed": ("m/s", "km/h", "mph", "kn", "ft/s"),
+    "input": ("rad", "deg", "mrad"),
+    "output": ("rad/s", "deg/s", "mrad/s"),
+}
+"""By role: the units as ``units.py`` names them."""
 
 
 @cache
@@ -137,10 +143,9 @@ def unit_of_text(text: str, role: str) -> str | None:
 
 def _canonical(text: str, role: str) -> str:
     """A unit as ``units.py`` names it, of a text that it knows."""
-    of = {"speed": ("m/s", "km/h", "mph", "kn", "ft/s"), "input": ("rad", "deg", "mrad"), "output": ()}[role]
-    of = of or ("rad/s", "deg/s", "mrad/s")
-    factor = unit_factor(text, DIMENSIONS[role])
-    return next((u for u in of if unit_factor(u, DIMENSIONS[role]) == factor), text.strip())
+    target = DIMENSIONS[role]
+    factor = unit_factor(text, target)
+    return next((u for u in _NAMES[role] if unit_factor(u, target) == factor), text.strip())
 
 
 @cache
@@ -158,16 +163,14 @@ def _by_pint(text: str, role: str) -> str | None:
     registry = _pint()
     try:
         unit = registry.parse_units(text.replace("°", "deg"))
-        target = {"speed": "m/s", "input": "rad", "output": "rad/s"}[role]
         is_angle = any("radian" in part or "degree" in part for part in unit._units)
         if role != "speed" and not is_angle:
             return None  # pint takes an angle for a plain number: rad/s would be Hz
-        factor = float(registry.Quantity(1.0, unit).to(target).magnitude)
+        factor = float(registry.Quantity(1.0, unit).to(DIMENSIONS[role]).magnitude)
     except Exception:  # pint raises classes of its own and of Python's tokenizer
         return None
-    units = {"speed": ("m/s", "km/h", "mph", "kn", "ft/s"), "input": ("rad", "deg", "mrad")}
-    for name in units.get(role, ("rad/s", "deg/s", "mrad/s")):
-        ours = unit_factor(name, target)
+    for name in _NAMES[role]:
+        ours = unit_factor(name, DIMENSIONS[role])
         if ours is not None and abs(factor / ours - 1) < 1e-6:
             return name
     return None
