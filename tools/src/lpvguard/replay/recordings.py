@@ -15,7 +15,7 @@ import numpy as np
 import pyarrow as pa
 from pyarrow.parquet import write_table
 
-from ..base.errors import InputError
+from ..base.optional import optional
 from .messages import messages, schemas
 from .ros import write_ros2
 from .series import MARGIN, numbers
@@ -56,12 +56,9 @@ def write_series(
 
 
 def _write_mcap(path: Path, series: pa.Table, alarms: list[dict[str, Any]]) -> None:
-    try:
-        from mcap.writer import CompressionType, Writer
-    except ImportError:
-        raise InputError("mcap", "", "the Python package is not installed", "lpvguard[mcap]") from None
+    mcap = optional("mcap.writer", "mcap")
     with path.open("wb") as stream:
-        writer = Writer(stream, compression=CompressionType.NONE)
+        writer = mcap.Writer(stream, compression=mcap.CompressionType.NONE)
         writer.start(library="lpvguard")
         channels = {}
         for topic, schema in schemas(series.column_names).items():

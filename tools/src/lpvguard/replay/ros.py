@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from ..base.errors import InputError
+from ..base.optional import optional
 from .alarm_text import alarm_sentence
 from .series import MARGIN, numbers
 
@@ -70,15 +70,12 @@ def write_ros2(path: Path, vehicle: str, series: pa.Table, alarms: list[dict[str
     InputError
         If mcap-ros2-support is not installed.
     """
-    try:
-        from mcap.writer import CompressionType
-        from mcap_ros2.writer import Writer
-    except ImportError:
-        raise InputError("mcap_ros2", "", "the Python package is not installed", "lpvguard[ros2]") from None
+    compression = optional("mcap.writer", "ros2").CompressionType.NONE
+    open_writer = optional("mcap_ros2.writer", "ros2").Writer
     stamps = np.round(numbers(series["t"]) * 1e9).astype(np.int64)
     found = [*_diagnostics(vehicle, stamps, series, alarms), *_motions(stamps, series)]
     with path.open("wb") as stream:
-        writer = Writer(stream, compression=CompressionType.NONE)
+        writer = open_writer(stream, compression=compression)
         kinds = {kind: writer.register_msgdef(kind, text) for kind, text in DEFINITIONS.items()}
         for number, (t, topic, kind, content) in enumerate(sorted(found, key=lambda m: m[0])):
             stamp = {"sec": t // 10**9, "nanosec": t % 10**9}
