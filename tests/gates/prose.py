@@ -106,7 +106,7 @@ def sentences(words: str) -> list[str]:
 
 
 def breaches(words: str) -> Iterator[str]:
-    """What a paragraph does against the rules."""
+    """Return the breaches of the rules in a paragraph."""
     for sentence in sentences(words):
         shown = sentence if len(sentence) < 90 else f"{sentence[:87]}..."
         count = sum(bool(re.search(r"[^\W_]", word)) for word in sentence.split())

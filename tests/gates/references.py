@@ -196,7 +196,7 @@ def anchors(text: str) -> frozenset[str]:
 
 @dataclass(frozen=True)
 class Theory:
-    """What may be cited of the theory's pages, and their text in the order of their numbers."""
+    """Sections and equations of the theory that may be cited, and its text in the order of their numbers."""
 
     sections: list[str]
     equations: list[str]

@@ -169,7 +169,7 @@ def undescribed(node: ast.ClassDef) -> set[str]:
 
 
 def breaches(place: str, path: Path, node: ast.ClassDef | Function, around: ast.AST) -> list[str]:
-    """What numpydoc finds in one docstring, by the codes of FORM, each with its place."""
+    """Return numpydoc's findings in one docstring, by the codes of FORM, each with its place."""
     checked = validate(place, AstValidator, ast_node=node, filename=path, ancestry=[around])
     decorators = [ast.unparse(d) for d in node.decorator_list]
     codes = FORM - {"RT01"} if any("property" in d for d in decorators) else FORM

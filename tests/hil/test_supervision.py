@@ -1,5 +1,5 @@
-"""What the supervision must say, worked out from frames and message table
-(lpvguard/extras/loop/supervision.py), and that the firmware says it."""
+"""The firmware's supervision says what frames and message table require
+(lpvguard/extras/loop/supervision.py)."""
 
 from __future__ import annotations
 

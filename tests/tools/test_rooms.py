@@ -52,7 +52,7 @@ ORDER = (*MAIN, *SIDE, "schemas", "cli")
 """Lowest first: a room imports only from rooms before it, and of those only what its MAY_IMPORT names. So no
 room of the main path imports a side room."""
 MODULE_LINES, FUNCTION_LINES = 600, 60
-"""Of a docstring only the first line counts."""
+"""Only the first line of a docstring counts."""
 REASON = re.compile(r"^\s*Length: \S", re.MULTILINE)
 """A line of the docstring that says why a module or function is longer."""
 PICTURE = (

@@ -26,7 +26,7 @@ def pages(tree: Path) -> dict[str, str]:
 
 
 def verbs() -> str:
-    """What every verb of the command line says with ``--help``."""
+    """Return the help text of every verb of the command line."""
     import click
     import typer
 
@@ -150,7 +150,7 @@ PUBLIC = (
     ("Monitor", "api/monitor.py"),
     ("InputError", "base/errors.py"),
 )
-"""What ``import lpvguard`` gives, and the module that defines it."""
+"""Names that ``import lpvguard`` gives, and the module that defines each."""
 SECTION = re.compile(r"^(\w[\w ]*)\n-{3,}$", re.MULTILINE)
 NAMED_ENTRIES = ("Parameters", "Returns", "Raises", "Attributes", "Yields", "Other Parameters")
 

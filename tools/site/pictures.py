@@ -58,7 +58,7 @@ def run(*words: object, cwd: Path) -> None:
 
 
 def screenshot(page: Path, target: Path, width: int, height: int) -> None:
-    """What chromium shows of a page, without its white margin, in 64 colours."""
+    """Take a picture of a page by chromium, without its white margin, in 64 colours."""
     shot = target.with_suffix(".shot.png")
     chromium = ("chromium", "--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars")
     run(

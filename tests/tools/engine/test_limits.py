@@ -74,7 +74,7 @@ def test_the_floor_is_as_near_as_was_asked():
 
 
 def test_a_gain_rests_on_a_direction_and_not_on_rounding(monkeypatch):
-    """What is left of terms that cancel is no gain, and a wrong direction gives no higher one."""
+    """Rounding of terms that cancel gives no gain, and a wrong direction gives no higher one."""
     near = np.array([[1.0, 1.0], [1.0, 1.0 + 4e-16]]) + 0j
     zero = np.zeros((1, 2))
     assert limits._gain(np.eye(2), near, zero, zero)[0] < 0.3 * np.linalg.norm(np.linalg.inv(near), 2)

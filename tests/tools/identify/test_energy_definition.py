@@ -89,7 +89,7 @@ def by_definition(test: EnergyTest, e, yhat, v):
 
 
 def right_side(test: EnergyTest, right, band: int, t: int, a: np.ndarray) -> float:
-    """Of (T19b) without sigma, ``t`` samples after the first judged one, in direction ``a``."""
+    """Right side of (T19b) without sigma, ``t`` samples after the first judged one, in direction ``a``."""
     fading = math.exp(-(SETTLE + t + 1) * TS / MEMORY)
     return math.sqrt(a @ right[t] @ a) + fading * sum(abs(a) * test.start[band])
 

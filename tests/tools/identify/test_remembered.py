@@ -1,4 +1,4 @@
-"""What filters remember at a restart, against the responses themselves."""
+"""Memory of filters at a restart, against the responses themselves."""
 
 from __future__ import annotations
 

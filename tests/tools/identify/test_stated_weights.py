@@ -1,4 +1,4 @@
-"""What weights.json states of a weight is proved anew when it is read, and a planted number is refused."""
+"""Reading weights.json proves its statements about weights anew, and refuses a planted number."""
 
 from __future__ import annotations
 

@@ -100,7 +100,7 @@ BY_HAND = {
     "feedback": 1 / 6,
     "coprime": 1 / np.sqrt(50),
 }
-"""Of G0 = 2 and G = 3. Coprime: the chordal distance |3 - 2| / (sqrt(10) sqrt(5))."""
+"""Radii for G0 = 2 and G = 3. Coprime: the chordal distance |3 - 2| / (sqrt(10) sqrt(5))."""
 
 
 @pytest.mark.parametrize("form", robust.FORMS)

@@ -335,7 +335,7 @@ def marked(value: Any, kind: str, *, each: bool = False) -> Any:
 
 
 def _carries_mark(text: str, kind: str) -> bool:
-    """Whether the text is JSON, HTML, C, a CAN database, an A2L or an FMU with the mark of ``kind``."""
+    """Return whether the text is JSON, HTML, C, a DBC, an A2L or an FMU with the mark of ``kind``."""
     head = text[:2000]
     if re.search(rf'<meta name="generator" content="{re.escape(mark(kind))}">', head):
         return True

@@ -76,7 +76,7 @@ def _usable(folder: Path) -> Iterator[None]:
 
 
 def native_enabled() -> bool:
-    """Whether compiled kernels are allowed (``LPVGUARD_NO_NATIVE``)."""
+    """Return whether compiled kernels are allowed (``LPVGUARD_NO_NATIVE``)."""
     return os.environ.get("LPVGUARD_NO_NATIVE", "") in ("", "0")
 
 

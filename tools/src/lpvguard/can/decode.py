@@ -144,7 +144,7 @@ def own_database() -> Database:
 
 
 def is_j1939(message: Message) -> bool:
-    """Whether the database marks a message as a J1939 parameter group.
+    """Return whether the database marks a message as a J1939 parameter group.
 
     Parameters
     ----------

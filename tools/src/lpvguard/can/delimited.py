@@ -59,7 +59,7 @@ def read_csv(data: bytes, null_values: Iterable[str] | None = None) -> tuple[pa.
 
 
 def _decimal_commas(body: io.BytesIO, delimiter: str) -> bool:
-    """Whether numbers have a decimal comma: only where `;` divides, judged by the lines after the header."""
+    """Return whether numbers have a decimal comma, by the lines after the header; only where `;` divides."""
     lines = list(islice(body, 1, 20))
     body.seek(0)
     return delimiter == ";" and any(b"," in line for line in lines) and not any(b"." in x for x in lines)

@@ -1,4 +1,4 @@
-"""What logs are read into: raw frames, or decoded signals."""
+"""Contents of a log: raw frames, or decoded signals."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class Frames:
     data: np.ndarray
     channels: list[str]
     left_out: dict[str, int] = field(default_factory=dict)
-    """What the log holds besides, by kind: error reports, remote frames, lines that are no frame."""
+    """Other contents of the log, by kind: error reports, remote frames, lines that are no frame."""
 
     def __len__(self) -> int:
         return len(self.t_ns)

@@ -155,7 +155,7 @@ def logs_among(paths: list[Path]) -> list[Path]:
 
 
 def _is_log(path: Path) -> bool:
-    """Whether something in a folder is a log, by its name."""
+    """Return whether something in a folder is a log, by its name."""
     known = path.is_file() and path.suffix.lower() in _SUFFIXES - _FOREIGN_SUFFIXES
     return known or reader_of(path) is not None
 
@@ -179,7 +179,7 @@ def stem(path: Path) -> str:
 
 
 def _is_table(path: Path) -> bool:
-    """Whether a file of a name that candump gives holds a table: numbers in columns under names, no frame."""
+    """Return whether a file with a name of candump holds a table: numbers in named columns, no frame."""
     from .text_tables import read_text_table
 
     head = _bytes(path)[:_HEAD]
@@ -194,7 +194,7 @@ def _is_table(path: Path) -> bool:
 
 
 def is_raw_table(path: Path) -> bool:
-    """Whether a CSV or Parquet file holds raw frames; False if it cannot be read.
+    """Return whether a CSV or Parquet file holds raw frames; False if it cannot be read.
 
     Parameters
     ----------

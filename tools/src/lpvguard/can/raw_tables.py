@@ -31,7 +31,7 @@ _HEXADECIMAL = ("id", "can_id", "canid", "identifier", "arbitration_id")
 
 
 def _found(names: Sequence[str]) -> dict[str, str]:
-    """What a column is -> its name."""
+    """Return the name of the column for each content."""
     low = {re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_"): name for name in reversed(names)}
     return {
         kind: low[word]
@@ -47,7 +47,7 @@ def _bytes_of(names: Sequence[str]) -> list[str]:
 
 
 def is_raw(names: Sequence[str]) -> bool:
-    """Whether a table of these columns holds raw frames."""
+    """Return whether a table of these columns holds raw frames."""
     found = _found(names)
     return {"time", "id"} <= found.keys() and ("data" in found or len(_bytes_of(names)) > 1)
 
@@ -117,7 +117,7 @@ def _squeezed(text: str | None) -> str:
 
 
 def _is_hexadecimal(texts: list[str | None]) -> bool:
-    """Whether all cells are bytes in hexadecimal digits; else they are base64, as python-can writes them."""
+    """Return whether all cells are bytes in hexadecimal digits; python-can writes the others in base64."""
     return all(re.fullmatch(r"([0-9A-Fa-f]{2})*", _squeezed(text)) for text in texts)
 
 

@@ -105,7 +105,7 @@ def _form(lines: list[str], first: int, path: Path) -> tuple[str, int]:
 
 
 def _words(cells: list[str]) -> bool:
-    """Whether a line is a header: words, none of them a number."""
+    """Return whether a line is a header: words, none of them a number."""
     named = [cell.strip() for cell in cells if cell.strip()]
     return bool(named) and not any(_NUMBER.fullmatch(cell) for cell in named)
 
@@ -117,7 +117,7 @@ def _require_header(names: list[str], path: Path, header: int) -> None:
 
 
 def _is_units(cells: list[str], lines: list[str], row: int, delimiter: str) -> bool:
-    """Whether a line under the header states units: no number, no time of day, and numbers in the next."""
+    """Return whether a line under the header states units: no number or time of day, then numbers."""
     if not _words(cells) or any(re.search(r"\d{2}:\d{2}", cell) for cell in cells):
         return False
     below = _cells(lines[row + 1], delimiter) if row + 1 < len(lines) else []
@@ -125,7 +125,7 @@ def _is_units(cells: list[str], lines: list[str], row: int, delimiter: str) -> b
 
 
 def _decimal_commas(body: list[str], delimiter: str) -> bool:
-    """Whether numbers are written with a comma."""
+    """Return whether numbers are written with a comma."""
     cells = [cell.strip() for line in body for cell in _cells(line, delimiter)]
     commas = sum(re.fullmatch(r"[-+]?\d*,\d+([eE][-+]?\d+)?", cell) is not None for cell in cells)
     points = sum(re.fullmatch(r"[-+]?\d*\.\d+([eE][-+]?\d+)?", cell) is not None for cell in cells)

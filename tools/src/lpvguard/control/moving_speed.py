@@ -212,7 +212,7 @@ def require_moving(
 
 
 def _holds(asked: tuple[DesignProblem, Scheduled, str, dict]) -> bool:
-    """Whether controller.json's statement of a claim at a moving speed is proved again."""
+    """Return whether controller.json's statement of a claim at a moving speed is proved again."""
     problem, schedule, claim, said = asked
     if not all(np.isfinite(said.get(name, np.nan)) and said[name] > 0 for name in POSITIVE):
         return False

@@ -296,8 +296,11 @@ def image_with_debug_information(name: str, vehicle: Path, program: Program) -> 
 
 @dataclass(frozen=True)
 class Verdicts:
-    """What an image of the monitor alone says of drives: a list of (sample, verdict) a drive, where the
-    verdict changes. ``rom`` as of `run_target`; ``ram_bytes`` of the monitor."""
+    """Verdicts of drives by an image of the monitor alone.
+
+    Each drive has a list of (sample, verdict) at which the verdict changes. ``rom`` is as in `run_target`;
+    ``ram_bytes`` is the monitor's.
+    """
 
     changes: list[list[tuple[int, int]]]
     rom: dict[str, int]

@@ -221,7 +221,7 @@ def _rows(index: Path) -> list[dict[str, str]]:
 
 
 def _in_use(row: dict[str, str], index: Path, line: int) -> bool:
-    """Whether a line's drive counts. Raises InputError unless ``use`` is yes, or no with a reason."""
+    """Return whether a line's drive counts. Raises InputError unless ``use`` is yes, or no with a reason."""
     use = row.get("use") or "yes"
     if use not in ("yes", "no"):
         raise InputError(index, f"line {line}, column use", repr(use), "yes or no")

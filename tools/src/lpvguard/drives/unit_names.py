@@ -236,7 +236,7 @@ def without_unit(name: str, role: str) -> str:
 
 
 def _ending(words: list[str], role: str) -> tuple[int, str]:
-    """Where the unit at the end of a name's words begins, and the unit; of several the longest."""
+    """Find the unit at the end of a name's words: its first word and the unit, the longest of several."""
     known, end = _spellings(role), len(words)
     while end and (words[end - 1] in _QUALIFIERS or words[end - 1].isdigit()):
         end -= 1

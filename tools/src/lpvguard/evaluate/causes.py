@@ -153,7 +153,7 @@ def _uneven(y: np.ndarray) -> bool:
 
 
 def can_be_named(fault: Fault, project: Project, scales: DiagnosisScales) -> bool:
-    """Whether a fault with one cause exceeds, in some output, the difference between healthy vehicles.
+    """Return whether a fault with one cause exceeds, in some output, the difference between healthy vehicles.
 
     No record, however long, names a smaller one (DiagnosisScales.least).
     """

@@ -69,7 +69,7 @@ def _doubled(drives: list[Drive]) -> Iterator[InputError]:
 
 
 def _shuffled(project: Project, drive: Drive) -> Iterator[InputError]:
-    """Whether every column jumps, as when rows are out of order.
+    """Return whether every column jumps, as when rows are out of order.
 
     The noise of a held speed jumps as well, so the speed has to differ by more than noise does.
     """
@@ -85,7 +85,7 @@ def _shuffled(project: Project, drive: Drive) -> Iterator[InputError]:
 
 
 def _at_half_rate(drive: Drive, signal: Signal, x: np.ndarray) -> Iterator[InputError]:
-    """Whether samples are held: one of the two phases of the steps is 0 where the other moves."""
+    """Return whether samples are held: one of the two phases of the steps is 0 where the other moves."""
     step = np.diff(x) != 0
     phases = sorted(float(np.mean(step[p::2])) if len(step[p::2]) else 0.0 for p in (0, 1))
     if phases[0] < 1 - HELD and phases[1] > MOVES:
@@ -98,7 +98,7 @@ def _at_half_rate(drive: Drive, signal: Signal, x: np.ndarray) -> Iterator[Input
 
 
 def _frozen(drive: Drive, signal: Signal, x: np.ndarray, driving: np.ndarray) -> Iterator[InputError]:
-    """Whether a signal that elsewhere changes at most samples stands while the vehicle drives."""
+    """Return whether a signal that elsewhere changes at most samples stands while the vehicle drives."""
     Ts = float(drive.t[1] - drive.t[0])
     stands = np.r_[False, np.diff(x) == 0] & driving
     long = stretches_of(stands, round(STANDS_S / Ts))

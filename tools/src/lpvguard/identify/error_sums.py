@@ -25,7 +25,7 @@ NOISE_ORDER = 12
 DIRECTIONS = 3
 """Directions in which drives deviate: gain, delay and second difference."""
 COMMON = 2 * DIRECTIONS
-"""What all drives share of them: constant and linear in relative speed."""
+"""Number of their parts that all drives share: constant and linear in relative speed."""
 LEAST_OFFSET = 1e-6
 """Singular value over the largest, below which an offset is no direction of its own."""
 SPEED_CELLS, AMPLITUDE_CELLS_PER_KNOT = 16, 4

@@ -126,7 +126,7 @@ class OverDrives:
 
     @property
     def resolution(self) -> Resolution:
-        """What the sensors of the bound-setting drives cannot tell."""
+        """Resolution and noise of the sensors in the bound-setting drives."""
         return Resolution.of(self.reader.project, self._seen)
 
     @property

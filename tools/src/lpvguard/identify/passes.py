@@ -257,7 +257,7 @@ def uncertainty_pass(
 
 
 def healthy_pass(reader: DriveReader, experiment: Experiment) -> np.ndarray:
-    """What the drive asks of the healthy set (K, P, n_y), as `needed`."""
+    """Return the needs of a drive for the healthy set (K, P, n_y), as `needed` does."""
     project = reader.project
     frames = list(reader.frames(experiment))
     return needed(frames, reader.estimator, project.n_delta, project.bounds.structure)

@@ -1,4 +1,4 @@
-"""What filters remember at a restart: the norm of their response to what came before it (THEORY 7.2).
+"""Memory of filters at a restart: the norm of their response to earlier inputs (THEORY 7.2).
 
 A filter was fed with x up to a restart. Its response x0 to that past goes on. The least m is sought with
 

@@ -27,7 +27,7 @@ DOUBTFUL = 1.4
 """A reading whose lateral acceleration exceeds the kind's by no more may still be meant."""
 LEAST_LATERAL_MPS2 = {"car": 0.1, "truck": 0.1, "model": 0.35, "other": 0.1}
 LEAST_ANGLE_RAD = 0.01
-"""Where 99 % of a log stay below both, nobody steered: degrees would have been read as radians before."""
+"""If 99 % of a log stay below both, nobody steered, or degrees would be read as radians."""
 LEAST_EXPLAINED = 0.3
 """Columns that explain less of the yaw rate say nothing of their units."""
 
@@ -58,7 +58,7 @@ class UnitReading:
 
 @dataclass(frozen=True)
 class Known:
-    """What is known of the vehicle: kind, wheelbase [m], steering ratio; None where it is not."""
+    """Known properties of the vehicle: kind, wheelbase [m], steering ratio. None: not known."""
 
     kind: KindName
     wheelbase_m: float | None = None
@@ -130,7 +130,7 @@ def decided(
 
 
 def _wheels(known: Known) -> tuple[bool, ...]:
-    """Whether the steering is that of a steering wheel: what remains possible."""
+    """Return whether the steering is that of a steering wheel: what remains possible."""
     if known.ratio is not None:
         return (known.ratio != 1.0,)
     if KINDS[known.kind].ratio is None:
@@ -167,7 +167,7 @@ def _largest(drives: Sequence[Driven]) -> tuple[float, float, float]:
 
 
 def _magnitudes(d: Driven) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Of speed, steering and speed times yaw rate, the latter two about their medians, (N,) each."""
+    """Return |speed|, |steering| and |speed times yaw rate|, (N,) each, the last two about their medians."""
     turned, yaw = d.delta - np.median(d.delta), d.r - np.median(d.r)
     return np.abs(d.v), np.abs(turned), np.abs(d.v * yaw)
 

@@ -232,12 +232,12 @@ def _unit(text: str, role: str) -> str | None:
 
 
 def _of_another_role(text: str, role: str) -> bool:
-    """Whether a text is a unit, though not one of the role."""
+    """Return whether a text is a unit, though not one of the role."""
     return any(unit_of_text(text, other) is not None for other in ROLES if other != role)
 
 
 def at_steering_wheel(name: str) -> bool | None:
-    """Whether a name says that its angle is the steering wheel's, or the road wheels'; None where neither."""
+    """Return whether a name says that its angle is the steering wheel's; None where it says nothing."""
     low = "_".join(tokens(name))
     wheel, road = STEERING_WHEEL.search(low) is not None, ROAD_WHEEL.search(low) is not None
     return None if wheel == road else wheel

@@ -1,4 +1,4 @@
-"""What steering and yaw rate say of each other, in the units of their columns.
+"""Steady turn of a vehicle, fitted in the units of the columns.
 
 In a steady turn ``r = v (delta - trim) / (L + K v^2)``, with L the wheelbase and K the understeer. The
 columns have own units: ``v = a v'``, ``delta = b delta'``, ``r = c r'``. With ``P = L c / (a b)`` and ``q = K
@@ -25,7 +25,7 @@ FINE_DELAYS_S = tuple(np.arange(0.0, 0.41, 0.02))
 """Lags and delays that are tried together, then one after the other."""
 REFINED = 2
 BEGINS_S = 1.0
-"""What a recording begins in is forgotten after this time."""
+"""Time after which the start of a recording is forgotten."""
 SPREADS = np.r_[np.linspace(-0.75, 0.0, 9), np.geomspace(0.05, 20.0, 40)]
 """Values of q times the square of the largest speed that are tried."""
 MEMORY_S = 1.5

@@ -9,7 +9,7 @@ from ..vehicle.physics import KindName
 
 @dataclass(frozen=True)
 class Scale:
-    """What guesses rest on: wheelbase [m], its range [m], typical and largest speed [m/s], kind of
+    """Basis of first guesses: wheelbase [m], its range [m], typical and largest speed [m/s], kind of
     vehicle."""
 
     wheelbase_m: float

@@ -1,4 +1,4 @@
-"""What a vehicle on tyres can do: ranges of its kind, against which units and results are judged."""
+"""Physical ranges of kinds of vehicles on tyres, against which units and results are judged."""
 
 from __future__ import annotations
 

@@ -120,7 +120,7 @@ def verify_overbound(
 
 
 def is_hurwitz(coefficients: np.ndarray) -> bool:
-    """Whether all roots lie in the open left half-plane, by Routh's array in rational arithmetic.
+    """Return whether all roots lie in the open left half-plane, by Routh's array in rational arithmetic.
 
     ``coefficients`` (n + 1,) in descending powers, the first not 0.
     """

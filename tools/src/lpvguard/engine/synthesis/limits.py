@@ -26,7 +26,7 @@ GRID = np.r_[0.0, np.geomspace(1e-3, 1e2, 16)]
 KERNEL_RTOL = 1e-9
 """Singular values of M21 and M12 below this fraction of the largest are zero."""
 ROUNDING = 4 * float(np.finfo(float).eps)
-"""Of a product of two entries and its place in a sum."""
+"""Rounding of a product of two entries and of its place in a sum."""
 WIDEST = 15.0
 """Largest |ln d| searched."""
 BOXES_AT_ONCE, MOST_ROUNDS = 128, 150
@@ -123,7 +123,7 @@ class _Frequency:
         return min(least, values.min(initial=np.inf), best), best
 
     def exceeds(self, level: float) -> bool:
-        """Whether the infimum over D is known to exceed ``level``."""
+        """Return whether the infimum over D is known to exceed ``level``."""
         low, high = np.full((1, self.dim), -WIDEST), np.full((1, self.dim), WIDEST)
         values, new = self.bound(low, high), 1
         for _ in range(MOST_ROUNDS):

@@ -214,7 +214,7 @@ class Storage:
         return pairs
 
     def cut(self, low: float, high: float, step: float) -> float:
-        """Where to cut low..high: in the middle, or at the speed nearest to it with a knot ``step`` away."""
+        """Return a cut of low..high: its middle, or the nearest speed with a knot ``step`` away."""
         inner = self.knots[1:-1]
         bends = np.concatenate([inner - step, inner + step])
         middle, reserve = 0.5 * (low + high), INSIDE * np.spacing(high)
@@ -507,7 +507,7 @@ def _polynomial(family: Family) -> LpvCertificate | None:
 
 
 def _on_grid(family: Family, grid: np.ndarray) -> tuple[bool, LpvCertificate | None]:
-    """Whether a storage function exists at the speeds ``grid`` for any rate, and its proof between them."""
+    """Search a storage function at the speeds ``grid`` for any rate, and prove it between them."""
     start = frozen_at(family, grid)
     if start is None:
         return False, None

@@ -297,7 +297,7 @@ GUIDE_ROWS: tuple[tuple[str, str, Callable[[dict[str, Any]], str]], ...] = (
     ("monitor alone, g80: ROM [B]", f"{MONITOR_ROM_BYTES}", lambda run: str(run["monitor_only"]["rom"])),
     ("monitor alone, g80: RAM [B]", f"{MONITOR_RAM_BYTES}", lambda run: str(run["monitor_only"]["ram"])),
 )
-"""Of the guide's table: the row's name, its budget, and what a target needs."""
+"""Rows of the guide's table: name, budget, and a function for a target's number."""
 
 
 def write_guide(path: Path, report: dict[str, Any]) -> None:

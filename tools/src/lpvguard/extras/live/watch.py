@@ -72,7 +72,7 @@ class Listener(Protocol):
     """Receiver of every judged piece."""
 
     def listens(self) -> bool:
-        """Whether anybody listens now."""
+        """Return whether anybody listens now."""
         ...
 
     def hear(self, series: pa.Table, alarms: list[Alarm]) -> None:

@@ -18,7 +18,7 @@ _DECLARATION = re.compile(
     r"^\s*(?:const\s+)?[A-Za-z_]\w*\*?\s+(?P<names>\*?\w[^;]*);\s*(?:///<\s?(?P<text>.*))?$"
 )
 _WRAPPED = re.compile(r",\n\s*(?=\w)")
-"""Where a declaration goes on in the next line."""
+"""A declaration that continues in the next line."""
 _UNIT = re.compile(r"\s*\[(?P<unit>[^\[\]]*)\]")
 _RANGE = re.compile(r"(?<![\w.])(?P<low>-?\d+) \.\. (?P<high>-?\d+)(?![\w.])")
 

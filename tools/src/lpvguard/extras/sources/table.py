@@ -22,7 +22,7 @@ Commit = Annotated[str, Field(pattern=r"^[0-9a-f]{40}$")]
 
 
 def _plain(path: str) -> bool:
-    """Whether a path stays below its folder."""
+    """Return whether a path stays below its folder."""
     return not path.startswith("/") and ".." not in path.split("/") and "\\" not in path
 
 

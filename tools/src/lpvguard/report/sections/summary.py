@@ -42,7 +42,7 @@ def _estimator_words(stored: StoredIdentification, estimator: Estimator) -> str:
 
 
 def _core_words(stored: StoredIdentification, replayer: Replayer | None) -> str:
-    """Whether the replaying core has the numbers of this identification."""
+    """Return whether the replaying core has the numbers of this identification."""
     if replayer is None:
         return (
             "none: the core computes Hann frames only; these bounds are for analysis, and export, replay and "

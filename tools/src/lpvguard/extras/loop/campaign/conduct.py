@@ -133,7 +133,7 @@ def band_rms(
 
 
 def beyond_wish(row: dict[str, Any]) -> bool:
-    """Whether a run's error exceeds a user's wish: TRACKED of the wanted yaw rate and the free motion.
+    """Return whether a run's error exceeds a user's wish: TRACKED of the wanted yaw rate and the free motion.
 
     No certificate promises this.
     """

@@ -205,7 +205,7 @@ def _average(severities: list[dict]) -> dict[str, dict[str, float]]:
 
 
 def _is_invisible(severity: dict[str, Any]) -> bool:
-    """Whether a fault is visible in less than half of its runs although the loop loses stability or
+    """Return whether a fault is visible in less than half of its runs although the loop loses stability or
     performance."""
     harmful = not severity["loop_stable"] or (severity["mu_upper"] is not None and severity["mu_upper"] >= 1)
     return severity["visible_runs"] < severity["runs"] / 2 and harmful
@@ -348,7 +348,7 @@ def _supervision(rows: list[dict]) -> dict[str, Any]:
 
 
 def _as_required(row: dict) -> bool:
-    """Whether the supervision reported the required state at every tick, and none worse."""
+    """Return whether the supervision reported the required state at every tick, and none worse."""
     return (
         row["supervision_met"] == row["supervision_due"]
         and row["supervision_late_s"] == 0.0 == row["supervision_unwarranted_s"]
