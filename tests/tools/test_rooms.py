@@ -40,6 +40,7 @@ SIDE = (
     "sources",
     "measure",
     "fmu",
+    "arxml",
     "fleet",
     "loop",
     "live",
