@@ -118,7 +118,8 @@ def main():
         repeated(rng, "lft_margin", k) for k in range(6)
     ]
     problems = [{"id": f"{p['kind']}-own-{i}", **p} for i, p in enumerate(problems)]
-    print(json.dumps({"schema": "lpvguard.problems/1", "problems": problems}, indent=1))
+    lines = ",\n".join(json.dumps(p) for p in problems)
+    print(f'{{"schema": "lpvguard.problems/1", "problems": [\n{lines}\n]}}')
 
 
 if __name__ == "__main__":
