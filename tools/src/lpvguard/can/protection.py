@@ -40,12 +40,9 @@ class Place:
 
 @dataclass(frozen=True)
 class Protection:
-    """A checksum by name.
-
-    ``bits`` is its width. ``checksum`` and ``counter`` are the places by definition; a negative start counts
-    from the frame's end, and None leaves them to the database. ``counters`` is the number of the counter's
-    values; None is all of its bits. ``data_ids`` is the number of data ids.
-    """
+    """A checksum by name. ``bits`` is its width. ``checksum`` and ``counter`` are the places by definition; a
+    negative start counts from the frame's end, and None leaves them to the database. ``counters`` is the
+    number of the counter's values; None is all of its bits. ``data_ids`` is the number of data ids."""
 
     function: str
     bits: int

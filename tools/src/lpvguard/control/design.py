@@ -191,10 +191,8 @@ def crossover(schedule: Scheduled, model: NominalModel) -> float:
 
 
 def _require_reach(stored: StoredIdentification, schedule: Scheduled) -> None:
-    """Raise InputError unless the model error model reaches REACH crossovers.
-
-    At most one of the design's frequencies may lie past the last informative one.
-    """
+    """Raise InputError unless the model error model reaches REACH crossovers. At most one of the design's
+    frequencies may lie past the last informative one."""
     omega = stored.model_error.grid.omega
     wanted = REACH * crossover(schedule, stored.model)
     if omega[-1] < wanted:
@@ -286,11 +284,9 @@ def _with_fewest_poles(
     order_loss: float,
     progress: Progress,
 ) -> Scheduled | None:
-    """Schedule with the fewest pairs of common poles, at most ``most``, or None.
-
-    More pairs lower the worst level by less than ``order_loss`` of it. The result is None where no number of
-    pairs stabilises every speed. ``worst_level`` of a schedule is inf above the given level.
-    """
+    """Schedule with the fewest pairs of common poles, at most ``most``, or None. More pairs lower the worst
+    level by less than ``order_loss`` of it. The result is None where no number of pairs stabilises every
+    speed. ``worst_level`` of a schedule is inf above the given level."""
     best, found, found_pairs = np.inf, None, 0
     for pairs in range(FEWEST_PAIRS, most + 1):
         progress(Counted(f"{pairs} pairs of poles", pairs**3, (most + 1) ** 3))
@@ -311,11 +307,8 @@ def _sound_order(
     level: float,
     workers: Map,
 ) -> int:
-    """Largest order at which every controller of the family keeps ``level``.
-
-    The last states of ``rank`` can be rounding alone, with an unstable loop. Raises InputError where no order
-    keeps the level.
-    """
+    """Largest order at which every controller of the family keeps ``level``. The last states of ``rank`` can
+    be rounding alone, with an unstable loop. Raises InputError where no order keeps the level."""
     for order in range(rank, 0, -1):
         loops = zip(plants, at_order(order), strict=True)
         norms = workers(partial(_scaled_norm, scaling, 1e-3), loops)
@@ -333,10 +326,8 @@ def _worst_level(
     scaling: Scaling,
     workers: Map,
 ) -> float:
-    """Largest norm of the scaled closed loops.
-
-    It is inf when one loop, or the injection of a limited demand, is unstable, or when one exceeds ``limit``.
-    """
+    """Largest norm of the scaled closed loops. It is inf when one loop, or the injection of a limited demand,
+    is unstable, or when one exceeds ``limit``."""
     if not all(schedule.injection_radius(v) < 1 for v in loops):
         return np.inf
     worst = 0.0
@@ -375,10 +366,8 @@ def _off_grid(
 
 
 def dc_floor(weights: fig1.PlantWeights) -> float:
-    """Lower bound of every controller per unit of A_t: 1 / sqrt(1/|W_nr(0)|^2 + 1/|W_wr(0)|^2).
-
-    It balances noise against disturbance.
-    """
+    """Lower bound of every controller per unit of A_t: 1 / sqrt(1/|W_nr(0)|^2 + 1/|W_wr(0)|^2). It balances
+    noise against disturbance."""
     n, w = (abs(W.response([0.0])[0, 0, 0]) for W in (weights.W_nr, weights.W_wr))
     return float(n * w / np.hypot(n, w))
 
@@ -457,11 +446,9 @@ def _certificates(
 def verify(
     path: Path, stored: StoredIdentification, progress: Progress = lambda _: None, workers: Map = map
 ) -> None:
-    """Prove the certificates of a controller.json again for its coefficients and these weights.
-
-    ``workers`` share the speeds. Raises InputError that names the speed of an unstable loop or a wrong
-    number, or an objective or input limit that differs from the project's.
-    """
+    """Prove the certificates of a controller.json again for its coefficients and these weights. ``workers``
+    share the speeds. Raises InputError that names the speed of an unstable loop or a wrong number, or an
+    objective or input limit that differs from the project's."""
     settings = stored.project.design
     document = artefacts.read_json(path)
     if settings is None or "certificates" not in document:
@@ -535,10 +522,8 @@ def _require_floor(path: Path, stated: dict, floor: float) -> None:
 def _compare(
     path: Path, row: dict, proved: RobustPerformance, plant: fig1.GeneralisedPlant, schedule: Scheduled
 ) -> None:
-    """Raise InputError unless a row states the proved numbers.
-
-    The peak may be one of several: the scaled gain there must reach mu.
-    """
+    """Raise InputError unless a row states the proved numbers. The peak may be one of several: the scaled
+    gain there must reach mu."""
     v = row["v_mps"]
     loop = closed_scaled(plant, schedule.at(v), proved.scaling)
     at_peak = (

@@ -66,10 +66,8 @@ def require_beside(
     progress: Progress = lambda _: None,
     workers: Map = map,
 ) -> None:
-    """Raise InputError unless the certificates ``stated`` in ``path`` are proved or computed again.
-
-    A field that is missing or None claims nothing. ``workers`` share the speeds.
-    """
+    """Raise InputError unless the certificates ``stated`` in ``path`` are proved or computed again. A field
+    that is missing or None claims nothing. ``workers`` share the speeds."""
     tells = parts(progress, *SHARES)
     given = problem, schedule, scaling
     require_robustness(path, stated.get("robustness"), *given, tells[0], workers)

@@ -117,11 +117,8 @@ class DesignProblem:
 
     def state_uncertainty(self) -> SplitWeights:
         """Class S2's weights at the identified gamma_w: W_delta_i dimensionless, W_delta_s in 1/s; searched
-        once for each lambda_s.
-
-        xi_s adds to the state's derivative. It is found by inverting dynamics, which windows only
-        approximate: InputError where the frames cannot tell it.
-        """
+        once for each lambda_s. xi_s adds to the state's derivative. It is found by inverting dynamics, which
+        windows only approximate: InputError where the frames cannot tell it."""
         stored, lambda_s = self.stored, self.settings.lambda_s
         error = stored.bounds["window_error_median"]
         worst = int(np.nanargmax(error))
@@ -143,11 +140,9 @@ class DesignProblem:
 
     @cached_property
     def weights(self) -> fig1.PlantWeights:
-        """Weights of Fig. 1: some from the settings, the others as identified.
-
-        Raises InputError without drives of the noise split. It also raises InputError when identification and
-        design differ in uncertainty. S1_diagonal goes with K_o, S1 with K_i and K_is, and K_inf with each.
-        """
+        """Weights of Fig. 1: some from the settings, the others as identified. Raises InputError without
+        drives of the noise split. It also raises InputError when identification and design differ in
+        uncertainty. S1_diagonal goes with K_o, S1 with K_i and K_is, and K_inf with each."""
         stored, settings, fitted = self.stored, self.settings, self.stored.fitted
         outputwise = settings.structure == fig1.OUTPUTWISE
         if settings.structure != "K_inf" and outputwise != (len(fitted.W_delta) > 1):
@@ -201,11 +196,9 @@ def plant_at(
     structure: str,
     probes: bool = False,
 ) -> fig1.GeneralisedPlant:
-    """Discrete generalised plant at speed v [m/s], the model's input delay included.
-
-    delayed: with one more sample of delay before the control input, for the controller's computation. probes:
-    as in ``generalised_plant``.
-    """
+    """Discrete generalised plant at speed v [m/s], the model's input delay included. delayed: with one more
+    sample of delay before the control input, for the controller's computation. probes: as in
+    ``generalised_plant``."""
     A, B = (m[0] for m in model.matrices(np.array([v])))
     late = whole_delay(model)
     plant = fig1.generalised_plant(A, B, weights, structure, model.Ts, late, probes)

@@ -32,13 +32,10 @@ FULL_SWING = 2.0
 
 @dataclass(frozen=True)
 class NodeSlowness:
-    """One node, ``v_mps``.
-
-    performance_rate [1/s]: largest rate with a gain below 1, by ``performance_constants`` and
-    ``performance_level``. stability_rate [1/s]: largest rate with a stable loop, by ``stability_constants``
-    and ``stability_level``. Rate None with a level below 1 means a Delta of any rate, without D(s). A rate of
-    0 means no proof.
-    """
+    """One node, ``v_mps``. performance_rate [1/s]: largest rate with a gain below 1, by
+    ``performance_constants`` and ``performance_level``. stability_rate [1/s]: largest rate with a stable
+    loop, by ``stability_constants`` and ``stability_level``. Rate None with a level below 1 means a Delta of
+    any rate, without D(s). A rate of 0 means no proof."""
 
     v_mps: float
     performance_rate: float
@@ -122,10 +119,8 @@ def _node(scaling: Scaling, closed: tuple[float, GeneralisedPlant, StateSpace]) 
 
 
 def hidden_rates(problem: DesignProblem) -> tuple[float, float]:
-    """Rates [1/s] at which a Delta of size 1 changes its sign within the longest and the shortest frame.
-
-    A frame shows only the mean of such a Delta.
-    """
+    """Rates [1/s] at which a Delta of size 1 changes its sign within the longest and the shortest frame. A
+    frame shows only the mean of such a Delta."""
     lengths = np.asarray(problem.stored.bounds["length_samples"], float) * problem.model.Ts
     return float(FULL_SWING / lengths.max()), float(FULL_SWING / lengths.min())
 
@@ -140,10 +135,7 @@ def require_slowness(
     workers: Map = map,
 ) -> None:
     """Raise InputError unless the constants of ``stated`` (certificates.slow_delta of ``path``) prove its
-    rates.
-
-    None claims nothing. ``workers`` share the nodes.
-    """
+    rates. None claims nothing. ``workers`` share the nodes."""
     if stated is None:
         return
     nodes = stated["nodes"]

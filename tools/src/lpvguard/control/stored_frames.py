@@ -203,10 +203,8 @@ class StoredFrames:
         return B_w
 
     def _behind(self, Z, v, omega):
-        """Input u (F,) after the delay, x_nom (F, n), h_i (F, n) and h_s (F, n, n) behind frames.
-
-        The frames have speeds v (F,) in a bin at ``omega`` [rad/s].
-        """
+        """Input u (F,) after the delay, x_nom (F, n), h_i (F, n) and h_s (F, n, n) behind frames. The frames
+        have speeds v (F,) in a bin at ``omega`` [rad/s]."""
         speeds, index = np.unique(
             np.round(v, 2), return_inverse=True
         )  # 1 cm/s moves no entry by more than 1e-3
@@ -225,10 +223,8 @@ class StoredFrames:
 
 
 def deciding(E: np.ndarray, Z: np.ndarray, near: float = NEAR) -> np.ndarray:
-    """Indices of deciding frames of E, Z (F, n_y).
-
-    Every frame has B1, |Z| and |delta0| at most 1 + ``near`` times those of one of them.
-    """
+    """Indices of deciding frames of E, Z (F, n_y). Every frame has B1, |Z| and |delta0| at most 1 + ``near``
+    times those of one of them."""
     size = np.linalg.norm(E, axis=1)
     values = (s1.solve(E, Z, size).b1, np.linalg.norm(Z, axis=1), np.abs(s1.least_squares_delta(E, Z)))
     with np.errstate(divide="ignore"):

@@ -249,10 +249,8 @@ def _check(where: object, Ts_s: float, arrays: dict[str, np.ndarray]) -> None:
 
 
 def control_files(project: Project, controller: ControllerCoefficients) -> dict[str, str]:
-    """Text by file name of the controller's part of a vehicle folder.
-
-    Raises InputError when the controller does not fit the vehicle.
-    """
+    """Text by file name of the controller's part of a vehicle folder. Raises InputError when the controller
+    does not fit the vehicle."""
     where = f"controller for vehicle {project.name}"
     n_u = int(controller.words["sizes"][-1])
     if controller.sizes["NM"] != project.n_y + 1 or n_u != project.n_u:

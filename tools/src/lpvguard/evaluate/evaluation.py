@@ -61,10 +61,8 @@ def _evaluate_drive(
     injection: Injection,
     item: tuple[Experiment, Recordings, dict[str, Calibration]],
 ) -> tuple[dict, Found, CauseOutcomes]:
-    """Row of one drive, outcomes per detector and case, and the causes that EXPORTED names.
-
-    Recordings and calibrations are the drive's own. A drive without qualified stretches has no outcomes.
-    """
+    """Row of one drive, outcomes per detector and case, and the causes that EXPORTED names. Recordings and
+    calibrations are the drive's own. A drive without qualified stretches has no outcomes."""
     experiment, recordings, calibrations = item
     project, thresholds = reader.project, {what: c.threshold for what, c in calibrations.items()}
     together, apart = (
@@ -200,10 +198,8 @@ def _false_alarms(detector: str, rows: list[dict]) -> dict:
 
 
 def _stated_rates(rows: list[dict], baselines: list[dict], scored: Iterable[str]) -> dict[str, float | None]:
-    """Stated rate of false alarms on a further drive per detector; None: counts only.
-
-    The tests as exported have at most the sum of their rates.
-    """
+    """Stated rate of false alarms on a further drive per detector; None: counts only. The tests as exported
+    have at most the sum of their rates."""
     stated = {what: one_rate(r["calibration"][what]["alpha"] for r in rows) for what in scored}
     apart = [rate for test in TESTS if (rate := stated[test]) is not None]
     stated |= {EXPORTED: sum(apart) if len(apart) == len(TESTS) else None}

@@ -11,12 +11,10 @@ from ..vehicle.project import Project
 
 
 def require_plausible(project: Project) -> None:
-    """Raise InputError where the model's steady turn or lag is beyond the kind that `[fit]` states.
-
-    Only a model from one steering angle in rad to a yaw rate in rad/s is judged. It is judged by wheelbase
-    and understeer, from ``v/G = L + K v^2`` over its speeds. It is also judged by its delay plus its slowest
-    time constant.
-    """
+    """Raise InputError where the model's steady turn or lag is beyond the kind that `[fit]` states. Only a
+    model from one steering angle in rad to a yaw rate in rad/s is judged. It is judged by wheelbase and
+    understeer, from ``v/G = L + K v^2`` over its speeds. It is also judged by its delay plus its slowest time
+    constant."""
     kind = project.fit.kind
     if kind is None or [s.unit for s in (*project.inputs, *project.outputs)] != ["rad", "rad/s"]:
         return

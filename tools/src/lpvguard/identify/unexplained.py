@@ -103,9 +103,7 @@ def left_unexplained(project: Project, found: Quality, sets_bounds: bool) -> Une
 @dataclass(frozen=True)
 class Cost:
     """Alarming faults in the remaining drives, out of ``of``: ``found`` with the bounds, ``found_without``.
-
-    The latter are with bounds of the other drives alone.
-    """
+    The latter are with bounds of the other drives alone."""
 
     names: tuple[str, ...]
     found: int

@@ -377,11 +377,9 @@ def fit_weights(
     command: np.ndarray,
     workers: Map = map,
 ) -> Weights:
-    """Steps 6 and 7 for the fitted ``W_delta``.
-
-    ``noise``, ``error`` (K, n_y): peaks of E without and with input; ``command`` (K,): of the first output.
-    ``workers`` share the weights. Without zero-input drives (``noise`` all NaN) B_w is W_w.
-    """
+    """Steps 6 and 7 for the fitted ``W_delta``. ``noise``, ``error`` (K, n_y): peaks of E without and with
+    input; ``command`` (K,): of the first output. ``workers`` share the weights. Without zero-input drives
+    (``noise`` all NaN) B_w is W_w."""
     floor = smallest_disturbance(bounds.B2)
     names = [s.name for s in project.outputs]
     disturbance_set = project.bounds.disturbance_set

@@ -34,9 +34,8 @@ LEAST_EXPLAINED = 0.3
 
 @dataclass(frozen=True)
 class UnitReading:
-    """Units by role, and steering wheel over road wheel, which is 1 at the road wheels.
-
-    ``beyond`` says as a logarithm how far outside of physics the columns then are, ``why`` in words."""
+    """Units by role, and steering wheel over road wheel, which is 1 at the road wheels. ``beyond`` says as a
+    logarithm how far outside of physics the columns then are, ``why`` in words."""
 
     units: Mapping[str, str]
     ratio: float
@@ -70,10 +69,8 @@ class Known:
 def decided(
     turn: SteadyTurn | None, drives: Sequence[Driven], choices: Mapping[str, Sequence[str]], known: Known
 ) -> tuple[UnitReading, list[str]]:
-    """The one reading that fits, and its evidence in sentences.
-
-    ``choices``: role -> units that are possible. InputError where none fits, or more than one.
-    """
+    """The one reading that fits, and its evidence in sentences. ``choices``: role -> units that are possible.
+    InputError where none fits, or more than one."""
     if turn is None or not np.isfinite(turn.length).all():
         raise InputError(
             "new", "", "speed, steering and yaw rate do not move", "logs with driving and steering"

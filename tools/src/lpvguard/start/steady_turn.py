@@ -46,12 +46,9 @@ class Driven:
 
 @dataclass(frozen=True)
 class SteadyTurn:
-    """Steady turn in the units of the columns.
-
-    ``spread`` (Q,) are the likely q, the likeliest first. ``length`` (Q,) is P for each of them, with the
-    sign of the steering. ``lag_s`` is the lag of the yaw rate behind the steering. ``explained`` is the
-    explained share of the yaw rate's variance.
-    """
+    """Steady turn in the units of the columns. ``spread`` (Q,) are the likely q, the likeliest first.
+    ``length`` (Q,) is P for each of them, with the sign of the steering. ``lag_s`` is the lag of the yaw rate
+    behind the steering. ``explained`` is the explained share of the yaw rate's variance."""
 
     length: np.ndarray
     spread: np.ndarray

@@ -42,9 +42,7 @@ class Sampler:
 
     def take(self, frames: Frames) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
         """Samples that ``frames`` complete, a piece a stretch of the clock: t (N,) [s], values, present (N,).
-
-        The values have shape (N, columns).
-        """
+        The values have shape (N, columns)."""
         frames = self._of_channel(frames)
         found = []
         while len(frames):

@@ -30,11 +30,8 @@ EXPECTED = "an LCM URL (udpm://...), socketcan:INTERFACE, or the path of a candu
 
 
 class FrameSource(Protocol):
-    """A live source of frames.
-
-    ``lost`` counts frames that the source knows it lost. ``trouble`` explains missing frames; empty if
-    unknown.
-    """
+    """A live source of frames. ``lost`` counts frames that the source knows it lost. ``trouble`` explains
+    missing frames; empty if unknown."""
 
     name: str
     lost: int

@@ -285,10 +285,8 @@ class Watch:
         return {**self._receiver.counted(counts), "live": states}
 
     def drive(self, begin: float, end: float) -> tuple[list[str], np.ndarray]:
-        """Longest stretch without a gap between ``begin`` and ``end`` [s], as a drive table.
-
-        Returns columns and numbers (N, columns); N is 0 without a sample.
-        """
+        """Longest stretch without a gap between ``begin`` and ``end`` [s], as a drive table. Returns columns
+        and numbers (N, columns); N is 0 without a sample."""
         project = self.replayer.project
         with self._lock:
             rows = self._ring.rows(self._ring.find(begin), self._ring.find(end))

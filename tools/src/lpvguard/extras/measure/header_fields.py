@@ -33,10 +33,8 @@ class Described:
 
 
 def described_fields(include: Path) -> dict[str, dict[str, Described]]:
-    """Descriptions by struct and field, of all headers ``*.h`` in the folder ``include``.
-
-    A field without a comment has the text "". Raises InputError where there is no struct.
-    """
+    """Descriptions by struct and field, of all headers ``*.h`` in the folder ``include``. A field without a
+    comment has the text "". Raises InputError where there is no struct."""
     found = {
         struct: {name: _described(text) for name, text in _fields(body)}
         for header in sorted(include.glob("*.h"))

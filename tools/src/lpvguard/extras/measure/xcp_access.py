@@ -73,10 +73,8 @@ class XcpAccess:
 
 
 def if_data(access: XcpAccess, period_us: int, big_endian: bool, include: Path) -> list[str]:
-    """Lines of the block. ``period_us``: from step to step; ``include``: folder of the core's headers.
-
-    Raises InputError where the headers have no such slave.
-    """
+    """Lines of the block. ``period_us``: from step to step; ``include``: folder of the core's headers. Raises
+    InputError where the headers have no such slave."""
     header = include / "xcp.h"
     entry_bytes = int(_defined(header, "ODT_ENTRIES_MAX", r"(\d+)U"))
     event = _defined(header, "EVENT_NAME", r'"(\w+)"')

@@ -147,10 +147,8 @@ def _require_same(stored: StoredIdentification, replayer: Replayer) -> None:
 def _tune(
     stored: StoredIdentification, drives: DriveSet, core: Core, workers: Map, progress: Progress
 ) -> dict[str, Any]:
-    """Content of baselines.json: scales, alpha, and the best parameters of each kind.
-
-    Each has its threshold and the sizes of its components.
-    """
+    """Content of baselines.json: scales, alpha, and the best parameters of each kind. Each has its threshold
+    and the sizes of its components."""
     study = BaselineStudy(
         stored,
         drives,

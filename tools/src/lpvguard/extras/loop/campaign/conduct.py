@@ -119,9 +119,7 @@ def band_rms(
     gain: Callable[[np.ndarray], np.ndarray] = np.ones_like,
 ) -> float:
     """Rms of ``x`` (N,) from DC to ``highest`` [rad/s], times ``gain`` (k,) at its frequencies (k,) [rad/s].
-
-    ``Ts`` [s] is the sample period.
-    """
+    ``Ts`` [s] is the sample period."""
     X = np.fft.rfft(x) / len(x)
     omega = 2 * np.pi * np.arange(len(X)) / (len(x) * Ts)
     power = np.abs(X) ** 2
@@ -134,9 +132,7 @@ def band_rms(
 
 def beyond_wish(row: dict[str, Any]) -> bool:
     """Return whether a run's error exceeds a user's wish: TRACKED of the wanted yaw rate and the free motion.
-
-    No certificate promises this.
-    """
+    No certificate promises this."""
     share = TRACKED_WEAK if row["brake_gain"] < WEAK_BRAKES else TRACKED
     return bool(row["error_rms_radps"] > np.hypot(share * row["wanted_rms_radps"], row["free_rms_radps"]))
 
