@@ -116,9 +116,11 @@ class _Mdf:
 
 
 def require_sound_blocks(path: Path) -> None:
-    """Raise ValueError for a circle in the lists of an MDF file, or a channel beyond its record. asammdf
-    follows the lists by the next block's address and would never end. It reads a channel's bytes by their
-    place in the record, even from foreign memory."""
+    """Raise ValueError for a circle in the lists of an MDF file, or a channel beyond its record.
+
+    asammdf follows the lists by the next block's address and would never end. It reads a channel's bytes by
+    their place in the record, even from foreign memory.
+    """
     with path.open("rb") as file:
         if file.read(3) != b"MDF":
             return  # asammdf refuses it

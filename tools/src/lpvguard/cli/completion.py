@@ -23,6 +23,8 @@ class Shell(StrEnum):
 @app.command(epilog='Example: eval "$(lpvguard completion bash)"')
 def completion(shell: Annotated[Shell, typer.Argument(help="Shell that will read the script.")]) -> None:
     """Print the script with which a shell completes verbs and options; read it from the shell's start file.
+
     bash: eval "$(lpvguard completion bash)" in ~/.bashrc. zsh: the same with zsh in ~/.zshrc, after compinit.
-    fish: lpvguard completion fish | source, in ~/.config/fish/config.fish."""
+    fish: lpvguard completion fish | source, in ~/.config/fish/config.fish.
+    """
     sys.stdout.write(get_completion_script(prog_name=PROGRAM, complete_var=COMPLETE, shell=shell) + "\n")

@@ -27,8 +27,10 @@ def fit(
     ] = False,
     json_out: JsonOut = None,
 ) -> None:
-    """Fit the model's parameters, delay and offsets; writes the project file anew beside the old one. Names
-    wrong signs, units, columns and delays. Exit status 1: the fit is written, and there are findings."""
+    """Fit the model's parameters, delay and offsets; writes the project file anew beside the old one.
+
+    Names wrong signs, units, columns and delays. Exit status 1: the fit is written, and there are findings.
+    """
     from ..fit.fitted_model import fit as stage
     from ..fit.fitted_model import save
     from ..fit.project_file import text_of

@@ -49,7 +49,9 @@ def fleet(
     scheduler: Scheduler = None,
 ) -> None:
     """The wealth of vehicles over their lives: a score a recording, and what changed. Exit 1 when any did.
-    "changed" says that the drives are not like those that calibrate; it falsifies no bound."""
+
+    "changed" says that the drives are not like those that calibrate; it falsifies no bound.
+    """
     from ..base.parallel import workers
     from ..extras.fleet.export import header
     from ..extras.fleet.recordings import Listed, begun, changed, follow

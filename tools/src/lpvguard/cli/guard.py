@@ -64,7 +64,10 @@ def _named(name: str, given: dict[str, Any]) -> tuple[list[Path], list[Path], li
 
 def _guarded(name: str, command: Callable[..., Any]) -> Callable[..., Any]:
     """The command with outputs apart from its inputs (every other path), replaceable and locked while it
-    runs. Other outputs are refused before the command starts."""
+    runs.
+
+    Other outputs are refused before the command starts.
+    """
 
     @wraps(command)
     def run(*arguments: Any, **given: Any) -> Any:

@@ -41,8 +41,9 @@ def live(
         ),
     ] = None,
 ) -> None:
-    """Show verdict, margins, evidence, energy bands, CAN health and alarms on a page while frames come. The
-    page is for browsers of this machine and only reads. An interrupt ends the command with status 0."""
+    """Show verdict, margins, evidence, energy bands, CAN health and alarms on a page while frames come.
+
+    The page is for browsers of this machine and only reads. An interrupt ends the command with status 0."""
     try:
         from ..extras.live.server import serve
     except ImportError as error:

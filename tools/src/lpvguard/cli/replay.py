@@ -71,8 +71,11 @@ def replay(
     ] = None,
 ) -> None:
     """Run recorded drives through the compiled C core. Exit 1 when any drive alarmed, 2 when any was
-    unreadable. Raw logs go through the CAN receiver of the core; "can" in the JSON says what became of the
-    frames, and where samples lack."""
+    unreadable.
+
+    Raw logs go through the CAN receiver of the core; "can" in the JSON says what became of the frames, and
+    where samples lack.
+    """
     from ..can.logs import logs_among
 
     logs = logs_among(logs)

@@ -102,8 +102,10 @@ def progress_bar(title: str) -> Iterator[Progress]:
 
 
 def emit(json_out: str | None, value: Any, *, each: bool = False) -> None:
-    """Write the JSON value to the file of --json (- is standard output), with the mark of the command. With
-    ``each``, every member of an object gets the mark. Without --json nothing is written."""
+    """Write the JSON value to the file of --json (- is standard output), with the mark of the command.
+
+    With ``each``, every member of an object gets the mark. Without --json nothing is written.
+    """
     if json_out:
         artefacts.write_json(json_out, value, running(), each=each)
 

@@ -223,8 +223,10 @@ def print_fit(result: FittedModel) -> None:
 
 
 def print_evidence(result: Identification, further: list[str]) -> None:
-    """Print the model's fit to the bound-setting drives, missing samples, and counted frames by bin. The
-    ``further`` sentences follow."""
+    """Print the model's fit to the bound-setting drives, missing samples, and counted frames by bin.
+
+    The ``further`` sentences follow.
+    """
     from ..fit.quality import gaps
     from ..identify.model_fit import evidence, sentences
 

@@ -196,9 +196,11 @@ def plant_at(
     structure: str,
     probes: bool = False,
 ) -> fig1.GeneralisedPlant:
-    """Discrete generalised plant at speed v [m/s], the model's input delay included. delayed: with one more
-    sample of delay before the control input, for the controller's computation. probes: as in
-    ``generalised_plant``."""
+    """Discrete generalised plant at speed v [m/s], the model's input delay included.
+
+    delayed: with one more sample of delay before the control input, for the controller's computation. probes:
+    as in ``generalised_plant``.
+    """
     A, B = (m[0] for m in model.matrices(np.array([v])))
     late = whole_delay(model)
     plant = fig1.generalised_plant(A, B, weights, structure, model.Ts, late, probes)

@@ -32,10 +32,13 @@ FULL_SWING = 2.0
 
 @dataclass(frozen=True)
 class NodeSlowness:
-    """One node, ``v_mps``. performance_rate [1/s]: largest rate with a gain below 1, by
-    ``performance_constants`` and ``performance_level``. stability_rate [1/s]: largest rate with a stable
-    loop, by ``stability_constants`` and ``stability_level``. Rate None with a level below 1 means a Delta of
-    any rate, without D(s). A rate of 0 means no proof."""
+    """One node, ``v_mps``.
+
+    performance_rate [1/s]: largest rate with a gain below 1, by ``performance_constants`` and
+    ``performance_level``. stability_rate [1/s]: largest rate with a stable loop, by ``stability_constants``
+    and ``stability_level``. Rate None with a level below 1 means a Delta of any rate, without D(s). A rate of
+    0 means no proof.
+    """
 
     v_mps: float
     performance_rate: float

@@ -174,9 +174,12 @@ class Sums(NamedTuple):
 
     @classmethod
     def of_moments(cls, moments: np.ndarray) -> Sums:
-        """Sums from moments (..., m, POWERS) of products times powers of s. The products are |E|^2, conj(Z) E
-        by its parts, |Z|^2, and |R|^2 times each; then, if R is not Z, conj(R) E, |R|^2, conj(R) Z and
-        |R|^4."""
+        """Sums from moments (..., m, POWERS) of products times powers of s.
+
+        The products are |E|^2, conj(Z) E by its parts, |Z|^2, and |R|^2 times each; then, if R is not Z,
+        conj(R) E,
+        |R|^2, conj(R) Z and |R|^4.
+        """
 
         def real(row: int, powers: int) -> np.ndarray:
             return moments[..., row, :powers].copy()

@@ -33,9 +33,11 @@ def _above_one(value: float | None) -> TypeGuard[float]:
 
 
 class GammaProblem:
-    """One continuous plant: the search for its optimum and the central controllers. notes: singularities in
-    words. floor: the Parrott bounds, direct and at zeros on the imaginary axis. axis: frequencies of those
-    zeros in rad/s."""
+    """One continuous plant: the search for its optimum and the central controllers.
+
+    notes: singularities in words. floor: the Parrott bounds, direct and at zeros on the imaginary axis. axis:
+    frequencies of those zeros in rad/s.
+    """
 
     def __init__(self, P: Plant):
         self.P = P
