@@ -1,8 +1,6 @@
-"""Proofs for a scheduled loop while the speed moves: search, storage and repetition.
-
-Robust stability has the largest rate |dv/dt| that was found (engine/synthesis/lpv_certificate.py). Robust
-performance has one rate, and the level at which it holds there (engine/synthesis/least_level.py).
-"""
+"""Proofs for a scheduled loop while the speed moves: search, storage and repetition. Robust stability has the
+largest rate |dv/dt| that was found (engine/synthesis/lpv_certificate.py). Robust performance has one rate,
+and the level at which it holds there (engine/synthesis/least_level.py)."""
 
 from __future__ import annotations
 

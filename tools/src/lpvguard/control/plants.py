@@ -1,8 +1,6 @@
 """Fig. 1 of an identified vehicle: its settings, its weights and the generalised plant at a frozen speed.
-
 Everything is discrete from the start: the vehicle sampled exactly at Ts, the weights by Tustin's map. The
-model's input delay is whole samples before the vehicle; the performance weight W_u has no delay.
-"""
+model's input delay is whole samples before the vehicle; the performance weight W_u has no delay."""
 
 from __future__ import annotations
 

@@ -1,9 +1,6 @@
 """Largest rate of a varying Delta at every node, and the rates that the frames of its bounds leave hidden
-(THEORY 7.11).
-
-At a rate r [1/s], Delta changes in gain by at most r Ts from one sample to the next. Delta is any causal
-linear system of gain 1. The speed is frozen.
-"""
+(THEORY 7.11). At a rate r [1/s], Delta changes in gain by at most r Ts from one sample to the next. Delta is
+any causal linear system of gain 1. The speed is frozen."""
 
 from __future__ import annotations
 

@@ -1,8 +1,6 @@
-"""The compiled C core of one vehicle, called from Python. This package has no other monitor.
-
-The core is built on first use, from the sources for the ECU: ``lib/`` and the vehicle's generated folder. The
-result is kept in a cache, keyed by a hash.
-"""
+"""The compiled C core of one vehicle, called from Python. This package has no other monitor. The core is
+built on first use, from the sources for the ECU: ``lib/`` and the vehicle's generated folder. The result is
+kept in a cache, keyed by a hash."""
 
 from __future__ import annotations
 

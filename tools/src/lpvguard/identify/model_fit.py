@@ -1,7 +1,5 @@
-"""Quality of the nominal model on the drives that set the bounds.
-
-Bounds around a model that is worse than none say nothing about the vehicle.
-"""
+"""Quality of the nominal model on the drives that set the bounds. Bounds around a model that is worse than
+none say nothing about the vehicle."""
 
 from __future__ import annotations
 

@@ -1,9 +1,6 @@
-"""Drives that the nominal model does not explain, and their cost.
-
-Such a drive (a slide, a crash, the wrong day or car) is bounded like every other: the bounds hold on it, and
-grow. Nothing is left out in silence. A user who finds that the model is not meant for the drive sets it aside
-in experiments.csv, with the reason.
-"""
+"""Drives that the nominal model does not explain, and their cost. Such a drive (a slide, a crash, the wrong
+day or car) is bounded like every other: the bounds hold on it, and grow. Nothing is left out in silence. A
+user who finds that the model is not meant for the drive sets it aside in experiments.csv, with the reason."""
 
 from __future__ import annotations
 

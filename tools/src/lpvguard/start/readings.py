@@ -1,8 +1,6 @@
-"""Readings of three columns: which units and which steering ratio make physics of them.
-
-Every combination of units that name and log leave open is held against the ranges of a kind of vehicle. One
-that fits is taken; where two do, the user is asked for the option that settles it.
-"""
+"""Readings of three columns: which units and which steering ratio make physics of them. Every combination of
+units that name and log leave open is held against the ranges of a kind of vehicle. One that fits is taken;
+where two do, the user is asked for the option that settles it."""
 
 from __future__ import annotations
 

@@ -1,8 +1,6 @@
-"""Identify speed, steering and yaw rate among a log's signals, by name, then by the data's unit and sign.
-
-A unit that the log or its database states counts first, then one in the name (`drives/unit_names.py`). What
-is left open is decided by physics (`readings.py`), or asked.
-"""
+"""Identify speed, steering and yaw rate among a log's signals, by name, then by the data's unit and sign. A
+unit that the log or its database states counts first, then one in the name (`drives/unit_names.py`). What is
+left open is decided by physics (`readings.py`), or asked."""
 
 from __future__ import annotations
 

@@ -1,8 +1,5 @@
-"""A bound by its samples: checked, without bins that have no data, in units near one.
-
-Between samples the bound is linear in (ln w, ln bound). Below the first sample and above the last it is
-constant.
-"""
+"""A bound by its samples: checked, without bins that have no data, in units near one. Between samples the
+bound is linear in (ln w, ln bound). Below the first sample and above the last it is constant."""
 
 from __future__ import annotations
 

@@ -1,8 +1,6 @@
-"""Constant block scalings of a loop, which prove a norm for uncertainty that varies at any speed.
-
-They are searched on a grid of frequencies. The claim is the upper end of the scaled norm's bracket over all
-frequencies.
-"""
+"""Constant block scalings of a loop, which prove a norm for uncertainty that varies at any speed. They are
+searched on a grid of frequencies. The claim is the upper end of the scaled norm's bracket over all
+frequencies."""
 
 from __future__ import annotations
 

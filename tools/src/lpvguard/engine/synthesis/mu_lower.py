@@ -1,9 +1,6 @@
-"""The lower bound of μ: a Δ with I − M Δ singular, searched from many starts at once, and checked.
-
-Where the upper bound is attained at a simple singular value, its vectors give Δ. Else the mixed power
-iteration (Young & Doyle 1990) finds candidates. A local ascent improves the best of them where blocks are
-complex or mixed.
-"""
+"""The lower bound of μ: a Δ with I − M Δ singular, searched from many starts at once, and checked. Where the
+upper bound is attained at a simple singular value, its vectors give Δ. Else the mixed power iteration (Young
+& Doyle 1990) finds candidates. A local ascent improves the best of them where blocks are complex or mixed."""
 
 from __future__ import annotations
 

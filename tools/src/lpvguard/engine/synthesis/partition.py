@@ -1,9 +1,6 @@
 """The generalised plant for the Riccati equations: continuous, in blocks, without D22; and whether a
-stabilising controller exists.
-
-A discrete plant comes here as its bilinear image, which has no pole at z = −1. D22 is left out and put back
-into the controller afterwards.
-"""
+stabilising controller exists. A discrete plant comes here as its bilinear image, which has no pole at z = −1.
+D22 is left out and put back into the controller afterwards."""
 
 from __future__ import annotations
 

@@ -1,8 +1,6 @@
-"""Linear systems in state space: the algebra shared by synthesis and analysis.
-
-All matrices are real doubles. ``dt = 0`` is continuous time (G(s)), ``dt > 0`` is discrete time with that
-sampling time in seconds (G(z)). Objects are immutable; every function returns a new one.
-"""
+"""Linear systems in state space: the algebra shared by synthesis and analysis. All matrices are real doubles.
+``dt = 0`` is continuous time (G(s)), ``dt > 0`` is discrete time with that sampling time in seconds (G(z)).
+Objects are immutable; every function returns a new one."""
 
 from __future__ import annotations
 

@@ -1,8 +1,6 @@
-"""`lpvguard fleet`: scores each recording of the vehicles once, in order, and updates their wealth.
-
-The first call fixes the calibration set in the state. A counted recording is not counted again; it is refused
-if its tables differ. The same folder may therefore be given again when it has grown.
-"""
+"""`lpvguard fleet`: scores each recording of the vehicles once, in order, and updates their wealth. The first
+call fixes the calibration set in the state. A counted recording is not counted again; it is refused if its
+tables differ. The same folder may therefore be given again when it has grown."""
 
 from __future__ import annotations
 

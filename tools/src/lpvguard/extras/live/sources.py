@@ -1,8 +1,6 @@
-"""Live sources of frames: a simulation's LCM channel, a CAN interface, a growing candump log.
-
-Nothing here keeps more than MOST frames or BLOCK bytes. Other frames wait in the kernel's or LCM's own queue.
-Its overflow is counted where the source reports it.
-"""
+"""Live sources of frames: a simulation's LCM channel, a CAN interface, a growing candump log. Nothing here
+keeps more than MOST frames or BLOCK bytes. Other frames wait in the kernel's or LCM's own queue. Its overflow
+is counted where the source reports it."""
 
 from __future__ import annotations
 

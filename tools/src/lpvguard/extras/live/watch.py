@@ -1,8 +1,6 @@
-"""Answers of the compiled core to live frames, the newest WINDOW of it kept in rings.
-
-One thread takes frames from the source and judges them (`Watch.run`). Readers copy a few numbers under a
-lock; no reader delays the source for longer than such a copy.
-"""
+"""Answers of the compiled core to live frames, the newest WINDOW of it kept in rings. One thread takes frames
+from the source and judges them (`Watch.run`). Readers copy a few numbers under a lock; no reader delays the
+source for longer than such a copy."""
 
 from __future__ import annotations
 

@@ -1,8 +1,6 @@
-"""Descriptions of struct fields in the core's headers: text, unit and range.
-
-A field's description is its Doxygen comment: `///<` behind it, or the `///` lines in front. A unit is the
-last text in square brackets, a range is written `0 .. 16`.
-"""
+"""Descriptions of struct fields in the core's headers: text, unit and range. A field's description is its
+Doxygen comment: `///<` behind it, or the `///` lines in front. A unit is the last text in square brackets, a
+range is written `0 .. 16`."""
 
 from __future__ import annotations
 

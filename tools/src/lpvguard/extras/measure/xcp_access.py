@@ -1,8 +1,6 @@
-"""Access of a measurement tool to the slave of lpvguard/xcp.h: IF_DATA XCPplus of ASAP2, for XCP on CAN.
-
-The block's grammar is that of the standard (ASAM MCD-1 XCP, AML of protocol layer, DAQ and CAN), which tools
-know. Sizes and the event's name are those of the core's header.
-"""
+"""Access of a measurement tool to the slave of lpvguard/xcp.h: IF_DATA XCPplus of ASAP2, for XCP on CAN. The
+block's grammar is that of the standard (ASAM MCD-1 XCP, AML of protocol layer, DAQ and CAN), which tools
+know. Sizes and the event's name are those of the core's header."""
 
 from __future__ import annotations
 

@@ -1,7 +1,5 @@
-"""Table of public data sets: origin, conversion and hashes of each file.
-
-The shipped table is ``public.toml``. Another table has the same form: a section a data set.
-"""
+"""Table of public data sets: origin, conversion and hashes of each file. The shipped table is
+``public.toml``. Another table has the same form: a section a data set."""
 
 from __future__ import annotations
 

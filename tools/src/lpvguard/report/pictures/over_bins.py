@@ -1,7 +1,5 @@
 """Pictures over the bins of an identification: Figs. 2 and 3 of the paper, Pareto fronts and excitation.
-
-Frequencies are in rad/s. DC has a place left of the lowest bin.
-"""
+Frequencies are in rad/s. DC has a place left of the lowest bin."""
 
 from __future__ import annotations
 

@@ -1,7 +1,5 @@
-"""The campaign: prepares baselines and trucks, makes the runs in chunks, and summarises them.
-
-A stopped campaign can be resumed and ends with the same bytes.
-"""
+"""The campaign: prepares baselines and trucks, makes the runs in chunks, and summarises them. A stopped
+campaign can be resumed and ends with the same bytes."""
 
 from __future__ import annotations
 

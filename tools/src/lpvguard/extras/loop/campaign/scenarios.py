@@ -1,7 +1,5 @@
-"""Plan of a campaign: every run's number, truck and fault, and its scenario file.
-
-A draw depends on the seed and the number of the run alone.
-"""
+"""Plan of a campaign: every run's number, truck and fault, and its scenario file. A draw depends on the seed
+and the number of the run alone."""
 
 from __future__ import annotations
 
