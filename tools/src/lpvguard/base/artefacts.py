@@ -858,8 +858,7 @@ def write_files(folder: Path, files: Mapping[str, str | bytes]) -> None:
     Parameters
     ----------
     folder : Path
-    files : Mapping[str, str
-        bytes], by name; text becomes UTF-8
+    files : Mapping[str, str, bytes], by name; text becomes UTF-8
     """
     for name, content in files.items():
         data = content.encode() if isinstance(content, str) else content

@@ -20,8 +20,7 @@ class AscLines:
 
     Parameters
     ----------
-    file : TextIO
-        The log, at its first line.
+    file : TextIO, the log, at its first line
     """
 
     def __init__(self, file: TextIO):

@@ -747,8 +747,7 @@ class ModelError:
     judging : ErrorEstimate or None, of the drives that judge the bound
     left_out : list of float
         Per fold the least ratio of the others' bound to its |delta_c| - k se, inf: no demand.
-    bands : list of dict
-        Per output the band of a further drive, where no ceiling on nu is set.
+    bands : list of dict, per output the band of a further drive, where no ceiling on nu is set
     """
 
     grid: ErrorGrid

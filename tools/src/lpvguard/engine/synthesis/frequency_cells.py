@@ -51,11 +51,9 @@ class IntervalBound:
     Attributes
     ----------
     upper : float
-    largest : float
-        Largest bound that was computed at one frequency, at ``omega`` [rad/s].
+    largest : float, largest bound that was computed at one frequency, at ``omega`` [rad/s]
     omega : float
-    cells : tuple of FrequencyCell
-        They cover the interval, each at the level ``upper``.
+    cells : tuple of FrequencyCell, they cover the interval, each at the level ``upper``
     """
 
     upper: float
@@ -90,25 +88,16 @@ def cover(
 ) -> IntervalBound:
     """Cover the interval from ``low`` to ``high`` [rad/s] by cells.
 
-    Length: half of it is this docstring.
-
     Parameters
     ----------
-    name : str
-        Who asks, in errors.
-    loop : StateSpace
-        Stable, with Σcols outputs and Σrows inputs.
+    name : str, who asks, in errors
+    loop : StateSpace, stable, with Σcols outputs and Σrows inputs
     structure : Structure
-    low, high : float
-        The last may be infinite, or in discrete time pi / dt.
-    rtol : float
-        ``upper`` exceeds ``largest`` by this share.
-    at : callable
-        M (Σcols, Σrows) and the largest bound so far to the bound at that frequency.
-    held : callable
-        M and a bound elsewhere to what its scalings prove at M; inf: nothing.
-    least : float
-        Level from which the search begins: ``upper`` is that level where it can be proved.
+    low, high : float, the last may be infinite, or in discrete time pi / dt
+    rtol : float, ``upper`` exceeds ``largest`` by this share
+    at : callable, M (Σcols, Σrows) and the largest bound so far to the bound at that frequency
+    held : callable, M and a bound elsewhere to what its scalings prove at M; inf: nothing
+    least : float, level from which the search begins: ``upper`` is that level where it can be proved
 
     Raises
     ------
@@ -242,14 +231,10 @@ def is_positive(M: np.ndarray, moved: np.ndarray, point: PointBound, level: floa
 
     Parameters
     ----------
-    M : ndarray, shape (Σcols, Σrows)
-        Response at one frequency.
-    moved : ndarray, shape (Σcols, Σrows)
-        Rounding of each entry of M.
-    point : PointBound
-        The scalings.
-    level : float
-        β.
+    M : ndarray, shape (Σcols, Σrows), response at one frequency
+    moved : ndarray, shape (Σcols, Σrows), rounding of each entry of M
+    point : PointBound, the scalings
+    level : float, β
     """
     try:
         factor = np.linalg.inv(np.linalg.cholesky(point.fixed + level**2 * point.scaled))

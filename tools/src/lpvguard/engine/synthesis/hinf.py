@@ -160,12 +160,10 @@ class LowerBound:
 
     Attributes
     ----------
-    value : float
-        A level that no controller goes below.
+    value : float, a level that no controller goes below
     moved : float
         Largest relative change of the optimum that a relative change ``DATA_RTOL`` of the data made.
-    size : float
-        Largest gain from w to z at zero and at the frequencies of the poles.
+    size : float, largest gain from w to z at zero and at the frequencies of the poles
     """
 
     value: float

@@ -96,10 +96,8 @@ def dual_certificate(P: Plant, control: Side, filter_: Side, level: float) -> Du
     Parameters
     ----------
     P : Plant
-    control, filter_ : Side
-        Riccati equations of the plant and of its dual.
-    level : float
-        A little below the optimum.
+    control, filter_ : Side, Riccati equations of the plant and of its dual
+    level : float, a little below the optimum
     """
     sides = [side for side in (_trajectories(control, level), _trajectories(filter_, level)) if side]
     if len(sides) < 2:
@@ -173,14 +171,10 @@ def proved_level(
 
     Parameters
     ----------
-    P : Plant
-        The plant of the Riccati equations ``control`` and ``filter_``.
-    gamma : float
-        Level that the equations claim to be the optimum.
-    basis : ndarray, shape (n, n)
-        States of ``given`` are ``basis`` times those of ``P``.
-    given : Plant
-        Its numbers decide.
+    P : Plant, the plant of the Riccati equations ``control`` and ``filter_``
+    gamma : float, level that the equations claim to be the optimum
+    basis : ndarray, shape (n, n), states of ``given`` are ``basis`` times those of ``P``
+    given : Plant, its numbers decide
     """
     best, n = 0.0, len(basis)
     for share in BELOW:

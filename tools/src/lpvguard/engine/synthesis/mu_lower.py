@@ -77,8 +77,7 @@ def attained(M: np.ndarray, structure: Structure, delta: np.ndarray, moved: np.n
     structure : Structure
     delta : ndarray, shape (Σrows, Σcols)
         It proves a bound if it has the blocks' structure and makes I − M Δ singular.
-    moved : ndarray, shape (Σcols, Σrows)
-        Rounding of each entry of M.
+    moved : ndarray, shape (Σcols, Σrows), rounding of each entry of M
     """
     rest = np.array(delta, complex)
     for block, r, c in _places(structure):

@@ -109,12 +109,9 @@ def proves(bound: IntervalBound, G: StateSpace, structure: Structure, low: float
     Parameters
     ----------
     bound : IntervalBound
-    G : StateSpace
-        The loop in continuous time.
-    structure : Structure
-        Blocks of Δ, then the performance block.
-    low, high : float
-        Interval in rad/s.
+    G : StateSpace, the loop in continuous time
+    structure : Structure, blocks of Δ, then the performance block
+    low, high : float, interval in rad/s
 
     Notes
     -----

@@ -37,8 +37,7 @@ class Row:
     ----------
     kind, family : str
     count, false, loose, unresolved, refused : int
-    worst : float
-        Largest upper bound over its value.
+    worst : float, largest upper bound over its value
     """
 
     kind: str

@@ -25,10 +25,8 @@ def monitor_fmu(project: Project, folder: Path, version: int) -> bytes:
     Parameters
     ----------
     project : Project
-    folder : Path
-        Generated folder of the vehicle, by ``lpvguard export``.
-    version : int
-        Version of FMI, 2 or 3.
+    folder : Path, generated folder of the vehicle, by ``lpvguard export``
+    version : int, version of FMI, 2 or 3
 
     Returns
     -------
