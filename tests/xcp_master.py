@@ -1,7 +1,5 @@
 """pyxcp as the master of a slave of lpvguard/xcp.h, over any bus that it can be given."""
 
-from __future__ import annotations
-
 import logging
 import threading
 from typing import Any

@@ -43,8 +43,6 @@ is asked always. One is planted where a change touches a gate, a build file or a
 are with LPVGUARD_FULL=1 in the environment (tools/test --full sets it).
 """
 
-from __future__ import annotations
-
 import argparse
 import hashlib
 import json

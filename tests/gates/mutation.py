@@ -15,8 +15,6 @@ time; a constant is changed where it is used), what stands inside a macro with a
 expressions.
 """
 
-from __future__ import annotations
-
 import json
 import re
 import sys

@@ -5,8 +5,6 @@ only, not lines; cosmic-ray starts pytest anew for every mutant, which here is s
 files. Here a process that has collected the tests forks for each mutant (python_mutation_worker.py).
 """
 
-from __future__ import annotations
-
 import ast
 import json
 import os

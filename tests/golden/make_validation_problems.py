@@ -5,8 +5,6 @@ exactly and a local refinement. Run: python tests/golden/make_validation_problem
 tests/golden/validation_problems.json
 """
 
-from __future__ import annotations
-
 import json
 
 import cvxpy as cp

@@ -2,8 +2,6 @@
 tools/setup.sh, or of what those depend on: on a machine with nothing else, it is there. dpkg says what
 belongs to whom."""
 
-from __future__ import annotations
-
 import re
 import shutil
 import subprocess

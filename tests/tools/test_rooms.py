@@ -5,8 +5,6 @@ python tests/tools/test_rooms.py             prints which room imports which, an
 python tests/tools/test_rooms.py --write     renews the picture in tools/README.md
 """
 
-from __future__ import annotations
-
 import ast
 import re
 import sys

@@ -1,7 +1,5 @@
 """Bad input: one line that names file, place and expectation, exit status 2, nothing half-written."""
 
-from __future__ import annotations
-
 import shutil
 import subprocess
 import sys

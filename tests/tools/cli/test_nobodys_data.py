@@ -1,8 +1,6 @@
 """No command removes or replaces what it did not write, and nothing edited is taken for what was written:
 exit 2, and nothing changes."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os

@@ -1,8 +1,6 @@
 """The realisation that the core runs: its poles, its interpolation, and the change of state that engages
 without a jump."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The estimator against its defining sums, and the conditions under which a frame counts."""
 
-from __future__ import annotations
-
 import ctypes
 import mmap
 import re

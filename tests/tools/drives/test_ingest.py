@@ -1,8 +1,6 @@
 """Ingest: every log form gives the same table, every database decodes as cantools does, and a real log gives
 its reference table."""
 
-from __future__ import annotations
-
 import json
 import os
 from pathlib import Path

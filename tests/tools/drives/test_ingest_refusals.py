@@ -1,8 +1,6 @@
 """Ingest: what logs suffer is handled as stated and reported, J1939 senders are told apart, and bad input is
 refused by name."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from types import SimpleNamespace
 

@@ -1,8 +1,6 @@
 """The search for mu's upper bound step by step: Newton's method and the method of centres on functions whose
 steps are known, and their control by scripted levels."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import numpy as np

@@ -1,8 +1,6 @@
 """The table of the paper case by made-up rows: what is asked, what is told of each difference, and the scale
 that would explain it."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from types import SimpleNamespace

@@ -1,8 +1,6 @@
 """Certificates of the validation: levels and lengths by a scan, a semidefinite solver and differences, and
 bounds over boxes at the points in them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

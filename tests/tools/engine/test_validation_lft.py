@@ -1,8 +1,6 @@
 """The general LFT and class S2 against semidefinite and brute-force references; both sides of every answer
 are tested."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,8 +1,6 @@
 """The kernel for one block beside a quadratic cost, against branch and bound; the size of a last block by
 hand; and the forms that each question puts to branch and bound."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 

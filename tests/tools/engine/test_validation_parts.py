@@ -1,7 +1,5 @@
 """The parts of the general LFT by themselves: known answers, borders, and the same number by another way."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.optimize import minimize_scalar

@@ -1,8 +1,6 @@
 """The energy test: what it proves, what it finds, and that the compiled core says what the definition
 says."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

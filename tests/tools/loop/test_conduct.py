@@ -1,8 +1,6 @@
 """What falsifies a certificate: steady lines are told from noise, resonance, steps and decay; stretches at
 the limit; tracking; and which trucks count as within the bounds."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The report page: whole, self-contained, the same bytes every time, and saying what was left out and why."""
 
-from __future__ import annotations
-
 import copy
 import re
 from dataclasses import replace

@@ -14,8 +14,6 @@ Writing     A run writes in ``.NAME.lpvguard`` beside the target NAME and holds 
             undoes a half-done swap.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os

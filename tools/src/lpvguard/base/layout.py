@@ -16,8 +16,6 @@ between items of arrays (stable sections, even frames), and the field's meaning 
 tables needs a higher ``schema`` of its struct and a new export of every vehicle.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from .errors import InputError

@@ -1,7 +1,5 @@
 """Parts of a coefficient struct: dimensions, fields, shapes and ranges (layout.py has the tables)."""
 
-from __future__ import annotations
-
 import math
 import re
 from dataclasses import dataclass

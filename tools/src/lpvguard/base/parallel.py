@@ -6,8 +6,6 @@ reductions are associative and exact. Results therefore have the same bits for a
 order of drives.
 """
 
-from __future__ import annotations
-
 import multiprocessing
 import multiprocessing.connection
 import os

@@ -2,8 +2,6 @@
 interval has zero width, not even at 0 % or 100 %. The counted things must be independent. Therefore count the
 recordings that alarm: the alarms of one recording depend on each other."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from scipy.special import betaincinv, gammaincinv

@@ -10,8 +10,6 @@ puts signals off. Linux has all of it. On other systems:
     locks       Windows: `msvcrt.locking` on a file of the folder, because a folder cannot be locked there
 """
 
-from __future__ import annotations
-
 import ctypes
 import errno
 import os

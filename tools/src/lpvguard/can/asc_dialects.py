@@ -4,8 +4,6 @@ With ``timestamps relative`` in the head, each line's time counts from the line 
 absolute. ``CANFD   Start of measurement`` is an event, which python-can takes as a frame.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from typing import TextIO

@@ -1,7 +1,5 @@
 """Generates lpvguard_bus.c (lib/include/lpvguard/bus.h): the signal table on the CAN catalogue."""
 
-from __future__ import annotations
-
 from ..base.errors import InputError
 from ..vehicle.project import CanPlace, Project
 from .catalogue import BusSignal, Catalogue, Message, load_catalogue

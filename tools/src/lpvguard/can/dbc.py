@@ -2,8 +2,6 @@
 is marked as a J1939 parameter group (``VFrameFormat``) with its PGN and cycle time; every signal has its SPN.
 The text depends on the catalogue alone. Unused bits are not described: senders set them to 1."""
 
-from __future__ import annotations
-
 from .catalogue import BusSignal, Catalogue, Message, load_catalogue
 
 _EXTENDED = 0x80000000

@@ -1,7 +1,5 @@
 """CSV as people have it: a byte-order mark, comment lines before the header, `;` with decimal commas."""
 
-from __future__ import annotations
-
 import io
 from collections.abc import Iterable
 from itertools import islice

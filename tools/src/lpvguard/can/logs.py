@@ -11,8 +11,6 @@ is the same. Other raw forms go through python-can (which takes a bus-off report
 and asammdf.
 """
 
-from __future__ import annotations
-
 import ctypes
 import gzip
 import re

@@ -2,8 +2,6 @@
 ``encode`` is the numpy version of the generated C codec. It rounds to the nearest raw value, saturates, and
 sends NaN as "not available". It sets unused bits to 1 and adds E2E profile 11 where the catalogue says so."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path

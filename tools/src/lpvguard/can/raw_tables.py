@@ -1,8 +1,6 @@
 """Raw CAN frames as text tables: python-can, SavvyCAN and GVRET, Cabana, CSS Electronics and their kin.
 Columns are found by name. One holds all data bytes, or there is one a byte."""
 
-from __future__ import annotations
-
 import base64
 import binascii
 import re

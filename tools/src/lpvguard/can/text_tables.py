@@ -1,7 +1,5 @@
 """Text tables as loggers write them: delimiter, decimal mark, header and row of units are found."""
 
-from __future__ import annotations
-
 import csv
 import io
 import re

@@ -1,7 +1,5 @@
 """The time column of a table, by name and shape: s, ms, us, ns, since an epoch, or a date and time."""
 
-from __future__ import annotations
-
 import re
 import warnings
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,5 @@
 """`lpvguard a2l`: describe a vehicle's object in the image of its ECU (A2L), for any measurement tool."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

@@ -1,8 +1,6 @@
 """`lpvguard campaign`: score the monitor and the baselines over many simulated runs; stopped half-way, the
 same command goes on. Exit 1: a falsified certificate, or another claim missed."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

@@ -1,8 +1,6 @@
 """`lpvguard evaluate`: false alarms and detection of injected faults through the compiled core,
 leave-one-drive-out or on drives that the identification never saw."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

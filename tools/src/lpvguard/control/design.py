@@ -13,8 +13,6 @@ nodes and midway between them. Storage functions certify robust stability and ro
 every speed history up to a stated rate of change (engine/synthesis/lpv_certificate.py).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial

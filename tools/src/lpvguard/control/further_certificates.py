@@ -1,8 +1,6 @@
 """Further certificates of a design besides mu and the moving speed: margins, a varying Delta, demand
 limits."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

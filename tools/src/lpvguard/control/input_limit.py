@@ -12,8 +12,6 @@ through its values lies above it. Every node is therefore lowered by the least f
 both its cells below the rule.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from ..vehicle.design_settings import DesignSettings

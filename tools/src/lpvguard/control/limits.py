@@ -5,8 +5,6 @@ within kappa times its limit. The loop is then stable, and the gain from [w; n; 
 [w; n; r_c] of at most an energy keeps the demand there and the rate limit untouched.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from functools import partial

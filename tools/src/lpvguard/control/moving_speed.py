@@ -2,8 +2,6 @@
 largest rate |dv/dt| that was found (engine/synthesis/lpv_certificate.py). Robust performance has one rate,
 and the level at which it holds there (engine/synthesis/least_level.py)."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path

@@ -6,8 +6,6 @@ both normalised (before the weights), is at most mu from rest. With the controll
 tested on the worst stable Delta found (engine/synthesis/worst_case.py) with the input of largest gain.
 """
 
-from __future__ import annotations
-
 import ctypes
 from dataclasses import dataclass
 from pathlib import Path

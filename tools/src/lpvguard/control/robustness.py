@@ -5,8 +5,6 @@ the neighbouring vehicles. All of it is about frozen speeds, the core's coeffici
 Worst-case gain and mu are bounds over every Delta of size 1.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial

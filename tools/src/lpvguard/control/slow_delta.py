@@ -2,8 +2,6 @@
 (THEORY 7.11). At a rate r [1/s], Delta changes in gain by at most r Ts from one sample to the next. Delta is
 any causal linear system of gain 1. The speed is frozen."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from functools import partial

@@ -12,8 +12,6 @@ Class S2 (paper, K_is) needs u and the nominal state of a frame. They are taken 
 model at the frame's mean speed: u is the least-squares input behind Z, and ``x_nom = (zI - A_d)^-1 B_d u``.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

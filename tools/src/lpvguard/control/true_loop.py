@@ -9,8 +9,6 @@ changes. It contains hold, actuator delay and actuator lag. The controller's one
 controller (``Scheduled`` is strictly proper), so the loop has each delay once.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -9,8 +9,6 @@ The controllers run with their sample of delay on the nominal vehicle at the des
 all-pass system (engine/synthesis/worst_case.py).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -17,8 +17,6 @@ Reads   controller.json, written by `lpvguard design`:
 The manifest of the generated folder names that file by its hash.
 """
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass
 from pathlib import Path

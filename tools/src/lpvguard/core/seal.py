@@ -1,7 +1,5 @@
 """Coefficient structs of the C core as text and bytes (base/layout.py)."""
 
-from __future__ import annotations
-
 import struct
 import zlib
 from dataclasses import dataclass

@@ -14,8 +14,6 @@ have a fused multiply-add and the R5F has not. The one for counting has the comp
 project builds the library.
 """
 
-from __future__ import annotations
-
 import hashlib
 import os
 import re

@@ -2,8 +2,6 @@
 scipy read foreign memory, because it indexes its table of types. This module therefore checks the variables'
 descriptions first. scipy then reads only sound vectors of numbers."""
 
-from __future__ import annotations
-
 import io
 import zlib
 from math import prod

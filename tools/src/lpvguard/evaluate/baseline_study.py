@@ -5,8 +5,6 @@ those that find most injected faults (then soonest), all ways and rows together,
 other calibration drives. The drive under test takes part in neither tuning nor calibration.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial

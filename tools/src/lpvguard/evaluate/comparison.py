@@ -2,8 +2,6 @@
 per fault and way. The words say at which rate of false alarms the detectors are compared. The monitor is
 compared with each baseline alone, way by way (`duels`)."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 

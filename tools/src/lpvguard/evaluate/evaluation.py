@@ -14,8 +14,6 @@ The module ``false_alarms.py`` defines false alarms, ``detection.py`` defines fo
 ``baseline_study.py`` tunes the baselines.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator
 from functools import partial
 from itertools import product

@@ -1,8 +1,6 @@
 """Drives that were spoiled: repeated in the folder, rows out of order, frozen values, or each value twice. No
 model is needed to detect it. Every finding names drive, column and time."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

@@ -13,8 +13,6 @@ matrix S is the spread of the scores over blocks of the drives. The errors hold 
 speed or drive, and allow for correlation that the noise model leaves.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

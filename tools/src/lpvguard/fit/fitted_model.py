@@ -12,8 +12,6 @@ a unit, columns, a shift in time) is an InputError. A drive that may be of anoth
 is left out with a finding.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path

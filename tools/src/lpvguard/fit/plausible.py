@@ -1,7 +1,5 @@
 """Whether a fitted model is one that a vehicle of the stated kind can have."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from ..base.errors import InputError

@@ -1,7 +1,5 @@
 """The project file with new numbers; the rest, comments too, stays unchanged."""
 
-from __future__ import annotations
-
 import re
 from importlib import resources
 from pathlib import Path

@@ -8,8 +8,6 @@ past of the model's output. Both are given in standard deviations of white resid
 lags.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from itertools import pairwise
 

@@ -6,8 +6,6 @@ quarter or less, and little, names the fault. Ranges decide what can be distingu
 a wheelbase of 3.6 times the size. A wide range for the wheelbase therefore hides it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial

@@ -15,8 +15,6 @@ W_delta lies above nu and above the model error model's bound (model_error.py). 
 |delta| <= W_delta explains, frame by frame. A bin without a counted frame is NaN: "no information", never 0.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property, reduce

@@ -2,8 +2,6 @@
 alone decides a bound or a threshold deserves a look: a crash, a slide or a wrong sample may have caused it.
 Nothing is dropped in silence: experiments.csv sets a drive aside, with its reason."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -6,8 +6,6 @@ standard deviation. With the least such factor a further drive lies within the b
 and amplitudes at once, with the stated confidence.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Gaussian prior of the model error and its marginal likelihood over sums of drives (THEORY 7.15)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 

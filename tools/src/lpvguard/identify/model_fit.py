@@ -1,8 +1,6 @@
 """Quality of the nominal model on the drives that set the bounds. Bounds around a model that is worse than
 none say nothing about the vehicle."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from ..drives.tables import Experiment

@@ -1,7 +1,5 @@
 """Passes of an identification over its drives, mapped by workers and joined on arrival."""
 
-from __future__ import annotations
-
 import operator
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace

@@ -1,7 +1,5 @@
 """Per-drive functions of `identify`, mapped over the drives and sent to workers."""
 
-from __future__ import annotations
-
 import io
 import uuid
 import zlib

@@ -8,8 +8,6 @@ W_delta is the certificate's weight: inflation included, Tustin's map of the fre
 certified without uncertainty.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

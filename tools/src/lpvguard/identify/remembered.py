@@ -8,8 +8,6 @@ where t0 is the first sample after the restart. The energy from before t0 is a f
 is a quadratic form in the filter's state, summed exactly by a discrete Lyapunov equation.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.linalg import solve_discrete_lyapunov
 from scipy.signal import lfilter, sosfilt

@@ -2,8 +2,6 @@
 day or car) is bounded like every other: the bounds hold on it, and grow. Nothing is left out in silence. A
 user who finds that the model is not meant for the drive sets it aside in experiments.csv, with the reason."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial

@@ -2,8 +2,6 @@
 MCAP has the messages of messages.py, with their schemas. Times are those of the series [ns]. MF4 has a
 channel with a unit for each column. A margin has its own times, those of the judgement."""
 
-from __future__ import annotations
-
 import json
 from datetime import UTC, datetime
 from pathlib import Path

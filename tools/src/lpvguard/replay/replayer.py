@@ -1,8 +1,6 @@
 """Stage 8, replay: runs recorded drives and raw CAN logs through the compiled C core and records its
 answers."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property

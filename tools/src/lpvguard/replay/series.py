@@ -12,8 +12,6 @@ verdict       text, and verdict_code: its number in monitor.h
 A column's metadata hold its unit as "unit".
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pyarrow as pa
 

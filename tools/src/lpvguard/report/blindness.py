@@ -1,8 +1,6 @@
 """Tested and blind regions of a model by speed and frequency: proved, blind, without data or violated (THEORY
 7.4)."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Summary of every replayed drive for the page: its nearest approach to an alarm, and its course."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

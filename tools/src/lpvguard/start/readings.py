@@ -2,8 +2,6 @@
 units that name and log leave open is held against the ranges of a kind of vehicle. One that fits is taken;
 where two do, the user is asked for the option that settles it."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product

@@ -2,8 +2,6 @@
 unit that the log or its database states counts first, then one in the name (`drives/unit_names.py`). What is
 left open is decided by physics (`readings.py`), or asked."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace

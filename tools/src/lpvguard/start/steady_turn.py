@@ -6,8 +6,6 @@ a^2 / L`` the steady turn is ``r' = v' (delta' - trim') / (P (1 + q v'^2))``. Th
 the lag of r. Units are needed to get L and K from them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product

@@ -8,8 +8,6 @@ between samples. Outside the speed range the model runs at the nearest speed of 
 does not judge (THEORY 3.1).
 """
 
-from __future__ import annotations
-
 import ast
 import ctypes
 import operator

@@ -16,8 +16,6 @@ that merely touches its bound is not accepted. Routh's array in rational arithme
 minimum phase. The same search with N and D exchanged bounds the worst ratio from above.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import asdict, dataclass

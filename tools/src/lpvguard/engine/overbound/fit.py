@@ -17,8 +17,6 @@ resonance around a single deep bin of raw scatter. Both are kept, because leavin
 wanted.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -15,8 +15,6 @@ A program carries only the necessary points. Points where its answer fails are a
 fine grid. That grid also contains every lightly damped pole and zero.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """A barrier method for linear matrix inequalities of a storage function over speed (lpv_certificate.py)."""
 
-from __future__ import annotations
-
 import ctypes
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The paper case: every weight of Fig. 1 in one TOML file, and Table II computed from it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import MISSING, dataclass, fields
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Central controller at a level γ from the two Riccati solutions, and their coupling."""
 
-from __future__ import annotations
-
 import numpy as np
 import scipy.linalg as sl
 

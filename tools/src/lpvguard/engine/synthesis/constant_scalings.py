@@ -2,8 +2,6 @@
 searched on a grid of frequencies. The claim is the upper end of the scaled norm's bracket over all
 frequencies."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import cached_property
 

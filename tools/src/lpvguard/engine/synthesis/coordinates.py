@@ -1,7 +1,5 @@
 """Coordinates of the state in which the Riccati equations lose few digits, and the least certain pole."""
 
-from __future__ import annotations
-
 import numpy as np
 import scipy.linalg as sl
 

@@ -1,8 +1,6 @@
 """Direct terms of a generalised plant: rank of D12 and D21, and the part of D11 that no controller
 cancels."""
 
-from __future__ import annotations
-
 import numpy as np
 import scipy.linalg as sl
 

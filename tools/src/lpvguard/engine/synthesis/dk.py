@@ -10,8 +10,6 @@ loop: the proof needs no fit of frequency-wise scalings. D(s) covers an LTI Δ; 
 may vary. A constant D (degree 0) covers Δ that varies arbitrarily fast.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable
 from dataclasses import dataclass

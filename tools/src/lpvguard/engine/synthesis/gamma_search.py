@@ -5,8 +5,6 @@ optimum of a weighted problem, and otherwise brackets it. The reduced problem of
 contain the Parrott bound at the frequency where rank is lost. That bound is kept separately, as ``floor``.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from functools import cached_property
 from typing import TypeGuard

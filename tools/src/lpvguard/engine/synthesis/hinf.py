@@ -10,8 +10,6 @@ Singular problems (D12 or D21 without full rank, zeros on the imaginary axis) ar
 extra cost and an extra noise ε. ε is the largest power of ten whose certified norm is close enough.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 

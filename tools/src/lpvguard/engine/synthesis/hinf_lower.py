@@ -20,8 +20,6 @@ Any Z₁, Z₂ give a bound. Good ones are Gramians of the worst trajectories of
 the direction in which their solutions couple most.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

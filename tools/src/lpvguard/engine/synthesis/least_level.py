@@ -18,8 +18,6 @@ from the previous P. P also has a cost, ``COST``. Where a proof fails, its speed
 the claim for all speeds.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import replace

@@ -9,8 +9,6 @@ must be stable: then the loop is stable exactly when 1 + L does not encircle 0.
 point to point. Crossings and maxima are then found on the function itself.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial

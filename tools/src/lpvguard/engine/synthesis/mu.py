@@ -11,8 +11,6 @@ Lower bound: a Δ with I − M Δ singular, checked.
 Every upper bound comes with its proof: scalings, and where they hold. ``Prover.verified`` tests them anew.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -2,8 +2,6 @@
 upper bound is attained at a simple singular value, its vectors give Δ. Else the mixed power iteration (Young
 & Doyle 1990) finds candidates. A local ascent improves the best of them where blocks are complex or mixed."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np

@@ -5,8 +5,6 @@ problem. The method of centres solves it (Boyd & El Ghaoui 1993). With full bloc
 value of a scaled M, and where that is simple Newton's method finds it sooner.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

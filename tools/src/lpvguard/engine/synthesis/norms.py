@@ -5,8 +5,6 @@ Continuous time uses the eigenvalues of the Hamiltonian matrix (Boyd & Balakrish
 Hamiltonian's image).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -7,8 +7,6 @@ frequencies. The factors come from Riccati equations. So the distance of the pla
 against theirs.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import scipy.linalg as sl
 

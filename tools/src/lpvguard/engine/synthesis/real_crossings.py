@@ -11,8 +11,6 @@ and the δ of least largest entry that satisfies it has a closed form. The itera
 returns is checked: I − M Δ is singular for an M that differs from the given one by rounding.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

@@ -5,8 +5,6 @@ a level a little above it, proved on boxes of the parameters and cells of freque
 a part resists, a larger lower bound is searched for from there, and the level rises with what is found.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

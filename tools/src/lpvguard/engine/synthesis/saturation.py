@@ -12,8 +12,6 @@ proves a gain from w of at most 1, and xᵀQ⁻¹x ≤ ‖w‖² at every time. 
 keeps u within κ u_max and its steps within a rate limit for every disturbance of bounded energy.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -7,8 +7,6 @@ directions and an extra noise ε on the unmeasured ones. Its level holds for the
 its cost is larger.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

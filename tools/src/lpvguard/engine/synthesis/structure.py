@@ -1,7 +1,5 @@
 """The blocks of Δ as index sets of M, and the bases of the scalings that commute with them."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

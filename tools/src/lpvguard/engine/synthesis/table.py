@@ -2,8 +2,6 @@
 controller. Seconds are measured for the console; files are made from ``Cell.to_dict`` and ``to_csv``, which
 leave them out."""
 
-from __future__ import annotations
-
 import csv
 import io
 import time

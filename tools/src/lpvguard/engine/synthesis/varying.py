@@ -6,8 +6,6 @@ Golub and Kahan (1965) on the loop and its adjoint finds the input. A simulation
 gain. The result is therefore reached, and a lower bound of the largest.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

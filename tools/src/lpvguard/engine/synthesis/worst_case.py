@@ -11,8 +11,6 @@ has σ̄(Δ_i(jω)) = ‖u‖ ‖v‖ = 1 at every ω and equals u vᴴ at the c
 under Tustin's map. At DC such a Δ is real: there every choice of signs of the real part is tried.
 """
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import dataclass
 

@@ -9,8 +9,6 @@ performance rows divided by γ lower γ, until neither moves. Between frequencie
 cells of frequency_cells, which are tested anew at the bound that is returned.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

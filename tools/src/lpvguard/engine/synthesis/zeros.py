@@ -1,7 +1,5 @@
 """Zeros of P12 and P21 on the imaginary axis, and the lower bounds of any controller's level there."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,8 +1,6 @@
 """Branch and bound of the quadratic problem: over sizes (cones of directions) and scalars of repeated blocks
 (boxes)."""
 
-from __future__ import annotations
-
 import heapq
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The perturbation that explains the data: Delta_i from (xi_i, eta_i) for each kind of block, verified."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -11,8 +11,6 @@ point that a local method improves (``local_search``) bounds it from above. The 
 full blocks and a disturbance ball, and leave an interval otherwise. Both sides are returned.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -8,8 +8,6 @@ The forms have at most about ten rows. Each iterate is feasible, so every bound 
 the iteration stops.
 """
 
-from __future__ import annotations
-
 import ctypes
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Feasible points of the quadratic problem: local improvement, and first points for repeated blocks."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.optimize import minimize
 

@@ -4,8 +4,6 @@ min sum_j p_j over z = (theta, 1) and p >= 0 subject to :class:`Form` s. A full 
 ball is a form. A repeated block is a form and an equation a z = delta b z with one scalar delta.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

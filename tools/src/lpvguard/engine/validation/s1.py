@@ -14,8 +14,6 @@ With delta0 = Z^H E / Z^H Z (the least-squares scalar) and, by Lagrange's identi
     nu    = (|E|^2 - gamma_w^2) / (|Z|^2 (|delta0| + rho))      = |delta0| - rho without its cancellation
 """
 
-from __future__ import annotations
-
 import ctypes
 from dataclasses import dataclass
 from itertools import combinations

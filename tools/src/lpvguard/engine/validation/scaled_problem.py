@@ -1,7 +1,5 @@
 """An LFT point as a quadratic problem in well-scaled coordinates, and the way back to signals and Delta."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property

@@ -1,7 +1,5 @@
 """Whether the LFT stays regular for every Delta of the structure and size: no I - P11 Delta is singular."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from lpvguard.engine.validation import lmi

@@ -5,8 +5,6 @@ takes a share of small angles. The true error at a frequency, speed and amplitud
 function over the nominal response, minus 1. It is measured with sines, without disturbance.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

@@ -15,8 +15,6 @@ The draws are random stable Delta, sup |Delta| = W_delta, that last a fraction q
 with a steep spectrum.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -5,8 +5,6 @@ Manzinger, CommonRoad: vehicle models, 2017). It is integrated sample by sample 
 four seconds, so drives are made once and sets are drawn from them.
 """
 
-from __future__ import annotations
-
 from functools import partial
 
 import numpy as np

@@ -6,8 +6,6 @@ The loop's adjoint finds the input with the largest gain over a finite horizon. 
 the input is the one that climbs furthest.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property, partial

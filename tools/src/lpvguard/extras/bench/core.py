@@ -7,8 +7,6 @@ executed
 *instructions, not cycles*: multiply by the part's cycles per instruction, flash waits included.
 """
 
-from __future__ import annotations
-
 import json
 import sys
 import tempfile

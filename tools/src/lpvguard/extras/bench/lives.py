@@ -9,8 +9,6 @@ tails from the bounds of THEORY (T35), lives again many times.
 A drifting life is healthy for a number of recordings; then its gain falls to 0.9 over the next hundred.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial

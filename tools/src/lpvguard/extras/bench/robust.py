@@ -6,8 +6,6 @@ the loop around its response are compared with the promised ones. The distance o
 nominal model is compared with W_delta.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from functools import partial

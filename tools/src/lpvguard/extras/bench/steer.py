@@ -6,8 +6,6 @@ a steady line of the demand above the commanded band, or a demand at its limit f
 allowed share of the command is one, too.
 """
 
-from __future__ import annotations
-
 import tempfile
 from collections.abc import Iterator, Sequence
 from functools import lru_cache, partial

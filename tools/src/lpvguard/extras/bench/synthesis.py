@@ -6,8 +6,6 @@ controller is judged like ours: by the certified norm or μ bound of its closed 
 claims.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass

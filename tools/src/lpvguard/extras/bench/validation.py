@@ -10,8 +10,6 @@ Without it the ratios are left out.
 ((8, 2), (8, 3, 3))
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass

@@ -10,8 +10,6 @@ our fit. It is judged only at the samples, as it claims. It runs twice: with uni
 which minimises the same worst ratio as ours, and with its defaults. One process, one thread.
 """
 
-from __future__ import annotations
-
 import math
 import statistics
 import time

@@ -1,7 +1,5 @@
 """modelDescription.xml of an FMU, for FMI 2.0 and FMI 3.0, and buildDescription.xml of its sources."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from xml.etree import ElementTree as xml
 

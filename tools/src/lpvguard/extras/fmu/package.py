@@ -1,7 +1,5 @@
 """Builds the FMU: compiles the core, and packs binary, sources and descriptions."""
 
-from __future__ import annotations
-
 import hashlib
 import io
 import zipfile

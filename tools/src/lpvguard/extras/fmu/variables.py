@@ -1,7 +1,5 @@
 """Variables of the monitor's FMU: names, units and ranges of the signal table, and the core's results."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from ...core.compiled import CAUSES, REASONS, STATUSES, VERDICTS

@@ -2,8 +2,6 @@
 own (package foxglove-sdk) and only allows reading. Its queue for a client is BACKLOG messages. A slower
 client loses the oldest of them, and nothing waits for it."""
 
-from __future__ import annotations
-
 import json
 
 import foxglove

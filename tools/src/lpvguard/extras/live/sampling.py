@@ -1,8 +1,6 @@
 """Live frames through the compiled receiver: samples a tick, as on the ECU. The clock is that of
 replay/receive.py. Only its phase comes from the first FIRST_S of frames instead of all."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from ...base.errors import InputError

@@ -2,8 +2,6 @@
 next view when it has drawn the last. A slow one asks less often and skips views; nothing is queued. Every
 answer is bounded: MOST_ROWS rows of series."""
 
-from __future__ import annotations
-
 import asyncio
 import csv
 import io

@@ -2,8 +2,6 @@
 keeps more than MOST frames or BLOCK bytes. Other frames wait in the kernel's or LCM's own queue. Its overflow
 is counted where the source reports it."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterator
 from pathlib import Path

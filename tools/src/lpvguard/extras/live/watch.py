@@ -2,8 +2,6 @@
 from the source and judges them (`Watch.run`). Readers copy a few numbers under a lock; no reader delays the
 source for longer than such a copy."""
 
-from __future__ import annotations
-
 import threading
 import time
 from collections import deque

@@ -5,8 +5,6 @@ starts at START_S. Times are those of the firmware's ticks: a state shows in the
 reached.
 """
 
-from __future__ import annotations
-
 import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass

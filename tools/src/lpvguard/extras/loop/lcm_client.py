@@ -12,8 +12,6 @@ table of channels. Needs the packages of the extra ``lcm`` (``pip install './too
     client.command("clear", answer.entry)
 """
 
-from __future__ import annotations
-
 import hashlib
 import importlib.util
 import secrets

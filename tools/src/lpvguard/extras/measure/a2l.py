@@ -7,8 +7,6 @@ are left out. Access to an XCP slave in the image may be described as well. The 
 and has no time of day.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass

@@ -2,8 +2,6 @@
 Doxygen comment: `///<` behind it, or the `///` lines in front. A unit is the last text in square brackets, a
 range is written `0 .. 16`."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Positions of an object's fields in an integrator's image: the ELF's debug information (DWARF)."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path

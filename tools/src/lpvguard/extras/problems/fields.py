@@ -1,7 +1,5 @@
 """Fields of one problem of the JSON service (solve.py): typed access in, complex numbers as [re, im] out."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

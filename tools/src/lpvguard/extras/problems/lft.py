@@ -1,7 +1,5 @@
 """Kinds ``lft`` and ``lft_margin`` of the problem interface, for :mod:`lpvguard.engine.validation.lft`."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import TypeGuard
 

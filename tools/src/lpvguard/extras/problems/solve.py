@@ -6,8 +6,6 @@ Schema ``lpvguard.problems/1``: complex numbers are ``[re, im]``, matrices row-m
 "<where, what; expected>"}`` and never stops the others. A problem with an ``answer`` is compared with it.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import sys

@@ -2,8 +2,6 @@
 lpvguard/extras/problems/solve.py: complex numbers are [re, im], matrices row-major nested lists. An
 impossible problem raises InputError (what, where, expected), which becomes an error answer."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from lpvguard.base.errors import InputError

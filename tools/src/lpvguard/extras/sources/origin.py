@@ -1,7 +1,5 @@
 """Origins of a public repository's files: a clone, a plain folder, or a fetch by git."""
 
-from __future__ import annotations
-
 import subprocess
 import tempfile
 from collections.abc import Iterator

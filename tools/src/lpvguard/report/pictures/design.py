@@ -1,7 +1,5 @@
 """Pictures of the controller design (step 8): Figs. 5 and 6 of the paper, and the trade-off."""
 
-from __future__ import annotations
-
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure

@@ -1,7 +1,5 @@
 """Pictures of detectors: times to find injected faults, and detection in the campaign against severity."""
 
-from __future__ import annotations
-
 import textwrap
 from collections.abc import Callable
 

@@ -1,7 +1,5 @@
 """Map of a drive's margin over time and bins, and the key of such maps."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import matplotlib

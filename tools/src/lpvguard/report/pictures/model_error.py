@@ -1,8 +1,6 @@
 """Picture of the model error model beside W_delta. Estimates come from the drives that set the bounds and
 from those that judge them. Frequencies are in rad/s."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from itertools import pairwise
 from textwrap import fill

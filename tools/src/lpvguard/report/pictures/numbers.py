@@ -1,8 +1,6 @@
 """Numbers of a picture, read back from the drawn figure, for zooming and for CSV. A picture is drawn once.
 Its lines, markers, bars and cells are the one source of its interactive form and of its table."""
 
-from __future__ import annotations
-
 import csv
 import io
 import json

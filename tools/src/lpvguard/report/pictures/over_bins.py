@@ -1,8 +1,6 @@
 """Pictures over the bins of an identification: Figs. 2 and 3 of the paper, Pareto fronts and excitation.
 Frequencies are in rad/s. DC has a place left of the lowest bin."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """Pictures of signals over time: Fig. 4 of the paper, and a run of the closed loop."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Section "Controller and its certificates": robustness of the truck's loop, Table II, and Figs. 5 and 6."""
 
-from __future__ import annotations
-
 from html import escape
 from pathlib import Path
 

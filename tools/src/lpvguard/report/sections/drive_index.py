@@ -3,8 +3,6 @@
 page.js sorts and searches it.
 """
 
-from __future__ import annotations
-
 from html import escape
 from itertools import groupby
 

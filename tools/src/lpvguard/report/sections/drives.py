@@ -1,7 +1,5 @@
 """Section "Margin over time and frequency, drive by drive", and its short form for the plain DFT."""
 
-from __future__ import annotations
-
 from html import escape
 
 import numpy as np

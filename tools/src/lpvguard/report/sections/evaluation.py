@@ -1,8 +1,6 @@
 """Section "Evaluation": false alarms, injected faults and baselines, leave-one-drive-out or on held-out
 drives."""
 
-from __future__ import annotations
-
 from html import escape
 
 from ...core.compiled import TESTS

@@ -1,8 +1,6 @@
 """Section "At a glance", the first screen: tested and blind regions, alarms, and the controller's
 promises."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from html import escape
 from pathlib import Path

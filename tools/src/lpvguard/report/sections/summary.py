@@ -1,7 +1,5 @@
 """Section "Settings and proofs": drives, estimator, claims, tightness of the weights."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterable
 from html import escape

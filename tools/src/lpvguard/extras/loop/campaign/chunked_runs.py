@@ -1,8 +1,6 @@
 """The campaign: prepares baselines and trucks, makes the runs in chunks, and summarises them. A stopped
 campaign can be resumed and ends with the same bytes."""
 
-from __future__ import annotations
-
 import io
 from collections.abc import Callable
 from dataclasses import asdict

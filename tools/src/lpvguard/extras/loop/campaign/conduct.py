@@ -14,8 +14,6 @@ truck. Where the brakes have less than WEAK_BRAKES of the nominal gain, the shar
 is that without control on the same road in the same wind. The two are independent, and their powers add.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import pairwise

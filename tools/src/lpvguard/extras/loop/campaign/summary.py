@@ -5,8 +5,6 @@ This must hold in VISIBLE_SHARE of the frames that lie wholly in excited driving
 fault must be found within FOUND_WITHIN_S of judged, excited driving.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Any
 
