@@ -125,7 +125,7 @@ def programs() -> dict[str, str]:
         ):
             asked |= {name: str(path.relative_to(ROOT)) for name in " ".join(words).split()}
     for text in texts("tests/hil/*.cpp").values():
-        asked |= dict.fromkeys(re.findall(r'Beside \w+\("([\w-]+)', text), "tests/hil")
+        asked |= dict.fromkeys(re.findall(r'BackgroundCommand \w+\("([\w-]+)', text), "tests/hil")
     for line in re.findall(
         r"^(?:host_works|uml_works)\(\).*?\}$",
         (ROOT / "tools" / "with-vcan").read_text(),

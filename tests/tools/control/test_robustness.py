@@ -56,7 +56,7 @@ def schedule(result):
 
 @pytest.fixture(scope="module")
 def found(result):
-    return result.beside.robustness
+    return result.further.robustness
 
 
 @pytest.fixture(scope="module")
@@ -91,7 +91,7 @@ def test_neighbours_lie_within_the_nu_margin_and_midpoints_nearer(found):
 
 def test_workers_change_no_bit_of_what_they_share(problem, result):
     with workers(2) as run:
-        assert slowness(problem, result.schedule, result.scaling, workers=run) == result.beside.slow_delta
+        assert slowness(problem, result.schedule, result.scaling, workers=run) == result.further.slow_delta
 
 
 @pytest.mark.long("35 s: a design")
@@ -199,7 +199,7 @@ def test_the_page_shows_every_number_of_a_node_and_a_dash_for_none(tmp_path):
 
 
 def test_rates_are_proved_anew_and_larger_ones_are_refused(problem, result, schedule):
-    found, path = result.beside.slow_delta, Path("controller.json")
+    found, path = result.further.slow_delta, Path("controller.json")
     stated = json.loads(json.dumps(found.to_dict()))
     require_slowness(path, stated, problem, schedule, result.scaling)
     assert found.performance_rate > 0 and found.hidden_slow < found.hidden_fast
@@ -234,7 +234,7 @@ def test_the_page_says_which_hidden_rates_are_covered(tmp_path):
 
 
 def test_what_is_proved_at_the_limits_is_proved_anew_and_more_is_refused(problem, result, schedule):
-    found, path = result.beside.limits, Path("controller.json")
+    found, path = result.further.limits, Path("controller.json")
     stated = json.loads(json.dumps(found.to_dict()))
     require_limits(path, stated, problem, schedule, result.scaling)
     proved = [k for k, row in enumerate(stated["rows"]) if None not in (row["energy"], row["gain"])]

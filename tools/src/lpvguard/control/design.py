@@ -39,7 +39,12 @@ from ..identify.premise import premise, require_premise
 from ..vehicle.design_settings import DesignSettings
 from ..vehicle.nominal import NominalModel
 from .controller_file import stated_scaling
-from .further_certificates import NOTHING, Beside, beside, require_beside
+from .further_certificates import (
+    NOTHING,
+    FurtherCertificates,
+    further_certificates,
+    require_further_certificates,
+)
 from .input_limit import input_limit
 from .moving_speed import Moving, certified, moving_certificates, moving_to_dict, require_moving, tuning
 from .plants import DesignProblem, design_settings, vehicle_at
@@ -92,7 +97,7 @@ class Design:
     full_order : int, order before the reduction
     off_grid : (speed [m/s], RobustPerformance), the worst between these speeds
     moving : dict, by claim for a moving speed, None: no storage function; empty: not requested
-    beside : Beside or None, margins, a varying Delta and limits, None: not requested
+    further : FurtherCertificates or None, margins, a varying Delta and limits, None: not requested
     """
 
     schedule: Scheduled
@@ -101,7 +106,7 @@ class Design:
     full_order: int
     off_grid: tuple[float, RobustPerformance]
     moving: dict[str, Moving | None] = field(default_factory=dict)
-    beside: Beside | None = None
+    further: FurtherCertificates | None = None
 
     @property
     def worst(self) -> float:
@@ -147,7 +152,7 @@ def design(
         moving=moving_certificates(problem, result.schedule, result.scaling, moving, workers)
         if moving_speed
         else {},
-        beside=beside(problem, result.schedule, result.scaling, margins, workers),
+        further=further_certificates(problem, result.schedule, result.scaling, margins, workers),
     )
 
 
@@ -477,7 +482,7 @@ def verify(
     for row in rows:
         _compare(path, row, proved_rows[row["v_mps"]], loops[row["v_mps"]], schedule)
     require_moving(path, stated, problem, schedule, moving, workers)
-    require_beside(path, stated, problem, schedule, scaling, margins, workers)
+    require_further_certificates(path, stated, problem, schedule, scaling, margins, workers)
 
 
 def _require_settings(
@@ -605,7 +610,7 @@ def save(
             "scaling_log_parameters": result.scaling.log_parameters,
             "scaling_columns": result.scaling.log_parameters.shape[1],
             "moving_speed": moving_to_dict(result.moving),
-            **(NOTHING if result.beside is None else result.beside.to_dict()),
+            **(NOTHING if result.further is None else result.further.to_dict()),
             "dc_floor": dc_floor(DesignProblem(stored, settings).weights),
             "largest_A_t": None if largest is None else asdict(largest),
             "off_grid": {"speeds": OFF_GRID, "seed": stored.project.seed, **_row(*result.off_grid)},

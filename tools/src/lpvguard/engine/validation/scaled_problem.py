@@ -53,7 +53,7 @@ class Solution:
     nodes: int
 
 
-class Posed:
+class ScaledProblem:
     """One LFT point in well-scaled coordinates: the maps of the blocks and of w, and the way back. ``xi``,
     ``eta`` (a map a block), ``w`` (n_w, n) and ``t`` (1, n) map a point z (n,) to signals, all over the same
     factor. ``dead``: blocks whose input is always zero. ``ball_is_point``: gamma_w is B1."""
@@ -192,35 +192,37 @@ class Posed:
         return Solution(interval.lower, interval.upper, nu, xi, eta, w, self.b1, verification, interval.nodes)
 
 
-def pose(problem: Lft, gamma_w: float, without: Sequence[int] = ()) -> Posed:
+def scaled_problem(problem: Lft, gamma_w: float, without: Sequence[int] = ()) -> ScaledProblem:
     """The point with |w| <= ``gamma_w``, the blocks ``without`` held at xi_i = 0. Raises InputError for a
-    gamma_w that is negative, not finite or below B1, and as :class:`Posed` does."""
+    gamma_w that is negative, not finite or below B1, and as :class:`ScaledProblem` does."""
     if not np.isfinite(gamma_w) or gamma_w < 0.0:
         raise InputError(problem.source, "gamma_w", f"{gamma_w}", "a finite number that is not negative")
-    posed = Posed(
+    scaled = ScaledProblem(
         problem, np.full(problem.p22.shape[1], gamma_w or np.linalg.norm(problem.e) or 1.0), gamma_w, without
     )
-    if gamma_w < posed.least_ball:
+    if gamma_w < scaled.least_ball:
         raise InputError(
             problem.source,
             "gamma_w",
-            f"{gamma_w:.6g} is below the smallest disturbance B1 = {posed.b1:.6g}",
+            f"{gamma_w:.6g} is below the smallest disturbance B1 = {scaled.b1:.6g}",
             "gamma_w >= B1",
         )
-    return posed
+    return scaled
 
 
-def ball(posed: Posed, gamma_w: float) -> list[Form]:
+def ball(scaled: ScaledProblem, gamma_w: float) -> list[Form]:
     """|w| <= ``gamma_w`` as a form, in a list; an empty list where the ball is one point."""
-    return [] if posed.ball_is_point else [Form(posed.w, posed.t, constant=gamma_w**2)]
+    return [] if scaled.ball_is_point else [Form(scaled.w, scaled.t, constant=gamma_w**2)]
 
 
-def block_form(posed: Posed, i: int, *, constant: float = 0.0, param: int = -1, slope: float = 1.0) -> Form:
+def block_form(
+    scaled: ScaledProblem, i: int, *, constant: float = 0.0, param: int = -1, slope: float = 1.0
+) -> Form:
     """Form of block ``i`` with the bound of :class:`quadratic.Form`."""
-    block = posed.problem.blocks[i]
+    block = scaled.problem.blocks[i]
     return Form(
-        posed.xi[i],
-        posed.eta[i],
+        scaled.xi[i],
+        scaled.eta[i],
         constant,
         param,
         slope,
