@@ -276,10 +276,7 @@ def test_design_refuses_options_that_it_would_ignore(words, lpvguard, tmp_path):
 
 @pytest.mark.parametrize(
     ("text", "says"),
-    [
-        ("{}", "has unexpected content"),
-        ('{"duels": [{"way": "ramp"}]}', "duels[].precluded: missing"),
-    ],
+    [("{}", "has unexpected content"), ('{"duels": [{"way": "ramp"}]}', "duels[].precluded: missing")],
 )
 def test_a_page_refuses_an_evaluation_of_another_shape(text, says, lpvguard, identified, synthetic, tmp_path):
     (tmp_path / "evaluation.json").write_text(text)

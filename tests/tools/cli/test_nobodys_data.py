@@ -157,12 +157,7 @@ EDITS = {
         '"threshold": 1',
         "export --vehicle g80 idn -o new",
     ),
-    "a weight": (
-        "idn/weights.json",
-        '"inflation": ',
-        '"inflation": 1',
-        EVALUATE,
-    ),
+    "a weight": ("idn/weights.json", '"inflation": ', '"inflation": 1', EVALUATE),
     "a bound": (
         "idn/bounds.json",
         '"B_w": [',

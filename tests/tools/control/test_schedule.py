@@ -7,13 +7,7 @@ import numpy as np
 import pytest
 from scipy.linalg import solve_discrete_are, solve_discrete_lyapunov
 
-from lpvguard.control.schedule import (
-    RECOVERY_EFFORT,
-    FrozenLoop,
-    first_columns,
-    fit_by_pairs,
-    observed,
-)
+from lpvguard.control.schedule import RECOVERY_EFFORT, FrozenLoop, first_columns, fit_by_pairs, observed
 from lpvguard.core.control_coefficients import build_controller
 from lpvguard.core.scheduled import Scheduled, engagement, realisation
 from lpvguard.engine.synthesis.dk import Scaling

@@ -21,12 +21,7 @@ from lpvguard.engine.synthesis.cases import (
 from lpvguard.engine.synthesis.dk import Scaling, certify, dk_synthesis
 from lpvguard.engine.synthesis.errors import SynthesisError
 from lpvguard.engine.synthesis.hinf import hinf_synthesis
-from lpvguard.engine.synthesis.interconnection import (
-    OUTPUTWISE,
-    STRUCTURES,
-    generalised_plant,
-    zeros_poles,
-)
+from lpvguard.engine.synthesis.interconnection import OUTPUTWISE, STRUCTURES, generalised_plant, zeros_poles
 from lpvguard.engine.synthesis.limits import floor_exceeds, mu_floor
 from lpvguard.engine.synthesis.mu import mu_bounds
 from lpvguard.engine.synthesis.statespace import StateSpace, lft, to_discrete

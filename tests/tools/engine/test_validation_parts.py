@@ -556,10 +556,7 @@ def test_a_point_is_repaired_towards_the_centre_of_the_ball_and_only_to_its_edge
 def test_a_repair_keeps_the_repeated_scalars_and_the_ball():
     rng = np.random.default_rng(5)
     a, b, ball_rows = gauss(rng, 2, 6), gauss(rng, 2, 6), gauss(rng, 2, 6)
-    forms = [
-        Form(ball_rows, np.eye(1, 6, 5), constant=0.5),
-        scalars_of("repeated_complex", a, b, param=0),
-    ]
+    forms = [Form(ball_rows, np.eye(1, 6, 5), constant=0.5), scalars_of("repeated_complex", a, b, param=0)]
     problem, z = Quadratic(forms, 1, 6), np.append(9 * gauss(rng, 5), 1.0)
     d = problem.scalar(1, z)
     moved = problem.repair(z)

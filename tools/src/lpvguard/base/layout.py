@@ -188,11 +188,7 @@ DIAGNOSIS = Layout(
         Field("crc32", (), "", "over all words and numbers, as in coeff.h"),
         Field("sample_period_us", (), "us", "Ts", "[1, inf)"),
         Field(
-            "blocks",
-            (),
-            "blocks",
-            "of settled driving since an alarm, least to judge causes",
-            "[8, 65536]",
+            "blocks", (), "blocks", "of settled driving since an alarm, least to judge causes", "[8, 65536]"
         ),
         Field("stride", (), "blocks", "from one delay that is tried to the next", "[1, 4]"),
         Field("cell_blocks", (), "blocks", "of a cell of the ring before the alarm", "[1, 65536]"),
@@ -223,13 +219,7 @@ DIAGNOSIS = Layout(
             "largest mean square of a healthy residue: a constant, and a share of that of yhat_j",
             "(0, inf)",
         ),
-        Field(
-            "rough",
-            ("NY",),
-            "output unit squared",
-            "largest mean square of healthy noise",
-            "(0, inf)",
-        ),
+        Field("rough", ("NY",), "output unit squared", "largest mean square of healthy noise", "(0, inf)"),
         Field(
             "still",
             ("NY",),

@@ -10,9 +10,7 @@ from ..vehicle.stored_settings import require_settings
 from .shared import Coefficients, Vehicle, app, console, project_of
 
 
-@app.command(
-    epilog="Example: lpvguard a2l --vehicle truck --elf firmware.elf --instance ecu -o truck.a2l",
-)
+@app.command(epilog="Example: lpvguard a2l --vehicle truck --elf firmware.elf --instance ecu -o truck.a2l")
 def a2l(
     vehicle: Vehicle,
     elf: Annotated[Path, typer.Option("--elf", help="The ECU's image, compiled with -g.")],

@@ -52,13 +52,7 @@ def evaluate(
     replayer = replayer_of(vehicle, coefficients)
     with progress_bar("evaluate") as tell, workers(jobs, scheduler) as run:
         result = stage(
-            stored,
-            drive_set,
-            replayer.core,
-            held_out=held_out,
-            settings=settings,
-            workers=run,
-            progress=tell,
+            stored, drive_set, replayer.core, held_out=held_out, settings=settings, workers=run, progress=tell
         )
     for folder in drives_to_judge or []:
         result["left_out"] |= set_aside(folder)

@@ -216,10 +216,7 @@ def _require_reach(stored: StoredIdentification, schedule: Scheduled) -> None:
 
 
 def _designed(
-    problem: DesignProblem,
-    scaling: Scaling | None,
-    progress: Progress,
-    workers: Map = map,
+    problem: DesignProblem, scaling: Scaling | None, progress: Progress, workers: Map = map
 ) -> Design:
     """Design for ``settings``; ``scaling`` starts the search for the common scaling."""
     model, settings = problem.model, problem.settings

@@ -207,10 +207,7 @@ def largest_step(problem: DesignProblem, schedule: Scheduled) -> float:
 
 
 def _loops(
-    problem: DesignProblem,
-    schedule: Scheduled,
-    scaling: Scaling,
-    asked: list[tuple[float, float]],
+    problem: DesignProblem, schedule: Scheduled, scaling: Scaling, asked: list[tuple[float, float]]
 ) -> Iterator[tuple[float, LimitedLoop]]:
     """Speed and loop of every speed and kappa in ``asked``."""
     for v, kappa in asked:

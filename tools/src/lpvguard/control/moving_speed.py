@@ -110,10 +110,7 @@ def _stability(asked: tuple[DesignProblem, Scheduled, Scaling]) -> Moving | None
 
 
 def tuning(
-    schedule: Scheduled,
-    plant_of: Callable[[float], GeneralisedPlant],
-    scaling: Scaling,
-    workers: Map = map,
+    schedule: Scheduled, plant_of: Callable[[float], GeneralisedPlant], scaling: Scaling, workers: Map = map
 ) -> Callable[[float], Scaling]:
     """The D with the least frozen gain for the given controller, by the level. plant_of(v) is the generalised
     plant at v [m/s]; ``scaling`` starts the search. ``workers`` share the speeds."""

@@ -200,8 +200,7 @@ def _node(scaling: Scaling, unit_u: float, units_y: tuple[float, ...], at: _Aske
     loop, last = lft(plant.system, K), np.pi / plant.system.dt
     performance = plant.performance_block
     gain = at.proved(
-        "worst_gain",
-        lambda least: worst_gain(loop, plant.blocks, performance, 0.0, last, least=least).upper,
+        "worst_gain", lambda least: worst_gain(loop, plant.blocks, performance, 0.0, last, least=least).upper
     )
     mu = at.proved(
         "mu_interval",

@@ -16,13 +16,7 @@ import numpy as np
 
 from ..base.errors import InputError
 from ..core.scheduled import Scheduled
-from ..engine.synthesis.margins import (
-    LoopMargins,
-    Response,
-    guaranteed,
-    margins,
-    of_samples,
-)
+from ..engine.synthesis.margins import LoopMargins, Response, guaranteed, margins, of_samples
 from ..engine.synthesis.statespace import StateSpace
 from ..identify.identification import StoredIdentification
 from ..identify.weights import Weights

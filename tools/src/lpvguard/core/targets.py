@@ -259,15 +259,7 @@ def emulated_ecu(name: str, vehicle: Path) -> EmulatedEcu:
         (here, ports / "ecu_process", ecu),
     )
     elf, _ = _build(target, vehicle, program, (*LANGUAGE, SAME_BITS))
-    command = " ".join(
-        map(
-            shlex.quote,
-            [
-                *_emulator(target, elf),
-                *target.can,
-            ],
-        )
-    )
+    command = " ".join(map(shlex.quote, [*_emulator(target, elf), *target.can]))
     # Arguments: INTERFACE --engage yes|no --time-line FD. The emulator ends when the simulator does.
     script = (
         "#!/bin/sh\nexport QEMU_AUDIO_DRV=none\n"

@@ -40,11 +40,7 @@ from ..base.progress import Progress
 from ..base.sampling import Rows
 from ..core.coefficients import Coefficients
 from ..drives.frames import Estimator, not_for_the_core
-from ..drives.tables import (
-    EXPERIMENTS,
-    Experiment,
-    table_hashes,
-)
+from ..drives.tables import EXPERIMENTS, Experiment, table_hashes
 from ..fit.quality import Quality
 from ..vehicle.nominal import NominalModel
 from ..vehicle.project import Project, parse_project

@@ -759,12 +759,7 @@ class ModelError:
 
     @classmethod
     def of(
-        cls,
-        project: Project,
-        grid: ErrorGrid,
-        setting: list[Sums],
-        judging: list[Sums],
-        workers: Map = map,
+        cls, project: Project, grid: ErrorGrid, setting: list[Sums], judging: list[Sums], workers: Map = map
     ) -> ModelError:
         """Model error from the sums of folds of drives, at least one of which sets the bounds. ``workers``
         share the folds."""

@@ -12,9 +12,7 @@ from ..base.parallel import Map
 from ..base.progress import Progress
 from ..base.sampling import Rows, first_of_each, stacked
 from ..core.compiled import Core
-from ..drives.tables import (
-    Experiment,
-)
+from ..drives.tables import Experiment
 from .bounds import Bounds, Deciders, Part, covering, fold, front_grid, undominated
 from .calibration import Calibration, Peak, Recordings, calibrate
 from .change import ChangeTest
@@ -43,13 +41,7 @@ from .passes import (
 from .resolution import Resolution
 from .scratch import scratch_core
 from .visibility import Excitation, visibility
-from .weights import (
-    FittedWeight,
-    Weights,
-    coefficients_of,
-    energy_filters,
-    fit_uncertainty,
-)
+from .weights import FittedWeight, Weights, coefficients_of, energy_filters, fit_uncertainty
 
 CUTS = 5
 """Random first samples from which every bound-setting drive is replayed to find the final inflation."""

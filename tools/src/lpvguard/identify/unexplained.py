@@ -166,13 +166,7 @@ def _alarms(
         raise not_for_the_core(result.project)
     reader, carried = DriveReader(result.project, result.model), result.calibration.exported
     coefficients = coefficients_of(
-        result.project,
-        result.model,
-        result.estimator,
-        result.weights,
-        carried,
-        result.energy,
-        result.change,
+        result.project, result.model, result.estimator, result.weights, carried, result.energy, result.change
     )
     with scratch_core(result.project, coefficients) as core:
         return sum(workers(partial(_alarms_of_drive, reader, core, settings), known))

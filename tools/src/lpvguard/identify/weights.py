@@ -288,10 +288,7 @@ def uncertainty_samples(
 
 
 def fit_uncertainty(
-    project: Project,
-    estimator: Estimator,
-    omega: np.ndarray,
-    column: tuple[np.ndarray, np.ndarray, str],
+    project: Project, estimator: Estimator, omega: np.ndarray, column: tuple[np.ndarray, np.ndarray, str]
 ) -> FittedWeight:
     """Fit W_delta above the uncertainty bounds.
 

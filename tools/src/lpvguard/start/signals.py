@@ -57,11 +57,7 @@ OTHERS_MESSAGE = re.compile(
 """In names of messages that carry a signal for another purpose."""
 WHAT = {"speed": "speed", "input": "steering angle", "output": "yaw rate"}
 """By role: what its signal measures."""
-GUESSED_UNITS = {
-    "speed": ("m/s", "km/h", "mph"),
-    "input": ("rad", "deg"),
-    "output": ("rad/s", "deg/s"),
-}
+GUESSED_UNITS = {"speed": ("m/s", "km/h", "mph"), "input": ("rad", "deg"), "output": ("rad/s", "deg/s")}
 """Units of a signal whose log and name state none."""
 RATE_OF = {"deg": "deg/s", "rad": "rad/s", "mrad": "mrad/s"}
 """A yaw rate whose unit leaves the second out."""

@@ -251,9 +251,7 @@ def recursion(Ad: np.ndarray, forced: np.ndarray, x_first: np.ndarray) -> np.nda
     states = np.empty((samples, n))
     if lib := native.kernels("recursion"):
         lib.lpvg_recursion(
-            ctypes.c_ssize_t(samples),
-            ctypes.c_ssize_t(n),
-            *map(native.pointer, (Ad, forced, x, states)),
+            ctypes.c_ssize_t(samples), ctypes.c_ssize_t(n), *map(native.pointer, (Ad, forced, x, states))
         )
         return states
     for k in range(samples):

@@ -28,13 +28,7 @@ from scipy.optimize import minimize_scalar
 from lpvguard.base.sampling import evenly
 from lpvguard.engine.synthesis.dk import Scaling
 from lpvguard.engine.synthesis.knot_search import KnotGrid, Point, found_at
-from lpvguard.engine.synthesis.lpv_certificate import (
-    Family,
-    LpvCertificate,
-    Storage,
-    frozen_at,
-    prove,
-)
+from lpvguard.engine.synthesis.lpv_certificate import Family, LpvCertificate, Storage, frozen_at, prove
 from lpvguard.engine.synthesis.norms import hinf_norm
 from lpvguard.engine.synthesis.statespace import StateSpace
 from lpvguard.engine.synthesis.storage_grid import StorageGrid, refined, terms, unmoved

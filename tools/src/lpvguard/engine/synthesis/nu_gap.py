@@ -12,14 +12,7 @@ import scipy.linalg as sl
 
 from lpvguard.engine.synthesis.errors import SynthesisError
 from lpvguard.engine.synthesis.norms import NormBracket, hinf_norm
-from lpvguard.engine.synthesis.statespace import (
-    StateSpace,
-    balanced,
-    lft,
-    same_time,
-    series,
-    to_continuous,
-)
+from lpvguard.engine.synthesis.statespace import StateSpace, balanced, lft, same_time, series, to_continuous
 
 NORM_RTOL = 1e-6
 DISTANCE_ATOL = 1e-6
@@ -60,9 +53,7 @@ def nu_gap(first: StateSpace, second: StateSpace) -> NormBracket:
     _require_distance(P1, P2, chordal, found.peak_frequency)
     where = found.peak_frequency
     return NormBracket(
-        found.lower,
-        min(found.upper, 1.0),
-        float(2 / dt * np.arctan(where * dt / 2)) if dt else where,
+        found.lower, min(found.upper, 1.0), float(2 / dt * np.arctan(where * dt / 2)) if dt else where
     )
 
 
@@ -136,10 +127,7 @@ def _right_factor(P: StateSpace) -> StateSpace:
     F = _gain(P)
     root = np.linalg.inv(np.linalg.cholesky(R)).T
     return StateSpace(
-        P.A + P.B @ F,
-        P.B @ root,
-        np.vstack([P.C + P.D @ F, F]),
-        np.vstack([P.D, np.eye(P.n_inputs)]) @ root,
+        P.A + P.B @ F, P.B @ root, np.vstack([P.C + P.D @ F, F]), np.vstack([P.D, np.eye(P.n_inputs)]) @ root
     )
 
 

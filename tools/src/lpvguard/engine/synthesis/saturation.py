@@ -120,8 +120,7 @@ def limited_loop(
     return series(
         append(left.select(slice(0, eta), slice(0, eta)), gain(np.eye(1 + performance.cols), P.dt)),
         series(
-            loop,
-            append(right.select(slice(0, xi), slice(0, xi)), gain(np.eye(1 + performance.rows), P.dt)),
+            loop, append(right.select(slice(0, xi), slice(0, xi)), gain(np.eye(1 + performance.rows), P.dt))
         ),
     )
 

@@ -52,11 +52,7 @@ class StorageGrid:
 
     @classmethod
     def of(
-        cls,
-        Ts: float,
-        grid: np.ndarray,
-        basis: np.ndarray,
-        parts: list[tuple[np.ndarray, np.ndarray]],
+        cls, Ts: float, grid: np.ndarray, basis: np.ndarray, parts: list[tuple[np.ndarray, np.ndarray]]
     ) -> StorageGrid:
         """Grid with units that suit ``grid``."""
         mean, spread = float(grid.mean()), float(np.ptp(grid))

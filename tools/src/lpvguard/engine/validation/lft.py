@@ -38,12 +38,7 @@ attainable."""
 
 
 def optimum(
-    problem: Lft,
-    gamma_w: float,
-    lambda_nu: ArrayLike,
-    lambda_w: ArrayLike | None = None,
-    *,
-    gap: float = GAP,
+    problem: Lft, gamma_w: float, lambda_nu: ArrayLike, lambda_w: ArrayLike | None = None, *, gap: float = GAP
 ) -> Solution:
     """Compute the optimum of (8): min sum lambda_nu,i nu_i^2 + sum lambda_w,j |w_j|^2 with |w| <= gamma_w.
 

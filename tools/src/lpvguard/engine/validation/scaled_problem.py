@@ -10,12 +10,7 @@ from lpvguard.base.errors import InputError
 from lpvguard.engine.blocks import Block
 from lpvguard.engine.validation.branch import Interval
 from lpvguard.engine.validation.delta import Verification, least_size, split, verify
-from lpvguard.engine.validation.problem import (
-    IMAGE_TOLERANCE,
-    RANK_TOLERANCE,
-    Lft,
-    parametrise,
-)
+from lpvguard.engine.validation.problem import IMAGE_TOLERANCE, RANK_TOLERANCE, Lft, parametrise
 from lpvguard.engine.validation.quadratic import Form, cancels
 from lpvguard.engine.validation.well_posed import block_caps, well_posed
 

@@ -53,10 +53,7 @@ class Car:
     friction_rad: float = 0.01
 
 
-CARS = {
-    "linear": Car(),
-    "friction": Car(front=115e3, grip_n=14e3, friction_share=0.2),
-}
+CARS = {"linear": Car(), "friction": Car(front=115e3, grip_n=14e3, friction_share=0.2)}
 """A car nearly linear, and one softer in front that loses 20 % of gain at small amplitudes."""
 
 

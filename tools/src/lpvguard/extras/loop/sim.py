@@ -38,15 +38,7 @@ from ...base import artefacts, native
 from ...base.documents import StrictModel, checked, read_toml
 from ...base.errors import InputError
 from ...can.catalogue import load_catalogue
-from ...core.compiled import (
-    CAUSES,
-    EVENTS,
-    SUPERVISION,
-    VERDICTS,
-    core_objects,
-    firmware_root,
-    library_root,
-)
+from ...core.compiled import CAUSES, EVENTS, SUPERVISION, VERDICTS, core_objects, firmware_root, library_root
 from ...core.control_coefficients import ControllerCoefficients, build_controller, replaced_controller
 from ...core.targets import EmulatedEcu, emulated_ecu
 from ...drives.tables import Drive, speed_of_missing
@@ -364,12 +356,7 @@ class Simulator:
         return result
 
     def drive(
-        self,
-        path: Path,
-        *,
-        seed: int | None = None,
-        log: Path | None = None,
-        telemetry: Path | None = None,
+        self, path: Path, *, seed: int | None = None, log: Path | None = None, telemetry: Path | None = None
     ) -> tuple[dict[str, Any], Drive]:
         """One run of the scenario file ``path``: its facts, and the drive. The facts are the simulator's
         output. The drive is the monitor's input; samples that it did not get are missing. ``log``: file for

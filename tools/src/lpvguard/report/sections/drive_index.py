@@ -94,10 +94,7 @@ def _row(drive: DriveSummary) -> str:
         ("–" if near is None else f"{near.ratio:.3f}", None if near is None else near.ratio),
         ("–" if near is None else place(near.test, near.omega), None),
         ("–" if near is None else f"{near.t_s:.1f}", None if near is None else near.t_s),
-        (
-            f'<span class="no">▲ {len(drive.alarms)}</span>' if drive.alarms else "0",
-            float(len(drive.alarms)),
-        ),
+        (f'<span class="no">▲ {len(drive.alarms)}</span>' if drive.alarms else "0", float(len(drive.alarms))),
         (escape(drive.verdict_final), None),
     ]
     texts = "".join(

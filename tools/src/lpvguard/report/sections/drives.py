@@ -23,12 +23,7 @@ ALARMS_LISTED = 10
 
 
 def visit(
-    visits: Visits,
-    stored: StoredIdentification,
-    replayer: Replayer,
-    drive: Drive,
-    yhat: np.ndarray,
-    key: str,
+    visits: Visits, stored: StoredIdentification, replayer: Replayer, drive: Drive, yhat: np.ndarray, key: str
 ) -> DriveSummary:
     """Replay a drive, keep its counted frames and longest stretches in ``visits``, and return its summary.
     yhat (N, n_y) is the nominal output. ``key`` is the id of its section and name of its picture, unique on

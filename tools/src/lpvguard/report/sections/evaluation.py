@@ -33,12 +33,7 @@ JUDGED = {
     HELD_OUT: ("Evaluation, held-out drives", "Every drive"),
 }
 """Title of the section, and the judged drives."""
-TEST_TITLES = {
-    MONITOR: "all tests",
-    "frame": "frame test",
-    "energy": "energy test",
-    "change": "change test",
-}
+TEST_TITLES = {MONITOR: "all tests", "frame": "frame test", "energy": "energy test", "change": "change test"}
 
 
 def evaluation_section(evaluation: dict) -> str:

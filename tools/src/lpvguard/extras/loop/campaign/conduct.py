@@ -111,10 +111,7 @@ def longest_stretch(at_limit: np.ndarray, Ts: float) -> float:
 
 
 def band_rms(
-    x: np.ndarray,
-    Ts: float,
-    highest: float,
-    gain: Callable[[np.ndarray], np.ndarray] = np.ones_like,
+    x: np.ndarray, Ts: float, highest: float, gain: Callable[[np.ndarray], np.ndarray] = np.ones_like
 ) -> float:
     """Rms of ``x`` (N,) from DC to ``highest`` [rad/s], times ``gain`` (k,) at its frequencies (k,) [rad/s].
     ``Ts`` [s] is the sample period."""

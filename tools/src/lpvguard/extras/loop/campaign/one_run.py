@@ -323,10 +323,7 @@ def _statistic(replayer: Replayer, replay: Replay, drive: Drive) -> np.ndarray:
     The frame test counts where frames were judged. It is -inf where no test judged."""
     frames, ratios = (
         replay.run.frames,
-        (
-            (replay.run.energy, replayer.energy_threshold),
-            (replay.run.change, replayer.change_threshold),
-        ),
+        ((replay.run.energy, replayer.energy_threshold), (replay.run.change, replayer.change_threshold)),
     )
     statistic = np.max([np.where(x > 0, x / threshold, -np.inf) for x, threshold in ratios], axis=0)
     at = np.round((frames.t_judged_s - drive.t[0]) / replay.Ts).astype(int)

@@ -24,12 +24,7 @@ from ....base.errors import InputError
 from ....base.parallel import Map
 from ....base.progress import Progress
 from ....control.controller_file import faulted_performance
-from ....control.true_loop import (
-    certified_weight,
-    deviations,
-    require_certified_by_W_delta,
-    within_use,
-)
+from ....control.true_loop import certified_weight, deviations, require_certified_by_W_delta, within_use
 from ....identify.identification import StoredIdentification
 from ....identify.weights import Weights
 from ....vehicle.nominal import NominalModel
@@ -138,12 +133,7 @@ def plants(certified: CertifiedSet, seed: int, workers: Map, progress: Progress)
         progress(f"frequency response, {kind.name} {x:g}")
         faulted.append({"kind": kind.name, "severity": x, **vars(found)})
     nominal = vars(certified.distance(""))
-    return {
-        "checked": certified.checked(),
-        "nominal": nominal,
-        "candidates": candidates,
-        "faulted": faulted,
-    }
+    return {"checked": certified.checked(), "nominal": nominal, "candidates": candidates, "faulted": faulted}
 
 
 def loop_levels(stored: StoredIdentification, controller: Path, progress: Progress) -> list[dict[str, Any]]:
