@@ -220,14 +220,14 @@ class StoredFrames:
         return u, h_i * u[:, None], h_i, h_s
 
 
-def deciding(E: np.ndarray, Z: np.ndarray, near: float = NEAR) -> np.ndarray:
-    """Indices of deciding frames of E, Z (F, n_y). Every frame has B1, |Z| and |delta0| at most 1 + ``near``
+def deciding(E: np.ndarray, Z: np.ndarray) -> np.ndarray:
+    """Indices of deciding frames of E, Z (F, n_y). Every frame has B1, |Z| and |delta0| at most 1 + NEAR
     times those of one of them."""
     size = np.linalg.norm(E, axis=1)
     values = (s1.solve(E, Z, size).b1, np.linalg.norm(Z, axis=1), np.abs(s1.least_squares_delta(E, Z)))
     with np.errstate(divide="ignore"):
-        # Steps of a factor 1 + near: a frame with no smaller step in all three is large enough for another.
-        steps = [np.unique(np.floor(np.log(x) / np.log1p(near)), return_inverse=True)[1] for x in values]
+        # Steps of a factor 1 + NEAR: a frame with no smaller step in all three is large enough for another.
+        steps = [np.unique(np.floor(np.log(x) / np.log1p(NEAR)), return_inverse=True)[1] for x in values]
     i, j, k = steps
     highest = np.full((i.max(initial=0) + 2, j.max(initial=0) + 2), -1)
     np.maximum.at(highest, (i, j), k)

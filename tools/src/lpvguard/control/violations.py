@@ -299,9 +299,7 @@ def closed_period(grid: SpeedGrid, speeds: np.ndarray) -> np.ndarray:
     return np.concatenate([speeds, grid.speeds((back - grid.low) / grid.unit)])
 
 
-def fastest_growth(
-    loop: Loop, rate: float, samples: int, seed: int, shares: Sequence[float] = (1.0, 0.5, 0.2, 0.07)
-) -> tuple[float, np.ndarray]:
+def fastest_growth(loop: Loop, rate: float, samples: int, seed: int) -> tuple[float, np.ndarray]:
     """Search for growth of a loop of `injected` over one period.
 
     It tries the history with the largest gain from Delta's outputs, closed to a period, and triangles with
@@ -313,7 +311,6 @@ def fastest_growth(
     rate : float, m/s^2, largest |dv/dt|
     samples : int, length of a history
     seed : int
-    shares : Sequence[float], shares of the range for the triangles
 
     Returns
     -------
@@ -324,7 +321,7 @@ def fastest_growth(
     found = Search(loop, samples, seed).at(rate)
     tried = [(found.corners, closed_period(grid, found.speeds))]
     drawn = [found.corners, *(drawn_corners(random, loop.blocks) for _ in range(DRAWN))]
-    for share in shares:
+    for share in (1.0, 0.5, 0.2, 0.07):  # of the range
         for place in (0.0, 0.5, 1.0):
             first = low + place * (1 - share) * (high - low)
             last = first + share * (high - low)

@@ -144,7 +144,7 @@ class Fit:
             columns.append([(b - a) / (ends[1] - ends[0]) for a, b in zip(low, high, strict=True)])
         return [np.column_stack([column[i] for column in columns]) for i in range(len(self.drives))]
 
-    def minimised(self, theta: np.ndarray, evaluations: int = 40) -> np.ndarray:
+    def minimised(self, theta: np.ndarray) -> np.ndarray:
         """Unknowns (p,) of least V near theta (p,), with the noise model fixed."""
         span = self.unknowns.high - self.unknowns.low
         inset = np.where(np.isfinite(span), 1e-6 * np.where(np.isfinite(span), span, 1.0), 0.0)
@@ -157,7 +157,7 @@ class Fit:
             x_scale="jac",
             ftol=1e-7,
             xtol=1e-6,
-            max_nfev=evaluations,
+            max_nfev=40,
         ).x
 
     def plain(self, theta: np.ndarray) -> np.ndarray:

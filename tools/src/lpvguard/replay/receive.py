@@ -83,7 +83,6 @@ class Receiver:
     Parameters
     ----------
     project : Project
-    catalogue : Catalogue, optional, by default the shipped one
     command : bool, add a column with the driver's yaw-rate command where the bus has it, default False
 
     Raises
@@ -92,11 +91,11 @@ class Receiver:
         If a signal has no place on the bus, or nothing compiles here.
     """
 
-    def __init__(self, project: Project, catalogue: Catalogue | None = None, command: bool = False):
+    def __init__(self, project: Project, command: bool = False):
         self.project = project
         self.signals = project.recorded
         if project.can is None:
-            bus = _our_bus(self.signals, catalogue or load_catalogue())
+            bus = _our_bus(self.signals, load_catalogue())
         else:
             bus = _car_bus(self.signals, own_bus(project))
         self._rules = messages_in_order(bus.catalogue)
