@@ -1,7 +1,5 @@
 """The C text of cars' checksums on known frames: public vectors, and frames by the definition."""
 
-from __future__ import annotations
-
 import ctypes
 import os
 import subprocess

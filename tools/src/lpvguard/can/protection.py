@@ -24,8 +24,6 @@ public databases and packers of commaai/opendbc; AUTOSAR_PRS_E2EProtocol.
                          0xFFFF; bytes 0 and 1, low byte first; counter 0 to 255 in byte 2
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 
@@ -40,12 +38,9 @@ class Place:
 
 @dataclass(frozen=True)
 class Protection:
-    """A checksum by name.
-
-    ``bits`` is its width. ``checksum`` and ``counter`` are the places by definition; a negative start counts
-    from the frame's end, and None leaves them to the database. ``counters`` is the number of the counter's
-    values; None is all of its bits. ``data_ids`` is the number of data ids.
-    """
+    """A checksum by name. ``bits`` is its width. ``checksum`` and ``counter`` are the places by definition; a
+    negative start counts from the frame's end, and None leaves them to the database. ``counters`` is the
+    number of the counter's values; None is all of its bits. ``data_ids`` is the number of data ids."""
 
     function: str
     bits: int

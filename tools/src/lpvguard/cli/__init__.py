@@ -4,8 +4,6 @@ Results that machines read go to the file named with --json (``-``: standard out
 to standard error. Nothing is written except where -o or --json says.
 """
 
-from __future__ import annotations
-
 import errno
 import os
 import signal

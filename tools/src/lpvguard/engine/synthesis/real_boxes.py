@@ -75,8 +75,7 @@ class Shift:
     ----------
     structure : Structure
     box : ParameterBox, of the real blocks' parameters, in their order
-    size : float
-        Size of complex blocks, 1/β.
+    size : float, size of complex blocks, 1/β
     """
 
     def __init__(self, structure: Structure, box: ParameterBox, size: float):
@@ -117,18 +116,14 @@ def proved_at(
     Parameters
     ----------
     M : ndarray, shape (Σcols, Σrows)
-    moved : ndarray, shape (Σcols, Σrows)
-        Rounding of its entries.
+    moved : ndarray, shape (Σcols, Σrows), rounding of its entries
     structure : Structure
-    slack : float
-        Share by which the bound should fall below 1; the search ends there.
-    nearby : PointBound or None
-        Scalings to try first.
+    slack : float, share by which the bound should fall below 1; the search ends there
+    nearby : PointBound or None, scalings to try first
 
     Returns
     -------
-    PointBound or None
-        None where the scalings that were found prove nothing.
+    PointBound or None, None where the scalings that were found prove nothing
     """
     if not np.isfinite(M).all():
         return None
@@ -145,10 +140,8 @@ def proved_at(
 
 @dataclass(frozen=True)
 class Part:
-    """A box on frequencies from ``low`` to ``high`` [rad/s], continuous time.
-
-    ``point`` are the scalings that prove it; of a part to be proved, those of a neighbour, if any.
-    """
+    """A box on frequencies from ``low`` to ``high`` [rad/s], continuous time. ``point`` are the scalings that
+    prove it; of a part to be proved, those of a neighbour, if any."""
 
     box: ParameterBox
     low: float
@@ -161,11 +154,9 @@ class Prover:
 
     Parameters
     ----------
-    loop : StateSpace or ndarray
-        A loop in continuous time, or M, shape (Σcols, Σrows), at one frequency.
+    loop : StateSpace or ndarray, a loop in continuous time, or M, shape (Σcols, Σrows), at one frequency
     structure : Structure
-    slack : float
-        As in ``proved_at``.
+    slack : float, as in ``proved_at``
     """
 
     def __init__(self, loop: StateSpace | np.ndarray, structure: Structure, slack: float = 0.0):
@@ -188,12 +179,9 @@ class Prover:
 
         Returns
         -------
-        proved : Part or None
-            None where no scalings were found.
-        rest : list of Part
-            What remains to be proved.
-        omega : float
-            Frequency [rad/s] at which scalings were looked for.
+        proved : Part or None, None where no scalings were found
+        rest : list of Part, what remains to be proved
+        omega : float, frequency [rad/s] at which scalings were looked for
         """
         shift = Shift(self.structure, part.box, 1 / beta)
         centre, M = self._centre(part), None
@@ -216,11 +204,9 @@ class Prover:
         return None, self._halves(part, M), centre
 
     def verified(self, parts: Sequence[Part], beta: float, low: float, high: float) -> bool:
-        """Tell whether ``parts`` prove μ < ``beta`` from ``low`` to ``high`` [rad/s].
-
-        Each part's scalings are tested anew on its box and frequencies, and the parts together contain every
-        Δ of size 1/β at every frequency.
-        """
+        """Tell whether ``parts`` prove μ < ``beta`` from ``low`` to ``high`` [rad/s]. Each part's scalings
+        are tested anew on its box and frequencies, and the parts together contain every Δ of size 1/β at
+        every frequency."""
         for part in parts:
             if part.point is None:
                 return False
