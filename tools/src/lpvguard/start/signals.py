@@ -124,8 +124,9 @@ def ranked(role: str, names: Iterable[str], units: Mapping[str, str] | None = No
             continue
         sure, may = WORDS[role]
         certain = re.search(sure, low) or re.search(sure, without_unit(last, role))
-        path = re.sub(r"[^a-z0-9]+", "_", name.lower())
-        likely = any((re.search(may, low), re.search(OF_PATHS[role], path)))
+        paths = (name.lower(), f"{message}.{without_unit(last, role)}".lower())
+        of_path = (re.search(OF_PATHS[role], re.sub(r"[^a-z0-9]+", "_", path)) for path in paths)
+        likely = bool(re.search(may, low)) or any(of_path)
         if role == "speed":
             likely = likely or bool(units_in_name(last, role))
         stated = _unit(unit, role) is not None
