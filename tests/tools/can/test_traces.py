@@ -128,7 +128,7 @@ def test_an_asc_whose_length_is_not_that_of_its_bytes_is_refused(tmp_path):
     start = "Begin Triggerblock Tue Jun 04 10:00:00.000 am 2024\n   0.000000 Start of measurement\n"
     path.write_text(head + "// version 9.0.0\n" + start + "   0.100000 1  123             Rx   d 8 9B 04\n")
     with pytest.raises(
-        InputError, match="frame 1: cannot be read .ValueError: 2 bytes, where its length says 8"
+        InputError, match=r"frame 1: cannot be read .ValueError: 2 bytes, where its length says 8"
     ):
         read_log(path)
 
@@ -139,6 +139,6 @@ def test_times_between_frames_are_named(tmp_path):
     steps = (0.0, 0.009, 0.001) * 20
     path.write_text("".join(f" ({s:010.6f})  can0  123   [2]  0A {k:02X}\n" for k, s in enumerate(steps)))
     with pytest.raises(
-        InputError, match="times: 39 of 60 go back: .* as candump -t d writes; expected absolute"
+        InputError, match=r"times: 39 of 60 go back: .* as candump -t d writes; expected absolute"
     ):
         read_log(path)
