@@ -12,6 +12,7 @@ import pytest
 
 from lpvguard.base.errors import InputError
 from lpvguard.control import design as stage
+from lpvguard.control.controller_export import export_chosen
 from lpvguard.control.frozen import FrozenProblem
 from lpvguard.control.plants import DesignProblem
 from lpvguard.control.stored_frames import StoredFrames
@@ -150,3 +151,20 @@ def test_further_inputs_are_weighed_by_the_rate_limits(stored):
     rates = np.array(stored.project.design.input_rate_max_per_s)
     sizes = [abs(W.response([3.0])[0, 0, 0]) for W in DesignProblem.of(stored).weights.W_u]
     np.testing.assert_allclose(sizes, sizes[0] * rates[0] / rates)
+
+
+def test_the_compiled_controller_keeps_the_gain_with_members_of_the_set(stored, designed, tmp_path, lpvguard):
+    """The generated folder has no bus, since no message of ours carries the demand."""
+    _, design = designed
+    vehicle = tmp_path / "vehicle"
+    export_chosen(stored, vehicle, design)
+    assert (vehicle / "lpvguard_control.c").is_file() and not (vehicle / "lpvguard_bus.c").exists()
+    given = ("sim", "--members", stored.folder, "--coefficients", vehicle, "--draws", 4)
+    done = lpvguard(*given, "--design", design, "--json", "-")
+    assert done.returncode == 0, done.stderr
+    rows = json.loads(done.stdout)
+    assert len(rows) == 4 and all(row["kept"] and 0 < row["worst"] <= row["bound"] for row in rows)
+    refused = lpvguard(*given)
+    assert refused.returncode == 2 and "--design, --coefficients and no scenario" in refused.stderr
+    refused = lpvguard("sim")
+    assert refused.returncode == 2 and "SCENARIOS: missing" in refused.stderr

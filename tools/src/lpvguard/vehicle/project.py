@@ -99,10 +99,13 @@ class OwnBus(StrictModel):
     ----------
     dbc : str, CAN database beside the project file, which describes the messages
     messages : dict[str, OwnMessage], supervision of each message
+    demand : dict[str, CanPlace], place of each input's demand in a message that a controller sends
+        All inputs or none.
     """
 
     dbc: str
     messages: dict[str, OwnMessage] = Field(default={})
+    demand: dict[str, CanPlace] = Field(default={})
 
 
 class Signal(StrictModel):
@@ -570,8 +573,12 @@ class Project(StrictModel):
         return self
 
     def _require_own_bus(self, bus: OwnBus) -> None:
-        """Require that every message of ``[can]`` carries a signal of the table."""
+        """Require that every message of ``[can]`` carries a signal of the table or a demand."""
+        if bus.demand and sorted(bus.demand) != sorted(s.name for s in self.inputs):
+            names = ", ".join(s.name for s in self.inputs)
+            raise ValueError(f"can.demand: {', '.join(bus.demand)}, expected every input: {names}")
         used = {s.can.message for s in self.signals if s.can is not None}
+        used |= {place.message for place in bus.demand.values()}
         if unknown := sorted(set(bus.messages) - used):
             raise ValueError(f"can.messages: {', '.join(unknown)} named by no signal's can.message")
 

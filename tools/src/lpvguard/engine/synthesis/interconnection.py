@@ -32,10 +32,11 @@ STRUCTURES = ("K_inf", "K_i", "K_is")
 """The paper's uncertainty structures: none, input-multiplicative, input-multiplicative and state."""
 OUTPUTWISE = "K_o"
 """One Δ an output, output-multiplicative."""
-PAPER_PAIRS = ("W_nr", "W_ndelta", "W_wr", "W_wdelta")
-"""The paper's weights of noise and disturbance on yaw rate and road-wheel angle."""
-PAPER_WEIGHTS = ("W_R", "W_C", "W_t", "W_u", *PAPER_PAIRS, "W_delta_i", "W_delta_s")
-"""The ten weights of the paper."""
+PAPER_WEIGHTS = (
+    *("W_R", "W_C", "W_t", "W_u", "W_nr", "W_ndelta", "W_wr", "W_wdelta"),
+    *("W_delta_i", "W_delta_s"),
+)
+"""The ten weights of the paper: yaw rate r and road-wheel angle delta have noise and disturbance each."""
 Terms = dict[str | tuple[str, int], int]
 """A sum: sign of each external input, by name, and of each part's output, as (part, output)."""
 
@@ -86,9 +87,8 @@ class PlantWeights:
     @classmethod
     def of_paper(cls, weights: Mapping[str, StateSpace]) -> PlantWeights:
         """Weights of the paper's vehicle, from their names of PAPER_WEIGHTS."""
-        W = dict(weights)
-        W_u, W_n, W_w = ((*map(W.pop, names),) for names in (["W_u"], PAPER_PAIRS[:2], PAPER_PAIRS[2:]))
-        return cls(**W, W_u=W_u, W_n=W_n, W_w=W_w)
+        R, C, t, u, n_r, n_delta, w_r, w_delta, delta_i, delta_s = (weights[name] for name in PAPER_WEIGHTS)
+        return cls(R, C, t, (u,), (n_r, n_delta), (w_r, w_delta), delta_i, delta_s)
 
     @property
     def n_u(self) -> int:
