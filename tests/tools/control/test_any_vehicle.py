@@ -4,6 +4,8 @@ certificates."""
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -168,3 +170,10 @@ def test_the_compiled_controller_keeps_the_gain_with_members_of_the_set(stored, 
     assert refused.returncode == 2 and "--design, --coefficients and no scenario" in refused.stderr
     refused = lpvguard("sim")
     assert refused.returncode == 2 and "SCENARIOS: missing" in refused.stderr
+
+
+@pytest.mark.long("30 s: a design of its own")
+def test_the_example_prints_mu_over_speed(stored):
+    script = Path(__file__).parents[3] / "tools" / "examples" / "mu_over_speed.py"
+    done = subprocess.run([sys.executable, script, stored.folder], capture_output=True, text=True, check=True)
+    assert len(done.stdout.splitlines()) == 7 and "<= mu <=" in done.stdout

@@ -61,12 +61,15 @@ def shown(drives: list[Drive], Ts: float, speeds: tuple[float, float]) -> Shown:
         for signals in ([d.v for d in drives], [d.u[:, 0] for d in drives], [d.y[:, 0] for d in drives])
     )
     step = max(1, round(RATE_OVER_S / Ts))
-    rates = np.concatenate([np.abs(d.u[step:, 0] - d.u[:-step, 0]) for d in drives]) / (step * Ts)
+    changes = [
+        np.abs(d.u[step:, 0] - d.u[:-step, 0])[k[step:] & k[:-step]]
+        for d, k in zip(drives, inside, strict=True)
+    ]
     return Shown(
         float(r.std()),
         _corner([d.y[:, 0] for d in drives], Ts),
         float(np.quantile(np.abs(u - np.median(u)), REACHED)),
-        float(np.quantile(rates, REACHED)),
+        float(np.quantile(np.concatenate(changes), REACHED)) / (step * Ts),
         float(np.quantile(np.abs(v * r), REACHED)),
         float(np.median(v)),
     )
