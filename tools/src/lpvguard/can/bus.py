@@ -33,6 +33,26 @@ PROPRIETARY_SPN = 520192
 """First number that J1939-73 leaves to manufacturers, for signals without a number of their own."""
 
 
+def sends_demand(project: Project) -> bool:
+    """Whether a vehicle's demand has a place in a message of ours on the CAN catalogue.
+
+    Parameters
+    ----------
+    project : Project
+
+    Returns
+    -------
+    bool, False where the input is measured, has no place, or lies on the car's own bus
+    """
+    place = project.inputs[0].can
+    if project.can is not None or place is None:
+        return False
+    catalogue = load_catalogue()
+    return any(
+        m.name == place.message and m.source_address == catalogue.own_address for m in catalogue.messages
+    )
+
+
 def bus_source(project: Project) -> str:
     """Generate the C text of lpvguard_bus.c.
 

@@ -16,6 +16,7 @@ from .shared import console
 
 if TYPE_CHECKING:
     from ..control.design import Design, LargestA_t
+    from ..control.robust_run import RobustRun
     from ..control.tradeoff import TradeOff
     from ..engine.synthesis.cases import TableRow
     from ..engine.synthesis.table import Cell
@@ -136,6 +137,18 @@ def _estimated(vehicle: dict[str, Any]) -> str:
         f"bias {e['bias']:+.3g}"
         for row in rows
         for e in row["estimates"]
+    )
+
+
+def print_members(runs: Sequence[RobustRun]) -> None:
+    """Ratios of the compiled controller with members of the identified set, beside what is proved."""
+    shown = Table("v m/s", "mu", "members", "largest ratio", "worst member", "in theory", "kept", box=None)
+    for r in runs:
+        numbers = (r.v, r.bound, r.draws, r.sampled, r.worst, r.worst_gain)
+        shown.add_row(*(f"{x:.4g}" for x in numbers), "yes" if r.kept else "NO")
+    console.print(shown)
+    console.print(
+        "ratio of the norms of z and [w; n; r_c] with the compiled controller; at most mu is proved"
     )
 
 

@@ -199,7 +199,8 @@ def first_pass(
             rows.append(_spectra_rows(s, experiment.name, way, reader.estimator))
             yield s
 
-    part = reduce_disturbance(watched(), reader.estimator, nu_ceiling, reader.project.n_y)
+    project = reader.project
+    part = reduce_disturbance(watched(), reader.estimator, nu_ceiling, project.n_y, project.controlled)
     return part, thinned(stacked(rows)), resolution_of(drive, e, reader.estimator)
 
 
