@@ -93,6 +93,7 @@ class Replay:
     judged : ndarray (N,) of bool, the sample lies in a counted frame
     in_range, excited : ndarray (N,) of bool
     falsified : ndarray (N,) of bool, a falsifying frame was judged at the sample
+    pooled : ndarray (N,) of bool, a falsifying pool of frames was judged at the sample
     over : ndarray (N,) of bool, the energy test's ratio is above its threshold
     changed : ndarray (N,) of bool, the change test's ratio is above its threshold
     alarms : list of Alarm, of all tests, in the order of time
@@ -110,6 +111,7 @@ class Replay:
     in_range: np.ndarray  # (N,) bool
     excited: np.ndarray  # (N,) bool
     falsified: np.ndarray  # (N,) bool: with this sample the core judged a frame that falsifies
+    pooled: np.ndarray  # (N,) bool: likewise, by its pool
     over: np.ndarray  # (N,) bool: the energy test's ratio is above its threshold
     changed: np.ndarray  # (N,) bool: the change test's is
     alarms: list[Alarm]  # of all tests, in the order of time
@@ -231,6 +233,7 @@ class Replayer:
     project : Project
     core : Core
     threshold, energy_threshold, change_threshold : float or None, optional
+    pool_scale : ndarray (K, n_y) or None, optional, in the place of that of the coefficients
     """
 
     def __init__(
@@ -241,6 +244,7 @@ class Replayer:
         threshold: float | None = None,
         energy_threshold: float | None = None,
         change_threshold: float | None = None,
+        pool_scale: np.ndarray | None = None,
     ):
         self.project, self.core = project, core
         self.model = NominalModel(project)
@@ -272,7 +276,9 @@ class Replayer:
         for name, value in given.items():
             if value is not None:
                 fields[name][0] = value
-        self._reals = None if set(given.values()) == {None} else reals
+        if pool_scale is not None:
+            fields["pool_scale"][:] = pool_scale
+        self._reals = None if set(given.values()) == {None} and pool_scale is None else reals
         self.threshold, self.energy_threshold, self.change_threshold = (
             float(fields[name][0]) for name in given
         )
@@ -290,8 +296,10 @@ class Replayer:
         frames, Ts, t0 = run.frames, self.project.Ts_s, drive.t[0]
         judged = frames.judged(len(drive.t), t0, Ts, self.estimator.length)
         low, high = self.model.speed_range
-        falsified = np.zeros(len(drive.t), bool)
-        falsified[np.round((frames.t_judged_s[frames.falsified] - t0) / Ts).astype(int)] = True
+        at = np.round((frames.t_judged_s - t0) / Ts).astype(int)
+        falsified, pooled = np.zeros((2, len(drive.t)), bool)
+        falsified[at[frames.falsified & (frames.statistic > self.threshold)]] = True
+        pooled[at[frames.pooled > self.threshold]] = True
         in_range = (drive.v >= low) & (drive.v <= high)
         if drive.missing is not None:
             in_range &= ~drive.missing
@@ -303,6 +311,7 @@ class Replayer:
             in_range,
             self.excited(drive),
             falsified,
+            pooled,
             run.energy > self.energy_threshold,
             run.change > self.change_threshold,
             self.alarms(run, t0),
