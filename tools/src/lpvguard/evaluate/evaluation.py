@@ -30,10 +30,10 @@ from ..identify.calibration import Calibration, Recordings, change_score, energy
 from ..identify.identification import DriveSet, StoredIdentification
 from ..identify.passes import DriveReader
 from ..replay.replayer import Replay, Replayer
-from ..vehicle.project import EvaluationSettings
+from ..vehicle.project import EvaluationSettings, Project
 from .baseline_study import BaselineStudy, evaluate_baselines
 from .causes import DIAGNOSED_S, CauseOutcome, CauseOutcomes, cause_table
-from .comparison import EXPORTED, LEFT_ONE_OUT, MONITOR, duels
+from .comparison import EXPORTED, LEFT_ONE_OUT, MONITOR, POOLS, duels
 from .detection import (
     FaultOutcome,
     Injection,
@@ -44,7 +44,7 @@ from .detection import (
     refutable,
 )
 from .false_alarms import alarmed_pieces, alarming, false_alarms, piece_starts
-from .judged_drives import FLOORS, POOLS, JudgedDrives, calibrations_of, joint_thresholds
+from .judged_drives import FLOORS, JudgedDrives, calibrations_of, joint_thresholds
 
 FEWEST_FOR_BASELINES = 2
 """Fewest calibration drives: a baseline has no natural threshold, so one must remain when a drive is left
@@ -66,28 +66,13 @@ def _evaluate_drive(
     Recordings and calibrations are the drive's own. A drive without qualified stretches has no outcomes.
     """
     experiment, recordings, calibrations, pool_scale = item
-    project, thresholds = reader.project, {what: c.threshold for what, c in calibrations.items()}
-    # The core compares a pool with the threshold of frames.
-    unit = thresholds["frame"] / thresholds.get(POOLS, thresholds["frame"])
-    together, apart = (
-        Replayer(
-            project,
-            core,
-            threshold=frame,
-            energy_threshold=energy,
-            change_threshold=change,
-            pool_scale=None if pool_scale is None else scale * pool_scale,
-        )
-        for (frame, energy, change), scale in (
-            (joint_thresholds(thresholds[MONITOR]), 1.0),
-            ([thresholds[t] for t in TESTS], unit),
-        )
-    )
+    together, apart = _replayers(reader.project, core, calibrations, pool_scale)
     detectors = {
         MONITOR: (together, None),
         EXPORTED: (apart, None),
         **{test: (apart, test) for test in calibrations if test != MONITOR},
     }
+    project = reader.project
     drive, Ts = reader.read(experiment)[0], project.Ts_s
     untouched = {replayer: replayer.replay(drive) for replayer in (together, apart)}
     replay, injected = untouched[together], list(injection.into(untouched[together], project.seed))
@@ -126,6 +111,29 @@ def _evaluate_drive(
     if core.diagnoses:
         causes |= _further_causes(apart, injection, drive, untouched[apart])
     return row, found, causes
+
+
+def _replayers(
+    project: Project, core: Core, calibrations: dict[str, Calibration], pool_scale: np.ndarray | None
+) -> list[Replayer]:
+    """Replayers with the joint threshold, and with one a test; ``pool_scale`` is that of a ratio of 1."""
+    thresholds = {what: c.threshold for what, c in calibrations.items()}
+    # The core compares a pool with the threshold of frames.
+    unit = thresholds["frame"] / thresholds.get(POOLS, thresholds["frame"])
+    return [
+        Replayer(
+            project,
+            core,
+            threshold=frame,
+            energy_threshold=energy,
+            change_threshold=change,
+            pool_scale=None if pool_scale is None else scale * pool_scale,
+        )
+        for (frame, energy, change), scale in (
+            (joint_thresholds(thresholds[MONITOR]), 1.0),
+            ([thresholds[t] for t in TESTS], unit),
+        )
+    ]
 
 
 def _identity(experiment: Experiment, recordings: Recordings) -> dict[str, str]:

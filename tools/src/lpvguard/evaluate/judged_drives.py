@@ -22,10 +22,8 @@ from ..drives.tables import Experiment, list_experiments, table_hashes
 from ..identify.calibration import ROUNDING, Calibration, Recordings, calibrate, joint_scores
 from ..identify.change import FLOOR, calibrated_change
 from ..identify.identification import DriveSet, StoredIdentification
-from .comparison import HELD_OUT, LEFT_ONE_OUT, MONITOR
+from .comparison import HELD_OUT, LEFT_ONE_OUT, MONITOR, POOLS
 
-POOLS = "pools"
-"""Name of the frame test's pools, which have a threshold of their own."""
 FLOORS = {"frame": 1.0, "energy": 1.0 + ROUNDING, "change": FLOOR, POOLS: 1.0}
 """Least threshold of each test."""
 SAW = {"bounds": "set the bounds", "calibration": "calibrated", "noise": "set the noise"}

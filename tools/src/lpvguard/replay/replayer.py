@@ -60,6 +60,10 @@ class Alarm:
     band : str or None, of core.band_names
     output, part : str or None, of the change test; part of core.CHANGE_PARTS
     estimate : ChangeEstimate or None
+    pooled : float or None, ratio of the pool of a frame alarm
+    beyond : str or None
+        "disturbance" where a vehicle without response would not have alarmed, else "model"; None for the
+        change test.
     """
 
     t_s: float
@@ -79,6 +83,13 @@ class Alarm:
     output: str | None = None
     part: str | None = None
     estimate: ChangeEstimate | None = None
+    pooled: float | None = None
+    beyond: str | None = None
+
+
+def _beyond(evidence: float, threshold: float) -> str:
+    """Word for the bound that an alarm refutes (THEORY 7.4)."""
+    return "model" if evidence > threshold else "disturbance"
 
 
 @dataclass(frozen=True)
@@ -360,6 +371,8 @@ class Replayer:
                 self.B_w[frames.bin[i]].tolist(),
                 frames.E[i].tolist(),
                 frames.Z[i].tolist(),
+                pooled=float(frames.pooled[i]),
+                beyond=_beyond(float(frames.evidence[i]), self.threshold),
             )
             for i in np.flatnonzero(frames.falsified)
         ]
@@ -384,6 +397,7 @@ class Replayer:
                 found.Z[i].real.tolist(),
                 self.directions[direction].tolist(),
                 self.bands[band],
+                beyond=_beyond(float(found.evidence[i]), self.energy_threshold),
             )
             for i, (band, direction) in enumerate(places)
         ]

@@ -15,6 +15,7 @@ from ...evaluate.comparison import (
     HELD_OUT,
     LEFT_ONE_OUT,
     MONITOR,
+    POOLS,
     REFUTABLE_HEAD,
     DetectorColumn,
     alarm_rows,
@@ -40,6 +41,7 @@ TEST_TITLES = {
     "frame": "frame test",
     "energy": "energy test",
     "change": "change test",
+    POOLS: "pools of frames",
 }
 
 
