@@ -22,6 +22,7 @@ from .bounds import Bounds
 from .change import ChangeTest
 from .energy import UNBOUNDED, EnergyTest
 from .healthy import HealthySet
+from .pools import Pools
 
 DC_STAND_IN = 0.1
 """Fraction of the lowest bin's frequency at which DC's bound stands on a logarithmic axis."""
@@ -468,10 +469,11 @@ def coefficients_of(
     threshold: float,
     energy: EnergyTest,
     change: ChangeTest,
+    pools: Pools | None = None,
 ) -> Coefficients:
-    """Coefficients of the core for these weights."""
+    """Coefficients of the core for these weights; without ``pools`` these have no bounds."""
     return build_coefficients(
-        project, model, estimator, *weights.of_core(estimator.omega), threshold, energy, change
+        project, model, estimator, *weights.of_core(estimator.omega), threshold, energy, change, pools
     )
 
 
