@@ -472,6 +472,7 @@ def print_campaign(summary: dict[str, Any]) -> None:
     _print_detection(summary)
     _print_invisible(summary)
     _print_bus(summary)
+    console.print(f"GUARD_IN {summary['command_authentication']}")
     for text in summary["missed"]:
         console.print(f"missed: {text}")
 
