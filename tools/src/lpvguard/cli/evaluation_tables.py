@@ -24,6 +24,7 @@ def print_evaluation(result: dict[str, Any]) -> None:
         columns,
     )
     from ..evaluate.false_alarms import PIECE_S
+    from ..evaluate.summary import summary
 
     alarms = Table(*ALARM_HEAD, box=None)
     for cells in alarm_rows(result):
@@ -56,6 +57,9 @@ def print_evaluation(result: dict[str, Any]) -> None:
     else:
         console.print("no baselines: too few drives calibrate them")
     _print_causes(result)
+    console.print()
+    for line in summary(result):
+        console.print(line, markup=False)
 
 
 def _print_causes(result: dict[str, Any]) -> None:

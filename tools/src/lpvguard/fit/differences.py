@@ -1,7 +1,7 @@
 """Parameters of each drive and of each day beside those of all: do they differ by more than their errors?
 
-A drive's own parameters follow from those of all by one Gauss-Newton step on its whitened residuals, and
-those of a day on the residuals of its drives. Their errors come from scores over short blocks.
+A drive's own parameters follow from those of all by one Gauss-Newton step on its whitened residuals. A day's
+step takes the residuals of all its drives. The errors come from scores over short blocks.
 """
 
 from __future__ import annotations

@@ -239,11 +239,18 @@ def _step_of(series: Series) -> float:
     t, value = series.t_ns[ok] * 1e-9, series.value[ok]
     if len(t) < 2:
         return np.inf
-    changes = np.flatnonzero(np.diff(value) != 0) + 1
+    jumps = np.abs(np.diff(value))
+    changes = np.flatnonzero(jumps) + 1
     between, usual = np.diff(t[changes]), float(np.median(np.diff(t)))
     driven = between[between <= LONGEST_STEP_S]
-    held = len(driven) > MANY_CHANGES and float(np.median(driven)) > 1.5 * usual
-    return float(np.median(driven)) if held else usual
+    if len(driven) <= MANY_CHANGES or _is_coarse(jumps[jumps > 0]):
+        return usual
+    return float(np.median(driven)) if float(np.median(driven)) > 1.5 * usual else usual
+
+
+def _is_coarse(jumps: np.ndarray) -> bool:
+    """Return whether a signal mostly changes by its resolution, and stands for want of it."""
+    return bool(np.median(jumps) < 1.5 * np.quantile(jumps, 0.05))
 
 
 def _measured(value: np.ndarray) -> np.ndarray:
@@ -288,18 +295,27 @@ def _signal_map(
     ]
     for role in ROLES:
         p = proposals[role]
-        message, _, signal = p.name.rpartition(".")
         lines += ["", *(_comment(sentence) for sentence in p.why), f"[columns.{COLUMNS[role]}]"]
-        lines += [
-            f'unit = "{SI[role]}"',
-            *([f"message = {_quoted(message)}"] if message else []),
-            f"signal = {_quoted(signal)}",
-            *([f"sign = {_quoted(sign_bit[p.name])}"] if p.name in sign_bit else []),
-        ]
-        lines += [f"source_unit = {_quoted(p.unit)}", f"factor = {p.factor!r}"]
-        lines += [f"min = {limits[role][0]:g}      # samples beyond are spikes, and left out"]
-        lines += [f"max = {limits[role][1]:g}"]
+        lines += [f'unit = "{SI[role]}"']
+        terms = [_term(p, name, sign_bit) for name in (p.name, *p.plus)]
+        if p.plus:  # a sum has no limits
+            lines += ["terms = [", *(f"    {{ {', '.join(term)} }}," for term in terms), "]"]
+        else:
+            lines += [*terms[0], f"min = {limits[role][0]:g}      # samples beyond are spikes, and left out"]
+            lines += [f"max = {limits[role][1]:g}"]
     return "\n".join(lines) + "\n"
+
+
+def _term(p: Proposal, name: str, sign_bit: dict[str, str]) -> list[str]:
+    """Keys of a signal of the log in a signal map."""
+    message, _, signal = name.rpartition(".")
+    return [
+        *([f"message = {_quoted(message)}"] if message else []),
+        f"signal = {_quoted(signal)}",
+        *([f"sign = {_quoted(sign_bit[name])}"] if name in sign_bit else []),
+        f"source_unit = {_quoted(p.unit)}",
+        f"factor = {p.factor!r}",
+    ]
 
 
 def _sign_bits_of(database: Database) -> dict[str, str]:
