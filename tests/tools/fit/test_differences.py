@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from known_car import SPEEDS, KnownCar
-from lpvguard.fit.differences import day_of, differences, outlook
+from lpvguard.drives.tables import day_of
+from lpvguard.fit.differences import differences, outlook
 from lpvguard.fit.estimate import Fit
 from lpvguard.fit.unknowns import Unknowns
 from lpvguard.vehicle.project import load_project

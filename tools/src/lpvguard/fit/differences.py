@@ -6,13 +6,13 @@ step takes the residuals of all its drives. The errors come from scores over sho
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.stats import chi2
 
+from ..drives.tables import day_of
 from .estimate import Estimate, Fit
 from .unknowns import DELAY
 
@@ -26,7 +26,6 @@ LEAST = 0.05
 """Least difference that counts, as a share of the value; of a delay, half a sample."""
 WORST_CONDITION = 1e12
 """Condition of a drive's normal equations beyond which it cannot tell its parameters apart."""
-_DATE = re.compile(r"(20\d\d)[-_.]?([01]\d)[-_.]?([0-3]\d)")
 _ALPHAS = (0.2, 0.1, 0.05, 0.02, 0.01)
 
 
@@ -82,26 +81,6 @@ def differences(fit: Fit, estimate: Estimate, groups: Mapping[str, str]) -> list
         ]
         said += _sentences(what, own, names, least)
     return said
-
-
-def day_of(name: str) -> str:
-    """Return the date in a drive's name.
-
-    Parameters
-    ----------
-    name : str
-
-    Returns
-    -------
-    str, as 2026-04-22; empty without one
-
-    Examples
-    --------
-    >>> day_of("rl_2026-04-22_03-36-39"), day_of("20251010T0511"), day_of("run_7")
-    ('2026-04-22', '2025-10-10', '')
-    """
-    found = _DATE.search(name)
-    return "-".join(found.groups()) if found else ""
 
 
 def _own(fit: Fit, name: str, theta: np.ndarray, parts: list[tuple[np.ndarray, np.ndarray]]) -> _Own | None:
