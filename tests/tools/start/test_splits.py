@@ -32,6 +32,19 @@ def test_each_day_and_each_surface_is_in_both_halves():
         assert sorted(halves) == ["train", "train", "valid", "valid"]
 
 
+def test_a_day_in_one_half_alone_gives_a_recording_of_about_its_speed():
+    speeds = drives(8)
+    days = {n: ("2025-01-01", "2025-02-03")[k % 2] for k, n in enumerate(speeds)}
+    splits = splits_of(speeds, {n: n for n in speeds}, days)
+    for name in set(days.values()):
+        assert Counter(splits[n] for n in speeds if days[n] == name) in (
+            {"train": 3, "valid": 1},
+            {"train": 1, "valid": 3},
+        )
+    changed = [k for k, n in enumerate(speeds) if splits[n] != ("train", "valid")[k % 2]]
+    assert len(changed) == 2 and abs(changed[0] - changed[1]) == 1
+
+
 def test_drives_of_a_recording_stay_together_and_a_single_recording_is_parted():
     speeds = drives(4)
     together = splits_of(speeds, {"r00": "a", "r01": "a", "r02": "b", "r03": "b"}, {})

@@ -1,4 +1,4 @@
-"""Which recordings set the bounds, and which calibrate: both halves have all surfaces, days and speeds."""
+"""Which recordings set the bounds, and which calibrate: both halves have all speeds, days and surfaces."""
 
 from __future__ import annotations
 
@@ -44,10 +44,11 @@ def day(name: str, start_s: float) -> str:
 def splits_of(
     speeds: Mapping[str, np.ndarray], names: Mapping[str, str], days: Mapping[str, str]
 ) -> dict[str, str]:
-    """Propose train or valid for each drive: every second recording in the order of surface, day and speed.
+    """Propose train or valid for each drive: every second recording, by mean speed, sets the bounds.
 
     Where the half that calibrates is short of CALIBRATING recordings, it gets as many if LEAST_SETTING remain
-    for the bounds. A single recording is split by its drives.
+    for the bounds. A day or surface that one half has alone gives a recording for one of the same speed. A
+    single recording is split by its drives.
 
     Parameters
     ----------
@@ -60,15 +61,43 @@ def splits_of(
     dict[str, str], by drive
     """
     by = dict(names) if len(set(names.values())) > 1 else {n: n for n in names}
-
-    def place(recording: str) -> tuple[str, str, float, str]:
-        surface = SURFACE.search(recording.lower())
-        mean = float(np.concatenate([v for n, v in speeds.items() if by[n] == recording]).mean())
-        return surface[1] if surface else "", days.get(recording, ""), mean, recording
-
-    order = sorted(set(by.values()), key=place)
+    means = {
+        r: float(np.concatenate([v for n, v in speeds.items() if by[n] == r]).mean())
+        for r in set(by.values())
+    }
+    order = sorted(means, key=lambda r: (means[r], r))
     setting = set(order[::2])
     if len(order) // 2 < CALIBRATING <= len(order) - LEAST_SETTING:
         picked = np.linspace(0, len(order) - 1, len(order) - CALIBRATING).round().astype(int)
         setting = {order[k] for k in picked}
+    setting = _with_each_in_both(order, setting, {r: (_surface(r), days.get(r, "")) for r in order})
     return {n: "train" if by[n] in setting else "valid" for n in names}
+
+
+def _surface(recording: str) -> str:
+    """Surface that a recording's name tells; empty without one."""
+    found = SURFACE.search(recording.lower())
+    return found[1] if found else ""
+
+
+def _with_each_in_both(order: list[str], setting: set[str], kinds: Mapping[str, tuple[str, str]]) -> set[str]:
+    """Recordings that set the bounds, so that every kind with two recordings or more is in both halves.
+
+    ``order`` is that of speed; ``kinds`` holds surface and day by recording.
+    """
+    halves = {r: r in setting for r in order}
+
+    def alone(kind: tuple[str, str], half: bool) -> int:
+        return sum(kinds[r] == kind and halves[r] == half for r in order)
+
+    for kind in sorted(set(kinds.values())):
+        mine = [r for r in order if kinds[r] == kind]
+        if len(mine) < 2 or 0 < alone(kind, True) < len(mine):
+            continue
+        given = mine[len(mine) // 2]
+        half = halves[given]
+        others = [r for r in order if halves[r] != half and alone(kinds[r], not half) > 1]
+        if others:
+            taken = min(others, key=lambda r: (abs(order.index(r) - order.index(given)), r))
+            halves[given], halves[taken] = not half, half
+    return {r for r in order if halves[r]}
