@@ -1,7 +1,5 @@
 """Files that others wrote, damaged: a reader answers or refuses with what, where and what was expected."""
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess

@@ -3,8 +3,6 @@
 Checksums are compared with autosar-e2e, and with formulas written down here from their definitions.
 """
 
-from __future__ import annotations
-
 from itertools import groupby
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A stranger's logs become a project and drives: names, units and signs are found; what is wrong is said."""
 
-from __future__ import annotations
-
 import os
 import sys
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Generates lpvguard_bus.c (lib/include/lpvguard/bus.h): the signal table on the CAN catalogue."""
 
-from __future__ import annotations
-
 from ..base.errors import InputError
 from ..vehicle.project import CanPlace, Project
 from .catalogue import BusSignal, Catalogue, Message, load_catalogue
@@ -35,13 +33,12 @@ PROPRIETARY_SPN = 520192
 """First number that J1939-73 leaves to manufacturers, for signals without a number of their own."""
 
 
-def bus_source(project: Project, catalogue: Catalogue | None = None) -> str:
+def bus_source(project: Project) -> str:
     """Generate the C text of lpvguard_bus.c.
 
     Parameters
     ----------
     project : Project
-    catalogue : Catalogue, optional, by default the shipped one
 
     Returns
     -------
@@ -52,7 +49,7 @@ def bus_source(project: Project, catalogue: Catalogue | None = None) -> str:
     InputError
         If a signal has no usable place on the bus; it names the signal.
     """
-    catalogue = catalogue or load_catalogue()
+    catalogue = load_catalogue()
     where = f"vehicle {project.name}"
     report = _report_message(project, catalogue, where)
     values: dict[str, list[str]] = {}

@@ -48,10 +48,8 @@ _ROUNDING = 0.5
 @dataclass(frozen=True)
 class Carried:
     """A signal of the car, or its upper or lower half, and the one of the catalogue that carries its bits.
-
     ``flip`` holds the raw bits to invert, so that the value is unsigned and rises with the physical one.
-    ``sign`` is the bit that tells the sign of a magnitude, which then counts from the middle of the range.
-    """
+    ``sign`` is the bit that tells the sign of a magnitude, which then counts from the middle of the range."""
 
     name: str
     car: Bits
@@ -63,10 +61,8 @@ class Carried:
 @dataclass(frozen=True)
 class CarriedMessage:
     """A message of the car, ours that carries it, and the places of its checksum and counter.
-
     ``checksum_name`` is None without one. ``counters`` is the number of the counter's values.
-    ``any_priority`` marks a J1939 group.
-    """
+    ``any_priority`` marks a J1939 group."""
 
     car: CarMessage
     ours: Message
@@ -342,10 +338,8 @@ def _halves(signal: CarSignal) -> tuple[Place, Place]:
 
 
 def _accepted(signal: CarSignal, low: float, high: float) -> dict[str, float] | None:
-    """Range of the database, whose ends are rounded, within the raw values' reach ``low`` to ``high``.
-
-    None where it states no range that can be meant.
-    """
+    """Range of the database, whose ends are rounded, within the raw values' reach ``low`` to ``high``. None
+    where it states no range that can be meant."""
     if signal.minimum is None or signal.maximum is None or not signal.minimum < signal.maximum:
         return None
     if why := contradicting_range(signal):
@@ -357,10 +351,8 @@ def _accepted(signal: CarSignal, low: float, high: float) -> dict[str, float] | 
 
 
 def _protection(car: CarMessage, settings: OwnMessage, where: str) -> tuple[Bits | None, Bits | None, int]:
-    """Places of checksum and counter, None without one, and the number of the counter's values.
-
-    Raises InputError where the settings do not fit the message.
-    """
+    """Places of checksum and counter, None without one, and the number of the counter's values. Raises
+    InputError where the settings do not fit the message."""
     place = f"can.messages.{car.name}"
     named = _named(car, settings.counter, "COUNTER", f"{place}.counter", where)
     if settings.checksum is None:

@@ -29,8 +29,6 @@ public databases and packers of commaai/opendbc; AUTOSAR_PRS_E2EProtocol.
                          0xFFFF; bytes 0 and 1, low byte first; counter 0 to 255 in byte 2
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 

@@ -115,10 +115,7 @@ def _runs(
 
 
 def _kept(
-    out: Path,
-    simulator: Simulator,
-    scenarios: list[Scenario],
-    run: Callable[[Path], list[dict[str, Any]]],
+    out: Path, simulator: Simulator, scenarios: list[Scenario], run: Callable[[Path], list[dict[str, Any]]]
 ) -> list[dict[str, Any]]:
     """The runs, with the folder of their logs, telemetry and results.json at ``out``."""
     with artefacts.new_folder(out, "sim", simulator.project.name) as folder:

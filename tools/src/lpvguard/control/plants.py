@@ -1,8 +1,6 @@
 """Fig. 1 of an identified vehicle: its settings, its weights and the generalised plant at a frozen speed.
-
 Everything is discrete from the start: the vehicle sampled exactly at Ts, the weights by Tustin's map. The
-model's input delay is whole samples before the vehicle; the performance weight W_u has no delay.
-"""
+model's input delay is whole samples before the vehicle; the performance weight W_u has no delay."""
 
 from __future__ import annotations
 
@@ -117,11 +115,8 @@ class DesignProblem:
 
     def state_uncertainty(self) -> SplitWeights:
         """Class S2's weights at the identified gamma_w: W_delta_i dimensionless, W_delta_s in 1/s; searched
-        once for each lambda_s.
-
-        xi_s adds to the state's derivative. It is found by inverting dynamics, which windows only
-        approximate: InputError where the frames cannot tell it.
-        """
+        once for each lambda_s. xi_s adds to the state's derivative. It is found by inverting dynamics, which
+        windows only approximate: InputError where the frames cannot tell it."""
         stored, lambda_s = self.stored, self.settings.lambda_s
         error = stored.bounds["window_error_median"]
         worst = int(np.nanargmax(error))
@@ -143,11 +138,9 @@ class DesignProblem:
 
     @cached_property
     def weights(self) -> fig1.PlantWeights:
-        """Weights of Fig. 1: some from the settings, the others as identified.
-
-        Raises InputError without drives of the noise split. It also raises InputError when identification and
-        design differ in uncertainty. S1_diagonal goes with K_o, S1 with K_i and K_is, and K_inf with each.
-        """
+        """Weights of Fig. 1: some from the settings, the others as identified. Raises InputError without
+        drives of the noise split. It also raises InputError when identification and design differ in
+        uncertainty. S1_diagonal goes with K_o, S1 with K_i and K_is, and K_inf with each."""
         stored, settings, fitted = self.stored, self.settings, self.stored.fitted
         outputwise = settings.structure == fig1.OUTPUTWISE
         if settings.structure != "K_inf" and outputwise != (len(fitted.W_delta) > 1):

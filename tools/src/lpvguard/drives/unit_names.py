@@ -5,8 +5,6 @@ loggers use in a sense of their own come first ("grad" is a degree in German, "m
 package pint reads all other spellings.
 """
 
-from __future__ import annotations
-
 import re
 from functools import cache
 from itertools import product

@@ -1,10 +1,6 @@
-"""Identify speed, steering and yaw rate among a log's signals, by name, then by the data's unit and sign.
-
-A unit that the log or its database states counts first, then one in the name (`drives/unit_names.py`). What
-is left open is decided by physics (`readings.py`), or asked.
-"""
-
-from __future__ import annotations
+"""Identify speed, steering and yaw rate among a log's signals, by name, then by the data's unit and sign. A
+unit that the log or its database states counts first, then one in the name (`drives/unit_names.py`). What is
+left open is decided by physics (`readings.py`), or asked."""
 
 import re
 from collections.abc import Iterable, Mapping
@@ -73,11 +69,7 @@ OTHERS_MESSAGE = re.compile(
 """In names of messages that carry a signal for another purpose."""
 WHAT = {"speed": "speed", "input": "steering angle", "output": "yaw rate"}
 """By role: what its signal measures."""
-GUESSED_UNITS = {
-    "speed": ("m/s", "km/h", "mph"),
-    "input": ("rad", "deg"),
-    "output": ("rad/s", "deg/s"),
-}
+GUESSED_UNITS = {"speed": ("m/s", "km/h", "mph"), "input": ("rad", "deg"), "output": ("rad/s", "deg/s")}
 """Units of a signal whose log and name state none."""
 RATE_OF = {"deg": "deg/s", "rad": "rad/s", "mrad": "mrad/s"}
 """A yaw rate whose unit leaves the second out."""
@@ -94,9 +86,8 @@ LEAST_SAMPLES = 20
 
 @dataclass(frozen=True)
 class Recording:
-    """Signals of one log on one time axis: t (N,) [s], values (N,) by name, and units ("" if unknown).
-
-    A value is NaN where a signal has none yet or no more."""
+    """Signals of one log on one time axis: t (N,) [s], values (N,) by name, and units ("" if unknown). A
+    value is NaN where a signal has none yet or no more."""
 
     name: str
     t: np.ndarray
@@ -158,11 +149,8 @@ def proposed(
     known: Known,
     units: Mapping[str, str | None] | None = None,
 ) -> dict[str, Proposal]:
-    """A signal a role, of those that all recordings hold.
-
-    ``chosen``, ``units``: role -> name and unit that the user states, or None. InputError where nothing fits
-    a role, or where units cannot be told.
-    """
+    """A signal a role, of those that all recordings hold. ``chosen``, ``units``: role -> name and unit that
+    the user states, or None. InputError where nothing fits a role, or where units cannot be told."""
     common = [n for n in recordings[0].values if all(n in r.values for r in recordings)]
     names, why = {}, {}
     for role in ROLES:

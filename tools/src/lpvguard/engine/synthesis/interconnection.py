@@ -272,11 +272,9 @@ def generalised_plant(
 def _parts(
     A: np.ndarray, B: np.ndarray, weights: PlantWeights, structure: str, dt: float, delay: int
 ) -> dict[str, StateSpace]:
-    """The systems of Fig. 1 by name, sampled where ``dt`` > 0.
-
-    The vehicle goes from [ũ; an input on every state] to [r; δ; x]. W_delta_s acts on every state. The
-    weights of Δ that the structure does not have are left out, as the delay is where it is 0.
-    """
+    """The systems of Fig. 1 by name, sampled where ``dt`` > 0. The vehicle goes from [ũ; an input on every
+    state] to [r; δ; x]. W_delta_s acts on every state. The weights of Δ that the structure does not have are
+    left out, as the delay is where it is 0."""
     n = len(A)
     channels = {
         "W_delta_i": int(structure in ("K_i", "K_is")),
