@@ -18,6 +18,7 @@ def print_evaluation(result: dict[str, Any]) -> None:
     from ..core.compiled import TESTS
     from ..evaluate.comparison import ALARM_HEAD, CALIBRATED, MONITOR, alarm_rows, columns
     from ..evaluate.false_alarms import PIECE_S
+    from ..evaluate.summary import summary
 
     alarms = Table(*ALARM_HEAD, box=None)
     for cells in alarm_rows(result):
@@ -50,6 +51,9 @@ def print_evaluation(result: dict[str, Any]) -> None:
     else:
         console.print("no baselines: too few drives calibrate them")
     _print_causes(result)
+    console.print()
+    for line in summary(result):
+        console.print(line, markup=False)
 
 
 def _print_causes(result: dict[str, Any]) -> None:

@@ -230,6 +230,9 @@ def print_fit(result: FittedModel) -> None:
         console.print(line)
     for text in result.findings:
         console.print(f"finding: {text}")
+    for text in result.differences:
+        console.print(f"warning: {text}", markup=False)
+    console.print(result.outlook)
     for name, why in result.left_out.items():
         if why not in result.findings:
             console.print(f"left out: {name}: {why}", markup=False)
