@@ -1,17 +1,5 @@
-"""Stage 5: scales of the diagnosis, from the error of healthy vehicles (THEORY 7.9;
-lib/include/lpvguard/diagnosis.h).
-
-    e_j = theta_1 yhat_j - theta_2 dyhat_j/dt + theta_3 + theta_4 yhat_j |yhat_j| + residue             (T38)
-
-by least squares over WINDOW_S of settled blocks. Every number comes from drives that set the bounds. The
-covariance of a healthy theta is that of a random effect, by expectation and maximisation. It is the variation
-of the estimates from window to window beyond their own standard errors. Theta then has the covariance spread
-+ errors. Both are enlarged until 95 % of a drive's windows lie within the 95 % region of the other drives.
-
-A drive keeps a share of the spread: past values of theta predict future ones. The share comes from KEPT. It
-must put 95 % of the windows within the 95 % region, by the spread of the other drives. Among such shares it
-is that with the likeliest windows, each given the past of its drive.
-"""
+"""Stage 5: scales of the diagnosis (T38; THEORY 7.9), from the errors of healthy vehicles over WINDOW_S of
+settled blocks. A drive keeps a share of the spread, one of KEPT."""
 
 from __future__ import annotations
 

@@ -1,18 +1,5 @@
 """Healthy set: W_delta and B_w of the frame test, bin by bin, as sharp as drives like these allow (THEORY
-7.16).
-
-The certificate set contains the vehicle at every speed and amplitude. It is too wide to see small faults. The
-healthy set holds every frame of the drives that set the bounds. It is the pair (W_delta, B_w) of this kind
-that shows the smallest gain error at typical excitation. It lies within the certificate set. Whatever refutes
-the certificate set therefore refutes the healthy set, too.
-
-For a candidate W_delta, drive d needs B_d(W_delta), the largest remainder. One drive is left out at a time.
-The least factor s with which the other drives' pair holds this drive obeys ``B_d(s W_delta) <= s B_w``. A
-further drive can have the typical model error of the band. It then needs at most the sum of two parts. One is
-the remainder in addition to that error. The other is the excess of that error over W_delta at the strongest
-excitation. Pairs are compared by what they see after the largest of these factors. Factors also make bins
-comparable: a bin that few frames bound gets the larger factor.
-"""
+7.16)."""
 
 from __future__ import annotations
 

@@ -450,7 +450,10 @@ def _text(
     grid: tuple[float, float],
     excited: float,
 ) -> str:
-    """The project file without F_MAX. Length: one file, in its order."""
+    """The project file without F_MAX.
+
+    Length: one file, in its order.
+    """
     lines = [
         f'# Project file of the vehicle "{name}", proposed from its logs by `lpvguard new`. Change what you',
         "# know better: every error names key and place. Next: lpvguard fit, then identify with its file.",
