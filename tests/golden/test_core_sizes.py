@@ -228,7 +228,7 @@ def test_sizes_beyond_are_refused_by_the_compiler_with_their_name(name, value, m
     source.write_text((folder / source.name).read_text())
     done = subprocess.run(
         [
-            native.find_compiler(cxx=False),
+            *native.find_compiler(cxx=False),
             "-std=c99",
             "-fsyntax-only",
             "-I",

@@ -22,7 +22,7 @@ RACE = "#include <thread>\nint n; int main() { std::thread a([] { ++n; }); ++n; 
 @pytest.fixture(scope="module")
 def sanitized():
     """Environment in which `native` compiles with the sanitizer; skipped where it finds no planted race."""
-    compiler = native.find_compiler(cxx=True)
+    (compiler,) = native.find_compiler(cxx=True)
     wrapper = native.cache_dir() / "thread-sanitizer-c++"  # a place that stays, because it is hashed
     new = wrapper.with_suffix(f".{os.getpid()}")
     new.write_text(f'#!/bin/sh\nexec "{compiler}" "$@" -O1 -g1 -fsanitize=thread\n')

@@ -26,7 +26,7 @@ from .catalogue import E2E_BITS, OWN_NODE, BusSignal, Catalogue, Message
 from .codegen import ANY_PRIORITY
 from .decode import contradicting_range, is_j1939, load_database, signal_pieces
 from .logs import EXTENDED
-from .protection import CANFD_LENGTHS, PROTECTIONS, Place, Protection
+from .protection import PROTECTIONS, Place, Protection
 
 if TYPE_CHECKING:  # cantools takes long to import
     from cantools.database.can import Database
@@ -323,9 +323,9 @@ def _require_fit(kind: Protection, checksum: Bits, car: CarMessage, settings: Ow
             f"the checksum has {checksum.length} bits from bit {checksum.start} on",
             f"{kind.bits} bits within {max(kind.bits // 8, 1)} byte(s) of the frame for {settings.checksum}",
         )
-    if settings.checksum == "hyundai_canfd" and car.length not in CANFD_LENGTHS:
+    if kind.lengths and car.length not in kind.lengths:
         raise InputError(
-            where, place, f"{car.length} bytes", f"a frame of {', '.join(map(str, CANFD_LENGTHS))} bytes"
+            where, place, f"{car.length} bytes", f"a frame of {', '.join(map(str, kind.lengths))} bytes"
         )
     given = settings.data_id
     count = len(given) if isinstance(given, list) else 0 if given is None else 1

@@ -18,6 +18,7 @@ from ..base.errors import InputError, InputWarning
 from ..base.system import ENDING_SIGNALS, open_standard_streams
 from . import (  # noqa: F401 - each adds its verb; sections.py has their order in --help
     a2l,
+    arxml,
     bench,
     campaign,
     completion,
@@ -64,6 +65,7 @@ MAY_IMPORT = (
     "live",
     "problems",
     "fmu",
+    "arxml",
     "bench",
 )
 

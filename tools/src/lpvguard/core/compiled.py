@@ -8,6 +8,7 @@ import ctypes
 import os
 import shutil
 import subprocess
+import sys
 import tempfile
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -127,8 +128,21 @@ def shipped_vehicle(name: str) -> Path:
     return folder
 
 
+EIGEN_PREFIXES = ("/usr", "/usr/local", "/opt/homebrew")
+
+
 def eigen_include() -> str:
-    """Include folder of Eigen 3. Raises NativeError when there is none."""
+    """Find Eigen 3: that of the system, or that of the Python package cmeel-eigen.
+
+    Returns
+    -------
+    str, folder to include
+
+    Raises
+    ------
+    NativeError
+        If there is none.
+    """
     if shutil.which("pkg-config"):
         found = subprocess.run(
             ["pkg-config", "--variable=includedir", "eigen3"], capture_output=True, text=True, check=False
@@ -136,10 +150,11 @@ def eigen_include() -> str:
         path = Path(found.stdout.strip() or "/usr/include") / "eigen3"
         if path.is_dir():
             return str(path)
-    for usual in ("/usr/include/eigen3", "/usr/local/include/eigen3", "/opt/homebrew/include/eigen3"):
-        if Path(usual).is_dir():
-            return usual
-    raise native.NativeError("Eigen 3.4 not found; install libeigen3-dev")
+    for prefix in (*EIGEN_PREFIXES, *(f"{folder}/cmeel.prefix" for folder in sys.path)):
+        folder = Path(prefix) / "include" / "eigen3"
+        if folder.is_dir():
+            return str(folder)
+    raise native.NativeError("Eigen 3.4 not found; install libeigen3-dev or lpvguard[compiler]")
 
 
 CORE_FLAGS = (

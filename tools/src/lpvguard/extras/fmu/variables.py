@@ -47,6 +47,10 @@ def monitor_variables(project: Project, thresholds: dict[str, float]) -> list[Va
     ----------
     project : Project
     thresholds : dict, ``threshold``, ``energy_threshold`` and ``change_threshold`` of the coefficients
+
+    Returns
+    -------
+    list of Variable
     """
     signals = [project.speed, *project.inputs, *project.outputs]
     results = [
