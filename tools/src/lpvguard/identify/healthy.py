@@ -60,16 +60,10 @@ def needed(frames: list[FrameSet], estimator: Estimator, n_delta: int, structure
 def healthy_set(
     needs: list[np.ndarray], spectra: Rows, floor: np.ndarray, typical: np.ndarray, largest: np.ndarray
 ) -> HealthySet:
-    """The pair of every bin and Delta that sees the smallest gain error.
-
-    Parameters
-    ----------
-    needs : of each drive or fold of drives (K, P, n_y), of `needed`.
-    spectra : sample of frames of these drives, columns ``group`` (bin) and Z (F, n_y).
-    floor : (K, n_y) what the sensors cannot tell.
-    typical, largest : (K, n_delta) error of a further drive at typical speed and amplitude, and W_delta of
-        the certificate.
-    """
+    """The pair of every bin and Delta that sees the smallest gain error. ``needs`` (K, P, n_y) are those of
+    each drive or fold (`needed`). ``spectra`` is a sample of their frames, with columns ``group`` (bin) and Z
+    (F, n_y). ``floor`` (K, n_y) is what the sensors cannot tell. ``typical`` and ``largest`` (K, n_delta) are
+    the error of a further drive at typical speed and amplitude, and W_delta of the certificate."""
     each, (K, n_delta), n_y = np.array(needs), largest.shape, floor.shape[1]
     outputs = [[j] for j in range(n_y)] if n_delta > 1 else [list(range(n_y))]
     W_delta, B_w, factor = np.zeros((K, n_delta)), floor.copy(), np.ones((K, n_delta))
