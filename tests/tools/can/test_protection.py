@@ -21,7 +21,7 @@ FRAMES = {
     "tesla": [(0x129, "0102030405060700", 7, 0, 0, 0x01 + 0x29 + 28)],
     "subaru": [(0x11F, "00f0f0f000000000", 0, 0, 0, (0x01 + 0x1F + 3 * 0xF0) % 256)],
     "nissan": [(0x169, "31323334353637383900", 9, 0, 0, 0x37 ^ 0xFF)],  # the catalogue's SAE-J1850-ZERO
-    # By the definition in commaai/opendbc (safety/modes/ford.h): 0xFF - (0x12 + 0x34 + 3 + 5).
+    # By the definition in commaai/opendbc (its safety mode of Ford): 0xFF - (0x12 + 0x34 + 3 + 5).
     "ford_speed": [(0x415, "1234d600aabbccdd", 3, 0, 0, 0xB1)],
     "ford_yaw_rate": [(0x91, "01020304002ab0ff", 4, 0, 0, 0xFF - (10 + 0x2A + 2 + 3))],
     "volkswagen_xor": [(0xC2, "0102040810204000", 7, 0, 0, 0x7F)],
