@@ -1,16 +1,4 @@
-"""Smallest gain and delay error that the frame test can see, per speed cell and bin (THEORY 7.4).
-
-A vehicle whose response is c times the nominal one shows the error E = -g Z in every output, with
-|g| = |1 - c|. The margin of a frame grows in proportion to g, because delta and w scale alike. It therefore
-exceeds the threshold exactly when
-
-    g > threshold / t*(-Z, Z),
-
-where t* is the exact margin of validation.s1 for the project's structure. With one output this is ``g |Z| >
-threshold (B_w + W_delta |Z|)``. At any excitation, g below threshold x W_delta stays invisible. With a Delta
-per output this is the least W_delta,j. A delay tau has ``g = |1 - exp(-j omega tau)| = 2 |sin(omega tau /
-2)|``. Only the phase of g is free here. The vehicle's ordinary nominal error adds and can raise or hide the
-fault.
+"""Smallest gain and delay error that the frame test can see, per speed cell and bin (T25; THEORY 7.4).
 
 Both lists are made for two excitations. One is the strongest that occurred in any drive. The other is
 PERCENTILE, which one counted frame in ten reaches. t*(-Z, Z) orders excitation. For one output the order is
