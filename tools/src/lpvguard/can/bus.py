@@ -40,7 +40,17 @@ PROPRIETARY_SPN = 520192
 
 
 def command_authentication(frames: Frames, catalogue: Catalogue | None = None) -> str | None:
-    """Name of the value of AUTHENTICATION in the newest of ``frames`` that has it; None without one."""
+    """Read whether the ECU obeys authenticated commands only, from its newest report.
+
+    Parameters
+    ----------
+    frames : Frames
+    catalogue : Catalogue, optional
+
+    Returns
+    -------
+    str or None, name of the value of AUTHENTICATION; None without a report
+    """
     message = (catalogue or load_catalogue()).message(AUTHENTICATION.message)
     signal = next(s for s in message.signals if s.name == AUTHENTICATION.signal)
     wanted = np.uint32((message.id | EXTENDED) & ANY_PRIORITY)

@@ -363,7 +363,17 @@ def _parts(
 
 
 def delay_line(samples: int, dt: float) -> StateSpace:
-    """One signal, delayed by ``samples``."""
+    """Delay one signal.
+
+    Parameters
+    ----------
+    samples : int
+    dt : float, s
+
+    Returns
+    -------
+    StateSpace
+    """
     return StateSpace(
         np.eye(samples, k=1),
         np.eye(samples)[:, -1:],
@@ -378,6 +388,17 @@ def held_with_delay(G: StateSpace, n_u: int, dt: float, fraction: float) -> Stat
 
     Where ``fraction`` is not 0, these inputs of the sample before become states behind those of G, and
     outputs behind its outputs.
+
+    Parameters
+    ----------
+    G : StateSpace, continuous
+    n_u : int
+    dt : float, s
+    fraction : float, of a sample
+
+    Returns
+    -------
+    StateSpace
     """
     whole = zero_order_hold(G, dt)
     if not fraction:
