@@ -18,6 +18,7 @@ def print_evaluation(result: dict[str, Any]) -> None:
     from ..core.compiled import TESTS
     from ..evaluate.comparison import ALARM_HEAD, CALIBRATED, MONITOR, alarm_rows, columns
     from ..evaluate.false_alarms import PIECE_S
+    from ..evaluate.summary import summary
 
     console.print(table_of(ALARM_HEAD, alarm_rows(result)))
     short = [f"{r['run']} {r['last_piece_s']:.1f} s" for r in result["drives"] if r["last_piece_s"] < PIECE_S]
@@ -47,6 +48,9 @@ def print_evaluation(result: dict[str, Any]) -> None:
     else:
         console.print("no baselines: too few drives calibrate them")
     _print_causes(result)
+    console.print()
+    for line in summary(result):
+        console.print(line, markup=False)
 
 
 def _print_causes(result: dict[str, Any]) -> None:

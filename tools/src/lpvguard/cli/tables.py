@@ -16,6 +16,7 @@ from .shared import console
 
 if TYPE_CHECKING:
     from ..control.design import Design, LargestA_t
+    from ..control.robust_run import RobustRun
     from ..control.tradeoff import TradeOff
     from ..engine.synthesis.cases import TableRow
     from ..engine.synthesis.table import Cell
@@ -151,6 +152,18 @@ def _estimated(vehicle: dict[str, Any]) -> str:
     )
 
 
+def print_members(runs: Sequence[RobustRun]) -> None:
+    """Ratios of the compiled controller with members of the identified set, beside what is proved."""
+    shown = Table("v m/s", "mu", "members", "largest ratio", "worst member", "in theory", "kept", box=None)
+    for r in runs:
+        numbers = (r.v, r.bound, r.draws, r.sampled, r.worst, r.worst_gain)
+        shown.add_row(*(f"{x:.4g}" for x in numbers), "yes" if r.kept else "NO")
+    console.print(shown)
+    console.print(
+        "ratio of the norms of z and [w; n; r_c] with the compiled controller; at most mu is proved"
+    )
+
+
 def print_runs(runs: list[dict[str, Any]], bus: str, simulator: Simulator) -> None:
     """The objects of `lpvguard sim --json`: a row per run, then what an emulated ECU took."""
     print_rows(
@@ -216,6 +229,9 @@ def print_fit(result: FittedModel) -> None:
         console.print(line)
     for text in result.findings:
         console.print(f"finding: {text}")
+    for text in result.differences:
+        console.print(f"warning: {text}", markup=False)
+    console.print(result.outlook)
     for name, why in result.left_out.items():
         if why not in result.findings:
             console.print(f"left out: {name}: {why}", markup=False)
@@ -451,6 +467,7 @@ def print_campaign(summary: dict[str, Any]) -> None:
     _print_detection(summary)
     _print_invisible(summary)
     _print_bus(summary)
+    console.print(f"GUARD_IN {summary['command_authentication']}")
     for text in summary["missed"]:
         console.print(f"missed: {text}")
 

@@ -290,7 +290,8 @@ where of {faulty["due"]} reactions due
 with none due. <i>Judged</i> is excited driving that the monitor judged, of the time since the fault: after
 every gap its model has to settle. Alarms of model error stand beside the runs in which the samples \
 themselves show one: a late or corrupted
-value that passes for a good one.</p>{_bus_table(c)}"""
+value that passes for a good one. <code>GUARD_IN</code> was {c["command_authentication"]}.</p>\
+{_bus_table(c)}"""
 
 
 def _bus_table(c: dict) -> str:

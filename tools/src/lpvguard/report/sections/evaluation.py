@@ -13,6 +13,7 @@ from ...evaluate.comparison import (
     HELD_OUT,
     LEFT_ONE_OUT,
     MONITOR,
+    POOLS,
     REFUTABLE_HEAD,
     DetectorColumn,
     alarm_rows,
@@ -33,7 +34,13 @@ JUDGED = {
     HELD_OUT: ("Evaluation, held-out drives", "Every drive"),
 }
 """Title of the section, and the judged drives."""
-TEST_TITLES = {MONITOR: "all tests", "frame": "frame test", "energy": "energy test", "change": "change test"}
+TEST_TITLES = {
+    MONITOR: "all tests",
+    "frame": "frame test",
+    "energy": "energy test",
+    "change": "change test",
+    POOLS: "pools of frames",
+}
 
 
 def evaluation_section(evaluation: dict) -> str:
