@@ -160,11 +160,11 @@ class Demand:
     Attributes
     ----------
     message : CarriedMessage
-    inputs : list of (int, float), index of the input behind each signal, and bus value per value
+    signals : list of (Signal, int, float), with the index of the input behind each, and bus value per value
     """
 
     message: CarriedMessage
-    inputs: list[tuple[int, float]]
+    signals: list[tuple[CarSignal, int, float]]
 
 
 def demand_messages(project: Project) -> list[Demand]:
@@ -196,7 +196,11 @@ def demand_messages(project: Project) -> list[Demand]:
         car = _car_message(_database(path), name, path, where)
         settings = project.can.messages.get(name, OwnMessage())
         carried = _carried(car, [signal for signal, *_ in signals], settings, number, f"{where}, {path}")
-        found.append(Demand(carried, [(k, factor) for _, k, factor in signals]))
+        signs = sign_bits(car)
+        for signal, *_ in signals:
+            if signal in signs:
+                raise InputError(where, signal, f"has its sign in {signs[signal]}", "a signed signal")
+        found.append(Demand(carried, [(_car_signal(car, s, where), k, factor) for s, k, factor in signals]))
     return found
 
 

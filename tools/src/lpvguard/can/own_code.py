@@ -232,7 +232,7 @@ def _case(index: int, m: CarriedMessage) -> str:
     condition = f"(id & 0x{m.mask:08X}u) == 0x{m.identifier & m.mask:08X}u"
     if m.selector is not None:  # frames of another multiplex carry nothing needed
         last = max(byte for byte, _, _ in signal_pieces(m.selector))
-        chosen = " || ".join(f"(({_raw(m.selector)}) == {value}u)" for value in m.selected)
+        chosen = " || ".join(f"(({raw_value(m.selector)}) == {value}u)" for value in m.selected)
         condition = f"({condition}) && (length > {last}u) && ({chosen})"
     return (
         f"    }} else if ({condition}) {{\n"
