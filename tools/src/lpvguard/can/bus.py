@@ -40,7 +40,17 @@ PROPRIETARY_SPN = 520192
 
 
 def command_authentication(frames: Frames, catalogue: Catalogue | None = None) -> str | None:
-    """Name of the value of AUTHENTICATION in the newest of ``frames`` that has it; None without one."""
+    """Return the name of AUTHENTICATION's value in the newest frame that has it.
+
+    Parameters
+    ----------
+    frames : Frames
+    catalogue : Catalogue, optional, by default the shipped one
+
+    Returns
+    -------
+    str, or None without such a frame
+    """
     message = (catalogue or load_catalogue()).message(AUTHENTICATION.message)
     signal = next(s for s in message.signals if s.name == AUTHENTICATION.signal)
     wanted = np.uint32((message.id | EXTENDED) & ANY_PRIORITY)

@@ -19,8 +19,18 @@ from .stored_frames import SplitWeights, StoredFrames
 
 
 def compared(stored: StoredIdentification) -> bool:
-    """Whether a vehicle is of the paper's class, for which structures are compared: one Delta, one input and
-    two outputs, which are the first two states."""
+    """Tell whether structures are compared for a vehicle: whether it is of the paper's class.
+
+    That class has one Delta, one input and two outputs, which are the first two states.
+
+    Parameters
+    ----------
+    stored : StoredIdentification
+
+    Returns
+    -------
+    bool
+    """
     project, first_two = stored.project, np.eye(2, stored.model.n)
     sizes = (project.n_delta, project.n_u, project.n_y)
     return sizes == (1, 1, 2) and bool((first_two == stored.model.C).all())
@@ -37,8 +47,7 @@ class FrozenProblem:
     Raises
     ------
     InputError
-        If there is no [design] table, a Delta an output, or another number of inputs or outputs than the
-        paper's vehicle has: the comparisons are about its class S1.
+        If there is no [design] table, or the vehicle is not of the paper's class S1 (`compared`).
     """
 
     def __init__(self, stored: StoredIdentification, frames: StoredFrames):
