@@ -1,7 +1,5 @@
 """The last lines of an evaluation: at most ten, alarms an hour first, in words."""
 
-from __future__ import annotations
-
 import json
 from copy import deepcopy
 from importlib import resources

@@ -1,7 +1,5 @@
 """Parameters that differ between days are named with their errors; those of one car are not."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 

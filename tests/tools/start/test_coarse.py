@@ -1,7 +1,5 @@
 """A coarse angle with its digits in a signal beside it is read with both, at the rate of its frames."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

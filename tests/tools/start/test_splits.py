@@ -1,7 +1,5 @@
 """Both halves of the recordings have all days, surfaces and speeds; the calibrating one allows alpha 0.1."""
 
-from __future__ import annotations
-
 from collections import Counter
 
 import numpy as np

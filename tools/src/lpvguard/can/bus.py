@@ -40,16 +40,16 @@ PROPRIETARY_SPN = 520192
 
 
 def command_authentication(frames: Frames, catalogue: Catalogue | None = None) -> str | None:
-    """Read whether the ECU obeys authenticated commands only, from its newest report.
+    """Return the name of AUTHENTICATION's value in the newest frame that has it.
 
     Parameters
     ----------
     frames : Frames
-    catalogue : Catalogue, optional
+    catalogue : Catalogue, optional, by default the shipped one
 
     Returns
     -------
-    str or None, name of the value of AUTHENTICATION; None without a report
+    str, or None without such a frame
     """
     message = (catalogue or load_catalogue()).message(AUTHENTICATION.message)
     signal = next(s for s in message.signals if s.name == AUTHENTICATION.signal)

@@ -19,9 +19,9 @@ from .stored_frames import SplitWeights, StoredFrames
 
 
 def compared(stored: StoredIdentification) -> bool:
-    """Return whether Table II compares structures for a vehicle.
+    """Tell whether structures are compared for a vehicle: whether it is of the paper's class.
 
-    The vehicle is then of the paper's class: one Delta, one input, and the first two states as outputs.
+    That class has one Delta, one input and two outputs, which are the first two states.
 
     Parameters
     ----------
@@ -47,8 +47,7 @@ class FrozenProblem:
     Raises
     ------
     InputError
-        If there is no [design] table, a Delta an output, or another number of inputs or outputs than the
-        paper's vehicle has: the comparisons are about its class S1.
+        If there is no [design] table, or the vehicle is not of the paper's class S1 (`compared`).
     """
 
     def __init__(self, stored: StoredIdentification, frames: StoredFrames):

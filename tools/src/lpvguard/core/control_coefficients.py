@@ -251,8 +251,8 @@ def _check(where: object, Ts_s: float, arrays: dict[str, np.ndarray]) -> None:
 def control_files(project: Project, controller: ControllerCoefficients) -> dict[str, str]:
     """Text by file name of the controller's part of a vehicle folder.
 
-    A vehicle whose demand no message of ours carries has the controller alone, without an ECU, and the
-    packing of its demands into messages of its own bus where [can.demand] gives their places. Raises
+    A vehicle whose demand no message of ours carries has the controller alone, without an ECU. Where
+    [can.demand] gives their places, its demands are packed into messages of its own bus. Raises
     InputError when the controller does not fit the vehicle.
     """
     where = f"controller for vehicle {project.name}"

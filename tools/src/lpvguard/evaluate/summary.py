@@ -1,7 +1,5 @@
 """An evaluation in at most ten lines: alarms an hour, what is found and missed, the best baseline."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from .comparison import MONITOR, TOGETHER, row_name

@@ -4,8 +4,6 @@ A drive's own parameters follow from those of all by one Gauss-Newton step on it
 step takes the residuals of all its drives. The errors come from scores over short blocks.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Which recordings set the bounds, and which calibrate: both halves have all speeds, days and surfaces."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 from datetime import UTC, datetime

@@ -242,8 +242,8 @@ def generalised_plant(
     delay : float, samples from u to the vehicle, for computation and bus, default 0
         Δ_i and W_u read u at once. A fraction of a sample lies between Δ_i and the vehicle.
     probes : bool, add outputs after z, default False
-        They are the vehicle's state (n, and n_u inputs of the sample before where the delay has a fraction),
-        input (n_u) and with state uncertainty input on every state (n).
+        They are the vehicle's state (n), its input (n_u) and with state uncertainty input on every state (n).
+        Where the delay has a fraction, n_u inputs of the sample before belong to the state.
     C : array_like (n_y, n), by default the first n_y states
 
     Returns
@@ -363,7 +363,7 @@ def _parts(
 
 
 def delay_line(samples: int, dt: float) -> StateSpace:
-    """Delay one signal.
+    """Delay one signal by whole samples.
 
     Parameters
     ----------
@@ -394,7 +394,7 @@ def held_with_delay(G: StateSpace, n_u: int, dt: float, fraction: float) -> Stat
     G : StateSpace, continuous
     n_u : int
     dt : float, s
-    fraction : float, of a sample
+    fraction : float, of a sample, below 1
 
     Returns
     -------
