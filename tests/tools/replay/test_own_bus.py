@@ -3,6 +3,7 @@
 Checksums are compared with autosar-e2e, and with formulas written down here from their definitions.
 """
 
+import ctypes
 from itertools import groupby
 from pathlib import Path
 
@@ -10,12 +11,15 @@ import cantools
 import numpy as np
 import pytest
 
+from lpvguard.base import native
 from lpvguard.base.artefacts import write_files
 from lpvguard.base.errors import InputError
+from lpvguard.can.demand_code import demand_files
 from lpvguard.can.logs import EXTENDED, Frames, read_log
+from lpvguard.can.own import demand_messages
 from lpvguard.can.play import values_of_drive, write_candump
 from lpvguard.core.coefficients import signal_table_markdown
-from lpvguard.core.compiled import VERDICTS, Core
+from lpvguard.core.compiled import VERDICTS, Core, library_root
 from lpvguard.drives.ingest import ingest
 from lpvguard.drives.signal_map import map_of_project
 from lpvguard.drives.tables import Drive
@@ -23,7 +27,7 @@ from lpvguard.fit.project_file import with_numbers
 from lpvguard.replay.receive import Receiver
 from lpvguard.replay.replayer import Replayer
 from lpvguard.vehicle.nominal import NominalModel
-from lpvguard.vehicle.project import Project, load_project
+from lpvguard.vehicle.project import CanPlace, Project, load_project
 from other_car import table
 from unit.generate import vehicle
 
@@ -630,3 +634,37 @@ def test_ingest_takes_database_and_map_from_the_vehicle(rav4, lpvguard, tmp_path
     assert car.can is not None
     twice = ingest([log], dbc=Path(car.can.dbc), signals_map=map_of_project(car), out=tmp_path / "again")
     assert twice["rav4_candump"]["drives"][0]["rows"] == len(got["t"])
+
+
+@pytest.mark.parametrize("name", sorted(SETTINGS))
+def test_demands_are_packed_with_the_named_checksum_and_counter(name, tmp_path):
+    """Frames from the generated C, against the checksum's own definition."""
+    others = [other for other in ("subaru", "hyundai_sum", "volkswagen_xor") if other != name][:2]
+    names = [others[0], name, others[1]]
+    (tmp_path / "car.dbc").write_text(database(names))
+    car = project(names)
+    place = CanPlace(message=name.upper(), signal="X", factor=2.0)
+    bus = car.can.model_copy(update={"dbc": str(tmp_path / "car.dbc"), "demand": {f"x_{name}": place}})
+    demands = demand_messages(car.model_copy(update={"can": bus}))
+    write_files(tmp_path, demand_files(demands, 1))
+    objects = [
+        native.compile_object(tmp_path / "lpvg_demand.c", flags=(), include_dirs=[library_root() / "include"])
+    ]
+    library = ctypes.CDLL(str(native.compile_shared(objects, flags=(), name=f"demand_{name}")))
+    frame = (ctypes.c_uint8 * 16)()
+    counter, u = ctypes.c_uint16(0), (ctypes.c_float * 1)()
+    identifier = 0x2A0 + 1
+    for k, value in enumerate((0.0, 1.5, -1.5, 200.0, -200.0, 0.003), 1):
+        u[0] = value
+        assert library.lpvg_demand_pack(u, ctypes.byref(counter), frame) == 0
+        data = bytes(frame)[5:13]
+        raw = int.from_bytes(data[4:6], "little", signed=True)
+        assert raw == np.clip(np.floor(200.0 * value + 0.5), -32768, 32767)
+        assert int.from_bytes(bytes(frame)[:4], "little") == identifier and frame[4] == 8
+        count = k % COUNTERS[name] if COUNTERS[name] else 0
+        assert counter.value == count
+        wanted = protected(name, identifier, bytearray(data), count)
+        assert data == wanted
+    u[0] = np.nan
+    before = bytes(frame)
+    assert library.lpvg_demand_pack(u, ctypes.byref(counter), frame) != 0 and bytes(frame) == before

@@ -153,6 +153,57 @@ def own_bus(project: Project) -> CarBus:
     return CarBus(catalogue, messages, places)
 
 
+@dataclass(frozen=True)
+class Demand:
+    """A message of the car that carries demands of a controller.
+
+    Attributes
+    ----------
+    message : CarriedMessage
+    signals : list of (Signal, int, float), with the index of the input behind each, and bus value per value
+    """
+
+    message: CarriedMessage
+    signals: list[tuple[CarSignal, int, float]]
+
+
+def demand_messages(project: Project) -> list[Demand]:
+    """Messages of a vehicle's own bus that carry its demands.
+
+    Parameters
+    ----------
+    project : Project, with can.demand
+
+    Returns
+    -------
+    list of Demand
+
+    Raises
+    ------
+    InputError
+        If the database lacks a message or signal, or a signal cannot be sent.
+    """
+    assert project.can is not None
+    where, path = f"vehicle {project.name}, can.demand", project.can.dbc
+    by_message: dict[str, list[tuple[str, int, float]]] = {}
+    for k, s in enumerate(project.inputs):
+        place = project.can.demand[s.name]
+        if place.plus:
+            raise InputError(where, s.name, f"plus = {list(place.plus)}", "one signal")
+        by_message.setdefault(place.message, []).append((place.signal, k, place.factor))
+    found = []
+    for number, (name, signals) in enumerate(by_message.items()):
+        car = _car_message(_database(path), name, path, where)
+        settings = project.can.messages.get(name, OwnMessage())
+        carried = _carried(car, [signal for signal, *_ in signals], settings, number, f"{where}, {path}")
+        signs = sign_bits(car)
+        for signal, *_ in signals:
+            if signal in signs:
+                raise InputError(where, signal, f"has its sign in {signs[signal]}", "a signed signal")
+        found.append(Demand(carried, [(_car_signal(car, s, where), k, factor) for s, k, factor in signals]))
+    return found
+
+
 def _place(name: str, place: CanPlace | None, where: str) -> CanPlace:
     if place is None:
         raise InputError(where, f"signal {name}", "no place on the bus", "can = { message, signal, factor }")

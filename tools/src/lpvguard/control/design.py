@@ -30,11 +30,11 @@ from ..core.scheduled import Scheduled
 from ..engine.synthesis import interconnection as fig1
 from ..engine.synthesis.dk import RobustPerformance, Scaling, dk_synthesis
 from ..engine.synthesis.errors import SynthesisError
+from ..engine.synthesis.limits import mu_floor
 from ..engine.synthesis.norms import hinf_norm
 from ..engine.synthesis.scheduling import closed_scaled, common_family, common_scaling
 from ..engine.synthesis.statespace import StateSpace, series
 from ..identify.identification import StoredIdentification
-from ..identify.model_error import last_telling
 from ..identify.premise import premise, require_premise
 from ..vehicle.design_settings import DesignSettings
 from ..vehicle.nominal import NominalModel
@@ -46,6 +46,7 @@ from .further_certificates import (
     require_further_certificates,
 )
 from .input_limit import input_limit
+from .limiting import Limiting
 from .moving_speed import Moving, certified, moving_certificates, moving_to_dict, require_moving, tuning
 from .plants import DesignProblem, design_settings, vehicle_at
 from .schedule import FrozenLoop, fit_by_pairs
@@ -180,22 +181,48 @@ def frozen_optimum(stored: StoredIdentification) -> tuple[float, float]:
     return max((optimum(float(v)), float(v)) for v in speeds[evenly(len(speeds), SCALING_SPEEDS)])
 
 
+def limit_sentence(stored: StoredIdentification, result: Design) -> str:
+    """State in one sentence why a design is not certified: its largest mu, and the weights that limit it.
+
+    Parameters
+    ----------
+    stored : StoredIdentification
+    result : Design
+
+    Returns
+    -------
+    str
+    """
+    problem = DesignProblem.of(stored)
+    v, worst = max([*result.certificates, result.off_grid], key=lambda one: one[1].upper)
+    limiting = Limiting.of(problem.plant(v), result.schedule.at(v), worst)
+    floor = max(
+        mu_floor(problem.plant(u, delayed=True), rtol=1e-3).value for u in (*problem.model.speed_range, v)
+    )
+    most = f"no controller goes below {floor:.3f} with these weights"
+    return (
+        f"the least worst mu found is {worst.upper:.3f}, at {v:.4g} m/s and {limiting.frequency:.3g} rad/s; "
+        f"{limiting.sentence()}; {most}"
+    )
+
+
 def crossover(schedule: Scheduled, model: NominalModel) -> float:
-    """Highest frequency [rad/s] at which the loop gain |sum_j K_j P_j| is 1, over the nodes; 0 without
-    any."""
+    """Highest frequency [rad/s] at which the loop gain is 1, over the nodes; 0 without any.
+
+    The loop gain is |sum_j K_j P_j|, of several inputs the spectral radius of K P.
+    """
     omega = np.geomspace(CROSSOVER_FROM, np.pi / schedule.Ts * (1 - 1e-9), CROSSOVER_POINTS)
     highest = 0.0
     for v in map(float, schedule.speeds):
         K = schedule.at(v).response(omega)[:, :, 1:]
         P = model.frequency_response(omega, v)
-        above = np.flatnonzero(np.linalg.norm(K @ P, 2, axis=(1, 2)) >= 1)
+        above = np.flatnonzero(np.abs(np.linalg.eigvals(K @ P)).max(axis=1) >= 1)
         highest = max(highest, float(omega[above[-1]]) if len(above) else 0.0)
     return highest
 
 
 def _require_reach(stored: StoredIdentification, schedule: Scheduled) -> None:
-    """Raise InputError unless the model error model reaches REACH crossovers. At most one of the design's
-    frequencies may lie past the last informative one."""
+    """Raise InputError unless the model error model reaches REACH crossovers."""
     omega = stored.model_error.grid.omega
     wanted = REACH * crossover(schedule, stored.model)
     if omega[-1] < wanted:
@@ -205,21 +232,13 @@ def _require_reach(stored: StoredIdentification, schedule: Scheduled) -> None:
             f"reaches {omega[-1]:.3g} rad/s",
             f"at least {wanted:.3g} rad/s, {REACH} times the crossover",
         )
-    last = int(last_telling(stored.model_error.setting).max())
-    if last > len(omega) - 3:
-        raise InputError(
-            stored.folder,
-            "model_error",
-            f"ends {len(omega) - 1 - last} frequencies past the last informative {omega[last]:.3g} rad/s",
-            "two",
-        )
 
 
 def _designed(
     problem: DesignProblem, scaling: Scaling | None, progress: Progress, workers: Map = map
 ) -> Design:
     """Design for ``settings``; ``scaling`` starts the search for the common scaling."""
-    model, settings = problem.model, problem.settings
+    model, settings, controlled = problem.model, problem.settings, problem.stored.project.controlled
     synthesised = problem.with_settings(settings.for_synthesis)
     speeds = np.linspace(*model.speed_range, settings.nodes)
     plants = [synthesised.plant(v, delayed=True) for v in speeds]
@@ -231,9 +250,9 @@ def _designed(
     scaling, controllers = _family(plants, scaling, settings.backoff, before, workers)
     check = np.linspace(speeds[0], speeds[-1], 2 * len(speeds) - 1)
     loops = {float(v): synthesised.plant(v) for v in check}
-    u_max = input_limit(model, settings, speeds)
+    u_max = input_limit(model, settings, speeds, controlled)
     frozen = [
-        FrozenLoop(_with_delay(K), loops[float(v)], vehicle_at(model, v))
+        FrozenLoop(_with_delay(K), loops[float(v)], vehicle_at(model, v), controlled)
         for v, K in zip(speeds, controllers, strict=True)
     ]
     found = _with_fewest_poles(
@@ -366,9 +385,11 @@ def _off_grid(
 
 
 def dc_floor(weights: fig1.PlantWeights) -> float:
-    """Lower bound of every controller per unit of A_t: 1 / sqrt(1/|W_nr(0)|^2 + 1/|W_wr(0)|^2). It balances
-    noise against disturbance."""
-    n, w = (abs(W.response([0.0])[0, 0, 0]) for W in (weights.W_nr, weights.W_wr))
+    """Lower bound of every controller per unit of A_t: 1 / sqrt(1/|W_nr(0)|^2 + 1/|W_wr(0)|^2).
+
+    It balances noise against disturbance of the controlled output, here r.
+    """
+    n, w = (abs(W[weights.controlled].response([0.0])[0, 0, 0]) for W in (weights.W_n, weights.W_w))
     return float(n * w / np.hypot(n, w))
 
 
@@ -469,7 +490,7 @@ def verify(
         )
     require_premise(stored)
     problem = DesignProblem(stored, settings)
-    _require_settings(path, stated, schedule, settings, problem.model)
+    _require_settings(path, stated, schedule, settings, problem)
     _require_floor(path, stated, dc_floor(problem.weights))
     rows = [*stated["speeds"], stated["off_grid"]]
     loops = {row["v_mps"]: problem.plant(row["v_mps"]) for row in rows}
@@ -483,7 +504,7 @@ def verify(
 
 
 def _require_settings(
-    path: Path, stated: dict, schedule: Scheduled, settings: DesignSettings, model: NominalModel
+    path: Path, stated: dict, schedule: Scheduled, settings: DesignSettings, problem: DesignProblem
 ) -> None:
     """Raise InputError unless objectives and input limits are those of the project."""
     for key in ("structure", "A_t", "A_u"):
@@ -491,7 +512,7 @@ def _require_settings(
             raise InputError(
                 path, f"certificates.{key}", repr(stated[key]), f"{getattr(settings, key)!r}, the project's"
             )
-    limits = input_limit(model, settings, schedule.speeds)
+    limits = input_limit(problem.model, settings, schedule.speeds, problem.weights.controlled)
     if schedule.u_max.shape != limits.shape or not np.allclose(schedule.u_max, limits, rtol=1e-9, atol=0):
         raise InputError(
             path, "u_max", f"{schedule.u_max.tolist()}", f"{limits.tolist()}, of the project's limits"

@@ -150,7 +150,7 @@ def scaled_families(problem: DesignProblem, schedule: Scheduled, scaling: Scalin
     model, plant = problem.model, problem.plant(float(schedule.speeds[0]))
     # The probes: state, input, and with state uncertainty an input on every state; see
     # interconnection.generalised_plant.
-    held = model.n + model.n_u + (model.n if problem.settings.structure == "K_is" else 0)
+    held = model.held_states + model.n_u + (model.n if problem.settings.structure == "K_is" else 0)
     first = scaling.systems(plant)[1].order
 
     def hold_bounds(low: float, high: float) -> tuple[np.ndarray, np.ndarray]:

@@ -15,11 +15,15 @@ import numpy as np
 from ..base import native
 from ..base.errors import InputError
 from ..core.compiled import core_objects
-from ..engine.synthesis.dk import RobustPerformance
+from ..core.scheduled import Scheduled
+from ..engine.synthesis.dk import RobustPerformance, certify
 from ..engine.synthesis.interconnection import GeneralisedPlant
 from ..engine.synthesis.norms import hinf_norm
 from ..engine.synthesis.statespace import StateSpace, append, lft, to_discrete
 from ..engine.synthesis.worst_case import close_delta, worst_case
+from ..identify.identification import StoredIdentification
+from .controller_file import stated_scaling
+from .plants import DesignProblem
 
 QUANTISATION = 1e-4
 """Stated effect of float32 in z, relative to the input's norm; it is measured, too."""
@@ -157,6 +161,33 @@ def run(
     return RobustRun(
         v, proved.upper, draws, sampled, worst, float(np.linalg.norm(gain, 2)), max(rounding, rounded)
     )
+
+
+def certified_runs(
+    stored: StoredIdentification, document: dict, compiled: CompiledController, draws: int
+) -> list[RobustRun]:
+    """Run the compiled controller with members of the identified set, at some of its speeds.
+
+    Parameters
+    ----------
+    stored : StoredIdentification
+    document : dict, controller.json
+    compiled : CompiledController
+    draws : int, sampled members of all speeds together; the worst one found is added at each
+
+    Returns
+    -------
+    list of RobustRun
+    """
+    schedule, problem = Scheduled.read(document), DesignProblem.of(stored)
+    speeds = schedule.speeds[:: max(1, (len(schedule.speeds) - 1) // 3)]
+    rows = []
+    for k, v in enumerate(map(float, speeds)):
+        plant = problem.plant(v)
+        proved = certify(plant, schedule.at(v), stated_scaling(document) if plant.blocks else None)
+        share, seed = -(-draws // len(speeds)), stored.project.seed + k
+        rows.append(run(compiled, plant, schedule.at(v), v, proved, share, seed))
+    return rows
 
 
 def _perturbed(plant: GeneralisedPlant, delta: StateSpace | None) -> StateSpace:

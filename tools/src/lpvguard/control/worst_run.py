@@ -149,7 +149,7 @@ def worst_runs(problem: FrozenProblem, cells: list[Cell], drives: DriveSet) -> W
 
 
 def _dc_bound(problem: FrozenProblem, c: Cell) -> float:
-    return float(abs(problem.weights(c.structure, c.A_t, c.A_u).W_wr.response([0.0])[0, 0, 0]))
+    return float(abs(problem.weights(c.structure, c.A_t, c.A_u).W_w[0].response([0.0])[0, 0, 0]))
 
 
 def _run(problem: FrozenProblem, c: Cell, signals: np.ndarray, wanted: np.ndarray) -> WorstRun:
@@ -179,7 +179,7 @@ def _rms(x: np.ndarray) -> float:
 def _without_units(weights: PlantWeights) -> PlantWeights:
     """Weights for physical units of w, r_c and z: z = [W_R r_c − r_m; u]."""
     one = gain([[1.0]])
-    return replace(weights, W_C=one, W_t=one, W_u=one, W_wr=one, W_wdelta=one)
+    return replace(weights, W_C=one, W_t=one, W_u=(one,), W_w=(one, one))
 
 
 def respond(G: StateSpace, inputs: np.ndarray) -> np.ndarray:

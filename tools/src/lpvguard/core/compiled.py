@@ -170,6 +170,22 @@ OF_NO_VEHICLE = {"authentication", "can", "j1939", "life", "uds", "xcp"}
 """Sources without a vehicle's sizes, compiled once for all vehicles."""
 
 
+def core_sources(root: Path, folder: Path) -> list[Path]:
+    """Sources of the core that a generated folder needs.
+
+    Parameters
+    ----------
+    root : Path, lib/
+    folder : Path, generated folder of a vehicle; without lpvguard_bus.c it has no ECU
+
+    Returns
+    -------
+    list of Path
+    """
+    without = set() if (folder / "lpvguard_bus.c").is_file() else {"ecu"}
+    return sorted(p for p in (root / "src").rglob("*.cpp") if p.stem not in without)
+
+
 def core_objects(
     folder: Path,
     more: Sequence[Path] = (),
@@ -207,7 +223,7 @@ def core_objects(
     of_vehicle = [*of_no_vehicle, folder]
     jobs = [
         (source, common, of_no_vehicle if source.stem in OF_NO_VEHICLE else of_vehicle)
-        for source in sorted((root / "src").rglob("*.cpp"))
+        for source in core_sources(root, folder)
     ]
     jobs += [(source, common, of_vehicle) for source in sorted(folder.glob("*.c"))]
     jobs += [(source, (*common, *flags), of_vehicle) for source in more]
@@ -291,6 +307,7 @@ class FrameLog:
     evidence: np.ndarray
     E: np.ndarray
     Z: np.ndarray
+    pooled: np.ndarray
 
     @property
     def counted(self) -> np.ndarray:
@@ -308,8 +325,8 @@ class FrameLog:
 
     @classmethod
     def from_rows(cls, rows: np.ndarray, n_y: int) -> FrameLog:
-        """Convert rows (F, 10 + 4 n_y) of the C wrapper, whose times are in microseconds."""
-        parts = rows[:, 10:].reshape(len(rows), 2, n_y, 2)
+        """Convert rows (F, 11 + 4 n_y) of the C wrapper, whose times are in microseconds."""
+        parts = rows[:, 10:-1].reshape(len(rows), 2, n_y, 2)
         spectra = parts[..., 0] + 1j * parts[..., 1]
         return cls(
             rows[:, 0] * 1e-6,
@@ -323,6 +340,7 @@ class FrameLog:
             rows[:, 8],
             spectra[:, 0],
             spectra[:, 1],
+            rows[:, -1],
         )
 
 

@@ -32,7 +32,7 @@ import numpy as np
 from ..base import native
 from ..base.artefacts import write_files
 from ..base.errors import InputError
-from .compiled import core_objects, eigen_include, firmware_root, library_root
+from .compiled import core_objects, core_sources, eigen_include, firmware_root, library_root
 
 PACKAGES = "qemu-system-arm gcc-arm-none-eabi libnewlib-arm-none-eabi libstdc++-arm-none-eabi-newlib"
 """Debian packages that hold the cross compiler, its libraries and the emulator."""
@@ -500,7 +500,7 @@ def _host_lines(vehicle: Path, program: Program) -> list[str]:
 
 def _sources(vehicle: Path) -> tuple[list[Path], list[Path]]:
     """Sources of the core and the vehicle."""
-    return sorted((library_root() / "src").rglob("*.cpp")), sorted(Path(vehicle).glob("*.c"))
+    return core_sources(library_root(), Path(vehicle)), sorted(Path(vehicle).glob("*.c"))
 
 
 def _build(

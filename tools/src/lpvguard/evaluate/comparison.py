@@ -11,6 +11,8 @@ from .false_alarms import PIECE_S
 
 MONITOR = "monitor"
 """Name of our detector, like the kinds of baselines.KINDS: all tests together, at one threshold."""
+POOLS = "pools"
+"""Name of the frame test's pools, which have a threshold of their own."""
 LEFT_ONE_OUT, HELD_OUT = "left_one_out", "held_out"
 """Judged drives: those of the identification, each without itself, or drives that it never saw."""
 CALIBRATED = {LEFT_ONE_OUT: "each drive without itself", HELD_OUT: "drives that it never saw"}
@@ -18,7 +20,7 @@ CALIBRATED = {LEFT_ONE_OUT: "each drive without itself", HELD_OUT: "drives that 
 TOGETHER = "all"
 """Name that replaces a way: the starts of all ways, one row a fault."""
 EXPORTED = "exported"
-"""Both tests, each at its own threshold, as `lpvguard export` writes them."""
+"""All tests, each at its own threshold, as `lpvguard export` writes them."""
 COUNTS_ONLY = "counts only"
 """Words that replace an unstated rate of false alarms."""
 

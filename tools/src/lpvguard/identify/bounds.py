@@ -249,13 +249,13 @@ def _maximum(values: np.ndarray) -> np.ndarray | float:
 
 
 def reduce_disturbance(
-    sets: Iterable[FrameSet], estimator: Estimator, nu_ceiling: np.ndarray, n_y: int
+    sets: Iterable[FrameSet], estimator: Estimator, nu_ceiling: np.ndarray, n_y: int, controlled: int = 0
 ) -> Part:
     """Reduce a drive's frames to the maxima of steps 2-4, before smoothing.
 
     ``E`` (K, n_y) is the largest |E_j|. For zero-input drives it bounds the sensors' noise (W_n), for others
-    the disturbance of class S0. ``Y`` (K,) is the largest |E + Z| of the first output, the yaw rate: it
-    bounds the commands in such drives (W_C; paper, section V).
+    the disturbance of class S0. ``Y`` (K,) is the largest |E + Z| of the controlled output: it bounds
+    the commands in such drives (W_C; paper, section V).
 
     Parameters
     ----------
@@ -263,6 +263,7 @@ def reduce_disturbance(
     estimator : Estimator
     nu_ceiling : ndarray (K,), ceiling on nu, 0 at DC
     n_y : int, number of outputs
+    controlled : int, index of the controlled output, default 0
 
     Returns
     -------
@@ -287,7 +288,7 @@ def reduce_disturbance(
             ("B2", size),
             ("gamma_rule", rule),
             ("E", np.abs(s.E)),
-            ("Y", np.abs(s.E[:, 0] + s.Z[:, 0])),
+            ("Y", np.abs(s.E[:, controlled] + s.Z[:, controlled])),
         ):
             out[key][s.bin] = _maximum(values)
     return out

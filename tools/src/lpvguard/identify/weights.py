@@ -22,6 +22,7 @@ from .bounds import Bounds
 from .change import ChangeTest
 from .energy import UNBOUNDED, EnergyTest
 from .healthy import HealthySet
+from .pools import Pools
 
 DC_STAND_IN = 0.1
 """Fraction of the lowest bin's frequency at which DC's bound stands on a logarithmic axis."""
@@ -374,9 +375,12 @@ def fit_weights(
     command: np.ndarray,
     workers: Map = map,
 ) -> Weights:
-    """Steps 6 and 7 for the fitted ``W_delta``. ``noise``, ``error`` (K, n_y): peaks of E without and with
-    input; ``command`` (K,): of the first output. ``workers`` share the weights. Without zero-input drives
-    (``noise`` all NaN) B_w is W_w."""
+    """Steps 6 and 7 for the fitted ``W_delta``.
+
+    ``noise``, ``error`` (K, n_y): peaks of E without and with input; ``command`` (K,): of the controlled
+    output. ``workers`` share the weights. Without zero-input drives (``noise`` all NaN) B_w is W_w. W_C is
+    fitted with them, or for a design.
+    """
     floor = smallest_disturbance(bounds.B2)
     names = [s.name for s in project.outputs]
     disturbance_set = project.bounds.disturbance_set
@@ -386,12 +390,12 @@ def fit_weights(
     if not np.isnan(noise).all():
         asked += [(noise, "W_n"), (cover * error, "B_w of S0")]
     columns = [(bound[:, j], f"{what} of {n}") for bound, what in asked for j, n in enumerate(names)]
-    if len(asked) > 1:
-        columns.append((command, "W_C"))
-    fitted = list(workers(partial(_fitted_above, project, estimator, floor), columns))
-    B_w, W_n, of_S0 = (fitted[k * len(names) : (k + 1) * len(names)] for k in range(3))
+    commands = [(command, "W_C")] if len(asked) > 1 or project.design is not None else []
+    fitted = list(workers(partial(_fitted_above, project, estimator, floor), columns + commands))
+    W_C = fitted[len(columns) :]
+    B_w, W_n, of_S0 = (fitted[: len(columns)][k * len(names) : (k + 1) * len(names)] for k in range(3))
     if not W_n:
-        return Weights(B_w, W_delta, gamma_w, [], [], [], {}, disturbance_set)
+        return Weights(B_w, W_delta, gamma_w, [], [], W_C, {}, disturbance_set)
     floored: dict[str, list[float]] = {}
 
     def without_noise(B: list[FittedWeight], what: str) -> list[FittedWeight]:
@@ -400,7 +404,7 @@ def fit_weights(
         return weights
 
     W_w, W_w_S0 = without_noise(B_w, "W_w"), without_noise(of_S0, "W_w of S0")
-    return Weights(W_w, W_delta, gamma_w, W_n, W_w_S0, fitted[-1:], floored, disturbance_set)
+    return Weights(W_w, W_delta, gamma_w, W_n, W_w_S0, W_C, floored, disturbance_set)
 
 
 def _fitted_above(
@@ -465,10 +469,11 @@ def coefficients_of(
     threshold: float,
     energy: EnergyTest,
     change: ChangeTest,
+    pools: Pools | None = None,
 ) -> Coefficients:
-    """Coefficients of the core for these weights."""
+    """Coefficients of the core for these weights; without ``pools`` these have no bounds."""
     return build_coefficients(
-        project, model, estimator, *weights.of_core(estimator.omega), threshold, energy, change
+        project, model, estimator, *weights.of_core(estimator.omega), threshold, energy, change, pools
     )
 
 

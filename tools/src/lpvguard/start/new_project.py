@@ -34,6 +34,7 @@ from ..drives.units import unit_factor
 from ..vehicle.nominal import NominalModel
 from ..vehicle.physics import KindName, kind_of
 from ..vehicle.project import NAME, EvaluationSettings, Project, parse_project
+from .design_proposal import design_section, shown
 from .readings import ROLES, Known
 from .signals import Proposal, Recording, proposed
 from .splits import day, splits_of
@@ -417,7 +418,9 @@ def _project(
             "new", "", f"a sample time of {Ts:g} s leaves no frames", "a log with a shorter sample time"
         )
     project, text, (f_min, tolerance), judged = best
+    text += design_section(shown(drives, Ts, (low, high)), Ts)
     text += _evaluation(float(np.median([d.duration_s for d in drives])))
+    project = parse_project(tomllib.loads(text), name)
     notes = [
         f"{len(drives)} drives, {sum(d.duration_s for d in drives):.0f} s, at {1 / Ts:g} Hz",
         f"frames from {f_min:g} to {project.frames.f_max_hz:g} Hz, speed within {tolerance:.0%} of a frame's "

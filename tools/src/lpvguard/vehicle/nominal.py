@@ -341,7 +341,9 @@ class NominalModel:
     def hold_bounds(self, low: float, high: float) -> tuple[np.ndarray, np.ndarray]:
         """Entrywise bounds of |d/dv| and |d2/dv2| of [Ad, Bd, Gd] (n, n + n_u + n) over low..high [m/s].
 
-        Ad, Bd, Gd are the zero-order hold of A, B and of an input on every state. The bounds are rigorous up
+        Ad, Bd, Gd are the zero-order hold of A, B and of an input on every state. Where the input delay has a
+        fraction of a sample, Bd are two columns an input: the sample before, and this one. The bounds are
+        rigorous up
         to rounding. The exponential's power series has positive coefficients. Bounds of A, B and their Taylor
         coefficients in v therefore bound those of the hold.
 
@@ -370,8 +372,34 @@ class NominalModel:
                 for i in range(COEFFICIENTS)
             ]
         )
-        first, second = (expm(series * self.Ts)[:n, k * width : (k + 1) * width] for k in (1, 2))
-        return first, 2 * second
+
+        def held(duration: float) -> list[np.ndarray]:
+            """Bounds (n, width) of the coefficients of the hold."""
+            e = expm(series * duration)
+            return [e[:n, k * width : (k + 1) * width] for k in range(COEFFICIENTS)]
+
+        whole = held(self.Ts)
+        if self.delay_fraction:
+            late, early = (held(part * self.Ts) for part in (self.delay_fraction, 1 - self.delay_fraction))
+            u = slice(n, n + self.n_u)
+            whole = [
+                np.hstack(
+                    [
+                        whole[k][:, :n],
+                        sum(early[i][:, :n] @ late[k - i][:, u] for i in range(k + 1)),
+                        early[k][:, u],
+                        whole[k][:, n + self.n_u :],
+                    ]
+                )
+                for k in range(COEFFICIENTS)
+            ]
+        return whole[1], 2 * whole[2]
+
+    @property
+    def held_states(self) -> int:
+        """States of the sampled vehicle: n, and the inputs of the sample before if the delay has a fraction
+        of a sample."""
+        return self.n + (self.n_u if self.delay_fraction else 0)
 
     @cached_property
     def least_state_of_output(self) -> np.ndarray:

@@ -1,7 +1,7 @@
 """The paper case: every weight of Fig. 1 in one TOML file, and Table II computed from it."""
 
 from collections.abc import Callable
-from dataclasses import MISSING, dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +10,7 @@ from lpvguard.base.documents import read_toml
 from lpvguard.base.progress import Counted
 from lpvguard.engine.synthesis.errors import SynthesisError
 from lpvguard.engine.synthesis.interconnection import (
+    PAPER_WEIGHTS,
     STRUCTURES,
     GeneralisedPlant,
     PlantWeights,
@@ -43,10 +44,6 @@ class TableRow(Cell):
         """The cell's row with the reference's and the paper's numbers behind it."""
         names = ("reference", "reference_order", "paper", "paper_order")
         return super().to_dict() | {name: getattr(self, name) for name in names}
-
-
-PAPER_WEIGHTS = tuple(f.name for f in fields(PlantWeights) if f.default is MISSING)
-"""The ten weights of the paper; those of K_o, which a case file does not have, may be missing."""
 
 
 def read_case(path) -> dict:
@@ -85,7 +82,7 @@ def case_weights(case: dict, objective: dict) -> PlantWeights:
     PlantWeights
     """
     gains = {"A_t": objective["A_t"], "A_u": objective["A_u"]}
-    return PlantWeights(**{name: weight_from_table(case[name], **gains) for name in PAPER_WEIGHTS})
+    return PlantWeights.of_paper({name: weight_from_table(case[name], **gains) for name in PAPER_WEIGHTS})
 
 
 def case_plant(

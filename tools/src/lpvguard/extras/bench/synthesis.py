@@ -13,10 +13,11 @@ from pathlib import Path
 
 import numpy as np
 
-from lpvguard.engine.synthesis.cases import PAPER_WEIGHTS, case_plant, read_case
+from lpvguard.engine.synthesis.cases import case_plant, read_case
 from lpvguard.engine.synthesis.dk import certify, dk_synthesis
 from lpvguard.engine.synthesis.hinf import hinf_synthesis
 from lpvguard.engine.synthesis.interconnection import (
+    PAPER_WEIGHTS,
     GeneralisedPlant,
     PlantWeights,
     generalised_plant,
@@ -95,7 +96,7 @@ def order_23_plant(case: dict) -> GeneralisedPlant:
     for name in ("W_C", "W_nr", "W_ndelta", "W_wr", "W_wdelta"):
         weights[name] = series(ripple[3 - weights[name].order], weights[name])
     A, B = truck_model.continuous(case["v"], case["wheelbase"])
-    return generalised_plant(A, B, PlantWeights(**weights), "K_inf")
+    return generalised_plant(A, B, PlantWeights.of_paper(weights), "K_inf")
 
 
 def run(case_path, repeats: int = 5, peers: Path | None = None) -> list[SynthesisRow]:

@@ -40,10 +40,8 @@ class TrackingBound:
         W = self.weights
         parts = (
             (command, Ts, W.W_C),
-            (w[:, 0], Ts, W.W_wr),
-            (w[:, 1], Ts, W.W_wdelta),
-            (n[:, 0], Ts_n, W.W_nr),
-            (n[:, 1], Ts_n, W.W_ndelta),
+            *((column, Ts, weight) for column, weight in zip(w.T, W.W_w, strict=True)),
+            *((column, Ts_n, weight) for column, weight in zip(n.T, W.W_n, strict=True)),
         )
         return float(np.sqrt(sum(self._rms(x, step, weight) ** 2 for x, step, weight in parts)))
 
