@@ -5,8 +5,6 @@ n_x 1..40, n_u 1..2, n_y 1..4, 2..64 bins and 1..40 controller states of all dem
 constants (lib/include/lpvguard/config.h). The corners run always, the whole grid with LPVGUARD_FULL=1.
 """
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys
@@ -230,7 +228,7 @@ def test_sizes_beyond_are_refused_by_the_compiler_with_their_name(name, value, m
     source.write_text((folder / source.name).read_text())
     done = subprocess.run(
         [
-            native.find_compiler(cxx=False),
+            *native.find_compiler(cxx=False),
             "-std=c99",
             "-fsyntax-only",
             "-I",

@@ -1,8 +1,6 @@
 """Campaigns: what runs show off line, what stopping and going on does, and that scenarios expect what follows
 from the bounds."""
 
-from __future__ import annotations
-
 import json
 import os
 from dataclasses import replace

@@ -1,8 +1,6 @@
 """ThreadSanitizer over simulated loops that run at once: nothing is shared between instances, as the headers
 promise ("one instance per thread"), and each sends what it sends alone."""
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess
@@ -24,7 +22,7 @@ RACE = "#include <thread>\nint n; int main() { std::thread a([] { ++n; }); ++n; 
 @pytest.fixture(scope="module")
 def sanitized():
     """Environment in which `native` compiles with the sanitizer; skipped where it finds no planted race."""
-    compiler = native.find_compiler(cxx=True)
+    (compiler,) = native.find_compiler(cxx=True)
     wrapper = native.cache_dir() / "thread-sanitizer-c++"  # a place that stays, because it is hashed
     new = wrapper.with_suffix(f".{os.getpid()}")
     new.write_text(f'#!/bin/sh\nexec "{compiler}" "$@" -O1 -g1 -fsanitize=thread\n')

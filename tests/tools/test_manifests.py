@@ -2,8 +2,6 @@
 where the package index has it (Conan), else against a schema of that tool's rules and a build with stand-ins
 for its functions."""
 
-from __future__ import annotations
-
 import json
 import os
 import re
@@ -276,6 +274,9 @@ def test_an_unknown_service_is_refused(tmp_path):
         f'lpvguard_sources("{shipped_vehicle("g80")}" sources xcp)\n'
     )
     done = subprocess.run(
-        ["cmake", "-S", tmp_path, "-B", tmp_path / "build"], capture_output=True, text=True, check=False
+        ["cmake", "-G", "Ninja", "-S", tmp_path, "-B", tmp_path / "build"],
+        capture_output=True,
+        text=True,
+        check=False,
     )
     assert done.returncode != 0 and "xcp is no service of" in done.stderr

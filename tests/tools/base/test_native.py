@@ -1,7 +1,5 @@
 """The on-demand compiler: caching, atomicity, refusals."""
 
-from __future__ import annotations
-
 import ctypes
 import shutil
 from concurrent.futures import ThreadPoolExecutor
@@ -11,6 +9,7 @@ import pytest
 
 from lpvguard.base import native
 from lpvguard.base.errors import InputError
+from lpvguard.core import compiled
 
 pytestmark = pytest.mark.skipif(native.kernels("s1") is None, reason="no C compiler on this machine")
 
@@ -140,3 +139,33 @@ def test_a_header_that_is_compiled_beforehand_changes_no_byte_of_an_object(tmp_p
         assert compilations == [".o"] * 2 + [".gch"] + [".o"] * 3 + [".o"] * 4
     (made, again) = read_first
     assert made == again and (made is None or made.with_suffix(".hpp.gch").is_file())
+
+
+def test_the_package_ziglang_compiles_where_no_other_compiler_is(tmp_path, cache, monkeypatch):
+    package = tmp_path / "site" / "ziglang"
+    package.mkdir(parents=True)
+    (package / "__init__.py").touch()
+    zig = source(
+        package, f'#!/bin/sh\nword=$1; shift\n[ "$word" = cc ] && exec {shutil.which("cc")} "$@"\n', "zig"
+    )
+    zig.chmod(0o755)
+    for name in ("CC", "CXX"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr(native.shutil, "which", lambda _: None)
+    with pytest.raises(native.NativeError, match=r"no C compiler found; .*lpvguard\[compiler\]"):
+        native.find_compiler(cxx=False)
+    monkeypatch.syspath_prepend(package.parent)
+    assert native.find_compiler(cxx=True) == (str(zig), "c++")
+    library = native.compile_shared([source(tmp_path, "int f(void) { return 9; }\n")])
+    assert ctypes.CDLL(str(library)).f() == 9
+
+
+def test_eigen_of_a_python_package_is_found(tmp_path, monkeypatch):
+    folder = tmp_path / "cmeel.prefix" / "include" / "eigen3"
+    folder.mkdir(parents=True)
+    monkeypatch.setattr(compiled.shutil, "which", lambda _: None)
+    monkeypatch.setattr(compiled, "EIGEN_PREFIXES", ())
+    with pytest.raises(native.NativeError, match=r"Eigen 3\.4 not found"):
+        compiled.eigen_include()
+    monkeypatch.syspath_prepend(tmp_path)
+    assert compiled.eigen_include() == str(folder)

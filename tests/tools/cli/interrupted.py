@@ -13,8 +13,6 @@ compute is replaced here by small results of one of two variants; what they writ
 goes. Prints JSON: runs, those that were torn and why, and where the kills fell.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os

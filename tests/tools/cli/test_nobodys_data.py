@@ -1,8 +1,6 @@
 """No command removes or replaces what it did not write, and nothing edited is taken for what was written:
 exit 2, and nothing changes."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os
@@ -159,12 +157,7 @@ EDITS = {
         '"threshold": 1',
         "export --vehicle g80 idn -o new",
     ),
-    "a weight": (
-        "idn/weights.json",
-        '"inflation": ',
-        '"inflation": 1',
-        EVALUATE,
-    ),
+    "a weight": ("idn/weights.json", '"inflation": ', '"inflation": 1', EVALUATE),
     "a bound": (
         "idn/bounds.json",
         '"B_w": [',

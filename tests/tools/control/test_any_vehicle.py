@@ -1,8 +1,6 @@
 """Fig. 1 for any number of inputs and outputs: a car with one input, and one with two, from drives to
 certificates."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

@@ -434,11 +434,7 @@ def test_a_controller_that_has_common_poles_is_met(stored, designed):
     result, _ = designed
     schedule, model = result.schedule, NominalModel(stored.project)
     loops = [
-        FrozenLoop(
-            schedule.at(v),
-            DesignProblem.of(stored).plant(v),
-            stage.vehicle_at(model, v),
-        )
+        FrozenLoop(schedule.at(v), DesignProblem.of(stored).plant(v), stage.vehicle_at(model, v))
         for v in schedule.speeds
     ]
     again = fit_by_pairs(loops, schedule.speeds, result.scaling, schedule.u_max)(len(schedule.a) // 2)

@@ -1,8 +1,6 @@
 """controller.json: what is accepted, what is refused and by which name, and what the generated folder says of
 it."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 

@@ -1,8 +1,6 @@
 """μ with real parameters: right where the value is known by algebra, never below what a sample attains, and a
 proof that a planted error breaks. The families hold H∞ answers too."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

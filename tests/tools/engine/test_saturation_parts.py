@@ -1,8 +1,6 @@
 """Pieces of the limited loop: its equations solved for the demand, its energy by another recursion, its proof
 by hand."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

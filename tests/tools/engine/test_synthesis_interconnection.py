@@ -1,7 +1,5 @@
 """Fig. 1 by its equations, one signal at a time, and the weights in it by their factors."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

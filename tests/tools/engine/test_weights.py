@@ -1,8 +1,6 @@
 """Stage 4: a fitted weight lies above its bound, is nearly as tight as possible, and its certificate cannot
 be fooled."""
 
-from __future__ import annotations
-
 import json
 import math
 import statistics

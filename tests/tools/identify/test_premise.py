@@ -1,7 +1,5 @@
 """The premise of certificates: a W_delta that is too small is refused by drives that did not set it."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from dataclasses import replace

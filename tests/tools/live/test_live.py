@@ -1,8 +1,6 @@
 """The live page: what it shows is what replay says of the same frames, it keeps no more than its window, and
 a source or a browser that goes away stops nothing."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

@@ -1,7 +1,5 @@
 """The report page: whole, self-contained, the same bytes every time, and saying what was left out and why."""
 
-from __future__ import annotations
-
 import copy
 import re
 from dataclasses import replace
@@ -208,10 +206,7 @@ def test_a_campaign_is_told_with_every_severity_and_whoever_was_best(case, tmp_p
                 for t in ("frame", "energy", "change")
             },
         },
-        "falsified": {
-            "rate": {"count": 0, "of": 50, "interval": [0.0, 0.0711]},
-            "runs": [],
-        },
+        "falsified": {"rate": {"count": 0, "of": 50, "interval": [0.0, 0.0711]}, "runs": []},
         "supervision": {kind: {"as_required": seen, "due": 77, "met": 76} for kind in ("faulty", "healthy")},
         "bus": [
             {

@@ -1,7 +1,5 @@
 """The proposed [design] section: what drives of known command and actuator show, and that it is valid."""
 
-from __future__ import annotations
-
 import tomllib
 
 import numpy as np

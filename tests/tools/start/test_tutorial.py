@@ -1,11 +1,11 @@
 """The stranger, by the tutorial alone: every command that tools/TUTORIAL.md shows runs in its order on a race
 car's raw logs, ends as shown, and says what is shown."""
 
-from __future__ import annotations
-
 import json
 import re
 import shlex
+import subprocess
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -81,16 +81,38 @@ def test_a_line_that_was_not_said_is_found():
 
 @pytest.mark.long("60 s: fit, identification and evaluation of 22 recordings")
 def test_a_race_car_goes_from_raw_logs_to_its_page(race_car, lpvguard, few_baselines, tmp_path):
-    (tmp_path / "logs").symlink_to(race_car)
+    _follow_the_tutorial(race_car, tmp_path, lambda words: lpvguard(*words, cwd=tmp_path))
+
+
+@pytest.mark.long("10 min: packages installed, and every command in a process of its own")
+def test_the_installed_wheel_follows_the_tutorial_without_a_compiler(race_car, tmp_path):
+    built = [sys.executable, "-m", "pip", "wheel", "-q", "--no-deps", "--no-build-isolation", "-w", tmp_path]
+    subprocess.run([*built, ROOT / "tools"], check=True)
+    (wheel,) = tmp_path.glob("*.whl")
+    assert wheel.stat().st_size < 25e6
+    subprocess.run([sys.executable, "-m", "venv", tmp_path / "venv"], check=True)
+    programs = tmp_path / "venv" / "bin"
+    subprocess.run([programs / "pip", "install", "-q", f"{wheel}[compiler]"], check=True)
+    alone = {"PATH": str(programs), "HOME": str(tmp_path), "LPVGUARD_CACHE": str(tmp_path / "cache")}
+
+    def run(words):
+        command = [programs / "lpvguard", *words]
+        return subprocess.run(command, cwd=tmp_path, env=alone, capture_output=True, text=True, check=False)
+
+    _follow_the_tutorial(race_car, tmp_path, run)
+
+
+def _follow_the_tutorial(race_car: Path, folder: Path, run) -> None:
+    (folder / "logs").symlink_to(race_car)
     commands = shown(TUTORIAL.read_text(encoding="utf-8"))
     verbs = [c.words[0] for c in commands]
     chain = ["new", "fit", "identify", "export", "replay", "evaluate", "report"]
     assert [v for v in verbs if v in chain] == chain
     for command in commands:
-        done = lpvguard(*command.words, cwd=tmp_path)
+        done = run(command.words)
         assert done.returncode == command.status, (command.words, done.stderr)
         assert missing(done.stdout + done.stderr, command.lines) == [], command.words
-    _of_use(tmp_path)
+    _of_use(folder)
 
 
 def _of_use(folder: Path) -> None:

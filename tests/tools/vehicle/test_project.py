@@ -1,7 +1,5 @@
 """Project files: what is refused, and how it is said."""
 
-from __future__ import annotations
-
 from importlib import resources
 
 import numpy as np

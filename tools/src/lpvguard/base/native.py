@@ -13,6 +13,7 @@ from __future__ import annotations
 import ctypes
 import functools
 import hashlib
+import importlib.util
 import os
 import platform
 import shutil
@@ -80,9 +81,24 @@ def native_enabled() -> bool:
     return os.environ.get("LPVGUARD_NO_NATIVE", "") in ("", "0")
 
 
-def find_compiler(*, cxx: bool) -> str:
-    """Path of the C or C++ compiler: ``$CC`` or ``$CXX`` first, then the usual names. Raises NativeError if
-    none."""
+def find_compiler(*, cxx: bool) -> tuple[str, ...]:
+    """Find a C or C++ compiler.
+
+    ``$CC`` or ``$CXX`` comes first, then the usual names, then the Python package ziglang.
+
+    Parameters
+    ----------
+    cxx : bool, whether it must compile C++
+
+    Returns
+    -------
+    tuple of str, the command's first words
+
+    Raises
+    ------
+    NativeError
+        If there is none.
+    """
     names = [
         os.environ.get("CXX" if cxx else "CC") or "",
         *(("c++", "g++", "clang++") if cxx else ("cc", "gcc", "clang")),
@@ -90,14 +106,19 @@ def find_compiler(*, cxx: bool) -> str:
     for name in filter(None, names):
         path = shutil.which(name)
         if path:
-            return path
+            return (path,)
+    if (package := importlib.util.find_spec("ziglang")) and package.origin:
+        return (str(Path(package.origin).with_name("zig")), "c++" if cxx else "cc")
     language = "C++" if cxx else "C"
-    raise NativeError(f"no {language} compiler found; install gcc or clang, or set {'CXX' if cxx else 'CC'}")
+    raise NativeError(
+        f"no {language} compiler found; install gcc, clang or lpvguard[compiler], "
+        f"or set {'CXX' if cxx else 'CC'}"
+    )
 
 
 @functools.cache
-def _compiler_version(compiler: str) -> str:
-    return subprocess.run([compiler, "--version"], capture_output=True, text=True, check=True).stdout
+def _compiler_version(compiler: tuple[str, ...]) -> str:
+    return subprocess.run([*compiler, "--version"], capture_output=True, text=True, check=True).stdout
 
 
 @functools.cache
@@ -110,10 +131,10 @@ def _processor() -> str:
 
 
 def _digest(
-    sources: Sequence[Path], flags: Sequence[str], include_dirs: Sequence[Path], compiler: str
+    sources: Sequence[Path], flags: Sequence[str], include_dirs: Sequence[Path], compiler: tuple[str, ...]
 ) -> str:
     sha = hashlib.sha256()
-    for text in (compiler, _compiler_version(compiler), platform.machine(), *flags):
+    for text in (*compiler, _compiler_version(compiler), platform.machine(), *flags):
         sha.update(text.encode() + b"\0")
     if "-march=native" in flags:
         sha.update(_processor().encode())
@@ -216,7 +237,9 @@ def compile_object(
         If there is no compiler, a source is missing, or it does not compile.
     """
     kind = (*flags, "-x", "c++", "-c")
-    return _compile([source], kind, include_dirs, Path(source).stem, ".o", compiler, first)
+    return _compile(
+        [source], kind, include_dirs, Path(source).stem, ".o", (compiler,) if compiler else None, first
+    )
 
 
 def precompiled(
@@ -254,7 +277,7 @@ def _compile(
     include_dirs: Iterable[Path | str],
     name: str,
     suffix: str,
-    compiler: str | None = None,
+    compiler: tuple[str, ...] | None = None,
     first: Callable[[], Path | None] | None = None,
 ) -> Path:
     paths = [Path(s).resolve() for s in sources]
@@ -284,14 +307,14 @@ def _compile(
 
 
 def _compile_to(
-    target: Path, compiler: str, flags: tuple[str, ...], includes: list[Path], paths: list[Path]
+    target: Path, compiler: tuple[str, ...], flags: tuple[str, ...], includes: list[Path], paths: list[Path]
 ) -> Path:
     """Compile to ``target``, whole or not at all. Raises NativeError with the compiler's complaint."""
     name, suffix = target.stem, target.suffix
     with _usable(target.parent):
         handle, temporary = tempfile.mkstemp(suffix=suffix, prefix=f".{name}-", dir=target.parent)
     os.close(handle)
-    command = [compiler, *flags, *(f"-I{p}" for p in includes), *map(str, paths), "-o", temporary]
+    command = [*compiler, *flags, *(f"-I{p}" for p in includes), *map(str, paths), "-o", temporary]
     command += [] if suffix in (".o", ".gch") else ["-lm"]
     try:
         done = subprocess.run(command, capture_output=True, text=True, check=False)
@@ -332,8 +355,7 @@ def pointer(array: np.ndarray) -> ctypes.c_void_p:
 
     Parameters
     ----------
-    array : ndarray (N,) or any C-ordered shape
-        The caller keeps it alive.
+    array : ndarray (N,) or any C-ordered shape, the caller keeps it alive
 
     Returns
     -------

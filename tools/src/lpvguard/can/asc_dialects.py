@@ -4,8 +4,6 @@ With ``timestamps relative`` in the head, each line's time counts from the line 
 absolute. ``CANFD   Start of measurement`` is an event, which python-can takes as a frame.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from typing import TextIO
@@ -20,8 +18,7 @@ class AscLines:
 
     Parameters
     ----------
-    file : TextIO
-        The log, at its first line.
+    file : TextIO, the log, at its first line
     """
 
     def __init__(self, file: TextIO):

@@ -1,7 +1,5 @@
 """Generates lpvguard_bus.c (lib/include/lpvguard/bus.h): the signal table on the CAN catalogue."""
 
-from __future__ import annotations
-
 from ..base.errors import InputError
 from ..vehicle.project import CanPlace, Project
 from .catalogue import BusSignal, Catalogue, Message, load_catalogue
@@ -55,13 +53,12 @@ def sends_demand(project: Project) -> bool:
     )
 
 
-def bus_source(project: Project, catalogue: Catalogue | None = None) -> str:
+def bus_source(project: Project) -> str:
     """Generate the C text of lpvguard_bus.c.
 
     Parameters
     ----------
     project : Project
-    catalogue : Catalogue, optional, by default the shipped one
 
     Returns
     -------
@@ -72,7 +69,7 @@ def bus_source(project: Project, catalogue: Catalogue | None = None) -> str:
     InputError
         If a signal has no usable place on the bus; it names the signal.
     """
-    catalogue = catalogue or load_catalogue()
+    catalogue = load_catalogue()
     where = f"vehicle {project.name}"
     report = _report_message(project, catalogue, where)
     values: dict[str, list[str]] = {}

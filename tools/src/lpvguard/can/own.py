@@ -26,7 +26,7 @@ from .catalogue import E2E_BITS, OWN_NODE, BusSignal, Catalogue, Message
 from .codegen import ANY_PRIORITY
 from .decode import contradicting_range, is_j1939, load_database, signal_pieces
 from .logs import EXTENDED
-from .protection import CANFD_LENGTHS, PROTECTIONS, Place, Protection
+from .protection import PROTECTIONS, Place, Protection
 
 if TYPE_CHECKING:  # cantools takes long to import
     from cantools.database.can import Database
@@ -45,10 +45,8 @@ _ROUNDING = 0.5
 
 @dataclass(frozen=True)
 class Carried:
-    """A signal of the car and the one of the catalogue that carries its bits.
-
-    ``flip`` holds the raw bits to invert, so that the value is unsigned and rises with the physical one.
-    """
+    """A signal of the car and the one of the catalogue that carries its bits. ``flip`` holds the raw bits to
+    invert, so that the value is unsigned and rises with the physical one."""
 
     car: CarSignal
     ours: BusSignal
@@ -58,10 +56,8 @@ class Carried:
 @dataclass(frozen=True)
 class CarriedMessage:
     """A message of the car, ours that carries it, and the places of its checksum and counter.
-
     ``checksum_name`` is None without one. ``counters`` is the number of the counter's values.
-    ``any_priority`` marks a J1939 group.
-    """
+    ``any_priority`` marks a J1939 group."""
 
     car: CarMessage
     ours: Message
@@ -310,10 +306,8 @@ def _carry(signal: CarSignal, name: str, start: int, where: str) -> Carried:
 
 
 def _accepted(signal: CarSignal, low: float, high: float) -> dict[str, float] | None:
-    """Range of the database, whose ends are rounded, within the raw values' reach ``low`` to ``high``.
-
-    None where it states no range that can be meant.
-    """
+    """Range of the database, whose ends are rounded, within the raw values' reach ``low`` to ``high``. None
+    where it states no range that can be meant."""
     if signal.minimum is None or signal.maximum is None or not signal.minimum < signal.maximum:
         return None
     if why := contradicting_range(signal):
@@ -325,10 +319,8 @@ def _accepted(signal: CarSignal, low: float, high: float) -> dict[str, float] | 
 
 
 def _protection(car: CarMessage, settings: OwnMessage, where: str) -> tuple[Bits | None, Bits | None, int]:
-    """Places of checksum and counter, None without one, and the number of the counter's values.
-
-    Raises InputError where the settings do not fit the message.
-    """
+    """Places of checksum and counter, None without one, and the number of the counter's values. Raises
+    InputError where the settings do not fit the message."""
     place = f"can.messages.{car.name}"
     named = _named(car, settings.counter, "COUNTER", f"{place}.counter", where)
     if settings.checksum is None:
@@ -378,9 +370,9 @@ def _require_fit(kind: Protection, checksum: Bits, car: CarMessage, settings: Ow
             f"the checksum has {checksum.length} bits from bit {checksum.start} on",
             f"{kind.bits} bits within {max(kind.bits // 8, 1)} byte(s) of the frame for {settings.checksum}",
         )
-    if settings.checksum == "hyundai_canfd" and car.length not in CANFD_LENGTHS:
+    if kind.lengths and car.length not in kind.lengths:
         raise InputError(
-            where, place, f"{car.length} bytes", f"a frame of {', '.join(map(str, CANFD_LENGTHS))} bytes"
+            where, place, f"{car.length} bytes", f"a frame of {', '.join(map(str, kind.lengths))} bytes"
         )
     given = settings.data_id
     count = len(given) if isinstance(given, list) else 0 if given is None else 1

@@ -1,7 +1,5 @@
 """`lpvguard bench`: measure performance, beside peers in the same run; prints a table."""
 
-from __future__ import annotations
-
 from typing import Annotated
 
 import typer

@@ -12,17 +12,7 @@ from ..base import artefacts
 from ..base.errors import InputError
 from ..base.parallel import workers
 from ..base.progress import Progress, parts
-from .shared import (
-    Jobs,
-    JsonOut,
-    Out,
-    app,
-    console,
-    emit,
-    progress_bar,
-    stored_for,
-    stored_with_drives,
-)
+from .shared import Jobs, JsonOut, Out, app, console, emit, progress_bar, stored_for, stored_with_drives
 from .tables import (
     print_case,
     print_cells,

@@ -16,13 +16,7 @@ if TYPE_CHECKING:
 def print_evaluation(result: dict[str, Any]) -> None:
     """The object of `lpvguard evaluate --json`: false alarms, claims, faults found, beside the baselines."""
     from ..core.compiled import TESTS
-    from ..evaluate.comparison import (
-        ALARM_HEAD,
-        CALIBRATED,
-        MONITOR,
-        alarm_rows,
-        columns,
-    )
+    from ..evaluate.comparison import ALARM_HEAD, CALIBRATED, MONITOR, alarm_rows, columns
     from ..evaluate.false_alarms import PIECE_S
 
     alarms = Table(*ALARM_HEAD, box=None)

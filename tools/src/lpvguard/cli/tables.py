@@ -330,9 +330,9 @@ def print_moving_speed(result: Design) -> None:
 
 def print_robustness(result: Design) -> None:
     """The worst of what the nodes have beside mu; nothing where it was not asked for."""
-    if result.beside is None:
+    if result.further is None:
         return
-    nodes = result.beside.robustness.nodes
+    nodes = result.further.robustness.nodes
     gains = [node.worst_gain for node in nodes]
     gain = "not bounded" if None in gains else f"at most {max(g for g in gains if g is not None):.4f}"
     nearest = min((n.nu_margin / n.nu_gap_next for n in nodes if n.nu_gap_next), default=None)
@@ -346,7 +346,7 @@ def print_robustness(result: Design) -> None:
 
 def print_slow_delta(result: Design) -> None:
     """How fast Delta may vary, beside what frames can hide; nothing for a design without Delta."""
-    found = None if result.beside is None else result.beside.slow_delta
+    found = None if result.further is None else result.further.slow_delta
     if found is None:
         return
     stable = "at any rate" if found.stability_rate is None else f"up to {found.stability_rate:.3g} a second"
@@ -360,9 +360,9 @@ def print_slow_delta(result: Design) -> None:
 
 def print_limits(result: Design) -> None:
     """Print the proofs for a demand at its limits, if any."""
-    if result.beside is None:
+    if result.further is None:
         return
-    found = result.beside.limits
+    found = result.further.limits
     kappa, energy = found.largest_kappa, found.energy()
     console.print(
         "limits: "

@@ -13,8 +13,6 @@ nodes and midway between them. Storage functions certify robust stability and ro
 every speed history up to a stated rate of change (engine/synthesis/lpv_certificate.py).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
@@ -41,7 +39,12 @@ from ..identify.premise import premise, require_premise
 from ..vehicle.design_settings import DesignSettings
 from ..vehicle.nominal import NominalModel
 from .controller_file import stated_scaling
-from .further_certificates import NOTHING, Beside, beside, require_beside
+from .further_certificates import (
+    NOTHING,
+    FurtherCertificates,
+    further_certificates,
+    require_further_certificates,
+)
 from .input_limit import input_limit
 from .limiting import Limiting
 from .moving_speed import Moving, certified, moving_certificates, moving_to_dict, require_moving, tuning
@@ -95,7 +98,7 @@ class Design:
     full_order : int, order before the reduction
     off_grid : (speed [m/s], RobustPerformance), the worst between these speeds
     moving : dict, by claim for a moving speed, None: no storage function; empty: not requested
-    beside : Beside or None, margins, a varying Delta and limits, None: not requested
+    further : FurtherCertificates or None, margins, a varying Delta and limits, None: not requested
     """
 
     schedule: Scheduled
@@ -104,7 +107,7 @@ class Design:
     full_order: int
     off_grid: tuple[float, RobustPerformance]
     moving: dict[str, Moving | None] = field(default_factory=dict)
-    beside: Beside | None = None
+    further: FurtherCertificates | None = None
 
     @property
     def worst(self) -> float:
@@ -150,7 +153,7 @@ def design(
         moving=moving_certificates(problem, result.schedule, result.scaling, moving, workers)
         if moving_speed
         else {},
-        beside=beside(problem, result.schedule, result.scaling, margins, workers),
+        further=further_certificates(problem, result.schedule, result.scaling, margins, workers),
     )
 
 
@@ -204,10 +207,8 @@ def limit_sentence(stored: StoredIdentification, result: Design) -> str:
 
 
 def crossover(schedule: Scheduled, model: NominalModel) -> float:
-    """Highest frequency [rad/s] at which the loop gain is 1, over the nodes; 0 without any.
-
-    The loop gain is |sum_j K_j P_j|, of several inputs the spectral radius of K P.
-    """
+    """Highest frequency [rad/s] at which the loop gain is 1, over the nodes; 0 without any. The loop gain is
+    |sum_j K_j P_j|, of several inputs the spectral radius of K P."""
     omega = np.geomspace(CROSSOVER_FROM, np.pi / schedule.Ts * (1 - 1e-9), CROSSOVER_POINTS)
     highest = 0.0
     for v in map(float, schedule.speeds):
@@ -232,10 +233,7 @@ def _require_reach(stored: StoredIdentification, schedule: Scheduled) -> None:
 
 
 def _designed(
-    problem: DesignProblem,
-    scaling: Scaling | None,
-    progress: Progress,
-    workers: Map = map,
+    problem: DesignProblem, scaling: Scaling | None, progress: Progress, workers: Map = map
 ) -> Design:
     """Design for ``settings``; ``scaling`` starts the search for the common scaling."""
     model, settings, controlled = problem.model, problem.settings, problem.stored.project.controlled
@@ -303,11 +301,9 @@ def _with_fewest_poles(
     order_loss: float,
     progress: Progress,
 ) -> Scheduled | None:
-    """Schedule with the fewest pairs of common poles, at most ``most``, or None.
-
-    More pairs lower the worst level by less than ``order_loss`` of it. The result is None where no number of
-    pairs stabilises every speed. ``worst_level`` of a schedule is inf above the given level.
-    """
+    """Schedule with the fewest pairs of common poles, at most ``most``, or None. More pairs lower the worst
+    level by less than ``order_loss`` of it. The result is None where no number of pairs stabilises every
+    speed. ``worst_level`` of a schedule is inf above the given level."""
     best, found, found_pairs = np.inf, None, 0
     for pairs in range(FEWEST_PAIRS, most + 1):
         progress(Counted(f"{pairs} pairs of poles", pairs**3, (most + 1) ** 3))
@@ -328,11 +324,8 @@ def _sound_order(
     level: float,
     workers: Map,
 ) -> int:
-    """Largest order at which every controller of the family keeps ``level``.
-
-    The last states of ``rank`` can be rounding alone, with an unstable loop. Raises InputError where no order
-    keeps the level.
-    """
+    """Largest order at which every controller of the family keeps ``level``. The last states of ``rank`` can
+    be rounding alone, with an unstable loop. Raises InputError where no order keeps the level."""
     for order in range(rank, 0, -1):
         loops = zip(plants, at_order(order), strict=True)
         norms = workers(partial(_scaled_norm, scaling, 1e-3), loops)
@@ -350,10 +343,8 @@ def _worst_level(
     scaling: Scaling,
     workers: Map,
 ) -> float:
-    """Largest norm of the scaled closed loops.
-
-    It is inf when one loop, or the injection of a limited demand, is unstable, or when one exceeds ``limit``.
-    """
+    """Largest norm of the scaled closed loops. It is inf when one loop, or the injection of a limited demand,
+    is unstable, or when one exceeds ``limit``."""
     if not all(schedule.injection_radius(v) < 1 for v in loops):
         return np.inf
     worst = 0.0
@@ -392,10 +383,8 @@ def _off_grid(
 
 
 def dc_floor(weights: fig1.PlantWeights) -> float:
-    """Lower bound of every controller per unit of A_t: 1 / sqrt(1/|W_nr(0)|^2 + 1/|W_wr(0)|^2).
-
-    It balances noise against disturbance of the controlled output, here r.
-    """
+    """Lower bound of every controller per unit of A_t: 1 / sqrt(1/|W_nr(0)|^2 + 1/|W_wr(0)|^2). It balances
+    noise against disturbance of the controlled output, here r."""
     n, w = (abs(W[weights.controlled].response([0.0])[0, 0, 0]) for W in (weights.W_n, weights.W_w))
     return float(n * w / np.hypot(n, w))
 
@@ -474,11 +463,9 @@ def _certificates(
 def verify(
     path: Path, stored: StoredIdentification, progress: Progress = lambda _: None, workers: Map = map
 ) -> None:
-    """Prove the certificates of a controller.json again for its coefficients and these weights.
-
-    ``workers`` share the speeds. Raises InputError that names the speed of an unstable loop or a wrong
-    number, or an objective or input limit that differs from the project's.
-    """
+    """Prove the certificates of a controller.json again for its coefficients and these weights. ``workers``
+    share the speeds. Raises InputError that names the speed of an unstable loop or a wrong number, or an
+    objective or input limit that differs from the project's."""
     settings = stored.project.design
     document = artefacts.read_json(path)
     if settings is None or "certificates" not in document:
@@ -509,7 +496,7 @@ def verify(
     for row in rows:
         _compare(path, row, proved_rows[row["v_mps"]], loops[row["v_mps"]], schedule)
     require_moving(path, stated, problem, schedule, moving, workers)
-    require_beside(path, stated, problem, schedule, scaling, margins, workers)
+    require_further_certificates(path, stated, problem, schedule, scaling, margins, workers)
 
 
 def _require_settings(
@@ -552,10 +539,8 @@ def _require_floor(path: Path, stated: dict, floor: float) -> None:
 def _compare(
     path: Path, row: dict, proved: RobustPerformance, plant: fig1.GeneralisedPlant, schedule: Scheduled
 ) -> None:
-    """Raise InputError unless a row states the proved numbers.
-
-    The peak may be one of several: the scaled gain there must reach mu.
-    """
+    """Raise InputError unless a row states the proved numbers. The peak may be one of several: the scaled
+    gain there must reach mu."""
     v = row["v_mps"]
     loop = closed_scaled(plant, schedule.at(v), proved.scaling)
     at_peak = (
@@ -639,7 +624,7 @@ def save(
             "scaling_log_parameters": result.scaling.log_parameters,
             "scaling_columns": result.scaling.log_parameters.shape[1],
             "moving_speed": moving_to_dict(result.moving),
-            **(NOTHING if result.beside is None else result.beside.to_dict()),
+            **(NOTHING if result.further is None else result.further.to_dict()),
             "dc_floor": dc_floor(DesignProblem(stored, settings).weights),
             "largest_A_t": None if largest is None else asdict(largest),
             "off_grid": {"speeds": OFF_GRID, "seed": stored.project.seed, **_row(*result.off_grid)},

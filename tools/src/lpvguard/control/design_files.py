@@ -1,9 +1,5 @@
 """Files of step 8 besides controller.json: the numbers of Table II and of Figs. 5 and 6, and of a case file.
-
-report/design_pictures.py draws them.
-"""
-
-from __future__ import annotations
+report/design_pictures.py draws them."""
 
 import numpy as np
 

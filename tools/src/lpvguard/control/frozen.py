@@ -1,8 +1,6 @@
 """Fig. 1 of a vehicle at a frozen speed, for any structure, objective and uncertainty weights, and Table
 II."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cached_property
 

@@ -12,8 +12,6 @@ through its values lies above it. Every node is therefore lowered by the least f
 both its cells below the rule.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from ..vehicle.design_settings import DesignSettings
@@ -27,11 +25,9 @@ for rounding of float in the core."""
 
 
 def turning_limit(model: NominalModel, a_max: float, v: np.ndarray, controlled: int = 0) -> np.ndarray:
-    """Compute the input limit of the lateral acceleration, ``a_max / (n_u v |G_1k(0; v)|)``.
-
-    The result (m, n_u) [input unit] is for speeds v (m,) [m/s] and ``a_max`` [m/s^2]. It is inf for an input
-    that does not turn the vehicle.
-    """
+    """Compute the input limit of the lateral acceleration, ``a_max / (n_u v |G_1k(0; v)|)``. The result (m,
+    n_u) [input unit] is for speeds v (m,) [m/s] and ``a_max`` [m/s^2]. It is inf for an input that does not
+    turn the vehicle."""
     with np.errstate(divide="ignore"):
         return a_max / (model.n_u * v[:, None] * np.abs(model.dc_gain(v)[:, controlled]))
 

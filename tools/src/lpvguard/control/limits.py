@@ -5,8 +5,6 @@ within kappa times its limit. The loop is then stable, and the gain from [w; n; 
 [w; n; r_c] of at most an energy keeps the demand there and the rate limit untouched.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from functools import partial
@@ -148,10 +146,7 @@ def require_limits(
     workers: Map = map,
 ) -> None:
     """Raise InputError unless the constants of ``stated`` (certificates.limits of ``path``) prove its
-    numbers.
-
-    None claims nothing. ``workers`` share the rows.
-    """
+    numbers. None claims nothing. ``workers`` share the rows."""
     if stated is None:
         return
     rows = stated["rows"]
@@ -212,10 +207,7 @@ def largest_step(problem: DesignProblem, schedule: Scheduled) -> np.ndarray:
 
 
 def _loops(
-    problem: DesignProblem,
-    schedule: Scheduled,
-    scaling: Scaling,
-    asked: list[tuple[float, float]],
+    problem: DesignProblem, schedule: Scheduled, scaling: Scaling, asked: list[tuple[float, float]]
 ) -> Iterator[tuple[float, LimitedLoop]]:
     """Speed and loop of every speed and kappa in ``asked``."""
     for v, kappa in asked:

@@ -1,5 +1,4 @@
 """Fig. 1 of an identified vehicle: its settings, its weights and the generalised plant at a frozen speed.
-
 Everything is discrete from the start: the vehicle sampled exactly at Ts, the weights by Tustin's map. The
 model's input delay lies before the vehicle, a fraction of a sample within it. The performance weights W_u
 have no delay. The weight of a further input is that of the first, times the first's rate limit over its own.
@@ -98,11 +97,8 @@ class DesignProblem:
 
     def state_uncertainty(self) -> SplitWeights:
         """Class S2's weights at the identified gamma_w: W_delta_i dimensionless, W_delta_s in 1/s; searched
-        once for each lambda_s.
-
-        xi_s adds to the state's derivative. It is found by inverting dynamics, which windows only
-        approximate: InputError where the frames cannot tell it.
-        """
+        once for each lambda_s. xi_s adds to the state's derivative. It is found by inverting dynamics, which
+        windows only approximate: InputError where the frames cannot tell it."""
         stored, lambda_s = self.stored, self.settings.lambda_s
         error = stored.bounds["window_error_median"]
         worst = int(np.nanargmax(error))
@@ -124,12 +120,10 @@ class DesignProblem:
 
     @cached_property
     def weights(self) -> fig1.PlantWeights:
-        """Weights of Fig. 1: some from the settings, the others as identified.
-
-        Without drives of the noise split, W_n is the deviation of the sensors' noise, and W_w also contains
-        that noise. Raises InputError when identification and design differ in uncertainty. S1_diagonal goes
-        with K_o, S1 with K_i and K_is, and K_inf with each. One Delta of a single output is also K_o's.
-        """
+        """Weights of Fig. 1: some from the settings, the others as identified. Without drives of the noise
+        split, W_n is the deviation of the sensors' noise, and W_w also contains that noise. Raises InputError
+        when identification and design differ in uncertainty. S1_diagonal goes with K_o, S1 with K_i and K_is,
+        and K_inf with each. One Delta of a single output is also K_o's."""
         stored, settings, fitted = self.stored, self.settings, self.stored.fitted
         outputwise, n_y = settings.structure == fig1.OUTPUTWISE, stored.project.n_y
         if settings.structure != "K_inf" and len(fitted.W_delta) != (n_y if outputwise else 1):

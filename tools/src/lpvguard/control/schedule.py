@@ -64,12 +64,9 @@ def fit_by_pairs(
     loops: Sequence[FrozenLoop], speeds: np.ndarray, scaling: Scaling, u_max: np.ndarray
 ) -> Callable[[int], Scheduled]:
     """Function of the number of pairs of poles that returns the schedule closest to the controllers of
-    ``loops``.
-
-    The schedule has so many pairs and a delay; there is a loop a speed. u_max (G, n_u) is the largest
-    |demand| at
-    every speed [input unit]. Raises LinAlgError where a loop's sensitivity or recovery does not exist.
-    """
+    ``loops``. The schedule has so many pairs and a delay; there is a loop a speed. u_max (G, n_u) is the
+    largest |demand| at every speed [input unit]. Raises LinAlgError where a loop's sensitivity or recovery
+    does not exist."""
     Ts = loops[0].controller.dt
     omega = np.concatenate([[0.0], np.logspace(-5, 0, FIT_POINTS) * np.pi / Ts * (1 - 1e-9)])
     z = np.exp(1j * omega * Ts)
@@ -127,10 +124,8 @@ def _factor(values: np.ndarray) -> np.ndarray:
 
 
 def first_columns(poles: np.ndarray) -> np.ndarray:
-    """a (n,) of pairs of ``poles`` (n,) in the z plane, slowest first.
-
-    Complex poles come with their conjugates, real ones in an even number.
-    """
+    """a (n,) of pairs of ``poles`` (n,) in the z plane, slowest first. Complex poles come with their
+    conjugates, real ones in an even number."""
     real = np.sort(poles[np.abs(poles.imag) < 1e-9].real)[::-1]
     upper = poles[poles.imag >= 1e-9]
     pairs = np.vstack([np.column_stack([upper, upper.conj()]), real.reshape(-1, 2)]) - 1
@@ -207,10 +202,8 @@ def _fits(loop: FrozenLoop, scaling: Scaling, omega: np.ndarray) -> list[_RowFit
 
 
 def _recovery(loop: FrozenLoop, a: np.ndarray, B: np.ndarray, u_max: np.ndarray, z: np.ndarray) -> np.ndarray:
-    """L (n_u, n, n_u) at one speed; see the module's docstring.
-
-    B is (n_u, n, 1 + n_y), whose reference column is ignored; u_max (n_u,).
-    """
+    """L (n_u, n, n_u) at one speed; see the module's docstring. B is (n_u, n, 1 + n_y), whose reference
+    column is ignored; u_max (n_u,)."""
     A_p, B_p, C_p = loop.vehicle.A, loop.vehicle.B, loop.vehicle.C
     eye, n_u = np.eye(len(A_p)), len(u_max)
     c = C_p[loop.controlled]

@@ -9,8 +9,6 @@ The controllers run with their sample of delay on the nominal vehicle at the des
 all-pass system (engine/synthesis/worst_case.py).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -48,10 +46,8 @@ class WorstRun:
 
 @dataclass(frozen=True)
 class WorstRuns:
-    """All runs on ``drive``; t (N,), wanted = W_R r_c (N,).
-
-    ``left_out``: structures none of whose objectives has μ < 1.
-    """
+    """All runs on ``drive``; t (N,), wanted = W_R r_c (N,). ``left_out``: structures none of whose objectives
+    has μ < 1."""
 
     drive: str
     factor: float

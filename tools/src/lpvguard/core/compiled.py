@@ -1,8 +1,6 @@
-"""The compiled C core of one vehicle, called from Python. This package has no other monitor.
-
-The core is built on first use, from the sources for the ECU: ``lib/`` and the vehicle's generated folder. The
-result is kept in a cache, keyed by a hash.
-"""
+"""The compiled C core of one vehicle, called from Python. This package has no other monitor. The core is
+built on first use, from the sources for the ECU: ``lib/`` and the vehicle's generated folder. The result is
+kept in a cache, keyed by a hash."""
 
 from __future__ import annotations
 
@@ -10,6 +8,7 @@ import ctypes
 import os
 import shutil
 import subprocess
+import sys
 import tempfile
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -129,8 +128,21 @@ def shipped_vehicle(name: str) -> Path:
     return folder
 
 
+EIGEN_PREFIXES = ("/usr", "/usr/local", "/opt/homebrew")
+
+
 def eigen_include() -> str:
-    """Include folder of Eigen 3. Raises NativeError when there is none."""
+    """Find Eigen 3: that of the system, or that of the Python package cmeel-eigen.
+
+    Returns
+    -------
+    str, folder to include
+
+    Raises
+    ------
+    NativeError
+        If there is none.
+    """
     if shutil.which("pkg-config"):
         found = subprocess.run(
             ["pkg-config", "--variable=includedir", "eigen3"], capture_output=True, text=True, check=False
@@ -138,10 +150,11 @@ def eigen_include() -> str:
         path = Path(found.stdout.strip() or "/usr/include") / "eigen3"
         if path.is_dir():
             return str(path)
-    for usual in ("/usr/include/eigen3", "/usr/local/include/eigen3", "/opt/homebrew/include/eigen3"):
-        if Path(usual).is_dir():
-            return usual
-    raise native.NativeError("Eigen 3.4 not found; install libeigen3-dev")
+    for prefix in (*EIGEN_PREFIXES, *(f"{folder}/cmeel.prefix" for folder in sys.path)):
+        folder = Path(prefix) / "include" / "eigen3"
+        if folder.is_dir():
+            return str(folder)
+    raise native.NativeError("Eigen 3.4 not found; install libeigen3-dev or lpvguard[compiler]")
 
 
 CORE_FLAGS = (
@@ -301,10 +314,8 @@ class FrameLog:
         return self.reason <= REASONS.index("not_excited")
 
     def judged(self, samples: int, t0: float, Ts: float, length: np.ndarray) -> np.ndarray:
-        """True (N,) at the samples that lie in a counted frame, from time t0 [s] on.
-
-        ``length`` (K,) holds samples of a frame, by bin.
-        """
+        """True (N,) at the samples that lie in a counted frame, from time t0 [s] on. ``length`` (K,) holds
+        samples of a frame, by bin."""
         after = np.round((self.t_end_s[self.counted] - t0) / Ts).astype(int) + 1
         frames_open = np.zeros(samples + 1, int)
         np.add.at(frames_open, after - length[self.bin[self.counted]], 1)
@@ -483,11 +494,9 @@ class Core:
     def monitor(
         self, *, words: np.ndarray | None = None, reals: np.ndarray | None = None, seal: bool = False
     ) -> RunningMonitor:
-        """Start a monitor with the compiled-in coefficients, or with the given ones.
-
-        ``words`` (W,) and ``reals`` (R,) are flat, as in ``compiled``. ``seal`` renews their CRC. Raises
-        InputError with the core's status when init refuses the coefficients.
-        """
+        """Start a monitor with the compiled-in coefficients, or with the given ones. ``words`` (W,) and
+        ``reals`` (R,) are flat, as in ``compiled``. ``seal`` renews their CRC. Raises InputError with the
+        core's status when init refuses the coefficients."""
         compiled_words, compiled_reals = self.compiled
         arguments: tuple[ctypes.c_void_p | None, ctypes.c_void_p | None] = (None, None)
         if words is not None or reals is not None:
@@ -532,10 +541,8 @@ class RunningMonitor:
     def run(
         self, t: np.ndarray, v: np.ndarray, u: np.ndarray, y: np.ndarray, present: np.ndarray | None = None
     ) -> Run:
-        """Push samples t (N,) [s], v (N,), u (N, n_u), y (N, n_y).
-
-        Where ``present`` (N,) is False, time passes without a sample.
-        """
+        """Push samples t (N,) [s], v (N,), u (N, n_u), y (N, n_y). Where ``present`` (N,) is False, time
+        passes without a sample."""
         n = len(t)
         columns = self._core._columns
         arrays = [

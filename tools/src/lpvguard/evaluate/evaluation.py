@@ -14,8 +14,6 @@ The module ``false_alarms.py`` defines false alarms, ``detection.py`` defines fo
 ``baseline_study.py`` tunes the baselines.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator
 from functools import partial
 from itertools import product
@@ -34,15 +32,7 @@ from ..vehicle.project import EvaluationSettings
 from .baseline_study import BaselineStudy, evaluate_baselines
 from .causes import DIAGNOSED_S, CauseOutcome, CauseOutcomes, cause_table
 from .comparison import EXPORTED, LEFT_ONE_OUT, MONITOR, duels
-from .detection import (
-    FaultOutcome,
-    Injection,
-    Outcomes,
-    fault_rows,
-    margins,
-    ranking,
-    refutable,
-)
+from .detection import FaultOutcome, Injection, Outcomes, fault_rows, margins, ranking, refutable
 from .false_alarms import alarmed_pieces, alarming, false_alarms, piece_starts
 from .judged_drives import FLOORS, JudgedDrives, calibrations_of, joint_thresholds
 
@@ -61,10 +51,8 @@ def _evaluate_drive(
     injection: Injection,
     item: tuple[Experiment, Recordings, dict[str, Calibration]],
 ) -> tuple[dict, Found, CauseOutcomes]:
-    """Row of one drive, outcomes per detector and case, and the causes that EXPORTED names.
-
-    Recordings and calibrations are the drive's own. A drive without qualified stretches has no outcomes.
-    """
+    """Row of one drive, outcomes per detector and case, and the causes that EXPORTED names. Recordings and
+    calibrations are the drive's own. A drive without qualified stretches has no outcomes."""
     experiment, recordings, calibrations = item
     project, thresholds = reader.project, {what: c.threshold for what, c in calibrations.items()}
     together, apart = (
@@ -200,10 +188,8 @@ def _false_alarms(detector: str, rows: list[dict]) -> dict:
 
 
 def _stated_rates(rows: list[dict], baselines: list[dict], scored: Iterable[str]) -> dict[str, float | None]:
-    """Stated rate of false alarms on a further drive per detector; None: counts only.
-
-    The tests as exported have at most the sum of their rates.
-    """
+    """Stated rate of false alarms on a further drive per detector; None: counts only. The tests as exported
+    have at most the sum of their rates."""
     stated = {what: one_rate(r["calibration"][what]["alpha"] for r in rows) for what in scored}
     apart = [rate for test in TESTS if (rate := stated[test]) is not None]
     stated |= {EXPORTED: sum(apart) if len(apart) == len(TESTS) else None}

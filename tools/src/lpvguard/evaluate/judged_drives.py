@@ -31,9 +31,7 @@ SAW = {"bounds": "set the bounds", "calibration": "calibrated", "noise": "set th
 @dataclass(frozen=True)
 class JudgedDrives:
     """Drives by name, the calibrations of MONITOR and each test that judge them, and their recordings.
-
-    ``mode`` is LEFT_ONE_OUT or HELD_OUT. ``rule`` describes the calibrating drives.
-    """
+    ``mode`` is LEFT_ONE_OUT or HELD_OUT. ``rule`` describes the calibrating drives."""
 
     mode: str
     rule: str

@@ -12,8 +12,6 @@ a unit, columns, a shift in time) is an InputError. A drive that may be of anoth
 is left out with a finding.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -170,10 +168,8 @@ def fit(
 
 
 def _read(project: Project, experiments: list[Experiment]) -> tuple[list[Drive], list[InputError]]:
-    """All drives, and the errors of those with values outside their signals' ranges.
-
-    A wrong unit then gets its own message first.
-    """
+    """All drives, and the errors of those with values outside their signals' ranges. A wrong unit then gets
+    its own message first."""
     drives, refused = [], []
     for e in experiments:
         try:

@@ -35,11 +35,9 @@ TINY = 1e-300
 
 @dataclass(frozen=True)
 class HealthySet:
-    """Bounds of the frame test at the bins: W_delta (K, n_delta), B_w (K, n_y) [output units].
-
-    They were scaled by ``factor`` (K, n_delta), which is at least 1. ``folds`` (K,) is the number of drives,
-    or folds of drives, with frames in the bin.
-    """
+    """Bounds of the frame test at the bins: W_delta (K, n_delta), B_w (K, n_y) [output units]. They were
+    scaled by ``factor`` (K, n_delta), which is at least 1. ``folds`` (K,) is the number of drives, or folds
+    of drives, with frames in the bin."""
 
     W_delta: np.ndarray
     B_w: np.ndarray

@@ -8,8 +8,6 @@ where t0 is the first sample after the restart. The energy from before t0 is a f
 is a quadratic form in the filter's state, summed exactly by a discrete Lyapunov equation.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.linalg import solve_discrete_lyapunov
 from scipy.signal import lfilter, sosfilt
@@ -22,8 +20,7 @@ def section_states(sections: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.
     ----------
     sections : ndarray (S, 6)
         Filter in z, direct form II transposed, as `scipy.signal.sosfilt` has its states.
-    x : ndarray (N,)
-        Input.
+    x : ndarray (N,), input
     """
     states = np.zeros((len(sections), 2, len(x)))
     for state, section in zip(states, sections, strict=True):
@@ -49,12 +46,9 @@ def response_energy(sections: np.ndarray, rho: float, settle: int = 0) -> np.nda
 
     Parameters
     ----------
-    sections : ndarray (S, 6)
-        Filter in z, its poles below ``rho``.
-    rho : float
-        Forgetting a sample.
-    settle : int
-        Samples of the response that do not count.
+    sections : ndarray (S, 6), filter in z, its poles below ``rho``
+    rho : float, forgetting a sample
+    settle : int, samples of the response that do not count
     """
     A, C = free_response(sections)
     power = np.linalg.matrix_power(A / rho, settle)
@@ -66,12 +60,9 @@ def remembered(sections: np.ndarray, x: np.ndarray, rho: float, settle: int | No
 
     Parameters
     ----------
-    sections : ndarray (S, 6)
-        Filter in z, its poles below ``rho``.
-    x : ndarray (N,)
-        Input.
-    rho : float
-        Forgetting a sample.
+    sections : ndarray (S, 6), filter in z, its poles below ``rho``
+    x : ndarray (N,), input
+    rho : float, forgetting a sample
     settle : int or None
         Samples after the restart at which the sum begins. None: it counts what came before, too.
     """

@@ -1,7 +1,5 @@
 """A temporary compiled core."""
 
-from __future__ import annotations
-
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager

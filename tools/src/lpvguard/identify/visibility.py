@@ -38,12 +38,10 @@ STATED_DELAYS_S = (0.3, 0.15)
 
 @dataclass(frozen=True)
 class Excitation:
-    """Excitation of counted frames, in bounded memory, joined over drives by ``joined``.
-
-    ``count`` (SPEED_CELLS, K) counts all frames. Each row holds ``group`` (cell * K + bin), ``hash``,
-    ``dead`` = t*(-Z, Z) and ``size`` = |Z| [output units]. The rows are the frame of the largest ``dead`` of
-    each group and a sample of SAMPLED_FRAMES.
-    """
+    """Excitation of counted frames, in bounded memory, joined over drives by ``joined``. ``count``
+    (SPEED_CELLS, K) counts all frames. Each row holds ``group`` (cell * K + bin), ``hash``, ``dead`` = t*(-Z,
+    Z) and ``size`` = |Z| [output units]. The rows are the frame of the largest ``dead`` of each group and a
+    sample of SAMPLED_FRAMES."""
 
     count: np.ndarray
     strongest: Rows
@@ -61,12 +59,10 @@ class Excitation:
         B_w: np.ndarray,
         number: np.ndarray,
     ) -> Excitation:
-        """Excitation of the F counted frames of drive ``name``.
-
-        The frames have the bins ``bin_of`` (F,), the mean speeds ``speed`` (F,) [m/s] and the outputs Z (F,
-        n_y) [output units]. ``number`` (F,) identifies the frames of a bin. ``speed_range`` [m/s] is cut into
-        SPEED_CELLS equal cells. The bounds are W_delta (K, n_delta) and B_w (K, n_y).
-        """
+        """Excitation of the F counted frames of drive ``name``. The frames have the bins ``bin_of`` (F,), the
+        mean speeds ``speed`` (F,) [m/s] and the outputs Z (F, n_y) [output units]. ``number`` (F,) identifies
+        the frames of a bin. ``speed_range`` [m/s] is cut into SPEED_CELLS equal cells. The bounds are W_delta
+        (K, n_delta) and B_w (K, n_y)."""
         K = len(W_delta)
         cell = np.searchsorted(_edges(speed_range), speed, side="right") - 1
         group = np.clip(cell, 0, SPEED_CELLS - 1) * K + bin_of

@@ -288,10 +288,7 @@ def uncertainty_samples(
 
 
 def fit_uncertainty(
-    project: Project,
-    estimator: Estimator,
-    omega: np.ndarray,
-    column: tuple[np.ndarray, np.ndarray, str],
+    project: Project, estimator: Estimator, omega: np.ndarray, column: tuple[np.ndarray, np.ndarray, str]
 ) -> FittedWeight:
     """Fit W_delta above the uncertainty bounds.
 
@@ -377,12 +374,9 @@ def fit_weights(
     command: np.ndarray,
     workers: Map = map,
 ) -> Weights:
-    """Steps 6 and 7 for the fitted ``W_delta``.
-
-    ``noise``, ``error`` (K, n_y): peaks of E without and with input; ``command`` (K,): of the controlled
-    output. ``workers`` share the weights. Without zero-input drives (``noise`` all NaN) B_w is W_w. W_C is
-    fitted with them, or for a design.
-    """
+    """Steps 6 and 7 for the fitted ``W_delta``. ``noise``, ``error`` (K, n_y): peaks of E without and with
+    input; ``command`` (K,): of the controlled output. ``workers`` share the weights. Without zero-input
+    drives (``noise`` all NaN) B_w is W_w. W_C is fitted with them, or for a design."""
     floor = smallest_disturbance(bounds.B2)
     names = [s.name for s in project.outputs]
     disturbance_set = project.bounds.disturbance_set

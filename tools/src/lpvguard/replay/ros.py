@@ -9,8 +9,6 @@ A topic whose signals the vehicle does not have is left out. A yaw rate is an ou
 the word yaw; a road-wheel angle is an input in rad.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any

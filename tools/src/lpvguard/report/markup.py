@@ -1,7 +1,5 @@
 """HTML helpers of the page's sections."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from html import escape
 

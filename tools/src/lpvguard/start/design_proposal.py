@@ -4,8 +4,6 @@ The command's size and corner are those of the driven output, the limits are tho
 controller then asks for nothing that was not driven.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -232,10 +232,8 @@ def _recording(name: str, table: Table) -> Recording:
 
 
 def _step_of(series: Series) -> float:
-    """Usual time [s] from one value of a signal to the next; a value that is held is one.
-
-    A table that is merged of slow topics repeats their values, or leaves cells empty.
-    """
+    """Usual time [s] from one value of a signal to the next; a value that is held is one. A table that is
+    merged of slow topics repeats their values, or leaves cells empty."""
     ok = np.isfinite(series.value)
     t, value = series.t_ns[ok] * 1e-9, series.value[ok]
     if len(t) < 2:
@@ -544,10 +542,7 @@ bias_of_spread = {usual.bias_of_spread:g}      # of the output's standard deviat
 
 def _splits(project: Project, folder: Path, names: dict[str, str]) -> dict[str, str]:
     """Let every second recording in the order of mean speed set the bounds, so that both halves have all
-    speeds.
-
-    A single recording is split by its drives. ``names`` is the recording by drive.
-    """
+    speeds. A single recording is split by its drives. ``names`` is the recording by drive."""
     by = names if len(set(names.values())) > 1 else {n: n for n in names}
     speeds: dict[str, list[np.ndarray]] = {}
     for n in names:

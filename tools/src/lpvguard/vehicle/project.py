@@ -1,8 +1,5 @@
-"""Project files: one vehicle is one TOML file, validated on load.
-
-Its signal table alone states names, units, signs, ranges and CAN places of signals. Signals have the order
-scheduling, inputs, outputs, gates.
-"""
+"""Project files: one vehicle is one TOML file, validated on load. Its signal table alone states names, units,
+signs, ranges and CAN places of signals. Signals have the order scheduling, inputs, outputs, gates."""
 
 from __future__ import annotations
 
@@ -59,6 +56,9 @@ Checksum = Literal[
     "tesla",
     "chrysler",
     "volkswagen_xor",
+    "nissan",
+    "ford_speed",
+    "ford_yaw_rate",
     "hyundai_sum",
     "hyundai_sum_before",
     "hyundai_nibbles",

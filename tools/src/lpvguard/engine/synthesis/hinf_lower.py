@@ -20,8 +20,6 @@ Any Z₁, Z₂ give a bound. Good ones are Gramians of the worst trajectories of
 the direction in which their solutions couple most.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -56,10 +54,8 @@ class DualCertificate:
 
 def dual_bound(P: Plant, certificate: DualCertificate) -> float:
     """Return the level that no controller of ``P`` goes below, by the certificate; 0 where it proves none.
-
     The multipliers may violate their conditions by what a relative change ``DATA_RTOL`` of the plant's
-    entries explains.
-    """
+    entries explains."""
     constant, traces, halves = 0.0, 0.0, []
     for Q, Z in ((P, certificate.first), (P.dual, certificate.second)):
         half, part, trace = _one_side(Q, Z)
@@ -98,10 +94,8 @@ def dual_certificate(P: Plant, control: Side, filter_: Side, level: float) -> Du
     Parameters
     ----------
     P : Plant
-    control, filter_ : Side
-        Riccati equations of the plant and of its dual.
-    level : float
-        A little below the optimum.
+    control, filter_ : Side, Riccati equations of the plant and of its dual
+    level : float, a little below the optimum
     """
     sides = [side for side in (_trajectories(control, level), _trajectories(filter_, level)) if side]
     if len(sides) < 2:
@@ -175,14 +169,10 @@ def proved_level(
 
     Parameters
     ----------
-    P : Plant
-        The plant of the Riccati equations ``control`` and ``filter_``.
-    gamma : float
-        Level that the equations claim to be the optimum.
-    basis : ndarray, shape (n, n)
-        States of ``given`` are ``basis`` times those of ``P``.
-    given : Plant
-        Its numbers decide.
+    P : Plant, the plant of the Riccati equations ``control`` and ``filter_``
+    gamma : float, level that the equations claim to be the optimum
+    basis : ndarray, shape (n, n), states of ``given`` are ``basis`` times those of ``P``
+    given : Plant, its numbers decide
     """
     best, n = 0.0, len(basis)
     for share in BELOW:
@@ -198,12 +188,10 @@ def proved_level(
 
 
 def frequency_level(plant: StateSpace, n_control: int, n_measurement: int) -> float:
-    """Return a level that no controller goes below at single frequencies, rounding deducted.
-
-    At each frequency, the left kernel of M12 and the right kernel of M21 leave a part of M11. No matrix Q
-    makes σ̄(M11 + M12 Q M21) less than this part (Parrott 1978). The largest of a grid about the poles is
-    improved.
-    """
+    """Return a level that no controller goes below at single frequencies, rounding deducted. At each
+    frequency, the left kernel of M12 and the right kernel of M21 leave a part of M11. No matrix Q makes
+    σ̄(M11 + M12 Q M21) less than this part (Parrott 1978). The largest of a grid about the poles is
+    improved."""
     poles = plant.poles()
     rates = np.abs(np.log(poles[poles != 0]) / plant.dt) if plant.dt else np.abs(poles)
     rates = rates[np.isfinite(rates) & (rates > 0)]

@@ -337,11 +337,9 @@ def _parts(
     delay: int,
     fraction: float,
 ) -> tuple[dict[str, StateSpace], int]:
-    """The systems of Fig. 1 by name, sampled where ``dt`` > 0, and the number of the vehicle's states.
-
-    The vehicle goes from [ũ; an input on every state] to [y; x]. W_delta_s acts on every state. The weights
-    of Δ that the structure does not have are left out, as the delay is where it is 0.
-    """
+    """The systems of Fig. 1 by name, sampled where ``dt`` > 0, and the number of the vehicle's states. The
+    vehicle goes from [ũ; an input on every state] to [y; x]. W_delta_s acts on every state. The weights of Δ
+    that the structure does not have are left out, as the delay is where it is 0."""
     n, n_u = B.shape
     channels = {
         "W_delta_i": n_u * (structure in ("K_i", "K_is")),
@@ -374,11 +372,9 @@ def delay_line(samples: int, dt: float) -> StateSpace:
 
 
 def held_with_delay(G: StateSpace, n_u: int, dt: float, fraction: float) -> StateSpace:
-    """Sample a system with held inputs, the first ``n_u`` of which act a fraction of a sample late.
-
-    Where ``fraction`` is not 0, these inputs of the sample before become states behind those of G, and
-    outputs behind its outputs.
-    """
+    """Sample a system with held inputs, the first ``n_u`` of which act a fraction of a sample late. Where
+    ``fraction`` is not 0, these inputs of the sample before become states behind those of G, and outputs
+    behind its outputs."""
     whole = zero_order_hold(G, dt)
     if not fraction:
         return whole

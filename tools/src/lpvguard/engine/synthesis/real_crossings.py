@@ -11,8 +11,6 @@ and the δ of least largest entry that satisfies it has a closed form. The itera
 returns is checked: I − M Δ is singular for an M that differs from the given one by rounding.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -37,12 +35,9 @@ class Crossing:
 
     Attributes
     ----------
-    value : float
-        1 / max_i |δ_i|, a lower bound of μ at ``omega``; 0 where nothing was found.
-    omega : float
-        Frequency in rad/s.
-    delta : ndarray or None
-        Δ, shape (Σrows, Σcols).
+    value : float, 1 / max_i |δ_i|, a lower bound of μ at ``omega``; 0 where nothing was found
+    omega : float, frequency in rad/s
+    delta : ndarray or None, Δ, shape (Σrows, Σcols)
     """
 
     value: float
@@ -60,8 +55,7 @@ def is_singular(M: np.ndarray, delta: np.ndarray, moved: np.ndarray) -> bool:
     ----------
     M : ndarray, shape (p, m)
     delta : ndarray, shape (m, p)
-    moved : ndarray, shape (p, m)
-        Rounding of each entry of M.
+    moved : ndarray, shape (p, m), rounding of each entry of M
 
     Notes
     -----
@@ -80,18 +74,14 @@ def least_parameters(A: np.ndarray, b: np.ndarray, free: np.ndarray | None) -> t
 
     Parameters
     ----------
-    A : ndarray, shape (2, k)
-        Real and imaginary part of one complex equation; or (1, k), a real equation.
+    A : ndarray, shape (2, k), real and imaginary part of one complex equation; or (1, k), a real equation
     b : ndarray, shape (2,) or (1,)
-    free : ndarray, shape (2,), or None
-        Column of a variable s that costs nothing.
+    free : ndarray, shape (2,), or None, column of a variable s that costs nothing
 
     Returns
     -------
-    delta : ndarray, shape (k,)
-        NaN where there is no solution.
-    s : float
-        0 without ``free``.
+    delta : ndarray, shape (k,), NaN where there is no solution
+    s : float, 0 without ``free``
 
     Notes
     -----
@@ -128,10 +118,8 @@ def least_parameters(A: np.ndarray, b: np.ndarray, free: np.ndarray | None) -> t
 def nearest_parameters(
     A: np.ndarray, b: np.ndarray, free: np.ndarray | None, delta: np.ndarray, omega: float
 ) -> tuple[np.ndarray, float]:
-    """Solve A δ + free s = b for the δ nearest to ``delta`` (k,); s is weighed by 1 / ``omega`` [rad/s].
-
-    A, b, ``free`` and what is returned are as in ``least_parameters``: (2, k) or (1, k), (2,) or (1,), (2,).
-    """
+    """Solve A δ + free s = b for the δ nearest to ``delta`` (k,); s is weighed by 1 / ``omega`` [rad/s]. A,
+    b, ``free`` and what is returned are as in ``least_parameters``: (2, k) or (1, k), (2,) or (1,), (2,)."""
     if free is None:
         return delta + np.linalg.pinv(A) @ (b - A @ delta), 0.0
     whole = np.column_stack([A * np.abs(delta).max(), free * omega])
@@ -144,12 +132,9 @@ class RealSearch:
 
     Parameters
     ----------
-    response : callable
-        Frequency [rad/s] to M, shape (Σcols, Σrows), and the rounding of its entries.
-    structure : Structure
-        Real blocks alone.
-    low, high : float
-        Interval of frequencies [rad/s]; equal for one frequency.
+    response : callable, frequency [rad/s] to M, shape (Σcols, Σrows), and the rounding of its entries
+    structure : Structure, real blocks alone
+    low, high : float, interval of frequencies [rad/s]; equal for one frequency
     """
 
     def __init__(

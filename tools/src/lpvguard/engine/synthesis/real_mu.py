@@ -5,8 +5,6 @@ a level a little above it, proved on boxes of the parameters and cells of freque
 a part resists, a larger lower bound is searched for from there, and the level rises with what is found.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -39,15 +37,12 @@ class RealMu:
 
     Attributes
     ----------
-    upper : float
-        Proved at every frequency by ``proof``.
-    lower : float
-        Attained by ``delta``, shape (Σrows, Σcols), at ``omega`` [rad/s, continuous time].
+    upper : float, proved at every frequency by ``proof``
+    lower : float, attained by ``delta``, shape (Σrows, Σcols), at ``omega`` [rad/s, continuous time]
     omega : float
     delta : ndarray or None
     proof : tuple of Part
-    size : float
-        ``scaled_size`` where ‖M‖ is largest on a grid of frequencies.
+    size : float, ``scaled_size`` where ‖M‖ is largest on a grid of frequencies
     """
 
     upper: float
@@ -73,13 +68,11 @@ def real_mu(
     loop : StateSpace or ndarray
         A stable loop in continuous time, or M, shape (Σcols, Σrows), at one frequency.
     structure : Structure
-    low, high : float
-        Interval in rad/s; equal for one frequency.
+    low, high : float, interval in rad/s; equal for one frequency
     rtol : float
         Share by which the upper bound should exceed the lower at most. Where the parts that are allowed do
         not suffice it exceeds it by more.
-    least : float
-        Level from which the search begins.
+    least : float, level from which the search begins
     """
     prover = Prover(loop, structure, 0.4 * rtol)
     grid = _grid(loop, low, high)

@@ -12,8 +12,6 @@ proves a gain from w of at most 1, and xᵀQ⁻¹x ≤ ‖w‖² at every time. 
 keeps u within κ u_max and its steps within a rate limit for every disturbance of bounded energy.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -166,11 +164,8 @@ class LimitedLoop:
         return ConstantScalings(self.system, self.rows, self.cols)
 
     def gain(self) -> tuple[float, np.ndarray] | None:
-        """Compute a gain from w to z for every Δ and every demand within κ u_max.
-
-        Returns the gain and the logarithms (blocks,) of its constants, or None if no gain up to LARGEST_GAIN
-        is proved.
-        """
+        """Compute a gain from w to z for every Δ and every demand within κ u_max. Returns the gain and the
+        logarithms (blocks,) of its constants, or None if no gain up to LARGEST_GAIN is proved."""
         if not self.stable:
             return None
         scalings = self.performance()
@@ -194,9 +189,7 @@ class LimitedLoop:
         self, starts: Sequence[np.ndarray], u_max: np.ndarray, step_max: np.ndarray
     ) -> Reachable | None:
         """The largest energy that constants of OFFSETS beside one of ``starts`` prove; None: none does.
-
-        starts: logarithms (blocks,) each. ``u_max``, ``step_max``: as of ``energy``.
-        """
+        starts: logarithms (blocks,) each. ``u_max``, ``step_max``: as of ``energy``."""
         found = []
         for start, offset in itertools.product(starts, OFFSETS):
             constants = start + offset
@@ -206,12 +199,9 @@ class LimitedLoop:
         return max(found, key=lambda one: one.energy, default=None)
 
     def energy(self, log_constants: np.ndarray, u_max: np.ndarray, step_max: np.ndarray) -> float | None:
-        """Compute the largest ‖w‖ with which the demand stays within its limits.
-
-        ``log_constants`` (blocks,) prove |u| ≤ κ ``u_max`` (n_u,) and |u(k) − u(k − 1)| ≤ ``step_max``
-        (n_u,). Returns None
-        where Q is not found or does not pass its test.
-        """
+        """Compute the largest ‖w‖ with which the demand stays within its limits. ``log_constants`` (blocks,)
+        prove |u| ≤ κ ``u_max`` (n_u,) and |u(k) − u(k − 1)| ≤ ``step_max`` (n_u,). Returns None where Q is
+        not found or does not pass its test."""
         whole = self.performance().scaled(self.ones, 1.0, log_constants)
         G = whole.select(slice(0, sum(self.rows)), slice(None))
         t = balancing(G)

@@ -9,8 +9,6 @@ performance rows divided by γ lower γ, until neither moves. Between frequencie
 cells of frequency_cells, which are tested anew at the bound that is returned.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -109,12 +107,9 @@ def proves(bound: IntervalBound, G: StateSpace, structure: Structure, low: float
     Parameters
     ----------
     bound : IntervalBound
-    G : StateSpace
-        The loop in continuous time.
-    structure : Structure
-        Blocks of Δ, then the performance block.
-    low, high : float
-        Interval in rad/s.
+    G : StateSpace, the loop in continuous time
+    structure : Structure, blocks of Δ, then the performance block
+    low, high : float, interval in rad/s
 
     Notes
     -----

@@ -6,8 +6,6 @@ the loop around its response are compared with the promised ones. The distance o
 nominal model is compared with W_delta.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from functools import partial
@@ -85,10 +83,8 @@ def amplitudes(given: str | None, of_project: Sequence[float] | None) -> list[fl
 
 def true_table(loop: CertifiedLoop, asked: Sequence[float], run_all: Map, tables: str = "") -> dict[str, Any]:
     """The fields ``amplitudes``, ``promised``, ``true`` and ``beyond`` of robust.json, for SPEEDS speeds over
-    the model's range and each amplitude ``asked`` [bar].
-
-    ``tables``: variation and faults of the truck, as scenario tables.
-    """
+    the model's range and each amplitude ``asked`` [bar]. ``tables``: variation and faults of the truck, as
+    scenario tables."""
     speeds = np.linspace(*loop.model.speed_range, SPEEDS).tolist()
     plan = [(v, a, u) for v in speeds for a, u in zip(asked, loop.amplitudes(v, asked), strict=True)]
     found = [loop.true(measured) for measured in run_all(partial(_measured, tables), plan)]

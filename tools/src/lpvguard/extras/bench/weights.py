@@ -10,8 +10,6 @@ our fit. It is judged only at the samples, as it claims. It runs twice: with uni
 which minimises the same worst ratio as ours, and with its defaults. One process, one thread.
 """
 
-from __future__ import annotations
-
 import math
 import statistics
 import time
@@ -82,12 +80,9 @@ def bounds() -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
 
 def exact_weights() -> Iterator[dict]:
     """The weights behind the bounds "third order", fitted at order 3: largest distance [dB] of the fit from
-    the weight.
-
-    Sampled two decades beyond their breaks: the bound is constant beyond its ends, and a weight that still
-    falls there is not above it. 1024 samples: a chord of the log-log bound lies above a weight that bends
-    upwards.
-    """
+    the weight. Sampled two decades beyond their breaks: the bound is constant beyond its ends, and a weight
+    that still falls there is not above it. 1024 samples: a chord of the log-log bound lies above a weight
+    that bends upwards."""
     for decades in DECADES:
         truth = third_order(np.random.default_rng(decades), decades)
         omega = np.geomspace(10 ** (-decades / 2 - 1), 10 ** (decades / 2 + 1), 1024)
@@ -106,10 +101,7 @@ def exact_weights() -> Iterator[dict]:
 
 def bench_weights(peers: Path | None = None) -> dict:
     """One row a bound and the summary: proved least ratio, gap to the LP optimum [dB], seconds; the peer's
-    where asked for.
-
-    ``peers``: folder of the peers' environment, made when missing.
-    """
+    where asked for. ``peers``: folder of the peers' environment, made when missing."""
     environment = Peers(peers)
     rows = []
     for name, omega, bound in bounds():

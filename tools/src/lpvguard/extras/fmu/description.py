@@ -1,7 +1,5 @@
 """modelDescription.xml of an FMU, for FMI 2.0 and FMI 3.0, and buildDescription.xml of its sources."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from xml.etree import ElementTree as xml
 
@@ -26,19 +24,13 @@ def model_description(
 
     Parameters
     ----------
-    version : int
-        2 or 3.
-    name : str
-        Model identifier.
-    title : str
-        Title of the vehicle.
-    token : str
-        Identifies the binary and the variables together.
-    period_s : float
-        Sample period in s; the only step size.
+    version : int, 2 or 3
+    name : str, model identifier
+    title : str, title of the vehicle
+    token : str, identifies the binary and the variables together
+    period_s : float, sample period in s; the only step size
     variables : sequence of Variable
-    sources : sequence of str
-        Source files below ``sources/``.
+    sources : sequence of str, source files below ``sources/``
     """
     step = f"{period_s:.9g}"
     root = xml.Element(

@@ -1,7 +1,5 @@
 """Section "Campaign in the closed loop": many trucks and faults, the monitor and the baselines."""
 
-from __future__ import annotations
-
 from html import escape
 
 from ...base.rates import hourly_words, share_words

@@ -1,7 +1,5 @@
 """Section "The closed loop over CAN frames": simulated runs of the compiled ECU loop."""
 
-from __future__ import annotations
-
 from html import escape
 from pathlib import Path
 

@@ -1,8 +1,6 @@
 """Section "Evaluation": false alarms, injected faults and baselines, leave-one-drive-out or on held-out
 drives."""
 
-from __future__ import annotations
-
 from html import escape
 
 from ...core.compiled import TESTS
@@ -35,12 +33,7 @@ JUDGED = {
     HELD_OUT: ("Evaluation, held-out drives", "Every drive"),
 }
 """Title of the section, and the judged drives."""
-TEST_TITLES = {
-    MONITOR: "all tests",
-    "frame": "frame test",
-    "energy": "energy test",
-    "change": "change test",
-}
+TEST_TITLES = {MONITOR: "all tests", "frame": "frame test", "energy": "energy test", "change": "change test"}
 
 
 def evaluation_section(evaluation: dict) -> str:
@@ -182,10 +175,8 @@ equivalent gain. {said}.</p>{table}"""
 
 
 def _detectors(detectors: dict[str, DetectorColumn], best: list[str] | None = None) -> str:
-    """False alarms and found faults, a column per detector; ``best`` is the leader per fault.
-
-    ``detectors`` are by title.
-    """
+    """False alarms and found faults, a column per detector; ``best`` is the leader per fault. ``detectors``
+    are by title."""
     return html_table(
         ["", *map(escape, detectors), *(["best"] if best else [])],
         [[escape(cell) for cell in row] for row in detector_rows(list(detectors.values()), best)],

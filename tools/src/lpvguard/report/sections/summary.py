@@ -1,7 +1,5 @@
 """Section "Settings and proofs": drives, estimator, claims, tightness of the weights."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterable
 from html import escape
@@ -158,15 +156,10 @@ def _proof_table(stored: StoredIdentification) -> str:
         for s, w in zip(stored.project.outputs, stored.weights[f"W_{index}"], strict=False)
     ]
     weights += [
-        (
-            "W<sub>Δ</sub>" if stored.project.n_delta == 1 else f"W<sub>Δ</sub> of {escape(s.name)}",
-            w,
-        )
+        ("W<sub>Δ</sub>" if stored.project.n_delta == 1 else f"W<sub>Δ</sub> of {escape(s.name)}", w)
         for s, w in zip(stored.project.outputs, stored.weights["W_delta"], strict=False)
     ]
-    weights += [
-        ("γ<sub>w</sub> smoothed", stored.weights["gamma_w"]),
-    ]
+    weights += [("γ<sub>w</sub> smoothed", stored.weights["gamma_w"])]
     return html_table(
         [
             "weight",

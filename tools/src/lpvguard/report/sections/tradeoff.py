@@ -1,7 +1,5 @@
 """Section "Trade-off between uncertainty, disturbance and performance" of the controller design."""
 
-from __future__ import annotations
-
 from html import escape
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Section "Excitation and what stays invisible": |Z| per bin, and the smallest visible errors."""
 
-from __future__ import annotations
-
 from html import escape
 
 import numpy as np
