@@ -19,8 +19,16 @@ from .stored_frames import SplitWeights, StoredFrames
 
 
 def compared(stored: StoredIdentification) -> bool:
-    """Whether a vehicle is of the paper's class, for which structures are compared: one Delta, one input and
-    two outputs, which are the first two states."""
+    """Say whether structures are compared for a vehicle: one Delta, one input and two outputs.
+
+    Parameters
+    ----------
+    stored : StoredIdentification
+
+    Returns
+    -------
+    bool, True also requires that the outputs are the first two states
+    """
     project, first_two = stored.project, np.eye(2, stored.model.n)
     sizes = (project.n_delta, project.n_u, project.n_y)
     return sizes == (1, 1, 2) and bool((first_two == stored.model.C).all())

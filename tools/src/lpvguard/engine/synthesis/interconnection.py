@@ -361,7 +361,17 @@ def _parts(
 
 
 def delay_line(samples: int, dt: float) -> StateSpace:
-    """One signal, delayed by ``samples``."""
+    """Delay one signal.
+
+    Parameters
+    ----------
+    samples : int
+    dt : float, s
+
+    Returns
+    -------
+    StateSpace
+    """
     return StateSpace(
         np.eye(samples, k=1),
         np.eye(samples)[:, -1:],
@@ -372,9 +382,21 @@ def delay_line(samples: int, dt: float) -> StateSpace:
 
 
 def held_with_delay(G: StateSpace, n_u: int, dt: float, fraction: float) -> StateSpace:
-    """Sample a system with held inputs, the first ``n_u`` of which act a fraction of a sample late. Where
-    ``fraction`` is not 0, these inputs of the sample before become states behind those of G, and outputs
-    behind its outputs."""
+    """Sample a system with held inputs, the first of which act a fraction of a sample late.
+
+    Parameters
+    ----------
+    G : StateSpace, continuous
+    n_u : int, number of these inputs
+    dt : float, s
+    fraction : float, samples, below 1
+
+    Returns
+    -------
+    StateSpace
+        Where ``fraction`` is not 0, these inputs of the sample before are states behind those of G, and
+        outputs behind its outputs.
+    """
     whole = zero_order_hold(G, dt)
     if not fraction:
         return whole
