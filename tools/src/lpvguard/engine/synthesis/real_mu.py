@@ -20,7 +20,7 @@ from lpvguard.engine.synthesis.real_crossings import NOTHING, Crossing, RealSear
 from lpvguard.engine.synthesis.statespace import StateSpace
 from lpvguard.engine.synthesis.structure import Structure
 
-FIRST_PARTS, MOST_PARTS, MOST_MIXED, MORE_PARTS = 150, 1000, 300, 40
+FIRST_PARTS, MOST_PARTS, MOST_MIXED, MORE_PARTS = 200, 1000, 300, 40
 """Parts tried for the gap that is asked; for ``RELAXED``, with real blocks alone and with others beside; and
 at each level after that."""
 RELAXED = 9e-3
