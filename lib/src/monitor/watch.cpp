@@ -76,8 +76,7 @@ extern "C" void lpvg_watch_take(lpvg_watch_t* self, const lpvg_watch_limits_t* l
     Eigen::Map<Signals> slow(self->slow);
     slow += (settled ? limits->share : Real(1)) * (signal - slow);
     const Signals quick = signal - slow;
-    self->violated = false;
-    self->evidence = false;
+    bool violated = false, evidence = false;
     const auto error = quick.head<LPVG_NY>(), response = quick.tail<LPVG_NY>();
     for (std::size_t m = 0; m < LPVG_WATCH_MEMORIES; ++m) {
         Eigen::Map<Outputs> P(self->P[m]), Q(self->Q[m]);
@@ -87,8 +86,10 @@ extern "C" void lpvg_watch_take(lpvg_watch_t* self, const lpvg_watch_limits_t* l
             const Real q = self->Q[m][j], limit = limits->gain[j] * q + limits->disturbance[j] * std::sqrt(q);
             const bool watched = limits->gain[j] < Real(1);
             const bool beyond = !(std::fabs(self->P[m][j]) <= limit) && !(static_cast<Real>(LPVG_WATCH_ERROR_MAX) * q <= limit);
-            self->violated = self->violated || (watched && beyond);
-            self->evidence = self->evidence || (watched && q > limit);
+            violated = violated || (watched && beyond);
+            evidence = evidence || (watched && q > limit);
         }
     }
+    self->violated = violated;
+    self->evidence = evidence;
 }
