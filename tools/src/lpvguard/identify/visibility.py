@@ -30,8 +30,8 @@ class Excitation:
 
     ``count`` (SPEED_CELLS, K) counts all frames. Each row holds ``group`` (cell * K + bin), ``hash``,
     ``dead`` = t*(-Z, Z), ``size`` = |Z| [output units] and ``floor``. The floor is the gain error that no
-    excitation shows and no threshold enlarges: 0, or W of a pool (THEORY 7.17). The rows are the frame of the largest ``dead``
-    of each group and a sample of SAMPLED_FRAMES.
+    excitation shows and no threshold enlarges: 0, or W of a pool (THEORY 7.17). The rows are the frame of
+    the largest ``dead`` of each group and a sample of SAMPLED_FRAMES.
     """
 
     count: np.ndarray
