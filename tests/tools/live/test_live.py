@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from live_case import Given, asked, cut, served
 
+from lpvguard.base.errors import InputError
 from lpvguard.can.catalogue import load_catalogue
 from lpvguard.can.logs import EXTENDED
 from lpvguard.can.play import write_candump
@@ -32,6 +33,22 @@ from parts import require
 
 def column(watch: Watch, name: str) -> np.ndarray:
     return watch._ring.rows(0, 10**9)[:, watch.columns.index(name)]
+
+
+@pytest.mark.unhurried
+def test_a_vehicle_on_two_interfaces_asks_for_one(replayer, faulty):
+    frames = faulty[0].at(slice(0, 4000))
+    both = replace(frames, channel=np.arange(4000) // 2000 % 2, channels=["can0", "can1"])
+    watch = Watch(replayer, Given(), 3600)
+    watch.take(both.at(slice(0, 1000)))
+    with pytest.raises(InputError, match="come from can0, can1; expected --channel"):
+        watch.take(both.at(slice(1000, 3000)))
+    watch.source.pieces = lambda: iter([both])
+    watch.run()
+    assert watch.failed.startswith("live: channel: the vehicle's messages come from can0, can1")
+    chosen = Watch(replayer, Given(), 3600, "can1")
+    chosen.take(both)
+    assert chosen.failed == ""
 
 
 @pytest.mark.unhurried

@@ -658,7 +658,8 @@ def test_demands_are_packed_with_the_named_checksum_and_counter(name, tmp_path):
         u[0] = value
         assert library.lpvg_demand_pack(u, ctypes.byref(counter), frame) == 0
         data = bytes(frame)[5:13]
-        raw = int.from_bytes(data[4:6], "little", signed=True)
+        first = AT.get(name, 4)
+        raw = int.from_bytes(data[first : first + 2], "little", signed=True)
         assert raw == np.clip(np.floor(200.0 * value + 0.5), -32768, 32767)
         assert int.from_bytes(bytes(frame)[:4], "little") == identifier and frame[4] == 8
         count = k % COUNTERS[name] if COUNTERS[name] else 0

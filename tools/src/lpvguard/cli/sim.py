@@ -89,9 +89,8 @@ def sim(
     json_out: JsonOut = None,
 ) -> None:
     """Close the loop with the simulated truck over CAN frames. Exit 1 when a run did not show what its
-    scenario expects.
-
-    With --members, close the compiled controller of any vehicle with members of its identified set."""
+    scenario expects. With --members, close the compiled controller of any vehicle with members of its
+    identified set."""
     if members is not None:
         if scenarios or design is None or coefficients is None:
             expected = "--design, --coefficients and no scenario"

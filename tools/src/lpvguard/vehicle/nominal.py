@@ -339,17 +339,13 @@ class NominalModel:
         return state_space(self._settings, v, self._where)
 
     def hold_bounds(self, low: float, high: float) -> tuple[np.ndarray, np.ndarray]:
-        """Entrywise bounds of |d/dv| and |d2/dv2| of [Ad, Bd, Gd] (n, n + n_u + n) over low..high [m/s].
-
-        Ad, Bd, Gd are the zero-order hold of A, B and of an input on every state. Where the input delay has a
+        """Entrywise bounds of |d/dv| and |d2/dv2| of [Ad, Bd, Gd] (n, n + n_u + n) over low..high [m/s]. Ad,
+        Bd, Gd are the zero-order hold of A, B and of an input on every state. Where the input delay has a
         fraction of a sample, Bd are two columns an input: the sample before, and this one. The bounds are
-        rigorous up
-        to rounding. The exponential's power series has positive coefficients. Bounds of A, B and their Taylor
-        coefficients in v therefore bound those of the hold.
-
-        Raises InputError when an entry has a fractional exponent, or a kink of abs, min or max between low
-        and high. It also raises it for a denominator or root whose bounds contain 0.
-        """
+        rigorous up to rounding. The exponential's power series has positive coefficients. Bounds of A, B and
+        their Taylor coefficients in v therefore bound those of the hold. Raises InputError when an entry has
+        a fractional exponent, or a kink of abs, min or max between low and high. It also raises it for a
+        denominator or root whose bounds contain 0."""
         n, width = self.n, 2 * self.n + self.n_u
         bounds = np.zeros((COEFFICIENTS, width, width))
         try:

@@ -11,6 +11,7 @@ from typing import Any, Protocol
 import numpy as np
 import pyarrow as pa
 
+from ...base.errors import InputError
 from ...can.bus import REFERENCE, command_authentication
 from ...can.logs import Frames
 from ...core.compiled import REASONS, VERDICTS
@@ -138,6 +139,8 @@ class Watch:
                     return
                 if frames is not None:
                     self.take(frames)
+        except InputError as error:
+            self.failed = str(error)
         except Exception as error:
             self.failed = f"{type(error).__name__}: {error}"
             raise
