@@ -45,8 +45,8 @@ class FrozenProblem:
     Raises
     ------
     InputError
-        If there is no [design] table, a Delta an output, or another number of inputs or outputs than the
-        paper's vehicle has: the comparisons are about its class S1.
+        If there is no [design] table, or the vehicle has a Delta an output, more inputs than one or other
+        outputs than two.
     """
 
     def __init__(self, stored: StoredIdentification, frames: StoredFrames):

@@ -242,8 +242,8 @@ def generalised_plant(
     delay : float, samples from u to the vehicle, for computation and bus, default 0
         Δ_i and W_u read u at once. A fraction of a sample lies between Δ_i and the vehicle.
     probes : bool, add outputs after z, default False
-        They are the vehicle's state (n, and n_u inputs of the sample before where the delay has a fraction),
-        input (n_u) and with state uncertainty input on every state (n).
+        They are the vehicle's state (n), input (n_u) and with state uncertainty input on every state (n). A
+        delay with a fraction adds the inputs of the sample before (n_u) to the state.
     C : array_like (n_y, n), by default the first n_y states
 
     Returns
