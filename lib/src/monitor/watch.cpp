@@ -84,10 +84,9 @@ extern "C" void lpvg_watch_take(lpvg_watch_t* self, const lpvg_watch_limits_t* l
         Q += response * response - limits->forget[m] * Q;
         for (std::size_t j = 0; j < ny; ++j) {
             const Real q = self->Q[m][j], limit = limits->gain[j] * q + limits->disturbance[j] * std::sqrt(q);
-            const bool watched = limits->gain[j] < Real(1);
             const bool beyond = !(std::fabs(self->P[m][j]) <= limit) && !(static_cast<Real>(LPVG_WATCH_ERROR_MAX) * q <= limit);
-            violated = violated || (watched && beyond);
-            evidence = evidence || (watched && q > limit);
+            violated = violated || (beyond && limits->gain[j] < Real(1));
+            evidence = evidence || q > limit;  // never of an output that is not watched
         }
     }
     self->violated = violated;
