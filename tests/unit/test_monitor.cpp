@@ -1317,7 +1317,7 @@ std::array<double, 2> reckoned(const std::vector<lpvg_frame_t>& frames, std::siz
 }  // namespace
 
 TEST_CASE("a pool sums the counted frames of its parts, of which the newest grows", "[unit][monitor][REQ-MON-19]") {
-    const uint32_t parts = GENERATE(1U, 3U, uint32_t{LPVG_NPOOL}), in_part = GENERATE(1U, 2U);
+    const uint32_t parts = GENERATE(1U, uint32_t{LPVG_NPOOL}), in_part = GENERATE(1U, 2U);
     Drive drive(pooling(parts, in_part));
     drive.bin = 1U;
     std::vector<lpvg_frame_t> frames;
@@ -1358,7 +1358,7 @@ TEST_CASE("a pool falsifies where no frame of it does, and is recorded", "[unit]
         single = single == Real(0) && f.bin == 1U && f.pooled > Real(0) ? f.pooled : single;
         largest = std::max(largest, f.pooled);
     });
-    REQUIRE(largest > Real(1.5) * single);
+    REQUIRE(largest > Real(1.25) * single);
     const Real between = Real(0.75) * largest;
     Drive judged(pooling(LPVG_NPOOL, 1U, [=](lpvg_coeff_t& c) {
         c.reals.threshold = between;

@@ -24,7 +24,7 @@ LPVG_EXTERN_C_BEGIN
 /// Largest m of the k-of-m confirmation.
 #define LPVG_NHISTORY 8
 /// Parts of a pool of frames; the newest part grows while the oldest is dropped.
-#define LPVG_NPOOL 6
+#define LPVG_NPOOL (6 / LPVG_NY)
 /// Samples that a bin takes up at once, a power of two.
 #define LPVG_NBLOCK 4
 /// Pushes over which the judgement of a frame is spread: 1 where every output has a Delta of its own, else 2.

@@ -15,7 +15,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ..base.layout import CONSTANTS
+from ..base.layout import constant
 from ..base.sampling import Rows, first_of_each, row_hash, stacked
 from ..drives.frames import Estimator
 from ..drives.tables import Experiment
@@ -25,8 +25,6 @@ from .calibration import Calibration, Recordings, calibrate
 from .healthy import CANDIDATES, TYPICAL
 from .visibility import SAMPLED_FRAMES, SPEED_CELLS, Excitation, speed_cell
 
-PARTS = int(CONSTANTS["NPOOL"][0])
-"""Most parts of a pool."""
 SAMPLED = 750
 """Pools a bin from which typical excitation is read."""
 
@@ -43,7 +41,7 @@ class PoolSizes:
         """Pools that a fault fills within the time in which it is to be found; one frame at least."""
         length, hop = estimator.length * project.Ts_s, estimator.hop * project.Ts_s
         room = np.floor((project.evaluation.found_within_s - length) / hop + 1e-9).astype(int) + 1
-        parts = np.clip(room, 1, PARTS)
+        parts = np.clip(room, 1, constant("NPOOL", {"NY": project.n_y}))
         return cls(parts, np.maximum(room, 1) // parts)
 
     def counts(self, k: int) -> range:
