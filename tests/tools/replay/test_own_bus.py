@@ -568,12 +568,12 @@ def test_demands_are_packed_with_the_named_checksum_and_counter(name, tmp_path):
     library = ctypes.CDLL(str(native.compile_shared(objects, flags=(), name=f"demand_{name}")))
     frame = (ctypes.c_uint8 * 16)()
     counter, u = ctypes.c_uint16(0), (ctypes.c_float * 1)()
-    identifier = 0x2A0 + 1
+    identifier, at = 0x2A0 + 1, AT.get(name, 4)
     for k, value in enumerate((0.0, 1.5, -1.5, 200.0, -200.0, 0.003), 1):
         u[0] = value
         assert library.lpvg_demand_pack(u, ctypes.byref(counter), frame) == 0
         data = bytes(frame)[5:13]
-        raw = int.from_bytes(data[4:6], "little", signed=True)
+        raw = int.from_bytes(data[at : at + 2], "little", signed=True)
         assert raw == np.clip(np.floor(200.0 * value + 0.5), -32768, 32767)
         assert int.from_bytes(bytes(frame)[:4], "little") == identifier and frame[4] == 8
         count = k % COUNTERS[name] if COUNTERS[name] else 0
