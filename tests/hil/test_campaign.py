@@ -428,6 +428,7 @@ def test_a_campaign_that_was_stopped_goes_on_and_ends_the_same(
 
     assert told["within"]["runs"] == 5 and told["within"]["hours"] == pytest.approx(0.25)
     assert told["falsified"] == {"rate": rate(0, 5), "runs": []}
+    assert told["command_authentication"] == "authenticated"
     assert 0 < told["within"]["largest_ratio"] <= 1
     assert told["within"]["tests"].keys() == {"frame", "energy", "change"}
     assert set(told["matched_stated"].values()) == {None} and told["matched_claim"].startswith(

@@ -1273,3 +1273,134 @@ TEST_CASE("the change test takes whole blocks of settled samples, and their mean
     CHECK(blocks > 10U);
     CHECK(wrong == 0U);
 }
+
+namespace {
+
+// Bin 1 pools with the given parts and frames of a part; W and scale of output j are 0.05 and 1 + j. Frames alone never object.
+lpvg_coeff_t pooling(uint32_t parts, uint32_t frames, const std::function<void(lpvg_coeff_t&)>& change = [](lpvg_coeff_t&) {}) {
+    return frames_only([&](lpvg_coeff_t& c) {
+        c.reals.threshold = Real(1e9);
+        for (uint32_t b = 0; b < LPVG_NBINS; ++b) {
+            for (std::size_t j = 0; j < LPVG_NY; ++j) {
+                c.reals.pool_W[b][j] = Real(0.05);
+                c.reals.pool_scale[b][j] = b == 1U ? Real(1) + Real(j) : Real(0);
+            }
+        }
+        c.words.pool_parts[1] = parts;
+        c.words.pool_frames[1] = frames;
+        change(c);
+    });
+}
+
+// What a pool of these frames reads, the newest last: its ratio, and that of a vehicle without response.
+std::array<double, 2> reckoned(const std::vector<lpvg_frame_t>& frames, std::size_t held) {
+    std::array<double, 2> found{};
+    for (std::size_t j = 0; j < LPVG_NY; ++j) {
+        std::complex<double> along = 0.0;
+        double power = 0.0;
+        for (std::size_t i = frames.size() - std::min(held, frames.size()); i < frames.size(); ++i) {
+            const lpvg_frame_t& f = frames[i];
+            if (f.reason > lpvg_reason_not_excited) {
+                continue;
+            }
+            const std::complex<double> E(f.E[j][0], f.E[j][1]), Z(f.Z[j][0], f.Z[j][1]);
+            along += std::conj(Z) * E;
+            power += std::norm(Z);
+        }
+        const double size = std::sqrt(power), unit = 1.0 + static_cast<double>(j);
+        found[0] = std::max(found[0], power > 0.0 ? (std::abs(along) / size - 0.05 * size) * unit : 0.0);
+        found[1] = std::max(found[1], 0.95 * size * unit);
+    }
+    return found;
+}
+
+}  // namespace
+
+TEST_CASE("a pool sums the counted frames of its parts, of which the newest grows", "[unit][monitor][REQ-MON-19]") {
+    const uint32_t parts = GENERATE(1U, 3U, uint32_t{LPVG_NPOOL}), in_part = GENERATE(1U, 2U);
+    Drive drive(pooling(parts, in_part));
+    drive.bin = 1U;
+    std::vector<lpvg_frame_t> frames;
+    std::size_t uncounted = 0, beyond = 0;
+    for (uint32_t k = 0; k < 24U; ++k) {
+        drive.gain = 0.8 + 0.02 * (k % 5U);
+        drive.speed = k == 12U ? Real(0.5) * cruise() + Real(0.5) * lpvg_coeff.reals.speed_max : cruise();
+        drive.run(words().frame_length[1] / 2U, [&](const lpvg_frame_t& f) {
+            if (f.bin != 1U) {
+                CHECK(f.pooled == Real(0));
+                return;
+            }
+            frames.push_back(f);
+            uncounted += f.reason > lpvg_reason_not_excited ? 1U : 0U;
+            if (f.reason > lpvg_reason_not_excited) {
+                CHECK(f.pooled == Real(0));
+                return;
+            }
+            const std::size_t held = (parts - 1U) * in_part + (frames.size() - 1U) % in_part + 1U;
+            const auto expected = reckoned(frames, held);
+            CHECK(static_cast<double>(f.pooled) == Approx(expected[0]).epsilon(1e-4));
+            CHECK(static_cast<double>(f.evidence) >= expected[1] * (1.0 - 1e-4));
+            beyond += static_cast<double>(f.evidence) > expected[1] * (1.0 + 1e-4) ? 1U : 0U;
+        });
+    }
+    CHECK(frames.size() > 2U * LPVG_NPOOL + 3U);
+    CHECK(uncounted > 0U);
+    CHECK(beyond < frames.size());
+}
+
+TEST_CASE("a pool falsifies where no frame of it does, and is recorded", "[unit][monitor][REQ-MON-19][REQ-MON-11]") {
+    Drive drive(pooling(LPVG_NPOOL, 1U));
+    drive.bin = 1U;
+    drive.gain = 0.8;
+    drive.settle();
+    Real single = Real(0), largest = Real(0);
+    drive.run(2U * LPVG_NPOOL * words().frame_length[1], [&](const lpvg_frame_t& f) {
+        single = single == Real(0) && f.bin == 1U && f.pooled > Real(0) ? f.pooled : single;
+        largest = std::max(largest, f.pooled);
+    });
+    REQUIRE(largest > Real(1.5) * single);
+    const Real between = Real(0.75) * largest;
+    Drive judged(pooling(LPVG_NPOOL, 1U, [=](lpvg_coeff_t& c) {
+        c.reals.threshold = between;
+        for (auto& row : c.reals.B_w) {
+            std::fill(std::begin(row), std::end(row), Real(1e6));
+        }
+    }));
+    judged.bin = 1U;
+    judged.gain = 0.8;
+    judged.settle();
+    judged.run(2U * LPVG_NPOOL * words().frame_length[1]);
+    CHECK(judged.verdict() == lpvg_verdict_invalid);
+    lpvg_frame_t record{};
+    REQUIRE(lpvg_monitor_take_record(&judged.monitor, &record));
+    CHECK(record.falsified);
+    CHECK(record.pooled > between);
+    CHECK(record.statistic < between);
+}
+
+TEST_CASE("a gap empties the pools, and damaged sizes never lead outside them", "[unit][monitor][REQ-MON-19][REQ-MON-15]") {
+    Drive drive(pooling(LPVG_NPOOL, 1U));
+    drive.bin = 1U;
+    drive.gain = 0.8;
+    drive.settle();
+    drive.run(4U * words().frame_length[1]);
+    drive.skip(10 * period_us());
+    REQUIRE(drive.step() == lpvg_status_ok);
+    for (const lpvg_bin_t& bin : drive.monitor.bin) {
+        std::size_t filled = 0;
+        for (const lpvg_pool_t& part : bin.pool) {
+            filled += part.power[0] > Real(0) ? 1U : 0U;
+        }
+        CHECK(filled <= 1U);  // a frame that waited for its judgement
+    }
+    const_cast<lpvg_coeff_t*>(drive.monitor.coeff)->words.pool_parts[1] = UINT32_MAX;
+    for (uint32_t k = 0; k < 2U * LPVG_NPOOL * words().frame_length[1]; ++k) {
+        REQUIRE(drive.step() == lpvg_status_ok);
+        CHECK(drive.monitor.bin[1].part < LPVG_NPOOL);
+    }
+    drive.monitor.bin[1].part = LPVG_NPOOL;
+    for (uint32_t k = 0; k < LPVG_NBINS; ++k) {
+        (void)drive.step();
+    }
+    CHECK(drive.monitor.repairs == 1U);
+}

@@ -17,7 +17,13 @@
 ///
 /// A frame *counts* if the model had settled, the speed stayed in the scheduling range, and the speed stayed within
 /// `speed_tolerance` of the frame's mean. The *statistic* of a bin is the k-th largest margin of its last m counted frames.
-/// A statistic above `threshold` falsifies the model. The *evidence* of a frame is the margin that a vehicle without any response
+/// Frames of a bin are pooled besides: with sums over the counted frames of the last `pool_parts` x `pool_frames` frames, the ratio of
+/// an output is
+///
+///     ( |sum of conj(Z_j) E_j| / sqrt(P_j) - pool_W,j sqrt(P_j) ) pool_scale,j,   P_j = sum of |Z_j|^2        (T51)
+///
+/// An error that follows the input adds up in the first sum, a disturbance does not. A statistic or a ratio above `threshold` falsifies
+/// the model. The *evidence* of a frame is the margin that a vehicle without any response
 /// would have shown (T18). A frame with evidence at or below the threshold is "not excited". Such a frame cannot falsify any
 /// vehicle, so it does not make the verdict valid.
 ///
@@ -59,6 +65,7 @@ LPVG_EXTERN_C_BEGIN
 #define lpvg_taken_t LPVG_SYM(taken_t)
 #define lpvg_span_t LPVG_SYM(span_t)
 #define lpvg_sum_t LPVG_SYM(sum_t)
+#define lpvg_pool_t LPVG_SYM(pool_t)
 #define lpvg_monitor_init LPVG_SYM(monitor_init)
 #define lpvg_monitor_push LPVG_SYM(monitor_push)
 #define lpvg_monitor_verdict LPVG_SYM(monitor_verdict)
@@ -115,13 +122,14 @@ typedef struct lpvg_frame_t {
     uint32_t bin;                  ///< 0 is DC
     int64_t t_end_us;              ///< time of the frame's last sample                    [us]
     lpvg_reason_t reason;          ///< none or not_excited: the frame counted; other: why not, and the rest is 0
-    bool falsified;                ///< statistic above the threshold
+    bool falsified;                ///< statistic or pooled ratio above the threshold
     lpvg_real_t speed;             ///< mean speed                                         [m/s]
     lpvg_real_t margin;            ///< t*; 1: exactly explained by the fitted bounds      [-]
     lpvg_real_t statistic;         ///< k-th largest of the bin's last m margins, 0 before there are k [-]
-    lpvg_real_t evidence;          ///< margin of a vehicle that does not respond          [-]
+    lpvg_real_t evidence;          ///< larger of margin and pooled ratio of a vehicle that does not respond [-]
     lpvg_real_t E[LPVG_NY][2];     ///< nominal error, real and imaginary part             [output unit]
     lpvg_real_t Z[LPVG_NY][2];     ///< nominal output, likewise                           [output unit]
+    lpvg_real_t pooled;            ///< largest ratio of the pool (T51), 0 without one     [-]
 } lpvg_frame_t;
 
 /// Sums over half a frame of (e, yhat) times the complex exponential.
@@ -129,6 +137,12 @@ typedef struct lpvg_sum_t {
     lpvg_real_t plain_re[2 * LPVG_NY], plain_im[2 * LPVG_NY];    ///< without window: e, then yhat             [output unit]
     lpvg_real_t rising_re[2 * LPVG_NY], rising_im[2 * LPVG_NY];  ///< times the rising half of the window: e, then yhat [output unit]
 } lpvg_sum_t;
+
+/// Sums over the counted frames of a part of a pool.
+typedef struct lpvg_pool_t {
+    lpvg_real_t re[LPVG_NY], im[LPVG_NY];     ///< conj(Z_j) E_j                                      [output unit squared]
+    lpvg_real_t power[LPVG_NY];               ///< |Z_j|^2                                            [output unit squared]
+} lpvg_pool_t;
 
 /// Speed over half a frame.
 typedef struct lpvg_span_t {
@@ -156,6 +170,8 @@ typedef struct lpvg_bin_t {
     int64_t frame_end_us;                     ///< time of the last sample of that frame              [us]
     lpvg_real_t history[LPVG_NHISTORY];       ///< margins of the last counted frames, a ring; 0: none yet [-]
     uint32_t next_history;                    ///< where the next margin goes
+    lpvg_pool_t pool[LPVG_NPOOL];             ///< a ring of parts
+    uint32_t part, in_part;                   ///< the newest part; its frames, counted or not
 } lpvg_bin_t;
 
 typedef struct lpvg_monitor_t {

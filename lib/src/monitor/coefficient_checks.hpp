@@ -29,6 +29,8 @@ inline bool items_in_range(const lpvg_coeff_words_t& f) {
            every(f.energy_settle, [&f](uint32_t x) { return x >= f.settle_samples; }) &&
            every(f.energy_rearm, [](uint32_t x) { return x >= 1U; }) &&
            every(f.change_rearm, [](uint32_t x) { return x >= 1U; }) &&
+           every(f.pool_parts, [](uint32_t x) { return x >= 1U && x <= LPVG_NPOOL; }) &&
+           every(f.pool_frames, [](uint32_t x) { return x >= 1U; }) &&
            every(f.varying_entry, [](uint32_t x) { return x < LPVG_NENTRIES; });
 }
 
@@ -48,6 +50,8 @@ inline bool items_in_range(const lpvg_coeff_reals_t& f) {
            every(f.change_threshold, [](lpvg_real_t x) { return x > lpvg_real_t(0); }) &&
            every(f.W_delta, [](lpvg_real_t x) { return x > lpvg_real_t(0); }) &&
            every(f.B_w, [](lpvg_real_t x) { return x > lpvg_real_t(0); }) &&
+           every(f.pool_W, [](lpvg_real_t x) { return x >= lpvg_real_t(0); }) &&
+           every(f.pool_scale, [](lpvg_real_t x) { return x >= lpvg_real_t(0); }) &&
            every(f.threshold, [](lpvg_real_t x) { return x > lpvg_real_t(0); });
 }
 

@@ -193,6 +193,53 @@ Real statistic(const lpvg_bin_t& bin, uint32_t confirm, uint32_t n) {
     return kth;
 }
 
+// Pool of nothing.
+void empty_pool(lpvg_bin_t& bin) {
+    for (lpvg_pool_t& part : bin.pool) {
+        part = lpvg_pool_t{};
+    }
+    bin.part = bin.in_part = 0U;
+}
+
+// The next frame of bin b belongs to the newest part of its pool, which may be a new one.
+lpvg_pool_t& part_of_next(lpvg_bin_t& bin, const lpvg_coeff_words_t& words, std::size_t b) {
+    if (bin.in_part >= words.pool_frames[b]) {
+        bin.part = bin.part + 1U < words.pool_parts[b] && bin.part + 1U < LPVG_NPOOL ? bin.part + 1U : 0U;
+        bin.pool[bin.part] = lpvg_pool_t{};
+        bin.in_part = 0U;
+    }
+    ++bin.in_part;
+    return bin.pool[bin.part];
+}
+
+struct Pooled {
+    Real ratio, dead;  // (T51); that of a vehicle that does not respond
+};
+
+// Takes the frame E, Z of bin b into its part of the pool. Largest ratios of the outputs.
+Pooled pooled(lpvg_bin_t& bin, lpvg_pool_t& part, const lpvg_coeff_reals_t& r, std::size_t b, const Complex* E, const Complex* Z) {
+    Pooled found{Real(0), Real(0)};
+    for (std::size_t j = 0; j < ny; ++j) {
+        part.re[j] += Z[j].re * E[j].re + Z[j].im * E[j].im;
+        part.im[j] += Z[j].re * E[j].im - Z[j].im * E[j].re;
+        part.power[j] += Z[j].re * Z[j].re + Z[j].im * Z[j].im;
+        Real re = Real(0), im = Real(0), power = Real(0);
+        for (const lpvg_pool_t& of : bin.pool) {
+            re += of.re[j];
+            im += of.im[j];
+            power += of.power[j];
+        }
+        if (power > Real(0)) {
+            const Real size = std::sqrt(power);
+            const Real ratio = (std::sqrt((re / size) * (re / size) + (im / size) * (im / size)) - r.pool_W[b][j] * size) * r.pool_scale[b][j];
+            const Real dead = (size - r.pool_W[b][j] * size) * r.pool_scale[b][j];
+            found.ratio = ratio > found.ratio ? ratio : found.ratio;
+            found.dead = dead > found.dead ? dead : found.dead;
+        }
+    }
+    return found;
+}
+
 void record(lpvg_monitor_t& self, const lpvg_frame_t& frame) {
     if (self.n_records < LPVG_NRECORDS) {
         lpvg_frame_t& place = self.record[self.n_records];
@@ -206,6 +253,7 @@ void record(lpvg_monitor_t& self, const lpvg_frame_t& frame) {
         place.margin = frame.margin;
         place.statistic = frame.statistic;
         place.evidence = frame.evidence;
+        place.pooled = frame.pooled;
         signals(place.E[0]) = signals(frame.E[0]);
         signals(place.Z[0]) = signals(frame.Z[0]);
         ++self.n_records;
@@ -270,7 +318,9 @@ bool judge(lpvg_monitor_t& self, std::size_t b) {
     frame.bin = static_cast<uint32_t>(b);
     frame.t_end_us = bin.frame_end_us;
     frame.reason = reason;
+    lpvg_pool_t& part = part_of_next(bin, coeff.words, b);
     if (reason == lpvg_reason_none) {
+        const Pooled pool = pooled(bin, part, r, b, E, Z);
         for (std::size_t j = 0; j < ny; ++j) {
             frame.E[j][0] = E[j].re;
             frame.E[j][1] = E[j].im;
@@ -279,12 +329,14 @@ bool judge(lpvg_monitor_t& self, std::size_t b) {
         }
         frame.speed = mean;
         frame.margin = finished(self, margin);
-        frame.evidence = margin.dead();
+        frame.pooled = pool.ratio;
+        const Real dead = margin.dead();
+        frame.evidence = pool.dead > dead ? pool.dead : dead;
         const uint32_t of_last = coeff.words.of_last < LPVG_NHISTORY ? coeff.words.of_last : LPVG_NHISTORY;
         bin.history[bin.next_history % LPVG_NHISTORY] = frame.margin;
         bin.next_history = bin.next_history + 1U < of_last ? bin.next_history + 1U : 0U;
         frame.statistic = statistic(bin, coeff.words.confirm, of_last);
-        frame.falsified = !(frame.statistic <= r.threshold);
+        frame.falsified = !(frame.statistic <= r.threshold) || frame.pooled > r.threshold;
         if (!(frame.evidence > r.threshold)) {
             frame.reason = lpvg_reason_not_excited;
         } else if (frame.t_end_us > self.t_void_us) {
@@ -398,6 +450,7 @@ void void_evidence(lpvg_monitor_t& self, int64_t t_us) {
     for (lpvg_bin_t& bin : self.bin) {
         bin.n = 0U;
         bin.has_before = false;
+        empty_pool(bin);
     }
     self.has_evidence = false;
     self.t_void_us = t_us;
@@ -431,7 +484,7 @@ bool state_well(lpvg_monitor_t& self) {
     return self.newest < n_block && self.n_block <= n_block && self.queue_first < LPVG_NBINS && self.n_queue <= LPVG_NBINS &&
            self.queue[self.turn] < LPVG_NBINS && self.parts < LPVG_NPARTS && self.n_records <= LPVG_NRECORDS &&
            self.energy.next_direction < LPVG_NDIRECTIONS && self.energy.strongest < LPVG_NBANDS &&
-           bin.n < self.coeff->words.frame_length[self.turn] / 2U && bin.next_history < LPVG_NHISTORY &&
+           bin.n < self.coeff->words.frame_length[self.turn] / 2U && bin.next_history < LPVG_NHISTORY && bin.part < LPVG_NPOOL &&
            (!self.has_evidence || self.t_evidence_us <= self.t_us) && (!self.has_falsified || self.t_falsified_us <= self.t_us) &&
            (!self.has_changed || self.t_changed_us <= self.t_us) && sum_of(self.energy) == self.energy_sum &&
            lpvguard::sum_of_words(self.model.entry) == self.model.sum;

@@ -1,7 +1,5 @@
 """The AUTOSAR component, read by another parser: its C source runs under an RTE that is made of its ARXML."""
 
-from __future__ import annotations
-
 import ctypes
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """A wrong line of a DBC costs itself; a type that contradicts its range is read by the range."""
 
-from __future__ import annotations
-
 import cantools
 import pytest
 

@@ -1,7 +1,5 @@
 """Traces of PCAN, CANHacker and python-can have the frames that were written, or are refused by line."""
 
-from __future__ import annotations
-
 import can
 import numpy as np
 import pytest

@@ -107,7 +107,7 @@ def commands(variant: str) -> dict[str, tuple[list[str], str]]:
             "out/report.html",
         ),
         "solve": (["solve", f"{variant}/problems.json", "-o", "out/answers.json"], "out/answers.json"),
-        "bench": (["bench", "weights", "--json", "out/bench.json"], "out/bench.json"),
+        "bench": (["bench", "bounds", "--count", "11", "--json", "out/bench.json"], "out/bench.json"),
         "lcm bus": (["lcm", "bus", f"{variant}/log.csv", "-o", "out/bus.log"], "out/bus.log"),
         "plant": (["plant", "generate", "-o", "out/drive.csv"], "out/drive.csv"),
     }

@@ -110,6 +110,8 @@ def test_no_answer_is_false_loose_or_refused(kind, family, monkeypatch):
     [
         pytest.param("similar", 77, 23, id="blocks in units 1e8 apart: mu is not zero"),
         pytest.param("repeated_real", 2026, 9, id="eigenvalues that are nearly real all around 0"),
+        pytest.param("similar", 5309, 117, id="a nearly triangular M in mixed units"),
+        pytest.param("repeated_real", 2027, 4, id="narrow cells on a wide box"),
         pytest.param("interval_polynomial", 2026, 17, id="rows of M that vanish at 0"),
     ],
 )

@@ -310,6 +310,17 @@ BO_ 2566844672 SPEED: 8 CAR
 BO_ 512 MUXED: 8 CAR
  SG_ SELECT M : 0|4@1+ (1,0) [0|15] "" CAR
  SG_ YAW m2 : 8|16@1- (0.01,0) [-300|300] "deg/s" CAR
+ SG_ ROLL m3 : 8|16@1- (0.01,0) [-300|300] "deg/s" CAR
+BO_ 770 WIDE: 8 CAR
+ SG_ ANGLE : 11|20@0- (-0.001,0.5) [-300|300] "deg" CAR
+ SG_ FINE : 32|32@1- (0.00001,0) [-400|400] "deg/s" CAR
+BO_ 772 WIDEST: 8 CAR
+ SG_ ALL : 0|40@1+ (1,0) [0|0] "" CAR
+BO_ 771 SIGNS: 8 CAR
+ SG_ YAW : 0|14@1+ (0.01,0) [0|163.82] "deg/s" CAR
+ SG_ YAW_SIGN : 14|1@1+ (1,0) [0|1] "" CAR
+ SG_ RATE : 16|10@1+ (1,3) [0|0] "" CAR
+ SG_ RATE_SIGN : 26|1@1+ (1,0) [0|1] "" CAR
 BO_ 768 REAL: 8 CAR
  SG_ AY : 0|32@1- (1,0) [-20|20] "m/s2" CAR
 BO_ 769 RATE: 8 CAR
@@ -324,6 +335,9 @@ BA_ "GenMsgCycleTime" BO_ 2566844672 20;
 BA_ "GenMsgCycleTime" BO_ 769 10;
 BA_ "GenMsgCycleTime" BO_ 512 10;
 BA_ "GenMsgCycleTime" BO_ 768 10;
+BA_ "GenMsgCycleTime" BO_ 770 10;
+BA_ "GenMsgCycleTime" BO_ 771 10;
+BA_ "GenMsgCycleTime" BO_ 772 10;
 BA_ "VFrameFormat" BO_ 2566844672 3;
 SIG_VALTYPE_ 768 AY : 1;
 """
@@ -396,6 +410,59 @@ def test_motorola_signed_negative_and_summed_signals_are_read(tmp_path):
         )
 
 
+PER_RAD = 57.29577951308232
+LAYOUTS = {
+    "more than 16 bits": {
+        "road_wheel_angle": {"message": "WIDE", "signal": "ANGLE", "factor": PER_RAD},
+        "yaw_rate": {"message": "WIDE", "signal": "FINE", "factor": PER_RAD},
+    },
+    "a sign beside the magnitude": {"yaw_rate": {"message": "SIGNS", "signal": "YAW", "factor": PER_RAD}},
+    "a multiplex": {"yaw_rate": {"message": "MUXED", "signal": "YAW", "factor": PER_RAD}},
+}
+
+
+@pytest.mark.parametrize("name", LAYOUTS)
+def test_wide_signed_and_multiplexed_signals_come_through_the_receiver(name, tmp_path):
+    receiver = Receiver(load_project(other(tmp_path, LAYOUTS[name])))
+    encode = cantools.database.load_string(OTHER, "dbc", strict=False)
+    speed_id = encode.get_message_by_name("SPEED").frame_id | EXTENDED
+    t = PERIOD_S * np.arange(200)
+    v, delta, r = 15 + np.sin(t), 0.3 * np.sin(3 * t), 0.2 * np.cos(2 * t)
+    rows = []
+    for k in range(200):
+        angle, yaw = np.degrees(delta[k]), np.degrees(r[k])
+        raw = round((angle - 0.5) / -0.001) % (1 << 20)
+        # By the definition of a DBC: bit 11 is the highest of a Motorola signal of 20 bits.
+        by_hand = bytes(1) + bytes([raw >> 16, raw >> 8 & 0xFF, raw & 0xFF])
+        by_hand += (round(yaw / 1e-5) % (1 << 32)).to_bytes(4, "little")
+        magnitude = round(abs(yaw) * 100) | (1 << 14 if yaw < 0 else 0)
+        rows += [
+            (k, 770, by_hand),
+            (k, 771, magnitude.to_bytes(8, "little")),
+            (k, 512, bytes([2]) + (round(yaw * 100) % 65536).to_bytes(2, "little") + bytes(5)),
+            (k, 512, bytes([3]) + (12345).to_bytes(2, "little") + bytes(5)),
+            (k, 291, encode.encode_message("STEER", {"ANGLE": round(-angle, 1), "FINE": 0, "LONG": 0})),
+        ]
+        if k % 2 == 0:
+            rows.append((k, speed_id, encode.encode_message("SPEED", {"V": 3.6 * v[k]})))
+    log = Frames(
+        np.array([1_000_000_000 + k * 10_000_000 for k, _, _ in rows], np.int64),
+        np.array([i for _, i, _ in rows], np.uint32),
+        np.zeros(len(rows), np.uint8),
+        np.full(len(rows), 8, np.uint8),
+        np.frombuffer(b"".join(d for _, _, d in rows), np.uint8).reshape(-1, 8),
+        ["can0"],
+    )
+    got = receiver.receive(log, "log")
+    at = np.flatnonzero(got.present)
+    assert len(at) > 180
+    precise = name == "more than 16 bits"
+    assert np.abs(got.values[at, 1] - delta[at]).max() < (1e-5 if precise else 2e-3)
+    assert np.abs(got.values[at, 2] - r[at]).max() < (
+        5e-5 if precise else 1e-4
+    )  # 2^-24 of the signal's range
+
+
 def _rest(log: Frames) -> tuple:
     return log.channel, log.length, log.data, log.channels
 
@@ -405,9 +472,27 @@ def _rest(log: Frames) -> tuple:
     [
         ({"yaw_rate": {"message": "RATES", "signal": "YAW"}}, {}, "message RATES: no message.*such as RATE"),
         ({"yaw_rate": {"message": "RATE", "signal": "YAWS"}}, {}, "no signal YAWS; expected one of ONE, YAW"),
-        ({"yaw_rate": {"message": "STEER", "signal": "LONG"}}, {}, "LONG: has 20 bits"),
+        (
+            {"yaw_rate": {"message": "WIDEST", "signal": "ALL"}},
+            {},
+            "ALL: has 40 bits; expected .* at most 32",
+        ),
+        (
+            {"yaw_rate": {"message": "SIGNS", "signal": "RATE"}},
+            {},
+            "has 10 bits, an offset of 3, and its sign in RATE_SIGN; expected .* at most 15 bits without",
+        ),
         ({"yaw_rate": {"message": "REAL", "signal": "AY"}}, {}, "AY: has 32 bits of a float"),
-        ({"yaw_rate": {"message": "MUXED", "signal": "YAW"}}, {}, "YAW: is multiplexed"),
+        (
+            {"yaw_rate": {"message": "MUXED", "signal": "YAW"}},
+            {"MUXED": {"counter": "SELECT"}},
+            "YAW: multiplexed in a message with a counter",
+        ),
+        (
+            {"yaw_rate": {"message": "MUXED", "signal": "YAW", "plus": ["ROLL"]}},
+            {},
+            "YAW, ROLL: are in no frame together",
+        ),
         ({"yaw_rate": {"message": "RATE", "signal": "YAW", "factor": 0.0}}, {}, "factor must not be 0"),
         ({}, {"RATES": {"period_ms": 10}}, "can.messages: RATES named by no signal"),
         ({}, {"RATE": {"checksum": "autosar_p11"}}, "data_id: 0 given; expected one number"),
@@ -568,12 +653,13 @@ def test_demands_are_packed_with_the_named_checksum_and_counter(name, tmp_path):
     library = ctypes.CDLL(str(native.compile_shared(objects, flags=(), name=f"demand_{name}")))
     frame = (ctypes.c_uint8 * 16)()
     counter, u = ctypes.c_uint16(0), (ctypes.c_float * 1)()
-    identifier, at = 0x2A0 + 1, AT.get(name, 4)
+    identifier = 0x2A0 + 1
     for k, value in enumerate((0.0, 1.5, -1.5, 200.0, -200.0, 0.003), 1):
         u[0] = value
         assert library.lpvg_demand_pack(u, ctypes.byref(counter), frame) == 0
         data = bytes(frame)[5:13]
-        raw = int.from_bytes(data[at : at + 2], "little", signed=True)
+        first = AT.get(name, 4)
+        raw = int.from_bytes(data[first : first + 2], "little", signed=True)
         assert raw == np.clip(np.floor(200.0 * value + 0.5), -32768, 32767)
         assert int.from_bytes(bytes(frame)[:4], "little") == identifier and frame[4] == 8
         count = k % COUNTERS[name] if COUNTERS[name] else 0

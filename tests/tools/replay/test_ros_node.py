@@ -1,7 +1,5 @@
 """The ROS 2 node of the examples, compiled against a stub of rclcpp's interface; no ROS runs here."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 

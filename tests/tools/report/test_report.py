@@ -182,6 +182,7 @@ def test_a_campaign_is_told_with_every_severity_and_whoever_was_best(case, tmp_p
         "ways": {"ramp": {"runs": 4, "average": average, "median_s": dict.fromkeys(detectors, 2.5)}},
         "matched_stated": dict.fromkeys(detectors, 0.05),
         "matched_claim": "equal false alarms in the loop",
+        "command_authentication": "not authenticated",
         "within": {
             "runs": 50,
             "hours": 2.5,

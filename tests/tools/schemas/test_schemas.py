@@ -80,6 +80,7 @@ def test_an_example_is_accepted_and_an_unknown_or_missing_field_is_not(name):
         "calibration",
         "energy",
         "change",
+        "pools",
         "visibility",
         "MANIFEST",
     ],

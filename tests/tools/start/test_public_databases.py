@@ -4,8 +4,6 @@ LPVGUARD_SOURCES names a folder of clones; opendbc is not committed here. The ri
 car ports of opendbc read (opendbc/car/*/carstate.py), and others of the same quantity in the same database.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import os

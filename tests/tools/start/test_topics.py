@@ -1,7 +1,5 @@
 """A folder with a table a topic is one recording; its rate is that of steering and yaw rate."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

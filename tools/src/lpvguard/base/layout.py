@@ -32,7 +32,7 @@ COEFF = Layout(
     struct="coeff",
     header="coeff.h",
     magic=0x4C505647,
-    schema=6,
+    schema=7,
     dimensions=_COEFF_DIMENSIONS,
     words=(
         *head_fields("LPVG_COEFF", _COEFF_DIMENSIONS),
@@ -72,6 +72,8 @@ COEFF = Layout(
             "length of a frame: even, none longer than DC's; half exceeds LPVG_NLATENCY",
         ),
         Field("cycles", ("NBINS",), "", "periods a frame, 0 at DC, fewer than half its samples"),
+        Field("pool_parts", ("NBINS",), "", "parts of a pool", "[1, NPOOL]"),
+        Field("pool_frames", ("NBINS",), "", "frames of a part", "[1, inf)"),
         Field(
             "varying_entry",
             ("NVARYING",),
@@ -144,6 +146,14 @@ COEFF = Layout(
         Field("change_threshold", (), "-", "calibrated threshold of the change test's ratio", "(0, inf)"),
         Field("W_delta", ("NBINS", "NDELTA"), "-", "|W_delta| at the bin", "(0, inf)"),
         Field("B_w", ("NBINS", "NY"), "output unit", "disturbance bound at the bin", "(0, inf)"),
+        Field("pool_W", ("NBINS", "NY"), "-", "share of |yhat| that a pool allows for", "[0, inf)"),
+        Field(
+            "pool_scale",
+            ("NBINS", "NY"),
+            "1/output unit",
+            "1 / bound of a pool's remainder, 0: no bound",
+            "[0, inf)",
+        ),
         Field("threshold", (), "-", "calibrated threshold of the frame test's statistic", "(0, inf)"),
     ),
 )

@@ -36,6 +36,7 @@ CONSTANTS = {
         "other.",
     ),
     "NHISTORY": ("8", "Largest m of the k-of-m confirmation."),
+    "NPOOL": ("6", "Parts of a pool of frames; the newest part grows while the oldest is dropped."),
     "NBLOCK": ("4", "Samples that a bin takes up at once, a power of two."),
     "NPARTS": (
         "(2 - (NDELTA / NY))",

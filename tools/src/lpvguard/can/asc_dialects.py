@@ -14,12 +14,8 @@ _START = re.compile(r"^\s*\S+\s+(?:CANFD\s+)?Start of measurement", re.IGNORECAS
 
 
 class AscLines:
-    """Lines of an ASC log with absolute times, and without the start of the measurement.
-
-    Parameters
-    ----------
-    file : TextIO, the log, at its first line
-    """
+    """Lines of an ASC log, open at its first line, with absolute times and without the start of the
+    measurement."""
 
     def __init__(self, file: TextIO):
         self._file = file

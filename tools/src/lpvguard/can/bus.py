@@ -1,8 +1,12 @@
 """Generates lpvguard_bus.c (lib/include/lpvguard/bus.h): the signal table on the CAN catalogue."""
 
+import numpy as np
+
 from ..base.errors import InputError
 from ..vehicle.project import CanPlace, Project
 from .catalogue import BusSignal, Catalogue, Message, load_catalogue
+from .codegen import ANY_PRIORITY
+from .logs import EXTENDED, Frames
 
 REFERENCE = CanPlace(message="GUARD_IN", signal="yaw_rate_command")
 AUTHENTICATOR = "GUARD_IN_AUTH"
@@ -16,6 +20,8 @@ REPORT = {
     "command_authentication": "authenticated",
 }
 """Signals of the report message and their members of lpvg_bus_report_t."""
+AUTHENTICATION = CanPlace(message="GUARD_OUT", signal="command_authentication")
+"""Signal that says whether the ECU obeys authenticated commands only."""
 CHECKS = {
     "yaw_rate": ("VDC2", "{yaw_rate}"),
     "lateral": ("VDC2", "{lateral_acceleration}"),
@@ -31,6 +37,29 @@ OVERRIDE = CanPlace(message="EBC1", signal="abs_active")
 """Message that reports the driver's braking and ABS."""
 PROPRIETARY_SPN = 520192
 """First number that J1939-73 leaves to manufacturers, for signals without a number of their own."""
+
+
+def command_authentication(frames: Frames, catalogue: Catalogue | None = None) -> str | None:
+    """Return the name of AUTHENTICATION's value in the newest frame that has it.
+
+    Parameters
+    ----------
+    frames : Frames
+    catalogue : Catalogue, optional, by default the shipped one
+
+    Returns
+    -------
+    str, or None without such a frame
+    """
+    message = (catalogue or load_catalogue()).message(AUTHENTICATION.message)
+    signal = next(s for s in message.signals if s.name == AUTHENTICATION.signal)
+    wanted = np.uint32((message.id | EXTENDED) & ANY_PRIORITY)
+    reports = np.flatnonzero(((frames.id & np.uint32(ANY_PRIORITY)) == wanted) & (frames.length == 8))
+    if not len(reports):
+        return None
+    raw = int.from_bytes(frames.data[reports[-1], :8].tobytes(), "little")
+    code = raw >> signal.start & ((1 << signal.length) - 1)
+    return next(name for name, value in signal.values.items() if value == code)
 
 
 def sends_demand(project: Project) -> bool:

@@ -91,7 +91,7 @@ _RAW = """
 static uint32_t raw_of(double value, double least, double most)
 {
     const double rounded = floor(value + 0.5);
-    return (uint32_t)(int32_t)((rounded < least) ? least : ((rounded > most) ? most : rounded));
+    return (uint32_t)(int64_t)((rounded < least) ? least : ((rounded > most) ? most : rounded));
 }
 """
 
@@ -119,8 +119,7 @@ def _pack(index: int, demand: Demand) -> str:
         "    uint32_t raw;\n",
     ]
     lines = ["    frame->id = id;\n", "    frame->length = (uint8_t)length;\n"]
-    for carried, (k, factor) in zip(m.signals, demand.inputs, strict=True):
-        s = carried.car
+    for s, k, factor in demand.signals:
         scale, offset = float(s.scale), float(s.offset)
         least = -(1 << (s.length - 1)) if s.is_signed else 0
         most = least + (1 << s.length) - 1

@@ -1,7 +1,5 @@
 """Reads MF4 by asammdf: frames of bus logging, or one channel a signal."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -162,7 +162,11 @@ def _take(index: int, m: CarriedMessage) -> str:
     for c in m.signals:
         flip = f" ^ 0x{c.flip:X}u" if c.flip else ""
         kind = "uint8_t" if c.ours.length <= 8 else "uint16_t"
-        body.append(f"    message.{c.ours.name} = ({kind})(({raw_value(c.car)}){flip});\n")
+        value = f"({raw_value(c.car)})"
+        if c.sign is not None:
+            middle = f"0x{1 << (c.ours.length - 1):X}u"
+            value = f"((({raw_value(c.sign)}) != 0u) ? ({middle} - {value}) : ({middle} + {value}))"
+        body.append(f"    message.{c.ours.name} = ({kind})({value}{flip});\n")
     body.append(f"    (void){name}_pack(&message, frame);\n")
     if m.ours.e2e is None:
         return "".join([*lines, "    (void)self;\n    (void)id;\n    (void)length;\n", *body, "}\n"])
@@ -225,8 +229,13 @@ def frame_to_check(m: CarriedMessage, checksum: Bits) -> tuple[list[str], list[s
 def _case(index: int, m: CarriedMessage) -> str:
     """C branch of the dispatch by identifier."""
     macro = f"LPVG_CAN_{m.ours.name}_ID"
+    condition = f"(id & 0x{m.mask:08X}u) == 0x{m.identifier & m.mask:08X}u"
+    if m.selector is not None:  # frames of another multiplex carry nothing needed
+        last = max(byte for byte, _, _ in signal_pieces(m.selector))
+        chosen = " || ".join(f"(({raw_value(m.selector)}) == {value}u)" for value in m.selected)
+        condition = f"({condition}) && (length > {last}u) && ({chosen})"
     return (
-        f"    }} else if ((id & 0x{m.mask:08X}u) == 0x{m.identifier & m.mask:08X}u) {{\n"
+        f"    }} else if ({condition}) {{\n"
         f"        frame->id = {macro};\n"
         f"        if (length == {m.car.length}u) {{\n"
         f"            take_{index}(self, id, data, length, frame);\n        }}\n"

@@ -3,8 +3,6 @@
 The tables have other columns each, and one clock. A column is called TOPIC.column: TOPIC is its file's name.
 """
 
-from __future__ import annotations
-
 import re
 import warnings
 from itertools import combinations

@@ -4,8 +4,6 @@ PCAN writes times in ms from a start that its head states; CANHacker writes seco
 that of the bytes is refused by line.
 """
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

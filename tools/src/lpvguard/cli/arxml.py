@@ -1,7 +1,5 @@
 """`lpvguard arxml`: a vehicle's monitor as an AUTOSAR software component."""
 
-from __future__ import annotations
-
 from ..base import artefacts
 from ..vehicle.stored_settings import require_settings
 from .shared import Coefficients, Out, Vehicle, app, console, project_of

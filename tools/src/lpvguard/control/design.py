@@ -207,8 +207,10 @@ def limit_sentence(stored: StoredIdentification, result: Design) -> str:
 
 
 def crossover(schedule: Scheduled, model: NominalModel) -> float:
-    """Highest frequency [rad/s] at which the loop gain is 1, over the nodes; 0 without any. The loop gain is
-    |sum_j K_j P_j|, of several inputs the spectral radius of K P."""
+    """Highest frequency [rad/s] at which the loop gain is 1, over the nodes; 0 without any.
+
+    The loop gain is |sum_j K_j P_j|, of several inputs the spectral radius of K P.
+    """
     omega = np.geomspace(CROSSOVER_FROM, np.pi / schedule.Ts * (1 - 1e-9), CROSSOVER_POINTS)
     highest = 0.0
     for v in map(float, schedule.speeds):
@@ -383,8 +385,10 @@ def _off_grid(
 
 
 def dc_floor(weights: fig1.PlantWeights) -> float:
-    """Lower bound of every controller per unit of A_t: 1 / sqrt(1/|W_nr(0)|^2 + 1/|W_wr(0)|^2). It balances
-    noise against disturbance of the controlled output, here r."""
+    """Lower bound of every controller per unit of A_t: 1 / sqrt(1/|W_nr(0)|^2 + 1/|W_wr(0)|^2).
+
+    It balances noise against disturbance of the controlled output, here r.
+    """
     n, w = (abs(W[weights.controlled].response([0.0])[0, 0, 0]) for W in (weights.W_n, weights.W_w))
     return float(n * w / np.hypot(n, w))
 

@@ -19,7 +19,9 @@ from .stored_frames import SplitWeights, StoredFrames
 
 
 def compared(stored: StoredIdentification) -> bool:
-    """Say whether structures are compared for a vehicle: one Delta, one input and two outputs.
+    """Tell whether structures are compared for a vehicle: whether it is of the paper's class.
+
+    That class has one Delta, one input and two outputs, which are the first two states.
 
     Parameters
     ----------
@@ -27,7 +29,7 @@ def compared(stored: StoredIdentification) -> bool:
 
     Returns
     -------
-    bool, True also requires that the outputs are the first two states
+    bool
     """
     project, first_two = stored.project, np.eye(2, stored.model.n)
     sizes = (project.n_delta, project.n_u, project.n_y)
@@ -45,8 +47,7 @@ class FrozenProblem:
     Raises
     ------
     InputError
-        If there is no [design] table, or the vehicle has a Delta an output, more inputs than one or other
-        outputs than two.
+        If there is no [design] table, or the vehicle is not of the paper's class S1 (`compared`).
     """
 
     def __init__(self, stored: StoredIdentification, frames: StoredFrames):

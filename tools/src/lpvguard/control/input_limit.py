@@ -25,9 +25,11 @@ for rounding of float in the core."""
 
 
 def turning_limit(model: NominalModel, a_max: float, v: np.ndarray, controlled: int = 0) -> np.ndarray:
-    """Compute the input limit of the lateral acceleration, ``a_max / (n_u v |G_1k(0; v)|)``. The result (m,
-    n_u) [input unit] is for speeds v (m,) [m/s] and ``a_max`` [m/s^2]. It is inf for an input that does not
-    turn the vehicle."""
+    """Compute the input limit of the lateral acceleration, ``a_max / (n_u v |G_1k(0; v)|)``.
+
+    The result (m, n_u) [input unit] is for speeds v (m,) [m/s] and ``a_max`` [m/s^2]. It is inf for an input
+    that does not turn the vehicle.
+    """
     with np.errstate(divide="ignore"):
         return a_max / (model.n_u * v[:, None] * np.abs(model.dc_gain(v)[:, controlled]))
 

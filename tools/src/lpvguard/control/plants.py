@@ -120,10 +120,12 @@ class DesignProblem:
 
     @cached_property
     def weights(self) -> fig1.PlantWeights:
-        """Weights of Fig. 1: some from the settings, the others as identified. Without drives of the noise
-        split, W_n is the deviation of the sensors' noise, and W_w also contains that noise. Raises InputError
-        when identification and design differ in uncertainty. S1_diagonal goes with K_o, S1 with K_i and K_is,
-        and K_inf with each. One Delta of a single output is also K_o's."""
+        """Weights of Fig. 1: some from the settings, the others as identified.
+
+        Without drives of the noise split, W_n is the deviation of the sensors' noise, and W_w also contains
+        that noise. Raises InputError when identification and design differ in uncertainty. S1_diagonal goes
+        with K_o, S1 with K_i and K_is, and K_inf with each. One Delta of a single output is also K_o's.
+        """
         stored, settings, fitted = self.stored, self.settings, self.stored.fitted
         outputwise, n_y = settings.structure == fig1.OUTPUTWISE, stored.project.n_y
         if settings.structure != "K_inf" and len(fitted.W_delta) != (n_y if outputwise else 1):

@@ -202,8 +202,10 @@ def _fits(loop: FrozenLoop, scaling: Scaling, omega: np.ndarray) -> list[_RowFit
 
 
 def _recovery(loop: FrozenLoop, a: np.ndarray, B: np.ndarray, u_max: np.ndarray, z: np.ndarray) -> np.ndarray:
-    """L (n_u, n, n_u) at one speed; see the module's docstring. B is (n_u, n, 1 + n_y), whose reference
-    column is ignored; u_max (n_u,)."""
+    """L (n_u, n, n_u) at one speed; see the module's docstring.
+
+    B is (n_u, n, 1 + n_y), whose reference column is ignored; u_max (n_u,).
+    """
     A_p, B_p, C_p = loop.vehicle.A, loop.vehicle.B, loop.vehicle.C
     eye, n_u = np.eye(len(A_p)), len(u_max)
     c = C_p[loop.controlled]

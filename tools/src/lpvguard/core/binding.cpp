@@ -16,7 +16,7 @@ struct Handle {
 
 constexpr std::size_t n_words = sizeof(lpvg_coeff_words_t) / sizeof(uint32_t);
 constexpr std::size_t n_reals = sizeof(lpvg_coeff_reals_t) / sizeof(lpvg_real_t);
-constexpr std::size_t frame_columns = 10U + 4U * LPVG_NY;
+constexpr std::size_t frame_columns = 11U + 4U * LPVG_NY;
 constexpr int64_t cause_columns = 10;
 
 // t_us: time of the sample with which the core said so; a frame waits for its turn after its end.
@@ -32,6 +32,7 @@ void write_frame(const lpvg_frame_t& f, int64_t t_us, double* row) {
             row[10U + 2U * LPVG_NY + 2U * j + part] = static_cast<double>(f.Z[j][part]);
         }
     }
+    row[10U + 4U * LPVG_NY] = static_cast<double>(f.pooled);
 }
 
 // An output's cause, as the newest diagnosis found it.

@@ -13,6 +13,7 @@ No clock time is written: the same input gives the same bytes. Numbers have 9 (f
 significant digits, so that reading returns the same number.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -51,7 +52,7 @@ class Coefficients(Sealed):
 class TestPart(Protocol):
     """A test's part of the coefficients (identify/energy.py, identify/change.py)."""
 
-    def coefficients(self) -> tuple[dict[str, int], dict[str, int], dict[str, np.ndarray]]:
+    def coefficients(self) -> tuple[dict[str, int], Mapping[str, ArrayLike], dict[str, np.ndarray]]:
         """Sizes by dimension; words and numbers by field of coeff.h, in the shape of the field."""
 
 
@@ -64,6 +65,7 @@ def build_coefficients(
     threshold: float,
     energy: TestPart,
     change: TestPart,
+    pools: TestPart | None = None,
 ) -> Coefficients:
     """Build a vehicle's coefficients from the model, the estimator, the weights and the tests.
 
@@ -76,6 +78,7 @@ def build_coefficients(
     B_w : ndarray (K, n_y), disturbance weight at the bins, units of the outputs
     threshold : float, of the frame test
     energy, change : TestPart, parts of the energy and the change test
+    pools : TestPart, optional, bounds of pools of frames; by default none
 
     Returns
     -------
@@ -89,6 +92,7 @@ def build_coefficients(
     require_core(project)
     table = model.table
     (sizes_e, words_e, reals_e), (sizes_c, words_c, reals_c) = (t.coefficients() for t in (energy, change))
+    words_p, reals_p = _without_pools(estimator, project) if pools is None else pools.coefficients()[1:]
     sizes = {
         "NX": model.n,
         "NU": model.n_u,
@@ -112,6 +116,7 @@ def build_coefficients(
         **words_c,
         "frame_length": estimator.length,
         "cycles": estimator.cycles,
+        **words_p,
         "varying_entry": table.varying,
     }
     reals: dict[str, ArrayLike] = {
@@ -121,10 +126,19 @@ def build_coefficients(
         **reals_c,
         "W_delta": W_delta,
         "B_w": B_w,
+        **reals_p,
         "threshold": threshold,
     }
     numbers = {name: np.array(value, float) for name, value in reals.items()}
     return Coefficients(sizes, words, numbers, project.name, estimator.identifier(), table.error)
+
+
+def _without_pools(
+    estimator: Estimator, project: Project
+) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+    """Words and numbers without any bound on a pool."""
+    one, none = np.ones(estimator.n_bins, int), np.zeros((estimator.n_bins, project.n_y))
+    return {"pool_parts": one, "pool_frames": one}, {"pool_W": none, "pool_scale": none}
 
 
 def _model_reals(project: Project, model: NominalModel) -> dict[str, ArrayLike]:

@@ -307,6 +307,7 @@ class FrameLog:
     evidence: np.ndarray
     E: np.ndarray
     Z: np.ndarray
+    pooled: np.ndarray
 
     @property
     def counted(self) -> np.ndarray:
@@ -324,8 +325,8 @@ class FrameLog:
 
     @classmethod
     def from_rows(cls, rows: np.ndarray, n_y: int) -> FrameLog:
-        """Convert rows (F, 10 + 4 n_y) of the C wrapper, whose times are in microseconds."""
-        parts = rows[:, 10:].reshape(len(rows), 2, n_y, 2)
+        """Convert rows (F, 11 + 4 n_y) of the C wrapper, whose times are in microseconds."""
+        parts = rows[:, 10:-1].reshape(len(rows), 2, n_y, 2)
         spectra = parts[..., 0] + 1j * parts[..., 1]
         return cls(
             rows[:, 0] * 1e-6,
@@ -339,6 +340,7 @@ class FrameLog:
             rows[:, 8],
             spectra[:, 0],
             spectra[:, 1],
+            rows[:, -1],
         )
 
 

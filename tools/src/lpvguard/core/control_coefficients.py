@@ -249,9 +249,12 @@ def _check(where: object, Ts_s: float, arrays: dict[str, np.ndarray]) -> None:
 
 
 def control_files(project: Project, controller: ControllerCoefficients) -> dict[str, str]:
-    """Text by file name of the controller's part of a vehicle folder. Where no message of ours carries the
-    demand there is no ECU. Messages of the vehicle's own bus are packed where [can.demand] gives their
-    places. Raises InputError when the controller does not fit the vehicle."""
+    """Text by file name of the controller's part of a vehicle folder.
+
+    A vehicle whose demand no message of ours carries has the controller alone, without an ECU. Where
+    [can.demand] gives their places, its demands are packed into messages of its own bus. Raises
+    InputError when the controller does not fit the vehicle.
+    """
     where = f"controller for vehicle {project.name}"
     n_u = int(controller.words["sizes"][-1])
     if controller.sizes["NM"] != project.n_y + 1 or n_u != project.n_u:

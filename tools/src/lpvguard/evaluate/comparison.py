@@ -11,6 +11,8 @@ from .false_alarms import PIECE_S
 
 MONITOR = "monitor"
 """Name of our detector, like the kinds of baselines.KINDS: all tests together, at one threshold."""
+POOLS = "pools"
+"""Name of the frame test's pools, which have a threshold of their own."""
 LEFT_ONE_OUT, HELD_OUT = "left_one_out", "held_out"
 """Judged drives: those of the identification, each without itself, or drives that it never saw."""
 CALIBRATED = {LEFT_ONE_OUT: "each drive without itself", HELD_OUT: "drives that it never saw"}
@@ -18,7 +20,7 @@ CALIBRATED = {LEFT_ONE_OUT: "each drive without itself", HELD_OUT: "drives that 
 TOGETHER = "all"
 """Name that replaces a way: the starts of all ways, one row a fault."""
 EXPORTED = "exported"
-"""Both tests, each at its own threshold, as `lpvguard export` writes them."""
+"""All tests, each at its own threshold, as `lpvguard export` writes them."""
 COUNTS_ONLY = "counts only"
 """Words that replace an unstated rate of false alarms."""
 
@@ -163,7 +165,13 @@ def detector_rows(detectors: list[DetectorColumn], best: list[str] | None = None
             *(f"{of[0]['untouched_alarms']} of {of[0]['counted']}" for of in faults),
         ],
     ]
-    named = [[row_name(same[0]), *map(found, same)] for same in zip(*faults, strict=True)]
+    same_rows = list(zip(*faults, strict=True))
+    qualify = [any(row["counted"] for row in same) for same in same_rows]
+    named = [
+        [row_name(same[0]), *map(found, same)] for same, keep in zip(same_rows, qualify, strict=True) if keep
+    ]
+    if without := [row_name(same[0]) for same, keep in zip(same_rows, qualify, strict=True) if not keep]:
+        named.append([f"no drive qualifies: {'; '.join(without)}", *[""] * len(detectors)])
     rows += named
     ways = list(dict.fromkeys(row["way"] for row in faults[0]))
     for way in ways:
@@ -173,7 +181,9 @@ def detector_rows(detectors: list[DetectorColumn], best: list[str] | None = None
     if best is None:
         return rows
     before = [""] * (len(rows) - len(ways) - len(named))
-    return [[*row, name] for row, name in zip(rows, [*before, *best, *[""] * len(ways)], strict=True)]
+    leaders = [name for name, keep in zip(best, qualify, strict=True) if keep]
+    after = [""] * (len(named) - len(leaders) + len(ways))
+    return [[*row, name] for row, name in zip(rows, [*before, *leaders, *after], strict=True)]
 
 
 def row_name(row: dict) -> str:
@@ -217,6 +227,7 @@ def refutable_rows(detectors: list[DetectorColumn]) -> list[list[str]]:
     return [
         [row_name(same[0]), f"{same[0]['refutable']} of {same[0]['counted']}", *map(found, same)]
         for same in zip(*(d.faults for d in detectors), strict=True)
+        if same[0]["counted"]
     ]
 
 

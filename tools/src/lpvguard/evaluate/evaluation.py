@@ -28,11 +28,19 @@ from ..identify.calibration import Calibration, Recordings, change_score, energy
 from ..identify.identification import DriveSet, StoredIdentification
 from ..identify.passes import DriveReader
 from ..replay.replayer import Replay, Replayer
-from ..vehicle.project import EvaluationSettings
+from ..vehicle.project import EvaluationSettings, Project
 from .baseline_study import BaselineStudy, evaluate_baselines
 from .causes import DIAGNOSED_S, CauseOutcome, CauseOutcomes, cause_table
-from .comparison import EXPORTED, LEFT_ONE_OUT, MONITOR, duels
-from .detection import FaultOutcome, Injection, Outcomes, fault_rows, margins, ranking, refutable
+from .comparison import EXPORTED, LEFT_ONE_OUT, MONITOR, POOLS, duels
+from .detection import (
+    FaultOutcome,
+    Injection,
+    Outcomes,
+    fault_rows,
+    margins,
+    ranking,
+    refutable,
+)
 from .false_alarms import alarmed_pieces, alarming, false_alarms, piece_starts
 from .judged_drives import FLOORS, JudgedDrives, calibrations_of, joint_thresholds
 
@@ -49,21 +57,20 @@ def _evaluate_drive(
     reader: DriveReader,
     core: Core,
     injection: Injection,
-    item: tuple[Experiment, Recordings, dict[str, Calibration]],
+    item: tuple[Experiment, Recordings, dict[str, Calibration], np.ndarray | None],
 ) -> tuple[dict, Found, CauseOutcomes]:
-    """Row of one drive, outcomes per detector and case, and the causes that EXPORTED names. Recordings and
-    calibrations are the drive's own. A drive without qualified stretches has no outcomes."""
-    experiment, recordings, calibrations = item
-    project, thresholds = reader.project, {what: c.threshold for what, c in calibrations.items()}
-    together, apart = (
-        Replayer(project, core, threshold=frame, energy_threshold=energy, change_threshold=change)
-        for frame, energy, change in (joint_thresholds(thresholds[MONITOR]), [thresholds[t] for t in TESTS])
-    )
+    """Row of one drive, outcomes per detector and case, and the causes that EXPORTED names.
+
+    Recordings and calibrations are the drive's own. A drive without qualified stretches has no outcomes.
+    """
+    experiment, recordings, calibrations, pool_scale = item
+    together, apart = _replayers(reader.project, core, calibrations, pool_scale)
     detectors = {
         MONITOR: (together, None),
         EXPORTED: (apart, None),
-        **{test: (apart, test) for test in TESTS},
+        **{test: (apart, test) for test in calibrations if test != MONITOR},
     }
+    project = reader.project
     drive, Ts = reader.read(experiment)[0], project.Ts_s
     untouched = {replayer: replayer.replay(drive) for replayer in (together, apart)}
     replay, injected = untouched[together], list(injection.into(untouched[together], project.seed))
@@ -104,6 +111,29 @@ def _evaluate_drive(
     return row, found, causes
 
 
+def _replayers(
+    project: Project, core: Core, calibrations: dict[str, Calibration], pool_scale: np.ndarray | None
+) -> list[Replayer]:
+    """Replayers with the joint threshold, and with one a test; ``pool_scale`` is that of a ratio of 1."""
+    thresholds = {what: c.threshold for what, c in calibrations.items()}
+    # The core compares a pool with the threshold of frames.
+    unit = thresholds["frame"] / thresholds.get(POOLS, thresholds["frame"])
+    return [
+        Replayer(
+            project,
+            core,
+            threshold=frame,
+            energy_threshold=energy,
+            change_threshold=change,
+            pool_scale=None if pool_scale is None else scale * pool_scale,
+        )
+        for (frame, energy, change), scale in (
+            (joint_thresholds(thresholds[MONITOR]), 1.0),
+            ([thresholds[t] for t in TESTS], unit),
+        )
+    ]
+
+
 def _identity(experiment: Experiment, recordings: Recordings) -> dict[str, str]:
     """Driver, recording and group of a drive."""
     group = recordings.groups.get(experiment.name)
@@ -137,6 +167,7 @@ def _drive_scores(replay: Replay) -> dict[str, float | None]:
         "frame": score(replay.run),
         "energy": energy_score(replay.run),
         "change": change_score(replay.run),
+        POOLS: float(replay.run.frames.pooled.max(initial=0.0)),
     }
     return {MONITOR: joint_score(tests, FLOORS)} | tests
 
@@ -191,8 +222,9 @@ def _stated_rates(rows: list[dict], baselines: list[dict], scored: Iterable[str]
     """Stated rate of false alarms on a further drive per detector; None: counts only. The tests as exported
     have at most the sum of their rates."""
     stated = {what: one_rate(r["calibration"][what]["alpha"] for r in rows) for what in scored}
-    apart = [rate for test in TESTS if (rate := stated[test]) is not None]
-    stated |= {EXPORTED: sum(apart) if len(apart) == len(TESTS) else None}
+    tests = [test for test in scored if test != MONITOR]
+    apart = [rate for test in tests if (rate := stated[test]) is not None]
+    stated |= {EXPORTED: sum(apart) if len(apart) == len(tests) else None}
     return stated | {b["kind"]: one_rate(c["alpha"] for c in b["chosen"].values()) for b in baselines}
 
 
@@ -239,9 +271,13 @@ def evaluate(
         else JudgedDrives.held_out(stored, held_out)
     )
     injection = _injection(stored, drives, settings, workers)
-    items = [(e, judged.recordings, judged.calibrations[n]) for n, e in judged.experiments.items()]
+    items = [
+        (e, judged.recordings, judged.calibrations[n], judged.pool_scale[n])
+        for n, e in judged.experiments.items()
+    ]
     rows: list[dict] = []
-    cases: Found = {d: {case: [] for case in injection.cases} for d in (MONITOR, EXPORTED, *TESTS)}
+    names = (MONITOR, EXPORTED, *calibrations_of(stored))
+    cases: Found = {d: {case: [] for case in injection.cases} for d in names}
     causes: CauseOutcomes = {case: [] for case in (*injection.cases, *injection.further_cases)}
     left_out: dict[str, str] = dict(stored.manifest["drives"]["left_out"]) if held_out is None else {}
     evaluated: Iterator[tuple[dict, Found, CauseOutcomes]] = workers(
@@ -307,7 +343,8 @@ def _table(
     injection: Injection,
 ) -> dict:
     """Object of `lpvguard evaluate --json` from the drives' rows, the monitor's cases and the baselines'."""
-    scored = (MONITOR, *TESTS)
+    tests = calibrations_of(stored)
+    scored = (MONITOR, *tests)
     groups = {"all": rows} | {
         d: [r for r in rows if r["driver"] == d] for d in sorted({r["driver"] for r in rows})
     }
@@ -322,7 +359,7 @@ def _table(
         "mode": judged.mode,
         "threshold_rule": judged.rule,
         "claims": {
-            "identified": {test: c.claim() for test, c in calibrations_of(stored).items()},
+            "identified": {test: c.claim() for test, c in tests.items()},
             judged.mode: {what: sorted({r["calibration"][what]["claim"] for r in rows}) for what in scored},
         },
         "stated_rates": _stated_rates(rows, baselines, scored),
@@ -333,7 +370,7 @@ def _table(
         "faults": [row | {"best": names} for row, names in zip(faults, best, strict=True)],
         "tests": {
             d: {"false_alarms": _false_alarms(d, rows), "faults": fault_rows(cases[d])}
-            for d in (EXPORTED, *TESTS)
+            for d in (EXPORTED, *tests)
         },
         "baselines": baselines,
         "duels": duels(faults, baselines),

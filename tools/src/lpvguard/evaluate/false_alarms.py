@@ -74,13 +74,18 @@ def alarming(replay: Replay, test: str | None = None) -> np.ndarray:
     Parameters
     ----------
     replay : Replay
-    test : str, optional, "frame", "energy" or "change", by default any
+    test : str, optional, "frame", "pools", "energy" or "change", by default any
 
     Returns
     -------
     ndarray (N,) of bool
     """
-    found = {"frame": replay.falsified, "energy": replay.over, "change": replay.changed}
+    found = {
+        "frame": replay.falsified,
+        "pools": replay.pooled,
+        "energy": replay.over,
+        "change": replay.changed,
+    }
     return np.logical_or.reduce(list(found.values())) if test is None else found[test]
 
 

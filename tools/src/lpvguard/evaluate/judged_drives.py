@@ -14,15 +14,17 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
+import numpy as np
+
 from ..base.errors import InputError
 from ..core.compiled import TESTS
 from ..drives.tables import Experiment, list_experiments, table_hashes
 from ..identify.calibration import ROUNDING, Calibration, Recordings, calibrate, joint_scores
 from ..identify.change import FLOOR, calibrated_change
 from ..identify.identification import DriveSet, StoredIdentification
-from .comparison import HELD_OUT, LEFT_ONE_OUT, MONITOR
+from .comparison import HELD_OUT, LEFT_ONE_OUT, MONITOR, POOLS
 
-FLOORS = {"frame": 1.0, "energy": 1.0 + ROUNDING, "change": FLOOR}
+FLOORS = {"frame": 1.0, "energy": 1.0 + ROUNDING, "change": FLOOR, POOLS: 1.0}
 """Least threshold of each test."""
 SAW = {"bounds": "set the bounds", "calibration": "calibrated", "noise": "set the noise"}
 """Use of a group of drives in the identification."""
@@ -31,13 +33,17 @@ SAW = {"bounds": "set the bounds", "calibration": "calibrated", "noise": "set th
 @dataclass(frozen=True)
 class JudgedDrives:
     """Drives by name, the calibrations of MONITOR and each test that judge them, and their recordings.
-    ``mode`` is LEFT_ONE_OUT or HELD_OUT. ``rule`` describes the calibrating drives."""
+
+    ``pool_scale`` (K, n_y) by drive is that of pools without its recording, None without pools. ``mode`` is
+    LEFT_ONE_OUT or HELD_OUT. ``rule`` describes the calibrating drives.
+    """
 
     mode: str
     rule: str
     experiments: dict[str, Experiment]
     calibrations: dict[str, dict[str, Calibration]]
     recordings: Recordings
+    pool_scale: dict[str, np.ndarray | None]
 
     @classmethod
     def left_one_out(cls, stored: StoredIdentification, drives: DriveSet) -> JudgedDrives:
@@ -58,6 +64,10 @@ class JudgedDrives:
             {name: drives.experiments[name] for name in names},
             {name: _of_group(_calibrations(stored, name), recordings.groups.get(name)) for name in names},
             recordings,
+            {
+                name: None if (p := stored.pools) is None else p.scale(recordings.named(name))
+                for name in names
+            },
         )
 
     @classmethod
@@ -71,6 +81,7 @@ class JudgedDrives:
             {e.name: e for e in experiments},
             {e.name: _of_group(as_stored, e.group) for e in experiments},
             Recordings.listed((), experiments),
+            {e.name: None if stored.pools is None else stored.pools.scale() for e in experiments},
         )
 
 
@@ -87,12 +98,15 @@ def _of_group(calibrations: dict[str, Calibration], group: str | None) -> dict[s
 def _calibrations(stored: StoredIdentification, without: str | None) -> dict[str, Calibration]:
     """Calibrations of MONITOR and each test by all calibration drives but the recording of ``without``."""
     scores = {test: c.scores for test, c in calibrations_of(stored).items()}
+    if stored.pools is not None:
+        scores[POOLS] = stored.pools.scores(without)
     scores[MONITOR] = joint_scores(scores, FLOORS)
     rules: dict[str, Callable[..., Calibration]] = {
         MONITOR: calibrated_change,
         "frame": calibrate,
         "energy": partial(calibrate, floor=FLOORS["energy"]),
         "change": calibrated_change,
+        POOLS: calibrate,
     }
     alpha, recordings = stored.project.frame_test.alpha, stored.calibration.recordings
     return {
@@ -101,7 +115,7 @@ def _calibrations(stored: StoredIdentification, without: str | None) -> dict[str
             alpha,
             recordings=recordings,
         )
-        for what in (MONITOR, *TESTS)
+        for what in scores
     }
 
 
@@ -125,11 +139,12 @@ def calibrations_of(stored: StoredIdentification) -> dict[str, Calibration]:
         raise InputError(
             stored.folder, "energy", "no energy test was identified", "an identification with Hann frames"
         )
-    return {
+    found = {
         "frame": stored.calibration,
         "energy": stored.energy.calibration,
         "change": stored.change.calibration,
     }
+    return found if stored.pools is None else found | {POOLS: stored.pools.calibration}
 
 
 def drives_to_judge(stored: StoredIdentification, folders: Iterable[Path]) -> list[Experiment]:

@@ -1,20 +1,7 @@
-"""Stage 5: calibrate the frame test and the energy test by split conformal prediction.
+"""Stage 5: calibrate the tests by split conformal prediction, one by one or together (`joint_scores`).
 
-Tests are calibrated one by one or together (`joint_scores`). The exchangeable unit is the recording
-(THEORY 7.3): a drive, or all drives that experiments.csv names as pieces of one.
-
-A drive's score is the largest k-of-m statistic over its counted frames, or the largest ratio of the energy
-test, read from the compiled core. A recording's score is the largest of its drives. The threshold is the
-ceil((n + 1)(1 - alpha))-th smallest score of n recordings of which no drive set the bounds. A further,
-exchangeable recording then alarms with probability at most alpha. With n < 1/alpha - 1 no finite threshold
-has that property, and alpha is not stated.
-
-Where experiments.csv names groups, a group with enough recordings for alpha has its own threshold, from its
-recordings alone (Mondrian conformal prediction). A further recording of that group then alarms with
-probability at most alpha. Any other group has the pooled threshold. Its alpha holds for a further recording
-of any group if all are judged by it, and not for that group alone.
-
-The core carries one threshold: the largest of all, with which every claim holds, or that of a named group.
+THEORY 7.3 has the thresholds (T23), their claims (T24) and those of groups. Scores are read from the compiled
+core. It carries one threshold: the largest of all, with which every claim holds, or that of a named group.
 """
 
 from __future__ import annotations

@@ -1,18 +1,5 @@
-"""Stage 5, the change test: whether gain, delay and bias are still those of the bound-setting drives (THEORY
-7.7; lib/include/lpvguard/change.h).
-
-    e_j = theta_1 yhat_j - theta_2 dyhat_j/dt + theta_3                                              (T34)
-
-by least squares over the means of blocks of NBLOCK samples, with forgetting. The regressors are divided by
-their rms on the bound-setting drives. The prior adds PRIOR memories of the products met there, which keeps an
-estimate near 0 where nothing excites it.
-
-The ratio of a part is |theta_i| over its size. The size is its rms on the bound-setting drives, times a
-factor. One factor for all parts and outputs makes the largest ratio on these drives 1. The ratio does not
-bound Delta or the disturbance, so an exceedance refutes neither. The threshold is conformal, as in the other
-tests, and may be below 1. A further drive like the calibration drives exceeds it with probability at most
-alpha. Above the threshold the vehicle differs from the identified one, and theta estimates the difference.
-"""
+"""Stage 5, the change test (T34; THEORY 7.7): whether gain, delay and bias are still those of the
+bound-setting drives. The prior adds PRIOR memories of the products met there."""
 
 from __future__ import annotations
 

@@ -1,17 +1,5 @@
-"""Stage 5: scales of the diagnosis, from the error of healthy vehicles (THEORY 7.9;
-lib/include/lpvguard/diagnosis.h).
-
-    e_j = theta_1 yhat_j - theta_2 dyhat_j/dt + theta_3 + theta_4 yhat_j |yhat_j| + residue             (T38)
-
-by least squares over WINDOW_S of settled blocks. Every number comes from drives that set the bounds. The
-covariance of a healthy theta is that of a random effect, by expectation and maximisation. It is the variation
-of the estimates from window to window beyond their own standard errors. Theta then has the covariance spread
-+ errors. Both are enlarged until 95 % of a drive's windows lie within the 95 % region of the other drives.
-
-A drive keeps a share of the spread: past values of theta predict future ones. The share comes from KEPT. It
-must put 95 % of the windows within the 95 % region, by the spread of the other drives. Among such shares it
-is that with the likeliest windows, each given the past of its drive.
-"""
+"""Stage 5: scales of the diagnosis (T38; THEORY 7.9), from the errors of healthy vehicles over WINDOW_S of
+settled blocks. A drive keeps a share of the spread, one of KEPT."""
 
 from __future__ import annotations
 
@@ -199,40 +187,15 @@ def _spread(theta: np.ndarray, errors: np.ndarray, start: np.ndarray | None = No
 def _surplus(theta: np.ndarray, errors: np.ndarray, found: np.ndarray) -> np.ndarray:
     """Sums (n_y, 4, 4) over windows of u u' - S^-1, for theta (n_y, 4, W), errors (4, 4, n_y, W), found (n_y,
     4, 4). The numpy version agrees with the compiled one to rounding."""
-    surplus = np.empty_like(found)
     if lib := native.kernels("spread"):
+        surplus = np.empty_like(found)
         sizes = (ctypes.c_ssize_t(size) for size in (len(found), theta.shape[-1]))
         arrays = (theta, errors, np.ascontiguousarray(found), surplus)
         lib.lpvg_spread(*sizes, *map(native.pointer, arrays))
         return surplus
-    factor = _inverse_factor(np.moveaxis(found, 0, -1)[..., None] + errors)
-    white = [sum(m * t for m, t in zip(row, theta.swapaxes(0, 1), strict=False)) for row in factor]
-    u = [sum(factor[i][k] * white[i] for i in range(k, PARTS)) for k in range(PARTS)]
-    for k in range(PARTS):
-        for m in range(k + 1):
-            inverse = sum(_products(factor[i][k], factor[i][m]) for i in range(k, PARTS))
-            surplus[:, k, m] = surplus[:, m, k] = _products(u[k], u[m]) - inverse
-    return surplus
-
-
-def _products(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Sums (n_y,) of a b over windows, a and b (n_y, W)."""
-    return np.einsum("jw,jw->j", a, b)
-
-
-def _inverse_factor(S: np.ndarray) -> list[list[np.ndarray]]:
-    """Rows of the lower triangle M with M' M = S^-1 of positive definite S (4, 4, ...)."""
-    L: dict[tuple[int, int], np.ndarray] = {}
-    M: list[list[np.ndarray]] = []
-    for i in range(PARTS):
-        for k in range(i + 1):
-            rest = S[i, k]
-            for m in range(k):
-                rest = rest - L[i, m] * L[k, m]
-            L[i, k] = rest * M[k][k] if k < i else 1 / np.sqrt(rest)
-        row = [-L[i, i] * sum(L[i, m] * M[m][k] for m in range(k, i)) for k in range(i)]
-        M.append([*row, L[i, i]])
-    return M
+    inverse = np.linalg.inv(np.moveaxis(errors, (0, 1), (2, 3)) + found[:, None])
+    u = np.einsum("jwkm,jmw->jwk", inverse, theta)
+    return np.einsum("jwk,jwm->jkm", u, u) - inverse.sum(axis=1)
 
 
 @dataclass(frozen=True)

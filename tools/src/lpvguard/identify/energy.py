@@ -1,30 +1,8 @@
-"""Stage 5, the energy test: one causal Delta for all outputs, or one an output, from rest until now (THEORY
-7.2; lib/include/lpvguard/energy.h).
+"""Stage 5, the energy test (T19): one causal Delta for all outputs, or one an output, from rest until now.
 
-    || sum_j a_j F e_j || <= || sum_j a_j F W_delta yhat_j || + sum_j |a_j| sigma_j                (T19)
-
-for every real a and at every time T, with ||x||^2 = sum_{t <= T} rho^(2 (T - t)) x(t)^2. On the left the last
-band forgets faster. With one Delta_j an output (S1_diagonal) a is a unit vector, and W_delta,j filters
-yhat_j. THEORY 7.2 states the assumptions, the proof, and what an exceedance refutes.
-
-**The weight** is a filter with the fitted weight's magnitude on |z| = rho, at the warped frequency (2/Ts)
-tan(omega Ts/2) (T20). ``verify_overbound`` proves it above the samples of nu at their warped frequencies.
-Where the weight falls with frequency, a gain >= 1 is applied first.
-
-**F** is the filter of each band in turn (T21). L_1 ... L_m are first-order low-passes of the corners, lowest
-first. Band 0 is L_1 ... L_m, band b is (1 - L_b) L_(b+1) ... L_m, band m is 1 - L_m; they sum to 1. The
-corners are the frames' f_min_hz and f_max_hz, or the setting ``band_hz``. The left memory of the last band is
-memory_s * f_first / f_last (T22).
-
-**sigma_j** of a band belongs to the inequality of output j alone, from rest. It is the least number with
-which that holds at every sample of every drive that set the bounds or the noise. A common factor per band
-then makes the fan of directions a hold too. Every direction is a condition by itself; the core tests one a
-judgement.
-
-**Starting in the middle** of a drive, all sums begin at zero. The right side gets what Delta, W_delta and F
-may remember, which fades with rho: sum_j |a_j| rho^(T - t0 + 1) start_j (T19b, remembered.py). ``start`` is
-the largest that the identification drives show. The model's transient is not covered by that; the common
-factors cover drives cut at random.
+THEORY 7.2 has its assumptions and proof, the weight (T20), the bands F (T21, T22) and the restart in the
+middle of a drive (T19b). A common factor per band makes the fan of directions hold besides every output
+alone.
 """
 
 from __future__ import annotations

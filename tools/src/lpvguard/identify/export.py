@@ -31,6 +31,7 @@ def export_vehicle(
         "threshold": stored.calibration.to_dict(),
         "energy_test": stored.energy_of_core.to_dict(),
         "change_test": stored.change_of_core.to_dict(),
+        **({} if stored.pools is None else {"pools": stored.pools.stated()}),
         **({} if stored.diagnosis is None else {"diagnosis_scales": stored.diagnosis.to_dict()}),
         "final_inflation": stored.weights["inflation"],
         "weights": {k: stored.weights[k] for k in ("W_w", "W_delta")},

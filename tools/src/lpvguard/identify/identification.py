@@ -11,6 +11,7 @@ Writes a folder with
     energy.json       energy test: filters, certificate, sigma, scores, threshold (energy.py); Hann frames
     only
     change.json       change test: sizes, scores, threshold (change.py); Hann frames only
+    pools.json        bounds of pools of frames, and the remainders they rest on (pools.py); Hann frames only
     diagnosis.json    scales of the diagnosis of alarms (diagnosis.py); Hann frames only
     visibility.json   smallest visible gain and delay errors, at typical and at the strongest excitation met
     spectra.npz       E, Z and mean speed of frames of the bound-setting drives, thinned, for the pictures and
@@ -55,6 +56,7 @@ from .model_error import ModelError
 from .model_fit import drive_fit, require_better_than_none
 from .over_drives import Origins, OverDrives
 from .passes import spectra_file
+from .pools import Pools
 from .weights import (
     Weights,
     coefficients_of,
@@ -88,6 +90,7 @@ class Identification:
     calibration : Calibration
     energy : EnergyTest or None
     change : ChangeTest or None
+    pools : Pools or None
     diagnosis : DiagnosisScales or None
     visibility : dict
     spectra : Rows
@@ -106,6 +109,7 @@ class Identification:
     calibration: Calibration
     energy: EnergyTest | None
     change: ChangeTest | None
+    pools: Pools | None
     diagnosis: DiagnosisScales | None
     visibility: dict
     spectra: Rows
@@ -209,7 +213,7 @@ def identify(
     if chosen.noise:
         noise_peak = fold(run.first_parts(chosen.noise, ceiling, keep=False))["E"]
     bounds, weights = _weighted(run, chosen, error, first, noise_peak, command["Y"])
-    weights, calibration, energy, change = run.calibrated(weights, bounds, chosen)
+    weights, calibration, energy, change, pools = run.calibrated(weights, bounds, chosen)
     progress("window error")
     result = Identification(
         project=project,
@@ -221,8 +225,9 @@ def identify(
         calibration=calibration,
         energy=energy,
         change=change,
+        pools=pools,
         diagnosis=run.diagnosis(change, chosen),
-        visibility=run.visibility(weights, calibration),
+        visibility=run.visibility(weights, calibration, pools),
         spectra=run.spectra,
         bound_drives=[e.name for e in chosen.setting],
         calibration_drives=list(calibration.scores),
@@ -294,6 +299,7 @@ def save(result: Identification, drives: DriveSet, target: Path) -> None:
                 "calibration.json": artefacts.to_json(result.calibration.to_dict()),
                 **({"energy.json": artefacts.to_json(result.energy.to_dict())} if result.energy else {}),
                 **({"change.json": artefacts.to_json(result.change.to_dict())} if result.change else {}),
+                **({"pools.json": artefacts.to_json(result.pools.to_dict())} if result.pools else {}),
                 **(
                     {"diagnosis.json": artefacts.to_json(result.diagnosis.to_dict())}
                     if result.diagnosis
@@ -336,6 +342,7 @@ class StoredIdentification:
     calibration : Calibration
     energy : EnergyTest or None
     change : ChangeTest or None
+    pools : Pools or None
     diagnosis : DiagnosisScales or None
     visibility : dict
     model_error : ModelError
@@ -352,6 +359,7 @@ class StoredIdentification:
     calibration: Calibration
     energy: EnergyTest | None
     change: ChangeTest | None
+    pools: Pools | None
     diagnosis: DiagnosisScales | None
     front: dict[str, np.ndarray]
     visibility: dict
@@ -360,14 +368,16 @@ class StoredIdentification:
     @cached_property
     def coefficients(self) -> Coefficients:
         """Coefficients of the core; InputError for bounds of an estimator that the core does not compute."""
+        threshold = self.calibration.exported
         return coefficients_of(
             self.project,
             self.model,
             self.estimator,
             self.fitted,
-            self.calibration.exported,
+            threshold,
             self.energy_of_core,
             self.change_of_core,
+            None if self.pools is None else self.pools.beside(threshold, self.pools.calibration.exported),
         )
 
     def of_group(self, group: str) -> StoredIdentification:
@@ -377,10 +387,11 @@ class StoredIdentification:
             raise InputError(
                 self.folder, "group", group, ", ".join(known) or f"groups, a column of {EXPERIMENTS}"
             )
-        energy, change = self.energy_of_core, self.change_of_core
+        energy, change, pools = self.energy_of_core, self.change_of_core, self.pools
         return replace(
             self,
             calibration=self.calibration.of_group(group),
+            pools=None if pools is None else replace(pools, calibration=pools.calibration.of_group(group)),
             energy=replace(energy, calibration=energy.calibration.of_group(group)),
             change=replace(change, calibration=change.calibration.of_group(group)),
         )
@@ -438,10 +449,12 @@ def load(folder: Path) -> StoredIdentification:
             f"{estimator.identifier()}, the estimator that project.json describes",
         )
     weights, fitted = read("weights", lambda document, where: (document, Weights.from_dict(document, where)))
-    energy = change = diagnosis = None
+    energy = change = diagnosis = pools = None
     if estimator.window == "hann":
         energy = read("energy", energy_filters(project, estimator, fitted).restored)
         change = read("change", ChangeTest.design(project).restored)
+        if (folder / "pools.json").is_file():  # an identification of before has none
+            pools = read("pools", lambda document, _: Pools.from_dict(document))
         if (folder / "diagnosis.json").is_file():  # an identification of before has none
             diagnosis = read("diagnosis", lambda document, _: DiagnosisScales.restored(project, document))
     front = read("front", lambda document, _: {k: np.array(document[k], float) for k in ("gamma_w", "nu")})
@@ -457,6 +470,7 @@ def load(folder: Path) -> StoredIdentification:
         calibration,
         energy,
         change,
+        pools,
         diagnosis,
         front,
         read("visibility", lambda document, _: dict(document)),

@@ -1,23 +1,9 @@
-"""Model error model: the part of the nominal error that follows the input, with its standard error (THEORY
-7.6; Ljung, the paper's reference [1]).
+"""Model error model (T30 to T33; THEORY 7.6): the part of the nominal error that follows the input, with its
+standard error. Its frames are not the monitor's.
 
-At a frequency, in a cell of speed and amplitude, frames obey
-
-    E_j = (a_j + b_j s) Z_j + residue,   s = (v - v_0)/h,   delta_c,j(v) = a_j + b_j s                (T30)
-
-v_0 and h are centre and half width of the speed range. The estimate is least squares, or with an instrument
-R the instrumental one. It is coherent: a disturbance that is not proportional to the input does not bias it.
-The exception is a driver who steers against that disturbance, without a named instrument.
-
-Frames of this module are not the monitor's. They hold 4, 8, 16 or 32 periods of *whitened* signals. For
-this, e, yhat and R pass one prediction-error filter of yhat. It commutes with Delta and makes yhat flat over
-a frame's main lobe. Frames start every half frame. N such Hann frames are worth N / 1.056 independent ones. A
-frame counts by its excitation. Frames in which a swept sine was elsewhere hardly count.
-
-Length: sums over frames, lines over pools of cells and the bound are one estimator, read together.
-
-Only sums over frames are kept of a drive. Drives are added in the order of their names, so the result does
-not depend on their order in a folder.
+Length: sums over frames, lines over pools of cells and the bound are one estimator, read together. Only sums
+over frames are kept of a drive. Drives are added in the order of their names, so the result does not depend
+on their order in a folder.
 """
 
 from __future__ import annotations
@@ -698,10 +684,13 @@ def last_telling(estimate: ErrorEstimate) -> np.ndarray:
 
 
 def uncertainty_bound(project: Project, grid: ErrorGrid, estimate: ErrorEstimate) -> np.ndarray:
-    """(G, n_delta): bound that W_delta must cover (T31, T32). Up to the last informative frequency it is the
-    largest |delta_c| + k se of all cells. Where a cell would not have refuted a vehicle that does not
-    respond, it is at most 1 + rho unless |delta_c| - k se is larger. Beyond the last informative frequency it
-    is at least 1 + rho. For a design, the last SILENT frequencies count as beyond it."""
+    """(G, n_delta): bound that W_delta must cover (T31, T32).
+
+    Up to the last informative frequency it is the largest |delta_c| + k se of all cells. Where a cell would
+    not have refuted a vehicle that does not respond, it is at most 1 + rho unless |delta_c| - k se is larger.
+    Beyond the last informative frequency it is at least 1 + rho. For a design, the last SILENT frequencies
+    count as beyond it.
+    """
     upper, lower = (x.max(axis=(2, 3)) for x in (estimate.upper, estimate.lower))
     dead = beyond(project, grid)
     out = np.where(estimate.tells, upper, np.maximum(np.minimum(upper, dead), lower))
@@ -711,10 +700,12 @@ def uncertainty_bound(project: Project, grid: ErrorGrid, estimate: ErrorEstimate
 
 
 def band_bound(project: Project, grid: ErrorGrid, bands: list[ErrorBand]) -> np.ndarray:
-    """Compute the bound (G, n_delta) that W_delta must cover by the ``bands`` of all outputs. The bands have
-    the first of the grid's frequencies. A band gives no information at a speed and amplitude with k sd >= 1 +
-    rho. There, and beyond its frequencies, at most 1 + rho is required (T32). For a design, the last SILENT
-    frequencies count as beyond them."""
+    """Compute the bound (G, n_delta) that W_delta must cover by the ``bands`` of all outputs.
+
+    The bands have the first of the grid's frequencies. A band gives no information at a speed and amplitude
+    with k sd >= 1 + rho. There, and beyond its frequencies, at most 1 + rho is required (T32). For a design,
+    the last SILENT frequencies count as beyond them.
+    """
     out = beyond(project, grid)
     for j, band in enumerate(bands):
         dead = out[: len(band.omega), j, None, None]

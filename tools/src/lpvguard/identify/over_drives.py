@@ -34,10 +34,13 @@ from .passes import (
     first_pass,
     healthy_pass,
     judge,
+    pool_needs_pass,
+    pool_remainder_pass,
     remainder_pass,
     thinned,
     uncertainty_pass,
 )
+from .pools import PoolNeeds, Pools, PoolSizes, Remainders, chosen_share
 from .resolution import Resolution
 from .scratch import scratch_core
 from .visibility import Excitation, visibility
@@ -81,6 +84,7 @@ class OverDrives:
         self._spectra: list[Rows] = []
         self._seen = np.full((2, self.reader.project.n_y), np.nan)
         self._met: list[Excitation] = []
+        self._pooled: Excitation | None = None
         self._judged_s: dict[str, float] = {}
         self.origins = Origins()
 
@@ -244,9 +248,11 @@ class OverDrives:
 
     def calibrated(
         self, weights: Weights, bounds: Bounds, drives: Chosen
-    ) -> tuple[Weights, Calibration, EnergyTest | None, ChangeTest | None]:
-        """Weights with their final inflation, and the tests with their thresholds. The plain DFT has the
-        frame test only. Raises InputError where nothing calibrates."""
+    ) -> tuple[Weights, Calibration, EnergyTest | None, ChangeTest | None, Pools | None]:
+        """Weights with their final inflation, the tests with their thresholds, and the bounds of pools.
+
+        The plain DFT has the frame test only. Raises InputError where nothing calibrates.
+        """
         project, model, estimator = self.reader.project, self.reader.model, self.reader.estimator
         alpha, recordings = project.frame_test.alpha, Recordings.listed(drives.setting, drives.others)
         if estimator.window != "hann":
@@ -255,7 +261,7 @@ class OverDrives:
             self._require_scores(drives, judged=bool(scores))
             scores = {n: s / inflated.inflation for n, s in scores.items()}
             by_frames = calibrate(scores, alpha, recordings=recordings).over(self._judged_s)
-            return inflated, by_frames, None, None
+            return inflated, by_frames, None, None, None
         first = self._with_sigma(energy_filters(project, estimator, weights), bounds.resolution, drives)
         change = self._change_test(drives)
         with scratch_core(
@@ -268,6 +274,7 @@ class OverDrives:
             scores, energy_scores, change_scores = self._scores(weights, core, reals, drives)
             speaks = bool(scores) and len(inflated.silent) < estimator.n_bins
             self._require_scores(drives, judged=speaks or bool(energy_scores or change_scores))
+            pools = self._pools(bounds, recordings, drives).calibrated(scores, alpha, recordings)
             test = test.calibrated(energy_scores, alpha, recordings)
             change = change.calibrated(change_scores, alpha, recordings)
             return (
@@ -275,17 +282,45 @@ class OverDrives:
                 calibrate(scores, alpha, recordings=recordings).over(self._judged_s),
                 replace(test, calibration=test.calibration.over(self._judged_s)),
                 replace(change, calibration=change.calibration.over(self._judged_s)),
+                replace(pools, calibration=pools.calibration.over(self._judged_s)),
             )
+
+    def _pools(self, bounds: Bounds, recordings: Recordings, drives: Chosen) -> Pools:
+        """Bounds of pools from all drives."""
+        sizes = PoolSizes.of(self.reader.project, self.reader.estimator)
+        task = partial(pool_needs_pass, self.reader, sizes)
+        W, silent = chosen_share(PoolNeeds.joined(self.over("pools", task, drives.setting)), bounds.B_w_floor)
+        needs: dict[str, np.ndarray] = {}
+        found: list[Remainders] = []
+        chosen = [*drives.setting, *drives.others]
+        rest = self.over("pools", partial(pool_remainder_pass, self.reader, sizes, W), chosen)
+        for e, of in zip(chosen, rest, strict=True):
+            name = recordings.named(e.name)
+            needs[name] = np.maximum(needs.get(name, 0.0), of.largest)
+            found.append(of)
+            if len(found) == JOINED_AT_ONCE:
+                found = [Remainders.joined(found)]
+        floor = np.where(silent, np.inf, bounds.B_w_floor)
+        pools = Pools(sizes, W, floor, needs, calibrate({}, self.reader.project.frame_test.alpha))
+        self._pooled = Remainders.joined(found).excitation(W, pools.bound())
+        return pools
 
     def _require_scores(self, drives: Chosen, *, judged: bool) -> None:
         require_calibration(self.drives, (e.name for e in drives.others), self.left_out, judged)
 
-    def visibility(self, weights: Weights, calibration: Calibration) -> dict:
+    def visibility(self, weights: Weights, calibration: Calibration, pools: Pools | None) -> dict:
         """visibility.json: what the judged drives could have refuted, by bin."""
         of, factor = self.reader.estimator, weights.inflation
         W_delta = weights.of_frames(of.omega)[0] / factor
         return visibility(
-            of.omega, of.speed_range, self.met, W_delta, calibration.carried, factor, weights.silent
+            of.omega,
+            of.speed_range,
+            self.met,
+            W_delta,
+            calibration.carried,
+            factor,
+            weights.silent,
+            None if pools is None or self._pooled is None else (self._pooled, pools.calibration.carried),
         )
 
     @property

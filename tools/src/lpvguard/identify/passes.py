@@ -35,6 +35,7 @@ from .energy import EnergyTest
 from .error_domain import ErrorDomain
 from .error_sums import ErrorSums, common_fit, common_products, error_sums, sum_of
 from .healthy import needed
+from .pools import PoolNeeds, PoolSizes, Remainders, needs_of, remainders_of
 from .resolution import resolution_of
 from .visibility import Excitation
 
@@ -254,6 +255,19 @@ def healthy_pass(reader: DriveReader, experiment: Experiment) -> np.ndarray:
     project = reader.project
     frames = list(reader.frames(experiment))
     return needed(frames, reader.estimator, project.n_delta, project.bounds.structure)
+
+
+def pool_needs_pass(reader: DriveReader, sizes: PoolSizes, experiment: Experiment) -> PoolNeeds:
+    """Needs of a drive for the bounds of pools."""
+    return needs_of(experiment, reader.frames(experiment), reader.estimator, sizes, reader.project.n_y)
+
+
+def pool_remainder_pass(
+    reader: DriveReader, sizes: PoolSizes, W: np.ndarray, experiment: Experiment
+) -> Remainders:
+    """Remainders of a drive's pools beside ``W`` (K, n_y)."""
+    drive, _, _, frames = reader.seen(experiment)
+    return remainders_of(experiment, frames, drive.v, reader.estimator, sizes, W)
 
 
 def remainder_pass(

@@ -1,16 +1,4 @@
-"""Smallest gain and delay error that the frame test can see, per speed cell and bin (THEORY 7.4).
-
-A vehicle whose response is c times the nominal one shows the error E = -g Z in every output, with
-|g| = |1 - c|. The margin of a frame grows in proportion to g, because delta and w scale alike. It therefore
-exceeds the threshold exactly when
-
-    g > threshold / t*(-Z, Z),
-
-where t* is the exact margin of validation.s1 for the project's structure. With one output this is ``g |Z| >
-threshold (B_w + W_delta |Z|)``. At any excitation, g below threshold x W_delta stays invisible. With a Delta
-per output this is the least W_delta,j. A delay tau has ``g = |1 - exp(-j omega tau)| = 2 |sin(omega tau /
-2)|``. Only the phase of g is free here. The vehicle's ordinary nominal error adds and can raise or hide the
-fault.
+"""Smallest gain and delay error that the frame test can see, per speed cell and bin (T25; THEORY 7.4).
 
 Both lists are made for two excitations. One is the strongest that occurred in any drive. The other is
 PERCENTILE, which one counted frame in ten reaches. t*(-Z, Z) orders excitation. For one output the order is
@@ -38,10 +26,13 @@ STATED_DELAYS_S = (0.3, 0.15)
 
 @dataclass(frozen=True)
 class Excitation:
-    """Excitation of counted frames, in bounded memory, joined over drives by ``joined``. ``count``
-    (SPEED_CELLS, K) counts all frames. Each row holds ``group`` (cell * K + bin), ``hash``, ``dead`` = t*(-Z,
-    Z) and ``size`` = |Z| [output units]. The rows are the frame of the largest ``dead`` of each group and a
-    sample of SAMPLED_FRAMES."""
+    """Excitation of counted frames, in bounded memory, joined over drives by ``joined``.
+
+    ``count`` (SPEED_CELLS, K) counts all frames. Each row holds ``group`` (cell * K + bin), ``hash``,
+    ``dead`` = t*(-Z, Z), ``size`` = |Z| [output units] and ``floor``. The floor is the gain error that no
+    excitation shows and no threshold enlarges: 0, or W of a pool (THEORY 7.17). The rows are the frame of the
+    largest ``dead`` of each group and a sample of SAMPLED_FRAMES.
+    """
 
     count: np.ndarray
     strongest: Rows
@@ -64,18 +55,22 @@ class Excitation:
         the frames of a bin. ``speed_range`` [m/s] is cut into SPEED_CELLS equal cells. The bounds are W_delta
         (K, n_delta) and B_w (K, n_y)."""
         K = len(W_delta)
-        cell = np.searchsorted(_edges(speed_range), speed, side="right") - 1
-        group = np.clip(cell, 0, SPEED_CELLS - 1) * K + bin_of
+        group = speed_cell(speed_range, speed) * K + bin_of
         dead = s1.margin(-Z, Z, W_delta[bin_of], B_w[bin_of])
         rows = {
             "group": group,
             "hash": row_hash(name, bin_of, number),
             "dead": dead,
             "size": np.linalg.norm(Z, axis=1),
+            "floor": np.zeros(len(Z)),
         }
-        return cls(
-            np.bincount(group, minlength=SPEED_CELLS * K).reshape(SPEED_CELLS, K), *cls._selected(rows, rows)
-        )
+        count = np.bincount(group, minlength=SPEED_CELLS * K).reshape(SPEED_CELLS, K)
+        return cls.of_rows(count, rows, rows)
+
+    @classmethod
+    def of_rows(cls, count: np.ndarray, strongest: Rows, sample: Rows) -> Excitation:
+        """Excitation of rows, of which the strongest and a sample are kept."""
+        return cls(count, *cls._selected(strongest, sample))
 
     @classmethod
     def joined(cls, parts: Iterable[Excitation]) -> Excitation:
@@ -98,6 +93,12 @@ class Excitation:
         return {k: v for k, v in first.items() if k != "weakness"}, first_of_each(sample, SAMPLED_FRAMES)
 
 
+def speed_cell(speed_range: tuple[float, float], speed: np.ndarray) -> np.ndarray:
+    """Cell of each speed (F,) [m/s]; a speed outside the range has the nearest one."""
+    cell = np.searchsorted(_edges(speed_range), speed, side="right") - 1
+    return np.clip(cell, 0, SPEED_CELLS - 1)
+
+
 def _edges(speed_range: tuple[float, float]) -> np.ndarray:
     return np.linspace(*speed_range, SPEED_CELLS + 1)
 
@@ -110,23 +111,38 @@ def visibility(
     threshold: float,
     inflation: float = 1.0,
     silent: Collection[int] = (),
+    pools: tuple[Excitation, float] | None = None,
 ) -> dict:
     """Smallest visible errors per speed cell and bin; JSON-able, None where no frame counts.
 
+    An error is visible where a frame or a pool of frames shows it.
+
     ``omega`` (K,) [rad/s] is 0 at DC. ``W_delta`` (K, n_delta) is as in ``met``, and ``inflation`` is the
-    later factor on it and on B_w. ``silent`` are bins that raise no alarm, so nothing is visible there.
+    later factor on it and on B_w. ``silent`` are bins that raise no alarm, so frames show nothing there.
+    ``pools`` are the excitation and the threshold of the pools.
     ``at_percentile`` and ``at_strongest`` list the cells. The lists of a cell run over the bins: ``frames``,
     ``excitation`` |Z| [output units], ``gain_error`` [-] and ``delay_s``. The latter is None at DC and where
     no delay is large enough.
     """
     edges = _edges(speed_range)
 
-    def cells(rows: Rows, percentile: float) -> list[dict]:
-        return [
-            {"speed_mps": [float(edges[c]), float(edges[c + 1])]}
-            | _cell(omega, met.count[c], rows, c, percentile, threshold * inflation, silent)
-            for c in range(SPEED_CELLS)
-        ]
+    def cells(rows: Rows, by_pools: list[tuple[Rows, float]], percentile: float) -> list[dict]:
+        found = []
+        for c in range(SPEED_CELLS):
+            given = len(omega), c, percentile
+            chosen = _chosen(rows, *given)
+            gain = _gains(rows, chosen, threshold * inflation)
+            gain = [None if k in silent else g for k, g in enumerate(gain)]
+            for of_pools, level in by_pools:
+                pooled = _gains(of_pools, _chosen(of_pools, *given), level)
+                gain = [
+                    min((g for g in both if g is not None), default=None)
+                    for both in zip(gain, pooled, strict=True)
+                ]
+            size = [None if i is None else float(rows["size"][i]) for i in chosen]
+            speeds = {"speed_mps": [float(edges[c]), float(edges[c + 1])]}
+            found.append(speeds | _cell(omega, met.count[c], size, gain))
+        return found
 
     return {
         "threshold": float(threshold),
@@ -134,33 +150,36 @@ def visibility(
         "sampled_frames": SAMPLED_FRAMES,
         "omega_rad_s": omega.tolist(),
         "gain_error_floor": (threshold * inflation * W_delta.min(axis=1)).tolist(),
-        "at_percentile": cells(met.sample, PERCENTILE),
-        "at_strongest": cells(met.strongest, 100),
+        "at_percentile": cells(
+            met.sample, [] if pools is None else [(pools[0].sample, pools[1])], PERCENTILE
+        ),
+        "at_strongest": cells(met.strongest, [] if pools is None else [(pools[0].strongest, pools[1])], 100),
     }
 
 
-def _cell(
-    omega: np.ndarray,
-    count: np.ndarray,
-    rows: Rows,
-    c: int,
-    percentile: float,
-    level: float,
-    silent: Collection[int],
-) -> dict:
-    """Cell ``c``; a fault must exceed the margin ``level``, in units of the weights of ``rows``."""
-    K = len(omega)
-    chosen = [
+def _chosen(rows: Rows, K: int, c: int, percentile: float) -> list[int | None]:
+    """Row of each of K bins of cell ``c`` at the percentile of excitation; None without any."""
+    return [
         _at_percentile(rows["dead"], np.flatnonzero(rows["group"] == c * K + k), percentile) for k in range(K)
     ]
-    gain = [
-        None if i is None or k in silent or rows["dead"][i] == 0 else float(level / rows["dead"][i])
-        for k, i in enumerate(chosen)
-    ]
+
+
+def _gains(rows: Rows, chosen: list[int | None], level: float) -> list[float | None]:
+    """Gain error of the chosen rows with which they reach ``level``, in units of their weights."""
+
+    def gain(dead: float, floor: float) -> float | None:
+        return None if dead == 0 else floor + level * (1 / dead - floor)
+
+    return [None if i is None else gain(float(rows["dead"][i]), float(rows["floor"][i])) for i in chosen]
+
+
+def _cell(omega: np.ndarray, count: np.ndarray, size: list[float | None], gain: list[float | None]) -> dict:
+    """A speed cell: frames, |Z| and visible gain error by bin."""
+    K = len(omega)
     delay = [_delay(g, w) for g, w in zip(gain, omega, strict=False)]
     return {
         "frames": count.tolist(),
-        "excitation": [None if i is None else float(rows["size"][i]) for i in chosen],
+        "excitation": size,
         "gain_error": gain,
         "delay_s": delay,
         "smallest_gain_error": min((g for g in gain if g is not None), default=None),

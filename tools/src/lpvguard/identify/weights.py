@@ -22,6 +22,7 @@ from .bounds import Bounds
 from .change import ChangeTest
 from .energy import UNBOUNDED, EnergyTest
 from .healthy import HealthySet
+from .pools import Pools
 
 DC_STAND_IN = 0.1
 """Fraction of the lowest bin's frequency at which DC's bound stands on a logarithmic axis."""
@@ -374,9 +375,12 @@ def fit_weights(
     command: np.ndarray,
     workers: Map = map,
 ) -> Weights:
-    """Steps 6 and 7 for the fitted ``W_delta``. ``noise``, ``error`` (K, n_y): peaks of E without and with
-    input; ``command`` (K,): of the controlled output. ``workers`` share the weights. Without zero-input
-    drives (``noise`` all NaN) B_w is W_w. W_C is fitted with them, or for a design."""
+    """Steps 6 and 7 for the fitted ``W_delta``.
+
+    ``noise``, ``error`` (K, n_y): peaks of E without and with input; ``command`` (K,): of the controlled
+    output. ``workers`` share the weights. Without zero-input drives (``noise`` all NaN) B_w is W_w. W_C is
+    fitted with them, or for a design.
+    """
     floor = smallest_disturbance(bounds.B2)
     names = [s.name for s in project.outputs]
     disturbance_set = project.bounds.disturbance_set
@@ -465,10 +469,11 @@ def coefficients_of(
     threshold: float,
     energy: EnergyTest,
     change: ChangeTest,
+    pools: Pools | None = None,
 ) -> Coefficients:
-    """Coefficients of the core for these weights."""
+    """Coefficients of the core for these weights; without ``pools`` these have no bounds."""
     return build_coefficients(
-        project, model, estimator, *weights.of_core(estimator.omega), threshold, energy, change
+        project, model, estimator, *weights.of_core(estimator.omega), threshold, energy, change, pools
     )
 
 

@@ -26,7 +26,7 @@ def alarm_sentence(alarm: Alarm | dict[str, Any]) -> str:
             f"energy test, v = {a['speed_mps']:.1f} m/s: ratio {a['margin']:.2f} > {a['threshold']:.2f} "
             f"{a['band']} the corners, in direction ({_listed(a['direction'])}); ||F e|| = {_listed(a['E'])} "
             f"against ||F W_delta yhat|| {_listed(a['Z'])} + sigma {_listed(a['B_w'])} + what a restart "
-            "leaves"
+            f"leaves{_attributed(a)}"
         )
     if a["test"] == "change":
         return (
@@ -35,12 +35,23 @@ def alarm_sentence(alarm: Alarm | dict[str, Any]) -> str:
             f"{1 + a['estimate']['gain']:.3g} of the model's, {a['estimate']['delay_s']:.3g} s later, bias "
             f"{a['estimate']['bias']:.3g}"
         )
+    if a["statistic"] <= a["threshold"]:
+        return (
+            f"frame test, {a['bin_rad_s']:.3g} rad/s, v = {a['speed_mps']:.1f} m/s: pool of the last frames "
+            f"at {a['pooled']:.2f} > {a['threshold']:.2f}, margin of the newest {a['margin']:.2f}"
+            f"{_attributed(a)}"
+        )
     return (
         f"frame test, {a['bin_rad_s']:.3g} rad/s, v = {a['speed_mps']:.1f} m/s: "
         f"margin {a['margin']:.2f} (statistic {a['statistic']:.2f} > {a['threshold']:.2f}); |E| = "
         f"{_norm(a['E']):.3g} against W_delta {_listed(a['W_delta'])} x |Z| {_norm(a['Z']):.3g} + B_w "
-        f"{_listed(a['B_w'])}"
+        f"{_listed(a['B_w'])}{_attributed(a)}"
     )
+
+
+def _attributed(a: dict[str, Any]) -> str:
+    """Continuation for an alarm that a vehicle without response would not have raised."""
+    return "; disturbance beyond its bound" if a["beyond"] == "disturbance" else ""
 
 
 def _listed(values: list[float]) -> str:

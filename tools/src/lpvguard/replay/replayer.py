@@ -58,6 +58,10 @@ class Alarm:
     band : str or None, of core.band_names
     output, part : str or None, of the change test; part of core.CHANGE_PARTS
     estimate : ChangeEstimate or None
+    pooled : float or None, ratio of the pool of a frame alarm
+    beyond : str or None
+        "disturbance" where a vehicle without response would not have alarmed, else "model"; None for the
+        change test.
     """
 
     t_s: float
@@ -77,6 +81,13 @@ class Alarm:
     output: str | None = None
     part: str | None = None
     estimate: ChangeEstimate | None = None
+    pooled: float | None = None
+    beyond: str | None = None
+
+
+def _beyond(evidence: float, threshold: float) -> str:
+    """Word for the bound that an alarm refutes (THEORY 7.4)."""
+    return "model" if evidence > threshold else "disturbance"
 
 
 @dataclass(frozen=True)
@@ -91,6 +102,7 @@ class Replay:
     judged : ndarray (N,) of bool, the sample lies in a counted frame
     in_range, excited : ndarray (N,) of bool
     falsified : ndarray (N,) of bool, a falsifying frame was judged at the sample
+    pooled : ndarray (N,) of bool, a falsifying pool of frames was judged at the sample
     over : ndarray (N,) of bool, the energy test's ratio is above its threshold
     changed : ndarray (N,) of bool, the change test's ratio is above its threshold
     alarms : list of Alarm, of all tests, in the order of time
@@ -108,6 +120,7 @@ class Replay:
     in_range: np.ndarray  # (N,) bool
     excited: np.ndarray  # (N,) bool
     falsified: np.ndarray  # (N,) bool: with this sample the core judged a frame that falsifies
+    pooled: np.ndarray  # (N,) bool: likewise, by its pool
     over: np.ndarray  # (N,) bool: the energy test's ratio is above its threshold
     changed: np.ndarray  # (N,) bool: the change test's is
     alarms: list[Alarm]  # of all tests, in the order of time
@@ -229,6 +242,7 @@ class Replayer:
     project : Project
     core : Core
     threshold, energy_threshold, change_threshold : float or None, optional
+    pool_scale : ndarray (K, n_y) or None, optional, in the place of that of the coefficients
     """
 
     def __init__(
@@ -239,6 +253,7 @@ class Replayer:
         threshold: float | None = None,
         energy_threshold: float | None = None,
         change_threshold: float | None = None,
+        pool_scale: np.ndarray | None = None,
     ):
         self.project, self.core = project, core
         self.model = NominalModel(project)
@@ -270,7 +285,9 @@ class Replayer:
         for name, value in given.items():
             if value is not None:
                 fields[name][0] = value
-        self._reals = None if set(given.values()) == {None} else reals
+        if pool_scale is not None:
+            fields["pool_scale"][:] = pool_scale
+        self._reals = None if set(given.values()) == {None} and pool_scale is None else reals
         self.threshold, self.energy_threshold, self.change_threshold = (
             float(fields[name][0]) for name in given
         )
@@ -288,8 +305,10 @@ class Replayer:
         frames, Ts, t0 = run.frames, self.project.Ts_s, drive.t[0]
         judged = frames.judged(len(drive.t), t0, Ts, self.estimator.length)
         low, high = self.model.speed_range
-        falsified = np.zeros(len(drive.t), bool)
-        falsified[np.round((frames.t_judged_s[frames.falsified] - t0) / Ts).astype(int)] = True
+        at = np.round((frames.t_judged_s - t0) / Ts).astype(int)
+        falsified, pooled = np.zeros((2, len(drive.t)), bool)
+        falsified[at[frames.falsified & (frames.statistic > self.threshold)]] = True
+        pooled[at[frames.pooled > self.threshold]] = True
         in_range = (drive.v >= low) & (drive.v <= high)
         if drive.missing is not None:
             in_range &= ~drive.missing
@@ -301,6 +320,7 @@ class Replayer:
             in_range,
             self.excited(drive),
             falsified,
+            pooled,
             run.energy > self.energy_threshold,
             run.change > self.change_threshold,
             self.alarms(run, t0),
@@ -349,6 +369,8 @@ class Replayer:
                 self.B_w[frames.bin[i]].tolist(),
                 frames.E[i].tolist(),
                 frames.Z[i].tolist(),
+                pooled=float(frames.pooled[i]),
+                beyond=_beyond(float(frames.evidence[i]), self.threshold),
             )
             for i in np.flatnonzero(frames.falsified)
         ]
@@ -373,6 +395,7 @@ class Replayer:
                 found.Z[i].real.tolist(),
                 self.directions[direction].tolist(),
                 self.bands[band],
+                beyond=_beyond(float(found.evidence[i]), self.energy_threshold),
             )
             for i, (band, direction) in enumerate(places)
         ]

@@ -18,6 +18,12 @@ def html_table(head: Iterable[str], rows: Iterable[Iterable[str]], kind: str = "
     return f'<div class="scroll"><table class="{kind}">{top}<tbody>\n{body}</tbody></table></div>'
 
 
+def html_rows(rows: Iterable[dict[str, str]]) -> str:
+    """A table whose head is the keys of its rows, all HTML."""
+    every = list(rows)
+    return html_table(every[0] if every else (), (row.values() for row in every))
+
+
 def captioned(picture: Picture | None, caption: str) -> str:
     """A picture, if any, with its caption in HTML. page.js zooms it by the numbers beside it."""
     below = f"<figcaption>{caption}</figcaption>" if caption else ""

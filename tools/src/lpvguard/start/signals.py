@@ -76,6 +76,10 @@ RATE_OF = {"deg": "deg/s", "rad": "rad/s", "mrad": "mrad/s"}
 STEERING_WHEEL = re.compile(r"steering_?wheel|hand_?wheel|lenkrad|^swa|_swa|(^|_)lw[iz]?(_|$)|volant")
 ROAD_WHEEL = re.compile(r"road_?wheel|front_?wheel|tyre|tire")
 """Names of an angle at the steering wheel, and of one at the road wheels."""
+FRACTION = re.compile(r"frac|(^|_)fine(_|$)|_hp$")
+"""In names of the digits beyond a coarse signal's resolution."""
+PART = 0.2
+"""Largest spread of these digits, as a share of the coarse signal's."""
 LEAST_SAMPLES = 20
 """A recording with fewer samples of all three signals says nothing."""
 
@@ -95,13 +99,16 @@ class Recording:
 
 @dataclass(frozen=True)
 class Proposal:
-    """A signal for a role: SI value = factor * signal in ``unit``; ``why`` holds sentences."""
+    """A signal for a role: SI value = factor * signal in ``unit``; ``why`` holds sentences.
+
+    ``plus``: signals of its message that are added, the digits beyond its resolution."""
 
     role: str
     name: str
     unit: str
     factor: float
     why: list[str]
+    plus: tuple[str, ...] = ()
 
 
 def ranked(role: str, names: Iterable[str], units: Mapping[str, str] | None = None) -> list[str]:
@@ -152,6 +159,11 @@ def proposed(
         twice = next(n for n in names.values() if list(names.values()).count(n) > 1)
         options = ", ".join(f"--{role}" for role in ROLES if names[role] == twice)
         raise InputError("new", options, f"{twice} is both", "a signal of its own for each")
+    fine = {role: _fine_parts(names[role], common, recordings) for role in ROLES}
+    for role, parts in fine.items():
+        if parts:
+            why[role].append(f"{' and '.join(parts)} added, the digits beyond its resolution")
+            recordings = [_added(r, names[role], parts) for r in recordings]
     for role in ("input", "output"):
         _require_sign(role, names[role], common, recordings)
     choices = {}
@@ -174,8 +186,32 @@ def proposed(
     why["input"] += said
     factors = {"speed": 1.0, "input": sign / reading.ratio, "output": 1.0}
     return {
-        role: Proposal(role, names[role], reading.units[role], factors[role], why[role]) for role in ROLES
+        role: Proposal(role, names[role], reading.units[role], factors[role], why[role], fine[role])
+        for role in ROLES
     }
+
+
+def _fine_parts(name: str, common: list[str], recordings: list[Recording]) -> tuple[str, ...]:
+    """Signals of the same message and unit that a car adds to a coarse one, as a fraction of its step."""
+    message, _, last = name.rpartition(".")
+    first = tokens(last)[0]
+
+    def spread(signal: str) -> float:
+        return max(float(np.nanmax(r.values[signal]) - np.nanmin(r.values[signal])) for r in recordings)
+
+    def is_part(other: str) -> bool:
+        of, _, low = other.lower().rpartition(".")
+        same = of == message.lower() and tokens(low)[:1] == [first] and FRACTION.search(low) is not None
+        units = {r.units.get(n, "") for r in recordings for n in (name, other)}
+        return same and other != name and len(units) == 1 and 0 < spread(other) < PART * spread(name)
+
+    return tuple(other for other in common if message and is_part(other))
+
+
+def _added(recording: Recording, name: str, parts: tuple[str, ...]) -> Recording:
+    """The recording with the sum of a signal and its parts in place of the signal."""
+    total = sum((recording.values[part] for part in parts), recording.values[name])
+    return replace(recording, values={**recording.values, name: total})
 
 
 def _together(recording: Recording, names: Mapping[str, str]) -> Driven:

@@ -86,27 +86,15 @@ def cover(
     held: Callable[[np.ndarray, PointBound], float],
     least: float = 0.0,
 ) -> IntervalBound:
-    """Cover the interval from ``low`` to ``high`` [rad/s] by cells.
+    """Cover the interval from ``low`` to ``high`` [rad/s] by cells; ``high`` may be infinite, in discrete
+    time pi / dt.
 
-    Parameters
-    ----------
-    name : str, who asks, in errors
-    loop : StateSpace, stable, with Σcols outputs and Σrows inputs
-    structure : Structure
-    low, high : float, the last may be infinite, or in discrete time pi / dt
-    rtol : float, ``upper`` exceeds ``largest`` by this share
-    at : callable, M (Σcols, Σrows) and the largest bound so far to the bound at that frequency
-    held : callable, M and a bound elsewhere to what its scalings prove at M; inf: nothing
-    least : float, level from which the search begins: ``upper`` is that level where it can be proved
+    ``name`` says in errors who asks. ``loop`` is stable, with Σcols outputs and Σrows inputs. ``at`` takes M
+    (Σcols, Σrows) and the largest bound so far to the bound at that frequency. ``held`` takes M and a bound
+    elsewhere to what its scalings prove at M; inf: nothing. ``upper`` exceeds ``largest`` by the share
+    ``rtol``. It is ``least`` where that level can be proved. SynthesisError: the loop is not stable, or of
+    another shape than the blocks, or its cells do not cover the interval.
 
-    Raises
-    ------
-    SynthesisError
-        For a loop that is not stable, of another shape than the blocks, or whose cells do not cover the
-        interval.
-
-    Notes
-    -----
     The search begins where the scalings of one frequency prove the least of all poles' frequencies, near the
     peak. Where a neighbour's scalings prove clearly less than the largest bound, none are searched for.
     """
@@ -227,15 +215,8 @@ def middle(a: float, b: float, size: float) -> float:
 
 
 def is_positive(M: np.ndarray, moved: np.ndarray, point: PointBound, level: float) -> bool:
-    """Tell whether Φ ≻ 0 at M and at every matrix within rounding of it.
-
-    Parameters
-    ----------
-    M : ndarray, shape (Σcols, Σrows), response at one frequency
-    moved : ndarray, shape (Σcols, Σrows), rounding of each entry of M
-    point : PointBound, the scalings
-    level : float, β
-    """
+    """Tell whether Φ ≻ 0 at level β at M (Σcols, Σrows), the response at one frequency, and at every matrix
+    within its rounding ``moved``."""
     try:
         factor = np.linalg.inv(np.linalg.cholesky(point.fixed + level**2 * point.scaled))
     except np.linalg.LinAlgError:

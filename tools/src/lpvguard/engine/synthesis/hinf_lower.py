@@ -89,14 +89,8 @@ def _one_side(P: Plant, Z: np.ndarray) -> tuple[np.ndarray | None, float, float]
 
 
 def dual_certificate(P: Plant, control: Side, filter_: Side, level: float) -> DualCertificate | None:
-    """Return the certificate of the worst trajectories at ``level``; None where there are none.
-
-    Parameters
-    ----------
-    P : Plant
-    control, filter_ : Side, Riccati equations of the plant and of its dual
-    level : float, a little below the optimum
-    """
+    """Return the certificate of the worst trajectories at ``level``, a little below the optimum; None where
+    there are none. ``control`` and ``filter_`` are the Riccati equations of the plant and of its dual."""
     sides = [side for side in (_trajectories(control, level), _trajectories(filter_, level)) if side]
     if len(sides) < 2:
         return None
@@ -165,14 +159,10 @@ def _root(X: np.ndarray) -> np.ndarray:
 def proved_level(
     P: Plant, control: Side, filter_: Side, gamma: float, basis: np.ndarray, given: Plant
 ) -> float:
-    """Return the largest level near ``gamma`` that a dual certificate proves for a plant as given, or 0.
+    """Return the largest level near ``gamma`` that a dual certificate proves for a plant as ``given``, or 0.
 
-    Parameters
-    ----------
-    P : Plant, the plant of the Riccati equations ``control`` and ``filter_``
-    gamma : float, level that the equations claim to be the optimum
-    basis : ndarray, shape (n, n), states of ``given`` are ``basis`` times those of ``P``
-    given : Plant, its numbers decide
+    ``gamma`` is the optimum that the Riccati equations of P claim. States of ``given`` are ``basis`` (n, n)
+    times those of P.
     """
     best, n = 0.0, len(basis)
     for share in BELOW:

@@ -242,8 +242,8 @@ def generalised_plant(
     delay : float, samples from u to the vehicle, for computation and bus, default 0
         Δ_i and W_u read u at once. A fraction of a sample lies between Δ_i and the vehicle.
     probes : bool, add outputs after z, default False
-        They are the vehicle's state (n), input (n_u) and with state uncertainty input on every state (n). A
-        delay with a fraction adds the inputs of the sample before (n_u) to the state.
+        They are the vehicle's state (n), its input (n_u) and with state uncertainty input on every state (n).
+        Where the delay has a fraction, n_u inputs of the sample before belong to the state.
     C : array_like (n_y, n), by default the first n_y states
 
     Returns
@@ -337,9 +337,11 @@ def _parts(
     delay: int,
     fraction: float,
 ) -> tuple[dict[str, StateSpace], int]:
-    """The systems of Fig. 1 by name, sampled where ``dt`` > 0, and the number of the vehicle's states. The
-    vehicle goes from [ũ; an input on every state] to [y; x]. W_delta_s acts on every state. The weights of Δ
-    that the structure does not have are left out, as the delay is where it is 0."""
+    """The systems of Fig. 1 by name, sampled where ``dt`` > 0, and the number of the vehicle's states.
+
+    The vehicle goes from [ũ; an input on every state] to [y; x]. W_delta_s acts on every state. The weights
+    of Δ that the structure does not have are left out, as the delay is where it is 0.
+    """
     n, n_u = B.shape
     channels = {
         "W_delta_i": n_u * (structure in ("K_i", "K_is")),
@@ -361,7 +363,7 @@ def _parts(
 
 
 def delay_line(samples: int, dt: float) -> StateSpace:
-    """Delay one signal.
+    """Delay one signal by whole samples.
 
     Parameters
     ----------
@@ -382,20 +384,21 @@ def delay_line(samples: int, dt: float) -> StateSpace:
 
 
 def held_with_delay(G: StateSpace, n_u: int, dt: float, fraction: float) -> StateSpace:
-    """Sample a system with held inputs, the first of which act a fraction of a sample late.
+    """Sample a system with held inputs, the first ``n_u`` of which act a fraction of a sample late.
+
+    Where ``fraction`` is not 0, these inputs of the sample before become states behind those of G, and
+    outputs behind its outputs.
 
     Parameters
     ----------
     G : StateSpace, continuous
-    n_u : int, number of these inputs
+    n_u : int
     dt : float, s
-    fraction : float, samples, below 1
+    fraction : float, of a sample, below 1
 
     Returns
     -------
     StateSpace
-        Where ``fraction`` is not 0, these inputs of the sample before are states behind those of G, and
-        outputs behind its outputs.
     """
     whole = zero_order_hold(G, dt)
     if not fraction:

@@ -37,7 +37,7 @@ REAL_RTOL, ONE_REAL_RTOL = 2e-3, 1e-6
 """Gap between the bounds that is aimed at with real blocks, and with one real scalar alone."""
 RESOLVED = 1e-2
 """Gap between the bounds up to which μ counts as known."""
-INFLATIONS = (0.0, 1e-14, 1e-12, 1e-10, 1e-8, 1e-6)
+INFLATIONS = (0.0, 1e-14, 1e-12, 1e-10, 1e-8, 1e-6, 1e-5, 1e-4, 1e-3, 5e-3)
 """Shares by which the bound of one frequency is raised until its scalings prove it within rounding."""
 COMPLEX_STARTS, INTERVAL_STARTS = 40, 8
 """Starts of the search for a lower bound, of a matrix and of a loop's peak."""

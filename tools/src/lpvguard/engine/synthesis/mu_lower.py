@@ -69,13 +69,8 @@ def lower_bound(
 def attained(M: np.ndarray, structure: Structure, delta: np.ndarray, moved: np.ndarray) -> float:
     """Return the lower bound of μ that a Δ proves, 1 / max_i σ̄(Δ_i); 0 where it proves none.
 
-    Parameters
-    ----------
-    M : ndarray, shape (Σcols, Σrows)
-    structure : Structure
-    delta : ndarray, shape (Σrows, Σcols)
-        It proves a bound if it has the blocks' structure and makes I − M Δ singular.
-    moved : ndarray, shape (Σcols, Σrows), rounding of each entry of M
+    It proves a bound if ``delta`` (Σrows, Σcols) has the blocks' structure and makes I − M Δ singular. M is
+    (Σcols, Σrows), ``moved`` the rounding of its entries.
     """
     rest = np.array(delta, complex)
     for block, r, c in _places(structure):

@@ -27,7 +27,7 @@ from lpvguard.engine.synthesis.frequency_cells import (
     middle,
     response_rounding,
 )
-from lpvguard.engine.synthesis.mu_upper import balance, upper_bound
+from lpvguard.engine.synthesis.mu_upper import ABSENT, ROUNDED, balance, triangular_scalings, upper_bound
 from lpvguard.engine.synthesis.real_crossings import ROUNDING
 from lpvguard.engine.synthesis.statespace import StateSpace
 from lpvguard.engine.synthesis.structure import Structure
@@ -130,14 +130,20 @@ def proved_at(
     if not np.isfinite(M).all():
         return None
     left, right = balance(M, structure)
-    alone = PointBound(1.0, left, np.zeros_like(right), right, np.zeros((len(right), len(left))))
+    no_skew = np.zeros((len(right), len(left)))
+    alone = PointBound(1.0, left, np.zeros_like(right), right, no_skew)
     for simple in (nearby, alone):
         if simple is not None and is_positive(M, moved, simple, 1.0):
             return simple
     _, _, left, right, skew = upper_bound(M, structure, 0.25 * slack, 1.0)
-    right = right @ right.conj().T
-    point = PointBound(1.0, left @ left.conj().T, np.zeros_like(right), right, skew)
-    return point if is_positive(M, moved, point, 1.0) else None
+    found = [(left, right, skew)]
+    found += [(*sides, no_skew) for sides in triangular_scalings(M, structure, (ROUNDED, ABSENT))]
+    for left, right, skew in found:
+        right = right @ right.conj().T
+        point = PointBound(1.0, left @ left.conj().T, np.zeros_like(right), right, skew)
+        if is_positive(M, moved, point, 1.0):
+            return point
+    return None
 
 
 @dataclass(frozen=True)
@@ -214,8 +220,8 @@ class Prover:
         Where an eigenvalue of M Δ is nearly real all along, scalings that reach so far hold on narrow cells
         alone. M is that of the whole box.
         """
-        whole, width = self._width(part), self._width(proved)
-        if whole <= MANY * width:
+        width = self._width(proved)
+        if not 0 < width < self._width(part) / MANY:
             return []
         halves, cells = [], 0.0
         for half in self._halved_box(part, M):

@@ -18,8 +18,11 @@ from lpvguard.engine.synthesis.real_crossings import NOTHING, Crossing, RealSear
 from lpvguard.engine.synthesis.statespace import StateSpace
 from lpvguard.engine.synthesis.structure import Structure
 
-MOST_PARTS, MOST_MIXED, MORE_PARTS = 800, 150, 40
-"""Parts tried at one level, with real blocks alone and with others beside; and at each level after that."""
+FIRST_PARTS, MOST_PARTS, MOST_MIXED, MORE_PARTS = 200, 1000, 300, 40
+"""Parts tried for the gap that is asked; for ``RELAXED``, with real blocks alone and with others beside; and
+at each level after that."""
+RELAXED = 9e-3
+"""Gap that is aimed at where parts are many: μ counts as known up to 1 % (``mu.RESOLVED``)."""
 RAISE = 0.05
 """Share by which the level is raised then; it doubles from level to level."""
 ZERO = 1e-6
@@ -83,7 +86,7 @@ def real_mu(
     level = max(search.best.value * (1 + rtol), ZERO * size, np.finfo(float).tiny, least)
     edge = np.full(len(search.real), 1 / level)
     todo, proof = [Part(ParameterBox(-edge, edge), low, high)], []
-    tried, resisting, share, most = 0, 0, RAISE, MOST_PARTS if search.pure else MOST_MIXED
+    tried, resisting, share, aim, most = 0, 0, RAISE, rtol, FIRST_PARTS
     while todo:
         part = todo.pop()
         box = part.box.within(1 / level)
@@ -97,10 +100,13 @@ def real_mu(
         else:
             resisting += 1
             if (resisting <= FIRST or resisting % LATER == 0) and search.improve(part, omega):
-                level = max(level, search.best.value * (1 + rtol))
+                level = max(level, search.best.value * (1 + aim))
                 rest = [part]
         todo += rest
-        if tried >= most:
+        if tried >= most and search.best.value and aim < RELAXED:
+            aim, most = RELAXED, tried + (MOST_PARTS if search.pure else MOST_MIXED)
+            level = max(level, search.best.value * (1 + aim))
+        elif tried >= most:
             level, most, share = level * (1 + share), tried + MORE_PARTS, 2 * share
     best = search.best
     return RealMu(float(level), best.value, best.omega, best.delta, tuple(proof), size)

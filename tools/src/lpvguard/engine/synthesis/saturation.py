@@ -199,9 +199,12 @@ class LimitedLoop:
         return max(found, key=lambda one: one.energy, default=None)
 
     def energy(self, log_constants: np.ndarray, u_max: np.ndarray, step_max: np.ndarray) -> float | None:
-        """Compute the largest ‖w‖ with which the demand stays within its limits. ``log_constants`` (blocks,)
-        prove |u| ≤ κ ``u_max`` (n_u,) and |u(k) − u(k − 1)| ≤ ``step_max`` (n_u,). Returns None where Q is
-        not found or does not pass its test."""
+        """Compute the largest ‖w‖ with which the demand stays within its limits.
+
+        ``log_constants`` (blocks,) prove |u| ≤ κ ``u_max`` (n_u,) and |u(k) − u(k − 1)| ≤ ``step_max``
+        (n_u,). Returns None
+        where Q is not found or does not pass its test.
+        """
         whole = self.performance().scaled(self.ones, 1.0, log_constants)
         G = whole.select(slice(0, sum(self.rows)), slice(None))
         t = balancing(G)

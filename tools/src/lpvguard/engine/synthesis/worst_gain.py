@@ -102,18 +102,11 @@ def worst_gain(
 
 
 def proves(bound: IntervalBound, G: StateSpace, structure: Structure, low: float, high: float) -> bool:
-    """Tell whether the cells of ``bound`` prove its level, rounding allowed for.
+    """Tell whether the cells of ``bound`` prove its level from ``low`` to ``high`` [rad/s], rounding allowed
+    for.
 
-    Parameters
-    ----------
-    bound : IntervalBound
-    G : StateSpace, the loop in continuous time
-    structure : Structure, blocks of Δ, then the performance block
-    low, high : float, interval in rad/s
-
-    Notes
-    -----
-    With the performance columns divided by the level, Δ of size 1 and performance of gain 1 are proved.
+    ``structure`` has the blocks of Δ, then the performance block. With the performance columns divided by the
+    level, Δ of size 1 and performance of gain 1 are proved.
     """
     if not np.isfinite(bound.upper):
         return False

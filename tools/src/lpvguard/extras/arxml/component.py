@@ -1,7 +1,5 @@
 """The software component of a vehicle's monitor: its ARXML, and the C source of its runnables."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """ARXML of a monitor's software component: types, units, interfaces, ports, runnables, parameters."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from typing import Any

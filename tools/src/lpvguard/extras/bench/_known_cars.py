@@ -66,12 +66,8 @@ class DriveDeviations:
 
 
 def yaw_rates(car: Car, Ts: float, v: np.ndarray, angle: np.ndarray, side_force: np.ndarray) -> np.ndarray:
-    """Yaw rates (D, N) [rad/s] of cars that begin straight.
-
-    Parameters
-    ----------
-    v, angle, side_force : (D, N) speed [m/s], road-wheel angle [rad] as acts, side force [N].
-    """
+    """Yaw rates (D, N) [rad/s] of cars that begin straight, from speed v [m/s], road-wheel angle as it acts
+    [rad] and side force [N], each (D, N)."""
     h = Ts / STEPS
     out = np.empty_like(v)
     x = np.zeros((6, len(v)))  # steering, slip velocity, yaw rate, front and rear force, friction's angle
@@ -112,14 +108,8 @@ def _derivative(
 def true_error(
     car: Car, model: NominalModel, omega: np.ndarray, speed: np.ndarray, amplitude: np.ndarray
 ) -> np.ndarray:
-    """(G, S, A) complex error of a car by its describing function.
-
-    Parameters
-    ----------
-    omega : (G,) [rad/s].
-    speed : (S,) [m/s].
-    amplitude : (S, A) amplitude of the steering sine [rad].
-    """
+    """(G, S, A) complex error of a car by its describing function, at omega (G,) [rad/s], speed (S,) [m/s]
+    and amplitude (S, A) of the steering sine [rad]."""
     Ts, out = model.Ts, np.empty((len(omega), *amplitude.shape), complex)
     v, a = np.repeat(speed, amplitude.shape[1]), amplitude.ravel()
     settle = round(SETTLE_S / Ts)
@@ -158,13 +148,8 @@ def multisine_response(
     realisations: int,
     rates: Callable[[np.ndarray, np.ndarray], np.ndarray],
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Spectra of angle and yaw rate (S, A, R, K) over the second of two periods of multisines.
-
-    Parameters
-    ----------
-    speed, amplitude : (S,) [m/s] and (S, A) [rad].
-    rates : yaw rates (D, N) [rad/s] of speeds (D, N) and angles (D, N).
-    """
+    """Spectra of angle and yaw rate (S, A, R, K) over the second of two periods of multisines, at speed (S,)
+    [m/s] and amplitude (S, A) [rad]. ``rates`` gives the yaw rates (D, N) of speeds and angles (D, N)."""
     n = round(MULTISINE_S / Ts)
     lines = 2 * np.pi * np.fft.rfftfreq(n, Ts)
     random = np.random.default_rng(1)

@@ -20,18 +20,9 @@ def model_description(
     variables: Sequence[Variable],
     sources: Sequence[str],
 ) -> bytes:
-    """Return modelDescription.xml.
-
-    Parameters
-    ----------
-    version : int, 2 or 3
-    name : str, model identifier
-    title : str, title of the vehicle
-    token : str, identifies the binary and the variables together
-    period_s : float, sample period in s; the only step size
-    variables : sequence of Variable
-    sources : sequence of str, source files below ``sources/``
-    """
+    """Return modelDescription.xml of FMI ``version`` 2 or 3. ``name`` is the model identifier, ``token``
+    identifies the binary and the variables together. ``period_s`` is the only step size. ``sources`` lie
+    below ``sources/``."""
     step = f"{period_s:.9g}"
     root = xml.Element(
         "fmiModelDescription",

@@ -13,6 +13,7 @@ from ...evaluate.comparison import (
     HELD_OUT,
     LEFT_ONE_OUT,
     MONITOR,
+    POOLS,
     REFUTABLE_HEAD,
     DetectorColumn,
     alarm_rows,
@@ -24,7 +25,7 @@ from ...evaluate.comparison import (
     row_name,
 )
 from ...evaluate.false_alarms import PIECE_S
-from ..markup import captioned, html_table, number
+from ..markup import captioned, html_rows, html_table, number
 from ..pictures.detectors import SOONEST_S, time_to_find
 
 OURS = "lpvguard, all tests at one threshold"
@@ -33,7 +34,13 @@ JUDGED = {
     HELD_OUT: ("Evaluation, held-out drives", "Every drive"),
 }
 """Title of the section, and the judged drives."""
-TEST_TITLES = {MONITOR: "all tests", "frame": "frame test", "energy": "energy test", "change": "change test"}
+TEST_TITLES = {
+    MONITOR: "all tests",
+    "frame": "frame test",
+    "energy": "energy test",
+    "change": "change test",
+    POOLS: "pools of frames",
+}
 
 
 def evaluation_section(evaluation: dict) -> str:
@@ -83,35 +90,25 @@ def _claim_table(evaluation: dict) -> str:
 def _drive_table(evaluation: dict) -> str:
     """A row per drive: thresholds, scores, alarms, judged time, fault instants."""
     without = " without it" if evaluation["mode"] == LEFT_ONE_OUT else ""
-    return html_table(
-        [
-            "drive",
-            "driver",
-            *(f"{title}: threshold{without}, score" for title in TEST_TITLES.values()),
-            "alarmed pieces",
-            "last piece, s",
-            "judged, s",
-            "missing samples",
-            "of in-range, excited time",
-            "faults from, s",
-        ],
-        [
-            [
-                escape(r["run"]),
-                escape(r["driver"]),
-                *(
-                    f"{r['calibration'][t]['threshold']:.3f}, {number(r['scores'][t], 4)}"
-                    for t in TEST_TITLES
-                ),
-                f"{r['alarmed'][MONITOR]} of {r['pieces']}",
-                f"{r['last_piece_s']:.1f}",
-                f"{r['judged_s']:.1f}",
-                str(r["missing_samples"]),
-                "–" if r["judged_of_in_range_excited"] is None else f"{r['judged_of_in_range_excited']:.0%}",
-                ", ".join(f"{s:.0f}" for s in r["fault_starts_s"]) or "–",
-            ]
-            for r in evaluation["drives"]
-        ],
+    return html_rows(
+        {
+            "drive": escape(r["run"]),
+            "driver": escape(r["driver"]),
+            **{
+                f"{title}: threshold{without}, score": f"{r['calibration'][t]['threshold']:.3f}, "
+                f"{number(r['scores'][t], 4)}"
+                for t, title in TEST_TITLES.items()
+            },
+            "alarmed pieces": f"{r['alarmed'][MONITOR]} of {r['pieces']}",
+            "last piece, s": f"{r['last_piece_s']:.1f}",
+            "judged, s": f"{r['judged_s']:.1f}",
+            "missing samples": str(r["missing_samples"]),
+            "of in-range, excited time": "–"
+            if r["judged_of_in_range_excited"] is None
+            else f"{r['judged_of_in_range_excited']:.0%}",
+            "faults from, s": ", ".join(f"{s:.0f}" for s in r["fault_starts_s"]) or "–",
+        }
+        for r in evaluation["drives"]
     )
 
 

@@ -204,6 +204,7 @@ def run_planned(context: Context, planned: PlannedRun) -> dict[str, Any]:
         "duration_s": float(facts["duration_s"]),
         "speed_mps": float(drive.v.mean()),
         "frames_hash": facts["frames_hash"],
+        "authenticated": facts["reception"]["authentication"] is not None,
         "brake_gain": float(scenario["plant"].get("variation", {}).get("brake_gain_ratio", 1.0)),
         "demand_max_bar": float(facts["demand_max_bar"]),
         **did,

@@ -82,6 +82,9 @@ def summarise(
             kind_row(name, [s for s in severities if s["kind"] == name])
             for name in dict.fromkeys(s["kind"] for s in severities)
         ],
+        "command_authentication": "authenticated"
+        if all(r["authenticated"] for r in rows)
+        else "not authenticated",
         "supervision": {"faulty": _supervision(on_bus), "healthy": _supervision(within)},
         "bus": [_bus_severity(*key, members) for key, members in _by_severity(on_bus).items()],
         "invisible": [s for s in severities if _is_invisible(s)],

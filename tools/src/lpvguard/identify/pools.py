@@ -1,0 +1,315 @@
+"""Pools of frames: sums of the error that follows the input (THEORY 7.17; lib/include/lpvguard/monitor.h).
+
+The remainder of a pool is ``|sum of conj(Z) E| / sqrt(P) - W sqrt(P)`` with P = sum of |Z|^2. Its bound B is
+the largest remainder of all drives, those that calibrate included. W is chosen on the drives that set the
+bounds. The score of a drive is its largest remainder over the bound of all other recordings. Without a
+recording every bound is at most what is exported. A further exchangeable recording therefore exceeds the
+threshold of these scores with probability at most alpha (T52). No drive is spent.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from ..base.layout import CONSTANTS
+from ..base.sampling import Rows, first_of_each, row_hash, stacked
+from ..drives.frames import Estimator
+from ..drives.tables import Experiment
+from ..vehicle.project import Project
+from .bounds import FrameSet
+from .calibration import Calibration, Recordings, calibrate
+from .healthy import CANDIDATES, TYPICAL
+from .visibility import SAMPLED_FRAMES, SPEED_CELLS, Excitation, speed_cell
+
+PARTS = int(CONSTANTS["NPOOL"][0])
+"""Most parts of a pool."""
+SAMPLED = 750
+"""Pools a bin from which typical excitation is read."""
+
+
+@dataclass(frozen=True)
+class PoolSizes:
+    """Parts of a pool (K,), and frames of a part (K,), by bin."""
+
+    parts: np.ndarray
+    frames: np.ndarray
+
+    @classmethod
+    def of(cls, project: Project, estimator: Estimator) -> PoolSizes:
+        """Pools that a fault fills within the time in which it is to be found; one frame at least."""
+        length, hop = estimator.length * project.Ts_s, estimator.hop * project.Ts_s
+        room = np.floor((project.evaluation.found_within_s - length) / hop + 1e-9).astype(int) + 1
+        parts = np.clip(room, 1, PARTS)
+        return cls(parts, np.maximum(room, 1) // parts)
+
+    def counts(self, k: int) -> range:
+        """Numbers of frames that a pool of bin k holds, from when all its parts are in use."""
+        parts, frames = int(self.parts[k]), int(self.frames[k])
+        return range((parts - 1) * frames + 1, parts * frames + 1)
+
+
+def pooled(
+    s: FrameSet, estimator: Estimator, counts: Iterable[int]
+) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Pools of the last n frames that end with each frame of ``s``, for every n of ``counts``.
+
+    Yields |sum of conj(Z) E| / sqrt(P) and sqrt(P), each (F, n_y) [output units]. Frames that do not count
+    add nothing.
+    """
+    hop = int(estimator.hop[s.bin])
+    rows = int(s.starts[-1]) // hop + 1
+    products = np.zeros((rows * hop, 2 * s.E.shape[1]), complex)
+    products[s.starts] = np.hstack([s.Z.conj() * s.E, np.abs(s.Z) ** 2])
+    sums = np.cumsum(products.reshape(rows, hop, -1), axis=0)
+    for n in counts:
+        window = sums.copy()
+        window[n:] -= sums[:-n]
+        along, power = np.hsplit(window.reshape(rows * hop, -1)[s.starts], 2)
+        size = np.sqrt(np.maximum(power.real, 0.0))
+        yield np.abs(np.divide(along, size, out=np.zeros_like(along), where=size > 0)), size
+
+
+@dataclass(frozen=True)
+class PoolNeeds:
+    """Largest remainders of drives beside each of P CANDIDATES, and their typical |yhat|.
+
+    ``largest`` is (K, P, n_y) [output units]. ``seen`` has the bins (K,) with frames by recording. ``sample``
+    has the columns ``group`` (bin), ``hash`` and ``size`` (F, n_y), sqrt(P).
+    """
+
+    largest: np.ndarray
+    seen: dict[str, np.ndarray]
+    sample: Rows
+
+    @classmethod
+    def joined(cls, parts: Iterable[PoolNeeds]) -> PoolNeeds:
+        """Needs of all drives of the parts."""
+        total: PoolNeeds | None = None
+        for part in parts:
+            if total is None:
+                total = part
+                continue
+            new = {r: total.seen.get(r, False) | of for r, of in part.seen.items()}
+            sample = first_of_each(stacked([total.sample, part.sample]), SAMPLED)
+            total = cls(np.maximum(total.largest, part.largest), total.seen | new, sample)
+        assert total is not None
+        return total
+
+
+def needs_of(
+    e: Experiment, frames: Iterable[FrameSet], estimator: Estimator, sizes: PoolSizes, n_y: int
+) -> PoolNeeds:
+    """Needs of a drive."""
+    largest, seen = np.zeros((estimator.n_bins, len(CANDIDATES), n_y)), np.zeros(estimator.n_bins, bool)
+    rows = [{"group": np.zeros(0, int), "hash": np.zeros(0, np.uint64), "size": np.zeros((0, n_y))}]
+    for s in frames:
+        if not len(s.E):
+            continue
+        seen[s.bin] = True
+        for along, size in pooled(s, estimator, sizes.counts(s.bin)[-1:]):
+            for p, W in enumerate(CANDIDATES):
+                largest[s.bin, p] = np.maximum((along - W * size).max(axis=0), 0.0)
+            on_grid = np.flatnonzero(s.starts % estimator.hop[s.bin] == 0)
+            group = np.full(len(on_grid), s.bin)
+            hashes = row_hash(e.name, group, s.starts[on_grid])
+            rows.append({"group": group, "hash": hashes, "size": size[on_grid]})
+    return PoolNeeds(largest, {e.recording: seen}, first_of_each(stacked(rows), SAMPLED))
+
+
+@dataclass(frozen=True)
+class Remainders:
+    """Largest remainders of drives, and samples of their pools.
+
+    ``largest`` is (K, n_y) [output units]. Rows have ``group`` (speed cell * K + bin), ``hash`` and ``size``
+    (F, n_y), sqrt(P). ``strongest`` has those of the largest size in each output.
+    """
+
+    largest: np.ndarray
+    strongest: Rows
+    sample: Rows
+
+    @classmethod
+    def of_rows(cls, largest: np.ndarray, strongest: Rows, sample: Rows) -> Remainders:
+        """Thinned rows."""
+        best = [
+            first_of_each(strongest | {"weakness": -column}, 1, "weakness") for column in strongest["size"].T
+        ]
+        found = {name: column for name, column in stacked(best).items() if name != "weakness"}
+        return cls(largest, found, first_of_each(sample, SAMPLED_FRAMES))
+
+    @classmethod
+    def joined(cls, parts: Iterable[Remainders]) -> Remainders:
+        """Remainders of all parts."""
+        parts = list(parts)
+        return cls.of_rows(
+            np.max([p.largest for p in parts], axis=0),
+            stacked(p.strongest for p in parts),
+            stacked(p.sample for p in parts),
+        )
+
+    def excitation(self, W: np.ndarray, B: np.ndarray) -> Excitation:
+        """Excitation of the pools by what a vehicle without response would show beside W and B (K, n_y)."""
+
+        def shown(rows: Rows) -> Rows:
+            k = rows["group"] % len(W)
+            with np.errstate(divide="ignore"):
+                seen = W[k] + B[k] / rows["size"]
+            best = seen.argmin(axis=1)
+            return {
+                "group": rows["group"],
+                "hash": rows["hash"],
+                "dead": 1 / seen.min(axis=1),
+                "size": np.linalg.norm(rows["size"], axis=1),
+                "floor": W[k, best],
+            }
+
+        return Excitation.of_rows(
+            np.zeros((SPEED_CELLS, len(W)), int), shown(self.strongest), shown(self.sample)
+        )
+
+
+def remainders_of(
+    e: Experiment,
+    frames: Iterable[FrameSet],
+    v: np.ndarray,
+    estimator: Estimator,
+    sizes: PoolSizes,
+    W: np.ndarray,
+) -> Remainders:
+    """Remainders of a drive beside ``W`` (K, n_y); ``v`` (N,): its speed [m/s]."""
+    largest, K = np.zeros(W.shape), estimator.n_bins
+    way = np.concatenate([[0.0], np.cumsum(v)])
+    rows = [{"group": np.zeros(0, int), "hash": np.zeros(0, np.uint64), "size": np.zeros((0, W.shape[1]))}]
+    for s in frames:
+        if not len(s.E):
+            continue
+        for first, (along, size) in enumerate(pooled(s, estimator, sizes.counts(s.bin))):
+            largest[s.bin] = np.maximum(largest[s.bin], (along - W[s.bin] * size).max(axis=0))
+            if first == 0:
+                on_grid = s.starts % estimator.hop[s.bin] == 0
+                start, N = s.starts[on_grid], estimator.length[s.bin]
+                cell = speed_cell(estimator.speed_range, (way[start + N] - way[start]) / N)
+                hashes = row_hash(e.name, np.full(len(start), s.bin), start)
+                rows.append({"group": cell * K + s.bin, "hash": hashes, "size": size[on_grid]})
+    every = stacked(rows)
+    return Remainders.of_rows(largest, every, every)
+
+
+@dataclass(frozen=True)
+class Pools:
+    """Bounds of pools of frames, and what they rest on.
+
+    Attributes
+    ----------
+    sizes : PoolSizes
+    W : ndarray (K, n_y), share of |yhat| that a pool allows for
+    floor : ndarray (K, n_y), least bound [output units]; infinite where the pool is silent
+    needs : dict, largest remainders (K, n_y) by recording [output units]
+    calibration : Calibration, of the calibration drives' scores
+    unit : float, ratio of a remainder that equals its bound, default 1
+    """
+
+    sizes: PoolSizes
+    W: np.ndarray
+    floor: np.ndarray
+    needs: dict[str, np.ndarray]
+    calibration: Calibration
+    unit: float = 1.0
+
+    @cached_property
+    def _table(self) -> np.ndarray:
+        return np.array(list(self.needs.values())).reshape(len(self.needs), *self.W.shape)
+
+    def bound(self, without: str | None = None) -> np.ndarray:
+        """Bounds B (K, n_y) [output units] of all recordings but ``without``."""
+        chosen = [x for n, x in self.needs.items() if n != without]
+        return np.maximum(self.floor, np.max(chosen, axis=0, initial=0.0)) if chosen else self.floor
+
+    def scale(self, without: str | None = None) -> np.ndarray:
+        """Unit over B (K, n_y), 0 where the pool is silent."""
+        return self.unit / self.bound(without)
+
+    def beside(self, threshold: float, own: float) -> Pools:
+        """The pools in the unit in which a ``threshold`` of frames is the ``own`` one of pools."""
+        return replace(self, unit=threshold / own)
+
+    def ratios(self, without: str | None = None) -> dict[str, float]:
+        """Largest remainder of every recording but ``without`` over the bound of the others."""
+        kept = [i for i, n in enumerate(self.needs) if n != without]
+        names, table = list(self.needs), self._table[kept]
+        if not kept:
+            return {}
+        order = np.argsort(table, axis=0)
+        most = np.take_along_axis(table, order[-1:], axis=0)[0]
+        next_most = np.take_along_axis(table, order[-2:-1], axis=0)[0] if len(kept) > 1 else 0 * most
+        others = np.where(np.arange(len(kept))[:, None, None] == order[-1], next_most, most)
+        ratio = (table / np.maximum(others, self.floor)).max(axis=(1, 2))
+        return {names[i]: float(ratio[row]) for row, i in enumerate(kept)}
+
+    def calibrated(self, drives: Iterable[str], alpha: float, recordings: Recordings) -> Pools:
+        """The pools with the threshold from the scores of calibration drives."""
+        ratio = self.ratios()
+        scores = {d: ratio[recordings.named(d)] for d in drives}
+        return replace(self, calibration=calibrate(scores, alpha, recordings=recordings))
+
+    def scores(self, without: str | None = None) -> dict[str, float]:
+        """Score of every calibration drive; ``without``: a drive whose recording is left out."""
+        named = self.calibration.recordings.named
+        out = None if without is None else named(without)
+        ratio = self.ratios(out)
+        return {d: ratio[named(d)] for d in self.calibration.scores if named(d) != out}
+
+    def coefficients(self) -> tuple[dict[str, int], dict[str, np.ndarray], dict[str, np.ndarray]]:
+        """Sizes, words and numbers of coeff.h."""
+        words = {"pool_parts": self.sizes.parts, "pool_frames": self.sizes.frames}
+        return {}, words, {"pool_W": self.W, "pool_scale": self.scale()}
+
+    def to_dict(self) -> dict:
+        """JSON-able, for `from_dict`."""
+        return {
+            "parts": self.sizes.parts,
+            "frames": self.sizes.frames,
+            "W": self.W,
+            "floor": np.where(np.isinf(self.floor), np.nan, self.floor),
+            "needs": self.needs,
+            "calibration": self.calibration.to_dict(),
+        }
+
+    def stated(self) -> dict:
+        """`to_dict` with the bounds in the place of the remainders."""
+        kept = {key: value for key, value in self.to_dict().items() if key != "needs"}
+        bound = self.bound()
+        return kept | {"B": np.where(np.isinf(bound), np.nan, bound)}
+
+    @classmethod
+    def from_dict(cls, data: dict) -> Pools:
+        """Read back."""
+        floor = np.array(data["floor"], float)
+        return cls(
+            PoolSizes(np.array(data["parts"], int), np.array(data["frames"], int)),
+            np.array(data["W"], float),
+            np.where(np.isnan(floor), np.inf, floor),
+            {n: np.array(x, float) for n, x in data["needs"].items()},
+            Calibration.from_dict(data["calibration"]),
+        )
+
+
+def chosen_share(needs: PoolNeeds, floor: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Choose W (K, n_y), which sees the smallest gain error at typical excitation, and the silent pools.
+
+    ``needs`` are those of the bound-setting drives, ``floor`` (K, n_y) the sensors' limit [output units]. A
+    pool is silent where fewer than two recordings have frames, or where a vehicle without response would not
+    exceed the bound.
+    """
+    W, silent = np.zeros(floor.shape), np.ones(floor.shape, bool)
+    for k, j in np.ndindex(*floor.shape):
+        size = needs.sample["size"][needs.sample["group"] == k, j]
+        typical = float(np.percentile(size, TYPICAL)) if len(size) else 0.0
+        if typical > 0 and sum(of[k] for of in needs.seen.values()) > 1:
+            seen = CANDIDATES + np.maximum(needs.largest[k, :, j], floor[k, j]) / typical
+            W[k, j], silent[k, j] = CANDIDATES[seen.argmin()], seen.min() >= 1
+    return W, silent
