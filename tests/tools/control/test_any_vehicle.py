@@ -135,16 +135,16 @@ def test_table_ii_is_for_the_papers_vehicle(stored):
 
 
 def test_a_demand_that_is_not_met_is_told_with_the_weight_that_limits(stored):
-    """A vehicle five times as uncertain as identified."""
+    """A vehicle ten times as uncertain as identified."""
     settings = stored.project.design.model_copy(update={"nodes": 2})
-    uncertain = replace(stored.fitted, inflation=5.0)
+    uncertain = replace(stored.fitted, inflation=10.0)
     project = stored.project.model_copy(update={"design": settings})
     asked = replace(stored, project=project, fitted=uncertain)
     result = stage.design(asked, moving_speed=False)
     said = stage.limit_sentence(asked, result)
     assert result.worst > 1
     assert f"the least worst mu found is {result.worst:.3f}" in said
-    assert "the uncertainty (W_delta)" in said and "no controller goes below" in said
+    assert "uncertainty (W_delta)" in said and "no controller goes below" in said
 
 
 def test_further_inputs_are_weighed_by_the_rate_limits(stored):
