@@ -231,7 +231,8 @@ Pooled pooled(lpvg_bin_t& bin, lpvg_pool_t& part, const lpvg_coeff_reals_t& r, s
         }
         if (power > Real(0)) {
             const Real size = std::sqrt(power);
-            const Real ratio = (std::sqrt((re / size) * (re / size) + (im / size) * (im / size)) - r.pool_W[b][j] * size) * r.pool_scale[b][j];
+            const Real ratio =
+                (std::sqrt((re / size) * (re / size) + (im / size) * (im / size)) - r.pool_W[b][j] * size) * r.pool_scale[b][j];
             const Real dead = (size - r.pool_W[b][j] * size) * r.pool_scale[b][j];
             found.ratio = ratio > found.ratio ? ratio : found.ratio;
             found.dead = dead > found.dead ? dead : found.dead;

@@ -46,6 +46,7 @@ def replay(seconds: float, relevant=slice(None), *, name: str = "made up", falsi
         np.ones(n, bool),
         np.ones(n, bool),
         hits(n, *falsified),
+        hits(n),
         hits(n, *over),
         hits(n),
         [],
@@ -356,7 +357,9 @@ def test_a_single_drive_to_evaluate_has_no_baselines_and_no_alpha(folder, g80, c
         "alpha is not stated: too few calibration drives (0)"
     ]
     assert all(row["drives"] == 1 and row["counted"] == USUAL.starts for row in table["faults"])
-    assert table["stated_rates"] == dict.fromkeys(("monitor", "frame", "energy", "change", "exported"))
+    assert table["stated_rates"] == dict.fromkeys(
+        ("monitor", "frame", "energy", "change", "pools", "exported")
+    )
     (drive,) = table["drives"]
     assert (
         drive["last_piece_s"] == pytest.approx(drive["duration_s"] - 60 * (drive["pieces"] - 1))
