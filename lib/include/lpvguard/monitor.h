@@ -17,8 +17,8 @@
 ///
 /// A frame *counts* if the model had settled, the speed stayed in the scheduling range, and the speed stayed within
 /// `speed_tolerance` of the frame's mean. The *statistic* of a bin is the k-th largest margin of its last m counted frames.
-/// Frames of a bin are pooled besides: with sums over the counted frames of the last `pool_parts` x `pool_frames` frames, the ratio of
-/// an output is
+/// Frames of a bin are also pooled. The sums run over the counted frames among the last `pool_parts` x `pool_frames` frames. The
+/// ratio of an output is
 ///
 ///     ( |sum of conj(Z_j) E_j| / sqrt(P_j) - pool_W,j sqrt(P_j) ) pool_scale,j,   P_j = sum of |Z_j|^2        (T51)
 ///
