@@ -5,7 +5,8 @@
 #
 #   NAME  as in DIR/lpvguard_vehicle.h (LPVG_VEHICLE)
 #   DIR   written by `lpvguard export`: lpvguard_vehicle.h, lpvguard_coeff.c; with a controller also lpvguard_control.c,
-#         lpvguard_bus.c and the CAN codec, and then the target has ecu.h, controller.h and can.h too
+#         lpvguard_bus.c and the CAN codec, and then the target has ecu.h, controller.h and can.h too; with demands on the car's own bus also
+#         lpvg_demand.c
 #   SERVICE  a source of src/services without its ending, or ALL: diagnosis, life; with a controller also authentication, j1939, uds, xcp.
 #            Nothing of the core calls a service.
 #
@@ -38,6 +39,9 @@ function(lpvguard_sources DIR OUT)
   if(EXISTS "${DIR}/lpvguard_control.c")
     list(APPEND parts guard/controller)
     list(APPEND own lpvguard_control.c)
+  endif()
+  if(EXISTS "${DIR}/lpvg_demand.c")
+    list(APPEND own lpvg_demand.c)
   endif()
   if(EXISTS "${DIR}/lpvguard_bus.c")
     # can, the services but diagnosis, and the codec depend on no vehicle: in an image of several vehicles the linker takes the first one's.

@@ -5,8 +5,6 @@ Every check takes a library, so that the tests ask it of the codec (tests/tools/
 a million frames take seconds.
 """
 
-from __future__ import annotations
-
 import ctypes
 import subprocess
 from functools import cache

@@ -1,8 +1,6 @@
 """Shared by all tests: what kind a test is, what it cost, and the vehicles that many tests read
 (tests/made.py)."""
 
-from __future__ import annotations
-
 import io
 import os
 import pickle

@@ -1,7 +1,5 @@
 """A drive of the g80 as a table, made up, for tests of what reads it."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

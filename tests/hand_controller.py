@@ -4,8 +4,6 @@ It stands in for a designed one wherever a test needs some stable scheduled cont
 `lpvguard design` writes (tools/src/lpvguard/core/control_coefficients.py).
 """
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.linalg import solve_discrete_are
 

@@ -1,7 +1,5 @@
 """Random matrices, validation problems of a known truth, and the explanation of one put back into it."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from lpvguard.engine.blocks import Block

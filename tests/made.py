@@ -5,8 +5,6 @@ A folder lies below build/made/DIGEST. DIGEST is a hash of everything that it is
 core, the simulated truck, the recipes in tests/, the versions of Python, NumPy and SciPy, and the processor.
 """
 
-from __future__ import annotations
-
 import fcntl
 import hashlib
 import os

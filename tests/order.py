@@ -1,7 +1,5 @@
 """The order in which workers take the files of tests."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable
 from pathlib import Path

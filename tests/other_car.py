@@ -1,8 +1,6 @@
 """A made-up car, its database and logs: Motorola and Intel, signed, float, multiplexed, an extended
 identifier, a CAN FD frame."""
 
-from __future__ import annotations
-
 import gzip
 from pathlib import Path
 

@@ -1,8 +1,6 @@
 """Optional parts of the tests (tools/setup.sh installs them): a test that needs one says so, and is skipped
 with the reason."""
 
-from __future__ import annotations
-
 import importlib.util
 import os
 import shutil

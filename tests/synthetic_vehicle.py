@@ -1,8 +1,6 @@
 """Vehicles of any supported size, for tests of the core's generality: no car, but stable, scheduled and
 seeded."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Commands on a real vcan0, lent by tools/with-vcan where the kernel has none, or on lo alone."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 from pathlib import Path

@@ -1,7 +1,5 @@
 """pyxcp as the master of a slave of lpvguard/xcp.h, over any bus that it can be given."""
 
-from __future__ import annotations
-
 import logging
 import threading
 from typing import Any
@@ -52,11 +50,7 @@ class Rows(DaqOnlinePolicy):
 
 def master(rows: Rows | None = None, bus: Any = None, **interface: str) -> Master:
     """A master on a python-can interface (interface=, channel=), or on an object that stands for a bus."""
-    names = {
-        "can_id_master": TO_SLAVE,
-        "can_id_slave": TO_MASTER,
-        **(interface or {"interface": "custom"}),
-    }
+    names = {"can_id_master": TO_SLAVE, "can_id_slave": TO_MASTER, **(interface or {"interface": "custom"})}
     app = create_application_from_config({"Transport": {"CAN": names}}, logging.ERROR)
     app.general.disable_error_handling = True  # refusals are raised
     app.transport.timeout = PATIENCE_S

@@ -78,6 +78,7 @@ STATED = {
     "lib/idf_component.yml": rf'^version: "{VERSION}"',
     "lib/library.json": rf'^ *"version": "{VERSION}"',
     "lib/vcpkg.json": rf'^ *"version": "{VERSION}"',
+    "tools/examples/ros2/package.xml": rf"<version>{VERSION}</version>",
     "lib/INTEGRATION.md": rf"require `lpvguard/{VERSION}`",
     "tools/src/lpvguard/schemas/examples/manifest.json": rf'"tool": "lpvguard {VERSION}"',
 }

@@ -255,16 +255,12 @@ void run_watch() {
         if (k == 0U) {
             lpvg_model_start(&model, &lpvg_coeff, sample.u, sample.y);
         }
-        lpvg_real_t e[LPVG_NY], yhat[LPVG_NY];
-        lpvg_model_output(&model, &lpvg_coeff, yhat);
         lpvg_model_advance(&model, &lpvg_coeff, sample.speed, sample.u);
-        for (std::size_t j = 0; j < LPVG_NY; ++j) {
-            e[j] = sample.y[j] - yhat[j];
-        }
         if (k == 0U) {
-            lpvg_watch_start(&watch, e);
+            lpvg_watch_start(&watch, &model);
+        } else {
+            part.run([&] { lpvg_watch_take(&watch, &limits, &lpvg_coeff, &model, k > 1U, sample.y, sample.u); });
         }
-        part.run([&] { lpvg_watch_take(&watch, &limits, &lpvg_coeff, &model, true, e, sample.u); });
     }
     require(watch.evidence, "the watch has no evidence\n");
     part.write();

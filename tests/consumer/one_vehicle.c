@@ -12,7 +12,7 @@
 static lpvg_monitor_t monitor;
 
 int main(void) {
-    static const char* const names[] = {"unknown", "valid", "invalid", "not_judged", "stale", "fault"};
+    static const char* const names[] = {"unknown", "valid", "invalid", "not_judged", "stale", "fault", "degraded"};
     const int64_t period_us = lpvg_coeff.words.sample_period_us;
     int64_t t_us = 0;
     int k;

@@ -6,6 +6,7 @@
 
 #include <algorithm>
 #include <array>
+#include <functional>
 
 #include "lpvguard_plant/plant.hpp"
 
@@ -16,6 +17,8 @@ enum class Release {
     cold,
     vdc2_gap,
     guard_in_gap,
+    ebc2_gap,
+    ebc1_gap,
     pedal,
     abs,
     request,
@@ -23,8 +26,7 @@ enum class Release {
     asker,
     clock_gap
 };
-constexpr std::array<Release, 8> releases = {Release::vdc2_gap, Release::guard_in_gap, Release::pedal, Release::abs,
-                                             Release::request,  Release::priority,     Release::asker, Release::clock_gap};
+constexpr unsigned n_releases = static_cast<unsigned>(Release::clock_gap) + 1U;
 
 class ResponseDrive {
 public:
@@ -39,8 +41,7 @@ public:
         bench.wheel_angle = static_cast<float>(s.steering_wheel_rad / steering_ratio);
         bench.lateral = static_cast<float>(s.lateral_acceleration_mps2);
         bench.speed = static_cast<float>(s.speed_mps);
-        const auto t = static_cast<float>(static_cast<double>(bench.k) * 0.01);
-        bench.command = amplitude_radps * (std::sin(t) + std::sin(0.5F * t) + std::sin(2.0F * t));
+        bench.command = static_cast<float>(command(static_cast<double>(bench.k) * 0.01));
         bench.step();
         move();
     }
@@ -50,18 +51,20 @@ public:
         }
     }
 
-    // A release of a kind that lasts `steps` sample periods.
-    void release(Release kind, int steps) {
+    // A release of a kind that lasts `steps` sample periods; after `onset` of them the response becomes `then`.
+    void release(Release kind, int steps, int onset, double then) {
         set(kind, true);
-        if (kind == Release::clock_gap) {  // no step is taken, and the truck drives on
-            for (int i = 0; i < steps; ++i) {
+        for (int i = 0; i < steps; ++i) {
+            response = i < onset ? response : then;
+            if (kind == Release::clock_gap) {  // no step is taken, and the truck drives on
                 ++bench.k;
                 move();
+            } else {
+                step();
             }
-        } else {
-            run(steps);
         }
         set(kind, false);
+        response = then;
     }
 
     // Steps of the next `steps` in which the loop is engaged.
@@ -76,7 +79,10 @@ public:
 
     Bench bench;
     double response = 1.0;  // of the truck to the demand, over the healthy one
-    float amplitude_radps = 0.06F;
+    std::function<double(double)> command = [](double t) { return sines(0.06, t); };  // yaw rate [rad/s] over time [s]
+    static double sines(double amplitude_radps, double t) {
+        return amplitude_radps * (std::sin(t) + std::sin(0.5 * t) + std::sin(2.0 * t));
+    }
     const lpvguard_plant::Truth& truth() const { return plant_.truth(); }
 
 private:
@@ -96,6 +102,8 @@ private:
         switch (kind) {
             case Release::vdc2_gap: bench.send_vdc2 = !lasts; break;
             case Release::guard_in_gap: bench.send_guard_in = !lasts; break;
+            case Release::ebc2_gap: bench.send_ebc2 = !lasts; break;
+            case Release::ebc1_gap: bench.send_ebc1 = !lasts; break;
             case Release::pedal: bench.pedal_percent = lasts ? 10.0F : 0.0F; break;
             case Release::abs: bench.abs_active = lasts ? 1U : 0U; break;
             case Release::request: bench.request = lasts ? LPVG_BUS_REQUEST_RELEASE : LPVG_BUS_REQUEST_CONTROL; break;

@@ -1,8 +1,6 @@
 """Mutants of the C sources must change what replay says: there is no second monitor that could agree with
 itself."""
 
-from __future__ import annotations
-
 import shutil
 
 import numpy as np

@@ -42,15 +42,15 @@ const lpvguard_plant::PlantParameters& truck() {
 }
 
 // Seconds engaged in the minute after the release, in which an acknowledgement is asked for every 3 s.
-double engaged_s(const Case& which, double response, double speed_mps, std::uint64_t seed, float amplitude_radps = 0.06F) {
+double engaged_s(const Case& which, double response, double speed_mps, std::uint64_t seed, double amplitude_radps = 0.06) {
     ResponseDrive drive(truck(), speed_mps, seed);
-    drive.amplitude_radps = amplitude_radps;
+    drive.command = [amplitude_radps](double t) { return ResponseDrive::sines(amplitude_radps, t); };
     if (which.kind != Release::cold) {
         drive.run(before_steps);
         REQUIRE(drive.bench.engaged());
     }
     drive.response = response;
-    drive.release(which.kind, which.steps);
+    drive.release(which.kind, which.steps, 0, response);
     int engaged = 0;
     for (int k = 0; k < after_steps; k += acknowledge_steps) {
         engaged += drive.engaged_steps(acknowledge_steps);
@@ -95,8 +95,8 @@ std::string table() {
 std::string weak_table() {
     std::ostringstream text;
     text << "| amplitude [mrad/s] | × -1 | × 0 | × 0.3 |\n| --- | --- | --- | --- |\n";
-    for (const float amplitude : {0.06F, 0.02F, 0.01F, 0.006F, 0.002F}) {
-        text << "| " << std::lround(1e3F * amplitude);
+    for (const double amplitude : {0.06, 0.02, 0.01, 0.006, 0.002}) {
+        text << "| " << std::lround(1e3 * amplitude);
         for (const double response : {-1.0, 0.0, 0.3}) {
             double longest = 0.0;
             for (const double speed_mps : speeds_mps) {

@@ -8,8 +8,6 @@ has to answer or to refuse with an InputError. Anything else ends the campaign, 
 kind says how many were answered and refused; the last line is the process's peak memory in MiB.
 """
 
-from __future__ import annotations
-
 import faulthandler
 import gzip
 import json

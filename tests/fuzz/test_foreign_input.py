@@ -1,7 +1,5 @@
 """Files that others wrote, damaged: a reader answers or refuses with what, where and what was expected."""
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess
@@ -33,7 +31,8 @@ def test_damaged_files_are_answered_or_refused(identified, tmp_path):
     assert said.returncode == 0, said.stderr[-4000:]
     counts = re.findall(r"^(\S+): (\d+) read, (\d+) answered, (\d+) refused$", said.stdout, re.MULTILINE)
     assert len(counts) == 20
-    assert all(int(read) == CASES and int(refused) > 0 for _, read, _, refused in counts)
+    assert all(int(read) == CASES for _, read, _, _ in counts)
+    assert {name for name, _, _, refused in counts if refused == "0"} <= {"own.dbc"}  # a line costs itself
     assert int(re.search(r"^peak: (\d+) MiB$", said.stdout, re.MULTILINE)[1]) < MOST_MIB
 
 

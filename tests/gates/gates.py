@@ -43,8 +43,6 @@ is asked always. One is planted where a change touches a gate, a build file or a
 are with LPVGUARD_FULL=1 in the environment (tools/test --full sets it).
 """
 
-from __future__ import annotations
-
 import argparse
 import hashlib
 import json
@@ -933,12 +931,7 @@ PLANTS: dict[str, list[Plant]] = {
         Plant(
             "lib/src/monitor/margin.hpp", "(T17)", "(T77)", r"margin\.hpp:1: THEORY has no equation \(T77\)"
         ),
-        Plant(
-            "lib/theory/7-04-invisible-faults.md",
-            "\\tag{T25}",
-            "",
-            r"THEORY has no equation \(T25\)",
-        ),
+        Plant("lib/theory/7-04-invisible-faults.md", "\\tag{T25}", "", r"THEORY has no equation \(T25\)"),
         Plant(
             "lib/theory/10-code-and-tests.md",
             "| (T24) |",
@@ -1058,7 +1051,7 @@ PLANTS: dict[str, list[Plant]] = {
             "const Real next = static_cast<float>(x + change);",
             r"tests:(.|\n)*the law equals a dense recursion",
             "controller.toy",
-        ),
+        )
     ],
     "big_endian": [
         Plant(
@@ -1084,7 +1077,7 @@ PLANTS: dict[str, list[Plant]] = {
             "return static_cast<uint64_t>(later - earlier);",
             r"tests:(.|\n)*signed integer overflow",
             "monitor.toy",
-        ),
+        )
     ],
     "mutation": [
         Plant(
@@ -1094,7 +1087,7 @@ PLANTS: dict[str, list[Plant]] = {
             r"survived: coeff\.cpp:\d+: frames_fit",
             "coeff.cpp",
             full=True,
-        ),
+        )
     ],
     "python_mutation": [
         Plant(
@@ -1103,7 +1096,7 @@ PLANTS: dict[str, list[Plant]] = {
             "assert Z[k].shape == driven.shape",
             r"survived: drives/dft\.py:\d+: spectra: Z\[0\] \+= model\.output_offset  ->  \(left out\)",
             "drives/dft.py",
-        ),
+        )
     ],
     "misra_cpp": [
         Plant(
@@ -1253,9 +1246,7 @@ def main() -> int:
     parser.add_argument("--scratch", type=Path, required=True)
     parser.add_argument("--self-test", action="store_true")
     parser.add_argument(
-        "--table",
-        action="store_true",
-        help=f"{', '.join(TABLES)}: print the table of the lists, run nothing",
+        "--table", action="store_true", help=f"{', '.join(TABLES)}: print the table of the lists, run nothing"
     )
     parser.add_argument(
         "--long", metavar="WHY", help="where LPVGUARD_FULL is not 1, say that it is skipped and WHY"

@@ -5,8 +5,6 @@ feature as a regular expression on the sources without their comments. Other row
 unchecked, and are counted. Nothing here says "compliant".
 """
 
-from __future__ import annotations
-
 import re
 import subprocess
 from collections import Counter

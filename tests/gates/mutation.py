@@ -15,8 +15,6 @@ time; a constant is changed where it is used), what stands inside a macro with a
 expressions.
 """
 
-from __future__ import annotations
-
 import json
 import re
 import sys
@@ -567,11 +565,7 @@ class Finder:
         if place is None:
             return
         other, name = ("||", "AND") if sign == "&&" else ("&&", "OR")
-        edits = [
-            (*at, other),
-            (place[1], place[2], self.text(left)),
-            (place[1], place[2], self.text(right)),
-        ]
+        edits = [(*at, other), (place[1], place[2], self.text(left)), (place[1], place[2], self.text(right))]
         self.add(node, EXPRESSION, f"LPVG_{name}({{n}}, (", "))", edits, (*at, "), ("))
 
     def assignment(self, node: Node, sign: str, left: Node, right: Node) -> None:

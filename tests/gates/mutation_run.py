@@ -11,8 +11,6 @@ gate ``sanitize`` runs the same programs under them), or when it reaches ten tim
 a loop that does not end.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os

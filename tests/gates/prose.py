@@ -11,8 +11,6 @@ table cell, a line "name   text", a list item and a heading end a sentence. In a
 "Returns ...; ..." ends a sentence too.
 """
 
-from __future__ import annotations
-
 import ast
 import re
 from collections.abc import Iterator

@@ -14,8 +14,6 @@ before.
 Not changed: code outside of functions, decorators, annotations, texts, and what a ``raise`` says.
 """
 
-from __future__ import annotations
-
 import ast
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass

@@ -447,13 +447,7 @@ def main() -> int:
         return 0
     tests = [Path(t) for t in words["tests"]]
     task = Task(
-        package,
-        tests,
-        words["files"],
-        words["traced"],
-        Path(words["scratch"]),
-        out,
-        Path(words["rootdir"]),
+        package, tests, words["files"], words["traced"], Path(words["scratch"]), out, Path(words["rootdir"])
     )
     options = ["-qq", "-s", "-p", "no:cacheprovider", "-p", "no:xdist"]
     return int(pytest.main([*options, *map(str, task.tests)], plugins=[Loop(task)]))

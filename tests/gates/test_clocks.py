@@ -1,8 +1,6 @@
 """No test asserts wall-clock or processor time: a machine half as fast, or busy, must not fail one. Speed is
 a ratio in `lpvguard bench`."""
 
-from __future__ import annotations
-
 import ast
 from pathlib import Path
 

@@ -4,8 +4,6 @@ Each runs in a process of its own: a mutant may read what is not there. Asked ar
 that its function belongs to, and of the signal where it is one's; those of all signals where it is neither's.
 """
 
-from __future__ import annotations
-
 import ctypes
 import faulthandler
 import os

@@ -6,8 +6,6 @@ function. What one room offers to another, and everything in ``api``, has numpyd
 python tests/gates/test_docstrings.py        prints how many findings each room has, and each of them
 """
 
-from __future__ import annotations
-
 import ast
 import re
 from collections import Counter

@@ -1,7 +1,5 @@
 """The gate on mutants, on a program so small that the fate of each of its mutants is known."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil

@@ -1,7 +1,5 @@
 """Format, lint and types of the tree by the settings that it carries; each gate finds what is planted."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys

@@ -5,8 +5,6 @@ exactly and a local refinement. Run: python tests/golden/make_validation_problem
 tests/golden/validation_problems.json
 """
 
-from __future__ import annotations
-
 import json
 
 import cvxpy as cp
@@ -118,7 +116,8 @@ def main():
         repeated(rng, "lft_margin", k) for k in range(6)
     ]
     problems = [{"id": f"{p['kind']}-own-{i}", **p} for i, p in enumerate(problems)]
-    print(json.dumps({"schema": "lpvguard.problems/1", "problems": problems}, indent=1))
+    lines = ",\n".join(json.dumps(p) for p in problems)
+    print(f'{{"schema": "lpvguard.problems/1", "problems": [\n{lines}\n]}}')
 
 
 if __name__ == "__main__":

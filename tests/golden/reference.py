@@ -6,8 +6,6 @@ sums. Margin, one output: t* = |E| / (B_w + W_delta |Z|). Energy test, one outpu
 sample by sample.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 L, K, T1 = 2.661231232601298, 0.002678775525841357, 0.005145515095355525

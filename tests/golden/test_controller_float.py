@@ -5,8 +5,6 @@ Both are given the same measurements, rounded to float, and the same coefficient
 unrounded: the difference is all that float does to the demand, coefficients included.
 """
 
-from __future__ import annotations
-
 import ctypes
 import shutil
 from pathlib import Path

@@ -1,8 +1,6 @@
 """Golden vectors: the float core against the double reference, at least 94 dB, also when fed in two
 pieces."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import reference

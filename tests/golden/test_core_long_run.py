@@ -4,8 +4,6 @@ as the signals.
 300 000 samples; with LPVGUARD_FULL=1 ten million, that is 56 hours of g80 and 28 of the truck.
 """
 
-from __future__ import annotations
-
 import os
 
 import numpy as np

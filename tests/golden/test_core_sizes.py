@@ -5,8 +5,6 @@ n_x 1..40, n_u 1..2, n_y 1..4, 2..64 bins and 1..40 controller states of all dem
 constants (lib/include/lpvguard/config.h). The corners run always, the whole grid with LPVGUARD_FULL=1.
 """
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

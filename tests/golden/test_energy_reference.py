@@ -1,7 +1,5 @@
 """The energy test of the float core against the double reference, from the weight in s on."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import reference

@@ -4,8 +4,6 @@ A threshold is the score of a calibration drive, raised by ROUNDING. Without tha
 whether the drive that set the threshold falsifies the model.
 """
 
-from __future__ import annotations
-
 import platform
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The shipped truck, and its simulator."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -7,8 +7,6 @@ The commands start AFTER_S after the first frame of the loop and are ended FOR_S
 end of it.
 """
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

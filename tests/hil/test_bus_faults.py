@@ -1,8 +1,6 @@
 """The fault table at firmware level (lpvguard/extras/loop/bus_faults.py): every fault shows the
 state that it must, by its limit."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 

@@ -1,8 +1,6 @@
 """Campaigns: what runs show off line, what stopping and going on does, and that scenarios expect what follows
 from the bounds."""
 
-from __future__ import annotations
-
 import json
 import os
 from dataclasses import replace
@@ -301,8 +299,10 @@ def test_the_tracking_bound_is_the_sum_of_the_inputs_over_their_weights(context)
     line = 0.02 * np.sin(omega * t)
     W, none = bound.weights, np.zeros((1800, 2))
 
+    own = dict(zip(("W_wr", "W_wdelta", "W_nr", "W_ndelta"), (*W.W_w, *W.W_n), strict=True)) | {"W_C": W.W_C}
+
     def gain(name: str) -> float:
-        return abs((getattr(W, name).response([omega]) * W.W_t.response([omega]))[0, 0, 0])
+        return abs((own[name].response([omega]) * W.W_t.response([omega]))[0, 0, 0])
 
     alone = {
         "W_C": bound.rms(line, none, none, 0.1, 0.1),
@@ -428,6 +428,7 @@ def test_a_campaign_that_was_stopped_goes_on_and_ends_the_same(
 
     assert told["within"]["runs"] == 5 and told["within"]["hours"] == pytest.approx(0.25)
     assert told["falsified"] == {"rate": rate(0, 5), "runs": []}
+    assert told["command_authentication"] == "authenticated"
     assert 0 < told["within"]["largest_ratio"] <= 1
     assert told["within"]["tests"].keys() == {"frame", "energy", "change"}
     assert set(told["matched_stated"].values()) == {None} and told["matched_claim"].startswith(

@@ -2,8 +2,6 @@
 frame for frame what the same firmware says as a process of the host. All shipped scenarios with tools/test
 --full."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os

@@ -1,8 +1,6 @@
 """The loop over LCM: what is published, recorded by lcm-logger, replayed by lcm-logplayer, heard and led by
 Python clients."""
 
-from __future__ import annotations
-
 import json
 import sys
 from itertools import groupby

@@ -1,8 +1,6 @@
 """Raw CAN logs through the compiled receiver and the monitor: the ECU's own verdicts, a table's, and what a
 spoilt log reports."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import re

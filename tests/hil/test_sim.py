@@ -1,8 +1,6 @@
 """The closed loop over CAN frames: what the shipped scenarios expect, repeatability, bus faults, bad input,
 the command."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil

@@ -1,8 +1,6 @@
 """Hours of simulated driving with random faults: nothing grows, every verdict keeps the rules, and emulated
 processors do what the PC does. Two hours by default, 24 with LPVGUARD_FULL=1."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 

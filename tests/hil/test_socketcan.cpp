@@ -117,14 +117,14 @@ private:
 };
 
 // Runs a shell command beside the test.
-class Beside {
+class BackgroundCommand {
 public:
-    explicit Beside(std::string command)
+    explicit BackgroundCommand(std::string command)
         : thread_([this, command] {
               (void)!std::system(command.c_str());
               done = true;
           }) {}
-    ~Beside() { thread_.join(); }
+    ~BackgroundCommand() { thread_.join(); }
 
     std::atomic<bool> done{false};
 
@@ -257,8 +257,8 @@ TEST_CASE("foreign identifiers at full speed do not reach the receiver", "[socke
     Ebc2Link link;
     link.run(800'000);
     REQUIRE(link.state() == lpvg_can_state_live);
-    Beside flood("cangen -g 0 -p 10 -n 50000 vcan0");  // 11-bit, and
-    Beside other("cangen -e -I 18F0043E -g 0 -p 10 -n 50000 vcan0");
+    BackgroundCommand flood("cangen -g 0 -p 10 -n 50000 vcan0");  // 11-bit, and
+    BackgroundCommand other("cangen -e -I 18F0043E -g 0 -p 10 -n 50000 vcan0");
     while (!flood.done || !other.done) {
         link.run(100'000);
         CHECK(link.state() == lpvg_can_state_live);
@@ -272,7 +272,7 @@ TEST_CASE("our own identifier babbled: off within 5 periods, back 21 periods aft
     Ebc2Link link;
     link.run(800'000);
     REQUIRE(link.state() == lpvg_can_state_live);
-    Beside flood("cangen -e -I 18FEBF0B -L 8 -g 0 -p 10 -n 50000 vcan0");
+    BackgroundCommand flood("cangen -e -I 18FEBF0B -L 8 -g 0 -p 10 -n 50000 vcan0");
     while (!flood.done) {
         link.run(100'000);
     }

@@ -1,8 +1,6 @@
 """The firmware's supervision says what frames and message table require
 (lpvguard/extras/loop/supervision.py)."""
 
-from __future__ import annotations
-
 import re
 import tomllib
 

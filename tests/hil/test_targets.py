@@ -1,8 +1,6 @@
 """The core on emulated Cortex-M4F, M7 and R5F: the same bits as on the host, within its budget
 (lib/INTEGRATION.md)."""
 
-from __future__ import annotations
-
 import re
 import shutil
 import subprocess

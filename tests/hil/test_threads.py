@@ -1,8 +1,6 @@
 """ThreadSanitizer over simulated loops that run at once: nothing is shared between instances, as the headers
 promise ("one instance per thread"), and each sends what it sends alone."""
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess

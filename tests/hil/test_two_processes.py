@@ -2,8 +2,6 @@
 foreign frames, and babbling with an identifier of the loop's own. The long forms (10 minutes of simulated
 time; a flood of 60 s) run with tools/test --full."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

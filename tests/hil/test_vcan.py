@@ -1,7 +1,5 @@
 """A real vcan0 through tools/with-vcan: what we play, candump logs, and ingest reads back."""
 
-from __future__ import annotations
-
 import sys
 
 import numpy as np

@@ -1,7 +1,5 @@
 """pyxcp reads the ECU on the emulated Cortex-R5F over a real vcan0, at the places that its A2L names."""
 
-from __future__ import annotations
-
 import json
 import sys
 from pathlib import Path

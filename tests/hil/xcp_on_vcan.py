@@ -5,8 +5,6 @@ python xcp_on_vcan.py '{"command": [..], "input": "..", "steps": N, "vdc2": ID, 
 ``list`` holds names, addresses and types to record, ``read`` addresses and lengths to read at the end.
 """
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

@@ -201,7 +201,7 @@ public:
     bool may_be_valid() const {
         const int64_t shortest = *std::min_element(lpvg_coeff.words.frame_length, lpvg_coeff.words.frame_length + LPVG_NBINS);
         return pace == lpvg_ecu_pace_good && in_range_ && !falsified_ && core_us_ - newest_live_us_ <= 5 * tick_us &&
-               core_us_ - void_us_ >= shortest * tick_us;
+               core_us_ - void_us_ >= (shortest - 1) * tick_us;  // n samples from the step of the release on
     }
     bool must_be_invalid() const { return falsified_ && pace != lpvg_ecu_pace_bad; }
 
@@ -550,7 +550,7 @@ private:
         }
         const lpvg_ecu_t& ecu = bench_.ecu;
         oracle_.hear(static_cast<lpvg_verdict_t>(ecu.report.verdict), lpvg_monitor_verdict(&ecu.monitor, ecu.core_us) == lpvg_verdict_valid,
-                     ecu.monitor.has_falsified ? ecu.monitor.t_falsified_us : -1, ecu.watched && ecu.watch.evidence);
+                     ecu.monitor.has_falsified ? ecu.monitor.t_falsified_us : -1, ecu.watch.evidence);
         const auto demand = static_cast<double>(ecu.control.u[0]);
         const int64_t counted_us = std::min<int64_t>(oracle_.elapsed_us, 3 * half_period_us);
         const double change = static_cast<double>(lpvg_control_coeff.reals.rate_max[0]) * 1e-6 * static_cast<double>(counted_us) * rounding;

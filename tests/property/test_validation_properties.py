@@ -1,7 +1,5 @@
 """Invariances of the validation engine, on drawn problems (fixed draws: a failure repeats)."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

@@ -1,7 +1,5 @@
 """Properties of the weight fit and of its certificate on drawn bounds and weights."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

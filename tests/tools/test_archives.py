@@ -1,7 +1,5 @@
 """The wheel and the source archive of the package."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -3,8 +3,6 @@
 python tests/tools/test_core_rooms.py        prints what breaks a rule
 """
 
-from __future__ import annotations
-
 import re
 import shutil
 from pathlib import Path

@@ -1,8 +1,6 @@
 """The documentation site: it builds without a warning, every link of it leads somewhere, and it loads nothing
 from elsewhere. A planted broken link is found at each stage."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys

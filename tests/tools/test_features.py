@@ -3,8 +3,6 @@
 python tests/tools/test_features.py         prints the table with the lines of code, tests and documents
 """
 
-from __future__ import annotations
-
 import re
 import subprocess
 from dataclasses import dataclass

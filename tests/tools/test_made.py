@@ -1,8 +1,6 @@
 """The folders that tests share (tests/made.py): made once, whole, for one state of the sources, and not
 changed unnoticed."""
 
-from __future__ import annotations
-
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest

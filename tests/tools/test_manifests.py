@@ -2,8 +2,6 @@
 where the package index has it (Conan), else against a schema of that tool's rules and a build with stand-ins
 for its functions."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

@@ -1,7 +1,5 @@
 """The order of the files (tests/order.py): the dearest first, by what the slow marks state."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

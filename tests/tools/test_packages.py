@@ -2,8 +2,6 @@
 tools/setup.sh, or of what those depend on: on a machine with nothing else, it is there. dpkg says what
 belongs to whom."""
 
-from __future__ import annotations
-
 import re
 import shutil
 import subprocess
@@ -127,7 +125,7 @@ def programs() -> dict[str, str]:
         ):
             asked |= {name: str(path.relative_to(ROOT)) for name in " ".join(words).split()}
     for text in texts("tests/hil/*.cpp").values():
-        asked |= dict.fromkeys(re.findall(r'Beside \w+\("([\w-]+)', text), "tests/hil")
+        asked |= dict.fromkeys(re.findall(r'BackgroundCommand \w+\("([\w-]+)', text), "tests/hil")
     for line in re.findall(
         r"^(?:host_works|uml_works)\(\).*?\}$",
         (ROOT / "tools" / "with-vcan").read_text(),

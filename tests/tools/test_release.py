@@ -1,8 +1,6 @@
 """tools/release: what it refuses, and what it makes: the same bytes from the same commit, and papers that say
 what is installed."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import shutil

@@ -5,8 +5,6 @@ python tests/tools/test_rooms.py             prints which room imports which, an
 python tests/tools/test_rooms.py --write     renews the picture in tools/README.md
 """
 
-from __future__ import annotations
-
 import ast
 import re
 import sys
@@ -36,16 +34,7 @@ MAIN = (
     "api",
 )
 """The main path and what it stands on."""
-SIDE = (
-    "sources",
-    "measure",
-    "fmu",
-    "fleet",
-    "loop",
-    "live",
-    "problems",
-    "bench",
-)
+SIDE = ("sources", "measure", "fmu", "arxml", "fleet", "loop", "live", "problems", "bench")
 """The side rooms, in the package extras."""
 EXTRAS = "extras"
 ORDER = (*MAIN, *SIDE, "schemas", "cli")

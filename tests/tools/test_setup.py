@@ -1,8 +1,6 @@
 """The set-up (tools/setup.sh) with a fake interpreter, apt and dpkg: an environment and a build know their
 checkout; the closing line counts what broke off."""
 
-from __future__ import annotations
-
 import os
 import re
 import shutil

@@ -1,7 +1,5 @@
 """One version for the package, the core, CMake, the citation and the changelog's newest release."""
 
-from __future__ import annotations
-
 import lpvguard
 from made import ROOT
 from parts import release

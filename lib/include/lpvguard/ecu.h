@@ -265,7 +265,6 @@ typedef struct lpvg_ecu_t {
     uint32_t settled_us;  ///< time since the newest gap, up to LPVG_ECU_SETTLE_US      [us]
     uint32_t trial_us;  ///< time with evidence of the watch since the newest acknowledgement of an invalid verdict [us]
     uint32_t pressed_us;  ///< time for which the demand has rested at its limit without evidence [us]
-    bool watched;  ///< the watch ran in the newest step
     uint16_t causes;  ///< LPVG_ECU_CAUSE_* of the newest step, report_only ones included
     uint16_t lock_causes;  ///< causes of the newest lock; 0: no lock since init
     uint8_t releases;  ///< number of releases by faults for LPVG_ECU_RELEASES_MAX

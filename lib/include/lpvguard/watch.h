@@ -1,23 +1,22 @@
 /// @file watch.h -- watch of the response: does the vehicle follow the demand as modelled, within seconds of engagement?
 ///
-/// phi is the response of the nominal model to the demand alone, from rest at the first engaged sample. e is the monitor's nominal
-/// error. F is a high-pass with corner LPVG_WATCH_CORNER_RPS, at rest on the first sample of both. The sums below forget with
-/// LPVG_WATCH_SHORT_S, for sudden faults, and with LPVG_WATCH_LONG_S, for weak ones. For both memories and each output j
+/// phi is the response of the nominal model to the demand. It goes on through missing measurements. e is the measured output minus phi. F
+/// is a high-pass with corner LPVG_WATCH_CORNER_RPS, at rest on the first sample of both. The sums below begin with the engagement. They
+/// forget with LPVG_WATCH_SHORT_S, for sudden faults, and with LPVG_WATCH_LONG_S, for weak ones. For both memories and each output j
 ///
 ///     P_j = sum of F e_j F phi_j      Q_j = sum of (F phi_j)^2      |P_j| <= gain_j Q_j + disturbance_j sqrt(Q_j)            (T46)
 ///
 /// If the response is 1 + d_j times the nominal one, then P_j = d_j Q_j + sum of F w_j F phi_j. A violation therefore refutes every
-/// constant |d_j| <= gain_j with a disturbance whose part along F phi_j is at most disturbance_j (THEORY 7.14).
+/// constant |d_j| <= gain_j with a disturbance whose part along F phi_j is at most disturbance_j (THEORY 7.14). A violation counts once
+/// Q_j is so large that |d_j| = LPVG_WATCH_ERROR_MAX would violate. With less, P_j shows what a demand before the engagement left behind.
 ///
 /// gain_j is the smallest W_delta,j of all bins: a larger constant error lies outside the certificate set. If it is above
 /// LPVG_WATCH_GAIN_MAX, gain_j is the largest gain that the change test accepts as healthy. If that is too large as well, output j is
 /// not watched. disturbance_j comes from the energy test's sigma_j between its outer corners, over LPVG_WATCH_COHERENCE_S.
 ///
-/// The sums, and F at rest, begin once the nominal model has settled. Before, e holds the effect of its start.
-///
 /// The sums are *evidence* when a vehicle without response, P_j = -Q_j, would violate the limit.
 ///
-/// Use:     lpvg_watch_limits once -> lpvg_watch_start at the first engaged sample -> lpvg_watch_take each sample.
+/// Use:     lpvg_watch_limits once -> lpvg_watch_start -> lpvg_watch_take each step, and lpvg_watch_void after it while not engaged.
 /// Cost:    constant; the model's matrices are those of the monitor. RAM: sizeof(lpvg_watch_t). No heap, no locks, no I/O.
 /// Threads: one instance per thread. NULL is not checked: called once a sample.
 #ifndef LPVGUARD_WATCH_H
@@ -33,11 +32,13 @@ LPVG_EXTERN_C_BEGIN
 #define LPVG_WATCH_COHERENCE_S 1.5F  ///< longest time for which a disturbance may follow the response [s]
 #define LPVG_WATCH_MEMORIES 2  ///< number of memories: the shorter, then the longer
 #define LPVG_WATCH_GAIN_MAX 0.6F  ///< largest watched |d|: a gain of 0.3 is beyond it  [-]
+#define LPVG_WATCH_ERROR_MAX 2.5F  ///< largest |d| that is looked for: that of a reversed and of a tripled response is 2 [-]
 
 #define lpvg_watch_limits_t LPVG_SYM(watch_limits_t)
 #define lpvg_watch_t LPVG_SYM(watch_t)
 #define lpvg_watch_limits LPVG_SYM(watch_limits)
 #define lpvg_watch_start LPVG_SYM(watch_start)
+#define lpvg_watch_void LPVG_SYM(watch_void)
 #define lpvg_watch_take LPVG_SYM(watch_take)
 
 /// Limits of the watch, derived from the coefficients.
@@ -49,8 +50,8 @@ typedef struct lpvg_watch_limits_t {
 } lpvg_watch_limits_t;
 
 typedef struct lpvg_watch_t {
-    lpvg_real_t x[LPVG_NX];  ///< state of the model that the demand alone drives [mixed]
-    lpvg_real_t past[LPVG_DELAY + 1][LPVG_NU];  ///< demands, the newest first                  [input unit]
+    lpvg_real_t x[LPVG_NX];  ///< state of the model whose output is phi       [mixed]
+    lpvg_real_t past[LPVG_DELAY + 1][LPVG_NU];  ///< demands minus the offset, the newest first  [input unit]
     lpvg_real_t slow[2 * LPVG_NY];  ///< slow parts of e, then phi, that F removes              [output unit]
     lpvg_real_t P[LPVG_WATCH_MEMORIES][LPVG_NY];  ///< sums of F e_j F phi_j                                 [output unit squared]
     lpvg_real_t Q[LPVG_WATCH_MEMORIES][LPVG_NY];  ///< sums of (F phi_j)^2                                   [output unit squared]
@@ -61,13 +62,17 @@ typedef struct lpvg_watch_t {
 /// Computes the limits of a vehicle. The coefficients must have passed lpvg_coeff_check. NULL is not checked.
 void lpvg_watch_limits(lpvg_watch_limits_t* limits, const lpvg_coeff_t* coeff);
 
-/// Starts from rest at the first engaged sample; e [LPVG_NY] is its nominal error. NULL is not checked.
-void lpvg_watch_start(lpvg_watch_t* self, const lpvg_real_t* e);
+/// Starts with the state of the monitor's model after a sample. NULL is not checked.
+void lpvg_watch_start(lpvg_watch_t* self, const lpvg_model_t* model);
 
-/// Takes the nominal error e [LPVG_NY] of a sample and the demand u [LPVG_NU] that is applied after it. `model` is the monitor's model
-/// after that sample. `settled`: the nominal model has settled. NULL is not checked.
+/// Clears the sums and what they say; the response phi goes on. NULL is not checked.
+void lpvg_watch_void(lpvg_watch_t* self);
+
+/// Takes the measured outputs y [LPVG_NY] of a sample and the demand u [LPVG_NU] that is applied after it. `model` is the monitor's model
+/// after that sample. y is NULL where there is no measurement: then only phi goes on. While `settled` is false, F is at rest. It is false
+/// in the first sample with a measurement. NULL is not checked otherwise.
 void lpvg_watch_take(lpvg_watch_t* self, const lpvg_watch_limits_t* limits, const lpvg_coeff_t* coeff, const lpvg_model_t* model,
-                     bool settled, const lpvg_real_t* e, const lpvg_real_t* u);
+                     bool settled, const lpvg_real_t* y, const lpvg_real_t* u);
 
 LPVG_EXTERN_C_END
 #endif

@@ -526,25 +526,25 @@ void widen_demand(lpvg_ecu_t& self, uint32_t step) {
     self.share = share < Real(1) ? share : Real(1);
 }
 
-// The watch runs while the demand acts, and judges from LPVG_ECU_SETTLE_US after the newest gap on. An engagement begins with a share of
-// the demand's limit, which evidence raises.
+// The watch follows the demand in every step. It sums while the demand acts, from LPVG_ECU_SETTLE_US after the newest gap on. Behind a gap
+// of the clock, and while the model is falsified, it starts anew. An engagement begins with a share of the demand's limit, which evidence
+// raises.
 void watch_response(lpvg_ecu_t& self, bool sampled, uint32_t step) {
+    const bool paced = self.clock.pace != lpvg_ecu_pace_unknown;
     const bool settled = self.settled_us >= LPVG_ECU_SETTLE_US;
-    const bool going = sampled && self.clock.pace != lpvg_ecu_pace_unknown;
-    self.settled_us = going ? self.settled_us + (settled ? 0U : step) : 0U;
-    if (!sampled || !self.control.engaged) {
-        self.watched = false;
-        self.watch.violated = false;
+    if (paced && !self.kept.falsified && !self.kept.corrupt) {
+        lpvg_watch_take(&self.watch, &self.kept.watch, self.kept.coeff, &self.monitor.model, settled, sampled ? self.signals.y : nullptr,
+                        self.control.u);
+    } else {
+        lpvg_watch_start(&self.watch, &self.monitor.model);
+    }
+    self.settled_us = paced && sampled ? self.settled_us + (settled ? 0U : step) : 0U;
+    if (sampled && self.control.engaged) {
+        widen_demand(self, step);
+    } else {
+        lpvg_watch_void(&self.watch);
         self.share = invalid_releases(self) ? static_cast<Real>(LPVG_ECU_PROBE_SHARE) : Real(1);
-        return;
     }
-    const Real* const e = self.monitor.signal[self.monitor.newest];
-    if (!self.watched) {
-        lpvg_watch_start(&self.watch, e);
-        self.watched = true;
-    }
-    lpvg_watch_take(&self.watch, &self.kept.watch, self.kept.coeff, &self.monitor.model, settled, e, self.control.u);
-    widen_demand(self, step);
 }
 
 // A falsified model stays so until it is acknowledged, and locks. Time without doubt begins with the release. A trial ends with a valid
@@ -560,7 +560,7 @@ void judge_falsified(lpvg_ecu_t& self, lpvg_verdict_t said, bool live, uint32_t 
         self.lock_causes = static_cast<uint16_t>(self.lock_causes | LPVG_ECU_CAUSE_INVALID);
     }
     if (self.kept.on_trial && self.control.engaged) {
-        self.trial_us += self.watched && self.watch.evidence ? step : 0U;
+        self.trial_us += self.watch.evidence ? step : 0U;
         self.kept.on_trial = said != lpvg_verdict_valid && self.trial_us < LPVG_ECU_CALM_US;
     }
 }

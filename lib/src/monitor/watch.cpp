@@ -50,22 +50,33 @@ extern "C" void lpvg_watch_limits(lpvg_watch_limits_t* limits, const lpvg_coeff_
     }
 }
 
-extern "C" void lpvg_watch_start(lpvg_watch_t* self, const lpvg_real_t* e) {
+extern "C" void lpvg_watch_start(lpvg_watch_t* self, const lpvg_model_t* model) {
     std::memset(self, 0, sizeof *self);
-    std::memcpy(self->slow, e, ny * sizeof(Real));
+    std::memcpy(self->x, model->x, sizeof self->x);
+    std::memcpy(self->past, model->past, sizeof self->past);
+}
+
+extern "C" void lpvg_watch_void(lpvg_watch_t* self) {
+    std::memset(self->P, 0, sizeof self->P);
+    std::memset(self->Q, 0, sizeof self->Q);
+    self->violated = false;
+    self->evidence = false;
 }
 
 extern "C" void lpvg_watch_take(lpvg_watch_t* self, const lpvg_watch_limits_t* limits, const lpvg_coeff_t* coeff, const lpvg_model_t* model,
-                                bool settled, const lpvg_real_t* e, const lpvg_real_t* u) {
+                                bool settled, const lpvg_real_t* y, const lpvg_real_t* u) {
     Signals signal;
-    signal.head<LPVG_NY>() = Eigen::Map<const Outputs>(e);
     signal.tail<LPVG_NY>() = (ConstMap<LPVG_NY, LPVG_NX>(&coeff->reals.C[0][0]) * ConstMap<LPVG_NX, 1>(self->x)).array();
+    const lpvguard::Matrix<LPVG_NU, 1> deviation = ConstMap<LPVG_NU, 1>(u) - ConstMap<LPVG_NU, 1>(coeff->reals.input_offset);
+    lpvguard::step_model(model->entry, self->x, self->past, deviation.data());
+    if (y == nullptr) {
+        return;
+    }
+    signal.head<LPVG_NY>() = Eigen::Map<const Outputs>(y) - signal.tail<LPVG_NY>();
     Eigen::Map<Signals> slow(self->slow);
     slow += (settled ? limits->share : Real(1)) * (signal - slow);
     const Signals quick = signal - slow;
-    lpvguard::step_model(model->entry, self->x, self->past, u);
-    self->violated = false;
-    self->evidence = false;
+    bool violated = false, evidence = false;
     const auto error = quick.head<LPVG_NY>(), response = quick.tail<LPVG_NY>();
     for (std::size_t m = 0; m < LPVG_WATCH_MEMORIES; ++m) {
         Eigen::Map<Outputs> P(self->P[m]), Q(self->Q[m]);
@@ -73,9 +84,11 @@ extern "C" void lpvg_watch_take(lpvg_watch_t* self, const lpvg_watch_limits_t* l
         Q += response * response - limits->forget[m] * Q;
         for (std::size_t j = 0; j < ny; ++j) {
             const Real q = self->Q[m][j], limit = limits->gain[j] * q + limits->disturbance[j] * std::sqrt(q);
-            const bool watched = limits->gain[j] < Real(1);
-            self->violated = self->violated || (watched && !(std::fabs(self->P[m][j]) <= limit));
-            self->evidence = self->evidence || (watched && q > limit);
+            const bool beyond = !(std::fabs(self->P[m][j]) <= limit) && !(static_cast<Real>(LPVG_WATCH_ERROR_MAX) * q <= limit);
+            violated = violated || (beyond && limits->gain[j] < Real(1));
+            evidence = evidence || q > limit;  // never of an output that is not watched
         }
     }
+    self->violated = violated;
+    self->evidence = evidence;
 }

@@ -1,7 +1,5 @@
 """The Python interface says what the command line and the core say."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 

@@ -1,7 +1,5 @@
 """The example scripts run as their first lines say, and print what they promise."""
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess

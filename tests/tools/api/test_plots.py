@@ -1,7 +1,5 @@
 """Pictures from Python: the numbers of the page's pictures, shown by a notebook, written as SVG and CSV."""
 
-from __future__ import annotations
-
 import csv
 import io
 import json

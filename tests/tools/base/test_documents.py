@@ -1,8 +1,6 @@
 """TOML files that people write: every fault is an InputError that names file, field, value and what was
 expected."""
 
-from __future__ import annotations
-
 import pytest
 from pydantic import BaseModel, Field
 

@@ -1,8 +1,6 @@
 """The layout of the coefficients: what is generated from it stands in the tree, and what does not fit it is
 refused by name."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

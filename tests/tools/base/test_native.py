@@ -1,7 +1,5 @@
 """The on-demand compiler: caching, atomicity, refusals."""
 
-from __future__ import annotations
-
 import ctypes
 import shutil
 from concurrent.futures import ThreadPoolExecutor

@@ -1,7 +1,5 @@
 """Rates with exact intervals, and false alarms counted in pieces, drives, recordings and hours."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

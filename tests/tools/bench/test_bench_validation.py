@@ -1,7 +1,5 @@
 """The performance table: its rows, its targets and the points it is measured on."""
 
-from __future__ import annotations
-
 import json
 from inspect import signature
 

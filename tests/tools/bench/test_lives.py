@@ -1,7 +1,5 @@
 """`lpvguard bench lives`: a small pool by default, the full one with LPVGUARD_FULL=1."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

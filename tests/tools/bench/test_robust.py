@@ -1,8 +1,6 @@
 """The table of true margins: measured over speeds and amplitudes, as described, and marked where the truck is
 beyond the weight."""
 
-from __future__ import annotations
-
 import json
 from types import SimpleNamespace
 

@@ -1,7 +1,5 @@
 """The table of bounds beside known truth: its cars, its numbers and its text."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 

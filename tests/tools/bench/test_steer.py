@@ -1,7 +1,5 @@
 """The table of varied trucks: the worst run of each, and what a certificate rules out is named."""
 
-from __future__ import annotations
-
 import json
 
 import pytest

@@ -15,11 +15,7 @@ CASE = ROOT / "tests" / "data" / "paper_case.toml"
 @pytest.mark.unhurried
 def test_the_table_measures_three_syntheses_at_the_papers_order():
     rows = bench.run(CASE, repeats=1)
-    assert [(r.job, r.states) for r in rows] == [
-        ("H_inf", 23),
-        ("K_i", 15),
-        ("K_is", 18),
-    ]
+    assert [(r.job, r.states) for r in rows] == [("H_inf", 23), ("K_i", 15), ("K_is", 18)]
     assert all(r.level < 1 and r.seconds > 0 and r.peer_seconds is None for r in rows)
     assert len(bench.table(rows).splitlines()) == 4
     assert bench.as_dicts(rows)[0]["ok"] == (rows[0].seconds <= bench.TARGET_S["H_inf"])

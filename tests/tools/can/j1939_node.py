@@ -1,7 +1,5 @@
 """One node of the core's J1939 module, compiled and driven step by step in its own time."""
 
-from __future__ import annotations
-
 import ctypes
 from collections.abc import Callable, Iterable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """One drive in every dialect of ASC has the same frames at the same times."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

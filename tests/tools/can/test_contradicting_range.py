@@ -1,7 +1,5 @@
 """A range that the bits of its signal contradict is named and set aside; one that is only rounded is kept."""
 
-from __future__ import annotations
-
 import cantools
 import pytest
 

@@ -1,7 +1,5 @@
 """Damaged logs whose readers would not end, or would read what is not the log's."""
 
-from __future__ import annotations
-
 import gzip
 
 import asammdf

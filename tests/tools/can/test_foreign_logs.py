@@ -1,7 +1,5 @@
 """Logs of openpilot, ROS, PX4 and ArduPilot, written by their own libraries where these write."""
 
-from __future__ import annotations
-
 import bz2
 import struct
 from pathlib import Path

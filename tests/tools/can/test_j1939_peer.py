@@ -3,8 +3,6 @@
 Each claims against the other; the peer asks, and reads what the node says. Frames are handed over directly,
 in the node's own time."""
 
-from __future__ import annotations
-
 import ctypes
 import random
 

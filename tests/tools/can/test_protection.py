@@ -1,7 +1,5 @@
 """The C text of cars' checksums on known frames: public vectors, and frames by the definition."""
 
-from __future__ import annotations
-
 import ctypes
 import os
 import subprocess
@@ -22,6 +20,10 @@ FRAMES = {
     "autosar_p02": [(0x86, data, 0, 0, 0x86, int(data[:2], 16)) for data in LWI_01],
     "tesla": [(0x129, "0102030405060700", 7, 0, 0, 0x01 + 0x29 + 28)],
     "subaru": [(0x11F, "00f0f0f000000000", 0, 0, 0, (0x01 + 0x1F + 3 * 0xF0) % 256)],
+    "nissan": [(0x169, "31323334353637383900", 9, 0, 0, 0x37 ^ 0xFF)],  # the catalogue's SAE-J1850-ZERO
+    # By the definition in commaai/opendbc (its safety mode of Ford): 0xFF - (0x12 + 0x34 + 3 + 5).
+    "ford_speed": [(0x415, "1234d600aabbccdd", 3, 0, 0, 0xB1)],
+    "ford_yaw_rate": [(0x91, "01020304002ab0ff", 4, 0, 0, 0xFF - (10 + 0x2A + 2 + 3))],
     "volkswagen_xor": [(0xC2, "0102040810204000", 7, 0, 0, 0x7F)],
 }
 """By name: identifier, data, byte of the checksum, bits of that byte that are not its, data id, checksum."""

@@ -1,7 +1,5 @@
 """Magnitudes with their sign in a bit beside them, and messages that are on two channels."""
 
-from __future__ import annotations
-
 import math
 
 import cantools

@@ -1,7 +1,5 @@
 """Text tables as loggers write them, times in any usual form, and raw frames as tables."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

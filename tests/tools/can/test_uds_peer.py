@@ -1,7 +1,5 @@
 """The core's UDS answers, read by udsoncan over can-isotp: both ends of ISO-TP in one thread."""
 
-from __future__ import annotations
-
 import struct
 from collections import deque
 

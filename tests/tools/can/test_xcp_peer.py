@@ -1,7 +1,5 @@
 """The core's XCP slave, read by pyxcp: a session, memory, and a list of data after each step."""
 
-from __future__ import annotations
-
 import ctypes
 import queue
 import struct

@@ -1,7 +1,5 @@
 """Bad input: one line that names file, place and expectation, exit status 2, nothing half-written."""
 
-from __future__ import annotations
-
 import shutil
 import subprocess
 import sys
@@ -278,10 +276,7 @@ def test_design_refuses_options_that_it_would_ignore(words, lpvguard, tmp_path):
 
 @pytest.mark.parametrize(
     ("text", "says"),
-    [
-        ("{}", "has unexpected content"),
-        ('{"duels": [{"way": "ramp"}]}', "duels[].precluded: missing"),
-    ],
+    [("{}", "has unexpected content"), ('{"duels": [{"way": "ramp"}]}', "duels[].precluded: missing")],
 )
 def test_a_page_refuses_an_evaluation_of_another_shape(text, says, lpvguard, identified, synthetic, tmp_path):
     (tmp_path / "evaluation.json").write_text(text)

@@ -1,7 +1,5 @@
 """What a shell's completion script offers: verbs, options, and nothing while a command runs as usual."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,8 +1,6 @@
 """Commands that are killed, or find the disk full, leave the old result or the new one (interrupted.py does
 it and judges)."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

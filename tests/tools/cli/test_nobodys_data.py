@@ -1,8 +1,6 @@
 """No command removes or replaces what it did not write, and nothing edited is taken for what was written:
 exit 2, and nothing changes."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os
@@ -121,7 +119,7 @@ REFUSED = {
     "a page over a table": "report idn drives --vehicle g80 --coefficients car -o x.csv",
     "a database over notes": "dbc -o notes/thesis.txt",
     "answers over a user's list": "solve problems.json -o list.json",
-    "numbers over a user's list": "bench weights --json list.json",
+    "numbers over a user's list": "bench bounds --json list.json",
     "the truck's drives over a table": "plant generate -o x.csv",
     "a recording over a table": "sim nominal --lcm file://x.csv?mode=w",
     "a file for a folder": "generate --vehicle g80 -o x.csv",
@@ -159,12 +157,7 @@ EDITS = {
         '"threshold": 1',
         "export --vehicle g80 idn -o new",
     ),
-    "a weight": (
-        "idn/weights.json",
-        '"inflation": ',
-        '"inflation": 1',
-        EVALUATE,
-    ),
+    "a weight": ("idn/weights.json", '"inflation": ', '"inflation": 1', EVALUATE),
     "a bound": (
         "idn/bounds.json",
         '"B_w": [',

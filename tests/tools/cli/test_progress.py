@@ -1,7 +1,5 @@
 """What stands in the terminal while a command works."""
 
-from __future__ import annotations
-
 from functools import partial
 from io import StringIO
 

@@ -1,7 +1,5 @@
 """The verbs of `lpvguard --help`: each in one section, in the order of a user's work."""
 
-from __future__ import annotations
-
 import re
 
 from typer.main import get_command

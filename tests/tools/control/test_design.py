@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -350,14 +350,14 @@ def test_another_unit_of_time_leaves_the_loop_of_K_is_as_it_was(common, factor):
     model, settings = NominalModel(common.project), common.project.design
     A, B = (m[0] for m in model.matrices(np.array([15.0])))
     weights = DesignProblem(common, settings).weights
-    slower = fig1.PlantWeights(
-        **{
-            f.name: replace(w, A=factor * w.A, B=factor * w.B)
-            for f in fields(weights)
-            for w in [getattr(weights, f.name)]
-            if w is not None
-        }
-    )
+    scaled = {
+        name: tuple(replace(w, A=factor * w.A, B=factor * w.B) for w in systems)
+        for name, systems in weights.systems().items()
+    }
+    single = {
+        name: own if isinstance(getattr(weights, name), tuple) else own[0] for name, own in scaled.items()
+    }
+    slower = replace(weights, **single)
     rate = replace(slower.W_delta_s, C=factor * slower.W_delta_s.C, D=factor * slower.W_delta_s.D)
     omega = np.geomspace(1e-2, 30.0, 40)
     want = fig1.generalised_plant(A, B, weights, "K_is").system.response(omega)
@@ -434,11 +434,7 @@ def test_a_controller_that_has_common_poles_is_met(stored, designed):
     result, _ = designed
     schedule, model = result.schedule, NominalModel(stored.project)
     loops = [
-        FrozenLoop(
-            schedule.at(v),
-            DesignProblem.of(stored).plant(v),
-            stage.vehicle_at(model, v),
-        )
+        FrozenLoop(schedule.at(v), DesignProblem.of(stored).plant(v), stage.vehicle_at(model, v))
         for v in schedule.speeds
     ]
     again = fit_by_pairs(loops, schedule.speeds, result.scaling, schedule.u_max)(len(schedule.a) // 2)

@@ -1,7 +1,5 @@
 """The generated folder and the controller.json that it was exported with: one names the other by its hash."""
 
-from __future__ import annotations
-
 import json
 
 import pytest

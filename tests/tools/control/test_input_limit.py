@@ -1,7 +1,5 @@
 """The input limit over speed: the rule, and the line between nodes that never lies above it."""
 
-from __future__ import annotations
-
 from importlib import resources
 from pathlib import Path
 

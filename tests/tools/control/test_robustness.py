@@ -17,20 +17,8 @@ from lpvguard.base.parallel import workers
 from lpvguard.control import design as stage
 from lpvguard.control.limits import LimitRow, Limits, _require_row, require_limits
 from lpvguard.control.plants import DesignProblem, vehicle_at
-from lpvguard.control.robustness import (
-    LOOSE,
-    UPPER,
-    NodeRobustness,
-    Robustness,
-    _Asked,
-    compare,
-)
-from lpvguard.control.slow_delta import (
-    NodeSlowness,
-    Slowness,
-    require_slowness,
-    slowness,
-)
+from lpvguard.control.robustness import LOOSE, UPPER, NodeRobustness, Robustness, _Asked, compare
+from lpvguard.control.slow_delta import NodeSlowness, Slowness, require_slowness, slowness
 from lpvguard.engine.synthesis.margins import margins, of_system
 from lpvguard.engine.synthesis.mu import mu_interval
 from lpvguard.engine.synthesis.statespace import gain, lft, series
@@ -56,7 +44,7 @@ def schedule(result):
 
 @pytest.fixture(scope="module")
 def found(result):
-    return result.beside.robustness
+    return result.further.robustness
 
 
 @pytest.fixture(scope="module")
@@ -91,7 +79,7 @@ def test_neighbours_lie_within_the_nu_margin_and_midpoints_nearer(found):
 
 def test_workers_change_no_bit_of_what_they_share(problem, result):
     with workers(2) as run:
-        assert slowness(problem, result.schedule, result.scaling, workers=run) == result.beside.slow_delta
+        assert slowness(problem, result.schedule, result.scaling, workers=run) == result.further.slow_delta
 
 
 @pytest.mark.long("35 s: a design")
@@ -180,16 +168,7 @@ def test_the_page_shows_every_number_of_a_node_and_a_dash_for_none(tmp_path):
     certificates["robustness"] = Robustness((node,), 2.0, (1.0, 1.0)).to_dict()
     (tmp_path / "controller.json").write_text(json.dumps({"certificates": certificates}))
     text = design_section(tmp_path)
-    for shown in (
-        "0.9931",
-        "0.9842",
-        "0.544",
-        "1.11",
-        "0.747",
-        "0.2383",
-        "0.0712",
-        "0.456 to 2.19, 40.9°",
-    ):
+    for shown in ("0.9931", "0.9842", "0.544", "1.11", "0.747", "0.2383", "0.0712", "0.456 to 2.19, 40.9°"):
         assert f"<td>{shown}</td>" in text, shown
     row = next(line for line in text.split("<tr>") if "0.9931" in line)
     assert row.count("<td>–</td>") == 2
@@ -199,14 +178,11 @@ def test_the_page_shows_every_number_of_a_node_and_a_dash_for_none(tmp_path):
 
 
 def test_rates_are_proved_anew_and_larger_ones_are_refused(problem, result, schedule):
-    found, path = result.beside.slow_delta, Path("controller.json")
+    found, path = result.further.slow_delta, Path("controller.json")
     stated = json.loads(json.dumps(found.to_dict()))
     require_slowness(path, stated, problem, schedule, result.scaling)
     assert found.performance_rate > 0 and found.hidden_slow < found.hidden_fast
-    for part, key in (
-        ("performance", "performance_rate"),
-        ("performance", "performance_level"),
-    ):
+    for part, key in (("performance", "performance_rate"), ("performance", "performance_level")):
         altered = json.loads(json.dumps(stated))
         altered["nodes"][-1][key] *= 1.3
         with pytest.raises(InputError, match=rf"slow_delta at 22 m/s, {part}"):
@@ -234,7 +210,7 @@ def test_the_page_says_which_hidden_rates_are_covered(tmp_path):
 
 
 def test_what_is_proved_at_the_limits_is_proved_anew_and_more_is_refused(problem, result, schedule):
-    found, path = result.beside.limits, Path("controller.json")
+    found, path = result.further.limits, Path("controller.json")
     stated = json.loads(json.dumps(found.to_dict()))
     require_limits(path, stated, problem, schedule, result.scaling)
     proved = [k for k, row in enumerate(stated["rows"]) if None not in (row["energy"], row["gain"])]

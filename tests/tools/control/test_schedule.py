@@ -1,21 +1,13 @@
 """The realisation that the core runs: its poles, its interpolation, and the change of state that engages
 without a jump."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.linalg import solve_discrete_are, solve_discrete_lyapunov
 
-from lpvguard.control.schedule import (
-    RECOVERY_EFFORT,
-    FrozenLoop,
-    first_columns,
-    fit_by_pairs,
-    observed,
-)
+from lpvguard.control.schedule import RECOVERY_EFFORT, FrozenLoop, first_columns, fit_by_pairs, observed
 from lpvguard.core.control_coefficients import build_controller
 from lpvguard.core.scheduled import Scheduled, engagement, realisation
 from lpvguard.engine.synthesis.dk import Scaling

@@ -1,8 +1,6 @@
 """Step 8 beside the controller: Table II of generated drives, the worst-case run, the trade-off; and the
 commands that write them."""
 
-from __future__ import annotations
-
 import json
 import os
 from dataclasses import replace

@@ -1,8 +1,6 @@
 """What a loop has beside what is promised: a truck like the nominal model has the nominal loop's margins, one
 within the weight at least the promised ones, and a weight that is too small is named."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 

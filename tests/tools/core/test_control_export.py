@@ -1,8 +1,6 @@
 """controller.json: what is accepted, what is refused and by which name, and what the generated folder says of
 it."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 
@@ -13,7 +11,7 @@ from hand_controller import hand_controller
 from lpvguard.base.errors import InputError
 from lpvguard.can.bus import bus_source
 from lpvguard.core.control_coefficients import control_files, load_controller
-from lpvguard.vehicle.project import load_project
+from lpvguard.vehicle.project import CanPlace, load_project, parse_project
 
 
 @pytest.fixture(scope="module")
@@ -131,3 +129,26 @@ def _with_place(project, index, **place):
 def test_signals_without_a_usable_place_on_the_bus_are_refused(truck, index, place, says):
     with pytest.raises(InputError, match=says):
         bus_source(_with_place(truck, index, **place))
+
+
+def test_a_demand_on_the_cars_own_bus_is_packed_and_without_a_place_there_is_the_controller_alone(load):
+    """A measured steering angle is no demand of ours; [can.demand] says which message carries it."""
+    rav4 = load_project("rav4")
+    controller = load(hand_controller(rav4))
+    assert set(control_files(rav4, controller)) == {"lpvguard_control.c"}
+    place = CanPlace(message="STEER_ANGLE_SENSOR", signal="STEER_ANGLE", factor=57.3)
+    bus = rav4.can.model_copy(update={"demand": {"steering_wheel_angle": place}})
+    files = control_files(rav4.model_copy(update={"can": bus}), controller)
+    assert set(files) == {"lpvguard_control.c", "lpvg_demand.h", "lpvg_demand.c"}
+    assert "check_toyota" in files["lpvg_demand.c"]
+    halved = place.model_copy(update={"plus": ("STEER_FRACTION",)})
+    bus = rav4.can.model_copy(update={"demand": {"steering_wheel_angle": halved}})
+    with pytest.raises(InputError, match="expected one signal"):
+        control_files(rav4.model_copy(update={"can": bus}), controller)
+
+
+@pytest.mark.parametrize("demand", [{"speed": {"message": "A", "signal": "B"}}])
+def test_places_of_demands_are_those_of_the_inputs(demand):
+    document = load_project("rav4").model_dump(by_alias=True)
+    with pytest.raises(InputError, match=r"can\.demand: speed, expected every input: steering_wheel_angle"):
+        parse_project(document | {"can": {"dbc": "rav4.dbc", "demand": demand}}, "rav4")

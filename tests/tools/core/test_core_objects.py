@@ -1,7 +1,5 @@
 """Compiled parts of a core: what vehicles share, and what each compiles for itself."""
 
-from __future__ import annotations
-
 import shutil
 
 from lpvguard.core.compiled import OF_NO_VEHICLE, Core, core_objects, library_root, shipped_vehicle

@@ -1,7 +1,5 @@
 """`find_package(lpvguard)` in a project of C alone says which language is missing."""
 
-from __future__ import annotations
-
 import subprocess
 
 import pytest

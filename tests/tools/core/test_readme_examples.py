@@ -1,7 +1,5 @@
 """The C examples of lib/README.md compile as an application's would: C99, every warning an error."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 

@@ -1,7 +1,5 @@
 """The files of the made-up car (tests/other_car.py)."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

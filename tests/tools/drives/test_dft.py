@@ -1,8 +1,6 @@
 """The plain DFT of a frame against its equation, on a model of hand-made numbers: its own data leave nothing,
 and what is added to them is found."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 

@@ -1,7 +1,5 @@
 """Every fault of recorded drives changes the samples that it should, and no other."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

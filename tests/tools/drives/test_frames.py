@@ -1,7 +1,5 @@
 """The estimator against its defining sums, and the conditions under which a frame counts."""
 
-from __future__ import annotations
-
 import ctypes
 import mmap
 import re
@@ -337,8 +335,7 @@ def test_lines_of_the_plain_dft_outnumber_the_unknowns_of_the_transient(truck):
 
 
 @pytest.mark.parametrize(
-    ("length_s", "low", "high", "cycles"),
-    [(0.7, 10.0, 15.0, [7, 8, 9, 10]), (1.4, 5.0, 6.0, [7, 8])],
+    ("length_s", "low", "high", "cycles"), [(0.7, 10.0, 15.0, [7, 8, 9, 10]), (1.4, 5.0, 6.0, [7, 8])]
 )
 def test_a_line_exactly_at_a_decimal_limit_counts_however_its_frequency_rounds(
     g80, length_s, low, high, cycles

@@ -1,7 +1,5 @@
 """A further signal gates the range: outside its own, samples are missing, in a table and on the bus."""
 
-from __future__ import annotations
-
 import tomllib
 from importlib import resources
 

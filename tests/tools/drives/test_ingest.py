@@ -1,8 +1,6 @@
 """Ingest: every log form gives the same table, every database decodes as cantools does, and a real log gives
 its reference table."""
 
-from __future__ import annotations
-
 import json
 import os
 from pathlib import Path
@@ -18,16 +16,7 @@ from lpvguard.can.logs import EXTENDED, Frames, Table, read_log
 from lpvguard.drives.ingest import ingest
 from lpvguard.drives.units import unit_factor
 from made import ROOT
-from other_car import (
-    MAP,
-    agrees,
-    other_car,
-    run,
-    table,
-    truth,
-    write_log,
-    write_map,
-)
+from other_car import MAP, agrees, other_car, run, table, truth, write_log, write_map
 
 DATA = Path(os.environ.get("LPVGUARD_DATA", ROOT.parent / "shared/data"))
 
@@ -443,26 +432,14 @@ def test_candumps_binary_and_swapped_screens_are_read_as_its_log(tmp_path):
     )
     log = read_log(tmp_path / "screen.log")
     assert isinstance(log, Frames)
-    assert log.data[:, :2].tolist() == [
-        [0x0A, 0xF1],
-        [0x0A, 0xF1],
-    ] and log.length.tolist() == [2, 2]
-    assert log.left_out == {
-        "lines that are no frame": 2,
-        "first line that is no frame": 3,
-    }
+    assert log.data[:, :2].tolist() == [[0x0A, 0xF1], [0x0A, 0xF1]] and log.length.tolist() == [2, 2]
+    assert log.left_out == {"lines that are no frame": 2, "first line that is no frame": 3}
 
 
 BAD_LINES = {
     "extended without flag": ("BO_ 316495015 OTHER: 8 A", "BO_ 316495015"),
-    "number without zero": (
-        'BO_ 5 OTHER: 8 A\n SG_ X : 0|8@1+ (.25,0) [0|255] "" A',
-        "SG_ X",
-    ),
-    "name with digit": (
-        'BO_ 5 OTHER: 8 A\n SG_ 2ND : 0|8@1+ (1,0) [0|255] "" A',
-        "SG_ 2ND",
-    ),
+    "number without zero": ('BO_ 5 OTHER: 8 A\n SG_ X : 0|8@1+ (.25,0) [0|255] "" A', "SG_ X"),
+    "name with digit": ('BO_ 5 OTHER: 8 A\n SG_ 2ND : 0|8@1+ (1,0) [0|255] "" A', "SG_ 2ND"),
     "values of no signal": ('VAL_ 291 GONE 0 "off" 1 "on" ;', "VAL_ 291 GONE"),
 }
 

@@ -1,8 +1,6 @@
 """Ingest: what logs suffer is handled as stated and reported, J1939 senders are told apart, and bad input is
 refused by name."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -18,17 +16,7 @@ from lpvguard.can.dbc import dbc_text
 from lpvguard.can.logs import read_log
 from lpvguard.drives.ingest import ingest
 from lpvguard.drives.signal_map import map_of_project
-from other_car import (
-    COLUMNS,
-    MAP,
-    OTHER_CAR,
-    agrees,
-    other_car,
-    run,
-    table,
-    write_log,
-    write_map,
-)
+from other_car import COLUMNS, MAP, OTHER_CAR, agrees, other_car, run, table, write_log, write_map
 
 # ------------------------------------------------------------------------------------------- what logs suffer
 

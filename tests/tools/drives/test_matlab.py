@@ -1,7 +1,5 @@
 """MATLAB's files as drives: what is read, and what is refused before scipy looks at it."""
 
-from __future__ import annotations
-
 import struct
 import zlib
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A spike or a reverse piece is missing samples: nothing is judged there, and the drive is not refused."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

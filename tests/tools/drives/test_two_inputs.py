@@ -1,7 +1,5 @@
 """The synthetic car with steering and torque vectoring: two inputs from its drives to its model."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,8 +1,6 @@
 """The barrier method: derivatives by differences and in longer numbers, Newton's step by the definition of
 what it makes small, and its searches by hand."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import numpy as np

@@ -1,8 +1,6 @@
 """The pieces of the D-K iteration: scalings by their formula, fits by power means and differences, searches
 by scripted levels, and reduction by what a truncation keeps."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """How cells are laid side by side over an interval of frequencies, with given bounds in place of mu's."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

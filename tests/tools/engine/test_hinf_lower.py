@@ -1,7 +1,5 @@
 """Lower bounds of the H∞ optimum: close to it, never above what is achieved, and refused when planted."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

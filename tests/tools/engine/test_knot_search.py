@@ -83,9 +83,7 @@ def test_the_halves_of_the_factor_meet_whatever_the_number_of_blocks(rows, count
     at = [slice(rows * k, rows * (k + 1)) for k in range(count)]
     right = random.standard_normal((size, 2))
     found = knot_search.solved_blocks(
-        [np.tril(H[one, one]) for one in at],
-        [H[two, one] for one, two in itertools.pairwise(at)],
-        right,
+        [np.tril(H[one, one]) for one in at], [H[two, one] for one, two in itertools.pairwise(at)], right
     )
     np.testing.assert_allclose(H @ found, right, rtol=0, atol=1e-9)
 
@@ -389,11 +387,7 @@ def test_what_f_lacks_is_an_eigenvalue_over_its_unit(stepped):
 
 @pytest.mark.parametrize(
     ("script", "steps", "moves"),
-    [
-        ([([0.1], 200.0)] * 9, 4, 4),
-        ([([0.1], 200.0), ([0.2], 199.0)], 2, 2),
-        ([([0.1], 200.0), None], 2, 1),
-    ],
+    [([([0.1], 200.0)] * 9, 4, 4), ([([0.1], 200.0), ([0.2], 199.0)], 2, 2), ([([0.1], 200.0), None], 2, 1)],
 )
 def test_four_steps_at_most_go_to_the_centre(script, steps, moves, stepped):
     found, asked = stepped(

@@ -311,11 +311,7 @@ def test_a_step_for_d_must_gain_a_hundred_thousandth():
 def test_ds_gain_is_searched_at_four_speeds(monkeypatch):
     one = replace(family(turn=0.2), nodes=np.linspace(1.0, 3.0, 7))
     speeds, asked = [], []
-    monkeypatch.setattr(
-        lpv.Family,
-        "loop",
-        lambda self, v: speeds.append(v) or (v, self.at(v)),
-    )
+    monkeypatch.setattr(lpv.Family, "loop", lambda self, v: speeds.append(v) or (v, self.at(v)))
 
     def norm(loop, rtol):
         v, G = loop

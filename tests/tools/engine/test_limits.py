@@ -1,7 +1,5 @@
 """The floor that no controller goes below, by Parrott's theorem and another optimiser; the table's cells."""
 
-from __future__ import annotations
-
 import csv
 import io
 from types import SimpleNamespace

@@ -1,8 +1,6 @@
 """The pieces of the certificate at a moving speed, each against what defines it: norms, minima, identities of
 Lyapunov and Riccati equations, and loops whose answer is known by hand."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 

@@ -1,7 +1,5 @@
 """Bounds of μ beside those of SLICOT's AB13MD (Fan, Tits & Doyle's D, G bound), where slycot is installed."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

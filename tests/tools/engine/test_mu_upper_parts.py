@@ -1,8 +1,6 @@
 """The search for mu's upper bound step by step: Newton's method and the method of centres on functions whose
 steps are known, and their control by scripted levels."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import numpy as np
@@ -510,10 +508,7 @@ def test_the_centre_of_dense_scalings_has_no_slope_along_any_direction_of_equal_
     N = M / (2.0 * np.linalg.norm(M, 2))
     skew = 1j * (structure.skew @ N)
     F = np.concatenate(
-        [
-            structure.right - N.conj().T @ structure.left @ N,
-            -(skew + np.conj(np.swapaxes(skew, 1, 2))),
-        ]
+        [structure.right - N.conj().T @ structure.left @ N, -(skew + np.conj(np.swapaxes(skew, 1, 2)))]
     )
     n = len(structure.left)
     trace = np.append(np.real(np.trace(structure.left, axis1=1, axis2=2)), np.zeros(len(structure.skew)))

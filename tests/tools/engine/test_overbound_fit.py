@@ -1,8 +1,6 @@
 """The decisions of a weight's fit, by themselves: which orders are tried and chosen, how a candidate becomes
 a weight, and when it is refitted."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,8 +1,6 @@
 """The search of the least worst ratio by its parts: the grid, the linear program, and the steps from one
 program to the next, each by hand or with given answers."""
 
-from __future__ import annotations
-
 import math
 from types import SimpleNamespace
 

@@ -1,8 +1,6 @@
 """The pieces of the proof that a weight lies above a bound: polynomials, Bernstein coefficients, Routh's
 array and the units, each against its definition."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

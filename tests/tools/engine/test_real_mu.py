@@ -1,8 +1,6 @@
 """μ with real parameters: right where the value is known by algebra, never below what a sample attains, and a
 proof that a planted error breaks. The families hold H∞ answers too."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -112,6 +110,8 @@ def test_no_answer_is_false_loose_or_refused(kind, family, monkeypatch):
     [
         pytest.param("similar", 77, 23, id="blocks in units 1e8 apart: mu is not zero"),
         pytest.param("repeated_real", 2026, 9, id="eigenvalues that are nearly real all around 0"),
+        pytest.param("similar", 5309, 117, id="a nearly triangular M in mixed units"),
+        pytest.param("repeated_real", 2027, 4, id="narrow cells on a wide box"),
         pytest.param("interval_polynomial", 2026, 17, id="rows of M that vanish at 0"),
     ],
 )

@@ -8,7 +8,7 @@ from lpvguard.engine.synthesis.dk import Scaling
 from lpvguard.engine.synthesis.errors import SynthesisError
 from lpvguard.engine.synthesis.interconnection import GeneralisedPlant
 from lpvguard.engine.synthesis.saturation import LimitedLoop, _proof, _reached, sector
-from lpvguard.engine.synthesis.statespace import StateSpace
+from lpvguard.engine.synthesis.statespace import StateSpace, append
 
 DT, U_MAX, STEP_MAX = 0.1, 1.0, 0.8
 SCALING = Scaling(np.array([[0.2, 1.0, -0.5]]))
@@ -116,3 +116,38 @@ def test_a_loop_without_delay_is_refused():
     direct = StateSpace([[0.5]], [[1.0]], [[1.0]], [[1.0]], DT)
     with pytest.raises(SynthesisError, match="late by a sample"):
         LimitedLoop(plant(), direct, np.zeros((1, 1)), 2.0, SCALING)
+
+
+def twice(G: StateSpace, inputs: list[int], outputs: list[int]) -> StateSpace:
+    """Two of G side by side, with the signals of both in each group of ``inputs`` and ``outputs``."""
+    two = append(G, G)
+    columns, rows = (
+        [k for group in np.split(np.arange(n), np.cumsum(sizes)[:-1]) for k in (*group, *(group + n))]
+        for n, sizes in ((G.n_inputs, inputs), (G.n_outputs, outputs))
+    )
+    return two.select(rows, columns)
+
+
+def test_two_inputs_side_by_side_have_what_is_proved_of_one():
+    """Two loops that share nothing: the same energy where the limits are equal, and that of the narrower
+    one."""
+    one, kappa = plant(), 1.5
+    both = GeneralisedPlant(twice(one.system, [1, 1, 1], [1, 1, 1]), one.blocks * 2, 2, 2, 2, 2)
+    found = LimitedLoop(
+        both,
+        append(controller(), controller()),
+        np.kron(np.eye(2), L),
+        kappa,
+        Scaling(np.tile(SCALING.log_parameters, (2, 1))),
+    )
+    alone = loop(kappa)
+    constants = alone.stability().least(alone.ones, 1.0, np.zeros(2))[1]
+    each = np.repeat(constants, 2)
+    want = alone.energy(constants, U_MAX, STEP_MAX)
+    assert want is not None
+    for limits in (np.array([1.0, 1.0]), np.array([1.0, 0.5]), np.array([0.5, 1.0])):
+        got = found.energy(each, limits * U_MAX, limits * STEP_MAX)
+        assert got == pytest.approx(limits.min() * want, rel=1e-4)
+    assert found.stability().proved(found.ones, 1.0, each) == pytest.approx(
+        alone.stability().proved(alone.ones, 1.0, constants), rel=1e-6
+    )

@@ -1,8 +1,6 @@
 """The table of the paper case by made-up rows: what is asked, what is told of each difference, and the scale
 that would explain it."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from types import SimpleNamespace
@@ -104,13 +102,8 @@ def test_every_structure_of_every_objective_is_a_row_beside_what_is_known_of_it(
         cases.paper_case("case.toml")
 
 
-def test_a_row_is_shown_with_a_dash_where_nothing_is_known():
+def test_a_row_holds_its_reference_and_the_paper():
     full = row("K_is", 95.0, 1e-7, reference=0.99, reference_order=34, paper=0.985, paper_order=29)
-    lines = cases.format_table([full, row()]).splitlines()
-    assert " ".join(lines[0].split()) == "A_t A_u certified lower order time reference order paper order"
-    assert " ".join(lines[1].split()) == "K_is 95 1e-07 0.90000 0.80000 0 1.50s 0.99 34 0.985 29"
-    assert " ".join(lines[2].split()) == "K_i 80 1e-06 0.90000 0.80000 0 1.50s - - - -"
-    assert len({len(line) for line in lines}) == 1
     assert list(full.to_dict().items())[-4:] == [
         ("reference", 0.99),
         ("reference_order", 34),

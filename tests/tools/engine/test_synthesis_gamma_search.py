@@ -1,8 +1,6 @@
 """The search for the least level on problems made up so that the optimum is known: which levels it asks
 about, and what it answers."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -1,8 +1,6 @@
 """Which controllers H-infinity synthesis tries and keeps, on a problem made up so that the level is the norm;
 the coordinates that lead back to the plant; and the levels asked for alone."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 

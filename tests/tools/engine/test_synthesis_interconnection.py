@@ -1,7 +1,5 @@
 """Fig. 1 by its equations, one signal at a time, and the weights in it by their factors."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -11,6 +9,7 @@ import scipy.linalg as sl
 from lpvguard.engine.blocks import Block
 from lpvguard.engine.synthesis.errors import SynthesisError
 from lpvguard.engine.synthesis.interconnection import (
+    GeneralisedPlant,
     PlantWeights,
     generalised_plant,
     rational,
@@ -21,17 +20,24 @@ from lpvguard.engine.synthesis.statespace import StateSpace, gain
 
 A = np.array([[-1.0, 0.4, 0.3], [0.2, -2.0, 0.7], [-0.6, 0.5, -0.8]])
 B = np.array([[0.5], [1.1], [-0.9]])
+B_2 = np.array([[0.5, -0.3], [1.1, 0.8], [-0.9, 0.2]])
+C_3 = np.array([[1.0, 0.5, 0.0], [0.0, -0.7, 1.0], [0.3, 0.0, 0.9]])
 POINT = 0.3 + 0.9j
 NAMES = ("R", "C", "t", "u", "nr", "ndelta", "wr", "wdelta", "delta_i", "delta_s", "delta_r", "delta_delta")
-WEIGHTS = PlantWeights(
-    *(StateSpace([[-1.0 - k]], [[1.0]], [[0.3 + 0.1 * k]], [[0.2 * (k + 1)]]) for k in range(12))
+SYSTEMS = {
+    name: StateSpace([[-1.0 - k]], [[1.0]], [[0.3 + 0.1 * k]], [[0.2 * (k + 1)]])
+    for k, name in enumerate(NAMES)
+}
+WEIGHTS = replace(
+    PlantWeights.of_paper({f"W_{name}": SYSTEMS[name] for name in NAMES[:10]}),
+    W_delta_o=(SYSTEMS["delta_r"], SYSTEMS["delta_delta"]),
 )
 
 
 def by_equations(structure: str, dt: float, delay: int, probes: bool) -> dict[str, dict[str, complex]]:
     """Outputs of Fig. 1 at POINT by name: response to each input by name."""
     s = 2 / dt * (POINT - 1) / (POINT + 1) if dt else POINT
-    W = {name: getattr(WEIGHTS, f"W_{name}").evaluate([s])[0, 0, 0] for name in NAMES}
+    W = {name: SYSTEMS[name].evaluate([s])[0, 0, 0] for name in NAMES}
     Ad, held = A, np.eye(3)
     if dt:
         Ad = sl.expm(A * dt)
@@ -94,6 +100,63 @@ def test_every_signal_is_that_of_the_equations(structure, dt, delay, probes):
     assert G.order == 3 + weights + delay
 
 
+def two_inputs(structure: str, delay: float, n_y: int = 3) -> GeneralisedPlant:
+    """Fig. 1 of a vehicle with two inputs and outputs that are no states, the last of which is controlled."""
+    W = [SYSTEMS[name] for name in NAMES]
+    weights = PlantWeights(
+        *W[:3],
+        (W[3], W[4]),
+        (*W[5:8],)[:n_y],
+        (*W[8:11],)[:n_y],
+        W[2],
+        W[1],
+        (*W[3:6],)[:n_y],
+        tuple("abc"[:n_y]),
+        n_y - 1,
+    )
+    return generalised_plant(A, B_2, weights, structure, 0.1, delay, True, C_3[:n_y])
+
+
+@pytest.mark.parametrize("delay", [0.0, 2.0, 0.3, 2.7])
+@pytest.mark.parametrize("n_y", [1, 3])
+def test_two_inputs_act_late_by_any_delay_and_the_named_output_is_controlled(delay, n_y):
+    """With K_o: every path from the inputs, against the exact response to inputs held from instants between
+    samples."""
+    found = two_inputs("K_o", delay, n_y)
+    G, names = found.system, "abc"[:n_y]
+    s, whole, part = 2 / 0.1 * (POINT - 1) / (POINT + 1), int(delay), delay - int(delay)
+    late, early = (
+        np.linalg.solve(A, sl.expm(A * x) - np.eye(3)) @ B_2 for x in (part * 0.1, (1 - part) * 0.1)
+    )
+    held = sl.expm(A * (1 - part) * 0.1) @ late / POINT + early
+    y = C_3[:n_y] @ np.linalg.solve(POINT * np.eye(3) - sl.expm(A * 0.1), held) * POINT**-whole
+    got = {
+        (o, i): value
+        for o, row in zip(G.outputs, G.evaluate([POINT])[0], strict=True)
+        for i, value in zip(G.inputs, row, strict=True)
+    }
+
+    def weight(name: str) -> complex:
+        return SYSTEMS[name].evaluate([s])[0, 0, 0]
+
+    for i, u in enumerate(("u1", "u2")):
+        for j, name in enumerate(names):
+            assert got[f"y_{name}", u] == pytest.approx(y[j, i], rel=1e-9)
+            assert got[f"eta_{name}", u] == pytest.approx(y[j, i], rel=1e-9)
+        assert got["z_t", u] == pytest.approx(-weight("t") * y[-1, i], rel=1e-9)
+        for k, own in enumerate(("u", "nr")):
+            assert got[f"z_u{k + 1}", u] == pytest.approx(weight(own) * (k == i))
+    assert got["z_t", "r_c"] == pytest.approx(weight("t") * weight("R") * weight("C"))
+    assert found.blocks == (Block("full", 1, 1),) * n_y
+    assert (found.n_control, found.n_measurement) == (2, 1 + n_y)
+    assert two_inputs("K_i", delay, n_y).blocks == (Block("full", 2, 2),)
+
+
+def test_a_delayed_state_is_among_the_probes():
+    whole, part = (two_inputs("K_i", delay).system.outputs for delay in (2.0, 2.7))
+    assert [name for name in part if name not in whole] == ["x_3", "x_4"]
+
+
 def test_the_plant_is_continuous_and_without_probes_unless_asked():
     plain, given = (
         generalised_plant(A, B, WEIGHTS, "K_is"),
@@ -109,14 +172,13 @@ def test_what_fig_1_cannot_have_is_refused():
         generalised_plant(A, B, WEIGHTS, "K_i", 0.0, 2)
     with pytest.raises(SynthesisError, match="'K_x'"):
         generalised_plant(A, B, WEIGHTS, "K_x")
-    for missing in ("W_delta_r", "W_delta_delta"):
-        fewer = replace(WEIGHTS, **{missing: None})
-        with pytest.raises(SynthesisError, match="both, for K_o"):
-            generalised_plant(A, B, fewer, "K_o")
-        assert generalised_plant(A, B, fewer, "K_is").system.order == 15
+    fewer = replace(WEIGHTS, W_delta_o=WEIGHTS.W_delta_o[:1])
+    with pytest.raises(SynthesisError, match="W_delta_o: 1 weights; expected 2 for K_o"):
+        generalised_plant(A, B, fewer, "K_o")
+    assert generalised_plant(A, B, fewer, "K_is").system.order == 15
     for bad, said in ((gain(np.ones((1, 2))), r"\(1, 2\)"), (gain(np.eye(1), 0.1), r".*dt 0\.1")):
-        with pytest.raises(SynthesisError, match=f"W_nr: {said}"):
-            replace(WEIGHTS, W_nr=bad)
+        with pytest.raises(SynthesisError, match=f"W_n: {said}"):
+            replace(WEIGHTS, W_n=(bad, WEIGHTS.W_n[1]))
 
 
 def test_a_ratio_of_polynomials_has_their_values():

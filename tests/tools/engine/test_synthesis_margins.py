@@ -1,7 +1,5 @@
 """Margins of a loop: closed forms, python-control on random loops, and what a set of loops is promised."""
 
-from __future__ import annotations
-
 import os
 
 import control

@@ -1,7 +1,5 @@
 """Pieces of the margins by numbers worked out by hand: grids, roots, peaks, disks and encirclements."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

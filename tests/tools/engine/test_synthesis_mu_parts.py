@@ -1,8 +1,6 @@
 """The pieces of the H-infinity norm and of mu's upper bound: level tests, scalings and centres, each by what
 defines it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import scipy.linalg as sl

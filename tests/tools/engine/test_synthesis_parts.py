@@ -1,8 +1,6 @@
 """Direct terms, blocks, coordinates and storage terms of the synthesis: each piece by numbers worked out by
 hand."""
 
-from __future__ import annotations
-
 from dataclasses import fields
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The Riccati equation of a side, its Hamiltonian and its balancing: residuals, stability, and by hand."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import scipy.linalg as sl

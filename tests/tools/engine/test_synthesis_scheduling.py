@@ -1,7 +1,5 @@
 """The common scaling by made-up levels, and the common family by the loops that it closes."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

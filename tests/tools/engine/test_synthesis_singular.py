@@ -1,8 +1,6 @@
 """Singular problems: zeros on the axis, states that are free to set and the regular plant beside; and the
 central controller: by hand and by the norm of the loop."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import scipy.linalg as sl

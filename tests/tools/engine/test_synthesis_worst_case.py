@@ -1,7 +1,5 @@
 """The worst Delta by another way: every phase of a scalar one, and the pieces that it is realised from."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,8 +1,6 @@
 """Certificates of the validation: levels and lengths by a scan, a semidefinite solver and differences, and
 bounds over boxes at the points in them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -530,10 +528,7 @@ def test_both_bounds_over_a_node_lie_below_each_cost_in_it_and_close_to_the_leas
 def test_a_real_scalar_does_not_reach_an_imaginary_target():
     """x = delta and |x - 1j|^2 <= p1: a real delta leaves 1, a complex one nothing."""
     for kind, least in (("repeated_real", 1.0), ("repeated_complex", 0.0)):
-        forms = [
-            scalars_of(kind, row(1, 0), row(0, 1), param=0),
-            Form(row(1, -1j), row(0, 1), param=1),
-        ]
+        forms = [scalars_of(kind, row(1, 0), row(0, 1), param=0), Form(row(1, -1j), row(0, 1), param=1)]
         side = 5.0 if kind == "repeated_real" else 5 + 5j
         node = BranchNode(0.0, 0, np.array([[0.0, 1.0]]), {0: Box(-side, side)})
         found, _, _ = Relaxation(Quadratic(forms, 2, 2)).lower(node, np.inf)

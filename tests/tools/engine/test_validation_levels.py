@@ -1,7 +1,5 @@
 """The search for the best level by its steps, and the ends of what a certificate proves, at their borders."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,8 +1,6 @@
 """The general LFT and class S2 against semidefinite and brute-force references; both sides of every answer
 are tested."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -16,7 +14,7 @@ from lpvguard.engine.validation.branch import SLACK, proves
 from lpvguard.engine.validation.problem import Lft, parametrise
 from lpvguard.engine.validation.quadratic import Form, Quadratic
 from lpvguard.engine.validation.relaxation import Box, BranchNode, Relaxation
-from lpvguard.engine.validation.scaled_problem import ball, block_form, pose
+from lpvguard.engine.validation.scaled_problem import ball, block_form, scaled_problem
 from lpvguard.engine.validation.well_posed import block_caps, well_posed
 
 TWO_BLOCKS = pytest.mark.long("10 s: branch and bound over two blocks")
@@ -55,16 +53,16 @@ PROVED = {
 
 @pytest.mark.parametrize("name", PROVED)
 def test_a_level_is_proved_below_the_optimum_and_not_above(name, monkeypatch):
-    posed = []
+    scaled = []
     monkeypatch.setattr(
-        lft, "_proved", lambda problem, interval, _: posed.append((problem, interval)) or interval
+        lft, "_proved", lambda problem, interval, _: scaled.append((problem, interval)) or interval
     )
     for seed in (1, 5, 7):
         problem, _, w = made_from_truth(np.random.default_rng(seed), 2, PROVED[name], noise=0.9)
         lft.optimum(problem, 1.1 * np.linalg.norm(w), np.ones(len(PROVED[name])))
-    posed = [(problem, interval) for problem, interval in posed if interval.upper > 0]
-    assert posed
-    for problem, interval in posed:
+    scaled = [(problem, interval) for problem, interval in scaled if interval.upper > 0]
+    assert scaled
+    for problem, interval in scaled:
         assert proves(problem, interval.lower * (1 - SLACK), interval.upper)
         assert proves(problem, 0.5 * interval.lower, 2.0 * interval.upper)
         assert not proves(problem, 1.001 * interval.upper, interval.upper)
@@ -441,10 +439,10 @@ def test_the_tangent_bounds_every_point_of_its_box(blocks):
     gamma = 1.1 * np.linalg.norm(w)
     lambda_w = 0.3 * np.sum(nu**2) / np.linalg.norm(w) ** 2 * np.ones(3)
     s = lft.optimum(problem, gamma, np.ones(len(blocks)), lambda_w, gap=4e-4)
-    posed = pose(problem, gamma)
-    forms = ball(posed, gamma) + [block_form(posed, i, param=i) for i in range(len(blocks))]
-    forms.append(Form(np.sqrt(lambda_w)[:, None] * posed.w, posed.t, param=len(blocks)))
-    search = Quadratic(forms, len(blocks) + 1, posed.n)
+    scaled = scaled_problem(problem, gamma)
+    forms = ball(scaled, gamma) + [block_form(scaled, i, param=i) for i in range(len(blocks))]
+    forms.append(Form(np.sqrt(lambda_w)[:, None] * scaled.w, scaled.t, param=len(blocks)))
+    search = Quadratic(forms, len(blocks) + 1, scaled.n)
     at = {k: complex(s.verification.deltas[k - 1][0, 0]) for k in search.repeated}
     rays = np.eye(len(blocks) + 1)[[p for p in range(len(blocks) + 1) if p not in search.boxed]]
     losses = []
@@ -465,7 +463,7 @@ def test_the_tangent_bounds_every_point_of_its_box(blocks):
                 )
                 for k, b in boxes.items()
             }
-            projected = search.on_subspace(posed.points(s)[0], scalars)
+            projected = search.on_subspace(scaled.points(s)[0], scalars)
             z = search.repair(projected[0]) if projected is not None else None
             if z is not None:
                 assert search.cost(z) >= bound.lower * (1 - 1e-9)

@@ -1,8 +1,6 @@
 """The kernel for one block beside a quadratic cost, against branch and bound; the size of a last block by
 hand; and the forms that each question puts to branch and bound."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -16,7 +14,7 @@ from lpvguard.engine.validation import lft
 from lpvguard.engine.validation.branch import SLACK, Interval
 from lpvguard.engine.validation.problem import Lft
 from lpvguard.engine.validation.quadratic import Form, Quadratic
-from lpvguard.engine.validation.scaled_problem import EDGE, ROUNDING, Posed, pose
+from lpvguard.engine.validation.scaled_problem import EDGE, ROUNDING, ScaledProblem, scaled_problem
 from lpvguard.engine.validation.well_posed import block_caps
 
 SHAPES = [([("full", 1, 1)], {}), ([("full", 2, 3)], {}), ([("full", 2, 1)], {"p12": True, "n_w": 3})]
@@ -24,7 +22,7 @@ SHAPES = [([("full", 1, 1)], {}), ([("full", 2, 3)], {}), ([("full", 2, 1)], {"p
 
 def asked_for(monkeypatch, problem: Lft, gamma: float, lambda_nu, lambda_w):
     """The optimum without the kernel, and what the kernel would have been asked."""
-    asked: list[tuple[Quadratic, np.ndarray, Posed]] = []
+    asked: list[tuple[Quadratic, np.ndarray, ScaledProblem]] = []
     with monkeypatch.context() as patched:
         patched.setattr(lft, "_one_block", lambda *arguments: asked.append(arguments))
         return lft.optimum(problem, gamma, lambda_nu, lambda_w), asked[0]
@@ -36,8 +34,8 @@ def test_the_kernel_finds_what_branch_and_bound_finds(blocks, options, unit, mon
     problem, _, w = made_from_truth(np.random.default_rng(4), 2, blocks, noise=0.5, **options)
     problem = replace(problem, e=unit * problem.e, p21=unit * problem.p21)
     gamma, lambda_w = 1.5 * unit * np.linalg.norm(w), np.linspace(0.3, 2.0, len(w)) / unit**2
-    want, (quadratic, caps, posed) = asked_for(monkeypatch, problem, gamma, [1.7], lambda_w)
-    found = lft._one_block(quadratic, caps, posed)
+    want, (quadratic, caps, scaled) = asked_for(monkeypatch, problem, gamma, [1.7], lambda_w)
+    found = lft._one_block(quadratic, caps, scaled)
     assert found.upper == pytest.approx(want.upper, rel=1e-6)
     assert (1 - 2e-4) * want.upper <= found.lower <= want.upper * (1 + 1e-9)
     assert 1 < found.nodes < 100, "evaluations of the dual"
@@ -48,8 +46,8 @@ def test_the_kernel_finds_what_branch_and_bound_finds(blocks, options, unit, mon
 
 def test_branch_and_bound_takes_over_where_the_kernel_is_not_near_enough(monkeypatch):
     problem, *_ = made_from_truth(np.random.default_rng(4), 2, [("full", 1, 1)], noise=0.5)
-    want, (quadratic, caps, posed) = asked_for(monkeypatch, problem, 0.75, [1.7], [1.0, 1.0])
-    found = lft._one_block(quadratic, caps, posed)
+    want, (quadratic, caps, scaled) = asked_for(monkeypatch, problem, 0.75, [1.7], [1.0, 1.0])
+    found = lft._one_block(quadratic, caps, scaled)
     for apart, takes_over in ((1.99e-4, False), (2.01e-4, True)):
         far = replace(found, lower=found.upper * (1 - apart))
         monkeypatch.setattr(lft, "_one_block", lambda *_, far=far: far)
@@ -65,14 +63,14 @@ def test_branch_and_bound_takes_over_where_the_kernel_is_not_near_enough(monkeyp
 def test_a_size_near_its_cap_is_left_to_branch_and_bound(monkeypatch):
     """The kernel's p over its limit is the square of the block's size over its cap."""
     problem, _, w = made_from_truth(np.random.default_rng(4), 2, [("full", 1, 1)], noise=0.5)
-    want, (quadratic, _, posed) = asked_for(monkeypatch, problem, 1.5 * np.linalg.norm(w), [1.7], [1.0, 1.0])
+    want, (quadratic, _, scaled) = asked_for(monkeypatch, problem, 1.5 * np.linalg.norm(w), [1.7], [1.0, 1.0])
     solved, solve = [], lft.s2.solve_forms
     monkeypatch.setattr(
         lft.s2, "solve_forms", lambda *a: solved.append((a[2], solve(*a))) or replace(solved[-1][1], **given)
     )
     given: dict[str, np.ndarray] = {}
     cap = 3.0 * want.nu
-    assert lft._one_block(quadratic, cap, posed) is not None
+    assert lft._one_block(quadratic, cap, scaled) is not None
     p_max, out = solved[0]
     block, z = quadratic.forms[1], out.z[0]
     size = np.linalg.norm(block.a @ z) / np.linalg.norm(block.b @ z)
@@ -85,30 +83,30 @@ def test_a_size_near_its_cap_is_left_to_branch_and_bound(monkeypatch):
         (near / 2, np.inf, True),
     ):
         given = {"p": np.array([p]), "upper": np.array([upper])}
-        assert (lft._one_block(quadratic, cap, posed) is None) == left_alone
+        assert (lft._one_block(quadratic, cap, scaled) is None) == left_alone
     given = {}
-    assert lft._one_block(quadratic, 0.9 * want.nu, posed) is None
+    assert lft._one_block(quadratic, 0.9 * want.nu, scaled) is None
 
 
 def test_the_cap_is_that_of_the_block_whose_input_varies(monkeypatch):
     """The first block has a constant input: its cost is a quadratic one."""
     problem, *_ = made_from_truth(np.random.default_rng(5), 2, [("full", 1, 1), ("full", 1, 1)], noise=0.5)
     problem = replace(problem, p11=np.diag([0.0, 0.3]).astype(complex))
-    want, (quadratic, _, posed) = asked_for(monkeypatch, problem, 0.3, [1.7, 0.6], None)
-    found = lft._one_block(quadratic, np.array([1e-6, np.inf]), posed)
+    want, (quadratic, _, scaled) = asked_for(monkeypatch, problem, 0.3, [1.7, 0.6], None)
+    found = lft._one_block(quadratic, np.array([1e-6, np.inf]), scaled)
     assert found.upper == pytest.approx(want.upper, rel=1e-6)
-    assert lft._one_block(quadratic, np.array([np.inf, 1e-6]), posed) is None
+    assert lft._one_block(quadratic, np.array([np.inf, 1e-6]), scaled) is None
 
 
 def test_what_is_no_problem_of_the_kernel_is_left_alone(monkeypatch):
     problem, _, w = made_from_truth(np.random.default_rng(4), 2, [("full", 1, 1)], noise=0.5)
     gamma, size_e = 1.5 * np.linalg.norm(w), np.linalg.norm(problem.e)
-    _, (quadratic, caps, posed) = asked_for(monkeypatch, problem, gamma, [1.7], [1.0, 1.0])
+    _, (quadratic, caps, scaled) = asked_for(monkeypatch, problem, gamma, [1.7], [1.0, 1.0])
     ball, block, cost = quadratic.forms
     n = quadratic.n
 
     def left_alone(*forms: Form) -> bool:
-        return lft._one_block(Quadratic(forms, 2, forms[0].a.shape[1]), caps, posed) is None
+        return lft._one_block(Quadratic(forms, 2, forms[0].a.shape[1]), caps, scaled) is None
 
     assert not left_alone(ball, block, cost)
     assert left_alone(ball, block) and left_alone(ball, block, cost, ball)
@@ -321,8 +319,8 @@ def bounds_of(quadratic: Quadratic) -> list[tuple[float, int, float, str | None]
 
 def test_each_priced_block_has_a_size_and_those_of_constant_input_share_one(monkeypatch):
     problem = of_all_kinds(0, 1, 2, 3, 4, 5)
-    posed, caps = pose(problem, 0.8), block_caps(problem)
-    assert posed.dead == [1, 5] and posed.constant_eta(0) and posed.constant_eta(4)
+    scaled, caps = scaled_problem(problem, 0.8), block_caps(problem)
+    assert scaled.dead == [1, 5] and scaled.constant_eta(0) and scaled.constant_eta(4)
     ball = (pytest.approx(0.64), -1, 1.0, None)
     asked, _, more, tried = question(
         monkeypatch, lft.optimum, problem, 0.8, [0.5, 1.0, 0.5, 4.0, 3.0, 1.0], [0.0, 9.0], gap=0.1
@@ -331,15 +329,15 @@ def test_each_priced_block_has_a_size_and_those_of_constant_input_share_one(monk
     sizes = [(0.0, 0, 2.0, None), (0.0, 1, 0.25, "repeated_complex"), (0.0, 2, 1 / 3, "repeated_real")]
     assert bounds_of(asked) == [ball, *sizes, (0.0, 3, 1.0, None)]
     for form, i in zip(asked.forms[1:4], (2, 3, 4), strict=True):
-        np.testing.assert_array_equal(form.a, posed.xi[i])
-        np.testing.assert_array_equal(form.b, posed.eta[i])
+        np.testing.assert_array_equal(form.a, scaled.xi[i])
+        np.testing.assert_array_equal(form.b, scaled.eta[i])
     # 9 |w_2|^2 + 0.5 |xi_1|^2 / |eta_1|^2, over |t|^2.
-    shared, z = asked.forms[4], np.append(gauss(np.random.default_rng(2), posed.n - 1), 1.0)
-    xi, eta, w = posed.signals(z)
+    shared, z = asked.forms[4], np.append(gauss(np.random.default_rng(2), scaled.n - 1), 1.0)
+    xi, eta, w = scaled.signals(z)
     cost = 9 * abs(w[1]) ** 2 + 0.5 * abs(xi[0]) ** 2 / abs(eta[0]) ** 2
     over = np.linalg.norm(shared.b @ z) ** 2
     assert np.linalg.norm(shared.a @ z) ** 2 / over == pytest.approx(cost, rel=1e-9)
-    assert over == pytest.approx(abs((posed.t @ z)[0]) ** 2)
+    assert over == pytest.approx(abs((scaled.t @ z)[0]) ** 2)
     assert [len(part) for part in shared.parts] == [2, 1]
     # Without a price a repeated block has its cap, and a full one nothing.
     free, _, _, tried = question(monkeypatch, lft.optimum, problem, 0.8, np.zeros(6))
@@ -370,16 +368,18 @@ def test_the_margin_asks_for_a_size_over_each_bound(monkeypatch):
     kinds = [None, None, "repeated_complex", "repeated_real"]
     slopes = [0.09, 49.0, 4.0, 0.25, 16.0, 9.0]
     assert bounds_of(asked) == [(0.0, 0, s, k) for s, k in zip(slopes, [None, None, *kinds], strict=True)]
-    posed = Posed(problem, np.array([0.3, 7.0]))
+    scaled = ScaledProblem(problem, np.array([0.3, 7.0]))
     for j in range(2):
-        np.testing.assert_array_equal(asked.forms[j].a, posed.w[j : j + 1])
-        np.testing.assert_array_equal(asked.forms[j].b, posed.t)
+        np.testing.assert_array_equal(asked.forms[j].a, scaled.w[j : j + 1])
+        np.testing.assert_array_equal(asked.forms[j].b, scaled.t)
 
 
 def test_the_common_size_asks_for_one_size_of_all_blocks_and_begins_at_what_is_known(monkeypatch):
     problem = of_all_kinds(0, 1, 2, 3, 4, 5)
     known = [np.ones(3)]
-    monkeypatch.setattr(Posed, "points", lambda self, solution: known if solution == "found before" else [])
+    monkeypatch.setattr(
+        ScaledProblem, "points", lambda self, solution: known if solution == "found before" else []
+    )
     asked, rest, more, _ = question(
         monkeypatch, lft.smallest_common_size, problem, 0.8, gap=0.1, max_nodes=7, known="found before"
     )
@@ -391,14 +391,16 @@ def test_the_common_size_asks_for_one_size_of_all_blocks_and_begins_at_what_is_k
 def test_the_last_blocks_size_is_asked_beside_the_caps_of_repeated_ones(monkeypatch):
     problem = of_all_kinds(0, 3, 1, 4, 5, 2)
     caps, known = block_caps(problem), [np.ones(3)]
-    monkeypatch.setattr(Posed, "points", lambda self, solution: known if solution == "found before" else [])
+    monkeypatch.setattr(
+        ScaledProblem, "points", lambda self, solution: known if solution == "found before" else []
+    )
     capped = [(pytest.approx(caps[1] ** 2), -1, 1.0, "repeated_complex"), (np.inf, -1, 1.0, "repeated_real")]
     free, rest, more, _ = question(
         monkeypatch, lft.smallest_last_block, problem, 0.8, gap=0.1, max_nodes=7, known="found before"
     )
     assert bounds_of(free) == [(0.0, 0, 1.0, None), *capped] and free.params == 1
     assert rest == [0.1, 7] and more == {"enough": pytest.approx(0.64 * (1 + ROUNDING), rel=1e-15)}
-    without = pose(problem, 0.8, [5])
+    without = scaled_problem(problem, 0.8, [5])
     np.testing.assert_array_equal(free.forms[0].a, without.w)
     np.testing.assert_array_equal(free.forms[0].b, without.t)
     ball, own = (pytest.approx(0.64), -1, 1.0, None), (0.0, 0, 1.0, None)
@@ -410,7 +412,7 @@ def test_the_last_blocks_size_is_asked_beside_the_caps_of_repeated_ones(monkeypa
     )
     assert bounds_of(asked) == [ball, *capped, own] and asked.params == 1
     assert rest == [0.1, 7, lft.ZERO, known] and not more
-    np.testing.assert_array_equal(asked.forms[-1].a, pose(problem, 0.8).xi[5])
+    np.testing.assert_array_equal(asked.forms[-1].a, scaled_problem(problem, 0.8).xi[5])
 
 
 def test_a_last_block_is_free_up_to_the_rounding_of_the_ball_or_its_edge_where_that_is_one_point(monkeypatch):

@@ -1,7 +1,5 @@
 """The parts of the general LFT by themselves: known answers, borders, and the same number by another way."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.optimize import minimize_scalar
@@ -14,7 +12,13 @@ from lpvguard.engine.validation import lft
 from lpvguard.engine.validation.branch import Interval
 from lpvguard.engine.validation.problem import Lft, parametrise
 from lpvguard.engine.validation.quadratic import Form, Quadratic, cancels
-from lpvguard.engine.validation.scaled_problem import Posed, Solution, ball, block_form, pose
+from lpvguard.engine.validation.scaled_problem import (
+    ScaledProblem,
+    Solution,
+    ball,
+    block_form,
+    scaled_problem,
+)
 from lpvguard.engine.validation.well_posed import block_caps, well_posed
 
 
@@ -552,10 +556,7 @@ def test_a_point_is_repaired_towards_the_centre_of_the_ball_and_only_to_its_edge
 def test_a_repair_keeps_the_repeated_scalars_and_the_ball():
     rng = np.random.default_rng(5)
     a, b, ball_rows = gauss(rng, 2, 6), gauss(rng, 2, 6), gauss(rng, 2, 6)
-    forms = [
-        Form(ball_rows, np.eye(1, 6, 5), constant=0.5),
-        scalars_of("repeated_complex", a, b, param=0),
-    ]
+    forms = [Form(ball_rows, np.eye(1, 6, 5), constant=0.5), scalars_of("repeated_complex", a, b, param=0)]
     problem, z = Quadratic(forms, 1, 6), np.append(9 * gauss(rng, 5), 1.0)
     d = problem.scalar(1, z)
     moved = problem.repair(z)
@@ -683,16 +684,18 @@ def test_every_point_of_the_coordinates_is_a_solution_and_its_size_is_that_of_th
     parts["p21"][:, :2] *= unit
     parts["p11"][:, :2] *= unit
     problem, w_scale = Lft(BLOCKS, **parts), np.linspace(0.5, 2.0, n_w)
-    posed = Posed(problem, w_scale, without=without)
+    scaled = ScaledProblem(problem, w_scale, without=without)
     held = sum(BLOCKS[i].rows for i in without)
-    assert posed.dead == list(without) and not posed.ball_is_point and posed.n == 5 + n_w - 4 - held + 1
+    assert scaled.dead == list(without) and not scaled.ball_is_point and scaled.n == 5 + n_w - 4 - held + 1
     rng, sizes = np.random.default_rng(1), []
     for _ in range(4):
-        z = np.append(gauss(rng, posed.n - 1), 1.0)
-        xi, eta, w = posed.signals(3j * z)
+        z = np.append(gauss(rng, scaled.n - 1), 1.0)
+        xi, eta, w = scaled.signals(3j * z)
         assert residual_of(problem, xi, eta, w) < 1e-9
-        np.testing.assert_allclose(np.concatenate([m @ z for m in posed.eta]) / (posed.t @ z), eta, atol=1e-9)
-        np.testing.assert_allclose(posed.w @ z / (posed.t @ z), w, atol=1e-12)
+        np.testing.assert_allclose(
+            np.concatenate([m @ z for m in scaled.eta]) / (scaled.t @ z), eta, atol=1e-9
+        )
+        np.testing.assert_allclose(scaled.w @ z / (scaled.t @ z), w, atol=1e-12)
         pieces = dl.split(BLOCKS, xi, "rows")
         assert all(not pieces[i].any() for i in without)
         gains = [np.linalg.norm(m.T) for m in dl.split(BLOCKS, problem.p21.T, "rows")]
@@ -701,24 +704,26 @@ def test_every_point_of_the_coordinates_is_a_solution_and_its_size_is_that_of_th
         ]
         size = np.linalg.norm(share) ** 2 + np.linalg.norm(w / w_scale) ** 2
         # Columns are orthogonal of size 1, the last one too, all over the factor t.
-        assert size == pytest.approx((np.linalg.norm(z[:-1]) ** 2 + 1) / abs((posed.t @ z)[0]) ** 2, rel=1e-7)
+        assert size == pytest.approx(
+            (np.linalg.norm(z[:-1]) ** 2 + 1) / abs((scaled.t @ z)[0]) ** 2, rel=1e-7
+        )
         sizes.append(size)
     known = lft.optimum(problem, 10.0, [1.0, 1.0, 1.0]) if not without and unit == 1.0 else None
-    assert Posed(problem, w_scale).points(None) == []
+    assert ScaledProblem(problem, w_scale).points(None) == []
     if known is not None:
-        [z] = posed.points(known)
-        for found, was in zip(posed.signals(z), (known.xi, known.eta, known.w), strict=True):
+        [z] = scaled.points(known)
+        for found, was in zip(scaled.signals(z), (known.xi, known.eta, known.w), strict=True):
             np.testing.assert_allclose(found, was, atol=1e-9)
 
 
-def size_of(posed: Posed, w_scale: np.ndarray, z: np.ndarray, size_e: float) -> float:
+def size_of(scaled: ScaledProblem, w_scale: np.ndarray, z: np.ndarray, size_e: float) -> float:
     """|.|^2 of all signals at ``z``, each block's by what it does to e, over the factor t."""
-    xi, _, w = posed.signals(z)
-    p21 = posed.problem.p21
-    gains = [np.linalg.norm(m.T) for m in dl.split(posed.problem.blocks, p21.T, "rows")]
-    pieces = dl.split(posed.problem.blocks, xi, "rows")
+    xi, _, w = scaled.signals(z)
+    p21 = scaled.problem.p21
+    gains = [np.linalg.norm(m.T) for m in dl.split(scaled.problem.blocks, p21.T, "rows")]
+    pieces = dl.split(scaled.problem.blocks, xi, "rows")
     share = [np.linalg.norm(x) * (g / size_e if g else 1.0) for x, g in zip(pieces, gains, strict=True)]
-    return (np.linalg.norm(share) ** 2 + np.linalg.norm(w / w_scale) ** 2) * abs((posed.t @ z)[0]) ** 2
+    return (np.linalg.norm(share) ** 2 + np.linalg.norm(w / w_scale) ** 2) * abs((scaled.t @ z)[0]) ** 2
 
 
 def test_a_block_that_reaches_no_output_is_sized_by_itself_and_an_e_of_zero_by_one():
@@ -730,14 +735,14 @@ def test_a_block_that_reaches_no_output_is_sized_by_itself_and_an_e_of_zero_by_o
         problem = Lft(BLOCKS, **(parts | {"e": e}))
         size_e = np.linalg.norm(e) or 1.0
         for gamma in (0.5, 0.0):
-            posed = pose(problem, gamma)
-            assert posed.ball_is_point == (gamma == 0.0)
-            z = np.append(gauss(np.random.default_rng(2), posed.n - 1), 1.0)
+            scaled = scaled_problem(problem, gamma)
+            assert scaled.ball_is_point == (gamma == 0.0)
+            z = np.append(gauss(np.random.default_rng(2), scaled.n - 1), 1.0)
             want = np.linalg.norm(z[:-1]) ** 2 + bool(e.any())
             scale = np.full(4, gamma or size_e)
-            assert size_of(posed, scale, z, size_e) == pytest.approx(want, rel=1e-9)
-            assert posed.t[0, -1] == 1.0 or e.any()
-            assert posed.xi[1][:, :-1].any(), "the block is free"
+            assert size_of(scaled, scale, z, size_e) == pytest.approx(want, rel=1e-9)
+            assert scaled.t[0, -1] == 1.0 or e.any()
+            assert scaled.xi[1][:, :-1].any(), "the block is free"
 
 
 def test_the_point_of_an_explanation_is_found_again_beside_dead_blocks_and_in_any_unit():
@@ -748,11 +753,11 @@ def test_the_point_of_an_explanation_is_found_again_beside_dead_blocks_and_in_an
         parts["p21"][:, :2] *= unit
         parts["p11"][:, :2] *= unit
         problem = Lft(BLOCKS, **parts)
-        posed = pose(problem, 3.0)
-        z = np.append(gauss(np.random.default_rng(5), posed.n - 1), 1.0)
-        xi, eta, w = posed.signals(z)
-        known = Solution(0.0, 1.0, np.ones(3), xi, eta, w, posed.b1, None, 1)
-        [found] = posed.points(known)
+        scaled = scaled_problem(problem, 3.0)
+        z = np.append(gauss(np.random.default_rng(5), scaled.n - 1), 1.0)
+        xi, eta, w = scaled.signals(z)
+        known = Solution(0.0, 1.0, np.ones(3), xi, eta, w, scaled.b1, None, 1)
+        [found] = scaled.points(known)
         np.testing.assert_allclose(found, z, rtol=1e-6)
 
 
@@ -765,31 +770,31 @@ def test_a_least_disturbance_that_is_all_that_is_allowed_is_one_point():
     b1 = parametrise(problem).b1
     assert b1 > 0.1 and parametrise(problem).n_phi > 0
     for share, point in ((1 + 0.9e-9, True), (1 - 0.9e-9, True), (1 + 1.1e-9, False), (2.0, False)):
-        posed = pose(problem, share * b1)
-        assert posed.ball_is_point == point and posed.b1 == b1
-        assert len(ball(posed, share * b1)) == (0 if point else 1)
-        z = np.append(np.ones(posed.n - 1), 1.0)
-        xi, eta, w = posed.signals(z)
+        scaled = scaled_problem(problem, share * b1)
+        assert scaled.ball_is_point == point and scaled.b1 == b1
+        assert len(ball(scaled, share * b1)) == (0 if point else 1)
+        z = np.append(np.ones(scaled.n - 1), 1.0)
+        xi, eta, w = scaled.signals(z)
         assert residual_of(problem, xi, eta, w) < 1e-9
         assert (np.linalg.norm(w) == pytest.approx(b1, rel=1e-9)) == point
     with pytest.raises(InputError, match="below the smallest disturbance B1"):
-        pose(problem, (1 - 1.1e-9) * b1)
+        scaled_problem(problem, (1 - 1.1e-9) * b1)
     for bad in (-1e-12, np.inf, np.nan):
         with pytest.raises(InputError, match="a finite number that is not negative"):
-            pose(problem, bad)
+            scaled_problem(problem, bad)
 
 
 def test_no_disturbance_counts_to_the_rounding_of_e():
     parts = posed_parts(23, 3, 3)
     problem = Lft(BLOCKS, **(parts | {"e": parts["e"] / np.linalg.norm(parts["e"]) * 50}))
     assert parametrise(problem).b1 < 1e-14, "the blocks reach all outputs"
-    assert pose(problem, 0.0).ball_is_point and pose(problem, 4e-13).ball_is_point
-    assert not pose(problem, 6e-13).ball_is_point
-    form = ball(pose(problem, 0.3), 0.3)[0]
-    posed = pose(problem, 0.3)
+    assert scaled_problem(problem, 0.0).ball_is_point and scaled_problem(problem, 4e-13).ball_is_point
+    assert not scaled_problem(problem, 6e-13).ball_is_point
+    form = ball(scaled_problem(problem, 0.3), 0.3)[0]
+    scaled = scaled_problem(problem, 0.3)
     assert form.constant == pytest.approx(0.09) and form.param == -1 and form.slope == 1.0
-    np.testing.assert_array_equal(form.a, posed.w)
-    np.testing.assert_array_equal(form.b, posed.t)
+    np.testing.assert_array_equal(form.a, scaled.w)
+    np.testing.assert_array_equal(form.b, scaled.t)
 
 
 def test_a_block_without_input_is_held_at_zero_or_named():
@@ -797,9 +802,9 @@ def test_a_block_without_input_is_held_at_zero_or_named():
     for name in ("p11", "p12", "eta0"):
         parts[name][3:5] = 0.0
     problem = Lft(BLOCKS, **parts)
-    posed = Posed(problem, np.ones(4))
-    assert posed.dead == [1] and not posed.xi[1].any()
-    xi, eta, w = posed.signals(np.append(np.ones(posed.n - 1), 1.0))
+    scaled = ScaledProblem(problem, np.ones(4))
+    assert scaled.dead == [1] and not scaled.xi[1].any()
+    xi, eta, w = scaled.signals(np.append(np.ones(scaled.n - 1), 1.0))
     assert residual_of(problem, xi, eta, w) < 1e-9 and not xi[2:4].any()
     found = lft.optimum(problem, 2.0 * np.linalg.norm(problem.e), [1.0, 1.0, 1.0])
     assert found.nu[1] == 0.0 and not found.xi[2:4].any()
@@ -809,7 +814,7 @@ def test_a_block_without_input_is_held_at_zero_or_named():
     parts["p21"][1:] = 0.0
     for unit in (1.0, 1e-6):
         with pytest.raises(InputError, match=r"block 2.*its input eta is zero"):
-            Posed(Lft(BLOCKS, **(parts | {"e": unit * parts["e"]})), np.ones(4))
+            ScaledProblem(Lft(BLOCKS, **(parts | {"e": unit * parts["e"]})), np.ones(4))
 
 
 def beside_a_dead_block(seed: int, kind: tuple[str, int, int], p21: list[list[float]], e: list[float]) -> Lft:
@@ -835,8 +840,8 @@ def test_what_the_data_hold_at_zero_already_is_not_held_again(seed, unit):
     one = beside_a_dead_block(seed, ("full", 1, 1), [[unit, 0], [0, 1]], [0, 1])
     two = beside_a_dead_block(seed, ("full", 2, 1), [[0, unit, 0], [0.7 * unit, 0, 1]], [0, 1])
     for problem in (one, two):
-        posed = pose(problem, 0.5)
-        assert posed.dead == [0] and posed.n == 2
+        scaled = scaled_problem(problem, 0.5)
+        assert scaled.dead == [0] and scaled.n == 2
         found = lft.optimum(problem, 0.5, [1.0, 1.0])
         assert found.nu[0] == 0.0 and found.nu[1] == pytest.approx(0.5 / 1.15, rel=1e-6)
 
@@ -846,25 +851,25 @@ def test_what_the_data_hold_at_zero_already_is_not_held_again(seed, unit):
 def test_a_dead_block_may_be_needed_for_a_hundred_millionth_of_e(share, fits, size):
     problem = beside_a_dead_block(0, ("full", 1, 1), [[3.0, 0], [0, 1]], [share * size, size])
     if fits:
-        assert pose(problem, size).dead == [0]
+        assert scaled_problem(problem, size).dead == [0]
     else:
         with pytest.raises(InputError, match=r"block 1.*its input eta is zero"):
-            pose(problem, size)
+            scaled_problem(problem, size)
 
 
 @pytest.mark.parametrize("share, n", [(0.9e-10, 2), (1.2e-10, 1)])
 def test_a_dead_block_holds_a_direction_of_which_it_takes_a_ten_billionth(share, n):
     """xi_1 + sqrt(5) share xi_2 = e_1: as xi_2 and w / 0.5 change places by 1 and 2, xi_1 takes a share."""
     problem = beside_a_dead_block(0, ("full", 1, 1), [[1.0, share * np.sqrt(5)], [0, 1]], [0, 1])
-    assert pose(problem, 0.5).n == n
+    assert scaled_problem(problem, 0.5).n == n
 
 
 @pytest.mark.parametrize("allowed, t", [(0.9e9, 0.9e9), (1.1e9, 1.0)])
 def test_signals_below_a_billionth_of_those_allowed_are_no_least_size(allowed, t):
     """xi + w = 1 with w in a unit so large that it explains e for nothing."""
     one = np.ones((1, 1), complex)
-    posed = pose(Lft((Block("full", 1, 1),), 0 * one, 0 * one, one, one, one[0], one[0]), allowed)
-    assert posed.t[0, -1].real == pytest.approx(t, rel=1e-5)
+    scaled = scaled_problem(Lft((Block("full", 1, 1),), 0 * one, 0 * one, one, one, one[0], one[0]), allowed)
+    assert scaled.t[0, -1].real == pytest.approx(t, rel=1e-5)
 
 
 def test_the_point_of_an_explanation_is_found_in_a_block_of_a_tiny_unit_alone():
@@ -873,73 +878,73 @@ def test_the_point_of_an_explanation_is_found_in_a_block_of_a_tiny_unit_alone():
     blocks = (Block("full", 2, 1), Block("full", 1, 1))
     p22, eta0 = np.array([[0], [1]], complex), np.ones(2, complex)
     problem = Lft(blocks, np.zeros((2, 3)), np.zeros((2, 1)), p21, p22, eta0, np.array([1.0, 2.0], complex))
-    posed = pose(problem, 1.0)
-    z = np.append(gauss(np.random.default_rng(6), posed.n - 1), 1.0)
-    assert posed.n == 3
-    [found] = posed.points(Solution(0.0, 1.0, np.ones(2), *posed.signals(z), posed.b1, None, 1))
+    scaled = scaled_problem(problem, 1.0)
+    z = np.append(gauss(np.random.default_rng(6), scaled.n - 1), 1.0)
+    assert scaled.n == 3
+    [found] = scaled.points(Solution(0.0, 1.0, np.ones(2), *scaled.signals(z), scaled.b1, None, 1))
     np.testing.assert_allclose(found, z, rtol=1e-9)
 
 
 def test_without_a_disturbance_its_rounding_has_no_size_however_large_e():
     parts = posed_parts(23, 3, 3)
     for unit in (1.0, 1e20):
-        posed = pose(Lft(BLOCKS, **(parts | {"e": unit * parts["e"]})), 0.0)
-        z = np.append(gauss(np.random.default_rng(2), posed.n - 1), 1.0)
-        xi, _, w = posed.signals(z)
+        scaled = scaled_problem(Lft(BLOCKS, **(parts | {"e": unit * parts["e"]})), 0.0)
+        z = np.append(gauss(np.random.default_rng(2), scaled.n - 1), 1.0)
+        xi, _, w = scaled.signals(z)
         assert np.linalg.norm(w) < 1e-13 * unit
-        gains = [np.linalg.norm(m) for m in dl.split(BLOCKS, posed.problem.p21.T, "rows")]
-        size_e = np.linalg.norm(posed.problem.e)
+        gains = [np.linalg.norm(m) for m in dl.split(BLOCKS, scaled.problem.p21.T, "rows")]
+        size_e = np.linalg.norm(scaled.problem.e)
         share = [
             np.linalg.norm(x) * g / size_e for x, g in zip(dl.split(BLOCKS, xi, "rows"), gains, strict=True)
         ]
-        size = np.linalg.norm(share) * abs((posed.t @ z)[0])
+        size = np.linalg.norm(share) * abs((scaled.t @ z)[0])
         assert size**2 == pytest.approx(np.linalg.norm(z) ** 2, rel=1e-9)
 
 
 def test_the_input_of_a_block_is_constant_where_no_signal_reaches_it():
     parts = posed_parts(25)
     parts["p11"][:3], parts["p12"][:3] = 0.0, 0.0
-    posed = Posed(Lft(BLOCKS, **parts), np.ones(4))
-    assert [posed.constant_eta(i) for i in range(3)] == [True, False, False]
+    scaled = ScaledProblem(Lft(BLOCKS, **parts), np.ones(4))
+    assert [scaled.constant_eta(i) for i in range(3)] == [True, False, False]
     parts["p11"][2], parts["p12"][2] = 1.0, 1.0
-    assert not Posed(Lft(BLOCKS, **parts), np.ones(4)).constant_eta(0), "one of its inputs moves"
+    assert not ScaledProblem(Lft(BLOCKS, **parts), np.ones(4)).constant_eta(0), "one of its inputs moves"
 
 
 def test_the_form_of_a_block_is_its_signals_and_a_scalar_of_one_row_is_full_unless_it_is_real():
     parts = posed_parts(26)
-    posed = Posed(Lft(BLOCKS, **parts), np.ones(4))
+    scaled = ScaledProblem(Lft(BLOCKS, **parts), np.ones(4))
     kinds = [None, "repeated_complex", "repeated_real"]
     for i, kind in enumerate(kinds):
-        form = block_form(posed, i, constant=0.5, param=2, slope=3.0)
+        form = block_form(scaled, i, constant=0.5, param=2, slope=3.0)
         assert (form.constant, form.param, form.slope, form.repeated) == (0.5, 2, 3.0, kind)
-        np.testing.assert_array_equal(form.a, posed.xi[i])
-        np.testing.assert_array_equal(form.b, posed.eta[i])
-        assert (block_form(posed, i).constant, block_form(posed, i).param, block_form(posed, i).slope) == (
+        np.testing.assert_array_equal(form.a, scaled.xi[i])
+        np.testing.assert_array_equal(form.b, scaled.eta[i])
+        assert (block_form(scaled, i).constant, block_form(scaled, i).param, block_form(scaled, i).slope) == (
             0,
             -1,
             1,
         )
     others = (Block("full", 2, 3), Block("repeated_real", 2, 2), Block("repeated_complex", 1, 1))
-    posed = Posed(Lft(others, **parts), np.ones(4))
-    assert [block_form(posed, i).repeated for i in range(3)] == [None, "repeated_real", None]
+    scaled = ScaledProblem(Lft(others, **parts), np.ones(4))
+    assert [block_form(scaled, i).repeated for i in range(3)] == [None, "repeated_real", None]
 
 
 def test_an_explanation_is_finished_with_its_sizes_or_refused():
     problem = Lft(BLOCKS[:1], **one_block(0.2))
-    posed = pose(problem, 1.0)
+    scaled = scaled_problem(problem, 1.0)
     with pytest.raises(InputError, match="no Delta of this structure explains e within the bounds"):
-        posed.finish(Interval(0.0, np.inf, None, 7), "gamma_w")
-    z = posed.points(lft.optimum(problem, 1.0, [1.0]))[0]
-    found = posed.finish(Interval(0.25, 0.5, z, 7), "gamma_w")
-    assert (found.lower, found.upper, found.nodes, found.b1) == (0.25, 0.5, 7, posed.b1)
+        scaled.finish(Interval(0.0, np.inf, None, 7), "gamma_w")
+    z = scaled.points(lft.optimum(problem, 1.0, [1.0]))[0]
+    found = scaled.finish(Interval(0.25, 0.5, z, 7), "gamma_w")
+    assert (found.lower, found.upper, found.nodes, found.b1) == (0.25, 0.5, 7, scaled.b1)
     eta = problem.p11 @ found.xi + problem.p12 @ found.w + problem.eta0
     assert found.nu[0] == pytest.approx(np.linalg.norm(found.xi) / np.linalg.norm(eta), rel=1e-12)
     np.testing.assert_allclose(found.eta, eta, rtol=1e-12)
     # With a loop gain of 1 / nu the same size makes the loop singular.
     hard = Lft(BLOCKS[:1], **one_block(1.001 / found.nu[0]))
-    posed = pose(hard, 1.0)
+    scaled = scaled_problem(hard, 1.0)
     with pytest.raises(InputError, match="well-posedness cap"):
-        posed.finish(Interval(0.0, 1.0, z, 7), "gamma_w")
+        scaled.finish(Interval(0.0, 1.0, z, 7), "gamma_w")
 
 
 def one_block(gain: float) -> dict[str, np.ndarray]:

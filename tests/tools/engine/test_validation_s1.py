@@ -1,8 +1,6 @@
 """Class S1 and the on-line margin against 60-digit arithmetic and a conic solver, and the compiled kernels
 against numpy."""
 
-from __future__ import annotations
-
 from decimal import Decimal, getcontext
 from types import SimpleNamespace
 

@@ -1,8 +1,6 @@
 """Class S2: certified sizes of an uncertainty of input and state, compared with scans, with the general
 solver and between engines."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

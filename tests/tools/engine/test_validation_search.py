@@ -280,10 +280,7 @@ def test_first_points_are_sampled_about_the_size_at_which_a_block_makes_its_outp
 
     def drawn(kind: str, b: float) -> np.ndarray:
         asked.clear()
-        forms = [
-            scalars_of(kind, row(0, 6), row(0, b), param=0),
-            Form(row(1, 0), row(0, 1), constant=1.0),
-        ]
+        forms = [scalars_of(kind, row(0, 6), row(0, b), param=0), Form(row(1, 0), row(0, 1), constant=1.0)]
         repeated_starts(told(forms, asked))
         assert len(asked) == local_search.SAMPLES + local_search.MAX_POLISHED
         return np.array([one[0] for one in asked[: local_search.SAMPLES]])

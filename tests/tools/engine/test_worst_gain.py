@@ -56,10 +56,7 @@ def test_without_uncertainty_it_is_the_norm():
 
 def test_a_closed_form():
     """1/(s + 1) with Δ about its input: |1 + 0.5 δ|, at most 1.5, at frequency 0."""
-    loop = series(
-        StateSpace([[-1.0]], [[1.0]], [[1.0]], [[0.0]]),
-        gain([[1.0, 1.0]]),
-    )
+    loop = series(StateSpace([[-1.0]], [[1.0]], [[1.0]], [[0.0]]), gain([[1.0, 1.0]]))
     first = StateSpace(loop.A, loop.B, np.vstack([np.zeros((1, 1)), loop.C]), [[0.0, 0.5], [0.0, 0.0]])
     found = worst_gain(first, [ONE], ONE, 0.0, np.inf)
     assert 1.5 * (1 - 1e-4) <= found.upper <= 1.5 * 1.003 and found.omega < 0.1

@@ -1,8 +1,6 @@
 """The baselines say what their definitions say, are tuned on nothing they are judged by, and rank
 honestly."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,8 +1,6 @@
 """What counts as found, from when and until when; what a threshold promises; and drives that offer less than
 the measured ones."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Drives that the identification never saw, judged with its calibration as stored; which are refused."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Whether a named cause is right, on replays made up for it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 

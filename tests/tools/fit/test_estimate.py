@@ -3,8 +3,6 @@
 With LPVGUARD_FULL=1 the campaign runs over 200 cars, and holds each unknown to the stated numbers.
 """
 
-from __future__ import annotations
-
 import os
 
 import numpy as np

@@ -1,7 +1,5 @@
 """`lpvguard fit` from files to files."""
 
-from __future__ import annotations
-
 import json
 
 import jsonschema

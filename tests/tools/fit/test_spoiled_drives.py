@@ -1,7 +1,5 @@
 """Every way to spoil drives is named for what it is, in all drives or in one among good ones."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 

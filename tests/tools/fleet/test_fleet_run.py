@@ -1,7 +1,5 @@
 """`lpvguard fleet` and what it is made of: scores of recordings, the state between calls, the table."""
 
-from __future__ import annotations
-
 import csv
 import json
 import re

@@ -1,7 +1,5 @@
 """The wealth of a life: its claims, each against a simulation or a sum of its own."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.stats import beta, binomtest

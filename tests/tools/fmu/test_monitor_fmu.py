@@ -1,7 +1,5 @@
 """The monitor's FMU, run by fmpy: valid descriptions, the core's own verdicts, states that come back."""
 
-from __future__ import annotations
-
 import subprocess
 import zipfile
 from pathlib import Path

@@ -1,8 +1,6 @@
 """Split conformal calibration against its definition: ranks counted out, bounds worked out from the binomial
 distribution, and words that state those numbers."""
 
-from __future__ import annotations
-
 import json
 from fractions import Fraction
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The change test: its estimate, its sizes, and that the core says what the definition says."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from dataclasses import replace

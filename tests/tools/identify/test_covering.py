@@ -1,7 +1,5 @@
 """The factor with which B_w covers every frame's disturbance jointly, from the frames that can decide it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

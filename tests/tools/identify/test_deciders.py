@@ -1,7 +1,5 @@
 """What decides bounds and thresholds is named; a bin without evidence, or of few frames, is silent."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 

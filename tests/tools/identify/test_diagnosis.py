@@ -1,7 +1,5 @@
 """The scales of the diagnosis, their file, and what the compiled core finds with them."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 

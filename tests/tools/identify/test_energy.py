@@ -1,8 +1,6 @@
 """The energy test: what it proves, what it finds, and that the compiled core says what the definition
 says."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil
@@ -647,11 +645,7 @@ def test_another_memory_than_the_project_files_is_refused(identified, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "change",
-    [
-        *({"inflation": x} for x in ([1.0], "1.0", True, 0, float("inf"))),
-        {"W_delta": []},
-    ],
+    "change", [*({"inflation": x} for x in ([1.0], "1.0", True, 0, float("inf"))), {"W_delta": []}]
 )
 def test_weights_without_a_positive_inflation_or_w_delta_are_refused(change, identified, tmp_path):
     """Found by fuzz/foreign_input.py in folders that were sealed anew."""

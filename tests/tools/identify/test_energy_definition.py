@@ -1,7 +1,5 @@
 """The energy test worked out sample by sample from its inequality, on filters of hand-made numbers."""
 
-from __future__ import annotations
-
 import itertools
 import json
 import math

@@ -1,7 +1,5 @@
 """The regularised model error model: exact sums and likelihood, and a band that holds known errors."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

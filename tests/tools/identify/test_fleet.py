@@ -1,8 +1,6 @@
 """Many drives: the same bytes for any workers and any order, memory that does not grow, and what the passes
 over drives compute."""
 
-from __future__ import annotations
-
 import json
 import os
 import pickle

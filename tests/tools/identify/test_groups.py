@@ -1,7 +1,5 @@
 """Groups of experiments.csv: a threshold a group where recordings are enough, the pooled one otherwise."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

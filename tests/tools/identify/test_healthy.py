@@ -1,7 +1,5 @@
 """The healthy set of the frame test: it holds the drives' frames, and sees what such a set can see."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

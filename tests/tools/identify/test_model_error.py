@@ -1,7 +1,5 @@
 """The model error model on made-up drives of a vehicle whose error is known."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 

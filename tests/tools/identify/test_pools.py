@@ -1,7 +1,5 @@
 """Pools of frames: what they sum, which bound holds them, and how often a further recording exceeds it."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The premise of certificates: a W_delta that is too small is refused by drives that did not set it."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from dataclasses import replace
@@ -173,7 +171,7 @@ def test_one_structure_goes_from_identification_to_certificate(truck_stored):
     assert [(b.rows, b.cols) for b in plant.blocks] == [(1, 1)] * deltas
     # The weights in the interconnection are those of the identification, times the inflation.
     weights, omega = DesignProblem(truck_stored, settings).weights, np.array([0.1, 2.0, 20.0])
-    for W, own in zip((weights.W_delta_r, weights.W_delta_delta), fitted.W_delta, strict=True):
+    for W, own in zip(weights.W_delta_o, fitted.W_delta, strict=True):
         np.testing.assert_allclose(
             np.abs(W.response(omega)[:, 0, 0]), fitted.inflation * own.magnitude(omega), rtol=1e-9
         )

@@ -1,7 +1,5 @@
 """Memory of filters at a restart, against the responses themselves."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.signal import sosfilt

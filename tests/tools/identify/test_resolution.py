@@ -1,7 +1,5 @@
 """What a sensor cannot tell bounds the disturbance from below: rounding alone falsifies no vehicle."""
 
-from __future__ import annotations
-
 from itertools import product
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Class S1_diagonal from drives to the page: a Delta, a bound and a weight of its own for every output."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Drives that are too short for a bin say nothing of it, and stop nobody."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Reading weights.json proves its statements about weights anew, and refuses a planted number."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

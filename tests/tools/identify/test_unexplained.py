@@ -1,7 +1,5 @@
 """Drives that the model does not explain: named with their cost, counted until they are set aside."""
 
-from __future__ import annotations
-
 import csv
 import json
 

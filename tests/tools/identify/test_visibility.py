@@ -1,8 +1,6 @@
 """The list of invisible faults: what it calls the smallest visible error is where the exact margin crosses
 the threshold."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

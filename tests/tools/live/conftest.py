@@ -1,7 +1,5 @@
 """A vehicle and frames for the live page."""
 
-from __future__ import annotations
-
 import pytest
 
 from lpvguard.replay.replayer import Replayer, bus_frames

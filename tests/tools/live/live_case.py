@@ -1,7 +1,5 @@
 """What the tests of the live page share: sources that the test feeds, and the page while it is served."""
 
-from __future__ import annotations
-
 import asyncio
 import threading
 import urllib.request

@@ -6,8 +6,6 @@ python on_vcan.py FLOOD LIVE_ARGUMENTS... -- SOURCE_COMMAND...
 FLOOD: a command in one word, which sends onto vcan0, or empty.
 """
 
-from __future__ import annotations
-
 import json
 import re
 import signal

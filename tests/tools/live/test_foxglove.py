@@ -1,8 +1,6 @@
 """Foxglove's WebSocket beside the page: a client reads what replay's MCAP recording says of the same frames,
 and can do nothing else."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import socket

@@ -1,8 +1,6 @@
 """The live page: what it shows is what replay says of the same frames, it keeps no more than its window, and
 a source or a browser that goes away stops nothing."""
 
-from __future__ import annotations
-
 import json
 import os
 import re
@@ -17,6 +15,9 @@ import numpy as np
 import pytest
 from live_case import Given, asked, cut, served
 
+from lpvguard.base.errors import InputError
+from lpvguard.can.catalogue import load_catalogue
+from lpvguard.can.logs import EXTENDED
 from lpvguard.can.play import write_candump
 from lpvguard.core.compiled import Core, shipped_vehicle
 from lpvguard.drives.tables import read_drive
@@ -32,6 +33,22 @@ from parts import require
 
 def column(watch: Watch, name: str) -> np.ndarray:
     return watch._ring.rows(0, 10**9)[:, watch.columns.index(name)]
+
+
+@pytest.mark.unhurried
+def test_a_vehicle_on_two_interfaces_asks_for_one(replayer, faulty):
+    frames = faulty[0].at(slice(0, 4000))
+    both = replace(frames, channel=np.arange(4000) // 2000 % 2, channels=["can0", "can1"])
+    watch = Watch(replayer, Given(), 3600)
+    watch.take(both.at(slice(0, 1000)))
+    with pytest.raises(InputError, match="come from can0, can1; expected --channel"):
+        watch.take(both.at(slice(1000, 3000)))
+    watch.source.pieces = lambda: iter([both])
+    watch.run()
+    assert watch.failed.startswith("live: channel: the vehicle's messages come from can0, can1")
+    chosen = Watch(replayer, Given(), 3600, "can1")
+    chosen.take(both)
+    assert chosen.failed == ""
 
 
 @pytest.mark.unhurried
@@ -52,6 +69,23 @@ def test_what_is_shown_is_what_replay_says_of_the_same_frames(replayer, faulty, 
     assert view["can"]["messages"] == {k: pytest.approx(v, abs=2) for k, v in said.can["messages"].items()}
     largest = max(x for x in view["bins"]["largest"] if x is not None)
     assert largest == pytest.approx(said.run.frames.statistic[said.run.frames.counted].max(), abs=1e-5)
+
+
+def test_the_page_says_whether_commands_are_authenticated(replayer, faulty):
+    """Two bits of GUARD_OUT, from bit 52 on; no drive has such a frame."""
+    watch, (frames, _) = Watch(replayer, Given(), 60), faulty
+    first = frames.at(slice(0, 200))
+    watch.take(first)
+    assert watch.view(60, None, MOST_ROWS)["now"]["command_authentication"] is None
+    message = load_catalogue().message("GUARD_OUT")
+    for bits, said in enumerate(("not_authenticated", "authenticated", "error", "not_available")):
+        data = np.zeros_like(first.data)
+        data[:, 6] = bits << 4 | 0xCF
+        reports = replace(first, id=np.full_like(first.id, message.id | EXTENDED), data=data)
+        reports.length[:] = 8
+        watch.take(reports)
+        watch.take(first)
+        assert watch.view(60, None, MOST_ROWS)["now"]["command_authentication"] == said
 
 
 def test_the_nominal_model_in_pieces_is_the_model_in_one(replayer, synthetic):

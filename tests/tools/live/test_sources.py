@@ -1,8 +1,6 @@
 """The live page beside real sources, a SocketCAN interface and LCM's multicast: a source that is killed and
 begins again, an interface that goes away, and a flood; nothing but the view waits."""
 
-from __future__ import annotations
-
 import json
 import sys
 from itertools import groupby

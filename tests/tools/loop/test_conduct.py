@@ -1,8 +1,6 @@
 """What falsifies a certificate: steady lines are told from noise, resonance, steps and decay; stretches at
 the limit; tracking; and which trucks count as within the bounds."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import numpy as np
@@ -31,9 +29,7 @@ def resonance(damping: float, rms: float, seed: int) -> np.ndarray:
     """Noise through a resonance of 9 rad/s."""
     pole = np.exp(9.0 * Ts * complex(-damping, np.sqrt(1 - damping**2)))
     x = lfilter(
-        [1.0],
-        np.poly([pole, pole.conjugate()]).real,
-        np.random.default_rng(seed).standard_normal(len(T)),
+        [1.0], np.poly([pole, pole.conjugate()]).real, np.random.default_rng(seed).standard_normal(len(T))
     )
     return rms * x / x.std()
 

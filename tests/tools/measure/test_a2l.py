@@ -1,8 +1,6 @@
 """The A2L of the truck's ECU in an image: places are those that the program itself takes, nothing is left
 out, and another implementation of ASAP2 reads it."""
 
-from __future__ import annotations
-
 import re
 import struct
 import subprocess

@@ -1,8 +1,6 @@
 """The problem interface: every kind, the comparison rules, error answers that name their place, exit
 statuses."""
 
-from __future__ import annotations
-
 import json
 import os
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """A vehicle's core, and a drive at which it alarms."""
 
-from __future__ import annotations
-
 import pytest
 
 from lpvguard.replay.replayer import Replayer

@@ -1,7 +1,5 @@
 """What is said of the cause of an alarm, and the project file's advice."""
 
-from __future__ import annotations
-
 import pytest
 
 from lpvguard.base.errors import InputError

@@ -1,8 +1,6 @@
 """The chain on synthetic and on measured drives: bounds cover, identify repeats itself, replay says what
 users are promised."""
 
-from __future__ import annotations
-
 import filecmp
 import json
 from dataclasses import replace

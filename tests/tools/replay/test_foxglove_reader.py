@@ -5,8 +5,6 @@ foxglove_reader/ is a program of node; npm brings the library at the versions an
 tools/setup.sh does not install node.
 """
 
-from __future__ import annotations
-
 import json
 import re
 import shutil

@@ -3,8 +3,7 @@
 Checksums are compared with autosar-e2e, and with formulas written down here from their definitions.
 """
 
-from __future__ import annotations
-
+import ctypes
 from itertools import groupby
 from pathlib import Path
 
@@ -12,12 +11,15 @@ import cantools
 import numpy as np
 import pytest
 
+from lpvguard.base import native
 from lpvguard.base.artefacts import write_files
 from lpvguard.base.errors import InputError
+from lpvguard.can.demand_code import demand_files
 from lpvguard.can.logs import EXTENDED, Frames, read_log
+from lpvguard.can.own import demand_messages
 from lpvguard.can.play import values_of_drive, write_candump
 from lpvguard.core.coefficients import signal_table_markdown
-from lpvguard.core.compiled import VERDICTS, Core
+from lpvguard.core.compiled import VERDICTS, Core, library_root
 from lpvguard.drives.ingest import ingest
 from lpvguard.drives.signal_map import map_of_project
 from lpvguard.drives.tables import Drive
@@ -25,7 +27,7 @@ from lpvguard.fit.project_file import with_numbers
 from lpvguard.replay.receive import Receiver
 from lpvguard.replay.replayer import Replayer
 from lpvguard.vehicle.nominal import NominalModel
-from lpvguard.vehicle.project import Project, load_project
+from lpvguard.vehicle.project import CanPlace, Project, load_project
 from other_car import table
 from unit.generate import vehicle
 
@@ -49,7 +51,12 @@ SETTINGS = {
     "tesla": {},
     "chrysler": {},
     "volkswagen_xor": {},
+    "nissan": {},
+    "ford_speed": {},
+    "ford_yaw_rate": {},
 }
+AT = {"ford_speed": 0, "ford_yaw_rate": 2}
+"""First byte of X, where not 4: Ford's checksums cover some bytes."""
 PLACES = {
     "hyundai_sum": ["CHECKSUM : 48|8@1+", "COUNTER : 0|2@1+"],
     "hyundai_sum_before": ["CHECKSUM : 48|8@1+"],
@@ -61,11 +68,13 @@ PLACES = {
     "tesla": ["CHECKSUM : 56|8@1+", "COUNTER : 52|4@1+"],
     "chrysler": ["COUNTER : 52|4@1+"],
     "volkswagen_xor": ["CHECKSUM : 56|8@1+", "COUNTER : 0|4@1+"],
+    "nissan": ["CHECKSUM : 63|8@0+", "COUNTER : 51|4@0+"],
 }
 COUNTERS = {"toyota": 0, "hyundai_sum": 4, "hyundai_sum_before": 0, "hyundai_nibbles": 8, "hyundai_crc8": 16}
 COUNTERS |= {"hyundai_canfd": 256, "autosar_p05": 256, "autosar_p02": 16, "autosar_p22": 16}
 COUNTERS |= {"autosar_p01": 15, "autosar_p11": 15}
 COUNTERS |= {"honda": 4, "subaru": 16, "tesla": 16, "chrysler": 16, "volkswagen_xor": 16}
+COUNTERS |= {"nissan": 16, "ford_speed": 16, "ford_yaw_rate": 256}
 
 
 def project(names: list[str]) -> Project:
@@ -102,7 +111,7 @@ def project(names: list[str]) -> Project:
 def database(names: list[str]) -> str:
     text = 'VERSION ""\nNS_ :\nBS_:\nBU_: CAR\n'
     for k, name in enumerate(names):
-        lines = ["X : 32|16@1-", *PLACES.get(name, [])]
+        lines = [f"X : {8 * AT.get(name, 4)}|16@1-", *PLACES.get(name, [])]
         text += f"BO_ {0x2A0 + k} {name.upper()}: 8 CAR\n"
         text += "".join(f' SG_ {line} ({"0.01" if line[0] == "X" else 1},0) [0|0] "" CAR\n' for line in lines)
     return text
@@ -124,7 +133,7 @@ def protected(name: str, identifier: int, data: bytearray, count: int) -> bytes:
     if name == "toyota":
         data[7] = (identifier // 256 + identifier % 256 + 8 + sum(data[:7])) % 256
         return bytes(data)
-    if name in ("honda", "subaru", "tesla", "chrysler", "volkswagen_xor"):
+    if name in ("honda", "subaru", "tesla", "chrysler", "volkswagen_xor", "nissan", *AT):
         return of_other_makes(name, identifier, data, count % COUNTERS[name])
     masks = {"hyundai_sum": 3, "hyundai_nibbles": 7, "hyundai_crc8": 15}
     if name in masks:
@@ -155,6 +164,15 @@ def of_other_makes(name: str, identifier: int, data: bytearray, count: int) -> b
     elif name == "subaru":
         data[1] = data[1] & 0xF0 | count
         data[0] = (high + low + sum(data[1:])) % 256
+    elif name == "nissan":
+        data[6] = data[6] & 0xF0 | count
+        data[7] = crc(0, data[:7], 8, 0x1D) ^ 0xFF
+    elif name == "ford_speed":
+        data[2] = data[2] & 0xC3 | count << 2
+        data[3] = 255 - (data[0] + data[1] + data[2] // 64 + count) % 256
+    elif name == "ford_yaw_rate":
+        data[5] = count
+        data[4] = 255 - (sum(data[:4]) + count + data[6] // 64 + data[6] // 16 % 4) % 256
     elif name == "volkswagen_xor":
         data[0] = data[0] & 0xF0 | count
         data[7] = 0
@@ -195,7 +213,8 @@ def log_of(names: list[str], raw: np.ndarray, first: int = 0) -> Frames:
     for k in range(FRAMES):
         for j, name in enumerate(names):
             data = bytearray(random.integers(0, 256, 8, np.uint8).tobytes())
-            data[4:6] = int(raw[k, j]).to_bytes(2, "little", signed=True)
+            at = AT.get(name, 4)
+            data[at : at + 2] = int(raw[k, j]).to_bytes(2, "little", signed=True)
             rows.append(protected(name, 0x2A0 + j, data, first + k))
     t_ns = (np.repeat(np.arange(FRAMES), n) * PERIOD_S * 1e9 + np.tile(np.arange(n), FRAMES) * 1e5).astype(
         np.int64
@@ -210,7 +229,7 @@ def log_of(names: list[str], raw: np.ndarray, first: int = 0) -> Frames:
     )
 
 
-GROUPS = [list(SETTINGS)[:6], list(SETTINGS)[6:11], list(SETTINGS)[11:]]
+GROUPS = [list(SETTINGS)[:6], list(SETTINGS)[6:11], list(SETTINGS)[11:15], list(SETTINGS)[15:]]
 
 
 @pytest.fixture(scope="module", params=range(len(GROUPS)))
@@ -245,7 +264,7 @@ def test_spoiled_frames_are_counted_for_what_they_are(bus):
     log = log_of(names, np.zeros((FRAMES, len(names)), int))
     of = {name: np.flatnonzero(log.id == 0x2A0 + j) for j, name in enumerate(names)}
     for name in names:
-        log.data[of[name][10], 4] ^= 0x20  # a payload bit
+        log.data[of[name][10], AT.get(name, 4)] ^= 0x20  # a payload bit
         log.data[of[name][30]] = log.data[of[name][29]]  # a repeated frame
         log.length[of[name][50]] = 7
     got = receiver.receive(log, "log")
@@ -291,6 +310,17 @@ BO_ 2566844672 SPEED: 8 CAR
 BO_ 512 MUXED: 8 CAR
  SG_ SELECT M : 0|4@1+ (1,0) [0|15] "" CAR
  SG_ YAW m2 : 8|16@1- (0.01,0) [-300|300] "deg/s" CAR
+ SG_ ROLL m3 : 8|16@1- (0.01,0) [-300|300] "deg/s" CAR
+BO_ 770 WIDE: 8 CAR
+ SG_ ANGLE : 11|20@0- (-0.001,0.5) [-300|300] "deg" CAR
+ SG_ FINE : 32|32@1- (0.00001,0) [-400|400] "deg/s" CAR
+BO_ 772 WIDEST: 8 CAR
+ SG_ ALL : 0|40@1+ (1,0) [0|0] "" CAR
+BO_ 771 SIGNS: 8 CAR
+ SG_ YAW : 0|14@1+ (0.01,0) [0|163.82] "deg/s" CAR
+ SG_ YAW_SIGN : 14|1@1+ (1,0) [0|1] "" CAR
+ SG_ RATE : 16|10@1+ (1,3) [0|0] "" CAR
+ SG_ RATE_SIGN : 26|1@1+ (1,0) [0|1] "" CAR
 BO_ 768 REAL: 8 CAR
  SG_ AY : 0|32@1- (1,0) [-20|20] "m/s2" CAR
 BO_ 769 RATE: 8 CAR
@@ -305,6 +335,9 @@ BA_ "GenMsgCycleTime" BO_ 2566844672 20;
 BA_ "GenMsgCycleTime" BO_ 769 10;
 BA_ "GenMsgCycleTime" BO_ 512 10;
 BA_ "GenMsgCycleTime" BO_ 768 10;
+BA_ "GenMsgCycleTime" BO_ 770 10;
+BA_ "GenMsgCycleTime" BO_ 771 10;
+BA_ "GenMsgCycleTime" BO_ 772 10;
 BA_ "VFrameFormat" BO_ 2566844672 3;
 SIG_VALTYPE_ 768 AY : 1;
 """
@@ -377,6 +410,59 @@ def test_motorola_signed_negative_and_summed_signals_are_read(tmp_path):
         )
 
 
+PER_RAD = 57.29577951308232
+LAYOUTS = {
+    "more than 16 bits": {
+        "road_wheel_angle": {"message": "WIDE", "signal": "ANGLE", "factor": PER_RAD},
+        "yaw_rate": {"message": "WIDE", "signal": "FINE", "factor": PER_RAD},
+    },
+    "a sign beside the magnitude": {"yaw_rate": {"message": "SIGNS", "signal": "YAW", "factor": PER_RAD}},
+    "a multiplex": {"yaw_rate": {"message": "MUXED", "signal": "YAW", "factor": PER_RAD}},
+}
+
+
+@pytest.mark.parametrize("name", LAYOUTS)
+def test_wide_signed_and_multiplexed_signals_come_through_the_receiver(name, tmp_path):
+    receiver = Receiver(load_project(other(tmp_path, LAYOUTS[name])))
+    encode = cantools.database.load_string(OTHER, "dbc", strict=False)
+    speed_id = encode.get_message_by_name("SPEED").frame_id | EXTENDED
+    t = PERIOD_S * np.arange(200)
+    v, delta, r = 15 + np.sin(t), 0.3 * np.sin(3 * t), 0.2 * np.cos(2 * t)
+    rows = []
+    for k in range(200):
+        angle, yaw = np.degrees(delta[k]), np.degrees(r[k])
+        raw = round((angle - 0.5) / -0.001) % (1 << 20)
+        # By the definition of a DBC: bit 11 is the highest of a Motorola signal of 20 bits.
+        by_hand = bytes(1) + bytes([raw >> 16, raw >> 8 & 0xFF, raw & 0xFF])
+        by_hand += (round(yaw / 1e-5) % (1 << 32)).to_bytes(4, "little")
+        magnitude = round(abs(yaw) * 100) | (1 << 14 if yaw < 0 else 0)
+        rows += [
+            (k, 770, by_hand),
+            (k, 771, magnitude.to_bytes(8, "little")),
+            (k, 512, bytes([2]) + (round(yaw * 100) % 65536).to_bytes(2, "little") + bytes(5)),
+            (k, 512, bytes([3]) + (12345).to_bytes(2, "little") + bytes(5)),
+            (k, 291, encode.encode_message("STEER", {"ANGLE": round(-angle, 1), "FINE": 0, "LONG": 0})),
+        ]
+        if k % 2 == 0:
+            rows.append((k, speed_id, encode.encode_message("SPEED", {"V": 3.6 * v[k]})))
+    log = Frames(
+        np.array([1_000_000_000 + k * 10_000_000 for k, _, _ in rows], np.int64),
+        np.array([i for _, i, _ in rows], np.uint32),
+        np.zeros(len(rows), np.uint8),
+        np.full(len(rows), 8, np.uint8),
+        np.frombuffer(b"".join(d for _, _, d in rows), np.uint8).reshape(-1, 8),
+        ["can0"],
+    )
+    got = receiver.receive(log, "log")
+    at = np.flatnonzero(got.present)
+    assert len(at) > 180
+    precise = name == "more than 16 bits"
+    assert np.abs(got.values[at, 1] - delta[at]).max() < (1e-5 if precise else 2e-3)
+    assert np.abs(got.values[at, 2] - r[at]).max() < (
+        5e-5 if precise else 1e-4
+    )  # 2^-24 of the signal's range
+
+
 def _rest(log: Frames) -> tuple:
     return log.channel, log.length, log.data, log.channels
 
@@ -386,9 +472,27 @@ def _rest(log: Frames) -> tuple:
     [
         ({"yaw_rate": {"message": "RATES", "signal": "YAW"}}, {}, "message RATES: no message.*such as RATE"),
         ({"yaw_rate": {"message": "RATE", "signal": "YAWS"}}, {}, "no signal YAWS; expected one of ONE, YAW"),
-        ({"yaw_rate": {"message": "STEER", "signal": "LONG"}}, {}, "LONG: has 20 bits"),
+        (
+            {"yaw_rate": {"message": "WIDEST", "signal": "ALL"}},
+            {},
+            "ALL: has 40 bits; expected .* at most 32",
+        ),
+        (
+            {"yaw_rate": {"message": "SIGNS", "signal": "RATE"}},
+            {},
+            "has 10 bits, an offset of 3, and its sign in RATE_SIGN; expected .* at most 15 bits without",
+        ),
         ({"yaw_rate": {"message": "REAL", "signal": "AY"}}, {}, "AY: has 32 bits of a float"),
-        ({"yaw_rate": {"message": "MUXED", "signal": "YAW"}}, {}, "YAW: is multiplexed"),
+        (
+            {"yaw_rate": {"message": "MUXED", "signal": "YAW"}},
+            {"MUXED": {"counter": "SELECT"}},
+            "YAW: multiplexed in a message with a counter",
+        ),
+        (
+            {"yaw_rate": {"message": "MUXED", "signal": "YAW", "plus": ["ROLL"]}},
+            {},
+            "YAW, ROLL: are in no frame together",
+        ),
         ({"yaw_rate": {"message": "RATE", "signal": "YAW", "factor": 0.0}}, {}, "factor must not be 0"),
         ({}, {"RATES": {"period_ms": 10}}, "can.messages: RATES named by no signal"),
         ({}, {"RATE": {"checksum": "autosar_p11"}}, "data_id: 0 given; expected one number"),
@@ -530,3 +634,38 @@ def test_ingest_takes_database_and_map_from_the_vehicle(rav4, lpvguard, tmp_path
     assert car.can is not None
     twice = ingest([log], dbc=Path(car.can.dbc), signals_map=map_of_project(car), out=tmp_path / "again")
     assert twice["rav4_candump"]["drives"][0]["rows"] == len(got["t"])
+
+
+@pytest.mark.parametrize("name", sorted(SETTINGS))
+def test_demands_are_packed_with_the_named_checksum_and_counter(name, tmp_path):
+    """Frames from the generated C, against the checksum's own definition."""
+    others = [other for other in ("subaru", "hyundai_sum", "volkswagen_xor") if other != name][:2]
+    names = [others[0], name, others[1]]
+    (tmp_path / "car.dbc").write_text(database(names))
+    car = project(names)
+    place = CanPlace(message=name.upper(), signal="X", factor=2.0)
+    bus = car.can.model_copy(update={"dbc": str(tmp_path / "car.dbc"), "demand": {f"x_{name}": place}})
+    demands = demand_messages(car.model_copy(update={"can": bus}))
+    write_files(tmp_path, demand_files(demands, 1))
+    objects = [
+        native.compile_object(tmp_path / "lpvg_demand.c", flags=(), include_dirs=[library_root() / "include"])
+    ]
+    library = ctypes.CDLL(str(native.compile_shared(objects, flags=(), name=f"demand_{name}")))
+    frame = (ctypes.c_uint8 * 16)()
+    counter, u = ctypes.c_uint16(0), (ctypes.c_float * 1)()
+    identifier = 0x2A0 + 1
+    for k, value in enumerate((0.0, 1.5, -1.5, 200.0, -200.0, 0.003), 1):
+        u[0] = value
+        assert library.lpvg_demand_pack(u, ctypes.byref(counter), frame) == 0
+        data = bytes(frame)[5:13]
+        first = AT.get(name, 4)
+        raw = int.from_bytes(data[first : first + 2], "little", signed=True)
+        assert raw == np.clip(np.floor(200.0 * value + 0.5), -32768, 32767)
+        assert int.from_bytes(bytes(frame)[:4], "little") == identifier and frame[4] == 8
+        count = k % COUNTERS[name] if COUNTERS[name] else 0
+        assert counter.value == count
+        wanted = protected(name, identifier, bytearray(data), count)
+        assert data == wanted
+    u[0] = np.nan
+    before = bytes(frame)
+    assert library.lpvg_demand_pack(u, ctypes.byref(counter), frame) != 0 and bytes(frame) == before

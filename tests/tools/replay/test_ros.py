@@ -1,7 +1,5 @@
 """A replay as ROS 2 messages: two other libraries read back what the core said."""
 
-from __future__ import annotations
-
 from itertools import groupby
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Time series of a replay: a row a sample, and what the columns say is what the core said."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 

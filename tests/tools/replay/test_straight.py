@@ -1,7 +1,5 @@
 """Long straight driving could refute nothing: it drifts neither into an alarm nor into a verdict of valid."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.signal import lfilter

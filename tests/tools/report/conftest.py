@@ -1,8 +1,6 @@
 """The report of a vehicle with one and with two outputs, made once a run: a session's fixture is made anew
 whenever another number of outputs is asked for, in each file of tests."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

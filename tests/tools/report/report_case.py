@@ -1,7 +1,5 @@
 """A vehicle with short frames, drives of it, and its report: what the tests of the page read."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

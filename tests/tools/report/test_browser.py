@@ -2,8 +2,6 @@
 error, no request to anybody, nothing missing and no text over other text. A wide page's pictures are zoomed
 with LPVGUARD_FULL=1."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

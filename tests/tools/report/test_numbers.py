@@ -1,7 +1,5 @@
 """The numbers behind a picture are those that it shows, for zooming and for CSV."""
 
-from __future__ import annotations
-
 import csv
 import json
 import re

@@ -1,7 +1,5 @@
 """The report page: whole, self-contained, the same bytes every time, and saying what was left out and why."""
 
-from __future__ import annotations
-
 import copy
 import re
 from dataclasses import replace
@@ -184,6 +182,7 @@ def test_a_campaign_is_told_with_every_severity_and_whoever_was_best(case, tmp_p
         "ways": {"ramp": {"runs": 4, "average": average, "median_s": dict.fromkeys(detectors, 2.5)}},
         "matched_stated": dict.fromkeys(detectors, 0.05),
         "matched_claim": "equal false alarms in the loop",
+        "command_authentication": "not authenticated",
         "within": {
             "runs": 50,
             "hours": 2.5,
@@ -208,10 +207,7 @@ def test_a_campaign_is_told_with_every_severity_and_whoever_was_best(case, tmp_p
                 for t in ("frame", "energy", "change")
             },
         },
-        "falsified": {
-            "rate": {"count": 0, "of": 50, "interval": [0.0, 0.0711]},
-            "runs": [],
-        },
+        "falsified": {"rate": {"count": 0, "of": 50, "interval": [0.0, 0.0711]}, "runs": []},
         "supervision": {kind: {"as_required": seen, "due": 77, "met": 76} for kind in ("faulty", "healthy")},
         "bus": [
             {

@@ -1,7 +1,5 @@
 """``lpvguard.robust``: the engine on objects of python-control."""
 
-from __future__ import annotations
-
 import control
 import numpy as np
 import pytest

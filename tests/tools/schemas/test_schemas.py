@@ -1,7 +1,5 @@
 """The schemas describe what is written and read: real files, the examples, and a page that says the same."""
 
-from __future__ import annotations
-
 import copy
 import json
 import re

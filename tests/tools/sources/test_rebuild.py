@@ -1,7 +1,5 @@
 """`lpvguard data`: a published data set comes out with the hashes of its table, or not at all."""
 
-from __future__ import annotations
-
 import hashlib
 import io
 import json

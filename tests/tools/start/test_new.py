@@ -1,7 +1,5 @@
 """A stranger's logs become a project and drives: names, units and signs are found; what is wrong is said."""
 
-from __future__ import annotations
-
 import os
 import sys
 from dataclasses import replace
@@ -184,6 +182,58 @@ def test_units_and_messages_rank_the_signals_of_a_database():
     assert ranked("speed", units, units)[:2] == ["CAR_SPEED.CAR_SPEED", "ESP_21.ESP_v_Signal"]
     assert ranked("input", units, units)[0] == "LWI_01.LWI_Lenkradwinkel"
     assert ranked("output", units, units)[0] == "ESP_02.ESP_Gierrate"
+
+
+SAME_WORDS = {
+    "speed": (
+        "VehSpdAvgHSC2 km/h",
+        "VITESSE_VEHICULE km/h",
+        "BR1_Rad_kmh",
+        "Geschwindigkeit km/h",
+        "WHL_SPD_FL km/h",
+    ),
+    "input": (
+        "StrgWhlAngHSC2 deg",
+        "SteWhlComp_An_Est deg",
+        "STEERING_ALT.ANGLE deg",
+        "angle_volant",
+        "EPS_internalSAS",
+    ),
+    "output": (
+        "IMU_YawRtVal deg/s",
+        "RCM_IMU_Yaw deg/s",
+        "VITESSE_LACET Degré/s",
+        "BR5_Giergeschw",
+        "YAW.Rate",
+    ),
+}
+OTHER_QUANTITIES = {
+    "speed": (
+        "REL_SPEED m/s",
+        "CRUISE_SET_SPEED km/h",
+        "TSR_Speed km/h",
+        "SpeedLim_Nav km/h",
+        "ENGINE_SPEED",
+    ),
+    "input": (
+        "STEER_TORQUE Nm",
+        "STEER_ANGLE_RATE deg/s",
+        "STEER_CONFIG_INDEX",
+        "STEER_WARN",
+        "StePinRelInit_An_Sns deg",
+    ),
+    "output": ("ESP_yawRateQF", "TrlrYaw_W_Actl rad/s", "YAW_RATE_STAT", "yaw_acc", "HIGH_YAW_ANGLE deg"),
+}
+
+
+@pytest.mark.parametrize("role", ROLES)
+def test_names_in_other_words_are_known_and_other_quantities_are_not(role):
+    for text in SAME_WORDS[role]:
+        name, _, unit = text.partition(" ")
+        assert ranked(role, [name], {name: unit}) == [name], text
+    for text in OTHER_QUANTITIES[role]:
+        name, _, unit = text.partition(" ")
+        assert ranked(role, [name], {name: unit}) == [], text
 
 
 def write_speed(log: Path, value: str) -> None:

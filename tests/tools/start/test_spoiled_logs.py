@@ -2,8 +2,6 @@
 traceback, and no wrong unit in silence. A header that states a false unit is found where it is wrong by three
 times or more: no log tells a mile from a kilometre where the understeer is not known."""
 
-from __future__ import annotations
-
 import warnings
 from collections import Counter
 from functools import cache

@@ -1,8 +1,6 @@
 """The stranger, by the tutorial alone: every command that tools/TUTORIAL.md shows runs in its order on a race
 car's raw logs, ends as shown, and says what is shown."""
 
-from __future__ import annotations
-
 import json
 import re
 import shlex

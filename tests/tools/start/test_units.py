@@ -1,7 +1,5 @@
 """Units by evidence: cars whose units are known are read right, or the user is asked. Counted."""
 
-from __future__ import annotations
-
 from collections import Counter
 from itertools import product
 

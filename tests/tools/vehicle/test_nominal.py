@@ -1,8 +1,6 @@
 """Nominal model: exact hold against an ordinary differential equation solver, delay, speed table, frequency
 response."""
 
-from __future__ import annotations
-
 from importlib import resources
 from itertools import pairwise
 

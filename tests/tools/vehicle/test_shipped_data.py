@@ -1,7 +1,5 @@
 """Shipped project files beside the data that they are about."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Settings that a folder was made with, beside those of the project file at hand."""
 
-from __future__ import annotations
-
 import json
 
 import pytest

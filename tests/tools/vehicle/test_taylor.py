@@ -49,8 +49,11 @@ def test_what_cannot_be_enclosed_is_refused():
 
 
 @pytest.mark.parametrize("low, high", [(8.0, 8.1), (12.0, 14.0), (21.0, 22.0)])
-def test_the_zero_order_hold_moves_no_faster_than_its_bounds(low, high):
-    model = NominalModel(load_project("truck"))
+@pytest.mark.parametrize("late_s", [0.04, 0.0473])
+def test_the_zero_order_hold_moves_no_faster_than_its_bounds(low, high, late_s):
+    truck = load_project("truck")
+    settings = truck.model.model_copy(update={"input_delay_s": late_s})
+    model = NominalModel(truck.model_copy(update={"model": settings}))
     n = model.n
     first, second = model.hold_bounds(low, high)
 
@@ -59,7 +62,10 @@ def test_the_zero_order_hold_moves_no_faster_than_its_bounds(low, high):
         G = zero_order_hold(
             StateSpace(A, np.hstack([B, np.eye(n)]), np.eye(n), np.zeros((n, 1 + n))), model.Ts
         )
-        return np.hstack([G.A, G.B])
+        if not model.delay_fraction:
+            return np.hstack([G.A, G.B])
+        held = model.discretise(np.array([v]))
+        return np.hstack([G.A, held.B_old[0], held.B_new[0], G.B[:, 1:]])
 
     h = 1e-3
     for v in np.linspace(low + h, high - h, 7):

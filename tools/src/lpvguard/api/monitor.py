@@ -1,7 +1,5 @@
 """The compiled monitor, fed sample by sample."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

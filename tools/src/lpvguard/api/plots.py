@@ -7,8 +7,6 @@
 Every picture is drawn by the functions that draw the page.
 """
 
-from __future__ import annotations
-
 import csv
 import io
 import re

@@ -1,7 +1,7 @@
 """The tools that every room uses: errors, files, compiled kernels, parallel maps, sampling, coefficient
 layout.
 
-The room imports nothing of the project and knows no vehicle. MAY_IMPORT lists what a room may import.
+The room imports nothing of the project and knows no vehicle.
 """
 
 MAY_IMPORT = ()

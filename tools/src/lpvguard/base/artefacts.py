@@ -14,8 +14,6 @@ Writing     A run writes in ``.NAME.lpvguard`` beside the target NAME and holds 
             undoes a half-done swap.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os
@@ -858,8 +856,7 @@ def write_files(folder: Path, files: Mapping[str, str | bytes]) -> None:
     Parameters
     ----------
     folder : Path
-    files : Mapping[str, str
-        bytes], by name; text becomes UTF-8
+    files : Mapping[str, str, bytes], by name; text becomes UTF-8
     """
     for name, content in files.items():
         data = content.encode() if isinstance(content, str) else content

@@ -1,7 +1,5 @@
 """Words and rows from certificates, shared by the console, the page and the benchmarks."""
 
-from __future__ import annotations
-
 
 def claim_words(claim: str, level: float, rate: float) -> str:
     """Return a claim with its rate, and its level where it is not 1.

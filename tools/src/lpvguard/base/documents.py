@@ -1,7 +1,5 @@
 """Read TOML files that people write and check them against pydantic models."""
 
-from __future__ import annotations
-
 import tomllib
 from importlib.resources.abc import Traversable
 from pathlib import Path

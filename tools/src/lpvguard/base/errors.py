@@ -1,7 +1,5 @@
 """Errors that a user can act on. The command line prints them in one line and sets an exit status."""
 
-from __future__ import annotations
-
 
 class InputError(ValueError):
     """Bad input: what is wrong, where, and what was expected (exit status 2).

@@ -16,8 +16,6 @@ between items of arrays (stable sections, even frames), and the field's meaning 
 tables needs a higher ``schema`` of its struct and a new export of every vehicle.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from .errors import InputError
@@ -200,11 +198,7 @@ DIAGNOSIS = Layout(
         Field("crc32", (), "", "over all words and numbers, as in coeff.h"),
         Field("sample_period_us", (), "us", "Ts", "[1, inf)"),
         Field(
-            "blocks",
-            (),
-            "blocks",
-            "of settled driving since an alarm, least to judge causes",
-            "[8, 65536]",
+            "blocks", (), "blocks", "of settled driving since an alarm, least to judge causes", "[8, 65536]"
         ),
         Field("stride", (), "blocks", "from one delay that is tried to the next", "[1, 4]"),
         Field("cell_blocks", (), "blocks", "of a cell of the ring before the alarm", "[1, 65536]"),
@@ -235,13 +229,7 @@ DIAGNOSIS = Layout(
             "largest mean square of a healthy residue: a constant, and a share of that of yhat_j",
             "(0, inf)",
         ),
-        Field(
-            "rough",
-            ("NY",),
-            "output unit squared",
-            "largest mean square of healthy noise",
-            "(0, inf)",
-        ),
+        Field("rough", ("NY",), "output unit squared", "largest mean square of healthy noise", "(0, inf)"),
         Field(
             "still",
             ("NY",),
@@ -420,10 +408,8 @@ def manual() -> str:
 
 
 def generated(library: Path) -> dict[Path, str]:
-    """Path -> text of every generated file below the core's folder ``library``.
-
-    Raises InputError when a header has lost its marks.
-    """
+    """Path -> text of every generated file below the core's folder ``library``. Raises InputError when a
+    header has lost its marks."""
     files = {library / "src" / file: checks_source(file) for file in CHECKS}
     files[library / "COEFFICIENTS.md"] = manual()
     for layout in LAYOUTS:

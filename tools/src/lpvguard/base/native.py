@@ -355,8 +355,7 @@ def pointer(array: np.ndarray) -> ctypes.c_void_p:
 
     Parameters
     ----------
-    array : ndarray (N,) or any C-ordered shape
-        The caller keeps it alive.
+    array : ndarray (N,) or any C-ordered shape, the caller keeps it alive
 
     Returns
     -------

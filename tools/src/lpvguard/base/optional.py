@@ -1,7 +1,5 @@
 """Import optional packages, with an error that names the extra to install."""
 
-from __future__ import annotations
-
 from importlib import import_module
 from typing import Any
 

@@ -6,8 +6,6 @@ reductions are associative and exact. Results therefore have the same bits for a
 order of drives.
 """
 
-from __future__ import annotations
-
 import multiprocessing
 import multiprocessing.connection
 import os
@@ -66,11 +64,8 @@ def _bounded(submit: Callable[..., Any], wait: Callable[[Any], Any], limit: Call
 
 
 class _Workers:
-    """Single-worker processes.
-
-    An item goes to the worker that had it before, which may have cached it, unless that worker is behind.
-    Otherwise it goes to the worker with the least to do.
-    """
+    """Single-worker processes. An item goes to the worker that had it before, which may have cached it,
+    unless that worker is behind. Otherwise it goes to the worker with the least to do."""
 
     def __init__(self, pools: list[ProcessPoolExecutor]):
         self._pools = pools

@@ -1,7 +1,5 @@
 """Runs of True in a row of flags."""
 
-from __future__ import annotations
-
 import numpy as np
 
 

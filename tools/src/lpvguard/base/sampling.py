@@ -6,8 +6,6 @@ row alone: a quantity, or a hash of the drive's name and the row's number. Selec
 and commutative. A hash as key makes it a uniform draw without replacement.
 """
 
-from __future__ import annotations
-
 import zlib
 from collections.abc import Iterable
 

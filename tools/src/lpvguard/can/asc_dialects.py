@@ -4,8 +4,6 @@ With ``timestamps relative`` in the head, each line's time counts from the line 
 absolute. ``CANFD   Start of measurement`` is an event, which python-can takes as a frame.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from typing import TextIO
@@ -16,13 +14,8 @@ _START = re.compile(r"^\s*\S+\s+(?:CANFD\s+)?Start of measurement", re.IGNORECAS
 
 
 class AscLines:
-    """Lines of an ASC log with absolute times, and without the start of the measurement.
-
-    Parameters
-    ----------
-    file : TextIO
-        The log, at its first line.
-    """
+    """Lines of an ASC log, open at its first line, with absolute times and without the start of the
+    measurement."""
 
     def __init__(self, file: TextIO):
         self._file = file

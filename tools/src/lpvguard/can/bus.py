@@ -1,10 +1,12 @@
 """Generates lpvguard_bus.c (lib/include/lpvguard/bus.h): the signal table on the CAN catalogue."""
 
-from __future__ import annotations
+import numpy as np
 
 from ..base.errors import InputError
 from ..vehicle.project import CanPlace, Project
 from .catalogue import BusSignal, Catalogue, Message, load_catalogue
+from .codegen import ANY_PRIORITY
+from .logs import EXTENDED, Frames
 
 REFERENCE = CanPlace(message="GUARD_IN", signal="yaw_rate_command")
 AUTHENTICATOR = "GUARD_IN_AUTH"
@@ -18,6 +20,8 @@ REPORT = {
     "command_authentication": "authenticated",
 }
 """Signals of the report message and their members of lpvg_bus_report_t."""
+AUTHENTICATION = CanPlace(message="GUARD_OUT", signal="command_authentication")
+"""Signal that says whether the ECU obeys authenticated commands only."""
 CHECKS = {
     "yaw_rate": ("VDC2", "{yaw_rate}"),
     "lateral": ("VDC2", "{lateral_acceleration}"),
@@ -35,13 +39,55 @@ PROPRIETARY_SPN = 520192
 """First number that J1939-73 leaves to manufacturers, for signals without a number of their own."""
 
 
-def bus_source(project: Project, catalogue: Catalogue | None = None) -> str:
+def command_authentication(frames: Frames, catalogue: Catalogue | None = None) -> str | None:
+    """Return the name of AUTHENTICATION's value in the newest frame that has it.
+
+    Parameters
+    ----------
+    frames : Frames
+    catalogue : Catalogue, optional, by default the shipped one
+
+    Returns
+    -------
+    str, or None without such a frame
+    """
+    message = (catalogue or load_catalogue()).message(AUTHENTICATION.message)
+    signal = next(s for s in message.signals if s.name == AUTHENTICATION.signal)
+    wanted = np.uint32((message.id | EXTENDED) & ANY_PRIORITY)
+    reports = np.flatnonzero(((frames.id & np.uint32(ANY_PRIORITY)) == wanted) & (frames.length == 8))
+    if not len(reports):
+        return None
+    raw = int.from_bytes(frames.data[reports[-1], :8].tobytes(), "little")
+    code = raw >> signal.start & ((1 << signal.length) - 1)
+    return next(name for name, value in signal.values.items() if value == code)
+
+
+def sends_demand(project: Project) -> bool:
+    """Whether a vehicle's demand has a place in a message of ours on the CAN catalogue.
+
+    Parameters
+    ----------
+    project : Project
+
+    Returns
+    -------
+    bool, False where the input is measured, has no place, or lies on the car's own bus
+    """
+    place = project.inputs[0].can
+    if project.can is not None or place is None:
+        return False
+    catalogue = load_catalogue()
+    return any(
+        m.name == place.message and m.source_address == catalogue.own_address for m in catalogue.messages
+    )
+
+
+def bus_source(project: Project) -> str:
     """Generate the C text of lpvguard_bus.c.
 
     Parameters
     ----------
     project : Project
-    catalogue : Catalogue, optional, by default the shipped one
 
     Returns
     -------
@@ -52,7 +98,7 @@ def bus_source(project: Project, catalogue: Catalogue | None = None) -> str:
     InputError
         If a signal has no usable place on the bus; it names the signal.
     """
-    catalogue = catalogue or load_catalogue()
+    catalogue = load_catalogue()
     where = f"vehicle {project.name}"
     report = _report_message(project, catalogue, where)
     values: dict[str, list[str]] = {}

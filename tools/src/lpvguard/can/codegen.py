@@ -7,8 +7,6 @@ one, independent of the processor's byte order. Every shift is of an unsigned va
 The text depends on the catalogue alone.
 """
 
-from __future__ import annotations
-
 import hashlib
 import math
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:  # cantools takes long to import
@@ -11,6 +12,25 @@ if TYPE_CHECKING:  # cantools takes long to import
 _HEAD = 'VERSION ""\n\nNS_ :\n\nBS_:\n\nBU_:\n\n'
 _KEPT = re.compile(r"\s*(BO_|SG_|VAL_|SIG_VALTYPE_|SG_MUL_VAL_|BA_DEF_|BA_DEF_DEF_|BA_)\s")
 """Statements that decide how a frame is decoded."""
+_ABOUT = re.compile(r'\s*(?:(?:VAL_|SIG_VALTYPE_|SG_MUL_VAL_)|BA_\s+"[^"]*"\s+(?:BO_|SG_))\s+(\d+)\s')
+"""Statements about one message: the place of its identifier."""
+
+_Line = tuple[int, str]
+"""Line number and text of a statement."""
+
+
+@dataclass
+class _Message:
+    """A message's statements: its head, its signals, and what is said of them elsewhere."""
+
+    identifier: str
+    head: _Line
+    signals: list[_Line] = field(default_factory=list)
+    about: list[_Line] = field(default_factory=list)
+
+    def parts(self) -> tuple[str, str]:
+        """Text of the message, and of what is said of it."""
+        return _joined([self.head, *self.signals]), _joined(self.about)
 
 
 def read_sound_lines(text: str) -> tuple[Database, list[str]]:
@@ -25,27 +45,31 @@ def read_sound_lines(text: str) -> tuple[Database, list[str]]:
     tuple of Database and list of str
         Sound statements, and a sentence for each other or corrected one: line number and text.
     """
-    blocks: list[list[tuple[int, str]]] = []
-    others: list[tuple[int, str]] = []
-    corrected: list[tuple[int, str]] = []
+    messages: list[_Message] = []
+    definitions: list[_Line] = []
+    corrected: list[_Line] = []
+    left_out: list[_Line] = []
     for number, line in _statements(text):
-        if line.startswith("BO_ "):
-            flagged = _with_flag(line)
-            if flagged != line:
+        if head := re.match(r"BO_ (\d+)", line):
+            flagged = _flagged(head[1])
+            if flagged != head[1]:
                 corrected.append((number, line))
-            blocks.append([(number, flagged)])
-        elif line.lstrip().startswith("SG_ ") and blocks:
-            blocks[-1].append((number, line))
+            messages.append(_Message(flagged, (number, f"BO_ {flagged}{line[head.end() :]}")))
+        elif line.lstrip().startswith("SG_ ") and messages:
+            messages[-1].signals.append((number, line))
+        elif about := _ABOUT.match(line):
+            flagged = _flagged(about[1])
+            statement = line[: about.start(1)] + flagged + line[about.end(1) :]
+            if of := next((m for m in messages if m.identifier == flagged), None):
+                of.about.append((number, statement))
         elif _KEPT.match(line):
-            others.append((number, line))
-    left_out: list[tuple[int, str]] = []
-    lines = [line for block in blocks for line in _sound_block(block, left_out)]
-    body = _HEAD + "".join(line + "\n" for line in lines)
-    kept = _sound(body, others, left_out)
-    database = _parsed(body + "".join(line + "\n" for _, line in kept))
+            definitions.append((number, line))
+    definitions = _sound_lines(_HEAD, definitions, left_out)
+    sound = _sound_messages(messages, _joined(definitions), left_out)
+    database = _parsed(_text(sound, _joined(definitions)))
     if database is None:  # statements that are sound one by one, and not together
         database = _database(_HEAD)
-        left_out = [*left_out, *((number, line) for block in blocks for number, line in block)]
+        left_out += [line for m in sound for line in (m.head, *m.signals, *m.about)]
     said = [
         (number, f"left out, cannot be read: line {number}: {line.strip()[:80]}") for number, line in left_out
     ]
@@ -59,17 +83,15 @@ def read_sound_lines(text: str) -> tuple[Database, list[str]]:
     return database, [text for _, text in sorted(said)]
 
 
-def _with_flag(line: str) -> str:
-    """The head of a message whose identifier has more than 11 bits, with the flag that says so."""
-    head = re.match(r"BO_ (\d+)", line)
-    if head is None or not 0x7FF < int(head[1]) < 1 << 29:
-        return line
-    return f"BO_ {int(head[1]) | 1 << 31}{line[head.end() :]}"
+def _flagged(identifier: str) -> str:
+    """The identifier of a message, with the flag that says so where it has more than 11 bits."""
+    number = int(identifier)
+    return str(number | 1 << 31 if 0x7FF < number < 1 << 29 else number)
 
 
-def _statements(text: str) -> list[tuple[int, str]]:
+def _statements(text: str) -> list[_Line]:
     """Line number and text of each statement; quoted text may run over several lines."""
-    statements: list[tuple[int, str]] = []
+    statements: list[_Line] = []
     quoted = False
     for number, line in enumerate(text.splitlines(), start=1):
         begins = re.match(r"\s*(BO_|SG_|CM_|VAL_|BA_)", line) is not None
@@ -82,36 +104,55 @@ def _statements(text: str) -> list[tuple[int, str]]:
     return statements
 
 
-def _sound_block(block: list[tuple[int, str]], left_out: list[tuple[int, str]]) -> list[str]:
-    """Readable lines of one message; none if the message itself is not."""
-    if _parsed(_HEAD + "\n".join(line for _, line in block)) is not None:
-        return [line for _, line in block]
-    header, signals = block[0], block[1:]
-    if _parsed(_HEAD + header[1]) is None:
-        left_out.append(header)
+def _sound_messages(messages: list[_Message], definitions: str, left_out: list[_Line]) -> list[_Message]:
+    """Messages as far as they can be read; those with a wrong line are found by halving."""
+    if _parsed(_text(messages, definitions)) is not None:
+        return messages
+    if len(messages) == 1:
+        return _sound_message(messages[0], definitions, left_out)
+    half = len(messages) // 2
+    return [
+        m for part in (messages[:half], messages[half:]) for m in _sound_messages(part, definitions, left_out)
+    ]
+
+
+def _sound_message(message: _Message, definitions: str, left_out: list[_Line]) -> list[_Message]:
+    """Readable statements of one message; none if its head is not."""
+    head = _HEAD + _joined([message.head])
+    if _parsed(head) is None:
+        left_out.append(message.head)
         return []
-    kept = _sound(_HEAD + header[1] + "\n", signals, left_out)
-    return [header[1], *(line for _, line in kept)]
+    signals = _sound_lines(head, message.signals, left_out)
+    about = _sound_lines(head + _joined(signals) + definitions, message.about, left_out)
+    return [_Message(message.identifier, message.head, signals, about)]
 
 
-def _sound(
-    head: str, statements: list[tuple[int, str]], left_out: list[tuple[int, str]]
-) -> list[tuple[int, str]]:
+def _sound_lines(head: str, lines: list[_Line], left_out: list[_Line]) -> list[_Line]:
     """Statements that can be read after ``head``, found by halving."""
-    if not statements or _parsed(head + "".join(line + "\n" for _, line in statements)) is not None:
-        return statements
-    if len(statements) == 1:
-        left_out.append(statements[0])
+    if not lines or _parsed(head + _joined(lines)) is not None:
+        return lines
+    if len(lines) == 1:
+        left_out.append(lines[0])
         return []
-    half = len(statements) // 2
-    first = _sound(head, statements[:half], left_out)
-    return first + _sound(head + "".join(line + "\n" for _, line in first), statements[half:], left_out)
+    half = len(lines) // 2
+    first = _sound_lines(head, lines[:half], left_out)
+    return first + _sound_lines(head + _joined(first), lines[half:], left_out)
+
+
+def _text(messages: list[_Message], definitions: str) -> str:
+    """A DBC of messages and definitions."""
+    parts = [m.parts() for m in messages]
+    return _HEAD + "".join(p[0] for p in parts) + definitions + "".join(p[1] for p in parts)
+
+
+def _joined(lines: list[_Line]) -> str:
+    return "".join(line + "\n" for _, line in lines)
 
 
 def _parsed(text: str) -> Database | None:
-    """Database of a DBC, None where cantools cannot read it."""
+    """Database of a DBC, None where cantools cannot read it, or the last statement has no end."""
     try:
-        return _database(text)
+        return _database(text + 'CM_ "";\n')
     except Exception:  # cantools raises many classes for a wrong text
         return None
 

@@ -28,6 +28,8 @@ if TYPE_CHECKING:  # cantools takes long to import
 
 _PRIORITY = 0x1C000000
 _PDU2 = 0xF0
+_NAMED = 4
+"""So many signals a warning names."""
 
 
 @dataclass(frozen=True)
@@ -65,13 +67,13 @@ def load_database(path: Path) -> Database:
     except Exception as error:  # one exception class for each form of database
         sound = _sound_dbc(Path(path))
         if sound is not None:
-            return sound
+            return _with_signs(sound, path)
         raise InputError(
             path, "", f"cannot be read ({str(error).splitlines()[0]})", "a CAN database"
         ) from None
     if not isinstance(found, Database):
         raise InputError(path, "--dbc", "describes diagnostics, no messages", "a CAN database")
-    return found
+    return _with_signs(found, path)
 
 
 def _sound_dbc(path: Path) -> Database | None:
@@ -83,6 +85,29 @@ def _sound_dbc(path: Path) -> Database | None:
         return None
     for line in left_out:
         warnings.warn(f"{path}: {line}", InputWarning, stacklevel=1)
+    return database
+
+
+def _with_signs(database: Database, path: Path) -> Database:
+    """Make signals signed whose range is that of signed bits though their type is not, and name them."""
+    found = []
+    for message in database.messages:
+        for signal in message.signals:
+            half, scale = 2 ** (signal.length - 1), float(signal.scale)
+            ends = (-half * scale, (half - 1) * scale)
+            stated = (signal.minimum, signal.maximum)
+            if signal.is_signed or signal.is_float or signal.offset or None in stated or signal.length < 4:
+                continue
+            if scale > 0 and all(abs(s - e) <= 1.5 * scale for s, e in zip(stated, ends, strict=True)):
+                signal.is_signed = True
+                found.append(f"{message.name}.{signal.name}")
+    if found:
+        more = f" and {len(found) - _NAMED} more" if len(found) > _NAMED else ""
+        warnings.warn(
+            f"{path}: {', '.join(found[:_NAMED])}{more}: read as signed, as the range says and not the type",
+            InputWarning,
+            stacklevel=1,
+        )
     return database
 
 
@@ -116,10 +141,8 @@ def contradicting_range(signal: Signal) -> str:
 
 
 def _encoding(path: Path) -> str | None:
-    """Encoding of a text form that does not state it: UTF-8 if valid, else that of Vector's tools.
-
-    Units need it ("°/s").
-    """
+    """Encoding of a text form that does not state it: UTF-8 if valid, else that of Vector's tools. Units need
+    it ("°/s")."""
     if path.suffix.lower() not in {".dbc", ".sym"}:
         return None
     try:

@@ -1,7 +1,5 @@
 """CSV as people have it: a byte-order mark, comment lines before the header, `;` with decimal commas."""
 
-from __future__ import annotations
-
 import io
 from collections.abc import Iterable
 from itertools import islice
@@ -51,9 +49,7 @@ def read_csv(data: bytes, null_values: Iterable[str] | None = None) -> tuple[pa.
     if null_values is not None:
         convert.null_values, convert.strings_can_be_null = list(null_values), True
     table = pa_csv.read_csv(
-        body,
-        parse_options=pa_csv.ParseOptions(delimiter=delimiter),
-        convert_options=convert,
+        body, parse_options=pa_csv.ParseOptions(delimiter=delimiter), convert_options=convert
     )
     return table.rename_columns([name.strip() for name in table.column_names]), skipped
 

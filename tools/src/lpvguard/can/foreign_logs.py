@@ -6,8 +6,6 @@ Each message's numbers become series TOPIC.field, fields of fields and short arr
 which the log got the message; those of PX4 and ArduPilot are the vehicle's own.
 """
 
-from __future__ import annotations
-
 import bz2
 from collections.abc import Callable, Iterable, Iterator
 from functools import cache

@@ -1,17 +1,15 @@
 """Reads logs: raw CAN frames, or tables of decoded signals.
 
-raw      candump (-l, -L, and the screen with -t), ASC, BLF, MF4 with bus logging, CSV and Parquet with the
-         columns of python-can (timestamp, arbitration_id, extended, dlc, data);
+raw      candump (-l, -L, and the screen with -t), ASC, BLF, TRC, MF4 with bus logging, CSV and Parquet with
+         the columns of python-can (timestamp, arbitration_id, extended, dlc, data);
          each also with .gz where it is text
-decoded  CSV and Parquet with one column a signal, MF4 with one channel a signal; rosbag, MCAP, ULog,
-         DataFlash and openpilot's logs (foreign_logs.py)
+decoded  CSV and Parquet with one column a signal, folders with one of them a topic (topics.py), MF4 with
+         one channel a signal; rosbag, MCAP, ULog, DataFlash and openpilot's logs (foreign_logs.py)
 
 candump goes through a compiled parser, or through a slow one in Python when there is no compiler; the result
 is the same. Other raw forms go through python-can (which takes a bus-off report of a candump log as a frame)
 and asammdf.
 """
-
-from __future__ import annotations
 
 import ctypes
 import gzip
@@ -24,7 +22,7 @@ import numpy as np
 
 from ..base import artefacts, native
 from ..base.errors import InputError, InputWarning
-from .damaged import python_can_reader, require_sound_blocks
+from .damaged import python_can_reader
 from .foreign_logs import read_foreign, reader_of
 from .log_types import ERROR_REPORT as ERROR_REPORT
 from .log_types import EXTENDED as EXTENDED
@@ -32,13 +30,17 @@ from .log_types import FD_BYTES, LATEST_S, frames_of_rows, row_of
 from .log_types import Frames as Frames
 from .log_types import Series as Series
 from .log_types import Table as Table
+from .mf4 import read_mf4
+from .topics import joined, topic_files
+from .trc import read_trc
 
 INDEX = "experiments.csv"
 """Index of a drive folder."""
 
 _NAME_BYTES, _CHANNELS, _COUNTS = 16, 64, 6
 _CANDUMP_SUFFIXES = {".log", ".candump", ".txt"}
-_PYTHON_CAN_SUFFIXES = {".asc", ".blf", ".trc"}
+_PYTHON_CAN_SUFFIXES = {".asc", ".blf"}
+_TRC_SUFFIX = ".trc"
 _MDF_SUFFIXES = {".mf4", ".mdf", ".dat"}
 _TEXT_SUFFIXES = {".csv", ".tsv", ".txt"}
 _FOREIGN_SUFFIXES = {".bag", ".mcap", ".ulg", ".bin", ".db3", ".bz2", ".zst"}
@@ -47,6 +49,7 @@ _SUFFIXES = {
     *_TEXT_SUFFIXES,
     *_CANDUMP_SUFFIXES,
     *_PYTHON_CAN_SUFFIXES,
+    _TRC_SUFFIX,
     *_MDF_SUFFIXES,
     *_FOREIGN_SUFFIXES,
     ".parquet",
@@ -95,6 +98,9 @@ def read_log(path: Path, *, time_column: str | None = None, schema: Path | None 
     path = Path(path)
     if reader_of(path) is not None and path.exists():
         return read_foreign(path, schema)
+    if path.is_dir() and (topics := topic_files(path)):
+        tables = {p.stem: read_log(p, time_column=time_column) for p in topics}
+        return joined(path, {topic: table for topic, table in tables.items() if isinstance(table, Table)})
     if not path.is_file():
         raise InputError(path, "", "no such file", "a log: candump, ASC, BLF, MF4, CSV or Parquet")
     suffixes = [s.lower() for s in path.suffixes]
@@ -103,8 +109,10 @@ def read_log(path: Path, *, time_column: str | None = None, schema: Path | None 
         log: Frames | Table = _read_candump(path)
     elif suffix in _PYTHON_CAN_SUFFIXES:
         log = _read_python_can(path)
+    elif suffix == _TRC_SUFFIX:
+        log = read_trc(path, _bytes(path).decode("utf-8-sig", errors="replace"))
     elif suffix in _MDF_SUFFIXES:
-        log = _read_mf4(path)
+        log = read_mf4(path)
     elif suffix in {*_TEXT_SUFFIXES, *_CANDUMP_SUFFIXES, ".parquet"}:
         log = _read_table(path, suffix, time_column)
     else:
@@ -139,11 +147,11 @@ def logs_among(paths: list[Path]) -> list[Path]:
     """
     found: list[Path] = []
     for path in paths:
-        if path.is_dir() and reader_of(path) is not None:  # a rosbag2 is a folder
+        if path.is_dir() and (reader_of(path) is not None or topic_files(path)):  # one recording
             found.append(path)
             continue
         inside = sorted(path.iterdir()) if path.is_dir() else []
-        logs = [p for p in inside if p.name != INDEX and _is_log(p)]
+        logs = [p for p in inside if p.name != INDEX and (_is_log(p) or topic_files(p))]
         if path.is_dir() and not logs:
             raise InputError(path, "", "holds no log", "a folder of logs, or the logs themselves")
         found += logs if path.is_dir() else [path] if path.name != INDEX else []
@@ -250,6 +258,14 @@ def _read_candump(path: Path) -> Frames:
             "no frame in the file",
             "(seconds) interface identifier#data, as candump -l writes, or the screen of candump -t a",
         )
+    back = int((np.diff(frames.t_ns) < 0).sum())
+    if back > _BACKWARDS * len(frames):
+        raise InputError(
+            path,
+            "times",
+            f"{back} of {len(frames)} go back: each counts from the frame before, as candump -t d writes",
+            "absolute times, as candump -t a, -t z or -l writes",
+        )
     return frames
 
 
@@ -270,6 +286,8 @@ def candump_frames(text: np.ndarray) -> Frames:
     return parse_candump(text, library) if library else parse_candump_slowly(text)
 
 
+_BACKWARDS = 0.2
+"""At most this share of the times of a log is before the one above."""
 _HEAD = 1 << 16
 """Number of bytes at the start of a log that show its form."""
 _SCREEN = re.compile(
@@ -282,10 +300,8 @@ _SCREEN = re.compile(
 
 
 def _as_logged(match: re.Match[bytes]) -> bytes:
-    """The same line as candump -l writes it; a length of two digits is that of a CAN FD frame.
-
-    A line whose number of bytes contradicts its length stays unchanged and is no frame.
-    """
+    """The same line as candump -l writes it; a length of two digits is that of a CAN FD frame. A line whose
+    number of bytes contradicts its length stays unchanged and is no frame."""
     stamp, interface, identifier, length, remote, digits = match.groups()
     if remote:
         return b"%b %b %b#R%b" % (stamp, interface, identifier, length)
@@ -297,10 +313,8 @@ def _as_logged(match: re.Match[bytes]) -> bytes:
 
 
 def _screen_bytes(digits: bytes, length: int) -> bytes | None:
-    """Bytes (length,) of candump's screen; None where the number of bytes differs.
-
-    Digits are hexadecimal, or binary with ``-i``. Backticks of ``-S`` mean that the last byte stands first.
-    """
+    """Bytes (length,) of candump's screen; None where the number of bytes differs. Digits are hexadecimal, or
+    binary with ``-i``. Backticks of ``-S`` mean that the last byte stands first."""
     groups = digits.replace(b"`", b" ").split()
     widths = {len(group) for group in groups}
     if len(groups) != length or (not widths <= {2} and not widths <= {8}):
@@ -405,6 +419,9 @@ def _read_python_can(path: Path) -> Frames:
                 else:
                     identifier, extended = message.arbitration_id, message.is_extended_id
                     data = bytes(message.data)
+                    stated = message.dlc if message.is_fd else min(message.dlc, 8)
+                    if len(data) != stated:
+                        raise ValueError(f"{len(data)} bytes, where its length says {stated}")
                     rows.append(row_of(message.timestamp, identifier, extended, message.channel, data))
     except Exception as error:  # each reader of python-can has exceptions of its own
         raise InputError(
@@ -506,90 +523,3 @@ def _raw_table(path: Path, table) -> Frames:
                 "timestamp in s, arbitration_id, data as bytes or hexadecimal text",
             ) from None
     return frames_of_rows(rows, {})
-
-
-# -------------------------------------------------------------------------------------------------------- MF4
-
-
-def _read_mf4(path: Path) -> Frames | Table:
-    try:
-        from asammdf import MDF
-    except ImportError:
-        raise InputError(path, "", "reading MF4 needs the package asammdf", "pip install asammdf") from None
-    try:
-        require_sound_blocks(path)
-        with MDF(path) as mdf:
-            places = [
-                (g, entry)
-                for name, entries in mdf.channels_db.items()
-                if name == "CAN_DataFrame"
-                for g, entry in entries
-            ]
-            return _mf4_frames(mdf, places) if places else _mf4_signals(mdf)
-    except InputError:
-        raise
-    except Exception as error:  # asammdf has no exception class for a broken file
-        raise InputError(
-            path, "", f"cannot be read ({type(error).__name__}: {error})", "an MF4 file"
-        ) from None
-
-
-def _mf4_frames(mdf, places: list[tuple[int, int]]) -> Frames:
-    t, id_, channel, length, data = [], [], [], [], []
-    for group, index in places:
-        whole = mdf.get(group=group, index=index, raw=True)
-        names = {name.rsplit(".", 1)[-1]: name for name in whole.samples.dtype.names}
-
-        def part(key: str, default: int, n: int = len(whole.samples), names=names, whole=whole) -> np.ndarray:
-            return whole.samples[names[key]] if key in names else np.full(n, default)
-
-        payload = np.asarray(whole.samples[names["DataBytes"]], np.uint8)
-        identifier = np.asarray(part("ID", 0), np.int64)
-        extended = np.where(part("IDE", 0) != 0, True, identifier > 0x7FF)
-        t.append(_mf4_time(whole.timestamps))
-        id_.append((identifier & 0x1FFFFFFF | np.where(extended, EXTENDED, 0)).astype(np.uint32))
-        channel.append(np.asarray(part("BusChannel", 0), np.uint8))
-        length.append(np.asarray(part("DataLength", payload.shape[1]), np.uint8))
-        data.append(payload)
-    width = 8 if max(d.shape[1] for d in data) <= 8 else FD_BYTES
-    padded = np.concatenate([np.pad(d, ((0, 0), (0, width - d.shape[1]))) for d in data])
-    t_ns = np.concatenate(t)
-    order = np.argsort(
-        t_ns, kind="stable"
-    )  # groups are one bus each: only together are they in order of time
-    numbers = np.concatenate(channel)[order]
-    present, position = np.unique(numbers, return_inverse=True)
-    return Frames(
-        t_ns[order],
-        np.concatenate(id_)[order],
-        position.astype(np.uint8),
-        np.concatenate(length)[order],
-        padded[order],
-        [str(n) for n in present],
-    )
-
-
-def _mf4_time(t_s: np.ndarray) -> np.ndarray:
-    """Times (N,) in ns of times in s; ValueError for one that is none."""
-    bad = t_s[~(np.abs(t_s) <= LATEST_S)]
-    if len(bad):
-        raise ValueError(f"time {bad[0]} s")
-    return np.rint(t_s * 1e9).astype(np.int64)
-
-
-def _mf4_signals(mdf) -> Table:
-    series: dict[str, Series] = {}
-    for group, content in enumerate(mdf.groups):
-        for index, channel in enumerate(content.channels):
-            if mdf.masters_db.get(group) == index:
-                continue
-            signal = mdf.get(group=group, index=index)
-            if signal.samples.ndim == 1 and signal.samples.dtype.kind in "iufb":
-                value = signal.samples.astype(float)
-                if signal.invalidation_bits is not None:
-                    value[np.asarray(signal.invalidation_bits, bool)] = np.nan
-                series.setdefault(
-                    channel.name,
-                    Series(_mf4_time(signal.timestamps), value, signal.unit or ""),
-                )
-    return Table(series)

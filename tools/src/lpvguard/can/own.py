@@ -26,7 +26,8 @@ from .catalogue import E2E_BITS, OWN_NODE, BusSignal, Catalogue, Message
 from .codegen import ANY_PRIORITY
 from .decode import contradicting_range, is_j1939, load_database, signal_pieces
 from .logs import EXTENDED
-from .protection import CANFD_LENGTHS, PROTECTIONS, Place, Protection
+from .protection import PROTECTIONS, Place, Protection
+from .sign_bits import sign_bits
 
 if TYPE_CHECKING:  # cantools takes long to import
     from cantools.database.can import Database
@@ -38,30 +39,30 @@ if TYPE_CHECKING:  # cantools takes long to import
 OWN_ADDRESS, CAR_ADDRESS = 0xFC, 0x00
 _PROPRIETARY_B = 0xFF00
 """First of the 256 parameter groups that J1939 leaves to manufacturers, used for the catalogue's messages."""
-_SIGNAL_BITS, _FRAME_BITS = 16, 64
+_SIGNAL_BITS, _WIDEST_BITS, _FRAME_BITS = 16, 32, 64
+"""Most bits of a signal of the catalogue, of one of the car (in two of these), and of a frame."""
 _ROUNDING = 0.5
 """Share of a signal's step by which a raw value may miss a stated end."""
 
 
 @dataclass(frozen=True)
 class Carried:
-    """A signal of the car and the one of the catalogue that carries its bits.
-
+    """A signal of the car, or its upper or lower half, and the one of the catalogue that carries its bits.
     ``flip`` holds the raw bits to invert, so that the value is unsigned and rises with the physical one.
-    """
+    ``sign`` is the bit that tells the sign of a magnitude, which then counts from the middle of the range."""
 
-    car: CarSignal
+    name: str
+    car: Bits
     ours: BusSignal
     flip: int
+    sign: Bits | None = None
 
 
 @dataclass(frozen=True)
 class CarriedMessage:
     """A message of the car, ours that carries it, and the places of its checksum and counter.
-
     ``checksum_name`` is None without one. ``counters`` is the number of the counter's values.
-    ``any_priority`` marks a J1939 group.
-    """
+    ``any_priority`` marks a J1939 group."""
 
     car: CarMessage
     ours: Message
@@ -72,6 +73,8 @@ class CarriedMessage:
     counter: Bits | None
     counters: int
     data_ids: list[int]
+    selector: Bits | None = None
+    selected: tuple[int, ...] = ()
 
     @property
     def identifier(self) -> int:
@@ -144,10 +147,61 @@ def own_bus(project: Project) -> CarBus:
     for s in project.signals:
         if s.can is not None:
             message, carried = ours[s.can.message]
-            by_name = {c.car.name: c.ours for c in carried}
             names = (s.can.signal, *s.can.plus)
-            places[s.name] = (message, [by_name[n] for n in names], s.can.factor)
+            halves = [c.ours for n in names for c in carried if c.name == n]
+            places[s.name] = (message, halves, s.can.factor)
     return CarBus(catalogue, messages, places)
+
+
+@dataclass(frozen=True)
+class Demand:
+    """A message of the car that carries demands of a controller.
+
+    Attributes
+    ----------
+    message : CarriedMessage
+    signals : list of (Signal, int, float), with the index of the input behind each, and bus value per value
+    """
+
+    message: CarriedMessage
+    signals: list[tuple[CarSignal, int, float]]
+
+
+def demand_messages(project: Project) -> list[Demand]:
+    """Messages of a vehicle's own bus that carry its demands.
+
+    Parameters
+    ----------
+    project : Project, with can.demand
+
+    Returns
+    -------
+    list of Demand
+
+    Raises
+    ------
+    InputError
+        If the database lacks a message or signal, or a signal cannot be sent.
+    """
+    assert project.can is not None
+    where, path = f"vehicle {project.name}, can.demand", project.can.dbc
+    by_message: dict[str, list[tuple[str, int, float]]] = {}
+    for k, s in enumerate(project.inputs):
+        place = project.can.demand[s.name]
+        if place.plus:
+            raise InputError(where, s.name, f"plus = {list(place.plus)}", "one signal")
+        by_message.setdefault(place.message, []).append((place.signal, k, place.factor))
+    found = []
+    for number, (name, signals) in enumerate(by_message.items()):
+        car = _car_message(_database(path), name, path, where)
+        settings = project.can.messages.get(name, OwnMessage())
+        carried = _carried(car, [signal for signal, *_ in signals], settings, number, f"{where}, {path}")
+        signs = sign_bits(car)
+        for signal, *_ in signals:
+            if signal in signs:
+                raise InputError(where, signal, f"has its sign in {signs[signal]}", "a signed signal")
+        found.append(Demand(carried, [(_car_signal(car, s, where), k, factor) for s, k, factor in signals]))
+    return found
 
 
 def _place(name: str, place: CanPlace | None, where: str) -> CanPlace:
@@ -197,10 +251,13 @@ def _carried(
     checksum, counter, counters = _protection(car, settings, where)
     protected = checksum is not None or counter is not None
     start, signals = E2E_BITS if protected else 0, []
+    signs = sign_bits(car)
     for k, name in enumerate(names):
         signal = _car_signal(car, name, where)
-        signals.append(_carry(signal, f"s{k}_" + _word(name).lower(), start, f"{where}, {place}"))
-        start += signal.length
+        sign = _car_signal(car, signs[name], where) if name in signs else None
+        signals += _carry(signal, sign, f"s{k}_" + _word(name).lower(), start, f"{where}, {place}")
+        start = signals[-1].ours.start + signals[-1].ours.length
+    selector, selected = _multiplex(car, names, counter is not None, f"{where}, {place}")
     if start > _FRAME_BITS:
         raise InputError(
             where,
@@ -221,52 +278,119 @@ def _carried(
     given = settings.data_id
     data_ids = given if isinstance(given, list) else [] if given is None else [given]
     return CarriedMessage(
-        car, ours, signals, is_j1939(car), settings.checksum, checksum, counter, counters, data_ids
+        car,
+        ours,
+        signals,
+        is_j1939(car),
+        settings.checksum,
+        checksum,
+        counter,
+        counters,
+        data_ids,
+        selector,
+        selected,
     )
+
+
+def _multiplex(
+    car: CarMessage, names: list[str], counted: bool, where: str
+) -> tuple[CarSignal | None, tuple[int, ...]]:
+    """Selector of the multiplex that ``names`` are in and its values for them; None, () without one.
+
+    Raises InputError where no frame has all of them, the selector is multiplexed itself, or the message has a
+    counter, of which a multiplex sees some values only.
+    """
+    multiplexed = [s for name in names if (s := _car_signal(car, name, where)).multiplexer_ids]
+    if not multiplexed:
+        return None, ()
+    selector = _car_signal(car, multiplexed[0].multiplexer_signal or "", where)
+    selected = set(multiplexed[0].multiplexer_ids or ())
+    for signal in multiplexed:
+        selected &= set(signal.multiplexer_ids or ()) if signal.multiplexer_signal == selector.name else set()
+    what = ", ".join(s.name for s in multiplexed)
+    if not selected or selector.multiplexer_ids or selector.is_float or selector.length > _SIGNAL_BITS:
+        raise InputError(
+            where,
+            what,
+            "are in no frame together",
+            "signals of one multiplex, whose selector is not in another",
+        )
+    if counted:
+        raise InputError(
+            where, what, "multiplexed in a message with a counter", "a message without a counter"
+        )
+    return selector, tuple(sorted(selected))
 
 
 def _word(name: str) -> str:
     return re.sub(r"[^A-Za-z0-9]", "_", name)
 
 
-def _carry(signal: CarSignal, name: str, start: int, where: str) -> Carried:
-    """A signal of the car as an unsigned one of ours from bit ``start`` on."""
-    if signal.is_float or signal.length > _SIGNAL_BITS or signal.multiplexer_ids:
+def _carry(signal: CarSignal, sign: CarSignal | None, name: str, start: int, where: str) -> list[Carried]:
+    """A signal of the car as one or two unsigned ones of ours from bit ``start`` on, whose sum it is."""
+    widest = _SIGNAL_BITS - 1 if sign else _WIDEST_BITS
+    if signal.is_float or signal.length > widest or (sign and signal.offset):
         raise InputError(
             where,
             f"signal {signal.name}",
-            "is multiplexed"
-            if signal.multiplexer_ids
-            else f"has {signal.length} bits{' of a float' if signal.is_float else ''}",
-            f"an integer of at most {_SIGNAL_BITS} bits in every frame",
+            f"has {signal.length} bits{' of a float' if signal.is_float else ''}"
+            + (f", an offset of {float(signal.offset):g}, and its sign in {sign.name}" if sign else ""),
+            f"an integer of at most {widest} bits" + (" without an offset" if sign else ""),
         )
-    top, whole = 1 << (signal.length - 1), (1 << signal.length) - 1
     scale, offset = float(signal.scale), float(signal.offset)
+    length = signal.length + (1 if sign else 0)
+    top, whole = 1 << (length - 1), (1 << length) - 1
     flip = top if signal.is_signed else 0
-    if signal.is_signed:
+    if signal.is_signed or sign:
         offset -= scale * top
     if scale < 0:
         flip, offset, scale = flip ^ whole, offset + scale * whole, -scale
     accepted = _accepted(signal, offset, offset + scale * whole)
-    ours = BusSignal(
-        name=name,
-        start=start,
-        length=signal.length,
-        scale=scale,
-        offset=offset,
-        unit=signal.unit or "",
-        positive="",
-        coding="plain",
-        supervise=accepted,
-    )
-    return Carried(signal, ours, flip)
+    if sign and accepted:
+        end = max(abs(accepted["min"]), abs(accepted["max"]))
+        accepted = {"min": max(-end, offset), "max": min(end, offset + scale * whole)}
+
+    def ours(part: str, first: int, bits: int, step: float, least: float, of: dict | None) -> BusSignal:
+        return BusSignal(
+            name=name + part,
+            start=first,
+            length=bits,
+            scale=step,
+            offset=least,
+            unit=signal.unit or "",
+            positive="",
+            coding="plain",
+            supervise=of,
+        )
+
+    if length <= _SIGNAL_BITS:
+        return [Carried(signal.name, signal, ours("", start, length, scale, offset, accepted), flip, sign)]
+    low = (1 << _SIGNAL_BITS) - 1
+    upper, lower = _halves(signal)
+    room = scale * low  # the lower half adds at most this
+    if accepted:
+        accepted = {"min": max(accepted["min"] - room, offset), "max": accepted["max"]}
+    high = ours("_high", start, upper.length, scale * (low + 1), offset, accepted)
+    rest = ours("_low", start + upper.length, _SIGNAL_BITS, scale, 0.0, None)
+    return [
+        Carried(signal.name, upper, high, flip >> _SIGNAL_BITS),
+        Carried(signal.name, lower, rest, flip & low),
+    ]
+
+
+def _halves(signal: CarSignal) -> tuple[Place, Place]:
+    """Places of the bits above the lowest _SIGNAL_BITS of a signal, and of these."""
+    above = signal.length - _SIGNAL_BITS
+    if signal.byte_order == "little_endian":
+        return Place(signal.start + _SIGNAL_BITS, above), Place(signal.start, _SIGNAL_BITS)
+    down = 8 * (signal.start // 8) + 7 - signal.start % 8 + above  # bits from the frame's first one on
+    lower = 8 * (down // 8) + 7 - down % 8
+    return Place(signal.start, above, "big_endian"), Place(lower, _SIGNAL_BITS, "big_endian")
 
 
 def _accepted(signal: CarSignal, low: float, high: float) -> dict[str, float] | None:
-    """Range of the database, whose ends are rounded, within the raw values' reach ``low`` to ``high``.
-
-    None where it states no range that can be meant.
-    """
+    """Range of the database, whose ends are rounded, within the raw values' reach ``low`` to ``high``. None
+    where it states no range that can be meant."""
     if signal.minimum is None or signal.maximum is None or not signal.minimum < signal.maximum:
         return None
     if why := contradicting_range(signal):
@@ -278,10 +402,8 @@ def _accepted(signal: CarSignal, low: float, high: float) -> dict[str, float] | 
 
 
 def _protection(car: CarMessage, settings: OwnMessage, where: str) -> tuple[Bits | None, Bits | None, int]:
-    """Places of checksum and counter, None without one, and the number of the counter's values.
-
-    Raises InputError where the settings do not fit the message.
-    """
+    """Places of checksum and counter, None without one, and the number of the counter's values. Raises
+    InputError where the settings do not fit the message."""
     place = f"can.messages.{car.name}"
     named = _named(car, settings.counter, "COUNTER", f"{place}.counter", where)
     if settings.checksum is None:
@@ -331,9 +453,9 @@ def _require_fit(kind: Protection, checksum: Bits, car: CarMessage, settings: Ow
             f"the checksum has {checksum.length} bits from bit {checksum.start} on",
             f"{kind.bits} bits within {max(kind.bits // 8, 1)} byte(s) of the frame for {settings.checksum}",
         )
-    if settings.checksum == "hyundai_canfd" and car.length not in CANFD_LENGTHS:
+    if kind.lengths and car.length not in kind.lengths:
         raise InputError(
-            where, place, f"{car.length} bytes", f"a frame of {', '.join(map(str, CANFD_LENGTHS))} bytes"
+            where, place, f"{car.length} bytes", f"a frame of {', '.join(map(str, kind.lengths))} bytes"
         )
     given = settings.data_id
     count = len(given) if isinstance(given, list) else 0 if given is None else 1

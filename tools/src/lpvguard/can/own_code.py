@@ -1,8 +1,6 @@
-"""Generates the C (C99) that turns frames of a car's own bus into frames of own.py's catalogue.
-
-Two files beside the codec (codegen.py): ``lpvg_can_own.h`` and ``lpvg_can_own.c``. They precede the receiver:
-``lpvg_can_own_take`` comes first, then ``lpvg_can_receive`` with its result.
-"""
+"""Generates the C (C99) that turns frames of a car's own bus into frames of own.py's catalogue. Two files
+beside the codec (codegen.py): ``lpvg_can_own.h`` and ``lpvg_can_own.c``. They precede the receiver:
+``lpvg_can_own_take`` comes first, then ``lpvg_can_receive`` with its result."""
 
 from __future__ import annotations
 
@@ -131,8 +129,17 @@ static void protect(lpvg_can_own_t* self, uint8_t index, uint16_t data_id, int64
 """
 
 
-def _raw(bits: Bits) -> str:
-    """C expression of the raw value of a car's signal in ``data``."""
+def raw_value(bits: Bits) -> str:
+    """C expression of the raw value of a car's signal in ``data``.
+
+    Parameters
+    ----------
+    bits : Signal or Place
+
+    Returns
+    -------
+    str
+    """
     text = ""
     for byte, low, count in signal_pieces(bits):
         term = f"((uint32_t)data[{byte}] >> {low})" if low else f"(uint32_t)data[{byte}]"
@@ -155,7 +162,11 @@ def _take(index: int, m: CarriedMessage) -> str:
     for c in m.signals:
         flip = f" ^ 0x{c.flip:X}u" if c.flip else ""
         kind = "uint8_t" if c.ours.length <= 8 else "uint16_t"
-        body.append(f"    message.{c.ours.name} = ({kind})(({_raw(c.car)}){flip});\n")
+        value = f"({raw_value(c.car)})"
+        if c.sign is not None:
+            middle = f"0x{1 << (c.ours.length - 1):X}u"
+            value = f"((({raw_value(c.sign)}) != 0u) ? ({middle} - {value}) : ({middle} + {value}))"
+        body.append(f"    message.{c.ours.name} = ({kind})({value}{flip});\n")
     body.append(f"    (void){name}_pack(&message, frame);\n")
     if m.ours.e2e is None:
         return "".join([*lines, "    (void)self;\n    (void)id;\n    (void)length;\n", *body, "}\n"])
@@ -166,7 +177,7 @@ def _take(index: int, m: CarriedMessage) -> str:
         body += assigned
     else:
         lines.append("    (void)id;\n    (void)length;\n")
-    counter = f"{m.counters}u, {_raw(m.counter)}" if m.counter is not None else "0u, 0u"
+    counter = f"{m.counters}u, {raw_value(m.counter)}" if m.counter is not None else "0u, 0u"
     data_id = m.ours.e2e.data_id
     gap = f"(int64_t)LPVG_CAN_{m.ours.name}_PERIOD_US / {GAP_FRACTION}"
     body.append(f"    protect(self, {index}u, 0x{data_id:04X}u, {gap}, {right}, {counter}, frame);\n")
@@ -175,6 +186,23 @@ def _take(index: int, m: CarriedMessage) -> str:
 
 def _checked(m: CarriedMessage, function: str, checksum: Bits) -> tuple[list[str], list[str], str]:
     """Declarations, statements and the C name of the checksum's result."""
+    declared, assigned = frame_to_check(m, checksum)
+    right = f"    right = ({function}(&checked) == ({raw_value(checksum)})) ? 1 : 0;\n"
+    return [*declared, "    int right;\n"], [*assigned, right], "right"
+
+
+def frame_to_check(m: CarriedMessage, checksum: Bits) -> tuple[list[str], list[str]]:
+    """Declarations and statements of ``checked``, the frame of which a checksum is asked.
+
+    Parameters
+    ----------
+    m : CarriedMessage
+    checksum : Signal or Place
+
+    Returns
+    -------
+    tuple of list of str, C lines
+    """
     pieces = signal_pieces(checksum)
     at = min(byte for byte, _, _ in pieces)
     keep = 0xFF
@@ -184,8 +212,8 @@ def _checked(m: CarriedMessage, function: str, checksum: Bits) -> tuple[list[str
     if len(m.data_ids) > 1 and m.counter is not None:
         listed = ", ".join(f"0x{i:02X}u" for i in m.data_ids)
         declared.append(f"    static const uint8_t data_ids[{len(m.data_ids)}] = {{{listed}}};\n")
-        chosen = f"data_ids[{_raw(m.counter)}]"
-    declared += ["    checked_frame_t checked;\n", "    int right;\n"]
+        chosen = f"data_ids[{raw_value(m.counter)}]"
+    declared.append("    checked_frame_t checked;\n")
     # The identifier counts without its flags.
     assigned = [
         "    checked.id = id & 0x1FFFFFFFu;\n",
@@ -194,16 +222,20 @@ def _checked(m: CarriedMessage, function: str, checksum: Bits) -> tuple[list[str
         f"    checked.at = {at}u;\n",
         f"    checked.keep = 0x{keep & 0xFF:02X}u;\n",
         f"    checked.data_id = {chosen};\n",
-        f"    right = ({function}(&checked) == ({_raw(checksum)})) ? 1 : 0;\n",
     ]
-    return declared, assigned, "right"
+    return declared, assigned
 
 
 def _case(index: int, m: CarriedMessage) -> str:
     """C branch of the dispatch by identifier."""
     macro = f"LPVG_CAN_{m.ours.name}_ID"
+    condition = f"(id & 0x{m.mask:08X}u) == 0x{m.identifier & m.mask:08X}u"
+    if m.selector is not None:  # frames of another multiplex carry nothing needed
+        last = max(byte for byte, _, _ in signal_pieces(m.selector))
+        chosen = " || ".join(f"(({raw_value(m.selector)}) == {value}u)" for value in m.selected)
+        condition = f"({condition}) && (length > {last}u) && ({chosen})"
     return (
-        f"    }} else if ((id & 0x{m.mask:08X}u) == 0x{m.identifier & m.mask:08X}u) {{\n"
+        f"    }} else if ({condition}) {{\n"
         f"        frame->id = {macro};\n"
         f"        if (length == {m.car.length}u) {{\n"
         f"            take_{index}(self, id, data, length, frame);\n        }}\n"

@@ -1,10 +1,6 @@
 """Turns drives into frames of the catalogue's messages, and plays frames onto a bus or into a candump log.
-
 ``encode`` is the numpy version of the generated C codec. It rounds to the nearest raw value, saturates, and
-sends NaN as "not available". It sets unused bits to 1 and adds E2E profile 11 where the catalogue says so.
-"""
-
-from __future__ import annotations
+sends NaN as "not available". It sets unused bits to 1 and adds E2E profile 11 where the catalogue says so."""
 
 import time
 from collections.abc import Callable, Mapping
@@ -13,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from ..base.errors import InputError
-from .catalogue import BusSignal, Catalogue, Message, load_catalogue
+from .catalogue import BusSignal, Message, load_catalogue
 from .logs import EXTENDED, Frames, candump_line
 
 _CRC8_POLYNOMIAL = 0x1D
@@ -78,16 +74,13 @@ def encode(message: Message, values: Mapping[str, np.ndarray], n: int) -> np.nda
     return data
 
 
-def frames_of_drive(
-    t: np.ndarray, values: Mapping[tuple[str, str], np.ndarray], catalogue: Catalogue | None = None
-) -> Frames:
+def frames_of_drive(t: np.ndarray, values: Mapping[tuple[str, str], np.ndarray]) -> Frames:
     """Make the frames of a drive, each message on its own period from t[0] on.
 
     Parameters
     ----------
     t : ndarray (N,), s, increasing
     values : Mapping, ndarray (N,) on the bus by (message, signal), interpolated linearly
-    catalogue : Catalogue, optional, by default the shipped one
 
     Returns
     -------
@@ -98,7 +91,7 @@ def frames_of_drive(
     InputError
         If the catalogue lacks a message.
     """
-    catalogue = catalogue or load_catalogue()
+    catalogue = load_catalogue()
     parts = []
     for name in dict.fromkeys(message for message, _ in values):
         message = catalogue.message(name)
@@ -128,7 +121,7 @@ def frames_of_drive(
     )
 
 
-def values_of_drive(project, drive, catalogue: Catalogue | None = None) -> dict[tuple[str, str], np.ndarray]:
+def values_of_drive(project, drive) -> dict[tuple[str, str], np.ndarray]:
     """Return the bus values that `frames_of_drive` sends for a drive.
 
     The bus value is factor * value for every signal with a CAN place. A receiver refuses a frame without one
@@ -139,7 +132,6 @@ def values_of_drive(project, drive, catalogue: Catalogue | None = None) -> dict[
     ----------
     project : Project
     drive : Drive, N samples
-    catalogue : Catalogue, optional, by default the shipped one
 
     Returns
     -------
@@ -150,7 +142,7 @@ def values_of_drive(project, drive, catalogue: Catalogue | None = None) -> dict[
     InputError
         If a signal has no place.
     """
-    catalogue = catalogue or load_catalogue()
+    catalogue = load_catalogue()
     if project.can is not None:
         raise InputError(
             f"vehicle {project.name}",

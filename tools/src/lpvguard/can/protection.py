@@ -10,6 +10,11 @@ public databases and packers of commaai/opendbc; AUTOSAR_PRS_E2EProtocol.
     chrysler             CRC-8, polynomial 0x1D, over the others; register starts at 0xFF, xor-out 0xFF
                          (SAE J1850); the last byte
     volkswagen_xor       exclusive or of the others
+    nissan               CRC-8, polynomial 0x1D, over the others; register starts at 0, xor-out 0xFF
+    ford_speed           0xFF - (bytes 0 and 1 + bits 6 and 7 of byte 2 + bits 2 to 5 of byte 2), modulo 256;
+                         byte 3, counter in those 4 bits (BrakeSysFeatures)
+    ford_yaw_rate        0xFF - (bytes 0 to 3 and 5 + bits 6 and 7 of byte 6 + bits 4 and 5 of byte 6),
+                         modulo 256; byte 4, counter in byte 5 (Yaw_Data_FD1)
     hyundai_sum          others, modulo 256
     hyundai_sum_before   bytes before the checksum, modulo 256
     hyundai_nibbles      -(all half bytes but the checksum), modulo 16
@@ -23,8 +28,6 @@ public databases and packers of commaai/opendbc; AUTOSAR_PRS_E2EProtocol.
     autosar_p05          CRC-16, polynomial 0x1021, over others, data id low, data id high; register starts at
                          0xFFFF; bytes 0 and 1, low byte first; counter 0 to 255 in byte 2
 """
-
-from __future__ import annotations
 
 from dataclasses import dataclass
 
@@ -44,7 +47,8 @@ class Protection:
 
     ``bits`` is its width. ``checksum`` and ``counter`` are the places by definition; a negative start counts
     from the frame's end, and None leaves them to the database. ``counters`` is the number of the counter's
-    values; None is all of its bits. ``data_ids`` is the number of data ids.
+    values; None is all of its bits. ``data_ids`` is the number of data ids. ``lengths`` are the only lengths
+    of a frame that the definition knows; empty: any.
     """
 
     function: str
@@ -53,6 +57,7 @@ class Protection:
     counter: Place | None = None
     counters: int | None = None
     data_ids: int = 0
+    lengths: tuple[int, ...] = ()
 
 
 _COUNTER = Place(8, 4)
@@ -66,11 +71,14 @@ PROTECTIONS = {
     "tesla": Protection("check_sum_id", 8),
     "chrysler": Protection("check_j1850", 8, Place(-8, 8)),
     "volkswagen_xor": Protection("check_xor", 8),
+    "nissan": Protection("check_crc8_zero", 8),
+    "ford_speed": Protection("check_ford_speed", 8, Place(24, 8), Place(18, 4), lengths=(8,)),
+    "ford_yaw_rate": Protection("check_ford_yaw_rate", 8, Place(32, 8), Place(40, 8), lengths=(8,)),
     "hyundai_sum": Protection("check_sum", 8),
     "hyundai_sum_before": Protection("check_sum_before", 8),
     "hyundai_nibbles": Protection("check_nibbles", 4),
     "hyundai_crc8": Protection("check_crc8", 8),
-    "hyundai_canfd": Protection("check_canfd", 16, _WORD),
+    "hyundai_canfd": Protection("check_canfd", 16, _WORD, lengths=(8, 16, 24, 32)),
     "autosar_p01": _E2E_1,
     "autosar_p11": _E2E_1,
     "autosar_p02": _E2E_2,
@@ -161,6 +169,25 @@ _BODIES = {
         + "            value = crc8(value, 0x1Du, frame->data[i]);\n        }\n    }\n"
         + "    return value ^ 0xDFu;",
     ),
+    "check_crc8_zero": (
+        _CRC8,
+        "uint32_t value = 0u;",
+        _OTHERS
+        + "            value = crc8(value, 0x1Du, frame->data[i]);\n        }\n    }\n"
+        + "    return value ^ 0xFFu;",
+    ),
+    "check_ford_speed": (
+        "",
+        "const uint32_t flags = frame->data[2];\n    uint32_t value = (flags >> 6) + ((flags >> 2) & 0xFu);",
+        "for (i = 0u; i < 2u; ++i) {\n        value += frame->data[i];\n    }\n"
+        "    return (0xFFu - value) & 0xFFu;",
+    ),
+    "check_ford_yaw_rate": (
+        "",
+        "const uint32_t flags = frame->data[6];\n    uint32_t value = (flags >> 6) + ((flags >> 4) & 0x3u);",
+        "for (i = 0u; i < 6u; ++i) {\n        value += (i != frame->at) ? frame->data[i] : 0u;\n    }\n"
+        "    return (0xFFu - value) & 0xFFu;",
+    ),
     "check_canfd": (
         _CRC16,
         "uint32_t value = 0u;",
@@ -192,8 +219,6 @@ _BODIES = {
     ),
 }
 """C function -> functions that it calls, its variables, and its statements."""
-CANFD_LENGTHS = (8, 16, 24, 32)
-"""Lengths of frames for which hyundai_canfd has a xor-out."""
 
 
 def check_source(names: set[str]) -> str:

@@ -6,7 +6,7 @@ import re
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:  # cantools takes long to import
-    from cantools.database.can import Message
+    from cantools.database.can import Message, Signal
 
 SIGN_BIT = re.compile(r"sign|sgn|vorzeichen|(?:^|_)vz(?:_|$)|direction|richtung")
 """In the name of a bit that tells the sign of a magnitude beside it."""
@@ -22,19 +22,29 @@ def sign_bits(message: Message) -> dict[str, str]:
 
     Returns
     -------
-    dict[str, str], by magnitude the bit of the same name with a word for sign
+    dict[str, str]
+        By magnitude the bit of the same name with a word for sign, or of the first words of its name right
+        behind it.
     """
-    found = {}
+    found: dict[str, str] = {}
+    magnitudes = [s for s in message.signals if s.length > 1 and not s.is_signed and float(s.offset) >= 0]
     for bit in message.signals:
         words = _words(bit.name)
         base = [w for w in words if not _WORDS.match(w)]
         if bit.length != 1 or len(base) == len(words):
             continue
-        for signal in message.signals:
-            if signal.length > 1 and not signal.is_signed and _words(signal.name) == base:
-                found[signal.name] = bit.name
+        same = [s for s in magnitudes if _words(s.name) == base]
+        behind = [s for s in magnitudes if _words(s.name)[: len(base)] == base and _follows(bit, s)]
+        found |= {s.name: bit.name for s in same or behind[:1]}
     return found
 
 
+def _follows(bit: Signal, magnitude: Signal) -> bool:
+    """Return whether a bit comes right behind a little-endian magnitude, or behind one bit more."""
+    top = magnitude.start + magnitude.length
+    return magnitude.byte_order == "little_endian" and bit.start in (top, top + 1)
+
+
 def _words(name: str) -> list[str]:
-    return re.sub(r"([a-z])([A-Z])", r"\1_\2", name).lower().strip("_").split("_")
+    parted = re.sub(r"(?<=[a-z])(?=[A-Z])|(?<=[A-Z0-9])(?=(?:Sign|Sgn|Vorzeichen)$)", "_", name)
+    return parted.lower().strip("_").split("_")

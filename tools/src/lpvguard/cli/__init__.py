@@ -4,8 +4,6 @@ Results that machines read go to the file named with --json (``-``: standard out
 to standard error. Nothing is written except where -o or --json says.
 """
 
-from __future__ import annotations
-
 import errno
 import os
 import signal
@@ -20,6 +18,7 @@ from ..base.errors import InputError, InputWarning
 from ..base.system import ENDING_SIGNALS, open_standard_streams
 from . import (  # noqa: F401 - each adds its verb; sections.py has their order in --help
     a2l,
+    arxml,
     bench,
     campaign,
     completion,
@@ -66,6 +65,7 @@ MAY_IMPORT = (
     "live",
     "problems",
     "fmu",
+    "arxml",
     "bench",
 )
 

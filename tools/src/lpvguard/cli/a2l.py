@@ -1,7 +1,5 @@
 """`lpvguard a2l`: describe a vehicle's object in the image of its ECU (A2L), for any measurement tool."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 
@@ -12,9 +10,7 @@ from ..vehicle.stored_settings import require_settings
 from .shared import Coefficients, Vehicle, app, console, project_of
 
 
-@app.command(
-    epilog="Example: lpvguard a2l --vehicle truck --elf firmware.elf --instance ecu -o truck.a2l",
-)
+@app.command(epilog="Example: lpvguard a2l --vehicle truck --elf firmware.elf --instance ecu -o truck.a2l")
 def a2l(
     vehicle: Vehicle,
     elf: Annotated[Path, typer.Option("--elf", help="The ECU's image, compiled with -g.")],

@@ -1,7 +1,5 @@
 """`lpvguard bench`: measure performance, beside peers in the same run; prints a table."""
 
-from __future__ import annotations
-
 from typing import Annotated
 
 import typer
@@ -18,8 +16,8 @@ def bench(
     name: Annotated[
         str,
         typer.Argument(
-            help="bounds, can, chain, core, fleet, lives, proofs, robust, sharpness, soak, steer, synthesis, "
-            "validation or weights; NAME -- --help for options."
+            help="bounds, can, chain, core, fleet, lives, proofs, robust, sharpness, soak, steer, synthesis "
+            "or validation; NAME -- --help for options."
         ),
     ],
 ) -> None:

@@ -1,8 +1,6 @@
 """`lpvguard campaign`: score the monitor and the baselines over many simulated runs; stopped half-way, the
 same command goes on. Exit 1: a falsified certificate, or another claim missed."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 
@@ -10,17 +8,7 @@ import typer
 
 from ..base import artefacts
 from ..vehicle.stored_settings import require_settings
-from .shared import (
-    Coefficients,
-    Jobs,
-    JsonOut,
-    Out,
-    Scheduler,
-    app,
-    emit,
-    progress_bar,
-    stored_with_drives,
-)
+from .shared import Coefficients, Jobs, JsonOut, Out, Scheduler, app, emit, progress_bar, stored_with_drives
 from .tables import print_campaign
 
 

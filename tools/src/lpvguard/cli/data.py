@@ -1,7 +1,5 @@
 """`lpvguard data`: a public data set, made anew from where it was published."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

@@ -1,8 +1,6 @@
 """`lpvguard dbc`: write the CAN database of our bus (DBC), for any tool that shows or sends decoded
 traffic."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 from typing import Annotated

@@ -12,17 +12,7 @@ from ..base import artefacts
 from ..base.errors import InputError
 from ..base.parallel import workers
 from ..base.progress import Progress, parts
-from .shared import (
-    Jobs,
-    JsonOut,
-    Out,
-    app,
-    console,
-    emit,
-    progress_bar,
-    stored_for,
-    stored_with_drives,
-)
+from .shared import Jobs, JsonOut, Out, app, console, emit, progress_bar, stored_for, stored_with_drives
 from .tables import (
     print_case,
     print_cells,
@@ -143,12 +133,13 @@ def _design_vehicle(
     """Design and certify a vehicle's controller, with Table II and the figures where ``table``, for frozen
     speeds alone without ``moving_speed``. Returns the exit status: 1 when mu is not certified below 1."""
     from ..control import design as stage
+    from ..control.frozen import compared
     from ..control.plants import design_settings
     from ..identify.premise import premise
 
     cells: list[Cell] = []
     more: dict[str, str] = {}
-    with_table = table and stored.project.n_delta == 1
+    with_table = table and compared(stored)
     with progress_bar("design") as tell, workers(jobs) as run:
         weights = (*SHARES[:1], SHARES[1] if with_table else 0, SHARES[2] if largest_A_t else 0)
         designing, comparing, searching = parts(tell, *weights)
@@ -169,8 +160,8 @@ def _design_vehicle(
             console.print("Fig. 6 needs the drives: --drives")
     elif table:
         console.print(
-            "Table II compares structures with one Delta: left out, because this vehicle has one "
-            "for each output"
+            "Table II compares structures with one Delta for one input and two outputs: left out for this "
+            "vehicle"
         )
     print_design(result, design_settings(stored).structure)
     print_premise(premise(stored))
@@ -184,6 +175,8 @@ def _design_vehicle(
     print_slow_delta(result)
     print_limits(result)
     print_summary(stored.project.name, result, out)
+    if not result.worst < 1:
+        console.print(f"why: {stage.limit_sentence(stored, result)}")
     return 0 if result.worst < 1 else 1
 
 

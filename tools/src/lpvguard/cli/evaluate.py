@@ -1,8 +1,6 @@
 """`lpvguard evaluate`: false alarms and detection of injected faults through the compiled core,
 leave-one-drive-out or on drives that the identification never saw."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 
@@ -54,13 +52,7 @@ def evaluate(
     replayer = replayer_of(vehicle, coefficients)
     with progress_bar("evaluate") as tell, workers(jobs, scheduler) as run:
         result = stage(
-            stored,
-            drive_set,
-            replayer.core,
-            held_out=held_out,
-            settings=settings,
-            workers=run,
-            progress=tell,
+            stored, drive_set, replayer.core, held_out=held_out, settings=settings, workers=run, progress=tell
         )
     for folder in drives_to_judge or []:
         result["left_out"] |= set_aside(folder)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 from rich.table import Table
 
 from .shared import console
-from .tables import print_missing
+from .tables import print_missing, table_of
 
 if TYPE_CHECKING:
     from ..evaluate.comparison import DetectorColumn
@@ -16,19 +16,11 @@ if TYPE_CHECKING:
 def print_evaluation(result: dict[str, Any]) -> None:
     """The object of `lpvguard evaluate --json`: false alarms, claims, faults found, beside the baselines."""
     from ..core.compiled import TESTS
-    from ..evaluate.comparison import (
-        ALARM_HEAD,
-        CALIBRATED,
-        MONITOR,
-        alarm_rows,
-        columns,
-    )
+    from ..evaluate.comparison import ALARM_HEAD, CALIBRATED, MONITOR, alarm_rows, columns
     from ..evaluate.false_alarms import PIECE_S
+    from ..evaluate.summary import summary
 
-    alarms = Table(*ALARM_HEAD, box=None)
-    for cells in alarm_rows(result):
-        alarms.add_row(*cells)
-    console.print(alarms)
+    console.print(table_of(ALARM_HEAD, alarm_rows(result)))
     short = [f"{r['run']} {r['last_piece_s']:.1f} s" for r in result["drives"] if r["last_piece_s"] < PIECE_S]
     console.print(f"last pieces that are shorter: {', '.join(short) or 'none'}")
     print_missing(result["drives"])
@@ -56,6 +48,9 @@ def print_evaluation(result: dict[str, Any]) -> None:
     else:
         console.print("no baselines: too few drives calibrate them")
     _print_causes(result)
+    console.print()
+    for line in summary(result):
+        console.print(line, markup=False)
 
 
 def _print_causes(result: dict[str, Any]) -> None:
@@ -65,18 +60,15 @@ def _print_causes(result: dict[str, Any]) -> None:
     if result["causes"] is None:
         console.print("no causes: the generated folder has no diagnosis")
         return
-    table = Table(*CAUSE_HEAD, box=None)
-    for row in cause_rows(result["causes"]):
-        table.add_row(*row)
     console.print("causes named of the faults found with the thresholds as exported:")
-    console.print(table)
+    console.print(table_of(CAUSE_HEAD, cause_rows(result["causes"])))
     for line in cause_sentences(result["causes"]):
         console.print(line, markup=False)
 
 
 def _print_baselines(result: dict[str, Any], detectors: dict[str, DetectorColumn]) -> None:
     """The monitor beside the baselines: together, from when a fault is refutable, and against each alone."""
-    from ..evaluate.comparison import DUEL_HEAD, MONITOR, duel_rows
+    from ..evaluate.comparison import DUEL_HEAD, MONITOR, REFUTABLE_HEAD, duel_rows, refutable_rows
 
     console.print(_detector_table(detectors, [", ".join(row["best"]) for row in result["faults"]]))
     _print_rates(detectors, list(detectors))
@@ -84,35 +76,21 @@ def _print_baselines(result: dict[str, Any], detectors: dict[str, DetectorColumn
         "from when a fault is refutable (the faulty record's off-line margin exceeds 1, the untouched one's "
         "does not): share of these starts that are found, and median time (negative: an alarm before it):"
     )
-    console.print(_refutable_table(detectors))
+    head = ("", REFUTABLE_HEAD, *detectors)
+    console.print(table_of(head, refutable_rows(list(detectors.values()))))
     console.print(
         f"{MONITOR} against each baseline alone, over the rows of faults; behind: fewer found, or "
         "equally many and later:"
     )
-    against = Table(*DUEL_HEAD, box=None)
-    for row in duel_rows(result):
-        against.add_row(*row)
-    console.print(against)
+    console.print(table_of(DUEL_HEAD, duel_rows(result)))
 
 
 def _detector_table(detectors: dict[str, DetectorColumn], best: list[str] | None = None) -> Table:
     """False alarms and found faults, a column per detector; ``best``: who leads, per fault."""
     from ..evaluate.comparison import detector_rows
 
-    table = Table("", *detectors, *(["best"] if best else []), box=None)
-    for row in detector_rows(list(detectors.values()), best):
-        table.add_row(*row)
-    return table
-
-
-def _refutable_table(detectors: dict[str, DetectorColumn]) -> Table:
-    """Found faults and times from when they are refutable on, a column per detector."""
-    from ..evaluate.comparison import REFUTABLE_HEAD, refutable_rows
-
-    table = Table("", REFUTABLE_HEAD, *detectors, box=None)
-    for row in refutable_rows(list(detectors.values())):
-        table.add_row(*row)
-    return table
+    head = ("", *detectors, *(["best"] if best else []))
+    return table_of(head, detector_rows(list(detectors.values()), best))
 
 
 def _print_rates(detectors: dict[str, DetectorColumn], names: list[str]) -> None:

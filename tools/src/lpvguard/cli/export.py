@@ -1,8 +1,6 @@
 """`lpvguard export`: generate the C folder of a vehicle: coefficients, controller, signal table, CAN codec,
 manifest."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

@@ -1,7 +1,5 @@
 """`lpvguard fleet`: the wealth of vehicles over their lives, a score a recording. Exit 1 when any changed."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

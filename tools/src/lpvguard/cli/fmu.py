@@ -1,7 +1,5 @@
 """`lpvguard fmu`: a vehicle's monitor as a functional mock-up unit (FMU) for simulation tools."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated, Literal
 

@@ -1,7 +1,5 @@
 """`lpvguard generate`: write seeded synthetic drives of a vehicle: tables and experiments.csv."""
 
-from __future__ import annotations
-
 from typing import Annotated
 
 import typer

@@ -1,8 +1,6 @@
 """Checks around every command: its outputs are apart from its inputs, replace only their own kind, and are
 locked while it runs."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from contextlib import ExitStack
 from functools import wraps

@@ -1,8 +1,6 @@
 """`lpvguard identify`: find the unfalsified bounds, fit the weights, calibrate the frame test (paper, steps
 1-7)."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

@@ -1,7 +1,5 @@
 """`lpvguard lcm`: watch and lead a simulation that runs with `sim --lcm URL`."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated, Literal
 

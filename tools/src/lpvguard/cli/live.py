@@ -1,7 +1,5 @@
 """`lpvguard live`: a page for browsers of this machine that shows what the core says as frames come."""
 
-from __future__ import annotations
-
 import asyncio
 from contextlib import ExitStack
 from typing import Annotated

@@ -1,7 +1,5 @@
 """`lpvguard new`: from a stranger's logs to a project file and a folder of drives."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

@@ -1,8 +1,6 @@
 """`lpvguard plant`: run the simulated truck's own tool: its frequency response against Table I, single
 experiments, a digest."""
 
-from __future__ import annotations
-
 import subprocess
 from pathlib import Path
 

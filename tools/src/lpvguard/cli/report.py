@@ -1,7 +1,5 @@
 """`lpvguard report`: one self-contained HTML page with every picture and table."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

@@ -14,7 +14,7 @@ SECTIONS = {
     "Main path": ("fit", "identify", "design", "export", "replay", "evaluate", "report"),
     "Vehicle in a loop": ("generate", "sim", "campaign", "lcm", "plant"),
     "Fleet and live": ("fleet", "live"),
-    "Bus and ECU": ("dbc", "a2l", "fmu"),
+    "Bus and ECU": ("dbc", "a2l", "fmu", "arxml"),
     "Bench and problems": ("bench", "solve"),
     "Shell": ("completion",),
 }

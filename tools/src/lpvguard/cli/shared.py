@@ -6,19 +6,13 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    SpinnerColumn,
-    Task,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
+from rich.progress import BarColumn, SpinnerColumn, Task, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.progress import Progress as Bar
 from rich.text import Text
 
@@ -133,14 +127,15 @@ def replayer_of(vehicle: str, coefficients: Path | None) -> Replayer:
 
 
 def stored_for(identification: Path, vehicle: str) -> StoredIdentification:
-    """The identification in a folder. InputError where it is of another vehicle, or of other settings."""
+    """The identification in a folder, with the vehicle's own bus. InputError where it is of another vehicle,
+    or of other settings."""
     from ..identify import identification as stage
 
     stored, project = stage.load(identification), project_of(vehicle)
     if stored.project.name != project.name:
         raise InputError(identification, "vehicle", stored.project.name, f"an identification of {vehicle}")
     require_settings(artefacts.read_json(identification / "project.json"), identification, project, vehicle)
-    return stored
+    return replace(stored, project=stored.project.model_copy(update={"can": project.can}))
 
 
 def stored_with_drives(

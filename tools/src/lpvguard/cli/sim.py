@@ -1,9 +1,10 @@
-"""`lpvguard sim`: close the loop with the simulated truck over CAN frames. Exit 1 when a run did not show
-what its scenario expects."""
+"""`lpvguard sim`: close the loop with the simulated truck over CAN frames, or with members of a vehicle's
+identified set. Exit 1 when a run did not show what its scenario expects or its certificate proves."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -13,7 +14,7 @@ import typer
 from ..base import artefacts
 from ..base.errors import InputError
 from .shared import LCM_DEFAULT, Coefficients, JsonOut, app, emit, progress_bar
-from .tables import print_runs
+from .tables import print_members, print_runs
 
 if TYPE_CHECKING:
     from ..extras.loop.sim import Scenario, Simulator
@@ -48,14 +49,26 @@ Logs = Annotated[
 ]
 
 
+Members = Annotated[
+    Path | None,
+    typer.Option(
+        help="Identification of any vehicle with a controller: its set's sampled and worst members replace "
+        "the truck and the bus (with --design and --coefficients)."
+    ),
+]
+Design = Annotated[Path | None, typer.Option(help="Folder written by design, for --members.")]
+Draws = Annotated[int, typer.Option(min=1, help="Sampled members, for --members.")]
+
+
 @app.command(
     epilog="Examples: lpvguard sim nominal yaw_sign --json -\n\n"
+    "lpvguard sim --members out/identify --design out/design --coefficients out/vehicle\n\n"
     "tools/with-vcan lpvguard sim nominal --bus socketcan:vcan0 --target cortex-r5f"
 )
 def sim(
     scenarios: Annotated[
-        list[str], typer.Argument(help="Shipped scenarios, or paths to scenario files (*.toml).")
-    ],
+        list[str] | None, typer.Argument(help="Shipped scenarios, or paths to scenario files (*.toml).")
+    ] = None,
     vehicle: Annotated[str, typer.Option("--vehicle", help="Shipped vehicle with a controller.")] = "truck",
     coefficients: Coefficients = None,
     bus: Bus = "memory",
@@ -70,10 +83,21 @@ def sim(
         bool, typer.Option("--paused", help="Begin when a client says resume (with --lcm).")
     ] = False,
     out: Logs = None,
+    members: Members = None,
+    design: Design = None,
+    draws: Draws = 40,
     json_out: JsonOut = None,
 ) -> None:
     """Close the loop with the simulated truck over CAN frames. Exit 1 when a run did not show what its
-    scenario expects."""
+    scenario expects. With --members, close the compiled controller of any vehicle with members of its
+    identified set."""
+    if members is not None:
+        if scenarios or design is None or coefficients is None:
+            expected = "--design, --coefficients and no scenario"
+            raise InputError("sim", "--members", "given without its options", expected)
+        raise typer.Exit(_with_members(members, design, coefficients, draws, json_out))
+    if not scenarios:
+        raise InputError("sim", "SCENARIOS", "missing", "one or more, or --members")
     from ..core.compiled import shipped_vehicle
     from ..extras.loop.sim import Simulator, load_scenario
 
@@ -93,6 +117,24 @@ def sim(
     emit(json_out, runs)
     print_runs(runs, bus, simulator)
     raise typer.Exit(1 if any(r["missed"] for r in runs) else 0)
+
+
+def _with_members(identification: Path, design: Path, vehicle: Path, draws: int, json_out: str | None) -> int:
+    """Run the compiled controller with members of the set. Returns the exit status: 1 when a run leaves what
+    is proved."""
+    from ..control.controller_file import require_designed_for, require_exported_with
+    from ..control.robust_run import CompiledController, certified_runs
+    from ..identify.identification import load
+
+    stored = load(identification)
+    document = require_designed_for(stored, design / "controller.json")
+    require_exported_with(design / "controller.json", vehicle)
+    with progress_bar("sim") as tell:
+        tell("members of the set")
+        runs = certified_runs(stored, document, CompiledController(vehicle), draws)
+    emit(json_out, [asdict(r) | {"kept": r.kept} for r in runs])
+    print_members(runs)
+    return 0 if all(r.kept for r in runs) else 1
 
 
 def _runs(
@@ -115,10 +157,7 @@ def _runs(
 
 
 def _kept(
-    out: Path,
-    simulator: Simulator,
-    scenarios: list[Scenario],
-    run: Callable[[Path], list[dict[str, Any]]],
+    out: Path, simulator: Simulator, scenarios: list[Scenario], run: Callable[[Path], list[dict[str, Any]]]
 ) -> list[dict[str, Any]]:
     """The runs, with the folder of their logs, telemetry and results.json at ``out``."""
     with artefacts.new_folder(out, "sim", simulator.project.name) as folder:

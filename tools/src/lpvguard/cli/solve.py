@@ -1,8 +1,6 @@
 """`lpvguard solve`: answer problems of the numerical engine; those that carry an answer are compared, exit 1
 on any miss."""
 
-from __future__ import annotations
-
 from typing import Annotated
 
 import typer

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +16,7 @@ from .shared import console
 
 if TYPE_CHECKING:
     from ..control.design import Design, LargestA_t
+    from ..control.robust_run import RobustRun
     from ..control.tradeoff import TradeOff
     from ..engine.synthesis.cases import TableRow
     from ..engine.synthesis.table import Cell
@@ -26,33 +27,36 @@ if TYPE_CHECKING:
     from ..replay.replayer import Replayer
 
 
+def table_of(head: Iterable[str], rows: Iterable[Iterable[str]]) -> Table:
+    """Return a table without a frame."""
+    table = Table(*head, box=None)
+    for row in rows:
+        table.add_row(*row)
+    return table
+
+
+def print_rows(rows: Iterable[dict[str, str]]) -> None:
+    """Print a table whose columns are the keys of its rows, if it has a row."""
+    if every := list(rows):
+        console.print(table_of(every[0], (row.values() for row in every)))
+
+
 def print_replays(done: list[dict[str, Any]], replayer: Replayer) -> None:
     """The objects of `lpvguard replay --json`: a row per drive, then alarms and what became of CAN frames."""
-    table = Table(
-        "drive",
-        "duration s",
-        "judged s",
-        "verdict",
-        "first invalid s",
-        "max margin",
-        "max energy ratio",
-        "max change ratio",
-        "alarms",
-        box=None,
+    print_rows(
+        {
+            "drive": r["run"],
+            "duration s": f"{r['duration_s']:.1f}",
+            "judged s": f"{r['judged_s']:.1f}",
+            "verdict": r["verdict_final"],
+            "first invalid s": _or_dash(r["first_invalid_s"], ".2f"),
+            "max margin": _or_dash(r["max_margin"], ".3f"),
+            "max energy ratio": _or_dash(r["max_energy_ratio"], ".3f"),
+            "max change ratio": _or_dash(r["max_change_ratio"], ".3f"),
+            "alarms": str(len(r["alarms"])),
+        }
+        for r in done
     )
-    for r in done:
-        table.add_row(
-            r["run"],
-            f"{r['duration_s']:.1f}",
-            f"{r['judged_s']:.1f}",
-            r["verdict_final"],
-            "–" if r["first_invalid_s"] is None else f"{r['first_invalid_s']:.2f}",
-            "–" if r["max_margin"] is None else f"{r['max_margin']:.3f}",
-            "–" if r["max_energy_ratio"] is None else f"{r['max_energy_ratio']:.3f}",
-            "–" if r["max_change_ratio"] is None else f"{r['max_change_ratio']:.3f}",
-            str(len(r["alarms"])),
-        )
-    console.print(table)
     console.print(
         f"thresholds: frame test {replayer.threshold:.4g}, energy test {replayer.energy_threshold:.4g}, "
         f"change test {replayer.change_threshold:.4g}; "
@@ -71,6 +75,10 @@ def print_replays(done: list[dict[str, Any]], replayer: Replayer) -> None:
             console.print(f"{r['run']}: t = {d['t_s']:.2f} s, cause: {d['says']}", markup=False)
         if "can" in r:
             _print_reception(r["run"], r["can"])
+
+
+def _or_dash(value: float | None, form: str) -> str:
+    return "–" if value is None else format(value, form)
 
 
 def print_missing(rows: list[dict[str, Any]]) -> None:
@@ -109,13 +117,18 @@ def print_fleet(result: dict[str, Any]) -> None:
         f"P(ever in a life) <= {terms['alpha']:g} for all calibration sets but a share {terms['eta']:g}, "
         f"<= {terms['alpha'] + terms['eta']:g} over all; null: recordings like those that calibrate"
     )
-    head = ("vehicle", "recordings", "new", "left out", "wealth", "alarms at", "at the earliest after")
-    table = Table(*head, box=None)
-    for name, v in result["vehicles"].items():
-        counts = (v["recordings"], len(v["new"]), len(v["left_out"]))
-        after = "–" if v["earliest"] is None else f"{v['earliest']} above all"
-        table.add_row(name, *map(str, counts), f"{v['wealth']:.3g}", f"{1 / terms['alpha']:.3g}", after)
-    console.print(table)
+    print_rows(
+        {
+            "vehicle": name,
+            "recordings": str(v["recordings"]),
+            "new": str(len(v["new"])),
+            "left out": str(len(v["left_out"])),
+            "wealth": f"{v['wealth']:.3g}",
+            "alarms at": f"{1 / terms['alpha']:.3g}",
+            "at the earliest after": "–" if v["earliest"] is None else f"{v['earliest']} above all",
+        }
+        for name, v in result["vehicles"].items()
+    )
     for name, v in result["vehicles"].items():
         rate, hourly = share_words(v["alarmed"]), hourly_words(v["alarmed_per_judged_h"])
         console.print(f"{name}: new recordings with an alarm of their own: {rate}; a judged hour: {hourly}")
@@ -139,38 +152,34 @@ def _estimated(vehicle: dict[str, Any]) -> str:
     )
 
 
+def print_members(runs: Sequence[RobustRun]) -> None:
+    """Ratios of the compiled controller with members of the identified set, beside what is proved."""
+    shown = Table("v m/s", "mu", "members", "largest ratio", "worst member", "in theory", "kept", box=None)
+    for r in runs:
+        numbers = (r.v, r.bound, r.draws, r.sampled, r.worst, r.worst_gain)
+        shown.add_row(*(f"{x:.4g}" for x in numbers), "yes" if r.kept else "NO")
+    console.print(shown)
+    console.print(
+        "ratio of the norms of z and [w; n; r_c] with the compiled controller; at most mu is proved"
+    )
+
+
 def print_runs(runs: list[dict[str, Any]], bus: str, simulator: Simulator) -> None:
     """The objects of `lpvguard sim --json`: a row per run, then what an emulated ECU took."""
-    table = Table(
-        "scenario",
-        "seed",
-        "verdict",
-        "invalid at s",
-        "judged s to it",
-        "max margin",
-        "tracking",
-        "x real time",
-        "missed",
-        box=None,
+    print_rows(
+        {
+            "scenario": r["scenario"],
+            "seed": str(r["seed"]),
+            "verdict": r["verdict_final"],
+            "invalid at s": _or_dash(r["first_invalid_s"], ".2f"),
+            "judged s to it": _or_dash(r["judged_to_invalid_s"], ".2f"),
+            "max margin": f"{r['max_margin']:.3f}",
+            "tracking": f"{r['tracking_rms'] / r['command_rms']:.1%}" if r["command_rms"] else "–",
+            "x real time": f"{r['real_time_factor']:.0f}",
+            "missed": "; ".join(r["missed"]) or "nothing",
+        }
+        for r in runs
     )
-    for r in runs:
-        invalid = (
-            ("–", "–")
-            if r["first_invalid_s"] is None
-            else (f"{r['first_invalid_s']:.2f}", f"{r['judged_to_invalid_s']:.2f}")
-        )
-        ratio = f"{r['tracking_rms'] / r['command_rms']:.1%}" if r["command_rms"] else "–"
-        table.add_row(
-            r["scenario"],
-            str(r["seed"]),
-            r["verdict_final"],
-            *invalid,
-            f"{r['max_margin']:.3f}",
-            ratio,
-            f"{r['real_time_factor']:.0f}",
-            "; ".join(r["missed"]) or "nothing",
-        )
-    console.print(table)
     console.print(f"{bus} bus, controller {simulator.controller}, coefficients {simulator.folder}")
     keyed = all(r["reception"]["authentication"] for r in runs)
     console.print(f"GUARD_IN {'authenticated' if keyed else 'not authenticated'}")
@@ -191,10 +200,13 @@ def print_fit(result: FittedModel) -> None:
     from ..fit.quality import gaps
 
     e, u = result.estimate, result.estimate.unknowns
-    values = Table("", "value", "standard error", "from", "to", "start", box=None)
-    for row in zip(u.names, e.theta, e.standard_error, u.low, u.high, u.start, strict=True):
-        values.add_row(row[0], f"{row[1]:.5g}", f"{row[2]:.2g}", *(f"{x:.4g}" for x in row[3:]))
-    console.print(values)
+    values = zip(u.names, e.theta, e.standard_error, u.low, u.high, u.start, strict=True)
+    console.print(
+        table_of(
+            ("", "value", "standard error", "from", "to", "start"),
+            ([name, f"{x:.5g}", f"{s:.2g}", *(f"{v:.4g}" for v in rest)] for name, x, s, *rest in values),
+        )
+    )
     outputs = [s.name for s in result.project.outputs]
     columns = [f"{kind} {name}" for name in outputs for kind in ("VAF %", "gain", "own past", "input's past")]
     fits = Table("", "judged s", *columns, box=None)
@@ -217,6 +229,9 @@ def print_fit(result: FittedModel) -> None:
         console.print(line)
     for text in result.findings:
         console.print(f"finding: {text}")
+    for text in result.differences:
+        console.print(f"warning: {text}", markup=False)
+    console.print(result.outlook)
     for name, why in result.left_out.items():
         if why not in result.findings:
             console.print(f"left out: {name}: {why}", markup=False)
@@ -263,15 +278,15 @@ def print_tests(result: Identification) -> None:
 
 def print_certificates(rows: list[dict[str, Any]]) -> None:
     """The objects of `lpvguard design --json`: mu of the scheduled controller at every speed."""
-    speeds = Table("v m/s", "mu upper", "mu lower", "peak rad/s", box=None)
-    for row in rows:
-        speeds.add_row(
-            f"{row['v_mps']:.4g}",
-            f"{row['mu_upper']:.4f}",
-            f"{row['mu_lower']:.4f}",
-            f"{row['peak_rad_s']:.3g}",
-        )
-    console.print(speeds)
+    print_rows(
+        {
+            "v m/s": f"{row['v_mps']:.4g}",
+            "mu upper": f"{row['mu_upper']:.4f}",
+            "mu lower": f"{row['mu_lower']:.4f}",
+            "peak rad/s": f"{row['peak_rad_s']:.3g}",
+        }
+        for row in rows
+    )
 
 
 def print_design(result: Design, structure: str) -> None:
@@ -317,9 +332,9 @@ def print_moving_speed(result: Design) -> None:
 
 def print_robustness(result: Design) -> None:
     """The worst of what the nodes have beside mu; nothing where it was not asked for."""
-    if result.beside is None:
+    if result.further is None:
         return
-    nodes = result.beside.robustness.nodes
+    nodes = result.further.robustness.nodes
     gains = [node.worst_gain for node in nodes]
     gain = "not bounded" if None in gains else f"at most {max(g for g in gains if g is not None):.4f}"
     nearest = min((n.nu_margin / n.nu_gap_next for n in nodes if n.nu_gap_next), default=None)
@@ -333,7 +348,7 @@ def print_robustness(result: Design) -> None:
 
 def print_slow_delta(result: Design) -> None:
     """How fast Delta may vary, beside what frames can hide; nothing for a design without Delta."""
-    found = None if result.beside is None else result.beside.slow_delta
+    found = None if result.further is None else result.further.slow_delta
     if found is None:
         return
     stable = "at any rate" if found.stability_rate is None else f"up to {found.stability_rate:.3g} a second"
@@ -347,9 +362,9 @@ def print_slow_delta(result: Design) -> None:
 
 def print_limits(result: Design) -> None:
     """Print the proofs for a demand at its limits, if any."""
-    if result.beside is None:
+    if result.further is None:
         return
-    found = result.beside.limits
+    found = result.further.limits
     kappa, energy = found.largest_kappa, found.energy()
     console.print(
         "limits: "
@@ -381,38 +396,35 @@ def print_summary(name: str, result: Design, out: Path) -> None:
 
 def print_cells(cells: Sequence[Cell]) -> None:
     """Table II on the console, with the times that no file holds."""
-    shown = Table(
-        "Table II", "A_t", "A_u", "mu upper", "mu lower", "none below", "order", "before", "time s", box=None
+    print_rows(
+        {
+            "Table II": c.structure,
+            "A_t": f"{c.A_t:.4g}",
+            "A_u": f"{c.A_u:.2g}",
+            "mu upper": f"{c.upper:.5f}",
+            "mu lower": f"{c.lower:.5f}",
+            "none below": f"{c.floor.value:.5f}",
+            "order": str(c.order),
+            "before": str(c.full_order),
+            "time s": f"{c.seconds:.2f}",
+        }
+        for c in cells
     )
-    for c in cells:
-        shown.add_row(
-            c.structure,
-            f"{c.A_t:.4g}",
-            f"{c.A_u:.2g}",
-            f"{c.upper:.5f}",
-            f"{c.lower:.5f}",
-            f"{c.floor.value:.5f}",
-            str(c.order),
-            str(c.full_order),
-            f"{c.seconds:.2f}",
-        )
-    console.print(shown)
 
 
 def print_tradeoff(found: TradeOff) -> None:
     """Every candidate of a trade-off, the sentence of the best, and what to write into the project file."""
-    shown = Table("structure", "nu low", "nu high", "lambda_s", "worst mu", "none below", box=None)
-    for o in found.outcomes:
-        c = o.candidate
-        shown.add_row(
-            c.structure + (" (project)" if c.own else ""),
-            f"{o.ceiling[1]:.3g}",
-            f"{o.ceiling[-1]:.3g}",
-            "–" if c.lambda_s is None else f"{c.lambda_s:.3g}",
-            "–" if o.level is None else f"{o.level:.4f}",
-            f"{o.floor.value:.4f}",
-        )
-    console.print(shown)
+    print_rows(
+        {
+            "structure": o.candidate.structure + (" (project)" if o.candidate.own else ""),
+            "nu low": f"{o.ceiling[1]:.3g}",
+            "nu high": f"{o.ceiling[-1]:.3g}",
+            "lambda_s": _or_dash(o.candidate.lambda_s, ".3g"),
+            "worst mu": _or_dash(o.level, ".4f"),
+            "none below": f"{o.floor.value:.4f}",
+        }
+        for o in found.outcomes
+    )
     console.print(found.sentence)
     for key, value in found.setting().items():
         console.print(f"to take it, write into the project file {key} = {_toml(value)} and identify again")
@@ -430,23 +442,19 @@ def _toml(value: dict[str, Any] | float) -> str:
 def print_case(rows: list[TableRow], table: list[dict[str, Any]]) -> None:
     """Table II of a case file, ours beside the paper's."""
     print_cells(rows)
-    known = Table("Table II", "A_t", "A_u", "ours", "reference", "order", "paper", "order", box=None)
-
-    def number(x: float | None) -> str:
-        return "–" if x is None else f"{x:g}"
-
-    for r in rows:
-        known.add_row(
-            r.structure,
-            f"{r.A_t:.4g}",
-            f"{r.A_u:.2g}",
-            f"{r.upper:.5f}",
-            number(r.reference),
-            number(r.reference_order),
-            number(r.paper),
-            number(r.paper_order),
-        )
-    console.print(known)
+    print_rows(
+        {
+            "Table II": r.structure,
+            "A_t": f"{r.A_t:.4g}",
+            "A_u": f"{r.A_u:.2g}",
+            "ours": f"{r.upper:.5f}",
+            "reference": _or_dash(r.reference, "g"),
+            "its order": _or_dash(r.reference_order, "g"),
+            "paper": _or_dash(r.paper, "g"),
+            "paper's order": _or_dash(r.paper_order, "g"),
+        }
+        for r in rows
+    )
     for row in table:
         console.print(f"{row['structure']}, A_t {row['A_t']:g}, A_u {row['A_u']:g}: {row['difference']}")
 
@@ -459,6 +467,7 @@ def print_campaign(summary: dict[str, Any]) -> None:
     _print_detection(summary)
     _print_invisible(summary)
     _print_bus(summary)
+    console.print(f"GUARD_IN {summary['command_authentication']}")
     for text in summary["missed"]:
         console.print(f"missed: {text}")
 
@@ -488,7 +497,7 @@ def _print_within(summary: dict[str, Any]) -> None:
         f"response (of {within['candidates']} drawn)"
     )
     head = ("test", "runs that alarm, 95 %", "calibrated", "such runs an hour, 95 %", "calibrated")
-    rates = Table(*head, "such runs an hour judged, 95 %", box=None)
+    rows = []
     for test, seen in within["tests"].items():
         calibrated = summary["calibrated"][test]
         stated = (
@@ -497,8 +506,8 @@ def _print_within(summary: dict[str, Any]) -> None:
             else (f"{calibrated['alpha']:.2%}", f"{calibrated['per_hour']:.2f}")
         )
         hourly = [hourly_words(seen[key]) for key in ("per_hour", "per_judged_hour")]
-        rates.add_row(test, share_words(seen), stated[0], hourly[0], stated[1], hourly[1])
-    console.print(rates)
+        rows.append((test, share_words(seen), stated[0], hourly[0], stated[1], hourly[1]))
+    console.print(table_of((*head, "such runs an hour judged, 95 %"), rows))
 
 
 def _print_detection(summary: dict[str, Any]) -> None:
@@ -520,20 +529,18 @@ def _print_detection(summary: dict[str, Any]) -> None:
         *(COUNTS_ONLY if stated[d] is None else f"at most {stated[d]:.3g}" for d in detectors),
     )
     console.print(table)
-    ways = Table(*WAYS_HEAD, *detectors.values(), box=None)
-    for row in way_rows(summary):
-        ways.add_row(*row)
     console.print(f"faults that come in several ways: average found calibrated; {matched}; median time:")
-    console.print(ways)
+    console.print(table_of((*WAYS_HEAD, *detectors.values()), way_rows(summary)))
     title = f"average over severities: calibrated; {matched}"
-    kinds = Table(title, *detectors.values(), f"best, {matched}", box=None)
-    for k in summary["kinds"]:
-        kinds.add_row(
+    kinds = (
+        (
             k["kind"],
             *(f"{k['found'][d]:.0%}, {k['matched'][d]:.0%}" for d in detectors),
             ", ".join(detectors[d] for d in k["best_matched"]),
         )
-    console.print(kinds)
+        for k in summary["kinds"]
+    )
+    console.print(table_of((title, *detectors.values(), f"best, {matched}"), kinds))
     for b in summary["beaten"]:
         console.print(
             f"a baseline wins, {matched}: {detectors[b['detector']]} on {b['kind']}, {b['matched']:.0%} "
@@ -555,31 +562,32 @@ def _print_bus(summary: dict[str, Any]) -> None:
     """Print the reactions of the supervision to faults of the bus, and to buses without a fault."""
     from ..base.rates import share_words
 
-    bus = Table(
-        "fault of the bus, by severity",
-        "runs as required",
-        "reactions met",
-        "not live",
-        "judged",
-        "alarmed, visible runs",
-        box=None,
+    kinds = {
+        kind: [s for s in summary["bus"] if s["kind"] == kind]
+        for kind in dict.fromkeys(s["kind"] for s in summary["bus"])
+    }
+    print_rows(
+        {
+            "fault of the bus, by severity": f"{kind}: {', '.join(format(s['severity'], 'g') for s in rows)} "
+            f"{summary['units'][kind]}",
+            "runs as required": _of(rows, "as_required", "runs"),
+            "reactions met": _of(rows, "met", "due"),
+            "not live": _range(rows, "away"),
+            "judged": _range(rows, "judged"),
+            "alarmed, visible runs": f"{sum(s['alarmed']['monitor'] for s in rows)}, "
+            f"{sum(s['visible_runs'] for s in rows)}",
+        }
+        for kind, rows in kinds.items()
     )
-    for kind in dict.fromkeys(s["kind"] for s in summary["bus"]):
-        rows = [s for s in summary["bus"] if s["kind"] == kind]
-        severities = ", ".join(f"{s['severity']:g}" for s in rows)
-        bus.add_row(
-            f"{kind}: {severities} {summary['units'][kind]}",
-            _of(rows, "as_required", "runs"),
-            _of(rows, "met", "due"),
-            *(f"{min(s[k] for s in rows):.0%} .. {max(s[k] for s in rows):.0%}" for k in ("away", "judged")),
-            f"{sum(s['alarmed']['monitor'] for s in rows)}, {sum(s['visible_runs'] for s in rows)}",
-        )
-    console.print(bus)
     for which, said in summary["supervision"].items():
         console.print(
             f"supervision of a {which} bus as its frames require: {share_words(said['as_required'])} runs; "
             f"of {said['due']} reactions due, {said['met']} came in the required tick"
         )
+
+
+def _range(rows: list[dict], share: str) -> str:
+    return f"{min(r[share] for r in rows):.0%} .. {max(r[share] for r in rows):.0%}"
 
 
 def _of(rows: list[dict], count: str, of: str) -> str:

@@ -1,7 +1,5 @@
 """Export the generated folder of an identification with its controller, or with a group's thresholds."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from ..base.parallel import Map

@@ -1,8 +1,6 @@
 """Further questions about a controller.json: its identification, its scaling, and mu with a fault in the
 loop."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -13,8 +13,6 @@ nodes and midway between them. Storage functions certify robust stability and ro
 every speed history up to a stated rate of change (engine/synthesis/lpv_certificate.py).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
@@ -32,17 +30,23 @@ from ..core.scheduled import Scheduled
 from ..engine.synthesis import interconnection as fig1
 from ..engine.synthesis.dk import RobustPerformance, Scaling, dk_synthesis
 from ..engine.synthesis.errors import SynthesisError
+from ..engine.synthesis.limits import mu_floor
 from ..engine.synthesis.norms import hinf_norm
 from ..engine.synthesis.scheduling import closed_scaled, common_family, common_scaling
 from ..engine.synthesis.statespace import StateSpace, series
 from ..identify.identification import StoredIdentification
-from ..identify.model_error import last_telling
 from ..identify.premise import premise, require_premise
 from ..vehicle.design_settings import DesignSettings
 from ..vehicle.nominal import NominalModel
 from .controller_file import stated_scaling
-from .further_certificates import NOTHING, Beside, beside, require_beside
+from .further_certificates import (
+    NOTHING,
+    FurtherCertificates,
+    further_certificates,
+    require_further_certificates,
+)
 from .input_limit import input_limit
+from .limiting import Limiting
 from .moving_speed import Moving, certified, moving_certificates, moving_to_dict, require_moving, tuning
 from .plants import DesignProblem, design_settings, vehicle_at
 from .schedule import FrozenLoop, fit_by_pairs
@@ -94,7 +98,7 @@ class Design:
     full_order : int, order before the reduction
     off_grid : (speed [m/s], RobustPerformance), the worst between these speeds
     moving : dict, by claim for a moving speed, None: no storage function; empty: not requested
-    beside : Beside or None, margins, a varying Delta and limits, None: not requested
+    further : FurtherCertificates or None, margins, a varying Delta and limits, None: not requested
     """
 
     schedule: Scheduled
@@ -103,7 +107,7 @@ class Design:
     full_order: int
     off_grid: tuple[float, RobustPerformance]
     moving: dict[str, Moving | None] = field(default_factory=dict)
-    beside: Beside | None = None
+    further: FurtherCertificates | None = None
 
     @property
     def worst(self) -> float:
@@ -149,7 +153,7 @@ def design(
         moving=moving_certificates(problem, result.schedule, result.scaling, moving, workers)
         if moving_speed
         else {},
-        beside=beside(problem, result.schedule, result.scaling, margins, workers),
+        further=further_certificates(problem, result.schedule, result.scaling, margins, workers),
     )
 
 
@@ -177,24 +181,48 @@ def frozen_optimum(stored: StoredIdentification) -> tuple[float, float]:
     return max((optimum(float(v)), float(v)) for v in speeds[evenly(len(speeds), SCALING_SPEEDS)])
 
 
+def limit_sentence(stored: StoredIdentification, result: Design) -> str:
+    """State in one sentence why a design is not certified: its largest mu, and the weights that limit it.
+
+    Parameters
+    ----------
+    stored : StoredIdentification
+    result : Design
+
+    Returns
+    -------
+    str
+    """
+    problem = DesignProblem.of(stored)
+    v, worst = max([*result.certificates, result.off_grid], key=lambda one: one[1].upper)
+    limiting = Limiting.of(problem.plant(v), result.schedule.at(v), worst)
+    floor = max(
+        mu_floor(problem.plant(u, delayed=True), rtol=1e-3).value for u in (*problem.model.speed_range, v)
+    )
+    most = f"no controller goes below {floor:.3f} with these weights"
+    return (
+        f"the least worst mu found is {worst.upper:.3f}, at {v:.4g} m/s and {limiting.frequency:.3g} rad/s; "
+        f"{limiting.sentence()}; {most}"
+    )
+
+
 def crossover(schedule: Scheduled, model: NominalModel) -> float:
-    """Highest frequency [rad/s] at which the loop gain |sum_j K_j P_j| is 1, over the nodes; 0 without
-    any."""
+    """Highest frequency [rad/s] at which the loop gain is 1, over the nodes; 0 without any.
+
+    The loop gain is |sum_j K_j P_j|, of several inputs the spectral radius of K P.
+    """
     omega = np.geomspace(CROSSOVER_FROM, np.pi / schedule.Ts * (1 - 1e-9), CROSSOVER_POINTS)
     highest = 0.0
     for v in map(float, schedule.speeds):
         K = schedule.at(v).response(omega)[:, :, 1:]
         P = model.frequency_response(omega, v)
-        above = np.flatnonzero(np.linalg.norm(K @ P, 2, axis=(1, 2)) >= 1)
+        above = np.flatnonzero(np.abs(np.linalg.eigvals(K @ P)).max(axis=1) >= 1)
         highest = max(highest, float(omega[above[-1]]) if len(above) else 0.0)
     return highest
 
 
 def _require_reach(stored: StoredIdentification, schedule: Scheduled) -> None:
-    """Raise InputError unless the model error model reaches REACH crossovers.
-
-    At most one of the design's frequencies may lie past the last informative one.
-    """
+    """Raise InputError unless the model error model reaches REACH crossovers."""
     omega = stored.model_error.grid.omega
     wanted = REACH * crossover(schedule, stored.model)
     if omega[-1] < wanted:
@@ -204,24 +232,13 @@ def _require_reach(stored: StoredIdentification, schedule: Scheduled) -> None:
             f"reaches {omega[-1]:.3g} rad/s",
             f"at least {wanted:.3g} rad/s, {REACH} times the crossover",
         )
-    last = int(last_telling(stored.model_error.setting).max())
-    if last > len(omega) - 3:
-        raise InputError(
-            stored.folder,
-            "model_error",
-            f"ends {len(omega) - 1 - last} frequencies past the last informative {omega[last]:.3g} rad/s",
-            "two",
-        )
 
 
 def _designed(
-    problem: DesignProblem,
-    scaling: Scaling | None,
-    progress: Progress,
-    workers: Map = map,
+    problem: DesignProblem, scaling: Scaling | None, progress: Progress, workers: Map = map
 ) -> Design:
     """Design for ``settings``; ``scaling`` starts the search for the common scaling."""
-    model, settings = problem.model, problem.settings
+    model, settings, controlled = problem.model, problem.settings, problem.stored.project.controlled
     synthesised = problem.with_settings(settings.for_synthesis)
     speeds = np.linspace(*model.speed_range, settings.nodes)
     plants = [synthesised.plant(v, delayed=True) for v in speeds]
@@ -233,9 +250,9 @@ def _designed(
     scaling, controllers = _family(plants, scaling, settings.backoff, before, workers)
     check = np.linspace(speeds[0], speeds[-1], 2 * len(speeds) - 1)
     loops = {float(v): synthesised.plant(v) for v in check}
-    u_max = input_limit(model, settings, speeds)
+    u_max = input_limit(model, settings, speeds, controlled)
     frozen = [
-        FrozenLoop(_with_delay(K), loops[float(v)], vehicle_at(model, v))
+        FrozenLoop(_with_delay(K), loops[float(v)], vehicle_at(model, v), controlled)
         for v, K in zip(speeds, controllers, strict=True)
     ]
     found = _with_fewest_poles(
@@ -286,11 +303,9 @@ def _with_fewest_poles(
     order_loss: float,
     progress: Progress,
 ) -> Scheduled | None:
-    """Schedule with the fewest pairs of common poles, at most ``most``, or None.
-
-    More pairs lower the worst level by less than ``order_loss`` of it. The result is None where no number of
-    pairs stabilises every speed. ``worst_level`` of a schedule is inf above the given level.
-    """
+    """Schedule with the fewest pairs of common poles, at most ``most``, or None. More pairs lower the worst
+    level by less than ``order_loss`` of it. The result is None where no number of pairs stabilises every
+    speed. ``worst_level`` of a schedule is inf above the given level."""
     best, found, found_pairs = np.inf, None, 0
     for pairs in range(FEWEST_PAIRS, most + 1):
         progress(Counted(f"{pairs} pairs of poles", pairs**3, (most + 1) ** 3))
@@ -311,11 +326,8 @@ def _sound_order(
     level: float,
     workers: Map,
 ) -> int:
-    """Largest order at which every controller of the family keeps ``level``.
-
-    The last states of ``rank`` can be rounding alone, with an unstable loop. Raises InputError where no order
-    keeps the level.
-    """
+    """Largest order at which every controller of the family keeps ``level``. The last states of ``rank`` can
+    be rounding alone, with an unstable loop. Raises InputError where no order keeps the level."""
     for order in range(rank, 0, -1):
         loops = zip(plants, at_order(order), strict=True)
         norms = workers(partial(_scaled_norm, scaling, 1e-3), loops)
@@ -333,10 +345,8 @@ def _worst_level(
     scaling: Scaling,
     workers: Map,
 ) -> float:
-    """Largest norm of the scaled closed loops.
-
-    It is inf when one loop, or the injection of a limited demand, is unstable, or when one exceeds ``limit``.
-    """
+    """Largest norm of the scaled closed loops. It is inf when one loop, or the injection of a limited demand,
+    is unstable, or when one exceeds ``limit``."""
     if not all(schedule.injection_radius(v) < 1 for v in loops):
         return np.inf
     worst = 0.0
@@ -377,9 +387,9 @@ def _off_grid(
 def dc_floor(weights: fig1.PlantWeights) -> float:
     """Lower bound of every controller per unit of A_t: 1 / sqrt(1/|W_nr(0)|^2 + 1/|W_wr(0)|^2).
 
-    It balances noise against disturbance.
+    It balances noise against disturbance of the controlled output, here r.
     """
-    n, w = (abs(W.response([0.0])[0, 0, 0]) for W in (weights.W_nr, weights.W_wr))
+    n, w = (abs(W[weights.controlled].response([0.0])[0, 0, 0]) for W in (weights.W_n, weights.W_w))
     return float(n * w / np.hypot(n, w))
 
 
@@ -457,11 +467,9 @@ def _certificates(
 def verify(
     path: Path, stored: StoredIdentification, progress: Progress = lambda _: None, workers: Map = map
 ) -> None:
-    """Prove the certificates of a controller.json again for its coefficients and these weights.
-
-    ``workers`` share the speeds. Raises InputError that names the speed of an unstable loop or a wrong
-    number, or an objective or input limit that differs from the project's.
-    """
+    """Prove the certificates of a controller.json again for its coefficients and these weights. ``workers``
+    share the speeds. Raises InputError that names the speed of an unstable loop or a wrong number, or an
+    objective or input limit that differs from the project's."""
     settings = stored.project.design
     document = artefacts.read_json(path)
     if settings is None or "certificates" not in document:
@@ -482,7 +490,7 @@ def verify(
         )
     require_premise(stored)
     problem = DesignProblem(stored, settings)
-    _require_settings(path, stated, schedule, settings, problem.model)
+    _require_settings(path, stated, schedule, settings, problem)
     _require_floor(path, stated, dc_floor(problem.weights))
     rows = [*stated["speeds"], stated["off_grid"]]
     loops = {row["v_mps"]: problem.plant(row["v_mps"]) for row in rows}
@@ -492,11 +500,11 @@ def verify(
     for row in rows:
         _compare(path, row, proved_rows[row["v_mps"]], loops[row["v_mps"]], schedule)
     require_moving(path, stated, problem, schedule, moving, workers)
-    require_beside(path, stated, problem, schedule, scaling, margins, workers)
+    require_further_certificates(path, stated, problem, schedule, scaling, margins, workers)
 
 
 def _require_settings(
-    path: Path, stated: dict, schedule: Scheduled, settings: DesignSettings, model: NominalModel
+    path: Path, stated: dict, schedule: Scheduled, settings: DesignSettings, problem: DesignProblem
 ) -> None:
     """Raise InputError unless objectives and input limits are those of the project."""
     for key in ("structure", "A_t", "A_u"):
@@ -504,7 +512,7 @@ def _require_settings(
             raise InputError(
                 path, f"certificates.{key}", repr(stated[key]), f"{getattr(settings, key)!r}, the project's"
             )
-    limits = input_limit(model, settings, schedule.speeds)
+    limits = input_limit(problem.model, settings, schedule.speeds, problem.weights.controlled)
     if schedule.u_max.shape != limits.shape or not np.allclose(schedule.u_max, limits, rtol=1e-9, atol=0):
         raise InputError(
             path, "u_max", f"{schedule.u_max.tolist()}", f"{limits.tolist()}, of the project's limits"
@@ -535,10 +543,8 @@ def _require_floor(path: Path, stated: dict, floor: float) -> None:
 def _compare(
     path: Path, row: dict, proved: RobustPerformance, plant: fig1.GeneralisedPlant, schedule: Scheduled
 ) -> None:
-    """Raise InputError unless a row states the proved numbers.
-
-    The peak may be one of several: the scaled gain there must reach mu.
-    """
+    """Raise InputError unless a row states the proved numbers. The peak may be one of several: the scaled
+    gain there must reach mu."""
     v = row["v_mps"]
     loop = closed_scaled(plant, schedule.at(v), proved.scaling)
     at_peak = (
@@ -622,7 +628,7 @@ def save(
             "scaling_log_parameters": result.scaling.log_parameters,
             "scaling_columns": result.scaling.log_parameters.shape[1],
             "moving_speed": moving_to_dict(result.moving),
-            **(NOTHING if result.beside is None else result.beside.to_dict()),
+            **(NOTHING if result.further is None else result.further.to_dict()),
             "dc_floor": dc_floor(DesignProblem(stored, settings).weights),
             "largest_A_t": None if largest is None else asdict(largest),
             "off_grid": {"speeds": OFF_GRID, "seed": stored.project.seed, **_row(*result.off_grid)},

@@ -1,9 +1,5 @@
 """Files of step 8 besides controller.json: the numbers of Table II and of Figs. 5 and 6, and of a case file.
-
-report/design_pictures.py draws them.
-"""
-
-from __future__ import annotations
+report/design_pictures.py draws them."""
 
 import numpy as np
 
@@ -14,9 +10,10 @@ from ..engine.synthesis.table import Cell
 from .frozen import FrozenProblem, table_files
 from .worst_run import WorstRuns
 
+OUTPUTS = (("r", "rad/s"), ("delta", "rad"))
+"""Names and units of the paper's outputs."""
 FINE = np.geomspace(1e-3, 1e3, 200)
 """rad/s"""
-UNITS = {"W_C": "rad/s", "W_nr": "rad/s", "W_ndelta": "rad", "W_wr": "rad/s", "W_wdelta": "rad"}
 
 
 def _magnitude(W) -> np.ndarray:
@@ -31,12 +28,15 @@ def _weights_figure(
     for A_t, A_u, weights in objectives:
         rows[f"W_t, A_t = {A_t:.4g}"], rows[f"W_u, A_u = {A_u:.4g}"] = (
             _magnitude(weights.W_t),
-            _magnitude(weights.W_u),
+            _magnitude(weights.W_u[0]),
         )
     rows["W_R"] = _magnitude(common.W_R)
+    signals = [("W_C", common.W_C, "rad/s")]
+    for kind, both in (("n", common.W_n), ("w", common.W_w)):
+        signals += [(f"W_{kind}{name}", W, unit) for (name, unit), W in zip(OUTPUTS, both, strict=True)]
     return {
         "omega_rad_s": FINE,
-        "signals": [[n, _magnitude(getattr(common, n)), u] for n, u in UNITS.items()],
+        "signals": [[name, _magnitude(W), unit] for name, W, unit in signals],
         "objectives": [[n, values] for n, values in rows.items()],
         "command": command,
     }

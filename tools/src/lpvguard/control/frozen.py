@@ -1,10 +1,10 @@
 """Fig. 1 of a vehicle at a frozen speed, for any structure, objective and uncertainty weights, and Table
 II."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cached_property
+
+import numpy as np
 
 from ..base import artefacts
 from ..base.errors import InputError
@@ -18,6 +18,24 @@ from .plants import DesignProblem, plant_at, weight_system
 from .stored_frames import SplitWeights, StoredFrames
 
 
+def compared(stored: StoredIdentification) -> bool:
+    """Tell whether structures are compared for a vehicle: whether it is of the paper's class.
+
+    That class has one Delta, one input and two outputs, which are the first two states.
+
+    Parameters
+    ----------
+    stored : StoredIdentification
+
+    Returns
+    -------
+    bool
+    """
+    project, first_two = stored.project, np.eye(2, stored.model.n)
+    sizes = (project.n_delta, project.n_u, project.n_y)
+    return sizes == (1, 1, 2) and bool((first_two == stored.model.C).all())
+
+
 class FrozenProblem:
     """Control problem of an identification at frozen speeds, for structures with one Delta.
 
@@ -29,7 +47,7 @@ class FrozenProblem:
     Raises
     ------
     InputError
-        If there is no [design] table, or a Delta an output: the comparisons are about class S1.
+        If there is no [design] table, or the vehicle is not of the paper's class S1 (`compared`).
     """
 
     def __init__(self, stored: StoredIdentification, frames: StoredFrames):
@@ -39,6 +57,13 @@ class FrozenProblem:
                 "bounds.structure",
                 f"{stored.project.bounds.structure}: {len(stored.fitted.W_delta)} Deltas, one an output",
                 "S0 or S1: Table II and the trade-off compare structures with one Delta",
+            )
+        if not compared(stored):
+            raise InputError(
+                stored.folder,
+                "signals",
+                f"{stored.project.n_u} input(s) and {stored.project.n_y} output(s)",
+                "one input and two outputs: Table II and the trade-off compare structures of that vehicle",
             )
         self.problem = DesignProblem.of(stored)
         self.stored, self.frames, self.settings = stored, frames, self.problem.settings
@@ -66,11 +91,9 @@ class FrozenProblem:
         def inflated(weight: FittedWeight) -> StateSpace:
             return weight_system(weight, self.stored.fitted.inflation)
 
-        W_wr, W_wdelta = map(inflated, fitted.W_w)
         return replace(
             weights,
-            W_wr=W_wr,
-            W_wdelta=W_wdelta,
+            W_w=tuple(map(inflated, fitted.W_w)),
             W_delta_i=inflated(fitted.W_delta_i),
             W_delta_s=inflated(fitted.W_delta_s or fitted.W_delta_i),
         )

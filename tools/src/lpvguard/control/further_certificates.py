@@ -1,8 +1,6 @@
 """Further certificates of a design besides mu and the moving speed: margins, a varying Delta, demand
 limits."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,7 +18,7 @@ SHARES = (3, 1, 1)
 
 
 @dataclass(frozen=True)
-class Beside:
+class FurtherCertificates:
     """Further certificates; ``slow_delta`` is None for a design without Delta."""
 
     robustness: Robustness
@@ -40,24 +38,24 @@ NOTHING = {"robustness": None, "slow_delta": None, "limits": None}
 """The same fields for a design without them."""
 
 
-def beside(
+def further_certificates(
     problem: DesignProblem,
     schedule: Scheduled,
     scaling: Scaling,
     progress: Progress = lambda _: None,
     workers: Map = map,
-) -> Beside:
+) -> FurtherCertificates:
     """Further certificates of one controller; ``workers`` share the speeds."""
     tells = parts(progress, *SHARES)
     given = problem, schedule, scaling
-    return Beside(
+    return FurtherCertificates(
         robustness(*given, tells[0], workers),
         slowness(*given, tells[1], workers),
         limits(*given, tells[2], workers),
     )
 
 
-def require_beside(
+def require_further_certificates(
     path: Path,
     stated: dict,
     problem: DesignProblem,
@@ -66,10 +64,8 @@ def require_beside(
     progress: Progress = lambda _: None,
     workers: Map = map,
 ) -> None:
-    """Raise InputError unless the certificates ``stated`` in ``path`` are proved or computed again.
-
-    A field that is missing or None claims nothing. ``workers`` share the speeds.
-    """
+    """Raise InputError unless the certificates ``stated`` in ``path`` are proved or computed again. A field
+    that is missing or None claims nothing. ``workers`` share the speeds."""
     tells = parts(progress, *SHARES)
     given = problem, schedule, scaling
     require_robustness(path, stated.get("robustness"), *given, tells[0], workers)

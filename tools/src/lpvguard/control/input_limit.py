@@ -2,8 +2,8 @@
 
     |u_k|_max(v) = min(input_max_k, a_max / (n_u v |G_1k(0; v)|))
 
-G_1k(0; v) [rad/s per input unit] is the nominal model's DC gain from input k to its first output, the yaw
-rate. Inputs held at their limits, with any signs, give v |yaw rate| <= a_max in the steady state. By the
+G_1k(0; v) [rad/s per input unit] is the nominal model's DC gain from input k to the controlled output, the
+yaw rate. Inputs held at their limits, with any signs, give v |yaw rate| <= a_max in the steady state. By the
 triangle inequality, each of the n_u inputs may take an equal share. The rule limits changes of the input. It
 leaves out offsets of the model, transients and the model's error.
 
@@ -11,8 +11,6 @@ The core interpolates linearly between nodes. Where the rule falls as 1 / v^2 it
 through its values lies above it. Every node is therefore lowered by the least factor that keeps the lines of
 both its cells below the rule.
 """
-
-from __future__ import annotations
 
 import numpy as np
 
@@ -26,31 +24,33 @@ ROOM = 1e-5
 for rounding of float in the core."""
 
 
-def turning_limit(model: NominalModel, a_max: float, v: np.ndarray) -> np.ndarray:
+def turning_limit(model: NominalModel, a_max: float, v: np.ndarray, controlled: int = 0) -> np.ndarray:
     """Compute the input limit of the lateral acceleration, ``a_max / (n_u v |G_1k(0; v)|)``.
 
     The result (m, n_u) [input unit] is for speeds v (m,) [m/s] and ``a_max`` [m/s^2]. It is inf for an input
     that does not turn the vehicle.
     """
     with np.errstate(divide="ignore"):
-        return a_max / (model.n_u * v[:, None] * np.abs(model.dc_gain(v)[:, 0]))
+        return a_max / (model.n_u * v[:, None] * np.abs(model.dc_gain(v)[:, controlled]))
 
 
-def rule(model: NominalModel, settings: DesignSettings, v: np.ndarray) -> np.ndarray:
+def rule(model: NominalModel, settings: DesignSettings, v: np.ndarray, controlled: int = 0) -> np.ndarray:
     """|u|_max (m, n_u) [input unit] at speeds v (m,) [m/s]; by default input_max."""
     input_max = np.tile(np.array(settings.input_max), (len(v), 1))
     if settings.lateral_acceleration_max_mps2 is None:
         return input_max
-    return np.minimum(input_max, turning_limit(model, settings.lateral_acceleration_max_mps2, v))
+    return np.minimum(input_max, turning_limit(model, settings.lateral_acceleration_max_mps2, v, controlled))
 
 
-def input_limit(model: NominalModel, settings: DesignSettings, speeds: np.ndarray) -> np.ndarray:
+def input_limit(
+    model: NominalModel, settings: DesignSettings, speeds: np.ndarray, controlled: int = 0
+) -> np.ndarray:
     """|u|_max (G, n_u) [input unit] at ascending nodes speeds (G,) [m/s]; lines between stay below
     ``rule``."""
-    nodes = rule(model, settings, speeds)
+    nodes = rule(model, settings, speeds, controlled)
     weight = np.linspace(0.0, 1.0, POINTS + 1)
     between = speeds[:-1, None] + weight * np.diff(speeds)[:, None]
-    exact = rule(model, settings, between.ravel()).reshape(*between.shape, -1)
+    exact = rule(model, settings, between.ravel(), controlled).reshape(*between.shape, -1)
     line = nodes[:-1, None] + weight[:, None] * np.diff(nodes, axis=0)[:, None]
     below_input_max = (exact < np.array(settings.input_max)).any(axis=1)
     factor = np.where(below_input_max, (1 - ROOM) * (exact / line).min(axis=1), 1.0)

@@ -5,8 +5,6 @@ within kappa times its limit. The loop is then stable, and the gain from [w; n; 
 [w; n; r_c] of at most an energy keeps the demand there and the rate limit untouched.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from functools import partial
@@ -33,7 +31,7 @@ ENERGY_RTOL, LEVEL_RTOL = 1e-5, 1e-4
 
 @dataclass(frozen=True)
 class LimitRow:
-    """Row at ``v_mps``, for a demand within ``kappa`` (None: any) times its limit.
+    """Row at ``v_mps``, for demands within ``kappa`` (None: any) times their limits.
 
     Attributes
     ----------
@@ -116,7 +114,7 @@ def _texts(asked: list[tuple[float, float]]) -> list[str]:
     return [f"limits at {v:.3g} m/s" for v, _ in asked]
 
 
-def _row(schedule: Scheduled, step_max: float, asked: tuple[float, LimitedLoop]) -> LimitRow:
+def _row(schedule: Scheduled, step_max: np.ndarray, asked: tuple[float, LimitedLoop]) -> LimitRow:
     v, loop = asked
     stability = loop.stability()
     level, constants = stability.least(loop.ones, 1.0, np.zeros(stability.free))
@@ -124,7 +122,7 @@ def _row(schedule: Scheduled, step_max: float, asked: tuple[float, LimitedLoop])
     held = level < 1
     gain = loop.gain() if held else None
     starts = [constants, *([] if gain is None else [gain[1]])]
-    bounded, u_max = np.isfinite(loop.kappa), float(schedule.limit(v)[0])
+    bounded, u_max = np.isfinite(loop.kappa), schedule.limit(v)
     kept = loop.largest_energy(starts, u_max, step_max) if held and bounded else None
     return LimitRow(
         v,
@@ -148,10 +146,7 @@ def require_limits(
     workers: Map = map,
 ) -> None:
     """Raise InputError unless the constants of ``stated`` (certificates.limits of ``path``) prove its
-    numbers.
-
-    None claims nothing. ``workers`` share the rows.
-    """
+    numbers. None claims nothing. ``workers`` share the rows."""
     if stated is None:
         return
     rows = stated["rows"]
@@ -165,7 +160,7 @@ def require_limits(
 
 
 def _require_row(
-    path: Path, schedule: Scheduled, step_max: float, asked: tuple[dict, tuple[float, LimitedLoop]]
+    path: Path, schedule: Scheduled, step_max: np.ndarray, asked: tuple[dict, tuple[float, LimitedLoop]]
 ) -> None:
     """Raise InputError unless a row's constants prove its numbers for its loop."""
     row, (v, loop) = asked
@@ -191,13 +186,13 @@ def _require_row(
             refuse("gain", row["gain"] * level)
     if row["energy"] is not None:
         constants = np.array(row["energy_constants"], float)
-        energy = loop.energy(constants, float(schedule.limit(v)[0]), step_max)
+        energy = loop.energy(constants, schedule.limit(v), step_max)
         if energy is None or not abs(energy - row["energy"]) <= ENERGY_RTOL * energy:
             refuse("energy", energy)
 
 
-def largest_step(problem: DesignProblem, schedule: Scheduled) -> float:
-    """Return the largest step of the demand from sample to sample within the rate limit.
+def largest_step(problem: DesignProblem, schedule: Scheduled) -> np.ndarray:
+    """Return the largest steps of the demands from sample to sample within the rate limits.
 
     Parameters
     ----------
@@ -206,16 +201,13 @@ def largest_step(problem: DesignProblem, schedule: Scheduled) -> float:
 
     Returns
     -------
-    float, input unit
+    ndarray (n_u,), input unit
     """
-    return float(problem.settings.input_rate_max_per_s[0]) * schedule.Ts
+    return np.array(problem.settings.input_rate_max_per_s) * schedule.Ts
 
 
 def _loops(
-    problem: DesignProblem,
-    schedule: Scheduled,
-    scaling: Scaling,
-    asked: list[tuple[float, float]],
+    problem: DesignProblem, schedule: Scheduled, scaling: Scaling, asked: list[tuple[float, float]]
 ) -> Iterator[tuple[float, LimitedLoop]]:
     """Speed and loop of every speed and kappa in ``asked``."""
     for v, kappa in asked:

@@ -1,10 +1,6 @@
-"""Proofs for a scheduled loop while the speed moves: search, storage and repetition.
-
-Robust stability has the largest rate |dv/dt| that was found (engine/synthesis/lpv_certificate.py). Robust
-performance has one rate, and the level at which it holds there (engine/synthesis/least_level.py).
-"""
-
-from __future__ import annotations
+"""Proofs for a scheduled loop while the speed moves: search, storage and repetition. Robust stability has the
+largest rate |dv/dt| that was found (engine/synthesis/lpv_certificate.py). Robust performance has one rate,
+and the level at which it holds there (engine/synthesis/least_level.py)."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -114,16 +110,10 @@ def _stability(asked: tuple[DesignProblem, Scheduled, Scaling]) -> Moving | None
 
 
 def tuning(
-    schedule: Scheduled,
-    plant_of: Callable[[float], GeneralisedPlant],
-    scaling: Scaling,
-    workers: Map = map,
+    schedule: Scheduled, plant_of: Callable[[float], GeneralisedPlant], scaling: Scaling, workers: Map = map
 ) -> Callable[[float], Scaling]:
-    """The D with the least frozen gain for the given controller, by the level.
-
-    plant_of(v) is the generalised plant at v [m/s]; ``scaling`` starts the search. ``workers`` share the
-    speeds.
-    """
+    """The D with the least frozen gain for the given controller, by the level. plant_of(v) is the generalised
+    plant at v [m/s]; ``scaling`` starts the search. ``workers`` share the speeds."""
     nodes = schedule.speeds[evenly(len(schedule.speeds), TUNING_SPEEDS)]
     plants = {float(v): plant_of(float(v)) for v in nodes}
     loops = [lft(plant.system, schedule.at(v)) for v, plant in plants.items()]
@@ -160,7 +150,7 @@ def scaled_families(problem: DesignProblem, schedule: Scheduled, scaling: Scalin
     model, plant = problem.model, problem.plant(float(schedule.speeds[0]))
     # The probes: state, input, and with state uncertainty an input on every state; see
     # interconnection.generalised_plant.
-    held = model.n + model.n_u + (model.n if problem.settings.structure == "K_is" else 0)
+    held = model.held_states + model.n_u + (model.n if problem.settings.structure == "K_is" else 0)
     first = scaling.systems(plant)[1].order
 
     def hold_bounds(low: float, high: float) -> tuple[np.ndarray, np.ndarray]:
@@ -191,10 +181,8 @@ def require_moving(
     progress: Progress = lambda _: None,
     workers: Map = map,
 ) -> None:
-    """Raise InputError unless every rate in the certificates ``stated`` is proved again.
-
-    ``workers`` share the claims.
-    """
+    """Raise InputError unless every rate in the certificates ``stated`` is proved again. ``workers`` share
+    the claims."""
     said_of = {claim: stated["moving_speed"].get(claim, {"rate_mps2": np.nan}) for claim in CLAIMS}
     said_of = {claim: said for claim, said in said_of.items() if said["rate_mps2"] is not None}
     asked = ((problem, schedule, claim, said) for claim, said in said_of.items())

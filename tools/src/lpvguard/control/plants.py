@@ -1,7 +1,7 @@
 """Fig. 1 of an identified vehicle: its settings, its weights and the generalised plant at a frozen speed.
-
 Everything is discrete from the start: the vehicle sampled exactly at Ts, the weights by Tustin's map. The
-model's input delay is whole samples before the vehicle; the performance weight W_u has no delay.
+model's input delay lies before the vehicle, a fraction of a sample within it. The performance weights W_u
+have no delay. The weight of a further input is that of the first, times the first's rate limit over its own.
 """
 
 from __future__ import annotations
@@ -13,13 +13,15 @@ import numpy as np
 
 from ..base.errors import InputError
 from ..engine.synthesis import interconnection as fig1
-from ..engine.synthesis.statespace import StateSpace, append, gain, series, zero_order_hold
+from ..engine.synthesis.statespace import StateSpace, append, gain, series
 from ..identify.identification import StoredIdentification
 from ..identify.weights import FittedWeight
 from ..vehicle.design_settings import DesignSettings
 from ..vehicle.nominal import NominalModel
 from .stored_frames import SplitWeights, StoredFrames
 
+LEAST_NOISE = 0.01
+"""Floor of a sensor's noise, as a share of the least disturbance weight: no measurement is without noise."""
 LARGEST_WINDOW_ERROR = 0.1
 """Largest median error of the state's uncertainty from frames, over bins, for a design of K_is."""
 
@@ -52,35 +54,13 @@ def weight_system(weight: FittedWeight, inflation: float) -> StateSpace:
     return fig1.rational(inflation * weight.fit.weight.num, weight.fit.weight.den)
 
 
-def whole_delay(model: NominalModel) -> int:
-    """The model's input delay [samples]; InputError where it is not whole."""
-    if model.delay_fraction:
-        raise InputError(
-            "model",
-            "input_delay_s",
-            f"{model.delay + model.delay_fraction:.6g} samples",
-            f"a whole number of samples of {model.Ts:g} s for a design",
-        )
-    return model.delay
-
-
 def vehicle_at(model: NominalModel, v: float) -> StateSpace:
     """Nominal vehicle from u to y at speed v [m/s], sampled with held input, delay included."""
     A, B = (m[0] for m in model.matrices(np.array([v])))
     free = StateSpace(A, B, model.C, np.zeros((model.n_y, B.shape[1])))
-    held = zero_order_hold(free, model.Ts)
-    return series(held, append(*[delay_line(whole_delay(model), model.Ts)] * model.n_u))
-
-
-def delay_line(samples: int, dt: float) -> StateSpace:
-    """One signal, delayed by ``samples``."""
-    return StateSpace(
-        np.eye(samples, k=1),
-        np.eye(samples)[:, -1:],
-        np.eye(samples)[:1],
-        np.full((1, 1), float(not samples)),
-        dt,
-    )
+    held = fig1.held_with_delay(free, model.n_u, model.Ts, model.delay_fraction)
+    outputs = held.select(slice(0, model.n_y), slice(None))
+    return series(outputs, append(*[fig1.delay_line(model.delay, model.Ts)] * model.n_u))
 
 
 @dataclass(frozen=True)
@@ -117,11 +97,8 @@ class DesignProblem:
 
     def state_uncertainty(self) -> SplitWeights:
         """Class S2's weights at the identified gamma_w: W_delta_i dimensionless, W_delta_s in 1/s; searched
-        once for each lambda_s.
-
-        xi_s adds to the state's derivative. It is found by inverting dynamics, which windows only
-        approximate: InputError where the frames cannot tell it.
-        """
+        once for each lambda_s. xi_s adds to the state's derivative. It is found by inverting dynamics, which
+        windows only approximate: InputError where the frames cannot tell it."""
         stored, lambda_s = self.stored, self.settings.lambda_s
         error = stored.bounds["window_error_median"]
         worst = int(np.nanargmax(error))
@@ -145,27 +122,28 @@ class DesignProblem:
     def weights(self) -> fig1.PlantWeights:
         """Weights of Fig. 1: some from the settings, the others as identified.
 
-        Raises InputError without drives of the noise split. It also raises InputError when identification and
-        design differ in uncertainty. S1_diagonal goes with K_o, S1 with K_i and K_is, and K_inf with each.
+        Without drives of the noise split, W_n is the deviation of the sensors' noise, and W_w also contains
+        that noise. Raises InputError when identification and design differ in uncertainty. S1_diagonal goes
+        with K_o, S1 with K_i and K_is, and K_inf with each. One Delta of a single output is also K_o's.
         """
         stored, settings, fitted = self.stored, self.settings, self.stored.fitted
-        outputwise = settings.structure == fig1.OUTPUTWISE
-        if settings.structure != "K_inf" and outputwise != (len(fitted.W_delta) > 1):
+        outputwise, n_y = settings.structure == fig1.OUTPUTWISE, stored.project.n_y
+        if settings.structure != "K_inf" and len(fitted.W_delta) != (n_y if outputwise else 1):
             raise InputError(
                 stored.folder,
                 "bounds.structure",
                 f"{stored.project.bounds.structure} with design.structure = {settings.structure}",
                 "S1_diagonal with K_o, S1 with K_i or K_is: one uncertainty for bounds and design",
             )
-        if not fitted.W_n or not fitted.W_C:
+        if not fitted.W_C:
             raise InputError(
                 stored.folder,
-                "W_n, W_C",
-                "missing: no drive of the noise split",
-                "zero-input drives listed under data.noise_split",
+                "W_C",
+                "missing: identified without a [design] table",
+                "`lpvguard identify` again with this project file",
             )
         W_w, W_delta_i, W_delta_s = (
-            fitted.W_w_S0 if settings.structure == "K_inf" else fitted.W_w,
+            fitted.W_w_S0 if settings.structure == "K_inf" and fitted.W_w_S0 else fitted.W_w,
             fitted.W_delta[0],
             fitted.W_delta[0],
         )
@@ -177,16 +155,29 @@ class DesignProblem:
             W_R=fig1.rational(settings.W_R_num, settings.W_R_den),
             W_C=weight_system(fitted.W_C[0], 1.0),
             W_t=fig1.zeros_poles(settings.A_t, settings.W_t_zeros, settings.W_t_poles),
-            W_u=fig1.zeros_poles(settings.A_u, settings.W_u_zeros, settings.W_u_poles),
-            W_nr=weight_system(fitted.W_n[0], g),
-            W_ndelta=weight_system(fitted.W_n[1], g),
-            W_wr=weight_system(W_w[0], g),
-            W_wdelta=weight_system(W_w[1], g),
+            W_u=tuple(
+                fig1.zeros_poles(
+                    settings.A_u * settings.input_rate_max_per_s[0] / rate,
+                    settings.W_u_zeros,
+                    settings.W_u_poles,
+                )
+                for rate in settings.input_rate_max_per_s
+            ),
+            W_n=tuple(weight_system(W, g) for W in fitted.W_n) or self._sensor_noise(),
+            W_w=tuple(weight_system(W, g) for W in W_w),
             W_delta_i=weight_system(W_delta_i, g),
             W_delta_s=weight_system(W_delta_s, g),
-            W_delta_r=weight_system(fitted.W_delta[0], g) if outputwise else None,
-            W_delta_delta=weight_system(fitted.W_delta[1], g) if outputwise else None,
+            W_delta_o=tuple(weight_system(W, g) for W in fitted.W_delta) if outputwise else (),
+            outputs=tuple(s.column for s in stored.project.outputs),
+            controlled=stored.project.controlled,
         )
+
+    def _sensor_noise(self) -> tuple[StateSpace, ...]:
+        """W_n (n_y,) from the sensors' noise and resolution in the bound-setting drives, constant."""
+        bounds, fitted = self.stored.bounds, self.stored.fitted
+        seen = np.hypot(bounds["sensor_noise"], bounds["resolution"] / np.sqrt(12))
+        least = [LEAST_NOISE * W.magnitude(self.stored.estimator.omega).min() for W in fitted.W_w]
+        return tuple(fig1.rational([max(pair)], [1.0]) for pair in zip(seen.tolist(), least, strict=True))
 
     def plant(self, v: float, *, delayed: bool = False, probes: bool = False) -> fig1.GeneralisedPlant:
         """The discrete generalised plant at speed v [m/s], as `plant_at` makes it."""
@@ -207,10 +198,10 @@ def plant_at(
     as in ``generalised_plant``.
     """
     A, B = (m[0] for m in model.matrices(np.array([v])))
-    late = whole_delay(model)
-    plant = fig1.generalised_plant(A, B, weights, structure, model.Ts, late, probes)
+    late = model.delay + model.delay_fraction
+    plant = fig1.generalised_plant(A, B, weights, structure, model.Ts, late, probes, model.C)
     if not delayed:
         return plant
     n_w, n_u, dt = plant.system.n_inputs - plant.n_control, plant.n_control, plant.system.dt
-    computed = series(plant.system, append(gain(np.eye(n_w), dt), *[delay_line(1, dt)] * n_u))
+    computed = series(plant.system, append(gain(np.eye(n_w), dt), *[fig1.delay_line(1, dt)] * n_u))
     return replace(plant, system=replace(computed, inputs=plant.system.inputs))

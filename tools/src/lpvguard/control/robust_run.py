@@ -6,8 +6,6 @@ both normalised (before the weights), is at most mu from rest. With the controll
 tested on the worst stable Delta found (engine/synthesis/worst_case.py) with the input of largest gain.
 """
 
-from __future__ import annotations
-
 import ctypes
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,11 +15,15 @@ import numpy as np
 from ..base import native
 from ..base.errors import InputError
 from ..core.compiled import core_objects
-from ..engine.synthesis.dk import RobustPerformance
+from ..core.scheduled import Scheduled
+from ..engine.synthesis.dk import RobustPerformance, certify
 from ..engine.synthesis.interconnection import GeneralisedPlant
 from ..engine.synthesis.norms import hinf_norm
 from ..engine.synthesis.statespace import StateSpace, append, lft, to_discrete
 from ..engine.synthesis.worst_case import close_delta, worst_case
+from ..identify.identification import StoredIdentification
+from .controller_file import stated_scaling
+from .plants import DesignProblem
 
 QUANTISATION = 1e-4
 """Stated effect of float32 in z, relative to the input's norm; it is measured, too."""
@@ -87,10 +89,8 @@ class CompiledController:
     def close(
         self, plant: StateSpace, n_measurement: int, v: float, w: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """z (N, n_z) and u (N, n_u) of ``plant`` from rest for inputs w (N, n_w) at speed v [m/s].
-
-        The plant leads from [w; u] to [z; y], discrete.
-        """
+        """z (N, n_z) and u (N, n_u) of ``plant`` from rest for inputs w (N, n_w) at speed v [m/s]. The plant
+        leads from [w; u] to [z; y], discrete."""
         w = np.ascontiguousarray(w)
         n_z, n_u = plant.n_outputs - n_measurement, plant.n_inputs - w.shape[1]
         z, u = np.empty((len(w), n_z)), np.empty((len(w), n_u))
@@ -161,6 +161,33 @@ def run(
     return RobustRun(
         v, proved.upper, draws, sampled, worst, float(np.linalg.norm(gain, 2)), max(rounding, rounded)
     )
+
+
+def certified_runs(
+    stored: StoredIdentification, document: dict, compiled: CompiledController, draws: int
+) -> list[RobustRun]:
+    """Run the compiled controller with members of the identified set, at some of its speeds.
+
+    Parameters
+    ----------
+    stored : StoredIdentification
+    document : dict, controller.json
+    compiled : CompiledController
+    draws : int, sampled members of all speeds together; the worst one found is added at each
+
+    Returns
+    -------
+    list of RobustRun
+    """
+    schedule, problem = Scheduled.read(document), DesignProblem.of(stored)
+    speeds = schedule.speeds[:: max(1, (len(schedule.speeds) - 1) // 3)]
+    rows = []
+    for k, v in enumerate(map(float, speeds)):
+        plant = problem.plant(v)
+        proved = certify(plant, schedule.at(v), stated_scaling(document) if plant.blocks else None)
+        share, seed = -(-draws // len(speeds)), stored.project.seed + k
+        rows.append(run(compiled, plant, schedule.at(v), v, proved, share, seed))
+    return rows
 
 
 def _perturbed(plant: GeneralisedPlant, delta: StateSpace | None) -> StateSpace:

@@ -5,8 +5,6 @@ the neighbouring vehicles. All of it is about frozen speeds, the core's coeffici
 Worst-case gain and mu are bounds over every Delta of size 1.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
@@ -55,7 +53,8 @@ class NodeRobustness:
     worst_gain : float or None
         Bound of the gain from [w; n; r_c] to z over every Delta of size 1. None: none proved.
     worst_gain_found : float or None, gain with one such Delta; None: none found
-    disk_S, disk_T, disk_balanced : float, disk margins at the vehicle's input (T27)
+    disk_S, disk_T, disk_balanced : float
+        Disk margins at the vehicle's inputs (T27), of all at once in units in proportion to their limits.
     nu_margin : float, b(P, K)
     nu_gap_next, nu_gap_midpoint : float or None
         nu-gap to the vehicle at the next node and midway to it. None at the last node.
@@ -75,7 +74,10 @@ class NodeRobustness:
 
 @dataclass(frozen=True)
 class Robustness:
-    """``nodes``; ``unit_u``, ``units_y`` (n_y,): units of input and outputs for the nu-gap."""
+    """``nodes``; ``unit_u``, ``units_y`` (n_y,): units of first input and outputs for the nu-gap.
+
+    The units of further inputs are in proportion to the limits in the middle of the speed range.
+    """
 
     nodes: tuple[NodeRobustness, ...]
     unit_u: float
@@ -116,10 +118,7 @@ def require_robustness(
     workers: Map = map,
 ) -> None:
     """Raise InputError unless ``stated`` (certificates.robustness of ``path``) is computed again, in its
-    units.
-
-    None claims nothing. An upper bound below the one computed again is proved as stated.
-    """
+    units. None claims nothing. An upper bound below the one computed again is proved as stated."""
     if stated is not None:
         units = stated["unit_u"], tuple(stated["units_y"])
         found = _with_units(problem, schedule, scaling, *units, progress, workers, stated["nodes"])
@@ -159,6 +158,7 @@ def _with_units(
     stated: Sequence[dict] = (),
 ) -> Robustness:
     speeds = [float(v) for v in schedule.speeds]
+    units_u = unit_u * _proportions(schedule)
     asked = [
         _Asked(
             v,
@@ -175,17 +175,14 @@ def _with_units(
         for k, v in enumerate(speeds)
     ]
     texts = [f"margins at {v:.3g} m/s" for v in speeds]
-    nodes = workers(partial(_node, scaling, unit_u, units_y), asked)
+    nodes = workers(partial(_node, scaling, units_u, units_y), asked)
     return Robustness(tuple(counted(progress, texts, nodes)), unit_u, units_y)
 
 
 @dataclass(frozen=True)
 class _Asked:
-    """A node: its generalised plant, controller and vehicle, and its neighbours' vehicles.
-
-    These are at the next node and midway to it; the last node has none. ``stated`` holds upper bounds by name
-    to prove.
-    """
+    """A node: its generalised plant, controller and vehicle, and its neighbours' vehicles. These are at the
+    next node and midway to it; the last node has none. ``stated`` holds upper bounds by name to prove."""
 
     v: float
     plant: GeneralisedPlant
@@ -195,23 +192,26 @@ class _Asked:
     stated: dict[str, float | None]
 
     def proved(self, name: str, bound: Callable[[float], float]) -> float:
-        """Return the upper bound ``name`` as stated if it is proved, else the one computed anew.
-
-        ``bound`` is the upper bound by the level from which its search begins. It is asked for the stated
-        level only where that is less than what it finds by itself.
-        """
+        """Return the upper bound ``name`` as stated if it is proved, else the one computed anew. ``bound`` is
+        the upper bound by the level from which its search begins. It is asked for the stated level only where
+        that is less than what it finds by itself."""
         value, stated = bound(0.0), self.stated.get(name)
         near = stated is not None and value * (1 - FOUND_RTOL) <= stated < value
         return bound(stated) if near and stated is not None else value
 
 
-def _node(scaling: Scaling, unit_u: float, units_y: tuple[float, ...], at: _Asked) -> NodeRobustness:
+def _proportions(schedule: Scheduled) -> np.ndarray:
+    """Limits (n_u,) of the demands over the first's, in the middle of the speed range."""
+    limit = schedule.limit(float(schedule.speeds[len(schedule.speeds) // 2]))
+    return limit / limit[0]
+
+
+def _node(scaling: Scaling, units_u: np.ndarray, units_y: tuple[float, ...], at: _Asked) -> NodeRobustness:
     plant, K = at.plant, at.K
     loop, last = lft(plant.system, K), np.pi / plant.system.dt
     performance = plant.performance_block
     gain = at.proved(
-        "worst_gain",
-        lambda least: worst_gain(loop, plant.blocks, performance, 0.0, last, least=least).upper,
+        "worst_gain", lambda least: worst_gain(loop, plant.blocks, performance, 0.0, last, least=least).upper
     )
     mu = at.proved(
         "mu_interval",
@@ -221,15 +221,18 @@ def _node(scaling: Scaling, unit_u: float, units_y: tuple[float, ...], at: _Aske
         found = worst_case(plant, K, scaling if plant.blocks else None).gain
     except ArithmeticError:
         found = None
-    back, here = _feedback(K), _in_units(at.P, unit_u, units_y)
-    gaps = [nu_gap(here, _in_units(other, unit_u, units_y)).upper for other in at.neighbours]
+    back, here = _feedback(K), _in_units(at.P, units_u, units_y)
+    # Inputs in proportion to their limits: a margin of several holds in these units.
+    alike, ones = units_u / units_u[0], (1.0,) * len(units_y)
+    of_inputs = _in_units(at.P, alike, ones), _controller_in_units(back, alike, ones)
+    gaps = [nu_gap(here, _in_units(other, units_u, units_y)).upper for other in at.neighbours]
     return NodeRobustness(
         at.v,
         mu,
         gain if np.isfinite(gain) else None,
         found,
-        **{f"disk_{name}": _disk(at.P, back, skew) for name, skew in SKEWS.items()},
-        nu_margin=nu_margin(here, _controller_in_units(back, unit_u, units_y)),
+        **{f"disk_{name}": _disk(*of_inputs, skew) for name, skew in SKEWS.items()},
+        nu_margin=nu_margin(here, _controller_in_units(back, units_u, units_y)),
         nu_gap_next=gaps[0] if gaps else None,
         nu_gap_midpoint=gaps[1] if gaps else None,
     )
@@ -241,55 +244,60 @@ def _feedback(K: StateSpace) -> StateSpace:
 
 
 def _disk(P: StateSpace, K: StateSpace, skew: float) -> float:
-    """The disk margin (T27) at the input of P, u = K y: the reciprocal of ‖S + ½(skew − 1)‖∞."""
+    """The disk margin (T27) at the inputs of P, u = K y: the reciprocal of ‖S + ½(skew − 1) I‖∞."""
     # From [w, u] to [w + u, y]: closed, S from w to w + u.
+    n_u = P.n_inputs
     both = StateSpace(
         P.A,
         np.hstack([P.B, P.B]),
-        np.vstack([np.zeros((1, P.order)), P.C]),
-        np.vstack([np.ones((1, 2)), np.hstack([P.D, P.D])]),
+        np.vstack([np.zeros((n_u, P.order)), P.C]),
+        np.vstack([np.hstack([np.eye(n_u)] * 2), np.hstack([P.D, P.D])]),
         P.dt,
     )
     S = lft(both, K)
-    shifted = StateSpace(S.A, S.B, S.C, S.D + 0.5 * (skew - 1), S.dt)
+    shifted = StateSpace(S.A, S.B, S.C, S.D + 0.5 * (skew - 1) * np.eye(n_u), S.dt)
     return float(1 / hinf_norm(shifted).upper)
 
 
-def _in_units(P: StateSpace, unit_u: float, units_y: tuple[float, ...]) -> StateSpace:
+def _in_units(P: StateSpace, units_u: np.ndarray, units_y: tuple[float, ...]) -> StateSpace:
     y = np.array(units_y)[:, None]
-    return StateSpace(P.A, P.B * unit_u, P.C / y, P.D * unit_u / y, P.dt)
+    return StateSpace(P.A, P.B * units_u, P.C / y, P.D * units_u / y, P.dt)
 
 
-def _controller_in_units(K: StateSpace, unit_u: float, units_y: tuple[float, ...]) -> StateSpace:
-    return StateSpace(K.A, K.B * np.array(units_y), K.C / unit_u, K.D * np.array(units_y) / unit_u, K.dt)
+def _controller_in_units(K: StateSpace, units_u: np.ndarray, units_y: tuple[float, ...]) -> StateSpace:
+    y, u = np.array(units_y), units_u[:, None]
+    return StateSpace(K.A, K.B * y, K.C / u, K.D * y / u, K.dt)
 
 
 def _units(model: NominalModel, schedule: Scheduled, workers: Map) -> tuple[float, tuple[float, ...]]:
-    """Units with the smallest nu-gaps between neighbours relative to b(P, K).
-
-    The search starts from those of a stationary vehicle at its limit in the middle of the range.
-    """
+    """Units with the smallest nu-gaps between neighbours relative to b(P, K). The search starts from those of
+    a stationary vehicle at its limit in the middle of the range."""
     speeds = [float(v) for v in schedule.speeds]
     middle = speeds[len(speeds) // 2]
     P = vehicle_at(model, middle)
     unit_u = float(schedule.limit(middle)[0])
-    first = np.log(np.abs(P.response([0.0])[0, :, 0]) * unit_u + 1e-12)
+    units_u = unit_u * _proportions(schedule)
+    first = np.log(np.abs(P.response([0.0])[0]) @ units_u + 1e-12)
     some = [
         (*(vehicle_at(model, v) for v in speeds[k : k + 2]), _feedback(schedule.at(speeds[k])))
         for k in evenly(len(speeds) - 1, SCALING_NODES)
     ]
 
     def largest(log_units: np.ndarray) -> float:
-        return max(workers(partial(_log_ratio, unit_u, tuple(np.exp(log_units))), some))
+        return max(workers(partial(_log_ratio, units_u, tuple(np.exp(log_units))), some))
 
     found = minimize(largest, first, method="Nelder-Mead", options={"maxfev": SCALING_STEPS, "xatol": 1e-2})
     return unit_u, tuple(float(x) for x in np.exp(found.x))
 
 
 def _log_ratio(
-    unit_u: float, units_y: tuple[float, ...], at: tuple[StateSpace, StateSpace, StateSpace]
+    units_u: np.ndarray, units_y: tuple[float, ...], at: tuple[StateSpace, StateSpace, StateSpace]
 ) -> float:
-    """log of nu-gap over b(P, K) of a vehicle, its neighbour and its feedback."""
-    here, after = (_in_units(P, unit_u, units_y) for P in at[:2])
-    margin = nu_margin(here, _controller_in_units(at[2], unit_u, units_y))
-    return float(np.log(nu_gap(here, after).upper / margin))
+    """log of nu-gap over b(P, K) of a vehicle, its neighbour and its feedback; inf in units that leave only
+    rounding."""
+    here, after = (_in_units(P, units_u, units_y) for P in at[:2])
+    try:
+        margin = nu_margin(here, _controller_in_units(at[2], units_u, units_y))
+        return float(np.log(nu_gap(here, after).upper / margin))
+    except (np.linalg.LinAlgError, ValueError):
+        return np.inf

@@ -49,23 +49,24 @@ u_max)."""
 
 @dataclass(frozen=True)
 class FrozenLoop:
-    """One speed: delayed controller, generalised plant, and vehicle from u to y, all discrete."""
+    """One speed: delayed controller, generalised plant, and vehicle from u to y, all discrete.
+
+    ``controlled`` is the index of the controlled output.
+    """
 
     controller: StateSpace
     plant: GeneralisedPlant
     vehicle: StateSpace
+    controlled: int = 0
 
 
 def fit_by_pairs(
     loops: Sequence[FrozenLoop], speeds: np.ndarray, scaling: Scaling, u_max: np.ndarray
 ) -> Callable[[int], Scheduled]:
     """Function of the number of pairs of poles that returns the schedule closest to the controllers of
-    ``loops``.
-
-    The schedule has so many pairs and a delay; there is a loop a speed. u_max (G, n_u) is the largest
-    |demand| at
-    every speed [input unit]. Raises LinAlgError where a loop's sensitivity or recovery does not exist.
-    """
+    ``loops``. The schedule has so many pairs and a delay; there is a loop a speed. u_max (G, n_u) is the
+    largest |demand| at every speed [input unit]. Raises LinAlgError where a loop's sensitivity or recovery
+    does not exist."""
     Ts = loops[0].controller.dt
     omega = np.concatenate([[0.0], np.logspace(-5, 0, FIT_POINTS) * np.pi / Ts * (1 - 1e-9)])
     z = np.exp(1j * omega * Ts)
@@ -77,10 +78,7 @@ def fit_by_pairs(
         a = np.append(first_columns(poles(2 * pairs)), -1.0)
         B = _used(np.array([f.rows(a, z) for f in fits]), fits, a, z).reshape(len(loops), n_u, len(a), -1)
         L = np.array(
-            [
-                _recovery(loop.vehicle, a, rows, top, z)
-                for loop, rows, top in zip(loops, B, u_max, strict=True)
-            ]
+            [_recovery(loop, a, rows, top, z) for loop, rows, top in zip(loops, B, u_max, strict=True)]
         )
         return Scheduled(Ts, np.asarray(speeds, float), a, B, L, np.asarray(u_max, float))
 
@@ -126,10 +124,8 @@ def _factor(values: np.ndarray) -> np.ndarray:
 
 
 def first_columns(poles: np.ndarray) -> np.ndarray:
-    """a (n,) of pairs of ``poles`` (n,) in the z plane, slowest first.
-
-    Complex poles come with their conjugates, real ones in an even number.
-    """
+    """a (n,) of pairs of ``poles`` (n,) in the z plane, slowest first. Complex poles come with their
+    conjugates, real ones in an even number."""
     real = np.sort(poles[np.abs(poles.imag) < 1e-9].real)[::-1]
     upper = poles[poles.imag >= 1e-9]
     pairs = np.vstack([np.column_stack([upper, upper.conj()]), real.reshape(-1, 2)]) - 1
@@ -205,17 +201,16 @@ def _fits(loop: FrozenLoop, scaling: Scaling, omega: np.ndarray) -> list[_RowFit
     return [_RowFit(K[:, i], np.linalg.norm(left[:, :, i], axis=1), factor) for i in range(plant.n_control)]
 
 
-def _recovery(
-    vehicle: StateSpace, a: np.ndarray, B: np.ndarray, u_max: np.ndarray, z: np.ndarray
-) -> np.ndarray:
+def _recovery(loop: FrozenLoop, a: np.ndarray, B: np.ndarray, u_max: np.ndarray, z: np.ndarray) -> np.ndarray:
     """L (n_u, n, n_u) at one speed; see the module's docstring.
 
     B is (n_u, n, 1 + n_y), whose reference column is ignored; u_max (n_u,).
     """
-    A_p, B_p, C_p = vehicle.A, vehicle.B, vehicle.C
+    A_p, B_p, C_p = loop.vehicle.A, loop.vehicle.B, loop.vehicle.C
     eye, n_u = np.eye(len(A_p)), len(u_max)
-    in_the_end = (C_p @ np.linalg.solve(eye - A_p, B_p))[0] * u_max
-    Q, R = np.outer(C_p[0], C_p[0]) / (in_the_end @ in_the_end), RECOVERY_EFFORT * np.diag(u_max**-2.0)
+    c = C_p[loop.controlled]
+    in_the_end = (C_p @ np.linalg.solve(eye - A_p, B_p))[loop.controlled] * u_max
+    Q, R = np.outer(c, c) / (in_the_end @ in_the_end), RECOVERY_EFFORT * np.diag(u_max**-2.0)
     X = sl.solve_discrete_are(A_p, B_p, Q, R)
     F = np.linalg.solve(R + B_p.T @ X @ B_p, B_p.T @ X @ A_p)
     seen = observed(a, z)

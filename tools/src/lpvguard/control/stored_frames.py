@@ -12,8 +12,6 @@ Class S2 (paper, K_is) needs u and the nominal state of a frame. They are taken 
 model at the frame's mean speed: u is the least-squares input behind Z, and ``x_nom = (zI - A_d)^-1 B_d u``.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -203,10 +201,8 @@ class StoredFrames:
         return B_w
 
     def _behind(self, Z, v, omega):
-        """Input u (F,) after the delay, x_nom (F, n), h_i (F, n) and h_s (F, n, n) behind frames.
-
-        The frames have speeds v (F,) in a bin at ``omega`` [rad/s].
-        """
+        """Input u (F,) after the delay, x_nom (F, n), h_i (F, n) and h_s (F, n, n) behind frames. The frames
+        have speeds v (F,) in a bin at ``omega`` [rad/s]."""
         speeds, index = np.unique(
             np.round(v, 2), return_inverse=True
         )  # 1 cm/s moves no entry by more than 1e-3
@@ -224,16 +220,14 @@ class StoredFrames:
         return u, h_i * u[:, None], h_i, h_s
 
 
-def deciding(E: np.ndarray, Z: np.ndarray, near: float = NEAR) -> np.ndarray:
-    """Indices of deciding frames of E, Z (F, n_y).
-
-    Every frame has B1, |Z| and |delta0| at most 1 + ``near`` times those of one of them.
-    """
+def deciding(E: np.ndarray, Z: np.ndarray) -> np.ndarray:
+    """Indices of deciding frames of E, Z (F, n_y). Every frame has B1, |Z| and |delta0| at most 1 + NEAR
+    times those of one of them."""
     size = np.linalg.norm(E, axis=1)
     values = (s1.solve(E, Z, size).b1, np.linalg.norm(Z, axis=1), np.abs(s1.least_squares_delta(E, Z)))
     with np.errstate(divide="ignore"):
-        # Steps of a factor 1 + near: a frame with no smaller step in all three is large enough for another.
-        steps = [np.unique(np.floor(np.log(x) / np.log1p(near)), return_inverse=True)[1] for x in values]
+        # Steps of a factor 1 + NEAR: a frame with no smaller step in all three is large enough for another.
+        steps = [np.unique(np.floor(np.log(x) / np.log1p(NEAR)), return_inverse=True)[1] for x in values]
     i, j, k = steps
     highest = np.full((i.max(initial=0) + 2, j.max(initial=0) + 2), -1)
     np.maximum.at(highest, (i, j), k)

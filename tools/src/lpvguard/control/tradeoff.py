@@ -25,10 +25,10 @@ from ..engine.synthesis.dk import Scaling, dk_synthesis
 from ..engine.synthesis.interconnection import GeneralisedPlant
 from ..engine.synthesis.limits import Floor, mu_floor
 from ..engine.synthesis.scheduling import common_scaling
-from ..engine.synthesis.statespace import lft
 from ..engine.synthesis.table import to_csv
 from ..vehicle.project import NuCeiling
 from .frozen import FrozenProblem
+from .limiting import Limiting
 from .stored_frames import Split, SplitWeights
 
 LEVELS = (0.05, 0.1, 0.2, 0.35, 0.6)
@@ -46,9 +46,7 @@ MOST_CANDIDATES = 2 * (1 + len(LEVELS)) + ROUNDS * 6
 @dataclass(frozen=True)
 class Candidate:
     """A candidate: ceiling ``low`` at the lowest bin, ``high`` at the highest, linear over log omega between.
-
-    ``lambda_s`` [s^2], None: K_i. ``own``: the project's ceiling instead.
-    """
+    ``lambda_s`` [s^2], None: K_i. ``own``: the project's ceiling instead."""
 
     low: float
     high: float
@@ -66,10 +64,8 @@ class Candidate:
         return (*np.round([self.low, self.high, self.lambda_s or 0.0], 9), self.own)
 
     def moved(self, name: str, factor: float) -> Candidate | None:
-        """The candidate with the number ``name`` (low, high or lambda_s) times ``factor``; None without it.
-
-        A level stays at most LARGEST_LEVEL.
-        """
+        """The candidate with the number ``name`` (low, high or lambda_s) times ``factor``; None without it. A
+        level stays at most LARGEST_LEVEL."""
         value = getattr(self, name)
         if value is None:
             return None
@@ -79,10 +75,8 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Outcome:
-    """A candidate's ceiling and split (K,), floor, and ``level``, the optimum over speeds.
-
-    The level is None when the floor decided.
-    """
+    """A candidate's ceiling and split (K,), floor, and ``level``, the optimum over speeds. The level is None
+    when the floor decided."""
 
     candidate: Candidate
     ceiling: np.ndarray
@@ -315,59 +309,17 @@ def _limit(run: _Search, best: Measured) -> dict:
     k = int(np.argmax([result.performance.upper for result in made]))
     v, plant, result = speeds(run.problem)[k], plants[k], made[k]
     performance = result.performance
-    frequency = performance.bracket.peak_frequency
-    loop = lft(plant.system, result.controller)
-    M = loop.response([frequency])[0]
-    left, right = (
-        np.abs(np.diagonal(G.response([_warped(frequency, loop.dt)])[0]))
-        for G in performance.scaling.systems(plant)
-    )
-    U, _, Vh = np.linalg.svd(left[:, None] * M * right)
+    limiting = Limiting.of(plant, result.controller, performance)
     return {
         "speed_mps": v,
         "mu_upper": performance.upper,
         "mu_lower": performance.lower,
-        "peak_rad_s": frequency,
-        "enters_by": _shares(Vh[0], loop.inputs),
-        "leaves_by": _shares(U[:, 0], loop.outputs),
+        "peak_rad_s": limiting.frequency,
+        "enters_by": limiting.enters_by,
+        "leaves_by": limiting.leaves_by,
         "floor": best.floor.value,
         "floor_rad_s": best.floor.frequency,
     }
-
-
-def _shares(x: np.ndarray, names: tuple[str, ...]) -> dict[str, float]:
-    """|x_k|^2 by name, of a vector of length 1."""
-    return dict(zip(names, (np.abs(x) ** 2).tolist(), strict=True))
-
-
-def _warped(omega: float, dt: float) -> float:
-    return (
-        float(np.minimum(2 / dt * np.tan(min(0.5 * omega * dt, 0.5 * np.pi * (1 - 1e-9))), 1e12))
-        if dt
-        else omega
-    )
-
-
-NAMES = {
-    "w_r": "the yaw rate's disturbance",
-    "w_delta": "the road-wheel angle's disturbance",
-    "n_r": "the yaw rate's noise",
-    "n_delta": "the angle's noise",
-    "r_c": "the command",
-    "xi_i": "the input uncertainty",
-    "z_t": "the tracking error",
-    "z_u": "the control effort",
-    "eta_i": "the input uncertainty",
-}
-
-
-def _carriers(shares: dict[str, float]) -> str:
-    named: dict[str, float] = {}
-    for key, value in shares.items():
-        name = NAMES.get(key, "the state uncertainty")
-        named[name] = named.get(name, 0.0) + value
-    large = sorted(((s, n) for n, s in named.items() if s >= 0.1), reverse=True)
-    return " and ".join(f"{name} ({share:.0%})" for share, name in large)
 
 
 def _sentence(run: _Search, best: Measured, own: Measured, limit: dict) -> str:
@@ -394,8 +346,8 @@ def _sentence(run: _Search, best: Measured, own: Measured, limit: dict) -> str:
         return "DC" if omega < 1e-2 * run.frames.estimator.omega[1] else f"{omega:.3g} rad/s"
 
     text += (
-        f"What limits it: at {limit['speed_mps']:g} m/s and {at(limit['peak_rad_s'])} mu enters by "
-        f"{_carriers(limit['enters_by'])} and leaves by {_carriers(limit['leaves_by'])}; "
+        f"What limits it: at {limit['speed_mps']:g} m/s and {at(limit['peak_rad_s'])} "
+        f"{Limiting(limit['peak_rad_s'], limit['enters_by'], limit['leaves_by']).sentence()}; "
         f"with these weights no controller goes below {limit['floor']:.3f} (at {at(limit['floor_rad_s'])})"
     )
     reached = best.level <= best.floor.value * (1 + 10 * AS_GOOD)

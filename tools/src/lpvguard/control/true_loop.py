@@ -9,8 +9,6 @@ changes. It contains hold, actuator delay and actuator lag. The controller's one
 controller (``Scheduled`` is strictly proper), so the loop has each delay once.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -18,13 +16,7 @@ import numpy as np
 
 from ..base.errors import InputError
 from ..core.scheduled import Scheduled
-from ..engine.synthesis.margins import (
-    LoopMargins,
-    Response,
-    guaranteed,
-    margins,
-    of_samples,
-)
+from ..engine.synthesis.margins import LoopMargins, Response, guaranteed, margins, of_samples
 from ..engine.synthesis.statespace import StateSpace
 from ..identify.identification import StoredIdentification
 from ..identify.weights import Weights
@@ -202,10 +194,8 @@ class CertifiedLoop:
         return within_use(self.model, v, asked)
 
     def W_delta(self, omega: np.ndarray) -> np.ndarray:
-        """Certified weight (K, n_delta) of the sampled loop at ``omega`` (K,) [rad/s].
-
-        n_delta is 1 (one delta for all outputs) or n_y.
-        """
+        """Certified weight (K, n_delta) of the sampled loop at ``omega`` (K,) [rad/s]. n_delta is 1 (one
+        delta for all outputs) or n_y."""
         return certified_weight(self.stored.fitted, self.model.Ts, omega)
 
     def promised(self, v: float) -> LoopMargins | None:
@@ -224,11 +214,8 @@ class CertifiedLoop:
         return guaranteed(lambda omega: parts(omega).sum(axis=1), radius, grid)
 
     def true(self, measured: MeasuredResponse) -> TrueLoop:
-        """The loop around a measured response.
-
-        Between its samples G/P is interpolated, and K and P are exact; below the first sample G/P is
-        constant.
-        """
+        """The loop around a measured response. Between its samples G/P is interpolated, and K and P are
+        exact; below the first sample G/P is constant."""
         v, omega = measured.v, measured.omega
         K = self._controller(v)
         ratio = measured.G / self._nominal(omega, v)

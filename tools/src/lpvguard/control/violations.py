@@ -119,11 +119,8 @@ class SpeedGrid:
         return max(first, 0), min(last, self.places - 1)
 
     def speeds(self, places: np.ndarray) -> np.ndarray:
-        """Speeds (T,) [m/s] of places (T,), rounded to whole ones.
-
-        Rounding half up is monotone and keeps whole differences. No sample then moves by more than ``moves``
-        unless the places do.
-        """
+        """Speeds (T,) [m/s] of places (T,), rounded to whole ones. Rounding half up is monotone and keeps
+        whole differences. No sample then moves by more than ``moves`` unless the places do."""
         whole = np.clip(np.floor(places + 0.5), 0, self.places - 1)
         return np.minimum(self.low + self.unit * whole, self.high)
 
@@ -224,10 +221,8 @@ class Search:
         self.first = np.random.default_rng(seed).standard_normal((samples, loop.inputs))
 
     def at(self, rate: float, enough: float = np.inf, before: Found | None = None) -> Found:
-        """Largest gain found for |dv/dt| <= ``rate`` [m/s^2]; the search ends above ``enough``.
-
-        ``before`` is a result at another rate, whose Delta starts the search.
-        """
+        """Largest gain found for |dv/dt| <= ``rate`` [m/s^2]; the search ends above ``enough``. ``before`` is
+        a result at another rate, whose Delta starts the search."""
         low, high = self.loop.over.nodes[[0, -1]]
         grid = SpeedGrid.of(low, high, rate, self.loop.Ts)
         corners = before.corners if before else ((1.0, np.inf),) * self.loop.blocks
@@ -304,9 +299,7 @@ def closed_period(grid: SpeedGrid, speeds: np.ndarray) -> np.ndarray:
     return np.concatenate([speeds, grid.speeds((back - grid.low) / grid.unit)])
 
 
-def fastest_growth(
-    loop: Loop, rate: float, samples: int, seed: int, shares: Sequence[float] = (1.0, 0.5, 0.2, 0.07)
-) -> tuple[float, np.ndarray]:
+def fastest_growth(loop: Loop, rate: float, samples: int, seed: int) -> tuple[float, np.ndarray]:
     """Search for growth of a loop of `injected` over one period.
 
     It tries the history with the largest gain from Delta's outputs, closed to a period, and triangles with
@@ -318,7 +311,6 @@ def fastest_growth(
     rate : float, m/s^2, largest |dv/dt|
     samples : int, length of a history
     seed : int
-    shares : Sequence[float], shares of the range for the triangles
 
     Returns
     -------
@@ -329,7 +321,7 @@ def fastest_growth(
     found = Search(loop, samples, seed).at(rate)
     tried = [(found.corners, closed_period(grid, found.speeds))]
     drawn = [found.corners, *(drawn_corners(random, loop.blocks) for _ in range(DRAWN))]
-    for share in shares:
+    for share in (1.0, 0.5, 0.2, 0.07):  # of the range
         for place in (0.0, 0.5, 1.0):
             first = low + place * (1 - share) * (high - low)
             last = first + share * (high - low)
@@ -367,10 +359,8 @@ def drawn_corners(random: np.random.Generator, blocks: int) -> tuple[tuple[float
 
 @dataclass(frozen=True)
 class LeastRate:
-    """``rate``: least |dv/dt| [m/s^2] with a violation (None: none up to the largest tried).
-
-    ``without``: largest rate tried below it without one (0: none tried).
-    """
+    """``rate``: least |dv/dt| [m/s^2] with a violation (None: none up to the largest tried). ``without``:
+    largest rate tried below it without one (0: none tried)."""
 
     rate: float | None
     without: float

@@ -9,8 +9,6 @@ The controllers run with their sample of delay on the nominal vehicle at the des
 all-pass system (engine/synthesis/worst_case.py).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -48,10 +46,8 @@ class WorstRun:
 
 @dataclass(frozen=True)
 class WorstRuns:
-    """All runs on ``drive``; t (N,), wanted = W_R r_c (N,).
-
-    ``left_out``: structures none of whose objectives has μ < 1.
-    """
+    """All runs on ``drive``; t (N,), wanted = W_R r_c (N,). ``left_out``: structures none of whose objectives
+    has μ < 1."""
 
     drive: str
     factor: float
@@ -153,7 +149,7 @@ def worst_runs(problem: FrozenProblem, cells: list[Cell], drives: DriveSet) -> W
 
 
 def _dc_bound(problem: FrozenProblem, c: Cell) -> float:
-    return float(abs(problem.weights(c.structure, c.A_t, c.A_u).W_wr.response([0.0])[0, 0, 0]))
+    return float(abs(problem.weights(c.structure, c.A_t, c.A_u).W_w[0].response([0.0])[0, 0, 0]))
 
 
 def _run(problem: FrozenProblem, c: Cell, signals: np.ndarray, wanted: np.ndarray) -> WorstRun:
@@ -183,7 +179,7 @@ def _rms(x: np.ndarray) -> float:
 def _without_units(weights: PlantWeights) -> PlantWeights:
     """Weights for physical units of w, r_c and z: z = [W_R r_c − r_m; u]."""
     one = gain([[1.0]])
-    return replace(weights, W_C=one, W_t=one, W_u=one, W_wr=one, W_wdelta=one)
+    return replace(weights, W_C=one, W_t=one, W_u=(one,), W_w=(one, one))
 
 
 def respond(G: StateSpace, inputs: np.ndarray) -> np.ndarray:

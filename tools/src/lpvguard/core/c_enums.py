@@ -1,7 +1,5 @@
 """Names of the C core's enumerations, read from its headers."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -13,8 +13,6 @@ No clock time is written: the same input gives the same bytes. Numbers have 9 (f
 significant digits, so that reading returns the same number.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Protocol

@@ -1,8 +1,6 @@
-"""The compiled C core of one vehicle, called from Python. This package has no other monitor.
-
-The core is built on first use, from the sources for the ECU: ``lib/`` and the vehicle's generated folder. The
-result is kept in a cache, keyed by a hash.
-"""
+"""The compiled C core of one vehicle, called from Python. This package has no other monitor. The core is
+built on first use, from the sources for the ECU: ``lib/`` and the vehicle's generated folder. The result is
+kept in a cache, keyed by a hash."""
 
 from __future__ import annotations
 
@@ -172,6 +170,22 @@ OF_NO_VEHICLE = {"authentication", "can", "j1939", "life", "uds", "xcp"}
 """Sources without a vehicle's sizes, compiled once for all vehicles."""
 
 
+def core_sources(root: Path, folder: Path) -> list[Path]:
+    """Sources of the core that a generated folder needs.
+
+    Parameters
+    ----------
+    root : Path, lib/
+    folder : Path, generated folder of a vehicle; without lpvguard_bus.c it has no ECU
+
+    Returns
+    -------
+    list of Path
+    """
+    without = set() if (folder / "lpvguard_bus.c").is_file() else {"ecu"}
+    return sorted(p for p in (root / "src").rglob("*.cpp") if p.stem not in without)
+
+
 def core_objects(
     folder: Path,
     more: Sequence[Path] = (),
@@ -209,7 +223,7 @@ def core_objects(
     of_vehicle = [*of_no_vehicle, folder]
     jobs = [
         (source, common, of_no_vehicle if source.stem in OF_NO_VEHICLE else of_vehicle)
-        for source in sorted((root / "src").rglob("*.cpp"))
+        for source in core_sources(root, folder)
     ]
     jobs += [(source, common, of_vehicle) for source in sorted(folder.glob("*.c"))]
     jobs += [(source, (*common, *flags), of_vehicle) for source in more]
@@ -301,10 +315,8 @@ class FrameLog:
         return self.reason <= REASONS.index("not_excited")
 
     def judged(self, samples: int, t0: float, Ts: float, length: np.ndarray) -> np.ndarray:
-        """True (N,) at the samples that lie in a counted frame, from time t0 [s] on.
-
-        ``length`` (K,) holds samples of a frame, by bin.
-        """
+        """True (N,) at the samples that lie in a counted frame, from time t0 [s] on. ``length`` (K,) holds
+        samples of a frame, by bin."""
         after = np.round((self.t_end_s[self.counted] - t0) / Ts).astype(int) + 1
         frames_open = np.zeros(samples + 1, int)
         np.add.at(frames_open, after - length[self.bin[self.counted]], 1)
@@ -484,11 +496,9 @@ class Core:
     def monitor(
         self, *, words: np.ndarray | None = None, reals: np.ndarray | None = None, seal: bool = False
     ) -> RunningMonitor:
-        """Start a monitor with the compiled-in coefficients, or with the given ones.
-
-        ``words`` (W,) and ``reals`` (R,) are flat, as in ``compiled``. ``seal`` renews their CRC. Raises
-        InputError with the core's status when init refuses the coefficients.
-        """
+        """Start a monitor with the compiled-in coefficients, or with the given ones. ``words`` (W,) and
+        ``reals`` (R,) are flat, as in ``compiled``. ``seal`` renews their CRC. Raises InputError with the
+        core's status when init refuses the coefficients."""
         compiled_words, compiled_reals = self.compiled
         arguments: tuple[ctypes.c_void_p | None, ctypes.c_void_p | None] = (None, None)
         if words is not None or reals is not None:
@@ -533,10 +543,8 @@ class RunningMonitor:
     def run(
         self, t: np.ndarray, v: np.ndarray, u: np.ndarray, y: np.ndarray, present: np.ndarray | None = None
     ) -> Run:
-        """Push samples t (N,) [s], v (N,), u (N, n_u), y (N, n_y).
-
-        Where ``present`` (N,) is False, time passes without a sample.
-        """
+        """Push samples t (N,) [s], v (N,), u (N, n_u), y (N, n_y). Where ``present`` (N,) is False, time
+        passes without a sample."""
         n = len(t)
         columns = self._core._columns
         arrays = [

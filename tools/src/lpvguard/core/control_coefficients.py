@@ -17,8 +17,6 @@ Reads   controller.json, written by `lpvguard design`:
 The manifest of the generated folder names that file by its hash.
 """
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,8 +27,10 @@ import numpy as np
 from ..base import artefacts
 from ..base.errors import InputError
 from ..base.layout import COEFF, CONTROL
-from ..can.bus import bus_source
+from ..can.bus import bus_source, sends_demand
 from ..can.codegen import codec_files
+from ..can.demand_code import demand_files
+from ..can.own import demand_messages
 from ..vehicle.project import Project
 from .scheduled import Scheduled, engagement
 from .seal import Sealed, coefficient_source
@@ -251,7 +251,9 @@ def _check(where: object, Ts_s: float, arrays: dict[str, np.ndarray]) -> None:
 def control_files(project: Project, controller: ControllerCoefficients) -> dict[str, str]:
     """Text by file name of the controller's part of a vehicle folder.
 
-    Raises InputError when the controller does not fit the vehicle.
+    A vehicle whose demand no message of ours carries has the controller alone, without an ECU. Where
+    [can.demand] gives their places, its demands are packed into messages of its own bus. Raises
+    InputError when the controller does not fit the vehicle.
     """
     where = f"controller for vehicle {project.name}"
     n_u = int(controller.words["sizes"][-1])
@@ -272,8 +274,9 @@ def control_files(project: Project, controller: ControllerCoefficients) -> dict[
             f"{controller.speeds[0]:g} to {controller.speeds[-1]:g} m/s",
             f"{ends[0]:g} to {ends[1]:g} m/s, the model's range",
         )
-    return {
-        "lpvguard_control.c": coefficient_source(controller),
-        "lpvguard_bus.c": bus_source(project),
-        **codec_files(),
-    }
+    files = {"lpvguard_control.c": coefficient_source(controller)}
+    if sends_demand(project):
+        files |= {"lpvguard_bus.c": bus_source(project), **codec_files()}
+    if project.can is not None and project.can.demand:
+        files |= demand_files(demand_messages(project), project.n_u)
+    return files

@@ -1,7 +1,5 @@
 """Coefficient structs of the C core as text and bytes (base/layout.py)."""
 
-from __future__ import annotations
-
 import struct
 import zlib
 from dataclasses import dataclass
@@ -69,10 +67,8 @@ def _braced(values: np.ndarray, show) -> str:
 
 
 def _literals(value: float) -> str:
-    """C text for ``value`` rounded to float and separately to double.
-
-    One decimal text for both would round differently from numpy where the double lies between two floats.
-    """
+    """C text for ``value`` rounded to float and separately to double. One decimal text for both would round
+    differently from numpy where the double lies between two floats."""
 
     def text(digits: str) -> str:
         return digits if any(c in digits for c in ".en") else digits + ".0"

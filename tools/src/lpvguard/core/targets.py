@@ -14,8 +14,6 @@ have a fused multiply-add and the R5F has not. The one for counting has the comp
 project builds the library.
 """
 
-from __future__ import annotations
-
 import hashlib
 import os
 import re
@@ -34,7 +32,7 @@ import numpy as np
 from ..base import native
 from ..base.artefacts import write_files
 from ..base.errors import InputError
-from .compiled import core_objects, eigen_include, firmware_root, library_root
+from .compiled import core_objects, core_sources, eigen_include, firmware_root, library_root
 
 PACKAGES = "qemu-system-arm gcc-arm-none-eabi libnewlib-arm-none-eabi libstdc++-arm-none-eabi-newlib"
 """Debian packages that hold the cross compiler, its libraries and the emulator."""
@@ -210,10 +208,8 @@ def _emulator(target: Target, elf: Path) -> list[str]:
 
 
 def on_can(name: str, elf: Path, interface: str) -> tuple[list[str], str]:
-    """Command and standard input that run an image with its CAN controller on a SocketCAN interface.
-
-    Raises InputError as `emulated_ecu`.
-    """
+    """Command and standard input that run an image with its CAN controller on a SocketCAN interface. Raises
+    InputError as `emulated_ecu`."""
     target = _with_can(name)
     host = f"can-host-socketcan,id=can,if={interface},canbus=canbus0"
     command = [*_emulator(target, elf), *target.can, "-object", host, *SEMIHOSTING]
@@ -263,15 +259,7 @@ def emulated_ecu(name: str, vehicle: Path) -> EmulatedEcu:
         (here, ports / "ecu_process", ecu),
     )
     elf, _ = _build(target, vehicle, program, (*LANGUAGE, SAME_BITS))
-    command = " ".join(
-        map(
-            shlex.quote,
-            [
-                *_emulator(target, elf),
-                *target.can,
-            ],
-        )
-    )
+    command = " ".join(map(shlex.quote, [*_emulator(target, elf), *target.can]))
     # Arguments: INTERFACE --engage yes|no --time-line FD. The emulator ends when the simulator does.
     script = (
         "#!/bin/sh\nexport QEMU_AUDIO_DRV=none\n"
@@ -296,11 +284,8 @@ def image_with_debug_information(name: str, vehicle: Path, program: Program) -> 
 
 @dataclass(frozen=True)
 class Verdicts:
-    """Verdicts of drives by an image of the monitor alone.
-
-    Each drive has a list of (sample, verdict) at which the verdict changes. ``rom`` is as in `run_target`;
-    ``ram_bytes`` is the monitor's.
-    """
+    """Verdicts of drives by an image of the monitor alone. Each drive has a list of (sample, verdict) at
+    which the verdict changes. ``rom`` is as in `run_target`; ``ram_bytes`` is the monitor's."""
 
     changes: list[list[tuple[int, int]]]
     rom: dict[str, int]
@@ -385,10 +370,8 @@ def run_program(name: str, vehicle: Path, program: Program, *, timeout_s: float 
 
 
 def run_image(name: str, elf: Path, timeout_s: float = TIMEOUT_S) -> list[str]:
-    """Run an image in the target's emulator for ``timeout_s`` [s] at most; returns its lines.
-
-    Raises InputError when it fails.
-    """
+    """Run an image in the target's emulator for ``timeout_s`` [s] at most; returns its lines. Raises
+    InputError when it fails."""
     target = _target(name)
     command = [*_emulator(target, elf), *SEMIHOSTING]
     # Semihosting writes to standard error; standard output is the monitor's.
@@ -517,7 +500,7 @@ def _host_lines(vehicle: Path, program: Program) -> list[str]:
 
 def _sources(vehicle: Path) -> tuple[list[Path], list[Path]]:
     """Sources of the core and the vehicle."""
-    return sorted((library_root() / "src").rglob("*.cpp")), sorted(Path(vehicle).glob("*.c"))
+    return core_sources(library_root(), Path(vehicle)), sorted(Path(vehicle).glob("*.c"))
 
 
 def _build(

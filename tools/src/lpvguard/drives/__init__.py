@@ -2,7 +2,7 @@
 
 In: drive tables, or raw logs with a signal map. Out: `Drive` on a uniform grid, and frames of the nominal
 error: Hann (`frames`) or the paper's plain DFT (`dft`). The room also injects faults into drives and makes
-the drives of the synthetic car. MAY_IMPORT lists what a room may import.
+the drives of the synthetic car.
 """
 
 MAY_IMPORT = ("base", "vehicle", "can")

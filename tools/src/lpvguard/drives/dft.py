@@ -14,8 +14,6 @@ vector of n numbers. It is fitted by least squares over all lines but DC, which 
 remainder is E, which is zero on data of the nominal model.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from ..vehicle.nominal import NominalModel

@@ -8,8 +8,6 @@ only.
 A vehicle with a second input, in kN m, has torque vectoring: a yaw moment that acts without delay.
 """
 
-from __future__ import annotations
-
 import io
 from collections.abc import Callable
 from pathlib import Path

@@ -6,8 +6,6 @@ extrapolates. A time is left out when, for any column, the samples around it lie
 ``max_gap_s``. Times across a jump of the log's clock are left out too.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import csv
 import io
+import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -90,6 +91,9 @@ class Drive:
         )
 
 
+_DATE = re.compile(r"(20\d\d)[-_.]?([01]\d)[-_.]?([0-3]\d)")
+
+
 @dataclass(frozen=True)
 class Experiment:
     """An entry of ``experiments.csv``.
@@ -113,6 +117,26 @@ class Experiment:
     def group_or_recording(self) -> str:
         """The group, of a drive without one its recording."""
         return self.group or self.recording
+
+
+def day_of(name: str) -> str:
+    """Return the date in a drive's name.
+
+    Parameters
+    ----------
+    name : str
+
+    Returns
+    -------
+    str, as 2026-04-22; empty without one
+
+    Examples
+    --------
+    >>> day_of("rl_2026-04-22_03-36-39"), day_of("20251010T0511"), day_of("run_7")
+    ('2026-04-22', '2025-10-10', '')
+    """
+    found = _DATE.search(name)
+    return "-".join(found.groups()) if found else ""
 
 
 def list_experiments(folder: Path) -> list[Experiment]:
@@ -431,10 +455,8 @@ def _other_rate(typical: float, Ts: float) -> str:
 
 
 def _missing(path: Path, project: Project, values: dict[str, np.ndarray]) -> np.ndarray | None:
-    """True (N,) where a sample has no possible value, or a gate is shut; None where nowhere.
-
-    ``values`` are filled there in place.
-    """
+    """True (N,) where a sample has no possible value, or a gate is shut; None where nowhere. ``values`` are
+    filled there in place."""
     signals = [project.speed, *project.inputs, *project.outputs]
     outside = {s.name: _outside(s, values[s.name]) for s in project.recorded}
     missing = np.logical_or.reduce([outside[s.name] for s in signals])

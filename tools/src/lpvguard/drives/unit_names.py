@@ -5,8 +5,6 @@ loggers use in a sense of their own come first ("grad" is a degree in German, "m
 package pint reads all other spellings.
 """
 
-from __future__ import annotations
-
 import re
 from functools import cache
 from itertools import product
@@ -26,7 +24,20 @@ _TIMES = {
 }
 _ANGLES = {
     "rad": ("rad", "rads", "radian", "radians", "radiant"),
-    "deg": ("deg", "degs", "degreofarc", "degreeofarc", "degree", "degrees", "grad", "°", "º"),
+    "deg": (
+        "deg",
+        "degs",
+        "degreofarc",
+        "degreeofarc",
+        "degree",
+        "degrees",
+        "grad",
+        "degré",
+        "degrés",
+        "degre",
+        "°",
+        "º",
+    ),
     "mrad": ("mrad", "milliradian", "milliradians"),
 }
 _OVER = ("", "p", "per", "pro")
@@ -133,7 +144,7 @@ def unit_of_text(text: str, role: str) -> str | None:
         return None
     if unit_factor(text, DIMENSIONS[role]) is not None:
         return _canonical(text, role)
-    squeezed = re.sub(r"[\s/_.·*]+", "", text.lower()).removeprefix("unit")
+    squeezed = re.sub(r"[\s/_.·*^]+", "", text.lower()).removeprefix("unit")
     squeezed = re.sub(r"(s|sec|sek|h)\^?\(?-1\)?$|(s|h)⁻¹$", r"\1\2", squeezed)
     known = _spellings(role)
     if squeezed in known:

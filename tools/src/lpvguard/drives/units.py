@@ -1,7 +1,5 @@
 """Units of measured signals, and factors between them."""
 
-from __future__ import annotations
-
 import numpy as np
 
 # To SI: dimension, factor.

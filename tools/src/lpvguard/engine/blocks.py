@@ -1,7 +1,5 @@
 """Diagonal blocks of an uncertainty Delta, for validation and synthesis."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from ..base.errors import InputError

@@ -75,11 +75,9 @@ class OutputCause:
 
 @dataclass(frozen=True)
 class CauseOutcome:
-    """Outcome of a found fault in the drive ``run`` from ``start_s`` [s] on.
-
-    ``after_s`` is the time from alarm to diagnosis [s], None without one. The module's docstring explains
-    ``uneven`` and ``preliminary``.
-    """
+    """Outcome of a found fault in the drive ``run`` from ``start_s`` [s] on. ``after_s`` is the time from
+    alarm to diagnosis [s], None without one. The module's docstring explains ``uneven`` and
+    ``preliminary``."""
 
     run: str
     start_s: float
@@ -154,9 +152,7 @@ def _uneven(y: np.ndarray) -> bool:
 
 def can_be_named(fault: Fault, project: Project, scales: DiagnosisScales) -> bool:
     """Return whether a fault with one cause exceeds, in some output, the difference between healthy vehicles.
-
-    No record, however long, names a smaller one (DiagnosisScales.least).
-    """
+    No record, however long, names a smaller one (DiagnosisScales.least)."""
     if fault.kind == "freeze":
         return True
     least = scales.least
@@ -172,11 +168,8 @@ CauseOutcomes = dict[Case, list[CauseOutcome]]
 
 
 def cause_table(found: CauseOutcomes, project: Project, scales: DiagnosisScales | None) -> dict:
-    """JSON-able table, a row per case.
-
-    Sums are over known faults, over those of them that can be named, and over those without a single cause.
-    ``scales`` decide which can be named; None: unknown.
-    """
+    """JSON-able table, a row per case. Sums are over known faults, over those of them that can be named, and
+    over those without a single cause. ``scales`` decide which can be named; None: unknown."""
     rows = [_row(case, members) for case, members in found.items()]
     known = [m for case, of in found.items() if true_cause(case.fault) is not None for m in of]
     named = [

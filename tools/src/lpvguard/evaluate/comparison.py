@@ -1,10 +1,6 @@
-"""Tables and words of an evaluation, for terminal and page.
-
-The tables have a column per detector and a row per fault and way. The words say at which rate of false alarms
-the detectors are compared. The monitor is compared with each baseline alone, way by way (`duels`).
-"""
-
-from __future__ import annotations
+"""Tables and words of an evaluation, for terminal and page. The tables have a column per detector and a row
+per fault and way. The words say at which rate of false alarms the detectors are compared. The monitor is
+compared with each baseline alone, way by way (`duels`)."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -169,7 +165,13 @@ def detector_rows(detectors: list[DetectorColumn], best: list[str] | None = None
             *(f"{of[0]['untouched_alarms']} of {of[0]['counted']}" for of in faults),
         ],
     ]
-    named = [[row_name(same[0]), *map(found, same)] for same in zip(*faults, strict=True)]
+    same_rows = list(zip(*faults, strict=True))
+    qualify = [any(row["counted"] for row in same) for same in same_rows]
+    named = [
+        [row_name(same[0]), *map(found, same)] for same, keep in zip(same_rows, qualify, strict=True) if keep
+    ]
+    if without := [row_name(same[0]) for same, keep in zip(same_rows, qualify, strict=True) if not keep]:
+        named.append([f"no drive qualifies: {'; '.join(without)}", *[""] * len(detectors)])
     rows += named
     ways = list(dict.fromkeys(row["way"] for row in faults[0]))
     for way in ways:
@@ -179,7 +181,9 @@ def detector_rows(detectors: list[DetectorColumn], best: list[str] | None = None
     if best is None:
         return rows
     before = [""] * (len(rows) - len(ways) - len(named))
-    return [[*row, name] for row, name in zip(rows, [*before, *best, *[""] * len(ways)], strict=True)]
+    leaders = [name for name, keep in zip(best, qualify, strict=True) if keep]
+    after = [""] * (len(named) - len(leaders) + len(ways))
+    return [[*row, name] for row, name in zip(rows, [*before, *leaders, *after], strict=True)]
 
 
 def row_name(row: dict) -> str:
@@ -223,6 +227,7 @@ def refutable_rows(detectors: list[DetectorColumn]) -> list[list[str]]:
     return [
         [row_name(same[0]), f"{same[0]['refutable']} of {same[0]['counted']}", *map(found, same)]
         for same in zip(*(d.faults for d in detectors), strict=True)
+        if same[0]["counted"]
     ]
 
 

@@ -1,9 +1,5 @@
-"""Drives that were spoiled: repeated in the folder, rows out of order, frozen values, or each value twice.
-
-No model is needed to detect it. Every finding names drive, column and time.
-"""
-
-from __future__ import annotations
+"""Drives that were spoiled: repeated in the folder, rows out of order, frozen values, or each value twice. No
+model is needed to detect it. Every finding names drive, column and time."""
 
 from collections.abc import Iterator
 
@@ -69,10 +65,8 @@ def _doubled(drives: list[Drive]) -> Iterator[InputError]:
 
 
 def _shuffled(project: Project, drive: Drive) -> Iterator[InputError]:
-    """Return whether every column jumps, as when rows are out of order.
-
-    The noise of a held speed jumps as well, so the speed has to differ by more than noise does.
-    """
+    """Return whether every column jumps, as when rows are out of order. The noise of a held speed jumps as
+    well, so the speed has to differ by more than noise does."""
     columns = [x for _, x in _columns(project, drive) if np.var(x) > 0]
     rough = all(np.mean(np.diff(x) ** 2) > ROUGH * np.var(x) for x in columns)
     if rough and np.std(drive.v) > UNLIKE_NOISE * np.mean(np.abs(drive.v)):

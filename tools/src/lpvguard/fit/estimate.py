@@ -13,8 +13,6 @@ matrix S is the spread of the scores over blocks of the drives. The errors hold 
 speed or drive, and allow for correlation that the noise model leaves.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -47,11 +45,9 @@ HOPELESS = 1e3
 
 @dataclass(frozen=True)
 class Estimate:
-    """Values and covariance of the unknowns: theta (p,), covariance (p, p), trims (n_drives, n_u).
-
-    The trims are less the common input_offset; trim_errors has the same shape. Both have no columns where the
-    trim is common, and are NaN where nothing is judged.
-    """
+    """Values and covariance of the unknowns: theta (p,), covariance (p, p), trims (n_drives, n_u). The trims
+    are less the common input_offset; trim_errors has the same shape. Both have no columns where the trim is
+    common, and are NaN where nothing is judged."""
 
     unknowns: Unknowns
     theta: np.ndarray
@@ -148,7 +144,7 @@ class Fit:
             columns.append([(b - a) / (ends[1] - ends[0]) for a, b in zip(low, high, strict=True)])
         return [np.column_stack([column[i] for column in columns]) for i in range(len(self.drives))]
 
-    def minimised(self, theta: np.ndarray, evaluations: int = 40) -> np.ndarray:
+    def minimised(self, theta: np.ndarray) -> np.ndarray:
         """Unknowns (p,) of least V near theta (p,), with the noise model fixed."""
         span = self.unknowns.high - self.unknowns.low
         inset = np.where(np.isfinite(span), 1e-6 * np.where(np.isfinite(span), span, 1.0), 0.0)
@@ -161,7 +157,7 @@ class Fit:
             x_scale="jac",
             ftol=1e-7,
             xtol=1e-6,
-            max_nfev=evaluations,
+            max_nfev=40,
         ).x
 
     def plain(self, theta: np.ndarray) -> np.ndarray:
@@ -210,10 +206,8 @@ class Fit:
         return [e + t @ np.nan_to_num(d) for e, t, d in zip(errors, responses, trims, strict=True)]
 
     def _trims(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Trim of every drive beside the common input_offset, and its standard error: (n_drives, n_u).
-
-        It is NaN where nothing is judged, and has no columns where the trim is common.
-        """
+        """Trim of every drive beside the common input_offset, and its standard error: (n_drives, n_u). It is
+        NaN where nothing is judged, and has no columns where the trim is common."""
         if not self.own_trim:
             return np.zeros((len(self.drives), 0)), np.zeros((len(self.drives), 0))
         errors, responses = self._whitened(self.errors(theta)), self._whitened(self._trim_responses(theta))

@@ -12,8 +12,6 @@ a unit, columns, a shift in time) is an InputError. A drive that may be of anoth
 is left out with a finding.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,6 +24,7 @@ from ..drives.tables import Drive, Experiment, bound_setting, list_experiments, 
 from ..vehicle.nominal import NominalModel
 from ..vehicle.project import Project
 from .damaged_drives import require_unspoiled
+from .differences import differences, outlook
 from .estimate import Estimate, Fit
 from .plausible import require_plausible
 from .project_file import values_of, with_numbers
@@ -51,6 +50,8 @@ class FittedModel:
     by_drive, of_unseen, by_speed : list of Quality
     left_out : dict[str, str], reason by drive
     findings : list of str, sentences
+    differences : list of str, parameters that differ between drives or days
+    outlook : str, what the recordings that calibrate allow
     sha256 : dict[str, str], hash by drive
     """
 
@@ -63,6 +64,8 @@ class FittedModel:
     by_speed: list[Quality]
     left_out: dict[str, str]
     findings: list[str]
+    differences: list[str]
+    outlook: str
     sha256: dict[str, str]
 
     def to_dict(self) -> dict:
@@ -96,6 +99,8 @@ class FittedModel:
             "speeds": [q.to_dict() for q in self.by_speed],
             "left_out": self.left_out,
             "findings": self.findings,
+            "differences": self.differences,
+            "outlook": self.outlook,
         }
 
 
@@ -165,15 +170,15 @@ def fit(
         by_speed(model, screen.explained),
         set_aside(Path(folder)) | {name: str(error) for name, error in screen.faults.items()},
         [*map(str, [*screen.faults.values(), *beside.values()]), *_findings(estimate, of_fitted)],
+        differences(runner, estimate, {e.name: e.group for e in experiments if e.group}),
+        outlook(len({e.recording for e in experiments if e.name not in setting | skipped})),
         {e.name: artefacts.file_hash(e.path) for e in experiments},
     )
 
 
 def _read(project: Project, experiments: list[Experiment]) -> tuple[list[Drive], list[InputError]]:
-    """All drives, and the errors of those with values outside their signals' ranges.
-
-    A wrong unit then gets its own message first.
-    """
+    """All drives, and the errors of those with values outside their signals' ranges. A wrong unit then gets
+    its own message first."""
     drives, refused = [], []
     for e in experiments:
         try:

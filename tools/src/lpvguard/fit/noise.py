@@ -6,8 +6,6 @@ Coefficients are least squares over all stretches, each drive weighted by its ow
 least of Schwarz's criterion (Ljung, System Identification, 2nd ed., 16.4).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

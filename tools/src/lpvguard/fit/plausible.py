@@ -1,7 +1,5 @@
 """Whether a fitted model is one that a vehicle of the stated kind can have."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from ..base.errors import InputError
@@ -11,12 +9,10 @@ from ..vehicle.project import Project
 
 
 def require_plausible(project: Project) -> None:
-    """Raise InputError where the model's steady turn or lag is beyond the kind that `[fit]` states.
-
-    Only a model from one steering angle in rad to a yaw rate in rad/s is judged. It is judged by wheelbase
-    and understeer, from ``v/G = L + K v^2`` over its speeds. It is also judged by its delay plus its slowest
-    time constant.
-    """
+    """Raise InputError where the model's steady turn or lag is beyond the kind that `[fit]` states. Only a
+    model from one steering angle in rad to a yaw rate in rad/s is judged. It is judged by wheelbase and
+    understeer, from ``v/G = L + K v^2`` over its speeds. It is also judged by its delay plus its slowest time
+    constant."""
     kind = project.fit.kind
     if kind is None or [s.unit for s in (*project.inputs, *project.outputs)] != ["rad", "rad/s"]:
         return

@@ -1,7 +1,5 @@
 """Judged samples of a drive: in the model's speed range, with the initial state forgotten."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from ..drives.frames import settled

@@ -15,8 +15,6 @@ W_delta lies above nu and above the model error model's bound (model_error.py). 
 |delta| <= W_delta explains, frame by frame. A bin without a counted frame is NaN: "no information", never 0.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property, reduce
@@ -69,10 +67,8 @@ class FrameSet:
     def require(
         self, good: np.ndarray, estimator: Estimator, what: Callable[[int], str], expected: str
     ) -> None:
-        """Raise InputError unless all frames are ``good`` (F,).
-
-        It names the experiment, the bin and the first bad frame's first sample.
-        """
+        """Raise InputError unless all frames are ``good`` (F,). It names the experiment, the bin and the
+        first bad frame's first sample."""
         if not np.all(good):
             first = int(np.argmin(good))
             raise InputError(
@@ -191,10 +187,8 @@ def fold(parts: Iterable[Part]) -> Part:
 
 
 class Deciders:
-    """Frames that decide a bound ``key`` (K, m), in memory independent of the number of drives.
-
-    They hold the drive, the frame's first sample, and the bound without that frame and those that overlap it.
-    """
+    """Frames that decide a bound ``key`` (K, m), in memory independent of the number of drives. They hold the
+    drive, the frame's first sample, and the bound without that frame and those that overlap it."""
 
     def __init__(self, key: str, shape: tuple[int, int]):
         self.key = key
@@ -225,10 +219,7 @@ FIRST, REST = "_first", "_rest"
 
 def _decided(key: str, values: np.ndarray, s: FrameSet, estimator: Estimator, out: Part) -> None:
     """Store the largest of ``values`` (F, m) >= 0 of the frames ``s`` in the part, with the data for
-    Deciders.
-
-    The starts of the frames rise.
-    """
+    Deciders. The starts of the frames rise."""
     if not len(values):
         return
     columns = np.arange(values.shape[1])
@@ -258,13 +249,13 @@ def _maximum(values: np.ndarray) -> np.ndarray | float:
 
 
 def reduce_disturbance(
-    sets: Iterable[FrameSet], estimator: Estimator, nu_ceiling: np.ndarray, n_y: int
+    sets: Iterable[FrameSet], estimator: Estimator, nu_ceiling: np.ndarray, n_y: int, controlled: int = 0
 ) -> Part:
     """Reduce a drive's frames to the maxima of steps 2-4, before smoothing.
 
     ``E`` (K, n_y) is the largest |E_j|. For zero-input drives it bounds the sensors' noise (W_n), for others
-    the disturbance of class S0. ``Y`` (K,) is the largest |E + Z| of the first output, the yaw rate: it
-    bounds the commands in such drives (W_C; paper, section V).
+    the disturbance of class S0. ``Y`` (K,) is the largest |E + Z| of the controlled output: it bounds
+    the commands in such drives (W_C; paper, section V).
 
     Parameters
     ----------
@@ -272,6 +263,7 @@ def reduce_disturbance(
     estimator : Estimator
     nu_ceiling : ndarray (K,), ceiling on nu, 0 at DC
     n_y : int, number of outputs
+    controlled : int, index of the controlled output, default 0
 
     Returns
     -------
@@ -296,7 +288,7 @@ def reduce_disturbance(
             ("B2", size),
             ("gamma_rule", rule),
             ("E", np.abs(s.E)),
-            ("Y", np.abs(s.E[:, 0] + s.Z[:, 0])),
+            ("Y", np.abs(s.E[:, controlled] + s.Z[:, controlled])),
         ):
             out[key][s.bin] = _maximum(values)
     return out
@@ -344,10 +336,8 @@ def explain(
 
 
 def _needed_each(s: FrameSet, estimator: Estimator, gamma_w: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Least |delta_j| (F, n_y) in class S1_diagonal, and the excess of |E_j| over gamma_w.
-
-    It solves E_j = delta_j Z_j + w_j with |w_j| <= gamma_w for every output.
-    """
+    """Least |delta_j| (F, n_y) in class S1_diagonal, and the excess of |E_j| over gamma_w. It solves E_j =
+    delta_j Z_j + w_j with |w_j| <= gamma_w for every output."""
     size, gain = s.sizes
     excess = np.maximum(0.0, size - gamma_w[s.bin])
     nu = np.divide(excess, gain, out=np.where(excess > 0, np.inf, 0.0), where=gain > 0)
@@ -504,10 +494,8 @@ def reduce_remainder(
     structure: str,
     joint: bool = False,
 ) -> tuple[Part, list[np.ndarray]]:
-    """Step 6: largest |w_j| (K, n_y) that no |delta| <= W_delta (K, n_delta) explains.
-
-    With ``joint`` the result has the `undominated` ones of every bin, for `covering`.
-    """
+    """Step 6: largest |w_j| (K, n_y) that no |delta| <= W_delta (K, n_delta) explains. With ``joint`` the
+    result has the `undominated` ones of every bin, for `covering`."""
     out, fronts = _undecided("B_w", (estimator.n_bins, n_y)), [np.zeros((0, n_y))] * estimator.n_bins
     for s in sets:
         sizes = remainder_sizes(s, estimator, W_delta, structure)
@@ -518,10 +506,8 @@ def reduce_remainder(
 
 
 def undominated(sizes: np.ndarray) -> np.ndarray:
-    """Rows of ``sizes`` (F, m) >= 0 that no other row reaches in every column, each once.
-
-    They contain the largest of any sum that rises with every column.
-    """
+    """Rows of ``sizes`` (F, m) >= 0 that no other row reaches in every column, each once. They contain the
+    largest of any sum that rises with every column."""
     found = [np.zeros((0, sizes.shape[1]))]
     share = 1 / np.maximum(_maximum(sizes), np.finfo(float).tiny)
     while len(sizes) and (sizes.shape[1] != 2 or len(found) <= FIRST_LARGEST):
@@ -536,10 +522,8 @@ def undominated(sizes: np.ndarray) -> np.ndarray:
 
 
 def covering(fronts: list[np.ndarray], B_w: np.ndarray) -> np.ndarray:
-    """Largest sqrt(sum_j |w_j / B_w,j|^2) (K,), the factor with which B_w (K, n_y) covers every w jointly.
-
-    It uses the `undominated` |w_j| of every bin. NaN: no frame.
-    """
+    """Largest sqrt(sum_j |w_j / B_w,j|^2) (K,), the factor with which B_w (K, n_y) covers every w jointly. It
+    uses the `undominated` |w_j| of every bin. NaN: no frame."""
     scale = np.full(len(fronts), np.nan)
     for k, (w, bound) in enumerate(zip(fronts, B_w, strict=True)):
         relative = np.divide(w, bound, out=np.zeros(w.shape), where=bound > 0)

@@ -1,20 +1,7 @@
-"""Stage 5: calibrate the frame test and the energy test by split conformal prediction.
+"""Stage 5: calibrate the tests by split conformal prediction, one by one or together (`joint_scores`).
 
-Tests are calibrated one by one or together (`joint_scores`). The exchangeable unit is the recording
-(THEORY 7.3): a drive, or all drives that experiments.csv names as pieces of one.
-
-A drive's score is the largest k-of-m statistic over its counted frames, or the largest ratio of the energy
-test, read from the compiled core. A recording's score is the largest of its drives. The threshold is the
-ceil((n + 1)(1 - alpha))-th smallest score of n recordings of which no drive set the bounds. A further,
-exchangeable recording then alarms with probability at most alpha. With n < 1/alpha - 1 no finite threshold
-has that property, and alpha is not stated.
-
-Where experiments.csv names groups, a group with enough recordings for alpha has its own threshold, from its
-recordings alone (Mondrian conformal prediction). A further recording of that group then alarms with
-probability at most alpha. Any other group has the pooled threshold. Its alpha holds for a further recording
-of any group if all are judged by it, and not for that group alone.
-
-The core carries one threshold: the largest of all, with which every claim holds, or that of a named group.
+THEORY 7.3 has the thresholds (T23), their claims (T24) and those of groups. Scores are read from the compiled
+core. It carries one threshold: the largest of all, with which every claim holds, or that of a named group.
 """
 
 from __future__ import annotations
@@ -54,11 +41,8 @@ class Recordings:
 
     @classmethod
     def listed(cls, setting: Iterable[Experiment], others: Iterable[Experiment]) -> Recordings:
-        """Recordings of the bound-setting drives and the ``others``, from experiments.csv.
-
-        Raises InputError where pieces of one recording are of several groups, or only some others have a
-        group.
-        """
+        """Recordings of the bound-setting drives and the ``others``, from experiments.csv. Raises InputError
+        where pieces of one recording are of several groups, or only some others have a group."""
         setting, others = list(setting), list(others)
         both = {e.recording for e in setting} & {e.recording for e in others}
         of = {e.name: e.recording for e in (*setting, *others) if e.recording != e.name}
@@ -172,10 +156,8 @@ class Calibration:
         return self.carried * (1 + ROUNDING)
 
     def of_group(self, group: str | None) -> Calibration:
-        """The calibration for drives of a group: its own threshold, or the pooled one without alpha.
-
-        Drives of no group have the carried one.
-        """
+        """The calibration for drives of a group: its own threshold, or the pooled one without alpha. Drives
+        of no group have the carried one."""
         if group is None:
             return replace(self, threshold=self.carried)
         if not self.groups:
@@ -273,11 +255,8 @@ class Calibration:
 @dataclass(frozen=True)
 class Peak:
     """Origin of a drive's score: ``t_s`` after its first sample, and ``place``: the bin, or the energy test's
-    band.
-
-    ``place`` is None if unknown. ``without`` is the drive's score without that frame and those of its bin
-    that overlap it; None for tests without frames.
-    """
+    band. ``place`` is None if unknown. ``without`` is the drive's score without that frame and those of its
+    bin that overlap it; None for tests without frames."""
 
     t_s: float
     place: int | None = None
@@ -285,10 +264,8 @@ class Peak:
 
 
 def peaks(run: Run, t0: float, Ts: float, length: np.ndarray) -> dict[str, Peak]:
-    """Peaks of every test that judged the drive.
-
-    ``t0`` is the time of its first sample [s], ``length`` (K,) samples of a frame.
-    """
+    """Peaks of every test that judged the drive. ``t0`` is the time of its first sample [s], ``length`` (K,)
+    samples of a frame."""
     found, f = {}, run.frames
     statistic = np.where(f.counted, f.statistic, -np.inf)
     if f.counted.any():

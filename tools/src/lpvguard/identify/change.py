@@ -1,18 +1,5 @@
-"""Stage 5, the change test: whether gain, delay and bias are still those of the bound-setting drives (THEORY
-7.7; lib/include/lpvguard/change.h).
-
-    e_j = theta_1 yhat_j - theta_2 dyhat_j/dt + theta_3                                              (T34)
-
-by least squares over the means of blocks of NBLOCK samples, with forgetting. The regressors are divided by
-their rms on the bound-setting drives. The prior adds PRIOR memories of the products met there, which keeps an
-estimate near 0 where nothing excites it.
-
-The ratio of a part is |theta_i| over its size. The size is its rms on the bound-setting drives, times a
-factor. One factor for all parts and outputs makes the largest ratio on these drives 1. The ratio does not
-bound Delta or the disturbance, so an exceedance refutes neither. The threshold is conformal, as in the other
-tests, and may be below 1. A further drive like the calibration drives exceeds it with probability at most
-alpha. Above the threshold the vehicle differs from the identified one, and theta estimates the difference.
-"""
+"""Stage 5, the change test (T34; THEORY 7.7): whether gain, delay and bias are still those of the
+bound-setting drives. The prior adds PRIOR memories of the products met there."""
 
 from __future__ import annotations
 
@@ -82,10 +69,7 @@ class Blocks:
 @dataclass(frozen=True)
 class Met:
     """Estimates along drives over ``count`` blocks: largest |theta_i| (n_y, 3) [output units], sum of
-    squares.
-
-    The sum ``squares`` is (n_y, 3).
-    """
+    squares. The sum ``squares`` is (n_y, 3)."""
 
     largest: np.ndarray
     squares: np.ndarray
@@ -167,10 +151,7 @@ class ChangeTest:
 
     def with_moments(self, sums: np.ndarray) -> ChangeTest:
         """The test with sizes and prior from the ``products`` of all bound-setting drives; InputError without
-        blocks.
-
-        ``sums`` has shape (n_y, 3, 3).
-        """
+        blocks. ``sums`` has shape (n_y, 3, 3)."""
         count = sums[0, 2, 2]
         if count == 0:
             raise InputError(
@@ -181,11 +162,9 @@ class ChangeTest:
         return replace(self, unit=rms[:, :2], moments=mean / (rms[:, :, None] * rms[:, None, :]))
 
     def with_sizes(self, met: Met) -> ChangeTest:
-        """The test with sizes from the estimates ``met`` on all bound-setting drives.
-
-        A part's rms is over all blocks, its largest is one block. Sizes by the rms therefore leave no part
-        half blind for one block (tools/DESIGN_LOG.md).
-        """
+        """The test with sizes from the estimates ``met`` on all bound-setting drives. A part's rms is over
+        all blocks, its largest is one block. Sizes by the rms therefore leave no part half blind for one
+        block (tools/DESIGN_LOG.md)."""
         rms = np.sqrt(met.squares / max(1, met.count))
         ratio = np.divide(met.largest, rms, out=np.ones_like(rms), where=rms > 0).max()
         return replace(self, largest=met.largest, size=np.maximum(ratio * rms, SMALLEST * self.unit[:, :1]))

@@ -1,17 +1,5 @@
-"""Stage 5: scales of the diagnosis, from the error of healthy vehicles (THEORY 7.9;
-lib/include/lpvguard/diagnosis.h).
-
-    e_j = theta_1 yhat_j - theta_2 dyhat_j/dt + theta_3 + theta_4 yhat_j |yhat_j| + residue             (T38)
-
-by least squares over WINDOW_S of settled blocks. Every number comes from drives that set the bounds. The
-covariance of a healthy theta is that of a random effect, by expectation and maximisation. It is the variation
-of the estimates from window to window beyond their own standard errors. Theta then has the covariance spread
-+ errors. Both are enlarged until 95 % of a drive's windows lie within the 95 % region of the other drives.
-
-A drive keeps a share of the spread: past values of theta predict future ones. The share comes from KEPT. It
-must put 95 % of the windows within the 95 % region, by the spread of the other drives. Among such shares it
-is that with the likeliest windows, each given the past of its drive.
-"""
+"""Stage 5: scales of the diagnosis (T38; THEORY 7.9), from the errors of healthy vehicles over WINDOW_S of
+settled blocks. A drive keeps a share of the spread, one of KEPT."""
 
 from __future__ import annotations
 
@@ -128,11 +116,9 @@ class Windows:
 def windows_of(
     e: np.ndarray, yhat: np.ndarray, v: np.ndarray, estimator: Estimator, unit: np.ndarray
 ) -> Windows:
-    """Windows of a drive, each starting half the blocks after the last; e, yhat (N, n_y), v (N,).
-
-    ``unit`` (n_y, 2): 1 / size of yhat and of its change over a block. A single shorter window of at least
-    half the length is allowed.
-    """
+    """Windows of a drive, each starting half the blocks after the last; e, yhat (N, n_y), v (N,). ``unit``
+    (n_y, 2): 1 / size of yhat and of its change over a block. A single shorter window of at least half the
+    length is allowed."""
     ends = np.arange(FIRST_BLOCK_END, len(e), BLOCK)[1:]
     at = ends[:, None] + np.arange(1 - BLOCK, 1)
     whole = estimator.settled(v)[at].all(axis=1)
@@ -180,12 +166,10 @@ def _correlated(left: np.ndarray) -> np.ndarray:
 
 
 def _spread(theta: np.ndarray, errors: np.ndarray, start: np.ndarray | None = None) -> np.ndarray:
-    """Second moments (n_y, 4, 4) of a random theta about 0, by expectation and maximisation.
-
-    The estimates are (W, n_y, 4) with ``errors`` (W, n_y, 4, 4). ``start`` (n_y, 4, 4) are those of nearly
-    the same windows. With S_w = found + errors_w and u_w = S_w^-1 theta_w a step adds found (mean of u u' -
-    S^-1) found.
-    """
+    """Second moments (n_y, 4, 4) of a random theta about 0, by expectation and maximisation. The estimates
+    are (W, n_y, 4) with ``errors`` (W, n_y, 4, 4). ``start`` (n_y, 4, 4) are those of nearly the same
+    windows. With S_w = found + errors_w and u_w = S_w^-1 theta_w a step adds found (mean of u u' - S^-1)
+    found."""
     theta = np.ascontiguousarray(np.moveaxis(theta, 0, -1))
     errors = np.ascontiguousarray(errors.transpose(2, 3, 1, 0))
     windows = theta.shape[-1]
@@ -202,44 +186,16 @@ def _spread(theta: np.ndarray, errors: np.ndarray, start: np.ndarray | None = No
 
 def _surplus(theta: np.ndarray, errors: np.ndarray, found: np.ndarray) -> np.ndarray:
     """Sums (n_y, 4, 4) over windows of u u' - S^-1, for theta (n_y, 4, W), errors (4, 4, n_y, W), found (n_y,
-    4, 4).
-
-    The numpy version agrees with the compiled one to rounding.
-    """
-    surplus = np.empty_like(found)
+    4, 4). The numpy version agrees with the compiled one to rounding."""
     if lib := native.kernels("spread"):
+        surplus = np.empty_like(found)
         sizes = (ctypes.c_ssize_t(size) for size in (len(found), theta.shape[-1]))
         arrays = (theta, errors, np.ascontiguousarray(found), surplus)
         lib.lpvg_spread(*sizes, *map(native.pointer, arrays))
         return surplus
-    factor = _inverse_factor(np.moveaxis(found, 0, -1)[..., None] + errors)
-    white = [sum(m * t for m, t in zip(row, theta.swapaxes(0, 1), strict=False)) for row in factor]
-    u = [sum(factor[i][k] * white[i] for i in range(k, PARTS)) for k in range(PARTS)]
-    for k in range(PARTS):
-        for m in range(k + 1):
-            inverse = sum(_products(factor[i][k], factor[i][m]) for i in range(k, PARTS))
-            surplus[:, k, m] = surplus[:, m, k] = _products(u[k], u[m]) - inverse
-    return surplus
-
-
-def _products(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Sums (n_y,) of a b over windows, a and b (n_y, W)."""
-    return np.einsum("jw,jw->j", a, b)
-
-
-def _inverse_factor(S: np.ndarray) -> list[list[np.ndarray]]:
-    """Rows of the lower triangle M with M' M = S^-1 of positive definite S (4, 4, ...)."""
-    L: dict[tuple[int, int], np.ndarray] = {}
-    M: list[list[np.ndarray]] = []
-    for i in range(PARTS):
-        for k in range(i + 1):
-            rest = S[i, k]
-            for m in range(k):
-                rest = rest - L[i, m] * L[k, m]
-            L[i, k] = rest * M[k][k] if k < i else 1 / np.sqrt(rest)
-        row = [-L[i, i] * sum(L[i, m] * M[m][k] for m in range(k, i)) for k in range(i)]
-        M.append([*row, L[i, i]])
-    return M
+    inverse = np.linalg.inv(np.moveaxis(errors, (0, 1), (2, 3)) + found[:, None])
+    u = np.einsum("jwkm,jmw->jwk", inverse, theta)
+    return np.einsum("jwk,jwm->jkm", u, u) - inverse.sum(axis=1)
 
 
 @dataclass(frozen=True)
@@ -356,11 +312,9 @@ class DiagnosisScales:
 
     @property
     def least(self) -> np.ndarray:
-        """Least change of gain, delay [s] and bias (n_y, 3) that an interval can distinguish from none.
-
-        It does not fall with the length of the record or of the drive before: healthy vehicles differ by as
-        much. For a gain g it is that of (g - 1)/g, because g scales the spread.
-        """
+        """Least change of gain, delay [s] and bias (n_y, 3) that an interval can distinguish from none. It
+        does not fall with the length of the record or of the drive before: healthy vehicles differ by as
+        much. For a gain g it is that of (g - 1)/g, because g scales the spread."""
         spread = (1 - self.kept**2)[:, None, None] * self.spread
         alone = self.interval / np.sqrt(np.einsum("jii->ji", np.linalg.inv(spread)))
         return alone[:, : PARTS - 1] / np.column_stack(
@@ -387,11 +341,8 @@ class DiagnosisTable(Sealed):
 def _of_others(
     windows: Sequence[int], theta: np.ndarray, errors: np.ndarray, spread: np.ndarray
 ) -> np.ndarray:
-    """Spread (W, n_y, 4, 4) per window of the drives but its own; with one drive its own.
-
-    ``windows`` are the numbers of each drive's windows, in the order of ``theta`` and ``errors``; ``spread``
-    is that of all.
-    """
+    """Spread (W, n_y, 4, 4) per window of the drives but its own; with one drive its own. ``windows`` are the
+    numbers of each drive's windows, in the order of ``theta`` and ``errors``; ``spread`` is that of all."""
     found = np.empty_like(errors)
     for first, end in pairwise(np.cumsum([0, *windows])):
         own = slice(first, end)
@@ -404,12 +355,9 @@ def _needed(
     drives: int, theta: np.ndarray, errors: np.ndarray, others: np.ndarray
 ) -> tuple[np.ndarray, float]:
     """Factor (n_y,) >= 1 on the covariances with which COVERED of the windows lie within the other drives'
-    region.
-
-    Also the half width of an interval, in standard deviations. It is Student's t with as many degrees of
-    freedom as drives, because about 0 each drive gives one. It is larger where COVERED of the windows' gains,
-    delays or biases need it, all others being free. ``others``: see _of_others.
-    """
+    region. Also the half width of an interval, in standard deviations. It is Student's t with as many degrees
+    of freedom as drives, because about 0 each drive gives one. It is larger where COVERED of the windows'
+    gains, delays or biases need it, all others being free. ``others``: see _of_others."""
     information = np.linalg.inv(others + errors)
     alone = (information @ theta[..., None])[..., 0]
     estimates = np.abs(alone) / np.sqrt(np.einsum("wjii->wji", information))
@@ -423,11 +371,9 @@ def _needed(
 def _kept(
     drives: Sequence[Windows], others: np.ndarray, correlated: np.ndarray, enlarged: np.ndarray
 ) -> np.ndarray:
-    """Share (n_y,) of KEPT with the likeliest windows; 0 where no drive is long enough.
-
-    With it COVERED of the windows lie within the region predicted from their past. ``others``: see
-    _of_others; ``correlated``: not ``enlarged`` yet.
-    """
+    """Share (n_y,) of KEPT with the likeliest windows; 0 where no drive is long enough. With it COVERED of
+    the windows lie within the region predicted from their past. ``others``: see _of_others; ``correlated``:
+    not ``enlarged`` yet."""
     noise, told, first = enlarged * correlated, [], 0
     for drive in drives:
         spread = enlarged[:, None, None] * others[first]
@@ -447,11 +393,8 @@ def _foretold(
     drive: Windows, noise: np.ndarray, spread: np.ndarray, share: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Chi-squared of a window's prediction from its past, and log determinant of the covariance, (W - GAP,
-    n_y).
-
-    The prediction is the best linear estimate if the drive keeps a ``share`` of the ``spread`` (n_y, 4, 4).
-    ``noise`` (n_y,): as correlated.
-    """
+    n_y). The prediction is the best linear estimate if the drive keeps a ``share`` of the ``spread`` (n_y, 4,
+    4). ``noise`` (n_y,): as correlated."""
     past, after = drive.pasts(), drive.of(np.arange(GAP, len(drive.n)))
     weights = share * spread @ np.linalg.inv(spread + past.errors(noise))
     beside = after.theta - (weights @ past.theta[..., None])[..., 0]

@@ -1,30 +1,8 @@
-"""Stage 5, the energy test: one causal Delta for all outputs, or one an output, from rest until now (THEORY
-7.2; lib/include/lpvguard/energy.h).
+"""Stage 5, the energy test (T19): one causal Delta for all outputs, or one an output, from rest until now.
 
-    || sum_j a_j F e_j || <= || sum_j a_j F W_delta yhat_j || + sum_j |a_j| sigma_j                (T19)
-
-for every real a and at every time T, with ||x||^2 = sum_{t <= T} rho^(2 (T - t)) x(t)^2. On the left the last
-band forgets faster. With one Delta_j an output (S1_diagonal) a is a unit vector, and W_delta,j filters
-yhat_j. THEORY 7.2 states the assumptions, the proof, and what an exceedance refutes.
-
-**The weight** is a filter with the fitted weight's magnitude on |z| = rho, at the warped frequency (2/Ts)
-tan(omega Ts/2) (T20). ``verify_overbound`` proves it above the samples of nu at their warped frequencies.
-Where the weight falls with frequency, a gain >= 1 is applied first.
-
-**F** is the filter of each band in turn (T21). L_1 ... L_m are first-order low-passes of the corners, lowest
-first. Band 0 is L_1 ... L_m, band b is (1 - L_b) L_(b+1) ... L_m, band m is 1 - L_m; they sum to 1. The
-corners are the frames' f_min_hz and f_max_hz, or the setting ``band_hz``. The left memory of the last band is
-memory_s * f_first / f_last (T22).
-
-**sigma_j** of a band belongs to the inequality of output j alone, from rest. It is the least number with
-which that holds at every sample of every drive that set the bounds or the noise. A common factor per band
-then makes the fan of directions a hold too. Every direction is a condition by itself; the core tests one a
-judgement.
-
-**Starting in the middle** of a drive, all sums begin at zero. The right side gets what Delta, W_delta and F
-may remember, which fades with rho: sum_j |a_j| rho^(T - t0 + 1) start_j (T19b, remembered.py). ``start`` is
-the largest that the identification drives show. The model's transient is not covered by that; the common
-factors cover drives cut at random.
+THEORY 7.2 has its assumptions and proof, the weight (T20), the bands F (T21, T22) and the restart in the
+middle of a drive (T19b). A common factor per band makes the fan of directions hold besides every output
+alone.
 """
 
 from __future__ import annotations
@@ -62,11 +40,9 @@ STATED_RTOL = 1e-8
 
 
 def fan(n_y: int) -> np.ndarray:
-    """Directions (D, n_y) up to their sign, sum |a_j| = 1, single outputs among them, in units of sigma.
-
-    For two outputs in bit-reversed order: neighbours are nearly equal, so consecutive judgements take distant
-    directions.
-    """
+    """Directions (D, n_y) up to their sign, sum |a_j| = 1, single outputs among them, in units of sigma. For
+    two outputs in bit-reversed order: neighbours are nearly equal, so consecutive judgements take distant
+    directions."""
     if n_y == 2:
         turn = np.array([int(f"{k:0{FAN_BITS}b}"[::-1], 2) for k in range(2**FAN_BITS)]) / 2**FAN_BITS
         directions = np.column_stack([np.cos(np.pi * turn), np.sin(np.pi * turn)])
@@ -114,10 +90,8 @@ def in_delta(sections: np.ndarray) -> np.ndarray:
 def _raised(
     project: Project, W_delta: Sequence[Weight], warped: np.ndarray, bounds: np.ndarray
 ) -> Iterator[tuple[float, Weight, dict]]:
-    """Gain >= 1 of each weight above its bound, the weight with it, and its certificate.
-
-    The bounds are rows of ``bounds`` (n_delta, K) at ``warped`` (K,) [rad/s].
-    """
+    """Gain >= 1 of each weight above its bound, the weight with it, and its certificate. The bounds are rows
+    of ``bounds`` (n_delta, K) at ``warped`` (K,) [rad/s]."""
     if not len(W_delta) == len(bounds) == project.n_delta:
         raise InputError(
             f"vehicle {project.name}",
@@ -199,12 +173,9 @@ class EnergyTest:
         bound: np.ndarray,
         inflation: float,
     ) -> EnergyTest:
-        """Filters for the project's n_delta weights W_delta, before sigma is known.
-
-        The weights lie above the samples ``bound`` (K, n_delta) at ``omega`` (K,), times the final inflation.
-        Raises
-        InputError for settings that make no test, and for weights of another structure.
-        """
+        """Filters for the project's n_delta weights W_delta, before sigma is known. The weights lie above the
+        samples ``bound`` (K, n_delta) at ``omega`` (K,), times the final inflation. Raises InputError for
+        settings that make no test, and for weights of another structure."""
         Ts, settings = estimator.Ts, project.energy_test
         corners = settings.band_hz or (project.frames.f_min_hz, project.frames.f_max_hz)
         memory = settings.memory_s or 1.0 / project.frames.f_min_hz
@@ -352,10 +323,8 @@ class EnergyTest:
             yield first, band, _norm_in(left, a) / (allowed + 1.0)
 
     def needs(self, e: np.ndarray, yhat: np.ndarray, v: np.ndarray) -> dict[str, np.ndarray]:
-        """Sigma that a drive needs, per output (B, n_y) and jointly (B,), and the largest norms met.
-
-        e, yhat (N, n_y), v (N,). NaN where nothing is judged.
-        """
+        """Sigma that a drive needs, per output (B, n_y) and jointly (B,), and the largest norms met. e, yhat
+        (N, n_y), v (N,). NaN where nothing is judged."""
         out = {key: np.full(self.sigma.shape, np.nan) for key in ("sigma", "error", "bound")} | {
             "joint": np.full(len(self.F), np.nan)
         }
@@ -385,10 +354,7 @@ class EnergyTest:
 
     def memory_met(self, e: np.ndarray, yhat: np.ndarray, v: np.ndarray) -> np.ndarray:
         """Largest norm (B, n_y) remembered at a restart at any sample of a drive: of F W_delta yhat and of F
-        e.
-
-        e, yhat (N, n_y), v (N,). NaN where nothing is judged.
-        """
+        e. e, yhat (N, n_y), v (N,). NaN where nothing is judged."""
         largest = np.full(self.sigma.shape, np.nan)
         for stretch in self._stretches(v):
             for j, (error, nominal) in enumerate(zip(e[stretch].T, yhat[stretch].T, strict=True)):
@@ -400,10 +366,8 @@ class EnergyTest:
         return largest
 
     def with_sigma(self, needs: dict[str, np.ndarray], floor: np.ndarray | float = 0.0) -> EnergyTest:
-        """The test with sigma per band and output from ``needs`` over all identification drives.
-
-        Sigma is at least ``floor`` (B, n_y), the sensors' limit. The memory at a restart is the largest met.
-        """
+        """The test with sigma per band and output from ``needs`` over all identification drives. Sigma is at
+        least ``floor`` (B, n_y), the sensors' limit. The memory at a restart is the largest met."""
         size = np.maximum(needs["error"], needs["bound"])
         if not (size > 0).all():
             raise InputError(
@@ -417,10 +381,8 @@ class EnergyTest:
         return replace(self, sigma=sigma, start=needs["memory"])
 
     def with_joint(self, needs: dict[str, np.ndarray]) -> EnergyTest:
-        """The test with sigma raised until the fan of directions holds too.
-
-        ``needs`` are those with sigma per output, NaN where nothing is needed.
-        """
+        """The test with sigma raised until the fan of directions holds too. ``needs`` are those with sigma
+        per output, NaN where nothing is needed."""
         joint = np.fmax(1.0, needs["joint"])
         return replace(self, sigma=self.sigma * joint[:, None], joint=joint)
 
@@ -494,10 +456,8 @@ class EnergyTest:
         )
 
     def _require_stated(self, data: dict, where: str) -> None:
-        """Raise InputError for an impossible sigma, or for gains and certificates of other weights.
-
-        sigma, which the drives set, is positive, ``start`` not negative and ``joint`` at least 1.
-        """
+        """Raise InputError for an impossible sigma, or for gains and certificates of other weights. sigma,
+        which the drives set, is positive, ``start`` not negative and ``joint`` at least 1."""
         least = {"sigma": np.finfo(float).tiny, "start": 0.0, "joint": 1.0}
         for name, low in least.items():
             value, wanted = np.array(data[name], float), getattr(self, name).shape

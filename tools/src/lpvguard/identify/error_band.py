@@ -6,8 +6,6 @@ standard deviation. With the least such factor a further drive lies within the b
 and amplitudes at once, with the stated confidence.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -72,11 +70,9 @@ class ErrorBand:
         return np.abs(self.centre) + self.k * self.sd
 
     def typical(self, alpha: float) -> np.ndarray:
-        """Compute the bound (G,) of |delta| that a further drive exceeds with probability ``alpha``.
-
-        The probability is for one frequency, with a complex normal error. The bound is the median over speeds
-        and amplitudes.
-        """
+        """Compute the bound (G,) of |delta| that a further drive exceeds with probability ``alpha``. The
+        probability is for one frequency, with a complex normal error. The bound is the median over speeds and
+        amplitudes."""
         return np.median(np.abs(self.centre) + np.sqrt(-np.log(alpha)) * self.sd, axis=(1, 2))
 
     @property

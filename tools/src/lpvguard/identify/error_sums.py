@@ -125,13 +125,8 @@ def sum_of(arrays: list[np.ndarray]) -> np.ndarray:
 
 
 def noise_filter(residue: np.ndarray, counted: np.ndarray) -> tuple[np.ndarray, float]:
-    """Prediction-error filter (NOISE_ORDER + 1,) of a residue, and the variance of what it leaves.
-
-    Parameters
-    ----------
-    residue : (N,) residue in the output's unit.
-    counted : (N,) bool, samples that count.
-    """
+    """Prediction-error filter (NOISE_ORDER + 1,) of a residue (N,) over the samples that count, and the
+    variance of what it leaves."""
     x = np.where(counted, residue, 0.0)
     count = max(1, int(counted.sum()))
     lags = np.array([x[: len(x) - k] @ x[k:] for k in range(NOISE_ORDER + 1)]) / count
@@ -144,11 +139,7 @@ def projected_input(
     domain: ErrorDomain, yhat: np.ndarray, instrument: np.ndarray, s: np.ndarray
 ) -> np.ndarray:
     """(N,) part of the nominal output that follows an instrument: first stage of two-stage least squares.
-
-    Parameters
-    ----------
-    yhat, instrument, s : (N,) decimated nominal output, instrument and relative speed.
-    """
+    yhat, instrument and relative speed s are decimated, (N,)."""
     lagged = lagged_signals(domain, instrument - instrument.mean())
     X = np.column_stack([np.ones_like(s), s, lagged, s[:, None] * lagged])
     return X @ np.linalg.lstsq(X, yhat, rcond=1e-10)[0]
@@ -216,11 +207,9 @@ class _Counted:
     def whitened(
         self, output: int, by_speed: np.ndarray, signals: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
-        """Counted samples of error (n,) and signals (n, m), whitened, and a basis (n, 0 to 2) of offsets.
-
-        The noise has unit variance. The residue is that of the drive's own ``by_speed`` (N, COMMON). None
-        where the nominal output or the residue is silent.
-        """
+        """Counted samples of error (n,) and signals (n, m), whitened, and a basis (n, 0 to 2) of offsets. The
+        noise has unit variance. The residue is that of the drive's own ``by_speed`` (N, COMMON). None where
+        the nominal output or the residue is silent."""
         ones = np.column_stack([np.ones_like(self.s), self.s])
         X, e, counted = np.column_stack([by_speed, ones]), self.error[output], self.counted
         if not np.any(by_speed[counted]):

@@ -1,7 +1,5 @@
 """Stage 6: export the generated folder of a stored identification."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from ..base import artefacts

@@ -1,18 +1,5 @@
 """Healthy set: W_delta and B_w of the frame test, bin by bin, as sharp as drives like these allow (THEORY
-7.16).
-
-The certificate set contains the vehicle at every speed and amplitude. It is too wide to see small faults. The
-healthy set holds every frame of the drives that set the bounds. It is the pair (W_delta, B_w) of this kind
-that shows the smallest gain error at typical excitation. It lies within the certificate set. Whatever refutes
-the certificate set therefore refutes the healthy set, too.
-
-For a candidate W_delta, drive d needs B_d(W_delta), the largest remainder. One drive is left out at a time.
-The least factor s with which the other drives' pair holds this drive obeys ``B_d(s W_delta) <= s B_w``. A
-further drive can have the typical model error of the band. It then needs at most the sum of two parts. One is
-the remainder in addition to that error. The other is the excess of that error over W_delta at the strongest
-excitation. Pairs are compared by what they see after the largest of these factors. Factors also make bins
-comparable: a bin that few frames bound gets the larger factor.
-"""
+7.16)."""
 
 from __future__ import annotations
 
@@ -35,11 +22,9 @@ TINY = 1e-300
 
 @dataclass(frozen=True)
 class HealthySet:
-    """Bounds of the frame test at the bins: W_delta (K, n_delta), B_w (K, n_y) [output units].
-
-    They were scaled by ``factor`` (K, n_delta), which is at least 1. ``folds`` (K,) is the number of drives,
-    or folds of drives, with frames in the bin.
-    """
+    """Bounds of the frame test at the bins: W_delta (K, n_delta), B_w (K, n_y) [output units]. They were
+    scaled by ``factor`` (K, n_delta), which is at least 1. ``folds`` (K,) is the number of drives, or folds
+    of drives, with frames in the bin."""
 
     W_delta: np.ndarray
     B_w: np.ndarray
@@ -75,16 +60,10 @@ def needed(frames: list[FrameSet], estimator: Estimator, n_delta: int, structure
 def healthy_set(
     needs: list[np.ndarray], spectra: Rows, floor: np.ndarray, typical: np.ndarray, largest: np.ndarray
 ) -> HealthySet:
-    """The pair of every bin and Delta that sees the smallest gain error.
-
-    Parameters
-    ----------
-    needs : of each drive or fold of drives (K, P, n_y), of `needed`.
-    spectra : sample of frames of these drives, columns ``group`` (bin) and Z (F, n_y).
-    floor : (K, n_y) what the sensors cannot tell.
-    typical, largest : (K, n_delta) error of a further drive at typical speed and amplitude, and W_delta of
-        the certificate.
-    """
+    """The pair of every bin and Delta that sees the smallest gain error. ``needs`` (K, P, n_y) are those of
+    each drive or fold (`needed`). ``spectra`` is a sample of their frames, with columns ``group`` (bin) and Z
+    (F, n_y). ``floor`` (K, n_y) is what the sensors cannot tell. ``typical`` and ``largest`` (K, n_delta) are
+    the error of a further drive at typical speed and amplitude, and W_delta of the certificate."""
     each, (K, n_delta), n_y = np.array(needs), largest.shape, floor.shape[1]
     outputs = [[j] for j in range(n_y)] if n_delta > 1 else [list(range(n_y))]
     W_delta, B_w, factor = np.zeros((K, n_delta)), floor.copy(), np.ones((K, n_delta))

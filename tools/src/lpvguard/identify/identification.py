@@ -41,11 +41,7 @@ from ..base.progress import Progress
 from ..base.sampling import Rows
 from ..core.coefficients import Coefficients
 from ..drives.frames import Estimator, not_for_the_core
-from ..drives.tables import (
-    EXPERIMENTS,
-    Experiment,
-    table_hashes,
-)
+from ..drives.tables import EXPERIMENTS, Experiment, table_hashes
 from ..fit.quality import Quality
 from ..vehicle.nominal import NominalModel
 from ..vehicle.project import Project, parse_project
@@ -338,6 +334,8 @@ class StoredIdentification:
     folder : Path
     manifest : dict
     project : Project
+    model : NominalModel, of the project
+    estimator : Estimator, of the project's frames
     bounds, front : dict of ndarray, by name, of bounds.json and front.json
     weights : dict
     fitted : Weights
@@ -353,6 +351,8 @@ class StoredIdentification:
     folder: Path
     manifest: dict
     project: Project
+    model: NominalModel
+    estimator: Estimator
     bounds: dict[str, np.ndarray]
     weights: dict
     fitted: Weights
@@ -364,16 +364,6 @@ class StoredIdentification:
     front: dict[str, np.ndarray]
     visibility: dict
     model_error: ModelError
-
-    @cached_property
-    def model(self) -> NominalModel:
-        """The nominal model of the project."""
-        return NominalModel(self.project)
-
-    @cached_property
-    def estimator(self) -> Estimator:
-        """The estimator of the project's frames."""
-        return Estimator.of(self.project, self.model)
 
     @cached_property
     def coefficients(self) -> Coefficients:
@@ -472,6 +462,8 @@ def load(folder: Path) -> StoredIdentification:
         folder,
         manifest,
         project,
+        model,
+        estimator,
         bounds,
         weights,
         fitted,

@@ -1,23 +1,9 @@
-"""Model error model: the part of the nominal error that follows the input, with its standard error (THEORY
-7.6; Ljung, the paper's reference [1]).
+"""Model error model (T30 to T33; THEORY 7.6): the part of the nominal error that follows the input, with its
+standard error. Its frames are not the monitor's.
 
-At a frequency, in a cell of speed and amplitude, frames obey
-
-    E_j = (a_j + b_j s) Z_j + residue,   s = (v - v_0)/h,   delta_c,j(v) = a_j + b_j s                (T30)
-
-v_0 and h are centre and half width of the speed range. The estimate is least squares, or with an instrument
-R the instrumental one. It is coherent: a disturbance that is not proportional to the input does not bias it.
-The exception is a driver who steers against that disturbance, without a named instrument.
-
-Frames of this module are not the monitor's. They hold 4, 8, 16 or 32 periods of *whitened* signals. For
-this, e, yhat and R pass one prediction-error filter of yhat. It commutes with Delta and makes yhat flat over
-a frame's main lobe. Frames start every half frame. N such Hann frames are worth N / 1.056 independent ones. A
-frame counts by its excitation. Frames in which a swept sine was elsewhere hardly count.
-
-Length: sums over frames, lines over pools of cells and the bound are one estimator, read together.
-
-Only sums over frames are kept of a drive. Drives are added in the order of their names, so the result does
-not depend on their order in a folder.
+Length: sums over frames, lines over pools of cells and the bound are one estimator, read together. Only sums
+over frames are kept of a drive. Drives are added in the order of their names, so the result does not depend
+on their order in a folder.
 """
 
 from __future__ import annotations
@@ -50,6 +36,8 @@ AR_ORDER, AR_FLOOR = 8, 1e-6
 """Order of the whitening filter, and the white share that limits its gain to 60 dB."""
 STEP = 10 ** (1 / 12)
 """Approximate distance between frequencies of the grid."""
+SILENT = 2
+"""Highest frequencies of the grid at which a design assumes 1 + rho: it knows nothing beyond them."""
 HIGHEST = 0.2
 """End of the grid, as a share of the sampling rate."""
 HELD = 0.8
@@ -88,11 +76,8 @@ ASSUMED = "no reason stated: the vehicle is taken to respond no more than the mo
 
 @dataclass(frozen=True)
 class ErrorGrid:
-    """Grid of the estimate.
-
-    It has frequencies ``omega`` (G,) [rad/s], ``speed_edges`` (C + 1,) [m/s] and ``amplitude_edges`` (A - 1,)
-    [input unit].
-    """
+    """Grid of the estimate. It has frequencies ``omega`` (G,) [rad/s], ``speed_edges`` (C + 1,) [m/s] and
+    ``amplitude_edges`` (A - 1,) [input unit]."""
 
     Ts: float
     omega: np.ndarray
@@ -234,10 +219,8 @@ def drive_sums(
     e: np.ndarray,
     yhat: np.ndarray,
 ) -> Sums:
-    """Sums of one drive over frames in which the first input's rms exceeds ``excited_std`` [input unit].
-
-    e, yhat (N, n_y) [output units].
-    """
+    """Sums of one drive over frames in which the first input's rms exceeds ``excited_std`` [input unit]. e,
+    yhat (N, n_y) [output units]."""
     settled = estimator.settled(drive.v)
     if settled.sum() < 2 * AR_ORDER:
         return Sums.none(grid, model.n_y)
@@ -285,10 +268,8 @@ def drive_sums(
 
 @lru_cache(maxsize=1024)
 def _kernel(angle: float, half: int) -> np.ndarray:
-    """Hann window times an exponential that turns by ``angle`` a sample, (half, 4), cached per process.
-
-    The columns are real and imaginary part of the first half, and of the second.
-    """
+    """Hann window times an exponential that turns by ``angle`` a sample, (half, 4), cached per process. The
+    columns are real and imaginary part of the first half, and of the second."""
     n = np.arange(2 * half)
     window = 0.5 - 0.5 * np.cos(2 * np.pi * n / len(n))
     parts = (window * np.exp(-1j * angle * n)).reshape(2, -1)
@@ -296,20 +277,15 @@ def _kernel(angle: float, half: int) -> np.ndarray:
 
 
 def _by_halves(signals: np.ndarray, kernel: np.ndarray) -> np.ndarray:
-    """Frames (m, N / h - 1) of signals (m, N) at every h-th start, by their ``kernel`` (h, 4).
-
-    Each half frame is the second half of one frame and the first of the next, and is computed once for both.
-    """
+    """Frames (m, N / h - 1) of signals (m, N) at every h-th start, by their ``kernel`` (h, 4). Each half
+    frame is the second half of one frame and the first of the next, and is computed once for both."""
     sums = signals.reshape(len(signals), -1, len(kernel)) @ kernel
     return np.ascontiguousarray(sums[:, :-1, :2] + sums[:, 1:, 2:]).view(complex)[..., 0]
 
 
 class _Frames(NamedTuple):
-    """Counted frames of one drive, frequency and length ``at`` (g, p).
-
-    Complex ``frames`` (m, F) are E, Z and, if Z is not R, R of every output in turn; speed and amplitude are
-    (F,).
-    """
+    """Counted frames of one drive, frequency and length ``at`` (g, p). Complex ``frames`` (m, F) are E, Z
+    and, if Z is not R, R of every output in turn; speed and amplitude are (F,)."""
 
     at: tuple[int, int]
     frames: np.ndarray
@@ -417,12 +393,9 @@ class ErrorEstimate:
 
     @classmethod
     def of(cls, sums: Sums, grid: ErrorGrid) -> ErrorEstimate:
-        """Estimate from sums with the best length of frames.
-
-        Best are the lengths with the narrowest pool, among these that with the least standard error of the
-        converged ones. If none has converged, it is the one with the least change by doubling, in standard
-        errors.
-        """
+        """Estimate from sums with the best length of frames. Best are the lengths with the narrowest pool,
+        among these that with the least standard error of the converged ones. If none has converged, it is the
+        one with the least change by doubling, in standard errors."""
         pools = _pools(sums)
         pool = _chosen(pools)
         fit = pools[-1]
@@ -459,10 +432,8 @@ class ErrorEstimate:
 @dataclass(frozen=True)
 class _Lines:
     """Lines a + b s of every cell, (G, P, n_y, C, A): theta (..., 2), covariance (..., 2, 2), and statistics.
-
     These are mean and standard deviation of the frames' s, independent frames n, and the residue's share of
-    sum |E|^2.
-    """
+    sum |E|^2."""
 
     theta: np.ndarray
     covariance: np.ndarray
@@ -505,9 +476,7 @@ class _Lines:
 
 def _quantile(n: np.ndarray, level: float) -> np.ndarray:
     """Standard errors that |delta - delta_c| exceeds with probability ``level``; n: independent frames.
-
-    |delta - delta_c|^2 / se^2 follows F(2, 2 nu), nu = n - 2.
-    """
+    |delta - delta_c|^2 / se^2 follows F(2, 2 nu), nu = n - 2."""
     freedom = np.maximum(n - 2, 1.0)
     return np.sqrt(freedom * np.expm1(-np.log(level) / freedom))
 
@@ -577,11 +546,8 @@ def _scatter(s: Sums, theta: np.ndarray) -> np.ndarray:
 
 def _joined(second: np.ndarray, fourth: np.ndarray) -> np.ndarray:
     """Group (N, K), from 0 on, of each of K neighbours, joined until each group has FEWEST_FRAMES or one is
-    left.
-
-    ``second`` and ``fourth`` (N, K) are their sums of |R|^2 and |R|^4. The group with the fewest frames is
-    joined first, with the smaller of its neighbours.
-    """
+    left. ``second`` and ``fourth`` (N, K) are their sums of |R|^2 and |R|^4. The group with the fewest frames
+    is joined first, with the smaller of its neighbours."""
     every = np.arange(second.shape[1])
     groups = np.broadcast_to(every, second.shape)
     for _ in every[1:]:
@@ -609,9 +575,7 @@ def _shared(s: Sums, cells: int) -> Sums:
 
 def _classes_joined(s: Sums) -> Sums:
     """Sums with each amplitude class replaced by those of its joined classes, where it has too few frames.
-
-    Classes are joined where their drives alone have fewer than FEWEST_FRAMES.
-    """
+    Classes are joined where their drives alone have fewer than FEWEST_FRAMES."""
     second, fourth = (x.sum(axis=3) for x in (s.rr[..., 0], s.fourth))
     groups = _joined(*(x.reshape(-1, x.shape[-1]) for x in (second, fourth))).reshape(second.shape)
     same = (groups[..., :, None] == groups[..., None, :]).astype(float)[..., None, :, :]
@@ -724,12 +688,13 @@ def uncertainty_bound(project: Project, grid: ErrorGrid, estimate: ErrorEstimate
 
     Up to the last informative frequency it is the largest |delta_c| + k se of all cells. Where a cell would
     not have refuted a vehicle that does not respond, it is at most 1 + rho unless |delta_c| - k se is larger.
-    Beyond the last informative frequency it is at least 1 + rho.
+    Beyond the last informative frequency it is at least 1 + rho. For a design, the last SILENT frequencies
+    count as beyond it.
     """
     upper, lower = (x.max(axis=(2, 3)) for x in (estimate.upper, estimate.lower))
     dead = beyond(project, grid)
     out = np.where(estimate.tells, upper, np.maximum(np.minimum(upper, dead), lower))
-    after = np.arange(len(grid.omega))[:, None] > last_telling(estimate)
+    after = np.arange(len(grid.omega))[:, None] > np.minimum(last_telling(estimate), _last(project, grid))
     out = np.where(after, np.maximum(dead, lower), out)
     return out if project.n_delta == project.n_y else out.max(axis=1, keepdims=True)
 
@@ -738,14 +703,21 @@ def band_bound(project: Project, grid: ErrorGrid, bands: list[ErrorBand]) -> np.
     """Compute the bound (G, n_delta) that W_delta must cover by the ``bands`` of all outputs.
 
     The bands have the first of the grid's frequencies. A band gives no information at a speed and amplitude
-    with k sd >= 1 + rho. There, and beyond its frequencies, at most 1 + rho is required (T32).
+    with k sd >= 1 + rho. There, and beyond its frequencies, at most 1 + rho is required (T32). For a design,
+    the last SILENT frequencies count as beyond them.
     """
     out = beyond(project, grid)
     for j, band in enumerate(bands):
         dead = out[: len(band.omega), j, None, None]
-        asked = np.where(band.k * band.sd < dead, band.upper, np.maximum(dead, band.lower))
+        informed = (np.arange(len(band.omega)) <= _last(project, grid))[:, None, None]
+        asked = np.where(informed & (band.k * band.sd < dead), band.upper, np.maximum(dead, band.lower))
         out[: len(band.omega), j] = asked.max(axis=(1, 2))
     return out if project.n_delta == project.n_y else out.max(axis=1, keepdims=True)
+
+
+def _last(project: Project, grid: ErrorGrid) -> int:
+    """Index of the last frequency that may inform."""
+    return len(grid.omega) - 1 - SILENT * (project.design is not None)
 
 
 def band_frequencies(grid: ErrorGrid, domain: ErrorDomain) -> np.ndarray:
@@ -775,8 +747,7 @@ class ModelError:
     judging : ErrorEstimate or None, of the drives that judge the bound
     left_out : list of float
         Per fold the least ratio of the others' bound to its |delta_c| - k se, inf: no demand.
-    bands : list of dict
-        Per output the band of a further drive, where no ceiling on nu is set.
+    bands : list of dict, per output the band of a further drive, where no ceiling on nu is set
     """
 
     grid: ErrorGrid
@@ -788,17 +759,10 @@ class ModelError:
 
     @classmethod
     def of(
-        cls,
-        project: Project,
-        grid: ErrorGrid,
-        setting: list[Sums],
-        judging: list[Sums],
-        workers: Map = map,
+        cls, project: Project, grid: ErrorGrid, setting: list[Sums], judging: list[Sums], workers: Map = map
     ) -> ModelError:
-        """Model error from the sums of folds of drives, at least one of which sets the bounds.
-
-        ``workers`` share the folds.
-        """
+        """Model error from the sums of folds of drives, at least one of which sets the bounds. ``workers``
+        share the folds."""
         estimate = ErrorEstimate.of(_total(setting), grid)
         return cls(
             grid,
@@ -849,10 +813,8 @@ class ModelError:
         return np.where(estimator.cycles[:, None] > 0, self.bound[self._places(estimator)], 0.0)
 
     def typical(self, estimator: Estimator) -> np.ndarray:
-        """Compute the error (K, n_delta) of a further drive at the bins; only for bands.
-
-        It is the median over speeds and amplitudes. DC has the error of the lowest frequency.
-        """
+        """Compute the error (K, n_delta) of a further drive at the bins; only for bands. It is the median
+        over speeds and amplitudes. DC has the error of the lowest frequency."""
         each = np.column_stack([np.array(b["typical"])[self._places(estimator)] for b in self.bands])
         return each if self.bound.shape[1] > 1 else each.max(axis=1, keepdims=True)
 

@@ -1,9 +1,5 @@
-"""Quality of the nominal model on the drives that set the bounds.
-
-Bounds around a model that is worse than none say nothing about the vehicle.
-"""
-
-from __future__ import annotations
+"""Quality of the nominal model on the drives that set the bounds. Bounds around a model that is worse than
+none say nothing about the vehicle."""
 
 import numpy as np
 

@@ -1,7 +1,5 @@
 """Per-drive functions of `identify`, mapped over the drives and sent to workers."""
 
-from __future__ import annotations
-
 import io
 import uuid
 import zlib
@@ -49,10 +47,8 @@ KEPT_BYTES = 384 << 20
 
 @dataclass
 class _Held:
-    """A drive with its nominal output yhat (N, n_y), from which its error follows.
-
-    ``stretches`` are runs of its counted frames, once requested.
-    """
+    """A drive with its nominal output yhat (N, n_y), from which its error follows. ``stretches`` are runs of
+    its counted frames, once requested."""
 
     drive: Drive
     yhat: np.ndarray
@@ -163,10 +159,8 @@ def _spectra_rows(s: FrameSet, name: str, way: np.ndarray, estimator: Estimator)
 
 
 def thinned(rows: Rows) -> Rows:
-    """LARGEST_SPECTRA and DRAWN_SPECTRA rows a bin, each once.
-
-    Thinning the union of two thinned parts gives that of all rows.
-    """
+    """LARGEST_SPECTRA and DRAWN_SPECTRA rows a bin, each once. Thinning the union of two thinned parts gives
+    that of all rows."""
     both = stacked([first_of_each(rows, LARGEST_SPECTRA, "weakness"), first_of_each(rows, DRAWN_SPECTRA)])
     order = np.lexsort((both["hash"], both["group"]))
     both = {k: v[order] for k, v in both.items()}
@@ -196,9 +190,7 @@ def first_pass(
     reader: DriveReader, nu_ceiling: np.ndarray, experiment: Experiment
 ) -> tuple[Part, Rows, np.ndarray]:
     """Bounds before smoothing, peaks, a sample of the spectra, and step and noise (2, n_y) of one drive.
-
-    ``nu_ceiling`` (K,): the ceiling on the uncertainty bound in every bin, 0 at DC.
-    """
+    ``nu_ceiling`` (K,): the ceiling on the uncertainty bound in every bin, 0 at DC."""
     rows: list[Rows] = []
     drive, e, _, frames = reader.seen(experiment)
     way = np.concatenate([[0.0], np.cumsum(drive.v)])
@@ -208,7 +200,8 @@ def first_pass(
             rows.append(_spectra_rows(s, experiment.name, way, reader.estimator))
             yield s
 
-    part = reduce_disturbance(watched(), reader.estimator, nu_ceiling, reader.project.n_y)
+    project = reader.project
+    part = reduce_disturbance(watched(), reader.estimator, nu_ceiling, project.n_y, project.controlled)
     return part, thinned(stacked(rows)), resolution_of(drive, e, reader.estimator)
 
 
@@ -293,11 +286,8 @@ def remainder_pass(
 
 class Judged(NamedTuple):
     """Results of the tests on a drive: largest margin, scores (None: not judged), excitation, judged time
-    [s].
-
-    ``peaks``: origins of the scores by test; none without a core. ``energy_of_cuts``: largest ratio of the
-    energy test with its first samples cut; 0: not judged.
-    """
+    [s]. ``peaks``: origins of the scores by test; none without a core. ``energy_of_cuts``: largest ratio of
+    the energy test with its first samples cut; 0: not judged."""
 
     worst: float
     score: float | None
@@ -319,9 +309,7 @@ def judge(
     experiment: Experiment,
 ) -> Judged:
     """Judge a drive, whole and (for ``worst``) from ``cuts`` random first samples, by the compiled core.
-
-    Without a core (plain DFT) the exact margin under W_delta (K, n_delta), B_w (K, n_y) judges.
-    """
+    Without a core (plain DFT) the exact margin under W_delta (K, n_delta), B_w (K, n_y) judges."""
     speed_range, name = reader.estimator.speed_range, experiment.name
     drive, _, _, frames = reader.seen(experiment)
     if core is None:
@@ -388,10 +376,8 @@ def _first_samples(reader: DriveReader, name: str, samples: int, cuts: int) -> l
 
 def energy_pass(reader: DriveReader, test: EnergyTest, cuts: int, experiment: Experiment) -> Part:
     """Sigma that a drive needs: whole, from rest; with its first samples cut, from what Delta may remember.
-
     Without ``cuts`` it also gives what the drive shows of that memory. With ``cuts`` it is whole only for
-    directions of several outputs, because sigma covers a single output's.
-    """
+    directions of several outputs, because sigma covers a single output's."""
     drive, e, yhat = reader.read(experiment)
 
     def parts() -> Iterator[Part]:

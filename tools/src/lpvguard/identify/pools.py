@@ -1,5 +1,4 @@
-"""Pools of frames: the part of the error that follows the input, summed over the time in which a fault is to
-be found (THEORY 7.17; lib/include/lpvguard/monitor.h).
+"""Pools of frames: sums of the error that follows the input (THEORY 7.17; lib/include/lpvguard/monitor.h).
 
 The remainder of a pool is ``|sum of conj(Z) E| / sqrt(P) - W sqrt(P)`` with P = sum of |Z|^2. Its bound B is
 the largest remainder of all drives, those that calibrate included. W is chosen on the drives that set the

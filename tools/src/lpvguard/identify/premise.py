@@ -8,8 +8,6 @@ W_delta is the certificate's weight: inflation included, Tustin's map of the fre
 certified without uncertainty.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,10 +18,8 @@ from .identification import StoredIdentification
 
 @dataclass(frozen=True)
 class Least:
-    """Least ratio of W_delta to the judging drives' error, at ``omega`` [rad/s] and ``v`` [m/s].
-
-    ``delta`` is |delta_c|, ``spread`` k se; W_delta is there, too.
-    """
+    """Least ratio of W_delta to the judging drives' error, at ``omega`` [rad/s] and ``v`` [m/s]. ``delta`` is
+    |delta_c|, ``spread`` k se; W_delta is there, too."""
 
     ratio: float
     output: str

@@ -8,23 +8,14 @@ where t0 is the first sample after the restart. The energy from before t0 is a f
 is a quadratic form in the filter's state, summed exactly by a discrete Lyapunov equation.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.linalg import solve_discrete_lyapunov
 from scipy.signal import lfilter, sosfilt
 
 
 def section_states(sections: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """States (2 S, N) of second-order sections before each sample, and the output (N,), from rest.
-
-    Parameters
-    ----------
-    sections : ndarray (S, 6)
-        Filter in z, direct form II transposed, as `scipy.signal.sosfilt` has its states.
-    x : ndarray (N,)
-        Input.
-    """
+    """States (2 S, N) of second-order sections (S, 6) in z before each sample, and the output (N,), for x
+    (N,) from rest. The states are those of `scipy.signal.sosfilt`: direct form II transposed."""
     states = np.zeros((len(sections), 2, len(x)))
     for state, section in zip(states, sections, strict=True):
         b, a = section[:3], section[3:]
@@ -44,37 +35,17 @@ def free_response(sections: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def response_energy(sections: np.ndarray, rho: float, settle: int = 0) -> np.ndarray:
-    """Energy (2 S, 2 S) of the free response, a quadratic form in the state, over rho^(2 (n + 1)) of n more
-    samples.
-
-    Parameters
-    ----------
-    sections : ndarray (S, 6)
-        Filter in z, its poles below ``rho``.
-    rho : float
-        Forgetting a sample.
-    settle : int
-        Samples of the response that do not count.
-    """
+    """Energy (2 S, 2 S) of the free response of sections (S, 6), over rho^(2 (n + 1)) of n more samples. It
+    is a quadratic form in the state. The poles lie below ``rho``, and ``settle`` samples do not count."""
     A, C = free_response(sections)
     power = np.linalg.matrix_power(A / rho, settle)
     return power.T @ solve_discrete_lyapunov((A / rho).T, np.outer(C, C)) @ power / rho**2
 
 
 def remembered(sections: np.ndarray, x: np.ndarray, rho: float, settle: int | None = None) -> float:
-    """Largest m over restarts before each sample of an input that the filter is fed with from rest.
-
-    Parameters
-    ----------
-    sections : ndarray (S, 6)
-        Filter in z, its poles below ``rho``.
-    x : ndarray (N,)
-        Input.
-    rho : float
-        Forgetting a sample.
-    settle : int or None
-        Samples after the restart at which the sum begins. None: it counts what came before, too.
-    """
+    """Largest m over restarts before each sample of an input x (N,) that sections (S, 6) are fed with from
+    rest. Their poles lie below ``rho``, the forgetting a sample. The sum begins ``settle`` samples after the
+    restart; None: it counts what came before, too."""
     states, y = section_states(sections, x)
     energy = np.einsum("in,ij,jn->n", states, response_energy(sections, rho, settle or 0), states)
     if settle is None:

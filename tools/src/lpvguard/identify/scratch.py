@@ -1,7 +1,5 @@
 """A temporary compiled core."""
 
-from __future__ import annotations
-
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -15,17 +13,7 @@ from ..vehicle.project import Project
 
 @contextmanager
 def scratch_core(project: Project, coefficients: Coefficients) -> Iterator[Core]:
-    """Compile a core from coefficients in a temporary folder.
-
-    Parameters
-    ----------
-    project : Project
-    coefficients : Coefficients
-
-    Yields
-    ------
-    Core
-    """
+    """Yield the core of coefficients, compiled in a temporary folder."""
     with tempfile.TemporaryDirectory() as folder:
         target = Path(folder) / project.name
         target.mkdir()

@@ -1,11 +1,6 @@
-"""Drives that the nominal model does not explain, and their cost.
-
-Such a drive (a slide, a crash, the wrong day or car) is bounded like every other: the bounds hold on it, and
-grow. Nothing is left out in silence. A user who finds that the model is not meant for the drive sets it aside
-in experiments.csv, with the reason.
-"""
-
-from __future__ import annotations
+"""Drives that the nominal model does not explain, and their cost. Such a drive (a slide, a crash, the wrong
+day or car) is bounded like every other: the bounds hold on it, and grow. Nothing is left out in silence. A
+user who finds that the model is not meant for the drive sets it aside in experiments.csv, with the reason."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -103,9 +98,7 @@ def left_unexplained(project: Project, found: Quality, sets_bounds: bool) -> Une
 @dataclass(frozen=True)
 class Cost:
     """Alarming faults in the remaining drives, out of ``of``: ``found`` with the bounds, ``found_without``.
-
-    The latter are with bounds of the other drives alone.
-    """
+    The latter are with bounds of the other drives alone."""
 
     names: tuple[str, ...]
     found: int
@@ -173,13 +166,7 @@ def _alarms(
         raise not_for_the_core(result.project)
     reader, carried = DriveReader(result.project, result.model), result.calibration.exported
     coefficients = coefficients_of(
-        result.project,
-        result.model,
-        result.estimator,
-        result.weights,
-        carried,
-        result.energy,
-        result.change,
+        result.project, result.model, result.estimator, result.weights, carried, result.energy, result.change
     )
     with scratch_core(result.project, coefficients) as core:
         return sum(workers(partial(_alarms_of_drive, reader, core, settings), known))

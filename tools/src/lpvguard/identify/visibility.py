@@ -1,16 +1,4 @@
-"""Smallest gain and delay error that the frame test can see, per speed cell and bin (THEORY 7.4).
-
-A vehicle whose response is c times the nominal one shows the error E = -g Z in every output, with
-|g| = |1 - c|. The margin of a frame grows in proportion to g, because delta and w scale alike. It therefore
-exceeds the threshold exactly when
-
-    g > threshold / t*(-Z, Z),
-
-where t* is the exact margin of validation.s1 for the project's structure. With one output this is ``g |Z| >
-threshold (B_w + W_delta |Z|)``. At any excitation, g below threshold x W_delta stays invisible. With a Delta
-per output this is the least W_delta,j. A delay tau has ``g = |1 - exp(-j omega tau)| = 2 |sin(omega tau /
-2)|``. Only the phase of g is free here. The vehicle's ordinary nominal error adds and can raise or hide the
-fault.
+"""Smallest gain and delay error that the frame test can see, per speed cell and bin (T25; THEORY 7.4).
 
 Both lists are made for two excitations. One is the strongest that occurred in any drive. The other is
 PERCENTILE, which one counted frame in ten reaches. t*(-Z, Z) orders excitation. For one output the order is
@@ -41,9 +29,9 @@ class Excitation:
     """Excitation of counted frames, in bounded memory, joined over drives by ``joined``.
 
     ``count`` (SPEED_CELLS, K) counts all frames. Each row holds ``group`` (cell * K + bin), ``hash``,
-    ``dead`` = t*(-Z, Z), ``size`` = |Z| [output units] and ``floor``, the gain error that no excitation shows
-    and no threshold enlarges: 0, or W of a pool (THEORY 7.17). The rows are the frame of the largest ``dead``
-    of each group and a sample of SAMPLED_FRAMES.
+    ``dead`` = t*(-Z, Z), ``size`` = |Z| [output units] and ``floor``. The floor is the gain error that no
+    excitation shows and no threshold enlarges: 0, or W of a pool (THEORY 7.17). The rows are the frame of the
+    largest ``dead`` of each group and a sample of SAMPLED_FRAMES.
     """
 
     count: np.ndarray
@@ -62,12 +50,10 @@ class Excitation:
         B_w: np.ndarray,
         number: np.ndarray,
     ) -> Excitation:
-        """Excitation of the F counted frames of drive ``name``.
-
-        The frames have the bins ``bin_of`` (F,), the mean speeds ``speed`` (F,) [m/s] and the outputs Z (F,
-        n_y) [output units]. ``number`` (F,) identifies the frames of a bin. ``speed_range`` [m/s] is cut into
-        SPEED_CELLS equal cells. The bounds are W_delta (K, n_delta) and B_w (K, n_y).
-        """
+        """Excitation of the F counted frames of drive ``name``. The frames have the bins ``bin_of`` (F,), the
+        mean speeds ``speed`` (F,) [m/s] and the outputs Z (F, n_y) [output units]. ``number`` (F,) identifies
+        the frames of a bin. ``speed_range`` [m/s] is cut into SPEED_CELLS equal cells. The bounds are W_delta
+        (K, n_delta) and B_w (K, n_y)."""
         K = len(W_delta)
         group = speed_cell(speed_range, speed) * K + bin_of
         dead = s1.margin(-Z, Z, W_delta[bin_of], B_w[bin_of])

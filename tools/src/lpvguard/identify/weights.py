@@ -289,10 +289,7 @@ def uncertainty_samples(
 
 
 def fit_uncertainty(
-    project: Project,
-    estimator: Estimator,
-    omega: np.ndarray,
-    column: tuple[np.ndarray, np.ndarray, str],
+    project: Project, estimator: Estimator, omega: np.ndarray, column: tuple[np.ndarray, np.ndarray, str]
 ) -> FittedWeight:
     """Fit W_delta above the uncertainty bounds.
 
@@ -380,8 +377,9 @@ def fit_weights(
 ) -> Weights:
     """Steps 6 and 7 for the fitted ``W_delta``.
 
-    ``noise``, ``error`` (K, n_y): peaks of E without and with input; ``command`` (K,): of the first output.
-    ``workers`` share the weights. Without zero-input drives (``noise`` all NaN) B_w is W_w.
+    ``noise``, ``error`` (K, n_y): peaks of E without and with input; ``command`` (K,): of the controlled
+    output. ``workers`` share the weights. Without zero-input drives (``noise`` all NaN) B_w is W_w. W_C is
+    fitted with them, or for a design.
     """
     floor = smallest_disturbance(bounds.B2)
     names = [s.name for s in project.outputs]
@@ -392,12 +390,12 @@ def fit_weights(
     if not np.isnan(noise).all():
         asked += [(noise, "W_n"), (cover * error, "B_w of S0")]
     columns = [(bound[:, j], f"{what} of {n}") for bound, what in asked for j, n in enumerate(names)]
-    if len(asked) > 1:
-        columns.append((command, "W_C"))
-    fitted = list(workers(partial(_fitted_above, project, estimator, floor), columns))
-    B_w, W_n, of_S0 = (fitted[k * len(names) : (k + 1) * len(names)] for k in range(3))
+    commands = [(command, "W_C")] if len(asked) > 1 or project.design is not None else []
+    fitted = list(workers(partial(_fitted_above, project, estimator, floor), columns + commands))
+    W_C = fitted[len(columns) :]
+    B_w, W_n, of_S0 = (fitted[: len(columns)][k * len(names) : (k + 1) * len(names)] for k in range(3))
     if not W_n:
-        return Weights(B_w, W_delta, gamma_w, [], [], [], {}, disturbance_set)
+        return Weights(B_w, W_delta, gamma_w, [], [], W_C, {}, disturbance_set)
     floored: dict[str, list[float]] = {}
 
     def without_noise(B: list[FittedWeight], what: str) -> list[FittedWeight]:
@@ -406,7 +404,7 @@ def fit_weights(
         return weights
 
     W_w, W_w_S0 = without_noise(B_w, "W_w"), without_noise(of_S0, "W_w of S0")
-    return Weights(W_w, W_delta, gamma_w, W_n, W_w_S0, fitted[-1:], floored, disturbance_set)
+    return Weights(W_w, W_delta, gamma_w, W_n, W_w_S0, W_C, floored, disturbance_set)
 
 
 def _fitted_above(

@@ -6,8 +6,6 @@ white xi_s [state units per s] drives the nominal model at frozen speeds. xi_s i
 of d; its relative error is the error of frames. For the plain DFT with x_0 - x_N known it is rounding.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

@@ -1,7 +1,7 @@
 """Recorded data through the compiled core.
 
 In: drive tables, or raw CAN logs through the core's own receiver. Out: verdicts, judged frames and alarms of
-a drive. MAY_IMPORT lists what a room may import.
+a drive.
 """
 
 MAY_IMPORT = ("base", "vehicle", "can", "drives", "core")

@@ -1,7 +1,5 @@
 """Causes of alarms that the core found, as numbers and in words."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

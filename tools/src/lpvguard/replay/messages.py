@@ -5,8 +5,6 @@
 /lpvguard/alarm    foxglove.Log: the alarm's sentence
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any

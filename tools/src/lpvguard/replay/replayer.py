@@ -1,8 +1,6 @@
 """Stage 8, replay: runs recorded drives and raw CAN logs through the compiled C core and records its
 answers."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
@@ -436,10 +434,7 @@ class Replayer:
         self, path: Path, channel: str | None = None, with_series: bool = False
     ) -> tuple[dict[str, Any], pa.Table | None] | InputError:
         """The object of `lpvguard replay --json` for one file, and ``with_series`` its time series
-        (series.py).
-
-        Returns the InputError instead when the file cannot be read.
-        """
+        (series.py). Returns the InputError instead when the file cannot be read."""
         try:
             recorded = self.read_file(path, channel)
             replay = self.replay_recorded(recorded)

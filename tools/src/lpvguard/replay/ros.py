@@ -9,8 +9,6 @@ A topic whose signals the vehicle does not have is left out. A yaw rate is an ou
 the word yaw; a road-wheel angle is an input in rad.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -56,20 +54,8 @@ DIAGNOSTICS, TWIST, DRIVE = DEFINITIONS
 
 
 def write_ros2(path: Path, vehicle: str, series: pa.Table, alarms: list[dict[str, Any]]) -> None:
-    """Write a time series to an MCAP file with ROS 2 messages.
-
-    Parameters
-    ----------
-    path : Path
-    vehicle : str, hardware_id of the diagnostics
-    series : Table, of series.py
-    alarms : list of dict, as in the JSON of `replay`
-
-    Raises
-    ------
-    InputError
-        If mcap-ros2-support is not installed.
-    """
+    """Write a time series (series.py) to an MCAP file with ROS 2 messages. ``vehicle`` is the hardware_id of
+    the diagnostics, ``alarms`` are those of the JSON of `replay`. InputError without mcap-ros2-support."""
     compression = optional("mcap.writer", "ros2").CompressionType.NONE
     open_writer = optional("mcap_ros2.writer", "ros2").Writer
     stamps = np.round(numbers(series["t"]) * 1e9).astype(np.int64)

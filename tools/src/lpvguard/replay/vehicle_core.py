@@ -1,7 +1,5 @@
 """Opens a vehicle's compiled core, for a replay or for a stream of samples."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from ..base import artefacts

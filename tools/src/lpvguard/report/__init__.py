@@ -1,7 +1,6 @@
 """The page and pictures for people.
 
-In: the results of all rooms below. Out: one self-contained page, and its pictures as SVG. MAY_IMPORT lists
-what a room may import.
+In: the results of all rooms below. Out: one self-contained page, and its pictures as SVG.
 """
 
 MAY_IMPORT = ("base", "vehicle", "engine", "drives", "fit", "core", "identify", "replay", "evaluate")

@@ -1,8 +1,6 @@
 """Tested and blind regions of a model by speed and frequency: proved, blind, without data or violated (THEORY
 7.4)."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
@@ -42,11 +40,8 @@ class MapCell:
 
     @property
     def state(self) -> str:
-        """State of the cell.
-
-        PROVED: judged without an alarm, and a gain error of LEVEL alone would have raised one. BLIND: such an
-        error could stay unseen.
-        """
+        """State of the cell. PROVED: judged without an alarm, and a gain error of LEVEL alone would have
+        raised one. BLIND: such an error could stay unseen."""
         if self.alarms:
             return VIOLATED
         if self.gain_error is None:

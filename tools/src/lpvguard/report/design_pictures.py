@@ -1,7 +1,5 @@
 """Pictures of `lpvguard design`: Figs. 5 and 6 and the trade-off, drawn from the numbers in its files."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

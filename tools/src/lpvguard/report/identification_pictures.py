@@ -1,7 +1,5 @@
 """Pictures of an identification and of a drive, for the page and for notebooks (api/plots.py)."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import cached_property
 

@@ -1,7 +1,5 @@
 """HTML helpers of the page's sections."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from html import escape
 
@@ -18,6 +16,12 @@ def html_table(head: Iterable[str], rows: Iterable[Iterable[str]], kind: str = "
     top = f"<thead><tr>{top}</tr></thead>" if top else ""
     body = "".join("<tr>" + "".join(f"<td>{c}</td>" for c in row) + "</tr>\n" for row in rows)
     return f'<div class="scroll"><table class="{kind}">{top}<tbody>\n{body}</tbody></table></div>'
+
+
+def html_rows(rows: Iterable[dict[str, str]]) -> str:
+    """A table whose head is the keys of its rows, all HTML."""
+    every = list(rows)
+    return html_table(every[0] if every else (), (row.values() for row in every))
 
 
 def captioned(picture: Picture | None, caption: str) -> str:

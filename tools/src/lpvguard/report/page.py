@@ -5,8 +5,6 @@ the drives through the compiled core. The page loads nothing from outside and ho
 input gives the same bytes. It can be read without its script.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from html import escape
 from importlib import resources

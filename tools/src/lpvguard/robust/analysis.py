@@ -1,7 +1,5 @@
 """Structured singular value, worst-case gain, margins and nu-gap of given systems."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

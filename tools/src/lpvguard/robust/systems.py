@@ -51,7 +51,7 @@ def python_control() -> Any:
     return optional("control", "control")
 
 
-def frequencies(omega: Any, name: str = "omega") -> np.ndarray:
+def frequencies(omega: Any) -> np.ndarray:
     """Return ``omega`` (k,) in rad/s as an array; InputError unless it is positive, finite and rising."""
     omega = np.asarray(omega, dtype=float)
     if (
@@ -62,6 +62,6 @@ def frequencies(omega: Any, name: str = "omega") -> np.ndarray:
         or (np.diff(omega) <= 0).any()
     ):
         raise InputError(
-            name, "", f"shape {omega.shape}", "a list of rising, finite frequencies above 0 rad/s"
+            "omega", "", f"shape {omega.shape}", "a list of rising, finite frequencies above 0 rad/s"
         )
     return omega

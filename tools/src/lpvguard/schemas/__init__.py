@@ -6,8 +6,6 @@ described is an error wherever the format is ours. examples/NAME.json is a real 
 FORMATS.md is ``markdown()``.
 """
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Iterator

@@ -2,7 +2,7 @@
 
 In: logs, with a CAN database where they are raw frames. Out: the signals for speed, input and output, with
 units, signs and the reason for each. Also out: a commented project file, its signal map, the folder of
-drives. MAY_IMPORT lists what a room may import.
+drives.
 """
 
 MAY_IMPORT = ("base", "vehicle", "can", "drives")

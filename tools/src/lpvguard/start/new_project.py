@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import re
 import tomllib
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -33,8 +34,10 @@ from ..drives.units import unit_factor
 from ..vehicle.nominal import NominalModel
 from ..vehicle.physics import KindName, kind_of
 from ..vehicle.project import NAME, EvaluationSettings, Project, parse_project
+from .design_proposal import design_section, shown
 from .readings import ROLES, Known
 from .signals import Proposal, Recording, proposed
+from .splits import day, splits_of
 from .steady_turn import Driven, steady_turn
 from .templates import TEMPLATES, Scale
 
@@ -132,14 +135,14 @@ def new(
             schema,
         )
         kept_logs = [p for p in logs if stem(p) in {r.name for r in recordings}]
-        names = _written(kept_logs, given, folder / "drives", left_out)
+        names, days = _written(kept_logs, given, folder / "drives", left_out)
         if not names:
             reason = next(iter(left_out.values()))
             raise InputError("new", "LOG", f"no drive remains of the logs ({reason})", "logs of driving")
         project, text, notes = _project(
             name, model, (proposals, limits), folder / "drives", list(names), Ts, known
         )
-        splits = _splits(project, folder / "drives", names)
+        splits = splits_of(_speeds(project, folder / "drives", names), names, days)
         artefacts.write_files(
             folder,
             {
@@ -154,16 +157,29 @@ def new(
     return NewProject(project, proposals, splits, left_out, notes)
 
 
-def _written(logs: list[Path], given: Inputs, folder: Path, left_out: dict[str, str]) -> dict[str, str]:
-    """Write the drives of all logs; drive -> recording. ``left_out`` gets what could not be written."""
+def _speeds(project: Project, folder: Path, names: Iterable[str]) -> dict[str, np.ndarray]:
+    """Speed (N,) of each drive."""
+    return {n: read_drive(folder / f"{n}.csv", project).v for n in names}
+
+
+def _written(
+    logs: list[Path], given: Inputs, folder: Path, left_out: dict[str, str]
+) -> tuple[dict[str, str], dict[str, str]]:
+    """Write the drives of all logs; recording by drive, and day by recording, "" where nothing tells it.
+
+    ``left_out`` gets what could not be written.
+    """
     names: dict[str, str] = {}
+    days: dict[str, str] = {}
     for path in logs:
         try:
             report = write_tables(path, given, folder)
-            names |= {Path(d["file"]).stem: stem(path) for d in report["drives"]}
         except InputError as error:
             left_out[stem(path)] = str(error)
-    return names
+            continue
+        names |= {Path(d["file"]).stem: stem(path) for d in report["drives"]}
+        days[stem(path)] = day(path.name, float(report["stretches"][0]["from_s"]))
+    return names, days
 
 
 def recordings_of(
@@ -231,19 +247,24 @@ def _recording(name: str, table: Table) -> Recording:
 
 
 def _step_of(series: Series) -> float:
-    """Usual time [s] from one value of a signal to the next; a value that is held is one.
-
-    A table that is merged of slow topics repeats their values, or leaves cells empty.
-    """
+    """Usual time [s] from one value of a signal to the next; a value that is held is one. A table that is
+    merged of slow topics repeats their values, or leaves cells empty."""
     ok = np.isfinite(series.value)
     t, value = series.t_ns[ok] * 1e-9, series.value[ok]
     if len(t) < 2:
         return np.inf
-    changes = np.flatnonzero(np.diff(value) != 0) + 1
+    jumps = np.abs(np.diff(value))
+    changes = np.flatnonzero(jumps) + 1
     between, usual = np.diff(t[changes]), float(np.median(np.diff(t)))
     driven = between[between <= LONGEST_STEP_S]
-    held = len(driven) > MANY_CHANGES and float(np.median(driven)) > 1.5 * usual
-    return float(np.median(driven)) if held else usual
+    if len(driven) <= MANY_CHANGES or _is_coarse(jumps[jumps > 0]):
+        return usual
+    return float(np.median(driven)) if float(np.median(driven)) > 1.5 * usual else usual
+
+
+def _is_coarse(jumps: np.ndarray) -> bool:
+    """Return whether a signal mostly changes by its resolution, and stands for want of it."""
+    return bool(np.median(jumps) < 1.5 * np.quantile(jumps, 0.05))
 
 
 def _measured(value: np.ndarray) -> np.ndarray:
@@ -288,18 +309,27 @@ def _signal_map(
     ]
     for role in ROLES:
         p = proposals[role]
-        message, _, signal = p.name.rpartition(".")
         lines += ["", *(_comment(sentence) for sentence in p.why), f"[columns.{COLUMNS[role]}]"]
-        lines += [
-            f'unit = "{SI[role]}"',
-            *([f"message = {_quoted(message)}"] if message else []),
-            f"signal = {_quoted(signal)}",
-            *([f"sign = {_quoted(sign_bit[p.name])}"] if p.name in sign_bit else []),
-        ]
-        lines += [f"source_unit = {_quoted(p.unit)}", f"factor = {p.factor!r}"]
-        lines += [f"min = {limits[role][0]:g}      # samples beyond are spikes, and left out"]
-        lines += [f"max = {limits[role][1]:g}"]
+        lines += [f'unit = "{SI[role]}"']
+        terms = [_term(p, name, sign_bit) for name in (p.name, *p.plus)]
+        if p.plus:  # a sum has no limits
+            lines += ["terms = [", *(f"    {{ {', '.join(term)} }}," for term in terms), "]"]
+        else:
+            lines += [*terms[0], f"min = {limits[role][0]:g}      # samples beyond are spikes, and left out"]
+            lines += [f"max = {limits[role][1]:g}"]
     return "\n".join(lines) + "\n"
+
+
+def _term(p: Proposal, name: str, sign_bit: dict[str, str]) -> list[str]:
+    """Keys of a signal of the log in a signal map."""
+    message, _, signal = name.rpartition(".")
+    return [
+        *([f"message = {_quoted(message)}"] if message else []),
+        f"signal = {_quoted(signal)}",
+        *([f"sign = {_quoted(sign_bit[name])}"] if name in sign_bit else []),
+        f"source_unit = {_quoted(p.unit)}",
+        f"factor = {p.factor!r}",
+    ]
 
 
 def _sign_bits_of(database: Database) -> dict[str, str]:
@@ -388,7 +418,9 @@ def _project(
             "new", "", f"a sample time of {Ts:g} s leaves no frames", "a log with a shorter sample time"
         )
     project, text, (f_min, tolerance), judged = best
+    text += design_section(shown(drives, Ts, (low, high)), Ts)
     text += _evaluation(float(np.median([d.duration_s for d in drives])))
+    project = parse_project(tomllib.loads(text), name)
     notes = [
         f"{len(drives)} drives, {sum(d.duration_s for d in drives):.0f} s, at {1 / Ts:g} Hz",
         f"frames from {f_min:g} to {project.frames.f_max_hz:g} Hz, speed within {tolerance:.0%} of a frame's "
@@ -537,17 +569,3 @@ found_within_s = {quarter:.3g}      # of judged, excited driving
 ramp_s = {usual.ramp_s / usual.found_within_s * quarter:.3g}      # until a growing fault is whole
 bias_of_spread = {usual.bias_of_spread:g}      # of the output's standard deviation within a drive
 """
-
-
-def _splits(project: Project, folder: Path, names: dict[str, str]) -> dict[str, str]:
-    """Let every second recording in the order of mean speed set the bounds, so that both halves have all
-    speeds.
-
-    A single recording is split by its drives. ``names`` is the recording by drive.
-    """
-    by = names if len(set(names.values())) > 1 else {n: n for n in names}
-    speeds: dict[str, list[np.ndarray]] = {}
-    for n in names:
-        speeds.setdefault(by[n], []).append(read_drive(folder / f"{n}.csv", project).v)
-    order = sorted(speeds, key=lambda r: (float(np.concatenate(speeds[r]).mean()), r))
-    return {n: "train" if order.index(by[n]) % 2 == 0 else "valid" for n in names}

@@ -1,10 +1,6 @@
-"""Identify speed, steering and yaw rate among a log's signals, by name, then by the data's unit and sign.
-
-A unit that the log or its database states counts first, then one in the name (`drives/unit_names.py`). What
-is left open is decided by physics (`readings.py`), or asked.
-"""
-
-from __future__ import annotations
+"""Identify speed, steering and yaw rate among a log's signals, by name, then by the data's unit and sign. A
+unit that the log or its database states counts first, then one in the name (`drives/unit_names.py`). What is
+left open is decided by physics (`readings.py`), or asked."""
 
 import re
 from collections.abc import Iterable, Mapping
@@ -20,67 +16,78 @@ from .steady_turn import Driven, steady_turn
 
 WORDS = {
     "speed": (
-        r"^(v|vx|v_x|vel|speed|v_?ego)$",
-        r"linear_vel_x|vehicle_?speed|speed|velocity|\bvel|geschw|(^|_)v_signal|_speed_|whl_spd|veh_v_",
+        r"^(v|vx|v_x|vel|speed|v_?ego)$|(vehicle|veh|car|ego)_?(speed|spd|velocity)",
+        r"linear_vel_x|speed|spd|veloc|\bvel|geschw|vitesse|(^|_)v_signal|veh_?v_",
     ),
     "input": (
-        r"^(delta|steer|swa)$|road_?wheel",
-        r"steer.*(ang|pos)|ang.*steer|steer|(^|_)delta(_|$)|wheel_?angle|lenk|sas_angle|stepin.*_an|_lrw$|stw_angl|internal_?sas",
+        r"^(delta|steer|swa)$|road_?wheel|(steer|steering)_?(wheel|whl)?_?ang(le)?(_|$)",
+        r"steer|(^|_)delta(_|$)|wheel_?angle|lenk|volant|braquage|(^|_)sterz|sas_angle|internal_?sas|_lrw$|"
+        r"ste(pin|whl).*_an|st(r|rg|w)?_?(wheel|whl|w)?_?angl?|whl_?ang",
     ),
     "output": (
         r"^(r|wz|yaw_?rate)$",
-        r"yaw_?rate|angular_vel_z|gyro?_?z|omega_?z|psi_?dot|yaw_?vel|gier|yaw_w_",
+        r"yaw_?(rate|rte?|vel|speed|spd|w_)|angular_vel_z|gyro?_?z|omega_?z|psi_?dot|gier|lacet|imbard",
     ),
 }
 """By role: what a name is for certain, and what it may hold."""
 OF_PATHS = {
     "speed": r"twist_linear_x$|linear_velocity_x$",
-    "input": r"ackermann.*steering_angle$",
-    "output": r"(angular|angular_velocity)_z$|angular_velocity_xyz_2_?$|gyro_rad_2_?$",
+    "input": r"ackermann.*steering_angle$|(steer|lenk|volant)\w*_(angle|ang|winkel|pos|position|value)$",
+    "output": r"(angular|angular_velocity)_z$|angular_velocity_xyz_2_?$|gyro_rad_2_?$|yaw_(rate|value)$",
 }
-"""By role: what the last words of a topic with its fields may be."""
+"""By role: what the last words of a topic or message with its fields may be."""
+WITH_UNIT = {"output": r"yaw|gyro?"}
+"""By role: what a name may hold where a unit of the role is stated."""
+NEVER = {
+    "speed": r"rel(ative|_|sp|v)|target|trgt|trg$|set_?(point|speed)|wunsch|ziel|soll|lead|obj|wiper|fan|"
+    r"wind_|engine|idle|shaft|turbine|motor_sp|rpm|max|lim|lmt|trap|tsr|saved|condition|offset|regel|"
+    r"abbruch|zeit|gier|yaw|lacet|ang|steer|sas|rate_|hud|clu_|kombi|angez|dsply|display|navi|expected",
+    "input": r"rate(?!d)|torque|tq|trq|speed|spd|vel|gesch|grd|moment|hilfe|fraction|override|volt|pressure|"
+    r"hands|hold|assist|warn|config|index|menu|flex|ratio|typ|required|verbau",
+    "output": r"acc|ang(le)?(_|$)|target|desired|(^|_)ref|trailer|trlr|fehler",
+}
+"""By role: other quantities that share a word with it."""
 NOT = {
-    "speed": r"cmd|command|control|target|desired|set_?(point|speed)|wheel|rad_?geschw|whl|engine|fan|wind|"
-    r"ang|steer|sas|_y$|_z$|rel|cruise|idle|shaft|axle|object|lead|wiper|digital|hud|pcm|cluster|wunsch|regel|gier|"
-    r"gps|saved|low|mod_|bump|analog|ziel|abbruch|setz|max|condition|offset",
-    "input": r"rate|torque|tq|request|override|speed|vel|fraction|calculated|command|cmd|control|moment|"
-    r"hilfe|typ|_2$|rechts|required|hold|assist|sw$|gesch|verbau",
-    "output": r"acc|target|desired|ref|yaw_?rate_?\d|raw",
+    "speed": r"cmd|command|control|desired|_y$|_z$|cruise|digital|pcm|cluster|dash|ui_|adas|acc_?|gps|low|"
+    r"mod_|bump|analog|rough",
+    "input": r"req|calculated|command|cmd|control|motor|_2$|rechts|sw$|rel",
+    "output": r"raw",
 }
-"""By role: what lowers a name's rank. Commands, derivatives and other things share a word."""
+"""By role: what lowers a name's rank. A command and a copy share its words."""
+WHEEL = re.compile(r"wheel|whl|rad_?geschw")
+"""In names of the speed of one wheel."""
 NO_MEASUREMENT = re.compile(
-    r"checksum|crc|counter|cnt|qf$|qbit|valid|status|(^|_)sta(_|$)|fault|error|req|button|icon|mode|units?$|sign(?!al)|lamp|force|_rq|offst|"
+    r"checksum|crc|counter|cnt|qf$|qbit|valid|status|(^|_)sta(_|$)|stat$|fault|error|button|icon|mode|units?$|sign(?!al)|lamp|force|_rq|offst|"
     r"direction|(^|_)vz(_|$)|limit|diag|init|group|bias|rate_?v$|speed_?v$|ack$|pressed|reboot|reduced"
 )
 """In names of what tells of a measurement, and is none."""
 NO_SIGNALS_UNIT = ("Nm", "rpm", "RPM", "r/min", "%", "V", "A", "Amps", "minute", "ms", "s")
 """Units of other things."""
 OTHERS_MESSAGE = re.compile(
-    r"cmd|command|lka|lta|acc|cruise|hud|object|track|radar|cam_|das_|nav|gps|tsk|smgr|tbd"
+    r"cmd|command|lka|lta|acc|cruise|hud|kombi|cluster|object|track|radar|cam_|das_|ipma|nav|gps|tsk|smgr|tbd"
 )
 """In names of messages that carry a signal for another purpose."""
 WHAT = {"speed": "speed", "input": "steering angle", "output": "yaw rate"}
 """By role: what its signal measures."""
-GUESSED_UNITS = {
-    "speed": ("m/s", "km/h", "mph"),
-    "input": ("rad", "deg"),
-    "output": ("rad/s", "deg/s"),
-}
+GUESSED_UNITS = {"speed": ("m/s", "km/h", "mph"), "input": ("rad", "deg"), "output": ("rad/s", "deg/s")}
 """Units of a signal whose log and name state none."""
 RATE_OF = {"deg": "deg/s", "rad": "rad/s", "mrad": "mrad/s"}
 """A yaw rate whose unit leaves the second out."""
 STEERING_WHEEL = re.compile(r"steering_?wheel|hand_?wheel|lenkrad|^swa|_swa|(^|_)lw[iz]?(_|$)|volant")
 ROAD_WHEEL = re.compile(r"road_?wheel|front_?wheel|tyre|tire")
 """Names of an angle at the steering wheel, and of one at the road wheels."""
+FRACTION = re.compile(r"frac|(^|_)fine(_|$)|_hp$")
+"""In names of the digits beyond a coarse signal's resolution."""
+PART = 0.2
+"""Largest spread of these digits, as a share of the coarse signal's."""
 LEAST_SAMPLES = 20
 """A recording with fewer samples of all three signals says nothing."""
 
 
 @dataclass(frozen=True)
 class Recording:
-    """Signals of one log on one time axis: t (N,) [s], values (N,) by name, and units ("" if unknown).
-
-    A value is NaN where a signal has none yet or no more."""
+    """Signals of one log on one time axis: t (N,) [s], values (N,) by name, and units ("" if unknown). A
+    value is NaN where a signal has none yet or no more."""
 
     name: str
     t: np.ndarray
@@ -92,13 +99,16 @@ class Recording:
 
 @dataclass(frozen=True)
 class Proposal:
-    """A signal for a role: SI value = factor * signal in ``unit``; ``why`` holds sentences."""
+    """A signal for a role: SI value = factor * signal in ``unit``; ``why`` holds sentences.
+
+    ``plus``: signals of its message that are added, the digits beyond its resolution."""
 
     role: str
     name: str
     unit: str
     factor: float
     why: list[str]
+    plus: tuple[str, ...] = ()
 
 
 def ranked(role: str, names: Iterable[str], units: Mapping[str, str] | None = None) -> list[str]:
@@ -107,23 +117,30 @@ def ranked(role: str, names: Iterable[str], units: Mapping[str, str] | None = No
     for name in names:
         message, _, last = name.rpartition(".")
         low = re.sub(r"[\s-]+", "_", last.lower())
+        unit = (units or {}).get(name, "")
+        if NO_MEASUREMENT.search(low) or re.search(NEVER[role], low):
+            continue
         sure, may = WORDS[role]
         certain = re.search(sure, low) or re.search(sure, without_unit(last, role))
-        path = re.sub(r"[^a-z0-9]+", "_", name.lower())
-        likely = re.search(may, low) or re.search(OF_PATHS[role], path)
-        if certain or likely:
-            less = 1.5 * bool(re.search(NOT[role], low)) + 2.0 * bool(NO_MEASUREMENT.search(low))
-            less += 0.5 * bool(OTHERS_MESSAGE.search(message.lower()))
-            more = _fitting((units or {}).get(name, ""), role)
-            scores[name] = (2 if certain else 1) - less + more
+        paths = (name.lower(), f"{message}.{without_unit(last, role)}".lower())
+        of_path = (re.search(OF_PATHS[role], re.sub(r"[^a-z0-9]+", "_", path)) for path in paths)
+        likely = bool(re.search(may, low)) or any(of_path)
+        if role == "speed":
+            likely = likely or bool(units_in_name(last, role))
+        stated = _unit(unit, role) is not None
+        if certain or likely or (stated and re.search(WITH_UNIT.get(role, "$^"), low)):
+            less = 1.5 * bool(re.search(NOT[role], low)) + 0.5 * bool(OTHERS_MESSAGE.search(message.lower()))
+            less += 0.5 * (role == "speed" and WHEEL.search(low) is not None)
+            less += 2.0 * _of_another(unit, role)
+            scores[name] = (2 if certain else 1) - less + 1.25 * stated
     return sorted(scores, key=lambda name: (-scores[name], len(name), name))
 
 
-def _fitting(unit: str, role: str) -> float:
-    """How much a stated unit speaks for a role: for it, against it, or nothing where it is not known."""
-    if _unit(unit, role):
-        return 0.75
-    return -2.0 if unit.strip() and (_of_another_role(unit, role) or unit.strip() in NO_SIGNALS_UNIT) else 0.0
+def _of_another(unit: str, role: str) -> bool:
+    """Return whether a stated unit says that a signal cannot have the role."""
+    if not unit.strip() or _unit(unit, role):
+        return False
+    return _of_another_role(unit, role) or unit.strip() in NO_SIGNALS_UNIT
 
 
 def proposed(
@@ -132,11 +149,8 @@ def proposed(
     known: Known,
     units: Mapping[str, str | None] | None = None,
 ) -> dict[str, Proposal]:
-    """A signal a role, of those that all recordings hold.
-
-    ``chosen``, ``units``: role -> name and unit that the user states, or None. InputError where nothing fits
-    a role, or where units cannot be told.
-    """
+    """A signal a role, of those that all recordings hold. ``chosen``, ``units``: role -> name and unit that
+    the user states, or None. InputError where nothing fits a role, or where units cannot be told."""
     common = [n for n in recordings[0].values if all(n in r.values for r in recordings)]
     names, why = {}, {}
     for role in ROLES:
@@ -145,6 +159,11 @@ def proposed(
         twice = next(n for n in names.values() if list(names.values()).count(n) > 1)
         options = ", ".join(f"--{role}" for role in ROLES if names[role] == twice)
         raise InputError("new", options, f"{twice} is both", "a signal of its own for each")
+    fine = {role: _fine_parts(names[role], common, recordings) for role in ROLES}
+    for role, parts in fine.items():
+        if parts:
+            why[role].append(f"{' and '.join(parts)} added, the digits beyond its resolution")
+            recordings = [_added(r, names[role], parts) for r in recordings]
     for role in ("input", "output"):
         _require_sign(role, names[role], common, recordings)
     choices = {}
@@ -167,8 +186,32 @@ def proposed(
     why["input"] += said
     factors = {"speed": 1.0, "input": sign / reading.ratio, "output": 1.0}
     return {
-        role: Proposal(role, names[role], reading.units[role], factors[role], why[role]) for role in ROLES
+        role: Proposal(role, names[role], reading.units[role], factors[role], why[role], fine[role])
+        for role in ROLES
     }
+
+
+def _fine_parts(name: str, common: list[str], recordings: list[Recording]) -> tuple[str, ...]:
+    """Signals of the same message and unit that a car adds to a coarse one, as a fraction of its step."""
+    message, _, last = name.rpartition(".")
+    first = tokens(last)[0]
+
+    def spread(signal: str) -> float:
+        return max(float(np.nanmax(r.values[signal]) - np.nanmin(r.values[signal])) for r in recordings)
+
+    def is_part(other: str) -> bool:
+        of, _, low = other.lower().rpartition(".")
+        same = of == message.lower() and tokens(low)[:1] == [first] and FRACTION.search(low) is not None
+        units = {r.units.get(n, "") for r in recordings for n in (name, other)}
+        return same and other != name and len(units) == 1 and 0 < spread(other) < PART * spread(name)
+
+    return tuple(other for other in common if message and is_part(other))
+
+
+def _added(recording: Recording, name: str, parts: tuple[str, ...]) -> Recording:
+    """The recording with the sum of a signal and its parts in place of the signal."""
+    total = sum((recording.values[part] for part in parts), recording.values[name])
+    return replace(recording, values={**recording.values, name: total})
 
 
 def _together(recording: Recording, names: Mapping[str, str]) -> Driven:
@@ -261,6 +304,11 @@ def _require_sign(role: str, name: str, common: list[str], recordings: list[Reco
             )
 
 
+def _varies(value: np.ndarray) -> bool:
+    """Return whether a signal has more than two values; a switch has two."""
+    return bool(((value > np.nanmin(value)) & (value < np.nanmax(value))).any())
+
+
 def _named(
     role: str, common: list[str], recordings: list[Recording], given: str | None
 ) -> tuple[str, list[str]]:
@@ -269,7 +317,7 @@ def _named(
         if given not in common:
             raise InputError("new", option, f"no signal {given} in every log", f"one of {', '.join(common)}")
         return given, ["chosen by you"]
-    moving = [n for n in common if any(np.nanmin(r.values[n]) < np.nanmax(r.values[n]) for r in recordings)]
+    moving = [n for n in common if any(_varies(r.values[n]) for r in recordings)]
     units = {n: u for r in recordings for n, u in r.units.items()}
     found = ranked(role, moving, units)
     if not found:

@@ -6,8 +6,6 @@ a^2 / L`` the steady turn is ``r' = v' (delta' - trim') / (P (1 + q v'^2))``. Th
 the lag of r. Units are needed to get L and K from them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
@@ -46,12 +44,9 @@ class Driven:
 
 @dataclass(frozen=True)
 class SteadyTurn:
-    """Steady turn in the units of the columns.
-
-    ``spread`` (Q,) are the likely q, the likeliest first. ``length`` (Q,) is P for each of them, with the
-    sign of the steering. ``lag_s`` is the lag of the yaw rate behind the steering. ``explained`` is the
-    explained share of the yaw rate's variance.
-    """
+    """Steady turn in the units of the columns. ``spread`` (Q,) are the likely q, the likeliest first.
+    ``length`` (Q,) is P for each of them, with the sign of the steering. ``lag_s`` is the lag of the yaw rate
+    behind the steering. ``explained`` is the explained share of the yaw rate's variance."""
 
     length: np.ndarray
     spread: np.ndarray

@@ -1,7 +1,5 @@
 """Templates of nominal models: each a piece of a project file with its physics in three lines."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from ..vehicle.physics import KindName

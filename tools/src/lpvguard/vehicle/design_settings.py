@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import Field, SerializerFunctionWrapHandler, model_serializer
 
 from ..base.documents import Fraction, Positive, StrictModel
 
@@ -13,10 +13,12 @@ class DesignSettings(StrictModel):
     """Settings of step 8: objectives of Fig. 1 and the scheduled controller.
 
     Weights are gain * prod(s/zero + 1) / prod(s/pole + 1) with zeros and poles in rad/s. The gains are A_t
-    and A_u; the default break frequencies are the paper's.
+    and A_u; the default break frequencies are the paper's. A_u is that of the first input; that of a further
+    one is in proportion to the rate limits.
 
     Attributes
     ----------
+    controlled : str or None, output that follows the command, by default the first
     structure : str, uncertainty structure of the synthesis
     A_t, A_u : float, gains of W_t and W_u
     W_t_zeros, W_t_poles, W_u_zeros, W_u_poles : list of float, rad/s
@@ -35,6 +37,7 @@ class DesignSettings(StrictModel):
     input_rate_max_per_s : list of float, limit of the demand's rate [input unit/s]
     """
 
+    controlled: str | None = None
     structure: Literal["K_inf", "K_i", "K_is", "K_o"] = "K_i"
     A_t: Positive
     A_u: Positive
@@ -55,6 +58,11 @@ class DesignSettings(StrictModel):
     input_max: list[Positive]
     lateral_acceleration_max_mps2: Positive | None = None
     input_rate_max_per_s: list[Positive]
+
+    @model_serializer(mode="wrap")
+    def _brief(self, plain: SerializerFunctionWrapHandler) -> dict[str, object]:
+        """Leave out an unstated ``controlled``, which older settings lack."""
+        return {k: v for k, v in plain(self).items() if k != "controlled" or v is not None}
 
     @property
     def for_synthesis(self) -> DesignSettings:

@@ -8,8 +8,6 @@ between samples. Outside the speed range the model runs at the nearest speed of 
 does not judge (THEORY 3.1).
 """
 
-from __future__ import annotations
-
 import ast
 import ctypes
 import operator
@@ -253,9 +251,7 @@ def recursion(Ad: np.ndarray, forced: np.ndarray, x_first: np.ndarray) -> np.nda
     states = np.empty((samples, n))
     if lib := native.kernels("recursion"):
         lib.lpvg_recursion(
-            ctypes.c_ssize_t(samples),
-            ctypes.c_ssize_t(n),
-            *map(native.pointer, (Ad, forced, x, states)),
+            ctypes.c_ssize_t(samples), ctypes.c_ssize_t(n), *map(native.pointer, (Ad, forced, x, states))
         )
         return states
     for k in range(samples):
@@ -290,10 +286,8 @@ def entries_at(
 
 
 def state_space(model: ModelSettings, v: np.ndarray | float, where: str) -> tuple[np.ndarray, np.ndarray]:
-    """A (m, n, n) and B (m, n, n_u) of a project file's model at any speeds v (m,) [m/s].
-
-    ``where`` is the model's name in errors.
-    """
+    """A (m, n, n) and B (m, n, n_u) of a project file's model at any speeds v (m,) [m/s]. ``where`` is the
+    model's name in errors."""
     v = np.atleast_1d(np.asarray(v, float))
 
     def filled(entries: list[list[np.ndarray | float]]) -> np.ndarray:
@@ -345,15 +339,13 @@ class NominalModel:
         return state_space(self._settings, v, self._where)
 
     def hold_bounds(self, low: float, high: float) -> tuple[np.ndarray, np.ndarray]:
-        """Entrywise bounds of |d/dv| and |d2/dv2| of [Ad, Bd, Gd] (n, n + n_u + n) over low..high [m/s].
-
-        Ad, Bd, Gd are the zero-order hold of A, B and of an input on every state. The bounds are rigorous up
-        to rounding. The exponential's power series has positive coefficients. Bounds of A, B and their Taylor
-        coefficients in v therefore bound those of the hold.
-
-        Raises InputError when an entry has a fractional exponent, or a kink of abs, min or max between low
-        and high. It also raises it for a denominator or root whose bounds contain 0.
-        """
+        """Entrywise bounds of |d/dv| and |d2/dv2| of [Ad, Bd, Gd] (n, n + n_u + n) over low..high [m/s]. Ad,
+        Bd, Gd are the zero-order hold of A, B and of an input on every state. Where the input delay has a
+        fraction of a sample, Bd are two columns an input: the sample before, and this one. The bounds are
+        rigorous up to rounding. The exponential's power series has positive coefficients. Bounds of A, B and
+        their Taylor coefficients in v therefore bound those of the hold. Raises InputError when an entry has
+        a fractional exponent, or a kink of abs, min or max between low and high. It also raises it for a
+        denominator or root whose bounds contain 0."""
         n, width = self.n, 2 * self.n + self.n_u
         bounds = np.zeros((COEFFICIENTS, width, width))
         try:
@@ -376,8 +368,34 @@ class NominalModel:
                 for i in range(COEFFICIENTS)
             ]
         )
-        first, second = (expm(series * self.Ts)[:n, k * width : (k + 1) * width] for k in (1, 2))
-        return first, 2 * second
+
+        def held(duration: float) -> list[np.ndarray]:
+            """Bounds (n, width) of the coefficients of the hold."""
+            e = expm(series * duration)
+            return [e[:n, k * width : (k + 1) * width] for k in range(COEFFICIENTS)]
+
+        whole = held(self.Ts)
+        if self.delay_fraction:
+            late, early = (held(part * self.Ts) for part in (self.delay_fraction, 1 - self.delay_fraction))
+            u = slice(n, n + self.n_u)
+            whole = [
+                np.hstack(
+                    [
+                        whole[k][:, :n],
+                        sum(early[i][:, :n] @ late[k - i][:, u] for i in range(k + 1)),
+                        early[k][:, u],
+                        whole[k][:, n + self.n_u :],
+                    ]
+                )
+                for k in range(COEFFICIENTS)
+            ]
+        return whole[1], 2 * whole[2]
+
+    @property
+    def held_states(self) -> int:
+        """States of the sampled vehicle: n, and the inputs of the sample before if the delay has a fraction
+        of a sample."""
+        return self.n + (self.n_u if self.delay_fraction else 0)
 
     @cached_property
     def least_state_of_output(self) -> np.ndarray:
@@ -453,9 +471,7 @@ class NominalModel:
 
     def acting_inputs(self, u: np.ndarray, before: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
         """Inputs u_{k-d-1} and u_{k-d} (N, n_u) that act during step k, without offset, from u (N, n_u).
-
-        ``before`` (delay + 1, n_u) holds the inputs before u[0]; by default they equal u[0].
-        """
+        ``before`` (delay + 1, n_u) holds the inputs before u[0]; by default they equal u[0]."""
         u = np.asarray(u, float)
         du = u - self.input_offset
         earlier = np.repeat(u[:1], self.delay + 1, axis=0) if before is None else before
@@ -463,19 +479,14 @@ class NominalModel:
         return past[: len(du)], past[1 : len(du) + 1]
 
     def simulate(self, v: np.ndarray, u: np.ndarray, y_first: np.ndarray) -> np.ndarray:
-        """Nominal output yhat (N, n_y) for v (N,) [m/s], u (N, n_u), from the measured y_first (n_y,).
-
-        Before the first sample the input is constant. The initial state is the least one with that output.
-        The model runs on the speed table, as in the core.
-        """
+        """Nominal output yhat (N, n_y) for v (N,) [m/s], u (N, n_u), from the measured y_first (n_y,). Before
+        the first sample the input is constant. The initial state is the least one with that output. The model
+        runs on the speed table, as in the core."""
         return RunningModel(self, y_first).run(v, u)
 
     def states(self, v: np.ndarray, older: np.ndarray, newer: np.ndarray, first: np.ndarray) -> np.ndarray:
-        """States (N + 1, n) along speeds v (N,) from ``first`` (n,), by the speed table.
-
-        The inputs are the `acting_inputs`, (N, n_u) each. The compiled kernel and the numpy version give the
-        same bits.
-        """
+        """States (N + 1, n) along speeds v (N,) from ``first`` (n,), by the speed table. The inputs are the
+        `acting_inputs`, (N, n_u) each. The compiled kernel and the numpy version give the same bits."""
         table = self.table
         if lib := native.kernels("recursion"):
             states = np.empty((len(v) + 1, self.n))

@@ -1,7 +1,5 @@
 """Physical ranges of kinds of vehicles on tyres, against which units and results are judged."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 

@@ -1,8 +1,5 @@
-"""Project files: one vehicle is one TOML file, validated on load.
-
-Its signal table alone states names, units, signs, ranges and CAN places of signals. Signals have the order
-scheduling, inputs, outputs, gates.
-"""
+"""Project files: one vehicle is one TOML file, validated on load. Its signal table alone states names, units,
+signs, ranges and CAN places of signals. Signals have the order scheduling, inputs, outputs, gates."""
 
 from __future__ import annotations
 
@@ -59,6 +56,9 @@ Checksum = Literal[
     "tesla",
     "chrysler",
     "volkswagen_xor",
+    "nissan",
+    "ford_speed",
+    "ford_yaw_rate",
     "hyundai_sum",
     "hyundai_sum_before",
     "hyundai_nibbles",
@@ -99,10 +99,13 @@ class OwnBus(StrictModel):
     ----------
     dbc : str, CAN database beside the project file, which describes the messages
     messages : dict[str, OwnMessage], supervision of each message
+    demand : dict[str, CanPlace], place of each input's demand in a message that a controller sends
+        All inputs or none.
     """
 
     dbc: str
     messages: dict[str, OwnMessage] = Field(default={})
+    demand: dict[str, CanPlace] = Field(default={})
 
 
 class Signal(StrictModel):
@@ -553,7 +556,7 @@ class Project(StrictModel):
         if unknown := advised - {s.name for s in self.outputs}:
             raise ValueError(f"advice: no output is named {', '.join(sorted(unknown))}")
         if self.design is not None:
-            self._require_vehicle_of_fig1(self.design)
+            self._require_designable(self.design)
         if unknown := set(self.fit.parameters or {}) - set(self.model.parameters):
             raise ValueError(f"fit.parameters: {', '.join(sorted(unknown))} not among model.parameters")
         if self.fit.trim == "drive" and self.model.input_offset is None:
@@ -570,29 +573,33 @@ class Project(StrictModel):
         return self
 
     def _require_own_bus(self, bus: OwnBus) -> None:
-        """Require that every message of ``[can]`` carries a signal of the table."""
+        """Require that every message of ``[can]`` carries a signal of the table or a demand."""
+        if bus.demand and sorted(bus.demand) != sorted(s.name for s in self.inputs):
+            names = ", ".join(s.name for s in self.inputs)
+            raise ValueError(f"can.demand: {', '.join(bus.demand)}, expected every input: {names}")
         used = {s.can.message for s in self.signals if s.can is not None}
+        used |= {place.message for place in bus.demand.values()}
         if unknown := sorted(set(bus.messages) - used):
             raise ValueError(f"can.messages: {', '.join(unknown)} named by no signal's can.message")
 
-    def _require_vehicle_of_fig1(self, design: DesignSettings) -> None:
-        """Require the sizes of Fig. 1 for a design; identification and monitor take any."""
-        first_two = [[float(i == j) for j in range(len(self.model.A))] for i in range(2)]
+    def _require_designable(self, design: DesignSettings) -> None:
+        """Require what a design needs; identification and monitor take any vehicle."""
         if self.gates:
             names = ", ".join(s.name for s in self.gates)
             raise ValueError(f"design: the ECU does not read gates, so {names} would have no effect")
-        if self.n_u != 1 or self.n_y != 2 or first_two != self.model.C:
+        outputs = {s.name: s.unit for s in self.outputs}
+        if design.controlled is not None and design.controlled not in outputs:
             raise ValueError(
-                "design: Fig. 1 has one input and two outputs, the first two states (model.C = [I 0]); got "
-                f"{self.n_u} input(s), {self.n_y} output(s), C = {self.model.C}"
+                f"design.controlled: no output is named {design.controlled}, but {', '.join(outputs)}"
             )
         for key in ("input_max", "input_rate_max_per_s"):
             if len(getattr(design, key)) != self.n_u:
                 raise ValueError(f"design.{key}: must have {self.n_u} entries")
-        if design.lateral_acceleration_max_mps2 is not None and self.outputs[0].unit != "rad/s":
+        turning = self.outputs[self.controlled]
+        if design.lateral_acceleration_max_mps2 is not None and turning.unit != "rad/s":
             raise ValueError(
-                "design.lateral_acceleration_max_mps2: the first output must be a yaw rate in rad/s, "
-                f"got {self.outputs[0].name} in {self.outputs[0].unit}"
+                "design.lateral_acceleration_max_mps2: the controlled output must be a yaw rate in rad/s, "
+                f"got {turning.name} in {turning.unit}"
             )
 
     def of_role(self, role: str) -> list[Signal]:
@@ -633,6 +640,13 @@ class Project(StrictModel):
     def n_y(self) -> int:
         """Number of outputs."""
         return len(self.outputs)
+
+    @property
+    def controlled(self) -> int:
+        """Index of the output that follows the command: the design's, by default the first."""
+        names = [s.name for s in self.outputs]
+        stated = None if self.design is None else self.design.controlled
+        return 0 if stated is None else names.index(stated)
 
     @property
     def n_delta(self) -> int:

@@ -12,8 +12,6 @@ is the brake pressure difference [bar], right minus left. The outputs are ``[r, 
 0.950430911794
 """
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.linalg import expm
 

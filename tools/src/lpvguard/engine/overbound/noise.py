@@ -1,7 +1,5 @@
 """Step 7 of the paper: the disturbance without the share of the sensors' noise (T9)."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import ArrayLike
 

@@ -1,9 +1,7 @@
 """The paper case: every weight of Fig. 1 in one TOML file, and Table II computed from it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
-from dataclasses import MISSING, dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +10,7 @@ from lpvguard.base.documents import read_toml
 from lpvguard.base.progress import Counted
 from lpvguard.engine.synthesis.errors import SynthesisError
 from lpvguard.engine.synthesis.interconnection import (
+    PAPER_WEIGHTS,
     STRUCTURES,
     GeneralisedPlant,
     PlantWeights,
@@ -45,10 +44,6 @@ class TableRow(Cell):
         """The cell's row with the reference's and the paper's numbers behind it."""
         names = ("reference", "reference_order", "paper", "paper_order")
         return super().to_dict() | {name: getattr(self, name) for name in names}
-
-
-PAPER_WEIGHTS = tuple(f.name for f in fields(PlantWeights) if f.default is MISSING)
-"""The ten weights of the paper; those of K_o, which a case file does not have, may be missing."""
 
 
 def read_case(path) -> dict:
@@ -87,7 +82,7 @@ def case_weights(case: dict, objective: dict) -> PlantWeights:
     PlantWeights
     """
     gains = {"A_t": objective["A_t"], "A_u": objective["A_u"]}
-    return PlantWeights(**{name: weight_from_table(case[name], **gains) for name in PAPER_WEIGHTS})
+    return PlantWeights.of_paper({name: weight_from_table(case[name], **gains) for name in PAPER_WEIGHTS})
 
 
 def case_plant(
@@ -166,23 +161,6 @@ def paper_case(
     return rows
 
 
-def format_table(rows: list[TableRow]) -> str:
-    """The rows as fixed-width text: ours, the reference's and the paper's side by side."""
-    lines = [
-        (
-            f"{'':6}{'A_t':>6}{'A_u':>8}{'certified':>11}{'lower':>9}{'order':>7}{'time':>8}"
-            f"{'reference':>11}{'order':>7}{'paper':>8}{'order':>7}"
-        )
-    ]
-    for r in rows:
-        lines.append(
-            f"{r.structure:6}{r.A_t:>6g}{r.A_u:>8.0e}{r.upper:>11.5f}{r.lower:>9.5f}{r.order:>7d}"
-            f"{r.seconds:>7.2f}s{_or_dash(r.reference):>11}{_or_dash(r.reference_order):>7}"
-            f"{_or_dash(r.paper):>8}{_or_dash(r.paper_order):>7}"
-        )
-    return "\n".join(lines)
-
-
 def differences(case: dict, rows: list[TableRow]) -> list[str]:
     """Explain each row's difference from the paper by the limits of the case's weights.
 
@@ -239,10 +217,8 @@ def _difference(case: dict, row: TableRow, rows: list[TableRow]) -> str:
 
 
 def _moves(row: TableRow, paper: float, rows: list[TableRow]) -> str:
-    """How the structure's levels move with the objective; empty where tracking may limit the paper's.
-
-    A level that tracking limits moves with A_t alone. ``paper``: the row's level in the paper.
-    """
+    """How the structure's levels move with the objective; empty where tracking may limit the paper's. A level
+    that tracking limits moves with A_t alone. ``paper``: the row's level in the paper."""
     for other in rows:
         if other.structure != row.structure or other is row or other.paper is None:
             continue
@@ -277,7 +253,3 @@ def _uncertainty_scale(case: dict, row: TableRow, paper: float) -> float | None:
         middle = 0.5 * (low + high)
         low, high = (low, middle) if exceeds(middle) else (middle, high)
     return float(np.exp(low))
-
-
-def _or_dash(value) -> str:
-    return "-" if value is None else f"{value:g}"

@@ -1,7 +1,5 @@
 """Errors of the synthesis: the failing assumption, its place and the remedy."""
 
-from __future__ import annotations
-
 from lpvguard.base.errors import InputError
 
 

@@ -51,11 +51,9 @@ class IntervalBound:
     Attributes
     ----------
     upper : float
-    largest : float
-        Largest bound that was computed at one frequency, at ``omega`` [rad/s].
+    largest : float, largest bound that was computed at one frequency, at ``omega`` [rad/s]
     omega : float
-    cells : tuple of FrequencyCell
-        They cover the interval, each at the level ``upper``.
+    cells : tuple of FrequencyCell, they cover the interval, each at the level ``upper``
     """
 
     upper: float
@@ -66,11 +64,9 @@ class IntervalBound:
 
 @dataclass(frozen=True)
 class PointBound:
-    """A bound at one frequency and its scalings.
-
-    ``Φ = fixed + β² scaled − Mᴴ left M − j (skew M − Mᴴ skew)`` is positive definite for every β above
-    ``value``. The shapes are left (Σcols, Σcols), fixed and scaled (Σrows, Σrows), skew (Σrows, Σcols).
-    """
+    """A bound at one frequency and its scalings. ``Φ = fixed + β² scaled − Mᴴ left M − j (skew M − Mᴴ skew)``
+    is positive definite for every β above ``value``. The shapes are left (Σcols, Σcols), fixed and scaled
+    (Σrows, Σrows), skew (Σrows, Σcols)."""
 
     value: float
     left: np.ndarray
@@ -90,36 +86,15 @@ def cover(
     held: Callable[[np.ndarray, PointBound], float],
     least: float = 0.0,
 ) -> IntervalBound:
-    """Cover the interval from ``low`` to ``high`` [rad/s] by cells.
+    """Cover the interval from ``low`` to ``high`` [rad/s] by cells; ``high`` may be infinite, in discrete
+    time pi / dt.
 
-    Length: half of it is this docstring.
+    ``name`` says in errors who asks. ``loop`` is stable, with Σcols outputs and Σrows inputs. ``at`` takes M
+    (Σcols, Σrows) and the largest bound so far to the bound at that frequency. ``held`` takes M and a bound
+    elsewhere to what its scalings prove at M; inf: nothing. ``upper`` exceeds ``largest`` by the share
+    ``rtol``. It is ``least`` where that level can be proved. SynthesisError: the loop is not stable, or of
+    another shape than the blocks, or its cells do not cover the interval.
 
-    Parameters
-    ----------
-    name : str
-        Who asks, in errors.
-    loop : StateSpace
-        Stable, with Σcols outputs and Σrows inputs.
-    structure : Structure
-    low, high : float
-        The last may be infinite, or in discrete time pi / dt.
-    rtol : float
-        ``upper`` exceeds ``largest`` by this share.
-    at : callable
-        M (Σcols, Σrows) and the largest bound so far to the bound at that frequency.
-    held : callable
-        M and a bound elsewhere to what its scalings prove at M; inf: nothing.
-    least : float
-        Level from which the search begins: ``upper`` is that level where it can be proved.
-
-    Raises
-    ------
-    SynthesisError
-        For a loop that is not stable, of another shape than the blocks, or whose cells do not cover the
-        interval.
-
-    Notes
-    -----
     The search begins where the scalings of one frequency prove the least of all poles' frequencies, near the
     peak. Where a neighbour's scalings prove clearly less than the largest bound, none are searched for.
     """
@@ -160,9 +135,7 @@ def continuous_interval(
     name: str, loop: StateSpace, structure: Structure, low: float, high: float
 ) -> tuple[StateSpace, float, float, Callable[[float], float]]:
     """Return the balanced loop in continuous time with its interval, and the map of its frequencies back.
-
-    Parameters, errors and units are those of ``cover``.
-    """
+    Parameters, errors and units are those of ``cover``."""
     _require_loop(name, loop, structure)
     last = np.pi / loop.dt if loop.dt else np.inf
     if not 0 <= low < high <= last * (1 + 4 * EPS):
@@ -186,9 +159,7 @@ def _positive_on(G: StateSpace, point: PointBound, level: float, omega: float) -
 
 def response_rounding(G: StateSpace, omega: float) -> np.ndarray:
     """Return how much rounding of the entries of A, B, C, D moves each entry of G at ``omega``, shape (p, m).
-
-    An error of first order, entry by entry: it does not depend on the units of the states.
-    """
+    An error of first order, entry by entry: it does not depend on the units of the states."""
     moved = np.abs(G.D)
     if G.order and np.isfinite(omega):
         point = np.exp(1j * omega * G.dt) if G.dt else 1j * omega
@@ -244,19 +215,8 @@ def middle(a: float, b: float, size: float) -> float:
 
 
 def is_positive(M: np.ndarray, moved: np.ndarray, point: PointBound, level: float) -> bool:
-    """Tell whether Φ ≻ 0 at M and at every matrix within rounding of it.
-
-    Parameters
-    ----------
-    M : ndarray, shape (Σcols, Σrows)
-        Response at one frequency.
-    moved : ndarray, shape (Σcols, Σrows)
-        Rounding of each entry of M.
-    point : PointBound
-        The scalings.
-    level : float
-        β.
-    """
+    """Tell whether Φ ≻ 0 at level β at M (Σcols, Σrows), the response at one frequency, and at every matrix
+    within its rounding ``moved``."""
     try:
         factor = np.linalg.inv(np.linalg.cholesky(point.fixed + level**2 * point.scaled))
     except np.linalg.LinAlgError:
@@ -282,10 +242,8 @@ def cell(
     b: float,
     positive: Callable[[float], bool],
 ) -> tuple[float, float]:
-    """Return the part of [a, b] about ``centre`` on which Φ is positive definite.
-
-    Between two neighbours of ``_singular`` Φ keeps its signs, so one test by ``positive`` decides each gap.
-    """
+    """Return the part of [a, b] about ``centre`` on which Φ is positive definite. Between two neighbours of
+    ``_singular`` Φ keeps its signs, so one test by ``positive`` decides each gap."""
     singular = _singular(G, point, level)
 
     def reach(edges: np.ndarray, end: float) -> float:

@@ -20,8 +20,6 @@ Any Z₁, Z₂ give a bound. Good ones are Gramians of the worst trajectories of
 the direction in which their solutions couple most.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -56,10 +54,8 @@ class DualCertificate:
 
 def dual_bound(P: Plant, certificate: DualCertificate) -> float:
     """Return the level that no controller of ``P`` goes below, by the certificate; 0 where it proves none.
-
     The multipliers may violate their conditions by what a relative change ``DATA_RTOL`` of the plant's
-    entries explains.
-    """
+    entries explains."""
     constant, traces, halves = 0.0, 0.0, []
     for Q, Z in ((P, certificate.first), (P.dual, certificate.second)):
         half, part, trace = _one_side(Q, Z)
@@ -93,16 +89,8 @@ def _one_side(P: Plant, Z: np.ndarray) -> tuple[np.ndarray | None, float, float]
 
 
 def dual_certificate(P: Plant, control: Side, filter_: Side, level: float) -> DualCertificate | None:
-    """Return the certificate of the worst trajectories at ``level``; None where there are none.
-
-    Parameters
-    ----------
-    P : Plant
-    control, filter_ : Side
-        Riccati equations of the plant and of its dual.
-    level : float
-        A little below the optimum.
-    """
+    """Return the certificate of the worst trajectories at ``level``, a little below the optimum; None where
+    there are none. ``control`` and ``filter_`` are the Riccati equations of the plant and of its dual."""
     sides = [side for side in (_trajectories(control, level), _trajectories(filter_, level)) if side]
     if len(sides) < 2:
         return None
@@ -171,18 +159,10 @@ def _root(X: np.ndarray) -> np.ndarray:
 def proved_level(
     P: Plant, control: Side, filter_: Side, gamma: float, basis: np.ndarray, given: Plant
 ) -> float:
-    """Return the largest level near ``gamma`` that a dual certificate proves for a plant as given, or 0.
+    """Return the largest level near ``gamma`` that a dual certificate proves for a plant as ``given``, or 0.
 
-    Parameters
-    ----------
-    P : Plant
-        The plant of the Riccati equations ``control`` and ``filter_``.
-    gamma : float
-        Level that the equations claim to be the optimum.
-    basis : ndarray, shape (n, n)
-        States of ``given`` are ``basis`` times those of ``P``.
-    given : Plant
-        Its numbers decide.
+    ``gamma`` is the optimum that the Riccati equations of P claim. States of ``given`` are ``basis`` (n, n)
+    times those of P.
     """
     best, n = 0.0, len(basis)
     for share in BELOW:
@@ -198,12 +178,10 @@ def proved_level(
 
 
 def frequency_level(plant: StateSpace, n_control: int, n_measurement: int) -> float:
-    """Return a level that no controller goes below at single frequencies, rounding deducted.
-
-    At each frequency, the left kernel of M12 and the right kernel of M21 leave a part of M11. No matrix Q
-    makes σ̄(M11 + M12 Q M21) less than this part (Parrott 1978). The largest of a grid about the poles is
-    improved.
-    """
+    """Return a level that no controller goes below at single frequencies, rounding deducted. At each
+    frequency, the left kernel of M12 and the right kernel of M21 leave a part of M11. No matrix Q makes
+    σ̄(M11 + M12 Q M21) less than this part (Parrott 1978). The largest of a grid about the poles is
+    improved."""
     poles = plant.poles()
     rates = np.abs(np.log(poles[poles != 0]) / plant.dt) if plant.dt else np.abs(poles)
     rates = rates[np.isfinite(rates) & (rates > 0)]

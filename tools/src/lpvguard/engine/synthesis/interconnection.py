@@ -1,23 +1,25 @@
-"""Fig. 1: generalised plant of the yaw-rate tracking problem, with any of the three uncertainty structures.
+"""Fig. 1: generalised plant of the tracking problem, with any of the four uncertainty structures.
 
-The nominal vehicle takes u (brake pressure difference, bar) to r (yaw rate, rad/s) and δ (road-wheel angle,
-rad):
+The nominal vehicle takes n_u inputs u to n_y outputs y. One output, the controlled one, follows a command. In
+the paper's vehicle u is a brake pressure difference [bar], y the yaw rate r [rad/s], which is controlled, and
+the road-wheel angle δ [rad]:
 
-    ũ = u + W_Δi ξ_i            x' = A x + B ũ + W_Δs ξ_s         [r; δ] = C x
-    r_m = r + W_wr w_r          δ_m = δ + W_wδ w_δ                (disturbances)
-    e_t = W_R W_C r_c − r_m     z = [W_t e_t; W_u u]              (performance)
-    y = [W_C r_c, r_m + W_nr n_r, δ_m + W_nδ n_δ]                 (controller input)
+    ũ = u + W_Δi ξ_i            x' = A x + B ũ + W_Δs ξ_s         y = C x
+    y_m,j = y_j + W_w,j w_j                                        (disturbances)
+    e_t = W_R W_C r_c − y_m,c   z = [W_t e_t; W_u u]              (performance, c: the controlled output)
+    m = [W_C r_c, y_m,j + W_n,j n_j]                              (controller input)
 
-Inputs are [Δ outputs, w_r, w_δ, n_r, n_δ, r_c, u], outputs [Δ inputs, z_t, z_u, y_c, y_r, y_δ], with
-η_i = u and η_s = x where present. W_u weights u, not ũ. Every external signal is normalised.
+Inputs are [Δ outputs, w, n, r_c, u], outputs [Δ inputs, z_t, z_u, m], with η_i = u and η_s = x where present.
+W_u weights u, not ũ, input by input. Every external signal is normalised. Δ_i and Δ_s are full blocks.
 
 K_o has one Δ an output in place of Δ_i, as class S1_diagonal of the identification (THEORY 4.1):
 
-    r_m = r + W_Δr ξ_r + W_wr w_r,  η_r = r            δ_m = δ + W_Δδ ξ_δ + W_wδ w_δ,  η_δ = δ
+    y_m,j = y_j + W_Δo,j ξ_j + W_w,j w_j,  η_j = y_j
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -30,43 +32,73 @@ STRUCTURES = ("K_inf", "K_i", "K_is")
 """The paper's uncertainty structures: none, input-multiplicative, input-multiplicative and state."""
 OUTPUTWISE = "K_o"
 """One Δ an output, output-multiplicative."""
+PAPER_WEIGHTS = (
+    *("W_R", "W_C", "W_t", "W_u", "W_nr", "W_ndelta", "W_wr", "W_wdelta"),
+    *("W_delta_i", "W_delta_s"),
+)
+"""The ten weights of the paper: yaw rate r and road-wheel angle delta have noise and disturbance each."""
 Terms = dict[str | tuple[str, int], int]
 """A sum: sign of each external input, by name, and of each part's output, as (part, output)."""
 
 
 @dataclass(frozen=True)
 class PlantWeights:
-    """The ten weights of Fig. 1 as single-input single-output continuous systems, s in rad/s.
+    """The weights of Fig. 1 as single-input single-output continuous systems, s in rad/s.
 
     Attributes
     ----------
-    W_R, W_C, W_t, W_u, W_nr, W_ndelta, W_wr, W_wdelta, W_delta_i, W_delta_s : StateSpace
-    W_delta_r, W_delta_delta : StateSpace or None, for K_o only
+    W_R, W_C, W_t : StateSpace
+    W_u : tuple (n_u,) of StateSpace
+    W_n, W_w : tuple (n_y,) of StateSpace
+    W_delta_i, W_delta_s : StateSpace
+    W_delta_o : tuple (n_y,) of StateSpace, for K_o only; may be empty
+    outputs : tuple (n_y,) of str, names of the outputs in the plant's signals
+    controlled : int, index of the controlled output
     """
 
     W_R: StateSpace
     W_C: StateSpace
     W_t: StateSpace
-    W_u: StateSpace
-    W_nr: StateSpace
-    W_ndelta: StateSpace
-    W_wr: StateSpace
-    W_wdelta: StateSpace
+    W_u: tuple[StateSpace, ...]
+    W_n: tuple[StateSpace, ...]
+    W_w: tuple[StateSpace, ...]
     W_delta_i: StateSpace
     W_delta_s: StateSpace
-    W_delta_r: StateSpace | None = None
-    W_delta_delta: StateSpace | None = None
+    W_delta_o: tuple[StateSpace, ...] = ()
+    outputs: tuple[str, ...] = ("r", "delta")
+    controlled: int = 0
 
     def __post_init__(self):
-        for f in fields(self):
-            W = getattr(self, f.name)
-            if W is not None and (W.D.shape != (1, 1) or W.dt != 0):
-                raise SynthesisError(
-                    "interconnection",
-                    f.name,
-                    f"{W.D.shape} system with dt {W.dt:g}",
-                    "a continuous system with one input and one output",
-                )
+        for name, weights in self.systems().items():
+            for W in weights:
+                if W.D.shape != (1, 1) or W.dt != 0:
+                    raise SynthesisError(
+                        "interconnection",
+                        name,
+                        f"{W.D.shape} system with dt {W.dt:g}",
+                        "a continuous system with one input and one output",
+                    )
+
+    def systems(self) -> dict[str, tuple[StateSpace, ...]]:
+        """The weights by name, each as a tuple of its channels."""
+        found = {f.name: getattr(self, f.name) for f in fields(self) if f.name.startswith("W_")}
+        return {name: W if isinstance(W, tuple) else (W,) for name, W in found.items()}
+
+    @classmethod
+    def of_paper(cls, weights: Mapping[str, StateSpace]) -> PlantWeights:
+        """Weights of the paper's vehicle, from their names of PAPER_WEIGHTS."""
+        R, C, t, u, n_r, n_delta, w_r, w_delta, delta_i, delta_s = (weights[name] for name in PAPER_WEIGHTS)
+        return cls(R, C, t, (u,), (n_r, n_delta), (w_r, w_delta), delta_i, delta_s)
+
+    @property
+    def n_u(self) -> int:
+        """Number of inputs."""
+        return len(self.W_u)
+
+    @property
+    def n_y(self) -> int:
+        """Number of outputs."""
+        return len(self.outputs)
 
 
 @dataclass(frozen=True)
@@ -186,9 +218,16 @@ def weight_from_table(entry: dict, **gains: float) -> StateSpace:
 
 
 def generalised_plant(
-    A, B, weights: PlantWeights, structure: str, dt: float = 0.0, delay: int = 0, probes: bool = False
+    A,
+    B,
+    weights: PlantWeights,
+    structure: str,
+    dt: float = 0.0,
+    delay: float = 0,
+    probes: bool = False,
+    C=None,
 ) -> GeneralisedPlant:
-    """Build Fig. 1 around the vehicle x' = A x + B u, whose first two states are [r; δ].
+    """Build Fig. 1 around the vehicle x' = A x + B u, y = C x.
 
     The plant's first n states are the vehicle's. In discrete time u and ξ_s are held (ξ_s enters through
     ∫exp(As)ds), and the weights are mapped by Tustin; signals then are sequences.
@@ -196,14 +235,16 @@ def generalised_plant(
     Parameters
     ----------
     A : array_like (n, n), continuous
-    B : array_like (n, 1), continuous
+    B : array_like (n, n_u), continuous
     weights : PlantWeights
     structure : str, K_inf, K_i, K_is or K_o
     dt : float, s, > 0: discrete time, default 0.0
-    delay : int, samples from u to the vehicle, for computation and bus, default 0
-        Δ_i and W_u read u at once.
+    delay : float, samples from u to the vehicle, for computation and bus, default 0
+        Δ_i and W_u read u at once. A fraction of a sample lies between Δ_i and the vehicle.
     probes : bool, add outputs after z, default False
-        They are the vehicle's state (n), input (1) and with state uncertainty input on every state (n).
+        They are the vehicle's state (n), its input (n_u) and with state uncertainty input on every state (n).
+        Where the delay has a fraction, n_u inputs of the sample before belong to the state.
+    C : array_like (n_y, n), by default the first n_y states
 
     Returns
     -------
@@ -218,109 +259,190 @@ def generalised_plant(
     ----------
     Paper, Fig. 1.
     """
+    _require_posed(weights, structure, dt, delay)
+    outputwise, n_u, n_y = structure == OUTPUTWISE, weights.n_u, weights.n_y
+    A, B, n = np.asarray(A, dtype=float), np.asarray(B, dtype=float), len(A)
+    C = np.eye(n_y, n) if C is None else np.asarray(C, dtype=float)
+    whole = int(delay)
+    parts, held = _parts(A, B, C, weights, structure, dt, whole, delay - whole)
+    n_state = n * (structure == "K_is")
+    u = numbered("u", n_u)
+    xi_i = numbered("xi_i", n_u) if "W_delta_i" in parts else []
+    net = _Network(
+        parts,
+        [
+            *xi_i,
+            *(f"xi_s{k}" for k in range(n_state)),
+            *(f"xi_{name}" for name in weights.outputs if outputwise),
+            *(f"{kind}_{name}" for kind in "wn" for name in weights.outputs),
+            *("r_c", *u),
+        ],
+    )
+    u_tilde: list[Terms] = [{("delay", i) if whole else u[i]: 1} for i in range(n_u)]
+    for i in range(len(xi_i)):
+        u_tilde[i][("W_delta_i", i)] = 1
+    measured: list[Terms] = [{("vehicle", j): 1, ("W_w", j): 1} for j in range(n_y)]
+    if outputwise:
+        for j in range(n_y):
+            measured[j][("W_delta_o", j)] = 1
+    _join(net, weights, u, u_tilde, measured, n_state)
+    rows: dict[str, Terms] = {f"eta{name[2:]}": {u[i]: 1} for i, name in enumerate(xi_i)}
+    rows |= {f"eta_s{k}": {("vehicle", n_y + k): 1} for k in range(n_state)}
+    if outputwise:
+        rows = {f"eta_{name}": {("vehicle", j): 1} for j, name in enumerate(weights.outputs)}
+    rows["z_t"] = {("W_t", 0): 1}
+    rows |= {name: {("W_u", i): 1} for i, name in enumerate(numbered("z_u", n_u))}
+    if probes:
+        rows |= {f"x_{k}": {("vehicle", n_y + k): 1} for k in range(held)}
+        rows |= dict(zip(numbered("u_tilde", n_u), u_tilde, strict=True))
+        rows |= {f"x_in{k}": {("W_delta_s", k): 1} for k in range(n_state)}
+    rows["y_c"] = {("W_C", 0): 1}
+    rows |= {f"y_{name}": {**measured[j], ("W_n", j): 1} for j, name in enumerate(weights.outputs)}
+    blocks = (
+        *[Block("full", n_u, n_u)] * bool(xi_i),
+        *[Block("full", 1, 1)] * (n_y * outputwise),
+        *[Block("full", n, n)] * bool(n_state),
+    )
+    return GeneralisedPlant(
+        net.close(rows), blocks, sum(b.rows for b in blocks), sum(b.cols for b in blocks), n_u, 1 + n_y
+    )
+
+
+def _require_posed(weights: PlantWeights, structure: str, dt: float, delay: float) -> None:
+    """SynthesisError for an unknown structure, a delay that does not fit or missing weights of K_o."""
     if delay < 0 or (delay and not dt):
-        raise SynthesisError(
-            "interconnection", "delay", f"{delay} samples at dt {dt:g}", "a whole number ≥ 0, and dt > 0"
-        )
+        raise SynthesisError("interconnection", "delay", f"{delay} samples at dt {dt:g}", "≥ 0, and dt > 0")
     if structure not in (*STRUCTURES, OUTPUTWISE):
         raise SynthesisError(
             "interconnection", "structure", repr(structure), f"one of {', '.join((*STRUCTURES, OUTPUTWISE))}"
         )
-    outputwise = structure == OUTPUTWISE
-    if outputwise and (weights.W_delta_r is None or weights.W_delta_delta is None):
-        raise SynthesisError("interconnection", "weights", "no W_delta_r, W_delta_delta", "both, for K_o")
-    A, B, n = np.asarray(A, dtype=float), np.asarray(B, dtype=float), len(A)
-    with_input, n_state = structure in ("K_i", "K_is"), n * (structure == "K_is")
-    net = _Network(
-        _parts(A, B, weights, structure, dt, delay),
-        [
-            *(["xi_i"] * with_input),
-            *(f"xi_s{k}" for k in range(n_state)),
-            *(["xi_r", "xi_delta"] * outputwise),
-            *("w_r", "w_delta", "n_r", "n_delta", "r_c", "u"),
-        ],
-    )
-    u_tilde: Terms = {("delay", 0) if delay else "u": 1}
-    if with_input:
-        u_tilde[("W_delta_i", 0)] = 1
-    r_m: Terms = {("vehicle", 0): 1, ("W_wr", 0): 1}
-    delta_m: Terms = {("vehicle", 1): 1, ("W_wdelta", 0): 1}
-    if outputwise:
-        r_m[("W_delta_r", 0)] = delta_m[("W_delta_delta", 0)] = 1
-    _join(net, u_tilde, r_m, n_state)
-    rows: dict[str, Terms] = {"eta_i": {"u": 1}} if with_input else {}
-    rows |= {f"eta_s{k}": {("vehicle", 2 + k): 1} for k in range(n_state)}
-    if outputwise:
-        rows = {"eta_r": {("vehicle", 0): 1}, "eta_delta": {("vehicle", 1): 1}}
-    rows |= {"z_t": {("W_t", 0): 1}, "z_u": {("W_u", 0): 1}}
-    if probes:
-        rows |= {f"x_{k}": {("vehicle", 2 + k): 1} for k in range(n)}
-        rows["u_tilde"] = u_tilde
-        rows |= {f"x_in{k}": {("W_delta_s", k): 1} for k in range(n_state)}
-    rows |= {
-        "y_c": {("W_C", 0): 1},
-        "y_r": {**r_m, ("W_nr", 0): 1},
-        "y_delta": {**delta_m, ("W_ndelta", 0): 1},
-    }
-    scalars = int(with_input) + 2 * outputwise
-    blocks = (*[Block("full", 1, 1)] * scalars, *[Block("full", n, n)] * bool(n_state))
-    return GeneralisedPlant(
-        net.close(rows), blocks, sum(b.rows for b in blocks), sum(b.cols for b in blocks), 1, 3
-    )
+    if structure == OUTPUTWISE and len(weights.W_delta_o) != weights.n_y:
+        raise SynthesisError(
+            "interconnection", "W_delta_o", f"{len(weights.W_delta_o)} weights", f"{weights.n_y} for K_o"
+        )
+
+
+def numbered(name: str, count: int) -> list[str]:
+    """Names of ``count`` signals: ``name`` of one, ``name``1, ``name``2, .. of several."""
+    return [name] if count == 1 else [f"{name}{i + 1}" for i in range(count)]
 
 
 def _parts(
-    A: np.ndarray, B: np.ndarray, weights: PlantWeights, structure: str, dt: float, delay: int
-) -> dict[str, StateSpace]:
-    """The systems of Fig. 1 by name, sampled where ``dt`` > 0.
+    A: np.ndarray,
+    B: np.ndarray,
+    C: np.ndarray,
+    weights: PlantWeights,
+    structure: str,
+    dt: float,
+    delay: int,
+    fraction: float,
+) -> tuple[dict[str, StateSpace], int]:
+    """The systems of Fig. 1 by name, sampled where ``dt`` > 0, and the number of the vehicle's states.
 
-    The vehicle goes from [ũ; an input on every state] to [r; δ; x]. W_delta_s acts on every state. The
-    weights of Δ that the structure does not have are left out, as the delay is where it is 0.
+    The vehicle goes from [ũ; an input on every state] to [y; x]. W_delta_s acts on every state. The weights
+    of Δ that the structure does not have are left out, as the delay is where it is 0.
     """
-    n = len(A)
+    n, n_u = B.shape
     channels = {
-        "W_delta_i": int(structure in ("K_i", "K_is")),
+        "W_delta_i": n_u * (structure in ("K_i", "K_is")),
         "W_delta_s": n if structure == "K_is" else 0,
-        "W_delta_r": int(structure == OUTPUTWISE),
-        "W_delta_delta": int(structure == OUTPUTWISE),
+        "W_delta_o": int(structure == OUTPUTWISE),
     }
     vehicle = StateSpace(
-        A, np.hstack([B, np.eye(n)]), np.vstack([np.eye(2, n), np.eye(n)]), np.zeros((2 + n, 1 + n))
+        A, np.hstack([B, np.eye(n)]), np.vstack([C, np.eye(n)]), np.zeros((len(C) + n, n_u + n))
     )
-    W = {f.name: getattr(weights, f.name) for f in fields(weights) if channels.get(f.name, True)}
+    W = {name: found for name, found in weights.systems().items() if channels.get(name, True)}
     if dt:
-        vehicle = zero_order_hold(vehicle, dt)
-        W = {name: to_discrete(w, dt) for name, w in W.items()}
-    parts = {"vehicle": vehicle, **W}
-    parts |= {name: append(*[parts[name]] * count) for name, count in channels.items() if count}
+        vehicle = held_with_delay(vehicle, n_u, dt, fraction)
+        W = {name: tuple(to_discrete(w, dt) for w in found) for name, found in W.items()}
+    parts = {"vehicle": vehicle}
+    parts |= {name: append(*found * channels.get(name, 1)) for name, found in W.items()}
     if delay:
-        parts["delay"] = StateSpace(
-            np.eye(delay, k=1), np.eye(delay)[:, -1:], np.eye(delay)[:1], np.zeros((1, 1)), dt
-        )
-    return parts
+        parts["delay"] = append(*[delay_line(delay, dt)] * n_u)
+    return parts, vehicle.order
 
 
-def _join(net: _Network, u_tilde: Terms, r_m: Terms, n_state: int) -> None:
-    """The connections of Fig. 1 between its parts; ``u_tilde`` and ``r_m`` are ũ and r_m as sums."""
-    if "delay" in net.first_in:
-        net.feed("delay", 0, {"u": 1})
-    if "W_delta_i" in net.first_in:
-        net.feed("W_delta_i", 0, {"xi_i": 1})
-    for name, source in (("W_delta_r", "xi_r"), ("W_delta_delta", "xi_delta")):
-        if name in net.first_in:
-            net.feed(name, 0, {source: 1})
+def delay_line(samples: int, dt: float) -> StateSpace:
+    """Delay one signal by whole samples.
+
+    Parameters
+    ----------
+    samples : int
+    dt : float, s
+
+    Returns
+    -------
+    StateSpace
+    """
+    return StateSpace(
+        np.eye(samples, k=1),
+        np.eye(samples)[:, -1:],
+        np.eye(samples)[:1],
+        np.full((1, 1), float(not samples)),
+        dt,
+    )
+
+
+def held_with_delay(G: StateSpace, n_u: int, dt: float, fraction: float) -> StateSpace:
+    """Sample a system with held inputs, the first ``n_u`` of which act a fraction of a sample late.
+
+    Where ``fraction`` is not 0, these inputs of the sample before become states behind those of G, and
+    outputs behind its outputs.
+
+    Parameters
+    ----------
+    G : StateSpace, continuous
+    n_u : int
+    dt : float, s
+    fraction : float, of a sample, below 1
+
+    Returns
+    -------
+    StateSpace
+    """
+    whole = zero_order_hold(G, dt)
+    if not fraction:
+        return whole
+    late, early = (zero_order_hold(G, part * dt) for part in (fraction, 1 - fraction))
+    n, m = G.order, G.n_inputs
+    old = early.A @ late.B[:, :n_u]
+    return StateSpace(
+        np.block([[whole.A, old], [np.zeros((n_u, n + n_u))]]),
+        np.block([[early.B[:, :n_u], whole.B[:, n_u:]], [np.eye(n_u, m)]]),
+        np.block([[G.C, np.zeros((G.n_outputs, n_u))], [np.zeros((n_u, n)), np.eye(n_u)]]),
+        np.zeros((G.n_outputs + n_u, m)),
+        dt,
+    )
+
+
+def _join(
+    net: _Network,
+    weights: PlantWeights,
+    u: list[str],
+    u_tilde: list[Terms],
+    measured: list[Terms],
+    n_state: int,
+) -> None:
+    """The connections of Fig. 1 between its parts; ``u_tilde`` and ``measured`` are ũ and y_m as sums."""
+    n_u = len(u)
+    for i in range(n_u):
+        if "delay" in net.first_in:
+            net.feed("delay", i, {u[i]: 1})
+        if "W_delta_i" in net.first_in:
+            net.feed("W_delta_i", i, {numbered("xi_i", n_u)[i]: 1})
+        net.feed("vehicle", i, u_tilde[i])
+        net.feed("W_u", i, {u[i]: 1})
+    for j, name in enumerate(weights.outputs):
+        if "W_delta_o" in net.first_in:
+            net.feed("W_delta_o", j, {f"xi_{name}": 1})
+        net.feed("W_w", j, {f"w_{name}": 1})
+        net.feed("W_n", j, {f"n_{name}": 1})
     for k in range(n_state):
         net.feed("W_delta_s", k, {f"xi_s{k}": 1})
-        net.feed("vehicle", 1 + k, {("W_delta_s", k): 1})
-    net.feed("vehicle", 0, u_tilde)
-    net.feed("W_wr", 0, {"w_r": 1})
-    net.feed("W_wdelta", 0, {"w_delta": 1})
-    net.feed("W_nr", 0, {"n_r": 1})
-    net.feed("W_ndelta", 0, {"n_delta": 1})
+        net.feed("vehicle", n_u + k, {("W_delta_s", k): 1})
     net.feed("W_C", 0, {"r_c": 1})
     net.feed("W_R", 0, {("W_C", 0): 1})
-    net.feed("W_t", 0, {("W_R", 0): 1, **dict.fromkeys(r_m, -1)})
-    net.feed("W_u", 0, {"u": 1})
+    net.feed("W_t", 0, {("W_R", 0): 1, **dict.fromkeys(measured[weights.controlled], -1)})
 
 
 class _Network:

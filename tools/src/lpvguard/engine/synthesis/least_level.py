@@ -18,8 +18,6 @@ from the previous P. P also has a cost, ``COST``. Where a proof fails, its speed
 the claim for all speeds.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -30,13 +28,7 @@ from scipy.optimize import minimize_scalar
 from lpvguard.base.sampling import evenly
 from lpvguard.engine.synthesis.dk import Scaling
 from lpvguard.engine.synthesis.knot_search import KnotGrid, Point, found_at
-from lpvguard.engine.synthesis.lpv_certificate import (
-    Family,
-    LpvCertificate,
-    Storage,
-    frozen_at,
-    prove,
-)
+from lpvguard.engine.synthesis.lpv_certificate import Family, LpvCertificate, Storage, frozen_at, prove
 from lpvguard.engine.synthesis.norms import hinf_norm
 from lpvguard.engine.synthesis.statespace import StateSpace
 from lpvguard.engine.synthesis.storage_grid import StorageGrid, refined, terms, unmoved

@@ -7,8 +7,6 @@ therefore a linear loop that varies, and its adjoint costs one run. Repeating w 
 climbs. The result was simulated, so it is reached.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -12,8 +12,6 @@ brackets the infimum. Over a box both terms are bounded from below. For this, ea
 the left of M and its large end on the right.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -11,8 +11,6 @@ Lower bound: a Δ with I − M Δ singular, checked.
 Every upper bound comes with its proof: scalings, and where they hold. ``Prover.verified`` tests them anew.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -39,7 +37,7 @@ REAL_RTOL, ONE_REAL_RTOL = 2e-3, 1e-6
 """Gap between the bounds that is aimed at with real blocks, and with one real scalar alone."""
 RESOLVED = 1e-2
 """Gap between the bounds up to which μ counts as known."""
-INFLATIONS = (0.0, 1e-14, 1e-12, 1e-10, 1e-8, 1e-6)
+INFLATIONS = (0.0, 1e-14, 1e-12, 1e-10, 1e-8, 1e-6, 1e-5, 1e-4, 1e-3, 5e-3)
 """Shares by which the bound of one frequency is raised until its scalings prove it within rounding."""
 COMPLEX_STARTS, INTERVAL_STARTS = 40, 8
 """Starts of the search for a lower bound, of a matrix and of a loop's peak."""
@@ -181,10 +179,8 @@ def _aim(structure: Structure, rtol: float) -> float:
 
 
 def _scaled_bound(prover: Prover, M: np.ndarray, rtol: float) -> tuple[float, Part, np.ndarray, np.ndarray]:
-    """Return the D, G bound of M, its proof, and factors of D_left and D_right.
-
-    The bound is raised until its scalings prove it within rounding; scalings that do not are replaced by 1.
-    """
+    """Return the D, G bound of M, its proof, and factors of D_left and D_right. The bound is raised until its
+    scalings prove it within rounding; scalings that do not are replaced by 1."""
     structure = prover.structure
     value, _, left, right, skew = upper_bound(M, structure, rtol)
     n_real = sum(b.kind == "repeated_real" for b in structure.blocks)
@@ -259,11 +255,9 @@ def mu_lower(
     starts: int = 8,
 ) -> tuple[float, np.ndarray | None]:
     """Lower bound of μ of M (Σcols, Σrows) and the Δ (Σrows, Σcols) that attains it, None for the bound 0.
-
     ``left`` (Σcols, Σcols) and ``right`` (Σrows, Σrows) make leftᴴ M right⁻ᴴ a well-scaled image of M, which
     speeds the search up. They are factors as ``upper_bound`` gives them. The search ends early at a value of
-    ``enough``. A Δ that does not attain its value within rounding counts as none.
-    """
+    ``enough``. A Δ that does not attain its value within rounding counts as none."""
     M, structure = np.asarray(M, dtype=complex), Structure(tuple(blocks))
     value, delta = lower_bound(M, structure, left, right, enough, starts)
     held = _attains(M, structure, delta, value, np.zeros(M.shape))

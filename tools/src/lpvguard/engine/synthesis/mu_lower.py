@@ -1,11 +1,6 @@
-"""The lower bound of μ: a Δ with I − M Δ singular, searched from many starts at once, and checked.
-
-Where the upper bound is attained at a simple singular value, its vectors give Δ. Else the mixed power
-iteration (Young & Doyle 1990) finds candidates. A local ascent improves the best of them where blocks are
-complex or mixed.
-"""
-
-from __future__ import annotations
+"""The lower bound of μ: a Δ with I − M Δ singular, searched from many starts at once, and checked. Where the
+upper bound is attained at a simple singular value, its vectors give Δ. Else the mixed power iteration (Young
+& Doyle 1990) finds candidates. A local ascent improves the best of them where blocks are complex or mixed."""
 
 from collections.abc import Callable, Iterator, Sequence
 
@@ -74,14 +69,8 @@ def lower_bound(
 def attained(M: np.ndarray, structure: Structure, delta: np.ndarray, moved: np.ndarray) -> float:
     """Return the lower bound of μ that a Δ proves, 1 / max_i σ̄(Δ_i); 0 where it proves none.
 
-    Parameters
-    ----------
-    M : ndarray, shape (Σcols, Σrows)
-    structure : Structure
-    delta : ndarray, shape (Σrows, Σcols)
-        It proves a bound if it has the blocks' structure and makes I − M Δ singular.
-    moved : ndarray, shape (Σcols, Σrows)
-        Rounding of each entry of M.
+    It proves a bound if ``delta`` (Σrows, Σcols) has the blocks' structure and makes I − M Δ singular. M is
+    (Σcols, Σrows), ``moved`` the rounding of its entries.
     """
     rest = np.array(delta, complex)
     for block, r, c in _places(structure):
@@ -146,8 +135,7 @@ def _distinct(found: list[_Found]) -> list[_Found]:
 
 def _vertices(structure: Structure, parts: Parts) -> list[Parts]:
     """``parts`` with the real blocks at every combination of ±1 (up to 64 of them): where a pure real optimum
-    often lies.
-    """
+    often lies."""
     real = [k for k, b in enumerate(structure.blocks) if b.kind == "repeated_real"]
     if not real:
         return []
@@ -181,11 +169,9 @@ def _align(M: np.ndarray, structure: Structure, parts: Parts, steps: int = 200) 
 
 class _MixedAscent:
     """Local search over a mixed Δ: the real blocks q/β are closed first, the complex ones are aligned to what
-    is left.
-
-    At a level β that is reached, any q for which the rest N(β, q) has ρ(N Q) > β raises the level. A pattern
-    search on q in [−1, 1] looks for such a q. A secant search on β finds the level at which ρ(N Q) = β again.
-    """
+    is left. At a level β that is reached, any q for which the rest N(β, q) has ρ(N Q) > β raises the level. A
+    pattern search on q in [−1, 1] looks for such a q. A secant search on β finds the level at which ρ(N Q) =
+    β again."""
 
     def __init__(self, M: np.ndarray, structure: Structure, parts: Parts):
         blocks = structure.blocks
@@ -207,8 +193,7 @@ class _MixedAscent:
 
     def spectral(self, q: np.ndarray, beta: float, parts: Parts) -> tuple[complex, Parts]:
         """ρ(N(β, q) Q) with Q aligned from ``parts``: the eigenvalue and the aligned parts; 0 where N does
-        not exist.
-        """
+        not exist."""
         diagonal = np.repeat(q, self.sizes) / beta
         try:
             inner = np.linalg.solve(np.eye(len(diagonal)) - self.Mrr * diagonal, self.Mrc)
@@ -371,8 +356,7 @@ def _size(structure: Structure, delta: np.ndarray) -> float:
 
 def _free_parameters(structure: Structure, parts: Parts) -> Iterator[Callable[[float], np.ndarray]]:
     """One-parameter families through a mixed Δ that keep its size: turn the complex blocks, or move one real
-    block.
-    """
+    block."""
     if any(b.kind != "repeated_real" for b in structure.blocks):
         yield lambda s: _assemble(structure, parts, np.exp(1j * s))
     for k, block in enumerate(structure.blocks):

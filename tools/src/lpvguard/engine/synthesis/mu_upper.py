@@ -7,17 +7,21 @@ value of a scaled M, and where that is simple Newton's method finds it sooner.
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 import scipy.linalg as sl
 
+from lpvguard.engine.blocks import Block
 from lpvguard.engine.synthesis.structure import Structure
 
 NEWTON_STEPS, SHORTEST_STEP = 25, 1e-6
 """Of the search where the largest singular value is simple, before the method of centres takes over."""
 POINT_RTOL = 1e-4
 """Of the bound at one of many frequencies."""
+ROUNDED, ABSENT = 1e-12, 1e-40
+"""Shares of ‖M‖ that rounding may leave of a coupling, and that stand for one that is exactly zero."""
 WEAK = 1e-5
 """Couplings of M below this share of its norm make no scalings more extreme."""
 LEAST_SIZE = 1e-3
@@ -90,10 +94,8 @@ def upper_bound(
 
 
 def scaled_size(M: np.ndarray, structure: Structure) -> float:
-    """Return the bound of M (Σcols, Σrows) with its real blocks taken as complex: no units enter it.
-
-    It is at least ``LEAST_SIZE`` of ‖M‖ in balanced units.
-    """
+    """Return the bound of M (Σcols, Σrows) with its real blocks taken as complex: no units enter it. It is at
+    least ``LEAST_SIZE`` of ‖M‖ in balanced units."""
     left, right = _both_sides(_balance(M, structure), structure)
     balanced = float(np.linalg.norm(left @ M @ np.linalg.inv(right), 2))
     kinds = {"repeated_real": "repeated_complex"}
@@ -157,11 +159,9 @@ def simple_infimum(
 def _newton_model(
     M: np.ndarray, x: np.ndarray, rows: list[int], cols: list[int], member: np.ndarray
 ) -> tuple[float, np.ndarray, np.ndarray, float]:
-    """σ̄ of the scaled M, its first and second derivatives (k,), (k, k) in x, and the bound from below.
-
-    σ̄ is the largest eigenvalue of [0 N; Nᴴ 0], whose derivative by x_i is [P_i N − N Q_i] above the
-    diagonal; ``member`` (k, Σcols + Σrows) holds the diagonals of P_i and −Q_i.
-    """
+    """σ̄ of the scaled M, its first and second derivatives (k,), (k, k) in x, and the bound from below. σ̄ is
+    the largest eigenvalue of [0 N; Nᴴ 0], whose derivative by x_i is [P_i N − N Q_i] above the diagonal;
+    ``member`` (k, Σcols + Σrows) holds the diagonals of P_i and −Q_i."""
     n = len(M)
     N = np.exp(np.repeat(x, rows))[:, None] * M * np.exp(-np.repeat(x, cols))
     both = np.zeros((len(M) + M.shape[1],) * 2, complex)
@@ -184,11 +184,37 @@ def _newton_model(
 
 
 def balance(M: np.ndarray, structure: Structure) -> tuple[np.ndarray, np.ndarray]:
-    """Return D_left (Σcols, Σcols) and D_right (Σrows, Σrows) that even out the blocks' norms of M.
-
-    Couplings below ``WEAK`` of the norm count as that large, so that rounding makes no extreme scalings.
-    """
+    """Return D_left (Σcols, Σcols) and D_right (Σrows, Σrows) that even out the blocks' norms of M. Couplings
+    below ``WEAK`` of the norm count as that large, so that rounding makes no extreme scalings."""
     return _both_sides(_balance(M, structure, WEAK * float(np.linalg.norm(M))) ** 2, structure)
+
+
+def triangular_scalings(
+    M: np.ndarray, structure: Structure, floors: Sequence[float]
+) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Yield factors of D_left (Σcols, Σcols) and D_right (Σrows, Σrows) that suit a nearly triangular M.
+
+    Repeated blocks are taken to their triangular (Schur) form, whose entries are balanced one by one.
+    ``floors`` are shares of ‖M‖ that smaller entries count as. There is none where M (Σcols, Σrows) has no
+    zero coupling and no block is repeated twice or more.
+    """
+    finer, turns = [], []
+    for block, r, c in zip(structure.blocks, structure.row, structure.col, strict=True):
+        alone = block.kind == "full" or block.rows == 1
+        finer += [block] if alone else [Block("full", 1, 1)] * block.rows
+        turns.append(
+            (np.eye(block.cols), np.eye(block.rows)) if alone else (sl.schur(M[r, c], "complex")[1],) * 2
+        )
+    one_by_one = Structure(tuple(finer))
+    coupled = all(M[r, c].any() for r in structure.row for c in structure.col)
+    if coupled and len(finer) == len(structure.blocks):
+        return
+    left, right = (sl.block_diag(*sides) for sides in zip(*turns, strict=True))
+    turned = left.conj().T @ M @ right
+    for floor in floors:
+        scales = _balance(turned, one_by_one, floor * float(np.linalg.norm(M)), 1 / floor)
+        a, b = _both_sides(scales, one_by_one)
+        yield left @ a, right @ b
 
 
 def _both_sides(scales: np.ndarray, structure: Structure) -> tuple[np.ndarray, np.ndarray]:
@@ -202,10 +228,10 @@ def _spread(scales: np.ndarray, sizes: list[int]) -> np.ndarray:
     return np.diag(np.repeat(scales, sizes)).astype(complex)
 
 
-def _balance(M: np.ndarray, structure: Structure, least: float = 0.0) -> np.ndarray:
+def _balance(M: np.ndarray, structure: Structure, least: float = 0.0, reach: float = 1e12) -> np.ndarray:
     """Start scalings d_i (Osborne 1960) that even out the Frobenius norms of the blocks' rows and columns.
 
-    Norms below ``least`` count as that large.
+    Norms below ``least`` count as that large. Each d_i is at most ``reach``, and at least 1 over it.
     """
     k = len(structure.blocks)
     size = np.array([[np.linalg.norm(M[r, c]) for c in structure.col] for r in structure.row])
@@ -218,7 +244,7 @@ def _balance(M: np.ndarray, structure: Structure, least: float = 0.0) -> np.ndar
             r = np.linalg.norm(size[i, others] / d[others])
             c = np.linalg.norm(size[others, i] * d[others])
             if r > 0 and c > 0:
-                d[i] = np.clip(np.sqrt(c / r), 1e-12, 1e12)
+                d[i] = np.clip(np.sqrt(c / r), 1 / reach, reach)
         if np.allclose(before, d, rtol=1e-2):
             break
     return d
@@ -246,11 +272,9 @@ def _level(
 def _centre(
     x: np.ndarray, F: np.ndarray, structure: Structure, trace: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the centre of {S(x) = Σ x_k F_k ≻ 0, D(x) ≻ 0, tr D_left = const}, and S⁻¹ there.
-
-    Damped Newton steps lead to the least of −log det S − log det D + ½ ``G_WEIGHT`` |G|². Without the last
-    term a G that lifts all of S would grow without limit.
-    """
+    """Return the centre of {S(x) = Σ x_k F_k ≻ 0, D(x) ≻ 0, tr D_left = const}, and S⁻¹ there. Damped Newton
+    steps lead to the least of −log det S − log det D + ½ ``G_WEIGHT`` |G|². Without the last term a G that
+    lifts all of S would grow without limit."""
     n_d = len(structure.left)
 
     def factors(point: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -298,11 +322,9 @@ def _whiten(L: np.ndarray, F: np.ndarray) -> np.ndarray:
 
 
 def _dual_gap(x: np.ndarray, Z: np.ndarray, structure: Structure, trace: np.ndarray) -> float:
-    """How far below the level the infimum can lie: the centre's multipliers Z prove level − gap ≤ β².
-
-    Tight for scalar D_i only; with a repeated block nothing is proved (inf) and the levels' stagnation ends
-    the search.
-    """
+    """How far below the level the infimum can lie: the centre's multipliers Z prove level − gap ≤ β². Tight
+    for scalar D_i only; with a repeated block nothing is proved (inf) and the levels' stagnation ends the
+    search."""
     if any(b.kind != "full" for b in structure.blocks):
         return np.inf
     n_d = len(structure.left)

@@ -7,21 +7,12 @@ frequencies. The factors come from Riccati equations. So the distance of the pla
 against theirs.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import scipy.linalg as sl
 
 from lpvguard.engine.synthesis.errors import SynthesisError
 from lpvguard.engine.synthesis.norms import NormBracket, hinf_norm
-from lpvguard.engine.synthesis.statespace import (
-    StateSpace,
-    balanced,
-    lft,
-    same_time,
-    series,
-    to_continuous,
-)
+from lpvguard.engine.synthesis.statespace import StateSpace, balanced, lft, same_time, series, to_continuous
 
 NORM_RTOL = 1e-6
 DISTANCE_ATOL = 1e-6
@@ -62,9 +53,7 @@ def nu_gap(first: StateSpace, second: StateSpace) -> NormBracket:
     _require_distance(P1, P2, chordal, found.peak_frequency)
     where = found.peak_frequency
     return NormBracket(
-        found.lower,
-        min(found.upper, 1.0),
-        float(2 / dt * np.arctan(where * dt / 2)) if dt else where,
+        found.lower, min(found.upper, 1.0), float(2 / dt * np.arctan(where * dt / 2)) if dt else where
     )
 
 
@@ -93,10 +82,8 @@ def nu_margin(plant: StateSpace, controller: StateSpace) -> float:
 
 
 def _require_distance(P1: StateSpace, P2: StateSpace, chordal: StateSpace, peak: float) -> None:
-    """Raise SynthesisError unless the plants' own distance is that of their factors.
-
-    It is looked at at ``peak`` [rad/s], zero, infinity, and the frequencies of the plants' poles.
-    """
+    """Raise SynthesisError unless the plants' own distance is that of their factors. It is looked at at
+    ``peak`` [rad/s], zero, infinity, and the frequencies of the plants' poles."""
     omega = np.unique(np.concatenate([[0.0, peak, np.inf], np.abs(P1.poles()), np.abs(P2.poles())]))
     omega = omega[[_has_response(P1, w) and _has_response(P2, w) for w in omega]]
     of_factors = np.linalg.norm(chordal.response(omega), 2, axis=(1, 2))
@@ -122,11 +109,8 @@ def _root(G: np.ndarray) -> np.ndarray:
 
 
 def _unstable_zeros(P1: StateSpace, P2: StateSpace) -> int:
-    """Zeros of det(I + P₂(−s)ᵀ P₁(s)) with a positive real part.
-
-    The winding number is right if their number is P₂'s order. A zero on the axis, or at infinity (-1), is a
-    distance of 1, which the norm shows.
-    """
+    """Zeros of det(I + P₂(−s)ᵀ P₁(s)) with a positive real part. The winding number is right if their number
+    is P₂'s order. A zero on the axis, or at infinity (-1), is a distance of 1, which the norm shows."""
     adjoint = StateSpace(-P2.A.T, -P2.C.T, P2.B.T, P2.D.T)
     H = series(adjoint, P1)
     try:
@@ -143,10 +127,7 @@ def _right_factor(P: StateSpace) -> StateSpace:
     F = _gain(P)
     root = np.linalg.inv(np.linalg.cholesky(R)).T
     return StateSpace(
-        P.A + P.B @ F,
-        P.B @ root,
-        np.vstack([P.C + P.D @ F, F]),
-        np.vstack([P.D, np.eye(P.n_inputs)]) @ root,
+        P.A + P.B @ F, P.B @ root, np.vstack([P.C + P.D @ F, F]), np.vstack([P.D, np.eye(P.n_inputs)]) @ root
     )
 
 

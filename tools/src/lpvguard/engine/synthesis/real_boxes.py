@@ -27,7 +27,7 @@ from lpvguard.engine.synthesis.frequency_cells import (
     middle,
     response_rounding,
 )
-from lpvguard.engine.synthesis.mu_upper import balance, upper_bound
+from lpvguard.engine.synthesis.mu_upper import ABSENT, ROUNDED, balance, triangular_scalings, upper_bound
 from lpvguard.engine.synthesis.real_crossings import ROUNDING
 from lpvguard.engine.synthesis.statespace import StateSpace
 from lpvguard.engine.synthesis.structure import Structure
@@ -36,6 +36,8 @@ CHECKS = 60
 """Frequencies over the decades of the poles at which each proof is tested besides."""
 WIDE = 4.0
 """Ratio of a part's frequencies above which they are halved before its box is."""
+MANY = 8.0
+"""Cells that a part would take as wide as the first, above which its halves are asked for theirs."""
 
 
 @dataclass(frozen=True)
@@ -75,8 +77,7 @@ class Shift:
     ----------
     structure : Structure
     box : ParameterBox, of the real blocks' parameters, in their order
-    size : float
-        Size of complex blocks, 1/β.
+    size : float, size of complex blocks, 1/β
     """
 
     def __init__(self, structure: Structure, box: ParameterBox, size: float):
@@ -117,38 +118,38 @@ def proved_at(
     Parameters
     ----------
     M : ndarray, shape (Σcols, Σrows)
-    moved : ndarray, shape (Σcols, Σrows)
-        Rounding of its entries.
+    moved : ndarray, shape (Σcols, Σrows), rounding of its entries
     structure : Structure
-    slack : float
-        Share by which the bound should fall below 1; the search ends there.
-    nearby : PointBound or None
-        Scalings to try first.
+    slack : float, share by which the bound should fall below 1; the search ends there
+    nearby : PointBound or None, scalings to try first
 
     Returns
     -------
-    PointBound or None
-        None where the scalings that were found prove nothing.
+    PointBound or None, None where the scalings that were found prove nothing
     """
     if not np.isfinite(M).all():
         return None
     left, right = balance(M, structure)
-    alone = PointBound(1.0, left, np.zeros_like(right), right, np.zeros((len(right), len(left))))
+    no_skew = np.zeros((len(right), len(left)))
+    alone = PointBound(1.0, left, np.zeros_like(right), right, no_skew)
     for simple in (nearby, alone):
         if simple is not None and is_positive(M, moved, simple, 1.0):
             return simple
     _, _, left, right, skew = upper_bound(M, structure, 0.25 * slack, 1.0)
-    right = right @ right.conj().T
-    point = PointBound(1.0, left @ left.conj().T, np.zeros_like(right), right, skew)
-    return point if is_positive(M, moved, point, 1.0) else None
+    found = [(left, right, skew)]
+    found += [(*sides, no_skew) for sides in triangular_scalings(M, structure, (ROUNDED, ABSENT))]
+    for left, right, skew in found:
+        right = right @ right.conj().T
+        point = PointBound(1.0, left @ left.conj().T, np.zeros_like(right), right, skew)
+        if is_positive(M, moved, point, 1.0):
+            return point
+    return None
 
 
 @dataclass(frozen=True)
 class Part:
-    """A box on frequencies from ``low`` to ``high`` [rad/s], continuous time.
-
-    ``point`` are the scalings that prove it; of a part to be proved, those of a neighbour, if any.
-    """
+    """A box on frequencies from ``low`` to ``high`` [rad/s], continuous time. ``point`` are the scalings that
+    prove it; of a part to be proved, those of a neighbour, if any."""
 
     box: ParameterBox
     low: float
@@ -161,11 +162,9 @@ class Prover:
 
     Parameters
     ----------
-    loop : StateSpace or ndarray
-        A loop in continuous time, or M, shape (Σcols, Σrows), at one frequency.
+    loop : StateSpace or ndarray, a loop in continuous time, or M, shape (Σcols, Σrows), at one frequency
     structure : Structure
-    slack : float
-        As in ``proved_at``.
+    slack : float, as in ``proved_at``
     """
 
     def __init__(self, loop: StateSpace | np.ndarray, structure: Structure, slack: float = 0.0):
@@ -188,12 +187,9 @@ class Prover:
 
         Returns
         -------
-        proved : Part or None
-            None where no scalings were found.
-        rest : list of Part
-            What remains to be proved.
-        omega : float
-            Frequency [rad/s] at which scalings were looked for.
+        proved : Part or None, None where no scalings were found
+        rest : list of Part, what remains to be proved
+        omega : float, frequency [rad/s] at which scalings were looked for
         """
         shift = Shift(self.structure, part.box, 1 / beta)
         centre, M = self._centre(part), None
@@ -210,17 +206,46 @@ class Prover:
             cut = low > part.low or high < part.high
             if (cut and self._is_narrow(part)) or not self._holds(shift, low, high, point):
                 continue
-            rest = [replace(part, high=low, point=point)] if low > part.low else []
-            rest += [replace(part, low=high, point=point)] if high < part.high else []
-            return Part(part.box, low, high, point), rest, centre
+            proved = Part(part.box, low, high, point)
+            boxes = self._wider(part, proved, M, omega, beta) or [proved]
+            rest = [replace(p, low=part.low, high=low) for p in boxes if low > part.low]
+            rest += [replace(p, low=high, high=part.high) for p in boxes if high < part.high]
+            return proved, rest, centre
         return None, self._halves(part, M), centre
 
-    def verified(self, parts: Sequence[Part], beta: float, low: float, high: float) -> bool:
-        """Tell whether ``parts`` prove μ < ``beta`` from ``low`` to ``high`` [rad/s].
+    def _wider(self, part: Part, proved: Part, M: np.ndarray, omega: float, beta: float) -> list[Part]:
+        """Return the halves of ``part``'s box with their scalings at ``omega`` [rad/s], where cells of both
+        together prove ``part`` sooner than cells like ``proved`` do; else nothing.
 
-        Each part's scalings are tested anew on its box and frequencies, and the parts together contain every
-        Δ of size 1/β at every frequency.
+        Where an eigenvalue of M Δ is nearly real all along, scalings that reach so far hold on narrow cells
+        alone. M is that of the whole box.
         """
+        width = self._width(proved)
+        if not 0 < width < self._width(part) / MANY:
+            return []
+        halves, cells = [], 0.0
+        for half in self._halved_box(part, M):
+            shift = Shift(self.structure, half.box, 1 / beta)
+            try:
+                point = proved_at(*shift.matrix(*self.response(omega)), self.structure, self.slack, None)
+            except np.linalg.LinAlgError:  # the centre of the box is singular
+                return []
+            if point is None:
+                return []
+            reached = self._reached(shift, FrequencyCell(part.low, part.high, point), omega)
+            halves.append(replace(half, point=point))
+            cells += 1 / max(self._width(replace(half, low=reached[0], high=reached[1])), width / MANY)
+        return halves if cells * width < 1 else []
+
+    def _width(self, part: Part) -> float:
+        """Return the logarithmic width of ``part``'s frequencies, of those about the poles."""
+        low, high = np.clip((part.low, part.high), 0.1 * self.slowest, 10 * self.fastest)
+        return float(np.log(high / low))
+
+    def verified(self, parts: Sequence[Part], beta: float, low: float, high: float) -> bool:
+        """Tell whether ``parts`` prove μ < ``beta`` from ``low`` to ``high`` [rad/s]. Each part's scalings
+        are tested anew on its box and frequencies, and the parts together contain every Δ of size 1/β at
+        every frequency."""
         for part in parts:
             if part.point is None:
                 return False
@@ -274,10 +299,14 @@ class Prover:
         return middle(part.low, part.high, self.fastest)
 
     def _halves(self, part: Part, M: np.ndarray | None) -> list[Part]:
-        """Halve the frequencies of a wide part, else its box across the parameter that moves M most."""
+        """Halve the frequencies of a wide part, else its box."""
         if part.high > max(WIDE * part.low, self.slowest) and part.low < self.fastest:
             omega = middle(part.low, part.high, self.fastest)
             return [replace(part, high=omega, point=None), replace(part, low=omega, point=None)]
+        return self._halved_box(part, M)
+
+    def _halved_box(self, part: Part, M: np.ndarray | None) -> list[Part]:
+        """Halve the box of ``part`` across the parameter that moves M most."""
         weight = part.box.radius
         if M is not None:
             s = self.structure

@@ -11,8 +11,6 @@ and the δ of least largest entry that satisfies it has a closed form. The itera
 returns is checked: I − M Δ is singular for an M that differs from the given one by rounding.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -37,12 +35,9 @@ class Crossing:
 
     Attributes
     ----------
-    value : float
-        1 / max_i |δ_i|, a lower bound of μ at ``omega``; 0 where nothing was found.
-    omega : float
-        Frequency in rad/s.
-    delta : ndarray or None
-        Δ, shape (Σrows, Σcols).
+    value : float, 1 / max_i |δ_i|, a lower bound of μ at ``omega``; 0 where nothing was found
+    omega : float, frequency in rad/s
+    delta : ndarray or None, Δ, shape (Σrows, Σcols)
     """
 
     value: float
@@ -54,19 +49,10 @@ NOTHING = Crossing(0.0, np.nan, None)
 
 
 def is_singular(M: np.ndarray, delta: np.ndarray, moved: np.ndarray) -> bool:
-    """Tell whether I − M' Δ is singular for some M' within rounding of M.
+    """Tell whether I − M' Δ is singular for some M' within rounding ``moved`` of M (p, m); Δ is (m, p).
 
-    Parameters
-    ----------
-    M : ndarray, shape (p, m)
-    delta : ndarray, shape (m, p)
-    moved : ndarray, shape (p, m)
-        Rounding of each entry of M.
-
-    Notes
-    -----
-    Signals are scaled first, so that the answer does not depend on their units. With the null vectors y, x
-    a rank-one change of M Δ of size σ_min suffices; |yᴴ dM Δ x| reaches |y|ᵀ ``moved`` |Δ| |x|.
+    Signals are scaled first, so that the answer does not depend on their units. With the null vectors y, x a
+    rank-one change of M Δ of size σ_min suffices; |yᴴ dM Δ x| reaches |y|ᵀ ``moved`` |Δ| |x|.
     """
     closed = M @ delta
     scale = sl.matrix_balance(np.abs(closed), permute=False, separate=True)[1][0]
@@ -76,26 +62,12 @@ def is_singular(M: np.ndarray, delta: np.ndarray, moved: np.ndarray) -> bool:
 
 
 def least_parameters(A: np.ndarray, b: np.ndarray, free: np.ndarray | None) -> tuple[np.ndarray, float]:
-    """Solve A δ + free s = b for the δ of least largest entry.
+    """Solve A δ + free s = b for the δ (k,) of least largest entry; NaN where there is no solution, s is 0
+    without ``free``.
 
-    Parameters
-    ----------
-    A : ndarray, shape (2, k)
-        Real and imaginary part of one complex equation; or (1, k), a real equation.
-    b : ndarray, shape (2,) or (1,)
-    free : ndarray, shape (2,), or None
-        Column of a variable s that costs nothing.
-
-    Returns
-    -------
-    delta : ndarray, shape (k,)
-        NaN where there is no solution.
-    s : float
-        0 without ``free``.
-
-    Notes
-    -----
-    The dual is max λᵀb / ‖Aᵀλ‖₁ with λ orthogonal to ``free``; without it λ is orthogonal to a column.
+    A (2, k) is one complex equation by its parts, or (1, k) a real one. ``free`` (2,) is the column of a
+    variable that costs nothing. The dual is max λᵀb / ‖Aᵀλ‖₁ with λ orthogonal to ``free``; without it λ is
+    orthogonal to a column.
     """
     k = A.shape[1]
     if len(A) == 1:
@@ -128,10 +100,8 @@ def least_parameters(A: np.ndarray, b: np.ndarray, free: np.ndarray | None) -> t
 def nearest_parameters(
     A: np.ndarray, b: np.ndarray, free: np.ndarray | None, delta: np.ndarray, omega: float
 ) -> tuple[np.ndarray, float]:
-    """Solve A δ + free s = b for the δ nearest to ``delta`` (k,); s is weighed by 1 / ``omega`` [rad/s].
-
-    A, b, ``free`` and what is returned are as in ``least_parameters``: (2, k) or (1, k), (2,) or (1,), (2,).
-    """
+    """Solve A δ + free s = b for the δ nearest to ``delta`` (k,); s is weighed by 1 / ``omega`` [rad/s]. A,
+    b, ``free`` and what is returned are as in ``least_parameters``: (2, k) or (1, k), (2,) or (1,), (2,)."""
     if free is None:
         return delta + np.linalg.pinv(A) @ (b - A @ delta), 0.0
     whole = np.column_stack([A * np.abs(delta).max(), free * omega])
@@ -140,17 +110,8 @@ def nearest_parameters(
 
 
 class RealSearch:
-    """Search for the smallest real Δ of a loop.
-
-    Parameters
-    ----------
-    response : callable
-        Frequency [rad/s] to M, shape (Σcols, Σrows), and the rounding of its entries.
-    structure : Structure
-        Real blocks alone.
-    low, high : float
-        Interval of frequencies [rad/s]; equal for one frequency.
-    """
+    """Search for the smallest real Δ of a loop with real blocks alone, from ``low`` to ``high`` [rad/s].
+    ``response`` takes a frequency [rad/s] to M (Σcols, Σrows) and the rounding of its entries."""
 
     def __init__(
         self,
@@ -221,17 +182,13 @@ class RealSearch:
         return parts(slope), parts(rhs), along
 
     def starts(self, omega: np.ndarray, count: int, real_part: float = 1.0) -> list[tuple[np.ndarray, float]]:
-        """Return (δ, ω) near which a Δ of equal |δ_i| is singular, the smallest δ first.
+        """Return (δ, ω) near which a Δ of equal |δ_i| is singular, the smallest δ first, over a grid
+        ``omega`` (K,) [rad/s].
 
-        Parameters
-        ----------
-        omega : ndarray, shape (K,)
-            Grid in rad/s. An eigenvalue of M(jω) Q, with Q of entries ±1, marks a start in two cases. It is
-            real, or it changes the side of the real axis before the next frequency.
-        count : int
-            Starts wanted where M is real, and as many elsewhere: an eigenvalue may be nearly real all around.
-        real_part : float
-            Least share of an eigenvalue's size that its real part has where it marks a start by itself.
+        An eigenvalue of M(jω) Q, with Q of entries ±1, marks a start in two cases. Its real part has at least
+        the share ``real_part`` of its size, or it changes the side of the real axis before the next
+        frequency. ``count`` starts are wanted where M is real, and as many elsewhere: an eigenvalue may be
+        nearly real all around.
         """
         M = np.array([self.response(w)[0] for w in omega])
         finite = np.isfinite(M).all((1, 2))

@@ -5,8 +5,6 @@ a level a little above it, proved on boxes of the parameters and cells of freque
 a part resists, a larger lower bound is searched for from there, and the level rises with what is found.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,8 +18,11 @@ from lpvguard.engine.synthesis.real_crossings import NOTHING, Crossing, RealSear
 from lpvguard.engine.synthesis.statespace import StateSpace
 from lpvguard.engine.synthesis.structure import Structure
 
-MOST_PARTS, MOST_MIXED, MORE_PARTS = 800, 150, 40
-"""Parts tried at one level, with real blocks alone and with others beside; and at each level after that."""
+FIRST_PARTS, MOST_PARTS, MOST_MIXED, MORE_PARTS = 200, 1000, 300, 40
+"""Parts tried for the gap that is asked; for ``RELAXED``, with real blocks alone and with others beside; and
+at each level after that."""
+RELAXED = 9e-3
+"""Gap that is aimed at where parts are many: μ counts as known up to 1 % (``mu.RESOLVED``)."""
 RAISE = 0.05
 """Share by which the level is raised then; it doubles from level to level."""
 ZERO = 1e-6
@@ -39,15 +40,12 @@ class RealMu:
 
     Attributes
     ----------
-    upper : float
-        Proved at every frequency by ``proof``.
-    lower : float
-        Attained by ``delta``, shape (Σrows, Σcols), at ``omega`` [rad/s, continuous time].
+    upper : float, proved at every frequency by ``proof``
+    lower : float, attained by ``delta``, shape (Σrows, Σcols), at ``omega`` [rad/s, continuous time]
     omega : float
     delta : ndarray or None
     proof : tuple of Part
-    size : float
-        ``scaled_size`` where ‖M‖ is largest on a grid of frequencies.
+    size : float, ``scaled_size`` where ‖M‖ is largest on a grid of frequencies
     """
 
     upper: float
@@ -73,13 +71,11 @@ def real_mu(
     loop : StateSpace or ndarray
         A stable loop in continuous time, or M, shape (Σcols, Σrows), at one frequency.
     structure : Structure
-    low, high : float
-        Interval in rad/s; equal for one frequency.
+    low, high : float, interval in rad/s; equal for one frequency
     rtol : float
         Share by which the upper bound should exceed the lower at most. Where the parts that are allowed do
         not suffice it exceeds it by more.
-    least : float
-        Level from which the search begins.
+    least : float, level from which the search begins
     """
     prover = Prover(loop, structure, 0.4 * rtol)
     grid = _grid(loop, low, high)
@@ -90,7 +86,7 @@ def real_mu(
     level = max(search.best.value * (1 + rtol), ZERO * size, np.finfo(float).tiny, least)
     edge = np.full(len(search.real), 1 / level)
     todo, proof = [Part(ParameterBox(-edge, edge), low, high)], []
-    tried, resisting, share, most = 0, 0, RAISE, MOST_PARTS if search.pure else MOST_MIXED
+    tried, resisting, share, aim, most = 0, 0, RAISE, rtol, FIRST_PARTS
     while todo:
         part = todo.pop()
         box = part.box.within(1 / level)
@@ -104,10 +100,13 @@ def real_mu(
         else:
             resisting += 1
             if (resisting <= FIRST or resisting % LATER == 0) and search.improve(part, omega):
-                level = max(level, search.best.value * (1 + rtol))
+                level = max(level, search.best.value * (1 + aim))
                 rest = [part]
         todo += rest
-        if tried >= most:
+        if tried >= most and search.best.value and aim < RELAXED:
+            aim, most = RELAXED, tried + (MOST_PARTS if search.pure else MOST_MIXED)
+            level = max(level, search.best.value * (1 + aim))
+        elif tried >= most:
             level, most, share = level * (1 + share), tried + MORE_PARTS, 2 * share
     best = search.best
     return RealMu(float(level), best.value, best.omega, best.delta, tuple(proof), size)

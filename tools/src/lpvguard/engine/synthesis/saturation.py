@@ -1,18 +1,16 @@
 """A loop with limited demand and anti-windup: sector bounds of the dead zone (THEORY 7.12).
 
-The controller wants u = C x and gets v = u − q. Here q is the dead zone of u: zero within u_max, and the
-excess beyond. It runs x⁺ = A x + B m − L q. While |u| ≤ κ u_max the dead zone lies in the sector from 0 to
-``s = 1 − 1/κ``. Then ``q = ½ s (u + p)`` with |p| ≤ |u| sample by sample. The signal p is the output of one
-more block of uncertainty, which is memoryless. Constants commute with it, as D(s) commutes with an LTI Δ.
-With outputs and inputs of the loop scaled in this way, a matrix Q ≻ 0 with
+The controller wants u = C x and gets v = u − q. Here q is the dead zone of u, input by input: zero within
+u_max, and the excess beyond. It runs x⁺ = A x + B m − L q. While |u| ≤ κ u_max the dead zone lies in the
+sector from 0 to ``s = 1 − 1/κ``. Then ``q = ½ s (u + p)`` with |p| ≤ |u| sample by sample. The signal p of
+every input is the output of one more block of uncertainty, which is memoryless. Constants commute with it, as
+D(s) commutes with an LTI Δ. With outputs and inputs of the loop scaled in this way, a matrix Q ≻ 0 with
 
     diag(Q, I) − [A B; C D] diag(Q, I) [A B; C D]ᵀ ≻ 0
 
 proves a gain from w of at most 1, and xᵀQ⁻¹x ≤ ‖w‖² at every time. Then ``|c x| ≤ ‖w‖ √(c Q cᵀ)``. This
 keeps u within κ u_max and its steps within a rate limit for every disturbance of bounded energy.
 """
-
-from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
@@ -60,13 +58,13 @@ def limited_loop(
 ) -> StateSpace:
     """Build the loop from [Δ outputs, p, w] to [Δ inputs, u, z], with Δ's signals scaled by D.
 
-    The states are [.., x, x_K, u of the sample before, ..].
+    The states are [.., x, x_K, u (n_u) of the sample before, ..].
 
     Parameters
     ----------
     plant : GeneralisedPlant
     controller : StateSpace, strictly proper, from the measurements
-    L : ndarray (n, 1), its anti-windup
+    L : ndarray (n, n_u), its anti-windup
     kappa : float, wanted demand over its limit
     scaling : Scaling
 
@@ -77,7 +75,7 @@ def limited_loop(
     Raises
     ------
     SynthesisError
-        Unless one control enters the plant with a delay.
+        Unless the controls enter the plant with a delay.
 
     References
     ----------
@@ -87,23 +85,21 @@ def limited_loop(
     n_w, n_z = P.n_inputs - plant.n_control, P.n_outputs - plant.n_measurement
     B1, B2, C1, C2 = P.B[:, :n_w], P.B[:, n_w:], P.C[:n_z], P.C[n_z:]
     D11, D12, D21 = P.D[:n_z, :n_w], P.D[:n_z, n_w:], P.D[n_z:, :n_w]
-    if plant.n_control != 1 or P.D[n_z:, n_w:].any() or K.D.any():
-        raise SynthesisError(
-            "limited loop", "plant", "more inputs or no delay", "one input, late by a sample"
-        )
-    n, m = P.order, K.order
+    if P.D[n_z:, n_w:].any() or K.D.any():
+        raise SynthesisError("limited loop", "plant", "no delay", "inputs that are late by a sample")
+    n, m, n_u = P.order, K.order, plant.n_control
     # x, x_K and the demand before; the dead zone's output enters as q.
     A = np.block(
         [
-            [P.A, B2 @ K.C, np.zeros((n, 1))],
-            [K.B @ C2, K.A, np.zeros((m, 1))],
-            [np.zeros((1, n)), K.C, np.zeros((1, 1))],
+            [P.A, B2 @ K.C, np.zeros((n, n_u))],
+            [K.B @ C2, K.A, np.zeros((m, n_u))],
+            [np.zeros((n_u, n)), K.C, np.zeros((n_u, n_u))],
         ]
     )
-    by_w = np.vstack([B1, K.B @ D21, np.zeros((1, n_w))])
-    by_q = np.vstack([-B2, -L, np.zeros((1, 1))])
-    to_u = np.hstack([np.zeros((1, n)), K.C, np.zeros((1, 1))])
-    to_z = np.hstack([C1, D12 @ K.C, np.zeros((n_z, 1))])
+    by_w = np.vstack([B1, K.B @ D21, np.zeros((n_u, n_w))])
+    by_q = np.vstack([-B2, -L, np.zeros((n_u, n_u))])
+    to_u = np.hstack([np.zeros((n_u, n)), K.C, np.zeros((n_u, n_u))])
+    to_z = np.hstack([C1, D12 @ K.C, np.zeros((n_z, n_u))])
     A, to_z = A + 0.5 * s * by_q @ to_u, to_z - 0.5 * s * D12 @ to_u
     xi, eta = plant.n_delta_out, plant.n_delta_in
     B = np.hstack([by_w[:, :xi], 0.5 * s * by_q, by_w[:, xi:]])
@@ -112,7 +108,7 @@ def limited_loop(
     D = np.vstack(
         [
             np.hstack([D11[:eta, :xi], from_p[:eta], D11[:eta, xi:]]),
-            np.zeros((1, n_w + 1)),
+            np.zeros((n_u, n_w + n_u)),
             np.hstack([D11[eta:, :xi], from_p[eta:], D11[eta:, xi:]]),
         ]
     )
@@ -120,22 +116,22 @@ def limited_loop(
     left, right = (to_discrete(G, P.dt) for G in scaling.systems(plant))
     performance = plant.performance_block
     return series(
-        append(left.select(slice(0, eta), slice(0, eta)), gain(np.eye(1 + performance.cols), P.dt)),
+        append(left.select(slice(0, eta), slice(0, eta)), gain(np.eye(n_u + performance.cols), P.dt)),
         series(
             loop,
-            append(right.select(slice(0, xi), slice(0, xi)), gain(np.eye(1 + performance.rows), P.dt)),
+            append(right.select(slice(0, xi), slice(0, xi)), gain(np.eye(n_u + performance.rows), P.dt)),
         ),
     )
 
 
 class LimitedLoop:
-    """A loop of `limited_loop` with its blocks: Δ, the limit, then performance.
+    """A loop of `limited_loop` with its blocks: Δ, the limit of every input, then performance.
 
     Parameters
     ----------
     plant : GeneralisedPlant
     controller : StateSpace
-    L : ndarray (n, 1), anti-windup
+    L : ndarray (n, n_u), anti-windup
     kappa : float
     scaling : Scaling
     """
@@ -144,8 +140,9 @@ class LimitedLoop:
         self, plant: GeneralisedPlant, controller: StateSpace, L: np.ndarray, kappa: float, scaling: Scaling
     ):
         self.kappa, self.system = kappa, limited_loop(plant, controller, L, kappa, scaling)
-        self.rows = [*(b.cols for b in plant.blocks), 1]
-        self.cols = [*(b.rows for b in plant.blocks), 1]
+        self.n_u = plant.n_control
+        self.rows = [*(b.cols for b in plant.blocks), *[1] * self.n_u]
+        self.cols = [*(b.rows for b in plant.blocks), *[1] * self.n_u]
         self.ones = np.ones(len(self.rows))
         # The states before x: those of the scalings on the inputs.
         before = sum(b.rows for b in plant.blocks) * (scaling.log_parameters.shape[1] // 2)
@@ -167,11 +164,8 @@ class LimitedLoop:
         return ConstantScalings(self.system, self.rows, self.cols)
 
     def gain(self) -> tuple[float, np.ndarray] | None:
-        """Compute a gain from w to z for every Δ and every demand within κ u_max.
-
-        Returns the gain and the logarithms (blocks,) of its constants, or None if no gain up to LARGEST_GAIN
-        is proved.
-        """
+        """Compute a gain from w to z for every Δ and every demand within κ u_max. Returns the gain and the
+        logarithms (blocks,) of its constants, or None if no gain up to LARGEST_GAIN is proved."""
         if not self.stable:
             return None
         scalings = self.performance()
@@ -191,11 +185,11 @@ class LimitedLoop:
         gamma = float(np.exp(high)) * BACKOFF
         return (gamma, best) if scalings.proved(self.ones, 1 / gamma, best) < 1 else None
 
-    def largest_energy(self, starts: Sequence[np.ndarray], u_max: float, step_max: float) -> Reachable | None:
+    def largest_energy(
+        self, starts: Sequence[np.ndarray], u_max: np.ndarray, step_max: np.ndarray
+    ) -> Reachable | None:
         """The largest energy that constants of OFFSETS beside one of ``starts`` prove; None: none does.
-
-        starts: logarithms (blocks,) each. ``u_max``, ``step_max``: as of ``energy``.
-        """
+        starts: logarithms (blocks,) each. ``u_max``, ``step_max``: as of ``energy``."""
         found = []
         for start, offset in itertools.product(starts, OFFSETS):
             constants = start + offset
@@ -204,10 +198,11 @@ class LimitedLoop:
                 found.append(Reachable(energy, constants))
         return max(found, key=lambda one: one.energy, default=None)
 
-    def energy(self, log_constants: np.ndarray, u_max: float, step_max: float) -> float | None:
+    def energy(self, log_constants: np.ndarray, u_max: np.ndarray, step_max: np.ndarray) -> float | None:
         """Compute the largest ‖w‖ with which the demand stays within its limits.
 
-        ``log_constants`` (blocks,) prove |u| ≤ κ u_max and |u(k) − u(k − 1)| ≤ ``step_max``. Returns None
+        ``log_constants`` (blocks,) prove |u| ≤ κ ``u_max`` (n_u,) and |u(k) − u(k − 1)| ≤ ``step_max``
+        (n_u,). Returns None
         where Q is not found or does not pass its test.
         """
         whole = self.performance().scaled(self.ones, 1.0, log_constants)
@@ -220,12 +215,12 @@ class LimitedLoop:
         Q = _reached(A, B, C, D, slack)
         if Q is None or not _proof(A, B, C, D, Q) > 1:
             return None
-        wanted = self.system.C[sum(self.rows) - 1]
+        wanted = self.system.C[sum(self.rows) - self.n_u : sum(self.rows)]
         step = wanted.copy()
-        step[self.demand_before] -= 1.0
-        rows = np.stack([wanted, step]) * t
-        largest, moved = np.sqrt(np.einsum("ki,ij,kj->k", rows, Q, rows))
-        return float(min(self.kappa * u_max / largest, step_max / moved))
+        step[:, self.demand_before : self.demand_before + self.n_u] -= np.eye(self.n_u)
+        rows = np.vstack([wanted, step]) * t
+        largest, moved = np.sqrt(np.einsum("ki,ij,kj->k", rows, Q, rows)).reshape(2, self.n_u)
+        return float(min((self.kappa * u_max / largest).min(), (step_max / moved).min()))
 
 
 def _reached(

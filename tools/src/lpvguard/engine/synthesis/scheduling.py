@@ -8,8 +8,6 @@ frozen-parameter average of Wood, Goddard & Glover 1996). Separate truncation wo
 each.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial

@@ -11,8 +11,6 @@ commute with operators of any speed. A norm below 1 under constant scalings of t
 proof.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,11 +1,6 @@
 """Cells of Table II: a controller per structure and objective, its certificate, and the floor of any
-controller.
-
-Seconds are measured for the console; files are made from ``Cell.to_dict`` and ``to_csv``, which leave them
-out.
-"""
-
-from __future__ import annotations
+controller. Seconds are measured for the console; files are made from ``Cell.to_dict`` and ``to_csv``, which
+leave them out."""
 
 import csv
 import io

@@ -9,8 +9,6 @@ performance rows divided by γ lower γ, until neither moves. Between frequencie
 cells of frequency_cells, which are tested anew at the bound that is returned.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -104,21 +102,11 @@ def worst_gain(
 
 
 def proves(bound: IntervalBound, G: StateSpace, structure: Structure, low: float, high: float) -> bool:
-    """Tell whether the cells of ``bound`` prove its level, rounding allowed for.
+    """Tell whether the cells of ``bound`` prove its level from ``low`` to ``high`` [rad/s], rounding allowed
+    for.
 
-    Parameters
-    ----------
-    bound : IntervalBound
-    G : StateSpace
-        The loop in continuous time.
-    structure : Structure
-        Blocks of Δ, then the performance block.
-    low, high : float
-        Interval in rad/s.
-
-    Notes
-    -----
-    With the performance columns divided by the level, Δ of size 1 and performance of gain 1 are proved.
+    ``structure`` has the blocks of Δ, then the performance block. With the performance columns divided by the
+    level, Δ of size 1 and performance of gain 1 are proved.
     """
     if not np.isfinite(bound.upper):
         return False

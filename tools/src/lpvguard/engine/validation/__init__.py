@@ -14,5 +14,5 @@
 ``local_search``  local improvement of a point, and first points for repeated blocks
 ``relaxation``    certified lower bounds over cones of sizes and boxes of scalars
 ``branch``        the branch and bound that closes the two sides
-``posed``         a point in well-scaled coordinates, and the way back to signals and Delta
+``scaled_problem`` a point in well-scaled coordinates, and the way back to signals and Delta
 """

@@ -11,8 +11,6 @@ point that a local method improves (``local_search``) bounds it from above. The 
 full blocks and a disturbance ball, and leave an interval otherwise. Both sides are returned.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -23,7 +21,15 @@ from lpvguard.engine.validation import s2
 from lpvguard.engine.validation.branch import GAP, MAX_NODES, SLACK, Incumbent, Interval, minimise, proves
 from lpvguard.engine.validation.problem import Lft
 from lpvguard.engine.validation.quadratic import Form, Quadratic
-from lpvguard.engine.validation.scaled_problem import EDGE, ROUNDING, Posed, Solution, ball, block_form, pose
+from lpvguard.engine.validation.scaled_problem import (
+    EDGE,
+    ROUNDING,
+    ScaledProblem,
+    Solution,
+    ball,
+    block_form,
+    scaled_problem,
+)
 from lpvguard.engine.validation.well_posed import block_caps
 
 ZERO = 1e-12
@@ -32,12 +38,7 @@ attainable."""
 
 
 def optimum(
-    problem: Lft,
-    gamma_w: float,
-    lambda_nu: ArrayLike,
-    lambda_w: ArrayLike | None = None,
-    *,
-    gap: float = GAP,
+    problem: Lft, gamma_w: float, lambda_nu: ArrayLike, lambda_w: ArrayLike | None = None, *, gap: float = GAP
 ) -> Solution:
     """Compute the optimum of (8): min sum lambda_nu,i nu_i^2 + sum lambda_w,j |w_j|^2 with |w| <= gamma_w.
 
@@ -62,36 +63,36 @@ def optimum(
     ----------
     Paper, section II, (8).
     """
-    posed = pose(problem, gamma_w)
+    scaled = scaled_problem(problem, gamma_w)
     lam = np.asarray(lambda_nu, dtype=float)
-    forms = ball(posed, gamma_w)
+    forms = ball(scaled, gamma_w)
     quadratic: list[np.ndarray] = []
     params = 0
-    weights = np.zeros(len(posed.w)) if lambda_w is None else np.asarray(lambda_w, dtype=float)
+    weights = np.zeros(len(scaled.w)) if lambda_w is None else np.asarray(lambda_w, dtype=float)
     if weights.any():
-        quadratic.append(np.sqrt(weights)[:, None] * posed.w)
+        quadratic.append(np.sqrt(weights)[:, None] * scaled.w)
     for i, block in enumerate(problem.blocks):
-        if i in posed.dead:
+        if i in scaled.dead:
             continue
-        if posed.constant_eta(i) and not block.repeated and lam[i] > 0.0:
+        if scaled.constant_eta(i) and not block.repeated and lam[i] > 0.0:
             quadratic.append(
-                posed.xi[i] * (np.sqrt(lam[i]) * np.linalg.norm(posed.t) / np.linalg.norm(posed.eta[i]))
+                scaled.xi[i] * (np.sqrt(lam[i]) * np.linalg.norm(scaled.t) / np.linalg.norm(scaled.eta[i]))
             )
         elif lam[i] > 0.0:
-            forms.append(block_form(posed, i, param=params, slope=1.0 / lam[i]))
+            forms.append(block_form(scaled, i, param=params, slope=1.0 / lam[i]))
             params += 1
         elif block.repeated:
-            forms.append(block_form(posed, i, constant=block_caps(problem)[i] ** 2))
+            forms.append(block_form(scaled, i, constant=block_caps(problem)[i] ** 2))
     if quadratic:
-        forms.append(Form(np.vstack(quadratic), posed.t, param=params, parts=tuple(quadratic)))
+        forms.append(Form(np.vstack(quadratic), scaled.t, param=params, parts=tuple(quadratic)))
         params += 1
-    quadratic_problem = Quadratic(forms, max(params, 1), posed.n)
+    quadratic_problem = Quadratic(forms, max(params, 1), scaled.n)
     interval = (
-        _one_block(quadratic_problem, block_caps(problem), posed) if quadratic and params == 2 else None
+        _one_block(quadratic_problem, block_caps(problem), scaled) if quadratic and params == 2 else None
     )
     if interval is None or not interval.upper - interval.lower <= 2.0 * gap * interval.upper:
         interval = minimise(quadratic_problem, gap=gap)
-    return posed.finish(_proved(quadratic_problem, interval, problem.source), "gamma_w")
+    return scaled.finish(_proved(quadratic_problem, interval, problem.source), "gamma_w")
 
 
 def _proved(problem: Quadratic, interval: Interval, source: str) -> Interval:
@@ -109,7 +110,7 @@ def _proved(problem: Quadratic, interval: Interval, source: str) -> Interval:
     return replace(interval, lower=lower)
 
 
-def _one_block(problem: Quadratic, caps: np.ndarray, posed: Posed) -> Interval | None:
+def _one_block(problem: Quadratic, caps: np.ndarray, scaled: ScaledProblem) -> Interval | None:
     """The compiled S2 kernel for one full block with a varying input beside a plain quadratic cost; None if
     it is not that."""
     if len(problem.forms) != 3 or problem.repeated:
@@ -118,7 +119,7 @@ def _one_block(problem: Quadratic, caps: np.ndarray, posed: Posed) -> Interval |
     start = problem.repair(problem.origin())
     if start is None or problem.zero() is not None or len(start) > s2.MAX_N or len(start) < 2:
         return None
-    which = next(i for i, xi in enumerate(posed.xi) if xi is block.a)
+    which = next(i for i, xi in enumerate(scaled.xi) if xi is block.a)
     trivial = problem.cost(start)
     if trivial == np.inf:
         return None
@@ -150,24 +151,22 @@ def _one_block(problem: Quadratic, caps: np.ndarray, posed: Posed) -> Interval |
 
 def _last_block_is_free(problem: Lft, gamma_w: float, gap: float, max_nodes: int) -> bool:
     """Whether an explanation without the last block was found: its smallest disturbance is at most gamma_w.
-
     Only for structures with repeated blocks. Otherwise the least-squares point of
-    :meth:`quadratic.Quadratic.zero` decides.
-    """
+    :meth:`quadratic.Quadratic.zero` decides."""
     last = len(problem.blocks) - 1
     try:
-        posed = pose(problem, gamma_w, [last])
+        scaled = scaled_problem(problem, gamma_w, [last])
     except InputError:
         return False  # e is not in the image of the other blocks and w
     caps = block_caps(problem)
-    forms = [Form(posed.w, posed.t, param=0)]
+    forms = [Form(scaled.w, scaled.t, param=0)]
     forms += [
-        block_form(posed, i, constant=caps[i] ** 2)
+        block_form(scaled, i, constant=caps[i] ** 2)
         for i in range(last)
-        if problem.blocks[i].repeated and i not in posed.dead
+        if problem.blocks[i].repeated and i not in scaled.dead
     ]
-    limit = gamma_w**2 * (1.0 + (EDGE if posed.ball_is_point else ROUNDING))
-    return minimise(Quadratic(forms, 1, posed.n), gap, max_nodes, enough=limit).upper <= limit
+    limit = gamma_w**2 * (1.0 + (EDGE if scaled.ball_is_point else ROUNDING))
+    return minimise(Quadratic(forms, 1, scaled.n), gap, max_nodes, enough=limit).upper <= limit
 
 
 def smallest_last_block(
@@ -197,18 +196,18 @@ def smallest_last_block(
     InputError
         If `optimum` raises it, or that size is at or above the block's own cap.
     """
-    posed = pose(problem, gamma_w)
+    scaled = scaled_problem(problem, gamma_w)
     last = len(problem.blocks) - 1
-    if last in posed.dead:
+    if last in scaled.dead:
         return 0.0, 0.0
-    forms = ball(posed, gamma_w)
+    forms = ball(scaled, gamma_w)
     caps = block_caps(problem)
-    others = [i for i in range(last) if problem.blocks[i].repeated and i not in posed.dead]
+    others = [i for i in range(last) if problem.blocks[i].repeated and i not in scaled.dead]
     if others and _last_block_is_free(problem, gamma_w, gap, max_nodes):
         return 0.0, 0.0
-    forms += [block_form(posed, i, constant=caps[i] ** 2) for i in others]
-    forms.append(block_form(posed, last, param=0))
-    interval = minimise(Quadratic(forms, 1, posed.n), gap, max_nodes, ZERO, posed.points(known))
+    forms += [block_form(scaled, i, constant=caps[i] ** 2) for i in others]
+    forms.append(block_form(scaled, last, param=0))
+    interval = minimise(Quadratic(forms, 1, scaled.n), gap, max_nodes, ZERO, scaled.points(known))
     lower, upper = float(np.sqrt(interval.lower)), float(np.sqrt(interval.upper))
     cap = caps[last]
     if not upper < cap:
@@ -248,11 +247,11 @@ def smallest_common_size(
     InputError
         If `optimum` raises it.
     """
-    posed = pose(problem, gamma_w)
-    forms = ball(posed, gamma_w)
-    forms += [block_form(posed, i, param=0) for i in range(len(problem.blocks)) if i not in posed.dead]
-    interval = minimise(Quadratic(forms, 1, posed.n), gap, max_nodes, points=posed.points(known))
-    return posed.finish(interval, "gamma_w")
+    scaled = scaled_problem(problem, gamma_w)
+    forms = ball(scaled, gamma_w)
+    forms += [block_form(scaled, i, param=0) for i in range(len(problem.blocks)) if i not in scaled.dead]
+    interval = minimise(Quadratic(forms, 1, scaled.n), gap, max_nodes, points=scaled.points(known))
+    return scaled.finish(interval, "gamma_w")
 
 
 def margin(problem: Lft, w_delta: ArrayLike, w_w: ArrayLike, *, gap: float = GAP) -> Solution:
@@ -275,12 +274,14 @@ def margin(problem: Lft, w_delta: ArrayLike, w_w: ArrayLike, *, gap: float = GAP
         If `optimum` raises it.
     """
     delta, w = np.asarray(w_delta, dtype=float), np.asarray(w_w, dtype=float)
-    posed = Posed(problem, w)
-    forms = [Form(posed.w[j : j + 1], posed.t, param=0, slope=float(b) ** 2) for j, b in enumerate(w)]
+    scaled = ScaledProblem(problem, w)
+    forms = [Form(scaled.w[j : j + 1], scaled.t, param=0, slope=float(b) ** 2) for j, b in enumerate(w)]
     forms += [
-        block_form(posed, i, param=0, slope=float(b) ** 2) for i, b in enumerate(delta) if i not in posed.dead
+        block_form(scaled, i, param=0, slope=float(b) ** 2)
+        for i, b in enumerate(delta)
+        if i not in scaled.dead
     ]
-    quadratic = Quadratic(forms, 1, posed.n)
+    quadratic = Quadratic(forms, 1, scaled.n)
     interval = _proved(quadratic, minimise(quadratic, gap=2.0 * gap), problem.source)
-    solution = posed.finish(interval, "W_delta, W_w")
+    solution = scaled.finish(interval, "W_delta, W_w")
     return replace(solution, lower=float(np.sqrt(solution.lower)), upper=float(np.sqrt(solution.upper)))

@@ -1,7 +1,5 @@
 """One frequency point of the paper's (1), and all signals that satisfy its second equation: (4) to (7)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -14,8 +14,6 @@ With delta0 = Z^H E / Z^H Z (the least-squares scalar) and, by Lagrange's identi
     nu    = (|E|^2 - gamma_w^2) / (|Z|^2 (|delta0| + rho))      = |delta0| - rho without its cancellation
 """
 
-from __future__ import annotations
-
 import ctypes
 from dataclasses import dataclass
 from itertools import combinations
@@ -288,10 +286,8 @@ def least_squares_delta(e, z) -> np.ndarray:
 
 @dataclass(frozen=True)
 class TradeoffResult:
-    """Per point: J of (8) as ``cost``, nu = |delta|, and the delta and w that attain it.
-
-    Shapes as in :class:`S1Result`. ``cost`` and ``nu`` are inf where gamma_w < B1.
-    """
+    """Per point: J of (8) as ``cost``, nu = |delta|, and the delta and w that attain it. Shapes as in
+    :class:`S1Result`. ``cost`` and ``nu`` are inf where gamma_w < B1."""
 
     cost: np.ndarray
     nu: np.ndarray

@@ -1,7 +1,5 @@
 """An LFT point as a quadratic problem in well-scaled coordinates, and the way back to signals and Delta."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -12,12 +10,7 @@ from lpvguard.base.errors import InputError
 from lpvguard.engine.blocks import Block
 from lpvguard.engine.validation.branch import Interval
 from lpvguard.engine.validation.delta import Verification, least_size, split, verify
-from lpvguard.engine.validation.problem import (
-    IMAGE_TOLERANCE,
-    RANK_TOLERANCE,
-    Lft,
-    parametrise,
-)
+from lpvguard.engine.validation.problem import IMAGE_TOLERANCE, RANK_TOLERANCE, Lft, parametrise
 from lpvguard.engine.validation.quadratic import Form, cancels
 from lpvguard.engine.validation.well_posed import block_caps, well_posed
 
@@ -55,20 +48,17 @@ class Solution:
     nodes: int
 
 
-class Posed:
-    """One LFT point in well-scaled coordinates: the maps of the blocks and of w, and the way back.
-
-    ``xi``, ``eta`` (a map a block), ``w`` (n_w, n) and ``t`` (1, n) map a point z (n,) to signals, all over
-    the same factor. ``dead``: blocks whose input is always zero. ``ball_is_point``: gamma_w is B1.
-    """
+class ScaledProblem:
+    """One LFT point in well-scaled coordinates: the maps of the blocks and of w, and the way back. ``xi``,
+    ``eta`` (a map a block), ``w`` (n_w, n) and ``t`` (1, n) map a point z (n,) to signals, all over the same
+    factor. ``dead``: blocks whose input is always zero. ``ball_is_point``: gamma_w is B1."""
 
     def __init__(
         self, problem: Lft, w_scale: np.ndarray, gamma_w: float = np.inf, without: Sequence[int] = ()
     ):
         """``w_scale`` (n_w,): size of each disturbance. ``without``: blocks whose xi_i is held at zero.
-
-        Raises InputError as :func:`problem.parametrise` does, and when a dead block would have to explain e.
-        """
+        Raises InputError as :func:`problem.parametrise` does, and when a dead block would have to explain
+        e."""
         self.problem = problem
         par = parametrise(problem)
         self.b1 = par.b1
@@ -107,11 +97,8 @@ class Posed:
 
     def _without(self, scaled: np.ndarray, held: np.ndarray) -> np.ndarray:
         """Map (n, n') to the points at which the rows ``held`` of ``scaled`` (.., n), those of the dead
-        blocks, are 0.
-
-        Each direction has a separate unit: values that the data hold at zero are rounding in it. Raises
-        InputError when the data need a dead block.
-        """
+        blocks, are 0. Each direction has a separate unit: values that the data hold at zero are rounding in
+        it. Raises InputError when the data need a dead block."""
         unit = np.linalg.norm(scaled[:, :-1], axis=0)
         left, right = scaled[held, :-1] / unit, -scaled[held, -1]
         u, s, vh = np.linalg.svd(left)
@@ -155,10 +142,8 @@ class Posed:
 
     def signals(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """xi (p,), eta (q,) and w (n_w,) at ``z`` (n,); a xi_i that is only rounding is exactly zero.
-
         Rounding in xi_i = 0 has no direction. It would give a full block a size. In a repeated block xi_i has
-        to be a multiple of eta_i, and rounding is none.
-        """
+        to be a multiple of eta_i, and rounding is none."""
         z = z / (self.t @ z)[0]
         xi = np.concatenate([np.zeros(len(m)) if cancels(m, z) else m @ z for m in self.xi])
         return xi, self._eta @ z, self._w @ z
@@ -174,11 +159,9 @@ class Posed:
         return [np.append(theta, 1.0)]
 
     def finish(self, interval: Interval, what: str) -> Solution:
-        """Build and verify the explanation of an interval; ``what`` names the bounds in messages.
-
-        Raises InputError when nothing was found, and for an explanation that needs a perturbation at the
-        well-posedness cap.
-        """
+        """Build and verify the explanation of an interval; ``what`` names the bounds in messages. Raises
+        InputError when nothing was found, and for an explanation that needs a perturbation at the
+        well-posedness cap."""
         problem = self.problem
         if interval.z is None:
             raise InputError(
@@ -204,37 +187,37 @@ class Posed:
         return Solution(interval.lower, interval.upper, nu, xi, eta, w, self.b1, verification, interval.nodes)
 
 
-def pose(problem: Lft, gamma_w: float, without: Sequence[int] = ()) -> Posed:
-    """The point with |w| <= ``gamma_w``, the blocks ``without`` held at xi_i = 0.
-
-    Raises InputError for a gamma_w that is negative, not finite or below B1, and as :class:`Posed` does.
-    """
+def scaled_problem(problem: Lft, gamma_w: float, without: Sequence[int] = ()) -> ScaledProblem:
+    """The point with |w| <= ``gamma_w``, the blocks ``without`` held at xi_i = 0. Raises InputError for a
+    gamma_w that is negative, not finite or below B1, and as :class:`ScaledProblem` does."""
     if not np.isfinite(gamma_w) or gamma_w < 0.0:
         raise InputError(problem.source, "gamma_w", f"{gamma_w}", "a finite number that is not negative")
-    posed = Posed(
+    scaled = ScaledProblem(
         problem, np.full(problem.p22.shape[1], gamma_w or np.linalg.norm(problem.e) or 1.0), gamma_w, without
     )
-    if gamma_w < posed.least_ball:
+    if gamma_w < scaled.least_ball:
         raise InputError(
             problem.source,
             "gamma_w",
-            f"{gamma_w:.6g} is below the smallest disturbance B1 = {posed.b1:.6g}",
+            f"{gamma_w:.6g} is below the smallest disturbance B1 = {scaled.b1:.6g}",
             "gamma_w >= B1",
         )
-    return posed
+    return scaled
 
 
-def ball(posed: Posed, gamma_w: float) -> list[Form]:
+def ball(scaled: ScaledProblem, gamma_w: float) -> list[Form]:
     """|w| <= ``gamma_w`` as a form, in a list; an empty list where the ball is one point."""
-    return [] if posed.ball_is_point else [Form(posed.w, posed.t, constant=gamma_w**2)]
+    return [] if scaled.ball_is_point else [Form(scaled.w, scaled.t, constant=gamma_w**2)]
 
 
-def block_form(posed: Posed, i: int, *, constant: float = 0.0, param: int = -1, slope: float = 1.0) -> Form:
+def block_form(
+    scaled: ScaledProblem, i: int, *, constant: float = 0.0, param: int = -1, slope: float = 1.0
+) -> Form:
     """Form of block ``i`` with the bound of :class:`quadratic.Form`."""
-    block = posed.problem.blocks[i]
+    block = scaled.problem.blocks[i]
     return Form(
-        posed.xi[i],
-        posed.eta[i],
+        scaled.xi[i],
+        scaled.eta[i],
         constant,
         param,
         slope,

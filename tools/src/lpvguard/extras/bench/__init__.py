@@ -4,8 +4,6 @@ A module of this package is a bench unless its name begins with _: its ``main(ar
 ``lpvguard bench <module>``.
 """
 
-from __future__ import annotations
-
 import argparse
 import sys
 from collections.abc import Callable

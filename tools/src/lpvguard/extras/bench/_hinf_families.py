@@ -6,8 +6,6 @@ the state, or on the units of control and measurement. An all-pass behind the ou
 do states that no input reaches.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import wraps

@@ -5,8 +5,6 @@ takes a share of small angles. The true error at a frequency, speed and amplitud
 function over the nominal response, minus 1. It is measured with sines, without disturbance.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -55,10 +53,7 @@ class Car:
     friction_rad: float = 0.01
 
 
-CARS = {
-    "linear": Car(),
-    "friction": Car(front=115e3, grip_n=14e3, friction_share=0.2),
-}
+CARS = {"linear": Car(), "friction": Car(front=115e3, grip_n=14e3, friction_share=0.2)}
 """A car nearly linear, and one softer in front that loses 20 % of gain at small amplitudes."""
 
 
@@ -71,12 +66,8 @@ class DriveDeviations:
 
 
 def yaw_rates(car: Car, Ts: float, v: np.ndarray, angle: np.ndarray, side_force: np.ndarray) -> np.ndarray:
-    """Yaw rates (D, N) [rad/s] of cars that begin straight.
-
-    Parameters
-    ----------
-    v, angle, side_force : (D, N) speed [m/s], road-wheel angle [rad] as acts, side force [N].
-    """
+    """Yaw rates (D, N) [rad/s] of cars that begin straight, from speed v [m/s], road-wheel angle as it acts
+    [rad] and side force [N], each (D, N)."""
     h = Ts / STEPS
     out = np.empty_like(v)
     x = np.zeros((6, len(v)))  # steering, slip velocity, yaw rate, front and rear force, friction's angle
@@ -117,14 +108,8 @@ def _derivative(
 def true_error(
     car: Car, model: NominalModel, omega: np.ndarray, speed: np.ndarray, amplitude: np.ndarray
 ) -> np.ndarray:
-    """(G, S, A) complex error of a car by its describing function.
-
-    Parameters
-    ----------
-    omega : (G,) [rad/s].
-    speed : (S,) [m/s].
-    amplitude : (S, A) amplitude of the steering sine [rad].
-    """
+    """(G, S, A) complex error of a car by its describing function, at omega (G,) [rad/s], speed (S,) [m/s]
+    and amplitude (S, A) of the steering sine [rad]."""
     Ts, out = model.Ts, np.empty((len(omega), *amplitude.shape), complex)
     v, a = np.repeat(speed, amplitude.shape[1]), amplitude.ravel()
     settle = round(SETTLE_S / Ts)
@@ -145,10 +130,8 @@ def best_linear_error(
     car: Car, model: NominalModel, omega: np.ndarray, speed: np.ndarray, amplitude: np.ndarray
 ) -> np.ndarray:
     """(G, S, A) complex error of a car's best linear approximation under inputs as drives have them.
-
     Random-phase multisines with the drives' spectrum replace the sines of `true_error`; ``amplitude`` is
-    sqrt(2) times their rms (Pintelon and Schoukens, System Identification, 2012).
-    """
+    sqrt(2) times their rms (Pintelon and Schoukens, System Identification, 2012)."""
 
     def rates(v: np.ndarray, angle: np.ndarray) -> np.ndarray:
         acted = np.roll(angle, round(car.delay_s / model.Ts), axis=1)
@@ -165,13 +148,8 @@ def multisine_response(
     realisations: int,
     rates: Callable[[np.ndarray, np.ndarray], np.ndarray],
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Spectra of angle and yaw rate (S, A, R, K) over the second of two periods of multisines.
-
-    Parameters
-    ----------
-    speed, amplitude : (S,) [m/s] and (S, A) [rad].
-    rates : yaw rates (D, N) [rad/s] of speeds (D, N) and angles (D, N).
-    """
+    """Spectra of angle and yaw rate (S, A, R, K) over the second of two periods of multisines, at speed (S,)
+    [m/s] and amplitude (S, A) [rad]. ``rates`` gives the yaw rates (D, N) of speeds and angles (D, N)."""
     n = round(MULTISINE_S / Ts)
     lines = 2 * np.pi * np.fft.rfftfreq(n, Ts)
     random = np.random.default_rng(1)
@@ -196,9 +174,7 @@ def spectral_error(
     Y: np.ndarray,
 ) -> np.ndarray:
     """(G, S, A) complex error by spectra U and Y (S, A, R, K): least squares over lines about each frequency.
-
-    The shapes are omega (G,) [rad/s], speed (S,) [m/s] and amplitude (S, A) [rad].
-    """
+    The shapes are omega (G,) [rad/s], speed (S,) [m/s] and amplitude (S, A) [rad]."""
     lines = 2 * np.pi * np.arange(U.shape[-1]) / MULTISINE_S
     out = np.empty((len(omega), *amplitude.shape), complex)
     for g, w in enumerate(omega):
@@ -244,10 +220,8 @@ def known_drives(
     random: np.random.Generator,
     deviation: DriveDeviations | None = None,
 ) -> list[Drive]:
-    """Drives of a car; each has its own mean speed, amplitude, bias and disturbance.
-
-    ``deviation`` multiplies a drive's gain by 1 + gain and adds to its delay; None for none.
-    """
+    """Drives of a car; each has its own mean speed, amplitude, bias and disturbance. ``deviation`` multiplies
+    a drive's gain by 1 + gain and adds to its delay; None for none."""
     Ts = project.Ts_s
     n = round((duration_s + START_S) / Ts) + 1
     low, high = project.model.speed_min_mps, project.model.speed_max_mps

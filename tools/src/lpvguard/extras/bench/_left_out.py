@@ -1,7 +1,5 @@
 """Measured drives against the band of all others: every group of drives is left out once (THEORY 7.15)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path

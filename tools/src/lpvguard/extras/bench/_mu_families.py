@@ -5,8 +5,6 @@ scaled, or coupled so that only extreme scalings suffice. Others have hidden cop
 nearly coincide.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from itertools import product
 from typing import Any

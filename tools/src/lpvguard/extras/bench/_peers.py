@@ -4,8 +4,6 @@ Their requirements and versions do not touch the package's environment. The call
 answers.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

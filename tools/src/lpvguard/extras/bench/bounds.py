@@ -6,8 +6,6 @@ where its upper bound is more than 1 % above the value and it does not say so. I
 that its bounds are more than 1 % apart. A refused problem got an error. The same seed gives the same table.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from functools import partial
@@ -37,8 +35,7 @@ class Row:
     ----------
     kind, family : str
     count, false, loose, unresolved, refused : int
-    worst : float
-        Largest upper bound over its value.
+    worst : float, largest upper bound over its value
     """
 
     kind: str

@@ -7,8 +7,6 @@ drives and speeds, as with `--jobs` of the commands; dkpy uses one. The result i
 Other work on the machine stretches both, so the table also has the ratio of processor seconds.
 """
 
-from __future__ import annotations
-
 import os
 import tempfile
 import time

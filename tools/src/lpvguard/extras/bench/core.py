@@ -7,8 +7,6 @@ executed
 *instructions, not cycles*: multiply by the part's cycles per instruction, flash waits included.
 """
 
-from __future__ import annotations
-
 import json
 import sys
 import tempfile
@@ -168,11 +166,8 @@ def drive_of(project: Project, *, seed: int = 3) -> Input:
 
 
 def bench_core(targets: tuple[str, ...] = tuple(TARGETS), *, clock_mhz: float = 168.0) -> dict[str, Any]:
-    """The report: one entry a target, and whether results agree with the host's bit for bit.
-
-    ``load_percent`` is the worst whole step of a sample period at ``clock_mhz`` with one cycle an
-    instruction.
-    """
+    """The report: one entry a target, and whether results agree with the host's bit for bit. ``load_percent``
+    is the worst whole step of a sample period at ``clock_mhz`` with one cycle an instruction."""
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch) / "truck"
         project = write_budget_vehicle(folder)

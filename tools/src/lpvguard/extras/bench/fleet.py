@@ -6,8 +6,6 @@ with frames of six seconds and less. Both times are the least of two runs, taken
 the same bits. Memory is the high-water mark of a separate process with one worker.
 """
 
-from __future__ import annotations
-
 import filecmp
 import os
 import subprocess

@@ -9,8 +9,6 @@ tails from the bounds of THEORY (T35), lives again many times.
 A drifting life is healthy for a number of recordings; then its gain falls to 0.9 over the next hundred.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -81,16 +79,11 @@ def make_pool(drives: int, spread: float, seed: int, run: Map = map) -> Pool:
 
 
 def first_alarms(
-    levels: np.ndarray,
-    bets: np.ndarray,
-    scores: Callable[[int], np.ndarray],
-    recordings: int,
+    levels: np.ndarray, bets: np.ndarray, scores: Callable[[int], np.ndarray], recordings: int
 ) -> np.ndarray:
-    """Compute the recording that alarms first (lives,), 0 for never, for many lives at once.
-
-    Each life has a calibration set with ``levels`` (lives, K). The bets are ``bets`` (K + 1, bets).
-    ``scores(t)`` (lives,) are the scores of recording t.
-    """
+    """Compute the recording that alarms first (lives,), 0 for never, for many lives at once. Each life has a
+    calibration set with ``levels`` (lives, K). The bets are ``bets`` (K + 1, bets). ``scores(t)`` (lives,)
+    are the scores of recording t."""
     alarm = alarm_wealth(ALPHA)
     wealth, first = np.zeros((len(levels), len(POWERS)), np.float32), np.zeros(len(levels), int)
     for t in range(recordings):

@@ -8,8 +8,6 @@ between the tables compares the largest mu at a frozen speed with the largest op
 speed. The difference is the price of a controller that is scheduled, or synthesised for other objectives.
 """
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass

@@ -6,8 +6,6 @@ the loop around its response are compared with the promised ones. The distance o
 nominal model is compared with W_delta.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from functools import partial
@@ -18,14 +16,12 @@ import numpy as np
 
 from ...base.parallel import Map, workers
 from ...control import controller_file
-from ...control.plants import DesignProblem, design_settings
-from ...control.robust_run import QUANTISATION, CompiledController, RobustRun, run
+from ...control.plants import design_settings
+from ...control.robust_run import QUANTISATION, CompiledController, RobustRun, certified_runs
 from ...control.true_loop import CertifiedLoop, MeasuredResponse, TrueLoop
 from ...core.scheduled import Scheduled
-from ...engine.synthesis.dk import certify
 from ...engine.synthesis.margins import NAMES, LoopMargins, shown
 from ...identify import identification as identify
-from ...identify.identification import StoredIdentification
 from ..loop.response import frequency_response
 from ..loop.sim import Simulator, load_scenario
 from . import numbers_of, parser, show
@@ -85,29 +81,10 @@ def amplitudes(given: str | None, of_project: Sequence[float] | None) -> list[fl
     return numbers_of("robust", "--amplitudes", given, lambda u: 0 < u < np.inf, "positive numbers")
 
 
-def certified_runs(
-    stored: StoredIdentification, document: dict, compiled: CompiledController, draws: int
-) -> list[RobustRun]:
-    """The compiled controller in the nominal loop with sampled and worst Delta at some of its speeds;
-    ``draws``: of all speeds together."""
-    schedule, problem = Scheduled.read(document), DesignProblem.of(stored)
-    speeds = schedule.speeds[:: max(1, (len(schedule.speeds) - 1) // 3)]
-    rows = []
-    for k, v in enumerate(map(float, speeds)):
-        plant = problem.plant(v)
-        scaling = controller_file.stated_scaling(document) if plant.blocks else None
-        proved = certify(plant, schedule.at(v), scaling)
-        share, seed = -(-draws // len(speeds)), stored.project.seed + k
-        rows.append(run(compiled, plant, schedule.at(v), v, proved, share, seed))
-    return rows
-
-
 def true_table(loop: CertifiedLoop, asked: Sequence[float], run_all: Map, tables: str = "") -> dict[str, Any]:
     """The fields ``amplitudes``, ``promised``, ``true`` and ``beyond`` of robust.json, for SPEEDS speeds over
-    the model's range and each amplitude ``asked`` [bar].
-
-    ``tables``: variation and faults of the truck, as scenario tables.
-    """
+    the model's range and each amplitude ``asked`` [bar]. ``tables``: variation and faults of the truck, as
+    scenario tables."""
     speeds = np.linspace(*loop.model.speed_range, SPEEDS).tolist()
     plan = [(v, a, u) for v in speeds for a, u in zip(asked, loop.amplitudes(v, asked), strict=True)]
     found = [loop.true(measured) for measured in run_all(partial(_measured, tables), plan)]

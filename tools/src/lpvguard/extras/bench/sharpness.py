@@ -15,8 +15,6 @@ With ``--drives`` every group of measured drives is left out once. ``largest`` i
 error to the band of the others. ``refuted`` is the same minus the error's own interval.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
 from functools import partial

@@ -6,8 +6,6 @@ of every sent frame. Some numbers must not grow: instructions of the worst tick,
 for every tick are in firmware_sim/ports/soak.c.
 """
 
-from __future__ import annotations
-
 from dataclasses import asdict, dataclass
 from pathlib import Path
 

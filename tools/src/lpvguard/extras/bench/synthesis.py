@@ -6,8 +6,6 @@ controller is judged like ours: by the certified norm or μ bound of its closed 
 claims.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
@@ -15,10 +13,11 @@ from pathlib import Path
 
 import numpy as np
 
-from lpvguard.engine.synthesis.cases import PAPER_WEIGHTS, case_plant, read_case
+from lpvguard.engine.synthesis.cases import case_plant, read_case
 from lpvguard.engine.synthesis.dk import certify, dk_synthesis
 from lpvguard.engine.synthesis.hinf import hinf_synthesis
 from lpvguard.engine.synthesis.interconnection import (
+    PAPER_WEIGHTS,
     GeneralisedPlant,
     PlantWeights,
     generalised_plant,
@@ -63,9 +62,7 @@ open(sys.argv[2], "w"))
 @dataclass(frozen=True)
 class SynthesisRow:
     """One line of the table: ours and a peer's. ``level``: certified bound; ``claimed``: the peer's own word.
-
-    Peer fields are None when it was not run; ``peer_note`` says why, or what went wrong with it.
-    """
+    Peer fields are None when it was not run; ``peer_note`` says why, or what went wrong with it."""
 
     job: str
     states: int
@@ -89,8 +86,7 @@ class SynthesisRow:
 
 def order_23_plant(case: dict) -> GeneralisedPlant:
     """K_inf's plant with W_C and the noise and disturbance weights raised to third order: 23 states, as in
-    the paper.
-    """
+    the paper."""
     objective = case["objective"][0]
     weights = {
         name: weight_from_table(case[name], A_t=objective["A_t"], A_u=objective["A_u"])
@@ -100,15 +96,13 @@ def order_23_plant(case: dict) -> GeneralisedPlant:
     for name in ("W_C", "W_nr", "W_ndelta", "W_wr", "W_wdelta"):
         weights[name] = series(ripple[3 - weights[name].order], weights[name])
     A, B = truck_model.continuous(case["v"], case["wheelbase"])
-    return generalised_plant(A, B, PlantWeights(**weights), "K_inf")
+    return generalised_plant(A, B, PlantWeights.of_paper(weights), "K_inf")
 
 
 def run(case_path, repeats: int = 5, peers: Path | None = None) -> list[SynthesisRow]:
     """Measure the three syntheses; ``peers``: a folder for the peers' environment (made when missing), None:
-    without them.
-
-    Our time is the least of ``repeats`` runs, as other work on the machine only adds to it; a peer runs once.
-    """
+    without them. Our time is the least of ``repeats`` runs, as other work on the machine only adds to it; a
+    peer runs once."""
     case = read_case(case_path)
     big = order_23_plant(case)
     jobs: list[tuple[str, GeneralisedPlant, Callable]] = [

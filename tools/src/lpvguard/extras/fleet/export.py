@@ -1,7 +1,5 @@
 """C header with the calibration set's lpvg_life_table_t for the core (lib/include/lpvguard/life.h)."""
 
-from __future__ import annotations
-
 import struct
 import zlib
 

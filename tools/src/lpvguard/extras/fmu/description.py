@@ -1,7 +1,5 @@
 """modelDescription.xml of an FMU, for FMI 2.0 and FMI 3.0, and buildDescription.xml of its sources."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from xml.etree import ElementTree as xml
 
@@ -22,24 +20,9 @@ def model_description(
     variables: Sequence[Variable],
     sources: Sequence[str],
 ) -> bytes:
-    """Return modelDescription.xml.
-
-    Parameters
-    ----------
-    version : int
-        2 or 3.
-    name : str
-        Model identifier.
-    title : str
-        Title of the vehicle.
-    token : str
-        Identifies the binary and the variables together.
-    period_s : float
-        Sample period in s; the only step size.
-    variables : sequence of Variable
-    sources : sequence of str
-        Source files below ``sources/``.
-    """
+    """Return modelDescription.xml of FMI ``version`` 2 or 3. ``name`` is the model identifier, ``token``
+    identifies the binary and the variables together. ``period_s`` is the only step size. ``sources`` lie
+    below ``sources/``."""
     step = f"{period_s:.9g}"
     root = xml.Element(
         "fmiModelDescription",

@@ -1,7 +1,5 @@
 """Builds the FMU: compiles the core, and packs binary, sources and descriptions."""
 
-from __future__ import annotations
-
 import hashlib
 import io
 import zipfile
@@ -25,10 +23,8 @@ def monitor_fmu(project: Project, folder: Path, version: int) -> bytes:
     Parameters
     ----------
     project : Project
-    folder : Path
-        Generated folder of the vehicle, by ``lpvguard export``.
-    version : int
-        Version of FMI, 2 or 3.
+    folder : Path, generated folder of the vehicle, by ``lpvguard export``
+    version : int, version of FMI, 2 or 3
 
     Returns
     -------

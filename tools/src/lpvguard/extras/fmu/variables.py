@@ -1,7 +1,5 @@
 """Variables of the monitor's FMU: names, units and ranges of the signal table, and the core's results."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from ...core.compiled import CAUSES, REASONS, STATUSES, VERDICTS
@@ -18,18 +16,12 @@ class Variable:
     Attributes
     ----------
     name, description : str
-    reference : int
-        Value reference, as in monitor.cpp.
-    causality : str
-        input, output or independent (time).
-    kind : str
-        real, integer, or a key of ``ENUMERATIONS``.
-    unit : str
-        Unit of a real; "1" without one.
-    start : float or None
-        Start value of an input, and of an output that never changes.
-    low, high : float or None
-        Physical range.
+    reference : int, value reference, as in monitor.cpp
+    causality : str, input, output or independent (time)
+    kind : str, real, integer, or a key of ``ENUMERATIONS``
+    unit : str, unit of a real; "1" without one
+    start : float or None, start value of an input, and of an output that never changes
+    low, high : float or None, physical range
     """
 
     name: str
@@ -54,8 +46,11 @@ def monitor_variables(project: Project, thresholds: dict[str, float]) -> list[Va
     Parameters
     ----------
     project : Project
-    thresholds : dict
-        ``threshold``, ``energy_threshold`` and ``change_threshold`` of the coefficients.
+    thresholds : dict, ``threshold``, ``energy_threshold`` and ``change_threshold`` of the coefficients
+
+    Returns
+    -------
+    list of Variable
     """
     signals = [project.speed, *project.inputs, *project.outputs]
     results = [

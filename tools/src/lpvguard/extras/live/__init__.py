@@ -1,7 +1,7 @@
 """Answers of the compiled core while a vehicle drives, on a page.
 
 In: a stream of frames from a running simulation, a CAN interface or a growing log. Out: a read-only page for
-browsers of this machine, messages for Foxglove, and drive tables. MAY_IMPORT lists what a room may import.
+browsers of this machine, messages for Foxglove, and drive tables.
 """
 
 MAY_IMPORT = ("base", "vehicle", "can", "drives", "core", "replay", "loop")

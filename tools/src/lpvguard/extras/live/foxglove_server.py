@@ -1,10 +1,6 @@
-"""Live messages of an MCAP recording, for Foxglove and PlotJuggler on this machine.
-
-The server is Foxglove's own (package foxglove-sdk) and only allows reading. Its queue for a client is BACKLOG
-messages. A slower client loses the oldest of them, and nothing waits for it.
-"""
-
-from __future__ import annotations
+"""Live messages of an MCAP recording, for Foxglove and PlotJuggler on this machine. The server is Foxglove's
+own (package foxglove-sdk) and only allows reading. Its queue for a client is BACKLOG messages. A slower
+client loses the oldest of them, and nothing waits for it."""
 
 import json
 

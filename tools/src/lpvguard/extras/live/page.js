@@ -164,6 +164,7 @@
     said.push(`${view.n_alarms} alarms`);
     if (now.lost) said.push(`${now.lost} frames lost on the way here`);
     if (now.restarts) said.push(`the source's clock began anew ${now.restarts} times`);
+    if (now.command_authentication) said.push(`GUARD_IN ${now.command_authentication.replaceAll("_", " ")}`);
     if (now.trouble) said.push(now.trouble);
     at("detail").textContent = said.join("; ");
     at("count").textContent = `(${view.n_alarms}${view.alarms.length < view.n_alarms ?

@@ -1,9 +1,5 @@
-"""Live frames through the compiled receiver: samples a tick, as on the ECU.
-
-The clock is that of replay/receive.py. Only its phase comes from the first FIRST_S of frames instead of all.
-"""
-
-from __future__ import annotations
+"""Live frames through the compiled receiver: samples a tick, as on the ECU. The clock is that of
+replay/receive.py. Only its phase comes from the first FIRST_S of frames instead of all."""
 
 import numpy as np
 
@@ -23,8 +19,8 @@ class Sampler:
     """Samples of a vehicle from live frames."""
 
     def __init__(self, receiver: Receiver, channel: str | None):
-        """``channel``: the interface that counts; None: the first with a message of the vehicle."""
-        self._receiver, self._channel = receiver, channel
+        """``channel``: the interface that counts; None: the only one with messages of the vehicle."""
+        self._receiver, self._channel, self._given = receiver, channel, channel is not None
         self._period_us = round(receiver.project.Ts_s * 1e6)
         self.jumps = 0
         """How often the source's clock was begun anew."""
@@ -42,9 +38,7 @@ class Sampler:
 
     def take(self, frames: Frames) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
         """Samples that ``frames`` complete, a piece a stretch of the clock: t (N,) [s], values, present (N,).
-
-        The values have shape (N, columns).
-        """
+        The values have shape (N, columns)."""
         frames = self._of_channel(frames)
         found = []
         while len(frames):
@@ -63,11 +57,14 @@ class Sampler:
         return [piece for piece in found if piece is not None]
 
     def _of_channel(self, frames: Frames) -> Frames:
-        if self._channel is None:
-            ours = np.flatnonzero(self._receiver.ours(frames))
-            if not len(ours):
-                return frames.at(slice(0, 0))
-            self._channel = frames.channels[int(frames.channel[ours[0]])]
+        """Frames of one channel. InputError where several have the vehicle's messages, and none is given."""
+        if not self._given:
+            heard = np.unique(frames.channel[self._receiver.ours(frames)])
+            names = {frames.channels[k] for k in heard} | ({self._channel} if self._channel else set())
+            if len(names) > 1:
+                said = f"the vehicle's messages come from {', '.join(sorted(names))}"
+                raise InputError("live", "channel", said, "--channel, to say which")
+            self._channel = next(iter(names), None)
         if self._channel not in frames.channels:
             return frames.at(slice(0, 0))
         return frames.of_channel(self._channel, "live")

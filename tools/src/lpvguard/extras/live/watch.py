@@ -1,10 +1,6 @@
-"""Answers of the compiled core to live frames, the newest WINDOW of it kept in rings.
-
-One thread takes frames from the source and judges them (`Watch.run`). Readers copy a few numbers under a
-lock; no reader delays the source for longer than such a copy.
-"""
-
-from __future__ import annotations
+"""Answers of the compiled core to live frames, the newest WINDOW of it kept in rings. One thread takes frames
+from the source and judges them (`Watch.run`). Readers copy a few numbers under a lock; no reader delays the
+source for longer than such a copy."""
 
 import threading
 import time
@@ -15,7 +11,8 @@ from typing import Any, Protocol
 import numpy as np
 import pyarrow as pa
 
-from ...can.bus import REFERENCE
+from ...base.errors import InputError
+from ...can.bus import REFERENCE, command_authentication
 from ...can.logs import Frames
 from ...core.compiled import REASONS, VERDICTS
 from ...drives.tables import Drive
@@ -127,6 +124,7 @@ class Watch:
         self._n_alarms, self._reasons = 0, dict.fromkeys(REASONS, 0)
         self._lock = threading.Lock()
         self._heard_at: float | None = None
+        self._authentication: str | None = None
         self._monitor = replayer.core.monitor()
         self._model: RunningModel | None = None
         self._restarts = 0
@@ -141,6 +139,8 @@ class Watch:
                     return
                 if frames is not None:
                     self.take(frames)
+        except InputError as error:
+            self.failed = str(error)
         except Exception as error:
             self.failed = f"{type(error).__name__}: {error}"
             raise
@@ -152,6 +152,7 @@ class Watch:
     def take(self, frames: Frames) -> None:
         """Judge the samples that ``frames`` complete."""
         self._heard_at = self._clock()
+        self._authentication = command_authentication(frames) or self._authentication
         for t, values, present in self._sampler.take(frames):
             self._judge(t, values, present)
 
@@ -256,6 +257,7 @@ class Watch:
             "silent": silent is None or silent > SILENT_S,
             "lost": self.source.lost,
             "restarts": self._sampler.jumps,
+            "command_authentication": self._authentication,
             "trouble": self.failed or self.source.trouble,
         }
 
@@ -285,10 +287,8 @@ class Watch:
         return {**self._receiver.counted(counts), "live": states}
 
     def drive(self, begin: float, end: float) -> tuple[list[str], np.ndarray]:
-        """Longest stretch without a gap between ``begin`` and ``end`` [s], as a drive table.
-
-        Returns columns and numbers (N, columns); N is 0 without a sample.
-        """
+        """Longest stretch without a gap between ``begin`` and ``end`` [s], as a drive table. Returns columns
+        and numbers (N, columns); N is 0 without a sample."""
         project = self.replayer.project
         with self._lock:
             rows = self._ring.rows(self._ring.find(begin), self._ring.find(end))

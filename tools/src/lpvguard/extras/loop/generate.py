@@ -5,8 +5,6 @@ which shares nothing with the nominal model, at held speeds over the model's ran
 0.1 to 30 rad/s at the edges of the amplitudes of use, brake manoeuvres between them, and zero-input runs.
 """
 
-from __future__ import annotations
-
 import subprocess
 from collections.abc import Callable
 from dataclasses import dataclass

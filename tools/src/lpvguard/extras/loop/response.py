@@ -5,8 +5,6 @@ brake lag are therefore in the response. Road and wind are calm. The measured ou
 without noise and number grids. The controller's own sample of delay is not in it (control/true_loop.py).
 """
 
-from __future__ import annotations
-
 import io
 import subprocess
 import tempfile

@@ -7,8 +7,6 @@ are left out. Access to an XCP slave in the image may be described as well. The 
 and has no time of day.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -47,9 +45,7 @@ _DIMENSIONS = 3
 @dataclass(frozen=True)
 class Measurement:
     """A field as a measurement tool sees it, or an element of an array whose elements differ in unit.
-
-    ``dims`` are as in C: the last runs fastest. ``values`` names the values 0, 1, ..., () for a number.
-    """
+    ``dims`` are as in C: the last runs fastest. ``values`` names the values 0, 1, ..., () for a number."""
 
     name: str
     text: str

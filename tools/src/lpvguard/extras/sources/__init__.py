@@ -1,7 +1,7 @@
 """Measured data from public repositories.
 
 In: a table of data sets and files of the repositories that it names. Out: folders of drives or logs, byte for
-byte those with the table's hashes. MAY_IMPORT lists what a room may import.
+byte those with the table's hashes.
 """
 
 MAY_IMPORT = ("base",)

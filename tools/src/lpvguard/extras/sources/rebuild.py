@@ -1,7 +1,5 @@
 """`lpvguard data`: rebuilds a public data set from its origin and compares each file with its hash."""
 
-from __future__ import annotations
-
 import csv
 import hashlib
 import io

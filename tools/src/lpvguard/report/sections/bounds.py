@@ -1,8 +1,6 @@
 """Sections on the bounds: Fig. 2 (disturbance), Fig. 3 (weights), the model error model, and the Pareto
 fronts between disturbance and uncertainty."""
 
-from __future__ import annotations
-
 from html import escape
 
 import numpy as np

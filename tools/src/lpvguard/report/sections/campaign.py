@@ -1,12 +1,10 @@
 """Section "Campaign in the closed loop": many trucks and faults, the monitor and the baselines."""
 
-from __future__ import annotations
-
 from html import escape
 
 from ...base.rates import hourly_words, share_words
 from ...evaluate.comparison import COUNTS_ONLY, WAYS_HEAD, way_rows
-from ..markup import captioned, html_table, number
+from ..markup import captioned, html_rows, html_table, number
 from ..pictures.detectors import detection, detection_time
 from ..pictures.drawing import Picture
 
@@ -219,22 +217,17 @@ def _kind_table(c: dict) -> str:
     def best(detectors: list[str]) -> str:
         return escape(", ".join(names[d] for d in detectors))
 
-    return html_table(
-        [
-            "kind",
-            *(f"{escape(n)}: calibrated; {matched}" for n in names.values()),
-            "best, calibrated",
-            f"best, {matched}",
-        ],
-        [
-            [
-                escape(k["kind"]),
-                *(f"{k['found'][d]:.0%}, {k['matched'][d]:.0%}" for d in names),
-                best(k["best"]),
-                best(k["best_matched"]),
-            ]
-            for k in c["kinds"]
-        ],
+    return html_rows(
+        {
+            "kind": escape(k["kind"]),
+            **{
+                f"{escape(n)}: calibrated; {matched}": f"{k['found'][d]:.0%}, {k['matched'][d]:.0%}"
+                for d, n in names.items()
+            },
+            "best, calibrated": best(k["best"]),
+            f"best, {matched}": best(k["best_matched"]),
+        }
+        for k in c["kinds"]
     )
 
 
@@ -254,28 +247,20 @@ def _beaten(c: dict) -> str:
 def _severity_table(c: dict) -> str:
     """A row per kind and severity: distance, mu, runs, and what each detector found."""
     names = c["detectors"]
-    return html_table(
-        [
-            "kind",
-            "severity",
-            "|δ|/W_Δ of its own response; above 1: at least",
-            "mu of its loop",
-            "runs",
-            "visible runs",
-            *(f"{escape(n)}: found, median s" for n in names.values()),
-        ],
-        [
-            [
-                escape(s["kind"]),
-                _severity(c, s),
-                number(s["response_ratio"]),
-                _level(s),
-                str(s["runs"]),
-                str(s["visible_runs"]),
-                *(f"{s['found'][d]}, {number(s['median_s'][d])}" for d in names),
-            ]
-            for s in c["severities"]
-        ],
+    return html_rows(
+        {
+            "kind": escape(s["kind"]),
+            "severity": _severity(c, s),
+            "|δ|/W_Δ of its own response; above 1: at least": number(s["response_ratio"]),
+            "mu of its loop": _level(s),
+            "runs": str(s["runs"]),
+            "visible runs": str(s["visible_runs"]),
+            **{
+                f"{escape(n)}: found, median s": f"{s['found'][d]}, {number(s['median_s'][d])}"
+                for d, n in names.items()
+            },
+        }
+        for s in c["severities"]
     )
 
 
@@ -305,33 +290,22 @@ where of {faulty["due"]} reactions due
 with none due. <i>Judged</i> is excited driving that the monitor judged, of the time since the fault: after
 every gap its model has to settle. Alarms of model error stand beside the runs in which the samples \
 themselves show one: a late or corrupted
-value that passes for a good one.</p>{_bus_table(c)}"""
+value that passes for a good one. <code>GUARD_IN</code> was {c["command_authentication"]}.</p>\
+{_bus_table(c)}"""
 
 
 def _bus_table(c: dict) -> str:
     """A row per fault of the bus and severity."""
-    return html_table(
-        [
-            "fault",
-            "severity",
-            "runs as required",
-            "reactions due, met",
-            "not live for",
-            "judged",
-            "runs that alarm",
-            "visible runs",
-        ],
-        [
-            [
-                escape(s["kind"]),
-                _severity(c, s),
-                f"{s['as_required']} of {s['runs']}",
-                f"{s['due']}, {s['met']}",
-                f"{s['away']:.1%}",
-                f"{s['judged']:.0%}",
-                str(s["alarmed"]["monitor"]),
-                str(s["visible_runs"]),
-            ]
-            for s in c["bus"]
-        ],
+    return html_rows(
+        {
+            "fault": escape(s["kind"]),
+            "severity": _severity(c, s),
+            "runs as required": f"{s['as_required']} of {s['runs']}",
+            "reactions due, met": f"{s['due']}, {s['met']}",
+            "not live for": f"{s['away']:.1%}",
+            "judged": f"{s['judged']:.0%}",
+            "runs that alarm": str(s["alarmed"]["monitor"]),
+            "visible runs": str(s["visible_runs"]),
+        }
+        for s in c["bus"]
     )

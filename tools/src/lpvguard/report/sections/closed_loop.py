@@ -1,14 +1,12 @@
 """Section "The closed loop over CAN frames": simulated runs of the compiled ECU loop."""
 
-from __future__ import annotations
-
 from html import escape
 from pathlib import Path
 
 import numpy as np
 
 from ...base import artefacts
-from ..markup import captioned, html_table, number, yes_or_no
+from ..markup import captioned, html_rows, number, yes_or_no
 from ..pictures.drawing import Picture
 from ..pictures.over_time import closed_loop
 
@@ -51,36 +49,23 @@ def _run(folder: Path, name: str, r: dict) -> str:
 def loop_section(folder: Path) -> str:
     """The section. ``folder``: written by `lpvguard sim -o`, with results.json and the tables of the runs."""
     results = artefacts.read_json(folder / "results.json")
-    table = html_table(
-        [
-            "scenario",
-            "controller",
-            "seed",
-            "expected",
-            "verdict at the end",
-            "first invalid, s",
-            "judged s from the fault to it",
-            "largest margin",
-            "tracking error / command, rms",
-            "frames",
-            "as expected",
-        ],
-        [
-            [
-                escape(r["scenario"]),
-                r["controller"],
-                str(r["seed"]),
-                escape(r["expected"]["verdict"].replace("_", " ")),
-                r["verdict_final"].replace("_", " "),
-                number(r["first_invalid_s"], 4),
-                number(r["judged_to_invalid_s"]),
-                number(r["max_margin"]),
-                f"{r['tracking_rms'] / r['command_rms']:.1%}" if r["command_rms"] else "–",
-                str(r["frames"]),
-                yes_or_no(not r["missed"], "yes", escape("; ".join(r["missed"]))),
-            ]
-            for r in results
-        ],
+    table = html_rows(
+        {
+            "scenario": escape(r["scenario"]),
+            "controller": r["controller"],
+            "seed": str(r["seed"]),
+            "expected": escape(r["expected"]["verdict"].replace("_", " ")),
+            "verdict at the end": r["verdict_final"].replace("_", " "),
+            "first invalid, s": number(r["first_invalid_s"], 4),
+            "judged s from the fault to it": number(r["judged_to_invalid_s"]),
+            "largest margin": number(r["max_margin"]),
+            "tracking error / command, rms": f"{r['tracking_rms'] / r['command_rms']:.1%}"
+            if r["command_rms"]
+            else "–",
+            "frames": str(r["frames"]),
+            "as expected": yes_or_no(not r["missed"], "yes", escape("; ".join(r["missed"]))),
+        }
+        for r in results
     )
     figures = [_run(folder, f"l{index}", r) for index, r in enumerate(results)]
     return f"""<h2>The closed loop over CAN frames</h2>

@@ -1,7 +1,5 @@
 """Section "Controller and its certificates": robustness of the truck's loop, Table II, and Figs. 5 and 6."""
 
-from __future__ import annotations
-
 from html import escape
 from pathlib import Path
 
@@ -10,7 +8,7 @@ from ...base.claims import worst_frozen
 from ...base.errors import InputError
 from ...engine.synthesis.margins import SHOWN, SKEWS, disk_gain_and_phase, shown
 from ..design_pictures import draw
-from ..markup import captioned, html_table, number, premise_words, yes_or_no
+from ..markup import captioned, html_rows, html_table, number, premise_words, yes_or_no
 from ..pictures.drawing import Picture
 
 ROBUST = "robust.json"
@@ -29,11 +27,8 @@ MARGINS = {
 
 
 def design_section(folder: Path) -> str:
-    """The section; ``folder`` is written by `lpvguard design`.
-
-    Table II and its pictures may be missing, and ROBUST too. Raises InputError where ROBUST is of another
-    controller.
-    """
+    """The section; ``folder`` is written by `lpvguard design`. Table II and its pictures may be missing, and
+    ROBUST too. Raises InputError where ROBUST is of another controller."""
     controller = artefacts.read_json(folder / "controller.json")["certificates"]
     speeds = html_table(
         ["speed, m/s", "μ upper", "μ lower", "peak, rad/s"],
@@ -173,9 +168,7 @@ untouched.</p>{table}"""
 
 def _true_loop(path: Path, controller: str) -> str:
     """Promised and true margins and the distance from the nominal model, from ROBUST at ``path``.
-
-    ``controller`` is its SHA-256.
-    """
+    ``controller`` is its SHA-256."""
     found = artefacts.read_json(path)
     if found["coefficients_sha256"] != controller:
         raise InputError(
@@ -224,32 +217,19 @@ def _farthest(deviations: list[dict]) -> str:
 
 def _table_2(table: dict, fig5: Picture) -> str:
     """Table II, ``table``: table2.json, and the picture of its weights."""
-    rows = html_table(
-        [
-            "Table II",
-            "A<sub>t</sub>",
-            "A<sub>u</sub>",
-            "μ upper",
-            "μ lower",
-            "no controller below",
-            "order",
-            "before reduction",
-            "peak, rad/s",
-        ],
-        [
-            [
-                escape(r["structure"]),
-                number(r["A_t"], 4),
-                number(r["A_u"]),
-                f"{r['mu_upper']:.4f}",
-                f"{r['mu_lower']:.4f}",
-                f"{r['floor']:.4f}",
-                str(r["order"]),
-                str(r["full_order"]),
-                number(r["peak_rad_s"]),
-            ]
-            for r in table["rows"]
-        ],
+    rows = html_rows(
+        {
+            "Table II": escape(r["structure"]),
+            "A<sub>t</sub>": number(r["A_t"], 4),
+            "A<sub>u</sub>": number(r["A_u"]),
+            "μ upper": f"{r['mu_upper']:.4f}",
+            "μ lower": f"{r['mu_lower']:.4f}",
+            "no controller below": f"{r['floor']:.4f}",
+            "order": str(r["order"]),
+            "before reduction": str(r["full_order"]),
+            "peak, rad/s": number(r["peak_rad_s"]),
+        }
+        for r in table["rows"]
     )
     weights = captioned(
         fig5,

@@ -3,8 +3,6 @@
 page.js sorts and searches it.
 """
 
-from __future__ import annotations
-
 from html import escape
 from itertools import groupby
 
@@ -41,11 +39,8 @@ MOST = 1.25
 
 
 def _small(drive: DriveSummary) -> str:
-    """The drive's course as a small picture.
-
-    Bars show the largest statistic over threshold, a dashed line the threshold, triangles larger values, and
-    a strip below the verdict.
-    """
+    """The drive's course as a small picture. Bars show the largest statistic over threshold, a dashed line
+    the threshold, triangles larger values, and a strip below the verdict."""
     base = HEIGHT - STRIP - 1
     scale = (base - LINE) / 1.0
     quiet, beyond, marks = "", "", ""
@@ -99,10 +94,7 @@ def _row(drive: DriveSummary) -> str:
         ("–" if near is None else f"{near.ratio:.3f}", None if near is None else near.ratio),
         ("–" if near is None else place(near.test, near.omega), None),
         ("–" if near is None else f"{near.t_s:.1f}", None if near is None else near.t_s),
-        (
-            f'<span class="no">▲ {len(drive.alarms)}</span>' if drive.alarms else "0",
-            float(len(drive.alarms)),
-        ),
+        (f'<span class="no">▲ {len(drive.alarms)}</span>' if drive.alarms else "0", float(len(drive.alarms))),
         (escape(drive.verdict_final), None),
     ]
     texts = "".join(

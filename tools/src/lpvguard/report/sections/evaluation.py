@@ -1,8 +1,6 @@
 """Section "Evaluation": false alarms, injected faults and baselines, leave-one-drive-out or on held-out
 drives."""
 
-from __future__ import annotations
-
 from html import escape
 
 from ...core.compiled import TESTS
@@ -27,7 +25,7 @@ from ...evaluate.comparison import (
     row_name,
 )
 from ...evaluate.false_alarms import PIECE_S
-from ..markup import captioned, html_table, number
+from ..markup import captioned, html_rows, html_table, number
 from ..pictures.detectors import SOONEST_S, time_to_find
 
 OURS = "lpvguard, all tests at one threshold"
@@ -92,35 +90,25 @@ def _claim_table(evaluation: dict) -> str:
 def _drive_table(evaluation: dict) -> str:
     """A row per drive: thresholds, scores, alarms, judged time, fault instants."""
     without = " without it" if evaluation["mode"] == LEFT_ONE_OUT else ""
-    return html_table(
-        [
-            "drive",
-            "driver",
-            *(f"{title}: threshold{without}, score" for title in TEST_TITLES.values()),
-            "alarmed pieces",
-            "last piece, s",
-            "judged, s",
-            "missing samples",
-            "of in-range, excited time",
-            "faults from, s",
-        ],
-        [
-            [
-                escape(r["run"]),
-                escape(r["driver"]),
-                *(
-                    f"{r['calibration'][t]['threshold']:.3f}, {number(r['scores'][t], 4)}"
-                    for t in TEST_TITLES
-                ),
-                f"{r['alarmed'][MONITOR]} of {r['pieces']}",
-                f"{r['last_piece_s']:.1f}",
-                f"{r['judged_s']:.1f}",
-                str(r["missing_samples"]),
-                "–" if r["judged_of_in_range_excited"] is None else f"{r['judged_of_in_range_excited']:.0%}",
-                ", ".join(f"{s:.0f}" for s in r["fault_starts_s"]) or "–",
-            ]
-            for r in evaluation["drives"]
-        ],
+    return html_rows(
+        {
+            "drive": escape(r["run"]),
+            "driver": escape(r["driver"]),
+            **{
+                f"{title}: threshold{without}, score": f"{r['calibration'][t]['threshold']:.3f}, "
+                f"{number(r['scores'][t], 4)}"
+                for t, title in TEST_TITLES.items()
+            },
+            "alarmed pieces": f"{r['alarmed'][MONITOR]} of {r['pieces']}",
+            "last piece, s": f"{r['last_piece_s']:.1f}",
+            "judged, s": f"{r['judged_s']:.1f}",
+            "missing samples": str(r["missing_samples"]),
+            "of in-range, excited time": "–"
+            if r["judged_of_in_range_excited"] is None
+            else f"{r['judged_of_in_range_excited']:.0%}",
+            "faults from, s": ", ".join(f"{s:.0f}" for s in r["fault_starts_s"]) or "–",
+        }
+        for r in evaluation["drives"]
     )
 
 
@@ -184,10 +172,8 @@ equivalent gain. {said}.</p>{table}"""
 
 
 def _detectors(detectors: dict[str, DetectorColumn], best: list[str] | None = None) -> str:
-    """False alarms and found faults, a column per detector; ``best`` is the leader per fault.
-
-    ``detectors`` are by title.
-    """
+    """False alarms and found faults, a column per detector; ``best`` is the leader per fault. ``detectors``
+    are by title."""
     return html_table(
         ["", *map(escape, detectors), *(["best"] if best else [])],
         [[escape(cell) for cell in row] for row in detector_rows(list(detectors.values()), best)],

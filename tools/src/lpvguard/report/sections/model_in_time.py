@@ -1,7 +1,5 @@
 """Section "The nominal model in time": the counterpart of Fig. 4."""
 
-from __future__ import annotations
-
 from html import escape
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Section "Settings and proofs": drives, estimator, claims, tightness of the weights."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterable
 from html import escape
@@ -18,7 +16,7 @@ from ...identify.weights import DC_STAND_IN
 from ...identify.window_error import PERCENTILE, SPEEDS
 from ...replay.replayer import Replayer
 from ...vehicle.project import Project, Signal
-from ..markup import html_table, number, premise_words, yes_or_no
+from ..markup import html_rows, html_table, number, premise_words, yes_or_no
 
 
 def _estimator_words(stored: StoredIdentification, estimator: Estimator) -> str:
@@ -158,47 +156,30 @@ def _proof_table(stored: StoredIdentification) -> str:
         for s, w in zip(stored.project.outputs, stored.weights[f"W_{index}"], strict=False)
     ]
     weights += [
-        (
-            "W<sub>Δ</sub>" if stored.project.n_delta == 1 else f"W<sub>Δ</sub> of {escape(s.name)}",
-            w,
-        )
+        ("W<sub>Δ</sub>" if stored.project.n_delta == 1 else f"W<sub>Δ</sub> of {escape(s.name)}", w)
         for s, w in zip(stored.project.outputs, stored.weights["W_delta"], strict=False)
     ]
-    weights += [
-        ("γ<sub>w</sub> smoothed", stored.weights["gamma_w"]),
-    ]
-    return html_table(
-        [
-            "weight",
-            "order",
-            "worst |W|/bound, dB",
-            "no weight of this order found below, dB",
-            "smallest |W|/bound proved",
-            "at, rad/s",
-            "proved up to, rad/s",
-            "stable, minimum phase",
-            "bins bridged for want of data, rad/s",
-        ],
-        [
-            [
-                label,
-                str(w["order"]),
-                f"{w['worst_ratio_db']:.3f}",
-                f"{w['lp_optimum_db']:.3f}",
-                f"{w['certificate']['min_ratio']:.15g}",
-                _limit(w["certificate"]["min_ratio_at"]),
-                _limit(w["certificate"]["omega_max"]),
-                yes_or_no(
-                    w["certificate"]["stable"]
-                    and w["certificate"]["minimum_phase"]
-                    and w["certificate"]["ok"],
-                    "proved",
-                    "not proved",
-                ),
-                ", ".join(number(x) for x in w["certificate"]["without_data"]) or "none",
-            ]
-            for label, w in weights
-        ],
+    weights += [("γ<sub>w</sub> smoothed", stored.weights["gamma_w"])]
+    return html_rows(
+        {
+            "weight": label,
+            "order": str(w["order"]),
+            "worst |W|/bound, dB": f"{w['worst_ratio_db']:.3f}",
+            "no weight of this order found below, dB": f"{w['lp_optimum_db']:.3f}",
+            "smallest |W|/bound proved": f"{w['certificate']['min_ratio']:.15g}",
+            "at, rad/s": _limit(w["certificate"]["min_ratio_at"]),
+            "proved up to, rad/s": _limit(w["certificate"]["omega_max"]),
+            "stable, minimum phase": yes_or_no(
+                w["certificate"]["stable"] and w["certificate"]["minimum_phase"] and w["certificate"]["ok"],
+                "proved",
+                "not proved",
+            ),
+            "bins bridged for want of data, rad/s": ", ".join(
+                number(x) for x in w["certificate"]["without_data"]
+            )
+            or "none",
+        }
+        for label, w in weights
     )
 
 

@@ -1,42 +1,28 @@
 """Section "Trade-off between uncertainty, disturbance and performance" of the controller design."""
 
-from __future__ import annotations
-
 from html import escape
 from pathlib import Path
 
 from ...base import artefacts
-from ..markup import captioned, html_table, number
+from ..markup import captioned, html_rows, number
 from ..pictures.design import tradeoff_front
 
 
 def tradeoff_section(folder: Path) -> str:
     """The section. ``folder``: written by `lpvguard design --tradeoff`."""
     found = artefacts.read_json(folder / "tradeoff.json")
-    rows = html_table(
-        [
-            "structure",
-            "ceiling",
-            "ν̄ at the lowest bin",
-            "at the highest",
-            "λ<sub>s</sub>, s²",
-            "worst μ",
-            "no controller below",
-            "largest γ<sub>w</sub>",
-        ],
-        [
-            [
-                escape(r["structure"]),
-                r["ceiling"],
-                number(r["nu_low"]),
-                number(r["nu_high"]),
-                number(r["lambda_s"]),
-                number(r["mu_worst"], 4),
-                number(r["floor"], 4),
-                number(r["gamma_w_max"]),
-            ]
-            for r in found["rows"]
-        ],
+    rows = html_rows(
+        {
+            "structure": escape(r["structure"]),
+            "ceiling": r["ceiling"],
+            "ν̄ at the lowest bin": number(r["nu_low"]),
+            "at the highest": number(r["nu_high"]),
+            "λ<sub>s</sub>, s²": number(r["lambda_s"]),
+            "worst μ": number(r["mu_worst"], 4),
+            "no controller below": number(r["floor"], 4),
+            "largest γ<sub>w</sub>": number(r["gamma_w_max"]),
+        }
+        for r in found["rows"]
     )
     front = captioned(
         tradeoff_front("t", found),

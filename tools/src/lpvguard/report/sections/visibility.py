@@ -1,7 +1,5 @@
 """Section "Excitation and what stays invisible": |Z| per bin, and the smallest visible errors."""
 
-from __future__ import annotations
-
 from html import escape
 
 import numpy as np
@@ -9,7 +7,7 @@ import numpy as np
 from ...drives.frames import Estimator
 from ...identify.visibility import STATED_GAINS
 from ..identification_pictures import IdentificationPictures
-from ..markup import captioned, html_table, number, unit_of_norm, yes_or_no
+from ..markup import captioned, html_rows, html_table, number, unit_of_norm, yes_or_no
 from ..visits import Visits
 
 
@@ -44,27 +42,17 @@ def _overall(seen: dict) -> str:
     """Table per speed: smallest visible errors over all bins, and whether the stated faults are visible."""
     typical, strongest = seen["at_percentile"], seen["at_strongest"]
     names = _cell_names(typical)
-    return html_table(
-        [
-            "speed, m/s",
-            "counted frames",
-            "excitation",
-            "smallest visible gain error",
-            "smallest visible delay, s",
-            *(s["fault"] + "?" for s in typical[0]["stated"]),
-        ],
-        [
-            [
-                n,
-                str(sum(c["frames"])),
-                word,
-                number(c["smallest_gain_error"]),
-                number(c["smallest_delay_s"]),
-                *(yes_or_no(s["visible"], "visible", "invisible") for s in c["stated"]),
-            ]
-            for n, *both in zip(names, typical, strongest, strict=False)
-            for word, c in zip((f"{seen['percentile']}th percentile", "strongest"), both, strict=False)
-        ],
+    return html_rows(
+        {
+            "speed, m/s": n,
+            "counted frames": str(sum(c["frames"])),
+            "excitation": word,
+            "smallest visible gain error": number(c["smallest_gain_error"]),
+            "smallest visible delay, s": number(c["smallest_delay_s"]),
+            **{s["fault"] + "?": yes_or_no(s["visible"], "visible", "invisible") for s in c["stated"]},
+        }
+        for n, *both in zip(names, typical, strongest, strict=False)
+        for word, c in zip((f"{seen['percentile']}th percentile", "strongest"), both, strict=False)
     )
 
 

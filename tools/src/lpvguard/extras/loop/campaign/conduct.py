@@ -14,8 +14,6 @@ truck. Where the brakes have less than WEAK_BRAKES of the nominal gain, the shar
 is that without control on the same road in the same wind. The two are independent, and their powers add.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import pairwise
@@ -113,15 +111,10 @@ def longest_stretch(at_limit: np.ndarray, Ts: float) -> float:
 
 
 def band_rms(
-    x: np.ndarray,
-    Ts: float,
-    highest: float,
-    gain: Callable[[np.ndarray], np.ndarray] = np.ones_like,
+    x: np.ndarray, Ts: float, highest: float, gain: Callable[[np.ndarray], np.ndarray] = np.ones_like
 ) -> float:
     """Rms of ``x`` (N,) from DC to ``highest`` [rad/s], times ``gain`` (k,) at its frequencies (k,) [rad/s].
-
-    ``Ts`` [s] is the sample period.
-    """
+    ``Ts`` [s] is the sample period."""
     X = np.fft.rfft(x) / len(x)
     omega = 2 * np.pi * np.arange(len(X)) / (len(x) * Ts)
     power = np.abs(X) ** 2
@@ -134,9 +127,7 @@ def band_rms(
 
 def beyond_wish(row: dict[str, Any]) -> bool:
     """Return whether a run's error exceeds a user's wish: TRACKED of the wanted yaw rate and the free motion.
-
-    No certificate promises this.
-    """
+    No certificate promises this."""
     share = TRACKED_WEAK if row["brake_gain"] < WEAK_BRAKES else TRACKED
     return bool(row["error_rms_radps"] > np.hypot(share * row["wanted_rms_radps"], row["free_rms_radps"]))
 

@@ -1,8 +1,6 @@
 """Faults of a campaign: kinds of faults and variations, their text in a scenario file, and their
 severities."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

@@ -35,18 +35,13 @@ class TrackingBound:
         return cls(DesignProblem.of(stored).weights)
 
     def rms(self, command: np.ndarray, w: np.ndarray, n: np.ndarray, Ts: float, Ts_n: float) -> float:
-        """Largest rms error up to STEERING_RADPS [rad/s].
-
-        ``command`` (N,) [rad/s] and disturbance ``w`` (N, 2) [rad/s, rad]: every ``Ts`` [s]. Noise ``n`` (M,
-        2): every ``Ts_n`` [s].
-        """
+        """Largest rms error up to STEERING_RADPS [rad/s]. ``command`` (N,) [rad/s] and disturbance ``w`` (N,
+        2) [rad/s, rad]: every ``Ts`` [s]. Noise ``n`` (M, 2): every ``Ts_n`` [s]."""
         W = self.weights
         parts = (
             (command, Ts, W.W_C),
-            (w[:, 0], Ts, W.W_wr),
-            (w[:, 1], Ts, W.W_wdelta),
-            (n[:, 0], Ts_n, W.W_nr),
-            (n[:, 1], Ts_n, W.W_ndelta),
+            *((column, Ts, weight) for column, weight in zip(w.T, W.W_w, strict=True)),
+            *((column, Ts_n, weight) for column, weight in zip(n.T, W.W_n, strict=True)),
         )
         return float(np.sqrt(sum(self._rms(x, step, weight) ** 2 for x, step, weight in parts)))
 

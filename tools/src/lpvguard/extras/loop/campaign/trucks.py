@@ -24,12 +24,7 @@ from ....base.errors import InputError
 from ....base.parallel import Map
 from ....base.progress import Progress
 from ....control.controller_file import faulted_performance
-from ....control.true_loop import (
-    certified_weight,
-    deviations,
-    require_certified_by_W_delta,
-    within_use,
-)
+from ....control.true_loop import certified_weight, deviations, require_certified_by_W_delta, within_use
 from ....identify.identification import StoredIdentification
 from ....identify.weights import Weights
 from ....vehicle.nominal import NominalModel
@@ -52,13 +47,10 @@ LOOP_SPEEDS = (8.5, 15.0, 21.5)
 
 @dataclass(frozen=True)
 class Distance:
-    """Distance of a truck from the nominal model.
-
-    ``ratio`` is the largest |delta_j| / W_delta,j. Measurement ends where it exceeds 1, so it is then a lower
-    bound. ``output``, ``omega_radps``, ``speed_mps`` and ``amplitude_bar`` are its place. ``least_gain`` is
-    the least |G_1/P_1| of a truck within the bounds, at the edge of use up to the highest frequency of a
-    command.
-    """
+    """Distance of a truck from the nominal model. ``ratio`` is the largest |delta_j| / W_delta,j. Measurement
+    ends where it exceeds 1, so it is then a lower bound. ``output``, ``omega_radps``, ``speed_mps`` and
+    ``amplitude_bar`` are its place. ``least_gain`` is the least |G_1/P_1| of a truck within the bounds, at
+    the edge of use up to the highest frequency of a command."""
 
     ratio: float
     output: str
@@ -141,12 +133,7 @@ def plants(certified: CertifiedSet, seed: int, workers: Map, progress: Progress)
         progress(f"frequency response, {kind.name} {x:g}")
         faulted.append({"kind": kind.name, "severity": x, **vars(found)})
     nominal = vars(certified.distance(""))
-    return {
-        "checked": certified.checked(),
-        "nominal": nominal,
-        "candidates": candidates,
-        "faulted": faulted,
-    }
+    return {"checked": certified.checked(), "nominal": nominal, "candidates": candidates, "faulted": faulted}
 
 
 def loop_levels(stored: StoredIdentification, controller: Path, progress: Progress) -> list[dict[str, Any]]:

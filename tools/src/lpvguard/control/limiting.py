@@ -1,0 +1,88 @@
+"""Limit of a design: signals in the worst vectors of the scaled loop at its peak, and their weights."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..engine.synthesis.dk import RobustPerformance
+from ..engine.synthesis.interconnection import GeneralisedPlant
+from ..engine.synthesis.statespace import StateSpace, lft
+
+LARGE = 0.1
+"""Least share that a sentence names."""
+WHOLE = {
+    "r_c": "the command (W_C)",
+    "z_t": "the tracking error (W_t)",
+    "xi_i": "the input uncertainty (W_delta)",
+    "xi_s": "the state uncertainty (W_delta_s)",
+    "z_u": "the control effort (W_u)",
+}
+"""Carriers by the beginning of a signal's name; the digits of further inputs and states do not count."""
+OF_OUTPUT = {"w": "the disturbance (W_w)", "n": "the noise (W_n)", "xi": "the uncertainty (W_delta)"}
+"""Carriers of one output by what stands before its name."""
+
+
+@dataclass(frozen=True)
+class Limiting:
+    """Peak of mu at one speed and shares of the signals in it.
+
+    Attributes
+    ----------
+    frequency : float, rad/s
+    enters_by, leaves_by : dict[str, float], share of each input and output of the scaled loop
+    """
+
+    frequency: float
+    enters_by: dict[str, float]
+    leaves_by: dict[str, float]
+
+    @classmethod
+    def of(cls, plant: GeneralisedPlant, controller: StateSpace, proved: RobustPerformance) -> Limiting:
+        """Peak of the loop of ``plant`` and ``controller`` with its certificate."""
+        frequency = proved.bracket.peak_frequency
+        loop = lft(plant.system, controller)
+        M = loop.response([frequency])[0]
+        if plant.blocks:
+            left, right = (
+                np.abs(np.diagonal(G.response([_warped(frequency, loop.dt)])[0]))
+                for G in proved.scaling.systems(plant)
+            )
+            M = left[:, None] * M * right
+        U, _, Vh = np.linalg.svd(M)
+        return cls(frequency, _shares(Vh[0], loop.inputs), _shares(U[:, 0], loop.outputs))
+
+    def sentence(self) -> str:
+        """In words."""
+        return f"mu enters by {_carriers(self.enters_by)} and leaves by {_carriers(self.leaves_by)}"
+
+
+def _shares(x: np.ndarray, names: tuple[str, ...]) -> dict[str, float]:
+    """|x_k|^2 by name, of a vector of length 1."""
+    return dict(zip(names, (np.abs(x) ** 2).tolist(), strict=True))
+
+
+def _warped(omega: float, dt: float) -> float:
+    return (
+        float(np.minimum(2 / dt * np.tan(min(0.5 * omega * dt, 0.5 * np.pi * (1 - 1e-9))), 1e12))
+        if dt
+        else omega
+    )
+
+
+def _carrier(signal: str) -> str:
+    """What a signal of Fig. 1 is, in words."""
+    name = signal.replace("eta", "xi", 1) if signal.startswith("eta") else signal
+    if name.rstrip("0123456789") in WHOLE:
+        return WHOLE[name.rstrip("0123456789")]
+    kind, _, output = name.partition("_")
+    return f"{OF_OUTPUT[kind]} of {output}"
+
+
+def _carriers(shares: dict[str, float]) -> str:
+    named: dict[str, float] = {}
+    for key, value in shares.items():
+        named[_carrier(key)] = named.get(_carrier(key), 0.0) + value
+    large = sorted(((s, n) for n, s in named.items() if s >= LARGE), reverse=True)
+    return " and ".join(f"{name} ({share:.0%})" for share, name in large)

@@ -1,0 +1,78 @@
+"""An evaluation in at most ten lines: alarms an hour, what is found and missed, the best baseline."""
+
+from typing import Any
+
+from .comparison import MONITOR, TOGETHER, row_name
+
+ALWAYS, NEVER = 0.95, 0.05
+"""From this share of its starts a fault counts as found; up to this one as missed."""
+NAMED = 6
+"""So many faults a line names."""
+
+
+def summary(evaluation: dict[str, Any]) -> list[str]:
+    """Say what an evaluation found.
+
+    Parameters
+    ----------
+    evaluation : dict, JSON of `lpvguard evaluate`
+
+    Returns
+    -------
+    list of str, at most ten sentences, alarms without a fault first
+    """
+    rows = evaluation["faults"]
+    counted = [row for row in rows if row["counted"]]
+    groups: dict[str, list[str]] = {"found": [], "partly found": [], "missed": []}
+    for row in counted:
+        share = row["found"] / row["counted"]
+        kind = "found" if share >= ALWAYS else "missed" if share <= NEVER else "partly found"
+        after = "" if row["median_s"] is None else f", after {row['median_s']:.3g} s"
+        groups[kind].append(f"{row_name(row)} ({row['found']} of {row['counted']}{after})")
+    starts, found = (sum(row[key] for row in counted) for key in ("counted", "found"))
+    lines = [
+        _alarms(evaluation),
+        f"faults: {found} of {starts} starts found within {evaluation['injection']['within_s']:g} s of "
+        f"judged, excited driving; of {len(counted)} faults "
+        + ", ".join(f"{len(names)} {kind}" for kind, names in groups.items()),
+        *(f"{kind}: {_first(names)}" for kind, names in groups.items() if names),
+    ]
+    if without := [row_name(row) for row in rows if not row["counted"]]:
+        lines.append(f"no drive qualifies for: {_first(without)}")
+    if evaluation["without_faults"]:
+        lines.append(f"drives without injected faults: {len(evaluation['without_faults'])} (too short)")
+    lines.append(_baseline(evaluation))
+    return lines
+
+
+def _first(names: list[str]) -> str:
+    more = f"; and {len(names) - NAMED} more" if len(names) > NAMED else ""
+    return "; ".join(names[:NAMED]) + more
+
+
+def _alarms(evaluation: dict[str, Any]) -> str:
+    """Alarms an hour without a fault: promised, then measured."""
+    of = evaluation["false_alarms"]["all"]
+    stated, hours = evaluation["stated_rates"][MONITOR], of["judged_h"]
+    promised = "nothing is promised, too few drives calibrate"
+    if stated is not None and hours:
+        promised = f"at most {stated * of['recordings']['of'] / hours:.3g} an hour judged are promised"
+    rate = of["recordings_per_judged_h"]
+    measured = "none is measured, nothing is judged"
+    if hours:
+        low, high = rate["interval"]
+        measured = f"{rate['rate']:.3g} measured (95 %: {low:.2g} to {high:.3g})"
+    drives = f"{of['alarmed_drives']} of {of['drives']} drives alarm in {hours:.3g} h"
+    return f"alarms without a fault: {promised}, {measured}; {drives}"
+
+
+def _baseline(evaluation: dict[str, Any]) -> str:
+    """The monitor beside the baseline that finds most."""
+    duels = evaluation["duels"]
+    whole = [d for d in duels if d["way"] == TOGETHER] or duels
+    if not whole:
+        return "no baseline: too few drives calibrate one"
+    best = max(whole, key=lambda d: d["found"][1])
+    ours, theirs = best["found"]
+    behind = f"; behind on {_first(best['behind'])}" if best["behind"] else "; behind on none"
+    return f"best baseline: {best['kind']} finds {theirs} of {best['counted']} starts, we {ours}{behind}"
