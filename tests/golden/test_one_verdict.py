@@ -89,6 +89,7 @@ def test_the_margin_holds_what_rounding_adds_to_a_score(builds, synthetic, g80, 
             for factor, alarms in ((1 + ROUNDING, False), (1 - ROUNDING, True)):
                 changed = other.compiled[1].copy()
                 fields = other.fields(changed)
+                fields["pool_scale"][:] = 0.0  # their ratio would share the threshold
                 for name in scores:
                     fields[name][:] = 1e9
                 fields[test][:] = max(scores[test] * factor, 1.0 if test == "energy_threshold" else 0.0)
