@@ -10,6 +10,7 @@ import hashlib
 import os
 import platform
 import shutil
+import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
@@ -107,3 +108,15 @@ def store(base: Path) -> Iterator[Store]:
                     if free:
                         shutil.rmtree(other, ignore_errors=True)
         yield Store(base / digest)
+
+
+EXAMPLES = ROOT / "tools" / "examples"
+
+
+def run_example(name: str, *words: object) -> str:
+    """What an example script prints."""
+    environment = {**os.environ, "PYTHONPATH": str(ROOT / "tools" / "src")}
+    command = [sys.executable, EXAMPLES / name, *map(str, words)]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return done.stdout

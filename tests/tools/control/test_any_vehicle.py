@@ -2,8 +2,6 @@
 certificates."""
 
 import json
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -22,6 +20,7 @@ from lpvguard.extras.loop.generate import generate
 from lpvguard.identify import identification
 from lpvguard.vehicle.design_settings import DesignSettings
 from lpvguard.vehicle.project import Project, load_project
+from made import run_example
 
 STEERING = {
     "A_t": 20.0,
@@ -172,6 +171,5 @@ def test_the_compiled_controller_keeps_the_gain_with_members_of_the_set(stored, 
 
 @pytest.mark.long("30 s: a design of its own")
 def test_the_example_prints_mu_over_speed(stored):
-    script = Path(__file__).parents[3] / "tools" / "examples" / "mu_over_speed.py"
-    done = subprocess.run([sys.executable, script, stored.folder], capture_output=True, text=True, check=True)
-    assert len(done.stdout.splitlines()) == 7 and "<= mu <=" in done.stdout
+    said = run_example("mu_over_speed.py", stored.folder)
+    assert len(said.splitlines()) == 7 and "<= mu <=" in said
