@@ -1016,8 +1016,8 @@ PLANTS: dict[str, list[Plant]] = {
         ),
         Plant(
             "lib/include/lpvguard/watch.h",
-            "/// The sums, and F at rest, begin",
-            "/// Nor do the sums, and F at rest, begin",
+            "The sums below begin with the engagement.",
+            "Nor do the sums below begin with the engagement.",
             r"watch\.h:\d+: inversion",
         ),
     ],

@@ -216,8 +216,13 @@ TEST_CASE("a value that the algorithm does not allow is refused", "[unit][coeff]
         cases.push_back({"above Nyquist", [b](lpvg_coeff_t& c) { c.words.cycles[b] = c.words.frame_length[b] / 2U; }});
         cases.push_back({"W_delta 0", [b](lpvg_coeff_t& c) { c.reals.W_delta[b][LPVG_NDELTA - 1] = Real(0); }});
         cases.push_back({"scale 0", [b](lpvg_coeff_t& c) { c.reals.scale[b] = Real(0); }});
+        cases.push_back({"a pool without a part", [b](lpvg_coeff_t& c) { c.words.pool_parts[b] = 0U; }});
+        cases.push_back({"more parts of a pool than its memory", [b](lpvg_coeff_t& c) { c.words.pool_parts[b] = LPVG_NPOOL + 1U; }});
+        cases.push_back({"a part without a frame", [b](lpvg_coeff_t& c) { c.words.pool_frames[b] = 0U; }});
         for (std::size_t j = 0; j < LPVG_NY; ++j) {
             cases.push_back({"B_w 0", [b, j](lpvg_coeff_t& c) { c.reals.B_w[b][j] = Real(0); }});
+            cases.push_back({"W of a pool below 0", [b, j](lpvg_coeff_t& c) { c.reals.pool_W[b][j] = Real(-0.001); }});
+            cases.push_back({"scale of a pool below 0", [b, j](lpvg_coeff_t& c) { c.reals.pool_scale[b][j] = Real(-0.001); }});
         }
     }
     for (const Case& test : cases) {
@@ -232,6 +237,11 @@ TEST_CASE("the least value that the algorithm allows is accepted", "[unit][coeff
         [](lpvg_coeff_t& c) { c.words.sample_period_us = 1U; },
         [](lpvg_coeff_t& c) { c.words.energy_rearm = 1U; },
         [](lpvg_coeff_t& c) { c.words.change_rearm = 1U; },
+        [](lpvg_coeff_t& c) { c.words.pool_parts[0] = 1U; },
+        [](lpvg_coeff_t& c) { c.words.pool_parts[0] = LPVG_NPOOL; },
+        [](lpvg_coeff_t& c) { c.words.pool_frames[0] = 1U; },
+        [](lpvg_coeff_t& c) { c.reals.pool_W[0][0] = Real(0); },
+        [](lpvg_coeff_t& c) { c.reals.pool_scale[0][0] = Real(0); },
         [](lpvg_coeff_t& c) { c.reals.speed_min = Real(0.999) * c.reals.speed_max; },
     };
     for (const auto& change : least) {
