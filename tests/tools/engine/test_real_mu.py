@@ -112,6 +112,7 @@ def test_no_answer_is_false_loose_or_refused(kind, family, monkeypatch):
         pytest.param("repeated_real", 2026, 9, id="eigenvalues that are nearly real all around 0"),
         pytest.param("similar", 5309, 117, id="a nearly triangular M in mixed units"),
         pytest.param("repeated_real", 2027, 4, id="narrow cells on a wide box"),
+        pytest.param("diagonal", 6161, 1071, id="vectors of length 1e-160"),
         pytest.param("interval_polynomial", 2026, 17, id="rows of M that vanish at 0"),
     ],
 )

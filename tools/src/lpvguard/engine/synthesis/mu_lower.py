@@ -312,7 +312,9 @@ def _unit(v: np.ndarray) -> np.ndarray:
 
 
 def _rank_one(u: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """u v* of unit size; zero where a vector is."""
+    """u v* of unit size; zero where a vector is. Vectors are scaled first, because squares of 1e-160 have few
+    digits."""
+    u, v = (x / max(np.abs(x).max(initial=0.0), TINY) for x in (u, v))
     return np.outer(u, v.conj()) / max(np.linalg.norm(u) * np.linalg.norm(v), TINY)
 
 
