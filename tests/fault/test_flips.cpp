@@ -146,6 +146,8 @@ const std::vector<Field> model_fields = {
     LPVG_WORD(change_rearm),
     LPVG_WORD(frame_length),
     LPVG_WORD(cycles),
+    LPVG_WORD(pool_parts),
+    LPVG_WORD(pool_frames),
     LPVG_WORD(varying_entry),
     LPVG_REAL(speed_min),
     LPVG_REAL(speed_valid),
@@ -176,6 +178,8 @@ const std::vector<Field> model_fields = {
     LPVG_REAL(change_threshold),
     LPVG_REAL(W_delta),
     LPVG_REAL(B_w),
+    LPVG_REAL(pool_W),
+    LPVG_REAL(pool_scale),
     LPVG_REAL(threshold),
 };
 const std::vector<Field> control_fields = {
