@@ -408,8 +408,10 @@ def manual() -> str:
 
 
 def generated(library: Path) -> dict[Path, str]:
-    """Path -> text of every generated file below the core's folder ``library``. Raises InputError when a
-    header has lost its marks."""
+    """Path -> text of every generated file below the core's folder ``library``.
+
+    Raises InputError when a header has lost its marks.
+    """
     files = {library / "src" / file: checks_source(file) for file in CHECKS}
     files[library / "COEFFICIENTS.md"] = manual()
     for layout in LAYOUTS:

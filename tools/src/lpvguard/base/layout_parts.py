@@ -55,9 +55,12 @@ of whole numbers."""
 
 @dataclass(frozen=True)
 class Field:
-    """A member of a coefficient struct. ``shape`` holds expressions of the dimensions; () is a scalar.
-    ``within`` is the interval for every item, as "(0, 1]"; its ends are numbers, expressions of dimensions,
-    or scalar fields of the same struct. An empty ``within`` allows any finite number."""
+    """A member of a coefficient struct.
+
+    ``shape`` holds expressions of the dimensions; () is a scalar. ``within`` is the interval for every item,
+    as "(0, 1]"; its ends are numbers, expressions of dimensions, or scalar fields of the same struct. An
+    empty ``within`` allows any finite number.
+    """
 
     name: str
     shape: tuple[str, ...]
@@ -74,7 +77,9 @@ class Field:
 @dataclass(frozen=True)
 class Layout:
     """A coefficient struct: ``lpvg_<stem>_words_t``, ``lpvg_<stem>_reals_t`` and ``lpvg_<struct>_t`` in C.
-    ``dimensions`` have the order of words.sizes."""
+
+    ``dimensions`` have the order of words.sizes.
+    """
 
     stem: str
     struct: str
@@ -99,8 +104,10 @@ class Layout:
         self, part: str, values: dict[str, Any], sizes: dict[str, int], where: object
     ) -> dict[str, np.ndarray]:
         """Arrays of "words" or "reals" by field, in the order of the struct, each in the shape of its field.
+
         ``sizes`` are by dimension. Raises InputError that names ``where`` and the field, if a field is
-        missing, unknown, of the wrong shape, not finite or out of its range."""
+        missing, unknown, of the wrong shape, not finite or out of its range.
+        """
         fields: tuple[Field, ...] = getattr(self, part)
         names = [field.name for field in fields]
         if set(values) != set(names):

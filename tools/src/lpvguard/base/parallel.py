@@ -64,8 +64,11 @@ def _bounded(submit: Callable[..., Any], wait: Callable[[Any], Any], limit: Call
 
 
 class _Workers:
-    """Single-worker processes. An item goes to the worker that had it before, which may have cached it,
-    unless that worker is behind. Otherwise it goes to the worker with the least to do."""
+    """Single-worker processes.
+
+    An item goes to the worker that had it before, which may have cached it, unless that worker is behind.
+    Otherwise it goes to the worker with the least to do.
+    """
 
     def __init__(self, pools: list[ProcessPoolExecutor]):
         self._pools = pools

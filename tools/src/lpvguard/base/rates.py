@@ -1,6 +1,8 @@
-"""Rates with exact 95 % intervals: shares of drives, recordings or runs, and events per hour of driving. No
-interval has zero width, not even at 0 % or 100 %. The counted things must be independent. Therefore count the
-recordings that alarm: the alarms of one recording depend on each other."""
+"""Rates with exact 95 % intervals: shares of drives, recordings or runs, and events per hour of driving.
+
+No interval has zero width, not even at 0 % or 100 %. The counted things must be independent. Therefore count
+the recordings that alarm: the alarms of one recording depend on each other.
+"""
 
 from typing import Any
 

@@ -38,9 +38,12 @@ _POLL_S = 0.1
 
 
 def lock_folder(folder: Path, file: str) -> int | None:
-    """Lock an existing folder for this process. Returns a handle for `unlock_folder`, or None when another
-    process holds it. The kernel unlocks it when the process ends. ``file`` names a file in the folder that
-    carries the lock where a folder cannot. Raises FileNotFoundError when the folder vanished."""
+    """Lock an existing folder for this process.
+
+    Returns a handle for `unlock_folder`, or None when another process holds it. The kernel unlocks it when
+    the process ends. ``file`` names a file in the folder that carries the lock where a folder cannot. Raises
+    FileNotFoundError when the folder vanished.
+    """
     if sys.platform == "win32":
         handle = os.open(folder / file, os.O_RDWR | os.O_CREAT)
         try:
@@ -109,8 +112,11 @@ def open_standard_streams() -> None:
 
 @contextmanager
 def undisturbed() -> Iterator[None]:
-    """Put off the signals that end a program until the block is through. Handlers wait, because Python calls
-    them in the main thread even for a blocked signal. Threads other than the main one need nothing."""
+    """Put off the signals that end a program until the block is through.
+
+    Handlers wait, because Python calls them in the main thread even for a blocked signal. Threads other than
+    the main one need nothing.
+    """
     if threading.current_thread() is not threading.main_thread():
         yield
         return

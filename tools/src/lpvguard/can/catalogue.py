@@ -31,8 +31,10 @@ J1939_LENGTHS = (2, 4, 8, 16)
 
 
 def j1939_data_max(length: int) -> int:
-    """Largest raw value of ``length`` bits (2 or more) that is data. It is 0xFA in the top byte; below 8 bits
-    it is all values but two."""
+    """Largest raw value of ``length`` bits (2 or more) that is data.
+
+    It is 0xFA in the top byte; below 8 bits it is all values but two.
+    """
     return (0xFB << (length - 8)) - 1 if length >= 8 else (1 << length) - 3
 
 

@@ -31,8 +31,11 @@ def _require_advance(objects: bytes) -> None:
 
 
 def python_can_reader(path: Path) -> can.io.generic.MessageReader:
-    """Return python-can's reader of a log. The reader of BLF raises ValueError (`_require_advance`) where it
-    would never end. That of ASC reads further dialects (``AscLines``)."""
+    """Return python-can's reader of a log.
+
+    The reader of BLF raises ValueError (`_require_advance`) where it would never end. That of ASC reads
+    further dialects (``AscLines``).
+    """
     import can  # costs 0.2 s, and is not needed for candump
 
     reader = can.LogReader(path)
@@ -50,8 +53,11 @@ def python_can_reader(path: Path) -> can.io.generic.MessageReader:
 
 
 class _Mdf:
-    """Blocks of an MDF file. MDF 4 has addresses of 8 bytes: the next block's at byte 24, then those of the
-    blocks below. MDF 3 has addresses of 4 bytes from byte 4."""
+    """Blocks of an MDF file.
+
+    MDF 4 has addresses of 8 bytes: the next block's at byte 24, then those of the blocks below. MDF 3 has
+    addresses of 4 bytes from byte 4.
+    """
 
     def __init__(self, content: mmap.mmap):
         self.content = content

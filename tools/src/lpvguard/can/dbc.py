@@ -1,6 +1,9 @@
-"""Writes our DBC from the catalogue; it opens in cantools, canmatrix and the usual bus tools. Every message
-is marked as a J1939 parameter group (``VFrameFormat``) with its PGN and cycle time; every signal has its SPN.
-The text depends on the catalogue alone. Unused bits are not described: senders set them to 1."""
+"""Writes our DBC from the catalogue; it opens in cantools, canmatrix and the usual bus tools.
+
+Every message is marked as a J1939 parameter group (``VFrameFormat``) with its PGN and cycle time; every
+signal has its SPN. The text depends on the catalogue alone. Unused bits are not described: senders set them
+to 1.
+"""
 
 from .catalogue import BusSignal, Catalogue, Message, load_catalogue
 

@@ -141,8 +141,10 @@ def contradicting_range(signal: Signal) -> str:
 
 
 def _encoding(path: Path) -> str | None:
-    """Encoding of a text form that does not state it: UTF-8 if valid, else that of Vector's tools. Units need
-    it ("°/s")."""
+    """Encoding of a text form that does not state it: UTF-8 if valid, else that of Vector's tools.
+
+    Units need it ("°/s").
+    """
     if path.suffix.lower() not in {".dbc", ".sym"}:
         return None
     try:

@@ -300,8 +300,10 @@ _SCREEN = re.compile(
 
 
 def _as_logged(match: re.Match[bytes]) -> bytes:
-    """The same line as candump -l writes it; a length of two digits is that of a CAN FD frame. A line whose
-    number of bytes contradicts its length stays unchanged and is no frame."""
+    """The same line as candump -l writes it; a length of two digits is that of a CAN FD frame.
+
+    A line whose number of bytes contradicts its length stays unchanged and is no frame.
+    """
     stamp, interface, identifier, length, remote, digits = match.groups()
     if remote:
         return b"%b %b %b#R%b" % (stamp, interface, identifier, length)
@@ -313,8 +315,10 @@ def _as_logged(match: re.Match[bytes]) -> bytes:
 
 
 def _screen_bytes(digits: bytes, length: int) -> bytes | None:
-    """Bytes (length,) of candump's screen; None where the number of bytes differs. Digits are hexadecimal, or
-    binary with ``-i``. Backticks of ``-S`` mean that the last byte stands first."""
+    """Bytes (length,) of candump's screen; None where the number of bytes differs.
+
+    Digits are hexadecimal, or binary with ``-i``. Backticks of ``-S`` mean that the last byte stands first.
+    """
     groups = digits.replace(b"`", b" ").split()
     widths = {len(group) for group in groups}
     if len(groups) != length or (not widths <= {2} and not widths <= {8}):

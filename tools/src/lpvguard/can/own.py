@@ -61,8 +61,10 @@ class Carried:
 @dataclass(frozen=True)
 class CarriedMessage:
     """A message of the car, ours that carries it, and the places of its checksum and counter.
+
     ``checksum_name`` is None without one. ``counters`` is the number of the counter's values.
-    ``any_priority`` marks a J1939 group."""
+    ``any_priority`` marks a J1939 group.
+    """
 
     car: CarMessage
     ours: Message
@@ -389,8 +391,10 @@ def _halves(signal: CarSignal) -> tuple[Place, Place]:
 
 
 def _accepted(signal: CarSignal, low: float, high: float) -> dict[str, float] | None:
-    """Range of the database, whose ends are rounded, within the raw values' reach ``low`` to ``high``. None
-    where it states no range that can be meant."""
+    """Range of the database, whose ends are rounded, within the raw values' reach ``low`` to ``high``.
+
+    None where it states no range that can be meant.
+    """
     if signal.minimum is None or signal.maximum is None or not signal.minimum < signal.maximum:
         return None
     if why := contradicting_range(signal):
@@ -402,8 +406,10 @@ def _accepted(signal: CarSignal, low: float, high: float) -> dict[str, float] | 
 
 
 def _protection(car: CarMessage, settings: OwnMessage, where: str) -> tuple[Bits | None, Bits | None, int]:
-    """Places of checksum and counter, None without one, and the number of the counter's values. Raises
-    InputError where the settings do not fit the message."""
+    """Places of checksum and counter, None without one, and the number of the counter's values.
+
+    Raises InputError where the settings do not fit the message.
+    """
     place = f"can.messages.{car.name}"
     named = _named(car, settings.counter, "COUNTER", f"{place}.counter", where)
     if settings.checksum is None:

@@ -1,6 +1,8 @@
-"""Generates the C (C99) that turns frames of a car's own bus into frames of own.py's catalogue. Two files
-beside the codec (codegen.py): ``lpvg_can_own.h`` and ``lpvg_can_own.c``. They precede the receiver:
-``lpvg_can_own_take`` comes first, then ``lpvg_can_receive`` with its result."""
+"""Generates the C (C99) that turns frames of a car's own bus into frames of own.py's catalogue.
+
+Two files beside the codec (codegen.py): ``lpvg_can_own.h`` and ``lpvg_can_own.c``. They precede the receiver:
+``lpvg_can_own_take`` comes first, then ``lpvg_can_receive`` with its result.
+"""
 
 from __future__ import annotations
 

@@ -1,6 +1,8 @@
 """Turns drives into frames of the catalogue's messages, and plays frames onto a bus or into a candump log.
+
 ``encode`` is the numpy version of the generated C codec. It rounds to the nearest raw value, saturates, and
-sends NaN as "not available". It sets unused bits to 1 and adds E2E profile 11 where the catalogue says so."""
+sends NaN as "not available". It sets unused bits to 1 and adds E2E profile 11 where the catalogue says so.
+"""
 
 import time
 from collections.abc import Callable, Mapping

@@ -1,5 +1,7 @@
 """Raw CAN frames as text tables: python-can, SavvyCAN and GVRET, Cabana, CSS Electronics and their kin.
-Columns are found by name. One holds all data bytes, or there is one a byte."""
+
+Columns are found by name. One holds all data bytes, or there is one a byte.
+"""
 
 import base64
 import binascii

@@ -34,9 +34,11 @@ class TextTable:
 
 
 def read_text_table(data: bytes, path: Path, text_columns: bool = False) -> TextTable:
-    """Read a table of one header line, and of a row of units where there is one. Lines before the header and
-    comments are skipped. ``text_columns``: leave every cell as text. InputError where no header is found, or
-    where more than STRAY of the lines do not fit it."""
+    """Read a table of one header line, and of a row of units where there is one.
+
+    Lines before the header and comments are skipped. ``text_columns``: leave every cell as text. InputError
+    where no header is found, or where more than STRAY of the lines do not fit it.
+    """
     lines = _decoded(data, path).splitlines()
     first = next((k for k, line in enumerate(lines) if line.strip() and not _COMMENT.match(line)), None)
     if first is None:

@@ -38,8 +38,10 @@ def time_of(
     table: pa.Table, units: Mapping[str, str], path: Path, first_line: int, named: str | None
 ) -> tuple[np.ndarray, np.ndarray, set[str]]:
     """Times (K,) [ns] of a table's rows, which rows have one (N,) bool, and the columns of the time.
+
     ``named``: the column that the user says. ``units``: unit by column, where the log states one. InputError
-    where no column is the time, its unit cannot be told, or more than STRAY of the rows have none."""
+    where no column is the time, its unit cannot be told, or more than STRAY of the rows have none.
+    """
     names = table.column_names
     if named is None and (pair := _pair(names)):
         seconds, nanoseconds = (_plain(table, n) for n in pair)

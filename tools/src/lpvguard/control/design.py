@@ -303,9 +303,11 @@ def _with_fewest_poles(
     order_loss: float,
     progress: Progress,
 ) -> Scheduled | None:
-    """Schedule with the fewest pairs of common poles, at most ``most``, or None. More pairs lower the worst
-    level by less than ``order_loss`` of it. The result is None where no number of pairs stabilises every
-    speed. ``worst_level`` of a schedule is inf above the given level."""
+    """Schedule with the fewest pairs of common poles, at most ``most``, or None.
+
+    More pairs lower the worst level by less than ``order_loss`` of it. The result is None where no number of
+    pairs stabilises every speed. ``worst_level`` of a schedule is inf above the given level.
+    """
     best, found, found_pairs = np.inf, None, 0
     for pairs in range(FEWEST_PAIRS, most + 1):
         progress(Counted(f"{pairs} pairs of poles", pairs**3, (most + 1) ** 3))
@@ -326,8 +328,11 @@ def _sound_order(
     level: float,
     workers: Map,
 ) -> int:
-    """Largest order at which every controller of the family keeps ``level``. The last states of ``rank`` can
-    be rounding alone, with an unstable loop. Raises InputError where no order keeps the level."""
+    """Largest order at which every controller of the family keeps ``level``.
+
+    The last states of ``rank`` can be rounding alone, with an unstable loop. Raises InputError where no order
+    keeps the level.
+    """
     for order in range(rank, 0, -1):
         loops = zip(plants, at_order(order), strict=True)
         norms = workers(partial(_scaled_norm, scaling, 1e-3), loops)
@@ -345,8 +350,10 @@ def _worst_level(
     scaling: Scaling,
     workers: Map,
 ) -> float:
-    """Largest norm of the scaled closed loops. It is inf when one loop, or the injection of a limited demand,
-    is unstable, or when one exceeds ``limit``."""
+    """Largest norm of the scaled closed loops.
+
+    It is inf when one loop, or the injection of a limited demand, is unstable, or when one exceeds ``limit``.
+    """
     if not all(schedule.injection_radius(v) < 1 for v in loops):
         return np.inf
     worst = 0.0
@@ -467,9 +474,11 @@ def _certificates(
 def verify(
     path: Path, stored: StoredIdentification, progress: Progress = lambda _: None, workers: Map = map
 ) -> None:
-    """Prove the certificates of a controller.json again for its coefficients and these weights. ``workers``
-    share the speeds. Raises InputError that names the speed of an unstable loop or a wrong number, or an
-    objective or input limit that differs from the project's."""
+    """Prove the certificates of a controller.json again for its coefficients and these weights.
+
+    ``workers`` share the speeds. Raises InputError that names the speed of an unstable loop or a wrong
+    number, or an objective or input limit that differs from the project's.
+    """
     settings = stored.project.design
     document = artefacts.read_json(path)
     if settings is None or "certificates" not in document:
@@ -543,8 +552,10 @@ def _require_floor(path: Path, stated: dict, floor: float) -> None:
 def _compare(
     path: Path, row: dict, proved: RobustPerformance, plant: fig1.GeneralisedPlant, schedule: Scheduled
 ) -> None:
-    """Raise InputError unless a row states the proved numbers. The peak may be one of several: the scaled
-    gain there must reach mu."""
+    """Raise InputError unless a row states the proved numbers.
+
+    The peak may be one of several: the scaled gain there must reach mu.
+    """
     v = row["v_mps"]
     loop = closed_scaled(plant, schedule.at(v), proved.scaling)
     at_peak = (

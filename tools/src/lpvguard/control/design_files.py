@@ -1,5 +1,7 @@
 """Files of step 8 besides controller.json: the numbers of Table II and of Figs. 5 and 6, and of a case file.
-report/design_pictures.py draws them."""
+
+report/design_pictures.py draws them.
+"""
 
 import numpy as np
 

@@ -146,7 +146,10 @@ def require_limits(
     workers: Map = map,
 ) -> None:
     """Raise InputError unless the constants of ``stated`` (certificates.limits of ``path``) prove its
-    numbers. None claims nothing. ``workers`` share the rows."""
+    numbers.
+
+    None claims nothing. ``workers`` share the rows.
+    """
     if stated is None:
         return
     rows = stated["rows"]

@@ -1,6 +1,8 @@
-"""Proofs for a scheduled loop while the speed moves: search, storage and repetition. Robust stability has the
-largest rate |dv/dt| that was found (engine/synthesis/lpv_certificate.py). Robust performance has one rate,
-and the level at which it holds there (engine/synthesis/least_level.py)."""
+"""Proofs for a scheduled loop while the speed moves: search, storage and repetition.
+
+Robust stability has the largest rate |dv/dt| that was found (engine/synthesis/lpv_certificate.py). Robust
+performance has one rate, and the level at which it holds there (engine/synthesis/least_level.py).
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -112,8 +114,11 @@ def _stability(asked: tuple[DesignProblem, Scheduled, Scaling]) -> Moving | None
 def tuning(
     schedule: Scheduled, plant_of: Callable[[float], GeneralisedPlant], scaling: Scaling, workers: Map = map
 ) -> Callable[[float], Scaling]:
-    """The D with the least frozen gain for the given controller, by the level. plant_of(v) is the generalised
-    plant at v [m/s]; ``scaling`` starts the search. ``workers`` share the speeds."""
+    """The D with the least frozen gain for the given controller, by the level.
+
+    plant_of(v) is the generalised plant at v [m/s]; ``scaling`` starts the search. ``workers`` share the
+    speeds.
+    """
     nodes = schedule.speeds[evenly(len(schedule.speeds), TUNING_SPEEDS)]
     plants = {float(v): plant_of(float(v)) for v in nodes}
     loops = [lft(plant.system, schedule.at(v)) for v, plant in plants.items()]
@@ -181,8 +186,10 @@ def require_moving(
     progress: Progress = lambda _: None,
     workers: Map = map,
 ) -> None:
-    """Raise InputError unless every rate in the certificates ``stated`` is proved again. ``workers`` share
-    the claims."""
+    """Raise InputError unless every rate in the certificates ``stated`` is proved again.
+
+    ``workers`` share the claims.
+    """
     said_of = {claim: stated["moving_speed"].get(claim, {"rate_mps2": np.nan}) for claim in CLAIMS}
     said_of = {claim: said for claim, said in said_of.items() if said["rate_mps2"] is not None}
     asked = ((problem, schedule, claim, said) for claim, said in said_of.items())

@@ -97,8 +97,11 @@ class DesignProblem:
 
     def state_uncertainty(self) -> SplitWeights:
         """Class S2's weights at the identified gamma_w: W_delta_i dimensionless, W_delta_s in 1/s; searched
-        once for each lambda_s. xi_s adds to the state's derivative. It is found by inverting dynamics, which
-        windows only approximate: InputError where the frames cannot tell it."""
+        once for each lambda_s.
+
+        xi_s adds to the state's derivative. It is found by inverting dynamics, which windows only
+        approximate: InputError where the frames cannot tell it.
+        """
         stored, lambda_s = self.stored, self.settings.lambda_s
         error = stored.bounds["window_error_median"]
         worst = int(np.nanargmax(error))

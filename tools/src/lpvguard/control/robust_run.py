@@ -89,8 +89,10 @@ class CompiledController:
     def close(
         self, plant: StateSpace, n_measurement: int, v: float, w: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """z (N, n_z) and u (N, n_u) of ``plant`` from rest for inputs w (N, n_w) at speed v [m/s]. The plant
-        leads from [w; u] to [z; y], discrete."""
+        """z (N, n_z) and u (N, n_u) of ``plant`` from rest for inputs w (N, n_w) at speed v [m/s].
+
+        The plant leads from [w; u] to [z; y], discrete.
+        """
         w = np.ascontiguousarray(w)
         n_z, n_u = plant.n_outputs - n_measurement, plant.n_inputs - w.shape[1]
         z, u = np.empty((len(w), n_z)), np.empty((len(w), n_u))

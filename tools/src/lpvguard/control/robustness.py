@@ -118,7 +118,10 @@ def require_robustness(
     workers: Map = map,
 ) -> None:
     """Raise InputError unless ``stated`` (certificates.robustness of ``path``) is computed again, in its
-    units. None claims nothing. An upper bound below the one computed again is proved as stated."""
+    units.
+
+    None claims nothing. An upper bound below the one computed again is proved as stated.
+    """
     if stated is not None:
         units = stated["unit_u"], tuple(stated["units_y"])
         found = _with_units(problem, schedule, scaling, *units, progress, workers, stated["nodes"])
@@ -181,8 +184,11 @@ def _with_units(
 
 @dataclass(frozen=True)
 class _Asked:
-    """A node: its generalised plant, controller and vehicle, and its neighbours' vehicles. These are at the
-    next node and midway to it; the last node has none. ``stated`` holds upper bounds by name to prove."""
+    """A node: its generalised plant, controller and vehicle, and its neighbours' vehicles.
+
+    These are at the next node and midway to it; the last node has none. ``stated`` holds upper bounds by name
+    to prove.
+    """
 
     v: float
     plant: GeneralisedPlant
@@ -192,9 +198,11 @@ class _Asked:
     stated: dict[str, float | None]
 
     def proved(self, name: str, bound: Callable[[float], float]) -> float:
-        """Return the upper bound ``name`` as stated if it is proved, else the one computed anew. ``bound`` is
-        the upper bound by the level from which its search begins. It is asked for the stated level only where
-        that is less than what it finds by itself."""
+        """Return the upper bound ``name`` as stated if it is proved, else the one computed anew.
+
+        ``bound`` is the upper bound by the level from which its search begins. It is asked for the stated
+        level only where that is less than what it finds by itself.
+        """
         value, stated = bound(0.0), self.stated.get(name)
         near = stated is not None and value * (1 - FOUND_RTOL) <= stated < value
         return bound(stated) if near and stated is not None else value
@@ -270,8 +278,10 @@ def _controller_in_units(K: StateSpace, units_u: np.ndarray, units_y: tuple[floa
 
 
 def _units(model: NominalModel, schedule: Scheduled, workers: Map) -> tuple[float, tuple[float, ...]]:
-    """Units with the smallest nu-gaps between neighbours relative to b(P, K). The search starts from those of
-    a stationary vehicle at its limit in the middle of the range."""
+    """Units with the smallest nu-gaps between neighbours relative to b(P, K).
+
+    The search starts from those of a stationary vehicle at its limit in the middle of the range.
+    """
     speeds = [float(v) for v in schedule.speeds]
     middle = speeds[len(speeds) // 2]
     P = vehicle_at(model, middle)

@@ -64,9 +64,12 @@ def fit_by_pairs(
     loops: Sequence[FrozenLoop], speeds: np.ndarray, scaling: Scaling, u_max: np.ndarray
 ) -> Callable[[int], Scheduled]:
     """Function of the number of pairs of poles that returns the schedule closest to the controllers of
-    ``loops``. The schedule has so many pairs and a delay; there is a loop a speed. u_max (G, n_u) is the
-    largest |demand| at every speed [input unit]. Raises LinAlgError where a loop's sensitivity or recovery
-    does not exist."""
+    ``loops``.
+
+    The schedule has so many pairs and a delay; there is a loop a speed. u_max (G, n_u) is the largest
+    |demand| at
+    every speed [input unit]. Raises LinAlgError where a loop's sensitivity or recovery does not exist.
+    """
     Ts = loops[0].controller.dt
     omega = np.concatenate([[0.0], np.logspace(-5, 0, FIT_POINTS) * np.pi / Ts * (1 - 1e-9)])
     z = np.exp(1j * omega * Ts)
@@ -124,8 +127,10 @@ def _factor(values: np.ndarray) -> np.ndarray:
 
 
 def first_columns(poles: np.ndarray) -> np.ndarray:
-    """a (n,) of pairs of ``poles`` (n,) in the z plane, slowest first. Complex poles come with their
-    conjugates, real ones in an even number."""
+    """a (n,) of pairs of ``poles`` (n,) in the z plane, slowest first.
+
+    Complex poles come with their conjugates, real ones in an even number.
+    """
     real = np.sort(poles[np.abs(poles.imag) < 1e-9].real)[::-1]
     upper = poles[poles.imag >= 1e-9]
     pairs = np.vstack([np.column_stack([upper, upper.conj()]), real.reshape(-1, 2)]) - 1

@@ -1,6 +1,9 @@
 """Largest rate of a varying Delta at every node, and the rates that the frames of its bounds leave hidden
-(THEORY 7.11). At a rate r [1/s], Delta changes in gain by at most r Ts from one sample to the next. Delta is
-any causal linear system of gain 1. The speed is frozen."""
+(THEORY 7.11).
+
+At a rate r [1/s], Delta changes in gain by at most r Ts from one sample to the next. Delta is any causal
+linear system of gain 1. The speed is frozen.
+"""
 
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
@@ -117,8 +120,10 @@ def _node(scaling: Scaling, closed: tuple[float, GeneralisedPlant, StateSpace]) 
 
 
 def hidden_rates(problem: DesignProblem) -> tuple[float, float]:
-    """Rates [1/s] at which a Delta of size 1 changes its sign within the longest and the shortest frame. A
-    frame shows only the mean of such a Delta."""
+    """Rates [1/s] at which a Delta of size 1 changes its sign within the longest and the shortest frame.
+
+    A frame shows only the mean of such a Delta.
+    """
     lengths = np.asarray(problem.stored.bounds["length_samples"], float) * problem.model.Ts
     return float(FULL_SWING / lengths.max()), float(FULL_SWING / lengths.min())
 
@@ -133,7 +138,10 @@ def require_slowness(
     workers: Map = map,
 ) -> None:
     """Raise InputError unless the constants of ``stated`` (certificates.slow_delta of ``path``) prove its
-    rates. None claims nothing. ``workers`` share the nodes."""
+    rates.
+
+    None claims nothing. ``workers`` share the nodes.
+    """
     if stated is None:
         return
     nodes = stated["nodes"]

@@ -201,8 +201,10 @@ class StoredFrames:
         return B_w
 
     def _behind(self, Z, v, omega):
-        """Input u (F,) after the delay, x_nom (F, n), h_i (F, n) and h_s (F, n, n) behind frames. The frames
-        have speeds v (F,) in a bin at ``omega`` [rad/s]."""
+        """Input u (F,) after the delay, x_nom (F, n), h_i (F, n) and h_s (F, n, n) behind frames.
+
+        The frames have speeds v (F,) in a bin at ``omega`` [rad/s].
+        """
         speeds, index = np.unique(
             np.round(v, 2), return_inverse=True
         )  # 1 cm/s moves no entry by more than 1e-3

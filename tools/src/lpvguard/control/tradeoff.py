@@ -46,7 +46,9 @@ MOST_CANDIDATES = 2 * (1 + len(LEVELS)) + ROUNDS * 6
 @dataclass(frozen=True)
 class Candidate:
     """A candidate: ceiling ``low`` at the lowest bin, ``high`` at the highest, linear over log omega between.
-    ``lambda_s`` [s^2], None: K_i. ``own``: the project's ceiling instead."""
+
+    ``lambda_s`` [s^2], None: K_i. ``own``: the project's ceiling instead.
+    """
 
     low: float
     high: float
@@ -64,8 +66,10 @@ class Candidate:
         return (*np.round([self.low, self.high, self.lambda_s or 0.0], 9), self.own)
 
     def moved(self, name: str, factor: float) -> Candidate | None:
-        """The candidate with the number ``name`` (low, high or lambda_s) times ``factor``; None without it. A
-        level stays at most LARGEST_LEVEL."""
+        """The candidate with the number ``name`` (low, high or lambda_s) times ``factor``; None without it.
+
+        A level stays at most LARGEST_LEVEL.
+        """
         value = getattr(self, name)
         if value is None:
             return None
@@ -75,8 +79,10 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Outcome:
-    """A candidate's ceiling and split (K,), floor, and ``level``, the optimum over speeds. The level is None
-    when the floor decided."""
+    """A candidate's ceiling and split (K,), floor, and ``level``, the optimum over speeds.
+
+    The level is None when the floor decided.
+    """
 
     candidate: Candidate
     ceiling: np.ndarray

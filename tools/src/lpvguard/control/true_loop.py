@@ -194,8 +194,10 @@ class CertifiedLoop:
         return within_use(self.model, v, asked)
 
     def W_delta(self, omega: np.ndarray) -> np.ndarray:
-        """Certified weight (K, n_delta) of the sampled loop at ``omega`` (K,) [rad/s]. n_delta is 1 (one
-        delta for all outputs) or n_y."""
+        """Certified weight (K, n_delta) of the sampled loop at ``omega`` (K,) [rad/s].
+
+        n_delta is 1 (one delta for all outputs) or n_y.
+        """
         return certified_weight(self.stored.fitted, self.model.Ts, omega)
 
     def promised(self, v: float) -> LoopMargins | None:
@@ -214,8 +216,11 @@ class CertifiedLoop:
         return guaranteed(lambda omega: parts(omega).sum(axis=1), radius, grid)
 
     def true(self, measured: MeasuredResponse) -> TrueLoop:
-        """The loop around a measured response. Between its samples G/P is interpolated, and K and P are
-        exact; below the first sample G/P is constant."""
+        """The loop around a measured response.
+
+        Between its samples G/P is interpolated, and K and P are exact; below the first sample G/P is
+        constant.
+        """
         v, omega = measured.v, measured.omega
         K = self._controller(v)
         ratio = measured.G / self._nominal(omega, v)

@@ -119,8 +119,11 @@ class SpeedGrid:
         return max(first, 0), min(last, self.places - 1)
 
     def speeds(self, places: np.ndarray) -> np.ndarray:
-        """Speeds (T,) [m/s] of places (T,), rounded to whole ones. Rounding half up is monotone and keeps
-        whole differences. No sample then moves by more than ``moves`` unless the places do."""
+        """Speeds (T,) [m/s] of places (T,), rounded to whole ones.
+
+        Rounding half up is monotone and keeps whole differences. No sample then moves by more than ``moves``
+        unless the places do.
+        """
         whole = np.clip(np.floor(places + 0.5), 0, self.places - 1)
         return np.minimum(self.low + self.unit * whole, self.high)
 
@@ -221,8 +224,10 @@ class Search:
         self.first = np.random.default_rng(seed).standard_normal((samples, loop.inputs))
 
     def at(self, rate: float, enough: float = np.inf, before: Found | None = None) -> Found:
-        """Largest gain found for |dv/dt| <= ``rate`` [m/s^2]; the search ends above ``enough``. ``before`` is
-        a result at another rate, whose Delta starts the search."""
+        """Largest gain found for |dv/dt| <= ``rate`` [m/s^2]; the search ends above ``enough``.
+
+        ``before`` is a result at another rate, whose Delta starts the search.
+        """
         low, high = self.loop.over.nodes[[0, -1]]
         grid = SpeedGrid.of(low, high, rate, self.loop.Ts)
         corners = before.corners if before else ((1.0, np.inf),) * self.loop.blocks
@@ -359,8 +364,10 @@ def drawn_corners(random: np.random.Generator, blocks: int) -> tuple[tuple[float
 
 @dataclass(frozen=True)
 class LeastRate:
-    """``rate``: least |dv/dt| [m/s^2] with a violation (None: none up to the largest tried). ``without``:
-    largest rate tried below it without one (0: none tried)."""
+    """``rate``: least |dv/dt| [m/s^2] with a violation (None: none up to the largest tried).
+
+    ``without``: largest rate tried below it without one (0: none tried).
+    """
 
     rate: float | None
     without: float

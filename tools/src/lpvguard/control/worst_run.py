@@ -46,8 +46,10 @@ class WorstRun:
 
 @dataclass(frozen=True)
 class WorstRuns:
-    """All runs on ``drive``; t (N,), wanted = W_R r_c (N,). ``left_out``: structures none of whose objectives
-    has μ < 1."""
+    """All runs on ``drive``; t (N,), wanted = W_R r_c (N,).
+
+    ``left_out``: structures none of whose objectives has μ < 1.
+    """
 
     drive: str
     factor: float

@@ -1,6 +1,8 @@
-"""The compiled C core of one vehicle, called from Python. This package has no other monitor. The core is
-built on first use, from the sources for the ECU: ``lib/`` and the vehicle's generated folder. The result is
-kept in a cache, keyed by a hash."""
+"""The compiled C core of one vehicle, called from Python. This package has no other monitor.
+
+The core is built on first use, from the sources for the ECU: ``lib/`` and the vehicle's generated folder. The
+result is kept in a cache, keyed by a hash.
+"""
 
 from __future__ import annotations
 
@@ -315,8 +317,10 @@ class FrameLog:
         return self.reason <= REASONS.index("not_excited")
 
     def judged(self, samples: int, t0: float, Ts: float, length: np.ndarray) -> np.ndarray:
-        """True (N,) at the samples that lie in a counted frame, from time t0 [s] on. ``length`` (K,) holds
-        samples of a frame, by bin."""
+        """True (N,) at the samples that lie in a counted frame, from time t0 [s] on.
+
+        ``length`` (K,) holds samples of a frame, by bin.
+        """
         after = np.round((self.t_end_s[self.counted] - t0) / Ts).astype(int) + 1
         frames_open = np.zeros(samples + 1, int)
         np.add.at(frames_open, after - length[self.bin[self.counted]], 1)
@@ -496,9 +500,11 @@ class Core:
     def monitor(
         self, *, words: np.ndarray | None = None, reals: np.ndarray | None = None, seal: bool = False
     ) -> RunningMonitor:
-        """Start a monitor with the compiled-in coefficients, or with the given ones. ``words`` (W,) and
-        ``reals`` (R,) are flat, as in ``compiled``. ``seal`` renews their CRC. Raises InputError with the
-        core's status when init refuses the coefficients."""
+        """Start a monitor with the compiled-in coefficients, or with the given ones.
+
+        ``words`` (W,) and ``reals`` (R,) are flat, as in ``compiled``. ``seal`` renews their CRC. Raises
+        InputError with the core's status when init refuses the coefficients.
+        """
         compiled_words, compiled_reals = self.compiled
         arguments: tuple[ctypes.c_void_p | None, ctypes.c_void_p | None] = (None, None)
         if words is not None or reals is not None:
@@ -543,8 +549,10 @@ class RunningMonitor:
     def run(
         self, t: np.ndarray, v: np.ndarray, u: np.ndarray, y: np.ndarray, present: np.ndarray | None = None
     ) -> Run:
-        """Push samples t (N,) [s], v (N,), u (N, n_u), y (N, n_y). Where ``present`` (N,) is False, time
-        passes without a sample."""
+        """Push samples t (N,) [s], v (N,), u (N, n_u), y (N, n_y).
+
+        Where ``present`` (N,) is False, time passes without a sample.
+        """
         n = len(t)
         columns = self._core._columns
         arrays = [

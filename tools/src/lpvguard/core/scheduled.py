@@ -109,10 +109,12 @@ def realisation(a: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def engagement(a: np.ndarray, B: np.ndarray) -> np.ndarray:
-    """Matrix E (n, 2) that sets the demand at engagement; a (n,), B (n_u, n, m) as in ``Scheduled``. The
-    change x += E (u - C x, -(C (A x + B m) - C x)) makes this and the next wanted demand u. It is the
+    """Matrix E (n, 2) that sets the demand at engagement; a (n,), B (n_u, n, m) as in ``Scheduled``.
+
+    The change x += E (u - C x, -(C (A x + B m) - C x)) makes this and the next wanted demand u. It is the
     likeliest one: least in the metric of the covariance of x under white m of equal size at all speeds. Where
-    no state can meet both demands, the second is left out. Raises LinAlgError unless the poles are stable."""
+    no state can meet both demands, the second is left out. Raises LinAlgError unless the poles are stable.
+    """
     A, c = realisation(a)
     if np.abs(np.linalg.eigvals(A)).max() >= 1:
         raise np.linalg.LinAlgError("a pole on or outside the unit circle")

@@ -67,8 +67,10 @@ def _braced(values: np.ndarray, show) -> str:
 
 
 def _literals(value: float) -> str:
-    """C text for ``value`` rounded to float and separately to double. One decimal text for both would round
-    differently from numpy where the double lies between two floats."""
+    """C text for ``value`` rounded to float and separately to double.
+
+    One decimal text for both would round differently from numpy where the double lies between two floats.
+    """
 
     def text(digits: str) -> str:
         return digits if any(c in digits for c in ".en") else digits + ".0"

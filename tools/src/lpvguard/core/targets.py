@@ -208,8 +208,10 @@ def _emulator(target: Target, elf: Path) -> list[str]:
 
 
 def on_can(name: str, elf: Path, interface: str) -> tuple[list[str], str]:
-    """Command and standard input that run an image with its CAN controller on a SocketCAN interface. Raises
-    InputError as `emulated_ecu`."""
+    """Command and standard input that run an image with its CAN controller on a SocketCAN interface.
+
+    Raises InputError as `emulated_ecu`.
+    """
     target = _with_can(name)
     host = f"can-host-socketcan,id=can,if={interface},canbus=canbus0"
     command = [*_emulator(target, elf), *target.can, "-object", host, *SEMIHOSTING]
@@ -370,8 +372,10 @@ def run_program(name: str, vehicle: Path, program: Program, *, timeout_s: float 
 
 
 def run_image(name: str, elf: Path, timeout_s: float = TIMEOUT_S) -> list[str]:
-    """Run an image in the target's emulator for ``timeout_s`` [s] at most; returns its lines. Raises
-    InputError when it fails."""
+    """Run an image in the target's emulator for ``timeout_s`` [s] at most; returns its lines.
+
+    Raises InputError when it fails.
+    """
     target = _target(name)
     command = [*_emulator(target, elf), *SEMIHOSTING]
     # Semihosting writes to standard error; standard output is the monitor's.

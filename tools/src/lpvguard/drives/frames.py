@@ -99,8 +99,10 @@ def _turns(samples: int, cycles: int) -> np.ndarray:
 
 
 class _Extremes:
-    """Minima and maxima of all windows of a signal (N,). Those of windows of 2^j samples are kept; any window
-    is the union of two."""
+    """Minima and maxima of all windows of a signal (N,).
+
+    Those of windows of 2^j samples are kept; any window is the union of two.
+    """
 
     def __init__(self, x: np.ndarray):
         self._of = [(x, x)]

@@ -1,6 +1,8 @@
-"""Drives in MATLAB files: one vector of numbers a column, as `save -v7` writes it. A damaged number makes
-scipy read foreign memory, because it indexes its table of types. This module therefore checks the variables'
-descriptions first. scipy then reads only sound vectors of numbers."""
+"""Drives in MATLAB files: one vector of numbers a column, as `save -v7` writes it.
+
+A damaged number makes scipy read foreign memory, because it indexes its table of types. This module therefore
+checks the variables' descriptions first. scipy then reads only sound vectors of numbers.
+"""
 
 import io
 import zlib
@@ -27,8 +29,10 @@ _DENSEST = 1032
 
 
 def read_matlab(path: Path) -> pa.Table:
-    """Read the vectors of numbers among the variables. Raises InputError where their lengths differ, where
-    one is damaged, and for HDF5 files of version 7.3."""
+    """Read the vectors of numbers among the variables.
+
+    Raises InputError where their lengths differ, where one is damaged, and for HDF5 files of version 7.3.
+    """
     try:
         content = path.read_bytes()
         found = loadmat(io.BytesIO(content), squeeze_me=True, variable_names=_vectors(content))
@@ -45,8 +49,10 @@ def read_matlab(path: Path) -> pa.Table:
 
 
 def _vectors(content: bytes) -> list[str] | None:
-    """Names of the vectors of numbers in a file of version 5 (to 7.2); None for another version. Raises
-    ValueError for a damaged file."""
+    """Names of the vectors of numbers in a file of version 5 (to 7.2); None for another version.
+
+    Raises ValueError for a damaged file.
+    """
     order = {b"IM": "<", b"MI": ">"}.get(content[126:128])
     if order is None or 0 in content[:4] or int(np.frombuffer(content, order + "u2", 1, 124)[0]) >> 8 != 1:
         return None
@@ -76,8 +82,10 @@ def _tag(content: bytes, at: int, order: str) -> tuple[int, int, int]:
 
 
 def _vector(element: bytes, size: int, order: str) -> str:
-    """Name of a variable that is a vector of numbers, else "". Raises ValueError where its parts contradict
-    its description."""
+    """Name of a variable that is a vector of numbers, else "".
+
+    Raises ValueError where its parts contradict its description.
+    """
     at, parts = 0, []
     for types in ({_UINT32}, {_INT32}, {_INT8, _UTF8}):
         kind, start, length = _tag(element, at, order)

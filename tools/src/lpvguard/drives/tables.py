@@ -455,8 +455,10 @@ def _other_rate(typical: float, Ts: float) -> str:
 
 
 def _missing(path: Path, project: Project, values: dict[str, np.ndarray]) -> np.ndarray | None:
-    """True (N,) where a sample has no possible value, or a gate is shut; None where nowhere. ``values`` are
-    filled there in place."""
+    """True (N,) where a sample has no possible value, or a gate is shut; None where nowhere.
+
+    ``values`` are filled there in place.
+    """
     signals = [project.speed, *project.inputs, *project.outputs]
     outside = {s.name: _outside(s, values[s.name]) for s in project.recorded}
     missing = np.logical_or.reduce([outside[s.name] for s in signals])

@@ -199,8 +199,10 @@ class BaselineStudy:
         return self._over(partial(task, self.core, self.injection), items, "baselines on faults")
 
     def calibration(self, b: Baseline, without: str | None = None) -> Calibration:
-        """Conformal threshold from the calibration drives without the recording of ``without``. Drives on
-        which the baseline never spoke give no score. Without any score it never alarms."""
+        """Conformal threshold from the calibration drives without the recording of ``without``.
+
+        Drives on which the baseline never spoke give no score. Without any score it never alarms.
+        """
         others = self.recordings.others(self.calibration_drives, without)
         scores = {n: float(self.largest[n][b].max()) for n in others}
         spoken = {n: s for n, s in scores.items() if np.isfinite(s)}
@@ -208,8 +210,10 @@ class BaselineStudy:
         return calibrate(spoken, self.alpha, floor=floor, recordings=self.recordings)
 
     def best(self, kind: str, without: str | None = None) -> tuple[Baseline, Calibration]:
-        """Parameters of ``kind`` that find most faults, then soonest, with their calibration. The recording
-        of ``without`` does not count."""
+        """Parameters of ``kind`` that find most faults, then soonest, with their calibration.
+
+        The recording of ``without`` does not count.
+        """
         others = self.recordings.others(self.merits, without)
 
         def merit(b: Baseline) -> tuple[int, float]:
@@ -221,8 +225,10 @@ class BaselineStudy:
         return b, self.calibration(b, without)
 
     def on(self, judged: list[Experiment], *, left_out: bool) -> OnDrives:
-        """The best of each kind on the ``judged`` drives. ``left_out``: each is tuned and calibrated without
-        the drive, otherwise on all of the study's drives."""
+        """The best of each kind on the ``judged`` drives.
+
+        ``left_out``: each is tuned and calibrated without the drive, otherwise on all of the study's drives.
+        """
         chosen = {
             e.name: {kind: self.best(kind, e.name if left_out else None) for kind in KINDS} for e in judged
         }
@@ -243,8 +249,10 @@ def alarmed(largest: np.ndarray, threshold: float) -> tuple[int, int]:
 
 
 def evaluate_baselines(rows: list[dict], on: OnDrives, known: Outcomes) -> list[dict]:
-    """False alarms, chosen parameters and outcomes per kind, on the drives of ``rows``. ``known`` holds
-    outcomes of the monitor, which say when a fault was refutable."""
+    """False alarms, chosen parameters and outcomes per kind, on the drives of ``rows``.
+
+    ``known`` holds outcomes of the monitor, which say when a fault was refutable.
+    """
     table: list[dict] = []
     for kind in KINDS:
         counts = [on.pieces[r["run"]][kind] for r in rows]

@@ -156,8 +156,10 @@ class Sizes:
 
 
 def regressors(yhat: np.ndarray, Ts: float) -> np.ndarray:
-    """(n_y, 3, N): yhat_j, -dyhat_j/dt [1/s] and 1 for every output of yhat (N, n_y). A fault in gain, delay
-    [s] or bias [output unit] makes an error along them."""
+    """(n_y, 3, N): yhat_j, -dyhat_j/dt [1/s] and 1 for every output of yhat (N, n_y).
+
+    A fault in gain, delay [s] or bias [output unit] makes an error along them.
+    """
     slope = np.diff(yhat, axis=0, prepend=yhat[:1]) / Ts
     return np.stack([yhat.T, -slope.T, np.ones_like(yhat.T)], axis=1)
 
@@ -185,8 +187,10 @@ class Bank:
     def statistics(
         self, baselines: Iterable[Baseline], e: np.ndarray, yhat: np.ndarray, v: np.ndarray, first: int = 0
     ) -> Iterator[tuple[Baseline, np.ndarray]]:
-        """Each baseline with its statistic (N - first,) along a drive from its sample ``first`` on. e, yhat
-        (N, n_y), v (N,) [m/s]. -inf marks samples without a statistic."""
+        """Each baseline with its statistic (N - first,) along a drive from its sample ``first`` on.
+
+        e, yhat (N, n_y), v (N,) [m/s]. -inf marks samples without a statistic.
+        """
         along = _Along(self, e, yhat, v, first)
         for b in baselines:
             found = getattr(along, b.kind)(b)
@@ -208,8 +212,10 @@ class Bank:
         return self
 
     def innovations(self, process_ratio: float, e: np.ndarray, v: np.ndarray) -> np.ndarray:
-        """White innovations (N, n_y) of errors e (N, n_y) along a drive: L' nu with S^-1 = L L'. They are
-        linear in e. With a ratio of 0 the filter ignores e."""
+        """White innovations (N, n_y) of errors e (N, n_y) along a drive: L' nu with S^-1 = L L'.
+
+        They are linear in e. With a ratio of 0 the filter ignores e.
+        """
         if process_ratio == 0.0:
             return e / self.scales.error
         closed, injected, root = self._filters(process_ratio)
@@ -323,8 +329,10 @@ class _Along:
         return newest
 
     def _mean_square(self, process_ratio: float, window_s: float) -> np.ndarray:
-        """Mean square of the innovations over the last window_s. It is -inf where the window exceeds the run
-        of usable samples."""
+        """Mean square of the innovations over the last window_s.
+
+        It is -inf where the window exceeds the run of usable samples.
+        """
         total, n = self._once(self._squares, process_ratio), self._samples(window_s)
         # A difference of sums may round below zero, whose root would be NaN.
         return np.where(self.run >= n, np.maximum(self._over(total, n) / n, 0.0), -np.inf)
@@ -383,8 +391,10 @@ SYMMETRIC = (0, 1, 2, 1, 3, 4, 2, 4, 5)
 
 
 def _solved(A: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """x (3, N) with A x = b, for symmetric positive definite A (3, 3, N) and b (3, N). It uses Cramer's rule
-    on A with a diagonal of 1."""
+    """x (3, N) with A x = b, for symmetric positive definite A (3, 3, N) and b (3, N).
+
+    It uses Cramer's rule on A with a diagonal of 1.
+    """
     scale = 1.0 / np.sqrt(np.maximum(A[[0, 1, 2], [0, 1, 2]], np.finfo(float).tiny))
     p, q, r = (A[i, k] * scale[i] * scale[k] for i, k in ((0, 1), (0, 2), (1, 2)))
     c = b * scale

@@ -75,9 +75,11 @@ class OutputCause:
 
 @dataclass(frozen=True)
 class CauseOutcome:
-    """Outcome of a found fault in the drive ``run`` from ``start_s`` [s] on. ``after_s`` is the time from
-    alarm to diagnosis [s], None without one. The module's docstring explains ``uneven`` and
-    ``preliminary``."""
+    """Outcome of a found fault in the drive ``run`` from ``start_s`` [s] on.
+
+    ``after_s`` is the time from alarm to diagnosis [s], None without one. The module's docstring explains
+    ``uneven`` and ``preliminary``.
+    """
 
     run: str
     start_s: float
@@ -168,8 +170,11 @@ CauseOutcomes = dict[Case, list[CauseOutcome]]
 
 
 def cause_table(found: CauseOutcomes, project: Project, scales: DiagnosisScales | None) -> dict:
-    """JSON-able table, a row per case. Sums are over known faults, over those of them that can be named, and
-    over those without a single cause. ``scales`` decide which can be named; None: unknown."""
+    """JSON-able table, a row per case.
+
+    Sums are over known faults, over those of them that can be named, and over those without a single cause.
+    ``scales`` decide which can be named; None: unknown.
+    """
     rows = [_row(case, members) for case, members in found.items()]
     known = [m for case, of in found.items() if true_cause(case.fault) is not None for m in of]
     named = [

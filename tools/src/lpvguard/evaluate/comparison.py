@@ -1,6 +1,8 @@
-"""Tables and words of an evaluation, for terminal and page. The tables have a column per detector and a row
-per fault and way. The words say at which rate of false alarms the detectors are compared. The monitor is
-compared with each baseline alone, way by way (`duels`)."""
+"""Tables and words of an evaluation, for terminal and page.
+
+The tables have a column per detector and a row per fault and way. The words say at which rate of false alarms
+the detectors are compared. The monitor is compared with each baseline alone, way by way (`duels`).
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -122,8 +122,10 @@ class Injection:
 
     @classmethod
     def of(cls, settings: EvaluationSettings, spread: np.ndarray) -> Injection:
-        """Injection of a project file's settings; ``spread`` (n_y,) is that of the outputs. Without a spread
-        there are no further faults."""
+        """Injection of a project file's settings; ``spread`` (n_y,) is that of the outputs.
+
+        Without a spread there are no further faults.
+        """
         times = (settings.fault_from_s, settings.shortest_drive_s, settings.found_within_s)
         faults = stated(settings, spread)
         further = no_single_cause(spread) if len(spread) else ()
@@ -171,9 +173,12 @@ class Injection:
 
 @dataclass(frozen=True)
 class FaultOutcome:
-    """Outcome of a fault in the drive ``run`` from ``start_s`` [s] on. All times are judged, excited seconds,
-    or None for none in the time allowed. ``s`` is the time until it was found, ``untouched_s`` that of an
-    alarm without the fault, and ``refutable_s`` that until it was refutable."""
+    """Outcome of a fault in the drive ``run`` from ``start_s`` [s] on.
+
+    All times are judged, excited seconds, or None for none in the time allowed. ``s`` is the time until it
+    was found, ``untouched_s`` that of an alarm without the fault, and ``refutable_s`` that until it was
+    refutable.
+    """
 
     run: str
     start_s: float
@@ -191,9 +196,11 @@ class FaultOutcome:
         untouched: float | None,
         refutable_s: float | None = None,
     ) -> FaultOutcome:
-        """Outcome of a fault from the start of ``clock`` on, in a drive of samples at ``Ts`` [s]. ``s``,
-        ``untouched``: the clock [s] at the detector's first alarm with and without the fault, or None.
-        ``refutable_s`` is the result of `refutable`."""
+        """Outcome of a fault from the start of ``clock`` on, in a drive of samples at ``Ts`` [s].
+
+        ``s``, ``untouched``: the clock [s] at the detector's first alarm with and without the fault, or None.
+        ``refutable_s`` is the result of `refutable`.
+        """
         in_time = clock.seconds[clock.end - 1]
         caused = s is not None and s <= in_time and (untouched is None or s < untouched)
         return cls(
@@ -211,9 +218,11 @@ class FaultOutcome:
 
 
 def margins(replay: Replay, first_s: float) -> np.ndarray:
-    """Off-line margin (N,) at each sample; 0 where nothing is judged. It is the larger of the energy test's
-    ratio and the largest t* of the counted frames that end there. ``first_s`` is the time of the drive's
-    first sample [s]."""
+    """Off-line margin (N,) at each sample; 0 where nothing is judged.
+
+    It is the larger of the energy test's ratio and the largest t* of the counted frames that end there.
+    ``first_s`` is the time of the drive's first sample [s].
+    """
     frames, found = replay.run.frames, replay.run.energy.copy()
     ends = np.round((frames.t_end_s[frames.counted] - first_s) / replay.Ts).astype(int)
     np.maximum.at(found, ends, frames.margin[frames.counted])
@@ -221,8 +230,10 @@ def margins(replay: Replay, first_s: float) -> np.ndarray:
 
 
 def refutable(clock: JudgedClock, faulty: np.ndarray, untouched: np.ndarray) -> float | None:
-    """The clock [s] when an injected fault is first refutable, None: not in the time allowed. ``faulty``
-    (M,), M <= N, and ``untouched`` (N,) are `margins` of the records with and without it."""
+    """The clock [s] when an injected fault is first refutable, None: not in the time allowed.
+
+    ``faulty`` (M,), M <= N, and ``untouched`` (N,) are `margins` of the records with and without it.
+    """
     n = min(clock.end, len(faulty))
     return clock.read((faulty[:n] > 1.0) & (untouched[:n] <= 1.0))
 
@@ -240,10 +251,12 @@ def with_refutable(cases: Outcomes, known: Outcomes) -> Outcomes:
 
 
 def fault_rows(cases: Outcomes) -> list[dict]:
-    """A row per case, in the order of ``cases``. It has the outcomes found and all, the drives and those with
-    the fault found from every start. It also has the outcomes whose untouched drive alarms in the time
-    allowed, and the median time [s]. For refutable ones it has their number, those found, and the median time
-    from then on [s]."""
+    """A row per case, in the order of ``cases``.
+
+    It has the outcomes found and all, the drives and those with the fault found from every start. It also has
+    the outcomes whose untouched drive alarms in the time allowed, and the median time [s]. For refutable ones
+    it has their number, those found, and the median time from then on [s].
+    """
     rows = []
     for case, members in cases.items():
         runs, refuted = {c.run for c in members}, [c for c in members if c.refutable_s is not None]
@@ -285,9 +298,11 @@ def median_time(seconds: list[float | None]) -> float | None:
 
 
 def ranking(rows: dict[str, dict]) -> list[str]:
-    """Detectors that do best on one fault, all that tie. The share of cases in which each found it counts
-    first, then the median time. The result is empty where there is no case, or where no detector found one.
-    ``rows`` holds a row of fault_rows per detector."""
+    """Detectors that do best on one fault, all that tie.
+
+    The share of cases in which each found it counts first, then the median time. The result is empty where
+    there is no case, or where no detector found one. ``rows`` holds a row of fault_rows per detector.
+    """
 
     def merit(row: dict) -> tuple[float, float]:
         return row["found"] / row["counted"], -(np.inf if row["median_s"] is None else row["median_s"])

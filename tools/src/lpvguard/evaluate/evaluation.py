@@ -219,8 +219,10 @@ def _false_alarms(detector: str, rows: list[dict]) -> dict:
 
 
 def _stated_rates(rows: list[dict], baselines: list[dict], scored: Iterable[str]) -> dict[str, float | None]:
-    """Stated rate of false alarms on a further drive per detector; None: counts only. The tests as exported
-    have at most the sum of their rates."""
+    """Stated rate of false alarms on a further drive per detector; None: counts only.
+
+    The tests as exported have at most the sum of their rates.
+    """
     stated = {what: one_rate(r["calibration"][what]["alpha"] for r in rows) for what in scored}
     tests = [test for test in scored if test != MONITOR]
     apart = [rate for test in tests if (rate := stated[test]) is not None]

@@ -90,8 +90,10 @@ def alarming(replay: Replay, test: str | None = None) -> np.ndarray:
 
 
 def piece_starts(samples: int, Ts: float) -> np.ndarray:
-    """First samples (P,) of the 60 s pieces of a drive of ``samples`` at ``Ts`` [s]. The last piece is the
-    remainder, up to 60 s with the closing sample."""
+    """First samples (P,) of the 60 s pieces of a drive of ``samples`` at ``Ts`` [s].
+
+    The last piece is the remainder, up to 60 s with the closing sample.
+    """
     return np.arange(0, max(1, samples - 1), round(PIECE_S / Ts))
 
 

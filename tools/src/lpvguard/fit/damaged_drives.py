@@ -1,5 +1,7 @@
-"""Drives that were spoiled: repeated in the folder, rows out of order, frozen values, or each value twice. No
-model is needed to detect it. Every finding names drive, column and time."""
+"""Drives that were spoiled: repeated in the folder, rows out of order, frozen values, or each value twice.
+
+No model is needed to detect it. Every finding names drive, column and time.
+"""
 
 from collections.abc import Iterator
 

@@ -45,9 +45,11 @@ HOPELESS = 1e3
 
 @dataclass(frozen=True)
 class Estimate:
-    """Values and covariance of the unknowns: theta (p,), covariance (p, p), trims (n_drives, n_u). The trims
-    are less the common input_offset; trim_errors has the same shape. Both have no columns where the trim is
-    common, and are NaN where nothing is judged."""
+    """Values and covariance of the unknowns: theta (p,), covariance (p, p), trims (n_drives, n_u).
+
+    The trims are less the common input_offset; trim_errors has the same shape. Both have no columns where the
+    trim is common, and are NaN where nothing is judged.
+    """
 
     unknowns: Unknowns
     theta: np.ndarray
@@ -206,8 +208,10 @@ class Fit:
         return [e + t @ np.nan_to_num(d) for e, t, d in zip(errors, responses, trims, strict=True)]
 
     def _trims(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Trim of every drive beside the common input_offset, and its standard error: (n_drives, n_u). It is
-        NaN where nothing is judged, and has no columns where the trim is common."""
+        """Trim of every drive beside the common input_offset, and its standard error: (n_drives, n_u).
+
+        It is NaN where nothing is judged, and has no columns where the trim is common.
+        """
         if not self.own_trim:
             return np.zeros((len(self.drives), 0)), np.zeros((len(self.drives), 0))
         errors, responses = self._whitened(self.errors(theta)), self._whitened(self._trim_responses(theta))

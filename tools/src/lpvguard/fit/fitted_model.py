@@ -177,8 +177,10 @@ def fit(
 
 
 def _read(project: Project, experiments: list[Experiment]) -> tuple[list[Drive], list[InputError]]:
-    """All drives, and the errors of those with values outside their signals' ranges. A wrong unit then gets
-    its own message first."""
+    """All drives, and the errors of those with values outside their signals' ranges.
+
+    A wrong unit then gets its own message first.
+    """
     drives, refused = [], []
     for e in experiments:
         try:

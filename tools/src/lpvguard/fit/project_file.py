@@ -40,8 +40,10 @@ def text_of(vehicle: str) -> str:
 
 
 def with_numbers(text: str, where: str, values: dict[str, float]) -> str:
-    """The text with new values by names of `Unknowns`, and with its CAN database beside it. Raises InputError
-    where the text cannot be edited."""
+    """The text with new values by names of `Unknowns`, and with its CAN database beside it.
+
+    Raises InputError where the text cannot be edited.
+    """
     try:
         document = tomlkit.parse(text)
         model = document["model"]

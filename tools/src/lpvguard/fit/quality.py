@@ -133,8 +133,10 @@ def of_drive(model: NominalModel, drive: Drive, yhat: np.ndarray, whitening: lis
 
 
 def by_speed(model: NominalModel, drives: list[Drive]) -> list[Quality]:
-    """Quality on all drives together, in CELLS of speed. Residuals are not tested, because cells break the
-    time axis."""
+    """Quality on all drives together, in CELLS of speed.
+
+    Residuals are not tested, because cells break the time axis.
+    """
     parts = [
         (d.v[j], d.y[j], model.simulate(d.v, d.u, d.y[0])[j])
         for d in drives

@@ -138,9 +138,11 @@ def _ordered(project: Project, order: list[int], drive: Drive) -> Drive:
 
 
 def shifts(project: Project, theta: np.ndarray, drive: Drive) -> Iterator[Reading]:
-    """Readings with the outputs moved to where they follow the inputs best. Best is the largest product over
-    the overlap, and the largest correlation, which a short overlap after a long shift does not hide. Shifts
-    within the range of the delay are left out. ``theta`` (p,): unknowns."""
+    """Readings with the outputs moved to where they follow the inputs best.
+
+    Best is the largest product over the overlap, and the largest correlation, which a short overlap after a
+    long shift does not hide. Shifts within the range of the delay are left out. ``theta`` (p,): unknowns.
+    """
     model = Unknowns.of(project).model(theta)
     yhat, judged = model.simulate(drive.v, drive.u, drive.y[0]), judged_samples(model, drive.v)
     if judged.sum() < 100 or not yhat[judged].std(axis=0).any():
@@ -192,7 +194,9 @@ def _moved(project: Project, lag: int, high: float) -> Reading:
 @dataclass(frozen=True)
 class Screened:
     """Drives that the model can explain, start values (p,) from them, and an error for each other drive.
-    ``certain`` names the drives whose fault is known."""
+
+    ``certain`` names the drives whose fault is known.
+    """
 
     explained: list[Drive]
     theta: np.ndarray
@@ -201,8 +205,10 @@ class Screened:
 
 
 def screened(project: Project, drives: list[Drive]) -> Screened:
-    """Sort drives into those that one set of parameters explains and the others, with a reason each. Raises
-    InputError when all have the same fault."""
+    """Sort drives into those that one set of parameters explains and the others, with a reason each.
+
+    Raises InputError when all have the same fault.
+    """
     unknowns = Unknowns.of(project)
     theta, left = _common(unknowns, drives)
     bad_end = bool(unknowns.at_end(theta))
@@ -296,9 +302,11 @@ def _agreeing(left: list[float]) -> int:
 
 
 def _require_no_common_fault(unknowns: Unknowns, drives: list[Drive], left: list[float]) -> None:
-    """Raise InputError when one reading explains the drives together, and the recorded drives do not. Where
-    many of them are beyond any model, a reading may leave up to MUCH. The recorded drives and every other
-    reading must then leave almost everything unexplained."""
+    """Raise InputError when one reading explains the drives together, and the recorded drives do not.
+
+    Where many of them are beyond any model, a reading may leave up to MUCH. The recorded drives and every
+    other reading must then leave almost everything unexplained.
+    """
     now = _together(left)
     tried: list[tuple[bool, float, int, Reading]] = []
     for i, reading in enumerate(readings(unknowns.base)):
@@ -334,8 +342,10 @@ def _shift_of(unknowns: Unknowns, theta: np.ndarray, drive: Drive, left: float) 
 def _fault_of(
     unknowns: Unknowns, theta: np.ndarray, drive: Drive, left: float
 ) -> tuple[InputError, bool] | None:
-    """Fault of one drive among others that theta (p,) explains, and whether it is certain. The result is None
-    where the drive is only explained poorly."""
+    """Fault of one drive among others that theta (p,) explains, and whether it is certain.
+
+    The result is None where the drive is only explained poorly.
+    """
     tried = [(_left(unknowns, theta, r.read(drive)), i, r) for i, r in enumerate(readings(unknowns.base))]
     then, _, reading = min(tried)
     own = _fitted(unknowns, [drive])

@@ -49,7 +49,9 @@ class TriedModel(NominalModel):
 @dataclass(frozen=True)
 class Unknowns:
     """The p unknowns of a project: names, and start, low, high, step (p,) in the project file's units.
-    ``step`` is half the difference of derivatives."""
+
+    ``step`` is half the difference of derivatives.
+    """
 
     base: Project
     names: tuple[str, ...]

@@ -67,8 +67,10 @@ class FrameSet:
     def require(
         self, good: np.ndarray, estimator: Estimator, what: Callable[[int], str], expected: str
     ) -> None:
-        """Raise InputError unless all frames are ``good`` (F,). It names the experiment, the bin and the
-        first bad frame's first sample."""
+        """Raise InputError unless all frames are ``good`` (F,).
+
+        It names the experiment, the bin and the first bad frame's first sample.
+        """
         if not np.all(good):
             first = int(np.argmin(good))
             raise InputError(
@@ -187,8 +189,10 @@ def fold(parts: Iterable[Part]) -> Part:
 
 
 class Deciders:
-    """Frames that decide a bound ``key`` (K, m), in memory independent of the number of drives. They hold the
-    drive, the frame's first sample, and the bound without that frame and those that overlap it."""
+    """Frames that decide a bound ``key`` (K, m), in memory independent of the number of drives.
+
+    They hold the drive, the frame's first sample, and the bound without that frame and those that overlap it.
+    """
 
     def __init__(self, key: str, shape: tuple[int, int]):
         self.key = key
@@ -219,7 +223,10 @@ FIRST, REST = "_first", "_rest"
 
 def _decided(key: str, values: np.ndarray, s: FrameSet, estimator: Estimator, out: Part) -> None:
     """Store the largest of ``values`` (F, m) >= 0 of the frames ``s`` in the part, with the data for
-    Deciders. The starts of the frames rise."""
+    Deciders.
+
+    The starts of the frames rise.
+    """
     if not len(values):
         return
     columns = np.arange(values.shape[1])
@@ -336,8 +343,10 @@ def explain(
 
 
 def _needed_each(s: FrameSet, estimator: Estimator, gamma_w: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Least |delta_j| (F, n_y) in class S1_diagonal, and the excess of |E_j| over gamma_w. It solves E_j =
-    delta_j Z_j + w_j with |w_j| <= gamma_w for every output."""
+    """Least |delta_j| (F, n_y) in class S1_diagonal, and the excess of |E_j| over gamma_w.
+
+    It solves E_j = delta_j Z_j + w_j with |w_j| <= gamma_w for every output.
+    """
     size, gain = s.sizes
     excess = np.maximum(0.0, size - gamma_w[s.bin])
     nu = np.divide(excess, gain, out=np.where(excess > 0, np.inf, 0.0), where=gain > 0)
@@ -494,8 +503,10 @@ def reduce_remainder(
     structure: str,
     joint: bool = False,
 ) -> tuple[Part, list[np.ndarray]]:
-    """Step 6: largest |w_j| (K, n_y) that no |delta| <= W_delta (K, n_delta) explains. With ``joint`` the
-    result has the `undominated` ones of every bin, for `covering`."""
+    """Step 6: largest |w_j| (K, n_y) that no |delta| <= W_delta (K, n_delta) explains.
+
+    With ``joint`` the result has the `undominated` ones of every bin, for `covering`.
+    """
     out, fronts = _undecided("B_w", (estimator.n_bins, n_y)), [np.zeros((0, n_y))] * estimator.n_bins
     for s in sets:
         sizes = remainder_sizes(s, estimator, W_delta, structure)
@@ -506,8 +517,10 @@ def reduce_remainder(
 
 
 def undominated(sizes: np.ndarray) -> np.ndarray:
-    """Rows of ``sizes`` (F, m) >= 0 that no other row reaches in every column, each once. They contain the
-    largest of any sum that rises with every column."""
+    """Rows of ``sizes`` (F, m) >= 0 that no other row reaches in every column, each once.
+
+    They contain the largest of any sum that rises with every column.
+    """
     found = [np.zeros((0, sizes.shape[1]))]
     share = 1 / np.maximum(_maximum(sizes), np.finfo(float).tiny)
     while len(sizes) and (sizes.shape[1] != 2 or len(found) <= FIRST_LARGEST):
@@ -522,8 +535,10 @@ def undominated(sizes: np.ndarray) -> np.ndarray:
 
 
 def covering(fronts: list[np.ndarray], B_w: np.ndarray) -> np.ndarray:
-    """Largest sqrt(sum_j |w_j / B_w,j|^2) (K,), the factor with which B_w (K, n_y) covers every w jointly. It
-    uses the `undominated` |w_j| of every bin. NaN: no frame."""
+    """Largest sqrt(sum_j |w_j / B_w,j|^2) (K,), the factor with which B_w (K, n_y) covers every w jointly.
+
+    It uses the `undominated` |w_j| of every bin. NaN: no frame.
+    """
     scale = np.full(len(fronts), np.nan)
     for k, (w, bound) in enumerate(zip(fronts, B_w, strict=True)):
         relative = np.divide(w, bound, out=np.zeros(w.shape), where=bound > 0)

@@ -41,8 +41,11 @@ class Recordings:
 
     @classmethod
     def listed(cls, setting: Iterable[Experiment], others: Iterable[Experiment]) -> Recordings:
-        """Recordings of the bound-setting drives and the ``others``, from experiments.csv. Raises InputError
-        where pieces of one recording are of several groups, or only some others have a group."""
+        """Recordings of the bound-setting drives and the ``others``, from experiments.csv.
+
+        Raises InputError where pieces of one recording are of several groups, or only some others have a
+        group.
+        """
         setting, others = list(setting), list(others)
         both = {e.recording for e in setting} & {e.recording for e in others}
         of = {e.name: e.recording for e in (*setting, *others) if e.recording != e.name}
@@ -156,8 +159,10 @@ class Calibration:
         return self.carried * (1 + ROUNDING)
 
     def of_group(self, group: str | None) -> Calibration:
-        """The calibration for drives of a group: its own threshold, or the pooled one without alpha. Drives
-        of no group have the carried one."""
+        """The calibration for drives of a group: its own threshold, or the pooled one without alpha.
+
+        Drives of no group have the carried one.
+        """
         if group is None:
             return replace(self, threshold=self.carried)
         if not self.groups:
@@ -255,8 +260,11 @@ class Calibration:
 @dataclass(frozen=True)
 class Peak:
     """Origin of a drive's score: ``t_s`` after its first sample, and ``place``: the bin, or the energy test's
-    band. ``place`` is None if unknown. ``without`` is the drive's score without that frame and those of its
-    bin that overlap it; None for tests without frames."""
+    band.
+
+    ``place`` is None if unknown. ``without`` is the drive's score without that frame and those of its bin
+    that overlap it; None for tests without frames.
+    """
 
     t_s: float
     place: int | None = None
@@ -264,8 +272,10 @@ class Peak:
 
 
 def peaks(run: Run, t0: float, Ts: float, length: np.ndarray) -> dict[str, Peak]:
-    """Peaks of every test that judged the drive. ``t0`` is the time of its first sample [s], ``length`` (K,)
-    samples of a frame."""
+    """Peaks of every test that judged the drive.
+
+    ``t0`` is the time of its first sample [s], ``length`` (K,) samples of a frame.
+    """
     found, f = {}, run.frames
     statistic = np.where(f.counted, f.statistic, -np.inf)
     if f.counted.any():

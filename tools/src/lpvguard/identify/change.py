@@ -69,7 +69,10 @@ class Blocks:
 @dataclass(frozen=True)
 class Met:
     """Estimates along drives over ``count`` blocks: largest |theta_i| (n_y, 3) [output units], sum of
-    squares. The sum ``squares`` is (n_y, 3)."""
+    squares.
+
+    The sum ``squares`` is (n_y, 3).
+    """
 
     largest: np.ndarray
     squares: np.ndarray
@@ -151,7 +154,10 @@ class ChangeTest:
 
     def with_moments(self, sums: np.ndarray) -> ChangeTest:
         """The test with sizes and prior from the ``products`` of all bound-setting drives; InputError without
-        blocks. ``sums`` has shape (n_y, 3, 3)."""
+        blocks.
+
+        ``sums`` has shape (n_y, 3, 3).
+        """
         count = sums[0, 2, 2]
         if count == 0:
             raise InputError(
@@ -162,9 +168,11 @@ class ChangeTest:
         return replace(self, unit=rms[:, :2], moments=mean / (rms[:, :, None] * rms[:, None, :]))
 
     def with_sizes(self, met: Met) -> ChangeTest:
-        """The test with sizes from the estimates ``met`` on all bound-setting drives. A part's rms is over
-        all blocks, its largest is one block. Sizes by the rms therefore leave no part half blind for one
-        block (tools/DESIGN_LOG.md)."""
+        """The test with sizes from the estimates ``met`` on all bound-setting drives.
+
+        A part's rms is over all blocks, its largest is one block. Sizes by the rms therefore leave no part
+        half blind for one block (tools/DESIGN_LOG.md).
+        """
         rms = np.sqrt(met.squares / max(1, met.count))
         ratio = np.divide(met.largest, rms, out=np.ones_like(rms), where=rms > 0).max()
         return replace(self, largest=met.largest, size=np.maximum(ratio * rms, SMALLEST * self.unit[:, :1]))

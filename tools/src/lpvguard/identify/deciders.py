@@ -1,6 +1,8 @@
-"""Frames that decide the bounds and thresholds of an identification, in words, and silent bins. A frame that
-alone decides a bound or a threshold deserves a look: a crash, a slide or a wrong sample may have caused it.
-Nothing is dropped in silence: experiments.csv sets a drive aside, with its reason."""
+"""Frames that decide the bounds and thresholds of an identification, in words, and silent bins.
+
+A frame that alone decides a bound or a threshold deserves a look: a crash, a slide or a wrong sample may have
+caused it. Nothing is dropped in silence: experiments.csv sets a drive aside, with its reason.
+"""
 
 from typing import NamedTuple
 

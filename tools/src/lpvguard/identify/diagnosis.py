@@ -116,9 +116,11 @@ class Windows:
 def windows_of(
     e: np.ndarray, yhat: np.ndarray, v: np.ndarray, estimator: Estimator, unit: np.ndarray
 ) -> Windows:
-    """Windows of a drive, each starting half the blocks after the last; e, yhat (N, n_y), v (N,). ``unit``
-    (n_y, 2): 1 / size of yhat and of its change over a block. A single shorter window of at least half the
-    length is allowed."""
+    """Windows of a drive, each starting half the blocks after the last; e, yhat (N, n_y), v (N,).
+
+    ``unit`` (n_y, 2): 1 / size of yhat and of its change over a block. A single shorter window of at least
+    half the length is allowed.
+    """
     ends = np.arange(FIRST_BLOCK_END, len(e), BLOCK)[1:]
     at = ends[:, None] + np.arange(1 - BLOCK, 1)
     whole = estimator.settled(v)[at].all(axis=1)
@@ -166,10 +168,12 @@ def _correlated(left: np.ndarray) -> np.ndarray:
 
 
 def _spread(theta: np.ndarray, errors: np.ndarray, start: np.ndarray | None = None) -> np.ndarray:
-    """Second moments (n_y, 4, 4) of a random theta about 0, by expectation and maximisation. The estimates
-    are (W, n_y, 4) with ``errors`` (W, n_y, 4, 4). ``start`` (n_y, 4, 4) are those of nearly the same
-    windows. With S_w = found + errors_w and u_w = S_w^-1 theta_w a step adds found (mean of u u' - S^-1)
-    found."""
+    """Second moments (n_y, 4, 4) of a random theta about 0, by expectation and maximisation.
+
+    The estimates are (W, n_y, 4) with ``errors`` (W, n_y, 4, 4). ``start`` (n_y, 4, 4) are those of nearly
+    the same windows. With S_w = found + errors_w and u_w = S_w^-1 theta_w a step adds found (mean of u u' -
+    S^-1) found.
+    """
     theta = np.ascontiguousarray(np.moveaxis(theta, 0, -1))
     errors = np.ascontiguousarray(errors.transpose(2, 3, 1, 0))
     windows = theta.shape[-1]
@@ -186,7 +190,10 @@ def _spread(theta: np.ndarray, errors: np.ndarray, start: np.ndarray | None = No
 
 def _surplus(theta: np.ndarray, errors: np.ndarray, found: np.ndarray) -> np.ndarray:
     """Sums (n_y, 4, 4) over windows of u u' - S^-1, for theta (n_y, 4, W), errors (4, 4, n_y, W), found (n_y,
-    4, 4). The numpy version agrees with the compiled one to rounding."""
+    4, 4).
+
+    The numpy version agrees with the compiled one to rounding.
+    """
     if lib := native.kernels("spread"):
         surplus = np.empty_like(found)
         sizes = (ctypes.c_ssize_t(size) for size in (len(found), theta.shape[-1]))
@@ -312,9 +319,11 @@ class DiagnosisScales:
 
     @property
     def least(self) -> np.ndarray:
-        """Least change of gain, delay [s] and bias (n_y, 3) that an interval can distinguish from none. It
-        does not fall with the length of the record or of the drive before: healthy vehicles differ by as
-        much. For a gain g it is that of (g - 1)/g, because g scales the spread."""
+        """Least change of gain, delay [s] and bias (n_y, 3) that an interval can distinguish from none.
+
+        It does not fall with the length of the record or of the drive before: healthy vehicles differ by as
+        much. For a gain g it is that of (g - 1)/g, because g scales the spread.
+        """
         spread = (1 - self.kept**2)[:, None, None] * self.spread
         alone = self.interval / np.sqrt(np.einsum("jii->ji", np.linalg.inv(spread)))
         return alone[:, : PARTS - 1] / np.column_stack(
@@ -341,8 +350,11 @@ class DiagnosisTable(Sealed):
 def _of_others(
     windows: Sequence[int], theta: np.ndarray, errors: np.ndarray, spread: np.ndarray
 ) -> np.ndarray:
-    """Spread (W, n_y, 4, 4) per window of the drives but its own; with one drive its own. ``windows`` are the
-    numbers of each drive's windows, in the order of ``theta`` and ``errors``; ``spread`` is that of all."""
+    """Spread (W, n_y, 4, 4) per window of the drives but its own; with one drive its own.
+
+    ``windows`` are the numbers of each drive's windows, in the order of ``theta`` and ``errors``; ``spread``
+    is that of all.
+    """
     found = np.empty_like(errors)
     for first, end in pairwise(np.cumsum([0, *windows])):
         own = slice(first, end)
@@ -355,9 +367,12 @@ def _needed(
     drives: int, theta: np.ndarray, errors: np.ndarray, others: np.ndarray
 ) -> tuple[np.ndarray, float]:
     """Factor (n_y,) >= 1 on the covariances with which COVERED of the windows lie within the other drives'
-    region. Also the half width of an interval, in standard deviations. It is Student's t with as many degrees
-    of freedom as drives, because about 0 each drive gives one. It is larger where COVERED of the windows'
-    gains, delays or biases need it, all others being free. ``others``: see _of_others."""
+    region.
+
+    Also the half width of an interval, in standard deviations. It is Student's t with as many degrees of
+    freedom as drives, because about 0 each drive gives one. It is larger where COVERED of the windows' gains,
+    delays or biases need it, all others being free. ``others``: see _of_others.
+    """
     information = np.linalg.inv(others + errors)
     alone = (information @ theta[..., None])[..., 0]
     estimates = np.abs(alone) / np.sqrt(np.einsum("wjii->wji", information))
@@ -371,9 +386,11 @@ def _needed(
 def _kept(
     drives: Sequence[Windows], others: np.ndarray, correlated: np.ndarray, enlarged: np.ndarray
 ) -> np.ndarray:
-    """Share (n_y,) of KEPT with the likeliest windows; 0 where no drive is long enough. With it COVERED of
-    the windows lie within the region predicted from their past. ``others``: see _of_others; ``correlated``:
-    not ``enlarged`` yet."""
+    """Share (n_y,) of KEPT with the likeliest windows; 0 where no drive is long enough.
+
+    With it COVERED of the windows lie within the region predicted from their past. ``others``: see
+    _of_others; ``correlated``: not ``enlarged`` yet.
+    """
     noise, told, first = enlarged * correlated, [], 0
     for drive in drives:
         spread = enlarged[:, None, None] * others[first]
@@ -393,8 +410,11 @@ def _foretold(
     drive: Windows, noise: np.ndarray, spread: np.ndarray, share: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Chi-squared of a window's prediction from its past, and log determinant of the covariance, (W - GAP,
-    n_y). The prediction is the best linear estimate if the drive keeps a ``share`` of the ``spread`` (n_y, 4,
-    4). ``noise`` (n_y,): as correlated."""
+    n_y).
+
+    The prediction is the best linear estimate if the drive keeps a ``share`` of the ``spread`` (n_y, 4, 4).
+    ``noise`` (n_y,): as correlated.
+    """
     past, after = drive.pasts(), drive.of(np.arange(GAP, len(drive.n)))
     weights = share * spread @ np.linalg.inv(spread + past.errors(noise))
     beside = after.theta - (weights @ past.theta[..., None])[..., 0]

@@ -75,8 +75,10 @@ def require_calibration(
     drives: DriveSet, calibrating: Iterable[str], left_out: Mapping[str, str], judged: bool
 ) -> None:
     """InputError where nothing calibrates: there is no drive to do so, or no test has ``judged`` any.
+
     ``calibrating``: all but those that set the bounds or are without input. ``left_out``: drive -> why it has
-    no frame. A threshold without a drive would be a number that nobody measured."""
+    no frame. A threshold without a drive would be a number that nobody measured.
+    """
     names = list(calibrating)
     if not names:
         raise drives.index_error(

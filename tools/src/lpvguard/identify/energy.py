@@ -40,9 +40,11 @@ STATED_RTOL = 1e-8
 
 
 def fan(n_y: int) -> np.ndarray:
-    """Directions (D, n_y) up to their sign, sum |a_j| = 1, single outputs among them, in units of sigma. For
-    two outputs in bit-reversed order: neighbours are nearly equal, so consecutive judgements take distant
-    directions."""
+    """Directions (D, n_y) up to their sign, sum |a_j| = 1, single outputs among them, in units of sigma.
+
+    For two outputs in bit-reversed order: neighbours are nearly equal, so consecutive judgements take distant
+    directions.
+    """
     if n_y == 2:
         turn = np.array([int(f"{k:0{FAN_BITS}b}"[::-1], 2) for k in range(2**FAN_BITS)]) / 2**FAN_BITS
         directions = np.column_stack([np.cos(np.pi * turn), np.sin(np.pi * turn)])
@@ -90,8 +92,10 @@ def in_delta(sections: np.ndarray) -> np.ndarray:
 def _raised(
     project: Project, W_delta: Sequence[Weight], warped: np.ndarray, bounds: np.ndarray
 ) -> Iterator[tuple[float, Weight, dict]]:
-    """Gain >= 1 of each weight above its bound, the weight with it, and its certificate. The bounds are rows
-    of ``bounds`` (n_delta, K) at ``warped`` (K,) [rad/s]."""
+    """Gain >= 1 of each weight above its bound, the weight with it, and its certificate.
+
+    The bounds are rows of ``bounds`` (n_delta, K) at ``warped`` (K,) [rad/s].
+    """
     if not len(W_delta) == len(bounds) == project.n_delta:
         raise InputError(
             f"vehicle {project.name}",
@@ -173,9 +177,12 @@ class EnergyTest:
         bound: np.ndarray,
         inflation: float,
     ) -> EnergyTest:
-        """Filters for the project's n_delta weights W_delta, before sigma is known. The weights lie above the
-        samples ``bound`` (K, n_delta) at ``omega`` (K,), times the final inflation. Raises InputError for
-        settings that make no test, and for weights of another structure."""
+        """Filters for the project's n_delta weights W_delta, before sigma is known.
+
+        The weights lie above the samples ``bound`` (K, n_delta) at ``omega`` (K,), times the final inflation.
+        Raises
+        InputError for settings that make no test, and for weights of another structure.
+        """
         Ts, settings = estimator.Ts, project.energy_test
         corners = settings.band_hz or (project.frames.f_min_hz, project.frames.f_max_hz)
         memory = settings.memory_s or 1.0 / project.frames.f_min_hz
@@ -323,8 +330,10 @@ class EnergyTest:
             yield first, band, _norm_in(left, a) / (allowed + 1.0)
 
     def needs(self, e: np.ndarray, yhat: np.ndarray, v: np.ndarray) -> dict[str, np.ndarray]:
-        """Sigma that a drive needs, per output (B, n_y) and jointly (B,), and the largest norms met. e, yhat
-        (N, n_y), v (N,). NaN where nothing is judged."""
+        """Sigma that a drive needs, per output (B, n_y) and jointly (B,), and the largest norms met.
+
+        e, yhat (N, n_y), v (N,). NaN where nothing is judged.
+        """
         out = {key: np.full(self.sigma.shape, np.nan) for key in ("sigma", "error", "bound")} | {
             "joint": np.full(len(self.F), np.nan)
         }
@@ -354,7 +363,10 @@ class EnergyTest:
 
     def memory_met(self, e: np.ndarray, yhat: np.ndarray, v: np.ndarray) -> np.ndarray:
         """Largest norm (B, n_y) remembered at a restart at any sample of a drive: of F W_delta yhat and of F
-        e. e, yhat (N, n_y), v (N,). NaN where nothing is judged."""
+        e.
+
+        e, yhat (N, n_y), v (N,). NaN where nothing is judged.
+        """
         largest = np.full(self.sigma.shape, np.nan)
         for stretch in self._stretches(v):
             for j, (error, nominal) in enumerate(zip(e[stretch].T, yhat[stretch].T, strict=True)):
@@ -366,8 +378,10 @@ class EnergyTest:
         return largest
 
     def with_sigma(self, needs: dict[str, np.ndarray], floor: np.ndarray | float = 0.0) -> EnergyTest:
-        """The test with sigma per band and output from ``needs`` over all identification drives. Sigma is at
-        least ``floor`` (B, n_y), the sensors' limit. The memory at a restart is the largest met."""
+        """The test with sigma per band and output from ``needs`` over all identification drives.
+
+        Sigma is at least ``floor`` (B, n_y), the sensors' limit. The memory at a restart is the largest met.
+        """
         size = np.maximum(needs["error"], needs["bound"])
         if not (size > 0).all():
             raise InputError(
@@ -381,8 +395,10 @@ class EnergyTest:
         return replace(self, sigma=sigma, start=needs["memory"])
 
     def with_joint(self, needs: dict[str, np.ndarray]) -> EnergyTest:
-        """The test with sigma raised until the fan of directions holds too. ``needs`` are those with sigma
-        per output, NaN where nothing is needed."""
+        """The test with sigma raised until the fan of directions holds too.
+
+        ``needs`` are those with sigma per output, NaN where nothing is needed.
+        """
         joint = np.fmax(1.0, needs["joint"])
         return replace(self, sigma=self.sigma * joint[:, None], joint=joint)
 
@@ -456,8 +472,10 @@ class EnergyTest:
         )
 
     def _require_stated(self, data: dict, where: str) -> None:
-        """Raise InputError for an impossible sigma, or for gains and certificates of other weights. sigma,
-        which the drives set, is positive, ``start`` not negative and ``joint`` at least 1."""
+        """Raise InputError for an impossible sigma, or for gains and certificates of other weights.
+
+        sigma, which the drives set, is positive, ``start`` not negative and ``joint`` at least 1.
+        """
         least = {"sigma": np.finfo(float).tiny, "start": 0.0, "joint": 1.0}
         for name, low in least.items():
             value, wanted = np.array(data[name], float), getattr(self, name).shape

@@ -105,8 +105,10 @@ class ErrorDomain:
         return self.lowest_knot * AMPLITUDE_RATIO ** np.arange(AMPLITUDE_KNOTS)
 
     def relative_speed(self, v: np.ndarray) -> np.ndarray:
-        """s of speeds v [m/s], -1 and 1 at the ends of the range, in the shape of v. s is linear in log(v +
-        SLOW * highest speed): dynamics change with 1/v, most at low speed."""
+        """s of speeds v [m/s], -1 and 1 at the ends of the range, in the shape of v.
+
+        s is linear in log(v + SLOW * highest speed): dynamics change with 1/v, most at low speed.
+        """
         low, high = self.speed_range
         slow = SLOW * high
         place = np.log(np.maximum(v, low) + slow)
@@ -114,8 +116,11 @@ class ErrorDomain:
         return (2 * place - first - last) / (last - first)
 
     def features(self, s: np.ndarray, a: np.ndarray) -> np.ndarray:
-        """(N, F) features of relative speed and amplitude. Chebyshev's polynomials of s, hats h_i over log a,
-        and s h_i; s and a (N,), a in the input's unit. Beyond the outer knots the hats are constant."""
+        """(N, F) features of relative speed and amplitude.
+
+        Chebyshev's polynomials of s, hats h_i over log a, and s h_i; s and a (N,), a in the input's unit.
+        Beyond the outer knots the hats are constant.
+        """
         place = np.log(np.maximum(a, self.lowest_knot) / self.lowest_knot) / np.log(AMPLITUDE_RATIO)
         knots = np.arange(AMPLITUDE_KNOTS)
         hats = np.column_stack([np.interp(place, knots, row) for row in np.eye(AMPLITUDE_KNOTS)])

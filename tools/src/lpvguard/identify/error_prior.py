@@ -69,8 +69,10 @@ USUAL = PriorScales()
 
 
 class ErrorPrior:
-    """Prior of the lag values of every feature, and of deviations of drives and groups. A hyperparameter
-    vector holds logarithms of ratios to SIZES, in their order."""
+    """Prior of the lag values of every feature, and of deviations of drives and groups.
+
+    A hyperparameter vector holds logarithms of ratios to SIZES, in their order.
+    """
 
     def __init__(self, domain: ErrorDomain, groups: bool, scales: PriorScales = USUAL):
         self.domain, self.scales = domain, scales
@@ -109,7 +111,9 @@ class ErrorPrior:
 
     def root(self, x: np.ndarray) -> np.ndarray:
         """(p, r) matrix whose product with its transpose is the covariance of the lag values of all features.
-        x : (H,) logarithms of hyperparameters."""
+
+        x : (H,) logarithms of hyperparameters.
+        """
         lags, lag = self.domain.lags, self._lag_root(x)
         speed = self.size(x, "speed") * np.arange(1.0, SPEED_DEGREE + 1) ** -self.size(x, "speed_decay")
         amplitude = self._alike_amplitudes

@@ -207,9 +207,11 @@ class _Counted:
     def whitened(
         self, output: int, by_speed: np.ndarray, signals: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
-        """Counted samples of error (n,) and signals (n, m), whitened, and a basis (n, 0 to 2) of offsets. The
-        noise has unit variance. The residue is that of the drive's own ``by_speed`` (N, COMMON). None where
-        the nominal output or the residue is silent."""
+        """Counted samples of error (n,) and signals (n, m), whitened, and a basis (n, 0 to 2) of offsets.
+
+        The noise has unit variance. The residue is that of the drive's own ``by_speed`` (N, COMMON). None
+        where the nominal output or the residue is silent.
+        """
         ones = np.column_stack([np.ones_like(self.s), self.s])
         X, e, counted = np.column_stack([by_speed, ones]), self.error[output], self.counted
         if not np.any(by_speed[counted]):

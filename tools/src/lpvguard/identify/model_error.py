@@ -76,8 +76,11 @@ ASSUMED = "no reason stated: the vehicle is taken to respond no more than the mo
 
 @dataclass(frozen=True)
 class ErrorGrid:
-    """Grid of the estimate. It has frequencies ``omega`` (G,) [rad/s], ``speed_edges`` (C + 1,) [m/s] and
-    ``amplitude_edges`` (A - 1,) [input unit]."""
+    """Grid of the estimate.
+
+    It has frequencies ``omega`` (G,) [rad/s], ``speed_edges`` (C + 1,) [m/s] and ``amplitude_edges`` (A - 1,)
+    [input unit].
+    """
 
     Ts: float
     omega: np.ndarray
@@ -219,8 +222,10 @@ def drive_sums(
     e: np.ndarray,
     yhat: np.ndarray,
 ) -> Sums:
-    """Sums of one drive over frames in which the first input's rms exceeds ``excited_std`` [input unit]. e,
-    yhat (N, n_y) [output units]."""
+    """Sums of one drive over frames in which the first input's rms exceeds ``excited_std`` [input unit].
+
+    e, yhat (N, n_y) [output units].
+    """
     settled = estimator.settled(drive.v)
     if settled.sum() < 2 * AR_ORDER:
         return Sums.none(grid, model.n_y)
@@ -268,8 +273,10 @@ def drive_sums(
 
 @lru_cache(maxsize=1024)
 def _kernel(angle: float, half: int) -> np.ndarray:
-    """Hann window times an exponential that turns by ``angle`` a sample, (half, 4), cached per process. The
-    columns are real and imaginary part of the first half, and of the second."""
+    """Hann window times an exponential that turns by ``angle`` a sample, (half, 4), cached per process.
+
+    The columns are real and imaginary part of the first half, and of the second.
+    """
     n = np.arange(2 * half)
     window = 0.5 - 0.5 * np.cos(2 * np.pi * n / len(n))
     parts = (window * np.exp(-1j * angle * n)).reshape(2, -1)
@@ -277,15 +284,20 @@ def _kernel(angle: float, half: int) -> np.ndarray:
 
 
 def _by_halves(signals: np.ndarray, kernel: np.ndarray) -> np.ndarray:
-    """Frames (m, N / h - 1) of signals (m, N) at every h-th start, by their ``kernel`` (h, 4). Each half
-    frame is the second half of one frame and the first of the next, and is computed once for both."""
+    """Frames (m, N / h - 1) of signals (m, N) at every h-th start, by their ``kernel`` (h, 4).
+
+    Each half frame is the second half of one frame and the first of the next, and is computed once for both.
+    """
     sums = signals.reshape(len(signals), -1, len(kernel)) @ kernel
     return np.ascontiguousarray(sums[:, :-1, :2] + sums[:, 1:, 2:]).view(complex)[..., 0]
 
 
 class _Frames(NamedTuple):
-    """Counted frames of one drive, frequency and length ``at`` (g, p). Complex ``frames`` (m, F) are E, Z
-    and, if Z is not R, R of every output in turn; speed and amplitude are (F,)."""
+    """Counted frames of one drive, frequency and length ``at`` (g, p).
+
+    Complex ``frames`` (m, F) are E, Z and, if Z is not R, R of every output in turn; speed and amplitude are
+    (F,).
+    """
 
     at: tuple[int, int]
     frames: np.ndarray
@@ -393,9 +405,12 @@ class ErrorEstimate:
 
     @classmethod
     def of(cls, sums: Sums, grid: ErrorGrid) -> ErrorEstimate:
-        """Estimate from sums with the best length of frames. Best are the lengths with the narrowest pool,
-        among these that with the least standard error of the converged ones. If none has converged, it is the
-        one with the least change by doubling, in standard errors."""
+        """Estimate from sums with the best length of frames.
+
+        Best are the lengths with the narrowest pool, among these that with the least standard error of the
+        converged ones. If none has converged, it is the one with the least change by doubling, in standard
+        errors.
+        """
         pools = _pools(sums)
         pool = _chosen(pools)
         fit = pools[-1]
@@ -432,8 +447,10 @@ class ErrorEstimate:
 @dataclass(frozen=True)
 class _Lines:
     """Lines a + b s of every cell, (G, P, n_y, C, A): theta (..., 2), covariance (..., 2, 2), and statistics.
+
     These are mean and standard deviation of the frames' s, independent frames n, and the residue's share of
-    sum |E|^2."""
+    sum |E|^2.
+    """
 
     theta: np.ndarray
     covariance: np.ndarray
@@ -476,7 +493,9 @@ class _Lines:
 
 def _quantile(n: np.ndarray, level: float) -> np.ndarray:
     """Standard errors that |delta - delta_c| exceeds with probability ``level``; n: independent frames.
-    |delta - delta_c|^2 / se^2 follows F(2, 2 nu), nu = n - 2."""
+
+    |delta - delta_c|^2 / se^2 follows F(2, 2 nu), nu = n - 2.
+    """
     freedom = np.maximum(n - 2, 1.0)
     return np.sqrt(freedom * np.expm1(-np.log(level) / freedom))
 
@@ -546,8 +565,11 @@ def _scatter(s: Sums, theta: np.ndarray) -> np.ndarray:
 
 def _joined(second: np.ndarray, fourth: np.ndarray) -> np.ndarray:
     """Group (N, K), from 0 on, of each of K neighbours, joined until each group has FEWEST_FRAMES or one is
-    left. ``second`` and ``fourth`` (N, K) are their sums of |R|^2 and |R|^4. The group with the fewest frames
-    is joined first, with the smaller of its neighbours."""
+    left.
+
+    ``second`` and ``fourth`` (N, K) are their sums of |R|^2 and |R|^4. The group with the fewest frames is
+    joined first, with the smaller of its neighbours.
+    """
     every = np.arange(second.shape[1])
     groups = np.broadcast_to(every, second.shape)
     for _ in every[1:]:
@@ -575,7 +597,9 @@ def _shared(s: Sums, cells: int) -> Sums:
 
 def _classes_joined(s: Sums) -> Sums:
     """Sums with each amplitude class replaced by those of its joined classes, where it has too few frames.
-    Classes are joined where their drives alone have fewer than FEWEST_FRAMES."""
+
+    Classes are joined where their drives alone have fewer than FEWEST_FRAMES.
+    """
     second, fourth = (x.sum(axis=3) for x in (s.rr[..., 0], s.fourth))
     groups = _joined(*(x.reshape(-1, x.shape[-1]) for x in (second, fourth))).reshape(second.shape)
     same = (groups[..., :, None] == groups[..., None, :]).astype(float)[..., None, :, :]
@@ -761,8 +785,10 @@ class ModelError:
     def of(
         cls, project: Project, grid: ErrorGrid, setting: list[Sums], judging: list[Sums], workers: Map = map
     ) -> ModelError:
-        """Model error from the sums of folds of drives, at least one of which sets the bounds. ``workers``
-        share the folds."""
+        """Model error from the sums of folds of drives, at least one of which sets the bounds.
+
+        ``workers`` share the folds.
+        """
         estimate = ErrorEstimate.of(_total(setting), grid)
         return cls(
             grid,

@@ -1,5 +1,7 @@
-"""Quality of the nominal model on the drives that set the bounds. Bounds around a model that is worse than
-none say nothing about the vehicle."""
+"""Quality of the nominal model on the drives that set the bounds.
+
+Bounds around a model that is worse than none say nothing about the vehicle.
+"""
 
 import numpy as np
 

@@ -64,9 +64,12 @@ def _folds(chosen: Iterable[Experiment]) -> dict[Experiment, int]:
 
 @dataclass
 class Origins:
-    """Origins of bounds and thresholds. ``evidence`` (K,) is the largest of the bound-setting drives by bin,
-    empty without a core. ``peaks`` are the origins of the scores by calibration drive and test. ``decided``
-    are the frames that decide nu and B_w."""
+    """Origins of bounds and thresholds.
+
+    ``evidence`` (K,) is the largest of the bound-setting drives by bin, empty without a core. ``peaks`` are
+    the origins of the scores by calibration drive and test. ``decided`` are the frames that decide nu and
+    B_w.
+    """
 
     evidence: np.ndarray = field(default_factory=lambda: np.zeros(0))
     peaks: dict[str, dict[str, Peak]] = field(default_factory=dict)
@@ -74,9 +77,11 @@ class Origins:
 
 
 class OverDrives:
-    """Passes over the drives, mapped by ``workers`` and joined on arrival. ``left_out`` holds the reason by
-    drive without a counted frame. ``spectra`` and ``met`` are the samples joined so far. ``origins`` are the
-    origins of bounds and thresholds found so far."""
+    """Passes over the drives, mapped by ``workers`` and joined on arrival.
+
+    ``left_out`` holds the reason by drive without a counted frame. ``spectra`` and ``met`` are the samples
+    joined so far. ``origins`` are the origins of bounds and thresholds found so far.
+    """
 
     def __init__(self, drives: DriveSet, workers: Map, progress: Progress):
         self.drives, self.reader, self.workers, self.progress = drives, drives.reader, workers, progress
@@ -98,8 +103,10 @@ class OverDrives:
             yield result
 
     def first_parts(self, chosen: list[Experiment], ceiling: np.ndarray, *, keep: bool) -> Iterator[Part]:
-        """Bounds before smoothing under a ``ceiling`` (K,) on nu, and peaks, of every drive. With ``keep``
-        its spectra are sampled, and its sensors' resolution is kept."""
+        """Bounds before smoothing under a ``ceiling`` (K,) on nu, and peaks, of every drive.
+
+        With ``keep`` its spectra are sampled, and its sensors' resolution is kept.
+        """
         task = partial(first_pass, self.reader, ceiling)
         for e, (part, rows, seen) in zip(chosen, self.over("frames", task, chosen), strict=False):
             if not part["frames"].any():
@@ -122,8 +129,10 @@ class OverDrives:
         return thinned(stacked(self._spectra))
 
     def with_frames(self, drives: Chosen) -> Chosen:
-        """The drives without bound-setting ones that were left out. Raises InputError when none remains, or
-        none calibrates."""
+        """The drives without bound-setting ones that were left out.
+
+        Raises InputError when none remains, or none calibrates.
+        """
         left = [e for e in drives.setting if e.name not in self.left_out]
         if not left:
             name, reason = next(iter(self.left_out.items()))
@@ -136,8 +145,10 @@ class OverDrives:
         return replace(drives, setting=left)
 
     def model_error(self, drives: Chosen) -> ModelError:
-        """Model error model of the bound-setting drives, and that of the drives that judge it. Without a
-        ceiling on nu its bound is the band of a further drive."""
+        """Model error model of the bound-setting drives, and that of the drives that judge it.
+
+        Without a ceiling on nu its bound is the band of a further drive.
+        """
         reader = self.reader
         project, grid = reader.project, ErrorGrid.of(reader.project, reader.estimator)
         task = partial(model_error_pass, reader, grid)
@@ -216,6 +227,7 @@ class OverDrives:
         setting: list[Experiment],
     ) -> Bounds:
         """Step 6 with ``gamma_w`` (K,): B_w is what no |delta| <= W_delta explains, or its floor.
+
         ``covering``: B_w is scaled until sum_j |w_j / B_w,j|^2 <= 1 on every frame; ``paper``: |w_j| <=
         B_w,j."""
         project, estimator = self.reader.project, self.reader.estimator
@@ -346,9 +358,11 @@ class OverDrives:
 
     def _inflated(self, weights: Weights, core: Core | None, drives: Chosen) -> tuple[Weights, set[str]]:
         """Final inflation: the least factor >= 1 on the weights with which no margin exceeds 1 on
-        bound-setting drives. Drives count whole or with their first samples cut. A factor above 1 is rounded
-        up by 1e-4. Also returns the drives on which, so cut, the core's energy ratio stays below
-        FAR_BELOW."""
+        bound-setting drives.
+
+        Drives count whole or with their first samples cut. A factor above 1 is rounded up by 1e-4. Also
+        returns the drives on which, so cut, the core's energy ratio stays below FAR_BELOW.
+        """
         worst, far = 1.0, set()
         judged = self._judged("inflation", weights, core, None, CUTS, drives.setting)
         for e, j in zip(drives.setting, judged, strict=True):
@@ -385,9 +399,11 @@ class OverDrives:
     def _energy_test(
         self, inflated: Weights, first: EnergyTest, far: set[str], resolution: Resolution, drives: Chosen
     ) -> EnergyTest:
-        """Energy test of the ``inflated`` weights, with sigma for all directions and cut drives. ``first`` is
-        that of the previous weights. Drives ``far`` below its bound need nothing more if each output has its
-        own direction and the weights are the same."""
+        """Energy test of the ``inflated`` weights, with sigma for all directions and cut drives.
+
+        ``first`` is that of the previous weights. Drives ``far`` below its bound need nothing more if each
+        output has its own direction and the weights are the same.
+        """
         test = energy_filters(self.reader.project, self.reader.estimator, inflated)
         chosen = drives.setting + drives.noise
         if inflated.inflation > 1.0:
@@ -418,8 +434,10 @@ class OverDrives:
     def _scores(
         self, weights: Weights, core: Core | None, reals: np.ndarray | None, drives: Chosen
     ) -> tuple[dict[str, float], dict[str, float], dict[str, float]]:
-        """Scores of the calibration drives in frame, energy and change test. Adds to ``left_out`` and to the
-        judged times."""
+        """Scores of the calibration drives in frame, energy and change test.
+
+        Adds to ``left_out`` and to the judged times.
+        """
         scores, energy_scores, change_scores = {}, {}, {}
         judged = self._judged("score", weights, core, reals, 0, drives.others)
         for e, j in zip(drives.others, judged, strict=False):

@@ -47,8 +47,10 @@ KEPT_BYTES = 384 << 20
 
 @dataclass
 class _Held:
-    """A drive with its nominal output yhat (N, n_y), from which its error follows. ``stretches`` are runs of
-    its counted frames, once requested."""
+    """A drive with its nominal output yhat (N, n_y), from which its error follows.
+
+    ``stretches`` are runs of its counted frames, once requested.
+    """
 
     drive: Drive
     yhat: np.ndarray
@@ -159,8 +161,10 @@ def _spectra_rows(s: FrameSet, name: str, way: np.ndarray, estimator: Estimator)
 
 
 def thinned(rows: Rows) -> Rows:
-    """LARGEST_SPECTRA and DRAWN_SPECTRA rows a bin, each once. Thinning the union of two thinned parts gives
-    that of all rows."""
+    """LARGEST_SPECTRA and DRAWN_SPECTRA rows a bin, each once.
+
+    Thinning the union of two thinned parts gives that of all rows.
+    """
     both = stacked([first_of_each(rows, LARGEST_SPECTRA, "weakness"), first_of_each(rows, DRAWN_SPECTRA)])
     order = np.lexsort((both["hash"], both["group"]))
     both = {k: v[order] for k, v in both.items()}
@@ -190,7 +194,9 @@ def first_pass(
     reader: DriveReader, nu_ceiling: np.ndarray, experiment: Experiment
 ) -> tuple[Part, Rows, np.ndarray]:
     """Bounds before smoothing, peaks, a sample of the spectra, and step and noise (2, n_y) of one drive.
-    ``nu_ceiling`` (K,): the ceiling on the uncertainty bound in every bin, 0 at DC."""
+
+    ``nu_ceiling`` (K,): the ceiling on the uncertainty bound in every bin, 0 at DC.
+    """
     rows: list[Rows] = []
     drive, e, _, frames = reader.seen(experiment)
     way = np.concatenate([[0.0], np.cumsum(drive.v)])
@@ -286,8 +292,11 @@ def remainder_pass(
 
 class Judged(NamedTuple):
     """Results of the tests on a drive: largest margin, scores (None: not judged), excitation, judged time
-    [s]. ``peaks``: origins of the scores by test; none without a core. ``energy_of_cuts``: largest ratio of
-    the energy test with its first samples cut; 0: not judged."""
+    [s].
+
+    ``peaks``: origins of the scores by test; none without a core. ``energy_of_cuts``: largest ratio of the
+    energy test with its first samples cut; 0: not judged.
+    """
 
     worst: float
     score: float | None
@@ -309,7 +318,9 @@ def judge(
     experiment: Experiment,
 ) -> Judged:
     """Judge a drive, whole and (for ``worst``) from ``cuts`` random first samples, by the compiled core.
-    Without a core (plain DFT) the exact margin under W_delta (K, n_delta), B_w (K, n_y) judges."""
+
+    Without a core (plain DFT) the exact margin under W_delta (K, n_delta), B_w (K, n_y) judges.
+    """
     speed_range, name = reader.estimator.speed_range, experiment.name
     drive, _, _, frames = reader.seen(experiment)
     if core is None:
@@ -376,8 +387,10 @@ def _first_samples(reader: DriveReader, name: str, samples: int, cuts: int) -> l
 
 def energy_pass(reader: DriveReader, test: EnergyTest, cuts: int, experiment: Experiment) -> Part:
     """Sigma that a drive needs: whole, from rest; with its first samples cut, from what Delta may remember.
+
     Without ``cuts`` it also gives what the drive shows of that memory. With ``cuts`` it is whole only for
-    directions of several outputs, because sigma covers a single output's."""
+    directions of several outputs, because sigma covers a single output's.
+    """
     drive, e, yhat = reader.read(experiment)
 
     def parts() -> Iterator[Part]:

@@ -18,8 +18,10 @@ from .identification import StoredIdentification
 
 @dataclass(frozen=True)
 class Least:
-    """Least ratio of W_delta to the judging drives' error, at ``omega`` [rad/s] and ``v`` [m/s]. ``delta`` is
-    |delta_c|, ``spread`` k se; W_delta is there, too."""
+    """Least ratio of W_delta to the judging drives' error, at ``omega`` [rad/s] and ``v`` [m/s].
+
+    ``delta`` is |delta_c|, ``spread`` k se; W_delta is there, too.
+    """
 
     ratio: float
     output: str

@@ -47,8 +47,11 @@ def grid_step(y: np.ndarray) -> float:
 
 def noise_deviation(y: np.ndarray, settled: np.ndarray) -> float:
     """Standard deviation of white noise in the samples y (N,), from wholly ``settled`` (N,) blocks; NaN
-    without any. (y_0 - y_1 - y_2 + y_3)/2 of a block has the noise's variance, independent of its mean and
-    slope. The median ignores rare jumps."""
+    without any.
+
+    (y_0 - y_1 - y_2 + y_3)/2 of a block has the noise's variance, independent of its mean and slope. The
+    median ignores rare jumps.
+    """
     blocks = len(y) // BLOCK
     whole = settled[: BLOCK * blocks].reshape(blocks, BLOCK).all(axis=1)
     y = y[: BLOCK * blocks].reshape(blocks, BLOCK)[whole]
@@ -59,8 +62,11 @@ def noise_deviation(y: np.ndarray, settled: np.ndarray) -> float:
 
 def largest_of_rounding(kernel: np.ndarray) -> float:
     """max |sum_n kernel_n r_n| over all |r_n| <= 1/2, for kernel (N,): effect of rounding to steps of 1 on a
-    frame. The sums fill a zonotope whose edges are kernel_n; its vertices come from the edges in the order of
-    their angles."""
+    frame.
+
+    The sums fill a zonotope whose edges are kernel_n; its vertices come from the edges in the order of their
+    angles.
+    """
     edges = np.where((kernel.imag < 0) | ((kernel.imag == 0) & (kernel.real < 0)), -kernel, kernel)
     edges = edges[np.argsort(np.angle(edges), kind="stable")]
     vertices = np.cumsum(edges) - edges.sum() / 2
@@ -69,8 +75,10 @@ def largest_of_rounding(kernel: np.ndarray) -> float:
 
 @dataclass(frozen=True)
 class Resolution:
-    """Resolution of every output: ``step`` (n_y,) of its grid, ``noise`` (n_y,) beyond that of rounding. Both
-    are in the output's unit; 0: none is visible."""
+    """Resolution of every output: ``step`` (n_y,) of its grid, ``noise`` (n_y,) beyond that of rounding.
+
+    Both are in the output's unit; 0: none is visible.
+    """
 
     step: np.ndarray
     noise: np.ndarray
@@ -78,7 +86,10 @@ class Resolution:
     @classmethod
     def of(cls, project: Project, seen: np.ndarray) -> Resolution:
         """Resolution from the least (2, n_y) of `resolution_of` over bound-setting drives, or from the
-        project file. NaN: no value."""
+        project file.
+
+        NaN: no value.
+        """
         step, noise = np.nan_to_num(seen)
         for j, s in enumerate(project.outputs):
             step[j] = step[j] if s.resolution is None else s.resolution
@@ -95,8 +106,10 @@ class Resolution:
         return rounding[:, None] * self.step + size[:, None] * self.noise
 
     def energy_floor(self, F: np.ndarray, Ts: float, memories_s: np.ndarray) -> np.ndarray:
-        """Least sigma (B, n_y) of the energy test: effect of rounding on the norm of each band. ``F`` (B, S,
-        6): the bands' sections in z; forgetting over ``memories_s`` (B,)."""
+        """Least sigma (B, n_y) of the energy test: effect of rounding on the norm of each band.
+
+        ``F`` (B, S, 6): the bands' sections in z; forgetting over ``memories_s`` (B,).
+        """
         rho = np.exp(-Ts / memories_s)
         share = [_gain_inside(f, r) / np.sqrt(1 - r**2) / 2 for f, r in zip(F, rho, strict=True)]
         return np.array(share)[:, None] * self.step
@@ -111,8 +124,10 @@ def _gain_inside(sections: np.ndarray, rho: float) -> float:
 
 
 def resolution_of(drive: Drive, e: np.ndarray, estimator: Estimator) -> np.ndarray:
-    """Step and noise (2, n_y) of a drive with the nominal error ``e`` (N, n_y). Noise is the smaller of the
-    output's and of e's. A quick input adds to one, a coarse input to the other."""
+    """Step and noise (2, n_y) of a drive with the nominal error ``e`` (N, n_y).
+
+    Noise is the smaller of the output's and of e's. A quick input adds to one, a coarse input to the other.
+    """
     settled = estimator.settled(drive.v)
     noise = [min(noise_deviation(x, settled) for x in pair) for pair in zip(drive.y.T, e.T, strict=True)]
     return np.array([[grid_step(y) for y in drive.y.T], noise])

@@ -1,6 +1,9 @@
-"""Drives that the nominal model does not explain, and their cost. Such a drive (a slide, a crash, the wrong
-day or car) is bounded like every other: the bounds hold on it, and grow. Nothing is left out in silence. A
-user who finds that the model is not meant for the drive sets it aside in experiments.csv, with the reason."""
+"""Drives that the nominal model does not explain, and their cost.
+
+Such a drive (a slide, a crash, the wrong day or car) is bounded like every other: the bounds hold on it, and
+grow. Nothing is left out in silence. A user who finds that the model is not meant for the drive sets it aside
+in experiments.csv, with the reason.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -98,7 +101,9 @@ def left_unexplained(project: Project, found: Quality, sets_bounds: bool) -> Une
 @dataclass(frozen=True)
 class Cost:
     """Alarming faults in the remaining drives, out of ``of``: ``found`` with the bounds, ``found_without``.
-    The latter are with bounds of the other drives alone."""
+
+    The latter are with bounds of the other drives alone.
+    """
 
     names: tuple[str, ...]
     found: int

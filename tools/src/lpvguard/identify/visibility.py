@@ -50,10 +50,12 @@ class Excitation:
         B_w: np.ndarray,
         number: np.ndarray,
     ) -> Excitation:
-        """Excitation of the F counted frames of drive ``name``. The frames have the bins ``bin_of`` (F,), the
-        mean speeds ``speed`` (F,) [m/s] and the outputs Z (F, n_y) [output units]. ``number`` (F,) identifies
-        the frames of a bin. ``speed_range`` [m/s] is cut into SPEED_CELLS equal cells. The bounds are W_delta
-        (K, n_delta) and B_w (K, n_y)."""
+        """Excitation of the F counted frames of drive ``name``.
+
+        The frames have the bins ``bin_of`` (F,), the mean speeds ``speed`` (F,) [m/s] and the outputs Z (F,
+        n_y) [output units]. ``number`` (F,) identifies the frames of a bin. ``speed_range`` [m/s] is cut into
+        SPEED_CELLS equal cells. The bounds are W_delta (K, n_delta) and B_w (K, n_y).
+        """
         K = len(W_delta)
         group = speed_cell(speed_range, speed) * K + bin_of
         dead = s1.margin(-Z, Z, W_delta[bin_of], B_w[bin_of])

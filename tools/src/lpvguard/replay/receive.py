@@ -66,8 +66,11 @@ class _Place:
 
 @dataclass(frozen=True)
 class _Bus:
-    """The bus of a vehicle. ``sent`` gives each message's name on the bus, its identifier with flags, and the
-    identifying bits. ``files`` is the generated C."""
+    """The bus of a vehicle.
+
+    ``sent`` gives each message's name on the bus, its identifier with flags, and the identifying bits.
+    ``files`` is the generated C.
+    """
 
     catalogue: Catalogue
     places: list[_Place]
@@ -111,8 +114,11 @@ class Receiver:
             raise AssertionError("the events of can.h and of this module differ")
 
     def receive(self, frames: Frames, where: str | Path, *, channel: str | None = None) -> Received:
-        """Sample a log. Raises InputError when it holds no needed message, or they come from several channels
-        and none was chosen."""
+        """Sample a log.
+
+        Raises InputError when it holds no needed message, or they come from several channels and none was
+        chosen.
+        """
         frames, ours = self._one_channel(frames.of_channel(channel, where), where)
         fastest = min(m.period_ms for m in self.needed) * 1000
         t_us, order, jumps = _one_clock(frames.t_ns, ours, fastest)
@@ -135,13 +141,17 @@ class Receiver:
         return Received(t, values, present, report)
 
     def running(self, start_us: int, where: str | Path) -> RunningReceiver:
-        """Start a receiver whose clock begins at ``start_us`` [us]; it takes frames in pieces. Raises
-        InputError when the supervision refuses that time."""
+        """Start a receiver whose clock begins at ``start_us`` [us]; it takes frames in pieces.
+
+        Raises InputError when the supervision refuses that time.
+        """
         return RunningReceiver(self, start_us, where)
 
     def presence(self, values: np.ndarray, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """True (needed, N) where each needed message is live, and (N,) where a sample passes all gates.
-        ``values`` (N, columns) and ``states`` (N, rules) come from ``RunningReceiver.take``."""
+
+        ``values`` (N, columns) and ``states`` (N, rules) come from ``RunningReceiver.take``.
+        """
         live = np.array([states[:, self._rules.index(m)] == LIVE for m in self.needed])
         present = live.all(axis=0) & np.isfinite(values[:, : len(self.signals)]).all(axis=1)
         for i, s in enumerate(self.signals):
@@ -150,13 +160,17 @@ class Receiver:
         return live, present
 
     def counted(self, counts: np.ndarray) -> dict[str, Any]:
-        """Number of frames by outcome, from ``counts`` (rules + 1, events). The key "messages" has each
-        needed or seen message, and "other" has all others."""
+        """Number of frames by outcome, from ``counts`` (rules + 1, events).
+
+        The key "messages" has each needed or seen message, and "other" has all others.
+        """
         return {"messages": self._counted(counts), "other": _named(counts[-1])}
 
     def _one_channel(self, frames: Frames, where: str | Path) -> tuple[Frames, np.ndarray]:
-        """Frames of the one channel with needed messages, and (N,) which frames are these. Raises InputError
-        when no channel has them, or several do."""
+        """Frames of the one channel with needed messages, and (N,) which frames are these.
+
+        Raises InputError when no channel has them, or several do.
+        """
         ours = self.ours(frames)
         if not ours.any():
             raise InputError(
@@ -254,10 +268,12 @@ class RunningReceiver:
     def take(
         self, t_us: np.ndarray, frames: Frames, first_us: int, ticks: int
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Take frames with increasing times t_us (N,) [us], up to the last of ``ticks`` ticks. Ticks are a
-        sample period apart from ``first_us`` [us] on. Returns values (ticks, columns), NaN before the first,
-        and states of the supervision (ticks, rules). Raises InputError when the supervision refuses a
-        time."""
+        """Take frames with increasing times t_us (N,) [us], up to the last of ``ticks`` ticks.
+
+        Ticks are a sample period apart from ``first_us`` [us] on. Returns values (ticks, columns), NaN before
+        the first, and states of the supervision (ticks, rules). Raises InputError when the supervision
+        refuses a time.
+        """
         values = np.empty((ticks, self._receiver.columns))
         states = np.empty((ticks, self._receiver.n_rules), np.uint8)
         log = (t_us, frames.id, frames.length, frames.data)
@@ -385,8 +401,10 @@ def _one_clock(
     t_ns: np.ndarray, ours: np.ndarray, period_us: int
 ) -> tuple[np.ndarray, np.ndarray, list[dict]]:
     """Times [us] from 0 in increasing order, the frames' positions in it, and the jumps of the log's clock.
+
     Every stretch between jumps is shifted so that our frames arrive, in the circular mean, at multiples of
-    ``period_us``."""
+    ``period_us``.
+    """
     clock = clock_of(t_ns, CLOCK_JUMP_S)
     times: list[np.ndarray] = []
     order: list[np.ndarray] = []

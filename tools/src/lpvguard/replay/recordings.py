@@ -1,6 +1,8 @@
 """Time series of a replay in the files of other tools: Parquet, MCAP (Foxglove, PlotJuggler; ROS 2), MF4.
+
 MCAP has the messages of messages.py, with their schemas. Times are those of the series [ns]. MF4 has a
-channel with a unit for each column. A margin has its own times, those of the judgement."""
+channel with a unit for each column. A margin has its own times, those of the judgement.
+"""
 
 import json
 from datetime import UTC, datetime

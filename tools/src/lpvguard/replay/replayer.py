@@ -434,7 +434,10 @@ class Replayer:
         self, path: Path, channel: str | None = None, with_series: bool = False
     ) -> tuple[dict[str, Any], pa.Table | None] | InputError:
         """The object of `lpvguard replay --json` for one file, and ``with_series`` its time series
-        (series.py). Returns the InputError instead when the file cannot be read."""
+        (series.py).
+
+        Returns the InputError instead when the file cannot be read.
+        """
         try:
             recorded = self.read_file(path, channel)
             replay = self.replay_recorded(recorded)

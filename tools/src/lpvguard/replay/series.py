@@ -36,8 +36,11 @@ def numbers(column: pa.ChunkedArray) -> np.ndarray:
 def table_of(
     project: Project, yhat: np.ndarray, omega: np.ndarray, drive: Drive, run: Run, t0: float
 ) -> pa.Table:
-    """Series of a drive as a table of N rows; the module's docstring lists the columns. ``yhat`` (N, n_y) are
-    nominal outputs, ``omega`` (K,) [rad/s] the bins' frequencies. Column t counts from ``t0`` [s]."""
+    """Series of a drive as a table of N rows; the module's docstring lists the columns.
+
+    ``yhat`` (N, n_y) are nominal outputs, ``omega`` (K,) [rad/s] the bins' frequencies. Column t counts from
+    ``t0`` [s].
+    """
     absent = np.zeros(len(drive.t), bool) if drive.missing is None else drive.missing
     columns: dict[str, pa.Array] = {"t": pa.array(drive.t - t0)}
     names = [s.name for s in (project.speed, *project.inputs, *project.outputs)]

@@ -40,8 +40,11 @@ class MapCell:
 
     @property
     def state(self) -> str:
-        """State of the cell. PROVED: judged without an alarm, and a gain error of LEVEL alone would have
-        raised one. BLIND: such an error could stay unseen."""
+        """State of the cell.
+
+        PROVED: judged without an alarm, and a gain error of LEVEL alone would have raised one. BLIND: such an
+        error could stay unseen.
+        """
         if self.alarms:
             return VIOLATED
         if self.gain_error is None:

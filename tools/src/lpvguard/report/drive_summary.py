@@ -14,10 +14,12 @@ COLUMNS = 60
 
 @dataclass(frozen=True)
 class Nearest:
-    """A drive's nearest approach to an alarm, or its largest excess. ``ratio``: statistic over threshold, an
-    alarm above 1. ``test``: "frame", "energy" or "change". ``bin``: index and ``omega`` [rad/s]; None unless
-    for the frame test. ``t_s``: end of the judged stretch [s after the drive's start]; ``speed_mps``
-    [m/s]."""
+    """A drive's nearest approach to an alarm, or its largest excess.
+
+    ``ratio``: statistic over threshold, an alarm above 1. ``test``: "frame", "energy" or "change". ``bin``:
+    index and ``omega`` [rad/s]; None unless for the frame test. ``t_s``: end of the judged stretch [s after
+    the drive's start]; ``speed_mps`` [m/s].
+    """
 
     ratio: float
     test: str

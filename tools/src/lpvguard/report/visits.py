@@ -30,8 +30,10 @@ class Longest:
 
 @dataclass
 class Visits:
-    """Counted frames of all drives: lists over drives of bins (F,) and Z (F, n_y). Also the longest judged,
-    excited stretches in the lower and in the upper third of the model's speed range."""
+    """Counted frames of all drives: lists over drives of bins (F,) and Z (F, n_y).
+
+    Also the longest judged, excited stretches in the lower and in the upper third of the model's speed range.
+    """
 
     bin: list[np.ndarray] = field(default_factory=list)
     Z: list[np.ndarray] = field(default_factory=list)

@@ -247,8 +247,10 @@ def _recording(name: str, table: Table) -> Recording:
 
 
 def _step_of(series: Series) -> float:
-    """Usual time [s] from one value of a signal to the next; a value that is held is one. A table that is
-    merged of slow topics repeats their values, or leaves cells empty."""
+    """Usual time [s] from one value of a signal to the next; a value that is held is one.
+
+    A table that is merged of slow topics repeats their values, or leaves cells empty.
+    """
     ok = np.isfinite(series.value)
     t, value = series.t_ns[ok] * 1e-9, series.value[ok]
     if len(t) < 2:

@@ -1,6 +1,8 @@
-"""Readings of three columns: which units and which steering ratio make physics of them. Every combination of
-units that name and log leave open is held against the ranges of a kind of vehicle. One that fits is taken;
-where two do, the user is asked for the option that settles it."""
+"""Readings of three columns: which units and which steering ratio make physics of them.
+
+Every combination of units that name and log leave open is held against the ranges of a kind of vehicle. One
+that fits is taken; where two do, the user is asked for the option that settles it.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -30,8 +32,9 @@ LEAST_EXPLAINED = 0.3
 
 @dataclass(frozen=True)
 class UnitReading:
-    """Units by role, and steering wheel over road wheel, which is 1 at the road wheels. ``beyond`` says as a
-    logarithm how far outside of physics the columns then are, ``why`` in words."""
+    """Units by role, and steering wheel over road wheel, which is 1 at the road wheels.
+
+    ``beyond`` says as a logarithm how far outside of physics the columns then are, ``why`` in words."""
 
     units: Mapping[str, str]
     ratio: float
@@ -65,8 +68,10 @@ class Known:
 def decided(
     turn: SteadyTurn | None, drives: Sequence[Driven], choices: Mapping[str, Sequence[str]], known: Known
 ) -> tuple[UnitReading, list[str]]:
-    """The one reading that fits, and its evidence in sentences. ``choices``: role -> units that are possible.
-    InputError where none fits, or more than one."""
+    """The one reading that fits, and its evidence in sentences.
+
+    ``choices``: role -> units that are possible. InputError where none fits, or more than one.
+    """
     if turn is None or not np.isfinite(turn.length).all():
         raise InputError(
             "new", "", "speed, steering and yaw rate do not move", "logs with driving and steering"

@@ -1,6 +1,8 @@
-"""Identify speed, steering and yaw rate among a log's signals, by name, then by the data's unit and sign. A
-unit that the log or its database states counts first, then one in the name (`drives/unit_names.py`). What is
-left open is decided by physics (`readings.py`), or asked."""
+"""Identify speed, steering and yaw rate among a log's signals, by name, then by the data's unit and sign.
+
+A unit that the log or its database states counts first, then one in the name (`drives/unit_names.py`). What
+is left open is decided by physics (`readings.py`), or asked.
+"""
 
 import re
 from collections.abc import Iterable, Mapping
@@ -86,8 +88,9 @@ LEAST_SAMPLES = 20
 
 @dataclass(frozen=True)
 class Recording:
-    """Signals of one log on one time axis: t (N,) [s], values (N,) by name, and units ("" if unknown). A
-    value is NaN where a signal has none yet or no more."""
+    """Signals of one log on one time axis: t (N,) [s], values (N,) by name, and units ("" if unknown).
+
+    A value is NaN where a signal has none yet or no more."""
 
     name: str
     t: np.ndarray
@@ -149,8 +152,11 @@ def proposed(
     known: Known,
     units: Mapping[str, str | None] | None = None,
 ) -> dict[str, Proposal]:
-    """A signal a role, of those that all recordings hold. ``chosen``, ``units``: role -> name and unit that
-    the user states, or None. InputError where nothing fits a role, or where units cannot be told."""
+    """A signal a role, of those that all recordings hold.
+
+    ``chosen``, ``units``: role -> name and unit that the user states, or None. InputError where nothing fits
+    a role, or where units cannot be told.
+    """
     common = [n for n in recordings[0].values if all(n in r.values for r in recordings)]
     names, why = {}, {}
     for role in ROLES:

@@ -286,8 +286,10 @@ def entries_at(
 
 
 def state_space(model: ModelSettings, v: np.ndarray | float, where: str) -> tuple[np.ndarray, np.ndarray]:
-    """A (m, n, n) and B (m, n, n_u) of a project file's model at any speeds v (m,) [m/s]. ``where`` is the
-    model's name in errors."""
+    """A (m, n, n) and B (m, n, n_u) of a project file's model at any speeds v (m,) [m/s].
+
+    ``where`` is the model's name in errors.
+    """
     v = np.atleast_1d(np.asarray(v, float))
 
     def filled(entries: list[list[np.ndarray | float]]) -> np.ndarray:
@@ -471,7 +473,9 @@ class NominalModel:
 
     def acting_inputs(self, u: np.ndarray, before: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
         """Inputs u_{k-d-1} and u_{k-d} (N, n_u) that act during step k, without offset, from u (N, n_u).
-        ``before`` (delay + 1, n_u) holds the inputs before u[0]; by default they equal u[0]."""
+
+        ``before`` (delay + 1, n_u) holds the inputs before u[0]; by default they equal u[0].
+        """
         u = np.asarray(u, float)
         du = u - self.input_offset
         earlier = np.repeat(u[:1], self.delay + 1, axis=0) if before is None else before
@@ -479,14 +483,19 @@ class NominalModel:
         return past[: len(du)], past[1 : len(du) + 1]
 
     def simulate(self, v: np.ndarray, u: np.ndarray, y_first: np.ndarray) -> np.ndarray:
-        """Nominal output yhat (N, n_y) for v (N,) [m/s], u (N, n_u), from the measured y_first (n_y,). Before
-        the first sample the input is constant. The initial state is the least one with that output. The model
-        runs on the speed table, as in the core."""
+        """Nominal output yhat (N, n_y) for v (N,) [m/s], u (N, n_u), from the measured y_first (n_y,).
+
+        Before the first sample the input is constant. The initial state is the least one with that output.
+        The model runs on the speed table, as in the core.
+        """
         return RunningModel(self, y_first).run(v, u)
 
     def states(self, v: np.ndarray, older: np.ndarray, newer: np.ndarray, first: np.ndarray) -> np.ndarray:
-        """States (N + 1, n) along speeds v (N,) from ``first`` (n,), by the speed table. The inputs are the
-        `acting_inputs`, (N, n_u) each. The compiled kernel and the numpy version give the same bits."""
+        """States (N + 1, n) along speeds v (N,) from ``first`` (n,), by the speed table.
+
+        The inputs are the `acting_inputs`, (N, n_u) each. The compiled kernel and the numpy version give the
+        same bits.
+        """
         table = self.table
         if lib := native.kernels("recursion"):
             states = np.empty((len(v) + 1, self.n))

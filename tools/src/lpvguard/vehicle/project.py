@@ -1,5 +1,8 @@
-"""Project files: one vehicle is one TOML file, validated on load. Its signal table alone states names, units,
-signs, ranges and CAN places of signals. Signals have the order scheduling, inputs, outputs, gates."""
+"""Project files: one vehicle is one TOML file, validated on load.
+
+Its signal table alone states names, units, signs, ranges and CAN places of signals. Signals have the order
+scheduling, inputs, outputs, gates.
+"""
 
 from __future__ import annotations
 

@@ -1,5 +1,8 @@
-"""A bound by its samples: checked, without bins that have no data, in units near one. Between samples the
-bound is linear in (ln w, ln bound). Below the first sample and above the last it is constant."""
+"""A bound by its samples: checked, without bins that have no data, in units near one.
+
+Between samples the bound is linear in (ln w, ln bound). Below the first sample and above the last it is
+constant.
+"""
 
 from __future__ import annotations
 
@@ -34,8 +37,10 @@ class SampledBound:
 
     @classmethod
     def read(cls, source: str, omega: ArrayLike, bound: ArrayLike, floor: float | None) -> SampledBound:
-        """The bound of :func:`fit.fit_overbound`'s arguments. Raises InputError, naming ``source`` and the
-        index or frequency, on values that are no bound."""
+        """The bound of :func:`fit.fit_overbound`'s arguments.
+
+        Raises InputError, naming ``source`` and the index or frequency, on values that are no bound.
+        """
         omega, bound = np.asarray(omega, dtype=float), np.asarray(bound, dtype=float)
         if omega.ndim != 1 or bound.shape != omega.shape or omega.size == 0:
             raise InputError(

@@ -135,7 +135,9 @@ def is_hurwitz(coefficients: np.ndarray) -> bool:
 
 def squared(coefficients: np.ndarray, unit: float) -> np.ndarray:
     """|p(j w)|^2 as a polynomial (n + 1,) in y = (w/unit)^2, ascending, each coefficient rounded once.
-    ``coefficients`` (n + 1,) of p(s) in descending powers; ``unit`` in rad/s."""
+
+    ``coefficients`` (n + 1,) of p(s) in descending powers; ``unit`` in rad/s.
+    """
     scale = Fraction(unit)
     c = [Fraction(float(v)) * scale**i for i, v in enumerate(coefficients[::-1])]
     square = [Fraction(0)] * len(c)
@@ -160,9 +162,11 @@ def _blossom(degree: int) -> tuple[np.ndarray, ...]:
 
 
 def _bernstein(lo: np.ndarray, hi: np.ndarray, degree: int) -> np.ndarray:
-    """Bernstein coefficients (degree + 1, M, degree + 1) on [lo, hi] (M,) of every power of y. By the
-    blossom: coefficient k of y^i is the mean of all products of i out of (degree-k) lo's and k hi's; for 0 <=
-    lo <= hi nothing cancels within a monomial."""
+    """Bernstein coefficients (degree + 1, M, degree + 1) on [lo, hi] (M,) of every power of y.
+
+    By the blossom: coefficient k of y^i is the mean of all products of i out of (degree-k) lo's and k hi's;
+    for 0 <= lo <= hi nothing cancels within a monomial.
+    """
     of_lo, of_hi = (x[:, None] ** np.arange(degree + 1) for x in (lo, hi))
     return np.stack(
         [(of_hi[:, : i + 1] * of_lo[:, i::-1]) @ share.T for i, share in enumerate(_blossom(degree))]
@@ -178,9 +182,10 @@ def _least_ratio(
     top: np.ndarray, bottom: np.ndarray, samples: SampledBound, strict: bool
 ) -> tuple[float, float, int]:
     """Proved lower limit of inf sqrt(top/bottom)/bound, where it is attained within 1e-9 (rad/s), tests made.
+
     ``top``, ``bottom``: polynomials in y, ascending, same unit as ``samples``; bottom >= 0. Returns 0 at the
-    frequency where no positive ratio could be proved. ``strict``: leave out what lies beyond the last
-    sample."""
+    frequency where no positive ratio could be proved. ``strict``: leave out what lies beyond the last sample.
+    """
     size = max(len(top), len(bottom))
     top, bottom = (np.pad(p, (0, size - len(p))) for p in (top, bottom))
     y, log_b2 = samples.y, 2.0 * np.log(samples.bound)

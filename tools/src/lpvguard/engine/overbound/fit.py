@@ -165,8 +165,11 @@ def _close(
     grid: Grid, candidate: MinimaxFit, lower_order: MinimaxFit | None
 ) -> tuple[Weight, float, Certificate, float] | None:
     """Weight, inflation, certificate and lower limit [dB] of a candidate; None when no stable spectral factor
-    is found that beats the lower order. Where the certificate finds the ratio outside what the grid showed,
-    that frequency joins the grid and the order is fitted again."""
+    is found that beats the lower order.
+
+    Where the certificate finds the ratio outside what the grid showed, that frequency joins the grid and the
+    order is fitted again.
+    """
     closed = None
     for _ in range(_MAX_REFITS):
         lifted = _lift(grid, candidate)

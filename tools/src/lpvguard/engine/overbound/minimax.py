@@ -48,7 +48,9 @@ _ALL = slice(None)
 @dataclass(frozen=True)
 class MinimaxFit:
     """N, D ascending in y with min N/(bound^2 D) = 1 on the grid, where it reaches ``ratio_db``.
-    ``lower_db``: infeasible for this order on the rows ``active`` (y values) alone."""
+
+    ``lower_db``: infeasible for this order on the rows ``active`` (y values) alone.
+    """
 
     order: int
     top: np.ndarray
@@ -59,9 +61,11 @@ class MinimaxFit:
 
 
 class Grid:
-    """The cutting-plane grid: all samples, points between them, both ends and what lies beyond. ``y`` (G,)
-    ascending from 0 to inf, ``b2`` (G,) bound squared, ``below`` (G,) where the weight must be above the
-    bound. Grows by ``insert`` where a resonance hides between points."""
+    """The cutting-plane grid: all samples, points between them, both ends and what lies beyond.
+
+    ``y`` (G,) ascending from 0 to inf, ``b2`` (G,) bound squared, ``below`` (G,) where the weight must be
+    above the bound. Grows by ``insert`` where a resonance hides between points.
+    """
 
     def __init__(self, samples: SampledBound, strict: bool):
         self.samples, self.strict = samples, strict
@@ -120,7 +124,9 @@ def least_worst_ratio(
     grid: Grid, order: int, lower_order: MinimaxFit | None, last: MinimaxFit | None = None
 ) -> MinimaxFit:
     """Least worst ratio of one order; the lower order's candidate when it is not beaten by ``STEP_DB``.
-    ``last``: what was found before the grid grew."""
+
+    ``last``: what was found before the grid grew.
+    """
     best = lower_order
     if order == 0:
         ratio_db = 10.0 * math.log10(grid.b2.max() / grid.b2.min())
@@ -185,7 +191,10 @@ def _exchange(
     tol_db: float,
 ) -> tuple[tuple[np.ndarray, np.ndarray] | None, float]:
     """Bracket the optimum over the rows ``active`` (y values) to ``tol_db``: ((N, D) or None, level proved
-    infeasible). ``upper_db`` is known to be reached; None when that cannot be bettered by ``tol_db``."""
+    infeasible).
+
+    ``upper_db`` is known to be reached; None when that cannot be bettered by ``tol_db``.
+    """
     rows = np.searchsorted(grid.y, active)
     powers = grid.powers(order)
     found, level = None, min(lower_db + tol_db, 0.5 * (lower_db + upper_db))

@@ -75,10 +75,12 @@ class Weight:
         return np.abs(self(1j * np.asarray(omega, dtype=float)))
 
     def to_state_space(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """A (n,n), B (n,1), C (1,n), D (1,1) of W; W must be stable. The realisation is a chain of first- and
-        second-order sections, slow to fast. Each is written from its own poles, so that poles many decades
-        apart keep their accuracy. Powers of two scale the states until the diagonals of both Gramians agree
-        within a factor four."""
+        """A (n,n), B (n,1), C (1,n), D (1,1) of W; W must be stable.
+
+        The realisation is a chain of first- and second-order sections, slow to fast. Each is written from its
+        own poles, so that poles many decades apart keep their accuracy. Powers of two scale the states until
+        the diagonals of both Gramians agree within a factor four.
+        """
         sections = _sections(self.num, self.den)
         a, b, c, d = np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.array([[1.0]])
         for a2, b2, c2, d2 in sections:
@@ -107,8 +109,10 @@ class Weight:
 
 
 def polynomial_roots(polynomial: np.ndarray) -> np.ndarray:
-    """Roots (n,) of a ``polynomial`` (n + 1,) in descending powers, the first not 0. They are computed in a
-    unit that puts their geometric mean near 1."""
+    """Roots (n,) of a ``polynomial`` (n + 1,) in descending powers, the first not 0.
+
+    They are computed in a unit that puts their geometric mean near 1.
+    """
     n = len(polynomial) - 1
     if n == 0 or polynomial[-1] == 0:
         return np.roots(polynomial)
@@ -125,8 +129,11 @@ def _quadratics(roots: np.ndarray) -> list[np.ndarray]:
 
 
 def _sections(num: np.ndarray, den: np.ndarray) -> list[tuple[np.ndarray, ...]]:
-    """(A, B, C, D) of first- and second-order factors whose product is num/den. Pairs come first on both
-    sides. A proper weight has at most as many pairs of zeros as of poles, so each fits."""
+    """(A, B, C, D) of first- and second-order factors whose product is num/den.
+
+    Pairs come first on both sides. A proper weight has at most as many pairs of zeros as of poles, so each
+    fits.
+    """
     gain = num[0] / den[0]
     tops, bottoms = _quadratics(polynomial_roots(num)), _quadratics(polynomial_roots(den))
     sections: list[tuple[np.ndarray, ...]] = []

@@ -120,9 +120,12 @@ class Barrier:
 
 
 def feasible(barrier: Barrier, P: np.ndarray, unit: np.ndarray) -> np.ndarray | None:
-    """Search P with every F_i > 0, from any P. Newton's method minimises ``tau t - sum_i log det(F_i + t
-    unit)`` until t < -``WANTED``. After ``NEWTON_STEPS`` steps it returns the P with t < 0, or None if t is
-    not below 0. ``unit`` (N, N) > 0 is the unit of F."""
+    """Search P with every F_i > 0, from any P.
+
+    Newton's method minimises ``tau t - sum_i log det(F_i + t unit)`` until t < -``WANTED``. After
+    ``NEWTON_STEPS`` steps it returns the P with t < 0, or None if t is not below 0. ``unit`` (N, N) > 0 is
+    the unit of F.
+    """
     size = len(barrier.constant) * len(unit)
     L = np.linalg.inv(np.linalg.cholesky(unit))
     t = 1.05 * max(-float(np.linalg.eigvalsh(L @ barrier.F(P) @ L.T).min()), 1e-3)
@@ -151,10 +154,12 @@ def newton_step(
     slope: np.ndarray,
     price: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, float]:
-    """P, y after a step of Newton's method, and its decrement. The objective is ``price p + slope y - sum_i
-    log det(F_i(P) + sum_j y_j directions_ji)``, where p is the vector of P. The shapes are ``price`` (size,),
-    ``slope`` (k,) and ``directions`` (k, count or 1, N, N). Raises LinAlgError where rounding exceeds the
-    remaining decrement."""
+    """P, y after a step of Newton's method, and its decrement.
+
+    The objective is ``price p + slope y - sum_i log det(F_i(P) + sum_j y_j directions_ji)``, where p is the
+    vector of P. The shapes are ``price`` (size,), ``slope`` (k,) and ``directions`` (k, count or 1, N, N).
+    Raises LinAlgError where rounding exceeds the remaining decrement.
+    """
     F = barrier.F(P) + np.tensordot(y, directions, 1)
     L = np.linalg.inv(np.linalg.cholesky(F))
     S = np.swapaxes(L, 1, 2) @ L

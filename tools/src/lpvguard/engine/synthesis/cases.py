@@ -217,8 +217,10 @@ def _difference(case: dict, row: TableRow, rows: list[TableRow]) -> str:
 
 
 def _moves(row: TableRow, paper: float, rows: list[TableRow]) -> str:
-    """How the structure's levels move with the objective; empty where tracking may limit the paper's. A level
-    that tracking limits moves with A_t alone. ``paper``: the row's level in the paper."""
+    """How the structure's levels move with the objective; empty where tracking may limit the paper's.
+
+    A level that tracking limits moves with A_t alone. ``paper``: the row's level in the paper.
+    """
     for other in rows:
         if other.structure != row.structure or other is row or other.paper is None:
             continue

@@ -20,7 +20,8 @@ def coupling_margin(control: RiccatiSolution, filter_: RiccatiSolution, gamma: f
 
 def central_controller(P: Plant, gamma: float) -> StateSpace | None:
     """Central controller at level γ of a regular plant (Zhou, Doyle & Glover 1996, theorem 17.1); None below
-    γ_opt."""
+    γ_opt.
+    """
     n, m1, p1 = len(P.A), P.B1.shape[1], P.C1.shape[0]
     control, filter_ = Side.regular(P), Side.regular(P.dual)
     found_X, found_Y = control.solve(gamma), filter_.solve(gamma)

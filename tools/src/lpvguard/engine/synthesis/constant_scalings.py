@@ -1,6 +1,8 @@
-"""Constant block scalings of a loop, which prove a norm for uncertainty that varies at any speed. They are
-searched on a grid of frequencies. The claim is the upper end of the scaled norm's bracket over all
-frequencies."""
+"""Constant block scalings of a loop, which prove a norm for uncertainty that varies at any speed.
+
+They are searched on a grid of frequencies. The claim is the upper end of the scaled norm's bracket over all
+frequencies.
+"""
 
 from collections.abc import Sequence
 from functools import cached_property
@@ -33,9 +35,11 @@ FARTHEST = 30.0
 
 
 class ConstantScalings:
-    """Constant scalings of a stable discrete ``system``, whose first signals belong to the blocks. The blocks
-    have ``rows`` and ``cols`` signals; the others are performance. The first ``fixed`` blocks keep the
-    constant 1."""
+    """Constant scalings of a stable discrete ``system``, whose first signals belong to the blocks.
+
+    The blocks have ``rows`` and ``cols`` signals; the others are performance. The first ``fixed`` blocks keep
+    the constant 1.
+    """
 
     def __init__(self, system: StateSpace, rows: Sequence[int], cols: Sequence[int], fixed: int = 0):
         self.system, self.rows, self.cols, self.fixed = system, list(rows), list(cols), fixed
@@ -46,8 +50,11 @@ class ConstantScalings:
         return len(self.rows) - self.fixed
 
     def scaled(self, sizes: np.ndarray, rest: float, log_constants: np.ndarray) -> StateSpace:
-        """The scaled loop. ``sizes`` (blocks,) are gains of the block's uncertainty, ``rest`` is the factor
-        of the other outputs, and ``log_constants`` (free,) are the logarithms of the constants."""
+        """The scaled loop.
+
+        ``sizes`` (blocks,) are gains of the block's uncertainty, ``rest`` is the factor of the other outputs,
+        and ``log_constants`` (free,) are the logarithms of the constants.
+        """
         left, right = self._factors(sizes, rest, log_constants)
         G = self.system
         return StateSpace(G.A, G.B * right, G.C * left[:, None], G.D * left[:, None] * right, G.dt)
@@ -60,9 +67,11 @@ class ConstantScalings:
     def least(
         self, sizes: np.ndarray, rest: float, start: np.ndarray, only_whether: bool = False
     ) -> tuple[float, np.ndarray]:
-        """Search the least norm on the grid, and the logarithms (free,) of its constants. ``sizes`` (blocks,)
-        and ``rest`` are as for ``scaled``. The search begins at ``start`` (free,). With ``only_whether`` it
-        ends as soon as the norm is below 1."""
+        """Search the least norm on the grid, and the logarithms (free,) of its constants.
+
+        ``sizes`` (blocks,) and ``rest`` are as for ``scaled``. The search begins at ``start`` (free,). With
+        ``only_whether`` it ends as soon as the norm is below 1.
+        """
         found = self._least_mean(sizes, rest, start, only_whether) if self.free else start
         return self._largest(sizes, rest, found), found
 
@@ -139,9 +148,11 @@ class ConstantScalings:
 
     def _derivatives(self, N: np.ndarray, values: np.ndarray, U: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Slope (k, free) and second derivatives (k, free, free) of the responses' log largest singular
-        value. The responses are N (k, rows, columns); ``values``, U: eigenvalues, ascending, and eigenvectors
-        of N N^H. With the rows P_i and columns Q_i of block i, d(N N^H) = P_i N N^H + N N^H P_i - 2 N Q_i
-        N^H."""
+        value.
+
+        The responses are N (k, rows, columns); ``values``, U: eigenvalues, ascending, and eigenvectors of N
+        N^H. With the rows P_i and columns Q_i of block i, d(N N^H) = P_i N N^H + N N^H P_i - 2 N Q_i N^H.
+        """
         largest, u = values[:, -1], U[:, :, -1]
         sigma = np.sqrt(largest)[:, None, None]
         v = (u[:, None, :] @ np.conj(N))[:, 0] / sigma[:, 0]
@@ -179,8 +190,10 @@ class ConstantScalings:
 
 
 def _shorter(change: float, promised: float, slope: float) -> float:
-    """Share of a step at the minimum of the cubic through its ends. The step changes the value by ``change``,
-    begins with the slope -``promised`` and ends with ``slope``."""
+    """Share of a step at the minimum of the cubic through its ends.
+
+    The step changes the value by ``change``, begins with the slope -``promised`` and ends with ``slope``.
+    """
     # The root is of something positive: the value has not fallen by a quarter of the promise.
     a, b = slope - promised - 2 * change, 3 * change + 2 * promised - slope
     return float(np.clip(promised / (b + np.sqrt(b * b + 3 * a * promised)), *SHORTER))

@@ -7,9 +7,11 @@ from lpvguard.engine.synthesis.statespace import EPS, StateSpace, balancing, sca
 
 
 def schur_coordinates(G: StateSpace) -> tuple[StateSpace, np.ndarray]:
-    """G in the coordinates of a balanced Schur form, and their basis T (n, n): x = T x̃. G itself is returned
-    unless these coordinates make ‖A‖ at least ten times smaller. Scaling alone cannot undo a dense, badly
-    conditioned change of coordinates: ‖A‖ then is far above its eigenvalues."""
+    """G in the coordinates of a balanced Schur form, and their basis T (n, n): x = T x̃.
+
+    G itself is returned unless these coordinates make ‖A‖ at least ten times smaller. Scaling alone cannot
+    undo a dense, badly conditioned change of coordinates: ‖A‖ then is far above its eigenvalues.
+    """
     schur = sl.schur(G.A)[1]
     other = G.transformed(schur)
     t = balancing(other)
@@ -18,8 +20,10 @@ def schur_coordinates(G: StateSpace) -> tuple[StateSpace, np.ndarray]:
 
 
 def modal_coordinates(G: StateSpace) -> tuple[StateSpace, np.ndarray]:
-    """G with A in real blocks, one for each pole or pair, and the basis T (n, n): x = T x̃. Slow modes are
-    then separate from fast ones. G is returned where the eigenvectors do not span the space."""
+    """G with A in real blocks, one for each pole or pair, and the basis T (n, n): x = T x̃.
+
+    Slow modes are then separate from fast ones. G is returned where the eigenvectors do not span the space.
+    """
     values, vectors = np.linalg.eig(G.A)
     T = sl.cdf2rdf(values, vectors)[1] if np.iscomplexobj(values) else vectors
     if G.order < 2 or not np.linalg.cond(T) < 1e10:
@@ -31,8 +35,11 @@ def modal_coordinates(G: StateSpace) -> tuple[StateSpace, np.ndarray]:
 
 def frail_pole(plant: StateSpace) -> str:
     """The pole of the plant as given that the last digits of A's entries leave uncertain, in a sentence;
-    empty where there is none. First-order bound eps |y|ᵀ|A||x| / |yᴴx| on a pole's movement; it does not
-    depend on the units of the states."""
+    empty where there is none.
+
+    First-order bound eps |y|ᵀ|A||x| / |yᴴx| on a pole's movement; it does not depend on the units of the
+    states.
+    """
     if plant.order == 0:
         return ""
     poles, left, right = sl.eig(plant.A, left=True, right=True)

@@ -11,14 +11,19 @@ RANK_RTOL = 1e-9
 
 
 def direct_scale(rate: float, B2: np.ndarray, C1: np.ndarray) -> np.ndarray:
-    """Size (m2,) of each control's path to the cost through states of ``rate`` [rad/s]. A direct cost far
-    below it counts as none."""
+    """Size (m2,) of each control's path to the cost through states of ``rate`` [rad/s].
+
+    A direct cost far below it counts as none.
+    """
     return np.linalg.norm(B2, axis=0) * float(np.linalg.norm(C1)) / max(rate, 1e-300)
 
 
 def column_rank(D: np.ndarray, scale: np.ndarray) -> tuple[int, np.ndarray]:
-    """Rank of D and V (m, m) so that D V = [full rank, 0]. Columns are brought to unit length first (a
-    control's unit is arbitrary); one far below ``scale`` counts as zero."""
+    """Rank of D and V (m, m) so that D V = [full rank, 0].
+
+    Columns are brought to unit length first (a control's unit is arbitrary); one far below ``scale`` counts
+    as zero.
+    """
     size = np.linalg.norm(D, axis=0)
     live = size > RANK_RTOL * scale
     weight = 1 / np.where(live, size, 1)
@@ -29,7 +34,9 @@ def column_rank(D: np.ndarray, scale: np.ndarray) -> tuple[int, np.ndarray]:
 
 def unreachable_gain(D11: np.ndarray, D12: np.ndarray, scale: np.ndarray) -> float:
     """σ̄ of the part of D11 (p1, m1) that no u can cancel through D12 (p1, m2), for any rank of D12.
-    ``scale`` (m2,) as in ``column_rank``."""
+
+    ``scale`` (m2,) as in ``column_rank``.
+    """
     rank, V = column_rank(D12, scale)
     Q = sl.qr(D12 @ V[:, :rank], mode="full")[0] if rank else np.eye(D11.shape[0])
     rest = Q[:, rank:].T @ D11

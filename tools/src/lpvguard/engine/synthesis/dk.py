@@ -68,7 +68,8 @@ class Scaling:
 
     def systems(self, plant: GeneralisedPlant) -> tuple[StateSpace, StateSpace]:
         """D on the outputs (Δ inputs and z) and D⁻¹ on the inputs (Δ outputs and w) of the closed loop,
-        continuous."""
+        continuous.
+        """
         left, right = [], []
         for row, block in zip(self.log_parameters, plant.blocks, strict=True):
             g, z, p = np.exp(row[0]), np.exp(row[1::2]), np.exp(row[2::2])
@@ -114,7 +115,8 @@ class RobustPerformance:
 @dataclass(frozen=True)
 class DKResult:
     """A controller, its robust-performance certificate, the order before reduction and the levels of the
-    iterations."""
+    iterations.
+    """
 
     controller: StateSpace
     performance: RobustPerformance
@@ -269,7 +271,8 @@ class _Work:
 
     def fit(self, loop: StateSpace, start: Scaling, power: float) -> Scaling:
         """Scaling with the least power mean of σ̄(D M D⁻¹) over the grid; BFGS on the logarithms of its
-        parameters."""
+        parameters.
+        """
         M = loop.response(self.omega)
         shape = start.log_parameters.shape
         blocks = shape[0]
@@ -313,7 +316,8 @@ class _Work:
         self, loop: StateSpace, scaling: Scaling, peak: float
     ) -> tuple[float, float, np.ndarray | None]:
         """Best μ lower bound at the scaled norm's peak and at the highest points of the grid: value, rad/s,
-        Δ."""
+        Δ.
+        """
         left, right = scaling.systems(self.plant)
         sigma = np.linalg.norm(self.scaled(loop, scaling).response(self.omega), 2, axis=(1, 2))
         points = np.unique(np.append(self.omega[np.argsort(sigma)[-2:]], peak))
@@ -374,9 +378,12 @@ def reduce_controller(work: _Work, K: StateSpace, scaling: Scaling, level: float
 
 
 def _truncations(scaled_plant: StateSpace, K: StateSpace) -> tuple[Callable[[int], StateSpace], int]:
-    """K truncated to any order up to the returned rank, in closed-loop coordinates. The controller's blocks
-    of the scaled closed loop's Gramians say what each of its states contributes to z from w (Ceton,
-    Wortelboer & Bosgra 1993); works for unstable controllers too. Rank 0: the Gramians could not be had."""
+    """K truncated to any order up to the returned rank, in closed-loop coordinates.
+
+    The controller's blocks of the scaled closed loop's Gramians say what each of its states contributes to z
+    from w (Ceton, Wortelboer & Bosgra 1993); works for unstable controllers too. Rank 0: the Gramians could
+    not be had.
+    """
     loop = lft(scaled_plant, K)
     n = scaled_plant.order
     try:

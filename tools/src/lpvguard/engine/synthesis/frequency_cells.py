@@ -64,9 +64,11 @@ class IntervalBound:
 
 @dataclass(frozen=True)
 class PointBound:
-    """A bound at one frequency and its scalings. ``Φ = fixed + β² scaled − Mᴴ left M − j (skew M − Mᴴ skew)``
-    is positive definite for every β above ``value``. The shapes are left (Σcols, Σcols), fixed and scaled
-    (Σrows, Σrows), skew (Σrows, Σcols)."""
+    """A bound at one frequency and its scalings.
+
+    ``Φ = fixed + β² scaled − Mᴴ left M − j (skew M − Mᴴ skew)`` is positive definite for every β above
+    ``value``. The shapes are left (Σcols, Σcols), fixed and scaled (Σrows, Σrows), skew (Σrows, Σcols).
+    """
 
     value: float
     left: np.ndarray
@@ -135,7 +137,9 @@ def continuous_interval(
     name: str, loop: StateSpace, structure: Structure, low: float, high: float
 ) -> tuple[StateSpace, float, float, Callable[[float], float]]:
     """Return the balanced loop in continuous time with its interval, and the map of its frequencies back.
-    Parameters, errors and units are those of ``cover``."""
+
+    Parameters, errors and units are those of ``cover``.
+    """
     _require_loop(name, loop, structure)
     last = np.pi / loop.dt if loop.dt else np.inf
     if not 0 <= low < high <= last * (1 + 4 * EPS):
@@ -159,7 +163,9 @@ def _positive_on(G: StateSpace, point: PointBound, level: float, omega: float) -
 
 def response_rounding(G: StateSpace, omega: float) -> np.ndarray:
     """Return how much rounding of the entries of A, B, C, D moves each entry of G at ``omega``, shape (p, m).
-    An error of first order, entry by entry: it does not depend on the units of the states."""
+
+    An error of first order, entry by entry: it does not depend on the units of the states.
+    """
     moved = np.abs(G.D)
     if G.order and np.isfinite(omega):
         point = np.exp(1j * omega * G.dt) if G.dt else 1j * omega
@@ -242,8 +248,10 @@ def cell(
     b: float,
     positive: Callable[[float], bool],
 ) -> tuple[float, float]:
-    """Return the part of [a, b] about ``centre`` on which Φ is positive definite. Between two neighbours of
-    ``_singular`` Φ keeps its signs, so one test by ``positive`` decides each gap."""
+    """Return the part of [a, b] about ``centre`` on which Φ is positive definite.
+
+    Between two neighbours of ``_singular`` Φ keeps its signs, so one test by ``positive`` decides each gap.
+    """
     singular = _singular(G, point, level)
 
     def reach(edges: np.ndarray, end: float) -> float:

@@ -87,8 +87,10 @@ class GammaProblem:
         return max(side.frequency_bound() for side in (self.control, self.filter))
 
     def coupling(self, gamma: float) -> float | None:
-        """γ²/ρ(XY), above 1 exactly when γ is reached. It is negative past a blow-up of X or Y, and None
-        without a solution."""
+        """γ²/ρ(XY), above 1 exactly when γ is reached.
+
+        It is negative past a blow-up of X or Y, and None without a solution.
+        """
         if gamma not in self._couplings:
             X = self.control.solve(gamma)
             Y = self.filter.solve(gamma) if X is not None else None
@@ -100,10 +102,13 @@ class GammaProblem:
         return gamma > self.floor and _above_one(self.coupling(gamma))
 
     def optimum(self, rtol: float, guess: float | None = None) -> float:
-        """The infimum of reachable γ, to ``rtol``. It is the limit of single frequencies where that limit is
-        reached. Elsewhere it is bracketed from above that limit or around ``guess``, and secant steps narrow
-        the bracket. The search starts from above: far below the optimum the Riccati equations are rounding
-        and may seem to be solved. SynthesisError when no level can be reached."""
+        """The infimum of reachable γ, to ``rtol``.
+
+        It is the limit of single frequencies where that limit is reached. Elsewhere it is bracketed from
+        above that limit or around ``guess``, and secant steps narrow the bracket. The search starts from
+        above: far below the optimum the Riccati equations are rounding and may seem to be solved.
+        SynthesisError when no level can be reached.
+        """
         limit, value = self._frequency_limit(rtol)
         floor, floor_value, start = limit, value, max(2 * limit, 1.0)
         if _above_one(value):
@@ -136,7 +141,9 @@ class GammaProblem:
         self, low: float, low_value: float | None, growth: float, limit: float, faster: bool
     ) -> tuple[float, float | None, float, float]:
         """A bracket above the level ``low``, which is not reached: its ends with the ``coupling`` at each.
-        Levels grow by ``growth``, with ``faster`` by its square each time; SynthesisError above ``limit``."""
+
+        Levels grow by ``growth``, with ``faster`` by its square each time; SynthesisError above ``limit``.
+        """
         while True:
             high, growth = low * growth, growth**2 if faster else growth
             value = self.coupling(high)
@@ -152,9 +159,11 @@ class GammaProblem:
             low, low_value = high, value
 
     def _frequency_limit(self, rtol: float) -> tuple[float, float | None]:
-        """A level ``rtol`` above the largest bound of a single frequency, and the ``coupling`` there. Where a
-        Riccati equation has no solution, the axis eigenvalues of its Hamiltonian show frequencies where the
-        bound may be larger (as in Bruinsma & Steinbuch 1990)."""
+        """A level ``rtol`` above the largest bound of a single frequency, and the ``coupling`` there.
+
+        Where a Riccati equation has no solution, the axis eigenvalues of its Hamiltonian show frequencies
+        where the bound may be larger (as in Bruinsma & Steinbuch 1990).
+        """
         sides = self.control, self.filter
         bound, level, value = self._lowest, self.floor, None
         if self.axis or bound * (1 - LIMIT_RTOL) <= level:  # near the floor rounding hides the reached level
@@ -211,6 +220,7 @@ class GammaProblem:
 
     def controller(self, gamma: float, epsilon: float) -> StateSpace | None:
         """Central controller at ``gamma`` of the plant with extra cost and noise ε; None when it is not
-        reached."""
+        reached.
+        """
         P = self.P if epsilon == 0 else extended_plant(self.P, self.soft, epsilon)
         return central_controller(P, gamma)

@@ -229,9 +229,11 @@ def _moved_optimum(plant: StateSpace, n_control: int, n_measurement: int, gamma:
 
 @dataclass(frozen=True)
 class _Posed:
-    """The continuous problem of a plant, and what leads back to the plant as given. D22 (p2, m2): left out of
-    the problem. shift (m2, p2): the static feedback that was closed first. basis (n, n): the problem has the
-    plant's state in it."""
+    """The continuous problem of a plant, and what leads back to the plant as given.
+
+    D22 (p2, m2): left out of the problem. shift (m2, p2): the static feedback that was closed first. basis
+    (n, n): the problem has the plant's state in it.
+    """
 
     plant: StateSpace
     problem: GammaProblem
@@ -251,7 +253,8 @@ class _Posed:
 
 def _posed(plant: StateSpace, n_control: int, n_measurement: int, coordinates: Coordinates) -> _Posed:
     """The problem with its state in one choice of ``coordinates``; SynthesisError unless a controller
-    exists."""
+    exists.
+    """
     check_shape(plant, n_control, n_measurement)
     shift, shifted = move_pole_at_minus_one(plant, n_control, n_measurement)
     basis = np.eye(plant.order)
@@ -268,7 +271,8 @@ def _posed(plant: StateSpace, n_control: int, n_measurement: int, coordinates: C
 
 def _synthesis(posed: _Posed, backoff: float, rtol: float, guess: float | None) -> HinfResult:
     """The first controller whose certified norm is within ``backoff`` of the optimum; the best one when none
-    is."""
+    is.
+    """
     problem = posed.problem
     try:
         gamma = problem.optimum(rtol, guess)
@@ -294,8 +298,10 @@ def _synthesis(posed: _Posed, backoff: float, rtol: float, guess: float | None) 
 
 class _Trials:
     """Controllers of one problem, tried one after the other; ``best`` has the least certified norm so far.
+
     gamma: the optimum that the Riccati equations claim. backoff: how far above it a controller is good
-    enough, relative."""
+    enough, relative.
+    """
 
     def __init__(self, posed: _Posed, gamma: float, backoff: float):
         self.posed, self.gamma, self.backoff = posed, gamma, backoff

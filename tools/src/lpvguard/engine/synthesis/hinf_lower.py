@@ -54,8 +54,10 @@ class DualCertificate:
 
 def dual_bound(P: Plant, certificate: DualCertificate) -> float:
     """Return the level that no controller of ``P`` goes below, by the certificate; 0 where it proves none.
+
     The multipliers may violate their conditions by what a relative change ``DATA_RTOL`` of the plant's
-    entries explains."""
+    entries explains.
+    """
     constant, traces, halves = 0.0, 0.0, []
     for Q, Z in ((P, certificate.first), (P.dual, certificate.second)):
         half, part, trace = _one_side(Q, Z)
@@ -178,10 +180,12 @@ def proved_level(
 
 
 def frequency_level(plant: StateSpace, n_control: int, n_measurement: int) -> float:
-    """Return a level that no controller goes below at single frequencies, rounding deducted. At each
-    frequency, the left kernel of M12 and the right kernel of M21 leave a part of M11. No matrix Q makes
-    σ̄(M11 + M12 Q M21) less than this part (Parrott 1978). The largest of a grid about the poles is
-    improved."""
+    """Return a level that no controller goes below at single frequencies, rounding deducted.
+
+    At each frequency, the left kernel of M12 and the right kernel of M21 leave a part of M11. No matrix Q
+    makes σ̄(M11 + M12 Q M21) less than this part (Parrott 1978). The largest of a grid about the poles is
+    improved.
+    """
     poles = plant.poles()
     rates = np.abs(np.log(poles[poles != 0]) / plant.dt) if plant.dt else np.abs(poles)
     rates = rates[np.isfinite(rates) & (rates > 0)]

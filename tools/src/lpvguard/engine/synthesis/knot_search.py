@@ -179,10 +179,12 @@ class Point:
 
 @dataclass(frozen=True)
 class KnotGrid:
-    """Inequalities at ``speeds`` (k,) [m/s] for P between ``knots`` (K,). ``loop_at(v)`` gives the loop at a
-    speed, sampled at Ts [s]. ``basis`` (n, n) are the coordinates. ``delta`` says how many of the first
-    outputs, and how many of the first inputs, belong to Delta. ``cost`` (n, n) is the cost of P in these
-    coordinates."""
+    """Inequalities at ``speeds`` (k,) [m/s] for P between ``knots`` (K,).
+
+    ``loop_at(v)`` gives the loop at a speed, sampled at Ts [s]. ``basis`` (n, n) are the coordinates.
+    ``delta`` says how many of the first outputs, and how many of the first inputs, belong to Delta. ``cost``
+    (n, n) is the cost of P in these coordinates.
+    """
 
     loop_at: Callable[[float], StateSpace]
     Ts: float
@@ -198,8 +200,10 @@ class KnotGrid:
 
     @cached_property
     def _rows(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Index of each inequality's speed, segment of P's slope, and sign of the slope. A knot has the
-        segments on either side, and a speed rises and falls."""
+        """Index of each inequality's speed, segment of P's slope, and sign of the slope.
+
+        A knot has the segments on either side, and a speed rises and falls.
+        """
         inside = (self.knots[:-1] <= self.speeds[:, None]) & (self.speeds[:, None] <= self.knots[1:])
         speed, segment = np.nonzero(inside)
         return np.repeat(speed, 2), np.repeat(segment, 2), np.tile([1.0, -1.0], len(speed))
@@ -254,8 +258,10 @@ class KnotGrid:
         return replace(self, knots=knots), replace(point, P=P)
 
     def evened(self, point: Point) -> tuple[KnotGrid, Point]:
-        """The grid in coordinates in which the mean of P is diagonal and its dissipation even. The Hessian's
-        rounding is least in them. Without dissipation the coordinates stay."""
+        """The grid in coordinates in which the mean of P is diagonal and its dissipation even.
+
+        The Hessian's rounding is least in them. Without dissipation the coordinates stay.
+        """
         n = len(self.basis)
         F = self.F(point, 0.0).mean(axis=0)[:n, :n]
         if not np.linalg.eigvalsh(F)[0] > 0:

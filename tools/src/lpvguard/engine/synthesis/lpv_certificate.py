@@ -191,10 +191,12 @@ class Storage:
         return np.diff(self.P, axis=0) / np.diff(self.knots)[:, None, None]
 
     def afterwards(self, low: float, high: float, step: float) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Pairs of matrices at ``low`` and ``high`` of one segment that bound P(v+). For every v between and
-        |v+ - v| <= ``step``, P(v+) is a mean of points on the pairs' chords at v. Where v + step, or v -
-        step, lies in one segment for all v, the chords are P there and P at the knots between. Elsewhere they
-        are P(v) and a step along the slope of every segment between."""
+        """Pairs of matrices at ``low`` and ``high`` of one segment that bound P(v+).
+
+        For every v between and |v+ - v| <= ``step``, P(v+) is a mean of points on the pairs' chords at v.
+        Where v + step, or v - step, lies in one segment for all v, the chords are P there and P at the knots
+        between. Elsewhere they are P(v) and a step along the slope of every segment between.
+        """
         reserve = INSIDE * np.spacing(high)
         own = self._segment(0.5 * (low + high))
         pairs = []
@@ -222,8 +224,10 @@ class Storage:
 
 @dataclass(frozen=True)
 class Proof:
-    """Result of ``prove``: number of cells, and the least eigenvalue of F at their ends. The remainder is
-    subtracted. The eigenvalue is relative to the storage's trace over its order."""
+    """Result of ``prove``: number of cells, and the least eigenvalue of F at their ends.
+
+    The remainder is subtracted. The eigenvalue is relative to the storage's trace over its order.
+    """
 
     cells: int
     margin: float
@@ -326,7 +330,10 @@ def _share(
     family: Family, basis: np.ndarray, G: StateSpace, shape: tuple[int, int]
 ) -> tuple[np.ndarray, np.ndarray]:
     """Factors left and right of Xi(v) (of the adjoint: of its transpose) in S, in the coordinates of
-    ``basis``. G is the family at v."""
+    ``basis``.
+
+    G is the family at v.
+    """
     n = len(basis)
     rows, probes = np.eye(n)[:, family.vehicle], np.hstack([G.C, G.D])[G.n_outputs - family.n_probes :]
     if family.adjoint:
@@ -407,8 +414,10 @@ def _weighed(X: np.ndarray, Y: np.ndarray, inverse: np.ndarray) -> np.ndarray:
 
 
 def _crossed(left: list[np.ndarray], bound: np.ndarray, right: np.ndarray, inverse: np.ndarray) -> np.ndarray:
-    """Upper bound of x rho r + (x rho r)' for every mean x of ``left`` (N, a) and |rho| <= bound (a, b). r =
-    ``right`` (b, N). Every product has the eta of least cost against the inverse of F."""
+    """Upper bound of x rho r + (x rho r)' for every mean x of ``left`` (N, a) and |rho| <= bound (a, b).
+
+    r = ``right`` (b, N). Every product has the eta of least cost against the inverse of F.
+    """
     x_size = np.sqrt(sum(np.sum(x * (inverse @ x), axis=0) for x in left))
     r_size = np.sqrt(np.sum(right.T * (inverse @ right.T), axis=0))
     x_safe, r_safe = (np.where(size > 0, size, 1.0) for size in (x_size, r_size))
@@ -452,8 +461,10 @@ def riccati_storage(family: Family) -> Storage | None:
 
 
 def frozen_at(family: Family, speeds: np.ndarray):
-    """Basis (n, n), pairs ([A B], [C D]) and Riccati solutions (k, n, n) at ``speeds`` (k,), or None. The
-    coordinates suit all speeds."""
+    """Basis (n, n), pairs ([A B], [C D]) and Riccati solutions (k, n, n) at ``speeds`` (k,), or None.
+
+    The coordinates suit all speeds.
+    """
     loops = [family.loop(v) for v in speeds]
     if not all(G.stability_margin() > 0 for G in loops):
         return None
@@ -554,10 +565,12 @@ def _next_rate(found: float | None, failed: float | None) -> float | None:
 
 
 def _coordinates(loops: list[StateSpace]) -> np.ndarray:
-    """Basis in which the sums over the loops of both Gramians are nearly equal and diagonal. States are first
-    scaled to similar Gramians. Each Gramian has HIDDEN of its largest entry added, so that states that are
-    hardly reached or observed do not make the basis singular. Factors are never multiplied out, because
-    scales of states may differ by more than the number range."""
+    """Basis in which the sums over the loops of both Gramians are nearly equal and diagonal.
+
+    States are first scaled to similar Gramians. Each Gramian has HIDDEN of its largest entry added, so that
+    states that are hardly reached or observed do not make the basis singular. Factors are never multiplied
+    out, because scales of states may differ by more than the number range.
+    """
     reach = _rows(np.hstack([_reached(G.A, G.B) for G in loops]))
     seen = _rows(np.hstack([_reached(G.A.T, G.C.T) for G in loops]))
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -613,9 +626,11 @@ def _frozen(parts: list[tuple[np.ndarray, np.ndarray]], Ts: float) -> np.ndarray
 
 
 def _even(basis, parts, frozen):
-    """Coordinates in which the frozen solutions' mean is diagonal and their dissipation in a step even. Slow
-    states lose little of their storage in a step. In other coordinates the barrier's curvature would drown in
-    theirs."""
+    """Coordinates in which the frozen solutions' mean is diagonal and their dissipation in a step even.
+
+    Slow states lose little of their storage in a step. In other coordinates the barrier's curvature would
+    drown in theirs.
+    """
     n = len(basis)
     lost = unmoved(parts).F(frozen).mean(axis=0)[:n, :n]
     T = sl.eigh(frozen.mean(axis=0), lost)[1]

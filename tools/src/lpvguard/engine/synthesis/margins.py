@@ -280,8 +280,11 @@ def guaranteed(centre: Response, radius: Response, omega: np.ndarray) -> LoopMar
 
 def unstable_poles(L: np.ndarray) -> int:
     """Unstable poles of the closed loop from L (K,) on a fine grid over all frequencies, the open loop being
-    stable (Nyquist). The curve is closed along the real axis at both ends. SynthesisError where an end is not
-    near it and outside the unit circle."""
+    stable (Nyquist).
+
+    The curve is closed along the real axis at both ends. SynthesisError where an end is not near it and
+    outside the unit circle.
+    """
     back = 1 + np.asarray(L, complex)
     for place, end in (("first", L[0]), ("last", L[-1])):
         if abs(end) >= 1 and abs(np.imag(end)) > 0.5 * abs(1 + np.real(end)):

@@ -179,8 +179,10 @@ def _aim(structure: Structure, rtol: float) -> float:
 
 
 def _scaled_bound(prover: Prover, M: np.ndarray, rtol: float) -> tuple[float, Part, np.ndarray, np.ndarray]:
-    """Return the D, G bound of M, its proof, and factors of D_left and D_right. The bound is raised until its
-    scalings prove it within rounding; scalings that do not are replaced by 1."""
+    """Return the D, G bound of M, its proof, and factors of D_left and D_right.
+
+    The bound is raised until its scalings prove it within rounding; scalings that do not are replaced by 1.
+    """
     structure = prover.structure
     value, _, left, right, skew = upper_bound(M, structure, rtol)
     n_real = sum(b.kind == "repeated_real" for b in structure.blocks)
@@ -255,9 +257,11 @@ def mu_lower(
     starts: int = 8,
 ) -> tuple[float, np.ndarray | None]:
     """Lower bound of μ of M (Σcols, Σrows) and the Δ (Σrows, Σcols) that attains it, None for the bound 0.
+
     ``left`` (Σcols, Σcols) and ``right`` (Σrows, Σrows) make leftᴴ M right⁻ᴴ a well-scaled image of M, which
     speeds the search up. They are factors as ``upper_bound`` gives them. The search ends early at a value of
-    ``enough``. A Δ that does not attain its value within rounding counts as none."""
+    ``enough``. A Δ that does not attain its value within rounding counts as none.
+    """
     M, structure = np.asarray(M, dtype=complex), Structure(tuple(blocks))
     value, delta = lower_bound(M, structure, left, right, enough, starts)
     held = _attains(M, structure, delta, value, np.zeros(M.shape))

@@ -1,6 +1,9 @@
-"""The lower bound of μ: a Δ with I − M Δ singular, searched from many starts at once, and checked. Where the
-upper bound is attained at a simple singular value, its vectors give Δ. Else the mixed power iteration (Young
-& Doyle 1990) finds candidates. A local ascent improves the best of them where blocks are complex or mixed."""
+"""The lower bound of μ: a Δ with I − M Δ singular, searched from many starts at once, and checked.
+
+Where the upper bound is attained at a simple singular value, its vectors give Δ. Else the mixed power
+iteration (Young & Doyle 1990) finds candidates. A local ascent improves the best of them where blocks are
+complex or mixed.
+"""
 
 from collections.abc import Callable, Iterator, Sequence
 
@@ -135,7 +138,8 @@ def _distinct(found: list[_Found]) -> list[_Found]:
 
 def _vertices(structure: Structure, parts: Parts) -> list[Parts]:
     """``parts`` with the real blocks at every combination of ±1 (up to 64 of them): where a pure real optimum
-    often lies."""
+    often lies.
+    """
     real = [k for k, b in enumerate(structure.blocks) if b.kind == "repeated_real"]
     if not real:
         return []
@@ -169,9 +173,11 @@ def _align(M: np.ndarray, structure: Structure, parts: Parts, steps: int = 200) 
 
 class _MixedAscent:
     """Local search over a mixed Δ: the real blocks q/β are closed first, the complex ones are aligned to what
-    is left. At a level β that is reached, any q for which the rest N(β, q) has ρ(N Q) > β raises the level. A
-    pattern search on q in [−1, 1] looks for such a q. A secant search on β finds the level at which ρ(N Q) =
-    β again."""
+    is left.
+
+    At a level β that is reached, any q for which the rest N(β, q) has ρ(N Q) > β raises the level. A pattern
+    search on q in [−1, 1] looks for such a q. A secant search on β finds the level at which ρ(N Q) = β again.
+    """
 
     def __init__(self, M: np.ndarray, structure: Structure, parts: Parts):
         blocks = structure.blocks
@@ -193,7 +199,8 @@ class _MixedAscent:
 
     def spectral(self, q: np.ndarray, beta: float, parts: Parts) -> tuple[complex, Parts]:
         """ρ(N(β, q) Q) with Q aligned from ``parts``: the eigenvalue and the aligned parts; 0 where N does
-        not exist."""
+        not exist.
+        """
         diagonal = np.repeat(q, self.sizes) / beta
         try:
             inner = np.linalg.solve(np.eye(len(diagonal)) - self.Mrr * diagonal, self.Mrc)
@@ -358,7 +365,8 @@ def _size(structure: Structure, delta: np.ndarray) -> float:
 
 def _free_parameters(structure: Structure, parts: Parts) -> Iterator[Callable[[float], np.ndarray]]:
     """One-parameter families through a mixed Δ that keep its size: turn the complex blocks, or move one real
-    block."""
+    block.
+    """
     if any(b.kind != "repeated_real" for b in structure.blocks):
         yield lambda s: _assemble(structure, parts, np.exp(1j * s))
     for k, block in enumerate(structure.blocks):

@@ -94,8 +94,10 @@ def upper_bound(
 
 
 def scaled_size(M: np.ndarray, structure: Structure) -> float:
-    """Return the bound of M (Σcols, Σrows) with its real blocks taken as complex: no units enter it. It is at
-    least ``LEAST_SIZE`` of ‖M‖ in balanced units."""
+    """Return the bound of M (Σcols, Σrows) with its real blocks taken as complex: no units enter it.
+
+    It is at least ``LEAST_SIZE`` of ‖M‖ in balanced units.
+    """
     left, right = _both_sides(_balance(M, structure), structure)
     balanced = float(np.linalg.norm(left @ M @ np.linalg.inv(right), 2))
     kinds = {"repeated_real": "repeated_complex"}
@@ -159,9 +161,11 @@ def simple_infimum(
 def _newton_model(
     M: np.ndarray, x: np.ndarray, rows: list[int], cols: list[int], member: np.ndarray
 ) -> tuple[float, np.ndarray, np.ndarray, float]:
-    """σ̄ of the scaled M, its first and second derivatives (k,), (k, k) in x, and the bound from below. σ̄ is
-    the largest eigenvalue of [0 N; Nᴴ 0], whose derivative by x_i is [P_i N − N Q_i] above the diagonal;
-    ``member`` (k, Σcols + Σrows) holds the diagonals of P_i and −Q_i."""
+    """σ̄ of the scaled M, its first and second derivatives (k,), (k, k) in x, and the bound from below.
+
+    σ̄ is the largest eigenvalue of [0 N; Nᴴ 0], whose derivative by x_i is [P_i N − N Q_i] above the
+    diagonal; ``member`` (k, Σcols + Σrows) holds the diagonals of P_i and −Q_i.
+    """
     n = len(M)
     N = np.exp(np.repeat(x, rows))[:, None] * M * np.exp(-np.repeat(x, cols))
     both = np.zeros((len(M) + M.shape[1],) * 2, complex)
@@ -184,8 +188,10 @@ def _newton_model(
 
 
 def balance(M: np.ndarray, structure: Structure) -> tuple[np.ndarray, np.ndarray]:
-    """Return D_left (Σcols, Σcols) and D_right (Σrows, Σrows) that even out the blocks' norms of M. Couplings
-    below ``WEAK`` of the norm count as that large, so that rounding makes no extreme scalings."""
+    """Return D_left (Σcols, Σcols) and D_right (Σrows, Σrows) that even out the blocks' norms of M.
+
+    Couplings below ``WEAK`` of the norm count as that large, so that rounding makes no extreme scalings.
+    """
     return _both_sides(_balance(M, structure, WEAK * float(np.linalg.norm(M))) ** 2, structure)
 
 
@@ -272,9 +278,11 @@ def _level(
 def _centre(
     x: np.ndarray, F: np.ndarray, structure: Structure, trace: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the centre of {S(x) = Σ x_k F_k ≻ 0, D(x) ≻ 0, tr D_left = const}, and S⁻¹ there. Damped Newton
-    steps lead to the least of −log det S − log det D + ½ ``G_WEIGHT`` |G|². Without the last term a G that
-    lifts all of S would grow without limit."""
+    """Return the centre of {S(x) = Σ x_k F_k ≻ 0, D(x) ≻ 0, tr D_left = const}, and S⁻¹ there.
+
+    Damped Newton steps lead to the least of −log det S − log det D + ½ ``G_WEIGHT`` |G|². Without the last
+    term a G that lifts all of S would grow without limit.
+    """
     n_d = len(structure.left)
 
     def factors(point: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -322,9 +330,11 @@ def _whiten(L: np.ndarray, F: np.ndarray) -> np.ndarray:
 
 
 def _dual_gap(x: np.ndarray, Z: np.ndarray, structure: Structure, trace: np.ndarray) -> float:
-    """How far below the level the infimum can lie: the centre's multipliers Z prove level − gap ≤ β². Tight
-    for scalar D_i only; with a repeated block nothing is proved (inf) and the levels' stagnation ends the
-    search."""
+    """How far below the level the infimum can lie: the centre's multipliers Z prove level − gap ≤ β².
+
+    Tight for scalar D_i only; with a repeated block nothing is proved (inf) and the levels' stagnation ends
+    the search.
+    """
     if any(b.kind != "full" for b in structure.blocks):
         return np.inf
     n_d = len(structure.left)

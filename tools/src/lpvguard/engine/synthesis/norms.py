@@ -95,10 +95,12 @@ def _largest(H: StateSpace, omega) -> tuple[float, float]:
 
 
 def _sizes(H: StateSpace, omega: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """σ̄(H(jω)) at each of ``omega`` (k,), and its change by rounding of A's entries. The rounding is a few
-    units in the last place of each entry, to first order, so that the states' units do not matter. It is far
-    below any rtol unless the loop is nearly unstable or its signals are many decades apart. A slow pole
-    hidden by A's large entries shows at its own frequency."""
+    """σ̄(H(jω)) at each of ``omega`` (k,), and its change by rounding of A's entries.
+
+    The rounding is a few units in the last place of each entry, to first order, so that the states' units do
+    not matter. It is far below any rtol unless the loop is nearly unstable or its signals are many decades
+    apart. A slow pole hidden by A's large entries shows at its own frequency.
+    """
     response = np.broadcast_to(H.D.astype(complex), (len(omega), *H.D.shape)).copy()
     moved, finite = np.zeros(len(omega)), np.isfinite(omega)
     left, right = _both_sides(H, omega[finite])
@@ -126,7 +128,8 @@ def _both_sides(H: StateSpace, omega: np.ndarray) -> tuple[np.ndarray, np.ndarra
 
 def _crossings(H: StateSpace, level: float) -> np.ndarray:
     """Frequencies where σ̄(H(jω)) may equal ``level``, and the points between them; empty when there are
-    none."""
+    none.
+    """
     n = H.order
     B, D, C = H.B / level, H.D / level, H.C
     if (
@@ -142,15 +145,20 @@ def _crossings(H: StateSpace, level: float) -> np.ndarray:
 
 
 def near_axis(eigenvalues: np.ndarray, scale: float) -> np.ndarray:
-    """(K,) True for eigenvalues (K,) that are imaginary up to rounding. ``scale`` is ‖A‖ of the system. An
-    eigenvalue of an n-fold near-defective cluster moves by about sqrt(eps) times the matrix norm."""
+    """(K,) True for eigenvalues (K,) that are imaginary up to rounding.
+
+    ``scale`` is ‖A‖ of the system. An eigenvalue of an n-fold near-defective cluster moves by about sqrt(eps)
+    times the matrix norm.
+    """
     return np.abs(eigenvalues.real) <= 1e-3 * np.abs(eigenvalues) + 1e2 * EPS * scale
 
 
 def axis_frequencies(hamiltonian: np.ndarray, scale: float) -> np.ndarray:
     """Frequencies (K,) [rad/s] of eigenvalues on or near the imaginary axis, DC, and points between and above
-    them. It is empty when no eigenvalue of ``hamiltonian`` (2n, 2n) lies there. ``scale``: ‖A‖ of the
-    system."""
+    them.
+
+    It is empty when no eigenvalue of ``hamiltonian`` (2n, 2n) lies there. ``scale``: ‖A‖ of the system.
+    """
     eigenvalues = np.linalg.eigvals(hamiltonian)
     cross = np.unique(np.abs(eigenvalues.imag[near_axis(eigenvalues, scale)]))
     if cross.size == 0:

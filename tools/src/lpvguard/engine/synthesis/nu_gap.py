@@ -82,8 +82,10 @@ def nu_margin(plant: StateSpace, controller: StateSpace) -> float:
 
 
 def _require_distance(P1: StateSpace, P2: StateSpace, chordal: StateSpace, peak: float) -> None:
-    """Raise SynthesisError unless the plants' own distance is that of their factors. It is looked at at
-    ``peak`` [rad/s], zero, infinity, and the frequencies of the plants' poles."""
+    """Raise SynthesisError unless the plants' own distance is that of their factors.
+
+    It is looked at at ``peak`` [rad/s], zero, infinity, and the frequencies of the plants' poles.
+    """
     omega = np.unique(np.concatenate([[0.0, peak, np.inf], np.abs(P1.poles()), np.abs(P2.poles())]))
     omega = omega[[_has_response(P1, w) and _has_response(P2, w) for w in omega]]
     of_factors = np.linalg.norm(chordal.response(omega), 2, axis=(1, 2))
@@ -109,8 +111,11 @@ def _root(G: np.ndarray) -> np.ndarray:
 
 
 def _unstable_zeros(P1: StateSpace, P2: StateSpace) -> int:
-    """Zeros of det(I + P₂(−s)ᵀ P₁(s)) with a positive real part. The winding number is right if their number
-    is P₂'s order. A zero on the axis, or at infinity (-1), is a distance of 1, which the norm shows."""
+    """Zeros of det(I + P₂(−s)ᵀ P₁(s)) with a positive real part.
+
+    The winding number is right if their number is P₂'s order. A zero on the axis, or at infinity (-1), is a
+    distance of 1, which the norm shows.
+    """
     adjoint = StateSpace(-P2.A.T, -P2.C.T, P2.B.T, P2.D.T)
     H = series(adjoint, P1)
     try:

@@ -1,6 +1,9 @@
 """The generalised plant for the Riccati equations: continuous, in blocks, without D22; and whether a
-stabilising controller exists. A discrete plant comes here as its bilinear image, which has no pole at z = −1.
-D22 is left out and put back into the controller afterwards."""
+stabilising controller exists.
+
+A discrete plant comes here as its bilinear image, which has no pole at z = −1. D22 is left out and put back
+into the controller afterwards.
+"""
 
 from __future__ import annotations
 
@@ -14,9 +17,11 @@ from lpvguard.engine.synthesis.statespace import EPS, StateSpace
 
 @dataclass(frozen=True)
 class Plant:
-    """The continuous generalised plant x' = A x + B1 w + B2 u, z = C1 x + D11 w + D12 u, y = C2 x + D21 w. A
-    (n, n), B1 (n, m1), B2 (n, m2), C1 (p1, n), C2 (p2, n), D11 (p1, m1), D12 (p1, m2), D21 (p2, m1). D22 is
-    zero: ``absorb_feedthrough`` puts it back."""
+    """The continuous generalised plant x' = A x + B1 w + B2 u, z = C1 x + D11 w + D12 u, y = C2 x + D21 w.
+
+    A (n, n), B1 (n, m1), B2 (n, m2), C1 (p1, n), C2 (p2, n), D11 (p1, m1), D12 (p1, m2), D21 (p2, m1). D22 is
+    zero: ``absorb_feedthrough`` puts it back.
+    """
 
     A: np.ndarray
     B1: np.ndarray
@@ -51,8 +56,10 @@ def check_shape(plant: StateSpace, n_control: int, n_measurement: int) -> None:
 def move_pole_at_minus_one(
     plant: StateSpace, n_control: int, n_measurement: int
 ) -> tuple[np.ndarray, StateSpace]:
-    """A static feedback K0 (m2, p2) and the plant closed with it: u = K0 y + ũ clears z = −1 of poles. K0 is
-    zero where there is no such pole, so for every continuous plant."""
+    """A static feedback K0 (m2, p2) and the plant closed with it: u = K0 y + ũ clears z = −1 of poles.
+
+    K0 is zero where there is no such pole, so for every continuous plant.
+    """
     shift = np.zeros((n_control, n_measurement))
     if not plant.dt or plant.order == 0 or np.abs(plant.poles() + 1).min() > 1e-6:
         return shift, plant
@@ -87,7 +94,9 @@ def absorb_feedthrough(K: StateSpace, D22: np.ndarray) -> StateSpace:
 
 def check_existence(P: Plant, plant: StateSpace) -> None:
     """Popov–Belevitch–Hautus test of (A, B2) and (C2, A) at every pole that is not strictly stable.
-    SynthesisError names the pole of ``plant``, the given plant, and the missing property."""
+
+    SynthesisError names the pole of ``plant``, the given plant, and the missing property.
+    """
     if P.A.size == 0:
         return
     scale = float(np.linalg.norm(P.A, 2)) or 1.0

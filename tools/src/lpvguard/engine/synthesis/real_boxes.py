@@ -148,8 +148,10 @@ def proved_at(
 
 @dataclass(frozen=True)
 class Part:
-    """A box on frequencies from ``low`` to ``high`` [rad/s], continuous time. ``point`` are the scalings that
-    prove it; of a part to be proved, those of a neighbour, if any."""
+    """A box on frequencies from ``low`` to ``high`` [rad/s], continuous time.
+
+    ``point`` are the scalings that prove it; of a part to be proved, those of a neighbour, if any.
+    """
 
     box: ParameterBox
     low: float
@@ -243,9 +245,11 @@ class Prover:
         return float(np.log(high / low))
 
     def verified(self, parts: Sequence[Part], beta: float, low: float, high: float) -> bool:
-        """Tell whether ``parts`` prove μ < ``beta`` from ``low`` to ``high`` [rad/s]. Each part's scalings
-        are tested anew on its box and frequencies, and the parts together contain every Δ of size 1/β at
-        every frequency."""
+        """Tell whether ``parts`` prove μ < ``beta`` from ``low`` to ``high`` [rad/s].
+
+        Each part's scalings are tested anew on its box and frequencies, and the parts together contain every
+        Δ of size 1/β at every frequency.
+        """
         for part in parts:
             if part.point is None:
                 return False

@@ -92,10 +92,13 @@ class Side:
         return StateSpace(self.A + self.B2 @ F, B, self.C1 + self.D12 @ F, D)
 
     def frequency_bound(self, level: float | None = None) -> float:
-        """A level that full information does not go below. It is the maximum over frequencies of σ̄ of the
-        part of G11(jω) that no v cancels through G12(jω). The frequencies are DC and those of the poles. With
-        a ``level`` they are those where the bound may cross it (axis eigenvalues of the Hamiltonian), and the
-        points between them. It is 0 where no gain closes the loop."""
+        """A level that full information does not go below.
+
+        It is the maximum over frequencies of σ̄ of the part of G11(jω) that no v cancels through G12(jω). The
+        frequencies are DC and those of the poles. With a ``level`` they are those where the bound may cross
+        it (axis eigenvalues of the Hamiltonian), and the points between them. It is 0 where no gain closes
+        the loop.
+        """
         G = self._closed
         if G is None:
             return 0.0
@@ -139,7 +142,10 @@ def hamiltonian(side: Side, gamma: float) -> np.ndarray:
 
 def balance_hamiltonian(H: np.ndarray, floor: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
     """Symplectic diagonal scaling diag(t, 1/t) by powers of two (as in Benner 2001); returns the scaled H and
-    t. Entries up to ``floor`` times the largest one have no say in the choice of t."""
+    t.
+
+    Entries up to ``floor`` times the largest one have no say in the choice of t.
+    """
     n = len(H) // 2
     off = np.abs(H)
     np.fill_diagonal(off, 0)
@@ -199,8 +205,10 @@ def _subspace_solution(H: np.ndarray, t: np.ndarray) -> tuple[RiccatiSolution | 
 
 def _pencil_solution(side: Side, gamma: float, t: np.ndarray) -> tuple[RiccatiSolution | None, float]:
     """The same solution from the extended pencil in (x, λ, [w; u], z), where γ and D enter unsquared (Van
-    Dooren 1981). The algebraic variables are eliminated by an orthogonal transformation; ``t`` scales x and
-    1/t scales λ."""
+    Dooren 1981).
+
+    The algebraic variables are eliminated by an orthogonal transformation; ``t`` scales x and 1/t scales λ.
+    """
     n, m1, m = len(side.A), side.B1.shape[1], side.B1.shape[1] + side.B2.shape[1]
     p = len(side.C1)
     A, C = side.A * t / t[:, None], side.C1 * t
@@ -231,7 +239,9 @@ def _from_basis(
     U1: np.ndarray, U2: np.ndarray, t: np.ndarray, noise: float
 ) -> tuple[RiccatiSolution | None, float]:
     """X = U2 U1⁻¹ in the units before ``t``, from an orthonormal basis [U1; U2] of the stable subspace.
-    ``noise``: error of the basis where it is larger than rounding."""
+
+    ``noise``: error of the basis where it is larger than rounding.
+    """
     condition = float(np.linalg.cond(U1))
     skew = U1.T @ U2
     if (skew - skew.T).max() > 1e-5 or not condition < 1 / EPS:

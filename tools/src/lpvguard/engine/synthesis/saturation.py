@@ -164,8 +164,11 @@ class LimitedLoop:
         return ConstantScalings(self.system, self.rows, self.cols)
 
     def gain(self) -> tuple[float, np.ndarray] | None:
-        """Compute a gain from w to z for every Δ and every demand within κ u_max. Returns the gain and the
-        logarithms (blocks,) of its constants, or None if no gain up to LARGEST_GAIN is proved."""
+        """Compute a gain from w to z for every Δ and every demand within κ u_max.
+
+        Returns the gain and the logarithms (blocks,) of its constants, or None if no gain up to LARGEST_GAIN
+        is proved.
+        """
         if not self.stable:
             return None
         scalings = self.performance()
@@ -189,7 +192,9 @@ class LimitedLoop:
         self, starts: Sequence[np.ndarray], u_max: np.ndarray, step_max: np.ndarray
     ) -> Reachable | None:
         """The largest energy that constants of OFFSETS beside one of ``starts`` prove; None: none does.
-        starts: logarithms (blocks,) each. ``u_max``, ``step_max``: as of ``energy``."""
+
+        starts: logarithms (blocks,) each. ``u_max``, ``step_max``: as of ``energy``.
+        """
         found = []
         for start, offset in itertools.product(starts, OFFSETS):
             constants = start + offset

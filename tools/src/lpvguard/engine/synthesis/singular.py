@@ -23,7 +23,8 @@ AXIS_COST = 1e-7
 
 def reduced_side(P: Plant) -> Side:
     """The Riccati problem that decides the control side of P, free directions removed until D12 has full
-    rank."""
+    rank.
+    """
     A, B1, B2, C1, D12 = P.A, P.B1, P.B2, P.C1, P.D12
     rate = float(np.linalg.norm(A, 2))
     basis = np.eye(len(A))
@@ -59,9 +60,11 @@ def reduced_side(P: Plant) -> Side:
 
 
 def extended_plant(P: Plant, soft: tuple[bool, bool], epsilon: float) -> Plant:
-    """The regular plant with extra costs ε on the controls and extra noises ε on the measurements. ``soft``:
-    whether the control side gets the cost, and the filter side the noise, on every state too. Zeros that stay
-    on the imaginary axis need it."""
+    """The regular plant with extra costs ε on the controls and extra noises ε on the measurements.
+
+    ``soft``: whether the control side gets the cost, and the filter side the noise, on every state too. Zeros
+    that stay on the imaginary axis need it.
+    """
     cost_u, cost_x = _extension(P, soft[0], epsilon)
     noise_y, noise_x = _extension(P.dual, soft[1], epsilon)
     n = len(P.A)

@@ -1,6 +1,8 @@
-"""Linear systems in state space: the algebra shared by synthesis and analysis. All matrices are real doubles.
-``dt = 0`` is continuous time (G(s)), ``dt > 0`` is discrete time with that sampling time in seconds (G(z)).
-Objects are immutable; every function returns a new one."""
+"""Linear systems in state space: the algebra shared by synthesis and analysis.
+
+All matrices are real doubles. ``dt = 0`` is continuous time (G(s)), ``dt > 0`` is discrete time with that
+sampling time in seconds (G(z)). Objects are immutable; every function returns a new one.
+"""
 
 from __future__ import annotations
 
@@ -95,7 +97,8 @@ class StateSpace:
 
     def stability_margin(self) -> float:
         """Distance from instability: −max Re λ(A) in rad/s, or 1 − max |λ(A)|; positive when stable, +inf at
-        n = 0."""
+        n = 0.
+        """
         poles = self.poles()
         if poles.size == 0:
             return np.inf
@@ -103,7 +106,8 @@ class StateSpace:
 
     def response(self, omega) -> np.ndarray:
         """G(jω) or G(e^{jω dt}) at ``omega`` (k,) rad/s, infinity allowed in continuous time; (k, p, m)
-        complex."""
+        complex.
+        """
         omega = np.atleast_1d(np.asarray(omega, dtype=float))
         infinite = np.isinf(omega)
         finite = np.where(infinite, 0.0, omega)
@@ -283,7 +287,8 @@ def lft(plant: StateSpace, controller: StateSpace) -> StateSpace:
 
 def same_time(first: StateSpace, second: StateSpace) -> None:
     """Refuse to join systems of different sampling times (a constant may join any system that has its
-    ``dt``)."""
+    ``dt``).
+    """
     if first.dt != second.dt:
         raise SynthesisError(
             "interconnection", "dt", f"{first.dt} and {second.dt}", "one sampling time for both"
@@ -292,8 +297,11 @@ def same_time(first: StateSpace, second: StateSpace) -> None:
 
 def balancing(G: StateSpace) -> np.ndarray:
     """Powers of two t (n,) that make rows and columns of [A B; C 0] of like norms in the coordinates x =
-    diag(t) x̃. Osborne (1960) through LAPACK's gebal; the input and output scales stay: they enter as one
-    source and one sink node that are never scaled."""
+    diag(t) x̃.
+
+    Osborne (1960) through LAPACK's gebal; the input and output scales stay: they enter as one source and one
+    sink node that are never scaled.
+    """
     n = G.order
     graph = np.zeros((n + 2, n + 2))
     graph[:n, :n] = np.abs(G.A)
@@ -316,8 +324,9 @@ def balanced(G: StateSpace) -> StateSpace:
 
 def to_continuous(G: StateSpace, alpha: float | None = None) -> StateSpace:
     """Bilinear map z = (α + s)/(α − s) of a discrete system: same H∞ norm, same stability; default α = 2/dt.
-    Exists when −1 is no eigenvalue of A (SynthesisError otherwise). A continuous system is returned as it
-    is."""
+
+    Exists when −1 is no eigenvalue of A (SynthesisError otherwise). A continuous system is returned as it is.
+    """
     if not G.dt:
         return G
     alpha = 2 / G.dt if alpha is None else alpha

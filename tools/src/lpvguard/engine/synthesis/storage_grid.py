@@ -40,9 +40,11 @@ def unmoved(parts: list[tuple[np.ndarray, np.ndarray]]) -> Barrier:
 
 @dataclass(frozen=True)
 class StorageGrid:
-    """Speeds ``grid`` (k,) [m/s] of a loop sampled at Ts [s]. ``parts`` are [A B] and [C D] at every speed in
-    the coordinates ``basis`` (n, n). ``units`` (3, 3) are the terms of P in the search. They are made of 1, v
-    and 1 / v and have like sizes."""
+    """Speeds ``grid`` (k,) [m/s] of a loop sampled at Ts [s].
+
+    ``parts`` are [A B] and [C D] at every speed in the coordinates ``basis`` (n, n). ``units`` (3, 3) are the
+    terms of P in the search. They are made of 1, v and 1 / v and have like sizes.
+    """
 
     Ts: float
     grid: np.ndarray

@@ -8,8 +8,10 @@ from lpvguard.engine.blocks import Block
 
 
 class Structure:
-    """The blocks of Δ in M: index sets of rows (inputs of Δ) and columns (outputs of Δ). It also has the real
-    bases of the blocks' D and G scalings."""
+    """The blocks of Δ in M: index sets of rows (inputs of Δ) and columns (outputs of Δ).
+
+    It also has the real bases of the blocks' D and G scalings.
+    """
 
     def __init__(self, blocks: tuple[Block, ...]):
         self.blocks = blocks
@@ -37,7 +39,10 @@ class Structure:
 
     def coordinates(self, D: np.ndarray, G: np.ndarray) -> np.ndarray:
         """Coefficients of ``D`` (n_cols, n_cols) in the (orthogonal) basis ``right`` and of ``G`` (n_cols,
-        n_rows) in ``skew``. They are one real vector (len(right) + len(skew),), those of D first."""
+        n_rows) in ``skew``.
+
+        They are one real vector (len(right) + len(skew),), those of D first.
+        """
         parts = [
             np.real(np.sum(basis.conj() * value, axis=(1, 2))) / np.sum(np.abs(basis) ** 2, axis=(1, 2))
             for basis, value in ((self.right, D), (self.skew, G))

@@ -1,6 +1,9 @@
 """Cells of Table II: a controller per structure and objective, its certificate, and the floor of any
-controller. Seconds are measured for the console; files are made from ``Cell.to_dict`` and ``to_csv``, which
-leave them out."""
+controller.
+
+Seconds are measured for the console; files are made from ``Cell.to_dict`` and ``to_csv``, which leave them
+out.
+"""
 
 import csv
 import io

@@ -58,8 +58,10 @@ class History:
         return both, z
 
     def costates(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Run the adjoint, and return [λ(k + 1); z(k)] of every sample (T, n + p) and its output (T, m). The
-        output is the gradient of ½‖z‖² by w where z (T, p) is the loop's output."""
+        """Run the adjoint, and return [λ(k + 1); z(k)] of every sample (T, n + p) and its output (T, m).
+
+        The output is the gradient of ½‖z‖² by w where z (T, p) is the loop's output.
+        """
         n = self.n
         both, w = np.zeros((len(z), self.S.shape[1])), np.empty((len(z), self.shape[1]))
         both[:, n:] = z
@@ -112,8 +114,10 @@ class History:
         return float(np.exp(min(np.log(np.abs(np.linalg.eigvals(X)).max()) + size, 700.0)))
 
     def slopes(self, dS: np.ndarray, w: np.ndarray) -> np.ndarray:
-        """Derivative (T,) of ½‖z‖² by each sample's parameter, for the input w (T, m). S has the derivative
-        ``dS`` (K, n + p, n + m) by this parameter."""
+        """Derivative (T,) of ½‖z‖² by each sample's parameter, for the input w (T, m).
+
+        S has the derivative ``dS`` (K, n + p, n + m) by this parameter.
+        """
         x, z = self.states(w)
         x_after, _ = self.costates(z)
         out = np.empty(len(w))

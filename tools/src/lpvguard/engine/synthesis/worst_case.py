@@ -137,8 +137,11 @@ class _Search:
         self.cols = np.cumsum([0, *(one.rows for one in plant.blocks)])
 
     def run(self, M: np.ndarray, d: np.ndarray, steps: int) -> tuple[float, np.ndarray]:
-        """The largest gain found and its Δ, each block of size 1; d (τ,): a scaling that helps. Each step
-        takes the Δ of μ with the performance rows divided by the gain reached, and sizes its blocks to 1."""
+        """The largest gain found and its Δ, each block of size 1; d (τ,): a scaling that helps.
+
+        Each step takes the Δ of μ with the performance rows divided by the gain reached, and sizes its blocks
+        to 1.
+        """
         left, right = (
             np.concatenate([np.full(n, x) for n, x in zip(sizes, [*d, 1.0], strict=True)])
             for sizes in ([b.cols for b in self.blocks], [b.rows for b in self.blocks])

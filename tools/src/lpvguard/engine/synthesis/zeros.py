@@ -14,10 +14,12 @@ ZERO_RTOL = 1e-12
 
 
 def axis_zeros(side: Side, scale: float) -> tuple[float, ...]:
-    """Frequencies of the imaginary-axis zeros of x' = A x + B2 u, z = C1 x + D12 u. Candidates are the axis
-    eigenvalues of its LQ problem. Those are at least double, so rounding moves them by the square root of eps
-    times the norm (``scale``: that of A). A slow zero then looks like one on the axis. There is a zero only
-    where the system matrix itself loses rank."""
+    """Frequencies of the imaginary-axis zeros of x' = A x + B2 u, z = C1 x + D12 u.
+
+    Candidates are the axis eigenvalues of its LQ problem. Those are at least double, so rounding moves them
+    by the square root of eps times the norm (``scale``: that of A). A slow zero then looks like one on the
+    axis. There is a zero only where the system matrix itself loses rank.
+    """
     H = hamiltonian(replace(side, B1=side.B1[:, :0], D11=side.D11[:, :0]), 1.0)
     eigenvalues = np.linalg.eigvals(balance_hamiltonian(H)[0])
     near = np.abs(eigenvalues.real) <= 1e-7 * np.abs(eigenvalues) + 1e-8 * scale
@@ -43,8 +45,11 @@ def axis_zeros(side: Side, scale: float) -> tuple[float, ...]:
 
 def rank_defect(side: Side, omega: float) -> float:
     """Distance of the system matrix ``[A − jωI, B2; C1, D12]`` from loss of column rank, relative to its
-    entries. It is the smallest singular value after rows and columns are brought to unit size. 0 means that
-    jω is a zero, ``omega`` in rad/s."""
+    entries.
+
+    It is the smallest singular value after rows and columns are brought to unit size. 0 means that jω is a
+    zero, ``omega`` in rad/s.
+    """
     M = np.block([[side.A - 1j * omega * np.eye(len(side.A)), side.B2], [side.C1, side.D12]])
     if M.shape[0] < M.shape[1]:
         return 0.0
@@ -56,10 +61,12 @@ def rank_defect(side: Side, omega: float) -> float:
 
 
 def axis_bounds(P: Plant, frequencies: tuple[float, ...]) -> list[float]:
-    """Parrott bounds at the zeros on the imaginary axis, ``frequencies`` in rad/s, two for each. There the
-    loop cannot change part of T11 + T12 Q T21. The stable factors of all closed loops are T11, T12 and T21
-    (Zhou, Doyle & Glover 1996, section 12.8). They use an LQ gain F and its dual L. A column that vanishes at
-    the zero is rounding and counts as a direction, so a single control gives no bound."""
+    """Parrott bounds at the zeros on the imaginary axis, ``frequencies`` in rad/s, two for each.
+
+    There the loop cannot change part of T11 + T12 Q T21. The stable factors of all closed loops are T11, T12
+    and T21 (Zhou, Doyle & Glover 1996, section 12.8). They use an LQ gain F and its dual L. A column that
+    vanishes at the zero is rounding and counts as a direction, so a single control gives no bound.
+    """
     if not frequencies:
         return []
     n = len(P.A)

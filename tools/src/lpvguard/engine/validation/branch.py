@@ -66,9 +66,11 @@ class Incumbent:
 
 @dataclass(frozen=True)
 class _NodeBounds:
-    """Bounds of a node's cost: ``lower``, the best of all; the tangent's; the relaxation's. The relaxation's
-    hold at the ``edges`` of the cone and on its ``central`` ray; -inf and inf when it was left out.
-    ``readings``: points to offer."""
+    """Bounds of a node's cost: ``lower``, the best of all; the tangent's; the relaxation's.
+
+    The relaxation's hold at the ``edges`` of the cone and on its ``central`` ray; -inf and inf when it was
+    left out. ``readings``: points to offer.
+    """
 
     lower: float
     edges: float
@@ -95,9 +97,11 @@ def minimise(
     enough: float = 0.0,
 ) -> Interval:
     """Both sides of the optimum by best-first branch and bound; the upper one is inf when no point was found.
+
     ``points``: (n,) each, known explanations to begin with. A cost below ``zero`` times that of the first
     point found counts as zero and ends the search. The search ends as well once the optimum is known to be at
-    most ``enough``, or above it."""
+    most ``enough``, or above it.
+    """
     free = problem.zero()
     if free is not None:
         return Interval(0.0, 0.0, free, 0)
@@ -105,9 +109,11 @@ def minimise(
 
 
 def proves(problem: Quadratic, level: float, cost: float, max_nodes: int = 2 * MAX_NODES) -> bool:
-    """Tell whether no point of ``problem`` costs less than ``level``. Every node that the proof ends with is
-    bounded anew. ``cost``, not below ``level``, is that of a known point, and only decides on the cuts. False
-    where ``max_nodes`` nodes do not suffice."""
+    """Tell whether no point of ``problem`` costs less than ``level``.
+
+    Every node that the proof ends with is bounded anew. ``cost``, not below ``level``, is that of a known
+    point, and only decides on the cuts. False where ``max_nodes`` nodes do not suffice.
+    """
     if level <= 0.0:
         return True
     search = _Search(problem, max(0.0, 1.0 - level * (1.0 + SLACK) / cost))
@@ -205,8 +211,10 @@ class _Search:
     def _branch(
         self, node: BranchNode, bounds: _NodeBounds
     ) -> list[tuple[np.ndarray, dict[int, Box]]] | None:
-        """(rays, boxes) of two nodes that cover this one; None when it cannot be cut. Its widest pair of rays
-        is cut in the middle, or its widest box."""
+        """(rays, boxes) of two nodes that cover this one; None when it cannot be cut.
+
+        Its widest pair of rays is cut in the middle, or its widest box.
+        """
         problem, best, tangent = self.problem, self.best, bounds.tangent
         cone_loss, relaxation_loss = bounds.central - bounds.edges, best.cost - bounds.central
         if tangent is not None and tangent.lower > bounds.edges:

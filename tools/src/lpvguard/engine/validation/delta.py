@@ -17,8 +17,10 @@ def split(blocks: Sequence[Block], vector: np.ndarray, side: str) -> list[np.nda
 
 
 def least_size(xi: np.ndarray, eta: np.ndarray) -> float:
-    """Least ||Delta_i|| that maps ``eta`` (cols,) to ``xi`` (rows,), given that one exists: |xi| / |eta|. 0
-    for xi = 0, inf for eta = 0 with another xi."""
+    """Least ||Delta_i|| that maps ``eta`` (cols,) to ``xi`` (rows,), given that one exists: |xi| / |eta|.
+
+    0 for xi = 0, inf for eta = 0 with another xi.
+    """
     top, bottom = float(np.linalg.norm(xi)), float(np.linalg.norm(eta))
     if top == 0.0:
         return 0.0
@@ -26,10 +28,12 @@ def least_size(xi: np.ndarray, eta: np.ndarray) -> float:
 
 
 def construct(block: Block, xi: np.ndarray, eta: np.ndarray) -> np.ndarray:
-    """Delta_i (rows, cols) of least norm with the block's structure that maps ``eta`` to ``xi``. A full block
-    has xi eta^* / |eta|^2. A repeated block has ``delta I`` with ``delta = eta^* xi / |eta|^2``, or its real
-    part for a real block. Call :func:`verify` to check that this delta maps eta to xi. Raises InputError when
-    eta = 0 but xi is not."""
+    """Delta_i (rows, cols) of least norm with the block's structure that maps ``eta`` to ``xi``.
+
+    A full block has xi eta^* / |eta|^2. A repeated block has ``delta I`` with ``delta = eta^* xi / |eta|^2``,
+    or its real part for a real block. Call :func:`verify` to check that this delta maps eta to xi. Raises
+    InputError when eta = 0 but xi is not.
+    """
     if not np.any(xi):
         return np.zeros((block.rows, block.cols), dtype=complex)
     power = float(np.vdot(eta, eta).real)
@@ -43,8 +47,11 @@ def construct(block: Block, xi: np.ndarray, eta: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Verification:
-    """Result of :func:`verify`. ``deltas``: Delta_i (rows, cols) a block; ``sizes`` (tau,): their largest
-    singular values. ``residual``: |e - M [xi; w]| with xi = Delta eta re-simulated, relative to |e|."""
+    """Result of :func:`verify`.
+
+    ``deltas``: Delta_i (rows, cols) a block; ``sizes`` (tau,): their largest singular values. ``residual``:
+    |e - M [xi; w]| with xi = Delta eta re-simulated, relative to |e|.
+    """
 
     deltas: list[np.ndarray]
     sizes: np.ndarray
@@ -54,10 +61,12 @@ class Verification:
 def verify(
     blocks: Sequence[Block], p: dict[str, np.ndarray], e, w, xi, nu, *, rtol: float = 1e-6
 ) -> Verification:
-    """Build Delta from (xi, w), close the loop with it and check that it re-simulates the data. ``p`` holds
-    P11, P12, P21, P22 and eta0 = P13 u; ``nu`` (tau,). The loop is closed by solving (I - P11 Delta) eta =
-    P12 w + eta0 again, so xi is only used to build Delta. Raises InputError when a block is larger than its
-    nu, or the data are not reproduced: no explanation leaves this package unverified."""
+    """Build Delta from (xi, w), close the loop with it and check that it re-simulates the data.
+
+    ``p`` holds P11, P12, P21, P22 and eta0 = P13 u; ``nu`` (tau,). The loop is closed by solving (I - P11
+    Delta) eta = P12 w + eta0 again, so xi is only used to build Delta. Raises InputError when a block is
+    larger than its nu, or the data are not reproduced: no explanation leaves this package unverified.
+    """
     eta = p["P11"] @ xi + p["P12"] @ w + p["eta0"]
     pieces = list(zip(blocks, split(blocks, xi, "rows"), split(blocks, eta, "cols"), strict=True))
     deltas = [construct(*piece) for piece in pieces]

@@ -151,8 +151,10 @@ def _one_block(problem: Quadratic, caps: np.ndarray, scaled: ScaledProblem) -> I
 
 def _last_block_is_free(problem: Lft, gamma_w: float, gap: float, max_nodes: int) -> bool:
     """Whether an explanation without the last block was found: its smallest disturbance is at most gamma_w.
+
     Only for structures with repeated blocks. Otherwise the least-squares point of
-    :meth:`quadratic.Quadratic.zero` decides."""
+    :meth:`quadratic.Quadratic.zero` decides.
+    """
     last = len(problem.blocks) - 1
     try:
         scaled = scaled_problem(problem, gamma_w, [last])

@@ -26,8 +26,11 @@ _NATIVE_N, _NATIVE_M, _NATIVE_ORDER = 16, 64, 4
 
 @dataclass(frozen=True)
 class Cone:
-    """Multiplier cones. ``start[g]`` and ``size[g]`` locate group g in y. ``order[g]`` is r for Hermitian r x
-    r PSD matrices (r = 1: a number >= 0) and 0 for a free group."""
+    """Multiplier cones.
+
+    ``start[g]`` and ``size[g]`` locate group g in y. ``order[g]`` is r for Hermitian r x r PSD matrices (r =
+    1: a number >= 0) and 0 for a free group.
+    """
 
     start: tuple[int, ...]
     size: tuple[int, ...]
@@ -53,8 +56,10 @@ def hermitian_basis(r: int) -> np.ndarray:
 
 
 def gram(left: np.ndarray, right: np.ndarray, basis: np.ndarray | None) -> np.ndarray:
-    """left^* B right (k, n, n) for each B of ``basis`` (k, r, r); ``left``, ``right`` (r, n). ``basis`` None:
-    the identity alone, and ``right`` of any number of rows."""
+    """left^* B right (k, n, n) for each B of ``basis`` (k, r, r); ``left``, ``right`` (r, n).
+
+    ``basis`` None: the identity alone, and ``right`` of any number of rows.
+    """
     if basis is None:
         return (left.conj().T @ right)[None]
     return np.einsum("ia,kij,jb->kab", left.conj(), basis, right)
@@ -80,8 +85,10 @@ def _member(c: Cone, g: int, y: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Centre:
-    """A feasible ``y`` with level ``x``. The optimum is below ``x_above``. ``inverse`` ~ (Q(y) - x I)^-1 is
-    the primal."""
+    """A feasible ``y`` with level ``x``.
+
+    The optimum is below ``x_above``. ``inverse`` ~ (Q(y) - x I)^-1 is the primal.
+    """
 
     y: np.ndarray
     x: float
@@ -99,9 +106,11 @@ def _interior(c: Cone, y: np.ndarray) -> bool:
 
 
 def maximise_level(q: np.ndarray, c: Cone, *, relative: float = 0.1, absolute: float = 1e-9) -> Centre:
-    """Path-following for the problem of the module's docstring. ``q`` (m, n, n) Hermitian forms, scaled to
-    order one. Stops when the optimal level is known within ``relative`` of its magnitude or within
-    ``absolute``, or is proven negative."""
+    """Path-following for the problem of the module's docstring.
+
+    ``q`` (m, n, n) Hermitian forms, scaled to order one. Stops when the optimal level is known within
+    ``relative`` of its magnitude or within ``absolute``, or is proven negative.
+    """
     m, n = q.shape[:2]
     y = c.normal / c.normal.sum()
     matrix = np.tensordot(y, q, axes=1)
@@ -150,7 +159,9 @@ def _barrier(
     inverse: np.ndarray, forms: np.ndarray, c: Cone, y: np.ndarray, eps: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Gradient (m + 1,) and negative Hessian (m + 1, m + 1) in (y, x) of x + eps times the log barrier.
-    ``inverse``: (Q(y) - x I)^-1. ``forms`` (m + 1, n, n): derivatives of Q(y) - x I."""
+
+    ``inverse``: (Q(y) - x I)^-1. ``forms`` (m + 1, n, n): derivatives of Q(y) - x I.
+    """
     count, n = forms.shape[:2]
     scaled = inverse @ forms
     gradient = eps * np.einsum("jii->j", scaled).real
@@ -188,16 +199,20 @@ def _feasible_step(
 
 
 def rounding(y: np.ndarray, forms: np.ndarray) -> float:
-    """Bound on the rounding error (2-norm) of sum_j y_j forms_j; ``y`` (m,), ``forms`` (m, n, n). Free
-    multipliers may be large and cancel, and a certificate must not rest on their remainder."""
+    """Bound on the rounding error (2-norm) of sum_j y_j forms_j; ``y`` (m,), ``forms`` (m, n, n).
+
+    Free multipliers may be large and cancel, and a certificate must not rest on their remainder.
+    """
     _, n, _ = forms.shape
     return 4.0 * n * np.finfo(float).eps * float(np.abs(y) @ np.linalg.norm(forms, axis=(1, 2)))
 
 
 def reach(zero: np.ndarray, slopes: np.ndarray, error: float = 0.0) -> np.ndarray:
-    """Largest length (k,) at which ``zero`` - length ``slopes[k]`` stays >= 0. ``zero`` (n, n), ``error``:
-    its own, 2-norm; ``slopes`` (k, n, n) >= 0. inf where nothing ends it, 0 where ``zero`` itself is not
-    positive definite."""
+    """Largest length (k,) at which ``zero`` - length ``slopes[k]`` stays >= 0.
+
+    ``zero`` (n, n), ``error``: its own, 2-norm; ``slopes`` (k, n, n) >= 0. inf where nothing ends it, 0 where
+    ``zero`` itself is not positive definite.
+    """
     zero = zero - error * np.eye(len(zero))
     try:
         factor = np.linalg.inv(np.linalg.cholesky(0.5 * (zero + zero.conj().T)))
@@ -209,7 +224,9 @@ def reach(zero: np.ndarray, slopes: np.ndarray, error: float = 0.0) -> np.ndarra
 
 def reaches(zeros: np.ndarray, slopes: np.ndarray, errors: np.ndarray) -> np.ndarray:
     """:func:`reach` (..., k) for many ``zeros`` (..., n, n) with ``errors`` (...,); ``slopes`` (k, n, n).
-    -inf where a zero is not positive definite."""
+
+    -inf where a zero is not positive definite.
+    """
     _, n, _ = slopes.shape
     zeros = zeros - errors[..., None, None] * np.eye(n)
     good = np.linalg.eigvalsh(zeros)[..., 0] > errors

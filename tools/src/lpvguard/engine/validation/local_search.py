@@ -13,9 +13,11 @@ MAX_POLISHED = 6
 
 
 class _Smooth:
-    """The quadratic problem as a smooth one: min sum_j p_j over real unknowns v, with exact derivatives. v =
-    (Re theta, Im theta, p over their first sum, Re and Im of each repeated block's scalar). The constraints
-    are scaled by what they are at the starting point ``z`` (n,)."""
+    """The quadratic problem as a smooth one: min sum_j p_j over real unknowns v, with exact derivatives.
+
+    v = (Re theta, Im theta, p over their first sum, Re and Im of each repeated block's scalar). The
+    constraints are scaled by what they are at the starting point ``z`` (n,).
+    """
 
     def __init__(self, problem: Quadratic, z: np.ndarray):
         self.forms, self.repeated, self.params = problem.forms, problem.repeated, problem.params
@@ -123,7 +125,9 @@ class _Smooth:
 
 def polish(problem: Quadratic, z: np.ndarray) -> np.ndarray | None:
     """Local improvement of a starting point ``z`` (n,): SLSQP on theta, the sizes and the repeated scalars.
-    The answer need not be feasible; None when it is not finite."""
+
+    The answer need not be feasible; None when it is not finite.
+    """
     smooth = _Smooth(problem, z)
     constraints = [{"type": "ineq", "fun": smooth.inequality, "jac": smooth.inequality_jacobian}]
     if problem.repeated:
@@ -143,8 +147,10 @@ def polish(problem: Quadratic, z: np.ndarray) -> np.ndarray | None:
 
 def repeated_starts(problem: Quadratic) -> list[np.ndarray]:
     """Points (n,) inside the constant constraints for problems with repeated blocks: samples, then descent.
+
     The scalars are sampled up to a few times a reference size. At that size the block reaches the scale of
-    its output from its constant input. The seed is fixed."""
+    its output from its constant input. The seed is fixed.
+    """
     if not problem.repeated:
         return []
     generator = np.random.default_rng(0)

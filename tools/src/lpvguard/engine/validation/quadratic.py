@@ -18,9 +18,11 @@ CANCELLED = 1e-12
 @dataclass(frozen=True)
 class Form:
     """|a z|^2 <= (constant + sizes[param]) slope |b z|^2, and for a repeated block a z = delta b z as well.
+
     ``a`` (r, n), ``b`` (r', n); r = r' for a repeated block, whose kind is ``repeated``. ``param`` -1: the
     constant alone; it is inf when a repeated block has no bound (its own cap is infinite). ``parts``: the
-    signals that a is stacked from, when there are several."""
+    signals that a is stacked from, when there are several.
+    """
 
     a: np.ndarray
     b: np.ndarray
@@ -38,8 +40,10 @@ def cancels(a: np.ndarray, z: np.ndarray) -> bool:
 
 class Quadratic:
     """min sum_j p_j over z = (theta, 1) of length ``n`` and p >= 0 (``params`` of them) subject to ``forms``.
+
     ``repeated``: indices of the forms of repeated blocks. ``boxed``: sizes that one repeated block alone
-    decides. The box of that block bounds the size, so it needs no separate direction."""
+    decides. The box of that block bounds the size, so it needs no separate direction.
+    """
 
     def __init__(self, forms: Sequence[Form], params: int, n: int):
         self.forms, self.params, self.n = list(forms), params, n
@@ -77,8 +81,10 @@ class Quadratic:
         self, z: np.ndarray, deltas: dict[int, complex]
     ) -> tuple[np.ndarray, np.ndarray | None] | None:
         """``z`` projected on the constraints a z = delta b z, and a basis (n - 1, m) of what stays free.
+
         ``deltas``: scalar per index of a repeated form. The basis is None without any (everything is free);
-        the answer is None when the constraints have no solution."""
+        the answer is None when the constraints have no solution.
+        """
         if not deltas:
             return z, None
         # Rows of a block in its own units: sizes of blocks may be 1e10 apart.
@@ -123,9 +129,11 @@ class Quadratic:
         return z
 
     def inside(self, deltas: dict[int, complex]) -> tuple[float, np.ndarray | None]:
-        """(ratio, z): the point with a z = delta b z that violates the constant constraints least. ``deltas``
-        as for :meth:`on_subspace`. A ratio of at most 1 is inside; it is inf, and z None, where no point has
-        these scalars."""
+        """(ratio, z): the point with a z = delta b z that violates the constant constraints least.
+
+        ``deltas`` as for :meth:`on_subspace`. A ratio of at most 1 is inside; it is inf, and z None, where no
+        point has these scalars.
+        """
         projected = self.on_subspace(self.origin(), deltas)
         if projected is None:
             return np.inf, None

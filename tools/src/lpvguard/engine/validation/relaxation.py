@@ -71,8 +71,10 @@ class Box:
 @dataclass(order=True)
 class BranchNode:
     """A cone of sizes, spanned by ``rays`` (k, params), and a box per repeated form (``boxes``, by index).
+
     ``lower``: certified bound of the cost over it. ``small``: at the parent the tangent's bound was the
-    better one."""
+    better one.
+    """
 
     lower: float
     serial: int
@@ -83,9 +85,11 @@ class BranchNode:
 
 @dataclass(frozen=True)
 class Tangent:
-    """Bounds of :meth:`Relaxation.tangent` and the primal matrix (n, n), or None. ``lower``: over the node.
-    ``centre``: at the boxes' centre on the central ray. ``box``: over the corners there. ``cone``: over the
-    rays there."""
+    """Bounds of :meth:`Relaxation.tangent` and the primal matrix (n, n), or None.
+
+    ``lower``: over the node. ``centre``: at the boxes' centre on the central ray. ``box``: over the corners
+    there. ``cone``: over the rays there.
+    """
 
     lower: float
     centre: float
@@ -253,8 +257,11 @@ class Relaxation:
 
 
 def _lifts(at: np.ndarray, kernel: np.ndarray, normal: np.ndarray, s: np.ndarray) -> np.ndarray:
-    """(penalties, n, rank) matrices ``lift`` with Y^* = lift pinv(A N), N = ``normal``. A lift makes the
-    certificate block diagonal: ``at`` on the kernel, the penalty outside. ``s``: singular values of A."""
+    """(penalties, n, rank) matrices ``lift`` with Y^* = lift pinv(A N), N = ``normal``.
+
+    A lift makes the certificate block diagonal: ``at`` on the kernel, the penalty outside. ``s``: singular
+    values of A.
+    """
     outside = normal.conj().T @ at @ normal
     penalties = np.linalg.norm(at) * PENALTIES
     cross = -kernel @ (kernel.conj().T @ at @ normal)

@@ -286,8 +286,10 @@ def least_squares_delta(e, z) -> np.ndarray:
 
 @dataclass(frozen=True)
 class TradeoffResult:
-    """Per point: J of (8) as ``cost``, nu = |delta|, and the delta and w that attain it. Shapes as in
-    :class:`S1Result`. ``cost`` and ``nu`` are inf where gamma_w < B1."""
+    """Per point: J of (8) as ``cost``, nu = |delta|, and the delta and w that attain it.
+
+    Shapes as in :class:`S1Result`. ``cost`` and ``nu`` are inf where gamma_w < B1.
+    """
 
     cost: np.ndarray
     nu: np.ndarray

@@ -38,7 +38,9 @@ _MAX_DUALS, _MAX_NEWTON = 240, 60
 @dataclass(frozen=True)
 class FormsResult:
     """Per point: certified ``lower``, attained ``upper``, the size ``p`` and point ``z`` (n,) that attain it.
-    ``duals``: dual problems used."""
+
+    ``duals``: dual problems used.
+    """
 
     lower: np.ndarray
     upper: np.ndarray
@@ -48,10 +50,12 @@ class FormsResult:
 
 
 def solve_forms(forms: np.ndarray, z0: np.ndarray, p_max, *, gap: float = GAP) -> FormsResult:
-    """min z* Q0 z + p over z = (theta, 1), p <= p_max, s.t. z* Qw z <= 0 and z* (A - p B) z <= 0. ``forms``
-    (points, 4, n, n) are the Hermitian Q0, Qw, A and B. They are scaled so that the cost at the feasible
-    ``z0`` (points, n) is about one. The last element of ``z0`` is 1. ``p_max`` has the shape (points,).
-    Raises InputError when n > 16."""
+    """min z* Q0 z + p over z = (theta, 1), p <= p_max, s.t. z* Qw z <= 0 and z* (A - p B) z <= 0.
+
+    ``forms`` (points, 4, n, n) are the Hermitian Q0, Qw, A and B. They are scaled so that the cost at the
+    feasible ``z0`` (points, n) is about one. The last element of ``z0`` is 1. ``p_max`` has the shape
+    (points,). Raises InputError when n > 16.
+    """
     forms, z = np.ascontiguousarray(forms, dtype=complex), np.array(z0, dtype=complex, order="C")
     points, n = z.shape
     if not 2 <= n <= MAX_N:

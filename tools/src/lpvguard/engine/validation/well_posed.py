@@ -8,8 +8,10 @@ from lpvguard.engine.validation.problem import Lft
 
 
 def block_caps(problem: Lft) -> np.ndarray:
-    """(tau,) 1 / sigma_max(P11,ii): at this size a single full block makes I - P11 Delta singular. inf where
-    P11,ii = 0."""
+    """(tau,) 1 / sigma_max(P11,ii): at this size a single full block makes I - P11 Delta singular.
+
+    inf where P11,ii = 0.
+    """
     caps = []
     row = col = 0
     for b in problem.blocks:
@@ -20,10 +22,12 @@ def block_caps(problem: Lft) -> np.ndarray:
 
 
 def well_posed(problem: Lft, nu: np.ndarray) -> bool:
-    """Whether no Delta with ||Delta_i|| <= nu_i makes I - P11 Delta singular, certified; ``nu`` (tau,). The
-    first test uses the spectral radius of the matrix of block norms. The second is the S-procedure on
+    """Whether no Delta with ||Delta_i|| <= nu_i makes I - P11 Delta singular, certified; ``nu`` (tau,).
+
+    The first test uses the spectral radius of the matrix of block norms. The second is the S-procedure on
     ``|xi_i| <= nu_i |(P11 xi)_i|`` with the multipliers of each block's structure. These are a matrix for a
-    repeated scalar, and one more for a real one (the D-G scalings of mu)."""
+    repeated scalar, and one more for a real one (the D-G scalings of mu).
+    """
     etas = split(problem.blocks, problem.p11, "cols")
     norms = np.array(
         [[np.linalg.norm(part.T, 2) for part in split(problem.blocks, eta.T, "rows")] for eta in etas]

@@ -130,8 +130,10 @@ def best_linear_error(
     car: Car, model: NominalModel, omega: np.ndarray, speed: np.ndarray, amplitude: np.ndarray
 ) -> np.ndarray:
     """(G, S, A) complex error of a car's best linear approximation under inputs as drives have them.
+
     Random-phase multisines with the drives' spectrum replace the sines of `true_error`; ``amplitude`` is
-    sqrt(2) times their rms (Pintelon and Schoukens, System Identification, 2012)."""
+    sqrt(2) times their rms (Pintelon and Schoukens, System Identification, 2012).
+    """
 
     def rates(v: np.ndarray, angle: np.ndarray) -> np.ndarray:
         acted = np.roll(angle, round(car.delay_s / model.Ts), axis=1)
@@ -174,7 +176,9 @@ def spectral_error(
     Y: np.ndarray,
 ) -> np.ndarray:
     """(G, S, A) complex error by spectra U and Y (S, A, R, K): least squares over lines about each frequency.
-    The shapes are omega (G,) [rad/s], speed (S,) [m/s] and amplitude (S, A) [rad]."""
+
+    The shapes are omega (G,) [rad/s], speed (S,) [m/s] and amplitude (S, A) [rad].
+    """
     lines = 2 * np.pi * np.arange(U.shape[-1]) / MULTISINE_S
     out = np.empty((len(omega), *amplitude.shape), complex)
     for g, w in enumerate(omega):
@@ -220,8 +224,10 @@ def known_drives(
     random: np.random.Generator,
     deviation: DriveDeviations | None = None,
 ) -> list[Drive]:
-    """Drives of a car; each has its own mean speed, amplitude, bias and disturbance. ``deviation`` multiplies
-    a drive's gain by 1 + gain and adds to its delay; None for none."""
+    """Drives of a car; each has its own mean speed, amplitude, bias and disturbance.
+
+    ``deviation`` multiplies a drive's gain by 1 + gain and adds to its delay; None for none.
+    """
     Ts = project.Ts_s
     n = round((duration_s + START_S) / Ts) + 1
     low, high = project.model.speed_min_mps, project.model.speed_max_mps

@@ -31,7 +31,10 @@ W_DELTA, B_W = 0.35, 0.05
 @dataclass(frozen=True)
 class MemoryRow:
     """t* over draws of Delta that lasts ``fraction`` of the frame: median, 95th percentile, maximum, share
-    above 1. ``bound_max``: the largest proved bound; ``tightest``: the largest (t* - 1) / (bound - 1)."""
+    above 1.
+
+    ``bound_max``: the largest proved bound; ``tightest``: the largest (t* - 1) / (bound - 1).
+    """
 
     fraction: float
     median: float

@@ -96,8 +96,11 @@ def multibody_drives(project: Project, seed: int, workers: Map = map) -> list[Dr
 def multibody_error(
     model: NominalModel, omega: np.ndarray, speed: np.ndarray, amplitude: np.ndarray, workers: Map = map
 ) -> np.ndarray:
-    """(G, S, A) complex error of the car's best linear approximation. The shapes are omega (G,) [rad/s],
-    speed (S,) [m/s] and amplitude (S, A) [rad]. The amplitude is sqrt(2) times the rms of the angle."""
+    """(G, S, A) complex error of the car's best linear approximation.
+
+    The shapes are omega (G,) [rad/s], speed (S,) [m/s] and amplitude (S, A) [rad]. The amplitude is sqrt(2)
+    times the rms of the angle.
+    """
 
     def rates(v: np.ndarray, angle: np.ndarray) -> np.ndarray:
         return np.array(list(workers(partial(yaw_rate, model.Ts), list(zip(v, angle, strict=True)))))

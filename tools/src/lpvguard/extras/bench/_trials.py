@@ -49,8 +49,11 @@ ABOVE = 1e-6
 
 @dataclass(frozen=True)
 class Trial:
-    """A trial. ``share`` is the reached over the proved number. ``grows`` says that a loop that is proved
-    stable grew. ``where`` is the place."""
+    """A trial.
+
+    ``share`` is the reached over the proved number. ``grows`` says that a loop that is proved stable grew.
+    ``where`` is the place.
+    """
 
     share: float
     grows: bool
@@ -151,8 +154,11 @@ class Trials:
         return Trial(gain, False, f"{row['v_mps']:.4g} m/s, {shape.__name__} between two Delta")
 
     def switched_delta(self) -> Trial:
-        """Trial at a node: all-passes whose signs switch as the derivative favours. The number is the scaled
-        gain from Delta's outputs to its inputs, bounded by level / (1 − level) (small gain)."""
+        """Trial at a node: all-passes whose signs switch as the derivative favours.
+
+        The number is the scaled gain from Delta's outputs to its inputs, bounded by level / (1 − level)
+        (small gain).
+        """
         row = self._one_of(self._switched())
         blocks, level = self.stability.blocks, row["stability_level"]
         corners = drawn_corners(self.random, blocks)
@@ -283,8 +289,10 @@ def _side_by_side(one: StateSpace, other: StateSpace) -> tuple[StateSpace, State
 
 
 def _turned(S: np.ndarray, signs: np.ndarray, index: np.ndarray, n: int, w: np.ndarray) -> np.ndarray:
-    """Row of ``signs`` (K, blocks) for every sample (T,) that the derivative of the gain favours. S (K, n +
-    p, n + m) belongs to these rows, w (T, m) is the input."""
+    """Row of ``signs`` (K, blocks) for every sample (T,) that the derivative of the gain favours.
+
+    S (K, n + p, n + m) belongs to these rows, w (T, m) is the input.
+    """
     history, turned = History(S, index, n), np.empty((len(index), signs.shape[1]))
     for block in range(signs.shape[1]):
         up = signs.copy()

@@ -31,8 +31,10 @@ if TYPE_CHECKING:  # cantools takes long to import
 
 
 def bench_decode(log: Path, dbc: Path, *, frames: int = 5_000_000, peer_frames: int = 200_000) -> dict:
-    """Frames per second of both, and their ratio; ``log`` is a candump log (also .gz). The peer's rate is of
-    ``peer_frames`` frames: it is a loop, its rate does not depend on their number."""
+    """Frames per second of both, and their ratio; ``log`` is a candump log (also .gz).
+
+    The peer's rate is of ``peer_frames`` frames: it is a loop, its rate does not depend on their number.
+    """
     text = gzip.decompress(Path(log).read_bytes()) if Path(log).suffix == ".gz" else Path(log).read_bytes()
     text = text if text.endswith(b"\n") else text + b"\n"
     database = load_database(dbc)

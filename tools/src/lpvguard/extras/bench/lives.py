@@ -81,9 +81,11 @@ def make_pool(drives: int, spread: float, seed: int, run: Map = map) -> Pool:
 def first_alarms(
     levels: np.ndarray, bets: np.ndarray, scores: Callable[[int], np.ndarray], recordings: int
 ) -> np.ndarray:
-    """Compute the recording that alarms first (lives,), 0 for never, for many lives at once. Each life has a
-    calibration set with ``levels`` (lives, K). The bets are ``bets`` (K + 1, bets). ``scores(t)`` (lives,)
-    are the scores of recording t."""
+    """Compute the recording that alarms first (lives,), 0 for never, for many lives at once.
+
+    Each life has a calibration set with ``levels`` (lives, K). The bets are ``bets`` (K + 1, bets).
+    ``scores(t)`` (lives,) are the scores of recording t.
+    """
     alarm = alarm_wealth(ALPHA)
     wealth, first = np.zeros((len(levels), len(POWERS)), np.float32), np.zeros(len(levels), int)
     for t in range(recordings):

@@ -83,8 +83,10 @@ def amplitudes(given: str | None, of_project: Sequence[float] | None) -> list[fl
 
 def true_table(loop: CertifiedLoop, asked: Sequence[float], run_all: Map, tables: str = "") -> dict[str, Any]:
     """The fields ``amplitudes``, ``promised``, ``true`` and ``beyond`` of robust.json, for SPEEDS speeds over
-    the model's range and each amplitude ``asked`` [bar]. ``tables``: variation and faults of the truck, as
-    scenario tables."""
+    the model's range and each amplitude ``asked`` [bar].
+
+    ``tables``: variation and faults of the truck, as scenario tables.
+    """
     speeds = np.linspace(*loop.model.speed_range, SPEEDS).tolist()
     plan = [(v, a, u) for v in speeds for a, u in zip(asked, loop.amplitudes(v, asked), strict=True)]
     found = [loop.true(measured) for measured in run_all(partial(_measured, tables), plan)]

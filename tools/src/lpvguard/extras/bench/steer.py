@@ -90,9 +90,11 @@ def _simulator(vehicle: Path) -> Simulator:
 
 
 def _row(vehicle: Path, point: tuple[str, float, float, int]) -> dict[str, Any]:
-    """A row of the table. tracking: rms error of the yaw rate over the command's; limited_s: longest time at
-    the demand's limit; line_bar, line_radps: steady line of the demand; falsified: contradictions to a
-    certificate."""
+    """A row of the table.
+
+    tracking: rms error of the yaw rate over the command's; limited_s: longest time at the demand's limit;
+    line_bar, line_radps: steady line of the demand; falsified: contradictions to a certificate.
+    """
     key, value, v, seed = point
     simulator = _simulator(vehicle)
     command = Command.multisine("log", 0.02, STEERING_RADPS, size=STEERING_RMS)

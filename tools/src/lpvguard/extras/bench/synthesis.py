@@ -62,7 +62,9 @@ open(sys.argv[2], "w"))
 @dataclass(frozen=True)
 class SynthesisRow:
     """One line of the table: ours and a peer's. ``level``: certified bound; ``claimed``: the peer's own word.
-    Peer fields are None when it was not run; ``peer_note`` says why, or what went wrong with it."""
+
+    Peer fields are None when it was not run; ``peer_note`` says why, or what went wrong with it.
+    """
 
     job: str
     states: int
@@ -86,7 +88,8 @@ class SynthesisRow:
 
 def order_23_plant(case: dict) -> GeneralisedPlant:
     """K_inf's plant with W_C and the noise and disturbance weights raised to third order: 23 states, as in
-    the paper."""
+    the paper.
+    """
     objective = case["objective"][0]
     weights = {
         name: weight_from_table(case[name], A_t=objective["A_t"], A_u=objective["A_u"])
@@ -101,8 +104,10 @@ def order_23_plant(case: dict) -> GeneralisedPlant:
 
 def run(case_path, repeats: int = 5, peers: Path | None = None) -> list[SynthesisRow]:
     """Measure the three syntheses; ``peers``: a folder for the peers' environment (made when missing), None:
-    without them. Our time is the least of ``repeats`` runs, as other work on the machine only adds to it; a
-    peer runs once."""
+    without them.
+
+    Our time is the least of ``repeats`` runs, as other work on the machine only adds to it; a peer runs once.
+    """
     case = read_case(case_path)
     big = order_23_plant(case)
     jobs: list[tuple[str, GeneralisedPlant, Callable]] = [

@@ -51,10 +51,12 @@ class KernelRow:
 def truck_points(
     experiments: int = 20, bins: int = 1024, seed: int = 0, ts_s: float = 0.01
 ) -> dict[str, np.ndarray]:
-    """Points of class S2 from a known (delta, Delta_s, w), all from ``seed``. There are ``experiments``
-    speeds from 8 to 22 m/s. The ``bins`` go from 0.02 rad/s to 90 % of Nyquist, sampled at ``ts_s``. Keys are
-    ``e (K, 2)``, ``z (K, 2)``, ``u (K,)``, ``x_nom (K, 3)``, ``h_i (K, 3)``, ``h_s (K, 3, 3)``, ``c (2, 3)``,
-    ``gamma_w (K,)``, ``w_delta (K, 1)``, ``w_w (K, 2)``."""
+    """Points of class S2 from a known (delta, Delta_s, w), all from ``seed``.
+
+    There are ``experiments`` speeds from 8 to 22 m/s. The ``bins`` go from 0.02 rad/s to 90 % of Nyquist,
+    sampled at ``ts_s``. Keys are ``e (K, 2)``, ``z (K, 2)``, ``u (K,)``, ``x_nom (K, 3)``, ``h_i (K, 3)``,
+    ``h_s (K, 3, 3)``, ``c (2, 3)``, ``gamma_w (K,)``, ``w_delta (K, 1)``, ``w_w (K, 2)``.
+    """
     rng = np.random.default_rng(seed)
 
     def gauss(*shape):

@@ -1,6 +1,8 @@
-"""`lpvguard fleet`: scores each recording of the vehicles once, in order, and updates their wealth. The first
-call fixes the calibration set in the state. A counted recording is not counted again; it is refused if its
-tables differ. The same folder may therefore be given again when it has grown."""
+"""`lpvguard fleet`: scores each recording of the vehicles once, in order, and updates their wealth.
+
+The first call fixes the calibration set in the state. A counted recording is not counted again; it is refused
+if its tables differ. The same folder may therefore be given again when it has grown.
+"""
 
 from __future__ import annotations
 
@@ -59,8 +61,11 @@ class Listed:
     @classmethod
     def of(cls, folder: Path, order: str | None = None, by: str | None = None) -> Listed:
         """Drives in the order of the text in column ``order`` of experiments.csv, by default in its own
-        order. Column ``by`` names the vehicle; by default the folder is one vehicle. Raises InputError where
-        pieces of a recording are of several vehicles, or a table is listed twice."""
+        order.
+
+        Column ``by`` names the vehicle; by default the folder is one vehicle. Raises InputError where pieces
+        of a recording are of several vehicles, or a table is listed twice.
+        """
         experiments = list_experiments(folder)
         if order is not None:
             key = index_column(folder, order)
@@ -85,9 +90,11 @@ def calibrated_state(
     workers: Map = map,
     progress: Callable[[str], None] = lambda _: None,
 ) -> tuple[FleetState, dict[str, str]]:
-    """New state from a folder of calibrating drives, and the reasons of recordings left out. Left out are
-    drives that set the bounds, by their split and by the hashes in the generated folder, and recordings that
-    are too short. Raises InputError where none remains."""
+    """New state from a folder of calibrating drives, and the reasons of recordings left out.
+
+    Left out are drives that set the bounds, by their split and by the hashes in the generated folder, and
+    recordings that are too short. Raises InputError where none remains.
+    """
     manifest = artefacts.read_manifest(replayer.core.folder, "vehicle").get("identification", {})
     names = manifest.get("drives", {}).get("bounds", [])
     setting = {manifest["sha256"][n] for n in names}

@@ -82,8 +82,10 @@ class DriveEstimate:
 
 @dataclass(frozen=True)
 class Scored:
-    """A recording: its drives with hashes of their tables, judged time that counts [s], and the score. The
-    score is None where that time is short."""
+    """A recording: its drives with hashes of their tables, judged time that counts [s], and the score.
+
+    The score is None where that time is short.
+    """
 
     name: str
     sha256: dict[str, str]
@@ -123,8 +125,10 @@ def pieces_of(
 
 
 def scored(replayer: Replayer, pieces: Iterable[ScoredDrive], judged_s: float) -> list[Scored]:
-    """Recordings of the pieces, in the order of their first ones. The piece in which the length is reached
-    gives its first samples to the score, and its sums in proportion."""
+    """Recordings of the pieces, in the order of their first ones.
+
+    The piece in which the length is reached gives its first samples to the score, and its sums in proportion.
+    """
     most = round(judged_s / replayer.project.Ts_s)
     of: dict[str, list[ScoredDrive]] = {}
     for piece in pieces:

@@ -52,8 +52,10 @@ def ranks(n: int) -> np.ndarray:
 
 
 def _all_hold(n: int, rank: np.ndarray, low: np.ndarray) -> float:
-    """Probability that each order statistic ``rank`` (K,) of n uniform numbers is at least ``low`` (K,). Both
-    are ascending: fewer than rank numbers lie below each low."""
+    """Probability that each order statistic ``rank`` (K,) of n uniform numbers is at least ``low`` (K,).
+
+    Both are ascending: fewer than rank numbers lie below each low.
+    """
     law, before = np.r_[1.0, np.zeros(n)], 0.0
     counts = np.arange(n + 1)
     for k, x in zip(rank, low, strict=True):
@@ -160,8 +162,10 @@ class LifeTable:
 
     @classmethod
     def of(cls, scores: Iterable[float], alpha: float, eta: float) -> LifeTable:
-        """Table from calibration scores in any order. Raises InputError for no score, a score that is not
-        finite, and rates outside (0, 1)."""
+        """Table from calibration scores in any order.
+
+        Raises InputError for no score, a score that is not finite, and rates outside (0, 1).
+        """
         sorted_scores = np.sort(np.array(list(scores), np.float32))
         for name, value in (("alpha", alpha), ("eta", eta)):
             if not 0 < value < 1:
@@ -182,8 +186,10 @@ class LifeTable:
         return np.searchsorted(self.levels, np.asarray(score, np.float32), side="left")
 
     def earliest(self, life: Life) -> int | None:
-        """Number of further recordings above all n scores until the wealth of a life alarms. It is 0 where it
-        has alarmed, and None if it cannot within MOST."""
+        """Number of further recordings above all n scores until the wealth of a life alarms.
+
+        It is 0 where it has alarmed, and None if it cannot within MOST.
+        """
         count = 0
         while not life.changed_at:
             if count >= 1000:

@@ -1,6 +1,8 @@
-"""Live messages of an MCAP recording, for Foxglove and PlotJuggler on this machine. The server is Foxglove's
-own (package foxglove-sdk) and only allows reading. Its queue for a client is BACKLOG messages. A slower
-client loses the oldest of them, and nothing waits for it."""
+"""Live messages of an MCAP recording, for Foxglove and PlotJuggler on this machine.
+
+The server is Foxglove's own (package foxglove-sdk) and only allows reading. Its queue for a client is BACKLOG
+messages. A slower client loses the oldest of them, and nothing waits for it.
+"""
 
 import json
 

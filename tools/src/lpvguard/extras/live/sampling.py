@@ -1,5 +1,7 @@
-"""Live frames through the compiled receiver: samples a tick, as on the ECU. The clock is that of
-replay/receive.py. Only its phase comes from the first FIRST_S of frames instead of all."""
+"""Live frames through the compiled receiver: samples a tick, as on the ECU.
+
+The clock is that of replay/receive.py. Only its phase comes from the first FIRST_S of frames instead of all.
+"""
 
 import numpy as np
 
@@ -38,7 +40,9 @@ class Sampler:
 
     def take(self, frames: Frames) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
         """Samples that ``frames`` complete, a piece a stretch of the clock: t (N,) [s], values, present (N,).
-        The values have shape (N, columns)."""
+
+        The values have shape (N, columns).
+        """
         frames = self._of_channel(frames)
         found = []
         while len(frames):

@@ -1,6 +1,8 @@
-"""The page of `lpvguard live`: one process, for browsers of this machine, read only. A browser asks for the
-next view when it has drawn the last. A slow one asks less often and skips views; nothing is queued. Every
-answer is bounded: MOST_ROWS rows of series."""
+"""The page of `lpvguard live`: one process, for browsers of this machine, read only.
+
+A browser asks for the next view when it has drawn the last. A slow one asks less often and skips views;
+nothing is queued. Every answer is bounded: MOST_ROWS rows of series.
+"""
 
 import asyncio
 import csv

@@ -1,6 +1,8 @@
-"""Live sources of frames: a simulation's LCM channel, a CAN interface, a growing candump log. Nothing here
-keeps more than MOST frames or BLOCK bytes. Other frames wait in the kernel's or LCM's own queue. Its overflow
-is counted where the source reports it."""
+"""Live sources of frames: a simulation's LCM channel, a CAN interface, a growing candump log.
+
+Nothing here keeps more than MOST frames or BLOCK bytes. Other frames wait in the kernel's or LCM's own queue.
+Its overflow is counted where the source reports it.
+"""
 
 import time
 from collections.abc import Iterator
@@ -26,8 +28,11 @@ EXPECTED = "an LCM URL (udpm://...), socketcan:INTERFACE, or the path of a candu
 
 
 class FrameSource(Protocol):
-    """A live source of frames. ``lost`` counts frames that the source knows it lost. ``trouble`` explains
-    missing frames; empty if unknown."""
+    """A live source of frames.
+
+    ``lost`` counts frames that the source knows it lost. ``trouble`` explains missing frames; empty if
+    unknown.
+    """
 
     name: str
     lost: int

@@ -1,6 +1,8 @@
-"""Answers of the compiled core to live frames, the newest WINDOW of it kept in rings. One thread takes frames
-from the source and judges them (`Watch.run`). Readers copy a few numbers under a lock; no reader delays the
-source for longer than such a copy."""
+"""Answers of the compiled core to live frames, the newest WINDOW of it kept in rings.
+
+One thread takes frames from the source and judges them (`Watch.run`). Readers copy a few numbers under a
+lock; no reader delays the source for longer than such a copy.
+"""
 
 import threading
 import time
@@ -287,8 +289,10 @@ class Watch:
         return {**self._receiver.counted(counts), "live": states}
 
     def drive(self, begin: float, end: float) -> tuple[list[str], np.ndarray]:
-        """Longest stretch without a gap between ``begin`` and ``end`` [s], as a drive table. Returns columns
-        and numbers (N, columns); N is 0 without a sample."""
+        """Longest stretch without a gap between ``begin`` and ``end`` [s], as a drive table.
+
+        Returns columns and numbers (N, columns); N is 0 without a sample.
+        """
         project = self.replayer.project
         with self._lock:
             rows = self._ring.rows(self._ring.find(begin), self._ring.find(end))

@@ -71,8 +71,10 @@ BUS_FAULTS = [
 
 
 def run_fault(simulator: Simulator, fault: BusFault, **options: Any) -> dict[str, Any]:
-    """One row of the table; ``options`` go to Simulator.run. ``missed`` holds a sentence for each late or
-    missing reaction."""
+    """One row of the table; ``options`` go to Simulator.run.
+
+    ``missed`` holds a sentence for each late or missing reaction.
+    """
     period_s = load_catalogue().message(fault.message).period_ms / 1000
     # A frame that is due at the very end is good again; the last delayed one comes later still.
     window_s = fault.periods * period_s - simulator.project.Ts_s / 2

@@ -254,9 +254,11 @@ class Client:
         return [self._heard.popleft() for _ in range(min(most, len(self._heard)))]
 
     def command(self, action: Action, entry: str = "", *, ticks: int = 1, timeout_s: float = 5.0) -> Any:
-        """Send a control_t (firmware_sim/lcm/lpvguard_control.lcm) and return the answering status_t. Other
-        messages remain for ``messages``. Raises InputError when the command is refused, or when no answer
-        comes within ``timeout_s`` [s]."""
+        """Send a control_t (firmware_sim/lcm/lpvguard_control.lcm) and return the answering status_t.
+
+        Other messages remain for ``messages``. Raises InputError when the command is refused, or when no
+        answer comes within ``timeout_s`` [s].
+        """
         types = message_types()
         asked = types.control_t()
         asked.id, asked.action, asked.entry, asked.ticks = (

@@ -190,10 +190,12 @@ def can_fault_table(message: str, kind: str, start_s: float, end_s: float, **mor
 def feedforward(
     project: Project, nodes: np.ndarray, u_max: np.ndarray, rate_max: np.ndarray
 ) -> ControllerCoefficients:
-    """Controller for comparison: the command over the nominal DC gain, without feedback, one sample late. It
-    has the limits of the compared controller: u_max (G, 1) [input unit] at its nodes (G,) [m/s], rate_max
+    """Controller for comparison: the command over the nominal DC gain, without feedback, one sample late.
+
+    It has the limits of the compared controller: u_max (G, 1) [input unit] at its nodes (G,) [m/s], rate_max
     (1,) [input unit/s]. Its nodes are these nodes and the speeds midway, so the limits are the same
-    everywhere. Raises InputError as ``build_controller``."""
+    everywhere. Raises InputError as ``build_controller``.
+    """
     model = NominalModel(project)
     speeds = np.linspace(nodes[0], nodes[-1], 2 * len(nodes) - 1)
     gain = model.dc_gain(speeds)[:, 0, 0]
@@ -358,10 +360,12 @@ class Simulator:
     def drive(
         self, path: Path, *, seed: int | None = None, log: Path | None = None, telemetry: Path | None = None
     ) -> tuple[dict[str, Any], Drive]:
-        """One run of the scenario file ``path``: its facts, and the drive. The facts are the simulator's
-        output. The drive is the monitor's input; samples that it did not get are missing. ``log``: file for
-        every frame of the bus as candump -L writes it; ``telemetry``: CSV of the loop every 100 ms. Findings
-        are only reported, so that the loop goes on after the first one."""
+        """One run of the scenario file ``path``: its facts, and the drive.
+
+        The facts are the simulator's output. The drive is the monitor's input; samples that it did not get
+        are missing. ``log``: file for every frame of the bus as candump -L writes it; ``telemetry``: CSV of
+        the loop every 100 ms. Findings are only reported, so that the loop goes on after the first one.
+        """
         with tempfile.TemporaryDirectory() as scratch:
             table = Path(scratch) / f"{path.stem}.csv"
             command: list[Any] = ["--drive", table, *REPORT_ONLY]
@@ -452,8 +456,10 @@ def _joining(bus: str, program: Path) -> Path:
 
 
 def loop_objects(folder: Path, main: Path, *, lcm: bool = False) -> list[Path]:
-    """Objects of a program ``main`` around the simulated loop of a generated folder with a controller. Raises
-    NativeError where one does not compile."""
+    """Objects of a program ``main`` around the simulated loop of a generated folder with a controller.
+
+    Raises NativeError where one does not compile.
+    """
     root = firmware_root()
     plant = [root / "plant" / "include", root / "plant" / "src", root / "plant" / "tool"]
     of_no_vehicle = [root / "sim", *_ecu_folders(root), *plant, library_root() / "include"]
@@ -535,8 +541,10 @@ def _reception(raw: dict[str, Any]) -> dict[str, Any]:
 
 
 def judged_spans(rows: np.ndarray) -> list[list[float]]:
-    """Joined spans [t0, t1] of the counted frames [s], in order of time. ``rows`` (F,): the simulator's table
-    of frames with fields reason, t_begin_s, t_end_s."""
+    """Joined spans [t0, t1] of the counted frames [s], in order of time.
+
+    ``rows`` (F,): the simulator's table of frames with fields reason, t_begin_s, t_end_s.
+    """
     counted = rows[rows["reason"] <= 1]
     spans: list[list[float]] = []
     for begin, end in sorted(zip(counted["t_begin_s"].tolist(), counted["t_end_s"].tolist(), strict=False)):

@@ -86,7 +86,9 @@ def required(
     within: Limits = MappingProxyType({}),
 ) -> np.ndarray:
     """Required state (N,) at each tick (N,) [us], from ``messages`` and ``frames`` in the order of arrival.
-    ``bus_off_us``: times of the reports; ``within``: limits of the vehicle, see ``limits``."""
+
+    ``bus_off_us``: times of the reports; ``within``: limits of the vehicle, see ``limits``.
+    """
     worst, refused = np.full(len(ticks_us), LIVE), np.zeros(len(ticks_us), bool)
     for message in messages:
         at = np.flatnonzero(
@@ -110,8 +112,10 @@ def required(
 
 @dataclass
 class _Watch:
-    """One message at the time of its newest frame. ``changes``: (time [us], state from then on); ``taken``:
-    (time [us], raw values) of every good frame."""
+    """One message at the time of its newest frame.
+
+    ``changes``: (time [us], state from then on); ``taken``: (time [us], raw values) of every good frame.
+    """
 
     period: int
     state: int = OFF

@@ -45,7 +45,9 @@ _DIMENSIONS = 3
 @dataclass(frozen=True)
 class Measurement:
     """A field as a measurement tool sees it, or an element of an array whose elements differ in unit.
-    ``dims`` are as in C: the last runs fastest. ``values`` names the values 0, 1, ..., () for a number."""
+
+    ``dims`` are as in C: the last runs fastest. ``values`` names the values 0, 1, ..., () for a number.
+    """
 
     name: str
     text: str

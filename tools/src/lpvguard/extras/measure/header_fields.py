@@ -1,6 +1,8 @@
-"""Descriptions of struct fields in the core's headers: text, unit and range. A field's description is its
-Doxygen comment: `///<` behind it, or the `///` lines in front. A unit is the last text in square brackets, a
-range is written `0 .. 16`."""
+"""Descriptions of struct fields in the core's headers: text, unit and range.
+
+A field's description is its Doxygen comment: `///<` behind it, or the `///` lines in front. A unit is the
+last text in square brackets, a range is written `0 .. 16`.
+"""
 
 import re
 from collections.abc import Iterator
@@ -29,8 +31,10 @@ class Described:
 
 
 def described_fields(include: Path) -> dict[str, dict[str, Described]]:
-    """Descriptions by struct and field, of all headers ``*.h`` in the folder ``include``. A field without a
-    comment has the text "". Raises InputError where there is no struct."""
+    """Descriptions by struct and field, of all headers ``*.h`` in the folder ``include``.
+
+    A field without a comment has the text "". Raises InputError where there is no struct.
+    """
     found = {
         struct: {name: _described(text) for name, text in _fields(body)}
         for header in sorted(include.glob("*.h"))

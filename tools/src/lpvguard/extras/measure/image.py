@@ -19,9 +19,11 @@ _OP_ADDR = 0x03
 
 @dataclass(frozen=True)
 class PlacedField:
-    """A field with a value: ``path`` in the object (`.monitor.bin[3].n`), and ``offset``. ``struct`` declares
-    it under ``name``. An element has ``bytes`` and a ``kind``: float, signed, unsigned or bool. ``dims`` are
-    those of the array of elements, () for one. ``enum`` names its type, None for a number."""
+    """A field with a value: ``path`` in the object (`.monitor.bin[3].n`), and ``offset``.
+
+    ``struct`` declares it under ``name``. An element has ``bytes`` and a ``kind``: float, signed, unsigned or
+    bool. ``dims`` are those of the array of elements, () for one. ``enum`` names its type, None for a number.
+    """
 
     path: str
     struct: str
@@ -35,9 +37,11 @@ class PlacedField:
 
 @dataclass(frozen=True)
 class Instance:
-    """An object of an image: its ``symbol``, its ``struct``, ``address`` and ``bytes``. ``big_endian`` is the
-    image. ``fields`` have a value, in the order of their offsets. ``pointers`` are (offset, bytes) without
-    meaning for a measurement."""
+    """An object of an image: its ``symbol``, its ``struct``, ``address`` and ``bytes``.
+
+    ``big_endian`` is the image. ``fields`` have a value, in the order of their offsets. ``pointers`` are
+    (offset, bytes) without meaning for a measurement.
+    """
 
     symbol: str
     struct: str
@@ -49,8 +53,11 @@ class Instance:
 
 
 def read_instance(elf: Path, symbol: str, structs: tuple[str, ...]) -> Instance:
-    """The object ``symbol`` of an image, which must be one of ``structs``. Raises InputError where the file
-    is no ELF, has no debug information, or has no such object, several, or one of another type."""
+    """The object ``symbol`` of an image, which must be one of ``structs``.
+
+    Raises InputError where the file is no ELF, has no debug information, or has no such object, several, or
+    one of another type.
+    """
     try:
         with elf.open("rb") as stream:
             image = ELFFile(stream)

@@ -1,6 +1,8 @@
-"""Access of a measurement tool to the slave of lpvguard/xcp.h: IF_DATA XCPplus of ASAP2, for XCP on CAN. The
-block's grammar is that of the standard (ASAM MCD-1 XCP, AML of protocol layer, DAQ and CAN), which tools
-know. Sizes and the event's name are those of the core's header."""
+"""Access of a measurement tool to the slave of lpvguard/xcp.h: IF_DATA XCPplus of ASAP2, for XCP on CAN.
+
+The block's grammar is that of the standard (ASAM MCD-1 XCP, AML of protocol layer, DAQ and CAN), which tools
+know. Sizes and the event's name are those of the core's header.
+"""
 
 from __future__ import annotations
 
@@ -71,8 +73,10 @@ class XcpAccess:
 
 
 def if_data(access: XcpAccess, period_us: int, big_endian: bool, include: Path) -> list[str]:
-    """Lines of the block. ``period_us``: from step to step; ``include``: folder of the core's headers. Raises
-    InputError where the headers have no such slave."""
+    """Lines of the block. ``period_us``: from step to step; ``include``: folder of the core's headers.
+
+    Raises InputError where the headers have no such slave.
+    """
     header = include / "xcp.h"
     entry_bytes = int(_defined(header, "ODT_ENTRIES_MAX", r"(\d+)U"))
     event = _defined(header, "EVENT_NAME", r'"(\w+)"')

@@ -10,8 +10,10 @@ from lpvguard.base.errors import InputError
 
 
 class Fields:
-    """Typed access to one problem's fields. Every method raises an InputError that names the problem and the
-    field when the field does not fit."""
+    """Typed access to one problem's fields.
+
+    Every method raises an InputError that names the problem and the field when the field does not fit.
+    """
 
     def __init__(self, problem: dict):
         self.problem = problem
@@ -68,8 +70,10 @@ class Fields:
         return a
 
     def complex(self, name: str, shape: tuple[int | None, ...]) -> np.ndarray:
-        """Finite complex array of the shape ``shape`` (None: any length) from [re, im] pairs. A matrix
-        without columns may be written ``[[], []]``."""
+        """Finite complex array of the shape ``shape`` (None: any length) from [re, im] pairs.
+
+        A matrix without columns may be written ``[[], []]``.
+        """
         expected = f"finite [re, im] pairs of shape {_shape_text(shape)}"
         a = self._array(name, expected)
         sizes = [s for s in shape if s is not None]

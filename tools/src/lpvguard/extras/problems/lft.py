@@ -67,8 +67,10 @@ def _explanation(s: Solution) -> dict:
 
 def _require_attained(f: Fields, name: str, s: Solution, cost: float, size: float, gamma: float) -> None:
     """Raise InputError unless the explanation costs what the upper bound says, and no less than the lower.
+
     ``cost`` is that of the explanation's nu and w. ``size`` is |w|, at most ``gamma``. The Delta that belongs
-    to them is verified where it is built."""
+    to them is verified where it is built.
+    """
     upper = s.upper * (1 + ATTAINED_RTOL)
     if cost <= upper and s.lower <= upper and size <= gamma * (1 + ATTAINED_RTOL):
         return
@@ -91,7 +93,9 @@ def _or_reason(answer: dict, name: str, solver: Callable[[], float]) -> None:
 
 def solve_lft(f: Fields) -> dict:
     """Answer to kind ``lft``: the optimum of (8) as an interval, its explanation, and two side questions.
-    Raises InputError that names the field of an impossible problem."""
+
+    Raises InputError that names the field of an impossible problem.
+    """
     problem = _problem(f)
     tau, n_w = len(problem.blocks), problem.p22.shape[1]
     gamma = f.number("gamma_w")
@@ -116,8 +120,10 @@ def solve_lft(f: Fields) -> dict:
 
 
 def solve_lft_margin(f: Fields) -> dict:
-    """Answer to kind ``lft_margin``: the margin t as an interval, and its explanation. Raises InputError that
-    names the field of an impossible problem."""
+    """Answer to kind ``lft_margin``: the margin t as an interval, and its explanation.
+
+    Raises InputError that names the field of an impossible problem.
+    """
     problem = _problem(f)
     w_delta = f.weights("W_delta", len(problem.blocks), positive=True)
     w_w = f.weights("W_w", problem.p22.shape[1], positive=True)

@@ -129,8 +129,10 @@ def _solve_margin(f: Fields) -> dict:
 
 
 def _within(e: np.ndarray, z: np.ndarray, reach: float, w: np.ndarray) -> bool:
-    """Tell whether one delta within ``reach`` leaves |E_j - delta Z_j| <= ``w`` (n,) of every output. Discs
-    that meet share a centre of one of them, or a point where two of their circles meet."""
+    """Tell whether one delta within ``reach`` leaves |E_j - delta Z_j| <= ``w`` (n,) of every output.
+
+    Discs that meet share a centre of one of them, or a point where two of their circles meet.
+    """
     tell = z != 0
     centres = np.append(e[tell] / z[tell], 0.0)
     radii = np.append(w[tell] / np.abs(z[tell]), reach)

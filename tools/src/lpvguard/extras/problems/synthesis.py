@@ -1,6 +1,8 @@
-"""Kinds ``hinf``, ``mu`` and ``mu_interval`` of the problem interface. Fields are as in
-lpvguard/extras/problems/solve.py: complex numbers are [re, im], matrices row-major nested lists. An
-impossible problem raises InputError (what, where, expected), which becomes an error answer."""
+"""Kinds ``hinf``, ``mu`` and ``mu_interval`` of the problem interface.
+
+Fields are as in lpvguard/extras/problems/solve.py: complex numbers are [re, im], matrices row-major nested
+lists. An impossible problem raises InputError (what, where, expected), which becomes an error answer.
+"""
 
 import numpy as np
 

@@ -58,8 +58,10 @@ class PlainFolder:
 
 @contextmanager
 def origin_of(data: DataSet, folder: Path | None) -> Iterator[Origin]:
-    """Open the origin of a data set: ``folder``, or by default its repository, by git over the network. The
-    folder is a clone or a plain one. Only the needed files are fetched, into a scratch folder."""
+    """Open the origin of a data set: ``folder``, or by default its repository, by git over the network.
+
+    The folder is a clone or a plain one. Only the needed files are fetched, into a scratch folder.
+    """
     if folder is not None:
         if not folder.is_dir():
             raise InputError(folder, "--from", "no such folder", f"a clone of {data.repository}")

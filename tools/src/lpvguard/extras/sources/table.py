@@ -1,5 +1,7 @@
-"""Table of public data sets: origin, conversion and hashes of each file. The shipped table is
-``public.toml``. Another table has the same form: a section a data set."""
+"""Table of public data sets: origin, conversion and hashes of each file.
+
+The shipped table is ``public.toml``. Another table has the same form: a section a data set.
+"""
 
 from __future__ import annotations
 
@@ -25,9 +27,11 @@ def _plain(path: str) -> bool:
 
 
 class MatlabColumn(StrictModel):
-    """A column made of a MATLAB variable, interpolated linearly to the grid. ``signal`` None: the time.
-    ``unwrap``: an angle [rad], unwrapped first. ``slope_samples``: its slope over so many samples of the grid
-    (least squares, quadratic)."""
+    """A column made of a MATLAB variable, interpolated linearly to the grid.
+
+    ``signal`` None: the time. ``unwrap``: an angle [rad], unwrapped first. ``slope_samples``: its slope over
+    so many samples of the grid (least squares, quadratic).
+    """
 
     name: str
     signal: str | None = None
@@ -53,8 +57,11 @@ class Csv(StrictModel):
 
 
 class CanArrays(StrictModel):
-    """A candump log of four numpy arrays in one folder. They are address, data (bytes), src (number of the
-    bus) and t [s]. ``buses``: number -> channel; frames of others are left out."""
+    """A candump log of four numpy arrays in one folder.
+
+    They are address, data (bytes), src (number of the bus) and t [s]. ``buses``: number -> channel; frames of
+    others are left out.
+    """
 
     kind: Literal["can_arrays"]
     buses: Annotated[dict[str, str], Field(min_length=1)]
@@ -70,10 +77,13 @@ Form = Annotated[Matlab | Csv | CanArrays | Copy, Field(discriminator="kind")]
 
 
 class PublicFile(StrictModel):
-    """A file of a data set. ``name`` is its place in the folder. ``path`` is its place in the repository at
-    ``commit`` (for arrays their folder). ``source_sha256`` is the hash of the bytes read there, with parts in
-    the order of their names. ``sha256`` is that of the result. ``form`` None stands for the data set's.
-    ``index`` is its row of the data set's index."""
+    """A file of a data set.
+
+    ``name`` is its place in the folder. ``path`` is its place in the repository at ``commit`` (for arrays
+    their folder). ``source_sha256`` is the hash of the bytes read there, with parts in the order of their
+    names. ``sha256`` is that of the result. ``form`` None stands for the data set's. ``index`` is its row of
+    the data set's index.
+    """
 
     name: str
     commit: Commit
@@ -92,8 +102,11 @@ class PublicFile(StrictModel):
 
 
 class DataSet(StrictModel):
-    """A data set. ``repository`` is fetched by git, ``licence`` is its SPDX name. ``index``: name of a CSV
-    with the ``index`` of every file that has one, or None."""
+    """A data set.
+
+    ``repository`` is fetched by git, ``licence`` is its SPDX name. ``index``: name of a CSV with the
+    ``index`` of every file that has one, or None.
+    """
 
     title: str
     repository: str

@@ -22,9 +22,12 @@ def performance_weights(
     objectives: list[tuple[str, np.ndarray]],
     command: tuple[np.ndarray, np.ndarray] | None,
 ) -> Figure:
-    """Fig. 5: magnitudes of the weights over omega (K,) [rad/s]. ``signals``: name, |W| (K,) and unit of the
-    weights that normalise signals. ``objectives``: name and |W| (K,) of W_t and W_u. ``command``: frequencies
-    [rad/s] and bound of the measured yaw rate behind W_C, or None."""
+    """Fig. 5: magnitudes of the weights over omega (K,) [rad/s].
+
+    ``signals``: name, |W| (K,) and unit of the weights that normalise signals. ``objectives``: name and |W|
+    (K,) of W_t and W_u. ``command``: frequencies [rad/s] and bound of the measured yaw rate behind W_C, or
+    None.
+    """
     figure = new_figure(8.2, 3.4)
     left, right = figure.subplots(1, 2, sharex=True)
     for (name, values, unit), colour, line in zip(
@@ -135,7 +138,9 @@ def _draw_ceilings(axes: Axes, found: dict) -> None:
 @picture
 def tradeoff_front(found: dict) -> Figure:
     """Front of `design --tradeoff`: left worst mu over uniform ceilings, right the best candidate's bounds.
-    ``found``: tradeoff.json."""
+
+    ``found``: tradeoff.json.
+    """
     figure = new_figure(8.2, 3.6)
     left, right = figure.subplots(1, 2)
     _draw_levels(left, found)

@@ -76,9 +76,11 @@ def _over_severity(
     label: str,
     draw: Callable[[Axes, np.ndarray, list[dict]], None],
 ) -> Figure:
-    """A panel per kind of fault with more than one severity. ``draw(axes, x, rows)`` fills a panel with
-    ``rows`` in the order of their severities ``x``. ``units`` has the severity's unit by kind of fault.
-    ``label`` is that of the vertical axes."""
+    """A panel per kind of fault with more than one severity.
+
+    ``draw(axes, x, rows)`` fills a panel with ``rows`` in the order of their severities ``x``. ``units`` has
+    the severity's unit by kind of fault. ``label`` is that of the vertical axes.
+    """
     kinds = [k for k in units if sum(s["kind"] == k for s in severities) > 1]
     columns = 4
     lines = -(-len(kinds) // columns)
@@ -145,8 +147,10 @@ def detection(severities: list[dict], units: dict[str, str], names: dict[str, st
 
 @picture
 def detection_time(severities: list[dict], units: dict[str, str], names: dict[str, str]) -> Figure:
-    """Median judged, excited time [s] from a fault to the first alarm, against its severity. There is no
-    point where fewer than half of the runs alarmed. The arguments are those of ``detection``."""
+    """Median judged, excited time [s] from a fault to the first alarm, against its severity.
+
+    There is no point where fewer than half of the runs alarmed. The arguments are those of ``detection``.
+    """
 
     def draw(axes: Axes, x: np.ndarray, rows: list[dict]) -> None:
         for detector, (colour, line, mark, width) in zip(names, DETECTOR_STYLES, strict=False):

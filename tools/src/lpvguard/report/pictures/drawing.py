@@ -207,9 +207,11 @@ GLYPH = r"DejaVu\w+(?:-\w+)*-[0-9a-f]+"
 
 
 def picture(draw: Callable[Arguments, Figure]) -> Callable[Concatenate[str, Arguments], Picture]:
-    """Decorate a function that draws a figure in the style of the report. The decorated function takes a name
-    before its arguments and returns the picture. The name must be unique on a page, because the ids of the
-    picture contain it."""
+    """Decorate a function that draws a figure in the style of the report.
+
+    The decorated function takes a name before its arguments and returns the picture. The name must be unique
+    on a page, because the ids of the picture contain it.
+    """
 
     def wrapped(name: str, *arguments: Arguments.args, **named: Arguments.kwargs) -> Picture:
         with matplotlib.rc_context(STYLE):

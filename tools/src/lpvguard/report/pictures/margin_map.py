@@ -34,8 +34,10 @@ def _colours() -> matplotlib.colors.Colormap:
 
 
 def _paint(kind: np.ndarray, value: np.ndarray) -> np.ndarray:
-    """Picture (K * ROW_PIXELS, W, 4) of cells, RGBA of 8 bit. ``kind`` (K, W): index into REASONS, or -1
-    where there is no frame; ``value`` (K, W): margin / threshold."""
+    """Picture (K * ROW_PIXELS, W, 4) of cells, RGBA of 8 bit.
+
+    ``kind`` (K, W): index into REASONS, or -1 where there is no frame; ``value`` (K, W): margin / threshold.
+    """
     kind, value = (np.repeat(a, ROW_PIXELS, axis=0) for a in (kind, value))
     y, x = np.indices(kind.shape)
     out = np.zeros((*kind.shape, 4))
@@ -56,9 +58,11 @@ def _paint(kind: np.ndarray, value: np.ndarray) -> np.ndarray:
 
 
 def _cells(replay: Replay, t0: float, lengths: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Kind and margin of every cell of the map, each (K, MAP_WIDTH). A frame fills its central half, where
-    its window has its weight. ``t0`` is the start of the drive [s], ``lengths`` (K,) are frame lengths
-    [samples]."""
+    """Kind and margin of every cell of the map, each (K, MAP_WIDTH).
+
+    A frame fills its central half, where its window has its weight. ``t0`` is the start of the drive [s],
+    ``lengths`` (K,) are frame lengths [samples].
+    """
     frames = replay.run.frames
     kind, value = np.full((len(lengths), MAP_WIDTH), -1), np.zeros((len(lengths), MAP_WIDTH))
     length_s = lengths[frames.bin] * replay.Ts
@@ -136,9 +140,11 @@ def margin_map(
     threshold: float,
     speed_range: tuple[float, float],
 ) -> Figure:
-    """Margin of one drive over time and bins, with its alarms; below it speed and verdict. ``t``, ``v`` (N,)
-    are time [s] and speed [m/s]. ``omega``, ``lengths`` (K,) are bins [rad/s] and frame lengths [samples].
-    ``speed_range`` is that of the model [m/s]."""
+    """Margin of one drive over time and bins, with its alarms; below it speed and verdict.
+
+    ``t``, ``v`` (N,) are time [s] and speed [m/s]. ``omega``, ``lengths`` (K,) are bins [rad/s] and frame
+    lengths [samples]. ``speed_range`` is that of the model [m/s].
+    """
     K = len(omega)
     map_in, speed_in, verdict_in, gap_in, below_in = 0.135 * K, 0.72, 0.13, 0.13, 0.45
     height = map_in + speed_in + verdict_in + 3 * gap_in + below_in

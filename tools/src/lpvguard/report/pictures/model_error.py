@@ -1,5 +1,7 @@
-"""Picture of the model error model beside W_delta. Estimates come from the drives that set the bounds and
-from those that judge them. Frequencies are in rad/s."""
+"""Picture of the model error model beside W_delta.
+
+Estimates come from the drives that set the bounds and from those that judge them. Frequencies are in rad/s.
+"""
 
 from collections.abc import Sequence
 from itertools import pairwise
@@ -33,9 +35,11 @@ def model_error(
     names: Sequence[str],
 ) -> Figure:
     """|delta_c| over frequency, a panel an output, with W_delta and the assumption beyond the data.
+
     ``W_delta`` (N, n_y) at ``omega`` (N,) [rad/s] includes inflation. ``last`` holds per output the last
     informative frequency [rad/s], or None. ``beyond`` (G, n_y) is 1 + rho at the grid's frequencies.
-    ``reasons`` and ``names`` are per output."""
+    ``reasons`` and ``names`` are per output.
+    """
     figure = new_figure(8.2, 0.6 + 3.3 * len(names))
     panels = np.atleast_1d(figure.subplots(len(names), 1, sharex=True))
     grid = error.grid.omega
@@ -58,7 +62,9 @@ def model_error(
 
 def _estimates(axes: Axes, estimate: ErrorEstimate, grid: np.ndarray, j: int, marker: str, bars: str) -> None:
     """Draw every cell's |delta_c| of output j with the bar + k se, and - k se for ``bars`` "both".
-    Uninformative estimates, k se >= 1, are pale."""
+
+    Uninformative estimates, k se >= 1, are pale.
+    """
     classes = estimate.se.shape[-1]
     for a in range(classes):
         x = np.repeat(grid * (1 + APART * (a - (classes - 1) / 2)), estimate.se.shape[2])

@@ -1,5 +1,8 @@
-"""Numbers of a picture, read back from the drawn figure, for zooming and for CSV. A picture is drawn once.
-Its lines, markers, bars and cells are the one source of its interactive form and of its table."""
+"""Numbers of a picture, read back from the drawn figure, for zooming and for CSV.
+
+A picture is drawn once. Its lines, markers, bars and cells are the one source of its interactive form and of
+its table.
+"""
 
 import csv
 import io
@@ -38,9 +41,11 @@ SYMBOLS = {
 
 @dataclass(frozen=True)
 class Trace:
-    """Numbers of one artist. ``kind``: "line" (with or without markers), "bar", "area", "level" (all x at
-    y[0]) or "instant" (all y at x[0]). ``x``, ``y`` (N,): NaN breaks a line. ``look``: colour, dash, marker,
-    size, width, alpha."""
+    """Numbers of one artist.
+
+    ``kind``: "line" (with or without markers), "bar", "area", "level" (all x at y[0]) or "instant" (all y at
+    x[0]). ``x``, ``y`` (N,): NaN breaks a line. ``look``: colour, dash, marker, size, width, alpha.
+    """
 
     kind: str
     label: str
@@ -51,9 +56,12 @@ class Trace:
 
 @dataclass(frozen=True)
 class Cells:
-    """Frames of a drive, sorted by bin, then by time. ``bin`` (F,), ``end`` (F,) the sample after the frame's
-    last [samples after the drive's first], ``margin`` (F,), ``reason`` (F,) index into ``reasons``.
-    ``lengths`` (K,) [samples] of the bins, ``Ts`` [s], ``threshold`` of the margin."""
+    """Frames of a drive, sorted by bin, then by time.
+
+    ``bin`` (F,), ``end`` (F,) the sample after the frame's last [samples after the drive's first], ``margin``
+    (F,), ``reason`` (F,) index into ``reasons``. ``lengths`` (K,) [samples] of the bins, ``Ts`` [s],
+    ``threshold`` of the margin.
+    """
 
     bin: np.ndarray
     end: np.ndarray
@@ -67,8 +75,10 @@ class Cells:
 
 @dataclass(frozen=True)
 class Panel:
-    """Axes of a picture: labels, limits, logarithmic or not, named ticks, and their traces. ``row`` counts
-    from above; panels of one ``shared`` number move together in x."""
+    """Axes of a picture: labels, limits, logarithmic or not, named ticks, and their traces.
+
+    ``row`` counts from above; panels of one ``shared`` number move together in x.
+    """
 
     title: str
     labels: tuple[str, str]

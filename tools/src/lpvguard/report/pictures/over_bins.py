@@ -1,5 +1,7 @@
 """Pictures over the bins of an identification: Figs. 2 and 3 of the paper, Pareto fronts and excitation.
-Frequencies are in rad/s. DC has a place left of the lowest bin."""
+
+Frequencies are in rad/s. DC has a place left of the lowest bin.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -76,15 +78,19 @@ def _cloud(axes: Axes, grid: np.ndarray, values: list[np.ndarray], colour: str, 
 
 def _bound(axes: Axes, grid: np.ndarray, values: np.ndarray, style: str, label: str, **look: Any) -> None:
     """A bound (K,) over the bins. DC is a separate star: nothing is known between DC and the lowest bin.
-    ``look``: further arguments of matplotlib's ``Axes.plot``."""
+
+    ``look``: further arguments of matplotlib's ``Axes.plot``.
+    """
     drawn = np.where(values > 0, values, np.nan)
     (line,) = axes.plot(grid[1:], drawn[1:], style, label=label, **look)
     axes.plot(grid[:1], drawn[:1], "*", ms=9, color=line.get_color(), mfc=look.get("mfc", line.get_color()))
 
 
 def _bins(axes: Axes, grid: np.ndarray, without: np.ndarray, *, label: bool = True) -> None:
-    """Logarithmic frequency axis that names some of the bins, with DC at ``grid[0]``. ``without`` (K,) marks
-    bins without a counted frame; they are hatched."""
+    """Logarithmic frequency axis that names some of the bins, with DC at ``grid[0]``.
+
+    ``without`` (K,) marks bins without a counted frame; they are hatched.
+    """
     step = -(-len(grid) // MOST_BIN_LABELS)
     named = grid[1::step]
     axes.set_xscale("log")
@@ -118,9 +124,11 @@ def disturbance_design(
     fine: np.ndarray,
     unit: str,
 ) -> Figure:
-    """Fig. 2: the disturbance bound and its parts; below it the ceiling on the uncertainty. Points are |E|
-    and B1 of frames. Lines are B1, B2 and gamma_w, by the rule and smoothed. ``bounds`` holds arrays of
-    bounds.json; ``gamma_fine`` (N,) is the smoothed gamma_w at ``fine`` (N,) [rad/s]."""
+    """Fig. 2: the disturbance bound and its parts; below it the ceiling on the uncertainty.
+
+    Points are |E| and B1 of frames. Lines are B1, B2 and gamma_w, by the rule and smoothed. ``bounds`` holds
+    arrays of bounds.json; ``gamma_fine`` (N,) is the smoothed gamma_w at ``fine`` (N,) [rad/s].
+    """
     figure = new_figure(8.2, 5.6)
     top, low = figure.subplots(2, 1, sharex=True, height_ratios=[3, 1.1])
     without = ~(bounds["frames"] > 0)
@@ -156,8 +164,10 @@ def disturbance_design(
 
 
 def _decent_bottom(clouds: list[np.ndarray], bound: np.ndarray) -> float:
-    """Lower end of a logarithmic axis: the 1 % quantile of the points above a thousandth of the bound. A few
-    points near zero would otherwise squeeze the rest."""
+    """Lower end of a logarithmic axis: the 1 % quantile of the points above a thousandth of the bound.
+
+    A few points near zero would otherwise squeeze the rest.
+    """
     values, largest = np.concatenate(clouds), float(np.nanmax(bound))
     values = values[values > 1e-3 * largest]
     return float(np.quantile(values, 0.01)) if len(values) else 0.05 * largest
@@ -176,9 +186,11 @@ def weights_over_bounds(
     outputs: Sequence[Signal],
 ) -> Figure:
     """Fig. 3: left, per output, points |w_j|, the bound B_w and the weights; right, points nu and W_delta.
+
     ``W_w`` (N, n_y) and ``W_n`` (N, n_y), or None where there is no noise weight, are magnitudes at ``fine``
     (N,) [rad/s]. ``uncertainty``: W_delta with the samples above which it was fitted, one a Delta; drawn
-    times ``inflation`` over all of them."""
+    times ``inflation`` over all of them.
+    """
     figure = new_figure(8.2, 3.6 if len(outputs) == 1 else 2.9 * len(outputs))
     left, beside = figure.subfigures(1, 2, width_ratios=[1, 1], squeeze=False).flat
     without = ~(bounds["frames"] > 0)
@@ -230,8 +242,10 @@ def pareto(
     ceiling: np.ndarray,
     unit: str,
 ) -> Figure:
-    """Pareto fronts nu(gamma_w) (K, P), a panel per bin. ``taken`` is the chosen point, gamma_w (K,) and nu
-    (K, n_delta); ``ceiling`` (K,) is that on nu."""
+    """Pareto fronts nu(gamma_w) (K, P), a panel per bin.
+
+    ``taken`` is the chosen point, gamma_w (K,) and nu (K, n_delta); ``ceiling`` (K,) is that on nu.
+    """
     known = np.flatnonzero(np.isfinite(nu).any(axis=1))
     shown = known[:: -(-len(known) // MOST_FRONTS)]
     rows = -(-len(shown) // FRONT_COLUMNS)
@@ -266,9 +280,11 @@ def excitation(
     disturbance: np.ndarray,
     unit: str,
 ) -> Figure:
-    """|Z| per bin with the disturbance bound, and the number of counted frames. All arrays are (K,).
-    ``every_start_max`` is the largest |Z| over frames at every start of the bound-setting drives. ``unit`` is
-    that of |Z| and of ``disturbance``."""
+    """|Z| per bin with the disturbance bound, and the number of counted frames.
+
+    All arrays are (K,). ``every_start_max`` is the largest |Z| over frames at every start of the
+    bound-setting drives. ``unit`` is that of |Z| and of ``disturbance``.
+    """
     figure = new_figure(8.2, 4.0)
     top, low = figure.subplots(2, 1, sharex=True, height_ratios=[2, 1])
     without = ~(frames > 0)

@@ -97,9 +97,12 @@ def closed_loop(
     first_invalid_s: float | None,
 ) -> Figure:
     """Yaw rate with its wanted value, the demand and the margins of the counted frames, over one simulated
-    run. ``rows`` (N,): telemetry with fields t_s, wanted_radps, yaw_rate_radps, demand_bar. ``frames`` (F,):
+    run.
+
+    ``rows`` (N,): telemetry with fields t_s, wanted_radps, yaw_rate_radps, demand_bar. ``frames`` (F,):
     fields t_end_s, reason, margin. ``fault_start_s`` and ``first_invalid_s`` [s] are marked if given. Margins
-    above four thresholds stand at the upper edge."""
+    above four thresholds stand at the upper edge.
+    """
     figure = new_figure(8.2, 5.6)
     rate, demand, margin = figure.subplots(3, 1, sharex=True, height_ratios=[3, 2, 2])
     rate.plot(rows["t_s"], rows["wanted_radps"], "--", color=RED, lw=1.0, label="wanted, filtered command")

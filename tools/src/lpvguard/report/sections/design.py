@@ -27,8 +27,11 @@ MARGINS = {
 
 
 def design_section(folder: Path) -> str:
-    """The section; ``folder`` is written by `lpvguard design`. Table II and its pictures may be missing, and
-    ROBUST too. Raises InputError where ROBUST is of another controller."""
+    """The section; ``folder`` is written by `lpvguard design`.
+
+    Table II and its pictures may be missing, and ROBUST too. Raises InputError where ROBUST is of another
+    controller.
+    """
     controller = artefacts.read_json(folder / "controller.json")["certificates"]
     speeds = html_table(
         ["speed, m/s", "μ upper", "μ lower", "peak, rad/s"],
@@ -168,7 +171,9 @@ untouched.</p>{table}"""
 
 def _true_loop(path: Path, controller: str) -> str:
     """Promised and true margins and the distance from the nominal model, from ROBUST at ``path``.
-    ``controller`` is its SHA-256."""
+
+    ``controller`` is its SHA-256.
+    """
     found = artefacts.read_json(path)
     if found["coefficients_sha256"] != controller:
         raise InputError(

@@ -39,8 +39,11 @@ MOST = 1.25
 
 
 def _small(drive: DriveSummary) -> str:
-    """The drive's course as a small picture. Bars show the largest statistic over threshold, a dashed line
-    the threshold, triangles larger values, and a strip below the verdict."""
+    """The drive's course as a small picture.
+
+    Bars show the largest statistic over threshold, a dashed line the threshold, triangles larger values, and
+    a strip below the verdict.
+    """
     base = HEIGHT - STRIP - 1
     scale = (base - LINE) / 1.0
     quiet, beyond, marks = "", "", ""

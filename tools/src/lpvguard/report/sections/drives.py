@@ -26,8 +26,10 @@ def visit(
     visits: Visits, stored: StoredIdentification, replayer: Replayer, drive: Drive, yhat: np.ndarray, key: str
 ) -> DriveSummary:
     """Replay a drive, keep its counted frames and longest stretches in ``visits``, and return its summary.
+
     yhat (N, n_y) is the nominal output. ``key`` is the id of its section and name of its picture, unique on
-    the page."""
+    the page.
+    """
     replay = replayer.replay(drive)
     frames = replay.run.frames
     counted = frames.counted
@@ -64,8 +66,10 @@ def visit(
 
 
 def visit_plain(visits: Visits, stored: StoredIdentification, drives: DriveSet, drive: Drive) -> list[str]:
-    """Judge the drive's frame of the plain DFT by the exact margin under the stored weights. Keeps the frame
-    in ``visits`` and returns the drive's row of the table."""
+    """Judge the drive's frame of the plain DFT by the exact margin under the stored weights.
+
+    Keeps the frame in ``visits`` and returns the drive's row of the table.
+    """
     reader, project = drives.reader, stored.project
     estimator, model = reader.estimator, reader.model
     sets = list(counted_frames(drive, *drives.load(drive.name)[1:], model, estimator))

@@ -172,8 +172,10 @@ equivalent gain. {said}.</p>{table}"""
 
 
 def _detectors(detectors: dict[str, DetectorColumn], best: list[str] | None = None) -> str:
-    """False alarms and found faults, a column per detector; ``best`` is the leader per fault. ``detectors``
-    are by title."""
+    """False alarms and found faults, a column per detector; ``best`` is the leader per fault.
+
+    ``detectors`` are by title.
+    """
     return html_table(
         ["", *map(escape, detectors), *(["best"] if best else [])],
         [[escape(cell) for cell in row] for row in detector_rows(list(detectors.values()), best)],

@@ -34,8 +34,11 @@ def overview_section(
     design: Path | None,
     evaluation: dict | None,
 ) -> str:
-    """Make the section. ``summaries`` are the replayed drives, none unless ``replayed``. ``design`` is the
-    folder of `lpvguard design`, and ``evaluation`` the JSON of `lpvguard evaluate`."""
+    """Make the section.
+
+    ``summaries`` are the replayed drives, none unless ``replayed``. ``design`` is the folder of `lpvguard
+    design`, and ``evaluation`` the JSON of `lpvguard evaluate`.
+    """
     alarms = [(d, a) for d in summaries for a in d.alarms]
     grid = cells(stored.visibility, (a for _, a in alarms))
     shown = blind_map(stored, grid, (a for _, a in alarms))
@@ -170,8 +173,10 @@ def _map_cell(row: int, cell: MapCell) -> str:
 
 
 def blind_map(stored: StoredIdentification, grid: list[list[MapCell]], alarms: Iterable[Alarm]) -> str:
-    """The main picture, HTML: speed over frequency, the fastest cell on top. ``alarms`` are of all drives;
-    those of other tests than the frame test have a separate column."""
+    """The main picture, HTML: speed over frequency, the fastest cell on top.
+
+    ``alarms`` are of all drives; those of other tests than the frame test have a separate column.
+    """
     others = [0] * len(grid)
     for a in (a for a in alarms if a.bin_rad_s is None):
         others[speed_row(stored.visibility, a.speed_mps)] += 1

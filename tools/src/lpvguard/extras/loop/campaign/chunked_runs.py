@@ -1,5 +1,7 @@
-"""The campaign: prepares baselines and trucks, makes the runs in chunks, and summarises them. A stopped
-campaign can be resumed and ends with the same bytes."""
+"""The campaign: prepares baselines and trucks, makes the runs in chunks, and summarises them.
+
+A stopped campaign can be resumed and ends with the same bytes.
+"""
 
 import io
 from collections.abc import Callable
@@ -143,8 +145,10 @@ def _require_same(stored: StoredIdentification, replayer: Replayer) -> None:
 def _tune(
     stored: StoredIdentification, drives: DriveSet, core: Core, workers: Map, progress: Progress
 ) -> dict[str, Any]:
-    """Content of baselines.json: scales, alpha, and the best parameters of each kind. Each has its threshold
-    and the sizes of its components."""
+    """Content of baselines.json: scales, alpha, and the best parameters of each kind.
+
+    Each has its threshold and the sizes of its components.
+    """
     study = BaselineStudy(
         stored,
         drives,

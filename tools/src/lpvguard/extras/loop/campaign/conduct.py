@@ -114,7 +114,9 @@ def band_rms(
     x: np.ndarray, Ts: float, highest: float, gain: Callable[[np.ndarray], np.ndarray] = np.ones_like
 ) -> float:
     """Rms of ``x`` (N,) from DC to ``highest`` [rad/s], times ``gain`` (k,) at its frequencies (k,) [rad/s].
-    ``Ts`` [s] is the sample period."""
+
+    ``Ts`` [s] is the sample period.
+    """
     X = np.fft.rfft(x) / len(x)
     omega = 2 * np.pi * np.arange(len(X)) / (len(x) * Ts)
     power = np.abs(X) ** 2

@@ -59,8 +59,10 @@ class Offline:
 
     @classmethod
     def of(cls, replayer: Replayer, drive: Drive, from_s: float) -> Offline:
-        """Evidence in the samples of ``drive`` of a fault from ``from_s`` on [s of the run]. The frames are
-        judged with the bounds and the threshold of ``replayer``."""
+        """Evidence in the samples of ``drive`` of a fault from ``from_s`` on [s of the run].
+
+        The frames are judged with the bounds and the threshold of ``replayer``.
+        """
         model, estimator = replayer.model, replayer.estimator
         e, yhat = nominal_error(drive, model)
         both = np.hstack([e, yhat])
@@ -93,8 +95,10 @@ class Offline:
 
 
 def first_stretch(starts: np.ndarray, above: np.ndarray, length: int) -> int | None:
-    """First of ``starts`` (S,) from which all are ``above`` (S,) for ``length`` samples, or None. The starts
-    are STRIDE apart, except for gaps."""
+    """First of ``starts`` (S,) from which all are ``above`` (S,) for ``length`` samples, or None.
+
+    The starts are STRIDE apart, except for gaps.
+    """
     good = starts[above]
     edges = np.flatnonzero(np.diff(good) != STRIDE) + 1
     return next(
@@ -103,8 +107,10 @@ def first_stretch(starts: np.ndarray, above: np.ndarray, length: int) -> int | N
 
 
 def first_sample(drive: Drive, run_s: float, Ts: float) -> int:
-    """Index of the sample nearest to ``run_s`` [s of the run], 0 for times before the drive; ``Ts`` [s]. The
-    drive begins when the ECU has all signals, tenths of a second after the run."""
+    """Index of the sample nearest to ``run_s`` [s of the run], 0 for times before the drive; ``Ts`` [s].
+
+    The drive begins when the ECU has all signals, tenths of a second after the run.
+    """
     return max(0, round((run_s - float(drive.t[0])) / Ts))
 
 
@@ -145,8 +151,10 @@ class Context:
 
     @cached_property
     def tools(self) -> tuple[Simulator, Simulator, Replayer, Bank]:
-        """Simulator, the same without controller, replayer and baseline detectors. They are built once in
-        every process and not pickled."""
+        """Simulator, the same without controller, replayer and baseline detectors.
+
+        They are built once in every process and not pickled.
+        """
         return _tools(self.folder, self.detectors)
 
     def __getstate__(self) -> dict:
@@ -233,8 +241,10 @@ def run_planned(context: Context, planned: PlannedRun) -> dict[str, Any]:
 
 
 def _within_limit(simulator: Simulator, drawn: Drawn, tables: str, size: float, path: Path) -> float:
-    """``size`` of the command [rad/s], reduced where the loop would need more than ROOM of its limit. Steps
-    need more than their tracking does. A run at half the size shows it; ``path`` holds its scenario."""
+    """``size`` of the command [rad/s], reduced where the loop would need more than ROOM of its limit.
+
+    Steps need more than their tracking does. A run at half the size shows it; ``path`` holds its scenario.
+    """
     path.write_text(drawn.text(tables, size / 2), encoding="utf-8")
     facts, _ = simulator.drive(path)
     most = 0.5 * ROOM * float(simulator.u_max.min())
@@ -250,8 +260,10 @@ def conduct(
     left_alone: Drive,
     loop: dict[str, np.ndarray],
 ) -> dict[str, float]:
-    """Columns of a row about the closed loop (conduct.py), and the limits that ``tracking`` allows. ``free``,
-    ``loop``: telemetry, columns (N,), of the truck ``left_alone`` and of the loop."""
+    """Columns of a row about the closed loop (conduct.py), and the limits that ``tracking`` allows.
+
+    ``free``, ``loop``: telemetry, columns (N,), of the truck ``left_alone`` and of the loop.
+    """
     u, Ts = drive.u[:, 0], simulator.project.Ts_s
     line = steady_line(u, Ts, drawn.command.highest)
     error = loop["wanted_radps"] - loop["yaw_rate_radps"]
@@ -300,9 +312,12 @@ def read_telemetry(path: Path) -> dict[str, np.ndarray]:
 def supervision(
     simulator: Simulator, facts: dict[str, Any], scenario: dict[str, Any], log: Path | None, from_s: float
 ) -> Reactions:
-    """The ECU's reports on its bus against the states that the frames require. ``facts``, ``scenario``: the
-    simulator's output and input. ``log``: the frames; None: a bus without fault, where the supervision must
-    be live. ``from_s`` [s]: start of the comparison, but not before the bus came up."""
+    """The ECU's reports on its bus against the states that the frames require.
+
+    ``facts``, ``scenario``: the simulator's output and input. ``log``: the frames; None: a bus without fault,
+    where the supervision must be live. ``from_s`` [s]: start of the comparison, but not before the bus came
+    up.
+    """
     project, Ts = simulator.project, simulator.project.Ts_s
     first, end = round(max(from_s, RECOVERY_S) / Ts), round(facts["duration_s"] / Ts)
     ticks_us = np.arange(first, end) * round(Ts * 1e6)
@@ -321,7 +336,9 @@ def supervision(
 
 def _statistic(replayer: Replayer, replay: Replay, drive: Drive) -> np.ndarray:
     """Statistic (N,) of the monitor: the largest over the tests, each over its threshold; above 1: an alarm.
-    The frame test counts where frames were judged. It is -inf where no test judged."""
+
+    The frame test counts where frames were judged. It is -inf where no test judged.
+    """
     frames, ratios = (
         replay.run.frames,
         ((replay.run.energy, replayer.energy_threshold), (replay.run.change, replayer.change_threshold)),

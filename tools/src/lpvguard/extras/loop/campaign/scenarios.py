@@ -1,5 +1,7 @@
-"""Plan of a campaign: every run's number, truck and fault, and its scenario file. A draw depends on the seed
-and the number of the run alone."""
+"""Plan of a campaign: every run's number, truck and fault, and its scenario file.
+
+A draw depends on the seed and the number of the run alone.
+"""
 
 from __future__ import annotations
 
@@ -35,9 +37,12 @@ REFERENCE_RADPS = 3.0
 
 @dataclass(frozen=True)
 class PlannedRun:
-    """One run. ``plant`` is the index of the truck of group "within", -1 elsewhere. ``tables`` are its fault
-    or variation. ``gain`` is the least gain of a truck within the bounds over the nominal one's. ``way`` is
-    the way in which the fault begins."""
+    """One run.
+
+    ``plant`` is the index of the truck of group "within", -1 elsewhere. ``tables`` are its fault or
+    variation. ``gain`` is the least gain of a truck within the bounds over the nominal one's. ``way`` is the
+    way in which the fault begins.
+    """
 
     number: int
     kind: str
@@ -148,9 +153,11 @@ class Drawn:
 
     @classmethod
     def of(cls, limit_bar: float, seed: int, planned: PlannedRun) -> Drawn:
-        """Draws from the campaign's seed and the run's number. The truck's peak demand lies between LEAST_BAR
-        (FAULT_BAR with a fault) and ROOM of the controller's limit ``limit_bar``. The checked amplitudes are
-        then covered, and no truck exceeds its limits."""
+        """Draws from the campaign's seed and the run's number.
+
+        The truck's peak demand lies between LEAST_BAR (FAULT_BAR with a fault) and ROOM of the controller's
+        limit ``limit_bar``. The checked amplitudes are then covered, and no truck exceeds its limits.
+        """
         random = np.random.default_rng([seed, 2, planned.number])
         profile = speed_profile(random)
         command = _command(random, planned.plant >= 0)
@@ -191,8 +198,10 @@ class Drawn:
 
 
 def _command(random: np.random.Generator, within: bool) -> Command:
-    """Command of a run; trucks ``within`` the bounds also get those of the steering task. Their steps are
-    slow enough to be tracked. Those of faulted trucks keep the monitor's frames excited."""
+    """Command of a run; trucks ``within`` the bounds also get those of the steering task.
+
+    Their steps are slow enough to be tracked. Those of faulted trucks keep the monitor's frames excited.
+    """
     wide = (
         Command.multisine("linear", 0.05, 2.0),
         Command.multisine("log", 0.5, HIGHEST_COMMAND_RADPS),
@@ -207,8 +216,11 @@ def _command(random: np.random.Generator, within: bool) -> Command:
 
 
 def speed_profile(random: np.random.Generator) -> list[tuple[float, float]]:
-    """Knots (time [s], speed [m/s]) of a random speed profile. The speed is constant, drifts by at most 3
-    m/s, or is swept to the farther end of the range and back. The sweep has 0.05 to 0.3 m/s2."""
+    """Knots (time [s], speed [m/s]) of a random speed profile.
+
+    The speed is constant, drifts by at most 3 m/s, or is swept to the farther end of the range and back. The
+    sweep has 0.05 to 0.3 m/s2.
+    """
     slowest, fastest = SPEEDS
     first = random.uniform(slowest, fastest)
     manner = random.integers(5)

@@ -120,8 +120,10 @@ def _matched(
 def _severities(
     faulty: list[dict], matched: dict[str, float], levels: list[dict], found: dict
 ) -> list[dict[str, Any]]:
-    """A row per kind and severity of a fault of the truck. It has mu of the faulted loop and the distance of
-    its response from the nominal one, where computed."""
+    """A row per kind and severity of a fault of the truck.
+
+    It has mu of the faulted loop and the distance of its response from the nominal one, where computed.
+    """
     loops = {(row["kind"], row["severity"]): row for row in levels}
     response = {(row["kind"], row["severity"]): row["ratio"] for row in found["faulted"]}
     severities = []
@@ -165,9 +167,11 @@ def _due(rows: list[dict]) -> dict[str, Any]:
 
 
 def by_way(rows: list[dict], matched: dict[str, float]) -> dict[str, dict[str, Any]]:
-    """Results per way of the ``rows`` of faults that begin in several ways. They hold the runs, and per
-    detector the share found, averaged over kinds and severities, and the median time [s] over all runs. A
-    time is judged, excited driving since the fault's start."""
+    """Results per way of the ``rows`` of faults that begin in several ways.
+
+    They hold the runs, and per detector the share found, averaged over kinds and severities, and the median
+    time [s] over all runs. A time is judged, excited driving since the fault's start.
+    """
     found = {}
     for way in dict.fromkeys(r["way"] for r in rows):
         mine = [r for r in rows if r["way"] == way]
@@ -274,7 +278,9 @@ def _alarms(row: dict, detector: str) -> bool:
 
 def _falsified(within: list[dict], tables: list[str]) -> dict[str, Any]:
     """Names and rate of the runs of trucks within the bounds that contradict the certificate (conduct.py).
-    ``tables`` are of these trucks."""
+
+    ``tables`` are of these trucks.
+    """
     runs = [
         {key: r[key] for key in ("number", "seed", "plant", "speed_mps")}
         | {"tables": tables[r["plant"]], "did": did}
@@ -351,9 +357,12 @@ def _as_required(row: dict) -> bool:
 
 
 def _bus_severity(kind: str, x: float, rows: list[dict]) -> dict[str, Any]:
-    """Reactions of the supervision to a fault of the bus. ``away`` is the share of time since its begin with
-    no live bus. ``judged`` is the share with judged, excited driving: after every gap the model has to settle
-    first. ``alarmed`` counts runs with an alarm since, which need not be wrong: see ``visible_runs``."""
+    """Reactions of the supervision to a fault of the bus.
+
+    ``away`` is the share of time since its begin with no live bus. ``judged`` is the share with judged,
+    excited driving: after every gap the model has to settle first. ``alarmed`` counts runs with an alarm
+    since, which need not be wrong: see ``visible_runs``.
+    """
     return {
         "kind": kind,
         "severity": x,
@@ -372,7 +381,9 @@ def _bus_severity(kind: str, x: float, rows: list[dict]) -> dict[str, Any]:
 
 def kind_row(name: str, rows: list[dict]) -> dict[str, Any]:
     """Average of a kind over its severities, and the best detectors at calibrated and at matched thresholds.
-    All that tie are best; none where none found a fault."""
+
+    All that tie are best; none where none found a fault.
+    """
     shares = {d: float(np.mean([s["found"][d] / s["runs"] for s in rows])) for d in DETECTORS}
     matched = {d: float(np.mean([s["matched"][d] / s["runs"] for s in rows])) for d in DETECTORS}
 

@@ -35,8 +35,11 @@ class TrackingBound:
         return cls(DesignProblem.of(stored).weights)
 
     def rms(self, command: np.ndarray, w: np.ndarray, n: np.ndarray, Ts: float, Ts_n: float) -> float:
-        """Largest rms error up to STEERING_RADPS [rad/s]. ``command`` (N,) [rad/s] and disturbance ``w`` (N,
-        2) [rad/s, rad]: every ``Ts`` [s]. Noise ``n`` (M, 2): every ``Ts_n`` [s]."""
+        """Largest rms error up to STEERING_RADPS [rad/s].
+
+        ``command`` (N,) [rad/s] and disturbance ``w`` (N, 2) [rad/s, rad]: every ``Ts`` [s]. Noise ``n`` (M,
+        2): every ``Ts_n`` [s].
+        """
         W = self.weights
         parts = (
             (command, Ts, W.W_C),

@@ -47,10 +47,13 @@ LOOP_SPEEDS = (8.5, 15.0, 21.5)
 
 @dataclass(frozen=True)
 class Distance:
-    """Distance of a truck from the nominal model. ``ratio`` is the largest |delta_j| / W_delta,j. Measurement
-    ends where it exceeds 1, so it is then a lower bound. ``output``, ``omega_radps``, ``speed_mps`` and
-    ``amplitude_bar`` are its place. ``least_gain`` is the least |G_1/P_1| of a truck within the bounds, at
-    the edge of use up to the highest frequency of a command."""
+    """Distance of a truck from the nominal model.
+
+    ``ratio`` is the largest |delta_j| / W_delta,j. Measurement ends where it exceeds 1, so it is then a lower
+    bound. ``output``, ``omega_radps``, ``speed_mps`` and ``amplitude_bar`` are its place. ``least_gain`` is
+    the least |G_1/P_1| of a truck within the bounds, at the edge of use up to the highest frequency of a
+    command.
+    """
 
     ratio: float
     output: str
