@@ -10,6 +10,7 @@ from lpvguard.can.decode import load_database
 from lpvguard.can.sign_bits import sign_bits
 from lpvguard.drives.ingest import ingest
 from lpvguard.start.new_project import new
+from steered_car import write_logs
 
 DBC = """VERSION ""
 
@@ -36,25 +37,24 @@ BO_ 253 SPEED: 8 A
 def logs(tmp_path):
     """A database and two logs of a car, steered to both sides."""
     (tmp_path / "car.dbc").write_text(DBC)
-    database, found = cantools.database.load_string(DBC), []
-    for drive in range(2):
-        lines, yaw = [], 0.0
-        for k in range(1500):
-            t = 0.02 * k
-            v = 12 + drive + 2 * math.sin(0.2 * t)
-            angle = 40 * math.sin(0.7 * t) + 20 * math.sin(2.1 * t)
-            yaw += 0.15 * (v * angle / 15 / (2.7 + 0.002 * v * v) - yaw)
-            for name, values in (
-                ("LW1", {"LW1_Lenkwinkel": abs(angle), "LW1_VZ_Lenkwinkel": angle < 0}),
-                ("YAW", {"YawRate": abs(yaw), "YawRateSign": yaw < 0}),
-                ("SPEED", {"Vehicle_Speed": 3.6 * v}),
-            ):
-                message = database.get_message_by_name(name)
-                data = message.encode(values, strict=False)
-                lines.append(f"({t:.6f}) can0 {message.frame_id:03X}#{data.hex().upper()}\n")
-        found.append(tmp_path / f"d{drive}.log")
-        found[-1].write_text("".join(lines))
-    return tmp_path / "car.dbc", found
+    database = cantools.database.load_string(DBC)
+
+    def frames(v, angle, yaw):
+        for name, values in (
+            ("LW1", {"LW1_Lenkwinkel": abs(angle), "LW1_VZ_Lenkwinkel": angle < 0}),
+            ("YAW", {"YawRate": abs(yaw), "YawRateSign": yaw < 0}),
+            ("SPEED", {"Vehicle_Speed": 3.6 * v}),
+        ):
+            message = database.get_message_by_name(name)
+            yield f"{message.frame_id:03X}#{message.encode(values, strict=False).hex().upper()}"
+
+    return tmp_path / "car.dbc", write_logs(
+        tmp_path,
+        1500,
+        lambda t: 12 + 2 * math.sin(0.2 * t),
+        lambda t: 40 * math.sin(0.7 * t) + 20 * math.sin(2.1 * t),
+        frames,
+    )
 
 
 def test_a_magnitude_finds_the_bit_of_its_sign():

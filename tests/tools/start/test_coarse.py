@@ -7,6 +7,7 @@ import pytest
 
 from lpvguard.drives.ingest import ingest
 from lpvguard.start.new_project import new
+from steered_car import write_logs
 
 DBC = """VERSION ""
 
@@ -33,25 +34,23 @@ BO_ 36 KINEMATICS: 8 A
 def logs(tmp_path):
     """A minute of two drives at 50 Hz, steered within a few steps of the coarse angle."""
     (tmp_path / "car.dbc").write_text(DBC)
-    found = []
-    for drive in range(2):
-        lines, yaw = [], 0.0
-        for k in range(3000):
-            t = 0.02 * k
-            v = 12 + drive + 2 * math.sin(0.2 * t)
-            angle = 8 * math.sin(0.7 * t) + 4 * math.sin(2.1 * t)
-            yaw += 0.15 * (v * math.radians(angle) / 15 / (2.7 + 0.002 * v * v) - yaw)
-            steps = round(angle / 1.5)
-            fraction = max(-7, min(7, round(10 * (angle - 1.5 * steps))))
-            frames = {
-                37: f"{steps % 4096:04X}0000{fraction % 16:X}0000000",
-                180: f"0000000000{round(360 * v):04X}00",
-                36: f"{round(100 * math.degrees(yaw)) % 65536:04X}000000000000",
-            }
-            lines += [f"({t:.6f}) can0 {identifier:03X}#{data}\n" for identifier, data in frames.items()]
-        found.append(tmp_path / f"d{drive}.log")
-        found[-1].write_text("".join(lines))
-    return tmp_path / "car.dbc", found
+
+    def frames(v, angle, yaw):
+        steps = round(angle / 1.5)
+        fraction = max(-7, min(7, round(10 * (angle - 1.5 * steps))))
+        return (
+            f"025#{steps % 4096:04X}0000{fraction % 16:X}0000000",
+            f"0B4#0000000000{round(360 * v):04X}00",
+            f"024#{round(100 * yaw) % 65536:04X}000000000000",
+        )
+
+    return tmp_path / "car.dbc", write_logs(
+        tmp_path,
+        3000,
+        lambda t: 12 + 2 * math.sin(0.2 * t),
+        lambda t: 8 * math.sin(0.7 * t) + 4 * math.sin(2.1 * t),
+        frames,
+    )
 
 
 def test_the_digits_beyond_an_angles_resolution_are_added(logs, tmp_path):

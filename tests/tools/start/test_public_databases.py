@@ -20,6 +20,7 @@ from lpvguard.can.decode import load_database
 from lpvguard.can.sign_bits import sign_bits
 from lpvguard.start.new_project import new
 from lpvguard.start.signals import ranked
+from steered_car import STEERING_RATIO, write_logs
 
 OPENDBC = Path(os.environ.get("LPVGUARD_SOURCES", "/nonexistent")) / "opendbc"
 pytestmark = [
@@ -209,30 +210,31 @@ def write_drives(database, right, folder):
             if re.fullmatch(pattern, f"{m.name}.{s.name}")
         ]
         chosen[role] = fitting[0] if len(fitting) == 1 else min(fitting, key=lambda f: -f[1].length)
-    logs = []
-    for drive in range(2):
-        lines, yaw = [], 0.0
-        for k in range(2000):
-            t = 0.02 * k
-            v = 13 + drive + 5 * math.sin(0.2 * t)
-            wheel = 0.03 * math.sin(0.7 * t) + 0.015 * math.sin(2.1 * t)
-            yaw += 0.02 / 0.15 * (v * wheel / (2.7 + 0.002 * v * v) - yaw)
-            frames = {}
-            for role, value in zip(ROLES, (v, 15 * wheel, yaw), strict=True):
-                message, signal = chosen[role]
-                data = frames.setdefault(message.name, bytearray(message.length))
-                physical = value * per_si(signal.unit, role)
-                if bit := sign_bits(message).get(signal.name):
-                    place(data, message.get_signal_by_name(bit), int(physical < 0))
-                    physical = abs(physical)
-                place(data, signal, round((physical - float(signal.offset)) / float(signal.scale)))
-            for name, data in frames.items():
-                message = database.get_message_by_name(name)
-                sign = "##0" if len(data) > 8 else "#"
-                width = 8 if message.is_extended_frame else 3
-                lines.append(f"({t:.6f}) can0 {message.frame_id:0{width}X}{sign}{data.hex().upper()}\n")
-        logs.append(folder / f"d{drive}.log")
-        logs[-1].write_text("".join(lines))
+
+    def frames(*values):
+        payloads = {}
+        for role, value in zip(ROLES, values, strict=True):
+            message, signal = chosen[role]
+            data = payloads.setdefault(message.name, bytearray(message.length))
+            physical = value * per_si(signal.unit, role)
+            if bit := sign_bits(message).get(signal.name):
+                place(data, message.get_signal_by_name(bit), int(physical < 0))
+                physical = abs(physical)
+            place(data, signal, round((physical - float(signal.offset)) / float(signal.scale)))
+        for name, data in payloads.items():
+            message = database.get_message_by_name(name)
+            sign = "##0" if len(data) > 8 else "#"
+            width = 8 if message.is_extended_frame else 3
+            yield f"{message.frame_id:0{width}X}{sign}{data.hex().upper()}"
+
+    logs = write_logs(
+        folder,
+        2000,
+        lambda t: 13 + 5 * math.sin(0.2 * t),
+        lambda t: STEERING_RATIO * (0.03 * math.sin(0.7 * t) + 0.015 * math.sin(2.1 * t)),
+        frames,
+        lag_s=0.15,
+    )
     return chosen, logs
 
 
@@ -254,7 +256,7 @@ def test_logs_of_these_cars_are_read_right_or_asked_about(databases, tmp_path):
         for role, p in made.proposals.items():
             message, signal = chosen[role]
             size = abs(p.factor) / per_si(p.unit, role) * per_si(signal.unit, role)
-            size *= 15 if role == "input" else 1
+            size *= STEERING_RATIO if role == "input" else 1
             if p.name != f"{message.name}.{signal.name}" or not 0.85 < size < 1.15:
                 said.append(f"{role} {p.name} in {p.unit}, size {size:.3g}")
         (wrong if said else right).append(f"{name}: {'; '.join(said)}")
