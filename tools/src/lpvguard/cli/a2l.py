@@ -6,7 +6,6 @@ from typing import Annotated
 import typer
 
 from ..base import artefacts
-from ..vehicle.stored_settings import require_settings
 from .shared import Coefficients, Vehicle, app, console, project_of
 
 
@@ -23,13 +22,12 @@ def a2l(
     coefficients: Coefficients = None,
 ) -> None:
     """Describe a vehicle's object in the image of its ECU (A2L), for any measurement tool."""
-    from ..core.compiled import library_root, shipped_vehicle
+    from ..core.compiled import generated_folder, library_root
     from ..extras.measure.a2l import a2l_text
     from ..extras.measure.xcp_access import XcpAccess
 
     project = project_of(vehicle)
-    folder = coefficients or shipped_vehicle(project.name)
-    require_settings(artefacts.read_manifest(folder, "vehicle")["project"], folder, project, vehicle)
+    generated_folder(project, coefficients, vehicle)
     access = XcpAccess.parse(xcp) if xcp else None
     text, n = a2l_text(project, elf, instance, library_root() / "include" / "lpvguard", access)
     artefacts.write_file(out, text, "a2l")

@@ -1,19 +1,17 @@
 """`lpvguard arxml`: a vehicle's monitor as an AUTOSAR software component."""
 
 from ..base import artefacts
-from ..vehicle.stored_settings import require_settings
 from .shared import Coefficients, Out, Vehicle, app, console, project_of
 
 
 @app.command(epilog="Example: lpvguard arxml --vehicle g80 -o component")
 def arxml(vehicle: Vehicle, out: Out, coefficients: Coefficients = None) -> None:
     """Write a vehicle's monitor as an AUTOSAR software component: ARXML and C source."""
-    from ..core.compiled import shipped_vehicle
+    from ..core.compiled import generated_folder
     from ..extras.arxml.component import monitor_component
 
     project = project_of(vehicle)
-    folder = coefficients or shipped_vehicle(project.name)
-    require_settings(artefacts.read_manifest(folder, "vehicle")["project"], folder, project, vehicle)
+    folder = generated_folder(project, coefficients, vehicle)
     files = monitor_component(project, folder)
     with artefacts.new_folder(out, "component", project.name) as work:
         artefacts.write_files(

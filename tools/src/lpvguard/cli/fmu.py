@@ -6,7 +6,6 @@ from typing import Annotated, Literal
 import typer
 
 from ..base import artefacts
-from ..vehicle.stored_settings import require_settings
 from .shared import Coefficients, Vehicle, app, console, project_of
 
 
@@ -18,12 +17,11 @@ def fmu(
     coefficients: Coefficients = None,
 ) -> None:
     """Pack a vehicle's monitor as a co-simulation FMU for simulation tools."""
-    from ..core.compiled import shipped_vehicle
+    from ..core.compiled import generated_folder
     from ..extras.fmu.package import monitor_fmu
 
     project = project_of(vehicle)
-    folder = coefficients or shipped_vehicle(project.name)
-    require_settings(artefacts.read_manifest(folder, "vehicle")["project"], folder, project, vehicle)
+    folder = generated_folder(project, coefficients, vehicle)
     data = monitor_fmu(project, folder, int(fmi))
     artefacts.write_bytes(out, data, "fmu")
     console.print(f"{project.name}: monitor written to {out}, FMI {fmi}.0, {len(data) / 1e6:.1f} MB")

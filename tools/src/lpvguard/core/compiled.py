@@ -24,6 +24,8 @@ from ..base import artefacts, native
 from ..base.errors import InputError
 from ..base.layout import COEFF, constant
 from ..drives.tables import Drive
+from ..vehicle.project import Project
+from ..vehicle.stored_settings import require_settings
 from .c_enums import enum_names
 
 PACKAGE = Path(__file__).resolve().parents[1]
@@ -127,6 +129,29 @@ def shipped_vehicle(name: str) -> Path:
             f"no generated folder {folder}",
             "`lpvguard identify` and `lpvguard export` first, then --coefficients DIR",
         )
+    return folder
+
+
+def generated_folder(project: Project, coefficients: Path | None, where: object) -> Path:
+    """Return the generated folder of a project, made with the project's settings.
+
+    Parameters
+    ----------
+    project : Project
+    coefficients : Path, or None for the shipped folder
+    where : object, name of the project in errors
+
+    Returns
+    -------
+    Path
+
+    Raises
+    ------
+    InputError
+        If there is none, or it was made with other settings.
+    """
+    folder = coefficients or shipped_vehicle(project.name)
+    require_settings(artefacts.read_manifest(folder, "vehicle")["project"], folder, project, where)
     return folder
 
 
@@ -489,6 +514,17 @@ class Core:
         """The compiled-in words by field of coeff.h, each in its shape; a scalar as (1,)."""
         return COEFF.split("words", self.compiled[0], self.sizes)
 
+    @property
+    def period_s(self) -> float:
+        """Sample period [s]."""
+        return float(self.words["sample_period_us"][0]) * 1e-6
+
+    @property
+    def thresholds(self) -> dict[str, float]:
+        """Thresholds of the tests, by field of coeff.h."""
+        reals = self.fields(self.compiled[1])
+        return {n: float(reals[n][0]) for n in ("threshold", "energy_threshold", "change_threshold")}
+
     def estimator_id(self) -> int:
         """Identity of the estimator in the compiled-in coefficients."""
         return int(self.words["estimator_id"][0])
@@ -583,7 +619,7 @@ class RunningMonitor:
             FrameLog.from_rows(rows[:count][rows[:count, 9] == test], self._core.n_y)
             for test in range(len(TESTS))
         )
-        period_s = float(self._core.words["sample_period_us"][0]) * 1e-6
+        period_s = self._core.period_s
         found = CauseLog.from_rows(causes[: n_causes.value], constant("NBLOCK", {}) * period_s)
         return Run(frames, verdict, status, energy, band, energy_alarms, change, change_alarms, found)
 

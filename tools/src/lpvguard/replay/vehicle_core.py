@@ -2,11 +2,9 @@
 
 from pathlib import Path
 
-from ..base import artefacts
-from ..core.compiled import Core, shipped_vehicle
+from ..core.compiled import Core, generated_folder
 from ..drives.frames import require_core
 from ..vehicle.project import Project
-from ..vehicle.stored_settings import require_settings
 from .replayer import Replayer
 
 
@@ -29,6 +27,4 @@ def replayer_for(project: Project, coefficients: Path | None, vehicle: object) -
         If the folder was made with other settings.
     """
     require_core(project)
-    folder = coefficients or shipped_vehicle(project.name)
-    require_settings(artefacts.read_manifest(folder, "vehicle")["project"], folder, project, vehicle)
-    return Replayer(project, Core(folder))
+    return Replayer(project, Core(generated_folder(project, coefficients, vehicle)))

@@ -64,7 +64,7 @@ _RESULTS = {
     "frames": "monitor.frame.sequence",
     "bin": "monitor.frame.bin",
 }
-"""What each element of the provided port is in C."""
+"""C expression of each element of the provided port."""
 
 
 def monitor_component(project: Project, folder: Path) -> dict[str, str]:
@@ -91,19 +91,14 @@ def monitor_component(project: Project, folder: Path) -> dict[str, str]:
     AUTOSAR Classic Platform 4.2.2, Software Component Template and Specification of RTE.
     """
     core = Core(folder)
-    fields = core.fields(core.compiled[1])
-    thresholds = {
-        name: float(fields[name][0]) for name in ("threshold", "energy_threshold", "change_threshold")
-    }
-    variables = monitor_variables(project, thresholds)
+    variables = monitor_variables(project, core.thresholds)
     received = [v for v in variables if v.causality == "input"]
     sent = [v for v in variables if v.name in _RESULTS]
     name = f"Lpvguard_{project.name}"
-    period_s = float(core.words["sample_period_us"][0]) * 1e-6
     crc = int(core.words["crc32"][0])
     return {
-        f"{name}.arxml": description(name, period_s, received, sent, thresholds, crc),
-        f"{name}.c": _source(name, project, received, sent, thresholds),
+        f"{name}.arxml": description(name, core.period_s, received, sent, core.thresholds, crc),
+        f"{name}.c": _source(name, project, received, sent, core.thresholds),
     }
 
 

@@ -37,23 +37,18 @@ def monitor_fmu(project: Project, folder: Path, version: int) -> bytes:
         The folder is incomplete or does not compile.
     """
     core = Core(folder)
-    fields = core.fields(core.compiled[1])
-    thresholds = {
-        name: float(fields[name][0]) for name in ("threshold", "energy_threshold", "change_threshold")
-    }
-    period_s = float(core.words["sample_period_us"][0]) * 1e-6
     name = f"lpvguard_{project.name}_monitor"
     sources = _sources(folder)
     compiled = sorted(path for path in sources if path.endswith((".cpp", ".c")))
     defines = [DIAGNOSIS_DEFINE] if core.diagnoses else []
     flags = [f"-D{define}" for define in defines]
     binary = shared_core(folder, WRAPPER, "fmu", flags=flags, link=LINK_FLAGS).read_bytes()
-    variables = monitor_variables(project, thresholds)
+    variables = monitor_variables(project, core.thresholds)
     token = hashlib.sha256(binary)
     for path, content in sources.items():
         token.update(path.encode() + b"\0" + content)
     description = model_description(
-        version, name, project.title, "{" + token.hexdigest()[:32] + "}", period_s, variables, compiled
+        version, name, project.title, "{" + token.hexdigest()[:32] + "}", core.period_s, variables, compiled
     )
     files = {"modelDescription.xml": description, f"{BINARY[version]}/{name}.so": binary}
     files |= {f"sources/{path}": content for path, content in sources.items()}
