@@ -70,7 +70,7 @@ MEASURED = {
     "engine/synthesis/scheduling.py": 111,
     "engine/synthesis/singular.py": 121,
     "engine/synthesis/slow_delta.py": 163,
-    "engine/synthesis/statespace.py": 441,
+    "engine/synthesis/statespace.py": 453,
     "engine/synthesis/storage_grid.py": 86,
     "engine/synthesis/structure.py": 103,
     "engine/synthesis/table.py": 12,

@@ -12,6 +12,7 @@ from lpvguard.engine.synthesis.statespace import (
     balanced,
     gain,
     lft,
+    prewarped,
     series,
     to_continuous,
     to_discrete,
@@ -66,6 +67,13 @@ def test_bilinear_maps_are_inverse_and_keep_the_response_at_warped_frequencies(d
     omega = np.array([0.0, 0.3, 2.0])
     assert np.allclose(D.response(2 / dt * np.arctan(omega * dt / 2)), G.response(omega))
     assert np.allclose(to_continuous(D).response(omega), G.response(omega))
+
+
+def test_frequencies_are_prewarped_where_there_is_a_sampling_time():
+    omega = np.array([0.0, 3.0, 20.0])
+    expected = 2 / 0.1 * np.tan(np.array([0.0, 0.15, 1.0]))
+    np.testing.assert_allclose(prewarped(omega, 0.1), expected, rtol=1e-14)
+    assert prewarped(3.0, 0.0) == 3.0
 
 
 def test_to_continuous_names_a_pole_at_minus_one():

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..engine.synthesis.dk import RobustPerformance
 from ..engine.synthesis.interconnection import GeneralisedPlant
-from ..engine.synthesis.statespace import StateSpace, lft
+from ..engine.synthesis.statespace import StateSpace, lft, prewarped
 
 LARGE = 0.1
 """Least share that a sentence names."""
@@ -45,8 +45,9 @@ class Limiting:
         loop = lft(plant.system, controller)
         M = loop.response([frequency])[0]
         if plant.blocks:
+            below = min(frequency, np.pi / loop.dt * (1 - 1e-9)) if loop.dt else frequency
             left, right = (
-                np.abs(np.diagonal(G.response([_warped(frequency, loop.dt)])[0]))
+                np.abs(np.diagonal(G.response([prewarped(below, loop.dt)])[0]))
                 for G in proved.scaling.systems(plant)
             )
             M = left[:, None] * M * right
@@ -63,16 +64,8 @@ def _shares(x: np.ndarray, names: tuple[str, ...]) -> dict[str, float]:
     return dict(zip(names, (np.abs(x) ** 2).tolist(), strict=True))
 
 
-def _warped(omega: float, dt: float) -> float:
-    return (
-        float(np.minimum(2 / dt * np.tan(min(0.5 * omega * dt, 0.5 * np.pi * (1 - 1e-9))), 1e12))
-        if dt
-        else omega
-    )
-
-
 def _carrier(signal: str) -> str:
-    """What a signal of Fig. 1 is, in words."""
+    """Name a signal of Fig. 1 in words."""
     name = signal.replace("eta", "xi", 1) if signal.startswith("eta") else signal
     if name.rstrip("0123456789") in WHOLE:
         return WHOLE[name.rstrip("0123456789")]

@@ -19,6 +19,7 @@ from ..core.compiled import band_names
 from ..drives.frames import Estimator
 from ..engine.overbound.certificate import verify_overbound
 from ..engine.overbound.weight import Weight
+from ..engine.synthesis.statespace import prewarped
 from ..vehicle.project import Project
 from .calibration import ROUNDING, Calibration, Recordings, calibrate
 from .remembered import remembered
@@ -195,7 +196,7 @@ class EnergyTest:
                 f"memory {memory:g} s, band from {corners[0]:g} Hz",
                 f"a memory above {1 / low_rad:.3g} s: the filters must forget faster than the sums",
             )
-        warped, bounds = 2 / Ts * np.tan(np.asarray(omega) * Ts / 2), np.transpose(bound)
+        warped, bounds = prewarped(np.asarray(omega), Ts), np.transpose(bound)
         gain, raised, certificate = zip(*_raised(project, W_delta, warped, bounds), strict=True)
         rho = np.exp(-Ts / memory)
         settle = max(estimator.settle, int(np.ceil(FEWEST_SETTLED / low_rad / Ts)))

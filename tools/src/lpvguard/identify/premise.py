@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..base.errors import InputError
+from ..engine.synthesis.statespace import prewarped
 from .identification import StoredIdentification
 
 
@@ -105,7 +106,7 @@ def weight_met(stored: StoredIdentification, omega: np.ndarray) -> np.ndarray:
     ndarray (K, n_delta)
     """
     Ts = stored.project.Ts_s
-    return stored.fitted.at(2 / Ts * np.tan(omega * Ts / 2))[0]
+    return stored.fitted.at(prewarped(omega, Ts))[0]
 
 
 def premise(stored: StoredIdentification) -> Premise:

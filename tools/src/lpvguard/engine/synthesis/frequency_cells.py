@@ -20,7 +20,14 @@ from functools import partial
 import numpy as np
 
 from lpvguard.engine.synthesis.errors import SynthesisError
-from lpvguard.engine.synthesis.statespace import EPS, StateSpace, balanced, balancing, to_continuous
+from lpvguard.engine.synthesis.statespace import (
+    EPS,
+    StateSpace,
+    balanced,
+    balancing,
+    prewarped,
+    to_continuous,
+)
 from lpvguard.engine.synthesis.structure import Structure
 
 SHORT = 0.999
@@ -147,9 +154,7 @@ def continuous_interval(
     G = balanced(to_continuous(balanced(loop)))
 
     def warped(omega: float) -> float:
-        if not loop.dt:
-            return omega
-        return np.inf if omega >= last * (1 - 4 * EPS) else 2 / loop.dt * np.tan(0.5 * omega * loop.dt)
+        return np.inf if omega >= last * (1 - 4 * EPS) else prewarped(omega, loop.dt)
 
     def unwarped(omega: float) -> float:
         return float(2 / loop.dt * np.arctan(0.5 * omega * loop.dt)) if loop.dt else omega

@@ -7,6 +7,7 @@ sampling time in seconds (G(z)). Objects are immutable; every function returns a
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 import scipy.linalg as sl
@@ -14,6 +15,7 @@ import scipy.linalg as sl
 from lpvguard.engine.synthesis.errors import SynthesisError
 
 EPS = np.finfo(float).eps
+Frequency = TypeVar("Frequency", float, np.ndarray)
 
 
 @dataclass(frozen=True)
@@ -386,6 +388,21 @@ def to_discrete(G: StateSpace, dt: float, alpha: float | None = None) -> StateSp
         G.inputs,
         G.outputs,
     )
+
+
+def prewarped(omega: Frequency, dt: float) -> Frequency:
+    """Map frequencies to those of the bilinear map's continuous system.
+
+    Parameters
+    ----------
+    omega : ndarray or float, rad/s
+    dt : float, s; 0: the system is continuous
+
+    Returns
+    -------
+    ndarray or float, rad/s
+    """
+    return 2 / dt * np.tan(0.5 * omega * dt) if dt else omega
 
 
 def zero_order_hold(G: StateSpace, dt: float) -> StateSpace:

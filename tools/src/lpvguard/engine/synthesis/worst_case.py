@@ -20,7 +20,7 @@ from lpvguard.engine.synthesis.dk import Scaling
 from lpvguard.engine.synthesis.interconnection import GeneralisedPlant
 from lpvguard.engine.synthesis.mu import mu_lower
 from lpvguard.engine.synthesis.norms import hinf_norm
-from lpvguard.engine.synthesis.statespace import StateSpace, append, gain, lft, series, to_discrete
+from lpvguard.engine.synthesis.statespace import StateSpace, append, gain, lft, prewarped, series, to_discrete
 
 GRID = np.r_[0.0, np.geomspace(1e-3, 1e2, 61)]
 """rad/s"""
@@ -105,7 +105,7 @@ def worst_case(
         return WorstCase(
             gain(np.zeros((0, 0)), loop.dt), 0.0, float(omega[k]), float(nominal[k]), float(nominal[k])
         )
-    warped = 2 / loop.dt * np.tan(0.5 * omega * loop.dt) if loop.dt else omega
+    warped = prewarped(omega, loop.dt)
     d = np.exp(scaling.log_magnitude(warped)) if scaling else np.ones((len(plant.blocks), len(omega)))
     search = _Search(plant)
     rough = [search.run(M[k], d[:, k], 1)[0] for k in range(len(omega))]
@@ -197,7 +197,7 @@ class _Search:
 
 def _realise(u: np.ndarray, v: np.ndarray, omega: float, dt: float) -> StateSpace:
     """u(s) v(s)ᵀ with u(jω) v(jω)ᵀ = u vᴴ."""
-    warped = 2 / dt * np.tan(0.5 * omega * dt) if dt else omega
+    warped = prewarped(omega, dt)
     one = np.ones((1, 1))
     left = series(append(*(_all_pass(x, warped) for x in u)), gain(np.repeat(one, len(u), axis=0)))
     right = series(gain(np.repeat(one, len(v), axis=1)), append(*(_all_pass(x, warped) for x in v.conj())))
