@@ -59,6 +59,22 @@ def first_of_each(rows: Rows, cap: int, *keys: str) -> Rows:
     return {name: column[kept] for name, column in rows.items()}
 
 
+def largest_of_each(rows: Rows, size: np.ndarray) -> Rows:
+    """Select the row of the largest size in each group.
+
+    Parameters
+    ----------
+    rows : Rows
+    size : ndarray (F,)
+
+    Returns
+    -------
+    Rows
+    """
+    best = first_of_each(rows | {"smallness": -size}, 1, "smallness")
+    return {name: column for name, column in best.items() if name != "smallness"}
+
+
 def stacked(parts: Iterable[Rows]) -> Rows:
     """Stack the rows of parts that have the same columns.
 

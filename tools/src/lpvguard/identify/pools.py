@@ -16,7 +16,7 @@ from functools import cached_property
 import numpy as np
 
 from ..base.layout import constant
-from ..base.sampling import Rows, first_of_each, row_hash, stacked
+from ..base.sampling import Rows, first_of_each, largest_of_each, row_hash, stacked
 from ..drives.frames import Estimator
 from ..drives.tables import Experiment
 from ..vehicle.project import Project
@@ -133,11 +133,8 @@ class Remainders:
     @classmethod
     def of_rows(cls, largest: np.ndarray, strongest: Rows, sample: Rows) -> Remainders:
         """Thinned rows."""
-        best = [
-            first_of_each(strongest | {"weakness": -column}, 1, "weakness") for column in strongest["size"].T
-        ]
-        found = {name: column for name, column in stacked(best).items() if name != "weakness"}
-        return cls(largest, found, first_of_each(sample, SAMPLED_FRAMES))
+        best = stacked(largest_of_each(strongest, column) for column in strongest["size"].T)
+        return cls(largest, best, first_of_each(sample, SAMPLED_FRAMES))
 
     @classmethod
     def joined(cls, parts: Iterable[Remainders]) -> Remainders:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..base.sampling import Rows, first_of_each, row_hash, stacked
+from ..base.sampling import Rows, first_of_each, largest_of_each, row_hash, stacked
 from ..engine.validation import s1
 
 PERCENTILE = 90
@@ -91,8 +91,7 @@ class Excitation:
 
     @staticmethod
     def _selected(strongest: Rows, sample: Rows) -> tuple[Rows, Rows]:
-        first = first_of_each(strongest | {"weakness": -strongest["dead"]}, 1, "weakness")
-        return {k: v for k, v in first.items() if k != "weakness"}, first_of_each(sample, SAMPLED_FRAMES)
+        return largest_of_each(strongest, strongest["dead"]), first_of_each(sample, SAMPLED_FRAMES)
 
 
 def speed_cell(speed_range: tuple[float, float], speed: np.ndarray) -> np.ndarray:
