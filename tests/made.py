@@ -114,7 +114,7 @@ EXAMPLES = ROOT / "tools" / "examples"
 
 
 def run_example(name: str, *words: object) -> str:
-    """What an example script prints."""
+    """Return what an example script prints."""
     environment = {**os.environ, "PYTHONPATH": str(ROOT / "tools" / "src")}
     command = [sys.executable, EXAMPLES / name, *map(str, words)]
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)

@@ -76,3 +76,17 @@ def hourly_words(found: dict[str, Any]) -> str:
     if found["interval"] is None:
         return "–"
     return f"{found['rate']:.2f}, {found['interval'][0]:.2f} to {found['interval'][1]:.2f}"
+
+
+def recordings_for(alpha: float) -> int:
+    """Return the fewest calibrating recordings that allow a share of false alarms.
+
+    Parameters
+    ----------
+    alpha : float
+
+    Returns
+    -------
+    int
+    """
+    return round(1 / alpha) - 1

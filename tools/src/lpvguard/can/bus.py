@@ -63,7 +63,7 @@ def command_authentication(frames: Frames, catalogue: Catalogue | None = None) -
 
 
 def sends_demand(project: Project) -> bool:
-    """Whether a vehicle's demand has a place in a message of ours on the CAN catalogue.
+    """Return whether a vehicle's demand has a place in a message of ours on the CAN catalogue.
 
     Parameters
     ----------

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import chi2
 
+from ..base.rates import recordings_for
 from ..drives.tables import day_of
 from .estimate import Estimate, Fit
 from .unknowns import DELAY
@@ -137,7 +138,7 @@ def outlook(recordings: int) -> str:
     >>> outlook(9)
     '9 recordings calibrate: alpha 0.1; 10 more would allow alpha 0.05'
     """
-    needed = {alpha: round(1 / alpha) - 1 for alpha in _ALPHAS}
+    needed = {alpha: recordings_for(alpha) for alpha in _ALPHAS}
     allowed = [alpha for alpha, n in needed.items() if n <= recordings]
     now = f"alpha {allowed[-1]:g}" if allowed else "no alpha"
     following = next((alpha for alpha, n in needed.items() if n > recordings), None)

@@ -31,7 +31,7 @@ PIECE_S = 60.0
 
 @dataclass(frozen=True)
 class Shown:
-    """What drives show of command and actuator.
+    """Sizes of command and actuator in drives.
 
     Attributes
     ----------
@@ -52,7 +52,7 @@ class Shown:
 
 
 def shown(drives: list[Drive], Ts: float, speeds: tuple[float, float]) -> Shown:
-    """What the ``drives`` show within the speed range ``speeds`` [m/s]; first input and first output."""
+    """Measure them in ``drives`` within the speed range ``speeds`` [m/s]; first input and first output."""
     inside = [(d.v >= speeds[0]) & (d.v <= speeds[1]) for d in drives]
     v, u, r = (
         np.concatenate([x[k] for x, k in zip(signals, inside, strict=True)])

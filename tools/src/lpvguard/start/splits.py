@@ -6,6 +6,7 @@ from datetime import UTC, datetime
 
 import numpy as np
 
+from ..base.rates import recordings_for
 from ..drives.tables import day_of
 
 EPOCH_S = 9.0e8
@@ -14,7 +15,7 @@ SURFACE = re.compile(
     r"(?<![a-z])(wet|dry|snow|ice|icy|gravel|rain|nass|trocken|schnee|eis|schotter|regen)(?![a-z])"
 )
 """In names of recordings: the surface."""
-CALIBRATING, LEAST_SETTING = 9, 5
+CALIBRATING, LEAST_SETTING = recordings_for(0.1), 5
 """So many calibrating recordings allow alpha 0.1; so many at least set the bounds."""
 
 
