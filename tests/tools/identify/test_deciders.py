@@ -85,15 +85,15 @@ def test_a_threshold_names_drive_time_and_bin_and_what_it_is_without_one_frame(i
         change=replace(stored.change, calibration=c),
         peaks=at,
     )
-    hertz = f"{stored.bounds['omega_rad_s'][RARE] / (2 * np.pi):.3g} Hz"
+    frequency = f"{stored.bounds['omega_rad_s'][RARE]:.3g} rad/s"
     begin = "test: drive_8 decides the threshold 2.89"
     assert decides_thresholds(result) == [
-        Decision(f"frame {begin}, at 41.2 s, {hertz}; one frame does: without it 1.5", alone=True),
+        Decision(f"frame {begin}, at 41.2 s, {frequency}; one frame does: without it 1.5", alone=True),
         Decision(f"energy {begin}, at 7 s, band between", alone=False),
         Decision(f"change {begin}, at 9 s", alone=False),
     ]
     at["drive_8"]["frame"] = Peak(41.2, RARE, 2.8)
-    others_are_as_large = Decision(f"frame {begin}, at 41.2 s, {hertz}", alone=False)
+    others_are_as_large = Decision(f"frame {begin}, at 41.2 s, {frequency}", alone=False)
     assert decides_thresholds(result)[0] == others_are_as_large
     floor = said(
         stored, calibration=Calibration(1.0, dict.fromkeys(names, 0.2), 0.1, 0.3), energy=None, change=None
@@ -121,10 +121,13 @@ def test_a_drive_whose_score_lies_outside_the_others_is_named_and_still_calibrat
             )
         )
 
-    hertz = f"{stored.bounds['omega_rad_s'][RARE] / (2 * np.pi):.3g} Hz"
+    frequency = f"{stored.bounds['omega_rad_s'][RARE]:.3g} rad/s"
     begin = "test: slide lies outside the other calibration drives: 6, their median is 0.591"
     end = "; the drive calibrates unless experiments.csv sets it aside"
-    frame, energy = f"frame {begin}, at 41.2 s, {hertz}{end}", f"energy {begin}, at 7 s, band between{end}"
+    frame, energy = (
+        f"frame {begin}, at 41.2 s, {frequency}{end}",
+        f"energy {begin}, at 7 s, band between{end}",
+    )
     assert told(scores) == [frame, energy]
     # The logarithm of a normal drive of these ten is within 3.5 deviations.
     assert told(scores | {"slide": 1.5}) == []
@@ -140,8 +143,8 @@ def test_a_bound_names_drive_and_time_and_what_it_is_without_one_frame(identifie
     of = result.origins.decided["B_w"]
     assert decides_bounds(result) == []
     of.largest[RARE], of.rest[RARE], of.drive[RARE], of.first[RARE] = 0.3, 0.1, "slide", 50
-    hertz = f"{stored.bounds['omega_rad_s'][RARE] / (2 * np.pi):.3g} Hz"
-    begin = f"{hertz}: slide decides B_w of yaw_rate, 0.3, from 1 s on"
+    frequency = f"{stored.bounds['omega_rad_s'][RARE]:.3g} rad/s"
+    begin = f"{frequency}: slide decides B_w of yaw_rate, 0.3, from 1 s on"
     assert decides_bounds(result) == [Decision(f"{begin}; one frame does: without it 0.1", alone=True)]
     of.others[RARE] = 0.29
     assert decides_bounds(result) == [Decision(begin, alone=False)]
@@ -208,7 +211,7 @@ def test_which_bins_are_silent_and_why_is_said_and_stored(identified, g80):
     evidence = np.full(len(stored.bounds["omega_rad_s"]), 2.0)
     evidence[RARE] = 0.46
     weights = replace(stored.fitted, silent=(RARE, RARE + 1))
-    low, high = (f"{stored.bounds['omega_rad_s'][k] / (2 * np.pi):.3g} Hz" for k in weights.silent)
+    low, high = (f"{stored.bounds['omega_rad_s'][k]:.3g} rad/s" for k in weights.silent)
     told = silence(said(stored, weights=weights, evidence=evidence))
     assert told == [
         f"{low} is silent: on the drives that set the bounds a vehicle that does not respond would have had "

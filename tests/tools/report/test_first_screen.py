@@ -16,7 +16,7 @@ from lpvguard.identify import identification as stage
 from lpvguard.identify.export import export_vehicle
 from lpvguard.replay.replayer import Replayer
 from lpvguard.report.blindness import LEVEL, cells, regions, speed_row
-from lpvguard.report.sections.overview import outcome
+from lpvguard.report.sections.overview import _headline, outcome
 from lpvguard.vehicle.nominal import NominalModel
 
 
@@ -162,6 +162,20 @@ def test_a_reader_of_the_measured_drives_finds_the_answers(g80, measured, measur
 def test_the_change_test_alone_falsifies_nothing(tests_of_drives, said):
     told = [SimpleNamespace(alarms=[SimpleNamespace(test=t) for t in of]) for of in tests_of_drives]
     assert outcome(told) == said
+
+
+@pytest.mark.parametrize(
+    ("alarms", "independent", "start"),
+    [
+        ([], 0, "Not falsified: no alarm on 1 drives, but every drive that was judged set the bounds"),
+        ([], 1, '<span class="yes">Not falsified'),
+        ([SimpleNamespace(test="frame")], 0, '<span class="no">Falsified'),
+    ],
+)
+def test_the_headline_is_green_only_where_a_drive_set_nothing(alarms, independent, start):
+    drive = SimpleNamespace(alarms=alarms, judged_s=60.0)
+    text = _headline([[]], [drive], True, independent)
+    assert text.startswith(f'<p id="headline" data-proved="0">{start}')
 
 
 @pytest.mark.unhurried

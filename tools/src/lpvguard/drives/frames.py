@@ -196,7 +196,7 @@ class Estimator:
             raise InputError(
                 f"vehicle {project.name}",
                 "frames.length_s",
-                f"{len(inside)} lines from {settings.f_min_hz:g} to {settings.f_max_hz:g} Hz",
+                f"{len(inside)} lines from f_min_hz {settings.f_min_hz:g} to f_max_hz {settings.f_max_hz:g}",
                 f"more than the {model.n} unknowns of the transient; longer frames",
             )
         return cls(

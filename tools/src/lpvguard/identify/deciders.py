@@ -52,7 +52,7 @@ def decides_bounds(result: Identification) -> list[Decision]:
             alone = value > ONE_FRAME * without
             said.append(
                 Decision(
-                    f"{_hertz(result, k)}: {of.drive[k, j]} decides {key}{names[j]}, {value:.3g}, from "
+                    f"{_frequency(result, k)}: {of.drive[k, j]} decides {key}{names[j]}, {value:.3g}, from "
                     f"{of.first[k, j] * Ts:.4g} s on"
                     + (f"; one frame does: without it {without:.3g}" if alone else ""),
                     alone,
@@ -108,7 +108,7 @@ def _where(result: Identification, test: str, drive: str) -> str:
         return ""
     said = f", at {peak.t_s:.4g} s"
     if peak.place is not None and test == "frame":
-        return f"{said}, {_hertz(result, peak.place)}"
+        return f"{said}, {_frequency(result, peak.place)}"
     if peak.place is not None and result.energy is not None:
         return f"{said}, band {result.energy.bands[peak.place]}"
     return said
@@ -168,8 +168,8 @@ def unresolved(result: Identification) -> list[str]:
             step, noise = bounds.resolution.step[j], bounds.resolution.noise[j]
             said.append(
                 f"B_w of {signal.name} is the limit of its sensor, and the drives need no more, at "
-                f"{', '.join(_hertz(result, k) for k in bins.tolist())}: steps of {step:.3g} {signal.unit}, "
-                f"noise of {noise:.3g} {signal.unit}"
+                f"{', '.join(_frequency(result, k) for k in bins.tolist())}: steps of {step:.3g} "
+                f"{signal.unit}, noise of {noise:.3g} {signal.unit}"
             )
     return said
 
@@ -195,12 +195,12 @@ def silence(result: Identification) -> list[str]:
         why = weak if result.origins.evidence[k] <= 1 else few
         if _all_silent(result) and result.bounds.omega[k] == 0:
             why = "every other bin is"
-        said.append(f"{_hertz(result, k)} is silent: {why}")
+        said.append(f"{_frequency(result, k)} is silent: {why}")
     if result.energy is not None and result.energy.silent:
         names = ", ".join(result.energy.bands[b] for b in result.energy.silent)
         said.append(f"energy test: silent in the bands {names}, since every bin is")
     return said
 
 
-def _hertz(result: Identification, k: int) -> str:
-    return f"{result.bounds.omega[k] / (2 * np.pi):.3g} Hz"
+def _frequency(result: Identification, k: int) -> str:
+    return f"{result.bounds.omega[k]:.3g} rad/s"

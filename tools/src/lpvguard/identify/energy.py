@@ -193,7 +193,7 @@ class EnergyTest:
             raise InputError(
                 f"vehicle {project.name}",
                 "energy_test",
-                f"memory {memory:g} s, band from {corners[0]:g} Hz",
+                f"memory {memory:g} s, band from {2 * np.pi * corners[0]:.4g} rad/s",
                 f"a memory above {1 / low_rad:.3g} s: the filters must forget faster than the sums",
             )
         warped, bounds = prewarped(np.asarray(omega), Ts), np.transpose(bound)

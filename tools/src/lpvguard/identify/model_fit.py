@@ -52,7 +52,7 @@ def evidence(
     """
     in_range_s = sum(q.judged_s for q in found)
     return [
-        f"{w / (2 * np.pi):.3g} Hz: {n * Ts:.0f} of {in_range_s:.0f} s in range count, {n / m:.0f} frames of "
+        f"{w:.3g} rad/s: {n * Ts:.0f} of {in_range_s:.0f} s in range count, {n / m:.0f} frames of "
         f"{m * Ts:.3g} s one after another"
         for w, n, m in zip(omega, frames, length, strict=True)
         if w > 0

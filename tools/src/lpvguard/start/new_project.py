@@ -425,9 +425,10 @@ def _project(
     project = parse_project(tomllib.loads(text), name)
     notes = [
         f"{len(drives)} drives, {sum(d.duration_s for d in drives):.0f} s, at {1 / Ts:g} Hz",
-        f"frames from {f_min:g} to {project.frames.f_max_hz:g} Hz, speed within {tolerance:.0%} of a frame's "
-        f"mean: {judged[0]:.0%} of the frames' starts count in the lowest bin",
-        "by bin: " + ", ".join(f"{f:.3g} Hz {s:.0%}" for f, s in _above_dc(project, judged)),
+        f"frames from {2 * np.pi * f_min:.3g} to {2 * np.pi * project.frames.f_max_hz:.3g} rad/s, "
+        f"speed within {tolerance:.0%} of a frame's mean: {judged[0]:.0%} of the frames' starts count in the "
+        "lowest bin",
+        "by bin: " + ", ".join(f"{w:.3g} rad/s {s:.0%}" for w, s in _above_dc(project, judged)),
         f"excited from {excited:g} rad over 10 s: {np.mean(steering >= excited):.0%} of the pieces of 10 s",
         f"speed range {low:g} to {high:g} m/s: from the 5th to the 99th percentile of driving, and 2% beyond",
     ]
@@ -443,9 +444,9 @@ def _judged_shares(estimator: Estimator, drives: list[Drive]) -> list[float]:
 
 
 def _above_dc(project: Project, shares: list[float]) -> list[tuple[float, float]]:
-    """Frequency [Hz] and share of every bin but DC."""
+    """Frequency [rad/s] and share of every bin but DC."""
     omega = Estimator.of(project, NominalModel(project)).omega
-    return [(w / (2 * np.pi), share) for w, share in zip(omega.tolist(), shares, strict=True) if w > 0]
+    return [(w, share) for w, share in zip(omega.tolist(), shares, strict=True) if w > 0]
 
 
 def _spreads(drive: Drive, Ts: float) -> np.ndarray:

@@ -42,14 +42,22 @@ def overview_section(
     alarms = [(d, a) for d in summaries for a in d.alarms]
     grid = cells(stored.visibility, (a for _, a in alarms))
     shown = blind_map(stored, grid, (a for _, a in alarms))
-    return f"""<h2>At a glance</h2>{_headline(grid, summaries, replayed)}
+    groups = stored.manifest["drives"]
+    judged = {d.name for d in summaries if d.judged_s > 0}
+    independent = len(judged - set(groups["bounds"]) - set(groups["calibration"]))
+    return f"""<h2>At a glance</h2>{_headline(grid, summaries, replayed, independent)}
 <div class="glance" id="glance"><div class="wide">{_good_for(grid)}{shown}</div>
-<div class="cards">{_alarms(summaries, alarms, _independence(stored, summaries, evaluation))}\
+<div class="cards">{_alarms(summaries, alarms, _independence(independent, evaluation))}\
 {_promise(stored, design)}{_to_do(grid, summaries)}</div></div>"""
 
 
-def _headline(grid: list[list[MapCell]], summaries: list[DriveSummary], replayed: bool) -> str:
-    """One sentence: whether the model held, and on how much of its range."""
+def _headline(
+    grid: list[list[MapCell]], summaries: list[DriveSummary], replayed: bool, independent: int
+) -> str:
+    """One sentence: whether the model held, and on how much of its range.
+
+    It is green only where a drive was judged that set neither bounds nor threshold.
+    """
     flat = [c for row in grid for c in row]
     proved = sum(c.state == PROVED for c in flat)
     sees = f"A gain error of {_percent(LEVEL)} would be seen in {proved} of {len(flat)} cells of speed and "
@@ -58,7 +66,11 @@ def _headline(grid: list[list[MapCell]], summaries: list[DriveSummary], replayed
         return f'<p id="headline"><b>Not replayed.</b> {sees}</p>'
     hours = sum(d.judged_s for d in summaries) / 3600
     words = outcome(summaries)
-    held = yes_or_no(not any(drive.alarms for drive in summaries), words, words)
+    alarmed = any(drive.alarms for drive in summaries)
+    if alarmed or independent:
+        held = yes_or_no(not alarmed, words, words)
+    else:
+        held = f"{words}, but every drive that was judged set the bounds or the threshold"
     return f'<p id="headline" data-proved="{proved}">{held}, {hours:.2f} h judged. {sees}</p>'
 
 
@@ -245,15 +257,11 @@ def _nearest_words(drive: DriveSummary, near: Nearest, quiet: list[tuple[DriveSu
     )
 
 
-def _independence(
-    stored: StoredIdentification, summaries: list[DriveSummary], evaluation: dict | None
-) -> str:
-    """Evidence value of alarms or silence: whether drives set the bounds that judge them."""
-    groups = stored.manifest["drives"]
-    others = len({d.name for d in summaries} - set(groups["bounds"]) - set(groups["calibration"]))
+def _independence(independent: int, evaluation: dict | None) -> str:
+    """Evidence value of alarms or silence: how many drives set neither bounds nor threshold."""
     words = (
-        f"{others} of the drives set neither bounds nor threshold."
-        if others
+        f"{independent} of the drives set neither bounds nor threshold."
+        if independent
         else "Every drive set the bounds or the threshold: no alarm on them proves little."
     )
     if evaluation is None:

@@ -252,9 +252,9 @@ def _energy_words(test: EnergyTest, project: Project) -> str:
     """Settings and numbers of the energy test in a sentence."""
     c = test.calibration
     least = min(certificate["min_ratio"] for certificate in test.certificate)
-    corners = ", ".join(f"{f:g}" for f in test.band_hz[:-1])
+    *corners, last = (f"{2 * np.pi * f:.3g}" for f in test.band_hz)
     return (
-        f"corners {corners} and {test.band_hz[-1]:g} Hz; judged {test.settle * test.Ts:.3g} s after entering "
+        f"corners {', '.join(corners)} and {last} rad/s; judged {test.settle * test.Ts:.3g} s after entering "
         f"the range; {escape(test.claim_text)}; σ: {escape(test.sigma_text(project))}; "
         f"{len(test.directions)} direction(s); W<sub>Δ</sub> as a filter proved above its bound on the "
         f"circle |z| = {test.rho:.6g} (least ratio {least:.9g}); threshold {c.carried:.4g}: {c.claim()}"
