@@ -28,5 +28,5 @@ plant = ct.interconnect(
     inplist=["xi", "w", "u"],
     outlist=["eta", "z", "y"],
 )
-found = robust.musyn(plant, 1, 1, [robust.Block("full", 1, 1)])
-print(f"mu is proved to be at most {found.level:.3f}; no less than {found.lower:.3f} was found")
+synthesis = robust.musyn(plant, 1, 1, [robust.Block("full", 1, 1)])
+print(f"mu is proved to be at most {synthesis.level:.3f}; no less than {synthesis.lower:.3f} was found")

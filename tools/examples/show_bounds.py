@@ -7,6 +7,6 @@ import sys
 
 import lpvguard
 
-found = lpvguard.load(sys.argv[1])
-print(found.bounds.to_string(float_format="%.3g"))
-lpvguard.plots.weights(found).save(sys.argv[2])
+identification = lpvguard.load(sys.argv[1])
+print(identification.bounds.to_string(float_format="%.3g"))
+lpvguard.plots.weights(identification).save(sys.argv[2])
