@@ -132,6 +132,7 @@ TEST_CASE("a value that the algorithm does not allow is refused", "[unit][coeff]
     cases.push_back({"judged before the frames", [](lpvg_coeff_t& c) { c.words.energy_settle = c.words.settle_samples - 1U; }});
     cases.push_back({"rearm 0", [](lpvg_coeff_t& c) { c.words.energy_rearm = 0U; }});
     spoilt("energy threshold below 1", [](lpvg_coeff_reals_t& r) { r.energy_threshold = Real(0.999); });
+    spoilt("energy certificate below 1", [](lpvg_coeff_reals_t& r) { r.energy_certificate = Real(0.999); });
     for (std::size_t place = 0; place < LPVG_NWEIGHT; ++place) {
         const auto poles = [&](const char* what, Real a1, Real a2) {
             spoilt(what, [=](lpvg_coeff_reals_t& r) {
@@ -215,12 +216,14 @@ TEST_CASE("a value that the algorithm does not allow is refused", "[unit][coeff]
         cases.push_back({"half a frame within the latency", [b](lpvg_coeff_t& c) { c.words.frame_length[b] = 2U * LPVG_NLATENCY; }});
         cases.push_back({"above Nyquist", [b](lpvg_coeff_t& c) { c.words.cycles[b] = c.words.frame_length[b] / 2U; }});
         cases.push_back({"W_delta 0", [b](lpvg_coeff_t& c) { c.reals.W_delta[b][LPVG_NDELTA - 1] = Real(0); }});
+        cases.push_back({"W_certificate 0", [b](lpvg_coeff_t& c) { c.reals.W_certificate[b][LPVG_NDELTA - 1] = Real(0); }});
         cases.push_back({"scale 0", [b](lpvg_coeff_t& c) { c.reals.scale[b] = Real(0); }});
         cases.push_back({"a pool without a part", [b](lpvg_coeff_t& c) { c.words.pool_parts[b] = 0U; }});
         cases.push_back({"more parts of a pool than its memory", [b](lpvg_coeff_t& c) { c.words.pool_parts[b] = LPVG_NPOOL + 1U; }});
         cases.push_back({"a part without a frame", [b](lpvg_coeff_t& c) { c.words.pool_frames[b] = 0U; }});
         for (std::size_t j = 0; j < LPVG_NY; ++j) {
             cases.push_back({"B_w 0", [b, j](lpvg_coeff_t& c) { c.reals.B_w[b][j] = Real(0); }});
+            cases.push_back({"B_certificate 0", [b, j](lpvg_coeff_t& c) { c.reals.B_certificate[b][j] = Real(0); }});
             cases.push_back({"W of a pool below 0", [b, j](lpvg_coeff_t& c) { c.reals.pool_W[b][j] = Real(-0.001); }});
             cases.push_back({"scale of a pool below 0", [b, j](lpvg_coeff_t& c) { c.reals.pool_scale[b][j] = Real(-0.001); }});
         }

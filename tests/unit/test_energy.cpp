@@ -521,6 +521,7 @@ TEST_CASE("the monitor judges after the settling time, and alarms once a memory"
     REQUIRE(lpvg_monitor_take_record(&drive.monitor, &record));
     CHECK(record.test == lpvg_test_energy);
     CHECK(record.falsified);
+    CHECK(record.refuted);
     CHECK(record.t_end_us == drive.now());
     CHECK(record.bin == drive.monitor.energy.strongest * LPVG_NDIRECTIONS + drive.monitor.energy.direction);
     CHECK(record.speed == cruise());
@@ -668,6 +669,41 @@ TEST_CASE("a ratio of exactly the energy test's threshold does not falsify", "[u
     REQUIRE(seen > Real(1));
     CHECK_FALSE(falsified(seen));
     CHECK(falsified(std::nextafter(seen, Real(1))));
+}
+
+TEST_CASE("the energy test refutes the certificate above its ratio, and says so once", "[unit][energy][REQ-MON-14][REQ-MON-20]") {
+    const auto largest_of = [](lpvg_coeff_t coeff) {
+        Drive drive(coeff);
+        drive.gain = 0.5;
+        Real largest = Real(0);
+        for (uint32_t k = 0; k < words().energy_settle + 20U * memory(); ++k) {
+            drive.run(1U);
+            largest = std::max(largest, drive.monitor.energy.ratio);
+        }
+        return largest;
+    };
+    lpvg_coeff_t coeff = energy_only(0.3);
+    const Real seen = largest_of(coeff);
+    const bool refuted = GENERATE(false, true);
+    coeff.reals.energy_certificate = refuted ? Real(0.5) * (Real(1) + seen) : seen;
+    coeff.words.crc32 = lpvg_coeff_crc32(&coeff);
+    Drive drive(coeff);
+    drive.gain = 0.5;
+    std::vector<lpvg_frame_t> records;
+    for (uint32_t k = 0; k < words().energy_settle + 20U * memory(); ++k) {
+        drive.run(1U);
+        lpvg_frame_t record{};
+        if (lpvg_monitor_take_record(&drive.monitor, &record)) {
+            records.push_back(record);
+        }
+    }
+    CHECK(drive.verdict() == (refuted ? lpvg_verdict_invalid : lpvg_verdict_degraded));
+    CHECK(drive.monitor.has_falsified == refuted);
+    const auto of = [&](bool which) {
+        return std::count_if(records.begin(), records.end(), [&](const auto& r) { return r.refuted == which; });
+    };
+    CHECK(of(false) == 1);
+    CHECK(of(true) == (refuted ? 1 : 0));
 }
 
 TEST_CASE("the energy test alarms anew after as many quiet judgements as are stated, and not before", "[unit][energy][REQ-MON-14]") {

@@ -17,18 +17,26 @@
 
 namespace {
 
-// This program is about frames: energy test (test_energy.cpp) and change test (test_change.cpp) never speak.
-lpvg_coeff_t frames_only(const std::function<void(lpvg_coeff_t&)>& change) {
+// This program is about frames: energy test (test_energy.cpp), change test (test_change.cpp) and pools never speak. The certificate's
+// bounds are `wider` times those of the healthy set.
+lpvg_coeff_t frames_only(const std::function<void(lpvg_coeff_t&)>& change, Real wider = Real(1)) {
     return sealed([&](lpvg_coeff_t& c) {
         c.reals.energy_threshold = Real(1e9);
         c.reals.change_threshold = Real(1e9);
+        std::fill(&c.reals.pool_scale[0][0], &c.reals.pool_scale[0][0] + LPVG_NBINS * LPVG_NY, Real(0));
         change(c);
+        for (std::size_t b = 0; b < LPVG_NBINS; ++b) {
+            for (std::size_t j = 0; j < LPVG_NY; ++j) {
+                c.reals.B_certificate[b][j] = wider * c.reals.B_w[b][j];
+                c.reals.W_certificate[b][j % LPVG_NDELTA] = wider * c.reals.W_delta[b][j % LPVG_NDELTA];
+            }
+        }
     });
 }
 
 // Only the given bin can object, at threshold 1, and a single frame is enough.
-lpvg_coeff_t only_bin(uint32_t bin) {
-    return frames_only([bin](lpvg_coeff_t& c) {
+lpvg_coeff_t only_bin(uint32_t bin, Real wider = Real(1)) {
+    const auto change = [bin](lpvg_coeff_t& c) {
         c.words.confirm = c.words.of_last = 1U;
         c.reals.threshold = Real(1);
         for (uint32_t b = 0; b < LPVG_NBINS; ++b) {
@@ -37,7 +45,8 @@ lpvg_coeff_t only_bin(uint32_t bin) {
             }
             std::fill(std::begin(c.reals.W_delta[b]), std::end(c.reals.W_delta[b]), Real(0.2));
         }
-    });
+    };
+    return frames_only(change, wider);
 }
 
 bool is_zero(const lpvg_frame_t& f) {
@@ -216,6 +225,50 @@ TEST_CASE("the verdict flips exactly where the gain leaves the bound", "[unit][m
         drive.settle();
         drive.run(2U * longest());
         CHECK(drive.verdict() == (part < 1.0 ? lpvg_verdict_valid : lpvg_verdict_invalid));
+    }
+}
+
+TEST_CASE("a frame beyond the healthy set is degraded, and beyond the certificate set invalid", "[unit][monitor][REQ-MON-5][REQ-MON-20]") {
+    const auto bin = GENERATE(1U, uint32_t{LPVG_NBINS - 1});
+    const Real wider = Real(2);
+    for (const double of_margin : {0.998, 1.002, 1.998, 2.002}) {
+        CAPTURE(bin, of_margin);
+        double unit = 0.0;  // gain error of a margin of 1
+        for (const bool seek : {true, false}) {
+            Drive drive(only_bin(bin, wider));
+            drive.bin = bin;
+            drive.gain = seek ? 0.9 : 1.0 - of_margin * unit;
+            drive.settle();
+            lpvg_frame_t newest{};
+            drive.run(2U * longest(), [&](const lpvg_frame_t& f) { newest = f.bin == bin ? f : newest; });
+            unit = seek ? 0.1 / static_cast<double>(newest.margin) : unit;
+            if (!seek) {
+                const auto expected =
+                    of_margin < 1.0 ? lpvg_verdict_valid : (of_margin < 2.0 ? lpvg_verdict_degraded : lpvg_verdict_invalid);
+                CHECK(drive.verdict() == expected);
+                CHECK(newest.falsified == (of_margin > 1.0));
+                CHECK(newest.refuted == (of_margin > 2.0));
+            }
+        }
+    }
+}
+
+TEST_CASE("an output by itself refutes the certificate where only its W is wider", "[unit][monitor][REQ-MON-20]") {
+    const uint32_t bin = 1U;
+    lpvg_coeff_t coeff = only_bin(bin);
+    for (Real& W : coeff.reals.W_certificate[bin]) {
+        W = Real(3) * coeff.reals.W_delta[bin][0];
+    }
+    std::fill(std::begin(coeff.reals.B_w[bin]), std::end(coeff.reals.B_w[bin]), Real(1e-6));
+    std::fill(std::begin(coeff.reals.B_certificate[bin]), std::end(coeff.reals.B_certificate[bin]), Real(1e-6));
+    coeff.words.crc32 = lpvg_coeff_crc32(&coeff);
+    for (const double error : {0.59, 0.61}) {
+        Drive drive(coeff);
+        drive.bin = bin;
+        drive.gain = 1.0 - error;
+        drive.settle();
+        drive.run(2U * longest());
+        CHECK(drive.verdict() == (error < 0.6 ? lpvg_verdict_degraded : lpvg_verdict_invalid));
     }
 }
 
@@ -693,7 +746,8 @@ TEST_CASE("the statistic is the k-th largest of the last m margins of the bin", 
             std::vector<Real> last(of_bin.end() - static_cast<std::ptrdiff_t>(std::min<std::size_t>(want.m, of_bin.size())), of_bin.end());
             std::sort(last.begin(), last.end(), std::greater<Real>());
             const Real statistic = last.size() < want.k ? Real(0) : last[want.k - 1U];
-            wrong += frame.statistic != statistic || frame.falsified != (statistic > lpvg_coeff.reals.threshold) ? 1U : 0U;
+            const bool beyond = std::max(statistic, frame.pooled) > lpvg_coeff.reals.threshold;
+            wrong += frame.statistic != statistic || frame.falsified != beyond ? 1U : 0U;
         });
         const lpvg_frame_t& newest = *lpvg_monitor_frame(&drive.monitor);
         lpvg_frame_t record{};
@@ -1111,7 +1165,7 @@ TEST_CASE("the newest falsification counts, whichever test it is of and whenever
         const uint32_t sequence = m.frame.sequence;
         m.energy.ratio = Real(0);
         REQUIRE(drive.step() == lpvg_status_ok);
-        const bool frame = m.frame.sequence != sequence && m.frame.falsified;
+        const bool frame = m.frame.sequence != sequence && m.frame.refuted;
         behind += frame && m.frame.t_end_us < newest ? 1U : 0U;
         newest = std::max({newest, frame ? m.frame.t_end_us : newest, m.energy.ratio > Real(1) ? drive.now() : newest});
         REQUIRE(m.has_falsified == (newest > std::numeric_limits<int64_t>::min()));
@@ -1348,7 +1402,7 @@ TEST_CASE("a pool sums the counted frames of its parts, of which the newest grow
     CHECK(beyond < frames.size());
 }
 
-TEST_CASE("a pool falsifies where no frame of it does, and is recorded", "[unit][monitor][REQ-MON-19][REQ-MON-11]") {
+TEST_CASE("a pool alarms where no frame of it does, refutes nothing, and is recorded", "[unit][monitor][REQ-MON-19][REQ-MON-20][REQ-MON-11]") {
     Drive drive(pooling(LPVG_NPOOL, 1U));
     drive.bin = 1U;
     drive.gain = 0.8;
@@ -1370,10 +1424,11 @@ TEST_CASE("a pool falsifies where no frame of it does, and is recorded", "[unit]
     judged.gain = 0.8;
     judged.settle();
     judged.run(2U * LPVG_NPOOL * words().frame_length[1]);
-    CHECK(judged.verdict() == lpvg_verdict_invalid);
+    CHECK(judged.verdict() == lpvg_verdict_degraded);
     lpvg_frame_t record{};
     REQUIRE(lpvg_monitor_take_record(&judged.monitor, &record));
     CHECK(record.falsified);
+    CHECK_FALSE(record.refuted);
     CHECK(record.pooled > between);
     CHECK(record.statistic < between);
 }

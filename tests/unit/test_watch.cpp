@@ -137,10 +137,10 @@ TEST_CASE("the response goes on through missing measurements, and behind a clear
 TEST_CASE("the largest gain is the certificate's, or the healthy one, or the output is not watched", "[unit][watch][REQ-ECU-17]") {
     lpvg_coeff_t coeff = lpvg_coeff;
     lpvg_watch_limits_t limits{};
-    for (auto& bin : coeff.reals.W_delta) {
+    for (auto& bin : coeff.reals.W_certificate) {
         std::fill(std::begin(bin), std::end(bin), lpvg_real_t(0.9));
     }
-    coeff.reals.W_delta[LPVG_NBINS - 1][0] = lpvg_real_t(0.6);
+    coeff.reals.W_certificate[LPVG_NBINS - 1][0] = lpvg_real_t(0.6);
     const auto set_healthy = [&](std::size_t j, double gain) {
         coeff.reals.change_scale[j][0] = coeff.reals.change_threshold * coeff.reals.change_unit[j][0] / static_cast<lpvg_real_t>(gain);
     };
@@ -149,7 +149,7 @@ TEST_CASE("the largest gain is the certificate's, or the healthy one, or the out
     lpvg_watch_limits(&limits, &coeff);
     CHECK(limits.gain[0] == lpvg_real_t(0.6));
     CHECK(static_cast<double>(limits.gain[1]) == Approx(LPVG_NDELTA > 1 ? 0.3 : 0.6).epsilon(1e-5));
-    coeff.reals.W_delta[LPVG_NBINS - 1][0] = lpvg_real_t(0.7);
+    coeff.reals.W_certificate[LPVG_NBINS - 1][0] = lpvg_real_t(0.7);
     set_healthy(0U, 0.7);
     lpvg_watch_limits(&limits, &coeff);
     CHECK(limits.gain[0] == lpvg_real_t(1));
@@ -158,7 +158,7 @@ TEST_CASE("the largest gain is the certificate's, or the healthy one, or the out
 TEST_CASE("the limits are those of their formulas", "[unit][watch][REQ-ECU-17]") {
     lpvg_coeff_t coeff = lpvg_coeff;
     coeff.words.sample_period_us = 200'000U;
-    for (auto& bin : coeff.reals.W_delta) {
+    for (auto& bin : coeff.reals.W_certificate) {
         for (std::size_t d = 0; d < LPVG_NDELTA; ++d) {
             bin[d] = lpvg_real_t(0.8) + lpvg_real_t(0.1) * static_cast<lpvg_real_t>(d);
         }
@@ -186,8 +186,8 @@ TEST_CASE("the limits are those of their formulas", "[unit][watch][REQ-ECU-17]")
     coeff.reals.change_threshold = LPVG_WATCH_GAIN_MAX;
     lpvg_watch_limits(&limits, &coeff);
     CHECK(limits.gain[0] == static_cast<lpvg_real_t>(LPVG_WATCH_GAIN_MAX));
-    std::fill(&coeff.reals.W_delta[0][0], &coeff.reals.W_delta[0][0] + LPVG_NBINS * LPVG_NDELTA, lpvg_real_t(0.5));
-    for (auto& bin : coeff.reals.W_delta) {
+    std::fill(&coeff.reals.W_certificate[0][0], &coeff.reals.W_certificate[0][0] + LPVG_NBINS * LPVG_NDELTA, lpvg_real_t(0.5));
+    for (auto& bin : coeff.reals.W_certificate) {
         bin[0] = lpvg_real_t(0.2);
     }
     lpvg_watch_limits(&limits, &coeff);

@@ -175,7 +175,7 @@ typedef enum lpvg_ecu_fault_t {
     lpvg_ecu_fault_locked = 6,  ///< The loop waits for an acknowledgement.
     lpvg_ecu_fault_actuator = 7,  ///< The actuator does not follow the demand.
     lpvg_ecu_fault_corrupt = 8,  ///< Coefficients, kept values or state are damaged.
-    lpvg_ecu_fault_degraded = 9  ///< The change test found that the vehicle has changed since identification. Releases nothing.
+    lpvg_ecu_fault_degraded = 9  ///< A test alarmed; the certificate is not refuted. Releases nothing.
 } lpvg_ecu_fault_t;
 
 #define LPVG_ECU_SPN_REFUSED 520200U  ///< Suspect parameter numbers of the trouble codes, from the range of J1939-73 for makers.

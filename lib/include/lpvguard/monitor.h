@@ -22,22 +22,27 @@
 ///
 ///     ( |sum of conj(Z_j) E_j| / sqrt(P_j) - pool_W,j sqrt(P_j) ) pool_scale,j,   P_j = sum of |Z_j|^2        (T51)
 ///
-/// An error that follows the input adds up in the first sum, a disturbance does not. A statistic or a ratio above `threshold` falsifies
-/// the model. The *evidence* of a frame is the margin that a vehicle without any response
-/// would have shown (T18). A frame with evidence at or below the threshold is "not excited". Such a frame cannot falsify any
-/// vehicle, so it does not make the verdict valid.
+/// An error that follows the input adds up in the first sum, a disturbance does not. A statistic or a ratio above `threshold` is an
+/// alarm. The *evidence* of a frame is the margin that a vehicle without any response would have shown (T18). A frame with evidence
+/// at or below the threshold is "not excited". Such a frame can object to no vehicle, so it does not make the verdict valid.
+///
+/// Two sets (T53). W_delta and B_w above are the *healthy set*: what the drives of the identification showed. The *certificate set*,
+/// W_certificate and B_certificate, contains it; the controller is certified for it. An alarm says that the vehicle left the healthy
+/// set: the verdict is degraded. It *refutes* the certificate if the frame's margin with the bounds of the certificate exceeds 1: the
+/// verdict is invalid. With one Delta common to several outputs a lower bound of that margin is compared. A pool refutes no certificate.
 ///
 /// Energy test (energy.h). It takes every sample. It is judged in each push that judges no frame, once model and F have settled.
-/// A *ratio* above `energy_threshold` falsifies the model. The first such ratio after `energy_rearm` judgements below the threshold
-/// is recorded as an alarm. The test restarts from rest after a gap, a refused sample, or a speed outside the scheduling range.
+/// A *ratio* above `energy_threshold` is an alarm. It refutes the certificate above `energy_certificate`. The first alarm after
+/// `energy_rearm` judgements below the threshold is recorded, and one that refutes where nothing has before. The test restarts from
+/// rest after a gap, a refused sample, or a speed outside the scheduling range.
 ///
 /// Change test (change.h). It takes every settled block of LPVG_NBLOCK samples. Each output is then judged once, in a later push
 /// that closes no frame. A block is lost when the next block ends before all outputs are judged. A *ratio* above `change_threshold`
-/// says that the vehicle has changed since identification. It refutes no bound, so the verdict is "degraded", not "invalid". The
-/// first such ratio after `change_rearm` judgements below the threshold is recorded as an alarm.
+/// says that the vehicle has changed since identification. It refutes no certificate, so the verdict is degraded. The first such ratio
+/// after `change_rearm` judgements below the threshold is recorded as an alarm.
 ///
 /// Integrity. Each push checks the indices of one bin, in turn. An impossible index counts as a refused sample, and the monitor
-/// restarts. An infinite or NaN sum of the energy test falsifies the model, and that test restarts. Damaged coefficients can cause
+/// restarts. An infinite or NaN sum of the energy test refutes the certificate, and that test restarts. Damaged coefficients can cause
 /// wrong verdicts but no access outside the objects; ecu.h checks the coefficients.
 ///
 /// Use:     init once -> push one sample per period -> read verdict, frame and records at any time.
@@ -76,12 +81,12 @@ LPVG_EXTERN_C_BEGIN
 
 typedef enum lpvg_verdict_t {
     lpvg_verdict_unknown = 0,     ///< No frame has ended yet. Zero: cleared memory never reads "valid".
-    lpvg_verdict_valid = 1,       ///< Within the hold time a frame with evidence counted, no test falsified, and nothing changed.
-    lpvg_verdict_invalid = 2,     ///< A frame or the energy test falsified the model within the last hold time.
+    lpvg_verdict_valid = 1,       ///< Within the hold time a frame with evidence counted, and no test alarmed.
+    lpvg_verdict_invalid = 2,     ///< A frame or the energy test refuted the certificate set within the last hold time.
     lpvg_verdict_not_judged = 3,  ///< Frames ended, but none within the hold time is evidence: see lpvg_reason_t.
     lpvg_verdict_stale = 4,       ///< The newest sample is older than five sample periods.
     lpvg_verdict_fault = 5,       ///< The newest sample was refused, or the arguments are wrong.
-    lpvg_verdict_degraded = 6     ///< Not invalid, but the change test found a change within the hold time. No bound is refuted.
+    lpvg_verdict_degraded = 6     ///< Not invalid, but a test alarmed within the hold time. The certificate set is not refuted.
 } lpvg_verdict_t;
 
 /// Why the newest frame did not count as evidence.
@@ -122,7 +127,8 @@ typedef struct lpvg_frame_t {
     uint32_t bin;                  ///< 0 is DC
     int64_t t_end_us;              ///< time of the frame's last sample                    [us]
     lpvg_reason_t reason;          ///< none or not_excited: the frame counted; other: why not, and the rest is 0
-    bool falsified;                ///< statistic or pooled ratio above the threshold
+    bool falsified;                ///< an alarm: statistic or pooled ratio above the threshold
+    bool refuted;                  ///< an alarm that refutes the certificate set: the verdict is invalid
     lpvg_real_t speed;             ///< mean speed                                         [m/s]
     lpvg_real_t margin;            ///< t*; 1: exactly explained by the fitted bounds      [-]
     lpvg_real_t statistic;         ///< k-th largest of the bin's last m margins, 0 before there are k [-]
@@ -197,7 +203,7 @@ typedef struct lpvg_monitor_t {
     lpvg_real_t by_pairs;                     ///< intermediate result of these parts (margin.hpp)    [-]
     int64_t t_us;                             ///< time of the newest accepted sample                 [us]
     int64_t t_evidence_us, t_falsified_us,
-        t_changed_us;  ///< end of the newest frame with evidence; newest falsification; newest change [us]
+        t_changed_us;  ///< end of the newest frame with evidence; newest alarm that refutes the certificate; newest other alarm [us]
     int64_t t_void_us;                        ///< frames that ended at or before this time are no evidence [us]
     bool running, has_evidence, has_falsified, has_changed, refused;  ///< started; the times above are known; the newest sample was refused
     uint32_t bad_samples, out_of_order, restarts;  ///< refused samples; ignored samples; restarts

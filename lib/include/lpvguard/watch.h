@@ -10,7 +10,7 @@
 /// constant |d_j| <= gain_j with a disturbance whose part along F phi_j is at most disturbance_j (THEORY 7.14). A violation counts once
 /// Q_j is so large that |d_j| = LPVG_WATCH_ERROR_MAX would violate. With less, P_j shows what a demand before the engagement left behind.
 ///
-/// gain_j is the smallest W_delta,j of all bins: a larger constant error lies outside the certificate set. If it is above
+/// gain_j is the smallest W_certificate,j of all bins: a larger constant error lies outside the certificate set. If it is above
 /// LPVG_WATCH_GAIN_MAX, gain_j is the largest gain that the change test accepts as healthy. If that is too large as well, output j is
 /// not watched. disturbance_j comes from the energy test's sigma_j between its outer corners, over LPVG_WATCH_COHERENCE_S.
 ///

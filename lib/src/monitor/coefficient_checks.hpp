@@ -43,6 +43,7 @@ inline bool items_in_range(const lpvg_coeff_reals_t& f) {
            every(f.energy_forget, [](lpvg_real_t x) { return x > lpvg_real_t(0) && x < lpvg_real_t(1); }) &&
            every(f.energy_start, [](lpvg_real_t x) { return x >= lpvg_real_t(0); }) &&
            every(f.energy_threshold, [](lpvg_real_t x) { return x >= lpvg_real_t(1); }) &&
+           every(f.energy_certificate, [](lpvg_real_t x) { return x >= lpvg_real_t(1); }) &&
            every(f.change_block_s, [](lpvg_real_t x) { return x > lpvg_real_t(0); }) &&
            every(f.change_unit, [](lpvg_real_t x) { return x > lpvg_real_t(0); }) &&
            every(f.change_scale, [](lpvg_real_t x) { return x > lpvg_real_t(0); }) &&
@@ -50,6 +51,8 @@ inline bool items_in_range(const lpvg_coeff_reals_t& f) {
            every(f.change_threshold, [](lpvg_real_t x) { return x > lpvg_real_t(0); }) &&
            every(f.W_delta, [](lpvg_real_t x) { return x > lpvg_real_t(0); }) &&
            every(f.B_w, [](lpvg_real_t x) { return x > lpvg_real_t(0); }) &&
+           every(f.W_certificate, [](lpvg_real_t x) { return x > lpvg_real_t(0); }) &&
+           every(f.B_certificate, [](lpvg_real_t x) { return x > lpvg_real_t(0); }) &&
            every(f.pool_W, [](lpvg_real_t x) { return x >= lpvg_real_t(0); }) &&
            every(f.pool_scale, [](lpvg_real_t x) { return x >= lpvg_real_t(0); }) &&
            every(f.threshold, [](lpvg_real_t x) { return x > lpvg_real_t(0); });

@@ -249,7 +249,8 @@ void record(lpvg_monitor_t& self, const lpvg_frame_t& frame) {
         place.bin = frame.bin;
         place.t_end_us = frame.t_end_us;
         place.reason = frame.reason;
-        place.falsified = frame.falsified;
+        place.falsified = true;
+        place.refuted = frame.refuted;
         place.speed = frame.speed;
         place.margin = frame.margin;
         place.statistic = frame.statistic;
@@ -263,10 +264,19 @@ void record(lpvg_monitor_t& self, const lpvg_frame_t& frame) {
     }
 }
 
-// A frame is judged after its end, when the energy test may have falsified later samples already.
-void falsified_at(lpvg_monitor_t& self, int64_t t_us) {
-    self.t_falsified_us = self.has_falsified && self.t_falsified_us > t_us ? self.t_falsified_us : t_us;
-    self.has_falsified = true;
+// Whether a frame of bin b, or the k frames that confirm its statistic, refute the certificate (T53): an output by itself does, or the
+// statistic exceeds every ratio of both sets' bounds.
+bool refutes(const lpvg_coeff_reals_t& r, std::size_t b, const Complex* E, const Complex* Z, Real statistic) {
+    bool alone = false, scaled = true;
+    for (std::size_t j = 0; j < ny; ++j) {
+        const std::size_t d = LPVG_NDELTA > 1 ? j : 0U;
+        const Real unit = Real(1) / r.B_certificate[b][j];
+        const Real e = std::sqrt(lpvg::squared(unit * E[j])), z = std::sqrt(lpvg::squared(unit * Z[j]));
+        const Real limit = Real(1) + r.W_certificate[b][d] * z;
+        alone = alone || !((Real(1) - lpvg::margin_rounding<Real>)*e <= limit);
+        scaled = scaled && statistic * r.W_delta[b][d] > r.W_certificate[b][d] && statistic * r.B_w[b][j] > r.B_certificate[b][j];
+    }
+    return alone || scaled;
 }
 
 // Whether all but the last part of the work on a margin was done before; else does the first.
@@ -337,7 +347,9 @@ bool judge(lpvg_monitor_t& self, std::size_t b) {
         bin.history[bin.next_history % LPVG_NHISTORY] = frame.margin;
         bin.next_history = bin.next_history + 1U < of_last ? bin.next_history + 1U : 0U;
         frame.statistic = statistic(bin, coeff.words.confirm, of_last);
-        frame.falsified = !(frame.statistic <= r.threshold) || frame.pooled > r.threshold;
+        const bool confirmed = !(frame.statistic <= r.threshold);
+        frame.falsified = confirmed || frame.pooled > r.threshold;
+        frame.refuted = confirmed && refutes(r, b, E, Z, frame.statistic);
         if (!(frame.evidence > r.threshold)) {
             frame.reason = lpvg_reason_not_excited;
         } else if (frame.t_end_us > self.t_void_us) {
@@ -345,7 +357,10 @@ bool judge(lpvg_monitor_t& self, std::size_t b) {
             self.t_evidence_us = frame.t_end_us;
         }
         if (frame.falsified) {
-            falsified_at(self, frame.t_end_us);
+            int64_t& newest = frame.refuted ? self.t_falsified_us : self.t_changed_us;
+            bool& any = frame.refuted ? self.has_falsified : self.has_changed;
+            newest = any && newest > frame.t_end_us ? newest : frame.t_end_us;  // the energy test may have alarmed since the frame ended
+            any = true;
             record(self, frame);
         }
     }
@@ -367,13 +382,13 @@ Real output_norm(const Real* gram, std::size_t j) {
     return std::sqrt(gram[diagonal]);
 }
 
-void record_energy(lpvg_monitor_t& self, const lpvg_sample_t& sample) {
+void record_energy(lpvg_monitor_t& self, const lpvg_sample_t& sample, bool refuted) {
     lpvg_frame_t alarm{};
     alarm.test = lpvg_test_energy;
     alarm.sequence = self.frame.sequence;
     alarm.bin = (self.energy.strongest * LPVG_NDIRECTIONS) + self.energy.direction;
     alarm.t_end_us = sample.t_us;
-    alarm.falsified = true;
+    alarm.refuted = refuted;
     alarm.speed = sample.speed;
     alarm.margin = alarm.statistic = self.energy.ratio;
     alarm.evidence = lpvg_energy_evidence(&self.energy, self.coeff);
@@ -390,11 +405,13 @@ void judge_energy(lpvg_monitor_t& self, const lpvg_sample_t& sample) {
         self.energy_quiet += self.energy_quiet < coeff.words.energy_rearm ? 1U : 0U;
         return;
     }
-    if (self.energy_quiet == coeff.words.energy_rearm) {
-        record_energy(self, sample);
+    const bool refuted = !(self.energy.ratio <= coeff.reals.energy_certificate);
+    if (self.energy_quiet == coeff.words.energy_rearm || (refuted && !self.has_falsified)) {
+        record_energy(self, sample, refuted);
     }
     self.energy_quiet = 0U;
-    falsified_at(self, sample.t_us);
+    (refuted ? self.t_falsified_us : self.t_changed_us) = sample.t_us;
+    (refuted ? self.has_falsified : self.has_changed) = true;
     if (!(self.energy.ratio < std::numeric_limits<Real>::infinity())) {
         lpvg_energy_start(&self.energy);
         self.settled = 0U;
@@ -409,7 +426,6 @@ void record_change(lpvg_monitor_t& self, const lpvg_sample_t& sample) {
     alarm.sequence = self.frame.sequence;
     alarm.bin = self.change.strongest;
     alarm.t_end_us = sample.t_us;
-    alarm.falsified = true;
     alarm.speed = sample.speed;
     alarm.margin = alarm.statistic = self.change.ratio;
     alarm.evidence = r.change_scale[j][0] / r.change_unit[j][0];

@@ -18,8 +18,8 @@ using Signals = Eigen::Array<Real, 2 * LPVG_NY, 1>;
 // The largest constant error of output j's gain that is inside of the certificate set, or of the healthy set where that one is too wide.
 Real largest_gain(const lpvg_coeff_reals_t& r, std::size_t j) {
     const auto largest = static_cast<Real>(LPVG_WATCH_GAIN_MAX);
-    Real least = r.W_delta[0][j / group];
-    for (const auto& bin : r.W_delta) {
+    Real least = r.W_certificate[0][j / group];
+    for (const auto& bin : r.W_certificate) {
         least = bin[j / group] < least ? bin[j / group] : least;
     }
     if (least <= largest) {

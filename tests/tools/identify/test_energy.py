@@ -6,6 +6,7 @@ import os
 import shutil
 import subprocess
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -26,6 +27,7 @@ from lpvguard.identify.bounds import nominal_error
 from lpvguard.identify.calibration import ROUNDING
 from lpvguard.identify.change import ChangeTest
 from lpvguard.identify.energy import EnergyTest, fan, in_delta
+from lpvguard.identify.weights import FittedWeight, energy_filters
 from lpvguard.replay.replayer import Replayer
 from lpvguard.vehicle.nominal import NominalModel
 from lpvguard.vehicle.project import load_project, parse_project
@@ -84,6 +86,27 @@ def test_the_weights_filter_has_the_fitted_magnitude_on_the_shifted_circle_at_wa
         strict=False,
     ):
         np.testing.assert_allclose(on_circle(F, 1.0, theta), np.abs(expected), rtol=1e-7)
+
+
+def test_the_ratio_that_refutes_is_the_largest_of_both_weights(g80):
+    corners = np.geomspace(0.5, 20.0, 4)
+    wide = Weight(np.poly(-2 * corners), np.poly(-corners))
+    sharp = Weight([0.4, 0.2], [1.0, 1.0])
+    omega = np.geomspace(1e-4, 1e5, 200001)
+    largest = (wide.magnitude(omega) / sharp.magnitude(omega)).max()
+    model = NominalModel(g80)
+    estimator = Estimator.of(g80, model)
+
+    def fitted(weight):
+        bound = 0.5 * weight.magnitude(estimator.omega[1:])
+        return FittedWeight(SimpleNamespace(weight=weight), estimator.omega[1:], bound)
+
+    weights = SimpleNamespace(
+        W_delta=[fitted(wide)], W_delta_healthy=[fitted(sharp)], inflation=1.2, silent=()
+    )
+    assert energy_filters(g80, estimator, weights).refuting == pytest.approx(largest * 1.001, rel=1e-5)
+    weights.W_delta_healthy = []
+    assert energy_filters(g80, estimator, weights).refuting == 1.0
 
 
 def test_a_weight_that_falls_is_raised_until_it_is_above_its_bound_when_warped():

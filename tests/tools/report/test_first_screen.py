@@ -151,16 +151,16 @@ def test_a_reader_of_the_measured_drives_finds_the_answers(g80, measured, measur
 
 
 @pytest.mark.parametrize(
-    ("tests_of_drives", "said"),
+    ("verdicts_of_drives", "said"),
     [
         ([[], []], "Not falsified: no alarm on 2 drives"),
-        ([["change", "change"], []], "Changed, not falsified: 2 alarms on 1 of 2 drives"),
-        ([["change"], ["energy"]], "Falsified: 2 alarms on 2 of 2 drives"),
-        ([["frame"]], "Falsified: 1 alarm on 1 of 1 drives"),
+        ([["degraded", "degraded"], []], "Degraded, not falsified: 2 alarms on 1 of 2 drives"),
+        ([["degraded"], ["invalid"]], "Falsified: 2 alarms on 2 of 2 drives"),
+        ([["invalid"]], "Falsified: 1 alarm on 1 of 1 drives"),
     ],
 )
-def test_the_change_test_alone_falsifies_nothing(tests_of_drives, said):
-    told = [SimpleNamespace(alarms=[SimpleNamespace(test=t) for t in of]) for of in tests_of_drives]
+def test_alarms_that_refute_no_certificate_falsify_nothing(verdicts_of_drives, said):
+    told = [SimpleNamespace(alarms=[SimpleNamespace(verdict=v) for v in of]) for of in verdicts_of_drives]
     assert outcome(told) == said
 
 

@@ -62,7 +62,7 @@ class Replayed:
 
         The times t_end_s and t_judged_s are seconds after the first sample. The margin is t*. The evidence
         is the margin of a vehicle that does not respond. The reason "none" means that the frame counted. The
-        other columns are omega_rad_s, speed_mps and falsified.
+        other columns are omega_rad_s, speed_mps, falsified and refuted.
         """
         f, t0 = self.summary.run.frames, self.summary.start_s
         return optional("pandas", "pandas").DataFrame(
@@ -75,6 +75,7 @@ class Replayed:
                 "evidence": f.evidence,
                 "reason": [REASONS[code] for code in f.reason],
                 "falsified": f.falsified,
+                "refuted": f.refuted,
             }
         )
 

@@ -22,7 +22,8 @@ class JudgedFrame:
     speed_mps : float, m/s, mean speed
     margin : float, t*
     reason : str, why it did not count, "none" if it did
-    falsified : bool, it falsifies the model
+    falsified : bool, it alarms: beyond the healthy set
+    refuted : bool, it refutes the certificate's set, too
     """
 
     t_end_s: float
@@ -31,6 +32,7 @@ class JudgedFrame:
     margin: float
     reason: str
     falsified: bool
+    refuted: bool
 
 
 @dataclass(frozen=True)
@@ -117,6 +119,7 @@ class Monitor:
                 float(frames.margin[0]),
                 REASONS[frames.reason[0]],
                 bool(frames.falsified[0]),
+                bool(frames.refuted[0]),
             )
         return Said(
             VERDICTS[run.verdict[0]],

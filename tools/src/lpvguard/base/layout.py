@@ -32,7 +32,7 @@ COEFF = Layout(
     struct="coeff",
     header="coeff.h",
     magic=0x4C505647,
-    schema=7,
+    schema=8,
     dimensions=_COEFF_DIMENSIONS,
     words=(
         *head_fields("LPVG_COEFF", _COEFF_DIMENSIONS),
@@ -121,6 +121,9 @@ COEFF = Layout(
             "a, in units of sigma, sum |a_j| = 1; of a single output where NDELTA > 1",
         ),
         Field("energy_threshold", (), "-", "calibrated threshold of the energy test's ratio", "[1, inf)"),
+        Field(
+            "energy_certificate", (), "-", "ratio of the energy test that refutes the certificate", "[1, inf)"
+        ),
         Field("change_block_s", (), "s", "a block of LPVG_NBLOCK samples", "(0, inf)"),
         Field(
             "change_unit",
@@ -144,8 +147,12 @@ COEFF = Layout(
         ),
         Field("change_forget", (), "-", "share of the sums forgotten with a block", "(0, 1)"),
         Field("change_threshold", (), "-", "calibrated threshold of the change test's ratio", "(0, inf)"),
-        Field("W_delta", ("NBINS", "NDELTA"), "-", "|W_delta| at the bin", "(0, inf)"),
-        Field("B_w", ("NBINS", "NY"), "output unit", "disturbance bound at the bin", "(0, inf)"),
+        Field("W_delta", ("NBINS", "NDELTA"), "-", "|W_delta| at the bin, of the healthy set", "(0, inf)"),
+        Field("B_w", ("NBINS", "NY"), "output unit", "disturbance bound at the bin, likewise", "(0, inf)"),
+        Field(
+            "W_certificate", ("NBINS", "NDELTA"), "-", "|W_delta| at the bin, of the certificate", "(0, inf)"
+        ),
+        Field("B_certificate", ("NBINS", "NY"), "output unit", "disturbance bound, likewise", "(0, inf)"),
         Field("pool_W", ("NBINS", "NY"), "-", "share of |yhat| that a pool allows for", "[0, inf)"),
         Field(
             "pool_scale",

@@ -49,6 +49,7 @@ def print_replays(done: list[dict[str, Any]], replayer: Replayer) -> None:
             "duration s": f"{r['duration_s']:.1f}",
             "judged s": f"{r['judged_s']:.1f}",
             "verdict": r["verdict_final"],
+            "first degraded s": _or_dash(r["first_degraded_s"], ".2f"),
             "first invalid s": _or_dash(r["first_invalid_s"], ".2f"),
             "max margin": _or_dash(r["max_margin"], ".3f"),
             "max energy ratio": _or_dash(r["max_energy_ratio"], ".3f"),

@@ -16,7 +16,7 @@ struct Handle {
 
 constexpr std::size_t n_words = sizeof(lpvg_coeff_words_t) / sizeof(uint32_t);
 constexpr std::size_t n_reals = sizeof(lpvg_coeff_reals_t) / sizeof(lpvg_real_t);
-constexpr std::size_t frame_columns = 11U + 4U * LPVG_NY;
+constexpr std::size_t frame_columns = 12U + 4U * LPVG_NY;
 constexpr int64_t cause_columns = 10;
 
 // t_us: time of the sample with which the core said so; a frame waits for its turn after its end.
@@ -33,6 +33,7 @@ void write_frame(const lpvg_frame_t& f, int64_t t_us, double* row) {
         }
     }
     row[10U + 4U * LPVG_NY] = static_cast<double>(f.pooled);
+    row[11U + 4U * LPVG_NY] = f.refuted ? 1.0 : 0.0;
 }
 
 // An output's cause, as the newest diagnosis found it.

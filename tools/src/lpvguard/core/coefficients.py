@@ -66,6 +66,7 @@ def build_coefficients(
     energy: TestPart,
     change: TestPart,
     pools: TestPart | None = None,
+    certificate: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> Coefficients:
     """Build a vehicle's coefficients from the model, the estimator, the weights and the tests.
 
@@ -74,11 +75,12 @@ def build_coefficients(
     project : Project
     model : NominalModel
     estimator : Estimator
-    W_delta : ndarray (K, n_delta), uncertainty weight at the bins
-    B_w : ndarray (K, n_y), disturbance weight at the bins, units of the outputs
+    W_delta : ndarray (K, n_delta), uncertainty weight of the frame test at the bins
+    B_w : ndarray (K, n_y), its disturbance weight at the bins, units of the outputs
     threshold : float, of the frame test
     energy, change : TestPart, parts of the energy and the change test
     pools : TestPart, optional, bounds of pools of frames; by default none
+    certificate : tuple of both weights, optional, of the certificate set; by default the frame test's
 
     Returns
     -------
@@ -92,6 +94,7 @@ def build_coefficients(
     require_core(project)
     table = model.table
     (sizes_e, words_e, reals_e), (sizes_c, words_c, reals_c) = (t.coefficients() for t in (energy, change))
+    W_certificate, B_certificate = (W_delta, B_w) if certificate is None else certificate
     words_p, reals_p = _without_pools(estimator, project) if pools is None else pools.coefficients()[1:]
     sizes = {
         "NX": model.n,
@@ -126,6 +129,8 @@ def build_coefficients(
         **reals_c,
         "W_delta": W_delta,
         "B_w": B_w,
+        "W_certificate": W_certificate,
+        "B_certificate": B_certificate,
         **reals_p,
         "threshold": threshold,
     }

@@ -335,6 +335,7 @@ class FrameLog:
     E: np.ndarray
     Z: np.ndarray
     pooled: np.ndarray
+    refuted: np.ndarray
 
     @property
     def counted(self) -> np.ndarray:
@@ -354,8 +355,8 @@ class FrameLog:
 
     @classmethod
     def from_rows(cls, rows: np.ndarray, n_y: int) -> FrameLog:
-        """Convert rows (F, 11 + 4 n_y) of the C wrapper, whose times are in microseconds."""
-        parts = rows[:, 10:-1].reshape(len(rows), 2, n_y, 2)
+        """Convert rows (F, 12 + 4 n_y) of the C wrapper, whose times are in microseconds."""
+        parts = rows[:, 10:-2].reshape(len(rows), 2, n_y, 2)
         spectra = parts[..., 0] + 1j * parts[..., 1]
         return cls(
             rows[:, 0] * 1e-6,
@@ -369,8 +370,14 @@ class FrameLog:
             rows[:, 8],
             spectra[:, 0],
             spectra[:, 1],
-            rows[:, -1],
+            rows[:, -2],
+            rows[:, -1] > 0,
         )
+
+    @property
+    def verdict(self) -> list[str]:
+        """Word (F,) of each alarm: "invalid" where it refutes the certificate, else "degraded"."""
+        return ["invalid" if x else "degraded" for x in self.refuted]
 
 
 @dataclass(frozen=True)

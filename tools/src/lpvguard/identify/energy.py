@@ -146,6 +146,7 @@ class EnergyTest:
     joint : ndarray (B,), common factor >= 1 in sigma for the fan and for cut drives
     calibration : Calibration
     silent : tuple of int, bands that set no threshold and raise no alarm, because no frame shows evidence
+    refuting : float, ratio above which the certificate's W_delta is refuted, too (THEORY 7.18), default 1
 
     References
     ----------
@@ -167,6 +168,7 @@ class EnergyTest:
     joint: np.ndarray
     calibration: Calibration = field(default_factory=lambda: Calibration(1.0 + ROUNDING, {}, None, None))
     silent: tuple[int, ...] = ()
+    refuting: float = 1.0
 
     @classmethod
     def design(
@@ -423,6 +425,7 @@ class EnergyTest:
             "energy_start": self.start,
             "energy_direction": self.directions,
             "energy_threshold": self.calibration.exported,
+            "energy_certificate": self.refuting,
         }
         return (
             {"NWEIGHT": self.W.shape[1], "NDIRECTIONS": len(self.directions), "NBANDS": len(self.F)},

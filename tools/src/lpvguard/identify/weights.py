@@ -3,6 +3,7 @@ the core."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from functools import partial
 
@@ -16,9 +17,12 @@ from ..engine.overbound.certificate import Certificate, verify_overbound
 from ..engine.overbound.fit import OverboundFit, fit_overbound
 from ..engine.overbound.noise import subtract_noise
 from ..engine.overbound.weight import Weight
+from ..engine.synthesis.norms import hinf_norm
+from ..engine.synthesis.statespace import StateSpace, series
 from ..vehicle.nominal import NominalModel
 from ..vehicle.project import Project
 from .bounds import Bounds
+from .calibration import ROUNDING
 from .change import ChangeTest
 from .energy import UNBOUNDED, EnergyTest
 from .healthy import HealthySet
@@ -129,12 +133,12 @@ class Weights:
             return self.at(omega)
         return self.inflation * self.healthy.W_delta, self.inflation * self.healthy.B_w
 
-    def of_core(self, omega: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """`of_frames` in the core: without a bound on the disturbance in silent bins."""
-        W_delta, B_w = self.of_frames(omega)
-        B_w = B_w.copy()
-        B_w[list(self.silent)] *= UNBOUNDED
-        return W_delta, B_w
+    def of_core(self, omega: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        """`of_frames`, then `at`, as in the core: without a bound on the disturbance in silent bins."""
+        for W_delta, B_w in (self.of_frames(omega), self.at(omega)):
+            B_w = B_w.copy()
+            B_w[list(self.silent)] *= UNBOUNDED
+            yield W_delta, B_w
 
     def to_dict(self) -> dict:
         """JSON-able, for `from_dict`."""
@@ -472,22 +476,33 @@ def coefficients_of(
     pools: Pools | None = None,
 ) -> Coefficients:
     """Coefficients of the core for these weights; without ``pools`` these have no bounds."""
+    frames, certificate = weights.of_core(estimator.omega)
     return build_coefficients(
-        project, model, estimator, *weights.of_core(estimator.omega), threshold, energy, change, pools
+        project, model, estimator, *frames, threshold, energy, change, pools, certificate
     )
+
+
+def _largest_ratio(numerator: Weight, denominator: Weight) -> float:
+    """Upper bound of the largest ratio of two weights over frequency."""
+    inverse = Weight(denominator.den, denominator.num)
+    both = [StateSpace(*w.to_state_space()) for w in (numerator, inverse)]
+    return hinf_norm(series(*both)).upper
 
 
 def energy_filters(project: Project, estimator: Estimator, weights: Weights) -> EnergyTest:
     """Filters of the energy test for these weights, without sigma. InputError for weights of another
     structure."""
-    fitted = weights.W_delta_healthy or weights.W_delta
-    test = EnergyTest.design(
-        project,
-        estimator,
-        [w.fit.weight for w in fitted],
-        fitted[0].omega,
-        np.column_stack([w.bound for w in fitted]),
-        weights.inflation,
-    )
+
+    def designed(fitted: list[FittedWeight]) -> EnergyTest:
+        bound = np.column_stack([w.bound for w in fitted])
+        given = [w.fit.weight for w in fitted], fitted[0].omega, bound, weights.inflation
+        return EnergyTest.design(project, estimator, *given)
+
+    test = certificate = designed(weights.W_delta)
+    if weights.W_delta_healthy:
+        test = designed(weights.W_delta_healthy)
+        pairs = zip(weights.W_delta, certificate.gain, weights.W_delta_healthy, test.gain, strict=True)
+        largest = [a / b * _largest_ratio(wide.fit.weight, own.fit.weight) for wide, a, own, b in pairs]
+        test = replace(test, refuting=max(1.0, *largest) * (1 + ROUNDING))
     none = len(weights.silent) == estimator.n_bins
     return replace(test, silent=tuple(range(len(test.F) - 1)) if none else ())

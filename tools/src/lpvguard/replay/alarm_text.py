@@ -33,7 +33,7 @@ def alarm_sentence(alarm: Alarm | dict[str, Any]) -> str:
             f"change test, v = {a['speed_mps']:.1f} m/s: {a['part']} of {a['output']} at {a['margin']:.2f} > "
             f"{a['threshold']:.2f} of the largest on the bound-setting drives; gain "
             f"{1 + a['estimate']['gain']:.3g} of the model's, {a['estimate']['delay_s']:.3g} s later, bias "
-            f"{a['estimate']['bias']:.3g}"
+            f"{a['estimate']['bias']:.3g}{_attributed(a)}"
         )
     if a["statistic"] <= a["threshold"]:
         return (
@@ -50,8 +50,9 @@ def alarm_sentence(alarm: Alarm | dict[str, Any]) -> str:
 
 
 def _attributed(a: dict[str, Any]) -> str:
-    """Continuation for an alarm that a vehicle without response would not have raised."""
-    return "; disturbance beyond its bound" if a["beyond"] == "disturbance" else ""
+    """Continuation: the set that the vehicle left, and whether one without response would have, too."""
+    left = "certificate" if a["verdict"] == "invalid" else "healthy set"
+    return f"; beyond the {left}" + ("; disturbance beyond its bound" if a["beyond"] == "disturbance" else "")
 
 
 def _listed(values: list[float]) -> str:

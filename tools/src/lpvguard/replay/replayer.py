@@ -62,6 +62,7 @@ class Alarm:
     beyond : str or None
         "disturbance" where a vehicle without response would not have alarmed, else "model"; None for the
         change test.
+    verdict : str, "invalid" where the alarm refutes the certificate's set, else "degraded" (THEORY 7.18)
     """
 
     t_s: float
@@ -83,6 +84,7 @@ class Alarm:
     estimate: ChangeEstimate | None = None
     pooled: float | None = None
     beyond: str | None = None
+    verdict: str = "degraded"
 
 
 def _beyond(evidence: float, threshold: float) -> str:
@@ -153,6 +155,12 @@ class Replay:
         return float(invalid[0] * self.Ts) if len(invalid) else None
 
     @property
+    def first_degraded_s(self) -> float | None:
+        """Time of the first verdict "degraded", likewise."""
+        degraded = np.flatnonzero(self.run.verdict == VERDICTS.index("degraded"))
+        return float(degraded[0] * self.Ts) if len(degraded) else None
+
+    @property
     def verdict_final(self) -> str:
         """Verdict at the last sample."""
         return VERDICTS[self.run.verdict[-1]]
@@ -172,6 +180,7 @@ class Replay:
             "missing_samples": self.missing_samples,
             "verdict_final": self.verdict_final,
             "first_invalid_s": self.first_invalid_s,
+            "first_degraded_s": self.first_degraded_s,
             "max_margin": self.max_margin,
             "max_energy_ratio": float(self.run.energy.max()) if self.run.energy.any() else None,
             "max_change_ratio": float(self.run.change.max()) if self.run.change.any() else None,
@@ -371,6 +380,7 @@ class Replayer:
                 frames.Z[i].tolist(),
                 pooled=float(frames.pooled[i]),
                 beyond=_beyond(float(frames.evidence[i]), self.threshold),
+                verdict=frames.verdict[i],
             )
             for i in np.flatnonzero(frames.falsified)
         ]
@@ -396,6 +406,7 @@ class Replayer:
                 self.directions[direction].tolist(),
                 self.bands[band],
                 beyond=_beyond(float(found.evidence[i]), self.energy_threshold),
+                verdict=found.verdict[i],
             )
             for i, (band, direction) in enumerate(places)
         ]

@@ -75,13 +75,13 @@ def _headline(
 
 
 def outcome(summaries: list[DriveSummary]) -> str:
-    """Meaning of the drives' alarms for the model; those of the change test refute no bound (THEORY 7.7)."""
+    """Meaning of the drives' alarms for the model (THEORY 7.18)."""
     alarms = [a for drive in summaries for a in drive.alarms]
     if not alarms:
         return f"Not falsified: no alarm on {len(summaries)} drives"
-    refuted = any(a.test != "change" for a in alarms)
+    refuted = any(a.verdict == "invalid" for a in alarms)
     of = sum(bool(drive.alarms) for drive in summaries)
-    word = "Falsified" if refuted else "Changed, not falsified"
+    word = "Falsified" if refuted else "Degraded, not falsified"
     found = "1 alarm" if len(alarms) == 1 else f"{len(alarms)} alarms"
     return f"{word}: {found} on {of} of {len(summaries)} drives"
 
