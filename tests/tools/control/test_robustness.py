@@ -57,7 +57,7 @@ def test_disk_margins_are_those_of_the_loop_broken_at_the_vehicles_input(stored,
     for node in found.nodes:
         K = schedule.at(node.v_mps).select(slice(None), slice(1, None))
         loop = series(gain([[-1.0]], K.dt), series(K, vehicle_at(model, node.v_mps)))
-        want = margins(*of_system(loop)).found
+        want = margins(*of_system(loop)).by_name
         for name in ("disk_S", "disk_T", "disk_balanced"):
             assert getattr(node, name) == pytest.approx(want[name].value, rel=1e-4)
 
