@@ -591,7 +591,7 @@ def celled(monkeypatch):
             cuts.append(step)
             return 0.5 * (low + high)
 
-        monkeypatch.setattr(lpv._End, "of", end)
+        monkeypatch.setattr(lpv._End, "at_speed", end)
         monkeypatch.setattr(lpv, "_cell_slack", cell)
         monkeypatch.setattr(lpv.Storage, "cut", cut)
         found = lpv.prove(replace(family(), nodes=np.array(nodes)), storage, 3.0)
@@ -956,7 +956,7 @@ def searched(monkeypatch):
         monkeypatch.setattr(
             lpv,
             "StorageGrid",
-            SimpleNamespace(of=lambda Ts, grid, basis, parts: search if parts == "parts" else None),
+            SimpleNamespace(from_parts=lambda Ts, grid, basis, parts: search if parts == "parts" else None),
         )
         F = SimpleNamespace(F=lambda frozen: np.array([[2.0, 5.0], [6.0, 7.0]]))
         monkeypatch.setattr(lpv, "unmoved", lambda parts: F)
