@@ -23,7 +23,7 @@ def drive(g80, synthetic):
 
 
 def check(drive, core, frames, g80, g80_model):
-    estimator = Estimator.of(g80, g80_model)
+    estimator = Estimator.from_project(g80, g80_model)
     fields = core.fields(core.compiled[1])
     K, W_delta, B_w = core.n_bins, fields["W_delta"][:, 0], fields["B_w"][:, 0]
     yhat = reference.nominal(drive.v, drive.u[:, 0], drive.y[0, 0])

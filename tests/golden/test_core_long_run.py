@@ -74,7 +74,7 @@ def test_float_follows_double_to_the_end(name, record_property):
     }
     for key in ("bin", "t_end_s", "counted"):
         np.testing.assert_array_equal(number[key], exact[key])
-    Ts, longest = project.Ts_s, Estimator.of(project, model).length[0]
+    Ts, longest = project.Ts_s, Estimator.from_project(project, model).length[0]
     burst = (CHUNK * Ts, (CHUNK + BURST_SAMPLES) * Ts)
     recovered = burst[1] + 4 * model.settle_samples * Ts + longest * Ts
     t = exact["t_end_s"]

@@ -62,7 +62,7 @@ def case(request, tmp_path_factory):
     sizes, double = request.param
     project = synthetic_project(sizes)
     model = NominalModel(project)
-    estimator = Estimator.of(project, model)
+    estimator = Estimator.from_project(project, model)
     assert estimator.n_bins == sizes.bins and model.delay == sizes.delay
     each = 1.0 + 0.2 * np.arange(project.n_delta)
     W_delta = np.outer(np.linspace(0.1, 0.3, sizes.bins), each)

@@ -43,7 +43,7 @@ from hand_controller import hand_controller
 
 def vehicle(project, model, size=1.0):
     """Files of a generated folder with bounds by hand; ``size``: factor on what the disturbance may be."""
-    estimator = Estimator.of(project, model)
+    estimator = Estimator.from_project(project, model)
     each = 1.0 + 0.5 * np.arange(project.n_delta)
     W_delta = np.outer(np.linspace(0.1, 0.4, estimator.n_bins), each)
     B_w = size * np.outer(np.linspace(0.02, 0.01, estimator.n_bins), 1.0 + np.arange(project.n_y))

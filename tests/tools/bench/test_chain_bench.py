@@ -49,7 +49,7 @@ def test_the_stages_are_those_of_the_commands(monkeypatch):
 
     monkeypatch.setattr(bench.design, "design", design)
     monkeypatch.setattr(bench.design, "save", lambda *given: asked.append(given[2].name))
-    monkeypatch.setattr(bench, "DesignProblem", SimpleNamespace(of=lambda stored: stored))
+    monkeypatch.setattr(bench, "DesignProblem", SimpleNamespace(from_identification=lambda stored: stored))
     monkeypatch.setattr(
         bench, "moving_certificates", lambda stored, *given, workers: asked.append((*given, workers))
     )

@@ -32,7 +32,7 @@ def test_parts_say_shares_of_the_whole_that_never_fall():
     second(Counted("beyond its own count", 9, 4))
     last("c")
     assert [str(t) for t in told] == ["a", "no count", "b", "no count either", "beyond its own count", "c"]
-    assert [t.done / t.of for t in told] == [0.125, 0.25, 0.625, 0.625, 0.75, 0.75]
+    assert [t.done / t.total for t in told] == [0.125, 0.25, 0.625, 0.625, 0.75, 0.75]
 
 
 def test_what_remains_is_estimated_from_all_that_was_done(monkeypatch):

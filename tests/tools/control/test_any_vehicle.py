@@ -101,7 +101,7 @@ def test_members_of_the_set_keep_the_certified_gain(stored, designed):
     """Constant errors of the vehicle's response within W_delta, of both signs, at a speed between nodes."""
     result, _ = designed
     v = 10.3
-    plant, K = DesignProblem.of(stored).plant(v), result.schedule.at(v)
+    plant, K = DesignProblem.from_identification(stored).plant(v), result.schedule.at(v)
     loop = lft(plant.system, K)
     n = plant.n_delta_in
     M = loop.response(np.geomspace(1e-3, np.pi / stored.project.Ts_s * 0.999, 300))
@@ -115,9 +115,9 @@ def test_members_of_the_set_keep_the_certified_gain(stored, designed):
 def test_the_yaw_rate_of_the_nominal_car_follows_the_command(stored, designed):
     result, _ = designed
     v = 10.3
-    loop = lft(DesignProblem.of(stored).plant(v).system, result.schedule.at(v))
+    loop = lft(DesignProblem.from_identification(stored).plant(v).system, result.schedule.at(v))
     follows = loop.response([0.05])[0, loop.outputs.index("z_t"), loop.inputs.index("r_c")]
-    W = DesignProblem.of(stored).weights
+    W = DesignProblem.from_identification(stored).weights
     command = abs((W.W_t.response([0.05]) * W.W_R.response([0.05]) * W.W_C.response([0.05]))[0, 0, 0])
     assert abs(follows) < 0.1 * command
 
@@ -125,7 +125,7 @@ def test_the_yaw_rate_of_the_nominal_car_follows_the_command(stored, designed):
 def test_without_a_design_at_identification_the_command_is_missing(stored):
     bare = replace(stored, fitted=replace(stored.fitted, W_C=[]))
     with pytest.raises(InputError, match=r"W_C: missing: identified without a \[design\] table"):
-        _ = DesignProblem.of(bare).weights
+        _ = DesignProblem.from_identification(bare).weights
 
 
 def test_table_ii_is_for_the_papers_vehicle(stored):
@@ -148,7 +148,7 @@ def test_a_demand_that_is_not_met_is_told_with_the_weight_that_limits(stored):
 
 def test_further_inputs_are_weighed_by_the_rate_limits(stored):
     rates = np.array(stored.project.design.input_rate_max_per_s)
-    sizes = [abs(W.response([3.0])[0, 0, 0]) for W in DesignProblem.of(stored).weights.W_u]
+    sizes = [abs(W.response([3.0])[0, 0, 0]) for W in DesignProblem.from_identification(stored).weights.W_u]
     np.testing.assert_allclose(sizes, sizes[0] * rates[0] / rates)
 
 

@@ -177,7 +177,9 @@ def test_robust_stability_is_proved_at_a_moving_speed_and_proved_anew(finer, mov
     assert stated["performance"]["rate_mps2"] is None
     assert stated["stability"]["level"] == stated["stability"]["gain"] == 1
     np.testing.assert_array_equal(stated["stability"]["scaling"], result.scaling.log_parameters)
-    families = moving_speed.scaled_families(DesignProblem.of(finer), result.schedule, result.scaling)
+    families = moving_speed.scaled_families(
+        DesignProblem.from_identification(finer), result.schedule, result.scaling
+    )
     whole = families["performance"].at(15.0).order
     assert stated["stability"]["states"] == families["stability"].at(15.0).order < whole
 
@@ -272,13 +274,15 @@ def test_synthesis_for_other_objectives_changes_the_controller_and_not_what_is_c
     for name in ("speeds", "a", "B", "L", "u_max"):
         np.testing.assert_array_equal(getattr(found.schedule, name), getattr(hard.schedule, name))
     for (v, proved), (_, harder) in zip(found.certificates, hard.certificates, strict=True):
-        again = certify(DesignProblem.of(one).plant(v), found.schedule.at(v), found.scaling)
+        again = certify(DesignProblem.from_identification(one).plant(v), found.schedule.at(v), found.scaling)
         assert proved.upper == pytest.approx(again.upper, rel=1e-9) and proved.upper < harder.upper
     assert found.off_grid[1].upper < hard.off_grid[1].upper
 
     def worst(scaling):
         loops = [
-            closed_scaled(DesignProblem.of(one).plant(float(v)), found.schedule.at(float(v)), scaling)
+            closed_scaled(
+                DesignProblem.from_identification(one).plant(float(v)), found.schedule.at(float(v)), scaling
+            )
             for v in found.schedule.speeds
         ]
         return max(hinf_norm(G, rtol=1e-4).upper for G in loops)
@@ -312,7 +316,7 @@ def with_exact_frames(stored):
 
 def test_K_is_takes_the_states_own_bound_in_1_per_s(common):
     one = with_settings(with_exact_frames(common), structure="K_is")
-    weights, frames = DesignProblem.of(one).weights, StoredFrames(one)
+    weights, frames = DesignProblem.from_identification(one).weights, StoredFrames(one)
     split = frames.explain_with_state(one.bounds["gamma_w"], one.project.design.lambda_s)
     omega = frames.estimator.omega
     for system, nu in ((weights.W_delta_s, split.nu_s), (weights.W_delta_i, split.nu_i)):
@@ -402,7 +406,7 @@ def test_the_compiled_controller_keeps_the_certified_gain(stored, designed, tmp_
     export_vehicle(stored, tmp_path / "vehicle", load_controller(path))
     compiled = CompiledController(tmp_path / "vehicle")
     for v, proved in (result.certificates[0], result.certificates[9]):
-        plant, controller = DesignProblem.of(stored).plant(v), result.schedule.at(v)
+        plant, controller = DesignProblem.from_identification(stored).plant(v), result.schedule.at(v)
         row = run(compiled, plant, controller, v, proved, 10, 1)
         assert row.kept and row.rounding > 0
         # A run of finite length does not fill a narrow peak, or one at DC.
@@ -434,7 +438,9 @@ def test_a_controller_that_has_common_poles_is_met(stored, designed):
     result, _ = designed
     schedule, model = result.schedule, NominalModel(stored.project)
     loops = [
-        FrozenLoop(schedule.at(v), DesignProblem.of(stored).plant(v), stage.vehicle_at(model, v))
+        FrozenLoop(
+            schedule.at(v), DesignProblem.from_identification(stored).plant(v), stage.vehicle_at(model, v)
+        )
         for v in schedule.speeds
     ]
     again = fit_by_pairs(loops, schedule.speeds, result.scaling, schedule.u_max)(len(schedule.a) // 2)
@@ -449,7 +455,7 @@ def test_random_deltas_within_the_bound_keep_the_certified_performance(stored, d
     mu."""
     result, _ = designed
     v, proved = result.certificates[4]
-    plant = DesignProblem.of(stored).plant(v)
+    plant = DesignProblem.from_identification(stored).plant(v)
     loop = lft(plant.system, result.schedule.at(v))
     level, random = proved.upper, np.random.default_rng(5)
     assert [(b.rows, b.cols) for b in plant.blocks] == [(1, 1)] * 2

@@ -49,7 +49,7 @@ def found(result):
 
 @pytest.fixture(scope="module")
 def problem(stored):
-    return DesignProblem.of(stored)
+    return DesignProblem.from_identification(stored)
 
 
 def test_disk_margins_are_those_of_the_loop_broken_at_the_vehicles_input(stored, schedule, found):
@@ -57,7 +57,7 @@ def test_disk_margins_are_those_of_the_loop_broken_at_the_vehicles_input(stored,
     for node in found.nodes:
         K = schedule.at(node.v_mps).select(slice(None), slice(1, None))
         loop = series(gain([[-1.0]], K.dt), series(K, vehicle_at(model, node.v_mps)))
-        want = margins(*of_system(loop)).found
+        want = margins(*of_system(loop)).by_name
         for name in ("disk_S", "disk_T", "disk_balanced"):
             assert getattr(node, name) == pytest.approx(want[name].value, rel=1e-4)
 
@@ -140,7 +140,7 @@ def test_a_bound_stated_a_little_lower_is_proved_as_it_is_and_a_false_one_is_ref
 ):
     """Planted: bounds within the tolerance of the search, which another machine may have found, or not."""
     node = found.nodes[0]
-    problem = DesignProblem.of(stored)
+    problem = DesignProblem.from_identification(stored)
     plant, vehicle = problem.plant(node.v_mps), vehicle_at(problem.model, node.v_mps)
     loop, last = lft(plant.system, schedule.at(node.v_mps)), np.pi / plant.system.dt
     blocks, performance = plant.blocks, plant.performance_block

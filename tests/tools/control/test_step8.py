@@ -43,7 +43,7 @@ def better_known(stored: StoredIdentification) -> StoredIdentification:
     1.1 at DC, and no structure of Table II reaches mu < 1."""
     project, error = stored.project, stored.model_error
     error = replace(error, bound=error.bound / 3)
-    estimator = Estimator.of(project, NominalModel(project))
+    estimator = Estimator.from_project(project, NominalModel(project))
     nu = np.array(stored.bounds["nu"], float)[:, 0]
     W = fit_uncertainty(project, estimator, error.grid.omega, (nu, error.bound[:, 0], "W_delta"))
     return replace(stored, model_error=error, fitted=replace(stored.fitted, W_delta=[W]))

@@ -71,7 +71,7 @@ def test_the_nominal_truck_has_the_margins_of_the_nominal_state_space_loop(truck
     system = series(feedback, sampled(loop.model))
     exact = margins(*of_system(system))
     for name in NAMES:
-        assert found.margins.found[name].value == pytest.approx(exact.found[name].value, rel=1e-4), name
+        assert found.margins.by_name[name].value == pytest.approx(exact.by_name[name].value, rel=1e-4), name
     assert (found.v, found.asked, found.amplitude) == (SPEED, 2.0, 1.0)
     assert all(d.ratio < 1e-9 for d in found.deviations)
 
@@ -93,12 +93,12 @@ def test_a_vehicle_within_the_weight_has_at_least_what_is_promised(truck, column
         found = loop.true(measured(loop, *(delta * W * 0.999).T))
         assert all(d.ratio <= 1 for d in found.deviations)
         for name in NAMES:
-            better = found.margins.found[name].value - promised.found[name].value
+            better = found.margins.by_name[name].value - promised.by_name[name].value
             assert better * (-1 if name in LARGER_IS_WORSE else 1) >= -1e-3, name
 
 
 def test_own_weights_of_each_output_promise_no_more_than_one_for_both(truck):
-    common, own = (certified(truck, columns).promised(SPEED).found for columns in (1, 2))
+    common, own = (certified(truck, columns).promised(SPEED).by_name for columns in (1, 2))
     for name in NAMES:
         better = common[name].value - own[name].value
         assert better * (-1 if name in LARGER_IS_WORSE else 1) >= -1e-9, name
@@ -128,7 +128,7 @@ def test_a_weight_that_lets_a_vehicle_go_unstable_promises_nothing(truck):
 def test_an_unstable_true_loop_says_so(truck):
     loop = certified(truck)
     found = loop.true(measured(loop, *[-60.0 + 0 * OMEGA] * 2))
-    assert not found.margins.stable and found.margins.found == {}
+    assert not found.margins.stable and found.margins.by_name == {}
 
 
 def test_amplitudes_are_reduced_to_the_edge_and_not_left_out(truck):

@@ -45,7 +45,7 @@ def steps_of(speeds: np.ndarray) -> float:
 
 
 def test_the_window_of_a_history_is_cut_at_the_range_and_is_no_wider_than_it_may_run():
-    grid = SpeedGrid.of(0.0, 100.0, 0.1, TS)
+    grid = SpeedGrid.for_rate(0.0, 100.0, 0.1, TS)
     assert grid.near(np.array([500.0, 502.5, 504.0])) == (499, 505)
     assert grid.near(np.full(9, 2.0)) == (0, 6)
     last = grid.places - 1
@@ -54,7 +54,7 @@ def test_the_window_of_a_history_is_cut_at_the_range_and_is_no_wider_than_it_may
 
 @pytest.mark.parametrize("rate", [0.004, 0.15, 3.0])
 def test_profiles_stay_in_the_range_and_move_at_the_largest_rate_and_no_faster(rate):
-    grid, random = SpeedGrid.of(8.0, 9.0, rate, TS), np.random.default_rng(1)
+    grid, random = SpeedGrid.for_rate(8.0, 9.0, rate, TS), np.random.default_rng(1)
     assert grid.unit <= violations.UNIT and grid.moves * grid.unit == pytest.approx(rate * TS)
     samples = int(4 / (rate * TS)) + 20
     profiles = [
@@ -86,7 +86,7 @@ def test_the_search_climbs_above_every_start_and_stops_where_it_is_told_to():
     loop = Loop(OverSpeed(turning(0.6, 0.3)), 1, TS)
     search, rate = Search(loop, 60, 2), 3.0
     found = search.at(rate)
-    grid = SpeedGrid.of(0.0, 1.0, rate, TS)
+    grid = SpeedGrid.for_rate(0.0, 1.0, rate, TS)
     starts = [triangle(grid, 60, 0.0, 1.0, share) for share in (0.0, 0.25, 0.5, 0.75)]
     reached = [
         loop.history(speeds, loop.delta(((sign, np.inf),))).gain(search.first, 8)[0]

@@ -19,7 +19,7 @@ from made import ROOT
 
 @pytest.fixture(scope="module")
 def estimator(g80, g80_model):
-    return Estimator.of(g80, g80_model)
+    return Estimator.from_project(g80, g80_model)
 
 
 def test_a_sinusoid_in_the_bin_reads_its_amplitude_and_others_do_not_see_dc(estimator):
@@ -200,17 +200,17 @@ def test_bins_too_high_for_the_core_name_the_highest_frequency(g80):
     with pytest.raises(
         InputError, match=r"lower f_max_hz to [0-9.]+ or less, or take more periods"
     ) as refused:
-        Estimator.of(slow, NominalModel(slow))
+        Estimator.from_project(slow, NominalModel(slow))
     highest = float(re.search(r"f_max_hz to ([0-9.]+)", str(refused.value))[1])
     fits = slow.model_copy(update={"frames": frames.model_copy(update={"f_max_hz": highest})})
-    assert Estimator.of(fits, NominalModel(fits)).n_bins > 4
+    assert Estimator.from_project(fits, NominalModel(fits)).n_bins > 4
     longer = slow.model_copy(update={"frames": frames.model_copy(update={"periods": 8})})
-    assert Estimator.of(longer, NominalModel(longer)).omega[-1] > 0.9 * 2 * np.pi * 4.0
+    assert Estimator.from_project(longer, NominalModel(longer)).omega[-1] > 0.9 * 2 * np.pi * 4.0
 
 
 def test_bins_lie_where_the_settings_put_them_within_the_rounding_of_an_even_frame(g80, g80_model):
     frames = g80.frames
-    found = Estimator.of(g80, g80_model)
+    found = Estimator.from_project(g80, g80_model)
     decades = np.log10(frames.f_max_hz / frames.f_min_hz)
     assert found.n_bins == int(decades * frames.bins_per_decade + 1e-6) + 2, "DC besides"
     assert found.cycles.tolist() == [0, *[frames.periods] * (found.n_bins - 1)]
@@ -234,16 +234,16 @@ def test_a_last_bin_exactly_at_the_upper_frequency_is_kept(g80):
     frames = g80.frames.model_copy(
         update={"f_min_hz": 0.34, "f_max_hz": 3.4, "bins_per_decade": 3, "periods": 3}
     )
-    found = Estimator.of(g80.model_copy(update={"frames": frames}), NominalModel(g80))
+    found = Estimator.from_project(g80.model_copy(update={"frames": frames}), NominalModel(g80))
     assert found.n_bins == 5 and found.omega[-1] / 2 / np.pi == pytest.approx(3.4, rel=0.02)
     less = frames.model_copy(update={"f_max_hz": 3.39})
-    assert Estimator.of(g80.model_copy(update={"frames": less}), NominalModel(g80)).n_bins == 4
+    assert Estimator.from_project(g80.model_copy(update={"frames": less}), NominalModel(g80)).n_bins == 4
 
 
 def test_frames_that_share_a_length_are_refused_with_the_bins_that_do(g80):
     frames = g80.frames.model_copy(update={"bins_per_decade": 400})
     with pytest.raises(InputError, match=r"at least .* and different lengths"):
-        Estimator.of(g80.model_copy(update={"frames": frames}), NominalModel(g80))
+        Estimator.from_project(g80.model_copy(update={"frames": frames}), NominalModel(g80))
 
 
 @pytest.mark.parametrize(("f_max_hz", "length"), [(12.5, 160), (12.6, None)])
@@ -254,14 +254,14 @@ def test_a_period_takes_four_samples_and_no_fewer(g80, f_max_hz, length):
     )
     project = g80.model_copy(update={"frames": frames})
     if length is not None:
-        assert Estimator.of(project, NominalModel(project)).length.tolist() == [
+        assert Estimator.from_project(project, NominalModel(project)).length.tolist() == [
             10 * length,
             10 * length,
             length,
         ]
     else:
         with pytest.raises(InputError, match=r"hold 158 samples a frame; expected at least 160"):
-            Estimator.of(project, NominalModel(project))
+            Estimator.from_project(project, NominalModel(project))
 
 
 def test_half_a_frame_is_longer_than_the_cores_latency_and_just_longer_is_enough(g80):
@@ -277,10 +277,10 @@ def test_half_a_frame_is_longer_than_the_cores_latency_and_just_longer_is_enough
         half = round(4 / 10 ** ((n_bins - 2) / 4) / g80.Ts_s / 2)
         seen.add(half - latency)
         if half > latency:
-            assert Estimator.of(project, NominalModel(project)).length[-1] == 2 * half
+            assert Estimator.from_project(project, NominalModel(project)).length[-1] == 2 * half
         else:
             with pytest.raises(InputError) as refused:
-                Estimator.of(project, NominalModel(project))
+                Estimator.from_project(project, NominalModel(project))
             assert f"{n_bins} bins and half frames of {half};" in str(refused.value)
             assert f"longer than {latency} samples" in str(refused.value)
             highest = 4 / (2 * (latency + 1) * g80.Ts_s)
@@ -294,14 +294,14 @@ def test_the_border_of_the_latency(g80, monkeypatch):
         update={"f_min_hz": 1.0, "f_max_hz": 8.4, "bins_per_decade": 1, "periods": 4}
     )
     project = g80.model_copy(update={"frames": frames})
-    half = Estimator.of(project, NominalModel(project)).length[-1] // 2
+    half = Estimator.from_project(project, NominalModel(project)).length[-1] // 2
     for latency, fits in ((half - 1, True), (half, False), (half + 1, False)):
         monkeypatch.setattr("lpvguard.drives.frames.constant", lambda *_, said=latency: said)
         if fits:
-            assert Estimator.of(project, NominalModel(project)).length[-1] == 2 * half
+            assert Estimator.from_project(project, NominalModel(project)).length[-1] == 2 * half
         else:
             with pytest.raises(InputError, match=f"half frames longer than {latency} samples"):
-                Estimator.of(project, NominalModel(project))
+                Estimator.from_project(project, NominalModel(project))
 
 
 def plain(g80, **settings):
@@ -312,7 +312,7 @@ def plain(g80, **settings):
 @pytest.mark.parametrize(("low", "high"), [(0.2, 2.5), (0.25, 2.49), (0.1, 60.0), (0.3, 0.7)])
 def test_lines_of_the_plain_dft_are_those_between_the_limits_and_both_limits_count(g80, low, high):
     project = plain(g80, f_min_hz=low, f_max_hz=high)
-    found = Estimator.of(project, NominalModel(project))
+    found = Estimator.from_project(project, NominalModel(project))
     n = round(10.0 / g80.Ts_s)
     tenths = [k for k in range(1, (n + 1) // 2) if low * 10 - 1e-6 <= k <= high * 10 + 1e-6]
     assert found.cycles.tolist() == [0, *tenths]
@@ -328,10 +328,10 @@ def test_lines_of_the_plain_dft_outnumber_the_unknowns_of_the_transient(truck):
     for n_lines in (2, 3):
         project = plain(truck, f_min_hz=0.5, f_max_hz=0.5 + 0.1 * (n_lines - 1) + 0.01)
         if n_lines == 3:
-            assert Estimator.of(project, model).cycles.tolist() == [0, 5, 6, 7]
+            assert Estimator.from_project(project, model).cycles.tolist() == [0, 5, 6, 7]
         else:
             with pytest.raises(InputError, match=r"2 lines.*the 8 unknowns of the transient"):
-                Estimator.of(project, model)
+                Estimator.from_project(project, model)
 
 
 @pytest.mark.parametrize(
@@ -342,7 +342,7 @@ def test_a_line_exactly_at_a_decimal_limit_counts_however_its_frequency_rounds(
 ):
     """35 samples of 0.02 s are a little more than 0.7 s in floating point: line 7 is a little below 10 Hz."""
     project = plain(g80, length_s=length_s, f_min_hz=low, f_max_hz=high)
-    assert Estimator.of(project, NominalModel(project)).cycles.tolist() == [0, *cycles]
+    assert Estimator.from_project(project, NominalModel(project)).cycles.tolist() == [0, *cycles]
 
 
 def test_the_core_takes_hann_frames_only(g80):
@@ -418,5 +418,5 @@ def test_a_line_at_the_upper_limit_counts_though_its_frequency_rounds_above_it(g
     """30 samples of 0.06 s are a little less than 1.8 s in floating point: line 9 is a little above 5 Hz."""
     assert 9 / (30 * 0.06) > 5.0
     project = plain(g80, length_s=1.8, f_min_hz=1.0, f_max_hz=5.0).model_copy(update={"Ts_s": 0.06})
-    found = Estimator.of(project, SimpleNamespace(n=1, speed_range=(1.0, 2.0)))
+    found = Estimator.from_project(project, SimpleNamespace(n=1, speed_range=(1.0, 2.0)))
     assert found.cycles.tolist() == [0, *range(2, 10)]

@@ -32,7 +32,7 @@ def test_frames_over_missing_samples_do_not_count_and_the_others_are_as_before(g
     assert np.flatnonzero(spoiled.missing).tolist() == [*range(3000, 3003), *range(6000, 6200)]
     assert np.array_equal(spoiled.before_sample(3001).missing, spoiled.missing[:3001])
     assert len(spoiled.present.t) == len(plain.t) - 203
-    estimator = Estimator.of(g80, g80_model)
+    estimator = Estimator.from_project(g80, g80_model)
     of_plain, of_spoiled = (
         list(counted_frames(d, *nominal_error(d, g80_model), g80_model, estimator)) for d in (plain, spoiled)
     )

@@ -80,12 +80,12 @@ def test_a_cell_bounds_what_the_loop_loses_between_its_ends(proved, adjoint):
     storage, n = found.storage, len(found.storage.basis)
     rate, random = 0.2 * found.rate, np.random.default_rng(7)
     low, high = 1.0, 1.02
-    ends = [lpv._End.of(one, storage, v) for v in (low, high)]
+    ends = [lpv._End.at_speed(one, storage, v) for v in (low, high)]
     promised = lpv._cell_slack(one, storage, *ends, rate)
     assert promised > 0
     E = np.eye(n, ends[0].S.shape[1])
     for v in random.uniform(low, high, 200):
-        end = lpv._End.of(one, storage, v)
+        end = lpv._End.at_speed(one, storage, v)
         after = storage.at(v + random.uniform(-1, 1) * rate * TS)
         Q = np.block(
             [[after, np.zeros((n, len(end.S) - n))], [np.zeros((len(end.S) - n, n)), np.eye(len(end.S) - n)]]

@@ -401,7 +401,7 @@ def roomy() -> tuple[lpv.Family, lpv.Storage]:
 )
 def test_what_a_cell_proves_holds_at_every_speed_in_it(low, high, rate):
     one, storage = roomy()
-    ends = [lpv._End.of(one, storage, v) for v in (low, high)]
+    ends = [lpv._End.at_speed(one, storage, v) for v in (low, high)]
     slack = lpv._cell_slack(one, storage, *ends, rate)
     assert slack is not None and slack > 0
     seen = []
@@ -417,7 +417,7 @@ def test_the_remainder_of_a_cell_falls_as_its_width_squared():
     losses = []
     for width in (0.1, 0.05, 0.025, 0.0125):
         low, high = 2.4 - width / 2, 2.4 + width / 2
-        slack = lpv._cell_slack(one, storage, *(lpv._End.of(one, storage, v) for v in (low, high)), 0.0)
+        slack = lpv._cell_slack(one, storage, *(lpv._End.at_speed(one, storage, v) for v in (low, high)), 0.0)
         least = min(np.linalg.eigvalsh(dissipated(one, storage, v, v))[0] for v in (low, high))
         losses.append(least - slack)
     ratios = np.array(losses[:-1]) / losses[1:]
@@ -591,7 +591,7 @@ def celled(monkeypatch):
             cuts.append(step)
             return 0.5 * (low + high)
 
-        monkeypatch.setattr(lpv._End, "of", end)
+        monkeypatch.setattr(lpv._End, "at_speed", end)
         monkeypatch.setattr(lpv, "_cell_slack", cell)
         monkeypatch.setattr(lpv.Storage, "cut", cut)
         found = lpv.prove(replace(family(), nodes=np.array(nodes)), storage, 3.0)
@@ -667,7 +667,7 @@ def two_outputs() -> tuple[lpv.Family, lpv.Storage]:
 @pytest.mark.parametrize("adjoint", [False, True])
 def test_an_end_holds_the_loop_and_p_in_the_coordinates_and_their_sizes(adjoint):
     one, storage = two_outputs()
-    end = lpv._End.of(replace(one, adjoint=adjoint), storage, 1.7)
+    end = lpv._End.at_speed(replace(one, adjoint=adjoint), storage, 1.7)
     G, T = one.at(1.7), storage.basis
     A, B, C, D = (
         (part.T for part in (G.A, G.C[:2], G.B, G.D[:2])) if adjoint else (G.A, G.B, G.C[:2], G.D[:2])
@@ -687,7 +687,7 @@ def test_the_vehicles_share_of_the_loop_is_what_changes_with_speed(adjoint):
     one = replace(one, adjoint=adjoint)
     still = []
     for v in (1.2, 2.9):
-        end, Xi = lpv._End.of(one, storage, v), of_vehicle(v)
+        end, Xi = lpv._End.at_speed(one, storage, v), of_vehicle(v)
         still.append(end.S - end.left @ (Xi.T if adjoint else Xi) @ end.right)
     np.testing.assert_allclose(still[1], still[0], atol=1e-14)
 
@@ -740,7 +740,7 @@ def test_a_cells_slack_is_f_less_what_its_chords_may_lose(low, high, rate, adjoi
     one = replace(one, adjoint=adjoint)
     if adjoint:
         storage = replace(storage, P=10 * storage.P)
-    ends = [lpv._End.of(one, storage, v) for v in (low, high)]
+    ends = [lpv._End.at_speed(one, storage, v) for v in (low, high)]
     first, second = one.hold_bounds(low, high)
     width, n = high - low, 3
     bound = np.hstack([width**2 / 8 * second, width**2 / 8 * second, width / 4 * first])
@@ -782,7 +782,7 @@ def test_a_cells_slack_is_f_less_what_its_chords_may_lose(low, high, rate, adjoi
 
 def test_no_slack_is_left_at_zero(monkeypatch):
     one, storage = two_outputs()
-    ends = [lpv._End.of(one, storage, v) for v in (1.9, 2.0)]
+    ends = [lpv._End.at_speed(one, storage, v) for v in (1.9, 2.0)]
     monkeypatch.setattr(lpv, "EPS", 0.0)
     monkeypatch.setattr(np.linalg, "eigvalsh", lambda X: np.zeros(len(X)))
     assert lpv._cell_slack(one, storage, *ends, 0.1) is None
@@ -790,7 +790,7 @@ def test_no_slack_is_left_at_zero(monkeypatch):
 
 def test_what_is_dissipated_is_symmetric_to_the_last_digit():
     one, storage = two_outputs()
-    end = lpv._End.of(one, storage, 1.7)
+    end = lpv._End.at_speed(one, storage, 1.7)
     Q = spd(np.random.default_rng(3), 5)
     assert (end.S.T @ Q @ end.S != (end.S.T @ Q @ end.S).T).any()
     F = lpv._dissipation(end, Q, np.eye(3, 4))
@@ -804,7 +804,7 @@ def test_no_slack_is_left_where_p_after_a_step_is_not_positive(after, holds, mon
     storage = lpv.Storage(np.eye(1), NODES, np.ones((3, 1, 1)))
     monkeypatch.setattr(lpv.Storage, "afterwards", lambda *_: [(np.full((1, 1), after),) * 2])
     one = scalar(0.5, 0.1)
-    ends = [lpv._End.of(one, storage, v) for v in (1.85, 1.95)]
+    ends = [lpv._End.at_speed(one, storage, v) for v in (1.85, 1.95)]
     assert (lpv._cell_slack(one, storage, *ends, 1.0) is not None) == holds
 
 
@@ -956,7 +956,7 @@ def searched(monkeypatch):
         monkeypatch.setattr(
             lpv,
             "StorageGrid",
-            SimpleNamespace(of=lambda Ts, grid, basis, parts: search if parts == "parts" else None),
+            SimpleNamespace(from_parts=lambda Ts, grid, basis, parts: search if parts == "parts" else None),
         )
         F = SimpleNamespace(F=lambda frozen: np.array([[2.0, 5.0], [6.0, 7.0]]))
         monkeypatch.setattr(lpv, "unmoved", lambda parts: F)

@@ -79,7 +79,7 @@ def test_every_structure_of_every_objective_is_a_row_beside_what_is_known_of_it(
         for s in ("K_inf", "K_i", "K_is")
     ]
     assert asked == wanted
-    assert [(str(text), text.done, text.of) for text in told[::4]] == [
+    assert [(str(text), text.done, text.total) for text in told[::4]] == [
         ("K_inf, A_t 95, A_u 1e-06", 0, 9),
         ("K_i, A_t 75, A_u 1e-06", 4, 9),
         ("K_is, A_t 95, A_u 1e-07", 8, 9),

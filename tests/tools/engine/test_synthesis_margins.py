@@ -62,11 +62,11 @@ def test_random_loops_have_the_margins_of_python_control():
         loop = random_loop(seed)
         ours = margins(*of_system(loop))
         assert ours.unstable_poles == closed_poles(loop), seed
-        assert set(ours.found) == (set(NAMES) if ours.stable else set())
+        assert set(ours.by_name) == (set(NAMES) if ours.stable else set())
         if not ours.stable:
             continue
         stable += 1
-        found, theirs = ours.found, peer(loop)
+        found, theirs = ours.by_name, peer(loop)
         gains, phases, *_ = control.stability_margins(theirs, returnall=True)
         # A crossing at DC or at half the sampling frequency is not always listed by the peer.
         inside = found["gain_up"].omega not in (0.0, np.pi / loop.dt if loop.dt else np.inf)
@@ -101,12 +101,12 @@ def test_the_peak_of_s_is_its_h_infinity_norm():
         T = lft(one, StateSpace(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), [[1.0]], loop.dt))
         found = margins(*of_system(loop))
         if found.stable:
-            assert found.found["Mt"].value == pytest.approx(hinf_norm(T).upper, rel=1e-6)
+            assert found.by_name["Mt"].value == pytest.approx(hinf_norm(T).upper, rel=1e-6)
 
 
 def test_a_delay_of_the_margin_ends_stability_and_a_smaller_one_does_not():
     response, grid = of_system(rational([1.0], [1.0, 1.0, 0.4]))
-    found = margins(response, grid).found
+    found = margins(response, grid).by_name
     limit, omega = found["delay"].value, found["delay"].omega
     assert response(np.array([omega]))[0] * np.exp(-1j * omega * limit) == pytest.approx(-1.0)
     for share, poles in ((0.99, 0), (1.01, 2)):
@@ -119,7 +119,7 @@ def test_a_delay_of_the_margin_ends_stability_and_a_smaller_one_does_not():
 
 def test_textbook_loops_have_their_closed_form_margins():
     # k/(s + 1)^3 meets the negative real axis at sqrt(3) with k/8.
-    found = margins(*of_system(rational([2.0], [1.0, 3.0, 3.0, 1.0]))).found
+    found = margins(*of_system(rational([2.0], [1.0, 3.0, 3.0, 1.0]))).by_name
     assert found["gain_up"].value == pytest.approx(4.0, rel=1e-9)
     assert found["gain_up"].omega == pytest.approx(np.sqrt(3), rel=1e-9)
     assert (found["gain_down"].value, found["gain_down"].omega) == (0.0, None)
@@ -128,13 +128,13 @@ def test_textbook_loops_have_their_closed_form_margins():
     assert found["phase"].value == pytest.approx(np.pi - 3 * np.arctan(crossing), rel=1e-9)
     assert found["delay"].value == pytest.approx(found["phase"].value / crossing, rel=1e-9)
     # a/(s + 1): S = (s + 1)/(s + 1 + a), T = a/(s + 1 + a) and S - 1/2 are largest at the ends.
-    found = margins(*of_system(rational([3.0], [1.0, 1.0]))).found
+    found = margins(*of_system(rational([3.0], [1.0, 1.0]))).by_name
     assert found["gain_up"].value == np.inf and found["Mt"].value == pytest.approx(0.75)
     assert found["Ms"].value == pytest.approx(1.0, rel=1e-6)
     assert found["disk_balanced"].value == pytest.approx(2.0, rel=1e-6)
     assert found["phase"].value == pytest.approx(np.pi - np.arctan(np.sqrt(8)), rel=1e-9)
     # a/z in discrete time turns once round the circle of radius a.
-    found = margins(*of_system(StateSpace([[0.0]], [[0.5]], [[1.0]], [[0.0]], 0.1))).found
+    found = margins(*of_system(StateSpace([[0.0]], [[0.5]], [[1.0]], [[0.0]], 0.1))).by_name
     assert found["gain_up"].value == pytest.approx(2.0) and found["phase"].value == np.inf
     assert found["Ms"].value == pytest.approx(2.0) and found["Mt"].value == pytest.approx(1.0)
 
@@ -143,7 +143,7 @@ def test_the_published_example_of_disk_margins_has_its_published_numbers():
     """25/(s^3 + 10 s^2 + 10 s + 10) has 0.46 at 1.94 rad/s and gains from 0.63 to 1.59, by its authors ([13]
     in lib/THEORY.md)."""
     loop = rational([25.0], [1.0, 10.0, 10.0, 10.0])
-    found = margins(*of_system(loop)).found["disk_balanced"]
+    found = margins(*of_system(loop)).by_name["disk_balanced"]
     assert (found.value, found.omega) == (pytest.approx(0.46, abs=5e-3), pytest.approx(1.94, abs=0.02))
     low, high, _ = disk_gain_and_phase(found.value, SKEWS["balanced"])
     assert (low, high) == (pytest.approx(0.63, abs=5e-3), pytest.approx(1.59, abs=1e-2))
@@ -156,7 +156,7 @@ def test_a_conditionally_stable_loop_has_a_gain_margin_downward():
     loop = rational(np.poly([-1.0, -1.0]) * 20.0, np.poly([-0.05, -0.05, -0.05, -20.0, -40.0]) / 40.0)
     found = margins(*of_system(loop))
     assert found.unstable_poles == closed_poles(loop) == 0
-    up, down = found.found["gain_up"].value, found.found["gain_down"].value
+    up, down = found.by_name["gain_up"].value, found.by_name["gain_down"].value
     assert 0 < down < 1 < up
     for factor, poles in ((0.99 * up, 0), (1.01 * up, 2), (1.01 * down, 0), (0.99 * down, 2)):
         scaled = StateSpace(loop.A, factor * loop.B, loop.C, loop.D)
@@ -187,7 +187,7 @@ def test_samples_give_the_margins_of_the_system():
         omega = np.geomspace(1e-3, 60.0, 96)
         exact, sampled = margins(response, grid), margins(of_samples(omega, response(omega)), omega)
         for name in NAMES:
-            assert sampled.found[name].value == pytest.approx(exact.found[name].value, rel=1e-3), name
+            assert sampled.by_name[name].value == pytest.approx(exact.by_name[name].value, rel=1e-3), name
 
 
 def test_samples_that_do_not_tell_the_loop_are_refused():
@@ -225,7 +225,7 @@ def test_what_is_promised_holds_for_every_loop_of_the_set_and_for_one_barely():
     def radius(w):
         return np.abs(response(w) * weight.response(w)[:, 0, 0])
 
-    promised = guaranteed(response, radius, grid).found
+    promised = guaranteed(response, radius, grid).by_name
     barely, larger_is_worse = np.inf, ("gain_down", "Ms", "Mt")
     for turn in np.linspace(-np.pi, np.pi, 25):
         # On the edge of the disk at every frequency, at one angle to its centre.
@@ -242,7 +242,7 @@ def test_what_is_promised_holds_for_every_loop_of_the_set_and_for_one_barely():
         half = np.abs(1 / (1 + curve) - 0.5).max()
         assert 1 / half >= promised["disk_balanced"].value * (1 - 1e-9)
         if abs(turn) in (0.0, np.pi):
-            found = margins(loop, grid).found
+            found = margins(loop, grid).by_name
             for name in NAMES:
                 better = found[name].value - promised[name].value
                 assert better * (-1 if name in larger_is_worse else 1) >= -1e-9, name
@@ -259,8 +259,8 @@ def test_what_is_promised_holds_for_every_loop_of_the_set_and_for_one_barely():
 
 def test_a_set_without_uncertainty_has_the_loops_own_margins_and_a_large_one_none():
     response, grid = of_system(rational([2.0], [1.0, 3.0, 3.0, 1.0]))
-    own = margins(response, grid).found
-    promised = guaranteed(response, lambda w: 1e-7 * np.abs(response(w)), grid).found
+    own = margins(response, grid).by_name
+    promised = guaranteed(response, lambda w: 1e-7 * np.abs(response(w)), grid).by_name
     for name in ("gain_up", "phase", "delay", "Ms", "Mt", "disk_balanced"):
         assert promised[name].value == pytest.approx(own[name].value, rel=1e-3), name
     assert guaranteed(response, lambda w: 2 * np.abs(response(w)), grid) is None

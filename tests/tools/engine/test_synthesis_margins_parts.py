@@ -488,7 +488,7 @@ def test_a_static_set_has_the_margins_of_its_nearest_loop():
 
     def promised(c, r):
         found = m.guaranteed(constant(c), lambda w: r + 0 * w, grid)
-        return found if found is None else found.found
+        return found if found is None else found.by_name
 
     assert promised(-0.25, 0.75) is None is promised(-3.0, 2.0)
     assert promised(-0.25, 0.74) is not None is not promised(-3.0, 1.99)
@@ -505,13 +505,13 @@ def test_a_static_set_has_the_margins_of_its_nearest_loop():
     assert ahead["phase"] == LoopMargin(pytest.approx(turn), 0.0)
     assert ahead["delay"] == LoopMargin(pytest.approx(turn / 4.0), 4.0)
     stable = m.guaranteed(constant(1.0), lambda w: 0.3 + 0 * w, grid)
-    assert stable.stable and list(stable.found) == list(m.NAMES)
+    assert stable.stable and list(stable.by_name) == list(m.NAMES)
 
 
 def test_a_loop_is_stable_or_says_how_many_poles_are_not():
     stable, not_ = (m.margins(*m.of_system(rational([k], [1.0, 3.0, 3.0, 1.0]))) for k in (2.0, 9.0))
-    assert stable.stable and stable.unstable_poles == 0 and list(stable.found) == list(m.NAMES)
-    assert not not_.stable and not_.unstable_poles == 2 and not_.found == {}
+    assert stable.stable and stable.unstable_poles == 0 and list(stable.by_name) == list(m.NAMES)
+    assert not not_.stable and not_.unstable_poles == 2 and not_.by_name == {}
 
 
 @pytest.mark.parametrize("skew", [-1.0, 0.0, 1.0, 0.4])

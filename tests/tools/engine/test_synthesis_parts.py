@@ -359,7 +359,7 @@ def test_terms_their_slopes_and_a_refined_grid():
 
 def test_a_storage_of_the_grid_is_fitted_and_told_in_speeds():
     grid = np.array([2.0, 3.0, 5.0, 10.0])
-    one = storage_grid.StorageGrid.of(0.1, grid, np.eye(2), [])
+    one = storage_grid.StorageGrid.from_parts(0.1, grid, np.eye(2), [])
     # 1, the distance from the mean in spreads, and what mean / v is above 1.
     functions = storage_grid.terms(grid) @ one.units.T
     np.testing.assert_allclose(
@@ -376,7 +376,7 @@ def test_the_barrier_of_a_rate_holds_both_ways_at_every_speed():
     G = plant(7)
     part = storage_grid.parts_in(StateSpace(G.A, G.B[:, :2], G.C[:2], G.D[:2, :2]), np.eye(3))
     other = tuple(2 * M for M in part)
-    one = storage_grid.StorageGrid.of(0.1, grid, np.eye(3), [part, other])
+    one = storage_grid.StorageGrid.from_parts(0.1, grid, np.eye(3), [part, other])
     barrier = one.barrier(rate)
     functions = storage_grid.terms(grid) @ one.units.T
     moved = [(v + s * 1e-6, v - s * 1e-6) for v in grid for s in (1, -1)]

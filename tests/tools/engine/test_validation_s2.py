@@ -641,7 +641,7 @@ def test_s2_has_coordinates_in_which_all_signals_together_are_a_sphere(unit):
     beside a constant."""
     data = data_of()
     data = replace(data, h_s=unit * data.h_s, e=data.e * [[0.01], [2.0], [2.0]])
-    maps = s2._Maps.of(data)
+    maps = s2._Maps.from_data(data)
     size_e = np.linalg.norm(data.e, axis=1)
     assert (size_e < data.gamma).tolist() == [True, False, False]
     size_e[0] = data.gamma[0]
@@ -662,7 +662,7 @@ def test_s2_has_coordinates_in_which_all_signals_together_are_a_sphere(unit):
 
 def test_s2_puts_its_problem_in_units_of_what_the_start_costs():
     data = data_of()
-    maps, start, z = s2._Maps.of(data), points_for(data, 1), points_for(data, 2)
+    maps, start, z = s2._Maps.from_data(data), points_for(data, 1), points_for(data, 2)
     xi, _, eta = signals_at(data, maps, start)
     price = data.lam_i / np.abs(data.u) ** 2
     block = np.sum(np.abs(xi[:, 1:]) ** 2, axis=1) / np.sum(np.abs(eta) ** 2, axis=1)
@@ -754,13 +754,13 @@ def answered(monkeypatch, data: s2._Data, **named) -> tuple[s2.S2Result, tuple, 
 
 def test_s2_gives_back_what_its_kernel_found_and_nothing_where_no_disturbance_is_enough(monkeypatch):
     data = data_of(points=5)
-    b1 = s2._inside_ball(s2._Maps.of(data).w, data.gamma)[0]
+    b1 = s2._inside_ball(s2._Maps.from_data(data).w, data.gamma)[0]
     gamma = 0.5 * (b1 + np.linalg.norm(data.e, axis=1))
     gamma[1] = 0.9 * b1[1]
     data = replace(data, gamma=gamma)
     with np.errstate(invalid="raise"):
         found, (forms, start, p_max, gap), _ = answered(monkeypatch, data, lost=[2])
-    maps, where = s2._Maps.of(data), [0, 2, 3, 4]
+    maps, where = s2._Maps.from_data(data), [0, 2, 3, 4]
     assert gap == s2.GAP and len(forms) == 4
     want = s2._inside_ball(maps.w, gamma)[1]
     np.testing.assert_array_equal(start, want[where])

@@ -25,7 +25,7 @@ def bank(name: str, error, input_rms) -> Bank:
     moments = np.broadcast_to(np.diag([0.04, 0.01, 1.0]), (model.n_y, 3, 3))
     sizes = {b: np.ones(3 * model.n_y) for b in (*GRID, SHORT)}
     scales = Scales(np.array(error), np.array(input_rms), moments)
-    return Bank(model, Estimator.of(project, model), scales, sizes)
+    return Bank(model, Estimator.from_project(project, model), scales, sizes)
 
 
 def statistic(bank: Bank, baseline: Baseline, e: np.ndarray, v: np.ndarray, yhat=None, first=0) -> np.ndarray:

@@ -21,7 +21,7 @@ def said_of(first: KnownCar, second: KnownCar, groups: dict[str, str] | None = N
     random = np.random.default_rng(3)
     cars = zip((first, second), DAYS, strict=True)
     drives = [car.drive(random, v, 60.0, f"{day}_at_{v:g}") for car, day in cars for v in SPEEDS]
-    fit = Fit(Unknowns.of(load_project("g80")), drives)
+    fit = Fit(Unknowns.from_project(load_project("g80")), drives)
     return differences(fit, fit.estimated(fit.unknowns.start), groups or {})
 
 

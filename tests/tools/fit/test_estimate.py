@@ -23,7 +23,7 @@ SEEDS = 200 if FULL else 6
 
 def campaign(project, seeds: int) -> tuple[np.ndarray, np.ndarray]:
     """Errors and stated standard errors (seeds, 6) over drawn cars."""
-    unknowns = Unknowns.of(guessed(project))
+    unknowns = Unknowns.from_project(guessed(project))
     assert unknowns.names == NAMES
     errors, stated = [], []
     for seed in range(seeds):
@@ -52,7 +52,7 @@ def test_known_parameters_are_found_within_honest_standard_errors(g80):
 def test_one_car_is_found_from_far_away_guesses(g80):
     random = np.random.default_rng(1)
     car = KnownCar.drawn(random)
-    unknowns = Unknowns.of(guessed(g80))
+    unknowns = Unknowns.from_project(guessed(g80))
     found = Fit(unknowns, car.drives(random, 60.0)).estimated(unknowns.start)
     assert np.all(np.abs(found.theta - car.truth) <= 4 * found.standard_error)
     assert found.standard_error[NAMES.index("input_delay_s")] < 2e-3
@@ -68,7 +68,7 @@ def test_a_trim_a_drive_is_found_and_its_mean_is_the_projects(g80):
     for d, trim in zip(drives, trims, strict=True):
         d.u[:] += trim
     project = guessed(g80).model_copy(update={"fit": FitSettings(trim="drive")})
-    unknowns = Unknowns.of(project)
+    unknowns = Unknowns.from_project(project)
     found = Fit(unknowns, drives).estimated(unknowns.start)
     written = found.unknowns.base.model.input_offset
     assert np.abs(found.trims[:, 0] - (trims - trims.mean())).max() < 4e-3
@@ -100,7 +100,7 @@ def test_on_measured_drives_it_explains_unseen_ones_at_least_as_well_as_the_publ
     experiments = list_experiments(measured)
     setting = [read_drive(e.path, g80) for e in experiments if e.split == "train"]
     unseen = [read_drive(e.path, g80) for e in experiments if e.split != "train"]
-    unknowns = Unknowns.of(g80)
+    unknowns = Unknowns.from_project(g80)
     found = Fit(unknowns, setting).estimated(unknowns.start)
     ours, published = (
         by_drive(NominalModel(project), unseen, []) for project in (unknowns.project(found.theta), g80)

@@ -169,7 +169,7 @@ def test_a_drive_beside_the_models_speeds_is_said_to_be_there(project):
     random = np.random.default_rng(3)
     car = KnownCar.drawn(random)
     slow = car.drive(random, 1.5, 30.0, "slow")
-    unknowns = Unknowns.of(project)
+    unknowns = Unknowns.from_project(project)
     faults, certain = judged_beside(unknowns, unknowns.start, [slow])
     text = (
         rf"slow: nothing is judged: at {slow.v.min():.3g} to {slow.v.max():.3g} m/s.*expected 3.5 to 19 m/s"

@@ -51,7 +51,7 @@ def designed(project, estimator: Estimator, e, yhat, v) -> ChangeTest:
 
 
 def test_gain_delay_and_bias_are_estimated_in_their_units(g80):
-    estimator = Estimator.of(g80, NominalModel(g80))
+    estimator = Estimator.from_project(g80, NominalModel(g80))
     healthy = fault_drive(estimator, 0.0, 0.0, 0.0)
     test = replace(designed(g80, estimator, *healthy), memory_s=200.0)
     for gain, delay_s, bias in ((-0.3, 0.0, 0.0), (0.0, 0.05, 0.0), (0.0, 0.0, 0.1), (0.2, -0.03, 0.05)):
@@ -64,7 +64,7 @@ def test_gain_delay_and_bias_are_estimated_in_their_units(g80):
 
 
 def test_where_nothing_is_excited_the_prior_keeps_the_estimate(g80):
-    estimator = Estimator.of(g80, NominalModel(g80))
+    estimator = Estimator.from_project(g80, NominalModel(g80))
     test = designed(g80, estimator, *fault_drive(estimator, 0.1, 0.02, 0.05))
     e, yhat, v = fault_drive(estimator, 0.5, 0.1, 0.0)
     found = estimates_met(test, 1e-3 * e, 1e-3 * yhat, v, estimator)
@@ -72,7 +72,7 @@ def test_where_nothing_is_excited_the_prior_keeps_the_estimate(g80):
 
 
 def test_blocks_are_whole_settled_and_begin_with_the_one_after_the_first(g80):
-    estimator = Estimator.of(g80, NominalModel(g80))
+    estimator = Estimator.from_project(g80, NominalModel(g80))
     n = 100
     usable = np.ones(n, bool)
     usable[40] = False
@@ -90,7 +90,7 @@ def test_blocks_are_whole_settled_and_begin_with_the_one_after_the_first(g80):
 
 def test_the_core_says_what_the_definition_says(identified, synthetic, g80, core):
     stored, model = stage.load(identified), NominalModel(g80)
-    test, estimator = stored.change, Estimator.of(g80, model)
+    test, estimator = stored.change, Estimator.from_project(g80, model)
     judged = 0
     for name in ("synthetic_06", "synthetic_08"):
         drive = read_drive(synthetic / f"{name}.csv", g80)
@@ -119,7 +119,7 @@ def test_alpha_alone_decides_the_threshold_and_without_it_the_bound_setting_driv
 
 def test_sizes_are_the_rms_of_the_bound_setting_drives_and_scores_the_cores(identified, synthetic, g80, core):
     stored, model = stage.load(identified), NominalModel(g80)
-    test, estimator = stored.change, Estimator.of(g80, model)
+    test, estimator = stored.change, Estimator.from_project(g80, model)
     theta = np.concatenate(
         [
             test.estimates(blocks)[:, 0]

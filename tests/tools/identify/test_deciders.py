@@ -32,7 +32,7 @@ def remainders(estimator: Estimator, sizes: list[float], starts: list[int]) -> d
 
 
 def test_the_frame_that_decides_a_bound_is_known_and_what_the_bound_is_without_it(g80):
-    estimator = Estimator.of(g80, NominalModel(g80))
+    estimator = Estimator.from_project(g80, NominalModel(g80))
     n = int(estimator.length[RARE])
     drives = {
         "a": remainders(estimator, [1.0, 2.0, 0.5], [0, n, 2 * n]),
@@ -183,7 +183,7 @@ def test_a_silent_bin_raises_no_alarm_and_the_bands_below_do_not_where_all_are(
     identified, synthetic, g80, core
 ):
     stored, model = stage.load(identified), NominalModel(g80)
-    estimator = Estimator.of(g80, model)
+    estimator = Estimator.from_project(g80, model)
     drive = read_drive(synthetic / "synthetic_08.csv", g80)
     faulty = inject(drive, Fault("gain", 0.3), 60.0, g80.Ts_s)
     heard = core.monitor().run_drive(faulty)

@@ -37,7 +37,7 @@ def error_of(theta: np.ndarray, yhat: np.ndarray, random: np.random.Generator) -
 
 
 def test_windows_estimate_what_made_them(g80):
-    estimator = Estimator.of(g80, NominalModel(g80))
+    estimator = Estimator.from_project(g80, NominalModel(g80))
     yhat, v = rich(estimator, 20_000, 0.0)
     theta = np.array([0.2, 0.0, -0.05, 0.1])
     found = windows_of(error_of(theta, yhat, np.random.default_rng(1)), yhat, v, estimator, UNIT)
@@ -55,7 +55,7 @@ def scaled(
 ) -> DiagnosisScales:
     """Scales of drives whose theta is drawn with these standard deviations (4,), anew after ``kept``
     samples."""
-    estimator, random = Estimator.of(g80, NominalModel(g80)), np.random.default_rng(2)
+    estimator, random = Estimator.from_project(g80, NominalModel(g80)), np.random.default_rng(2)
     found = []
     for k in range(drives):
         yhat, v = rich(estimator, samples, 0.7 * k)

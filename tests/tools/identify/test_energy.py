@@ -44,7 +44,7 @@ def shipped(name):
     bounds = [[np.nan if b is None else b for b in weight["bound"]] for weight in weights]
     filters = EnergyTest.design(
         project,
-        Estimator.of(project, model),
+        Estimator.from_project(project, model),
         [Weight.from_dict(weight["weight"]) for weight in weights],
         np.array(weights[0]["omega_rad_s"]),
         np.array(bounds, float).T,
@@ -111,7 +111,7 @@ def test_the_ratio_that_refutes_is_the_largest_of_both_weights(g80):
 
 def test_a_weight_that_falls_is_raised_until_it_is_above_its_bound_when_warped():
     project = load_project("g80")
-    estimator = Estimator.of(project, NominalModel(project))
+    estimator = Estimator.from_project(project, NominalModel(project))
     W = Weight([0.05, 1.0], [1.0, 1.0])  # from 1 down to 0.05
     omega = np.geomspace(0.5, 60.0, 12)
     bound = W.magnitude(omega) * 0.9999
@@ -141,7 +141,7 @@ def test_the_cores_low_passes_make_the_bands_and_the_bands_sum_to_the_signal(g80
     project = parse_project(g80.model_dump(by_alias=True) | {"energy_test": {"band_hz": band_hz}}, "test")
     test = EnergyTest.design(
         project,
-        Estimator.of(project, NominalModel(project)),
+        Estimator.from_project(project, NominalModel(project)),
         [Weight([1.0], [1.0])],
         [1.0, 2.0],
         [[0.5], [0.5]],
@@ -192,7 +192,7 @@ def test_settings_that_make_no_test_are_refused(settings, says, g80):
         project = parse_project(document, "test")
         EnergyTest.design(
             project,
-            Estimator.of(project, NominalModel(project)),
+            Estimator.from_project(project, NominalModel(project)),
             [Weight([1.0], [1.0])],
             [1.0, 2.0],
             [[0.5], [0.5]],
@@ -296,7 +296,7 @@ def with_weights(project, model, weights):
     """The energy test of these weights, with bounds far below them."""
     bound = [0.1 * W.magnitude(np.geomspace(1e-2, 1e4, 500)).min() for W in weights]
     return EnergyTest.design(
-        project, Estimator.of(project, model), weights, [1.0, 2.0], np.tile(bound, (2, 1)), 1.0
+        project, Estimator.from_project(project, model), weights, [1.0, 2.0], np.tile(bound, (2, 1)), 1.0
     )
 
 
@@ -417,7 +417,7 @@ def test_opposite_errors_under_one_nominal_output_are_caught_by_the_joint_form_o
     document["bounds"]["structure"] = "S1"
     project = parse_project(document, "twins")
     model = NominalModel(project)
-    estimator = Estimator.of(project, model)
+    estimator = Estimator.from_project(project, model)
     test = replace(
         EnergyTest.design(project, estimator, [Weight([1.05], [1.0])], [1.0, 2.0], [[1.0], [1.0]], 1.0),
         sigma=np.full((3, 2), 1e-3),
@@ -461,7 +461,7 @@ def test_what_a_drive_asks_of_sigma_is_the_most_that_its_norms_do(structure):
     document["design"], document["bounds"]["structure"] = None, structure
     project = parse_project(document, structure)
     weights = [Weight([0.5, 0.2], [1.0, 1.0]), Weight([0.9, 0.5, 0.1], [1.0, 1.4, 1.0])][: project.n_delta]
-    estimator = Estimator.of(project, NominalModel(project))
+    estimator = Estimator.from_project(project, NominalModel(project))
     test = EnergyTest.design(project, estimator, weights, [1.0, 2.0], np.full((2, project.n_delta), 0.1), 1.0)
     random = np.random.default_rng(7)
     test = replace(
@@ -510,7 +510,7 @@ def separate(tmp_path_factory):
     document["bounds"]["structure"] = "S1_diagonal"
     project = parse_project(document, "separate")
     model = NominalModel(project)
-    estimator = Estimator.of(project, model)
+    estimator = Estimator.from_project(project, model)
     weights = [Weight([0.5, 0.2], [1.0, 1.0]), Weight([0.9, 0.5, 0.1], [1.0, 1.4, 1.0])]
     test = EnergyTest.design(project, estimator, weights, [1.0, 2.0], np.full((2, 2), 0.1), 1.0)
     test = replace(test, sigma=np.full((3, 2), 5e-3) * [1.0, 0.5])
@@ -629,7 +629,7 @@ def test_sigma_is_the_least_for_each_output_and_then_for_the_joint_form():
     document = load_project("truck").model_dump(by_alias=True)
     document["design"], document["bounds"]["structure"] = None, "S1"
     project = parse_project(document, "common")
-    estimator = Estimator.of(project, NominalModel(project))
+    estimator = Estimator.from_project(project, NominalModel(project))
     weights = [Weight([0.35], [1.0])]
     test = EnergyTest.design(project, estimator, weights, [1.0, 2.0], [[0.3], [0.3]], 1.0)
     t = np.arange(6000) * test.Ts

@@ -263,7 +263,7 @@ def test_two_outputs_are_seen_from_sixteen_even_angles_in_bit_reversed_order():
 
 
 def test_the_design_takes_corners_memory_and_settling_from_the_settings(g80, g80_model):
-    estimator = Estimator.of(g80, g80_model)
+    estimator = Estimator.from_project(g80, g80_model)
     low_hz, high_hz = g80.frames.f_min_hz, g80.frames.f_max_hz
     plain = g80.model_copy(
         update={"energy_test": g80.energy_test.model_copy(update={"band_hz": None, "memory_s": None})}
@@ -292,7 +292,7 @@ def test_the_design_takes_corners_memory_and_settling_from_the_settings(g80, g80
 
 
 def test_a_memory_must_outlast_the_slowest_filter(g80, g80_model):
-    estimator = Estimator.of(g80, g80_model)
+    estimator = Estimator.from_project(g80, g80_model)
     low_rad = 2 / g80.Ts_s * math.tan(math.pi * 0.2 * g80.Ts_s)
     for factor, fits in ((1.01, True), (0.99, False)):
         settings = g80.energy_test.model_copy(update={"band_hz": (0.2, 3.0), "memory_s": factor / low_rad})
@@ -313,7 +313,7 @@ def test_a_silent_band_has_a_million_times_its_sigma_in_the_core_alone(test):
 
 
 def test_a_memory_that_just_equals_the_slowest_filters_is_refused(g80, g80_model):
-    estimator = Estimator.of(g80, g80_model)
+    estimator = Estimator.from_project(g80, g80_model)
     # The corner of which one over its warped frequency, times that, is 1 in all digits.
     found = 0
     for low_hz in np.linspace(0.2, 0.3, 20):
@@ -330,7 +330,7 @@ def test_a_memory_that_just_equals_the_slowest_filters_is_refused(g80, g80_model
 
 
 def test_a_weight_below_its_bound_is_raised_to_what_the_certificate_proves(g80, g80_model):
-    estimator = Estimator.of(g80, g80_model)
+    estimator = Estimator.from_project(g80, g80_model)
     for level in np.geomspace(0.11, 0.97, 12):
         W = Weight([level, 2.0 * level], [1.0, 3.0])
         test = EnergyTest.design(g80, estimator, [W], [1.0, 2.0], [[0.9], [0.9]], 1.0)
@@ -340,7 +340,7 @@ def test_a_weight_below_its_bound_is_raised_to_what_the_certificate_proves(g80, 
 
 
 def test_a_factor_common_to_numerator_and_denominator_changes_no_filter(g80, g80_model):
-    estimator = Estimator.of(g80, g80_model)
+    estimator = Estimator.from_project(g80, g80_model)
     one, two = (
         EnergyTest.design(g80, estimator, [W], [1.0, 2.0], [[0.2], [0.2]], 1.0)
         for W in (Weight([1.0, 2.0], [1.0, 8.0]), Weight([4.0, 8.0], [4.0, 32.0]))
@@ -349,7 +349,7 @@ def test_a_factor_common_to_numerator_and_denominator_changes_no_filter(g80, g80
 
 
 def test_weights_and_bounds_are_as_many_as_the_structure_has(g80, g80_model):
-    estimator, W = Estimator.of(g80, g80_model), Weight([1.0], [1.0])
+    estimator, W = Estimator.from_project(g80, g80_model), Weight([1.0], [1.0])
     for weights, bound in (([W, W], [[0.2]]), ([W], [[0.2, 0.2]]), ([W, W], [[0.2, 0.2]])):
         with pytest.raises(InputError, match="1 of each: structure"):
             EnergyTest.design(g80, estimator, weights, [1.0], bound, 1.0)

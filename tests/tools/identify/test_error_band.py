@@ -28,7 +28,7 @@ from lpvguard.vehicle.project import load_project
 
 PROJECT = load_project("g80")
 MODEL = NominalModel(PROJECT)
-ESTIMATOR = Estimator.of(PROJECT, MODEL)
+ESTIMATOR = Estimator.from_project(PROJECT, MODEL)
 DOMAIN = ErrorDomain.of(ESTIMATOR, PROJECT.frame_test.excited_std)
 
 

@@ -74,7 +74,7 @@ def files(folder: Path, run=map) -> dict[str, bytes]:
 def bad_frames():
     project = fleet.vehicle()
     model = NominalModel(project)
-    estimator = Estimator.of(project, model)
+    estimator = Estimator.from_project(project, model)
     rng = np.random.default_rng(7)
     E, Z = (rng.normal(size=(3, model.n_y)) + 1j * rng.normal(size=(3, model.n_y)) for _ in range(2))
     return estimator, FrameSet(2, E, Z, np.array([100, 250, 400]), "lap_7")
@@ -435,7 +435,9 @@ def test_front_is_the_largest_exact_nu_of_all_frames(n_y, alike, g80, g80_model)
     if alike:  # neighbours, as frames one sample apart are: whole blocks of them are passed over
         E, Z = (np.cumsum(x, axis=0) for x in (E, Z))
     size = np.linalg.norm(E, axis=1)
-    estimator = replace(Estimator.of(g80, g80_model), length=np.array([100, 100]), cycles=np.array([0, 3]))
+    estimator = replace(
+        Estimator.from_project(g80, g80_model), length=np.array([100, 100]), cycles=np.array([0, 3])
+    )
     B1, B2 = np.full(2, s1.solve(E, Z, size).b1.max()), np.full(2, size.max())
     grid = front_grid(B1, B2, estimator, "S1")
     assert np.isnan(grid[0]).all() and grid[1, 0] == B1[1] and grid[1, -1] == B2[1]
@@ -469,7 +471,7 @@ def plain(name: str = "g80", **frames):
 def test_plain_dft_of_the_models_own_data_is_zero_once_the_transient_is_out(name):
     project = plain(name, f_max_hz=2.0)
     model = NominalModel(project)
-    estimator = Estimator.of(project, model)
+    estimator = Estimator.from_project(project, model)
     random = np.random.default_rng(5)
     n = int(estimator.length[0]) + 300
     v = np.full(n, 12.0)
@@ -486,7 +488,7 @@ def test_plain_dft_of_the_models_own_data_is_zero_once_the_transient_is_out(name
 def test_plain_dft_finds_a_known_gain_and_disturbance(g80):
     project = plain()
     model = NominalModel(project)
-    estimator = Estimator.of(project, model)
+    estimator = Estimator.from_project(project, model)
     n = int(estimator.length[0])
     t = np.arange(n) * model.Ts
     v, line = np.full(n, 9.0), estimator.omega[7]
@@ -532,7 +534,7 @@ def test_identify_with_the_plain_dft_leaves_out_unsteady_drives_and_the_core_ref
         done.returncode == 2
         and "frames.estimator: the plain DFT, which the core does not compute" in done.stderr
     )
-    hann = Estimator.of(load_project("g80"), NominalModel(load_project("g80")))
+    hann = Estimator.from_project(load_project("g80"), NominalModel(load_project("g80")))
     assert result.estimator.identifier() != hann.identifier()
 
 
@@ -541,7 +543,7 @@ def test_plain_dft_settings_are_checked():
         plain(length_s=None)
     with pytest.raises(InputError, match="unknowns of the transient"):
         project = plain(length_s=1.0, f_min_hz=0.1, f_max_hz=0.2)
-        Estimator.of(project, NominalModel(project))
+        Estimator.from_project(project, NominalModel(project))
 
 
 def test_window_error_falls_with_the_number_of_periods():
@@ -552,7 +554,7 @@ def test_window_error_falls_with_the_number_of_periods():
         document["frames"] |= {"periods": periods}
         project = parse_project(document, "test")
         model = NominalModel(project)
-        error = window_error(model, Estimator.of(project, model), seed=1)
+        error = window_error(model, Estimator.from_project(project, model), seed=1)
         assert (error["percentile"] >= error["median"]).all()
         medians.append(error["median"][1:])
     assert (medians[1] < medians[0]).all() and 0.01 < medians[0].max() < 1.0

@@ -16,7 +16,7 @@ from lpvguard.vehicle.nominal import NominalModel
 from lpvguard.vehicle.project import load_project, parse_project
 
 PROJECT = load_project("g80")
-ESTIMATOR = Estimator.of(PROJECT, NominalModel(PROJECT))
+ESTIMATOR = Estimator.from_project(PROJECT, NominalModel(PROJECT))
 K = ESTIMATOR.n_bins
 FLOOR = np.full((K, 1), 1e-6)
 

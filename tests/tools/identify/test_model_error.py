@@ -103,7 +103,7 @@ class Toy:
     def __init__(self, outputs: int = 1, **settings):
         self.project = toy(outputs, **settings)
         self.model = NominalModel(self.project)
-        self.estimator = Estimator.of(self.project, self.model)
+        self.estimator = Estimator.from_project(self.project, self.model)
         self.grid = ErrorGrid.of(self.project, self.estimator)
 
     def sums(self, drive: Drive) -> Sums:
@@ -422,7 +422,7 @@ def test_the_remainder_is_the_least_that_no_delta_within_the_bound_explains(stru
     project = project.model_copy(
         update={"bounds": project.bounds.model_copy(update={"structure": structure})}
     )
-    estimator = Estimator.of(project, NominalModel(project))
+    estimator = Estimator.from_project(project, NominalModel(project))
     rng = np.random.default_rng(3)
     E, Z = (rng.normal(size=(20, 2)) + 1j * rng.normal(size=(20, 2)) for _ in range(2))
     Z[0] = 0.0

@@ -26,7 +26,7 @@ from lpvguard.vehicle.nominal import NominalModel
 from lpvguard.vehicle.project import load_project
 
 PROJECT = load_project("g80")
-ESTIMATOR = Estimator.of(PROJECT, NominalModel(PROJECT))
+ESTIMATOR = Estimator.from_project(PROJECT, NominalModel(PROJECT))
 SIZES = PoolSizes.of(PROJECT, ESTIMATOR)
 K = ESTIMATOR.n_bins
 

@@ -132,7 +132,7 @@ def shrunk(folder: Path, target: Path, factor: float) -> Path:
         entry["weight"]["num"] = [factor * x for x in entry["weight"]["num"]]
         entry["bound"] = [None if b is None else factor * b for b in entry["bound"]]
     (target / "weights.json").write_text(artefacts.to_json(weights))
-    estimator = Estimator.of(project, NominalModel(project))
+    estimator = Estimator.from_project(project, NominalModel(project))
     filters = energy_filters(project, estimator, Weights.from_dict(weights, "here")).to_dict()
     energy = artefacts.read_json(target / "energy.json")
     energy |= {name: filters[name] for name in ("gain", "certificate")}
@@ -161,13 +161,13 @@ def test_one_structure_goes_from_identification_to_certificate(truck_stored):
     settings = design_settings(truck_stored)
     assert (project.bounds.structure, settings.structure) == ("S1_diagonal", "K_o")
     model = NominalModel(project)
-    estimator = Estimator.of(project, model)
+    estimator = Estimator.from_project(project, model)
     deltas = project.n_delta
     assert deltas == 2 == truck_stored.bounds["nu"].shape[1] == len(fitted.W_delta)
     assert truck_stored.model_error.bound.shape[1] == deltas
     assert fitted.at(estimator.omega)[0].shape[1] == deltas
     assert truck_stored.energy.W.shape[0] == deltas
-    plant = DesignProblem.of(truck_stored).plant(15.0)
+    plant = DesignProblem.from_identification(truck_stored).plant(15.0)
     assert [(b.rows, b.cols) for b in plant.blocks] == [(1, 1)] * deltas
     # The weights in the interconnection are those of the identification, times the inflation.
     weights, omega = DesignProblem(truck_stored, settings).weights, np.array([0.1, 2.0, 20.0])

@@ -74,7 +74,7 @@ def test_the_largest_share_of_rounding_is_that_of_all_signs(n):
 
 
 def test_rounding_adds_at_most_two_over_pi_steps_to_a_frame_and_half_a_step_at_zero_frequency(g80):
-    estimator = Estimator.of(g80, NominalModel(g80))
+    estimator = Estimator.from_project(g80, NominalModel(g80))
     floor = Resolution(np.array([STEP]), np.zeros(1)).floor(estimator)[:, 0]
     assert floor[0] == pytest.approx(STEP / 2)
     assert np.all(floor[1:] >= 2 / np.pi * STEP * (1 - 1e-4)) and np.all(floor[1:] < 0.65 * STEP)
@@ -91,7 +91,7 @@ def test_rounding_adds_at_most_two_over_pi_steps_to_a_frame_and_half_a_step_at_z
 
 @pytest.mark.slow("3 s: drives of noise")
 def test_noise_alone_is_rarely_above_its_floor(g80):
-    estimator, random = Estimator.of(g80, NominalModel(g80)), np.random.default_rng(3)
+    estimator, random = Estimator.from_project(g80, NominalModel(g80)), np.random.default_rng(3)
     floor = Resolution(np.zeros(1), np.array([1e-3])).floor(estimator)[:, 0]
     frames = 40_000
     for k in (0, 8, 10):
@@ -212,7 +212,7 @@ def test_frames_of_rounding_are_within_the_floor_whatever_the_drive(coarse):
     """The theorem on frames, without the core: an error of rounding alone has a margin of 1 at most."""
     project = fleet.vehicle()
     model = NominalModel(project)
-    estimator = Estimator.of(project, model)
+    estimator = Estimator.from_project(project, model)
     floor = Resolution(np.array([STEP]), np.zeros(1)).floor(estimator)
     worst = []
     for i, amplitude in enumerate((1e-4, 7e-4, 3e-3, 0.03)):
@@ -231,7 +231,7 @@ def test_frames_of_rounding_are_within_the_floor_whatever_the_drive(coarse):
 
 def test_what_a_quick_input_does_to_the_vehicle_or_a_coarse_one_to_the_model_is_no_noise(g80):
     model, random = NominalModel(g80), np.random.default_rng(8)
-    estimator = Estimator.of(g80, model)
+    estimator = Estimator.from_project(g80, model)
     n = 6000
     t, v, noise = np.arange(n) * g80.Ts_s, np.full(n, 10.0), 1e-3 * random.standard_normal((n, 1))
     slow = 0.02 * np.sin(0.8 * t)[:, None]

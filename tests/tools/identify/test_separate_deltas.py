@@ -33,7 +33,7 @@ def core(stored, tmp_path_factory):
 
 
 def test_every_output_has_its_own_bound_and_a_weight_above_it(stored):
-    estimator = Estimator.of(stored.project, NominalModel(stored.project))
+    estimator = Estimator.from_project(stored.project, NominalModel(stored.project))
     nu, W_delta = stored.bounds["nu"], stored.fitted.at(estimator.omega)[0]
     assert nu.shape == W_delta.shape == (estimator.n_bins, 2)
     known = np.isfinite(nu) & (nu > 0)
@@ -72,6 +72,6 @@ def test_a_cut_drive_far_below_the_energy_tests_bound_asks_for_no_larger_sigma(
 
 @pytest.mark.long("6 s: the pictures of a page")
 def test_the_page_draws_one_line_an_output(stored):
-    estimator = Estimator.of(stored.project, NominalModel(stored.project))
+    estimator = Estimator.from_project(stored.project, NominalModel(stored.project))
     page = "".join(bound_sections(IdentificationPictures(stored, estimator)))
     assert "one line, an output" in page and page.count("<svg") == 4

@@ -9,7 +9,7 @@ from lpvguard.identify.bounds import FRONT_POINTS, FrameSet, reduce_remainder, r
 
 @pytest.mark.parametrize("structure", ["S1", "S1_diagonal"])
 def test_a_bin_without_a_frame_is_no_information(g80, g80_model, structure):
-    estimator = Estimator.of(g80, g80_model)
+    estimator = Estimator.from_project(g80, g80_model)
     E = np.full((3, 1), 0.01 + 0j)
     few = FrameSet(5, E, 10 * E, np.arange(3))
     none = FrameSet(1, E[:0], E[:0], np.arange(0))

@@ -74,9 +74,10 @@ def test_advice_is_a_text_or_one_an_output(g80):
     document = g80.model_dump(by_alias=True)
     output = g80.outputs[0].name
     advised = parse_project({**document, "advice": {"gain": "a", "bias": {output: "b"}}}, "x")
-    assert advised.advice.of("gain", output) == "a"
-    assert advised.advice.of("bias", output) == "b"
-    assert advised.advice.of("delay", output) is None and advised.advice.of("other", output) is None
+    assert advised.advice.for_cause("gain", output) == "a"
+    assert advised.advice.for_cause("bias", output) == "b"
+    assert advised.advice.for_cause("delay", output) is None
+    assert advised.advice.for_cause("other", output) is None
     assert "advice" not in advised.model_dump(by_alias=True), "no part of an identification"
     with pytest.raises(InputError, match="no output is named"):
         parse_project({**document, "advice": {"gain": {"speedo": "a"}}}, "x")

@@ -69,7 +69,7 @@ def test_the_worst_gain_of_a_gain_that_delta_moves_by_a_half():
 
 def test_the_margins_are_those_of_python_control():
     L = control.tf([25], [1, 10, 10, 10])
-    ours = robust.disk_margin(L).found
+    ours = robust.disk_margin(L).by_name
     gain, phase, _, _ = control.margin(L)
     assert ours["gain_up"].value == pytest.approx(gain, rel=1e-4)
     assert np.degrees(ours["phase"].value) == pytest.approx(phase, rel=1e-4)

@@ -102,7 +102,7 @@ def test_crc_of_python_is_the_crc_of_the_core(core, identified):
 
 
 def test_coefficients_follow_the_signal_table(g80, g80_model):
-    estimator = Estimator.of(g80, g80_model)
+    estimator = Estimator.from_project(g80, g80_model)
     energy = EnergyTest.design(g80, estimator, [Weight([1.0], [1.0])], [1.0, 2.0], [[0.5], [0.5]], 1.0)
     ones = np.ones((estimator.n_bins, 1))
     c = build_coefficients(g80, g80_model, estimator, ones, ones, 1.0, energy, ChangeTest.design(g80))

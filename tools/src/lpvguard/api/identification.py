@@ -189,9 +189,9 @@ def identify_drives(
     """
     project = project_of(vehicle)
     with workers(jobs, scheduler) as run:
-        found = stage.identify(project, Path(drives), workers=run)
-    result, b = found[0], found[0].bounds
-    return Identified(project, None, b.omega, result.weights, result.calibration, vars(b), found)
+        identified = stage.identify(project, Path(drives), workers=run)
+    result, b = identified[0], identified[0].bounds
+    return Identified(project, None, b.omega, result.weights, result.calibration, vars(b), identified)
 
 
 def load(folder: str | Path) -> Identified:

@@ -91,9 +91,9 @@ class BlindMap:
 
 
 @contextmanager
-def _opened(found: Identified) -> Iterator[IdentificationPictures]:
+def _opened(identified: Identified) -> Iterator[IdentificationPictures]:
     """Pictures of an identification, whose folder is open while they are drawn."""
-    with found.opened() as stored:
+    with identified.opened() as stored:
         yield IdentificationPictures(stored, stored.estimator)
 
 
@@ -102,57 +102,57 @@ def _id(name: str) -> str:
     return re.sub(r"[^\w-]", "_", name)
 
 
-def disturbance(found: Identified) -> Picture:
+def disturbance(identified: Identified) -> Picture:
     """Draw Fig. 2 of the paper: the disturbance bound and its frames.
 
     Parameters
     ----------
-    found : Identified
+    identified : Identified
 
     Returns
     -------
     Picture
     """
-    with _opened(found) as drawn:
-        return drawn.disturbance(f"disturbance-{found.project.name}")
+    with _opened(identified) as drawn:
+        return drawn.disturbance(f"disturbance-{identified.project.name}")
 
 
-def weights(found: Identified) -> Picture:
+def weights(identified: Identified) -> Picture:
     """Draw Fig. 3 of the paper: the weights over the bounds.
 
     Parameters
     ----------
-    found : Identified
+    identified : Identified
 
     Returns
     -------
     Picture
     """
-    with _opened(found) as drawn:
-        return drawn.weights(f"weights-{found.project.name}")
+    with _opened(identified) as drawn:
+        return drawn.weights(f"weights-{identified.project.name}")
 
 
-def model_error(found: Identified) -> Picture:
+def model_error(identified: Identified) -> Picture:
     """Draw the model error model beside W_delta.
 
     Parameters
     ----------
-    found : Identified
+    identified : Identified
 
     Returns
     -------
     Picture
     """
-    with _opened(found) as drawn:
-        return drawn.model_error(f"model-error-{found.project.name}")
+    with _opened(identified) as drawn:
+        return drawn.model_error(f"model-error-{identified.project.name}")
 
 
-def front(found: Identified) -> Picture:
+def front(identified: Identified) -> Picture:
     """Draw the Pareto fronts between disturbance and uncertainty.
 
     Parameters
     ----------
-    found : Identified
+    identified : Identified
 
     Returns
     -------
@@ -163,19 +163,19 @@ def front(found: Identified) -> Picture:
     InputError
         If the structure is S0, which has none.
     """
-    with _opened(found) as drawn:
-        shown = drawn.front(f"front-{found.project.name}")
+    with _opened(identified) as drawn:
+        shown = drawn.front(f"front-{identified.project.name}")
     if shown is None:
         raise InputError("front", "bounds.structure", "S0", "a structure that trades uncertainty")
     return shown
 
 
-def excitation(found: Identified, *runs: Replayed) -> Picture:
+def excitation(identified: Identified, *runs: Replayed) -> Picture:
     """Draw the nominal output in the counted frames, beside the disturbance bound.
 
     Parameters
     ----------
-    found : Identified
+    identified : Identified
     *runs : Replayed
 
     Returns
@@ -187,16 +187,16 @@ def excitation(found: Identified, *runs: Replayed) -> Picture:
     frames = [run.summary.run.frames for run in runs]
     bin_of = np.concatenate([f.bin[f.counted] for f in frames])
     Z = np.concatenate([f.Z[f.counted] for f in frames])
-    with _opened(found) as drawn:
-        return drawn.excitation(f"excitation-{found.project.name}", bin_of, Z)
+    with _opened(identified) as drawn:
+        return drawn.excitation(f"excitation-{identified.project.name}", bin_of, Z)
 
 
-def blind(found: Identified, *runs: Replayed) -> BlindMap:
+def blind(identified: Identified, *runs: Replayed) -> BlindMap:
     """Draw over speed and frequency where the model is proved, blind, without data, or violated.
 
     Parameters
     ----------
-    found : Identified
+    identified : Identified
     *runs : Replayed
 
     Returns
@@ -204,7 +204,7 @@ def blind(found: Identified, *runs: Replayed) -> BlindMap:
     BlindMap
     """
     alarms = [alarm for run in runs for alarm in run.alarms]
-    with found.opened() as stored:
+    with identified.opened() as stored:
         return BlindMap(cells(stored.visibility, alarms), map_page(stored, alarms))
 
 
@@ -286,8 +286,8 @@ def evaluation(path: str | Path) -> Picture:
     -------
     Picture
     """
-    found = artefacts.read_json(Path(path))
-    return time_to_find("time-to-find", found["faults"], found["injection"]["within_s"])
+    document = artefacts.read_json(Path(path))
+    return time_to_find("time-to-find", document["faults"], document["injection"]["within_s"])
 
 
 def campaign(path: str | Path) -> dict[str, Picture]:

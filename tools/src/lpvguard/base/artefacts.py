@@ -255,24 +255,24 @@ def read_manifest(folder: Path, kind: str) -> dict[str, Any]:
     command = f"`lpvguard {'export' if kind == 'vehicle' else kind}`"
     if not (folder / MANIFEST).is_file():
         raise InputError(folder, MANIFEST, "missing", f"a folder written by {command}")
-    found = read_json(folder / MANIFEST)
-    if not isinstance(found, dict):
+    document = read_json(folder / MANIFEST)
+    if not isinstance(document, dict):
         raise InputError(folder / MANIFEST, "", "not an object", f"a folder written by {command}")
-    if found.get("kind") != kind or found.get("schema") != 1:
+    if document.get("kind") != kind or document.get("schema") != 1:
         raise InputError(
             folder / MANIFEST,
             "kind, schema",
-            f"{found.get('kind')!r}, {found.get('schema')!r}",
+            f"{document.get('kind')!r}, {document.get('schema')!r}",
             f"{kind!r}, 1",
         )
-    require_seal(folder / MANIFEST, found, command)
+    require_seal(folder / MANIFEST, document, command)
     with reading(folder / MANIFEST):
-        differs = _difference(folder, found["files"])
+        differs = _difference(folder, document["files"])
     if differs:
         raise InputError(
             folder / differs[0], "", differs[1], f"the folder as {command} wrote it, or a new one"
         )
-    return found
+    return document
 
 
 def first_difference(a: Any, b: Any, path: str = "") -> tuple[str, Any, Any] | None:
@@ -391,12 +391,12 @@ def require_replaceable_folder(
         return
     if not place.is_dir() or not (place / MANIFEST).is_file():
         raise InputError(target, "-o", "exists and was not written by lpvguard", expected)
-    found = read_json(place / MANIFEST)
+    document = read_json(place / MANIFEST)
     if (
-        not isinstance(found, dict)
-        or "kind" not in found
-        or not isinstance(found.get("files"), dict)
-        or found.get("seal") != digest(found)
+        not isinstance(document, dict)
+        or "kind" not in document
+        or not isinstance(document.get("files"), dict)
+        or document.get("seal") != digest(document)
     ):
         raise InputError(
             place / MANIFEST,
@@ -405,14 +405,14 @@ def require_replaceable_folder(
             expected,
         )
     for key, wanted in (("kind", kind), ("vehicle", vehicle)):
-        if wanted is not None and found.get(key) != wanted:
+        if wanted is not None and document.get(key) != wanted:
             raise InputError(
                 target,
                 "-o",
-                f"exists and holds another result: {key} {found.get(key)!r}, not {wanted!r}",
+                f"exists and holds another result: {key} {document.get(key)!r}, not {wanted!r}",
                 expected,
             )
-    differs = _difference(place, found["files"], may_lack=resumed)
+    differs = _difference(place, document["files"], may_lack=resumed)
     if differs:
         raise InputError(place / differs[0], "-o", f"{differs[1]}; the folder is not replaced", expected)
 
@@ -483,9 +483,9 @@ def require_apart(outputs: Iterable[Path], inputs: Iterable[Path]) -> None:
         If an output and an input, or two outputs, overlap.
     """
     places = [(out, _place(out)) for out in outputs]
-    others = [(given, Path(given).resolve()) for given in inputs]
+    others = [(path, Path(path).resolve()) for path in inputs]
     for index, (out, place) in enumerate(places):
-        for given, other in [*others, *places[:index]]:
+        for path, other in [*others, *places[:index]]:
             inside = any(_same(p, other) for p in place.parents)
             above = any(_same(p, place) for p in other.parents)
             within = other.is_dir() and place.is_file() and any(_same(p, place) for p in other.iterdir())
@@ -496,7 +496,7 @@ def require_apart(outputs: Iterable[Path], inputs: Iterable[Path]) -> None:
                 raise InputError(
                     out,
                     "output",
-                    f"{how} {given}, which this command reads or writes too",
+                    f"{how} {path}, which this command reads or writes too",
                     "an output that is no input",
                 )
 
@@ -834,8 +834,8 @@ def kept_folder(target: Path, kind: str, **asked: Any) -> Iterator[KeptFolder]:
         if place.is_dir() and any(place.iterdir()) and not (place / MANIFEST).is_file():
             raise InputError(target, "-o", f"exists and is no {kind}", "a new or empty folder")
         require_replaceable_folder(target, kind, resumed=True)
-        found = read_json(place / MANIFEST) if (place / MANIFEST).is_file() else None
-        if found and {k: v for k, v in found.items() if k not in ("files", "seal")} != document:
+        stored = read_json(place / MANIFEST) if (place / MANIFEST).is_file() else None
+        if stored and {k: v for k, v in stored.items() if k not in ("files", "seal")} != document:
             raise InputError(
                 target,
                 "-o",
@@ -843,8 +843,8 @@ def kept_folder(target: Path, kind: str, **asked: Any) -> Iterator[KeptFolder]:
                 "a new folder, or the same settings",
             )
         with _written(target):
-            folder = KeptFolder(place, work, {**document, "files": found["files"] if found else {}})
-            if not found:
+            folder = KeptFolder(place, work, {**document, "files": stored["files"] if stored else {}})
+            if not stored:
                 place.mkdir(exist_ok=True)
                 folder._write_manifest()
         yield folder

@@ -75,9 +75,11 @@ def checked(model: type[Model], document: object, what: str, where: object, *, t
         first = error.errors()[0]
         field = ".".join([*([table] if table else []), *(str(part) for part in first["loc"])])
         value = first.get("input")
-        given = (
+        value_text = (
             ""
             if isinstance(value, (dict, BaseModel)) or first["type"] == "missing"
             else f" (given: {value!r})"
         )
-        raise InputError(where, field, first["msg"].removeprefix("Value error, ") + given, what) from None
+        raise InputError(
+            where, field, first["msg"].removeprefix("Value error, ") + value_text, what
+        ) from None

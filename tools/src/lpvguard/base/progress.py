@@ -15,15 +15,15 @@ class Counted(str):
 
     Attributes
     ----------
-    done, of : float, finished and total work
+    done, total : float, finished and total work
     """
 
     done: float
-    of: float
+    total: float
 
-    def __new__(cls, text: str, done: float, of: float) -> Counted:
+    def __new__(cls, text: str, done: float, total: float) -> Counted:
         self = super().__new__(cls, text)
-        self.done, self.of = done, of
+        self.done, self.total = done, total
         return self
 
 
@@ -60,10 +60,10 @@ def counted(progress: Progress, texts: Sequence[str], results: Iterable[Result])
     ------
     Result
     """
-    found = iter(results)
+    iterator = iter(results)
     for k, text in enumerate(texts):
         progress(Counted(text, k, len(texts)))
-        yield next(found)
+        yield next(iterator)
 
 
 def _part(progress: Progress, begin: float, end: float) -> Progress:
@@ -72,7 +72,7 @@ def _part(progress: Progress, begin: float, end: float) -> Progress:
     def tell(text: str) -> None:
         nonlocal at
         if isinstance(text, Counted):
-            at = begin + (end - begin) * min(text.done / text.of, 1.0)
+            at = begin + (end - begin) * min(text.done / text.total, 1.0)
         progress(Counted(text, at, 1.0))
 
     return tell

@@ -9,20 +9,20 @@ from typing import Any
 from scipy.special import betaincinv, gammaincinv
 
 
-def rate(count: int, of: int) -> dict[str, Any]:
-    """Return the share ``count`` of ``of`` with its interval by Clopper and Pearson.
+def rate(count: int, total: int) -> dict[str, Any]:
+    """Return the share ``count`` of ``total`` with its interval by Clopper and Pearson.
 
     Parameters
     ----------
-    count, of : int
+    count, total : int
 
     Returns
     -------
-    dict, with None where ``of`` is 0
+    dict, with None where ``total`` is 0
     """
-    low = float(betaincinv(count, of - count + 1, 0.025)) if count else 0.0
-    high = float(betaincinv(count + 1, of - count, 0.975)) if count < of else 1.0
-    return {"count": count, "of": of, "interval": [low, high] if of else None}
+    low = float(betaincinv(count, total - count + 1, 0.025)) if count else 0.0
+    high = float(betaincinv(count + 1, total - count, 0.975)) if count < total else 1.0
+    return {"count": count, "of": total, "interval": [low, high] if total else None}
 
 
 def per_hour(count: int, hours: float) -> dict[str, Any]:
@@ -45,37 +45,37 @@ def per_hour(count: int, hours: float) -> dict[str, Any]:
     }
 
 
-def share_words(found: dict[str, Any]) -> str:
+def share_words(share: dict[str, Any]) -> str:
     """Word a `rate` for terminal and page: count, total and interval [%], or a dash.
 
     Parameters
     ----------
-    found : dict[str, Any], of `rate`
+    share : dict[str, Any], of `rate`
 
     Returns
     -------
     str
     """
-    if not found["of"]:
+    if not share["of"]:
         return "–"
-    low, high = found["interval"]
-    return f"{found['count']} of {found['of']}, {100 * low:.2f} to {100 * high:.2f} %"
+    low, high = share["interval"]
+    return f"{share['count']} of {share['of']}, {100 * low:.2f} to {100 * high:.2f} %"
 
 
-def hourly_words(found: dict[str, Any]) -> str:
+def hourly_words(hourly: dict[str, Any]) -> str:
     """Word a `per_hour` for terminal and page: rate and interval [1/h], or a dash.
 
     Parameters
     ----------
-    found : dict[str, Any], of `per_hour`
+    hourly : dict[str, Any], of `per_hour`
 
     Returns
     -------
     str
     """
-    if found["interval"] is None:
+    if hourly["interval"] is None:
         return "–"
-    return f"{found['rate']:.2f}, {found['interval'][0]:.2f} to {found['interval'][1]:.2f}"
+    return f"{hourly['rate']:.2f}, {hourly['interval'][0]:.2f} to {hourly['interval'][1]:.2f}"
 
 
 def recordings_for(alpha: float) -> int:

@@ -60,8 +60,8 @@ def read_sound_lines(text: str) -> tuple[Database, list[str]]:
         elif about := _ABOUT.match(line):
             flagged = _flagged(about[1])
             statement = line[: about.start(1)] + flagged + line[about.end(1) :]
-            if of := next((m for m in messages if m.identifier == flagged), None):
-                of.about.append((number, statement))
+            if message := next((m for m in messages if m.identifier == flagged), None):
+                message.about.append((number, statement))
         elif _KEPT.match(line):
             definitions.append((number, line))
     definitions = _sound_lines(_HEAD, definitions, left_out)

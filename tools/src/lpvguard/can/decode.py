@@ -63,7 +63,7 @@ def load_database(path: Path) -> Database:
     if not Path(path).is_file():
         raise InputError(path, "--dbc", "no such file", "a CAN database (.dbc, .arxml, .kcd, .sym)")
     try:
-        found = cantools.database.load_file(path, strict=False, encoding=_encoding(Path(path)))
+        database = cantools.database.load_file(path, strict=False, encoding=_encoding(Path(path)))
     except Exception as error:  # one exception class for each form of database
         sound = _sound_dbc(Path(path))
         if sound is not None:
@@ -71,9 +71,9 @@ def load_database(path: Path) -> Database:
         raise InputError(
             path, "", f"cannot be read ({str(error).splitlines()[0]})", "a CAN database"
         ) from None
-    if not isinstance(found, Database):
+    if not isinstance(database, Database):
         raise InputError(path, "--dbc", "describes diagnostics, no messages", "a CAN database")
-    return _with_signs(found, path)
+    return _with_signs(database, path)
 
 
 def _sound_dbc(path: Path) -> Database | None:
@@ -90,7 +90,7 @@ def _sound_dbc(path: Path) -> Database | None:
 
 def _with_signs(database: Database, path: Path) -> Database:
     """Make signals signed whose range is that of signed bits though their type is not, and name them."""
-    found = []
+    signed = []
     for message in database.messages:
         for signal in message.signals:
             half, scale = 2 ** (signal.length - 1), float(signal.scale)
@@ -100,11 +100,11 @@ def _with_signs(database: Database, path: Path) -> Database:
                 continue
             if scale > 0 and all(abs(s - e) <= 1.5 * scale for s, e in zip(stated, ends, strict=True)):
                 signal.is_signed = True
-                found.append(f"{message.name}.{signal.name}")
-    if found:
-        more = f" and {len(found) - _NAMED} more" if len(found) > _NAMED else ""
+                signed.append(f"{message.name}.{signal.name}")
+    if signed:
+        more = f" and {len(signed) - _NAMED} more" if len(signed) > _NAMED else ""
         warnings.warn(
-            f"{path}: {', '.join(found[:_NAMED])}{more}: read as signed, as the range says and not the type",
+            f"{path}: {', '.join(signed[:_NAMED])}{more}: read as signed, as the range says and not the type",
             InputWarning,
             stacklevel=1,
         )

@@ -145,21 +145,23 @@ def logs_among(paths: list[Path]) -> list[Path]:
     InputError
         If a folder holds none.
     """
-    found: list[Path] = []
+    logs: list[Path] = []
     for path in paths:
         if path.is_dir() and (reader_of(path) is not None or topic_files(path)):  # one recording
-            found.append(path)
+            logs.append(path)
             continue
-        inside = sorted(path.iterdir()) if path.is_dir() else []
-        logs = [p for p in inside if p.name != INDEX and (_is_log(p) or topic_files(p))]
-        if path.is_dir() and not logs:
+        if not path.is_dir():
+            logs += [path] if path.name != INDEX else []
+            continue
+        inside = [p for p in sorted(path.iterdir()) if p.name != INDEX and (_is_log(p) or topic_files(p))]
+        if not inside:
             raise InputError(path, "", "holds no log", "a folder of logs, or the logs themselves")
-        found += logs if path.is_dir() else [path] if path.name != INDEX else []
-    if not found:
+        logs += inside
+    if not logs:
         raise InputError(", ".join(map(str, paths)), "", "is the index of a folder and no drive", "a drive")
-    for path in found:
+    for path in logs:
         artefacts.require_unicode(path)
-    return found
+    return logs
 
 
 def _is_log(path: Path) -> bool:

@@ -193,7 +193,7 @@ def demand_messages(project: Project) -> list[Demand]:
         if place.plus:
             raise InputError(where, s.name, f"plus = {list(place.plus)}", "one signal")
         by_message.setdefault(place.message, []).append((place.signal, k, place.factor))
-    found = []
+    demands = []
     for number, (name, signals) in enumerate(by_message.items()):
         car = _car_message(_database(path), name, path, where)
         settings = project.can.messages.get(name, OwnMessage())
@@ -202,8 +202,8 @@ def demand_messages(project: Project) -> list[Demand]:
         for signal, *_ in signals:
             if signal in signs:
                 raise InputError(where, signal, f"has its sign in {signs[signal]}", "a signed signal")
-        found.append(Demand(carried, [(_car_signal(car, s, where), k, factor) for s, k, factor in signals]))
-    return found
+        demands.append(Demand(carried, [(_car_signal(car, s, where), k, factor) for s, k, factor in signals]))
+    return demands
 
 
 def _place(name: str, place: CanPlace | None, where: str) -> CanPlace:
@@ -218,16 +218,16 @@ def _database(path: str) -> Database:
 
 
 def _car_message(database: Database, name: str, path: str, where: str) -> CarMessage:
-    found = [m for m in database.messages if m.name == name]
-    if len(found) != 1:
+    matches = [m for m in database.messages if m.name == name]
+    if len(matches) != 1:
         near = difflib.get_close_matches(name, [m.name for m in database.messages], n=3, cutoff=0.4)
         raise InputError(
             f"{where}, {path}",
             f"message {name}",
-            f"{len(found) or 'no'} message(s) of this name",
+            f"{len(matches) or 'no'} message(s) of this name",
             f"one{', such as ' + ', '.join(near) if near else ''}",
         )
-    return found[0]
+    return matches[0]
 
 
 def _car_signal(car: CarMessage, name: str, where: str) -> CarSignal:
@@ -277,8 +277,8 @@ def _carried(
         e2e={"profile": 11, "data_id": number} if protected else None,
         signals=[c.ours for c in signals],
     )
-    given = settings.data_id
-    data_ids = given if isinstance(given, list) else [] if given is None else [given]
+    data_id = settings.data_id
+    data_ids = data_id if isinstance(data_id, list) else [] if data_id is None else [data_id]
     return CarriedMessage(
         car,
         ours,
@@ -352,7 +352,9 @@ def _carry(signal: CarSignal, sign: CarSignal | None, name: str, start: int, whe
         end = max(abs(accepted["min"]), abs(accepted["max"]))
         accepted = {"min": max(-end, offset), "max": min(end, offset + scale * whole)}
 
-    def ours(part: str, first: int, bits: int, step: float, least: float, of: dict | None) -> BusSignal:
+    def ours(
+        part: str, first: int, bits: int, step: float, least: float, supervised: dict | None
+    ) -> BusSignal:
         return BusSignal(
             name=name + part,
             start=first,
@@ -362,7 +364,7 @@ def _carry(signal: CarSignal, sign: CarSignal | None, name: str, start: int, whe
             unit=signal.unit or "",
             positive="",
             coding="plain",
-            supervise=of,
+            supervise=supervised,
         )
 
     if length <= _SIGNAL_BITS:
@@ -429,13 +431,13 @@ def _protection(car: CarMessage, settings: OwnMessage, where: str) -> tuple[Bits
     return checksum, counter, 0 if counter is None else kind.counters or 1 << counter.length
 
 
-def _named(car: CarMessage, given: str | None, usual: str, field: str, where: str) -> Any:
-    """Signal of a given or else usual name; None without either."""
-    name = given or usual
+def _named(car: CarMessage, stated: str | None, usual: str, field: str, where: str) -> Any:
+    """Signal of the stated name, or else of the usual one; None without either."""
+    name = stated or usual
     signal = next((s for s in car.signals if s.name == name), None)
-    if signal is None and given is not None:
+    if signal is None and stated is not None:
         raise InputError(
-            where, field, f"no signal {given}", f"one of {', '.join(s.name for s in car.signals)}"
+            where, field, f"no signal {stated}", f"one of {', '.join(s.name for s in car.signals)}"
         )
     if signal is not None and (signal.length < 2 or signal.length > _SIGNAL_BITS):
         raise InputError(where, field, f"{name} has {signal.length} bit(s)", f"2 to {_SIGNAL_BITS} bits")
@@ -463,8 +465,8 @@ def _require_fit(kind: Protection, checksum: Bits, car: CarMessage, settings: Ow
         raise InputError(
             where, place, f"{car.length} bytes", f"a frame of {', '.join(map(str, kind.lengths))} bytes"
         )
-    given = settings.data_id
-    count = len(given) if isinstance(given, list) else 0 if given is None else 1
-    if count != kind.data_ids or isinstance(given, list) != (kind.data_ids > 1):
+    data_id = settings.data_id
+    count = len(data_id) if isinstance(data_id, list) else 0 if data_id is None else 1
+    if count != kind.data_ids or isinstance(data_id, list) != (kind.data_ids > 1):
         wanted = {0: "none", 1: "one number"}.get(kind.data_ids, f"a list of {kind.data_ids}")
         raise InputError(where, f"{place}.data_id", f"{count} given", f"{wanted} for {settings.checksum}")

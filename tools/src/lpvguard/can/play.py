@@ -101,7 +101,9 @@ def frames_of_drive(t: np.ndarray, values: Mapping[tuple[str, str], np.ndarray])
             t[0]
             + np.arange(int((t[-1] - t[0]) * 1000 / message.period_ms + 1e-6) + 1) * message.period_ms / 1000
         )
-        signals = {signal: np.interp(times, t, x) for (of, signal), x in values.items() if of == name}
+        signals = {
+            signal: np.interp(times, t, x) for (carrier, signal), x in values.items() if carrier == name
+        }
         parts.append(
             (
                 np.rint(times * 1e9).astype(np.int64),

@@ -28,7 +28,7 @@ _HEXADECIMAL = ("id", "can_id", "canid", "identifier", "arbitration_id")
 """Names of identifiers that are hexadecimal whatever digits they have."""
 
 
-def _found(names: Sequence[str]) -> dict[str, str]:
+def _columns_by_content(names: Sequence[str]) -> dict[str, str]:
     """Return the name of the column for each content."""
     low = {re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_"): name for name in reversed(names)}
     return {
@@ -46,17 +46,20 @@ def _bytes_of(names: Sequence[str]) -> list[str]:
 
 def is_raw(names: Sequence[str]) -> bool:
     """Return whether a table of these columns holds raw frames."""
-    found = _found(names)
-    return {"time", "id"} <= found.keys() and ("data" in found or len(_bytes_of(names)) > 1)
+    by_content = _columns_by_content(names)
+    return {"time", "id"} <= by_content.keys() and ("data" in by_content or len(_bytes_of(names)) > 1)
 
 
 def raw_frames(read: TextTable, path: Path) -> Frames:
     """The frames of a table of text. InputError names the line that is none."""
-    table, found = read.table, _found(read.table.column_names)
-    columns = {kind: table.column(name).to_pylist() for kind, name in found.items()}
-    single = None if "data" in found else [table.column(n).to_pylist() for n in _bytes_of(table.column_names)]
-    scale = _seconds(columns["time"], found["time"], single is not None)
-    base = _base_of_ids(columns["id"], found["id"])
+    table = read.table
+    by_content = _columns_by_content(table.column_names)
+    columns = {kind: table.column(name).to_pylist() for kind, name in by_content.items()}
+    single = (
+        None if "data" in by_content else [table.column(n).to_pylist() for n in _bytes_of(table.column_names)]
+    )
+    scale = _seconds(columns["time"], by_content["time"], single is not None)
+    base = _base_of_ids(columns["id"], by_content["id"])
     hexadecimal = single is not None or _is_hexadecimal(columns["data"])
     rows, left_out = [], {"error reports": 0, "remote frames": 0}
     for k, text in enumerate(columns["id"]):

@@ -26,7 +26,7 @@ def sign_bits(message: Message) -> dict[str, str]:
         By magnitude the bit of the same name with a word for sign, or of the first words of its name right
         behind it.
     """
-    found: dict[str, str] = {}
+    signs: dict[str, str] = {}
     magnitudes = [s for s in message.signals if s.length > 1 and not s.is_signed and float(s.offset) >= 0]
     for bit in message.signals:
         words = _words(bit.name)
@@ -35,8 +35,8 @@ def sign_bits(message: Message) -> dict[str, str]:
             continue
         same = [s for s in magnitudes if _words(s.name) == base]
         behind = [s for s in magnitudes if _words(s.name)[: len(base)] == base and _follows(bit, s)]
-        found |= {s.name: bit.name for s in same or behind[:1]}
-    return found
+        signs |= {s.name: bit.name for s in same or behind[:1]}
+    return signs
 
 
 def _follows(bit: Signal, magnitude: Signal) -> bool:

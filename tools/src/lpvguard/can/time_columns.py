@@ -130,10 +130,10 @@ def _by_name(table: pa.Table) -> str | None:
     names = table.column_names
     without_unit = {n: "_".join(w for w in _low(n).split("_") if w not in _UNIT_OF) for n in names}
     for pattern in _NAMES:
-        found = [n for n in names if re.search(pattern, without_unit[n])]
-        grows = [n for n in found if _is_text(table, n) or _grows(_plain(table, n))]
-        if found:
-            return (grows or found)[0]
+        matches = [n for n in names if re.search(pattern, without_unit[n])]
+        grows = [n for n in matches if _is_text(table, n) or _grows(_plain(table, n))]
+        if matches:
+            return (grows or matches)[0]
     bare = [n for n in names if _low(n) in _UNIT_OF or _low(n) in ("gmt", "utc")]
     return next((n for n in bare if _grows(_plain(table, n))), None)
 
@@ -168,7 +168,7 @@ def _by_shape(t: np.ndarray, path: Path, column: str) -> str:
     fitting = [u for u, ns in UNITS_NS.items() if _STEP_S[0] <= step * ns / 1e9 <= _STEP_S[1]]
     whole = bool(np.all(t == np.rint(t)))
     if since and since[0] != "s" and (since[0] in fitting or step == 0):
-        found = since[0]
+        unit = since[0]
     elif not whole or "s" in fitting or step < 1:
         return "s"
     elif step <= 1.5:
@@ -179,18 +179,18 @@ def _by_shape(t: np.ndarray, path: Path, column: str) -> str:
             "its unit in its name or in a row of units, as time [ms]",
         )
     elif fitting:
-        found = fitting[0]
+        unit = fitting[0]
     else:
         return "s"
     why = "its size is that of a date" if since else f"its steps are {step:g}"
-    warnings.warn(f"{path}: column {column} is taken to be in {found}: {why}", InputWarning, stacklevel=1)
-    return found
+    warnings.warn(f"{path}: column {column} is taken to be in {unit}: {why}", InputWarning, stacklevel=1)
+    return unit
 
 
 def _of_text(texts: list[str | None]) -> tuple[np.ndarray, np.ndarray]:
     """Times [ns] of dates with time of day, or of times of day, of which midnight begins another day; and
     which rows (N,) bool hold none."""
-    found, bad = np.zeros(len(texts), np.int64), np.zeros(len(texts), bool)
+    times, bad = np.zeros(len(texts), np.int64), np.zeros(len(texts), bool)
     day, before = 0, -1
     for row, text in enumerate(texts):
         try:
@@ -201,8 +201,8 @@ def _of_text(texts: list[str | None]) -> tuple[np.ndarray, np.ndarray]:
         if of_day and before - ns > 12 * 3600 * 10**9:
             day += 1
         before = ns
-        found[row] = ns + day * 86_400 * 10**9
-    return found, bad
+        times[row] = ns + day * 86_400 * 10**9
+    return times, bad
 
 
 def _parsed(text: str) -> tuple[int, bool]:

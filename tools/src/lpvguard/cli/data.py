@@ -28,10 +28,10 @@ def data(
     from ..extras.sources.rebuild import rebuild
     from ..extras.sources.table import load_data_set
 
-    found, target = load_data_set(name, table), Path(name) if out is None else out
+    data_set, target = load_data_set(name, table), Path(name) if out is None else out
     with progress_bar("data") as tell:
-        files = rebuild(name, found, target, source, tell)
+        files = rebuild(name, data_set, target, source, tell)
     console.print(
-        f"{found.title}: {len(files)} files written to {target}, each with the hash that the table states; "
-        f"{found.licence}, {found.repository}"
+        f"{data_set.title}: {len(files)} files written to {target}, each with the hash that the table "
+        f"states; {data_set.licence}, {data_set.repository}"
     )

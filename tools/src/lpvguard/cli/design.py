@@ -104,9 +104,9 @@ def design(
     raise typer.Exit(_design_vehicle(stored, drive_set, out, json_out, jobs, **searched))
 
 
-def _refuse(option: str, given: bool, expected: str, more: str = "") -> None:
-    """InputError where ``option`` is ``given`` with options that it would ignore."""
-    if given:
+def _refuse(option: str, is_set: bool, expected: str, more: str = "") -> None:
+    """Raise InputError if an option is set beside options that ignore it."""
+    if is_set:
         ignored = f"given with {more}--largest-A-t, --no-table, --no-moving-speed or --jobs"
         raise InputError("design", option, ignored, expected)
 
@@ -210,8 +210,8 @@ def _design_tradeoff(
 
     with progress_bar("trade-off") as tell:
         reading, searching = parts(tell, *TABLE_SHARES)
-        found = search(FrozenProblem(stored, StoredFrames(stored, drive_set, reading)), searching)
-        files = found.files()
+        tradeoff = search(FrozenProblem(stored, StoredFrames(stored, drive_set, reading)), searching)
+        files = tradeoff.files()
         with artefacts.new_folder(out, "design-tradeoff", stored.project.name) as folder:
             artefacts.write_files(
                 folder,
@@ -224,9 +224,9 @@ def _design_tradeoff(
                 },
             )
     emit(json_out, artefacts.read_json(out / "tradeoff.json"))
-    print_tradeoff(found)
+    print_tradeoff(tradeoff)
     console.print(f"written to {out}")
-    level = found.best.level
+    level = tradeoff.best.level
     return 0 if level is not None and level < 1 else 1
 
 

@@ -31,12 +31,12 @@ def _lcm_log(url: str | None) -> list[Path]:
     )
 
 
-def _named(name: str, given: dict[str, Any]) -> tuple[list[Path], list[Path], list[Path]]:
+def _named(name: str, parameters: dict[str, Any]) -> tuple[list[Path], list[Path], list[Path]]:
     """Folders and files that a command is asked to write, and every other path among its parameters."""
     folders: list[Path] = []
     files: list[Path] = []
     inputs: list[Path] = []
-    for key, value in given.items():
+    for key, value in parameters.items():
         if key in ("pictures", "series"):
             folders += [] if value is None else [Path(value)]
         elif key in ("out", *_WRITTEN):
@@ -68,9 +68,9 @@ def _guarded(name: str, command: Callable[..., Any]) -> Callable[..., Any]:
     """
 
     @wraps(command)
-    def run(*arguments: Any, **given: Any) -> Any:
-        folders, files, inputs = _named(name, given)
-        kind = f"bench {given['name']}" if name == "bench" else name
+    def run(*arguments: Any, **parameters: Any) -> Any:
+        folders, files, inputs = _named(name, parameters)
+        kind = f"bench {parameters['name']}" if name == "bench" else name
         with ExitStack() as held:
             for path in (*folders, *files, *inputs):
                 artefacts.require_unicode(path)
@@ -88,7 +88,7 @@ def _guarded(name: str, command: Callable[..., Any]) -> Callable[..., Any]:
                 if name != "lcm bus":  # a log has no room for a mark: its bytes decide, once they are known
                     artefacts.require_replaceable_file(target, kind)
             _running[:] = [kind]
-            return command(*arguments, **given)
+            return command(*arguments, **parameters)
 
     return run
 
@@ -98,11 +98,11 @@ def _own_sources(command: str) -> list[Path]:
     from ..core.compiled import PACKAGE, firmware_root, library_root
 
     library = library_root()
-    found = [PACKAGE, *([library / "src", library / "include"] if command == "export" else [library])]
+    sources = [PACKAGE, *([library / "src", library / "include"] if command == "export" else [library])]
     try:
-        return [*found, firmware_root()]
+        return [*sources, firmware_root()]
     except InputError:
-        return found
+        return sources
 
 
 class Application(typer.Typer):

@@ -61,5 +61,5 @@ def _on(signals: Path | SignalMap, channel: str | None) -> Path | SignalMap:
 
     if channel is None:
         return signals
-    given = load_signal_map(signals) if isinstance(signals, Path) else signals
-    return given.model_copy(update={"channel": channel})
+    signal_map = load_signal_map(signals) if isinstance(signals, Path) else signals
+    return signal_map.model_copy(update={"channel": channel})

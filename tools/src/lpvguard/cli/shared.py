@@ -90,7 +90,7 @@ def progress_bar(title: str) -> Iterator[Progress]:
         def tell(text: str) -> None:
             bar.update(task, description=f"{title}: {text}")
             if isinstance(text, Counted):
-                bar.update(task, completed=text.done, total=text.of)
+                bar.update(task, completed=text.done, total=text.total)
 
         yield tell
 

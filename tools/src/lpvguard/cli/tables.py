@@ -185,8 +185,8 @@ def print_runs(runs: list[dict[str, Any]], bus: str, simulator: Simulator) -> No
     keyed = all(r["reception"]["authentication"] for r in runs)
     console.print(f"GUARD_IN {'authenticated' if keyed else 'not authenticated'}")
     for r in runs:
-        for found in r["diagnoses"]:
-            console.print(f"{r['scenario']}, seed {r['seed']}, {found['t_s']:.1f} s: {found['says']}")
+        for diagnosis in r["diagnoses"]:
+            console.print(f"{r['scenario']}, seed {r['seed']}, {diagnosis['t_s']:.1f} s: {diagnosis['says']}")
         if "ecu" in r:
             ecu, counted = r["ecu"], r["ecu"]["instructions"]
             console.print(
@@ -212,8 +212,8 @@ def print_fit(result: FittedModel) -> None:
     columns = [f"{kind} {name}" for name in outputs for kind in ("VAF %", "gain", "own past", "input's past")]
     fits = Table("", "judged s", *columns, box=None)
     groups = (("", result.by_drive), (", not fitted", result.of_unseen), ("", result.by_speed))
-    for mark, found in groups:
-        for q in found:
+    for mark, qualities in groups:
+        for q in qualities:
             cells = [
                 cell
                 for j in range(len(outputs))
@@ -302,11 +302,11 @@ def print_design(result: Design, structure: str) -> None:
     console.print(f"worst of {OFF_GRID} speeds off the grid: mu at most {worst.upper:.4f} at {speed:.4g} m/s")
 
 
-def print_premise(found: Premise) -> None:
+def print_premise(premise: Premise) -> None:
     """The premise of a certificate with its evidence, and a warning where the evidence leaves room."""
-    console.print(found.sentence())
-    if found.doubtful:
-        console.print(f"warning: {found.doubting.sentence('+')}", style="yellow")
+    console.print(premise.sentence())
+    if premise.doubtful:
+        console.print(f"warning: {premise.doubting.sentence('+')}", style="yellow")
 
 
 def print_largest_A_t(largest: LargestA_t | None) -> None:
@@ -322,12 +322,12 @@ def print_largest_A_t(largest: LargestA_t | None) -> None:
 
 def print_moving_speed(result: Design) -> None:
     """Print the proofs for a controller while the speed moves."""
-    for claim, found in result.moving.items():
+    for claim, moving in result.moving.items():
         console.print(
             f"moving speed: no proof of robust {claim} was found, nothing is claimed"
-            if found is None
-            else f"moving speed: {claim_words(claim, found.lpv.level, found.lpv.rate)}, "
-            f"{found.lpv.proof.cells} cells"
+            if moving is None
+            else f"moving speed: {claim_words(claim, moving.lpv.level, moving.lpv.rate)}, "
+            f"{moving.lpv.proof.cells} cells"
         )
 
 
@@ -349,15 +349,17 @@ def print_robustness(result: Design) -> None:
 
 def print_slow_delta(result: Design) -> None:
     """How fast Delta may vary, beside what frames can hide; nothing for a design without Delta."""
-    found = None if result.further is None else result.further.slow_delta
-    if found is None:
+    slowness = None if result.further is None else result.further.slow_delta
+    if slowness is None:
         return
-    stable = "at any rate" if found.stability_rate is None else f"up to {found.stability_rate:.3g} a second"
+    stable = (
+        "at any rate" if slowness.stability_rate is None else f"up to {slowness.stability_rate:.3g} a second"
+    )
     console.print(
         f"a Delta that varies: gain below 1 is proved up to a rate of "
-        f"{found.performance_rate:.3g} per second, "
-        f"stable {stable}; frames hide {found.hidden_slow:.3g} (the longest) to {found.hidden_fast:.3g} "
-        "a second (the shortest)"
+        f"{slowness.performance_rate:.3g} per second, "
+        f"stable {stable}; frames hide {slowness.hidden_slow:.3g} (the longest) to "
+        f"{slowness.hidden_fast:.3g} a second (the shortest)"
     )
 
 
@@ -365,8 +367,8 @@ def print_limits(result: Design) -> None:
     """Print the proofs for a demand at its limits, if any."""
     if result.further is None:
         return
-    found = result.further.limits
-    kappa, energy = found.largest_kappa, found.energy()
+    limits = result.further.limits
+    kappa, energy = limits.largest_kappa, limits.energy()
     console.print(
         "limits: "
         + (
@@ -383,15 +385,15 @@ def print_summary(name: str, result: Design, out: Path) -> None:
     low, high = result.schedule.speeds[0], result.schedule.speeds[-1]
     held = "certified" if result.worst < 1 else "NOT certified"
     speeds = len(result.certificates) + 1
-    moving = [
-        claim_words(claim, found.lpv.level, found.lpv.rate)
-        for claim, found in result.moving.items()
-        if found is not None
+    claims = [
+        claim_words(claim, moving.lpv.level, moving.lpv.rate)
+        for claim, moving in result.moving.items()
+        if moving is not None
     ]
     console.print(
         f"{name}: robust performance {held}, worst mu {result.worst:.4f} at {speeds} frozen speeds from "
         f"{low:.4g} to {high:.4g} m/s; "
-        f"of a moving speed {', '.join(moving) or 'nothing'}; written to {out}"
+        f"of a moving speed {', '.join(claims) or 'nothing'}; written to {out}"
     )
 
 
@@ -413,7 +415,7 @@ def print_cells(cells: Sequence[Cell]) -> None:
     )
 
 
-def print_tradeoff(found: TradeOff) -> None:
+def print_tradeoff(tradeoff: TradeOff) -> None:
     """Every candidate of a trade-off, the sentence of the best, and what to write into the project file."""
     print_rows(
         {
@@ -424,10 +426,10 @@ def print_tradeoff(found: TradeOff) -> None:
             "worst mu": _or_dash(o.level, ".4f"),
             "none below": f"{o.floor.value:.4f}",
         }
-        for o in found.outcomes
+        for o in tradeoff.outcomes
     )
-    console.print(found.sentence)
-    for key, value in found.setting().items():
+    console.print(tradeoff.sentence)
+    for key, value in tradeoff.setting().items():
         console.print(f"to take it, write into the project file {key} = {_toml(value)} and identify again")
 
 
@@ -518,11 +520,11 @@ def _print_detection(summary: dict[str, Any]) -> None:
 
     detectors, matched, stated = summary["detectors"], summary["matched_claim"], summary["matched_stated"]
     table = Table("", *detectors.values(), box=None)
-    for title, of in (
+    for title, rates in (
         ("runs within the bounds that alarm", summary["within"]["alarmed"]),
         ("visible faults found in time", summary["visible"]),
     ):
-        table.add_row(title, *(share_words(of[d]) for d in detectors))
+        table.add_row(title, *(share_words(rates[d]) for d in detectors))
     for title, key in (("average found", "calibrated"), (f"average found, {matched}", "matched")):
         table.add_row(title, *(f"{summary['average'][d][key]:.1%}" for d in detectors))
     table.add_row(
@@ -571,8 +573,8 @@ def _print_bus(summary: dict[str, Any]) -> None:
         {
             "fault of the bus, by severity": f"{kind}: {', '.join(format(s['severity'], 'g') for s in rows)} "
             f"{summary['units'][kind]}",
-            "runs as required": _of(rows, "as_required", "runs"),
-            "reactions met": _of(rows, "met", "due"),
+            "runs as required": _total_of(rows, "as_required", "runs"),
+            "reactions met": _total_of(rows, "met", "due"),
             "not live": _range(rows, "away"),
             "judged": _range(rows, "judged"),
             "alarmed, visible runs": f"{sum(s['alarmed']['monitor'] for s in rows)}, "
@@ -591,5 +593,5 @@ def _range(rows: list[dict], share: str) -> str:
     return f"{min(r[share] for r in rows):.0%} .. {max(r[share] for r in rows):.0%}"
 
 
-def _of(rows: list[dict], count: str, of: str) -> str:
-    return f"{sum(r[count] for r in rows)} of {sum(r[of] for r in rows)}"
+def _total_of(rows: list[dict], count: str, total: str) -> str:
+    return f"{sum(r[count] for r in rows)} of {sum(r[total] for r in rows)}"

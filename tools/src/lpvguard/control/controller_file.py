@@ -101,7 +101,7 @@ def faulted_performance(
     float, upper bound of mu, inf for an unstable loop
     """
     document = artefacts.read_json(path)
-    plant, K = DesignProblem.of(stored).plant(v), Scheduled.read(document).at(v)
+    plant, K = DesignProblem.from_identification(stored).plant(v), Scheduled.read(document).at(v)
     return certify(
         plant, series(applied, series(K, measured)), stated_scaling(document) if plant.blocks else None
     ).upper

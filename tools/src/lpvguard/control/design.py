@@ -143,7 +143,7 @@ def design(
     ----------
     Paper, step 8; THEORY 7.10 to 7.12.
     """
-    problem = DesignProblem.of(stored)
+    problem = DesignProblem.from_identification(stored)
     require_premise(stored)
     frozen, moving, margins = parts(progress, *DESIGN_SHARES)
     result = _designed(problem, None, frozen, workers)
@@ -171,7 +171,7 @@ def frozen_optimum(stored: StoredIdentification) -> tuple[float, float]:
     -------
     tuple of float, mu and its speed [m/s]
     """
-    problem = DesignProblem.of(stored)
+    problem = DesignProblem.from_identification(stored)
     speeds = np.linspace(*problem.model.speed_range, problem.settings.nodes)
 
     def optimum(v: float) -> float:
@@ -193,9 +193,9 @@ def limit_sentence(stored: StoredIdentification, result: Design) -> str:
     -------
     str
     """
-    problem = DesignProblem.of(stored)
+    problem = DesignProblem.from_identification(stored)
     v, worst = max([*result.certificates, result.off_grid], key=lambda one: one[1].upper)
-    limiting = Limiting.of(problem.plant(v), result.schedule.at(v), worst)
+    limiting = Limiting.at_peak(problem.plant(v), result.schedule.at(v), worst)
     floor = max(
         mu_floor(problem.plant(u, delayed=True), rtol=1e-3).value for u in (*problem.model.speed_range, v)
     )
@@ -255,14 +255,14 @@ def _designed(
         FrozenLoop(_with_delay(K), loops[float(v)], vehicle_at(model, v), controlled)
         for v, K in zip(speeds, controllers, strict=True)
     ]
-    found = _with_fewest_poles(
+    schedule = _with_fewest_poles(
         fit_by_pairs(frozen, speeds, scaling, u_max),
         MOST_PAIRS // model.n_u,
         partial(_worst_level, loops=loops, scaling=scaling, workers=workers),
         settings.order_loss,
         fitting,
     )
-    if found is None:
+    if schedule is None:
         raise InputError(
             problem.stored.folder,
             "controller",
@@ -271,13 +271,13 @@ def _designed(
         )
     if synthesised.settings != settings:
         loops = {v: problem.plant(v) for v in loops}
-        scaling = tuning(found, problem.plant, scaling, workers)(1.0)
+        scaling = tuning(schedule, problem.plant, scaling, workers)(1.0)
     return Design(
-        found,
+        schedule,
         scaling,
-        _certificates(found, loops, scaling, proving, workers),
+        _certificates(schedule, loops, scaling, proving, workers),
         controllers[0].order,
-        _off_grid(found, scaling, problem.plant, problem.stored.project.seed, workers),
+        _off_grid(schedule, scaling, problem.plant, problem.stored.project.seed, workers),
     )
 
 
@@ -308,16 +308,16 @@ def _with_fewest_poles(
     More pairs lower the worst level by less than ``order_loss`` of it. The result is None where no number of
     pairs stabilises every speed. ``worst_level`` of a schedule is inf above the given level.
     """
-    best, found, found_pairs = np.inf, None, 0
+    best, fewest, found_pairs = np.inf, None, 0
     for pairs in range(FEWEST_PAIRS, most + 1):
         progress(Counted(f"{pairs} pairs of poles", pairs**3, (most + 1) ** 3))
         schedule = schedule_with(pairs)
         worst = worst_level(schedule, best)
-        if worst < np.inf and (found is None or worst < best * (1 - order_loss)):
-            best, found, found_pairs = worst, schedule, pairs
-        elif found is not None and pairs >= found_pairs + PATIENCE:
+        if worst < np.inf and (fewest is None or worst < best * (1 - order_loss)):
+            best, fewest, found_pairs = worst, schedule, pairs
+        elif fewest is not None and pairs >= found_pairs + PATIENCE:
             break
-    return found
+    return fewest
 
 
 def _sound_order(
@@ -430,7 +430,7 @@ def largest_A_t(stored: StoredIdentification, progress: Progress = lambda _: Non
     -------
     LargestA_t, or None if half of the DC floor's limit is not reached
     """
-    problem = DesignProblem.of(stored)
+    problem = DesignProblem.from_identification(stored)
     floor = dc_floor(problem.weights)
     low, high = 0.5 / floor, 1 / floor
     reached: float | None = None

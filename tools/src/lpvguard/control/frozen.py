@@ -65,7 +65,7 @@ class FrozenProblem:
                 f"{stored.project.n_u} input(s) and {stored.project.n_y} output(s)",
                 "one input and two outputs: Table II and the trade-off compare structures of that vehicle",
             )
-        self.problem = DesignProblem.of(stored)
+        self.problem = DesignProblem.from_identification(stored)
         self.stored, self.frames, self.settings = stored, frames, self.problem.settings
 
     @cached_property

@@ -47,11 +47,11 @@ def further_certificates(
 ) -> FurtherCertificates:
     """Further certificates of one controller; ``workers`` share the speeds."""
     tells = parts(progress, *SHARES)
-    given = problem, schedule, scaling
+    design = problem, schedule, scaling
     return FurtherCertificates(
-        robustness(*given, tells[0], workers),
-        slowness(*given, tells[1], workers),
-        limits(*given, tells[2], workers),
+        robustness(*design, tells[0], workers),
+        slowness(*design, tells[1], workers),
+        limits(*design, tells[2], workers),
     )
 
 
@@ -67,7 +67,7 @@ def require_further_certificates(
     """Raise InputError unless the certificates ``stated`` in ``path`` are proved or computed again. A field
     that is missing or None claims nothing. ``workers`` share the speeds."""
     tells = parts(progress, *SHARES)
-    given = problem, schedule, scaling
-    require_robustness(path, stated.get("robustness"), *given, tells[0], workers)
-    require_slowness(path, stated.get("slow_delta"), *given, tells[1], workers)
-    require_limits(path, stated.get("limits"), *given, tells[2], workers)
+    design = problem, schedule, scaling
+    require_robustness(path, stated.get("robustness"), *design, tells[0], workers)
+    require_slowness(path, stated.get("slow_delta"), *design, tells[1], workers)
+    require_limits(path, stated.get("limits"), *design, tells[2], workers)

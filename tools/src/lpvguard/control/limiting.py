@@ -39,7 +39,7 @@ class Limiting:
     leaves_by: dict[str, float]
 
     @classmethod
-    def of(cls, plant: GeneralisedPlant, controller: StateSpace, proved: RobustPerformance) -> Limiting:
+    def at_peak(cls, plant: GeneralisedPlant, controller: StateSpace, proved: RobustPerformance) -> Limiting:
         """Peak of the loop of ``plant`` and ``controller`` with its certificate."""
         frequency = proved.bracket.peak_frequency
         loop = lft(plant.system, controller)

@@ -104,10 +104,10 @@ def limits(
     """Rows of SPEEDS nodes and every kappa, shared by ``workers``."""
     some = evenly(len(schedule.speeds), SPEEDS)
     asked = [(float(schedule.speeds[k]), kappa) for k in some for kappa in KAPPAS]
-    found = workers(
+    rows = workers(
         partial(_row, schedule, largest_step(problem, schedule)), _loops(problem, schedule, scaling, asked)
     )
-    return Limits(tuple(counted(progress, _texts(asked), found)))
+    return Limits(tuple(counted(progress, _texts(asked), rows)))
 
 
 def _texts(asked: list[tuple[float, float]]) -> list[str]:

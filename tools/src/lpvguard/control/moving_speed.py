@@ -171,11 +171,11 @@ def scaled_families(problem: DesignProblem, schedule: Scheduled, scaling: Scalin
         schedule.Ts,
     )
     n_z = plant.system.n_outputs - plant.n_measurement
-    found = {"performance": relevant(family, slice(0, n_z), slice(None))}
+    families = {"performance": relevant(family, slice(0, n_z), slice(None))}
     if plant.blocks:
         rows, columns = slice(0, plant.n_delta_in), slice(0, plant.n_delta_out)
-        found["stability"] = relevant(family, rows, columns)
-    return found
+        families["stability"] = relevant(family, rows, columns)
+    return families
 
 
 def require_moving(
@@ -239,19 +239,19 @@ def _storage(family: Family, said: dict) -> Storage | None:
     return Storage(basis, v, P, family.adjoint)
 
 
-def moving_to_dict(found: dict[str, Moving | None]) -> dict:
-    """``found`` by claim for controller.json; a missing claim claims nothing."""
-    return {claim: _moving(claim, found.get(claim)) for claim in CLAIMS}
+def moving_to_dict(moving: dict[str, Moving | None]) -> dict:
+    """``moving`` by claim for controller.json; a missing claim claims nothing."""
+    return {claim: _moving(claim, moving.get(claim)) for claim in CLAIMS}
 
 
-def _moving(claim: str, found: Moving | None) -> dict:
+def _moving(claim: str, moving: Moving | None) -> dict:
     """Entry of a claim about a moving speed in controller.json."""
-    if found is None:
+    if moving is None:
         return {
             "claim": f"no proof was found: of {claim} at a moving speed nothing is claimed",
             "rate_mps2": None,
         }
-    lpv = found.lpv
+    lpv = moving.lpv
     P, upper = lpv.storage.P if lpv.own_knots else lpv.P, np.triu_indices(len(lpv.storage.basis))
     return {
         "claim": f"at every speed of the range and |dv/dt| up to rate_mps2 {MOVING_CLAIMS[claim]}; nominal "
@@ -263,7 +263,7 @@ def _moving(claim: str, found: Moving | None) -> dict:
         "rate_mps2": lpv.rate,
         "level": lpv.level,
         "gain": lpv.gain,
-        "scaling": found.scaling.log_parameters.tolist(),
+        "scaling": moving.scaling.log_parameters.tolist(),
         "not_found_mps2": lpv.not_found,
         "adjoint": lpv.storage.adjoint,
         "states": len(lpv.storage.basis),

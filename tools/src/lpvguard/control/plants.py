@@ -82,7 +82,7 @@ class DesignProblem:
     _split_by_lambda_s: dict[float, SplitWeights] = field(default_factory=dict, repr=False, compare=False)
 
     @classmethod
-    def of(cls, stored: StoredIdentification) -> DesignProblem:
+    def from_identification(cls, stored: StoredIdentification) -> DesignProblem:
         """The problem that the project's [design] table states; InputError without one."""
         return cls(stored, design_settings(stored))
 

@@ -144,21 +144,21 @@ def run(
         w = _sampled_input(random, n_w, dt)
         ratio, rounded = _ratio(compiled, plant, controller, v, delta, w, compare=k < 3)
         sampled, rounding = max(sampled, ratio), max(rounding, rounded)
-    found = worst_case(plant, controller, proved.scaling)
+    case = worst_case(plant, controller, proved.scaling)
     delta = None
     if plant.blocks:
         delta = StateSpace(
-            found.delta.A,
-            found.delta.B,
-            size / found.size * found.delta.C,
-            size / found.size * found.delta.D,
+            case.delta.A,
+            case.delta.B,
+            size / case.size * case.delta.C,
+            size / case.size * case.delta.D,
             dt,
         )
     closed = lft(_perturbed(plant, delta), controller)
-    gain = closed.response([found.frequency])[0]
+    gain = closed.response([case.frequency])[0]
     direction = np.linalg.svd(gain)[2][0].conj()
     t = dt * np.arange(WORST_STEPS)
-    w = (np.exp(1j * found.frequency * t)[:, None] * direction).real * _window(WORST_STEPS)[:, None]
+    w = (np.exp(1j * case.frequency * t)[:, None] * direction).real * _window(WORST_STEPS)[:, None]
     worst, rounded = _ratio(compiled, plant, controller, v, delta, w, compare=True)
     return RobustRun(
         v, proved.upper, draws, sampled, worst, float(np.linalg.norm(gain, 2)), max(rounding, rounded)
@@ -181,7 +181,7 @@ def certified_runs(
     -------
     list of RobustRun
     """
-    schedule, problem = Scheduled.read(document), DesignProblem.of(stored)
+    schedule, problem = Scheduled.read(document), DesignProblem.from_identification(stored)
     speeds = schedule.speeds[:: max(1, (len(schedule.speeds) - 1) // 3)]
     rows = []
     for k, v in enumerate(map(float, speeds)):

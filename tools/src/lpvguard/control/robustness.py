@@ -124,17 +124,20 @@ def require_robustness(
     """
     if stated is not None:
         units = stated["unit_u"], tuple(stated["units_y"])
-        found = _with_units(problem, schedule, scaling, *units, progress, workers, stated["nodes"])
-        compare(path, stated, found)
+        recomputed = _with_units(problem, schedule, scaling, *units, progress, workers, stated["nodes"])
+        compare(path, stated, recomputed)
 
 
-def compare(path: Path, stated: dict, found: Robustness) -> None:
-    """Raise InputError for the node and the number of ``stated`` that differs from ``found``."""
-    if len(stated["nodes"]) != len(found.nodes):
+def compare(path: Path, stated: dict, recomputed: Robustness) -> None:
+    """Raise InputError for the node and the number of ``stated`` that differs from ``recomputed``."""
+    if len(stated["nodes"]) != len(recomputed.nodes):
         raise InputError(
-            path, "certificates.robustness.nodes", f"{len(stated['nodes'])} rows", f"{len(found.nodes)} nodes"
+            path,
+            "certificates.robustness.nodes",
+            f"{len(stated['nodes'])} rows",
+            f"{len(recomputed.nodes)} nodes",
         )
-    for row, node in zip(stated["nodes"], found.nodes, strict=True):
+    for row, node in zip(stated["nodes"], recomputed.nodes, strict=True):
         for name, want in asdict(node).items():
             above = FOUND_RTOL if name in LOOSE else EXACT_RTOL
             below = PROVED_RTOL if name in UPPER else above
@@ -226,9 +229,9 @@ def _node(scaling: Scaling, units_u: np.ndarray, units_y: tuple[float, ...], at:
         lambda least: mu_interval(loop, [*plant.blocks, performance], 0.0, last, least=least).upper,
     )
     try:
-        found = worst_case(plant, K, scaling if plant.blocks else None).gain
+        worst = worst_case(plant, K, scaling if plant.blocks else None).gain
     except ArithmeticError:
-        found = None
+        worst = None
     back, here = _feedback(K), _in_units(at.P, units_u, units_y)
     # Inputs in proportion to their limits: a margin of several holds in these units.
     alike, ones = units_u / units_u[0], (1.0,) * len(units_y)
@@ -238,7 +241,7 @@ def _node(scaling: Scaling, units_u: np.ndarray, units_y: tuple[float, ...], at:
         at.v,
         mu,
         gain if np.isfinite(gain) else None,
-        found,
+        worst,
         **{f"disk_{name}": _disk(*of_inputs, skew) for name, skew in SKEWS.items()},
         nu_margin=nu_margin(here, _controller_in_units(back, units_u, units_y)),
         nu_gap_next=gaps[0] if gaps else None,
@@ -296,8 +299,8 @@ def _units(model: NominalModel, schedule: Scheduled, workers: Map) -> tuple[floa
     def largest(log_units: np.ndarray) -> float:
         return max(workers(partial(_log_ratio, units_u, tuple(np.exp(log_units))), some))
 
-    found = minimize(largest, first, method="Nelder-Mead", options={"maxfev": SCALING_STEPS, "xatol": 1e-2})
-    return unit_u, tuple(float(x) for x in np.exp(found.x))
+    optimum = minimize(largest, first, method="Nelder-Mead", options={"maxfev": SCALING_STEPS, "xatol": 1e-2})
+    return unit_u, tuple(float(x) for x in np.exp(optimum.x))
 
 
 def _log_ratio(

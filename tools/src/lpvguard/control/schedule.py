@@ -111,9 +111,11 @@ def _common_poles(
 
     def poles(count: int) -> np.ndarray:
         kept = 1 / np.sqrt(sigma[:count])
-        found = np.linalg.eigvals((S @ U[:, :count] * kept).T @ blocks @ (R @ Vt[:count].T * kept))
-        size = np.abs(found)
-        return np.where(size < LARGEST_POLE, found, found * LARGEST_POLE / np.maximum(size, LARGEST_POLE))
+        eigenvalues = np.linalg.eigvals((S @ U[:, :count] * kept).T @ blocks @ (R @ Vt[:count].T * kept))
+        size = np.abs(eigenvalues)
+        return np.where(
+            size < LARGEST_POLE, eigenvalues, eigenvalues * LARGEST_POLE / np.maximum(size, LARGEST_POLE)
+        )
 
     return poles
 

@@ -102,7 +102,7 @@ def _texts(schedule: Scheduled) -> list[str]:
 def _node(scaling: Scaling, closed: tuple[float, GeneralisedPlant, StateSpace]) -> NodeSlowness:
     v, plant, K = closed
     moving, still = _loops(plant, K, scaling)
-    found = moving[0].search()
+    performance = moving[0].search()
     fast = still.at(0.0)
     rate: float | None = None
     if not fast.level < 1:
@@ -110,9 +110,9 @@ def _node(scaling: Scaling, closed: tuple[float, GeneralisedPlant, StateSpace]) 
         rate, fast = (0.0, fast) if slow is None else (slow.rate, slow)
     return NodeSlowness(
         v,
-        0.0 if found is None else found.rate,
-        () if found is None else tuple(map(float, found.log_constants)),
-        None if found is None else found.level,
+        0.0 if performance is None else performance.rate,
+        () if performance is None else tuple(map(float, performance.log_constants)),
+        None if performance is None else performance.level,
         rate,
         tuple(map(float, fast.log_constants)),
         fast.level,

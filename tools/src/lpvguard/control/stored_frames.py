@@ -105,23 +105,23 @@ class StoredFrames:
             self._add_deciding(drives, progress)
 
     def _add_deciding(self, drives: DriveSet, progress: Progress) -> None:
-        found = [(s, v) for s, v in zip(self.sets, self.speeds, strict=True)]
+        sets_and_speeds = [(s, v) for s, v in zip(self.sets, self.speeds, strict=True)]
         names = self.stored.manifest["drives"]["bounds"]
         for i, name in enumerate(names):
             progress(Counted(f"deciding frames of {name}", i, len(names)))
             drive, e, yhat = drives.load(name)
             total = np.concatenate([[0.0], np.cumsum(drive.v)])
             for s in counted_frames(drive, e, yhat, self.model, self.estimator):
-                N, (old, speed) = self.estimator.length[s.bin], found[s.bin]
+                N, (old, speed) = self.estimator.length[s.bin], sets_and_speeds[s.bin]
                 keep = deciding(s.E, s.Z)
                 E, Z, starts = (
                     np.concatenate([getattr(old, key), getattr(s, key)[keep]]) for key in ("E", "Z", "starts")
                 )
-                found[s.bin] = (
+                sets_and_speeds[s.bin] = (
                     FrameSet(s.bin, E, Z, starts, old.experiment),
                     np.concatenate([speed, (total[s.starts[keep] + N] - total[s.starts[keep]]) / N]),
                 )
-        self.sets, self.speeds = map(list, zip(*found, strict=True))
+        self.sets, self.speeds = map(list, zip(*sets_and_speeds, strict=True))
 
     def gamma_rule(self, ceiling: np.ndarray) -> np.ndarray:
         """Step 4 before smoothing, (K,), for a ceiling (K,) on nu."""
@@ -147,17 +147,17 @@ class StoredFrames:
             needing = np.flatnonzero((nu > 0) & (np.linalg.norm(s.Z, axis=1) > 0))
             if len(needing):
                 u, x_nom, h_i, h_s = self._behind(s.Z[needing], v[needing], self.estimator.omega[s.bin])
-                found = s2.solve(
+                split = s2.solve(
                     s.E[needing], u, x_nom, h_i, h_s, self.model.C, gamma_w[s.bin], 1.0, lambda_s
                 )
-                at_cap += int(np.count_nonzero(found.at_cap))
+                at_cap += int(np.count_nonzero(split.at_cap))
                 # S1 is S2 with nu_s = 0: it stays where it explains the frame at less, as where Z is far from
                 # a frozen response.
-                good = ~found.at_cap & (found.upper <= nu[needing] ** 2)
+                good = ~split.at_cap & (split.upper <= nu[needing] ** 2)
                 nu[needing[good]], state[needing[good]], w[needing[good]] = (
-                    found.nu_i[good],
-                    found.nu_s[good],
-                    found.w[good],
+                    split.nu_i[good],
+                    split.nu_s[good],
+                    split.w[good],
                 )
             nu_i.append(_largest(nu))
             nu_s.append(_largest(state))

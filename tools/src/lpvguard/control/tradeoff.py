@@ -315,7 +315,7 @@ def _limit(run: _Search, best: Measured) -> dict:
     k = int(np.argmax([result.performance.upper for result in made]))
     v, plant, result = speeds(run.problem)[k], plants[k], made[k]
     performance = result.performance
-    limiting = Limiting.of(plant, result.controller, performance)
+    limiting = Limiting.at_peak(plant, result.controller, performance)
     return {
         "speed_mps": v,
         "mu_upper": performance.upper,

@@ -106,7 +106,7 @@ class SpeedGrid:
     moves: int
 
     @classmethod
-    def of(cls, low: float, high: float, rate: float, Ts: float) -> SpeedGrid:
+    def for_rate(cls, low: float, high: float, rate: float, Ts: float) -> SpeedGrid:
         """Grid from low to high [m/s] for |dv/dt| <= rate [m/s^2]."""
         moves = max(1, int(np.ceil(rate * Ts / UNIT)))
         unit = rate * Ts / moves
@@ -229,56 +229,56 @@ class Search:
         ``before`` is a result at another rate, whose Delta starts the search.
         """
         low, high = self.loop.over.nodes[[0, -1]]
-        grid = SpeedGrid.of(low, high, rate, self.loop.Ts)
+        grid = SpeedGrid.for_rate(low, high, rate, self.loop.Ts)
         corners = before.corners if before else ((1.0, np.inf),) * self.loop.blocks
         starts = [triangle(grid, self.samples, low, high, share) for share in (0.0, 0.5, 0.25, 0.75)]
         tried = [self._measured(speeds, corners, self.first, QUICK) for speeds in starts]
-        found = max(tried, key=lambda one: one.gain)
+        best = max(tried, key=lambda one: one.gain)
         for _ in range(ROUNDS):
-            last = found.gain
-            found = self._other_delta(found, enough)
-            found = self._other_speeds(found, grid, enough)
-            if found.gain > enough or found.gain < last * (1 + 1e-3):
+            last = best.gain
+            best = self._other_delta(best, enough)
+            best = self._other_speeds(best, grid, enough)
+            if best.gain > enough or best.gain < last * (1 + 1e-3):
                 break
-        return self._measured(found.speeds, found.corners, found.w, WHOLE)
+        return self._measured(best.speeds, best.corners, best.w, WHOLE)
 
     def _measured(self, speeds, corners, w, steps: int) -> Found:
         reached, w = self.loop.history(speeds, self.loop.delta(corners)).gain(w, steps)
         return Found(reached, corners, speeds, w)
 
-    def _other_delta(self, found: Found, enough: float) -> Found:
+    def _other_delta(self, best: Found, enough: float) -> Found:
         """Best of all signs and CORNERS, block by block."""
         for block in range(self.loop.blocks):
             for choice in ((sign, corner) for corner in CORNERS for sign in (1.0, -1.0)):
-                if found.gain > enough:
-                    return found
-                corners = (*found.corners[:block], choice, *found.corners[block + 1 :])
-                if corners != found.corners:
-                    one = self._measured(found.speeds, corners, found.w, QUICK)
-                    found = one if one.gain > found.gain else found
-        return found
+                if best.gain > enough:
+                    return best
+                corners = (*best.corners[:block], choice, *best.corners[block + 1 :])
+                if corners != best.corners:
+                    one = self._measured(best.speeds, corners, best.w, QUICK)
+                    best = one if one.gain > best.gain else best
+        return best
 
-    def _other_speeds(self, found: Found, grid: SpeedGrid, enough: float) -> Found:
+    def _other_speeds(self, best: Found, grid: SpeedGrid, enough: float) -> Found:
         """Steps towards the history that the derivative favours, while they help."""
         for _ in range(ROUNDS):
-            if found.gain > enough:
-                return found
-            delta = self.loop.delta(found.corners)
-            visited = np.unique(found.speeds)
+            if best.gain > enough:
+                return best
+            delta = self.loop.delta(best.corners)
+            visited = np.unique(best.speeds)
             dS = self._closed_derivative(visited, delta)
-            slope = self.loop.history(found.speeds, delta).slopes(dS, found.w)
-            now = (found.speeds - grid.low) / grid.unit
+            slope = self.loop.history(best.speeds, delta).slopes(dS, best.w)
+            now = (best.speeds - grid.low) / grid.unit
             low, high = grid.near(now)
             favoured = low + steered(slope, grid.moves, high - low + 1)
             for share in SHARES:
                 speeds = grid.speeds(now + share * (favoured - now))
-                one = self._measured(speeds, found.corners, found.w, QUICK)
-                if one.gain > found.gain * (1 + 1e-4):
-                    found = one
+                one = self._measured(speeds, best.corners, best.w, QUICK)
+                if one.gain > best.gain * (1 + 1e-4):
+                    best = one
                     break
             else:
-                return found
-        return found
+                return best
+        return best
 
     def _closed_derivative(self, speeds: np.ndarray, delta: StateSpace) -> np.ndarray:
         """dS/dv of the loop with Delta closed, which is quadratic in S: a central difference is exact."""
@@ -322,10 +322,10 @@ def fastest_growth(loop: Loop, rate: float, samples: int, seed: int) -> tuple[fl
     tuple of float, factor a period (above 1: growth), and ndarray (T,), its period [m/s]
     """
     low, high = loop.over.nodes[[0, -1]]
-    grid, random = SpeedGrid.of(low, high, rate, loop.Ts), np.random.default_rng(seed)
-    found = Search(loop, samples, seed).at(rate)
-    tried = [(found.corners, closed_period(grid, found.speeds))]
-    drawn = [found.corners, *(drawn_corners(random, loop.blocks) for _ in range(DRAWN))]
+    grid, random = SpeedGrid.for_rate(low, high, rate, loop.Ts), np.random.default_rng(seed)
+    largest = Search(loop, samples, seed).at(rate)
+    tried = [(largest.corners, closed_period(grid, largest.speeds))]
+    drawn = [largest.corners, *(drawn_corners(random, loop.blocks) for _ in range(DRAWN))]
     for share in (1.0, 0.5, 0.2, 0.07):  # of the range
         for place in (0.0, 0.5, 1.0):
             first = low + place * (1 - share) * (high - low)

@@ -29,8 +29,12 @@ def enum_names(header: Path, name: str) -> tuple[str, ...]:
     InputError
         If the header has no such type, or its values have gaps.
     """
-    found = re.search(_TYPE.format(name=name), header.read_text(encoding="utf-8"), re.DOTALL)
-    items = [] if found is None else [m for m in _COMMENT.sub("", found["body"]).split(",") if m.strip()]
+    definition = re.search(_TYPE.format(name=name), header.read_text(encoding="utf-8"), re.DOTALL)
+    items = (
+        []
+        if definition is None
+        else [m for m in _COMMENT.sub("", definition["body"]).split(",") if m.strip()]
+    )
     parsed = [_MEMBER.fullmatch(item) for item in items]
     members = [(m["name"], int(m["value"])) for m in parsed if m is not None]
     prefix = name.removesuffix("t")

@@ -171,10 +171,10 @@ def eigen_include() -> str:
         If there is none.
     """
     if shutil.which("pkg-config"):
-        found = subprocess.run(
+        answer = subprocess.run(
             ["pkg-config", "--variable=includedir", "eigen3"], capture_output=True, text=True, check=False
         )
-        path = Path(found.stdout.strip() or "/usr/include") / "eigen3"
+        path = Path(answer.stdout.strip() or "/usr/include") / "eigen3"
         if path.is_dir():
             return str(path)
     for prefix in (*EIGEN_PREFIXES, *(f"{folder}/cmeel.prefix" for folder in sys.path)):
@@ -260,8 +260,9 @@ def core_objects(
         version = Path(eigen) / "Eigen" / "src" / "Core" / "util" / "Macros.h"
         if f'{header.name}"' not in source.read_text(encoding="utf-8") or not version.is_file():
             return None
-        told = version.read_bytes()
-        return native.precompiled(header, flags=common, include_dirs=of_no_vehicle, version=told)
+        return native.precompiled(
+            header, flags=common, include_dirs=of_no_vehicle, version=version.read_bytes()
+        )
 
     def compiled(job: tuple[Path, Sequence[str], list[Path]]) -> Path:
         source, own_flags, includes = job
@@ -409,10 +410,10 @@ class CauseLog:
     @classmethod
     def from_rows(cls, rows: np.ndarray, block_s: float) -> CauseLog:
         """Convert rows (C, 10) of the C wrapper; a block has the length ``block_s`` [s]."""
-        found, alarm, output, cause, value, low, high, onset, before, final = rows.T
+        found_us, alarm_us, output, cause, value, low, high, onset, before, final = rows.T
         return cls(
-            found * 1e-6,
-            alarm * 1e-6,
+            found_us * 1e-6,
+            alarm_us * 1e-6,
             output.astype(int),
             cause.astype(int),
             value,
@@ -627,8 +628,8 @@ class RunningMonitor:
             for test in range(len(TESTS))
         )
         period_s = self._core.period_s
-        found = CauseLog.from_rows(causes[: n_causes.value], constant("NBLOCK", {}) * period_s)
-        return Run(frames, verdict, status, energy, band, energy_alarms, change, change_alarms, found)
+        cause_log = CauseLog.from_rows(causes[: n_causes.value], constant("NBLOCK", {}) * period_s)
+        return Run(frames, verdict, status, energy, band, energy_alarms, change, change_alarms, cause_log)
 
     def run_drive(self, drive: Drive) -> Run:
         """Run a whole drive; where its samples are missing, time passes without one."""

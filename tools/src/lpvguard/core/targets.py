@@ -584,8 +584,8 @@ def _compile(
     def compile_one(item: tuple[str, Path]) -> Path:
         name, source = item
         if name.startswith("core_"):
-            found = _core_object(vehicle, source, (*flags, *CXX, *map(str, eigen)))
-            return Path(shutil.copyfile(found, folder / f"{name}.o"))
+            object_file = _core_object(vehicle, source, (*flags, *CXX, *map(str, eigen)))
+            return Path(shutil.copyfile(object_file, folder / f"{name}.o"))
         is_cxx = source.suffix == ".cpp"
         dialect = (*CXX, *eigen) if is_cxx else ("-std=gnu99",)
         tool = "arm-none-eabi-g++" if is_cxx else "arm-none-eabi-gcc"
@@ -638,11 +638,11 @@ def _sections(elf: Path) -> dict[str, Any]:
     """``rom``, and ``map``: the sections that take memory on the target, by address."""
     listed = {}
     for line in _tool(["arm-none-eabi-readelf", "--section-headers", "--wide", elf], elf).splitlines():
-        found = re.match(
+        section = re.match(
             r" *\[ *\d+\] (\.\S+) +\w+ +([0-9a-f]{8}) [0-9a-f]{6} ([0-9a-f]{6}) [0-9a-f]{2} +\w*A", line
         )
-        if found:
-            listed[found[1]] = {"address": int(found[2], 16), "bytes": int(found[3], 16)}
+        if section:
+            listed[section[1]] = {"address": int(section[2], 16), "bytes": int(section[3], 16)}
     return {
         "rom": {what: listed.get(name, {"bytes": 0})["bytes"] for name, what in SECTIONS.items()},
         "map": {

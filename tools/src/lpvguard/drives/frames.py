@@ -144,7 +144,7 @@ class Estimator:
     window: Literal["hann", "rectangular"] = "hann"
 
     @classmethod
-    def of(cls, project: Project, model: NominalModel) -> Estimator:
+    def from_project(cls, project: Project, model: NominalModel) -> Estimator:
         """Estimator of a project (THEORY 3.2). Raises InputError for settings that it cannot realise."""
         settings: FrameSettings = project.frames
         if settings.length_s is not None:
@@ -286,7 +286,7 @@ class Estimator:
         N, m = int(self.length[k]), x.shape[1]
         turn = _turns(N, int(self.cycles[k]))
         scale = ctypes.c_double((2.0 if self.cycles[k] else 1.0) / (0.5 * N))
-        found = []
+        spectra = []
         for near in np.split(starts, np.flatnonzero(np.diff(starts) > N) + 1):
             first = int(near[0])
             every = np.empty((int(near[-1]) - first + 1, m), complex)
@@ -294,5 +294,5 @@ class Estimator:
             lib.lpvg_hann(
                 *sizes, native.pointer(x[first:]), native.pointer(turn), scale, native.pointer(every)
             )
-            found.append(every if len(every) == len(near) else every[near - first])
-        return found[0] if len(found) == 1 else np.concatenate(found)
+            spectra.append(every if len(every) == len(near) else every[near - first])
+        return spectra[0] if len(spectra) == 1 else np.concatenate(spectra)

@@ -55,15 +55,15 @@ _WRAP_SHARE = 0.75
 def _scale(term: Term, column: str, unit: str, source_unit: str, where: Path) -> float:
     if term.scale is not None:
         return term.factor * term.scale
-    given = term.source_unit or source_unit
-    if not given and not term.message:
-        given = unit  # a decoded log without units is taken to be in the column's
-    conversion = unit_factor(given, unit)
+    source = term.source_unit or source_unit
+    if not source and not term.message:
+        source = unit  # a decoded log without units is taken to be in the column's
+    conversion = unit_factor(source, unit)
     if conversion is None:
         raise InputError(
             where,
             f"columns.{column}",
-            f"{term.name} is in {given or 'no unit'}, the column in {unit}",
+            f"{term.name} is in {source or 'no unit'}, the column in {unit}",
             "scale (or source_unit) in the signal map",
         )
     return term.factor * conversion
@@ -76,14 +76,14 @@ def _unknown(where: Path | str, field_: str, name: str, what: str, names: Iterab
     )
 
 
-def _of_several(messages: list[Message], frames: Frames, given: Inputs, where: str) -> Message:
+def _of_several(messages: list[Message], frames: Frames, inputs: Inputs, where: str) -> Message:
     """Message of a name; if several have it, the one whose identifier is in the log."""
     if len(messages) > 1:
         in_log = [m for m in messages if len(find_frames(frames, m, j1939=is_j1939(m)))]
         if len(in_log) != 1:
             raise InputError(
-                given.database_path,
-                f"{where} of {given.map_path}",
+                inputs.database_path,
+                f"{where} of {inputs.map_path}",
                 f"{len(messages)} messages are called {messages[0].name} "
                 f"({', '.join(f'{m.frame_id:X}' for m in messages)})",
                 "a different name for each message in the log",
@@ -103,34 +103,34 @@ def _warn_of_range(message: str, signal: Signal, outside: int, count: int) -> No
     warnings.warn(f"message {message}: {outside} of {count} values: {why}", InputWarning, stacklevel=1)
 
 
-def _from_frames(frames: Frames, given: Inputs, column: str, term: Term) -> Source:
-    map_path, where = given.map_path, f"columns.{column}"
+def _from_frames(frames: Frames, inputs: Inputs, column: str, term: Term) -> Source:
+    map_path, where = inputs.map_path, f"columns.{column}"
     if term.message is None:
         raise InputError(
             map_path, where, f"{term.signal} names no message", "message = ... (the log holds raw CAN frames)"
         )
-    by_name = {m.name: m for m in given.database.messages}
+    by_name = {m.name: m for m in inputs.database.messages}
     if term.message not in by_name:
-        raise _unknown(given.database_path, f"{where} of {map_path}", term.message, "message", by_name)
+        raise _unknown(inputs.database_path, f"{where} of {map_path}", term.message, "message", by_name)
     message = _of_several(
-        [m for m in given.database.messages if m.name == term.message], frames, given, where
+        [m for m in inputs.database.messages if m.name == term.message], frames, inputs, where
     )
     signals = {s.name: s for s in message.signals}
     if term.signal not in signals:
         raise _unknown(
-            given.database_path,
+            inputs.database_path,
             f"{where} of {map_path}, message {message.name}",
             term.signal,
             "signal",
             signals,
         )
     signal = signals[term.signal]
-    j1939 = is_j1939(message) if given.map.j1939 is None else given.map.j1939
+    j1939 = is_j1939(message) if inputs.map.j1939 is None else inputs.map.j1939
     positions = find_frames(
         frames,
         message,
         j1939=j1939,
-        channel=term.channel or given.map.channel,
+        channel=term.channel or inputs.map.channel,
         source_address=term.source_address,
         where=str(map_path),
     )
@@ -153,23 +153,23 @@ def _from_frames(frames: Frames, given: Inputs, column: str, term: Term) -> Sour
             report["suspected_wraps"] = int(leaps.sum())
     if term.sign is not None:
         if term.sign not in signals:
-            raise _unknown(given.database_path, f"{where} of {map_path}, sign", term.sign, "signal", signals)
+            raise _unknown(inputs.database_path, f"{where} of {map_path}, sign", term.sign, "signal", signals)
         samples = signed(frames, samples, message, signals[term.sign])
-    scale = _scale(term, column, given.map.columns[column].unit, signal.unit or "", map_path)
+    scale = _scale(term, column, inputs.map.columns[column].unit, signal.unit or "", map_path)
     return Source(frames.t_ns[samples.frame], _unwrap(samples.value, term, report) * scale, report)
 
 
-def _from_table(table: Table, log: Path, given: Inputs, column: str, term: Term) -> Source:
+def _from_table(table: Table, log: Path, inputs: Inputs, column: str, term: Term) -> Source:
     name = next((n for n in (term.name, term.signal) if n in table.series), None)
     if name is None:
-        raise _unknown(log, f"columns.{column} of {given.map_path}", term.signal, "column", table.series)
+        raise _unknown(log, f"columns.{column} of {inputs.map_path}", term.signal, "column", table.series)
     series: Series = table.series[name]
     finite = np.isfinite(series.value)
     report: dict = {
         "signal": name,
         "left_out": {"no value": int((~finite).sum())} if not finite.all() else {},
     }
-    scale = _scale(term, column, given.map.columns[column].unit, series.unit, given.map_path)
+    scale = _scale(term, column, inputs.map.columns[column].unit, series.unit, inputs.map_path)
     return Source(series.t_ns[finite], _unwrap(series.value[finite], term, report) * scale, report)
 
 
@@ -229,28 +229,28 @@ class Inputs:
     schema: Path | None = None
 
 
-def _sources(log: Frames | Table, path: Path, given: Inputs) -> dict[str, list[Source]]:
+def _sources(log: Frames | Table, path: Path, inputs: Inputs) -> dict[str, list[Source]]:
     sources = {}
-    for name, column in given.map.columns.items():
+    for name, column in inputs.map.columns.items():
         if isinstance(log, Frames):
-            terms = [_from_frames(log, given, name, term) for term in column.terms]
+            terms = [_from_frames(log, inputs, name, term) for term in column.terms]
         else:
-            terms = [_from_table(log, path, given, name, term) for term in column.terms]
+            terms = [_from_table(log, path, inputs, name, term) for term in column.terms]
         within_limits(column, terms)
         sources[name] = [in_order(source) for source in terms]
     return sources
 
 
-def _ingest_one(path: Path, given: Inputs) -> tuple[list[Piece], dict]:
+def _ingest_one(path: Path, inputs: Inputs) -> tuple[list[Piece], dict]:
     """Pieces and report of one log; InputError when nothing of it remains."""
-    log = read_log(path, time_column=given.map.time, schema=given.schema)
+    log = read_log(path, time_column=inputs.map.time, schema=inputs.schema)
     t_ns = _log_time(log)
     if len(t_ns) == 0:
         raise InputError(path, "", "holds no signal", "at least one column of numbers")
-    clock = clock_of(t_ns, max(given.map.gap_s(name) for name in given.map.columns))
-    maker, stretches = TableMaker(given.map), []
+    clock = clock_of(t_ns, max(inputs.map.gap_s(name) for name in inputs.map.columns))
+    maker, stretches = TableMaker(inputs.map), []
     for first, end in zip(clock.cuts, clock.cuts[1:], strict=False):
-        sources = _sources(_stretch(log, clock, first, end), path, given)
+        sources = _sources(_stretch(log, clock, first, end), path, inputs)
         t = t_ns[first:end]
         maker.add_stretch(int(t.min()), int(t.max()), sources)
         stretches.append(
@@ -260,16 +260,16 @@ def _ingest_one(path: Path, given: Inputs) -> tuple[list[Piece], dict]:
                 "columns": {
                     name: {
                         "unit": column.unit,
-                        "terms": [describe(s, given.map.gap_s(name)) for s in sources[name]],
+                        "terms": [describe(s, inputs.map.gap_s(name)) for s in sources[name]],
                     }
-                    for name, column in given.map.columns.items()
+                    for name, column in inputs.map.columns.items()
                 },
             }
         )
     if not maker.pieces:
         first_left = maker.left_out[0]
         columns = ", ".join(
-            f"{c} ({', '.join(t.name for t in given.map.columns[c].terms)})" for c in first_left["columns"]
+            f"{c} ({', '.join(t.name for t in inputs.map.columns[c].terms)})" for c in first_left["columns"]
         )
         raise InputError(
             path,
@@ -285,7 +285,7 @@ def _ingest_one(path: Path, given: Inputs) -> tuple[list[Piece], dict]:
         "not_frames": log.left_out if isinstance(log, Frames) else {},
         "channels": log.channels if isinstance(log, Frames) else [],
         "resampling": "linear interpolation of each signal at its own times, "
-        f"grid of {given.map.Ts_s:g} s, no filter",
+        f"grid of {inputs.map.Ts_s:g} s, no filter",
         "clock_jumps": clock.jumps,
         "left_out": maker.left_out,
         "stretches": stretches,
@@ -305,13 +305,13 @@ def _write_piece(piece: Piece, path: Path) -> None:
         pa_csv.write_csv(table, path, pa_csv.WriteOptions(quoting_style="none"))
 
 
-def write_tables(path: Path, given: Inputs, folder: Path) -> dict:
+def write_tables(path: Path, inputs: Inputs, folder: Path) -> dict:
     """Write the drive tables and the report of one log into an existing folder.
 
     Parameters
     ----------
     path : Path
-    given : Inputs
+    inputs : Inputs
     folder : Path
 
     Returns
@@ -323,10 +323,10 @@ def write_tables(path: Path, given: Inputs, folder: Path) -> dict:
     InputError
         If nothing of the log remains.
     """
-    pieces, report = _ingest_one(path, given)
+    pieces, report = _ingest_one(path, inputs)
     report["drives"] = []
     for k, piece in enumerate(pieces, start=1):
-        file = stem(path) + (f"_{k}" if len(pieces) > 1 else "") + f".{given.map.format}"
+        file = stem(path) + (f"_{k}" if len(pieces) > 1 else "") + f".{inputs.map.format}"
         _write_piece(piece, folder / file)
         report["drives"].append(
             {
@@ -378,7 +378,7 @@ def ingest(
             raise InputError(
                 path, "", f"two logs would both become the drive {stem(path)}", "logs with different names"
             )
-    given = Inputs(
+    inputs = Inputs(
         load_database(dbc) if dbc else own_database(),
         dbc or "lpvguard's own DBC (no --dbc given)",
         *(
@@ -392,15 +392,15 @@ def ingest(
     with artefacts.new_folder(out, "ingest") as folder:
         drives: list[tuple[str, str, str]] = []
         for path in paths:
-            reports[stem(path)] = report = write_tables(path, given, folder)
+            reports[stem(path)] = report = write_tables(path, inputs, folder)
             drives += [(Path(d["file"]).stem, "unassigned", stem(path)) for d in report["drives"]]
-        inputs = {p.name: artefacts.file_hash(p) for p in [*paths, *([Path(dbc)] if dbc else [])]}
+        hashes = {p.name: artefacts.file_hash(p) for p in [*paths, *([Path(dbc)] if dbc else [])]}
         artefacts.write_files(
             folder,
             {
                 "experiments.csv": index_text(drives),
                 artefacts.MANIFEST: artefacts.manifest(
-                    "ingest", inputs=inputs, signal_map=given.map.model_dump(by_alias=True)
+                    "ingest", inputs=hashes, signal_map=inputs.map.model_dump(by_alias=True)
                 ),
             },
         )

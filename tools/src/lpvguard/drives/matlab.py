@@ -35,12 +35,12 @@ def read_matlab(path: Path) -> pa.Table:
     """
     try:
         content = path.read_bytes()
-        found = loadmat(io.BytesIO(content), squeeze_me=True, variable_names=_vectors(content))
+        variables = loadmat(io.BytesIO(content), squeeze_me=True, variable_names=_vectors(content))
     except MemoryError:
         raise
     except Exception as error:  # scipy has no exception class for a broken file
         raise InputError(path, "", f"cannot be parsed ({type(error).__name__}: {error})", EXPECTED) from None
-    columns = {n: v for n, v in found.items() if getattr(v, "ndim", 0) == 1 and v.dtype.kind in "fiu"}
+    columns = {n: v for n, v in variables.items() if getattr(v, "ndim", 0) == 1 and v.dtype.kind in "fiu"}
     if len({len(v) for v in columns.values()}) > 1:
         lengths = ", ".join(f"{n} {len(v)}" for n, v in columns.items())
         raise InputError(path, "", f"variables of different lengths ({lengths})", EXPECTED)

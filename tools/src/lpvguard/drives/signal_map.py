@@ -77,12 +77,12 @@ class Column(StrictModel):
 
     @model_validator(mode="before")
     @classmethod
-    def _one_term(cls, given: Any) -> Any:
+    def _one_term(cls, column: Any) -> Any:
         """Let a column of one signal carry the keys of its term."""
-        if isinstance(given, dict) and "terms" not in given:
-            of_column = {k: v for k, v in given.items() if k in cls.model_fields}
-            return {**of_column, "terms": [{k: v for k, v in given.items() if k not in of_column}]}
-        return given
+        if isinstance(column, dict) and "terms" not in column:
+            of_column = {k: v for k, v in column.items() if k in cls.model_fields}
+            return {**of_column, "terms": [{k: v for k, v in column.items() if k not in of_column}]}
+        return column
 
     @model_validator(mode="after")
     def _limits_of_one_term(self) -> Column:

@@ -135,8 +135,8 @@ def day_of(name: str) -> str:
     >>> day_of("rl_2026-04-22_03-36-39"), day_of("20251010T0511"), day_of("run_7")
     ('2026-04-22', '2025-10-10', '')
     """
-    found = _DATE.search(name)
-    return "-".join(found.groups()) if found else ""
+    date = _DATE.search(name)
+    return "-".join(date.groups()) if date else ""
 
 
 def list_experiments(folder: Path) -> list[Experiment]:
@@ -190,11 +190,11 @@ def index_column(folder: Path, column: str) -> dict[str, str]:
         If a drive has none.
     """
     index = folder / EXPERIMENTS
-    found = {row["experiment"]: row.get(column) or "" for row in _rows(index)}
-    lacking = next((name for name, text in found.items() if not text), None)
+    texts = {row["experiment"]: row.get(column) or "" for row in _rows(index)}
+    lacking = next((name for name, text in texts.items() if not text), None)
     if lacking is not None:
         raise InputError(index, f"column {column}", f"{lacking} has none", "a value for every drive")
-    return found
+    return texts
 
 
 def _listed(folder: Path) -> tuple[list[Experiment], dict[str, str]]:
@@ -576,7 +576,7 @@ def table_hashes(experiments: list[Experiment], workers: Map = map) -> dict[str,
     InputError
         If two are the same: one drive would count twice.
     """
-    found: dict[str, str] = {}
+    hashes: dict[str, str] = {}
     first: dict[str, str] = {}
     for e, digest in zip(
         experiments, workers(artefacts.file_hash, [e.path for e in experiments]), strict=False
@@ -588,5 +588,5 @@ def table_hashes(experiments: list[Experiment], workers: Map = map) -> dict[str,
                 f"{e.name} is the same table as {first[digest]}, byte for byte",
                 "every drive once",
             )
-        found[e.name], first[digest] = digest, e.name
-    return found
+        hashes[e.name], first[digest] = digest, e.name
+    return hashes

@@ -92,16 +92,16 @@ def _spellings(role: str) -> dict[str, str]:
     if role == "input":
         return {word: unit for unit, words in _ANGLES.items() for word in words}
     if role == "output":
-        found = dict(_RATE_WORDS)
+        spellings = dict(_RATE_WORDS)
         for (unit, words), over in product(_ANGLES.items(), _OVER):
             for word, time in product(words, _TIMES["s"]):
-                found.setdefault(word + over + time, f"{unit}/s")
-        return found
-    found = dict(_SPEED_WORDS)
+                spellings.setdefault(word + over + time, f"{unit}/s")
+        return spellings
+    spellings = dict(_SPEED_WORDS)
     for (length, time), unit in _OF_SPEED.items():
         for word, over, per in product(_LENGTHS[length], _OVER, _TIMES[time]):
-            found.setdefault(word + over + per, unit)
-    return found
+            spellings.setdefault(word + over + per, unit)
+    return spellings
 
 
 def tokens(text: str) -> list[str]:
@@ -206,7 +206,7 @@ def units_in_name(name: str, role: str) -> list[str]:
     >>> units_in_name("speed", "speed"), units_in_name("SteeringWheelAngleDeg", "input")
     ([], ['deg'])
     """
-    found: list[str] = []
+    units: list[str] = []
     plain = _BRACKETS.sub(" ", name)
     texts = [*_BRACKETS.findall(name)]
     if spelled := _IN.search(plain):
@@ -215,10 +215,10 @@ def units_in_name(name: str, role: str) -> list[str]:
         texts.append(slashed[1])
     for text in texts:
         unit = unit_of_text(text, role)
-        if unit is not None and unit not in found:
-            found.append(unit)
-    if found:
-        return found
+        if unit is not None and unit not in units:
+            units.append(unit)
+    if units:
+        return units
     _, unit = _ending(tokens(plain), role)
     return [unit] if unit else []
 

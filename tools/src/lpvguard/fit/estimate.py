@@ -88,8 +88,8 @@ class Fit:
         any."""
         model = self.unknowns.model(theta)
         shortest = max(round(SHORTEST_S / self.Ts), 3 * noise.LARGEST_ORDER)
-        found = [stretches_of(judged_samples(model, d.v), shortest) for d in self.drives]
-        if not any(found):
+        pieces = [stretches_of(judged_samples(model, d.v), shortest) for d in self.drives]
+        if not any(pieces):
             low, high = model.speed_range
             raise InputError(
                 ", ".join(d.name for d in self.drives),
@@ -97,7 +97,7 @@ class Fit:
                 f"nowhere {shortest * self.Ts:g} s within {low:g} to {high:g} m/s",
                 "drives within speed_min_mps and speed_max_mps, and the speed in m/s",
             )
-        return found
+        return pieces
 
     def errors(self, theta: np.ndarray) -> list[np.ndarray]:
         """e = y - yhat of every drive, (N, n_y) each; theta (p,)."""
@@ -106,25 +106,25 @@ class Fit:
 
     def _trim_responses(self, theta: np.ndarray) -> list[np.ndarray]:
         """Change (N, n_y, n_u) of every drive's e per unit of trim."""
-        model, found = self.unknowns.model(theta), []
+        model, responses = self.unknowns.model(theta), []
         for d in self.drives:
             at_rest = model.simulate(d.v, d.u, d.y[0])
-            found.append(
+            responses.append(
                 np.stack(
                     [at_rest - model.simulate(d.v, d.u - unit, d.y[0]) for unit in np.eye(self.n_u)], axis=2
                 )
             )
-        return found
+        return responses
 
     def _whitened(self, signal: list[np.ndarray]) -> list[np.ndarray]:
         """Whitened, scaled columns of every drive, outputs and stretches stacked, from (N, n_y) or (N,
         n_y, n)."""
-        found = []
+        columns = []
         for i, (x, pieces) in enumerate(zip(signal, self.pieces, strict=True)):
             x = x.reshape(*x.shape[:2], -1)
             parts = [w.filtered(x[s, j]) / w.sigma[i] for j, w in enumerate(self.whitening) for s in pieces]
-            found.append(np.concatenate(parts) if parts else np.zeros((0, x.shape[2])))
-        return found
+            columns.append(np.concatenate(parts) if parts else np.zeros((0, x.shape[2])))
+        return columns
 
     def residuals(self, theta: np.ndarray) -> list[np.ndarray]:
         """Whitened residuals of every drive (n,), its trim projected out; theta (p,)."""

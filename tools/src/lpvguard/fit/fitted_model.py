@@ -142,7 +142,7 @@ def fit(
     progress("screening")
     chosen = [d for d in drives if d.name in setting]
     screen = screened(project, chosen)
-    unknowns = Unknowns.of(project)
+    unknowns = Unknowns.from_project(project)
     unseen = [d for d in drives if d.name not in setting]
     beside, certain = judged_beside(unknowns, screen.theta, unseen)
     for name, error in {**screen.faults, **beside}.items():
@@ -191,7 +191,7 @@ def _read(project: Project, experiments: list[Experiment]) -> tuple[list[Drive],
     return drives, refused
 
 
-def _findings(estimate: Estimate, found: list[Quality]) -> list[str]:
+def _findings(estimate: Estimate, qualities: list[Quality]) -> list[str]:
     """Findings of a successful fit."""
     u, theta = estimate.unknowns, estimate.theta
     says = [
@@ -204,10 +204,10 @@ def _findings(estimate: Estimate, found: list[Quality]) -> list[str]:
             "the residuals are the model's own error and no noise: plain least squares were taken, and "
             "another model may do better"
         )
-    given = u.base.model.input_delay_s
-    if DELAY in u.names and given > u.high[u.names.index(DELAY)]:
+    stated_delay = u.base.model.input_delay_s
+    if DELAY in u.names and stated_delay > u.high[u.names.index(DELAY)]:
         says.append(
-            f"the project file's delay of {given:g} s does not fit the drives; their delay is "
+            f"the project file's delay of {stated_delay:g} s does not fit the drives; their delay is "
             f"{theta[u.names.index(DELAY)]:.4g} s"
         )
     for i, j in zip(*np.where(np.triu(np.abs(estimate.correlation), 1) > APART), strict=True):
@@ -215,7 +215,7 @@ def _findings(estimate: Estimate, found: list[Quality]) -> list[str]:
             f"the drives do not separate {u.names[i]} and {u.names[j]}: the correlation of their errors is "
             f"{estimate.correlation[i, j]:.3f}"
         )
-    for q in found:
+    for q in qualities:
         for j, signal in enumerate(u.base.outputs):
             if q.vaf[j] < POOR_VAF:
                 says.append(f"{q.name}: the model explains only {q.vaf[j]:.1%} of {signal.name}")

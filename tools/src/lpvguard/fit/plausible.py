@@ -21,12 +21,12 @@ def require_plausible(project: Project) -> None:
     length = v / model.dc_gain(v)[:, 0, 0]
     wheelbase, understeer = np.linalg.lstsq(np.column_stack((np.ones(len(v)), v**2)), length, rcond=None)[0]
     lag = project.model.input_delay_s + 1.0 / model.slowest_pole
-    found = {
+    quantities = {
         "wheelbase": (float(wheelbase), ranges.wheelbase_m, "m"),
         "understeer": (degrees_per_g(float(understeer)), ranges.understeer_deg_g, "deg/g"),
         "delay and time constant": (lag, ranges.lag_s, "s"),
     }
-    for what, (value, (least, most), unit) in found.items():
+    for what, (value, (least, most), unit) in quantities.items():
         if not least <= value <= most:
             raise InputError(
                 f"vehicle {project.name}",

@@ -106,11 +106,11 @@ def by_drive(
     model: NominalModel, drives: list[Drive], whitening: list[Whitening], trims: np.ndarray | None = None
 ) -> list[Quality]:
     """Quality of each drive; ``trims`` (n_drives, n_u) are less the common input_offset, or None."""
-    found = []
+    qualities = []
     for i, d in enumerate(drives):
         u = d.u - np.nan_to_num(trims[i]) if trims is not None and trims.shape[1] else d.u
-        found.append(of_drive(model, d, model.simulate(d.v, u, d.y[0]), whitening))
-    return found
+        qualities.append(of_drive(model, d, model.simulate(d.v, u, d.y[0]), whitening))
+    return qualities
 
 
 def of_drive(model: NominalModel, drive: Drive, yhat: np.ndarray, whitening: list[Whitening]) -> Quality:
@@ -128,8 +128,8 @@ def of_drive(model: NominalModel, drive: Drive, yhat: np.ndarray, whitening: lis
     Quality
     """
     judged = judged_samples(model, drive.v)
-    found = quality(drive.name, drive.v[judged], drive.y[judged], yhat[judged], model.Ts, whitening)
-    return replace(found, missing=drive.missing_samples)
+    result = quality(drive.name, drive.v[judged], drive.y[judged], yhat[judged], model.Ts, whitening)
+    return replace(result, missing=drive.missing_samples)
 
 
 def by_speed(model: NominalModel, drives: list[Drive]) -> list[Quality]:
@@ -147,40 +147,40 @@ def by_speed(model: NominalModel, drives: list[Drive]) -> list[Quality]:
     v, y, yhat = (np.concatenate(column) for column in zip(*parts, strict=True))
     edges = np.quantile(v, np.linspace(0, 1, CELLS + 1))
     cells = [(a, b) for a, b in pairwise(edges) if b > a]
-    found = []
+    qualities = []
     for a, b in cells:
         at = (v >= a) & ((v < b) | (b == edges[-1]))
-        found.append(quality(f"{a:.3g} to {b:.3g} m/s", v[at], y[at], yhat[at], model.Ts, []))
-    return found
+        qualities.append(quality(f"{a:.3g} to {b:.3g} m/s", v[at], y[at], yhat[at], model.Ts, []))
+    return qualities
 
 
-def gaps(found: list[Quality]) -> list[str]:
+def gaps(qualities: list[Quality]) -> list[str]:
     """Word the missing samples, a line a drive with any.
 
     Parameters
     ----------
-    found : list of Quality
+    qualities : list of Quality
 
     Returns
     -------
     list of str
     """
-    return [missing_words(q.name, q.missing) for q in found if q.missing]
+    return [missing_words(q.name, q.missing) for q in qualities if q.missing]
 
 
-def pooled_vaf(found: list[Quality]) -> np.ndarray:
+def pooled_vaf(qualities: list[Quality]) -> np.ndarray:
     """Compute the VAF of all samples together; a drive counts by its length and its variance.
 
     Parameters
     ----------
-    found : list of Quality
+    qualities : list of Quality
 
     Returns
     -------
     ndarray (n_y,)
     """
-    seconds = np.array([q.judged_s for q in found])[:, None]
-    there = seconds * np.array([q.variance for q in found])
-    left = there * (1 - np.nan_to_num(np.array([q.vaf for q in found])))
+    seconds = np.array([q.judged_s for q in qualities])[:, None]
+    there = seconds * np.array([q.variance for q in qualities])
+    left = there * (1 - np.nan_to_num(np.array([q.vaf for q in qualities])))
     with np.errstate(invalid="ignore", divide="ignore"):
         return 1 - left.sum(axis=0) / there.sum(axis=0)

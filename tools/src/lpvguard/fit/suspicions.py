@@ -143,7 +143,7 @@ def shifts(project: Project, theta: np.ndarray, drive: Drive) -> Iterator[Readin
     Best is the largest product over the overlap, and the largest correlation, which a short overlap after a
     long shift does not hide. Shifts within the range of the delay are left out. ``theta`` (p,): unknowns.
     """
-    model = Unknowns.of(project).model(theta)
+    model = Unknowns.from_project(project).model(theta)
     yhat, judged = model.simulate(drive.v, drive.u, drive.y[0]), judged_samples(model, drive.v)
     if judged.sum() < 100 or not yhat[judged].std(axis=0).any():
         return
@@ -209,7 +209,7 @@ def screened(project: Project, drives: list[Drive]) -> Screened:
 
     Raises InputError when all have the same fault.
     """
-    unknowns = Unknowns.of(project)
+    unknowns = Unknowns.from_project(project)
     theta, left = _common(unknowns, drives)
     bad_end = bool(unknowns.at_end(theta))
     if all(x <= (SURE if bad_end else LITTLE) for x in left):
@@ -239,9 +239,9 @@ def judged_beside(
     faults: dict[str, InputError] = {}
     certain: set[str] = set()
     for d, x in zip(drives, left, strict=True):
-        if x > LITTLE and (found := _fault_of(unknowns, theta, d, x)) is not None:
-            faults[d.name] = found[0]
-            certain |= {d.name} if found[1] else set()
+        if x > LITTLE and (fault := _fault_of(unknowns, theta, d, x)) is not None:
+            faults[d.name] = fault[0]
+            certain |= {d.name} if fault[1] else set()
     return faults, certain
 
 
@@ -324,9 +324,9 @@ def _require_no_common_fault(unknowns: Unknowns, drives: list[Drive], left: list
         _, then, _, reading = min(explaining)
         raise _error(", ".join(d.name for d in drives), reading, then, now)
     for d, x in zip(drives, left, strict=True):
-        found = _shift_of(unknowns, unknowns.start, d, x)
-        if found is not None:
-            raise found
+        error = _shift_of(unknowns, unknowns.start, d, x)
+        if error is not None:
+            raise error
 
 
 def _shift_of(unknowns: Unknowns, theta: np.ndarray, drive: Drive, left: float) -> InputError | None:

@@ -61,7 +61,7 @@ class Unknowns:
     step: np.ndarray
 
     @classmethod
-    def of(cls, project: Project) -> Unknowns:
+    def from_project(cls, project: Project) -> Unknowns:
         """Unknowns that the project's [fit] names. InputError where a range is missing or excludes its
         value."""
         rows = [*_parameters(project), *_delay(project), *_offsets(project)]

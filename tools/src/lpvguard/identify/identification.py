@@ -440,7 +440,7 @@ def load(folder: Path) -> StoredIdentification:
     calibration = read("calibration", lambda document, _: Calibration.from_dict(document))
     with artefacts.reading(folder / "project.json"):
         model = NominalModel(project)
-        estimator = Estimator.of(project, model)
+        estimator = Estimator.from_project(project, model)
     if manifest.get("estimator_id") != estimator.identifier():
         raise InputError(
             folder / artefacts.MANIFEST,

@@ -74,7 +74,7 @@ class DriveReader:
     """
 
     def __init__(self, project: Project, model: NominalModel):
-        self.project, self.model, self.estimator = project, model, Estimator.of(project, model)
+        self.project, self.model, self.estimator = project, model, Estimator.from_project(project, model)
         self._kept: dict[Experiment, _Held] = {}
         self._room = KEPT_BYTES
         self._key = uuid.uuid4()

@@ -72,7 +72,7 @@ def diagnosed(
     value, low, high = (x if k < shown else None for k, x in enumerate(numbers))
     says = cause_sentence(signal.name, signal.unit, cause, numbers, since_s, at_least)
     says = says if final else f"so far {says}"
-    advice = project.advice.of(cause, signal.name)
+    advice = project.advice.for_cause(cause, signal.name)
     return Diagnosis(
         found_s,
         alarm_s,

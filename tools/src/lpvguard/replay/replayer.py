@@ -266,7 +266,7 @@ class Replayer:
     ):
         self.project, self.core = project, core
         self.model = NominalModel(project)
-        self.estimator = Estimator.of(project, self.model)
+        self.estimator = Estimator.from_project(project, self.model)
         found = tuple(core.sizes[d] for d in ("NU", "NY", "NBINS", "NDELTA"))
         wanted = (project.n_u, project.n_y, self.estimator.n_bins, project.n_delta)
         if found != wanted:

@@ -108,7 +108,7 @@ class Region:
 
 def regions(grid: list[list[MapCell]], chosen: Callable[[MapCell], bool]) -> list[Region]:
     """Chosen cells as few regions: runs of bins per speed cell, with equal neighbours joined."""
-    found: list[Region] = []
+    joined: list[Region] = []
     for row in grid:
         runs: list[tuple[MapCell, MapCell]] = []
         for cell in row:
@@ -121,12 +121,12 @@ def regions(grid: list[list[MapCell]], chosen: Callable[[MapCell], bool]) -> lis
         if not runs:
             continue
         low, high = row[0].speed_mps
-        before = found[-1] if found else None
+        before = joined[-1] if joined else None
         if before and before.speed_mps[1] == low and _bins(before.runs) == _bins(runs):
-            found[-1] = Region((before.speed_mps[0], high), before.runs)
+            joined[-1] = Region((before.speed_mps[0], high), before.runs)
         else:
-            found.append(Region((low, high), tuple(runs)))
-    return found
+            joined.append(Region((low, high), tuple(runs)))
+    return joined
 
 
 def _bins(runs: Iterable[tuple[MapCell, MapCell]]) -> list[tuple[int, int]]:

@@ -37,10 +37,10 @@ def pictures(files: dict[str, str]) -> dict[str, Picture]:
     -------
     dict[str, Picture], by name
     """
-    found = draw(json.loads(files["figures.json"])) if "figures.json" in files else {}
+    by_name = draw(json.loads(files["figures.json"])) if "figures.json" in files else {}
     if "tradeoff.json" in files:
-        found["tradeoff"] = tradeoff_front("t", json.loads(files["tradeoff.json"]))
-    return found
+        by_name["tradeoff"] = tradeoff_front("t", json.loads(files["tradeoff.json"]))
+    return by_name
 
 
 def drawn(files: dict[str, str]) -> dict[str, str]:
@@ -54,4 +54,4 @@ def drawn(files: dict[str, str]) -> dict[str, str]:
     -------
     dict[str, str], SVG by file name
     """
-    return {f"{name}.svg": standalone(of) for name, of in pictures(files).items()}
+    return {f"{name}.svg": standalone(picture) for name, picture in pictures(files).items()}

@@ -61,12 +61,12 @@ class DriveSummary:
 
 def nearest(replay: Replay, replayer: Replayer, drive: Drive) -> Nearest | None:
     """Place of the largest statistic of any test in units of its threshold; None without a judged frame."""
-    frames, found = replay.run.frames, []
+    frames, candidates = replay.run.frames, []
     counted = np.flatnonzero(frames.counted)
     if len(counted):
         i = counted[np.argmax(frames.statistic[counted])]
         k = int(frames.bin[i])
-        found.append(
+        candidates.append(
             Nearest(
                 float(frames.statistic[i]) / replayer.threshold,
                 "frame",
@@ -79,8 +79,8 @@ def nearest(replay: Replay, replayer: Replayer, drive: Drive) -> Nearest | None:
     for test, values in _ratios(replay, replayer):
         if (values > 0).any():
             n = int(np.argmax(values))
-            found.append(Nearest(float(values[n]), test, None, None, n * replay.Ts, float(drive.v[n])))
-    return max(found, key=lambda near: near.ratio, default=None)
+            candidates.append(Nearest(float(values[n]), test, None, None, n * replay.Ts, float(drive.v[n])))
+    return max(candidates, key=lambda near: near.ratio, default=None)
 
 
 def _ratios(replay: Replay, replayer: Replayer) -> tuple[tuple[str, np.ndarray], ...]:

@@ -45,9 +45,9 @@ def yes_or_no(value: bool | None, yes: str, no: str) -> str:
     return f'<span class="yes">{yes}</span>' if value else f'<span class="no">{no}</span>'
 
 
-def premise_words(found: dict) -> str:
+def premise_words(premise: dict) -> str:
     """Premise of certificates, as in controller.json, in words: evidence and conclusion."""
-    refuting, doubting = found["refuting"], found["doubting"]
+    refuting, doubting = premise["refuting"], premise["doubting"]
     not_refuted = refuting is None or refuting["ratio"] >= 1
     words = yes_or_no(not_refuted, "Premise, not refuted:", "Premise, refuted:")
     doubt = ""
@@ -58,7 +58,7 @@ def premise_words(found: dict) -> str:
             f"{escape(doubting['output'])} at {number(doubting['omega'])} rad/s and "
             f"{number(doubting['v'])} m/s."
         )
-    return f"{words} {escape(found['sentence'])}.{doubt}"
+    return f"{words} {escape(premise['sentence'])}.{doubt}"
 
 
 def unit_of_norm(outputs: Iterable[Signal]) -> str:

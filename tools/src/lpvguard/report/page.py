@@ -169,11 +169,11 @@ def _own(name: str) -> str:
 def _scripts() -> str:
     """BokehJS as text, which zoom.js runs at the first zoom, then the scripts of this room."""
     folder = resources.files("bokeh").joinpath("server", "static", "js")
-    found = [folder.joinpath(f"{name}.min.js").read_text(encoding="utf-8") for name in LIBRARIES]
+    libraries = [folder.joinpath(f"{name}.min.js").read_text(encoding="utf-8") for name in LIBRARIES]
     own = [_own(name) for name in SCRIPTS]
-    return "".join(f'<script type="text/plain" data-library>{text}</script>\n' for text in found) + "".join(
-        f"<script>{text}</script>\n" for text in own
-    )
+    return "".join(
+        f'<script type="text/plain" data-library>{text}</script>\n' for text in libraries
+    ) + "".join(f"<script>{text}</script>\n" for text in own)
 
 
 def _page(project: Project, sections: list[str]) -> str:

@@ -51,11 +51,11 @@ def markdown() -> str:
         ("Table expect of a scenario", Expectation),
     )
     described = [(title, model.model_json_schema(by_alias=True)) for title, model in settings]
-    for title, given in [*described, *((f"{n}: {schema(n)['title']}", schema(n)) for n in names())]:
+    for title, json_schema in [*described, *((f"{n}: {schema(n)['title']}", schema(n)) for n in names())]:
         text += [f"## {title}", "", "| field | type | unit, shape | meaning |", "| --- | --- | --- | --- |"]
         text += [
             f"| {' | '.join(cell.replace('|', chr(92) + '|').replace(chr(10), ' ') for cell in row)} |"
-            for row in _rows(given, given, "", ())
+            for row in _rows(json_schema, json_schema, "", ())
         ]
         text.append("")
     return "\n".join(text)

@@ -409,7 +409,7 @@ def _project(
             continue
         project, text = found
         nominal = NominalModel(project)
-        estimator = Estimator.of(project, nominal)
+        estimator = Estimator.from_project(project, nominal)
         judged = _judged_shares(estimator, drives)
         if best is None or judged[0] > best[3][0]:
             best = (project, text, (f_min, tolerance), judged)
@@ -445,7 +445,7 @@ def _judged_shares(estimator: Estimator, drives: list[Drive]) -> list[float]:
 
 def _above_dc(project: Project, shares: list[float]) -> list[tuple[float, float]]:
     """Frequency [rad/s] and share of every bin but DC."""
-    omega = Estimator.of(project, NominalModel(project)).omega
+    omega = Estimator.from_project(project, NominalModel(project)).omega
     return [(w, share) for w, share in zip(omega.tolist(), shares, strict=True) if w > 0]
 
 
@@ -470,7 +470,7 @@ def _with_highest_frequency(text: str, Ts: float, name: str) -> tuple[Project, s
         tried = text.replace("F_MAX", f"{f_max:g}")
         try:
             project = parse_project(tomllib.loads(tried), name)
-            Estimator.of(project, NominalModel(project))
+            Estimator.from_project(project, NominalModel(project))
         except InputError:
             continue
         return project, tried

@@ -362,7 +362,7 @@ class NominalModel:
         for first, matrix in zip((0, n), entries, strict=False):
             for i, row in enumerate(matrix):
                 for j, entry in enumerate(row):
-                    bounds[:, i, first + j] = Taylor.of(entry).magnitude
+                    bounds[:, i, first + j] = Taylor.from_value(entry).magnitude
         bounds[0, :n, n + self.n_u :] = np.eye(n)
         series = np.block(
             [

@@ -475,7 +475,7 @@ class AdviceSettings(StrictModel):
     frozen: str | dict[str, str] | None = None
     noise: str | dict[str, str] | None = None
 
-    def of(self, cause: str, output: str) -> str | None:
+    def for_cause(self, cause: str, output: str) -> str | None:
         """Advice on a cause at an output; None without any."""
         text = getattr(self, cause, None)
         return text.get(output) if isinstance(text, dict) else text

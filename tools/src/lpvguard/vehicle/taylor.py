@@ -31,7 +31,7 @@ class Taylor:
         return cls(np.array([low, 1.0, 0.0]), np.array([high, 1.0, 0.0]))
 
     @classmethod
-    def of(cls, value: Taylor | float) -> Taylor:
+    def from_value(cls, value: Taylor | float) -> Taylor:
         """``value``, or a number as a constant function."""
         if isinstance(value, Taylor):
             return value
@@ -50,14 +50,14 @@ class Taylor:
         return self
 
     def __add__(self, other: Taylor | float) -> Taylor:
-        other = Taylor.of(other)
+        other = Taylor.from_value(other)
         return Taylor(self.low + other.low, self.high + other.high)
 
     def __sub__(self, other: Taylor | float) -> Taylor:
-        return self + -Taylor.of(other)
+        return self + -Taylor.from_value(other)
 
     def __mul__(self, other: Taylor | float) -> Taylor:
-        other = Taylor.of(other)
+        other = Taylor.from_value(other)
         low, high = np.zeros(COEFFICIENTS), np.zeros(COEFFICIENTS)
         for k in range(COEFFICIENTS):
             for i in range(k + 1):
@@ -66,7 +66,7 @@ class Taylor:
         return Taylor(low, high)
 
     def __truediv__(self, other: Taylor | float) -> Taylor:
-        other = Taylor.of(other)
+        other = Taylor.from_value(other)
         if other.low[0] <= 0 <= other.high[0]:
             raise ZeroDivisionError("the denominator's interval contains zero")
         # 1/g = 1/g0 - g1/g0^2 s + (g1^2/g0^3 - g2/g0^2) s^2, every quotient enclosed by itself
@@ -79,7 +79,7 @@ class Taylor:
     def __pow__(self, exponent: Taylor | float) -> Taylor:
         if isinstance(exponent, Taylor) or not float(exponent).is_integer():
             raise TypeError("only whole exponents")
-        out = Taylor.of(1.0)
+        out = Taylor.from_value(1.0)
         for _ in range(abs(int(exponent))):
             out = out * self
         return out if exponent >= 0 else 1 / out
@@ -108,12 +108,12 @@ class Taylor:
         return self * other
 
     def __rtruediv__(self, other: Taylor | float) -> Taylor:
-        return Taylor.of(other) / self
+        return Taylor.from_value(other) / self
 
 
 def greatest(one: Taylor | float, other: Taylor | float) -> Taylor:
     """Larger of two. Raises TypeError where the interval may hold a kink."""
-    one, other = Taylor.of(one), Taylor.of(other)
+    one, other = Taylor.from_value(one), Taylor.from_value(other)
     if one.low[0] >= other.high[0]:
         return one
     if other.low[0] >= one.high[0]:
@@ -123,7 +123,7 @@ def greatest(one: Taylor | float, other: Taylor | float) -> Taylor:
 
 def least(one: Taylor | float, other: Taylor | float) -> Taylor:
     """Smaller of two. Raises TypeError where the interval may hold a kink."""
-    return -greatest(-Taylor.of(one), -Taylor.of(other))
+    return -greatest(-Taylor.from_value(one), -Taylor.from_value(other))
 
 
 def _interval(low: float, high: float) -> Taylor:

@@ -152,13 +152,13 @@ def least_worst_ratio(
             active,
         )
     for _ in range(_MAX_CUTS):
-        found, lower_db = _exchange(grid, active, order, bottom, lower_db, best.ratio_db, tol)
-        if found is None:  # nothing better than ``best`` by tol
+        polynomials, lower_db = _exchange(grid, active, order, bottom, lower_db, best.ratio_db, tol)
+        if polynomials is None:  # nothing better than ``best`` by tol
             if tol == STEP_DB:
                 break
             tol = STEP_DB
             continue
-        top, bottom = found
+        top, bottom = polynomials
         _resolve(grid, top, bottom)
         ratio2 = grid.ratio2(top, bottom)
         worst = grid.spread_db(ratio2)
@@ -197,7 +197,7 @@ def _exchange(
     """
     rows = np.searchsorted(grid.y, active)
     powers = grid.powers(order)
-    found, level = None, min(lower_db + tol_db, 0.5 * (lower_db + upper_db))
+    polynomials, level = None, min(lower_db + tol_db, 0.5 * (lower_db + upper_db))
     judged_by = math.inf  # what the ``bottom`` of the last verdict "infeasible" reaches
     for _ in range(_MAX_PROGRAMS):
         if upper_db - lower_db <= tol_db:
@@ -220,10 +220,10 @@ def _exchange(
         if reached < upper_db:
             upper_db = reached
             bottom = answer[1]
-            found = answer[0] / ratio2[grid.below[rows]].min(), bottom
+            polynomials = answer[0] / ratio2[grid.below[rows]].min(), bottom
         slow = upper_db - lower_db > 0.5 * gap
         level = 0.5 * (lower_db + upper_db) if slow else upper_db - 0.9 * tol_db
-    return found, lower_db
+    return polynomials, lower_db
 
 
 def _program(

@@ -75,7 +75,7 @@ class Barrier:
         x, y, z = self._sides(S)
         transposed = np.swapaxes(y, 1, 2)
         both, half = x + y + transposed + 0.5 * z, x + 0.5 * y
-        given = [
+        matrices = [
             np.ascontiguousarray(m)
             for m in (x, y, transposed, z, both, half, np.swapaxes(half, 1, 2), self.moved, self.next)
         ]
@@ -85,7 +85,7 @@ class Barrier:
         if lib := native.kernels("lyapunov_barrier"):
             lib.lpvg_lyapunov_hessian(
                 *(ctypes.c_ssize_t(count) for count in (self.n, len(S), terms)),
-                *map(native.pointer, (*given, H)),
+                *map(native.pointer, (*matrices, H)),
             )
             return H
         i, j = self.upper
@@ -97,7 +97,7 @@ class Barrier:
             straight = a[np.ix_(i, i)] * b[np.ix_(j, j)] + a[np.ix_(j, j)] * b[np.ix_(i, i)]
             return weight * (straight + a[np.ix_(i, j)] * b[np.ix_(j, i)] + a[np.ix_(j, i)] * b[np.ix_(i, j)])
 
-        for X, Y, Yt, Z, T, R, Rt, moved, after in zip(*given, strict=True):
+        for X, Y, Yt, Z, T, R, Rt, moved, after in zip(*matrices, strict=True):
             crossed = np.kron(np.outer(moved, after), product(Rt, Y) + product(Yt, R))
             H += np.kron(np.outer(moved, moved), product(X, X)) - crossed - crossed.T
             H += np.kron(
@@ -129,21 +129,21 @@ def feasible(barrier: Barrier, P: np.ndarray, unit: np.ndarray) -> np.ndarray | 
     size = len(barrier.constant) * len(unit)
     L = np.linalg.inv(np.linalg.cholesky(unit))
     t = 1.05 * max(-float(np.linalg.eigvalsh(L @ barrier.F(P) @ L.T).min()), 1e-3)
-    tau, found = 2.0 * size, None
+    tau, solution = 2.0 * size, None
     price = np.zeros(P.shape[0] * len(barrier.twice))
     for _ in range(NEWTON_STEPS):
         try:
             y = np.array([t])
             P, (t,), decrement = newton_step(barrier, P, y, unit[None, None], np.array([tau]), price)
         except np.linalg.LinAlgError:
-            return found
+            return solution
         if t < 0:
-            found = P
+            solution = P
         if t < -WANTED or (decrement < 1.0 and abs(t) > 2 * size / tau):
-            return found  # enough, or at the centre: the least t is not much below this one
+            return solution  # enough, or at the centre: the least t is not much below this one
         if decrement < NEAR:
             tau *= 10.0
-    return found
+    return solution
 
 
 def newton_step(

@@ -72,8 +72,8 @@ class ConstantScalings:
         ``sizes`` (blocks,) and ``rest`` are as for ``scaled``. The search begins at ``start`` (free,). With
         ``only_whether`` it ends as soon as the norm is below 1.
         """
-        found = self._least_mean(sizes, rest, start, only_whether) if self.free else start
-        return self._largest(sizes, rest, found), found
+        constants = self._least_mean(sizes, rest, start, only_whether) if self.free else start
+        return self._largest(sizes, rest, constants), constants
 
     def _least_mean(
         self, sizes: np.ndarray, rest: float, start: np.ndarray, only_whether: bool
@@ -177,10 +177,10 @@ class ConstantScalings:
         """1 where an output (free, rows), and where an input (free, columns), is of a block with a
         constant."""
         G, blocks = self.system, np.arange(self.fixed, len(self.rows))[:, None]
-        of = [np.repeat(np.arange(len(sizes)), sizes) for sizes in (self.rows, self.cols)]
+        block_numbers = [np.repeat(np.arange(len(sizes)), sizes) for sizes in (self.rows, self.cols)]
         return (
-            1.0 * (np.append(of[0], np.full(G.n_outputs - len(of[0]), -1)) == blocks),
-            1.0 * (np.append(of[1], np.full(G.n_inputs - len(of[1]), -1)) == blocks),
+            1.0 * (np.append(block_numbers[0], np.full(G.n_outputs - len(block_numbers[0]), -1)) == blocks),
+            1.0 * (np.append(block_numbers[1], np.full(G.n_inputs - len(block_numbers[1]), -1)) == blocks),
         )
 
     def _largest(self, sizes: np.ndarray, rest: float, log_constants: np.ndarray) -> float:

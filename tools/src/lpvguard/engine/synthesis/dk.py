@@ -303,14 +303,14 @@ class _Work:
             slope = slope * weight / weight.sum()
             return value, np.einsum("ik,ijk->ij", slope, scaling.log_gradient(self.omega)).ravel()
 
-        found = minimize(
+        optimum = minimize(
             objective,
             (start.log_parameters + spread).ravel(),
             jac=True,
             method="BFGS",
             options={"maxiter": 40, "gtol": 1e-6},
         )
-        return Scaling(np.clip(found.x.reshape(shape), low, high))
+        return Scaling(np.clip(optimum.x.reshape(shape), low, high))
 
     def lower(
         self, loop: StateSpace, scaling: Scaling, peak: float
@@ -323,12 +323,12 @@ class _Work:
         points = np.unique(np.append(self.omega[np.argsort(sigma)[-2:]], peak))
         blocks = (*self.plant.blocks, self.plant.performance_block)
         scales = (_diagonals(left.response(points)), 1 / _diagonals(right.response(points)))
-        found = [
+        bounds = [
             mu_lower(M, blocks, np.diag(L), np.diag(R), sigma.max() * (1 - 1e-6))
             for M, L, R in zip(loop.response(points), *scales, strict=True)
         ]
-        k = int(np.argmax([value for value, _ in found]))
-        return found[k][0], float(points[k]), found[k][1]
+        k = int(np.argmax([value for value, _ in bounds]))
+        return bounds[k][0], float(points[k]), bounds[k][1]
 
 
 def _diagonals(G: np.ndarray) -> np.ndarray:

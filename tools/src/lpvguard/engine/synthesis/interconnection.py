@@ -81,8 +81,8 @@ class PlantWeights:
 
     def systems(self) -> dict[str, tuple[StateSpace, ...]]:
         """The weights by name, each as a tuple of its channels."""
-        found = {f.name: getattr(self, f.name) for f in fields(self) if f.name.startswith("W_")}
-        return {name: W if isinstance(W, tuple) else (W,) for name, W in found.items()}
+        weights = {f.name: getattr(self, f.name) for f in fields(self) if f.name.startswith("W_")}
+        return {name: W if isinstance(W, tuple) else (W,) for name, W in weights.items()}
 
     @classmethod
     def of_paper(cls, weights: Mapping[str, StateSpace]) -> PlantWeights:
@@ -351,12 +351,12 @@ def _parts(
     vehicle = StateSpace(
         A, np.hstack([B, np.eye(n)]), np.vstack([C, np.eye(n)]), np.zeros((len(C) + n, n_u + n))
     )
-    W = {name: found for name, found in weights.systems().items() if channels.get(name, True)}
+    W = {name: systems for name, systems in weights.systems().items() if channels.get(name, True)}
     if dt:
         vehicle = held_with_delay(vehicle, n_u, dt, fraction)
-        W = {name: tuple(to_discrete(w, dt) for w in found) for name, found in W.items()}
+        W = {name: tuple(to_discrete(w, dt) for w in systems) for name, systems in W.items()}
     parts = {"vehicle": vehicle}
-    parts |= {name: append(*found * channels.get(name, 1)) for name, found in W.items()}
+    parts |= {name: append(*systems * channels.get(name, 1)) for name, systems in W.items()}
     if delay:
         parts["delay"] = append(*[delay_line(delay, dt)] * n_u)
     return parts, vehicle.order

@@ -151,10 +151,10 @@ def _substituted(
     """The solution by the halves' factors and the middle block's, inwards and back; ``right``: of each half,
     from the outermost block."""
     inwards = []
-    for (factors, below), of in zip(chains, right, strict=True):
+    for (factors, below), blocks in zip(chains, right, strict=True):
         x: list[np.ndarray] = []
         for k, factor in enumerate(factors):
-            rest = of[k] - below[k - 1] @ x[-1] if k else of[k]
+            rest = blocks[k] - below[k - 1] @ x[-1] if k else blocks[k]
             x.append(sl.solve_triangular(factor, rest, lower=True, check_finite=False))
         if x:
             middle = middle - below[-1] @ x[-1]

@@ -169,9 +169,9 @@ def find_level(
         def tell(text: str, level: float = level) -> None:
             progress(f"level {level:g}, {text}")
 
-        found = _at_level(family_at(level), delta, rate, level, tell)
-        if found is not None:
-            return found
+        certificate = _at_level(family_at(level), delta, rate, level, tell)
+        if certificate is not None:
+            return certificate
     return None
 
 
@@ -187,7 +187,7 @@ def _at_level(
     if first is None:
         return None
     basis, parts, frozen = first
-    functions = StorageGrid.of(wide.Ts, family.nodes, basis, parts)
+    functions = StorageGrid.from_parts(wide.Ts, family.nodes, basis, parts)
     knots = refined(family.nodes, KNOT_PARTS)
     smooth = np.tensordot(terms(family.nodes) @ functions.units.T, functions.fitted(frozen), 1)
     point, unit = Point(smooth), unmoved(parts).F(frozen).mean(axis=0)
@@ -198,10 +198,10 @@ def _at_level(
         progress(f"storage function for |dv/dt| up to {part * on_grid:.3g} m/s2, {len(basis)} states")
         if part > COARSE_SHARE:
             grid, point = grid.bent_at(point, knots)
-        found = found_at(grid, point, part * on_grid, unit)
-        if found is None:
+        candidate = found_at(grid, point, part * on_grid, unit)
+        if candidate is None:
             return None
-        grid, point = grid.evened(found)
+        grid, point = grid.evened(candidate)
     for _ in range(ROUNDS):
         progress("proof between the speeds")
         best = gain * float(np.sqrt(1 + point.excess))
@@ -214,10 +214,10 @@ def _at_level(
             return None
         grid = grid.asked_at(joined)
         progress(f"storage function asked at {len(grid.speeds)} speeds")
-        found = found_at(grid, point, on_grid, unit)
-        if found is None:
+        candidate = found_at(grid, point, on_grid, unit)
+        if candidate is None:
             return None
-        grid, point = grid.evened(found)
+        grid, point = grid.evened(candidate)
     return None
 
 
@@ -231,7 +231,7 @@ def _least_gain(family: Family, delta: tuple[int, int], level: float) -> tuple[f
 
     if not delta[0]:
         return 1.0, worst(0.0)
-    found = minimize_scalar(
+    optimum = minimize_scalar(
         worst, bounds=(-FARTHEST_GAIN, FARTHEST_GAIN), method="bounded", options={"xatol": 0.02}
     )
-    return float(np.exp(found.x)), float(found.fun)
+    return float(np.exp(optimum.x)), float(optimum.fun)

@@ -38,10 +38,10 @@ class LimitedHistory:
         G = self.loop
         x, u, z = np.zeros(G.order), np.empty(len(w)), np.empty((len(w), G.n_outputs - 1))
         for k, now in enumerate(w):
-            wanted = float(G.C[0] @ x)
-            given = np.concatenate([[self._cut(wanted)], now])
-            u[k], z[k] = wanted, G.C[1:] @ x + G.D[1:] @ given
-            x = G.A @ x + G.B @ given
+            demand = float(G.C[0] @ x)
+            inputs = np.concatenate([[self._cut(demand)], now])
+            u[k], z[k] = demand, G.C[1:] @ x + G.D[1:] @ inputs
+            x = G.A @ x + G.B @ inputs
         return u, z
 
     def gradient(self, u: np.ndarray, by_u: np.ndarray, by_z: np.ndarray) -> np.ndarray:
@@ -59,14 +59,14 @@ class LimitedHistory:
     def furthest(self, aim: str, size: float, start: np.ndarray) -> tuple[float, np.ndarray]:
         """The largest |demand|, |step| or ‖z‖/‖w‖ reached by an input of norm ``size``, and that input (T,
         m). ``aim``: of AIMS. ``start`` (T, m): where the climb begins."""
-        best, found = -np.inf, start
+        best, best_input = -np.inf, start
         w = size * start / np.linalg.norm(start)
         for _ in range(CLIMBS):
             u, z = self.run(w)
             value = _aimed(aim, u, z, size)
             if value <= best * (1 + 1e-5):
                 break
-            best, found = value, w
+            best, best_input = value, w
             by_u, by_z = np.zeros(len(u)), np.zeros_like(z)
             if aim == "gain":
                 by_z = z
@@ -76,7 +76,7 @@ class LimitedHistory:
                     by_u[-2] = -1.0
             slope = self.gradient(u, by_u, by_z)
             w = size * slope / np.linalg.norm(slope)
-        return float(best), found
+        return float(best), best_input
 
     def _cut(self, u: float) -> float:
         return 2 * (u - min(max(u, -self.u_max), self.u_max)) - u

@@ -281,7 +281,7 @@ def prove(family: Family, storage: Storage, rate: float) -> Proof | None:
 
     def end(v: float) -> _End:
         if v not in ends:
-            ends[v] = _End.of(family, storage, v)
+            ends[v] = _End.at_speed(family, storage, v)
         return ends[v]
 
     if min(np.linalg.eigvalsh(P)[0] for P in storage.P) <= 0:
@@ -315,7 +315,7 @@ class _End:
     P: np.ndarray
 
     @classmethod
-    def of(cls, family: Family, storage: Storage, v: float) -> _End:
+    def at_speed(cls, family: Family, storage: Storage, v: float) -> _End:
         G = family.at(v)
         S = np.vstack(parts_in(family.unprobed(G), storage.basis))
         return cls(v, S, *_share(family, storage.basis, G, S.shape), storage.at(v))
@@ -491,17 +491,17 @@ def find(family: Family) -> LpvCertificate | None:
     """
     for adjoint in (True, False):
         one = replace(family, adjoint=adjoint)
-        found = _polynomial(one) or _riccati(one)
-        if found is not None:
-            return found
+        certificate = _polynomial(one) or _riccati(one)
+        if certificate is not None:
+            return certificate
     return None
 
 
 def _polynomial(family: Family) -> LpvCertificate | None:
     """P0 + v P1 + P2 / v with the largest rate that was found and proved."""
     for parts in GRIDS:
-        found, proved = _on_grid(family, refined(family.nodes, parts))
-        if proved is not None or not found:
+        any_feasible, proved = _on_grid(family, refined(family.nodes, parts))
+        if proved is not None or not any_feasible:
             return proved
     return None
 
@@ -512,15 +512,15 @@ def _on_grid(family: Family, grid: np.ndarray) -> tuple[bool, LpvCertificate | N
     if start is None:
         return False, None
     basis, parts, frozen = start
-    search = StorageGrid.of(family.Ts, grid, basis, parts)
+    search = StorageGrid.from_parts(family.Ts, grid, basis, parts)
     P, unit = search.fitted(frozen), unmoved(parts).F(frozen).mean(axis=0)
     stored: list[tuple[float, np.ndarray]] = []
     failed: float | None = None
     while (rate := _next_rate(stored[-1][0] if stored else None, failed)) is not None:
-        found = feasible(search.barrier(rate), P, unit)
-        if found is not None:
-            P = found
-            stored.append((rate, search.coefficients(found)))
+        solution = feasible(search.barrier(rate), P, unit)
+        if solution is not None:
+            P = solution
+            stored.append((rate, search.coefficients(solution)))
         else:
             failed = rate
     for on_grid, coefficients in reversed(stored):
@@ -553,15 +553,15 @@ def _rate_at_knots(family: Family, storage: Storage) -> float:
     return float(largest)
 
 
-def _next_rate(found: float | None, failed: float | None) -> float | None:
-    """The rate to try after the largest found and the least failed [m/s^2]; None: enough."""
-    if found is None:
+def _next_rate(reached: float | None, failed: float | None) -> float | None:
+    """The rate to try after the largest reached and the least failed [m/s^2]; None: enough."""
+    if reached is None:
         if failed is None:
             return FIRST_RATE
         return failed / 4 if failed / 4 >= SMALLEST_RATE else None
     if failed is None:
-        return min(4 * found, LARGEST_RATE) if found < LARGEST_RATE else None
-    return float(np.sqrt(found * failed)) if failed > 2.1 * found else None
+        return min(4 * reached, LARGEST_RATE) if reached < LARGEST_RATE else None
+    return float(np.sqrt(reached * failed)) if failed > 2.1 * reached else None
 
 
 def _coordinates(loops: list[StateSpace]) -> np.ndarray:

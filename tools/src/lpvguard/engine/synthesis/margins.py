@@ -61,11 +61,11 @@ class LoopMargins:
     Attributes
     ----------
     unstable_poles : int, of the closed loop
-    found : dict[str, LoopMargin], by NAMES, empty for an unstable loop
+    by_name : dict[str, LoopMargin], by NAMES, empty for an unstable loop
     """
 
     unstable_poles: int
-    found: dict[str, LoopMargin]
+    by_name: dict[str, LoopMargin]
 
     @property
     def stable(self) -> bool:
@@ -229,11 +229,11 @@ def margins(response: Response, omega: np.ndarray) -> LoopMargins:
     poles = unstable_poles(L)
     if poles:
         return LoopMargins(poles, {})
-    found = _crossings(response, omega, L)
+    by_name = _crossings(response, omega, L)
     for name, skew in SKEWS.items():
         peak = _largest(partial(_worst_sensitivity, response, np.zeros_like, skew), omega)
-        found |= _disk(name, peak)
-    return LoopMargins(0, {name: found[name] for name in NAMES})
+        by_name |= _disk(name, peak)
+    return LoopMargins(0, {name: by_name[name] for name in NAMES})
 
 
 def guaranteed(centre: Response, radius: Response, omega: np.ndarray) -> LoopMargins | None:
@@ -260,10 +260,10 @@ def guaranteed(centre: Response, radius: Response, omega: np.ndarray) -> LoopMar
         return None
     # A small disk meets -1 near the crossings of its centre only, which may lie between points.
     omega = np.unique(np.concatenate([omega, *_on_axis_and_circle(centre, omega)]))
-    found: dict[str, LoopMargin] = {}
+    by_name: dict[str, LoopMargin] = {}
     for name, skew in SKEWS.items():
         peak = _largest(partial(_worst_sensitivity, centre, radius, skew), omega)
-        found |= _disk(name, peak)
+        by_name |= _disk(name, peak)
     parts = {
         "gain_up": lambda w: 1 / _gains(centre(w), radius(w))[1],
         "gain_down": lambda w: _gains(centre(w), radius(w))[0],
@@ -274,8 +274,8 @@ def guaranteed(centre: Response, radius: Response, omega: np.ndarray) -> LoopMar
         peak = _largest(size, omega)
         unlimited = peak.value <= 0
         value = peak.value if name == "gain_down" else np.inf if unlimited else 1 / peak.value
-        found[name] = LoopMargin(value, None if unlimited else peak.omega)
-    return LoopMargins(0, {name: found[name] for name in NAMES})
+        by_name[name] = LoopMargin(value, None if unlimited else peak.omega)
+    return LoopMargins(0, {name: by_name[name] for name in NAMES})
 
 
 def unstable_poles(L: np.ndarray) -> int:

@@ -49,11 +49,11 @@ def nu_gap(first: StateSpace, second: StateSpace) -> NormBracket:
     chordal = series(_left_factor(P2), _right_factor(P1))
     if _unstable_zeros(P1, P2) != P2.order:
         return NormBracket(1.0, 1.0, np.nan)
-    found = hinf_norm(chordal, NORM_RTOL)
-    _require_distance(P1, P2, chordal, found.peak_frequency)
-    where = found.peak_frequency
+    norm = hinf_norm(chordal, NORM_RTOL)
+    _require_distance(P1, P2, chordal, norm.peak_frequency)
+    where = norm.peak_frequency
     return NormBracket(
-        found.lower, min(found.upper, 1.0), float(2 / dt * np.arctan(where * dt / 2)) if dt else where
+        norm.lower, min(norm.upper, 1.0), float(2 / dt * np.arctan(where * dt / 2)) if dt else where
     )
 
 

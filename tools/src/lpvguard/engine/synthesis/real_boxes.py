@@ -136,9 +136,9 @@ def proved_at(
         if simple is not None and is_positive(M, moved, simple, 1.0):
             return simple
     _, _, left, right, skew = upper_bound(M, structure, 0.25 * slack, 1.0)
-    found = [(left, right, skew)]
-    found += [(*sides, no_skew) for sides in triangular_scalings(M, structure, (ROUNDED, ABSENT))]
-    for left, right, skew in found:
+    scalings = [(left, right, skew)]
+    scalings += [(*sides, no_skew) for sides in triangular_scalings(M, structure, (ROUNDED, ABSENT))]
+    for left, right, skew in scalings:
         right = right @ right.conj().T
         point = PointBound(1.0, left @ left.conj().T, np.zeros_like(right), right, skew)
         if is_positive(M, moved, point, 1.0):

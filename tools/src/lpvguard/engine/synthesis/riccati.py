@@ -75,12 +75,12 @@ class Side:
         if len(self.A) == 0:
             return RiccatiSolution(np.zeros((len(self.basis), len(self.basis))), True)
         try:
-            found = stabilising_solution(hamiltonian(self, gamma), self, gamma)
+            solution = stabilising_solution(hamiltonian(self, gamma), self, gamma)
         except np.linalg.LinAlgError:
             return None
-        if found is None:
+        if solution is None:
             return None
-        return RiccatiSolution(self.basis @ found.X @ self.basis.T, found.definite)
+        return RiccatiSolution(self.basis @ solution.X @ self.basis.T, solution.definite)
 
     @cached_property
     def _closed(self) -> StateSpace | None:
@@ -172,8 +172,8 @@ def stabilising_solution(
     best: tuple[RiccatiSolution | None, float] = None, np.inf
     for floor in (0.0, EPS):
         balanced_H, t = balance_hamiltonian(H, floor)
-        found, condition = _subspace_solution(balanced_H, t)
-        best = _better(best, (found, condition))
+        solution, condition = _subspace_solution(balanced_H, t)
+        best = _better(best, (solution, condition))
         if best[1] < 1e10 or condition == 0.0:  # 0: the axis is in the way
             break
     if (

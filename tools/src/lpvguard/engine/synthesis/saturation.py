@@ -195,13 +195,13 @@ class LimitedLoop:
 
         starts: logarithms (blocks,) each. ``u_max``, ``step_max``: as of ``energy``.
         """
-        found = []
+        reachable = []
         for start, offset in itertools.product(starts, OFFSETS):
             constants = start + offset
             energy = self.energy(constants, u_max, step_max)
             if energy is not None:
-                found.append(Reachable(energy, constants))
-        return max(found, key=lambda one: one.energy, default=None)
+                reachable.append(Reachable(energy, constants))
+        return max(reachable, key=lambda one: one.energy, default=None)
 
     def energy(self, log_constants: np.ndarray, u_max: np.ndarray, step_max: np.ndarray) -> float | None:
         """Compute the largest ‖w‖ with which the demand stays within its limits.

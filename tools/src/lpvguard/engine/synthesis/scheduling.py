@@ -167,8 +167,8 @@ def _member(
 ) -> tuple[StateSpace, np.ndarray, np.ndarray]:
     """The central controller of the scaled plant ``G`` at ``level``, and how far its states are reached and
     seen in the loop, (n, n) each."""
-    n, found = G.order, hinf_synthesis(G, n_control, n_measurement, level=level)
-    K = found.controller.transformed(np.linalg.inv(found.basis))
+    n, synthesis = G.order, hinf_synthesis(G, n_control, n_measurement, level=level)
+    K = synthesis.controller.transformed(np.linalg.inv(synthesis.basis))
     loop = lft(G, K)
     reach = sl.solve_continuous_lyapunov(loop.A, -loop.B @ loop.B.T)[n:, n:]
     seen = sl.solve_continuous_lyapunov(loop.A.T, -loop.C.T @ loop.C)[n:, n:]

@@ -53,7 +53,7 @@ class StorageGrid:
     units: np.ndarray
 
     @classmethod
-    def of(
+    def from_parts(
         cls, Ts: float, grid: np.ndarray, basis: np.ndarray, parts: list[tuple[np.ndarray, np.ndarray]]
     ) -> StorageGrid:
         """Grid with units that suit ``grid``."""

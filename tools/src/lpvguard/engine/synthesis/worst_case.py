@@ -109,7 +109,7 @@ def worst_case(
     d = np.exp(scaling.log_magnitude(warped)) if scaling else np.ones((len(plant.blocks), len(omega)))
     search = _Search(plant)
     rough = [search.run(M[k], d[:, k], 1)[0] for k in range(len(omega))]
-    found = []
+    candidates = []
     for k in np.argsort(rough, kind="stable")[::-1][:REFINED]:
         _, delta = search.run(M[k], d[:, k], 20)
         for parts in search.choices(delta, omega[k] == 0):
@@ -117,14 +117,14 @@ def worst_case(
             closed = close_delta(loop, realised)
             if closed.stability_margin() > 0:
                 measured = np.linalg.norm(closed.response(omega[k]), 2, axis=(1, 2)).item()
-                found.append(
+                candidates.append(
                     WorstCase(
                         realised, hinf_norm(realised).upper, float(omega[k]), measured, float(nominal[k])
                     )
                 )
-    if not found:
+    if not candidates:
         raise ArithmeticError("no Delta of size 1 that keeps the loop stable was found at any frequency")
-    return max(found, key=lambda one: one.gain)
+    return max(candidates, key=lambda one: one.gain)
 
 
 class _Search:

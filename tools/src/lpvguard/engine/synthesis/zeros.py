@@ -23,10 +23,10 @@ def axis_zeros(side: Side, scale: float) -> tuple[float, ...]:
     H = hamiltonian(replace(side, B1=side.B1[:, :0], D11=side.D11[:, :0]), 1.0)
     eigenvalues = np.linalg.eigvals(balance_hamiltonian(H)[0])
     near = np.abs(eigenvalues.real) <= 1e-7 * np.abs(eigenvalues) + 1e-8 * scale
-    found: list[float] = []
+    zeros: list[float] = []
     for omega in np.abs(eigenvalues.imag[near]):
         width = 1e-6 * omega + 1e-7 * scale
-        if any(abs(omega - known) <= width for known in found):
+        if any(abs(omega - known) <= width for known in zeros):
             continue
         points = [0.0] if omega <= width else []
         points.append(
@@ -39,8 +39,8 @@ def axis_zeros(side: Side, scale: float) -> tuple[float, ...]:
         )
         best = min(points, key=lambda w: rank_defect(side, w))
         if rank_defect(side, best) <= ZERO_RTOL:
-            found.append(best)
-    return tuple(np.unique(np.round(found, 12)))
+            zeros.append(best)
+    return tuple(np.unique(np.round(zeros, 12)))
 
 
 def rank_defect(side: Side, omega: float) -> float:

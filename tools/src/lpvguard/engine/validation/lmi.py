@@ -286,7 +286,7 @@ def ray_length(
     if lib is None or n > _NATIVE_N or m > _NATIVE_M or max(c.order) > _NATIVE_ORDER:
         return _ray_length_numpy(q0, level, c, cutoff)
     q0, level = np.ascontiguousarray(q0, dtype=complex), np.ascontiguousarray(level, dtype=complex)
-    y, inverse, found = np.zeros(m), np.zeros((n, n), dtype=complex), ctypes.c_int()
+    y, inverse, certified = np.zeros(m), np.zeros((n, n), dtype=complex), ctypes.c_int()
     groups = [np.array(part, dtype=np.int32) for part in (c.start, c.order)]
     pointer = ctypes.c_void_p
     lib.lpvg_ray.restype = ctypes.c_double
@@ -297,7 +297,7 @@ def ray_length(
         *(a.ctypes.data_as(pointer) for a in (*groups, q0, level)),
         ctypes.c_double(cutoff),
         y.ctypes.data_as(pointer),
-        ctypes.byref(found),
+        ctypes.byref(certified),
         inverse.ctypes.data_as(pointer),
     )
-    return length, y if found.value else None, inverse
+    return length, y if certified.value else None, inverse

@@ -316,7 +316,7 @@ class _Maps:
     eta: np.ndarray
 
     @classmethod
-    def of(cls, data: _Data) -> _Maps:
+    def from_data(cls, data: _Data) -> _Maps:
         """xi = (xi_i, xi_s) is free: w = e - C d with d = h_i xi_i + h_s xi_s, and eta = x_nom + d."""
         e, points, n_x = data.e, len(data.e), data.x_nom.shape[-1]
         d = n_x + 1
@@ -418,7 +418,7 @@ def solve(
     )
     data = _Data(e, u, x_nom, h_i, h_s, c, gamma, lam_i, lam_s)
     data.check(names)
-    maps = _Maps.of(data)
+    maps = _Maps.from_data(data)
     # A point inside the ball: from the least-squares point towards the one with the smallest w.
     b1, start = _inside_ball(maps.w, gamma)
     feasible = b1 <= gamma

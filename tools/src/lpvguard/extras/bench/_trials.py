@@ -69,7 +69,7 @@ class Trials:
     """The trials of one design; ``samples``: of a history."""
 
     def __init__(self, stored: StoredIdentification, document: dict, samples: int, seed: int):
-        self.stored, self.problem, self.samples = stored, DesignProblem.of(stored), samples
+        self.stored, self.problem, self.samples = stored, DesignProblem.from_identification(stored), samples
         self.stated, self.schedule = document["certificates"], Scheduled.read(document)
         self.scaling = controller_file.stated_scaling(document)
         self.random = np.random.default_rng(seed)
@@ -117,7 +117,7 @@ class Trials:
         rate = self.stated["moving_speed"]["stability"]["rate_mps2"]
         speeds, name = self._profile(rate)
         gain, _ = self.scaled_channels.history(speeds, self.scaled_channels.delta(())).gain(self._input(0))
-        period = closed_period(SpeedGrid.of(*self._range, rate, self.Ts), speeds)
+        period = closed_period(SpeedGrid.for_rate(*self._range, rate, self.Ts), speeds)
         grows = self.stability.history(period, self.drawn()).growth() > 1
         return Trial(gain, grows, name)
 
@@ -141,7 +141,7 @@ class Trials:
     def slow_delta(self) -> Trial:
         """Trial at a node: a mean of two Delta whose weights move at the proved rate."""
         row = self._one_of(self._nodes("slow_delta", "performance_rate"))
-        grid = SpeedGrid.of(-1.0, 1.0, row["performance_rate"], self.Ts)
+        grid = SpeedGrid.for_rate(-1.0, 1.0, row["performance_rate"], self.Ts)
         shape = triangle if self.random.random() < 0.5 else sinusoid
         places = shape(grid, self.samples, -1.0, 1.0, self.random.random())
         one, other = self.drawn(), self.drawn()
@@ -230,7 +230,7 @@ class Trials:
     def _profile(self, rate: float) -> tuple[np.ndarray, str]:
         """A history (samples,) [m/s] of largest |dv/dt| ``rate``, and its name."""
         low, high = self._range
-        grid = SpeedGrid.of(low, high, rate, self.Ts)
+        grid = SpeedGrid.for_rate(low, high, rate, self.Ts)
         first, last = (
             np.sort(self.random.uniform(low, high, 2)) if self.random.random() < 0.5 else (low, high)
         )

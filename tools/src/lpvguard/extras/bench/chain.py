@@ -85,7 +85,7 @@ def chain(vehicle: str, drives: Path, moving: bool, run: Map = map) -> tuple[lis
             "C, proved anew", lambda: export_chosen(stored, Path(folder) / "vehicle", designed, workers=run)
         )
         if moving:
-            found = DesignProblem.of(stored), result.schedule, result.scaling
+            found = DesignProblem.from_identification(stored), result.schedule, result.scaling
             timed("moving speed", lambda: moving_certificates(*found, workers=run), False)
     return stages, result.worst
 

@@ -108,7 +108,7 @@ def write_budget_vehicle(folder: Path) -> Project:
     """A generated folder of the budget's sizes, with placeholder bounds."""
     project = budget_project()
     model = NominalModel(project)
-    estimator = Estimator.of(project, model)
+    estimator = Estimator.from_project(project, model)
     W_delta = np.outer(np.linspace(0.1, 0.4, estimator.n_bins), np.ones(project.n_delta))
     B_w = np.outer(np.linspace(0.02, 0.01, estimator.n_bins), np.ones(project.n_y))
     # Sixth order, the truck project's highest: three sections a Delta.
@@ -144,7 +144,7 @@ def write_budget_vehicle(folder: Path) -> Project:
 def drive_of(project: Project, *, seed: int = 3) -> Input:
     """A seeded drive, long enough that every bin ends frames that count; the speed moves in every sample."""
     model = NominalModel(project)
-    estimator = Estimator.of(project, model)
+    estimator = Estimator.from_project(project, model)
     n = int(estimator.settle + 1.75 * estimator.length[0])
     rng = np.random.default_rng(seed)
     t = np.arange(n) * project.Ts_s

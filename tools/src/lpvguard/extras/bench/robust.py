@@ -108,7 +108,7 @@ def _fields(found: LoopMargins | None) -> dict[str, Any] | None:
     """Each margin's value and place; None where there are none to have. A value of None is unlimited."""
     if found is None or not found.stable:
         return None
-    return {name: {"value": m.value, "omega_rad_s": m.omega} for name, m in found.found.items()}
+    return {name: {"value": m.value, "omega_rad_s": m.omega} for name, m in found.by_name.items()}
 
 
 def _row(one: TrueLoop) -> dict[str, Any]:

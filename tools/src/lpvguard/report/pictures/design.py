@@ -73,11 +73,11 @@ def worst_case_runs(run: dict) -> Figure:
     return figure
 
 
-def _draw_levels(axes: Axes, found: dict) -> None:
+def _draw_levels(axes: Axes, tradeoff: dict) -> None:
     """Worst mu and the floor over uniform ceilings on nu, per structure, and the best candidate."""
     uniform = [
         r
-        for r in found["rows"]
+        for r in tradeoff["rows"]
         if r["ceiling"] != "project" and r["nu_low"] == r["nu_high"] and r["mu_worst"] is not None
     ]
     for structure in ("K_i", "K_is"):
@@ -94,7 +94,7 @@ def _draw_levels(axes: Axes, found: dict) -> None:
             lw=0.9,
             label=f"{name}, no controller below",
         )
-    best = found["best"]
+    best = tradeoff["best"]
     axes.plot(
         [np.sqrt(best["nu_low"] * best["nu_high"])],
         [best["mu_worst"]],
@@ -112,12 +112,12 @@ def _draw_levels(axes: Axes, found: dict) -> None:
     axes.set_ylim(0.0, min(2.5, 1.1 * max(1.0, *(r["mu_worst"] for r in uniform), best["mu_worst"])))
 
 
-def _draw_ceilings(axes: Axes, found: dict) -> None:
+def _draw_ceilings(axes: Axes, tradeoff: dict) -> None:
     """Ceiling, nu_i and gamma_w over the bins, of the best candidate and of the project's setting."""
-    omega = np.array(found["omega_rad_s"])[1:]
+    omega = np.array(tradeoff["omega_rad_s"])[1:]
     for key, label, style, colour in (("best", "best", "-", BLUE), ("own", "project", "--", RED)):
         ceiling, gamma_w, nu_i = (
-            np.array(found["detail"][key][k], float)[1:] for k in ("ceiling", "gamma_w", "nu_i")
+            np.array(tradeoff["detail"][key][k], float)[1:] for k in ("ceiling", "gamma_w", "nu_i")
         )
         axes.plot(omega, ceiling, style, color=colour, label=rf"$\bar\nu$, {label}")
         axes.plot(
@@ -136,15 +136,15 @@ def _draw_ceilings(axes: Axes, found: dict) -> None:
 
 
 @picture
-def tradeoff_front(found: dict) -> Figure:
+def tradeoff_front(tradeoff: dict) -> Figure:
     """Front of `design --tradeoff`: left worst mu over uniform ceilings, right the best candidate's bounds.
 
-    ``found``: tradeoff.json.
+    ``tradeoff``: tradeoff.json.
     """
     figure = new_figure(8.2, 3.6)
     left, right = figure.subplots(1, 2)
-    _draw_levels(left, found)
-    _draw_ceilings(right, found)
+    _draw_levels(left, tradeoff)
+    _draw_ceilings(right, tradeoff)
     for axes in (left, right):
         axes.legend(fontsize=7)
     return figure

@@ -48,8 +48,8 @@ def time_to_find(faults: list[dict], allowed_s: float) -> Figure:
         )
         for dy, case in zip(spread, row["cases"], strict=False):
             x = never if case["s"] is None else max(case["s"], SOONEST_S)
-            found = case["s"] is not None
-            axes.plot(x, y + dy, "o" if found else "X", ms=4, color=BLUE if found else RED)
+            is_found = case["s"] is not None
+            axes.plot(x, y + dy, "o" if is_found else "X", ms=4, color=BLUE if is_found else RED)
         axes.text(
             1.01,
             y,

@@ -217,8 +217,8 @@ def picture(draw: Callable[Arguments, Figure]) -> Callable[Concatenate[str, Argu
         with matplotlib.rc_context(STYLE):
             figure = draw(*arguments, **named)
             drawn = Picture(name, _svg(figure, name), panels(figure))
-        if (found := _kept.get(None)) is not None:
-            found.append(drawn)
+        if (kept := _kept.get(None)) is not None:
+            kept.append(drawn)
         return drawn
 
     wrapped.__doc__ = draw.__doc__
@@ -240,8 +240,8 @@ def legend_above(axes: Axes, columns: int) -> None:
 
 def files(pictures: list[Picture]) -> dict[str, str]:
     """Files by name: every picture as SVG, and where it has numbers as CSV."""
-    found = {f"{p.name}.svg": standalone(p) for p in pictures}
-    return found | {f"{p.name}.csv": p.csv for p in pictures if p.panels}
+    texts = {f"{p.name}.svg": standalone(p) for p in pictures}
+    return texts | {f"{p.name}.csv": p.csv for p in pictures if p.panels}
 
 
 def standalone(picture: Picture) -> str:

@@ -117,7 +117,7 @@ def panels(figure: Figure) -> list[Panel]:
     rows = sorted({round(b.y1) for b in boxes}, reverse=True)
     over = plain(figure.get_supxlabel()), plain(figure.get_supylabel())
     shared: list[Axes] = []
-    found = []
+    with_numbers = []
     for axes, box in zip(shown, boxes, strict=True):
         first = axes.get_shared_x_axes().get_siblings(axes)[0]
         if first not in shared:
@@ -125,7 +125,7 @@ def panels(figure: Figure) -> list[Panel]:
         traces, cells = _traces(axes), _CELLS.get(axes)
         if not traces and cells is None:
             continue
-        found.append(
+        with_numbers.append(
             Panel(
                 plain(axes.get_title()),
                 (plain(_label(axes)) or over[0], plain(axes.get_ylabel()) or over[1]),
@@ -139,7 +139,7 @@ def panels(figure: Figure) -> list[Panel]:
                 cells,
             )
         )
-    return found
+    return with_numbers
 
 
 def _label(axes: Axes) -> str:
@@ -160,7 +160,7 @@ def _ticks(axis: Axis) -> dict[float, str]:
 def _traces(axes: Axes) -> list[Trace]:
     """Traces of the axes, in the order of drawing."""
     named = {c.lines[0]: c.get_label() for c in axes.containers if isinstance(c, ErrorbarContainer)}
-    found = [
+    traces = [
         s for line in axes.lines if (s := _of_line(line, axes, named.get(line, line.get_label()))) is not None
     ]
     for collection in axes.collections:
@@ -169,21 +169,21 @@ def _traces(axes: Axes) -> list[Trace]:
             ends = [np.asarray(s, float) for s in collection.get_segments()]
             if ends:
                 x, y = (np.concatenate([np.r_[s[:, i], np.nan] for s in ends]) for i in (0, 1))
-                found.append(Trace("line", _name(collection.get_label()), x, y, look | {"width": 1.0}))
+                traces.append(Trace("line", _name(collection.get_label()), x, y, look | {"width": 1.0}))
         elif isinstance(collection, PolyCollection):
             look["colour"] = _colour(collection.get_facecolor())
             for path in collection.get_paths():
                 x, y = np.asarray(path.vertices, float).T
-                found.append(Trace("area", _name(collection.get_label()), x, y, look))
+                traces.append(Trace("area", _name(collection.get_label()), x, y, look))
     for bars in axes.containers:
         if isinstance(bars, BarContainer):
             x, y, width = (
-                np.array([getattr(p, f"get_{of}")() for p in bars.patches], float)
-                for of in ("x", "height", "width")
+                np.array([getattr(p, f"get_{quantity}")() for p in bars.patches], float)
+                for quantity in ("x", "height", "width")
             )
             look = {"colour": _colour(bars.patches[0].get_facecolor()), "widths": width.tolist()}
-            found.append(Trace("bar", _name(bars.get_label()), x + width / 2, y, look))
-    return found
+            traces.append(Trace("bar", _name(bars.get_label()), x + width / 2, y, look))
+    return traces
 
 
 def _of_line(line: Line2D, axes: Axes, label: object) -> Trace | None:
@@ -221,12 +221,12 @@ def _colour(colour: Any) -> str:
 # ------------------------------------------------------------------------------------------ to page and table
 
 
-def to_csv(found: list[Panel]) -> str:
+def to_csv(panels: list[Panel]) -> str:
     """Table of all numbers: a row a point or a frame. A frame has start and end [s], bin and margin."""
     out = io.StringIO()
     table = csv.writer(out, lineterminator="\n")
     table.writerow(["panel", "series", "x_label", "y_label", "x", "y", "x_end", "value", "reason"])
-    for number, p in enumerate(found, start=1):
+    for number, p in enumerate(panels, start=1):
         head = [p.title or str(number)]
         for s in p.traces:
             for x, y in zip(s.x, s.y, strict=True):
@@ -241,11 +241,11 @@ def to_csv(found: list[Panel]) -> str:
     return out.getvalue()
 
 
-def to_json(found: list[Panel]) -> str:
+def to_json(panels: list[Panel]) -> str:
     """Compact JSON of the panels, for page.js: numbers with five digits, long lines thinned."""
-    most = MOST_BESIDE_CELLS if any(p.cells for p in found) else MOST_POINTS
-    told = []
-    for p in found:
+    most = MOST_BESIDE_CELLS if any(p.cells for p in panels) else MOST_POINTS
+    objects = []
+    for p in panels:
         panel: dict[str, Any] = {
             "title": p.title,
             "labels": p.labels,
@@ -259,8 +259,8 @@ def to_json(found: list[Panel]) -> str:
         }
         if p.cells is not None:
             panel["cells"] = _told_cells(p.cells)
-        told.append(panel)
-    return json.dumps(told, ensure_ascii=False, separators=(",", ":")).replace("</", "<\\/")
+        objects.append(panel)
+    return json.dumps(objects, ensure_ascii=False, separators=(",", ":")).replace("</", "<\\/")
 
 
 def _told_cells(cells: Cells) -> dict[str, Any]:

@@ -114,7 +114,7 @@ def _model_error(stored: StoredIdentification, drawn: IdentificationPictures) ->
     project, error = stored.project, stored.model_error
     names = [s.name for s in project.outputs]
     last = [None if k < 0 else float(error.grid.omega[k]) for k in last_telling(error.setting)]
-    told = ", ".join(
+    reach = ", ".join(
         f"{escape(name)} {'nowhere' if w is None else f'to {w:.3g} rad/s'}"
         for name, w in zip(names, last, strict=True)
     )
@@ -125,7 +125,8 @@ def _model_error(stored: StoredIdentification, drawn: IdentificationPictures) ->
         f"{escape(claim(project))}. Bars: k = {error.setting.k:.2f} standard errors, a simultaneous level of "
         "95 %; pale: k se is 1 or more, so a vehicle that does not respond would not have been refuted. "
         f"Doubling the frames moves {np.mean(moved < 1):.0%} of the estimates by less than their standard "
-        f"error. Drives tell: {told}. Beyond, shaded, 1 + ρ is assumed for the reason that stands there. How "
+        f"error. Drives tell: {reach}. Beyond, shaded, 1 + ρ is assumed for the reason that stands there. "
+        "How "
         "to read it: the line must lie above the bars of the drives that set the bounds, and above the lower "
         "end of the others' bars."
     )

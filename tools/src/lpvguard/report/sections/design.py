@@ -61,16 +61,16 @@ def design_section(folder: Path) -> str:
     return text
 
 
-def _robustness(found: dict | None) -> str:
+def _robustness(robustness: dict | None) -> str:
     """Robustness of the loop at every node besides mu; "" without a claim."""
-    if found is None:
+    if robustness is None:
         return ""
 
     def cell(value: float | None) -> str:
         return "–" if value is None else f"{value:.4f}"
 
     rows = []
-    for node in found["nodes"]:
+    for node in robustness["nodes"]:
         low, high, phase = disk_gain_and_phase(node["disk_balanced"], SKEWS["balanced"])
         rows.append(
             [
@@ -102,9 +102,9 @@ Disk margins are those of the nominal loop, broken at the vehicle's input. The �
 may be in the ν-gap and still be stabilised.</p>{html_table(titles, rows, "tight")}"""
 
 
-def _slow_delta(found: dict | None) -> str:
+def _slow_delta(slow_delta: dict | None) -> str:
     """Allowed rate of Δ; "" without a claim."""
-    if found is None:
+    if slow_delta is None:
         return ""
 
     def rate(value: float | None) -> str:
@@ -117,17 +117,17 @@ def _slow_delta(found: dict | None) -> str:
             rate(node["stability_rate"]),
             f"{node['stability_level']:.4f}",
         ]
-        for node in found["nodes"]
+        for node in slow_delta["nodes"]
     ]
     table = html_table(
         ["speed, m/s", "gain below 1 up to, 1/s", "stable up to, 1/s", "its level"], rows, "tight"
     )
-    hidden = [found[f"hidden_{end}_per_s"] for end in ("slow", "fast")]
-    proved = found["performance_rate_per_s"]
+    hidden = [slow_delta[f"hidden_{end}_per_s"] for end in ("slow", "fast")]
+    proved = slow_delta["performance_rate_per_s"]
     words = [
         yes_or_no(proved >= value, f"above {number(value)}/s", f"below {number(value)}/s") for value in hidden
     ]
-    least = found["stability_rate_per_s"]
+    least = slow_delta["stability_rate_per_s"]
     stable = "at any rate" if least is None else f"up to {number(least)}/s"
     return f"""<h3>A Δ that varies</h3>
 <p>Proved for every causal linear Δ of gain 1 that changes in gain by at most the rate (THEORY 7.11). Frames \
@@ -136,12 +136,12 @@ see the mean of a Δ that turns its sign within them: {number(hidden[0])}/s in t
 {words[1]}. The loop is stable {stable}.</p>{table}"""
 
 
-def _limits(found: dict | None) -> str:
+def _limits(limits: dict | None) -> str:
     """Proof for a demand at its limits; "" without a claim."""
-    if found is None:
+    if limits is None:
         return ""
     rows = []
-    for row in found["rows"]:
+    for row in limits["rows"]:
         stable = row["stability_level"] is not None and row["stability_level"] < 1
         rows.append(
             [
@@ -174,31 +174,31 @@ def _true_loop(path: Path, controller: str) -> str:
 
     ``controller`` is its SHA-256.
     """
-    found = artefacts.read_json(path)
-    if found["coefficients_sha256"] != controller:
+    truth = artefacts.read_json(path)
+    if truth["coefficients_sha256"] != controller:
         raise InputError(
             path,
             "coefficients_sha256",
             "belongs to another controller",
             "bench robust of this design, or no file",
         )
-    promised = {row["v_mps"]: row["margins"] for row in found["promised"]}
+    promised = {row["v_mps"]: row["margins"] for row in truth["promised"]}
     rows = []
     for v, held in promised.items():
         rows.append([number(v, 4), "promised", *_margin_cells(held), ""])
-        for row in (r for r in found["true"] if r["v_mps"] == v):
+        for row in (r for r in truth["true"] if r["v_mps"] == v):
             cells = _margin_cells(row["margins"])
             rows.append(["", number(row["amplitude"]), *cells, _farthest(row["deviations"])])
     titles = [f"{title}, {SHOWN[name][0]}" if name in SHOWN else title for name, title in MARGINS.items()]
     table = html_table(
         ["speed, m/s", "amplitude", *titles, "|δ|/W<sub>Δ</sub>, largest of each output"], rows, "tight"
     )
-    within = yes_or_no(found["beyond"] == 0, "within W<sub>Δ</sub> everywhere", "beyond W<sub>Δ</sub>")
+    within = yes_or_no(truth["beyond"] == 0, "within W<sub>Δ</sub> everywhere", "beyond W<sub>Δ</sub>")
     return f"""<h3>What the loop has, and what is promised</h3>
 <p>Promised: the least margins over every vehicle within W<sub>Δ</sub> (THEORY 7.5), on a grid of \
 frequencies that is refined where the loop bends, not proved between its points. True: the loop around the \
-simulated truck's response to sines of each amplitude. The response lies {within}: {found["beyond"]} of \
-{sum(len(r["deviations"]) for r in found["true"])} ratios exceed 1. What is promised holds only for a truck \
+simulated truck's response to sines of each amplitude. The response lies {within}: {truth["beyond"]} of \
+{sum(len(r["deviations"]) for r in truth["true"])} ratios exceed 1. What is promised holds only for a truck \
 within W<sub>Δ</sub>.</p>{table}"""
 
 

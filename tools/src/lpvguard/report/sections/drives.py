@@ -153,7 +153,7 @@ def _facts(replay: Replay) -> str:
         REASON_WORDS[r]: f"{report['frames'][r]} ({100 * report['frames'][r] / max(1, frames):.1f} %)"
         for r in REASONS
     }
-    return "".join(html_table(of, [of.values()], "tight") for of in (totals, verdicts, reasons))
+    return "".join(html_table(table, [table.values()], "tight") for table in (totals, verdicts, reasons))
 
 
 def _alarm_table(alarms: list[Alarm]) -> str:

@@ -80,10 +80,10 @@ def outcome(summaries: list[DriveSummary]) -> str:
     if not alarms:
         return f"Not falsified: no alarm on {len(summaries)} drives"
     refuted = any(a.verdict == "invalid" for a in alarms)
-    of = sum(bool(drive.alarms) for drive in summaries)
+    alarmed = sum(bool(drive.alarms) for drive in summaries)
     word = "Falsified" if refuted else "Degraded, not falsified"
-    found = "1 alarm" if len(alarms) == 1 else f"{len(alarms)} alarms"
-    return f"{word}: {found} on {of} of {len(summaries)} drives"
+    alarm_words = "1 alarm" if len(alarms) == 1 else f"{len(alarms)} alarms"
+    return f"{word}: {alarm_words} on {alarmed} of {len(summaries)} drives"
 
 
 # ------------------------------------------------------------------------------------ good for, and blind to
@@ -118,7 +118,7 @@ def _run_words(first: MapCell, last: MapCell) -> str:
     return f"{_frequency(first.omega)} to {_frequency(last.omega)} rad/s"
 
 
-def _listed(name: str, found: list[Region]) -> str:
+def _listed(name: str, regions: list[Region]) -> str:
     """A list of regions whose elements carry their speeds and frequencies."""
     items = "".join(
         f'<li data-speed-low="{r.speed_mps[0]:.4g}" data-speed-high="{r.speed_mps[1]:.4g}" data-omega="'
@@ -126,7 +126,7 @@ def _listed(name: str, found: list[Region]) -> str:
         + f'">{r.speed_mps[0]:.3g} to {r.speed_mps[1]:.3g} m/s: '
         + ", ".join(_run_words(a, b) for a, b in r.runs)
         + "</li>"
-        for r in found
+        for r in regions
     )
     return f'<ul id="{name}">{items or "<li>nowhere</li>"}</ul>'
 
@@ -266,15 +266,16 @@ def _independence(independent: int, evaluation: dict | None) -> str:
     )
     if evaluation is None:
         return words
-    of = evaluation["false_alarms"]["all"]
+    counts = evaluation["false_alarms"]["all"]
     which = (
         "Drives that the identification never saw"
         if evaluation["mode"] == HELD_OUT
         else "Each left out of its own threshold"
     )
     return (
-        f'{words} <span id="left-out" data-alarmed="{of["alarmed_drives"]}" data-drives="{of["drives"]}">'
-        f"{which}: {of['alarmed_drives']} of {of['drives']} alarm.</span>"
+        f'{words} <span id="left-out" data-alarmed="{counts["alarmed_drives"]}" '
+        f'data-drives="{counts["drives"]}">'
+        f"{which}: {counts['alarmed_drives']} of {counts['drives']} alarm.</span>"
     )
 
 
@@ -317,9 +318,9 @@ def _alarms(summaries: list[DriveSummary], alarms: list[tuple[DriveSummary, Alar
 def _promise(stored: StoredIdentification, design: Path | None) -> str:
     """Card: the controller's promise, and the premise of every promise."""
     try:
-        found = premise(stored)
-        least = found.refuting
-        words = yes_or_no(not found.refuted, "Premise not refuted", "Premise refuted")
+        evidence = premise(stored)
+        least = evidence.refuting
+        words = yes_or_no(not evidence.refuted, "Premise not refuted", "Premise refuted")
         said = (
             "drives that did not set the bounds ask for nothing"
             if least is None
@@ -329,7 +330,7 @@ def _promise(stored: StoredIdentification, design: Path | None) -> str:
         )
         doubt = (
             ' <b class="no">Room for doubt:</b> within their standard errors a larger error is possible.'
-            if found.doubtful
+            if evidence.doubtful
             else ""
         )
         held = f"{words}: {said}.{doubt}"
@@ -358,19 +359,19 @@ vehicle within |δ| ≤ W<sub>Δ</sub>. {
 
 def _unexplained(summaries: list[DriveSummary]) -> str:
     """Drives that the model does not explain, worst first, with advice; "" without any."""
-    found = sorted(
+    worst = sorted(
         ((d, d.unexplained) for d in summaries if d.unexplained is not None), key=lambda one: one[1].vaf
     )
-    if not found:
+    if not worst:
         return ""
     named = ", ".join(
         f'<a href="#{d.key}">{escape(d.name)}</a> ({"sets bounds" if u.sets_bounds else "calibrates"}, '
         f"{1 - u.vaf:.0%} of {escape(u.output.replace('_', ' '))} left)"
-        for d, u in found[:UNEXPLAINED_SHOWN]
+        for d, u in worst[:UNEXPLAINED_SHOWN]
     )
-    more = f" and {len(found) - UNEXPLAINED_SHOWN} more" if len(found) > UNEXPLAINED_SHOWN else ""
+    more = f" and {len(worst) - UNEXPLAINED_SHOWN} more" if len(worst) > UNEXPLAINED_SHOWN else ""
     return (
-        f'<span id="unexplained" data-drives="{len(found)}"><b class="no">Look at these drives:</b> the '
+        f'<span id="unexplained" data-drives="{len(worst)}"><b class="no">Look at these drives:</b> the '
         f"model leaves more than half of {named}{more}. Bounds and thresholds hold on them, and grow. Where "
         f"the model is not meant for them, write no and why into {EXPERIMENTS}.</span>"
     )

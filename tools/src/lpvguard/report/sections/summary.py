@@ -85,8 +85,10 @@ def _drive_rows(stored: StoredIdentification) -> list[tuple[str, str]]:
 
     def listed(names: list[str]) -> str:
         """Number of drives and their drivers; the index of drives names them."""
-        of = Counter(drivers[n] for n in names)
-        return f"{len(names)}" + (f" ({', '.join(f'{n} {escape(d)}' for d, n in of.items())})" if of else "")
+        by_driver = Counter(drivers[n] for n in names)
+        return f"{len(names)}" + (
+            f" ({', '.join(f'{n} {escape(d)}' for d, n in by_driver.items())})" if by_driver else ""
+        )
 
     left_out = "".join(f"<br>{escape(n)}: {escape(why)}" for n, why in groups["left_out"].items())
     return [

@@ -10,7 +10,7 @@ from ..pictures.design import tradeoff_front
 
 def tradeoff_section(folder: Path) -> str:
     """The section. ``folder``: written by `lpvguard design --tradeoff`."""
-    found = artefacts.read_json(folder / "tradeoff.json")
+    tradeoff = artefacts.read_json(folder / "tradeoff.json")
     rows = html_rows(
         {
             "structure": escape(r["structure"]),
@@ -22,13 +22,14 @@ def tradeoff_section(folder: Path) -> str:
             "no controller below": number(r["floor"], 4),
             "largest γ<sub>w</sub>": number(r["gamma_w_max"]),
         }
-        for r in found["rows"]
+        for r in tradeoff["rows"]
     )
     front = captioned(
-        tradeoff_front("t", found),
+        tradeoff_front("t", tradeoff),
         "Left: the optimum over speeds for uniform ceilings on ν, and the level below which no controller "
         "goes. Right: ceiling, uncertainty and disturbance bound of the best candidate and of the project's "
-        f"setting. Bounds from the {escape(found['frames'])}; “–”: the floor alone ruled the candidate out.",
+        f"setting. Bounds from the {escape(tradeoff['frames'])}; “–”: the floor alone ruled the "
+        "candidate out.",
     )
     return f"""<h2>Trade-off between uncertainty, disturbance and performance</h2>
-<p>{escape(found["sentence"])}</p>{front}{rows}"""
+<p>{escape(tradeoff["sentence"])}</p>{front}{rows}"""

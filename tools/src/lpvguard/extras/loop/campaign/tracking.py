@@ -32,7 +32,7 @@ class TrackingBound:
     @classmethod
     def of(cls, stored: StoredIdentification) -> TrackingBound:
         """Bound for designs of an identification. InputError where it cannot be designed for."""
-        return cls(DesignProblem.of(stored).weights)
+        return cls(DesignProblem.from_identification(stored).weights)
 
     def rms(self, command: np.ndarray, w: np.ndarray, n: np.ndarray, Ts: float, Ts_n: float) -> float:
         """Largest rms error up to STEERING_RADPS [rad/s].
