@@ -108,7 +108,7 @@ void step(const float* in, double* out, int error) {{
     out[2] = rte_Assessment_change_ratio;
 }} }}
 """)
-    library = ctypes.CDLL(str(shared_core(vehicle, wrapper, "component", flags=[f"-I{rte}"])))
+    library = ctypes.CDLL(str(shared_core(vehicle, [wrapper], "component", flags=[f"-I{rte}"])))
     library.start.argtypes = [ctypes.c_uint32]
     return library
 

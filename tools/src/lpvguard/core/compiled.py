@@ -218,6 +218,7 @@ def core_objects(
     more: Sequence[Path] = (),
     *,
     flags: Sequence[str] = (),
+    include_dirs: Sequence[Path] = (),
     double: bool = False,
     source_root: Path | None = None,
 ) -> list[Path]:
@@ -231,6 +232,7 @@ def core_objects(
     folder : Path, generated folder of a vehicle
     more : Sequence[Path], further sources, default ()
     flags : Sequence[str], for ``more``, default ()
+    include_dirs : Sequence[Path], further folders of headers for ``more``, default ()
     double : bool, numbers are double, default False
     source_root : Path, optional, another lib/ than the package's
 
@@ -253,7 +255,7 @@ def core_objects(
         for source in core_sources(root, folder)
     ]
     jobs += [(source, common, of_vehicle) for source in sorted(folder.glob("*.c"))]
-    jobs += [(source, (*common, *flags), of_vehicle) for source in more]
+    jobs += [(source, (*common, *flags), [*of_vehicle, *include_dirs]) for source in more]
 
     def eigen_first(source: Path) -> Path | None:
         """Precompile Eigen's header, which takes half of a source's compile time."""
@@ -276,10 +278,11 @@ def core_objects(
 
 def shared_core(
     folder: Path,
-    wrapper: Path,
+    wrapper: Sequence[Path],
     name: str,
     *,
     flags: Sequence[str] = (),
+    include_dirs: Sequence[Path] = (),
     link: Sequence[str] = (),
     double: bool = False,
     source_root: Path | None = None,
@@ -289,9 +292,10 @@ def shared_core(
     Parameters
     ----------
     folder : Path, generated folder
-    wrapper : Path, source with the library's functions
+    wrapper : Sequence[Path], sources with the library's functions
     name : str, beginning of the library's name
     flags : Sequence[str], of the wrapper
+    include_dirs : Sequence[Path], further folders of headers of the wrapper
     link : Sequence[str], flags of the linker
     double : bool, number type, default float
     source_root : Path, optional, another lib/ than the package's
@@ -306,7 +310,9 @@ def shared_core(
         If it does not compile.
     """
     try:
-        objects = core_objects(folder, [wrapper], flags=flags, double=double, source_root=source_root)
+        objects = core_objects(
+            folder, wrapper, flags=flags, include_dirs=include_dirs, double=double, source_root=source_root
+        )
         return native.compile_shared(objects, flags=tuple(link), name=f"{name}_{folder.name}")
     except native.NativeError as error:
         raise InputError(
@@ -498,7 +504,7 @@ class Core:
     def _compile(self) -> Path:
         return shared_core(
             self.folder,
-            Path(__file__).with_name("binding.cpp"),
+            [Path(__file__).with_name("binding.cpp")],
             "core",
             flags=["-DLPVGB_DIAGNOSIS"] if self.diagnoses else [],
             double=self._double,
