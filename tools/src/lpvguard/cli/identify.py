@@ -6,7 +6,20 @@ from typing import Annotated
 
 import typer
 
-from .shared import Jobs, JsonOut, Out, Scheduler, Vehicle, app, console, emit, progress_bar, project_of
+from .shared import (
+    Jobs,
+    JsonOut,
+    Keep,
+    Out,
+    Scheduler,
+    Vehicle,
+    app,
+    console,
+    emit,
+    keeping,
+    progress_bar,
+    project_of,
+)
 from .tables import print_evidence, print_tests
 
 
@@ -18,6 +31,7 @@ def identify(
     json_out: JsonOut = None,
     jobs: Jobs = 1,
     scheduler: Scheduler = None,
+    keep: Keep = None,
 ) -> None:
     """Find the unfalsified bounds, fit the weights, calibrate the frame test (paper, steps 1-7)."""
     from ..base.parallel import workers
@@ -26,7 +40,7 @@ def identify(
     from ..identify.unexplained import cost, unexplained
 
     project = project_of(vehicle)
-    with progress_bar("identify") as tell, workers(jobs, scheduler) as run:
+    with progress_bar("identify") as tell, workers(jobs, scheduler) as started, keeping(keep, started) as run:
         result, drive_set = stage.identify(project, drives, workers=run, progress=tell)
         stage.save(result, drive_set, out)
         named = unexplained(result)

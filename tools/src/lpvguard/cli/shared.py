@@ -25,6 +25,7 @@ from .guard import Application, running
 from .sections import Sections
 
 if TYPE_CHECKING:
+    from ..base.parallel import Map
     from ..identify.identification import DriveSet, StoredIdentification
     from ..replay.replayer import Replayer
     from ..vehicle.project import Project
@@ -53,6 +54,10 @@ JsonOut = Annotated[str | None, typer.Option("--json", help="Write JSON to this 
 Jobs = Annotated[int, typer.Option(min=1, help="Processes of this machine that share the work.")]
 Scheduler = Annotated[
     str | None, typer.Option(help="Address of a Dask scheduler whose workers share the drives.")
+]
+Keep = Annotated[
+    Path | None,
+    typer.Option(help="Folder that keeps what was computed of each drive: a further drive costs seconds."),
 ]
 LCM_DEFAULT = "udpm://239.255.76.67:7667?ttl=0"
 Coefficients = Annotated[
@@ -102,6 +107,19 @@ def emit(json_out: str | None, value: Any, *, each: bool = False) -> None:
     """
     if json_out:
         artefacts.write_json(json_out, value, running(), each=each)
+
+
+@contextmanager
+def keeping(folder: Path | None, workers: Map) -> Iterator[Map]:
+    """The map, or one that reads and keeps results in a folder. Unused ones are removed at a good end."""
+    if folder is None:
+        yield workers
+        return
+    from ..base.kept_results import KeptResults
+
+    kept = KeptResults(folder)
+    yield kept.over(workers)
+    kept.drop_unused()
 
 
 def project_of(vehicle: str) -> Project:

@@ -511,6 +511,11 @@ class Core:
             source_root=self._source_root,
         )
 
+    @property
+    def identity(self) -> str:
+        """What a result of this core depends on (base/kept_results.py): the library's name has its digest."""
+        return self.library.name
+
     @cached_property
     def compiled(self) -> tuple[np.ndarray, np.ndarray]:
         """The compiled-in coefficients as flat words (W,) and numbers (R,), in the order of coeff.h."""

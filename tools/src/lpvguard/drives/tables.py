@@ -118,6 +118,12 @@ class Experiment:
         """The group, of a drive without one its recording."""
         return self.group or self.recording
 
+    @property
+    def identity(self) -> tuple[str | None, ...]:
+        """What a result of this drive depends on (base/kept_results.py): its entry and its table's hash."""
+        of = self.name, self.split, self.driver, self.recording, self.group
+        return *of, artefacts.file_hash(self.path)
+
 
 def day_of(name: str) -> str:
     """Return the date in a drive's name.

@@ -83,6 +83,11 @@ class DriveReader:
     def __reduce__(self):
         return _sent, (self._key, self.project, self.model)
 
+    @property
+    def identity(self) -> Project:
+        """What a result of this reader depends on (base/kept_results.py)."""
+        return self.project
+
     def read(self, experiment: Experiment) -> tuple[Drive, np.ndarray, np.ndarray]:
         """The drive, its nominal error e and nominal output yhat (N, n_y)."""
         return self._held(experiment).found()
