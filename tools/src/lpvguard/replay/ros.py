@@ -59,11 +59,11 @@ def write_ros2(path: Path, vehicle: str, series: pa.Table, alarms: list[dict[str
     compression = optional("mcap.writer", "ros2").CompressionType.NONE
     open_writer = optional("mcap_ros2.writer", "ros2").Writer
     stamps = np.round(numbers(series["t"]) * 1e9).astype(np.int64)
-    found = [*_diagnostics(vehicle, stamps, series, alarms), *_motions(stamps, series)]
+    messages = [*_diagnostics(vehicle, stamps, series, alarms), *_motions(stamps, series)]
     with path.open("wb") as stream:
         writer = open_writer(stream, compression=compression)
         kinds = {kind: writer.register_msgdef(kind, text) for kind, text in DEFINITIONS.items()}
-        for number, (t, topic, kind, content) in enumerate(sorted(found, key=lambda m: m[0])):
+        for number, (t, topic, kind, content) in enumerate(sorted(messages, key=lambda m: m[0])):
             stamp = {"sec": t // 10**9, "nanosec": t % 10**9}
             message = {"header": {"stamp": stamp, "frame_id": "base_link"}, **content}
             writer.write_message(topic, kinds[kind], message, t, t, number)
