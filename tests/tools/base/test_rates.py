@@ -39,7 +39,7 @@ def test_the_intervals_cover_with_95_percent(p, n):
 
 
 def test_false_alarms_are_counted_in_pieces_drives_recordings_and_by_the_hour_judged():
-    counted = FalseAlarms.of([(2, 3), (0, 1), (1, 2)], [100.0, 0.0, 260.0], ["a", "b", "a"])
+    counted = FalseAlarms.from_counts([(2, 3), (0, 1), (1, 2)], [100.0, 0.0, 260.0], ["a", "b", "a"])
     assert (counted.drives, counted.alarmed_drives, counted.alarmed, counted.pieces) == (3, 2, 3, 6)
     assert counted.judged_h == pytest.approx(0.1) and counted.per_judged_h == pytest.approx(30.0)
     assert counted.recordings == rate(1, 2), "two alarmed pieces of one recording are one"
@@ -49,9 +49,9 @@ def test_false_alarms_are_counted_in_pieces_drives_recordings_and_by_the_hour_ju
 
 
 def test_of_nothing_no_rate_is_stated():
-    unjudged = FalseAlarms.of([(1, 1)], [0.0], ["a"])
+    unjudged = FalseAlarms.from_counts([(1, 1)], [0.0], ["a"])
     assert unjudged.per_judged_h is None and unjudged.recordings["interval"] is not None
     assert hourly_words(unjudged.recordings_per_judged_h) == "–"
-    none = FalseAlarms.of([], [], [])
+    none = FalseAlarms.from_counts([], [], [])
     assert (none.drives, none.alarmed_drives, none.pieces, none.per_judged_h) == (0, 0, 0, None)
     assert share_words(none.recordings) == "–"

@@ -175,7 +175,9 @@ def test_statistics_from_a_sample_on_are_those_of_the_whole_drive(truck, error, 
 def test_scales_are_means_over_all_usable_samples(error):
     e, v = error
     usable, u = v > 5.0, np.ones((len(v), 1))
-    found = Scales.of([Sizes.of(e, e, u, usable, 0.01), Sizes.of(2 * e, e, u, usable, 0.01)])
+    found = Scales.from_sizes(
+        [Sizes.from_drive(e, e, u, usable, 0.01), Sizes.from_drive(2 * e, e, u, usable, 0.01)]
+    )
     np.testing.assert_allclose(found.error, np.sqrt(2.5 * np.mean(e[usable] ** 2, axis=0)))
     phi = regressors(e, 0.01)[1][:, usable]
     np.testing.assert_allclose(found.moments[1], phi @ phi.T / usable.sum())
@@ -220,7 +222,7 @@ def test_no_setting_of_the_grid_finds_more_on_the_drives_of_the_search(study):
 
     def finds(b: Baseline) -> int:
         h = found.calibration(b, names[0]).threshold
-        return sum(m[b, h].found for n, m in found.merits.items() if n != names[0])
+        return sum(m[b, h].detected for n, m in found.merits.items() if n != names[0])
 
     for kind in KINDS:
         best, _ = found.best(kind, names[0])

@@ -58,13 +58,13 @@ def replay(seconds: float, relevant=slice(None), *, name: str = "made up", falsi
 
 
 def test_the_clock_runs_in_judged_driving_from_the_first_faulty_sample_on():
-    clock = JudgedClock.of(replay(100.0, slice(0, 3500)), 3000, FOUND_WITHIN_S)
+    clock = JudgedClock.from_replay(replay(100.0, slice(0, 3500)), 3000, FOUND_WITHIN_S)
     assert clock.read(hits(5001, 2999)) is None
     assert clock.read(hits(5001, 2999, 3000)) == pytest.approx(TS), "the first faulty sample counts"
     assert clock.read(hits(5001, 3499)) == clock.read(hits(5001, 4500)) == pytest.approx(10.0), (
         "it stands where nothing is judged"
     )
-    whole = JudgedClock.of(replay(100.0), 3000, FOUND_WITHIN_S)
+    whole = JudgedClock.from_replay(replay(100.0), 3000, FOUND_WITHIN_S)
     assert whole.end == 3000 + round(FOUND_WITHIN_S / TS)
 
 
@@ -80,28 +80,30 @@ def test_the_clock_runs_in_judged_driving_from_the_first_faulty_sample_on():
     ],
 )  # in time, and one sample too late
 def test_found_means_before_the_untouched_drive_and_in_time(faulty, untouched, s):
-    clock = JudgedClock.of(replay(120.0), 3000, FOUND_WITHIN_S)
+    clock = JudgedClock.from_replay(replay(120.0), 3000, FOUND_WITHIN_S)
     other = None if untouched is None else clock.read(hits(6001, untouched))
-    case = FaultOutcome.of("made up", TS, clock, clock.read(hits(6001, faulty)), other)
+    case = FaultOutcome.from_times("made up", TS, clock, clock.read(hits(6001, faulty)), other)
     assert case.untouched_s == other
     assert (
         case.s == (None if s is None else pytest.approx(s))
-        and case.found == (s is not None)
+        and case.detected == (s is not None)
         and case.start_s == 60.0
     )
 
 
 def test_what_the_untouched_drive_says_later_does_not_matter():
-    clock = JudgedClock.of(replay(120.0), 3000, FOUND_WITHIN_S)
-    case = FaultOutcome.of("made up", TS, clock, *(clock.read(hits(6001, k)) for k in (3009, 4501)))
-    assert case.found and case.untouched_s is None
+    clock = JudgedClock.from_replay(replay(120.0), 3000, FOUND_WITHIN_S)
+    case = FaultOutcome.from_times("made up", TS, clock, *(clock.read(hits(6001, k)) for k in (3009, 4501)))
+    assert case.detected and case.untouched_s is None
 
 
 def test_an_alarm_that_stands_when_the_fault_starts_is_none_of_it():
-    clock = JudgedClock.of(replay(120.0), 3000, FOUND_WITHIN_S)
+    clock = JudgedClock.from_replay(replay(120.0), 3000, FOUND_WITHIN_S)
     standing = hits(6001, *range(2900, 3100))
     faulty = standing | hits(6001, 3200)
-    assert not FaultOutcome.of("made up", TS, clock, clock.read(faulty), clock.read(standing)).found
+    assert not FaultOutcome.from_times(
+        "made up", TS, clock, clock.read(faulty), clock.read(standing)
+    ).detected
 
 
 def test_starts_leave_time_to_find_and_do_not_depend_on_other_drives():
@@ -211,7 +213,7 @@ def test_settings_say_when_and_how_large_faults_are():
         gains=(0.5,),
         delays_s=(0.1, 0.2),
     )
-    injection = Injection.of(settings, np.array([2.0, 0.4]))
+    injection = Injection.from_settings(settings, np.array([2.0, 0.4]))
     times = {"from_s": 5.0, "shortest_s": 20.0, "within_s": 10.0, "starts": 2, "ramp_s": 20.0}
     assert injection.to_dict() == times | {"ways": ["step", "ramp", "start"]}
     assert [f.label for f in injection.faults] == [
@@ -241,7 +243,7 @@ def test_settings_say_when_and_how_large_faults_are():
 
 
 def test_refutable_is_when_the_faulty_margin_exceeds_1_and_the_untouched_one_does_not(core, g80, synthetic):
-    clock = JudgedClock.of(replay(120.0), 3000, FOUND_WITHIN_S)
+    clock = JudgedClock.from_replay(replay(120.0), 3000, FOUND_WITHIN_S)
     faulty, untouched = np.zeros(6001), np.zeros(6001)
     faulty[[2000, 3100, 3200, 3300]] = [9.0, 1.0, 1.5, 1.5]
     untouched[3200] = 1.2

@@ -44,7 +44,7 @@ def outcome(project, fault: Fault, *found: Diagnosis, ramp_s: float = 0.0, drive
     case = Case("ramp" if ramp_s else "step", fault, ramp_s)
     replay = SimpleNamespace(Ts=project.Ts_s, diagnoses=found)
     faulty = inject(drive, fault, START_S, project.Ts_s, ramp_s)
-    return CauseOutcome.of(case, project, clock, drive, faulty, replay)
+    return CauseOutcome.from_replay(case, project, clock, drive, faulty, replay)
 
 
 @pytest.mark.parametrize(

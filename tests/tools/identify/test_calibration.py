@@ -81,7 +81,7 @@ def test_no_threshold_is_below_the_floor():
     assert calibrate({}, 0.1).threshold == 1.0
 
 
-PIECES = Recordings(of={"a1": "a", "a2": "a", "b1": "b", "c1": "c", "c2": "c"}, setting=("c",))
+PIECES = Recordings(by_drive={"a1": "a", "a2": "a", "b1": "b", "c1": "c", "c2": "c"}, setting=("c",))
 
 
 def test_a_recording_scores_its_worst_piece_and_one_that_set_the_bounds_none():
@@ -107,7 +107,7 @@ def test_a_recording_scores_its_worst_piece_and_one_that_set_the_bounds_none():
 def test_pieces_of_one_recording_are_one_draw():
     scores = scores_of(20)
     halves = {f"{d}{part}": s - 0.01 * part for d, s in scores.items() for part in (0, 1)}
-    recordings = Recordings(of={piece: piece[:-1] for piece in halves})
+    recordings = Recordings(by_drive={piece: piece[:-1] for piece in halves})
     found, plain = calibrate(halves, 0.1, recordings=recordings), calibrate(scores, 0.1)
     assert (found.threshold, found.conditional_bound) == (plain.threshold, plain.conditional_bound)
     assert found.claim().startswith("alpha 0.1 from 20 recordings, ")
@@ -128,7 +128,7 @@ def test_the_claim_an_hour_is_the_rate_of_recordings_of_the_mean_length():
 
 def test_the_claim_an_hour_leaves_out_recordings_that_set_the_bounds_and_counts_pieces_once():
     scores = scores_of(20)
-    recordings = Recordings(of={"d0": "r", "d1": "r", "d2": "s"}, setting=("s",))
+    recordings = Recordings(by_drive={"d0": "r", "d1": "r", "d2": "s"}, setting=("s",))
     found = calibrate(scores, 0.2, recordings=recordings).over(dict.fromkeys(scores, 360.0))
     # 18 recordings: r of two drives, 17 of one. 19 drives are judged for 0.1 h each.
     assert found.alpha == 0.2 and found.hourly.startswith(f"; {0.2 * 18 / 1.9:.3g} and ")
@@ -170,7 +170,7 @@ def test_what_is_stored_comes_back(recordings):
     for one in (found, found.over(dict.fromkeys(found.scores, 60.0))):
         stored = json.loads(json.dumps(one.to_dict()))
         assert Calibration.from_dict(stored) == one
-        assert ("recordings" in stored) == bool(recordings.of)
+        assert ("recordings" in stored) == bool(recordings.by_drive)
         assert ("groups" in stored) == bool(recordings.groups)
         assert ("judged_s" in stored) == bool(one.judged_s)
 
@@ -213,7 +213,7 @@ def test_recordings_are_read_from_the_list_of_experiments_once():
     setting = [drive("s1", "s1"), drive("s2", "day"), drive("s3", "night")]
     others = [drive("o1", "day"), drive("o2", "o2"), drive("o3", "dusk"), drive("o4", "night")]
     found = Recordings.listed(iter(setting), iter(others))
-    assert found.of == {"s2": "day", "s3": "night", "o1": "day", "o3": "dusk", "o4": "night"}
+    assert found.by_drive == {"s2": "day", "s3": "night", "o1": "day", "o3": "dusk", "o4": "night"}
     assert found.setting == ("day", "night") and found.groups == {}
     grouped = Recordings.listed(setting[:1], [drive("o1", "day", "wet"), drive("o2", "o2", "dry")])
     assert grouped.groups == {"o1": "wet", "o2": "dry"} and grouped.setting == ()

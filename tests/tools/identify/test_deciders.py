@@ -172,7 +172,7 @@ def test_peaks_are_where_the_scores_come_from():
 def test_evidence_is_the_largest_of_all_speeds_by_bin(g80):
     Z = np.array([[1.0], [3.0], [2.0]], complex)
     W, B = np.full((2, 1), 0.5), np.ones((2, 1))
-    met = Excitation.of(
+    met = Excitation.from_frames(
         "a", (3.0, 19.0), np.array([0, 0, 0]), np.array([4.0, 18.0, 4.0]), Z, W, B, np.arange(3)
     )
     assert met.evidence(2) == pytest.approx([3.0 / 2.5, 0.0])

@@ -64,7 +64,7 @@ def scaled(
             for at in range(0, samples, kept)
         ]
         found.append(windows_of(np.concatenate(e), yhat, v, estimator, UNIT))
-    return DiagnosisScales.of(g80, 1 / UNIT, found)
+    return DiagnosisScales.from_windows(g80, 1 / UNIT, found)
 
 
 def test_the_spread_is_that_of_healthy_drives(g80):
@@ -75,7 +75,7 @@ def test_the_spread_is_that_of_healthy_drives(g80):
     assert spread[1] < 0.005
     assert 1.0 <= scales.enlarged[0] < 2.5
     with pytest.raises(InputError, match="window"):
-        DiagnosisScales.of(g80, 1 / UNIT, [])
+        DiagnosisScales.from_windows(g80, 1 / UNIT, [])
 
 
 @pytest.mark.unhurried

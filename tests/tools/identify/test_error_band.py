@@ -29,7 +29,7 @@ from lpvguard.vehicle.project import load_project
 PROJECT = load_project("g80")
 MODEL = NominalModel(PROJECT)
 ESTIMATOR = Estimator.from_project(PROJECT, MODEL)
-DOMAIN = ErrorDomain.of(ESTIMATOR, PROJECT.frame_test.excited_std)
+DOMAIN = ErrorDomain.from_estimator(ESTIMATOR, PROJECT.frame_test.excited_std)
 
 
 def noise(random: np.random.Generator, n: int, band_hz: tuple[float, float]) -> np.ndarray:

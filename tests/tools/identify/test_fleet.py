@@ -388,7 +388,7 @@ def test_excitation_of_all_drives_is_that_of_their_frames_together():
         for n in (300, 700)
     ]
     parts = [
-        Excitation.of(f"d{i}", (4.0, 19.0), b, v, Z, W_delta, B_w, np.arange(len(b)))
+        Excitation.from_frames(f"d{i}", (4.0, 19.0), b, v, Z, W_delta, B_w, np.arange(len(b)))
         for i, (b, v, Z) in enumerate(frames)
     ]
     joined = Excitation.joined(parts)

@@ -104,7 +104,7 @@ class Toy:
         self.project = toy(outputs, **settings)
         self.model = NominalModel(self.project)
         self.estimator = Estimator.from_project(self.project, self.model)
-        self.grid = ErrorGrid.of(self.project, self.estimator)
+        self.grid = ErrorGrid.from_project(self.project, self.estimator)
 
     def sums(self, drive: Drive) -> Sums:
         found = nominal_error(drive, self.model)
@@ -123,7 +123,7 @@ class Toy:
         total = Sums.none(self.grid, self.project.n_y)
         for drive in drives:
             total = total.plus(self.sums(drive))
-        return ErrorEstimate.of(total, self.grid)
+        return ErrorEstimate.from_sums(total, self.grid)
 
 
 def white(seed: int, samples: int = SAMPLES, rms: float = 1.0) -> np.ndarray:
@@ -298,7 +298,7 @@ def test_where_the_data_are_silent_the_bound_is_one_plus_rho():
     assert (bound[last + 1 :] >= dead[last + 1 :]).all()
     before = slice(0, last + 1)
     assert (bound[before, 0] == found.upper[before, 0, 0, 0]).all() and (bound[before] < 1.0).all()
-    silent = ErrorEstimate.of(Sums.none(vehicle.grid, 1), vehicle.grid)
+    silent = ErrorEstimate.from_sums(Sums.none(vehicle.grid, 1), vehicle.grid)
     np.testing.assert_array_equal(uncertainty_bound(vehicle.project, vehicle.grid, silent), dead)
     assert last_telling(silent)[0] == -1
     written = ModelError(vehicle.grid, found, bound, None, []).to_dict(vehicle.project)
@@ -361,7 +361,7 @@ def test_frames_are_doubled_until_that_moves_the_estimate_by_less_than_its_error
     only = Sums(*(f.copy() for f in sums))
     for field in only:
         field[:, 1:] = 0
-    shortest = ErrorEstimate.of(only, vehicle.grid)
+    shortest = ErrorEstimate.from_sums(only, vehicle.grid)
     truth = response(delay, vehicle.grid.omega)
 
     def off(estimate: ErrorEstimate) -> np.ndarray:
@@ -377,11 +377,11 @@ def test_a_drive_unlike_the_others_is_not_covered_when_it_is_left_out():
     vehicle = Toy()
     alike = [vehicle.sums(vehicle.drive(k, 15.0, white(k), DELTAS[:1], 0.1)) for k in range(4)]
     other = vehicle.sums(vehicle.drive(9, 15.0, white(9), [np.array([0.9])], 0.1))
-    found = ModelError.of(vehicle.project, vehicle.grid, alike, [])
+    found = ModelError.from_sums(vehicle.project, vehicle.grid, alike, [])
     assert found.coverage == 1.0 and len(found.left_out) == 4 and found.judging is None
-    mixed = ModelError.of(vehicle.project, vehicle.grid, [*alike, other], [other])
+    mixed = ModelError.from_sums(vehicle.project, vehicle.grid, [*alike, other], [other])
     assert mixed.coverage == 0.8 and mixed.left_out[-1] < 1 < min(mixed.left_out[:-1])
-    assert np.isnan(ModelError.of(vehicle.project, vehicle.grid, alike[:1], []).coverage)
+    assert np.isnan(ModelError.from_sums(vehicle.project, vehicle.grid, alike[:1], []).coverage)
 
 
 def test_class_S0_is_given_no_uncertainty_and_drives_of_commands_must_be_there(tmp_path):
@@ -403,7 +403,7 @@ def test_class_S0_is_given_no_uncertainty_and_drives_of_commands_must_be_there(t
     with pytest.raises(InputError, match="command_split must be among bound_split"):
         parse_project({**document, "data": {"bound_split": ["train"], "command_split": ["town"]}}, "toy")
     chosen = Chosen.by_split(DriveSet(vehicle.project, vehicle.model, tmp_path)).setting
-    error = ModelError.of(vehicle.project, vehicle.grid, [vehicle.sums(d) for d in rows], [])
+    error = ModelError.from_sums(vehicle.project, vehicle.grid, [vehicle.sums(d) for d in rows], [])
     for structure, least in (("S0", 0.0), ("S1", 0.2)):
         bounds = vehicle.project.bounds.model_copy(update={"structure": structure})
         project = vehicle.project.model_copy(update={"bounds": bounds})

@@ -27,7 +27,7 @@ from lpvguard.vehicle.project import load_project
 
 PROJECT = load_project("g80")
 ESTIMATOR = Estimator.from_project(PROJECT, NominalModel(PROJECT))
-SIZES = PoolSizes.of(PROJECT, ESTIMATOR)
+SIZES = PoolSizes.for_project(PROJECT, ESTIMATOR)
 K = ESTIMATOR.n_bins
 
 

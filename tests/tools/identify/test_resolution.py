@@ -104,15 +104,15 @@ def test_noise_alone_is_rarely_above_its_floor(g80):
 def test_what_the_project_file_states_holds_and_the_least_of_the_drives_else(g80):
     drives = [np.array([[2e-3], [3e-3]]), np.array([[1e-3], [np.nan]]), np.array([[np.nan], [4e-3]])]
     least = np.fmin.reduce(drives)
-    seen = Resolution.of(g80, least)
+    seen = Resolution.for_project(g80, least)
     assert seen.step == pytest.approx([1e-3])
     assert seen.noise == pytest.approx([np.sqrt(9e-6 - 1e-6 / 12)]), "rounding is not counted twice"
-    assert Resolution.of(g80, np.full((2, 1), np.nan)).noise.tolist() == [0.0]
+    assert Resolution.for_project(g80, np.full((2, 1), np.nan)).noise.tolist() == [0.0]
     document = g80.model_dump(by_alias=True)
     output = next(s for s in document["signals"] if s["role"] == "output")
     assert "resolution" not in output and "noise" not in output, "stored as before where nothing is stated"
     output |= {"resolution": 5e-3, "noise": 0.0}
-    stated = Resolution.of(parse_project(document, "g80"), least)
+    stated = Resolution.for_project(parse_project(document, "g80"), least)
     assert (stated.step.tolist(), stated.noise.tolist()) == ([5e-3], [0.0])
     again = parse_project(parse_project(document, "g80").model_dump(by_alias=True), "g80").outputs[0]
     assert (again.resolution, again.noise) == (5e-3, 0.0)

@@ -25,7 +25,7 @@ def case(n_y: int, frames: int = 400, seed: int = 3):
 
 
 def run(bin_of, speed, Z, B_w, W_delta=W_DELTA) -> dict:
-    met = Excitation.of("drive", SPEEDS, bin_of, speed, Z, W_delta, B_w, np.arange(len(Z)))
+    met = Excitation.from_frames("drive", SPEEDS, bin_of, speed, Z, W_delta, B_w, np.arange(len(Z)))
     return visibility(OMEGA, SPEEDS, met, W_delta, THRESHOLD)
 
 
@@ -112,8 +112,10 @@ def test_the_strongest_frame_is_at_least_as_telling_and_inflation_scales_what_is
     for typical, strongest in zip(seen["at_percentile"], seen["at_strongest"], strict=False):
         assert all(s <= t for s, t in zip(strongest["gain_error"], typical["gain_error"], strict=False))
         assert strongest["frames"] == typical["frames"]
-    inflated = Excitation.of("drive", SPEEDS, bin_of, speed, Z, 1.3 * W_DELTA, 1.3 * B_w, np.arange(len(Z)))
-    met = Excitation.of("drive", SPEEDS, bin_of, speed, Z, W_DELTA, B_w, np.arange(len(Z)))
+    inflated = Excitation.from_frames(
+        "drive", SPEEDS, bin_of, speed, Z, 1.3 * W_DELTA, 1.3 * B_w, np.arange(len(Z))
+    )
+    met = Excitation.from_frames("drive", SPEEDS, bin_of, speed, Z, W_DELTA, B_w, np.arange(len(Z)))
     a, b = (
         visibility(OMEGA, SPEEDS, inflated, 1.3 * W_DELTA, THRESHOLD),
         visibility(OMEGA, SPEEDS, met, W_DELTA, THRESHOLD, 1.3),

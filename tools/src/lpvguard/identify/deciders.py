@@ -43,17 +43,17 @@ def decides_bounds(result: Identification) -> list[Decision]:
     list of Decision
     """
     Ts, said = result.project.Ts_s, []
-    for key, of in result.origins.decided.items():
-        shared = of.largest.shape[1] == 1 and key == "nu"
+    for key, decided in result.origins.decided.items():
+        shared = decided.largest.shape[1] == 1 and key == "nu"
         names = [""] if shared else [f" of {s.name}" for s in result.project.outputs]
-        floor = result.bounds.B_w_floor if key == "B_w" else np.zeros(of.largest.shape)
-        for k, j in np.argwhere(of.largest > floor):
-            value, without = float(of.largest[k, j]), float(of.without[k, j])
+        floor = result.bounds.B_w_floor if key == "B_w" else np.zeros(decided.largest.shape)
+        for k, j in np.argwhere(decided.largest > floor):
+            value, without = float(decided.largest[k, j]), float(decided.without[k, j])
             alone = value > ONE_FRAME * without
             said.append(
                 Decision(
-                    f"{_frequency(result, k)}: {of.drive[k, j]} decides {key}{names[j]}, {value:.3g}, from "
-                    f"{of.first[k, j] * Ts:.4g} s on"
+                    f"{_frequency(result, k)}: {decided.drive[k, j]} decides {key}{names[j]}, {value:.3g}, "
+                    f"from {decided.first[k, j] * Ts:.4g} s on"
                     + (f"; one frame does: without it {without:.3g}" if alone else ""),
                     alone,
                 )
@@ -78,12 +78,12 @@ def decides_thresholds(result: Identification) -> list[Decision]:
 
 
 def _tests(result: Identification) -> dict[str, Calibration]:
-    found = {
+    calibrations = {
         "frame": result.calibration,
         "energy": None if result.energy is None else result.energy.calibration,
         "change": None if result.change is None else result.change.calibration,
     }
-    return {test: c for test, c in found.items() if c is not None}
+    return {test: c for test, c in calibrations.items() if c is not None}
 
 
 def _decides(result: Identification, test: str, c: Calibration) -> Decision:

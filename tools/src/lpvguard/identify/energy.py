@@ -122,8 +122,8 @@ def _raised(
 def _norm_in(sums: np.ndarray, directions: np.ndarray) -> np.ndarray:
     """sqrt(a' G a) (n, D) of matrices (n, n_y, n_y) in directions (D, n_y)."""
     products = directions[:, :, None] * directions[:, None, :]
-    found = sums.reshape(len(sums), -1) @ products.reshape(len(directions), -1).T
-    return np.sqrt(np.maximum(found, 0.0))
+    squares = sums.reshape(len(sums), -1) @ products.reshape(len(directions), -1).T
+    return np.sqrt(np.maximum(squares, 0.0))
 
 
 @dataclass(frozen=True)
@@ -339,8 +339,8 @@ class EnergyTest:
             "joint": np.full(len(self.F), np.nan)
         }
         for _, band, *sides in self._sides(e, yhat, v):
-            found = self._needs_in(band, *sides)
-            for key, value in found.items():
+            needed = self._needs_in(band, *sides)
+            for key, value in needed.items():
                 out[key][band] = np.fmax(out[key][band], value)
         return out
 

@@ -69,10 +69,10 @@ def healthy_set(
     W_delta, B_w, factor = np.zeros((K, n_delta)), floor.copy(), np.ones((K, n_delta))
     for k in range(K):
         Z = np.abs(spectra["Z"][spectra["group"] == k])
-        for d, of in enumerate(outputs):
+        for d, indices in enumerate(outputs):
             errors = float(typical[k, d]), float(largest[k, d])
-            W, B, factor[k, d] = _best(each[:, k][:, :, of], Z[:, of], floor[k, of], *errors)
-            W_delta[k, d], B_w[k, of] = W, B
+            W, B, factor[k, d] = _best(each[:, k][:, :, indices], Z[:, indices], floor[k, indices], *errors)
+            W_delta[k, d], B_w[k, indices] = W, B
     folds = each.any(axis=(2, 3)).sum(axis=0)
     # The threshold has what all bins share.
     factor = np.where(folds[:, None] > 0, factor / factor[folds > 0].min(initial=np.inf), 1.0)

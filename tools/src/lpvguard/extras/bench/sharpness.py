@@ -85,7 +85,7 @@ def sums_of(project: Project, drives: list[Drive]) -> list[ErrorSums]:
     """Sums of each of the drives with the model and the bins of a project."""
     model = NominalModel(project)
     estimator = Estimator.from_project(project, model)
-    given = ErrorDomain.of(estimator, project.frame_test.excited_std), model, estimator
+    given = ErrorDomain.from_estimator(estimator, project.frame_test.excited_std), model, estimator
     seen = [(d, *nominal_error(d, model)) for d in drives]
     common = common_fit(sum_of([common_products(*given, *of) for of in seen]))
     return [error_sums(*given, *of, "", common) for of in seen]
@@ -129,7 +129,7 @@ def one_set(project: Project, deviating: bool, job: tuple[str, int]) -> SetResul
 def band_of(project: Project, sums: ErrorSums, seed: int, scales: PriorScales = USUAL) -> ErrorBand:
     """Band of the first output at the project's bins."""
     estimator = Estimator.from_project(project, NominalModel(project))
-    domain = ErrorDomain.of(estimator, project.frame_test.excited_std)
+    domain = ErrorDomain.from_estimator(estimator, project.frame_test.excited_std)
     return error_band(domain, sums, 0, domain.omega, seed, scales)
 
 
@@ -152,7 +152,7 @@ def multibody_rows(sets: int, seed: int, over: Map) -> list[SetResult]:
     project = multibody_project()
     model = NominalModel(project)
     estimator = Estimator.from_project(project, model)
-    domain = ErrorDomain.of(estimator, project.frame_test.excited_std)
+    domain = ErrorDomain.from_estimator(estimator, project.frame_test.excited_std)
     drives = multibody_drives(project, seed, over)
     sums = sums_of(project, drives)
     speed = np.linspace(*domain.speed_range, MULTIBODY_CELLS[0])

@@ -61,7 +61,7 @@ class ScoredDrive:
         n_y = e.shape[1]
         products, along = np.zeros((n_y, len(CHANGE_PARTS), len(CHANGE_PARTS))), np.zeros((n_y, 3))
         block_s = float(replayer.core.fields(replayer.core.compiled[1])["change_block_s"][0])
-        for blocks in Blocks.of(e, yhat, usable):
+        for blocks in Blocks.stretches(e, yhat, usable):
             phi = blocks.phi / np.array([1.0, block_s, 1.0])
             products += np.einsum("mji,mjk->jik", phi, phi)
             along += np.einsum("mji,mj->ji", phi, blocks.e)

@@ -199,7 +199,7 @@ def run_planned(context: Context, planned: PlannedRun) -> dict[str, Any]:
         reactions = supervision(simulator, facts, scenario, log, planned.fault_s)
         did = conduct(context.tracking, simulator, drawn, drive, free, left_alone, read_telemetry(telemetry))
     replay = replayer.replay(drive)
-    clock = JudgedClock.of(replay, first_sample(drive, planned.fault_s, replay.Ts), FOUND_WITHIN_S)
+    clock = JudgedClock.from_replay(replay, first_sample(drive, planned.fault_s, replay.Ts), FOUND_WITHIN_S)
     offline = Offline.of(replayer, drive, planned.fault_s)
     row: dict[str, Any] = {
         "number": planned.number,
