@@ -48,7 +48,7 @@ def stored(truck, truck_drives, truck_identified):
 
 @pytest.fixture(scope="module")
 def context(truck_folder, stored) -> one_run.Context:
-    return one_run.Context(truck_folder, 1, NO_DETECTORS, TrackingBound.of(stored[0]))
+    return one_run.Context(truck_folder, 1, NO_DETECTORS, TrackingBound.from_identification(stored[0]))
 
 
 @pytest.fixture(scope="module")
@@ -59,7 +59,7 @@ def replayer(simulator, truck_folder) -> Replayer:
 @pytest.fixture(scope="module")
 def ratio(stored):
     """Largest |delta|/W_delta of a truck, by its scenario tables; each measured once."""
-    certified = trucks.CertifiedSet.of(stored[0])
+    certified = trucks.CertifiedSet.from_identification(stored[0])
     return cache(lambda tables: certified.distance(tables).ratio)
 
 
@@ -88,7 +88,7 @@ def test_scenarios_expect_what_follows_from_the_bounds(name, simulator, replayer
     expect = scenario.expect
     for seed in SEEDS:
         _, drive = simulator.drive(scenario.path, seed=seed)
-        offline = one_run.Offline.of(replayer, drive, expect.fault_start_s or 0.0)
+        offline = one_run.Offline.from_drive(replayer, drive, expect.fault_start_s or 0.0)
         due.append(offline.due_s)
         largest = max(largest, offline.largest)
     tables = plant_tables(name)
@@ -199,7 +199,7 @@ def test_a_quantity_that_happens_to_be_whole_is_a_real_number_in_every_chunk(con
 def test_what_is_drawn_depends_on_seed_and_number_alone():
 
     def text(seed: int, planned: PlannedRun) -> str:
-        return Drawn.of(2.0, seed, planned).text(planned.tables, 0.05)
+        return Drawn.for_run(2.0, seed, planned).text(planned.tables, 0.05)
 
     planned = PlannedRun(17, "within", 0.0, 0, 0.0, scenarios.draw_variation(5, 3))
     assert text(5, planned) == text(5, planned)
@@ -264,7 +264,7 @@ def steering_runs(count: int) -> list[PlannedRun]:
     number = 0
     while len(found) < count:
         planned = PlannedRun(number, "within", 0.0, 0, 0.0, "")
-        drawn = Drawn.of(2.0, 1, planned)
+        drawn = Drawn.for_run(2.0, 1, planned)
         if drawn.command.size is not None and min(v for _, v in drawn.profile) > 15.0:
             found.append(planned)
         number += 1

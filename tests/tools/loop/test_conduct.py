@@ -191,7 +191,7 @@ def test_a_certificate_about_more_than_the_weight_is_refused(truck):
     design = truck.design.model_copy(update={"structure": "K_is"})
     stored = SimpleNamespace(project=truck.model_copy(update={"design": design}), fitted=None)
     with pytest.raises(InputError, match="not about W_delta alone"):
-        trucks.CertifiedSet.of(stored)
+        trucks.CertifiedSet.from_identification(stored)
 
 
 def test_speeds_and_demands_of_the_runs_lie_in_what_is_checked():
@@ -199,7 +199,7 @@ def test_speeds_and_demands_of_the_runs_lie_in_what_is_checked():
     limit, asked, speeds, kinds = 2.06, [], [], set()
     for n in range(300):
         gain = 1.0 if n % 2 else 0.7
-        drawn = Drawn.of(limit, 4, PlannedRun(n, "within", 0.0, 0, 0.0, "", gain))
+        drawn = Drawn.for_run(limit, 4, PlannedRun(n, "within", 0.0, 0, 0.0, "", gain))
         asked.append(drawn.demand_bar / gain)
         speeds += [v for _, v in drawn.profile]
         kinds.add((drawn.command.keys.split("\n")[0], drawn.command.highest, drawn.command.size))

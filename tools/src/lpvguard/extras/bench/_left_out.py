@@ -57,7 +57,7 @@ def left_out(
     names = sorted(set(groups))
     if len(names) < 2:
         raise InputError(folder, "column group", f"{len(names)} group", "at least two")
-    parts = [(g, [s for of, s in zip(groups, sums, strict=True) if of != g]) for g in names]
+    parts = [(g, [s for group, s in zip(groups, sums, strict=True) if group != g]) for g in names]
     rows = []
     outputs = range(project.n_y)
     for j in outputs:

@@ -214,10 +214,10 @@ class Trials:
     def _constructed(self) -> list[StateSpace]:
         """Delta of size 1 that mu's lower bound constructs at some nodes."""
         speeds = self.schedule.speeds[evenly(len(self.schedule.speeds), CONSTRUCTED)]
-        found = [worst_case(self.problem.plant(v), self.schedule.at(v), self.scaling) for v in speeds]
+        worst = [worst_case(self.problem.plant(v), self.schedule.at(v), self.scaling) for v in speeds]
         return [
             StateSpace(one.delta.A, one.delta.B, one.delta.C / one.size, one.delta.D / one.size, self.Ts)
-            for one in found
+            for one in worst
         ]
 
     def _frozen(self, v: float, bound: float, size: float) -> Trial:

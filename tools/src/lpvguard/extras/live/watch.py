@@ -178,8 +178,8 @@ class Watch:
         judged = np.column_stack(
             [frames.t_judged_s, frames.bin, frames.statistic, frames.margin, frames.evidence]
         )[counted]
-        found = self.replayer.alarms(run, 0.0)
-        alarms = [{"t_s": a.t_s, "says": alarm_sentence(a)} for a in found]
+        raised = self.replayer.alarms(run, 0.0)
+        alarms = [{"t_s": a.t_s, "says": alarm_sentence(a)} for a in raised]
         with self._lock:
             self._ring.put(np.column_stack([t, shown, said]))
             self._judged.put(judged)
@@ -190,7 +190,7 @@ class Watch:
                 self._reasons[REASONS[reason]] += int(n)
         if self._listener is not None and self._listener.listens():
             piece = Drive("live", t, v, u, y, missing=~present.astype(bool))
-            self._listener.hear(self.replayer.series_of(piece, yhat, run, 0.0), found)
+            self._listener.hear(self.replayer.series_of(piece, yhat, run, 0.0), raised)
 
     def silent_s(self) -> float | None:
         """Time since the newest frame [s]; None before the first."""
@@ -220,8 +220,8 @@ class Watch:
         if self._receiver.columns == len(self.signals):
             return None
         wanted = REFERENCE.signal.removesuffix("_command")
-        found = (s.name for s in self.replayer.project.outputs if s.can and s.can.signal == wanted)
-        return next(found, None)
+        matches = (s.name for s in self.replayer.project.outputs if s.can and s.can.signal == wanted)
+        return next(matches, None)
 
     def view(self, span_s: float, until: float | None, most: int) -> dict[str, Any]:
         """The ``span_s`` [s] before ``until`` [s] (None: now), with at most ``most`` rows of the series."""

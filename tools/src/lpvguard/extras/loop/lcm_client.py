@@ -51,10 +51,10 @@ INSTALL = "the Debian packages liblcm-dev and liblcm-bin, or pip install './tool
 def generator() -> str:
     """Path of lcm-gen. InputError when there is none."""
     beside = Path(sys.executable).with_name("lcm-gen")
-    found = shutil.which("lcm-gen") or (str(beside) if beside.is_file() else None)
-    if found is None:
+    path = shutil.which("lcm-gen") or (str(beside) if beside.is_file() else None)
+    if path is None:
         raise InputError("lcm-gen", "", "not found", INSTALL)
-    return found
+    return path
 
 
 @cache

@@ -70,12 +70,12 @@ Limits = Mapping[tuple[str, str], tuple[float, float]]
 
 def limits(project: Project) -> dict[tuple[str, str], tuple[float, float]]:
     """Limits by the vehicle's signal table for the monitor's signals on the bus."""
-    found = {}
+    by_signal = {}
     for s in (project.speed, *project.outputs):
         if s.can is not None:
             ends = s.can.factor * s.min, s.can.factor * s.max
-            found[s.can.message, s.can.signal] = min(ends), max(ends)
-    return found
+            by_signal[s.can.message, s.can.signal] = min(ends), max(ends)
+    return by_signal
 
 
 def required(
@@ -261,7 +261,7 @@ class Reactions:
     away_s: float
 
     @classmethod
-    def of(cls, said: np.ndarray, must: np.ndarray, Ts: float) -> Reactions:
+    def from_states(cls, said: np.ndarray, must: np.ndarray, Ts: float) -> Reactions:
         """``said``, ``must``: (N,) states at ticks ``Ts`` [s] apart."""
         missed = said > must
         stretches = _stretches(must < LIVE)

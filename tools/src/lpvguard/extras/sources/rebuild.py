@@ -76,9 +76,9 @@ def made(f: PublicFile, form: Form, origin: Origin) -> bytes:
 
 
 def _require(f: PublicFile, what: str, wanted: str, data: bytes, expected: str) -> None:
-    found = hashlib.sha256(data).hexdigest()
-    if found != wanted:
-        raise InputError(what, "sha256", f"{found}, not {wanted}", expected)
+    digest = hashlib.sha256(data).hexdigest()
+    if digest != wanted:
+        raise InputError(what, "sha256", f"{digest}, not {wanted}", expected)
 
 
 def _formed(form: Form, parts: list[bytes]) -> bytes:

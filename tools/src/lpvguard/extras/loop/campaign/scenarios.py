@@ -152,7 +152,7 @@ class Drawn:
     seed: int
 
     @classmethod
-    def of(cls, limit_bar: float, seed: int, planned: PlannedRun) -> Drawn:
+    def for_run(cls, limit_bar: float, seed: int, planned: PlannedRun) -> Drawn:
         """Draws from the campaign's seed and the run's number.
 
         The truck's peak demand lies between LEAST_BAR (FAULT_BAR with a fault) and ROOM of the controller's
