@@ -47,8 +47,8 @@ def _component_squares(
     drive, e, yhat = reader.read(experiment)
     squares = {}
     for b, components in bank.components(baselines, e, yhat, drive.v):
-        said = components[:, components[0] >= 0]
-        squares[b] = np.sum(said**2, axis=1), said.shape[1]
+        usable = components[:, components[0] >= 0]
+        squares[b] = np.sum(usable**2, axis=1), usable.shape[1]
     return squares
 
 

@@ -376,10 +376,10 @@ def front(E: np.ndarray, Z: np.ndarray, gamma_w: np.ndarray) -> np.ndarray:
     |delta0|,
     B1 and |Z| of FRONT_BLOCK frames bound their nu, and most blocks stay below a first frame's.
     """
-    out, asked = np.full(len(gamma_w), np.nan), np.flatnonzero(~np.isnan(gamma_w))
-    if not len(E) or not len(asked):
+    out, valid = np.full(len(gamma_w), np.nan), np.flatnonzero(~np.isnan(gamma_w))
+    if not len(E) or not len(valid):
         return out
-    least, gamma = s1.least(E, Z), gamma_w[asked]
+    least, gamma = s1.least(E, Z), gamma_w[valid]
     firsts = np.arange(0, len(E), FRONT_BLOCK)
     size, z, b1, centre = (np.maximum.reduceat(x, firsts) for x in least)
     least_z = np.minimum.reduceat(np.where(least.z > 0, least.z, np.inf), firsts)
@@ -392,7 +392,7 @@ def front(E: np.ndarray, Z: np.ndarray, gamma_w: np.ndarray) -> np.ndarray:
     turns = np.cumsum(open_blocks.sum(axis=1)) // len(firsts)
     for turn in np.unique(turns):
         some = np.flatnonzero(turns == turn)
-        out[asked[some]] = _front_within(E, Z, least, gamma[some], open_blocks[some], firsts)
+        out[valid[some]] = _front_within(E, Z, least, gamma[some], open_blocks[some], firsts)
     return out
 
 

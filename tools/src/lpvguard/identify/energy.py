@@ -479,9 +479,9 @@ class EnergyTest:
         """
         least = {"sigma": np.finfo(float).tiny, "start": 0.0, "joint": 1.0}
         for name, low in least.items():
-            value, wanted = np.array(data[name], float), getattr(self, name).shape
-            if value.shape != wanted or not (np.isfinite(value) & (value >= low)).all():
-                raise InputError(where, name, f"{data[name]}", f"finite numbers {wanted}, {low:g} at least")
+            value, shape = np.array(data[name], float), getattr(self, name).shape
+            if value.shape != shape or not (np.isfinite(value) & (value >= low)).all():
+                raise InputError(where, name, f"{data[name]}", f"finite numbers {shape}, {low:g} at least")
         if not np.allclose(data["gain"], self.gain, rtol=STATED_RTOL, atol=0):
             raise InputError(where, "gain", f"{data['gain']}", f"{self.gain}, of the weights")
         for one, proved in zip(data["certificate"], self.certificate, strict=True):

@@ -85,8 +85,8 @@ def _best(
     each: np.ndarray, Z: np.ndarray, floor: np.ndarray, typical: float, largest: float
 ) -> tuple[float, np.ndarray, float]:
     """W_delta, B_w (m,) and factor of one bin; needs of drives ``each`` (D, P, m), |Z| (F, m)."""
-    asked = each[each.any(axis=(1, 2))]
-    most = asked.max(axis=0, initial=0.0)
+    needed = each[each.any(axis=(1, 2))]
+    most = needed.max(axis=0, initial=0.0)
     B_of = np.maximum(most, floor)
     strongest = Z.max(axis=0, initial=0.0)
     reached = np.maximum(CANDIDATES, typical)
@@ -98,9 +98,9 @@ def _best(
             break
         factor = max(1.0, _least_factor(further, B, W))
         # Without the drive that asks for the most the next one does.
-        for d in np.unique(asked[:, p].argmax(axis=0)) if len(asked) > 1 else ():
-            rest = np.maximum(np.delete(asked[:, p], d, axis=0).max(axis=0), floor)
-            factor = max(factor, _least_factor(asked[d], rest, W))
+        for d in np.unique(needed[:, p].argmax(axis=0)) if len(needed) > 1 else ():
+            rest = np.maximum(np.delete(needed[:, p], d, axis=0).max(axis=0), floor)
+            factor = max(factor, _least_factor(needed[d], rest, W))
         g = np.max(Z / np.maximum(B, TINY), axis=1) if len(Z) else np.zeros(1)
         visible = factor * (W + 1 / max(float(np.percentile(g, TYPICAL)), TINY))
         if best is None or visible < best[0]:
@@ -114,6 +114,6 @@ def _least_factor(own: np.ndarray, B: np.ndarray, W: float) -> float:
     low, high = 0.0, LARGEST_FACTOR
     for _ in range(40):
         middle = 0.5 * (low + high)
-        asked = [np.interp(middle * W, CANDIDATES, column) for column in own.T]
-        low, high = (low, middle) if np.all(np.array(asked) <= middle * B) else (middle, high)
+        needed = [np.interp(middle * W, CANDIDATES, column) for column in own.T]
+        low, high = (low, middle) if np.all(np.array(needed) <= middle * B) else (middle, high)
     return high

@@ -679,15 +679,15 @@ def beyond(project: Project, grid: ErrorGrid) -> np.ndarray:
     ----------
     THEORY 7.6, (T32).
     """
-    said = {b.output: b for b in project.model_error.beyond}
+    stated = {b.output: b for b in project.model_error.beyond}
     columns = []
     for signal in project.outputs:
-        if signal.name not in said:
+        if signal.name not in stated:
             columns.append(np.full(len(grid.omega), 2.0))
             continue
         where = f"vehicle {project.name}, model_error.beyond of {signal.name}"
         rho = np.broadcast_to(
-            evaluate(said[signal.name].ratio, {"omega": grid.omega}, where), grid.omega.shape
+            evaluate(stated[signal.name].ratio, {"omega": grid.omega}, where), grid.omega.shape
         )
         if not (np.isfinite(rho) & (rho >= 1)).all():
             raise InputError(where, "ratio", f"{rho.min():.6g} at its least", "at least 1 at every frequency")
@@ -736,8 +736,8 @@ def band_bound(project: Project, grid: ErrorGrid, bands: list[ErrorBand]) -> np.
     for j, band in enumerate(bands):
         dead = out[: len(band.omega), j, None, None]
         informed = (np.arange(len(band.omega)) <= _last(project, grid))[:, None, None]
-        asked = np.where(informed & (band.k * band.sd < dead), band.upper, np.maximum(dead, band.lower))
-        out[: len(band.omega), j] = asked.max(axis=(1, 2))
+        needed = np.where(informed & (band.k * band.sd < dead), band.upper, np.maximum(dead, band.lower))
+        out[: len(band.omega), j] = needed.max(axis=(1, 2))
     return out if project.n_delta == project.n_y else out.max(axis=1, keepdims=True)
 
 
@@ -899,11 +899,11 @@ def _left_out(project: Project, grid: ErrorGrid, fold: tuple[Sums, Sums]) -> flo
     return covered(uncertainty_bound(project, grid, others), own)
 
 
-def covered(asked: np.ndarray, own: ErrorEstimate) -> float:
-    """Least ratio of what is ``asked`` for (G, n_delta) to |delta_c| - k se of an estimate; inf: it asks for
-    nothing."""
+def covered(bound: np.ndarray, own: ErrorEstimate) -> float:
+    """Least ratio of a ``bound`` (G, n_delta) to |delta_c| - k se of an estimate; inf where that is nowhere
+    above 0."""
     lower = own.lower.max(axis=(2, 3))
-    return float((asked / np.maximum(lower, TINY)).min(where=lower > 0, initial=np.inf))
+    return float((bound / np.maximum(lower, TINY)).min(where=lower > 0, initial=np.inf))
 
 
 def _each_and_others(folds: list[Sums]) -> Iterator[tuple[Sums, Sums]]:

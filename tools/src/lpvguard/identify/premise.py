@@ -147,10 +147,10 @@ def premise(stored: StoredIdentification) -> Premise:
     informative = np.isfinite(judging.se) & (judging.k * judging.se < 1)
 
     def least(against: np.ndarray) -> Least | None:
-        asked = np.where(informative & (against > 0), against, 0.0)
-        if not asked.any():
+        sizes = np.where(informative & (against > 0), against, 0.0)
+        if not sizes.any():
             return None
-        ratio = W[:, :, None, None] / np.maximum(asked, 1e-300)
+        ratio = W[:, :, None, None] / np.maximum(sizes, 1e-300)
         at = np.unravel_index(np.argmin(ratio), ratio.shape)
         g, j = int(at[0]), int(at[1])
         return Least(

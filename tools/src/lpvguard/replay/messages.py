@@ -87,8 +87,8 @@ def messages(series: pa.Table, alarms: Iterable[Alarm | dict[str, Any]]) -> list
             values = numbers(series[name])
             rad_s = float(name.removeprefix(MARGIN))
             for i in np.flatnonzero(np.isfinite(values)):
-                said = {"rad_s": rad_s, "margin": float(values[i])}
-                series_messages.append(SeriesMessage(times[i], "/lpvguard/margin", said))
+                content = {"rad_s": rad_s, "margin": float(values[i])}
+                series_messages.append(SeriesMessage(times[i], "/lpvguard/margin", content))
     for alarm in alarms:
         test, t_s = (alarm.test, alarm.t_s) if isinstance(alarm, Alarm) else (alarm["test"], alarm["t_s"])
         t = round(t_s * 1e9)

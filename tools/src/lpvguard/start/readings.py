@@ -119,12 +119,12 @@ def decided(
             f"not given, and the steering is at a steering wheel: {best.words()}",
             "the wheelbase in m, or --steering-ratio",
         )
-    said = [f"{turn.explained:.0%} of the yaw rate explained, {best.words()}"]
+    evidence = [f"{turn.explained:.0%} of the yaw rate explained, {best.words()}"]
     if known.wheelbase_m is None:
-        said.append(f"no wheelbase given: compare {best.wheelbase_m:.3g} m with the vehicle's")
+        evidence.append(f"no wheelbase given: compare {best.wheelbase_m:.3g} m with the vehicle's")
     if len(candidates) > 1:
-        said.append(f"next best: {candidates[1].words()}, but {', '.join(candidates[1].why)}")
-    return best, said
+        evidence.append(f"next best: {candidates[1].words()}, but {', '.join(candidates[1].why)}")
+    return best, evidence
 
 
 def _wheels(known: Known) -> tuple[bool, ...]:
@@ -148,12 +148,12 @@ def _differing(near: Sequence[UnitReading]) -> str:
 
 def _settles(reading: UnitReading, near: Sequence[UnitReading]) -> str:
     """The options that leave one reading of several."""
-    said = [
+    options = [
         f"--{role}-unit {reading.units[role]}" for role in ROLES if len({r.units[role] for r in near}) > 1
     ]
-    if not said or sum(r.units == reading.units for r in near) > 1:
-        said.append(f"--steering-ratio {reading.ratio:.3g}")
-    return " ".join(said)
+    if not options or sum(r.units == reading.units for r in near) > 1:
+        options.append(f"--steering-ratio {reading.ratio:.3g}")
+    return " ".join(options)
 
 
 def _largest(drives: Sequence[Driven]) -> tuple[float, float, float]:

@@ -183,13 +183,13 @@ def proposed(
         )
     turn = steady_turn(drives)
     known = replace(known, at_steering_wheel=at_steering_wheel(names["input"]))
-    reading, said = decided(turn, drives, choices, known)
+    reading, unit_evidence = decided(turn, drives, choices, known)
     sign = -1.0 if turn is not None and turn.length[0] < 0 else 1.0
     why["input"].append(
         f"in a turn it and {names['output']} have "
         + ("opposite signs: turned round, so that both are positive" if sign < 0 else "the same sign")
     )
-    why["input"] += said
+    why["input"] += unit_evidence
     factors = {"speed": 1.0, "input": sign / reading.ratio, "output": 1.0}
     return {
         role: Proposal(role, names[role], reading.units[role], factors[role], why[role], fine[role])

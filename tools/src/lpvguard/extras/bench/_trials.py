@@ -123,10 +123,10 @@ class Trials:
 
     def moving_performance(self) -> Trial:
         """A history at the proved rate with a drawn Delta: its gain over the proved level."""
-        said = self.stated["moving_speed"]["performance"]
-        speeds, name = self._profile(said["rate_mps2"])
+        claim = self.stated["moving_speed"]["performance"]
+        speeds, name = self._profile(claim["rate_mps2"])
         history = self.performance.history(speeds, self.drawn())
-        return Trial(history.gain(self._input(1))[0] / said["level"], False, name)
+        return Trial(history.gain(self._input(1))[0] / claim["level"], False, name)
 
     def frozen(self) -> Trial:
         """Trial at a speed with a proved mu: a Delta of gain 1/mu leaves a gain of mu."""

@@ -54,12 +54,12 @@ def main(argv: list[str]) -> None:
     document = controller_file.require_designed_for(stored, options.design / "controller.json")
     controller_file.require_exported_with(options.design / "controller.json", options.vehicle)
     schedule = Scheduled.read(document)
-    asked = amplitudes(options.amplitudes, design_settings(stored).amplitudes)
+    demanded = amplitudes(options.amplitudes, design_settings(stored).amplitudes)
     runs = certified_runs(stored, document, CompiledController(options.vehicle), options.draws)
     empirical = Simulator(options.vehicle).run(load_scenario("nominal"))
     ratio = empirical["tracking_rms"] / empirical["command_rms"]
     with workers(PROCESSES) as run_all:
-        table = true_table(CertifiedLoop(stored, schedule), asked, run_all)
+        table = true_table(CertifiedLoop(stored, schedule), demanded, run_all)
     show(
         "\n".join([*_run_lines(runs, ratio), *true_lines(table)]),
         {
@@ -83,18 +83,20 @@ def amplitudes(text: str | None, of_project: Sequence[float] | None) -> list[flo
     return numbers_of("robust", "--amplitudes", text, lambda u: 0 < u < np.inf, "positive numbers")
 
 
-def true_table(loop: CertifiedLoop, asked: Sequence[float], run_all: Map, tables: str = "") -> dict[str, Any]:
+def true_table(
+    loop: CertifiedLoop, demanded: Sequence[float], run_all: Map, tables: str = ""
+) -> dict[str, Any]:
     """The fields ``amplitudes``, ``promised``, ``true`` and ``beyond`` of robust.json, for SPEEDS speeds over
-    the model's range and each amplitude ``asked`` [bar].
+    the model's range and each amplitude ``demanded`` [bar].
 
     ``tables``: variation and faults of the truck, as scenario tables.
     """
     speeds = np.linspace(*loop.model.speed_range, SPEEDS).tolist()
-    plan = [(v, a, u) for v in speeds for a, u in zip(asked, loop.amplitudes(v, asked), strict=True)]
+    plan = [(v, a, u) for v in speeds for a, u in zip(demanded, loop.amplitudes(v, demanded), strict=True)]
     loops = [loop.true(measured) for measured in run_all(partial(_measured, tables), plan)]
     rows = [_row(one) for one in loops]
     return {
-        "amplitudes": list(asked),
+        "amplitudes": list(demanded),
         "promised": [{"v_mps": v, "margins": _fields(loop.promised(v))} for v in speeds],
         "true": rows,
         "beyond": sum(d["ratio"] > 1 for row in rows for d in row["deviations"]),
@@ -102,8 +104,8 @@ def true_table(loop: CertifiedLoop, asked: Sequence[float], run_all: Map, tables
 
 
 def _measured(tables: str, point: tuple[float, float, float]) -> MeasuredResponse:
-    v, asked, amplitude = point
-    return MeasuredResponse(v, asked, amplitude, *frequency_response(tables, v, amplitude, OMEGA))
+    v, demanded, amplitude = point
+    return MeasuredResponse(v, demanded, amplitude, *frequency_response(tables, v, amplitude, OMEGA))
 
 
 def _fields(margins: LoopMargins | None) -> dict[str, Any] | None:

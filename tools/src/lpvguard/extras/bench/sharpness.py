@@ -227,10 +227,10 @@ def _lines(rows: list[SetResult]) -> Iterator[str]:
                 f"{max(r.loose for r in of_car):.2f}, {max(r.loose_all for r in of_car):.2f}"
             )
             if deviating:
-                within, asked = sum(r.within for r in of_car), sum(r.further for r in of_car)
-                low, high = proportion(within, asked)
+                within, further = sum(r.within for r in of_car), sum(r.further for r in of_car)
+                low, high = proportion(within, further)
                 yield (
-                    f"  further drives within: {within} of {asked}, interval {low:.3f} to {high:.3f}, "
+                    f"  further drives within: {within} of {further}, interval {low:.3f} to {high:.3f}, "
                     f"stated {1 - LEVEL:g}"
                 )
 

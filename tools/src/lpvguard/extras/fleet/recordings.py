@@ -270,22 +270,22 @@ def _summary(
     state: FleetState, listed: Listed, results: dict[str, _Results], left_out: dict[str, str]
 ) -> dict[str, Any]:
     vehicles = {}
-    for name, said in results.items():
+    for name, result in results.items():
         member = state.members.get(name, Member())
-        judged_h = sum(r["judged_s"] for r in said.rows) / 3600
-        alarmed = sum(r["alarmed"] for r in said.rows)
+        judged_h = sum(r["judged_s"] for r in result.rows) / 3600
+        alarmed = sum(r["alarmed"] for r in result.rows)
         vehicles[name] = {
             "recordings": member.life.recordings,
             "wealth": member.life.wealth,
             "changed_at": member.life.changed_at or None,
             "changed_by": member.changed_by,
             "earliest": state.table.earliest(member.life),
-            "already_counted": said.already,
-            "left_out": said.left_out,
+            "already_counted": result.already,
+            "left_out": result.left_out,
             "judged_h": judged_h,
-            "alarmed": rate(alarmed, len(said.rows)),
+            "alarmed": rate(alarmed, len(result.rows)),
             "alarmed_per_judged_h": per_hour(alarmed, judged_h),
-            "new": said.rows,
+            "new": result.rows,
         }
     return {
         "terms": asdict(state.terms),

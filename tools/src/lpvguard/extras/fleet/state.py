@@ -110,9 +110,9 @@ class FleetState:
         }
         return cls(Terms(**document["terms"]), document["calibration"], document["calibrated"], members)
 
-    def require(self, path: Path, asked: Mapping[str, Any]) -> None:
-        """Raise InputError unless the terms are those ``asked`` for, by name; None asks for nothing."""
-        for name, value in asked.items():
+    def require(self, path: Path, terms: Mapping[str, Any]) -> None:
+        """Raise InputError unless the state has these terms, by name; a term of None is not compared."""
+        for name, value in terms.items():
             own = getattr(self.terms, name)
             if value is not None and value != own:
                 raise InputError(path, f"terms.{name}", f"{own}", f"{value}; another state has other terms")

@@ -66,8 +66,8 @@ class Sampler:
             heard = np.unique(frames.channel[self._receiver.ours(frames)])
             names = {frames.channels[k] for k in heard} | ({self._channel} if self._channel else set())
             if len(names) > 1:
-                said = f"the vehicle's messages come from {', '.join(sorted(names))}"
-                raise InputError("live", "channel", said, "--channel, to say which")
+                sources = f"the vehicle's messages come from {', '.join(sorted(names))}"
+                raise InputError("live", "channel", sources, "--channel, to say which")
             self._channel = next(iter(names), None)
         if self._channel not in frames.channels:
             return frames.at(slice(0, 0))

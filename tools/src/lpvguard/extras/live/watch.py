@@ -172,7 +172,7 @@ class Watch:
         command = values[:, -1:] if more else np.full((len(t), 1), np.nan)
         shown = np.where(present[:, None], np.hstack([clean[:, : len(self.signals)], yhat, command]), np.nan)
         energy, change = (np.where(ratio > 0, ratio, np.nan) for ratio in (run.energy, run.change))
-        said = np.column_stack([run.verdict, present, energy, run.energy_band, change])
+        verdicts = np.column_stack([run.verdict, present, energy, run.energy_band, change])
         frames = run.frames
         counted = frames.counted
         judged = np.column_stack(
@@ -181,7 +181,7 @@ class Watch:
         raised = self.replayer.alarms(run, 0.0)
         alarms = [{"t_s": a.t_s, "says": alarm_sentence(a)} for a in raised]
         with self._lock:
-            self._ring.put(np.column_stack([t, shown, said]))
+            self._ring.put(np.column_stack([t, shown, verdicts]))
             self._judged.put(judged)
             self._newest[judged[:, 1].astype(int)] = judged
             self._alarms.extend(alarms)
@@ -219,8 +219,8 @@ class Watch:
         """Output that the driver's command on the bus is for; None without a command."""
         if self._receiver.columns == len(self.signals):
             return None
-        wanted = REFERENCE.signal.removesuffix("_command")
-        matches = (s.name for s in self.replayer.project.outputs if s.can and s.can.signal == wanted)
+        output = REFERENCE.signal.removesuffix("_command")
+        matches = (s.name for s in self.replayer.project.outputs if s.can and s.can.signal == output)
         return next(matches, None)
 
     def view(self, span_s: float, until: float | None, most: int) -> dict[str, Any]:

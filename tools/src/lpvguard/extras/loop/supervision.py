@@ -261,17 +261,17 @@ class Reactions:
     away_s: float
 
     @classmethod
-    def from_states(cls, said: np.ndarray, must: np.ndarray, Ts: float) -> Reactions:
-        """``said``, ``must``: (N,) states at ticks ``Ts`` [s] apart."""
-        missed = said > must
-        stretches = _stretches(must < LIVE)
+    def from_states(cls, reported: np.ndarray, required: np.ndarray, Ts: float) -> Reactions:
+        """``reported``, ``required``: (N,) states at ticks ``Ts`` [s] apart."""
+        missed = reported > required
+        stretches = _stretches(required < LIVE)
         late = max((b - a for a, b in _stretches(missed)), default=0)
         return cls(
             len(stretches),
             sum(not missed[a:b].any() for a, b in stretches),
             late * Ts,
-            float((said < must).sum() * Ts),
-            float((must < LIVE).sum() * Ts),
+            float((reported < required).sum() * Ts),
+            float((required < LIVE).sum() * Ts),
         )
 
 

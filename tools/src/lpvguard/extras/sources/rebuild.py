@@ -75,10 +75,10 @@ def made(f: PublicFile, form: Form, origin: Origin) -> bytes:
     return data
 
 
-def _require(f: PublicFile, what: str, wanted: str, data: bytes, expected: str) -> None:
+def _require(f: PublicFile, what: str, sha256: str, data: bytes, expected: str) -> None:
     digest = hashlib.sha256(data).hexdigest()
-    if digest != wanted:
-        raise InputError(what, "sha256", f"{digest}, not {wanted}", expected)
+    if digest != sha256:
+        raise InputError(what, "sha256", f"{digest}, not {sha256}", expected)
 
 
 def _formed(form: Form, parts: list[bytes]) -> bytes:

@@ -323,15 +323,15 @@ def supervision(
     ticks_us = np.arange(first, end) * round(Ts * 1e6)
     times, states = zip(*facts["supervision"], strict=True)
     newest = np.searchsorted(np.round(np.array(times) * 1e6), ticks_us, side="right") - 1
-    said = np.array([SUPERVISION.index(s) for s in states])[newest]
+    reported = np.array([SUPERVISION.index(s) for s in states])[newest]
     frames = None if log is None else read_raw_log(log)
     if frames is None:
-        return Reactions.from_states(said, np.full(len(ticks_us), LIVE), Ts)
+        return Reactions.from_states(reported, np.full(len(ticks_us), LIVE), Ts)
     off_us = [
         round(fault["start_s"] * 1e6) for fault in scenario.get("can_fault", ()) if fault["kind"] == "bus_off"
     ]
     must = required(frames, needed_messages(project), ticks_us, off_us, limits(project))
-    return Reactions.from_states(said, must, Ts)
+    return Reactions.from_states(reported, must, Ts)
 
 
 def _statistic(replayer: Replayer, replay: Replay, drive: Drive) -> np.ndarray:

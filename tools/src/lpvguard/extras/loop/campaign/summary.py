@@ -234,10 +234,10 @@ def _missed(summary: dict[str, Any]) -> Iterator[str]:
                 f"{test} test: {seen['count']} of {seen['of']} runs within the bounds alarm, "
                 f"up to {seen['interval'][1]:.2%} with 95 %, calibrated {calibrated:.2%}"
             )
-    for bus, said in ((bus, s["as_required"]) for bus, s in summary["supervision"].items()):
-        if said["count"] < said["of"]:
+    for bus, rates in ((bus, s["as_required"]) for bus, s in summary["supervision"].items()):
+        if rates["count"] < rates["of"]:
             yield (
-                f"{bus} bus: in {said['of'] - said['count']} of {said['of']} runs the supervision did not "
+                f"{bus} bus: in {rates['of'] - rates['count']} of {rates['of']} runs the supervision did not "
                 "report the required states"
             )
     due = summary["due"]

@@ -80,8 +80,8 @@ class CertifiedSet:
         """Distance of the truck with these scenario tables, measured until it exceeds the bounds."""
         model, outputs = NominalModel(self.project), [signal.name for signal in self.project.outputs]
         worst, least_gain = Distance(0.0, outputs[0], 0.0, 0.0, 0.0, None), np.inf
-        for v, amplitude, wanted in self._points(model):
-            omega, G = frequency_response(tables, v, amplitude, wanted)
+        for v, amplitude, omegas in self._points(model):
+            omega, G = frequency_response(tables, v, amplitude, omegas)
             ratio = G / model.frequency_response(omega, v)[..., 0]
             if amplitude == within_use(model, v, RESPONSE_BAR)[-1]:
                 gain = np.abs(ratio[omega <= HIGHEST_COMMAND_RADPS, 0])
