@@ -202,12 +202,12 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="tools/docs", description=__doc__.splitlines()[0])
     parser.add_argument("out", type=Path, nargs="?", default=ROOT / "out" / "docs", help="default: out/docs")
     parser.add_argument("--tree", type=Path, default=ROOT, help=argparse.SUPPRESS)
-    given = parser.parse_args()
-    findings = build(given.tree.resolve(), given.out.resolve())
+    options = parser.parse_args()
+    findings = build(options.tree.resolve(), options.out.resolve())
     for finding in findings:
         print(f"tools/docs: {finding}", file=sys.stderr)
     if not findings:
-        print(given.out / "html" / "index.html")
+        print(options.out / "html" / "index.html")
     return 1 if findings else 0
 
 

@@ -169,10 +169,10 @@ def block_math(self: Any, node: nodes.math_block) -> None:
     if tag:
         self.body.append(f'<span class="number">({tag[1]})</span>')
     self.body.append("</div>")
-    found = self.builder.app.lpvguard_places.get(tag[1]) if tag else None
-    if found:
+    places = self.builder.app.lpvguard_places.get(tag[1]) if tag else None
+    if places:
         cells = []
-        for word, links in zip(("Code", "Test"), found, strict=True):
+        for word, links in zip(("Code", "Test"), places, strict=True):
             made = []
             for path, symbol in links[:3]:
                 self.builder.app.lpvguard_sources.add(path)

@@ -237,10 +237,10 @@ def docstring(text: str) -> list[str]:
         out += [f"**{title}**", ""]
         if title in NAMED_ENTRIES:
             for entry in re.split(r"\n(?=\S)", body.strip("\n")):
-                head, _, told = entry.partition("\n")
+                head, _, lines = entry.partition("\n")
                 name, _, kind = head.partition(" : ")
                 out.append(
-                    f"- `{name}`{f' ({markdown(kind)})' if kind else ''}: {markdown(' '.join(told.split()))}"
+                    f"- `{name}`{f' ({markdown(kind)})' if kind else ''}: {markdown(' '.join(lines.split()))}"
                 )
             out.append("")
         else:

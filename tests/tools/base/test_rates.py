@@ -22,11 +22,11 @@ def test_alarms_an_hour_have_exact_intervals():
 
 
 def test_no_interval_is_of_zero_width():
-    for of in (1, 2, 11, 5000):
-        for count in {0, 1, of // 2, of}:
-            share, hourly = rate(count, of)["interval"], per_hour(count, 0.01 * of)["interval"]
-            assert share[0] <= count / of <= share[1] and share[1] - share[0] > 1e-4
-            assert hourly[0] <= count / (0.01 * of) <= hourly[1] and hourly[1] - hourly[0] > 1e-2
+    for total in (1, 2, 11, 5000):
+        for count in {0, 1, total // 2, total}:
+            share, hourly = rate(count, total)["interval"], per_hour(count, 0.01 * total)["interval"]
+            assert share[0] <= count / total <= share[1] and share[1] - share[0] > 1e-4
+            assert hourly[0] <= count / (0.01 * total) <= hourly[1] and hourly[1] - hourly[0] > 1e-2
 
 
 @pytest.mark.parametrize(("p", "n"), [(0.02, 11), (0.1, 30), (0.5, 5)])
@@ -34,8 +34,8 @@ def test_the_intervals_cover_with_95_percent(p, n):
     random = np.random.default_rng(8)
     share = [rate(int(c), n)["interval"] for c in random.binomial(n, p, 2000)]
     hourly = [per_hour(int(c), n / 10)["interval"] for c in random.poisson(p * n / 10, 2000)]
-    for found in (share, hourly):
-        assert np.mean([low <= p <= high for low, high in found]) >= 0.94
+    for intervals in (share, hourly):
+        assert np.mean([low <= p <= high for low, high in intervals]) >= 0.94
 
 
 def test_false_alarms_are_counted_in_pieces_drives_recordings_and_by_the_hour_judged():

@@ -67,8 +67,8 @@ def test_where_nothing_is_excited_the_prior_keeps_the_estimate(g80):
     estimator = Estimator.from_project(g80, NominalModel(g80))
     test = designed(g80, estimator, *fault_drive(estimator, 0.1, 0.02, 0.05))
     e, yhat, v = fault_drive(estimator, 0.5, 0.1, 0.0)
-    found = estimates_met(test, 1e-3 * e, 1e-3 * yhat, v, estimator)
-    assert (found.largest < 2e-2 * test.largest).all(), "faults five times as large"
+    met = estimates_met(test, 1e-3 * e, 1e-3 * yhat, v, estimator)
+    assert (met.largest < 2e-2 * test.largest).all(), "faults five times as large"
 
 
 def test_blocks_are_whole_settled_and_begin_with_the_one_after_the_first(g80):
