@@ -187,9 +187,9 @@ def random_frames(message: str, n: int) -> tuple[np.ndarray, np.ndarray]:
     order = [s.name for s in CATALOGUE.message(message).signals]
     reference, whole = database().get_message_by_name(message), data.tobytes()
     raw = [
-        [found[name] for name in order]
+        [decoded[name] for name in order]
         for i in range(n)
-        for found in [reference.decode(whole[8 * i : 8 * i + 8], decode_choices=False, scaling=False)]
+        for decoded in [reference.decode(whole[8 * i : 8 * i + 8], decode_choices=False, scaling=False)]
     ]
     return data, np.array(raw, np.uint16)
 

@@ -12,8 +12,8 @@ QUICK_S, UNSTATED_S = 0.2, 5.0
 
 def stated_seconds(reason: str) -> float:
     """Processor seconds that a slow or long mark states."""
-    found = re.search(r"(\d+(?:\.\d+)?) s\b", reason)
-    return float(found[1]) if found else UNSTATED_S
+    match = re.search(r"(\d+(?:\.\d+)?) s\b", reason)
+    return float(match[1]) if match else UNSTATED_S
 
 
 def dearest_file_first(items: list[pytest.Item], of_fixtures: Iterable[str]) -> list[pytest.Item]:

@@ -204,7 +204,7 @@ def requirements(tree: Path) -> list[str]:
     """Names of the distributions that the package needs, and of those that they need. Extras are left out.
     Refused where one is not installed."""
     waiting = list(project_of(tree)["dependencies"])
-    found: dict[str, str] = {}
+    names: dict[str, str] = {}
     while waiting:
         wanted = waiting.pop()
         if "extra ==" in wanted:
@@ -213,14 +213,14 @@ def requirements(tree: Path) -> list[str]:
         said = NAMED.match(name)
         assert said is not None
         key = re.sub(r"[-_.]+", "-", said[1]).lower()
-        if key in found or _not_here(marker):
+        if key in names or _not_here(marker):
             continue
         try:
-            found[key] = metadata.distribution(said[1]).metadata["Name"]
+            names[key] = metadata.distribution(said[1]).metadata["Name"]
         except metadata.PackageNotFoundError:
             raise Refused(f"{said[1]}: not installed, expected what tools/pyproject.toml asks for") from None
         waiting += metadata.requires(said[1]) or []
-    return [found[key] for key in sorted(found)]
+    return [names[key] for key in sorted(names)]
 
 
 def _not_here(marker: str) -> bool:
@@ -250,10 +250,10 @@ def installed_version(package: str) -> str:
 
 def components(tree: Path) -> list[dict]:
     """CycloneDX components: Python distributions, then what is compiled in or linked."""
-    found = []
+    listed = []
     for name in requirements(tree):
         version = metadata.version(name)
-        found.append(
+        listed.append(
             {
                 "type": "library",
                 "bom-ref": f"pkg:pypi/{name.lower()}@{version}",
@@ -266,7 +266,7 @@ def components(tree: Path) -> list[dict]:
         )
     for name, package, licence, purpose in BESIDE:
         version = installed_version(package)
-        found.append(
+        listed.append(
             {
                 "type": "library",
                 "bom-ref": f"pkg:deb/debian/{package}@{version}",
@@ -277,7 +277,7 @@ def components(tree: Path) -> list[dict]:
                 "description": purpose,
             }
         )
-    return found
+    return listed
 
 
 def bill_of_materials(version: str, commit: str, parts: list[dict]) -> str:
@@ -359,23 +359,23 @@ def main(argv: list[str]) -> int:
     parser.add_argument("--tag", action="store_true", help="set the annotated tag vVERSION besides")
     parser.add_argument("--state", metavar="VERSION", help="write VERSION into every file that states one")
     parser.add_argument("out", type=Path, nargs="?")
-    given = parser.parse_args(argv)
+    options = parser.parse_args(argv)
     try:
-        if given.state is not None:
-            state(ROOT, given.state)
+        if options.state is not None:
+            state(ROOT, options.state)
             return 0
-        if given.out is None:
+        if options.out is None:
             parser.error("OUT is missing")
-        if given.tag and given.draft:
+        if options.tag and options.draft:
             raise Refused("--tag: not with --draft, a tag is for good")
-        version = release(ROOT, given.out.resolve(), given.draft)
-        if given.tag:
+        version = release(ROOT, options.out.resolve(), options.draft)
+        if options.tag:
             run("git", "tag", "-a", f"v{version}", "-m", f"lpvguard {version}", cwd=ROOT)
     except Refused as error:
         print(f"tools/release: {error}", file=sys.stderr)
         return 2
-    print((given.out / "SHA256SUMS").read_text(), end="")
-    print(f"lpvguard {version} in {given.out}")
+    print((options.out / "SHA256SUMS").read_text(), end="")
+    print(f"lpvguard {version} in {options.out}")
     return 0
 
 

@@ -143,8 +143,8 @@ def main() -> int:
     if not counts["passed"]:
         counts["failed"] += 1
     if arguments.fast is not None:
-        found = arguments.results / COLLECTED
-        tests = arguments.fast + (int(found.read_text()) if found.is_file() else 0)
+        collected = arguments.results / COLLECTED
+        tests = arguments.fast + (int(collected.read_text()) if collected.is_file() else 0)
         print(f"fast: {sum(number.values())} of {tests} tests; the others run with tools/test alone")
     print(f"{counts['passed']} passed, {counts['failed']} failed, {counts['skipped']} skipped")
     return 1 if counts["failed"] else 0

@@ -108,8 +108,8 @@ def places(value: object, path: tuple = ()) -> Iterator[tuple]:
 
 def damage_document(document: dict, random: np.random.Generator) -> None:
     """One value replaced, or one key taken away."""
-    found = list(places(document))
-    *path, last = found[int(random.integers(len(found)))]
+    entries = list(places(document))
+    *path, last = entries[int(random.integers(len(entries)))]
     holder = document
     for key in path:
         holder = holder[key]
@@ -228,9 +228,9 @@ def of_identification(good: Path, folder: Path, random: np.random.Generator) -> 
 
 def peak_mib() -> int:
     """Largest memory this program held (MiB); getrusage's would count that of the program that began it."""
-    found = re.search(r"^VmHWM:\s+(\d+) kB$", Path("/proc/self/status").read_text(), re.MULTILINE)
-    assert found
-    return int(found[1]) // 1024
+    match = re.search(r"^VmHWM:\s+(\d+) kB$", Path("/proc/self/status").read_text(), re.MULTILINE)
+    assert match
+    return int(match[1]) // 1024
 
 
 def main(identification: Path, folder: Path, seed: int, cases: int) -> None:

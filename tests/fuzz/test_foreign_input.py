@@ -63,16 +63,16 @@ BORDER_LINES = (
 def test_both_readers_of_candump_draw_the_same_borders(line, frames):
     text = np.frombuffer(line, np.uint8)
     for read in (candump_frames, parse_candump_slowly):
-        found = read(text)
-        assert len(found) == frames
-        assert found.left_out.get("lines that are no frame", 0) == 1 - frames
+        log = read(text)
+        assert len(log) == frames
+        assert log.left_out.get("lines that are no frame", 0) == 1 - frames
 
 
 def test_both_readers_of_candump_know_as_many_interfaces():
     text = np.frombuffer(b"".join(b"(1.5) can%d 123#00\n" % k for k in range(70)), np.uint8)
     for read in (candump_frames, parse_candump_slowly):
-        found = read(text)
-        assert (len(found), found.left_out["lines that are no frame"]) == (64, 6)
+        log = read(text)
+        assert (len(log), log.left_out["lines that are no frame"]) == (64, 6)
 
 
 @pytest.mark.parametrize(

@@ -413,19 +413,19 @@ def manual(tree: Path, scratch: Path) -> list[str]:
             for word in ("Cost:", "RAM:", "Threads:")
             if path.name not in STRUCT_ONLY and word not in head
         ]
-        for found in FUNCTION.finditer(text):
-            comment = re.search(r"((?:^///[^\n]*\n)+)\Z", text[: found.start()], re.MULTILINE)
+        for function in FUNCTION.finditer(text):
+            comment = re.search(r"((?:^///[^\n]*\n)+)\Z", text[: function.start()], re.MULTILINE)
             said = comment[1] if comment else ""
             if not said:
-                findings.append(f"{path.name}: {found[2]} is not described")
-            elif found[1] == "lpvg_status_t" and "Returns" not in said:
-                findings.append(f"{path.name}: {found[2]} does not say which status it returns when")
+                findings.append(f"{path.name}: {function[2]} is not described")
+            elif function[1] == "lpvg_status_t" and "Returns" not in said:
+                findings.append(f"{path.name}: {function[2]} does not say which status it returns when")
             elif (
-                "*" in text[found.start() :].split(";")[0]
-                and found[1] != "lpvg_status_t"
+                "*" in text[function.start() :].split(";")[0]
+                and function[1] != "lpvg_status_t"
                 and "NULL" not in said
             ):
-                findings.append(f"{path.name}: {found[2]} does not say what it does with NULL")
+                findings.append(f"{path.name}: {function[2]} does not say what it does with NULL")
     return findings
 
 
@@ -609,13 +609,13 @@ condition its place in the decision."""
 
 def reached(tree: Path, build: Path) -> Reached:
     """By the programs that ran. What is a constant of every vehicle has no branch."""
-    found: Reached = {}
+    by_file: Reached = {}
 
     def note(file: str, kind: str, piece: list[int], hit: bool) -> None:
         path = Path(file)
         if tree / "lib" / "src" in path.parents:
-            of = found.setdefault(path.name, {kind: {} for kind in LEAST_COVERAGE})[kind]
-            of[tuple(piece)] = of.get(tuple(piece), False) or hit
+            pieces = by_file.setdefault(path.name, {kind: {} for kind in LEAST_COVERAGE})[kind]
+            pieces[tuple(piece)] = pieces.get(tuple(piece), False) or hit
 
     for raw in sorted(build.rglob("*.profraw")):
         merged = raw.with_suffix(".profdata")
@@ -634,7 +634,7 @@ def reached(tree: Path, build: Path) -> Reached:
             for *span, _, _, shown in part["mcdc_records"]:
                 for index, effect in enumerate(shown):
                     note(part["filename"], "conditions", [*span, index], effect)
-    return found
+    return by_file
 
 
 CODE_REGION = 0
@@ -654,14 +654,14 @@ def coverage(tree: Path, scratch: Path, only: str = "") -> list[str]:
     broken = counted(tree, build, only)
     if broken:
         return broken
-    found = reached(tree, build)
+    reached_pieces = reached(tree, build)
     sources = {f"{only.split('.')[0]}.cpp"} if only else with_code(tree)
-    findings = [f"lib/src/{name} is in no report" for name in sorted(sources - set(found))]
+    findings = [f"lib/src/{name} is in no report" for name in sorted(sources - set(reached_pieces))]
     limits = json.loads((tree / "tests" / "gates" / "coverage.json").read_text())
     for kind in LEAST_COVERAGE:
         total = missed_in_all = 0
-        for name in sorted(sources & set(found)):
-            pieces = found[name][kind]
+        for name in sorted(sources & set(reached_pieces)):
+            pieces = reached_pieces[name][kind]
             missed = [line for (line, *_), hit in sorted(pieces.items()) if not hit]
             limit = limits[kind].get(name, {"missed": 0})["missed"]
             if len(missed) > limit:

@@ -121,9 +121,9 @@ def tidy(checks: list[str], units: list[Path], options: list[str]) -> list[str]:
     known = subprocess.run(
         [CLANG_TIDY, chosen, "--list-checks"], stdout=subprocess.PIPE, text=True, check=True
     ).stdout.split()
-    found = [f"MISRA_CPP.md: {CLANG_TIDY} knows no {check}" for check in checks if check not in known]
+    findings = [f"MISRA_CPP.md: {CLANG_TIDY} knows no {check}" for check in checks if check not in known]
     if not units:
-        return found
+        return findings
     done = subprocess.run(
         [CLANG_TIDY, chosen, "--quiet", *map(str, units), "--", *options],
         stdout=subprocess.PIPE,
@@ -131,4 +131,4 @@ def tidy(checks: list[str], units: list[Path], options: list[str]) -> list[str]:
         text=True,
         check=False,
     )
-    return found + [f"{Path(place).name}: {what}" for place, what in TIDY_FINDING.findall(done.stdout)]
+    return findings + [f"{Path(place).name}: {what}" for place, what in TIDY_FINDING.findall(done.stdout)]

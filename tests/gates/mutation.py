@@ -114,10 +114,10 @@ class Sites:
 
 def documents(dump: str) -> list[Node]:
     """Trees of a dump, every location with its file: clang names a file only where it changes."""
-    decoder, at, found = json.JSONDecoder(), 0, []
+    decoder, at, nodes = json.JSONDecoder(), 0, []
     while (at := dump.find("{", at)) >= 0:
         node, at = decoder.raw_decode(dump, at)
-        found.append(node)
+        nodes.append(node)
     newest = ""
 
     def name(value: Any) -> None:
@@ -132,8 +132,8 @@ def documents(dump: str) -> list[Node]:
             for part in value:
                 name(part)
 
-    name(found)
-    return found
+    name(nodes)
+    return nodes
 
 
 def plain_type(node: Node) -> str:

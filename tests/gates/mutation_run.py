@@ -229,7 +229,7 @@ def find_sites(tree: Path, work: Path, build: Path, files: Iterable[str]) -> dic
         for path, sites in dumped(words, build, texts).items():
             if paths[path] in several:
                 several[paths[path]].append(sites)
-    return {name: merged(found) for name, found in several.items()}
+    return {name: merged(several_sites) for name, several_sites in several.items()}
 
 
 def dumped(words: list[str], build: Path, texts: dict[str, str]) -> dict[str, Sites]:
@@ -246,19 +246,19 @@ def dumped(words: list[str], build: Path, texts: dict[str, str]) -> dict[str, Si
         )
         kept.parent.mkdir(parents=True, exist_ok=True)
         kept.write_bytes(pickle.dumps(sites_of(dump, texts)))
-    found: dict[str, Sites] = pickle.loads(kept.read_bytes())
-    return found
+    sites: dict[str, Sites] = pickle.loads(kept.read_bytes())
+    return sites
 
 
 def mutants_of(file: str, sites: Sites, first: int) -> list[Mutant]:
-    found: list[Mutant] = []
+    mutants: list[Mutant] = []
     seen: dict[tuple[str, str], int] = {}
     for number, site in numbered(sites, first):
         for index, change in enumerate(site.changes):
             same = (site.function, str(change))
             seen[same] = seen.get(same, 0) + 1
-            found.append(Mutant(number + index, file, site, index, seen[same]))
-    return found
+            mutants.append(Mutant(number + index, file, site, index, seen[same]))
+    return mutants
 
 
 # --- running ---
@@ -284,7 +284,7 @@ def listed(cases: Iterable[Case]) -> str:
 
 def reached_by(programs: list[Path], scratch: Path) -> dict[int, list[Case]]:
     """Number of a site -> test cases that reach it; RuntimeError where a program fails without a mutant."""
-    found: dict[int, list[Case]] = {}
+    cases_by_number: dict[int, list[Case]] = {}
 
     def run(program: Path) -> Path:
         note = scratch / f"{program.name}.reached"
@@ -301,7 +301,7 @@ def reached_by(programs: list[Path], scratch: Path) -> dict[int, list[Case]]:
                 case = Case(program, name, float(seconds), int(reached))
                 cases.append(case)
                 for number in numbers:
-                    found.setdefault(int(number), []).append(case)
+                    cases_by_number.setdefault(int(number), []).append(case)
             note.write_text(listed(cases))
             words = [str(program), "--list-test-names-only", "--input-file", str(note)]
             chosen = subprocess.run(
@@ -309,7 +309,7 @@ def reached_by(programs: list[Path], scratch: Path) -> dict[int, list[Case]]:
             ).stdout  # exits with their number
             if set(chosen.splitlines()) != {case.name for case in cases}:
                 raise RuntimeError(f"{program.name}: its test cases cannot be chosen by their names")
-    return found
+    return cases_by_number
 
 
 def is_own(program: Path, file: str) -> bool:
@@ -358,9 +358,9 @@ def survives(mutant: Mutant, groups: list[list[Case]], scratch: Path) -> bool:
     return status == 0
 
 
-def surviving(mutants: list[Mutant], found: dict[int, list[Case]], scratch: Path) -> list[Mutant]:
+def surviving(mutants: list[Mutant], cases_by_number: dict[int, list[Case]], scratch: Path) -> list[Mutant]:
     def run(mutant: Mutant) -> bool:
-        cases = asked(mutant.file, found.get(mutant.number - mutant.index, []))
+        cases = asked(mutant.file, cases_by_number.get(mutant.number - mutant.index, []))
         return survives(mutant, turns(mutant.file, cases), scratch)
 
     with ThreadPoolExecutor(os.cpu_count()) as pool:
@@ -377,8 +377,8 @@ EQUIVALENT, OPEN = "equivalent_mutants.json", "open_mutants.json"
 
 
 def noted(tree: Path, name: str) -> Noted:
-    found: Noted = json.loads((tree / "tests" / "gates" / name).read_text())
-    return found
+    notes: Noted = json.loads((tree / "tests" / "gates" / name).read_text())
+    return notes
 
 
 def stands_in(mutant: Mutant, notes: Noted) -> bool:
@@ -406,15 +406,15 @@ def no_longer(mutants: list[Mutant], survived: list[Mutant], notes: Noted, all_o
     """What notes name and does not survive; ``all_of``: files of which every mutant ran."""
     alive = {(m.file, m.site.function, m.key) for m in survived}
     ran = {(m.file, m.site.function, m.key) for m in mutants}
-    found = []
+    findings = []
     for file, functions in notes.items():
         for function, reasons in functions.items():
             for key in reasons:
                 place = (file, function, key)
                 if place not in alive and (place in ran or file in all_of):
                     why = "is killed" if place in ran else "is no mutant"
-                    found.append(f"{file}: {function}: {key}: {why}: take it out")
-    return found
+                    findings.append(f"{file}: {function}: {key}: {why}: take it out")
+    return findings
 
 
 def judged(
@@ -477,7 +477,7 @@ def mutation_findings(tree: Path, scratch: Path, names: list[str], full: bool, o
         mirror(tree, work, main | texts)
         command("cmake", "--build", build, "--target", *PROGRAMS)
         programs = sorted(p for p in build.rglob("test_*") if p.is_file() and os.access(p, os.X_OK))
-        found = reached_by(programs, scratch)
+        cases_by_number = reached_by(programs, scratch)
     except RuntimeError as error:
         return [str(error)]
     mutants = [m for n in files for m in mutants_of(n, sites[n], first[n])]
@@ -489,7 +489,7 @@ def mutation_findings(tree: Path, scratch: Path, names: list[str], full: bool, o
         mutants = [m for m in mutants if not stands_in(m, equivalent) and not stands_in(m, known)]
         print(f"{len(mutants)} mutants, and {listed} listed ones, which LPVGUARD_FULL=1 runs")
         mutants = sorted(random.Random(6).sample(mutants, min(sample, len(mutants))), key=lambda m: m.number)
-    survived = surviving(mutants, found, scratch)
+    survived = surviving(mutants, cases_by_number, scratch)
     for mutant in survived:
         if stands_in(mutant, known):
             print(f"open: {mutant}")

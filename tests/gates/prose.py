@@ -136,9 +136,9 @@ def docstrings(text: str) -> Iterator[tuple[int, str]]:
             yield node.body[0].lineno, entries_apart(said)
         for inner in node.body:
             if isinstance(inner, ast.FunctionDef) and not inner.name.startswith("_"):
-                told = ast.get_docstring(inner)
-                if told:
-                    yield inner.body[0].lineno, entries_apart(told)
+                docstring = ast.get_docstring(inner)
+                if docstring:
+                    yield inner.body[0].lineno, entries_apart(docstring)
             elif isinstance(inner, ast.ClassDef) and not inner.name.startswith("_"):
                 yield from visit(inner)
 

@@ -137,12 +137,12 @@ def is_number(node: ast.AST) -> bool:
 def targets(statement: ast.stmt) -> list[ast.expr]:
     """What a statement names."""
     if isinstance(statement, ast.Assign):
-        found = statement.targets
+        assigned = statement.targets
     elif isinstance(statement, ast.AnnAssign | ast.AugAssign | ast.For):
-        found = [statement.target]
+        assigned = [statement.target]
     else:
         return []
-    return [t for f in found for t in (f.elts if isinstance(f, ast.Tuple | ast.List) else [f])]
+    return [t for f in assigned for t in (f.elts if isinstance(f, ast.Tuple | ast.List) else [f])]
 
 
 class Mutants:

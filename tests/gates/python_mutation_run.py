@@ -121,8 +121,8 @@ class ListedSite:
 def target_files(tree: Path) -> list[str]:
     """Mutated files below the package, those with code."""
     package = tree / PACKAGE
-    found = {p.relative_to(package).as_posix() for pattern in TARGETS for p in package.glob(pattern)}
-    return sorted(name for name in found if not name.endswith("__init__.py"))
+    names = {p.relative_to(package).as_posix() for pattern in TARGETS for p in package.glob(pattern)}
+    return sorted(name for name in names if not name.endswith("__init__.py"))
 
 
 def folder_of(name: str) -> str:
@@ -162,7 +162,7 @@ def mutants_of(
     tree: Path, scratch: Path, names: list[str]
 ) -> tuple[list[Mutant], dict[Mutant, tuple[int, int]]]:
     """Mutants of files in the order of their text, and which (site, change) each is."""
-    found: list[Mutant] = []
+    mutants: list[Mutant] = []
     places = {}
     seen: dict[tuple[str, str, str], int] = {}
     sites: dict[str, int] = {}
@@ -172,19 +172,19 @@ def mutants_of(
         for index, change in enumerate(site.changes):
             same = (name, function, str(change))
             seen[same] = seen.get(same, 0) + 1
-            mutant = Mutant(len(found), name, site, index, seen[same])
-            found.append(mutant)
+            mutant = Mutant(len(mutants), name, site, index, seen[same])
+            mutants.append(mutant)
             places[mutant] = (at, index)
-    return found, places
+    return mutants, places
 
 
 def imported(test: Path) -> set[str]:
     """Dotted names of what a test file imports by ``from``, and of the modules that it takes that from."""
-    found = set()
+    modules = set()
     for node in ast.walk(ast.parse(test.read_text(encoding="utf-8"))):
         if isinstance(node, ast.ImportFrom) and node.module:
-            found |= {node.module, *(f"{node.module}.{alias.name}" for alias in node.names)}
-    return found
+            modules |= {node.module, *(f"{node.module}.{alias.name}" for alias in node.names)}
+    return modules
 
 
 def asked_about(tree: Path, folder: str, names: Iterable[str] = ()) -> list[Path]:

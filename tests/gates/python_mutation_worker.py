@@ -219,17 +219,17 @@ def reached_by(
     """Whether a test passes, its seconds with its fixtures, and the files of the package that it reaches; the
     lines of those that are ``traced``. It is ended where it takes much longer than a test that is asked."""
     begin = f"{package}/"
-    found: dict[str, set[int]] = {}
+    lines_by_file: dict[str, set[int]] = {}
 
     def line(frame: types.FrameType, event: str, _: object) -> Any:
         if event == "line":
-            found[frame.f_code.co_filename].add(frame.f_lineno)
+            lines_by_file[frame.f_code.co_filename].add(frame.f_lineno)
         return line
 
     def call(frame: types.FrameType, _: str, __: object) -> Any:
         name = frame.f_code.co_filename
         if name.startswith(begin):
-            found.setdefault(name, set())
+            lines_by_file.setdefault(name, set())
             return line if name in traced else None
         return None
 
@@ -241,7 +241,11 @@ def reached_by(
     good = passes([item])
     sys.settrace(None)
     threading.settrace(None)
-    return good, cpu_s() - began, {name.removeprefix(begin): sorted(found[name]) for name in sorted(found)}
+    return (
+        good,
+        cpu_s() - began,
+        {name.removeprefix(begin): sorted(lines_by_file[name]) for name in sorted(lines_by_file)},
+    )
 
 
 @dataclass(frozen=True)
@@ -278,8 +282,8 @@ class Notes:
         return note is not None and all(self.hash_of(name) == was for name, was in note["of"].items())
 
     def put(self, item: pytest.Item, seconds: float, reached: dict[str, list[int]] | None) -> None:
-        of = {name: self.hash_of(name) for name in reached or {}}
-        self.tests[item.nodeid] = {"seconds": seconds, "reached": reached, "of": of}
+        hashes = {name: self.hash_of(name) for name in reached or {}}
+        self.tests[item.nodeid] = {"seconds": seconds, "reached": reached, "of": hashes}
 
     def case(self, item: pytest.Item) -> Case | None:
         """None: too dear to be asked."""
@@ -310,8 +314,8 @@ def cases(items: list[pytest.Item], task: Task, living: Living) -> list[Case]:
         notes[item.path].save()
     if failing:
         raise pytest.UsageError(f"fail before anything is changed: {', '.join(sorted(failing))}")
-    found = [notes[item.path].case(item) for item in items]
-    return sorted((case for case in found if case), key=by_cost)
+    cases = [notes[item.path].case(item) for item in items]
+    return sorted((case for case in cases if case), key=by_cost)
 
 
 # --- mutants ---
@@ -330,10 +334,10 @@ def put_in(mutants: Mutants, site: Site, index: int, living: Living) -> None:
     [code] = [
         c for c in codes_in(new) if c.co_qualname == site.function and c.co_firstlineno == site.first_line
     ]
-    found = living.functions.get((mutants.path, site.function, site.first_line))
-    if not found:
+    functions = living.functions.get((mutants.path, site.function, site.first_line))
+    if not functions:
         raise LookupError(f"no function {site.function} lives")
-    for function in found:
+    for function in functions:
         # A function with super() has a cell for its class, also where the mutant leaves super() out.
         held = function.__code__.co_freevars
         function.__code__ = code if code.co_freevars else code.replace(co_freevars=held)

@@ -215,7 +215,7 @@ class Theory:
             text,
         )
 
-    def check(self, found: Found) -> None:
+    def check(self, findings: Found) -> None:
         """Numbers run on, each equation has its row (where implemented, where tested), and the works cited
         are those listed."""
         for what, numbers in (
@@ -223,7 +223,7 @@ class Theory:
             ("equation", self.equations),
             ("work", self.works),
         ):
-            found.see(
+            findings.see(
                 numbers == [str(n + 1) for n in range(len(numbers))],
                 THEORY,
                 f"{what}s are numbered {', '.join(numbers)}",
@@ -231,7 +231,7 @@ class Theory:
         rows = re.findall(r"^\| \(T(\d+)\) \|([^|]*)\|([^|]*)\|$", self.text, re.MULTILINE)
         for number in self.equations:
             row = [r for r in rows if r[0] == number]
-            found.see(
+            findings.see(
                 len(row) == 1 and all(PLACE.search(column) for column in row[0][1:]),
                 THEORY,
                 f"(T{number}) has no row that says where it is implemented and where tested",
@@ -240,7 +240,7 @@ class Theory:
             n for group in re.findall(r"\[(\d+(?:, \d+)*)\](?!\()", self.text) for n in group.split(", ")
         }
         for number in sorted(cited | set(self.works), key=int):
-            found.see(
+            findings.see(
                 number in cited and number in self.works,
                 THEORY,
                 f"work [{number}] is {'not cited' if number in self.works else 'not listed'}",
@@ -249,10 +249,10 @@ class Theory:
 
 def references(tree: Path, scratch: Path) -> list[str]:
     """The gate: prints how many references there are, returns those that lead nowhere."""
-    files, found = files_of(tree), Found()
+    files, findings = files_of(tree), Found()
     folders = {p.as_posix() for f in files for p in Path(f).parents}
     theory = Theory.read(files)
-    theory.check(found)
+    theory.check(findings)
     stated = set(
         re.findall(
             r"^\| (REQ-[A-Z][A-Z0-9]*-\d+) \|",
@@ -283,10 +283,10 @@ def references(tree: Path, scratch: Path) -> list[str]:
             return f"{name}:{text.count(chr(10), 0, at) + 1}"
 
         line = unwrapped(text)
-        _citations(line, where, name, theory, stated, found)
+        _citations(line, where, name, theory, stated, findings)
         for m in matches(TEXT_NAME, line):
             folder, _, text_name = m[1].rpartition("/")
-            found.see(
+            findings.see(
                 m[1] in endings
                 or os.path.normpath(Path(name).parent / m[1]) in files
                 or (text_name in texts and folder not in folders),
@@ -295,62 +295,62 @@ def references(tree: Path, scratch: Path) -> list[str]:
             )
         read = prose(path, text)
         for m in matches(PLACE, read):
-            found.see(
+            findings.see(
                 m[1] in files and defines(files[m[1]], m[2]),
                 where(m.start()),
                 f"{m[1]} does not define {m[2]}" if m[1] in files else f"no file {m[1]}",
             )
         for m in matches(TREE_PATH, read):
-            found.see(m[1] in files or m[1] in folders, where(m.start()), f"no file or folder {m[1]}")
+            findings.see(m[1] in files or m[1] in folders, where(m.start()), f"no file or folder {m[1]}")
         for m in matches(SOURCE_NAME, read):
             if re.match(r"[A-Z_]+[./]", m[1]):
                 continue
-            found.see(
+            findings.see(
                 m[1] in endings or os.path.normpath(Path(name).parent / m[1]) in files,
                 where(m.start()),
                 f"no file {m[1]}",
             )
         for m in matches(LINK, text) if path.suffix == ".md" else ():
             target = os.path.normpath(Path(name).parent / m[1]) if m[1] else name
-            found.see(
+            findings.see(
                 target in files or target in folders or target == ".",
                 where(m.start()),
                 f"link to {m[1]}, which does not exist",
             )
             if m[2] and target in files:
-                found.see(
+                findings.see(
                     m[2] in anchors(files[target].read_text(encoding="utf-8")),
                     where(m.start()),
                     f"{target} has no heading #{m[2]}",
                 )
-    print(f"{found.count} references, {len(found.dangling)} dangling")
-    return found.dangling
+    print(f"{findings.count} references, {len(findings.dangling)} dangling")
+    return findings.dangling
 
 
-def _citations(line: str, where, name: str, theory: Theory, stated: set[str], found: Found) -> None:
+def _citations(line: str, where, name: str, theory: Theory, stated: set[str], findings: Found) -> None:
     """Citations of THEORY, the paper, requirements and sections of other works in ``line``, a whole file."""
     for m in matches(re.compile(r"\bTHEORY\b(?!\.md|\"|`)"), line):
         cited = re.match(r"\s+(\d+(?:\.\d+)?(?:(?:,| and)\s+\d+\.\d+)*)|\s+\(T\d+\)", line[m.end() :])
         numbers = re.findall(r"\d+(?:\.\d+)?", cited[1]) if cited and cited[1] else []
-        found.see(
+        findings.see(
             cited is not None and all(n in theory.sections for n in numbers),
             where(m.start()),
             f"THEORY has no section {', '.join(numbers) or line[m.end() : m.end() + 12].strip()}",
         )
     for m in matches(re.compile(r"\(T(\d+)\)"), line):
-        found.see(m[1] in theory.equations, where(m.start()), f"THEORY has no equation (T{m[1]})")
+        findings.see(m[1] in theory.equations, where(m.start()), f"THEORY has no equation (T{m[1]})")
     for what, (pattern, known) in PAPER.items():
         for m in matches(pattern, line):
             for number in filter(None, m.groups()):
-                found.see(number in known, where(m.start()), f"the paper has no {what} {number}")
+                findings.see(number in known, where(m.start()), f"the paper has no {what} {number}")
     for m in matches(re.compile(r"\bREQ-[A-Z][A-Z0-9]*-\d+\b"), line):
-        found.see(m[0] in stated, where(m.start()), f"{m[0]} is no requirement")
+        findings.see(m[0] in stated, where(m.start()), f"{m[0]} is no requirement")
     for m in matches(re.compile(r"\b[Ss]ection (\d+(?:\.\d+)*)"), line):
         own = name.startswith(THEORY) and m[1] in theory.sections
-        found.see(
+        findings.see(
             own or WORK.search(line[max(0, m.start() - 120) : m.start()]) is not None,
             where(m.start()),
             f"section {m[1]} of no work that is named",
         )
     for m in matches(re.compile(r"\bDESIGN (?:\d|asks|says)"), line):
-        found.see(False, where(m.start()), "DESIGN is no text of the repository")
+        findings.see(False, where(m.start()), "DESIGN is no text of the repository")

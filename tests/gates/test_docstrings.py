@@ -62,21 +62,21 @@ def findings(path: Path, name: str) -> list[str]:
     """What is wrong with the docstrings of a module, each with its place."""
     tree = ast.parse(path.read_text(encoding="utf-8"))
     here = ast.get_docstring(tree) or ""
-    found = [] if here else [f"{name}: no docstring"]
+    faults = [] if here else [f"{name}: no docstring"]
     texts = [(name, here)]
     for what, node, around in public(tree):
         place, text = f"{name}:{what}", ast.get_docstring(node) or ""
         if not text:
-            found.append(f"{place}: no docstring")
+            faults.append(f"{place}: no docstring")
             continue
         texts.append((place, text))
         if isinstance(node, Function) and arrays(node) and not SHAPE.search(f"{text} {around}"):
-            found.append(f"{place}: arrays without a shape")
+            faults.append(f"{place}: arrays without a shape")
     for place, text in texts:
         for sentence in sentences(text):
             if (words := len(re.findall(r"[^\W_][\w'.-]*", sentence))) > WORDS:
-                found.append(f"{place}: {words} words in one sentence: {sentence[:60]} …")
-    return found
+                faults.append(f"{place}: {words} words in one sentence: {sentence[:60]} …")
+    return faults
 
 
 def of_package() -> dict[str, list[str]]:
@@ -92,8 +92,8 @@ def of_package() -> dict[str, list[str]]:
 
 @pytest.mark.unhurried
 def test_every_public_docstring_says_what_it_has_to():
-    found = [finding for of_module in of_package().values() for finding in of_module]
-    assert found == []
+    faults = [finding for of_module in of_package().values() for finding in of_module]
+    assert faults == []
 
 
 FORM = {
@@ -171,16 +171,16 @@ def breaches(place: str, path: Path, node: ast.ClassDef | Function, around: ast.
     checked = validate(place, AstValidator, ast_node=node, filename=path, ancestry=[around])
     decorators = [ast.unparse(d) for d in node.decorator_list]
     codes = FORM - {"RT01"} if any("property" in d for d in decorators) else FORM
-    found = [f"{place}: {code} {text}" for code, text in checked["errors"] if code in codes]
+    broken = [f"{place}: {code} {text}" for code, text in checked["errors"] if code in codes]
     if isinstance(node, ast.ClassDef) and (names := undescribed(node)):
-        found.append(f"{place}: fields without a description: {', '.join(sorted(names))}")
-    return found
+        broken.append(f"{place}: fields without a description: {', '.join(sorted(names))}")
+    return broken
 
 
 @pytest.mark.unhurried
 def test_what_a_room_offers_has_numpydoc_form():
-    found = [breach for what in offered() for breach in breaches(*what)]
-    assert found == []
+    broken = [breach for what in offered() for breach in breaches(*what)]
+    assert broken == []
 
 
 OFFERED = '''class Filter:
@@ -216,7 +216,7 @@ def gain(x: np.ndarray, low: float) -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    "old, new, found",
+    "old, new, finding",
     [
         ("from below.", "from below", "SS03"),
         ("signal from", "signal\n    from", "SS06"),
@@ -228,7 +228,7 @@ def gain(x: np.ndarray, low: float) -> np.ndarray:
         ("    pole : float, rad/s", "    zero : float, rad/s", "fields without a description: pole"),
     ],
 )
-def test_a_planted_breach_of_the_form_is_found(tmp_path, old, new, found):
+def test_a_planted_breach_of_the_form_is_found(tmp_path, old, new, finding):
     def all_breaches(text: str) -> list[str]:
         path = tmp_path / "planted.py"
         path.write_text(text)
@@ -236,7 +236,7 @@ def test_a_planted_breach_of_the_form_is_found(tmp_path, old, new, found):
         return [breach for node in tree.body for breach in breaches("planted", path, node, tree)]
 
     assert all_breaches(OFFERED) == [] and OFFERED.count(old) == 1
-    assert [b for b in all_breaches(OFFERED.replace(old, new)) if found in b] != []
+    assert [b for b in all_breaches(OFFERED.replace(old, new)) if finding in b] != []
 
 
 GOOD = '''"""A module."""
@@ -265,7 +265,7 @@ def gain(x: float) -> float:
 
 
 @pytest.mark.parametrize(
-    "old, new, found",
+    "old, new, finding",
     [
         ('"""A module."""', "", "planted.py: no docstring"),
         ('"""Coefficients (n, 2)."""', "", "planted.py:Filter: no docstring"),
@@ -274,14 +274,14 @@ def gain(x: float) -> float:
         ("before. Of", "before and of", "planted.py:gain: 26 words in one sentence"),
     ],
 )
-def test_a_planted_fault_is_found(tmp_path, old, new, found):
+def test_a_planted_fault_is_found(tmp_path, old, new, finding):
     path = tmp_path / "planted.py"
     path.write_text(GOOD)
     assert findings(path, path.name) == []
     text = GOOD.replace("; returns (K, n)", "").replace("(K,)", "") if old == "(n, 2)" else GOOD
     assert old in text
     path.write_text(text.replace(old, new, 1))
-    assert [f for f in findings(path, path.name) if f.startswith(found)] != []
+    assert [f for f in findings(path, path.name) if f.startswith(finding)] != []
 
 
 def room_of(name: str) -> str:
@@ -291,9 +291,9 @@ def room_of(name: str) -> str:
 
 def main() -> None:
     """The findings, and how many each room has."""
-    found = of_package()
-    rooms = Counter(dict.fromkeys((room_of(name) for name in found if "/" in name), 0))
-    for name, of_module in found.items():
+    by_module = of_package()
+    rooms = Counter(dict.fromkeys((room_of(name) for name in by_module if "/" in name), 0))
+    for name, of_module in by_module.items():
         rooms[room_of(name)] += len(of_module)
         print("\n".join(of_module), end="\n" * bool(of_module))
     print("\n".join(f"{count:5} {room}" for room, count in rooms.most_common()))

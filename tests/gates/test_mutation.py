@@ -117,10 +117,10 @@ def test_what_no_longer_survives_is_told_and_refutes_an_argument(ran):
     killed = next(m for m in mutants if m not in survived)
     for stale, why in ((killed.key, "is killed"), ("x  ->  y", "is no mutant")):
         notes = {"small.cpp": {killed.site.function: {stale: ""}}}
-        told = no_longer(mutants, survived, notes, {"small.cpp"})
-        assert told == [f"small.cpp: {killed.site.function}: {stale}: {why}: take it out"]
+        stale_notes = no_longer(mutants, survived, notes, {"small.cpp"})
+        assert stale_notes == [f"small.cpp: {killed.site.function}: {stale}: {why}: take it out"]
         findings = judged(mutants, survived, notes, {}, {"small.cpp"})
-        assert f"equivalent_mutants.json: {told[0]}" in findings
+        assert f"equivalent_mutants.json: {stale_notes[0]}" in findings
         assert not any("take it out" in f for f in judged(mutants, survived, {}, notes, {"small.cpp"}))
 
 
@@ -130,8 +130,8 @@ def test_more_than_a_twentieth_cannot_be_argued_away(ran):
     notes: dict[str, dict[str, str]] = {}
     for mutant in survived:
         notes.setdefault(mutant.site.function, {})[mutant.key] = ""
-    found = too_many(mutants, survived, {"small.cpp": notes})
-    assert found == [f"{len(survived)} of {len(mutants)} mutants are argued equivalent: more than 5 %"]
+    refused = too_many(mutants, survived, {"small.cpp": notes})
+    assert refused == [f"{len(survived)} of {len(mutants)} mutants are argued equivalent: more than 5 %"]
     assert too_many(mutants, survived, {}) == []
 
 

@@ -165,34 +165,39 @@ def ran(tree, tmp_path_factory) -> tuple[list[Mutant], list[Mutant]]:
     return mutants, surviving(tree, scratch, mutants, places)
 
 
-def of(mutants: list[Mutant], function: str) -> set[str]:
+def keys_in(mutants: list[Mutant], function: str) -> set[str]:
     return {m.key for m in mutants if m.site.function == function}
 
 
 @pytest.mark.slow("7 s: a module with its mutants")
 def test_what_a_test_asks_about_is_killed_and_the_rest_survives(ran):
     mutants, survived = ran
-    assert of(survived, "limited") == AT_THE_BORDER
-    assert of(survived, "unused") == of(mutants, "unused") != set()
-    assert of(survived, "doubled") == of(survived, "Line.rise") == of(survived, "Line.__init__") == set()
+    assert keys_in(survived, "limited") == AT_THE_BORDER
+    assert keys_in(survived, "unused") == keys_in(mutants, "unused") != set()
+    assert (
+        keys_in(survived, "doubled")
+        == keys_in(survived, "Line.rise")
+        == keys_in(survived, "Line.__init__")
+        == set()
+    )
     assert len({(m.site.function, m.key) for m in mutants}) == len(mutants) > 30
 
 
 @pytest.mark.slow("7 s: a module with its mutants")
 def test_a_loop_that_does_not_end_is_killed(ran):
     mutants, survived = ran
-    assert "items.pop()  ->  (left out)" in of(mutants, "emptied") - of(survived, "emptied")
+    assert "items.pop()  ->  (left out)" in keys_in(mutants, "emptied") - keys_in(survived, "emptied")
 
 
 @pytest.mark.slow("7 s: a module with its mutants")
 def test_defaults_properties_and_what_is_kept_are_changed(ran):
     mutants, _ = ran
-    assert "def __init__(self, *, slope=4):  ->  def __init__(self, *, slope=5):" in of(
+    assert "def __init__(self, *, slope=4):  ->  def __init__(self, *, slope=5):" in keys_in(
         mutants, "Line.__init__"
     )
-    assert "def limited(x, times=3):  ->  def limited(x, times=2):" in of(mutants, "limited")
-    assert "return 2 * x  ->  return 2 / x" in of(mutants, "doubled")
-    assert "return [self.slope - k for k in range(2)]  ->  return [self.slope for k in range(2)]" in of(
+    assert "def limited(x, times=3):  ->  def limited(x, times=2):" in keys_in(mutants, "limited")
+    assert "return 2 * x  ->  return 2 / x" in keys_in(mutants, "doubled")
+    assert "return [self.slope - k for k in range(2)]  ->  return [self.slope for k in range(2)]" in keys_in(
         mutants, "Line.rise"
     )
 
@@ -200,14 +205,14 @@ def test_defaults_properties_and_what_is_kept_are_changed(ran):
 @pytest.mark.slow("7 s: a module with its mutants")
 def test_a_function_that_no_longer_asks_its_base_class_is_changed(ran):
     mutants, survived = ran
-    assert "super().__init__(slope=9)  ->  (left out)" in of(mutants, "Steep.__init__")
-    assert not of(survived, "Steep.__init__")
+    assert "super().__init__(slope=9)  ->  (left out)" in keys_in(mutants, "Steep.__init__")
+    assert not keys_in(survived, "Steep.__init__")
 
 
 @pytest.mark.slow("7 s: a module with its mutants")
 def test_lines_that_a_thread_runs_are_reached(ran):
     mutants, survived = ran
-    assert "return x + 1  ->  return x - 1" in of(mutants, "apart") and not of(survived, "apart")
+    assert "return x + 1  ->  return x - 1" in keys_in(mutants, "apart") and not keys_in(survived, "apart")
 
 
 @pytest.mark.slow("7 s: a module with its mutants")

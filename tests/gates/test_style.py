@@ -1,5 +1,6 @@
 """Format, lint and types of the tree by the settings that it carries; each gate finds what is planted."""
 
+import ast
 import re
 import subprocess
 import sys
@@ -20,7 +21,24 @@ ANOTHER_FULL = re.compile(
     r"""(getenv|environ\.get)\(["']LPVGUARD_FULL["'][^)]*\)(?! [!=]= ["']1["'])"""
 )
 """Asks whether LPVGUARD_FULL is set, or for its value, but not whether it is 1."""
+RIDDLES = {"found", "told", "given", "of"}
+"""Names that do not say what the thing is; keys of files may be among them."""
 PLANTED = {CHECK: "import os\n", FORMAT: "x = {  'a':1 }\n"}
+
+
+def riddles(text: str) -> list[str]:
+    """Functions, parameters and variables of a module that have a name of RIDDLES, by line."""
+    named = {
+        (node.lineno, name)
+        for node in ast.walk(ast.parse(text))
+        for name in (
+            node.name if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef) else None,
+            node.arg if isinstance(node, ast.arg) else None,
+            node.id if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store) else None,
+        )
+        if name in RIDDLES
+    }
+    return [f"{line}: {name}" for line, name in sorted(named)]
 
 
 def run(*command: object) -> subprocess.CompletedProcess[str]:
@@ -59,6 +77,32 @@ def test_a_planted_breach_is_found(command, tmp_path):
     path = tmp_path / "planted.py"
     path.write_text(PLANTED[command])
     assert run(*command, path).returncode == 1
+
+
+def test_names_say_what_the_thing_is():
+    python = sorted(path for folder in ("tools/src", "tests") for path in (ROOT / folder).rglob("*.py"))
+    named = [f"{path.relative_to(ROOT)}:{riddle}" for path in python for riddle in riddles(path.read_text())]
+    assert len(python) > 300 and named == []
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "def of(): pass",
+        "def f(*, given): pass",
+        "def f(**told): pass",
+        "found = 1",
+        "[of for of in x]",
+        "if found := f(): pass",
+        "class A:\n    of: int",
+    ],
+)
+def test_a_planted_riddle_is_found(text):
+    assert len(riddles(text)) == 1
+
+
+def test_a_key_and_an_attribute_may_have_any_name():
+    assert riddles('x = {"found": d.found}\nprint(x["of"])') == []
 
 
 def test_the_long_forms_run_where_the_variable_is_1_alone():

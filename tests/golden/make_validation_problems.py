@@ -28,8 +28,8 @@ def multiplicative(rng, k):
     b1 = cp.Problem(cp.Minimize(cp.norm(e - delta * z))).solve(solver=cp.CLARABEL) if n_y > 1 else 0.0
     gamma = b1 + rng.uniform(0.2, 0.8) * (np.linalg.norm(e) - b1)
     nu = cp.Problem(cp.Minimize(cp.abs(delta)), [cp.norm(e - delta * z) <= gamma]).solve(solver=cp.CLARABEL)
-    given = {"E": pairs(e), "Z": pairs(z), "gamma_w": gamma}
-    return {"kind": "multiplicative", **given, "answer": {"feasible": True, "nu": nu}, "rtol": 1e-5}
+    problem = {"E": pairs(e), "Z": pairs(z), "gamma_w": gamma}
+    return {"kind": "multiplicative", **problem, "answer": {"feasible": True, "nu": nu}, "rtol": 1e-5}
 
 
 def margin(rng, k):
@@ -38,8 +38,8 @@ def margin(rng, k):
     delta, t = cp.Variable(complex=True), cp.Variable()
     limits = [cp.abs(delta) <= t * w_delta, *(cp.abs(e[j] - delta * z[j]) <= t * w_w[j] for j in range(n_y))]
     value = cp.Problem(cp.Minimize(t), limits).solve(solver=cp.CLARABEL)
-    given = {"E": pairs(e), "Z": pairs(z), "W_delta": w_delta, "W_w": w_w.tolist()}
-    return {"kind": "margin", **given, "answer": {"t": value}, "rtol": 1e-5}
+    problem = {"E": pairs(e), "Z": pairs(z), "W_delta": w_delta, "W_w": w_w.tolist()}
+    return {"kind": "margin", **problem, "answer": {"t": value}, "rtol": 1e-5}
 
 
 def repeated(rng, kind, k):
@@ -64,7 +64,7 @@ def repeated(rng, kind, k):
         if real
         else (np.linspace(0, 0.6, 1201)[:, None] * np.exp(2j * np.pi * np.arange(1440) / 1440)).ravel()
     )
-    given = {
+    problem = {
         "blocks": [{"type": block_type, "rows": r, "cols": r}],
         "P11": pairs(p11),
         "eta0": pairs(eta0),
@@ -89,7 +89,7 @@ def repeated(rng, kind, k):
                 },
             )
             value = float(done.fun)
-        given |= {"gamma_w": gamma, "lambda_nu": [1.0]}
+        problem |= {"gamma_w": gamma, "lambda_nu": [1.0]}
         answer = {"J_lower": value * (1 - 1e-4), "J_upper": value * (1 + 1e-4)}
     else:
         w_delta, w_w = abs(true), np.abs(w)
@@ -104,9 +104,9 @@ def repeated(rng, kind, k):
             options={"xatol": 1e-10, "fatol": 1e-12, "maxiter": 4000},
         )
         value = min(float(done.fun), float(level.min()))
-        given |= {"W_delta": [w_delta], "W_w": w_w.tolist()}
+        problem |= {"W_delta": [w_delta], "W_w": w_w.tolist()}
         answer = {"t_lower": value * (1 - 1e-3), "t_upper": value}
-    return {"kind": kind, **given, "answer": answer, "rtol": 1e-3}
+    return {"kind": kind, **problem, "answer": answer, "rtol": 1e-3}
 
 
 def main():

@@ -48,7 +48,7 @@ def stored(truck, truck_drives, truck_identified):
 
 @pytest.fixture(scope="module")
 def context(truck_folder, stored) -> one_run.Context:
-    return one_run.Context(truck_folder, 1, NO_DETECTORS, TrackingBound.of(stored[0]))
+    return one_run.Context(truck_folder, 1, NO_DETECTORS, TrackingBound.from_identification(stored[0]))
 
 
 @pytest.fixture(scope="module")
@@ -59,7 +59,7 @@ def replayer(simulator, truck_folder) -> Replayer:
 @pytest.fixture(scope="module")
 def ratio(stored):
     """Largest |delta|/W_delta of a truck, by its scenario tables; each measured once."""
-    certified = trucks.CertifiedSet.of(stored[0])
+    certified = trucks.CertifiedSet.from_identification(stored[0])
     return cache(lambda tables: certified.distance(tables).ratio)
 
 
@@ -88,7 +88,7 @@ def test_scenarios_expect_what_follows_from_the_bounds(name, simulator, replayer
     expect = scenario.expect
     for seed in SEEDS:
         _, drive = simulator.drive(scenario.path, seed=seed)
-        offline = one_run.Offline.of(replayer, drive, expect.fault_start_s or 0.0)
+        offline = one_run.Offline.from_drive(replayer, drive, expect.fault_start_s or 0.0)
         due.append(offline.due_s)
         largest = max(largest, offline.largest)
     tables = plant_tables(name)
@@ -151,9 +151,9 @@ def test_a_frame_that_an_alarm_is_due_for_is_judged_whatever_the_phase(replayer)
 
 
 def test_nobody_is_best_at_a_kind_where_nobody_found_a_fault():
-    def row(**found: int) -> dict:
-        found = dict.fromkeys(summary.DETECTORS, 0) | found
-        return {"runs": 4, "found": found, "matched": found}
+    def row(**counts: int) -> dict:
+        counts = dict.fromkeys(summary.DETECTORS, 0) | counts
+        return {"runs": 4, "found": counts, "matched": counts}
 
     assert (
         summary.kind_row("k", [row(), row()])["best"] == summary.kind_row("k", [row()])["best_matched"] == []
@@ -199,7 +199,7 @@ def test_a_quantity_that_happens_to_be_whole_is_a_real_number_in_every_chunk(con
 def test_what_is_drawn_depends_on_seed_and_number_alone():
 
     def text(seed: int, planned: PlannedRun) -> str:
-        return Drawn.of(2.0, seed, planned).text(planned.tables, 0.05)
+        return Drawn.for_run(2.0, seed, planned).text(planned.tables, 0.05)
 
     planned = PlannedRun(17, "within", 0.0, 0, 0.0, scenarios.draw_variation(5, 3))
     assert text(5, planned) == text(5, planned)
@@ -241,14 +241,14 @@ def test_faults_of_the_truck_alone_come_in_three_ways_and_keep_their_numbers(mon
 
 def test_the_ways_are_told_apart():
     def row(way: str, found_s: float | None) -> dict:
-        of = {"found_s": found_s, "before": False, "score_before": 0.0, "score_within": 2.0}
-        detected = {f"{d}_{key}": value for d in summary.DETECTORS for key, value in of.items()}
+        run = {"found_s": found_s, "before": False, "score_before": 0.0, "score_within": 2.0}
+        detected = {f"{d}_{key}": value for d in summary.DETECTORS for key, value in run.items()}
         shown = {"visible_share": 1.0, "excited_after_s": 60.0}
         return {"kind": "brake gain", "severity": 0.5, "way": way} | shown | detected
 
     rows = [row("step", 1.0), row("step", 3.0), row("ramp", 9.0), row("ramp", None), row("ramp", None)]
     ways = summary.by_way(rows, dict.fromkeys(summary.DETECTORS, 1.0))
-    assert {way: of["runs"] for way, of in ways.items()} == {"step": 2, "ramp": 3}
+    assert {way: way_results["runs"] for way, way_results in ways.items()} == {"step": 2, "ramp": 3}
     assert ways["step"]["average"]["monitor"] == {"calibrated": 1.0, "matched": 1.0}
     assert ways["ramp"]["average"]["monitor"]["calibrated"] == pytest.approx(1 / 3)
     assert ways["step"]["median_s"]["glr"] == 2.0 and ways["ramp"]["median_s"]["glr"] is None
@@ -260,15 +260,15 @@ FIVEFOLD = "[plant.variation]\nbrake_gain_ratio = 5.0\n"
 
 def steering_runs(count: int) -> list[PlannedRun]:
     """The first runs "within" whose command is of the steering task at a speed above 15 m/s."""
-    found: list[PlannedRun] = []
+    runs: list[PlannedRun] = []
     number = 0
-    while len(found) < count:
+    while len(runs) < count:
         planned = PlannedRun(number, "within", 0.0, 0, 0.0, "")
-        drawn = Drawn.of(2.0, 1, planned)
+        drawn = Drawn.for_run(2.0, 1, planned)
         if drawn.command.size is not None and min(v for _, v in drawn.profile) > 15.0:
-            found.append(planned)
+            runs.append(planned)
         number += 1
-    return found
+    return runs
 
 
 def test_a_loop_that_limit_cycles_falsifies_and_ordinary_noisy_runs_do_not(context):
@@ -358,10 +358,10 @@ def small(monkeypatch):
 def few_to_choose_by(stored):
     """The truck with an eighth of the drives that baselines are chosen by: how a campaign goes on, and where
     its workers are, does not ask which baselines it has."""
-    found, drives = stored
-    used = found.manifest["drives"]
+    identification, drives = stored
+    used = identification.manifest["drives"]
     return replace(
-        found, manifest=found.manifest | {"drives": used | {"bounds": used["bounds"][::8]}}
+        identification, manifest=identification.manifest | {"drives": used | {"bounds": used["bounds"][::8]}}
     ), drives
 
 
@@ -372,15 +372,23 @@ class Stopped(Exception):
 def test_a_cluster_gives_the_same_bytes(small, few_to_choose_by, truck_folder, tmp_path):
     """Workers of a Dask cluster: the very files of a campaign in this process."""
     distributed = pytest.importorskip("distributed")
-    found, drives = few_to_choose_by
+    identification, drives = few_to_choose_by
     with (
         distributed.LocalCluster(
             n_workers=2, threads_per_worker=1, processes=False, dashboard_address=None
         ) as cluster,
         workers(scheduler=cluster.scheduler_address) as shared,
     ):
-        campaign(found, drives, truck_folder, tmp_path / "cluster", seed=3, size=Size(0.1, 1), workers=shared)
-    campaign(found, drives, truck_folder, tmp_path / "here", seed=3, size=Size(0.1, 1))
+        campaign(
+            identification,
+            drives,
+            truck_folder,
+            tmp_path / "cluster",
+            seed=3,
+            size=Size(0.1, 1),
+            workers=shared,
+        )
+    campaign(identification, drives, truck_folder, tmp_path / "here", seed=3, size=Size(0.1, 1))
     files = [
         sorted(p.relative_to(tmp_path / name) for p in (tmp_path / name).rglob("*") if p.is_file())
         for name in ("cluster", "here")
@@ -393,7 +401,7 @@ def test_a_cluster_gives_the_same_bytes(small, few_to_choose_by, truck_folder, t
 def test_a_campaign_that_was_stopped_goes_on_and_ends_the_same(
     small, few_to_choose_by, truck_folder, tmp_path
 ):
-    found, drives = few_to_choose_by
+    identification, drives = few_to_choose_by
     size = Size(0.25, 2)
     runs = 5 + 4 * 2
 
@@ -402,7 +410,7 @@ def test_a_campaign_that_was_stopped_goes_on_and_ends_the_same(
             if stop_at is not None and text.startswith(f"run {stop_at} "):
                 raise Stopped
 
-        return campaign(found, drives, truck_folder, out, seed=3, size=size, progress=progress)
+        return campaign(identification, drives, truck_folder, out, seed=3, size=size, progress=progress)
 
     out = tmp_path / "stopped"
     with pytest.raises(Stopped):
@@ -410,7 +418,7 @@ def test_a_campaign_that_was_stopped_goes_on_and_ends_the_same(
     chunks = sorted((out / "chunks").iterdir())
     assert [c.name for c in chunks] == ["00000.parquet"] and not (out / "summary.json").exists()
     kept = {p: os.stat(p).st_mtime_ns for p in [*chunks, out / "plants.json", out / "baselines.json"]}
-    told = go_on(out)
+    resumed = go_on(out)
     described = jsonschema.Draft202012Validator(schemas.schema("campaign"))
     assert [e.message for e in described.iter_errors(json.loads((out / "summary.json").read_text()))] == []
     assert kept == {p: os.stat(p).st_mtime_ns for p in kept}, "what was finished is not done again"
@@ -418,7 +426,7 @@ def test_a_campaign_that_was_stopped_goes_on_and_ends_the_same(
     (whole / "chunks").mkdir(parents=True)
     for name in ("MANIFEST.json", "plants.json", "baselines.json"):
         (whole / name).write_bytes((out / name).read_bytes())
-    assert go_on(whole) == told
+    assert go_on(whole) == resumed
     rows = pq.read_table(whole / "runs.parquet")
     for file in ("runs.parquet", "summary.json"):
         assert (whole / file).read_bytes() == (out / file).read_bytes(), file
@@ -426,40 +434,40 @@ def test_a_campaign_that_was_stopped_goes_on_and_ends_the_same(
         "every run's seed is recorded"
     )
 
-    assert told["within"]["runs"] == 5 and told["within"]["hours"] == pytest.approx(0.25)
-    assert told["falsified"] == {"rate": rate(0, 5), "runs": []}
-    assert told["command_authentication"] == "authenticated"
-    assert 0 < told["within"]["largest_ratio"] <= 1
-    assert told["within"]["tests"].keys() == {"frame", "energy", "change"}
-    assert set(told["matched_stated"].values()) == {None} and told["matched_claim"].startswith(
+    assert resumed["within"]["runs"] == 5 and resumed["within"]["hours"] == pytest.approx(0.25)
+    assert resumed["falsified"] == {"rate": rate(0, 5), "runs": []}
+    assert resumed["command_authentication"] == "authenticated"
+    assert 0 < resumed["within"]["largest_ratio"] <= 1
+    assert resumed["within"]["tests"].keys() == {"frame", "energy", "change"}
+    assert set(resumed["matched_stated"].values()) == {None} and resumed["matched_claim"].startswith(
         "counts only"
     ), "five runs are too few"
     truck = [("brake gain", 0.0), ("yaw rate frozen", 1.0), ("brake gain, 5 % of VDC2 lost", 0.15)]
-    assert [(s["kind"], s["severity"]) for s in told["severities"]] == truck
-    assert [s["found"]["monitor"] for s in told["severities"]] == [2, 2, 2], (
+    assert [(s["kind"], s["severity"]) for s in resumed["severities"]] == truck
+    assert [s["found"]["monitor"] for s in resumed["severities"]] == [2, 2, 2], (
         "lost brakes and a dead sensor are found, on a faulty bus too"
     )
-    assert all(s["median_s"]["monitor"] < one_run.FOUND_WITHIN_S for s in told["severities"])
+    assert all(s["median_s"]["monitor"] < one_run.FOUND_WITHIN_S for s in resumed["severities"])
     assert (
-        told["visible"]["monitor"]["count"]
-        == told["visible"]["monitor"]["of"]
-        == sum(s["visible_runs"] for s in told["severities"])
+        resumed["visible"]["monitor"]["count"]
+        == resumed["visible"]["monitor"]["of"]
+        == sum(s["visible_runs"] for s in resumed["severities"])
         > 0
     )
-    assert told["due"]["count"] == told["due"]["of"] > 0
-    assert [s["kind"] for s in told["bus"]] == ["brake gain, 5 % of VDC2 lost", "GUARD_IN repeated"], (
+    assert resumed["due"]["count"] == resumed["due"]["of"] > 0
+    assert [s["kind"] for s in resumed["bus"]] == ["brake gain, 5 % of VDC2 lost", "GUARD_IN repeated"], (
         "the bus is scored apart"
     )
-    said = told["supervision"]
-    assert said["faulty"]["as_required"]["count"] == 4 and all(s["as_required"] == 2 for s in told["bus"])
+    said = resumed["supervision"]
+    assert said["faulty"]["as_required"]["count"] == 4 and all(s["as_required"] == 2 for s in resumed["bus"])
     assert (
         said["faulty"]["met"] == said["faulty"]["due"] > 10
         and said["healthy"]["as_required"]["count"] == 5
         and said["healthy"]["due"] == 0
     )
-    assert told["bus"][0]["alarmed"]["monitor"] == 2 and told["bus"][0]["judged"] > 0.9
+    assert resumed["bus"][0]["alarmed"]["monitor"] == 2 and resumed["bus"][0]["judged"] > 0.9
     with pytest.raises(InputError, match="other settings"):
-        campaign(found, drives, truck_folder, out, seed=4, size=size)
+        campaign(identification, drives, truck_folder, out, seed=4, size=size)
 
 
 def test_a_falsified_certificate_fails_the_command_and_is_named(
@@ -475,13 +483,13 @@ def test_a_falsified_certificate_fails_the_command_and_is_named(
         *("--hours", 0.1, "--repeats", 1, "--seed", 3),
     )
     assert done.returncode == 1
-    told = json.loads((out / "summary.json").read_text())
+    written = json.loads((out / "summary.json").read_text())
     rows = pq.read_table(out / "runs.parquet").to_pylist()
-    falsified = told["falsified"]
+    falsified = written["falsified"]
     refuting = [row for row in rows[:2] if list(conduct.ruled_out(row))]
     assert refuting and [r["number"] for r in falsified["runs"]] == [row["number"] for row in refuting]
     assert falsified["rate"] == rate(len(refuting), 2)
-    assert told["missed"][0].startswith(f"{len(refuting)} of 2 runs")
+    assert written["missed"][0].startswith(f"{len(refuting)} of 2 runs")
     said = " ".join(done.stderr.split())
     for named, row in zip(falsified["runs"], refuting, strict=True):
         assert named["seed"] == row["seed"] and named["tables"] == FIVEFOLD and named["plant"] == 0
@@ -495,16 +503,16 @@ def test_a_falsified_certificate_fails_the_command_and_is_named(
 def test_a_folder_of_something_else_and_bounds_of_another_export_are_refused(
     small, stored, truck_folder, tmp_path
 ):
-    found, drives = stored
+    identification, drives = stored
     (tmp_path / "notes.txt").write_text("mine")
     with pytest.raises(InputError, match="no campaign"):
-        campaign(found, drives, truck_folder, tmp_path, seed=1, size=Size(0.05, 1))
-    other = replace(found, fitted=replace(found.fitted, inflation=1.1))
+        campaign(identification, drives, truck_folder, tmp_path, seed=1, size=Size(0.05, 1))
+    other = replace(identification, fitted=replace(identification.fitted, inflation=1.1))
     with pytest.raises(InputError, match="not those of the identification"):
         campaign(other, drives, truck_folder, tmp_path / "new", seed=1, size=Size(0.05, 1))
     with pytest.raises(InputError, match=r"controller\.json"):
         campaign(
-            found,
+            identification,
             drives,
             truck_folder,
             tmp_path / "new",

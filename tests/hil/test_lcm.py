@@ -153,11 +153,11 @@ def test_the_causes_of_an_alarm_are_in_the_result_on_the_bus_and_over_lcm(lcm_si
         assert numbers == pytest.approx([d[k] for k in ("value", "low", "high", "since_s")])
         assert (CAUSES[m.cause], m.before) == (d["cause"], d["at_least"])
     assert [m.output for m in said] == [0, 1]
-    told = [(t, code["spn"]) for t, code in run["trouble_codes"] if code["fmi"] == 13]
-    found = run["diagnoses"][0]
+    codes = [(t, code["spn"]) for t, code in run["trouble_codes"] if code["fmi"] == 13]
+    diagnosis = run["diagnoses"][0]
     # The code says so from half of the record on; that of a test which alarms later says it with its alarm.
-    assert found["alarm_s"] + 5.0 < told[0][0] < found["t_s"] - 3.0
-    assert len({spn for _, spn in told}) == len(told) == 2
+    assert diagnosis["alarm_s"] + 5.0 < codes[0][0] < diagnosis["t_s"] - 3.0
+    assert len({spn for _, spn in codes}) == len(codes) == 2
     lines = [line for line in watch(read_log(tmp_path / "run.lcm")) if "of the nominal output" in line]
     assert len(lines) == 2 and "output 0 0." in lines[0]
 

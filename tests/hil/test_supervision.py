@@ -136,13 +136,17 @@ def test_bus_off_ends_everything_and_five_good_frames_bring_back():
 
 def test_reactions_tell_late_missing_and_unwarranted():
     must = np.array([2, 2, 1, 0, 0, 2, 2, 0, 2, 2])
-    assert Reactions.of(must, must, 0.01) == Reactions(2, 2, 0.0, 0.0, pytest.approx(0.04))
+    assert Reactions.from_states(must, must, 0.01) == Reactions(2, 2, 0.0, 0.0, pytest.approx(0.04))
     late = np.array([2, 2, 2, 2, 0, 2, 2, 0, 2, 2])
-    assert Reactions.of(late, must, 0.01) == Reactions(2, 1, pytest.approx(0.02), 0.0, pytest.approx(0.04))
+    assert Reactions.from_states(late, must, 0.01) == Reactions(
+        2, 1, pytest.approx(0.02), 0.0, pytest.approx(0.04)
+    )
     worse = np.array([2, 1, 1, 0, 0, 0, 2, 0, 2, 2])
-    assert Reactions.of(worse, must, 0.01) == Reactions(2, 2, 0.0, pytest.approx(0.02), pytest.approx(0.04))
+    assert Reactions.from_states(worse, must, 0.01) == Reactions(
+        2, 2, 0.0, pytest.approx(0.02), pytest.approx(0.04)
+    )
     healthy = np.full(5, LIVE)
-    assert Reactions.of(healthy, healthy, 0.01) == Reactions(0, 0, 0.0, 0.0, 0.0)
+    assert Reactions.from_states(healthy, healthy, 0.01) == Reactions(0, 0, 0.0, 0.0, 0.0)
 
 
 def reactions(simulator, path, log, from_s: float = 0.0, **options) -> Reactions:

@@ -104,15 +104,15 @@ def test_certified_extremes_are_those_of_a_local_search(weight, sample):
     breaks = np.log(np.abs(np.concatenate([weight.zeros(), weight.poles(), omega])))
     grid = np.union1d(np.linspace(breaks.min() - 10, breaks.max() + 10, 4001), breaks)
     values = ratio(grid)
-    for sign, found in ((1, report.min_ratio), (-1, report.max_ratio)):
+    for sign, extreme in ((1, report.min_ratio), (-1, report.max_ratio)):
         k = int(np.argmin(sign * values))
         near = grid[max(k - 1, 0)], grid[min(k + 1, grid.size - 1)]
         best = min(
             sign * values[k],
             minimize_scalar(lambda v, s=sign: s * float(ratio(v)), bounds=near, method="bounded").fun,
         )
-        assert sign * math.log(found) <= best + 1e-12  # the proof holds
-        assert sign * math.log(found) >= best - 1e-3  # and is sharp, up to what the search misses
+        assert sign * math.log(extreme) <= best + 1e-12  # the proof holds
+        assert sign * math.log(extreme) >= best - 1e-3  # and is sharp, up to what the search misses
 
 
 @pytest.mark.unhurried

@@ -35,7 +35,7 @@ class Feature:
 def features(text: str) -> list[Feature]:
     """The rows of the table."""
     rows = text.partition(MARKS[0])[2].partition(MARKS[1])[0].strip().splitlines()[2:]
-    found = []
+    features = []
     for row in rows:
         name, user, task, *cells = (cell.strip() for cell in row.strip("|").split("|"))
         paths = {}
@@ -45,8 +45,8 @@ def features(text: str) -> list[Feature]:
             paths[kind] = tuple(
                 p if root else f"{folder}/{p}" for p, root in zip(named, from_root, strict=True)
             )
-        found.append(Feature(name, user, task, paths))
-    return found
+        features.append(Feature(name, user, task, paths))
+    return features
 
 
 def owner(file: str, kind: str, rows: list[Feature]) -> list[Feature]:

@@ -63,14 +63,14 @@ def closure(packages: set[str]) -> set[str]:
     for package, (_, provides) in installed().items():
         for name in {package, *provides}:
             providers.setdefault(name, set()).add(package)
-    found, left = set(), {*packages, "essential"}
+    closed, left = set(), {*packages, "essential"}
     while left:
         # A real package before those that provide its name too: libc6-dev, not every cross compiler's.
         name = left.pop()
-        new = ({name} if name in installed() else providers.get(name, set())) - found
-        found |= new
+        new = ({name} if name in installed() else providers.get(name, set())) - closed
+        closed |= new
         left |= {dependency for package in new for dependency in installed()[package][0]}
-    return found
+    return closed
 
 
 @cache
@@ -84,18 +84,18 @@ def owners(paths: tuple[Path, ...]) -> dict[Path, set[str]]:
         ):  # update-alternatives: /usr/bin/c++ is a link to what a package holds
             also.setdefault(name, set()).add(path)
             also.setdefault(name.removeprefix("/usr"), set()).add(path)
-    found: dict[Path, set[str]] = {path: set() for path in paths}
+    owners_of: dict[Path, set[str]] = {path: set() for path in paths}
     for line in output("dpkg", "-S", *also).splitlines():
         packages, _, name = line.rpartition(": ")
         if name in also and not packages.startswith("diversion"):
             for path in also[name]:
-                found[path] |= {p.split(":")[0] for p in packages.split(", ")}
-    return found
+                owners_of[path] |= {p.split(":")[0] for p in packages.split(", ")}
+    return owners_of
 
 
 def texts(*patterns: str) -> dict[Path, str]:
-    found = (p for pattern in patterns for p in ROOT.glob(pattern))
-    paths = {p for p in found if p.is_file() and p.suffix != ".pyc"}  # *.cpython-311.pyc looks like C
+    matching = (p for pattern in patterns for p in ROOT.glob(pattern))
+    paths = {p for p in matching if p.is_file() and p.suffix != ".pyc"}  # *.cpython-311.pyc looks like C
     return {p: p.read_text() for p in sorted(paths)}
 
 
@@ -159,12 +159,12 @@ def modules() -> dict[str, str]:
     """pkg-config module -> who asks for it, with what modules require of one another."""
     asked: dict[str, str] = {}
     for path, text in texts("firmware_sim/CMakeLists.txt", "tools/src/**/*.py").items():
-        found = re.findall(
+        matches = re.findall(
             r"pkg_check_modules\(\w+ (?:REQUIRED )?(?:IMPORTED_TARGET )?(\w+)\)"
             r'|"pkg-config", "[^"]+", "(\w+)"',
             text,
         )
-        asked |= {name: str(path.relative_to(ROOT)) for words in found for name in words if name}
+        asked |= {name: str(path.relative_to(ROOT)) for words in matches for name in words if name}
     left = list(asked)
     while left:
         name = left.pop()
@@ -188,35 +188,35 @@ def module_file(name: str) -> Path | None:
 @cache
 def places() -> dict[tuple[str, str, str], Path | None]:
     """(kind, name, who asks) -> file on this machine, None: it is not there."""
-    told = subprocess.run(
+    search_path = subprocess.run(
         ["g++", "-xc++", "-E", "-v", "/dev/null"], capture_output=True, text=True, check=False
     ).stderr
-    folders = [Path(line.strip()) for line in told.splitlines() if line.startswith(" /usr")] + [
+    folders = [Path(line.strip()) for line in search_path.splitlines() if line.startswith(" /usr")] + [
         Path("/usr/include/eigen3")
     ]
 
     def first(names: list[str], where: list[Path]) -> Path | None:
         return next((folder / name for name in names for folder in where if (folder / name).exists()), None)
 
-    found = {
+    all_places = {
         ("program", n, who): first([n], [Path("/usr/bin"), Path("/bin"), Path("/usr/sbin"), Path("/sbin")])
         for n, who in programs().items()
     }
-    found |= {
+    all_places |= {
         ("header", n, who): first([n, *([EITHER[n]] if n in EITHER else [])], folders)
         for n, who in headers().items()
     }
-    return found | {("pkg-config module", n, who): module_file(n) for n, who in modules().items()}
+    return all_places | {("pkg-config module", n, who): module_file(n) for n, who in modules().items()}
 
 
 def uncovered(packages: set[str]) -> tuple[list[str], list[str]]:
     """What no package of the lists brings, and what cannot be judged because a package of the lists is not
     installed here."""
-    found, all_of_them = places(), closure(packages)
-    owned = owners(tuple(sorted({p for p in found.values() if p})))
+    all_places, all_of_them = places(), closure(packages)
+    owned = owners(tuple(sorted({p for p in all_places.values() if p})))
     absent = packages - set(installed())
     lost, open_ = [], []
-    for (kind, name, who), path in sorted(found.items()):
+    for (kind, name, who), path in sorted(all_places.items()):
         if path is None:
             (open_ if absent else lost).append(f"{kind} {name}, asked for by {who}: not on this machine")
         elif not owned[path] & all_of_them:

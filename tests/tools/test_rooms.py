@@ -67,7 +67,7 @@ def imports(package: Path) -> dict[str, set[str]]:
             name = name.rpartition(".")[0]
         return name if name in paths else None
 
-    found: dict[str, set[str]] = {}
+    imports: dict[str, set[str]] = {}
     for module, path in paths.items():
         here = module if path.name == "__init__.py" else module.rpartition(".")[0]
         named = set()
@@ -84,12 +84,12 @@ def imports(package: Path) -> dict[str, set[str]]:
                 and re.fullmatch(r"lpvguard(\.\w+)+", node.value)
             ):
                 named.add(node.value)
-        found[module] = {known(name) for name in named if name.split(".")[0] == "lpvguard"} - {
+        imports[module] = {known(name) for name in named if name.split(".")[0] == "lpvguard"} - {
             module,
             None,
             "lpvguard",
         }
-    return found
+    return imports
 
 
 def room_of(module: str) -> str:
@@ -117,11 +117,11 @@ def declared(package: Path, room: str) -> tuple[str, tuple[str, ...]]:
 def circles(graph: dict[str, set[str]]) -> list[list[str]]:
     """A circle of modules for every import that closes one."""
     done: set[str] = set()
-    found = []
+    closed = []
 
     def visit(module: str, way: list[str]) -> None:
         if module in way:
-            found.append([*way[way.index(module) :], module])
+            closed.append([*way[way.index(module) :], module])
         elif module not in done:
             for other in sorted(graph[module]):
                 visit(other, [*way, module])
@@ -129,7 +129,7 @@ def circles(graph: dict[str, set[str]]) -> list[list[str]]:
 
     for module in sorted(graph):
         visit(module, [])
-    return found
+    return closed
 
 
 def faults(package: Path, order: tuple[str, ...] = ORDER) -> list[str]:
@@ -176,13 +176,13 @@ def lines_of(node: ast.Module | ast.ClassDef | ast.FunctionDef, lines: int) -> i
 
 def long_ones(package: Path) -> dict[str, int]:
     """ "module.py" or "module.py:function" -> lines, of all that are longer than allowed without a reason."""
-    found = {}
+    too_long = {}
     for path in sorted(package.rglob("*.py")):
         name, text = str(path.relative_to(package)), path.read_text(encoding="utf-8")
         tree = ast.parse(text)
         lines = lines_of(tree, len(text.splitlines()))
         if lines > MODULE_LINES and not REASON.search(ast.get_docstring(tree) or ""):
-            found[name] = lines
+            too_long[name] = lines
 
         def functions(node: ast.AST, above: str, name: str = name) -> None:
             for child in ast.iter_child_nodes(node):
@@ -194,11 +194,11 @@ def long_ones(package: Path) -> dict[str, int]:
                 if isinstance(child, ast.FunctionDef):
                     lines = lines_of(child, child.end_lineno - child.lineno + 1)
                     if lines > FUNCTION_LINES and not REASON.search(ast.get_docstring(child) or ""):
-                        found[f"{name}:{inner}"] = lines
+                        too_long[f"{name}:{inner}"] = lines
                 functions(child, inner)
 
         functions(tree, "")
-    return found
+    return too_long
 
 
 def shared_class_names(package: Path) -> dict[str, list[str]]:
@@ -387,8 +387,8 @@ def imported_tests(text: str) -> list[str]:
 @pytest.mark.slow("3 s: every file is read")
 def test_no_test_imports_from_another_test():
     """What two tests need stands in a module of tests/."""
-    found = {path.name: imported_tests(path.read_text(encoding="utf-8")) for path in TESTS.rglob("*.py")}
-    assert {name: others for name, others in found.items() if others} == {}
+    imported = {path.name: imported_tests(path.read_text(encoding="utf-8")) for path in TESTS.rglob("*.py")}
+    assert {name: others for name, others in imported.items() if others} == {}
     planted = "import conftest\ndef f():\n    from test_bad_input import table\n"
     assert imported_tests(planted) == ["conftest", "test_bad_input"]
 

@@ -13,7 +13,7 @@ from lpvguard.extras.fleet.wealth import Life, LifeTable
 
 matplotlib.rcParams.update({"svg.fonttype": "none", "svg.hashsalt": "lpvguard"})
 draw = np.random.default_rng(1)
-table = LifeTable.of(draw.normal(0.5, 0.1, 100), alpha=0.05, eta=0.05)
+table = LifeTable.from_scores(draw.normal(0.5, 0.1, 100), alpha=0.05, eta=0.05)
 figure, axes = plt.subplots(figsize=(6, 3.2), layout="constrained")
 for name, wear in (("healthy", 0.0), ("wears from recording 40 on", 0.01)):
     life, wealth = Life(), [1.0]

@@ -22,7 +22,7 @@ def same_files(a, b):
 
 
 @pytest.fixture(scope="module")
-def found(identified):
+def identification(identified):
     return lpvguard.load(identified)
 
 
@@ -62,40 +62,42 @@ def test_identify_and_export_write_what_the_commands_write(g80, synthetic, ident
         stored.save(tmp_path / "again")
 
 
-def test_export_takes_the_controller_and_the_group_as_the_command_does(found, tmp_path):
+def test_export_takes_the_controller_and_the_group_as_the_command_does(identification, tmp_path):
     controller = tmp_path / "controller.json"
     controller.write_text("{}")
     with pytest.raises(lpvguard.InputError, match=r"controller.json: certificates: missing"):
-        found.export(tmp_path / "code", controller=tmp_path)
+        identification.export(tmp_path / "code", controller=tmp_path)
     with pytest.raises(lpvguard.InputError, match=r"controller.json: certificates: missing"):
-        found.export(tmp_path / "code", controller=controller)
+        identification.export(tmp_path / "code", controller=controller)
     with pytest.raises(lpvguard.InputError, match="group: fog"):
-        found.export(tmp_path / "code", group="fog")
+        identification.export(tmp_path / "code", group="fog")
     assert not (tmp_path / "code").exists()
 
 
-def test_bounds_and_weights_are_tables_by_frequency(found, identified):
+def test_bounds_and_weights_are_tables_by_frequency(identification, identified):
     stored = artefacts.read_json(identified / "bounds.json")
-    assert found.bounds.index.name == "omega_rad_s"
-    assert found.bounds.index.tolist() == stored["omega_rad_s"]
-    assert found.bounds["frames"].tolist() == stored["frames"]
+    assert identification.bounds.index.name == "omega_rad_s"
+    assert identification.bounds.index.tolist() == stored["omega_rad_s"]
+    assert identification.bounds["frames"].tolist() == stored["frames"]
     nu = np.array([row[0] for row in stored["nu"]], float)
-    assert np.array_equal(found.bounds["nu"], nu, equal_nan=True)
-    assert list(found.weights.columns) == ["W_delta", "B_w"]
-    assert (found.weights["W_delta"] >= found.bounds["nu"].fillna(0))[1:].all()
-    assert found.threshold > 0 and "drive" in found.claim
+    assert np.array_equal(identification.bounds["nu"], nu, equal_nan=True)
+    assert list(identification.weights.columns) == ["W_delta", "B_w"]
+    assert (identification.weights["W_delta"] >= identification.bounds["nu"].fillna(0))[1:].all()
+    assert identification.threshold > 0 and "drive" in identification.claim
 
 
-def test_two_outputs_have_columns_of_their_names(found):
+def test_two_outputs_have_columns_of_their_names(identification):
     two = lpvguard.Identified(
-        found.project.model_copy(update={"signals": [*found.project.signals, found.project.outputs[0]]}),
+        identification.project.model_copy(
+            update={"signals": [*identification.project.signals, identification.project.outputs[0]]}
+        ),
         None,
-        found.omega,
-        found.fitted,
-        found.calibration,
-        found._bounds | {"B_w": np.column_stack([np.arange(len(found.omega))] * 2)},
+        identification.omega,
+        identification.fitted,
+        identification.calibration,
+        identification._bounds | {"B_w": np.column_stack([np.arange(len(identification.omega))] * 2)},
     )
-    name = found.project.outputs[0].name
+    name = identification.project.outputs[0].name
     assert f"B_w/{name}" in two.bounds.columns
 
 
@@ -145,11 +147,15 @@ def test_the_nominal_model_of_python_control_has_the_models_response(g80, delay_
         linear.nominal(project, 1e3)
 
 
-def test_the_weights_of_python_control_are_those_of_the_table(found):
-    W = linear.weights(found)
-    assert np.abs(W["W_delta"][0](1j * found.omega)) == pytest.approx(found.weights["W_delta"].to_numpy())
-    scale = found.fitted.inflation
-    assert np.abs(W["W_w"][0](2j)) == pytest.approx(scale * found.fitted.W_w[0].magnitude(np.array(2.0)))
+def test_the_weights_of_python_control_are_those_of_the_table(identification):
+    W = linear.weights(identification)
+    assert np.abs(W["W_delta"][0](1j * identification.omega)) == pytest.approx(
+        identification.weights["W_delta"].to_numpy()
+    )
+    scale = identification.fitted.inflation
+    assert np.abs(W["W_w"][0](2j)) == pytest.approx(
+        scale * identification.fitted.W_w[0].magnitude(np.array(2.0))
+    )
 
 
 def test_a_package_that_is_not_there_is_named_with_its_extra():

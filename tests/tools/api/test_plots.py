@@ -17,7 +17,7 @@ from made import ROOT
 
 
 @pytest.fixture(scope="module")
-def found(identified):
+def identification(identified):
     return lpvguard.load(identified)
 
 
@@ -43,7 +43,9 @@ def ids(svg: str) -> set[str]:
 
 
 @pytest.mark.long("20 s: every picture of a page")
-def test_they_have_the_numbers_of_the_pages_pictures(found, vehicle, synthetic, identified, tmp_path):
+def test_they_have_the_numbers_of_the_pages_pictures(
+    identification, vehicle, synthetic, identified, tmp_path
+):
     stored, drives = stored_with_drives(identified, synthetic)
     runs = [lpvguard.replay_drive("g80", e.path, coefficients=vehicle) for e in drives.experiments.values()]
     pictures = tmp_path / "pictures"
@@ -51,23 +53,23 @@ def test_they_have_the_numbers_of_the_pages_pictures(found, vehicle, synthetic, 
         stored, drives, runs[0].replayer, tmp_path / "page.html", None, lambda _: None, pictures=pictures
     )
     same = {
-        "f2": plots.disturbance(found),
-        "f3": plots.weights(found),
-        "model-error": plots.model_error(found),
-        "front": plots.front(found),
-        "f5": plots.excitation(found, *runs),
+        "f2": plots.disturbance(identification),
+        "f3": plots.weights(identification),
+        "model-error": plots.model_error(identification),
+        "front": plots.front(identification),
+        "f5": plots.excitation(identification, *runs),
         **{f"d{i}": plots.margins(run) for i, run in enumerate(runs)},
     }
     for name, picture in same.items():
         assert picture.csv == (pictures / f"{name}.csv").read_text(), name
-    shown = plots.blind(found, *runs)
+    shown = plots.blind(identification, *runs)
     body = shown.page.partition("<body>")[2].partition("<script>")[0].strip()
     assert body.startswith('<figure class="map">') and body in (tmp_path / "page.html").read_text()
 
 
 @pytest.mark.slow("2 s: pictures")
-def test_a_notebook_shows_them_and_files_hold_them(found, run, tmp_path):
-    picture = plots.weights(found)
+def test_a_notebook_shows_them_and_files_hold_them(identification, run, tmp_path):
+    picture = plots.weights(identification)
     picture.save(tmp_path / "weights.svg")
     picture.save(tmp_path / "weights.csv")
     assert (tmp_path / "weights.svg").read_text() == picture._repr_svg_()
@@ -75,9 +77,9 @@ def test_a_notebook_shows_them_and_files_hold_them(found, run, tmp_path):
     with pytest.raises(lpvguard.InputError, match=r"\.svg or \.csv"):
         picture.save(tmp_path / "weights.png")
     # Pictures of one notebook share its ids: none may mean two things.
-    both = ids(picture._repr_svg_()), ids(plots.disturbance(found)._repr_svg_())
+    both = ids(picture._repr_svg_()), ids(plots.disturbance(identification)._repr_svg_())
     assert both[0] and both[1] and not both[0] & both[1]
-    assert plots.weights(found).svg == picture.svg
+    assert plots.weights(identification).svg == picture.svg
 
 
 def test_the_model_in_time_is_the_stretch_that_was_asked_for(run):
@@ -91,8 +93,8 @@ def test_the_model_in_time_is_the_stretch_that_was_asked_for(run):
         plots.in_time(run, 1e6)
 
 
-def test_the_map_says_where_the_model_is_blind_and_where_a_run_violated_it(found, weak, tmp_path):
-    quiet, loud = plots.blind(found), plots.blind(found, weak)
+def test_the_map_says_where_the_model_is_blind_and_where_a_run_violated_it(identification, weak, tmp_path):
+    quiet, loud = plots.blind(identification), plots.blind(identification, weak)
     cells = [c for row in loud.cells for c in row]
     of_frames = [a for a in weak.alarms if a.test == "frame"]
     assert sum(c.alarms for c in cells) == len(of_frames) > 0
@@ -147,13 +149,13 @@ def test_the_pictures_of_a_campaign_and_of_a_simulation_have_their_numbers(tmp_p
     (tmp_path / "summary.json").write_text(json.dumps(summary))
     drawn = plots.campaign(tmp_path / "summary.json")
     for name, y in (("matched", [0.9, 0.3]), ("found", [0.8, 0.2]), ("time", [1.25, 5.0])):
-        told = csv.DictReader(io.StringIO(drawn[name].csv))
-        assert [float(row["y"]) for row in told if row["series"] == "monitor"] == y, name
+        rows = csv.DictReader(io.StringIO(drawn[name].csv))
+        assert [float(row["y"]) for row in rows if row["series"] == "monitor"] == y, name
     run = {"scenario": "steady", "seed": 1, "threshold": 1.5, "expected": {}, "first_invalid_s": None}
     (tmp_path / "results.json").write_text(json.dumps([run]))
     telemetry = "t_s,wanted_radps,yaw_rate_radps,demand_bar\n0,0.1,0.2,0.3\n1,0.4,0.5,0.6\n"
     (tmp_path / "steady-1.telemetry.csv").write_text(telemetry)
     (tmp_path / "steady-1.frames.csv").write_text("t_end_s,reason,margin\n0,0,0.7\n1,0,0.8\n")
-    told = list(csv.DictReader(io.StringIO(plots.simulated(tmp_path)["steady-1"].csv)))
-    shown = {row["series"]: float(row["y"]) for row in told}
+    rows = list(csv.DictReader(io.StringIO(plots.simulated(tmp_path)["steady-1"].csv)))
+    shown = {row["series"]: float(row["y"]) for row in rows}
     assert shown["truck"] == 0.5 and shown["frame"] == 0.8

@@ -115,8 +115,8 @@ void step(const float* in, double* out, int error) {{
 
 def stepped(component, row: np.ndarray, error: int = 0) -> np.ndarray:
     """Results of one sample: verdict, energy ratio, change ratio."""
-    given, results = np.asarray(row, np.float32), np.zeros(3)
-    component.step(native.pointer(given), native.pointer(results), error)
+    inputs, results = np.asarray(row, np.float32), np.zeros(3)
+    component.step(native.pointer(inputs), native.pointer(results), error)
     return results
 
 

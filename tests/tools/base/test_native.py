@@ -114,16 +114,16 @@ def test_a_header_that_is_compiled_beforehand_changes_no_byte_of_an_object(tmp_p
     read_first = []
 
     def precompiled():
-        found = native.precompiled(header, flags=("-O1",), include_dirs=(), version=b"1")
-        read_first.append(found)
-        return found
+        compiled = native.precompiled(header, flags=("-O1",), include_dirs=(), version=b"1")
+        read_first.append(compiled)
+        return compiled
 
     compilations = []
     compile_to = native._compile_to
 
-    def counted(target, *given):
+    def counted(target, *arguments):
         compilations.append(target.suffix)
-        return compile_to(target, *given)
+        return compile_to(target, *arguments)
 
     monkeypatch.setattr(native, "_compile_to", counted)
     objects = []

@@ -22,11 +22,11 @@ def test_alarms_an_hour_have_exact_intervals():
 
 
 def test_no_interval_is_of_zero_width():
-    for of in (1, 2, 11, 5000):
-        for count in {0, 1, of // 2, of}:
-            share, hourly = rate(count, of)["interval"], per_hour(count, 0.01 * of)["interval"]
-            assert share[0] <= count / of <= share[1] and share[1] - share[0] > 1e-4
-            assert hourly[0] <= count / (0.01 * of) <= hourly[1] and hourly[1] - hourly[0] > 1e-2
+    for total in (1, 2, 11, 5000):
+        for count in {0, 1, total // 2, total}:
+            share, hourly = rate(count, total)["interval"], per_hour(count, 0.01 * total)["interval"]
+            assert share[0] <= count / total <= share[1] and share[1] - share[0] > 1e-4
+            assert hourly[0] <= count / (0.01 * total) <= hourly[1] and hourly[1] - hourly[0] > 1e-2
 
 
 @pytest.mark.parametrize(("p", "n"), [(0.02, 11), (0.1, 30), (0.5, 5)])
@@ -34,12 +34,12 @@ def test_the_intervals_cover_with_95_percent(p, n):
     random = np.random.default_rng(8)
     share = [rate(int(c), n)["interval"] for c in random.binomial(n, p, 2000)]
     hourly = [per_hour(int(c), n / 10)["interval"] for c in random.poisson(p * n / 10, 2000)]
-    for found in (share, hourly):
-        assert np.mean([low <= p <= high for low, high in found]) >= 0.94
+    for intervals in (share, hourly):
+        assert np.mean([low <= p <= high for low, high in intervals]) >= 0.94
 
 
 def test_false_alarms_are_counted_in_pieces_drives_recordings_and_by_the_hour_judged():
-    counted = FalseAlarms.of([(2, 3), (0, 1), (1, 2)], [100.0, 0.0, 260.0], ["a", "b", "a"])
+    counted = FalseAlarms.from_counts([(2, 3), (0, 1), (1, 2)], [100.0, 0.0, 260.0], ["a", "b", "a"])
     assert (counted.drives, counted.alarmed_drives, counted.alarmed, counted.pieces) == (3, 2, 3, 6)
     assert counted.judged_h == pytest.approx(0.1) and counted.per_judged_h == pytest.approx(30.0)
     assert counted.recordings == rate(1, 2), "two alarmed pieces of one recording are one"
@@ -49,9 +49,9 @@ def test_false_alarms_are_counted_in_pieces_drives_recordings_and_by_the_hour_ju
 
 
 def test_of_nothing_no_rate_is_stated():
-    unjudged = FalseAlarms.of([(1, 1)], [0.0], ["a"])
+    unjudged = FalseAlarms.from_counts([(1, 1)], [0.0], ["a"])
     assert unjudged.per_judged_h is None and unjudged.recordings["interval"] is not None
     assert hourly_words(unjudged.recordings_per_judged_h) == "–"
-    none = FalseAlarms.of([], [], [])
+    none = FalseAlarms.from_counts([], [], [])
     assert (none.drives, none.alarmed_drives, none.pieces, none.per_judged_h) == (0, 0, 0, None)
     assert share_words(none.recordings) == "–"

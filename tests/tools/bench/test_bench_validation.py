@@ -42,8 +42,8 @@ def test_no_draw_exceeds_the_bound_that_its_memory_allows(fraction):
 
 @pytest.mark.unhurried
 def test_alarms_without_disturbance_come_with_memory():
-    found = memory.rows(1000, seed=1)
-    largest, share = [r.largest for r in found], [r.share_above_1 for r in found]
+    rows = memory.rows(1000, seed=1)
+    largest, share = [r.largest for r in rows], [r.share_above_1 for r in rows]
     assert largest[0] <= 1 < largest[2] and largest == sorted(largest)
     assert share[0] == 0.0 and share == sorted(share)
 

@@ -19,9 +19,9 @@ STAGES = [
 def test_the_ratio_is_by_the_clock_and_leaves_the_moving_speed_out():
     peer = {"seconds": 36.0, "processor": 25.0, "claimed": 0.9, "level": 0.91, "order": 9, "note": ""}
     assert bench.ratios(STAGES, peer) == (2.5, 3.0)
-    text, found = bench.table(STAGES, 0.99, peer), bench.as_dict(STAGES, 0.99, peer)
+    text, fields = bench.table(STAGES, 0.99, peer), bench.as_dict(STAGES, 0.99, peer)
     assert "ratio of seconds 2.50 (wanted 2), of processor seconds 3.00" in text and "not in the sum" in text
-    assert (found["ratio"], found["ratio_processor"], found["ok"]) == (2.5, 3.0, False)
+    assert (fields["ratio"], fields["ratio_processor"], fields["ok"]) == (2.5, 3.0, False)
     assert bench.as_dict(STAGES, 0.99, peer | {"seconds": 45.0})["ok"] is True
 
 
@@ -37,7 +37,7 @@ def test_the_stages_are_those_of_the_commands(monkeypatch):
     asked = []
     monkeypatch.setattr(bench, "load_project", lambda name: f"project {name}")
     monkeypatch.setattr(bench.identify, "identify", lambda project, drives, workers: (project, drives))
-    monkeypatch.setattr(bench.identify, "save", lambda *given: asked.append(given[:2]))
+    monkeypatch.setattr(bench.identify, "save", lambda *arguments: asked.append(arguments[:2]))
     monkeypatch.setattr(bench.identify, "load", lambda folder: f"stored {folder.name}")
 
     class Result:
@@ -48,10 +48,10 @@ def test_the_stages_are_those_of_the_commands(monkeypatch):
         return Result
 
     monkeypatch.setattr(bench.design, "design", design)
-    monkeypatch.setattr(bench.design, "save", lambda *given: asked.append(given[2].name))
+    monkeypatch.setattr(bench.design, "save", lambda *arguments: asked.append(arguments[2].name))
     monkeypatch.setattr(bench, "DesignProblem", SimpleNamespace(from_identification=lambda stored: stored))
     monkeypatch.setattr(
-        bench, "moving_certificates", lambda stored, *given, workers: asked.append((*given, workers))
+        bench, "moving_certificates", lambda stored, *arguments, workers: asked.append((*arguments, workers))
     )
     monkeypatch.setattr(
         bench, "export_chosen", lambda stored, out, folder, workers: asked.append(folder.name)

@@ -22,21 +22,21 @@ def normal() -> Pool:
 
 @pytest.mark.parametrize("n", [11, 100])
 def test_healthy_lives_keep_their_rate(normal, n):
-    found = healthy_lives(normal, n, 400, 500, 1)
-    assert found["ever"]["interval"][0] <= 0.05
-    assert found["outside"]["interval"][0] <= 0.05 <= found["outside"]["interval"][1] + 0.03
-    assert found["worst_sets"]["of"] == 20 * lives.AGAIN
-    assert 0.0 <= found["worst_set"] <= 1.0
-    hourly, hours = found["ever_per_1000_judged_h"], 400 * 500 / 60
-    assert hourly["rate"] == pytest.approx(1000 * found["ever"]["count"] / hours, rel=0.1)
+    rates = healthy_lives(normal, n, 400, 500, 1)
+    assert rates["ever"]["interval"][0] <= 0.05
+    assert rates["outside"]["interval"][0] <= 0.05 <= rates["outside"]["interval"][1] + 0.03
+    assert rates["worst_sets"]["of"] == 20 * lives.AGAIN
+    assert 0.0 <= rates["worst_set"] <= 1.0
+    hourly, hours = rates["ever_per_1000_judged_h"], 400 * 500 / 60
+    assert hourly["rate"] == pytest.approx(1000 * rates["ever"]["count"] / hours, rel=0.1)
     assert hourly["interval"][0] <= hourly["rate"] <= hourly["interval"][1]
 
 
 def test_a_life_beyond_its_set_is_found_and_the_false_are_told_apart(normal):
-    found = drifting_lives(normal, 100, 20, 300, 1)
-    assert found["in_time"]["count"] + found["false"]["count"] <= 300
-    assert found["in_time"]["count"] > 200
-    assert found["before_stated_gain"]["count"] < found["in_time"]["count"]
+    rates = drifting_lives(normal, 100, 20, 300, 1)
+    assert rates["in_time"]["count"] + rates["false"]["count"] <= 300
+    assert rates["in_time"]["count"] > 200
+    assert rates["before_stated_gain"]["count"] < rates["in_time"]["count"]
     never = Pool(np.repeat(normal.scores[:, :1], len(GAINS), axis=1), normal.alarmed)
     assert drifting_lives(never, 100, 20, 300, 1)["in_time"]["count"] < 10
 
@@ -56,9 +56,9 @@ def test_the_command_prints_and_writes_the_table(tmp_path, capsys):
     out = tmp_path / "lives.json"
     small = ["--drives", "12", "--lives", "20", "--recordings", "30", "--json", str(out)]
     run("lives", small)
-    text, found = capsys.readouterr().out, json.loads(out.read_text())
+    text, result = capsys.readouterr().out, json.loads(out.read_text())
     assert "pool: 12 core-run drives" in text and "n = 100" in text
-    assert found["healthy"][1]["earliest"] == 3 and found["healthy"][0]["ever"]["of"] == 20
+    assert result["healthy"][1]["earliest"] == 3 and result["healthy"][0]["ever"]["of"] == 20
     with pytest.raises(InputError, match="--lives"):
         run("lives", ["--lives", "0"])
 

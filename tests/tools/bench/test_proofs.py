@@ -59,16 +59,16 @@ def test_the_largest_frozen_mu_stands_beside_the_largest_optimum_of_one_speed(de
     """A controller of common poles is above the optimum, and not far; the optimum is that of no one's mu."""
     stored, document = stated_by(designed)
     said = document["certificates"]
-    found = proofs.frozen_mu(stored, said)
+    frozen = proofs.frozen_mu(stored, said)
     rows = [*said["speeds"], said["off_grid"]]
-    assert found.mu == max(row["mu_upper"] for row in rows)
-    assert found.v_mps in [row["v_mps"] for row in rows if row["mu_upper"] == found.mu]
-    assert 0.8 * found.mu < found.optimum < found.mu
+    assert frozen.mu == max(row["mu_upper"] for row in rows)
+    assert frozen.v_mps in [row["v_mps"] for row in rows if row["mu_upper"] == frozen.mu]
+    assert 0.8 * frozen.mu < frozen.optimum < frozen.mu
     low, high = stored.project.model.speed_min_mps, stored.project.model.speed_max_mps
-    assert low <= found.optimum_v_mps <= high
-    monkeypatch.setattr(proofs, "frozen_optimum", lambda _: (found.optimum, found.optimum_v_mps))
-    said["off_grid"] |= {"mu_upper": 2 * found.mu, "v_mps": 13.0}
-    assert proofs.frozen_mu(stored, said) == replace(found, mu=2 * found.mu, v_mps=13.0)
+    assert low <= frozen.optimum_v_mps <= high
+    monkeypatch.setattr(proofs, "frozen_optimum", lambda _: (frozen.optimum, frozen.optimum_v_mps))
+    said["off_grid"] |= {"mu_upper": 2 * frozen.mu, "v_mps": 13.0}
+    assert proofs.frozen_mu(stored, said) == replace(frozen, mu=2 * frozen.mu, v_mps=13.0)
 
 
 def test_performance_at_a_moving_speed_is_drawn_where_it_is_claimed(designed):

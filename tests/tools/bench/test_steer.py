@@ -40,13 +40,13 @@ class NoWorkers:
         return None
 
 
-@pytest.mark.parametrize("given", ["", "fast", "10,", "-1", "nan", "inf"])
-def test_speeds_that_are_none_are_refused(given):
+@pytest.mark.parametrize("speeds", ["", "fast", "10,", "-1", "nan", "inf"])
+def test_speeds_that_are_none_are_refused(speeds):
     with pytest.raises(InputError, match=r"--speeds.*numbers from 0 on"):
-        steer.main(["vehicle", f"--speeds={given}"])
+        steer.main(["vehicle", f"--speeds={speeds}"])
 
 
-@pytest.mark.parametrize("given", ["1.5", "1,inf", "one"])
-def test_seeds_that_are_no_whole_numbers_are_refused(given):
+@pytest.mark.parametrize("seeds", ["1.5", "1,inf", "one"])
+def test_seeds_that_are_no_whole_numbers_are_refused(seeds):
     with pytest.raises(InputError, match=r"--seeds.*whole numbers from 0 on"):
-        steer.main(["vehicle", "--seeds", given])
+        steer.main(["vehicle", "--seeds", seeds])

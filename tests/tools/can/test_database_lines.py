@@ -49,7 +49,7 @@ def test_the_range_of_a_signed_signal_is_taken_before_its_type(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("magnitude", "bit", "found"),
+    ("magnitude", "bit", "is_sign"),
     [
         ("BR5_Giergeschw : 0|14@1+ (0.01,0)", "BR5_Vorzeichen : 15|1@1+", True),
         ("LH3_BLW : 0|12@1+ (0.15,0)", "LH3_BLWSign : 12|1@1+", True),
@@ -57,7 +57,7 @@ def test_the_range_of_a_signed_signal_is_taken_before_its_type(tmp_path):
         ("Yaw_Rate : 0|16@1+ (0.007,-229)", "Yaw_Rate_VZ : 16|1@1+", False),  # has its sign
     ],
 )
-def test_a_bit_of_other_words_tells_the_sign_of_what_it_follows(magnitude, bit, found):
+def test_a_bit_of_other_words_tells_the_sign_of_what_it_follows(magnitude, bit, is_sign):
     signals = f' SG_ {magnitude} [0|0] "" A\n SG_ {bit} (1,0) [0|1] "" A\n'
     message = cantools.database.load_string(HEAD + "BO_ 1 M: 8 A\n" + signals, "dbc").messages[0]
-    assert bool(sign_bits(message)) == found
+    assert bool(sign_bits(message)) == is_sign

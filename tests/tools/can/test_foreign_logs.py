@@ -133,9 +133,9 @@ def test_px4s_ulog_is_read(tmp_path):
         data += record(b"D", struct.pack("<HQfff", 1, t // 1000, 0.0, 0.0, r))
     (tmp_path / "drive.ulg").write_bytes(data)
     read = read_log(tmp_path / "drive.ulg")
-    found = read.series["vehicle_angular_velocity.xyz[2]"]
-    assert found.t_ns.tolist() == T
-    np.testing.assert_allclose(found.value, YAW, atol=1e-7)
+    series = read.series["vehicle_angular_velocity.xyz[2]"]
+    assert series.t_ns.tolist() == T
+    np.testing.assert_allclose(series.value, YAW, atol=1e-7)
     assert ranked("output", read.series) == ["vehicle_angular_velocity.xyz[2]"]
 
 

@@ -103,15 +103,15 @@ def test_the_peer_gives_way_to_a_lower_name_and_the_node_to_a_lower_one(bus):
 @pytest.mark.requirement("REQ-J1939-11")
 def test_the_peer_reads_one_code_and_many_as_they_were_found(bus):
     one = bus(0x100, 0x200)
-    told = []
+    heard = []
     reader = j1939.Dm1(one.application)
-    reader.subscribe(lambda source, lamps, codes, timestamp: told.append((source, lamps, codes)))
+    reader.subscribe(lambda source, lamps, codes, timestamp: heard.append((source, lamps, codes)))
     one.node.run(0.5)
-    assert told[-1][1]["awl"] == j1939.DtcLamp.OFF
+    assert heard[-1][1]["awl"] == j1939.DtcLamp.OFF
     for codes in (CODES[:1], CODES):
         one.node.codes = codes
         one.node.run(0.5)
-        source, lamps, read = told[-1]
+        source, lamps, read = heard[-1]
         assert source == OWN and lamps["awl"] == j1939.DtcLamp.ON
         assert [(c["spn"], c["fmi"], c["oc"]) for c in read] == [(spn, fmi, 1) for spn, fmi in codes]
 

@@ -448,8 +448,8 @@ class Trial:
         been."""
         if not exchange:
             artefacts.recover(self.root / self.target)
-        found = tree(self.root / self.target)
-        whole = found in (self.old, self.new) or (self.name in RESUMED and self._part(found))
+        files = tree(self.root / self.target)
+        whole = files in (self.old, self.new) or (self.name in RESUMED and self._part(files))
         if not whole:
             return f"{self.name}, {how}: the target holds neither the old result nor the new one"
         left = {n for n in tree(self.root) if ".lpvguard/" in n}
@@ -462,10 +462,10 @@ class Trial:
                 f"{self.name}, {how}: exit {status}: "
                 + (self.root.parent / f"{self.root.name}.messages").read_text()[-600:]
             )
-        if self.name in NEVER_REPLACED and found == self.new and not left:
+        if self.name in NEVER_REPLACED and files == self.new and not left:
             return None
         again, _ = finish(*start(self.root, self.name, "b"))
-        if self.name in NEVER_REPLACED and found == self.new:
+        if self.name in NEVER_REPLACED and files == self.new:
             return None  # refused, or the same bytes
         if again or tree(self.root) != self.after:
             return (
@@ -474,8 +474,8 @@ class Trial:
             )
         return None
 
-    def _part(self, found: dict[str, str]) -> bool:
-        return all(self.new.get(n) == h for n, h in found.items() if n != artefacts.MANIFEST)
+    def _part(self, files: dict[str, str]) -> bool:
+        return all(self.new.get(n) == h for n, h in files.items() if n != artefacts.MANIFEST)
 
 
 def at_every_step(base: Path, every: int, names: list[str]) -> dict:

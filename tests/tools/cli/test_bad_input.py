@@ -280,7 +280,14 @@ def test_design_refuses_options_that_it_would_ignore(words, lpvguard, tmp_path):
 )
 def test_a_page_refuses_an_evaluation_of_another_shape(text, says, lpvguard, identified, synthetic, tmp_path):
     (tmp_path / "evaluation.json").write_text(text)
-    given = ("--vehicle", "g80", "--evaluation", tmp_path / "evaluation.json", "-o", tmp_path / "page.html")
-    done = lpvguard("report", identified, synthetic, *given)
+    arguments = (
+        "--vehicle",
+        "g80",
+        "--evaluation",
+        tmp_path / "evaluation.json",
+        "-o",
+        tmp_path / "page.html",
+    )
+    done = lpvguard("report", identified, synthetic, *arguments)
     assert done.returncode == 2 and "evaluation.json" in done.stderr and says in done.stderr, done.stderr
     assert not (tmp_path / "page.html").exists()

@@ -33,13 +33,13 @@ def interrupted(*words: object) -> dict:
 def test_no_step_at_which_a_command_ends_leaves_a_torn_result(command):
     """Each of the three ways to end at a third of the steps, together at all; all at all with
     LPVGUARD_FULL=1."""
-    found = interrupted("steps", 1 if FULL else 3, command)
-    assert found["runs"] >= (30 if FULL else 10) and found["torn"] == [] and found["missed"] == []
+    report = interrupted("steps", 1 if FULL else 3, command)
+    assert report["runs"] >= (30 if FULL else 10) and report["torn"] == [] and report["missed"] == []
 
 
 @pytest.mark.long("14 s: a process for every instant")
 def test_no_random_instant_does():
     count = 200 if FULL else 8
-    found = interrupted("kills", 1, count)
-    assert found["runs"] == count and found["torn"] == []
-    assert found["fell"]["while it wrote"] > count / 4, "kills after the end prove nothing"
+    report = interrupted("kills", 1, count)
+    assert report["runs"] == count and report["torn"] == []
+    assert report["fell"]["while it wrote"] > count / 4, "kills after the end prove nothing"

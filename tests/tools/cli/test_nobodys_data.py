@@ -26,12 +26,12 @@ VEHICLES = resources.files("lpvguard.vehicle").joinpath("shipped")
 def contents(root: Path) -> dict[str, str]:
     """Everything below a folder: names, kinds, links and hashes."""
 
-    def of(p: Path) -> str:
+    def content(p: Path) -> str:
         if p.is_symlink():
             return f"-> {os.readlink(p)}"
         return "folder" if p.is_dir() else hashlib.sha256(p.read_bytes()).hexdigest()
 
-    return {p.relative_to(root).as_posix(): of(p) for p in sorted(root.rglob("*"))}
+    return {p.relative_to(root).as_posix(): content(p) for p in sorted(root.rglob("*"))}
 
 
 @pytest.fixture
@@ -293,8 +293,8 @@ def test_an_edited_controller_is_refused_by_its_own_seal(tmp_path):
 )
 def test_the_shipped_folders_are_sealed_and_have_the_shipped_settings(name):
     stored = artefacts.read_manifest(shipped_vehicle(name), "vehicle")["project"]
-    given = json.loads(artefacts.to_json(load_project(name).model_dump(by_alias=True)))
-    assert artefacts.first_difference(stored, given) is None
+    document = json.loads(artefacts.to_json(load_project(name).model_dump(by_alias=True)))
+    assert artefacts.first_difference(stored, document) is None
 
 
 def test_the_first_difference_is_named_by_its_path():

@@ -23,16 +23,16 @@ def test_counted_steps_have_an_estimate_of_what_remains_and_others_have_none(mon
 
 
 def test_parts_say_shares_of_the_whole_that_never_fall():
-    told = []
-    first, second, last = parts(told.append, 1, 2, 1)
+    texts = []
+    first, second, last = parts(texts.append, 1, 2, 1)
     first(Counted("a", 1, 2))
     second("no count")
     second(Counted("b", 3, 4))
     second("no count either")
     second(Counted("beyond its own count", 9, 4))
     last("c")
-    assert [str(t) for t in told] == ["a", "no count", "b", "no count either", "beyond its own count", "c"]
-    assert [t.done / t.total for t in told] == [0.125, 0.25, 0.625, 0.625, 0.75, 0.75]
+    assert [str(t) for t in texts] == ["a", "no count", "b", "no count either", "beyond its own count", "c"]
+    assert [t.done / t.total for t in texts] == [0.125, 0.25, 0.625, 0.625, 0.75, 0.75]
 
 
 def test_what_remains_is_estimated_from_all_that_was_done(monkeypatch):

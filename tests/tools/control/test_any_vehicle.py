@@ -158,12 +158,12 @@ def test_the_compiled_controller_keeps_the_gain_with_members_of_the_set(stored, 
     vehicle = tmp_path / "vehicle"
     export_chosen(stored, vehicle, design)
     assert (vehicle / "lpvguard_control.c").is_file() and not (vehicle / "lpvguard_bus.c").exists()
-    given = ("sim", "--members", stored.folder, "--coefficients", vehicle, "--draws", 4)
-    done = lpvguard(*given, "--design", design, "--json", "-")
+    arguments = ("sim", "--members", stored.folder, "--coefficients", vehicle, "--draws", 4)
+    done = lpvguard(*arguments, "--design", design, "--json", "-")
     assert done.returncode == 0, done.stderr
     rows = json.loads(done.stdout)
     assert len(rows) == 4 and all(row["kept"] and 0 < row["worst"] <= row["bound"] for row in rows)
-    refused = lpvguard(*given)
+    refused = lpvguard(*arguments)
     assert refused.returncode == 2 and "--design, --coefficients and no scenario" in refused.stderr
     refused = lpvguard("sim")
     assert refused.returncode == 2 and "SCENARIOS: missing" in refused.stderr

@@ -249,17 +249,17 @@ def test_a_faster_rate_in_controller_json_is_refused(finer, moving, tmp_path):
 def test_the_command_searches_at_a_moving_speed_unless_told_not_to(finer, asked, monkeypatch, tmp_path):
     from lpvguard.cli import design as command
 
-    given = []
+    moving = []
 
-    def told(stored, progress, moving_speed, workers):
-        given.append(moving_speed)
+    def design(stored, progress, moving_speed, workers):
+        moving.append(moving_speed)
         raise InputError("design", "x", "stopped here", "no more")
 
-    monkeypatch.setattr(stage, "design", told)
+    monkeypatch.setattr(stage, "design", design)
     with pytest.raises(InputError, match="stopped here"):
         searched = {"table": False, "largest_A_t": False, "moving_speed": asked}
         command._design_vehicle(finer, None, tmp_path / "out", None, 1, **searched)
-    assert given == [asked]
+    assert moving == [asked]
 
 
 @pytest.mark.long("30 s: two designs for frozen speeds")
@@ -270,24 +270,24 @@ def test_synthesis_for_other_objectives_changes_the_controller_and_not_what_is_c
     asked = one.project.design.for_synthesis
     other = with_settings(one, A_t=asked.A_t, A_u=asked.A_u, synthesised_for=None)
     assert (asked.A_t, asked.A_u) == (60.0, 1.5e-6) and one.project.design.A_t == 40.0
-    found, hard = (stage._designed(x, x.project.design, None, lambda _: None) for x in (one, other))
+    soft, hard = (stage._designed(x, x.project.design, None, lambda _: None) for x in (one, other))
     for name in ("speeds", "a", "B", "L", "u_max"):
-        np.testing.assert_array_equal(getattr(found.schedule, name), getattr(hard.schedule, name))
-    for (v, proved), (_, harder) in zip(found.certificates, hard.certificates, strict=True):
-        again = certify(DesignProblem.from_identification(one).plant(v), found.schedule.at(v), found.scaling)
+        np.testing.assert_array_equal(getattr(soft.schedule, name), getattr(hard.schedule, name))
+    for (v, proved), (_, harder) in zip(soft.certificates, hard.certificates, strict=True):
+        again = certify(DesignProblem.from_identification(one).plant(v), soft.schedule.at(v), soft.scaling)
         assert proved.upper == pytest.approx(again.upper, rel=1e-9) and proved.upper < harder.upper
-    assert found.off_grid[1].upper < hard.off_grid[1].upper
+    assert soft.off_grid[1].upper < hard.off_grid[1].upper
 
     def worst(scaling):
         loops = [
             closed_scaled(
-                DesignProblem.from_identification(one).plant(float(v)), found.schedule.at(float(v)), scaling
+                DesignProblem.from_identification(one).plant(float(v)), soft.schedule.at(float(v)), scaling
             )
-            for v in found.schedule.speeds
+            for v in soft.schedule.speeds
         ]
         return max(hinf_norm(G, rtol=1e-4).upper for G in loops)
 
-    assert worst(found.scaling) < worst(hard.scaling)
+    assert worst(soft.scaling) < worst(hard.scaling)
 
 
 @pytest.mark.long("30 s: designs for ever larger A_t")
@@ -295,11 +295,11 @@ def test_the_largest_A_t_is_bracketed_below_the_dc_floors_limit(stored, monkeypa
     """The project's own A_t is reached; what fails is no more than the tolerance above, and below the limit
     of any controller."""
     monkeypatch.setattr(stage, "A_T_RTOL", 0.9)
-    found, settings = stage.largest_A_t(stored), stored.project.design
-    assert found.worst < 1 and settings.A_t <= found.A_t < found.failed <= 1.9 * found.A_t
+    largest, settings = stage.largest_A_t(stored), stored.project.design
+    assert largest.worst < 1 and settings.A_t <= largest.A_t < largest.failed <= 1.9 * largest.A_t
     floor = stage.dc_floor(DesignProblem(stored, settings).weights)
-    assert found.product == pytest.approx(found.A_t * floor)
-    assert found.product > 0.45 and found.failed * floor < 1 - 1e-9
+    assert largest.product == pytest.approx(largest.A_t * floor)
+    assert largest.product > 0.45 and largest.failed * floor < 1 - 1e-9
 
 
 def test_K_is_is_refused_where_frames_cannot_tell_the_states_uncertainty(common):
@@ -341,9 +341,9 @@ def test_the_states_uncertainty_is_searched_once(common, monkeypatch):
 
     monkeypatch.setattr(plants, "StoredFrames", Frames)
     one, settings = with_exact_frames(common), common.project.design
-    of = [settings.model_copy(update={"lambda_s": x}) for x in (0.5, 0.5, 2.0, 0.5)]
+    variants = [settings.model_copy(update={"lambda_s": x}) for x in (0.5, 0.5, 2.0, 0.5)]
     problem = DesignProblem(one, settings)
-    assert [problem.with_settings(s).state_uncertainty() for s in of] == [0.5, 0.5, 2.0, 0.5]
+    assert [problem.with_settings(s).state_uncertainty() for s in variants] == [0.5, 0.5, 2.0, 0.5]
     assert asked == [one, one]
 
 
@@ -427,8 +427,8 @@ def test_the_certified_controller_is_the_one_the_core_is_given(designed):
             A1[j, j + 1] = 1.0
     np.testing.assert_array_equal(schedule.at(v).A, np.eye(n) + A1)
     # At a node too B is interpolated, in double: nodes that are no binary fractions cost a rounding.
-    given = reals["BL"][2, 0, :, :3].astype(np.float32).astype(float)
-    np.testing.assert_allclose(schedule.at(v).B, given, rtol=0, atol=1e-12 * np.abs(given).max())
+    compiled_B = reals["BL"][2, 0, :, :3].astype(np.float32).astype(float)
+    np.testing.assert_allclose(schedule.at(v).B, compiled_B, rtol=0, atol=1e-12 * np.abs(compiled_B).max())
     np.testing.assert_array_equal(schedule.at(v).C, [np.arange(n) % 2 == 0])
 
 

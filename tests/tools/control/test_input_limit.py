@@ -57,8 +57,8 @@ def test_the_interpolated_limit_is_nowhere_above_the_rule(tmp_path, gain, nodes)
     limit = scheduled(speeds, input_limit(model, settings, speeds))
     v = np.random.default_rng(nodes).uniform(*model.speed_range, 1000)
     allowed = rule(model, settings, v)[:, 0]
-    found = np.array([limit.limit(x)[0] for x in v])  # as the core interpolates it, float32 coefficients
-    assert (found <= allowed).all() and (found > 0).all()
+    limits = np.array([limit.limit(x)[0] for x in v])  # as the core interpolates it, float32 coefficients
+    assert (limits <= allowed).all() and (limits > 0).all()
     for x in [*speeds, model.speed_range[0] - 5.0, model.speed_range[1] + 5.0]:
         inside = np.clip(x, *model.speed_range)
         assert limit.limit(x)[0] <= rule(model, settings, np.array([inside]))[0, 0]

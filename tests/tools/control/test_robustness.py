@@ -43,7 +43,7 @@ def schedule(result):
 
 
 @pytest.fixture(scope="module")
-def found(result):
+def robust(result):
     return result.further.robustness
 
 
@@ -52,9 +52,9 @@ def problem(stored):
     return DesignProblem.from_identification(stored)
 
 
-def test_disk_margins_are_those_of_the_loop_broken_at_the_vehicles_input(stored, schedule, found):
+def test_disk_margins_are_those_of_the_loop_broken_at_the_vehicles_input(stored, schedule, robust):
     model = NominalModel(stored.project)
-    for node in found.nodes:
+    for node in robust.nodes:
         K = schedule.at(node.v_mps).select(slice(None), slice(1, None))
         loop = series(gain([[-1.0]], K.dt), series(K, vehicle_at(model, node.v_mps)))
         want = margins(*of_system(loop)).by_name
@@ -62,16 +62,16 @@ def test_disk_margins_are_those_of_the_loop_broken_at_the_vehicles_input(stored,
             assert getattr(node, name) == pytest.approx(want[name].value, rel=1e-4)
 
 
-def test_the_worst_delta_found_stays_within_the_bound_and_close_to_it(found):
-    for node in found.nodes:
+def test_the_worst_delta_found_stays_within_the_bound_and_close_to_it(robust):
+    for node in robust.nodes:
         assert node.worst_gain_found <= node.worst_gain * (1 + 1e-6)
         assert node.worst_gain <= 1.02 * node.worst_gain_found
         # mu below 1 bounds the worst-case gain, and 1 / mu of Delta's size at gain mu.
         assert node.mu_interval >= 1 or node.worst_gain <= node.mu_interval * (1 + 1e-3)
 
 
-def test_neighbours_lie_within_the_nu_margin_and_midpoints_nearer(found):
-    *inner, last = found.nodes
+def test_neighbours_lie_within_the_nu_margin_and_midpoints_nearer(robust):
+    *inner, last = robust.nodes
     assert last.nu_gap_next is None is last.nu_gap_midpoint
     for node in inner:
         assert 0 < node.nu_gap_midpoint < node.nu_gap_next < node.nu_margin <= 1
@@ -92,24 +92,24 @@ def test_workers_change_no_byte_of_a_design(stored, result, tmp_path):
     assert alone == shared
 
 
-def test_an_altered_number_is_refused_by_name(found):
-    stated = found.to_dict()
-    compare(Path("controller.json"), stated, found)
-    for name in asdict(found.nodes[0]):
+def test_an_altered_number_is_refused_by_name(robust):
+    stated = robust.to_dict()
+    compare(Path("controller.json"), stated, robust)
+    for name in asdict(robust.nodes[0]):
         altered = json.loads(json.dumps(stated))
         for share in (5e-3 if name in LOOSE else 5e-5, -1e-6 if name in UPPER else -5e-3):
             altered["nodes"][0][name] = stated["nodes"][0][name] * (1 + share)
             with pytest.raises(InputError, match=rf"robustness at .*{name}"):
-                compare(Path("controller.json"), altered, found)
+                compare(Path("controller.json"), altered, robust)
         altered["nodes"][0][name] = None
         with pytest.raises(InputError, match=name):
-            compare(Path("controller.json"), altered, found)
+            compare(Path("controller.json"), altered, robust)
     slack = json.loads(json.dumps(stated))
     for name in UPPER:
         slack["nodes"][0][name] *= 1 + 1e-3
-    compare(Path("controller.json"), slack, found)
+    compare(Path("controller.json"), slack, robust)
     with pytest.raises(InputError, match="rows"):
-        compare(Path("controller.json"), stated | {"nodes": stated["nodes"][1:]}, found)
+        compare(Path("controller.json"), stated | {"nodes": stated["nodes"][1:]}, robust)
 
 
 @pytest.mark.parametrize(
@@ -136,10 +136,10 @@ def test_an_upper_bound_is_proved_as_stated_where_it_is_just_below_what_is_found
 
 @pytest.mark.parametrize(("share", "held"), [(1 - 2e-4, True), (1 - 1.99e-3, False)])
 def test_a_bound_stated_a_little_lower_is_proved_as_it_is_and_a_false_one_is_refused(
-    stored, schedule, found, share, held
+    stored, schedule, robust, share, held
 ):
     """Planted: bounds within the tolerance of the search, which another machine may have found, or not."""
-    node = found.nodes[0]
+    node = robust.nodes[0]
     problem = DesignProblem.from_identification(stored)
     plant, vehicle = problem.plant(node.v_mps), vehicle_at(problem.model, node.v_mps)
     loop, last = lft(plant.system, schedule.at(node.v_mps)), np.pi / plant.system.dt
@@ -152,7 +152,7 @@ def test_a_bound_stated_a_little_lower_is_proved_as_it_is_and_a_false_one_is_ref
     asked = _Asked(node.v_mps, plant, schedule.at(node.v_mps), vehicle, (), stated)
     proved = {name: asked.proved(name, bound) for name, bound in bounds.items()}
     assert (proved == stated) is held
-    rows = Robustness((node,), 1.0, (1.0, 1.0)), replace(found, nodes=(replace(node, **proved),))
+    rows = Robustness((node,), 1.0, (1.0, 1.0)), replace(robust, nodes=(replace(node, **proved),))
     altered = rows[0].to_dict()
     altered["nodes"][0] |= stated
     if held:
@@ -178,10 +178,10 @@ def test_the_page_shows_every_number_of_a_node_and_a_dash_for_none(tmp_path):
 
 
 def test_rates_are_proved_anew_and_larger_ones_are_refused(problem, result, schedule):
-    found, path = result.further.slow_delta, Path("controller.json")
-    stated = json.loads(json.dumps(found.to_dict()))
+    slowness, path = result.further.slow_delta, Path("controller.json")
+    stated = json.loads(json.dumps(slowness.to_dict()))
     require_slowness(path, stated, problem, schedule, result.scaling)
-    assert found.performance_rate > 0 and found.hidden_slow < found.hidden_fast
+    assert slowness.performance_rate > 0 and slowness.hidden_slow < slowness.hidden_fast
     for part, key in (("performance", "performance_rate"), ("performance", "performance_level")):
         altered = json.loads(json.dumps(stated))
         altered["nodes"][-1][key] *= 1.3
@@ -210,11 +210,11 @@ def test_the_page_says_which_hidden_rates_are_covered(tmp_path):
 
 
 def test_what_is_proved_at_the_limits_is_proved_anew_and_more_is_refused(problem, result, schedule):
-    found, path = result.further.limits, Path("controller.json")
-    stated = json.loads(json.dumps(found.to_dict()))
+    at_limits, path = result.further.limits, Path("controller.json")
+    stated = json.loads(json.dumps(at_limits.to_dict()))
     require_limits(path, stated, problem, schedule, result.scaling)
     proved = [k for k, row in enumerate(stated["rows"]) if None not in (row["energy"], row["gain"])]
-    assert found.largest_kappa >= 1 and found.energy() > 0 and proved
+    assert at_limits.largest_kappa >= 1 and at_limits.energy() > 0 and proved
     for key, factor in (("gain", 0.8), ("energy", 1.0001), ("stability_level", 0.99), ("kappa", 1.5)):
         altered = json.loads(json.dumps(stated))
         altered["rows"][proved[0]][key] *= factor
@@ -248,10 +248,10 @@ def test_the_page_and_the_summary_tell_how_far_the_limits_go(tmp_path):
         LimitRow(22.0, 2.0, 0.9, (0.0,), None, (), 1.75, (0.0,)),
         LimitRow(22.0, None, 0.97, (0.0,), None, (), None, ()),
     )
-    found = Limits(rows)
-    assert found.largest_kappa == 2 and found.energy() == 1.75
+    stated_limits = Limits(rows)
+    assert stated_limits.largest_kappa == 2 and stated_limits.energy() == 1.75
     certificates = schemas.example("controller")["certificates"]
-    certificates["limits"] = found.to_dict()
+    certificates["limits"] = stated_limits.to_dict()
     (tmp_path / "controller.json").write_text(json.dumps({"certificates": certificates}))
     text = design_section(tmp_path)
     for shown in ("<td>19.4</td><td>1.25</td>", '<td>any</td><td><span class="no">not proved</span></td>'):

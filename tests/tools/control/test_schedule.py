@@ -187,11 +187,11 @@ def test_under_limits_the_law_is_that_of_model_recovery():
     Q, R = np.outer(C[0], C[0]) / (top @ top), RECOVERY_EFFORT * np.diag(u_max**-2.0)
     X = solve_discrete_are(A, B, Q, R)
     F = np.linalg.solve(R + B.T @ X @ B, B.T @ X @ A)
-    x, exact, xi, found, wanted = np.zeros(K.order), np.zeros(K.order), np.zeros(2), [], []
+    x, exact, xi, demands, wanted = np.zeros(K.order), np.zeros(K.order), np.zeros(2), [], []
     for _ in range(500):
-        found.append(K.C @ x)
+        demands.append(K.C @ x)
         wanted.append(K.C @ exact + F @ xi)
-        x = K.A @ x + K.B @ [1.0, 0.0, 0.0] - L @ found[-1]
+        x = K.A @ x + K.B @ [1.0, 0.0, 0.0] - L @ demands[-1]
         exact = K.A @ exact + K.B @ np.append(1.0, C @ xi)
         xi = (A - B @ F) @ xi + B @ wanted[-1]
-    assert np.abs(np.array(found) - wanted).max() <= 0.025 * np.abs(wanted).max()
+    assert np.abs(np.array(demands) - wanted).max() <= 0.025 * np.abs(wanted).max()

@@ -130,9 +130,9 @@ def test_state_of_a_frame_is_that_of_the_frozen_model(problem):
         problem.model.frequency_response([omega], 9.0)[0, :, 0] * u[0],
         problem.model.frequency_response([omega], 20.0)[0, :, 0] * u[1],
     )
-    found, x_nom, _, h_s = problem.frames._behind(np.array(Z), v, omega)
+    input_, x_nom, _, h_s = problem.frames._behind(np.array(Z), v, omega)
     late = np.exp(-1j * omega * problem.stored.project.model.input_delay_s)
-    np.testing.assert_allclose(found, late * u, rtol=1e-9)
+    np.testing.assert_allclose(input_, late * u, rtol=1e-9)
     np.testing.assert_allclose(x_nom @ problem.model.C.T, Z, rtol=1e-9)
     assert h_s.shape == (2, 4, 4)
 
@@ -205,42 +205,44 @@ def test_the_search_steps_to_where_no_step_betters_it_and_tries_nothing_twice(mo
     run.front()
     before = run.best()
     run.refine()
-    found, step = run.best(), np.log(tradeoff.LEVEL_STEP)
-    assert found.level < before.level and found.candidate.structure == "K_is"
-    assert abs(np.log(found.candidate.low / 0.2)) <= step / 2 + 1e-9
-    assert found.candidate.high == pytest.approx(0.9, rel=0.3) and found.candidate.lambda_s == 4.0
+    best, step = run.best(), np.log(tradeoff.LEVEL_STEP)
+    assert best.level < before.level and best.candidate.structure == "K_is"
+    assert abs(np.log(best.candidate.low / 0.2)) <= step / 2 + 1e-9
+    assert best.candidate.high == pytest.approx(0.9, rel=0.3) and best.candidate.lambda_s == 4.0
     keys = [o.candidate.key for o in run.outcomes]
     assert len(keys) == len(set(keys))
     apart = [o for o in run.outcomes if o.level is None]
-    assert apart and all(o.floor.value >= found.level for o in apart)
+    assert apart and all(o.floor.value >= best.level for o in apart)
 
 
 def test_trade_off_finds_no_worse_than_the_projects_own_and_says_what_limits(problem, monkeypatch, tmp_path):
     monkeypatch.setattr(tradeoff, "LEVELS", (0.1,))
     monkeypatch.setattr(tradeoff, "ROUNDS", 1 if FULL else 0)
     monkeypatch.setattr(tradeoff, "speeds", lambda p: [p.settings.design_speed_mps])
-    found = tradeoff.search(problem)
-    levels = [o.level for o in found.outcomes if o.level is not None]
+    trade_off = tradeoff.search(problem)
+    levels = [o.level for o in trade_off.outcomes if o.level is not None]
     assert (
-        found.best.level <= min(levels) * (1 + tradeoff.AS_GOOD)
-        and found.best.level <= found.own.level
-        and found.own.candidate.own
+        trade_off.best.level <= min(levels) * (1 + tradeoff.AS_GOOD)
+        and trade_off.best.level <= trade_off.own.level
+        and trade_off.own.candidate.own
     )
-    for o in found.outcomes:
+    for o in trade_off.outcomes:
         assert o.level is None or o.floor.value <= o.level
         if o.level is None:
-            assert o.floor.value >= found.best.level
+            assert o.floor.value >= trade_off.best.level
     assert (
-        sum(found.limit["enters_by"].values()) == pytest.approx(1) == sum(found.limit["leaves_by"].values())
+        sum(trade_off.limit["enters_by"].values())
+        == pytest.approx(1)
+        == sum(trade_off.limit["leaves_by"].values())
     )
-    assert "What limits it" in found.sentence and f"{found.best.level:.3f}" in found.sentence
+    assert "What limits it" in trade_off.sentence and f"{trade_off.best.level:.3f}" in trade_off.sentence
     document = problem.stored.project.model_dump(by_alias=True)
-    document["bounds"]["nu_ceiling"] = found.setting()["bounds.nu_ceiling"]
+    document["bounds"]["nu_ceiling"] = trade_off.setting()["bounds.nu_ceiling"]
     ceiling = parse_project(document, "test").bounds.nu_ceiling.at(
         problem.frames.estimator.omega / (2 * np.pi)
     )
-    np.testing.assert_allclose(ceiling, found.best.ceiling, rtol=1e-5)
-    files = found.files()
+    np.testing.assert_allclose(ceiling, trade_off.best.ceiling, rtol=1e-5)
+    files = trade_off.files()
     assert set(drawn(files)) == {"tradeoff.svg"}
     artefacts.write_files(tmp_path, files)
     assert tradeoff_section(tmp_path).count("<svg") == 1
@@ -253,11 +255,11 @@ def test_the_sentence_is_honest_when_nothing_reaches_one(problem, monkeypatch):
     hard = problem.stored.project.model_copy(
         update={"design": problem.settings.model_copy(update={"A_t": 400.0})}
     )
-    found = tradeoff.search(FrozenProblem(replace(problem.stored, project=hard), problem.frames))
+    trade_off = tradeoff.search(FrozenProblem(replace(problem.stored, project=hard), problem.frames))
     assert (
-        found.best.level >= 1
-        and "No candidate reaches mu < 1" in found.sentence
-        and "no controller can" in found.sentence
+        trade_off.best.level >= 1
+        and "No candidate reaches mu < 1" in trade_off.sentence
+        and "no controller can" in trade_off.sentence
     )
 
 

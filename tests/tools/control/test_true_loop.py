@@ -65,15 +65,17 @@ def sampled(model: NominalModel) -> StateSpace:
 def test_the_nominal_truck_has_the_margins_of_the_nominal_state_space_loop(truck, delay_s):
     model = truck.model.model_copy(update={"input_delay_s": delay_s})
     loop = certified(truck.model_copy(update={"model": model}))
-    found = loop.true(measured(loop, 0 * OMEGA, 0 * OMEGA))
+    true_loop = loop.true(measured(loop, 0 * OMEGA, 0 * OMEGA))
     K = loop.schedule.at(SPEED)
     feedback = StateSpace(K.A, -K.B[:, 1:], K.C, K.D[:, 1:], K.dt)
     system = series(feedback, sampled(loop.model))
     exact = margins(*of_system(system))
     for name in NAMES:
-        assert found.margins.by_name[name].value == pytest.approx(exact.by_name[name].value, rel=1e-4), name
-    assert (found.v, found.asked, found.amplitude) == (SPEED, 2.0, 1.0)
-    assert all(d.ratio < 1e-9 for d in found.deviations)
+        assert true_loop.margins.by_name[name].value == pytest.approx(exact.by_name[name].value, rel=1e-4), (
+            name
+        )
+    assert (true_loop.v, true_loop.asked, true_loop.amplitude) == (SPEED, 2.0, 1.0)
+    assert all(d.ratio < 1e-9 for d in true_loop.deviations)
 
 
 @pytest.mark.slow("3 s: drawn vehicles")
@@ -90,10 +92,10 @@ def test_a_vehicle_within_the_weight_has_at_least_what_is_promised(truck, column
         turns = random.uniform(0.1, 30.0, 2) if columns == 2 else np.repeat(random.uniform(0.1, 30.0), 2)
         signs = random.choice([-1.0, 1.0], 2) if columns == 2 else np.repeat(random.choice([-1.0, 1.0]), 2)
         delta = signs * (turns - 1j * OMEGA[:, None]) / (turns + 1j * OMEGA[:, None])
-        found = loop.true(measured(loop, *(delta * W * 0.999).T))
-        assert all(d.ratio <= 1 for d in found.deviations)
+        true_loop = loop.true(measured(loop, *(delta * W * 0.999).T))
+        assert all(d.ratio <= 1 for d in true_loop.deviations)
         for name in NAMES:
-            better = found.margins.by_name[name].value - promised.by_name[name].value
+            better = true_loop.margins.by_name[name].value - promised.by_name[name].value
             assert better * (-1 if name in LARGER_IS_WORSE else 1) >= -1e-3, name
 
 
@@ -127,8 +129,8 @@ def test_a_weight_that_lets_a_vehicle_go_unstable_promises_nothing(truck):
 
 def test_an_unstable_true_loop_says_so(truck):
     loop = certified(truck)
-    found = loop.true(measured(loop, *[-60.0 + 0 * OMEGA] * 2))
-    assert not found.margins.stable and found.margins.by_name == {}
+    true_loop = loop.true(measured(loop, *[-60.0 + 0 * OMEGA] * 2))
+    assert not true_loop.margins.stable and true_loop.margins.by_name == {}
 
 
 def test_amplitudes_are_reduced_to_the_edge_and_not_left_out(truck):

@@ -85,7 +85,7 @@ def test_growth_is_found_from_the_rate_on_at_which_it_begins():
 def test_the_search_climbs_above_every_start_and_stops_where_it_is_told_to():
     loop = Loop(OverSpeed(turning(0.6, 0.3)), 1, TS)
     search, rate = Search(loop, 60, 2), 3.0
-    found = search.at(rate)
+    violation = search.at(rate)
     grid = SpeedGrid.for_rate(0.0, 1.0, rate, TS)
     starts = [triangle(grid, 60, 0.0, 1.0, share) for share in (0.0, 0.25, 0.5, 0.75)]
     reached = [
@@ -93,17 +93,17 @@ def test_the_search_climbs_above_every_start_and_stops_where_it_is_told_to():
         for speeds in starts
         for sign in (1.0, -1.0)
     ]
-    assert found.gain > 1.05 * max(reached) and steps_of(found.speeds) <= rate * (1 + 1e-9)
-    again = loop.history(found.speeds, loop.delta(found.corners)).states(found.w)[1]
-    assert np.linalg.norm(again) / np.linalg.norm(found.w) == pytest.approx(found.gain)
-    assert search.at(rate).gain == found.gain  # the seed decides
+    assert violation.gain > 1.05 * max(reached) and steps_of(violation.speeds) <= rate * (1 + 1e-9)
+    again = loop.history(violation.speeds, loop.delta(violation.corners)).states(violation.w)[1]
+    assert np.linalg.norm(again) / np.linalg.norm(violation.w) == pytest.approx(violation.gain)
+    assert search.at(rate).gain == violation.gain  # the seed decides
     early = search.at(rate, 0.1)
-    assert 0.1 < early.gain < found.gain
+    assert 0.1 < early.gain < violation.gain
 
 
 def test_without_delta_the_speeds_alone_are_searched():
-    found = Search(Loop(OverSpeed(turning(0.6)), 0, TS), 40, 3).at(5.0)
-    assert found.corners == () and found.gain > 0
+    violation = Search(Loop(OverSpeed(turning(0.6)), 0, TS), 40, 3).at(5.0)
+    assert violation.corners == () and violation.gain > 0
 
 
 def lpvtools_example(rho: float) -> StateSpace:
@@ -143,15 +143,15 @@ def test_the_least_rate_is_bracketed(threshold):
         asked.append(rate)
         return rate > threshold
 
-    found = least_violating(violates, 50.0, 0.01)
-    assert found.without <= threshold < found.rate <= violations.PRECISION * found.without
+    bracket = least_violating(violates, 50.0, 0.01)
+    assert bracket.without <= threshold < bracket.rate <= violations.PRECISION * bracket.without
     assert len(asked) < 12
 
 
 def test_the_ladder_ends_where_nothing_or_everything_violates():
     assert least_violating(lambda rate: False, 50.0, 0.01) == violations.LeastRate(None, 50.0)
-    found = least_violating(lambda rate: True, 50.0, 0.01)
-    assert found.without == 0 and 0.01 <= found.rate < 0.04
+    bracket = least_violating(lambda rate: True, 50.0, 0.01)
+    assert bracket.without == 0 and 0.01 <= bracket.rate < 0.04
 
 
 def test_drawn_all_passes_have_both_signs_and_constants_among_them():

@@ -88,8 +88,8 @@ def test_a_frame_reads_its_own_samples_alone(estimator):
         expected = np.stack([estimator.kernel(k) @ x[start : start + N] for start in (0, N + 1)])
         for between in (np.nan, 1e12):
             x[N] = between
-            found = estimator.transform(x, k, np.array([0, N + 1]))
-            np.testing.assert_allclose(found, expected, rtol=0, atol=1e-13)
+            spectra = estimator.transform(x, k, np.array([0, N + 1]))
+            np.testing.assert_allclose(spectra, expected, rtol=0, atol=1e-13)
 
 
 def at_the_end_of_memory(x: np.ndarray) -> np.ndarray:
@@ -123,9 +123,9 @@ def test_stretches_are_the_runs_of_starts_that_count(estimator, ends):
         v[: estimator.settle + 1] = 0.0
     if ends in ("none", "first"):
         v[-1] = 0.0
-    found = estimator.stretches(v)
-    assert len(found) == estimator.n_bins
-    for k, runs in enumerate(found):
+    by_bin = estimator.stretches(v)
+    assert len(by_bin) == estimator.n_bins
+    for k, runs in enumerate(by_bin):
         counted = estimator.counted(v, k)
         starts = np.concatenate([np.zeros(0, int), *(np.arange(first, end) for first, end in runs)])
         np.testing.assert_array_equal(starts, np.flatnonzero(counted))
@@ -210,18 +210,18 @@ def test_bins_too_high_for_the_core_name_the_highest_frequency(g80):
 
 def test_bins_lie_where_the_settings_put_them_within_the_rounding_of_an_even_frame(g80, g80_model):
     frames = g80.frames
-    found = Estimator.from_project(g80, g80_model)
+    own = Estimator.from_project(g80, g80_model)
     decades = np.log10(frames.f_max_hz / frames.f_min_hz)
-    assert found.n_bins == int(decades * frames.bins_per_decade + 1e-6) + 2, "DC besides"
-    assert found.cycles.tolist() == [0, *[frames.periods] * (found.n_bins - 1)]
-    assert found.length[0] == found.length[1] and not (found.length % 2).any()
-    for k in range(1, found.n_bins):
+    assert own.n_bins == int(decades * frames.bins_per_decade + 1e-6) + 2, "DC besides"
+    assert own.cycles.tolist() == [0, *[frames.periods] * (own.n_bins - 1)]
+    assert own.length[0] == own.length[1] and not (own.length % 2).any()
+    for k in range(1, own.n_bins):
         wanted = frames.f_min_hz * 10 ** ((k - 1) / frames.bins_per_decade)
         exact = frames.periods / wanted / g80.Ts_s
-        assert abs(found.length[k] - exact) <= 1.0 + 1e-9
-        assert found.omega[k] == pytest.approx(2 * np.pi * frames.periods / (found.length[k] * g80.Ts_s))
-    assert found.omega[0] == 0.0
-    assert (found.Ts, found.settle, found.speed_range) == (
+        assert abs(own.length[k] - exact) <= 1.0 + 1e-9
+        assert own.omega[k] == pytest.approx(2 * np.pi * frames.periods / (own.length[k] * g80.Ts_s))
+    assert own.omega[0] == 0.0
+    assert (own.Ts, own.settle, own.speed_range) == (
         g80.Ts_s,
         g80_model.settle_samples,
         g80_model.speed_range,
@@ -234,8 +234,8 @@ def test_a_last_bin_exactly_at_the_upper_frequency_is_kept(g80):
     frames = g80.frames.model_copy(
         update={"f_min_hz": 0.34, "f_max_hz": 3.4, "bins_per_decade": 3, "periods": 3}
     )
-    found = Estimator.from_project(g80.model_copy(update={"frames": frames}), NominalModel(g80))
-    assert found.n_bins == 5 and found.omega[-1] / 2 / np.pi == pytest.approx(3.4, rel=0.02)
+    own = Estimator.from_project(g80.model_copy(update={"frames": frames}), NominalModel(g80))
+    assert own.n_bins == 5 and own.omega[-1] / 2 / np.pi == pytest.approx(3.4, rel=0.02)
     less = frames.model_copy(update={"f_max_hz": 3.39})
     assert Estimator.from_project(g80.model_copy(update={"frames": less}), NominalModel(g80)).n_bins == 4
 
@@ -312,14 +312,14 @@ def plain(g80, **settings):
 @pytest.mark.parametrize(("low", "high"), [(0.2, 2.5), (0.25, 2.49), (0.1, 60.0), (0.3, 0.7)])
 def test_lines_of_the_plain_dft_are_those_between_the_limits_and_both_limits_count(g80, low, high):
     project = plain(g80, f_min_hz=low, f_max_hz=high)
-    found = Estimator.from_project(project, NominalModel(project))
+    own = Estimator.from_project(project, NominalModel(project))
     n = round(10.0 / g80.Ts_s)
     tenths = [k for k in range(1, (n + 1) // 2) if low * 10 - 1e-6 <= k <= high * 10 + 1e-6]
-    assert found.cycles.tolist() == [0, *tenths]
-    assert set(found.length.tolist()) == {n} and found.window == "rectangular" and found.settle == 0
-    np.testing.assert_allclose(found.omega, 2 * np.pi * np.r_[0, tenths] / 10.0, rtol=1e-12)
-    assert found.hop.tolist() == found.length.tolist()
-    np.testing.assert_allclose(np.abs(found.kernel(1)), 2.0 / n, rtol=1e-12)
+    assert own.cycles.tolist() == [0, *tenths]
+    assert set(own.length.tolist()) == {n} and own.window == "rectangular" and own.settle == 0
+    np.testing.assert_allclose(own.omega, 2 * np.pi * np.r_[0, tenths] / 10.0, rtol=1e-12)
+    assert own.hop.tolist() == own.length.tolist()
+    np.testing.assert_allclose(np.abs(own.kernel(1)), 2.0 / n, rtol=1e-12)
 
 
 def test_lines_of_the_plain_dft_outnumber_the_unknowns_of_the_transient(truck):
@@ -418,5 +418,5 @@ def test_a_line_at_the_upper_limit_counts_though_its_frequency_rounds_above_it(g
     """30 samples of 0.06 s are a little less than 1.8 s in floating point: line 9 is a little above 5 Hz."""
     assert 9 / (30 * 0.06) > 5.0
     project = plain(g80, length_s=1.8, f_min_hz=1.0, f_max_hz=5.0).model_copy(update={"Ts_s": 0.06})
-    found = Estimator.from_project(project, SimpleNamespace(n=1, speed_range=(1.0, 2.0)))
-    assert found.cycles.tolist() == [0, *range(2, 10)]
+    own = Estimator.from_project(project, SimpleNamespace(n=1, speed_range=(1.0, 2.0)))
+    assert own.cycles.tolist() == [0, *range(2, 10)]

@@ -35,11 +35,11 @@ def test_samples_that_a_gate_shuts_out_are_missing_however_many(gated, core, dri
     ay = drive.v * drive.y[:, 0]
     ay[500:503] = np.nan
     path = table(tmp_path, t=drive.t, v=drive.v, delta=drive.u[:, 0], r=drive.y[:, 0], ay=ay)
-    found = read_drive(path, gated)
+    gated_drive = read_drive(path, gated)
     shut = ~(np.abs(ay) <= 1.0)
-    assert shut.mean() > 0.2 and np.array_equal(found.missing, shut)
-    assert found.y.shape[1] == 1 and np.allclose(found.present.y, drive.y[~shut], atol=1e-8)
-    replayed = Replayer(gated, core).replay(found)
+    assert shut.mean() > 0.2 and np.array_equal(gated_drive.missing, shut)
+    assert gated_drive.y.shape[1] == 1 and np.allclose(gated_drive.present.y, drive.y[~shut], atol=1e-8)
+    replayed = Replayer(gated, core).replay(gated_drive)
     assert replayed.missing_samples == shut.sum() and not replayed.judged[shut].any()
 
 

@@ -78,7 +78,7 @@ def test_the_hessian_keeps_its_digits_where_states_hardly_move(compiled, monkeyp
     problem = barrier.Barrier([(M, np.zeros((1, 5)))], np.ones((1, 1)), np.ones((1, 1)))
     if not compiled:
         monkeypatch.setattr(native, "kernels", lambda name: None)
-    found = np.tril(problem.hessian(S[None]))
+    lower_half = np.tril(problem.hessian(S[None]))
     changes = [problem.matrices(h)[0].astype(np.longdouble) for h in np.eye(6)]
     long, wide = M.astype(np.longdouble), S.astype(np.longdouble)
     moved = [-long.T @ change @ long for change in changes]
@@ -88,7 +88,7 @@ def test_the_hessian_keeps_its_digits_where_states_hardly_move(compiled, monkeyp
     scale = np.sqrt(np.diagonal(wanted))
     assert scale.max() < 1e-5
     np.testing.assert_allclose(
-        found / np.outer(scale, scale), np.tril(wanted) / np.outer(scale, scale), atol=1e-3
+        lower_half / np.outer(scale, scale), np.tril(wanted) / np.outer(scale, scale), atol=1e-3
     )
     gradient = np.array([np.trace(wide @ one) for one in moved], float)
     np.testing.assert_allclose(problem.adjoint(S[None]), gradient, rtol=1e-8)
@@ -97,7 +97,9 @@ def test_the_hessian_keeps_its_digits_where_states_hardly_move(compiled, monkeyp
 def test_the_compiled_hessian_is_asked_where_there_is_one(monkeypatch):
     one, S, _ = random_problem(2)
     asked = []
-    kernel = SimpleNamespace(lpvg_lyapunov_hessian=lambda *given: asked.append([c.value for c in given[:3]]))
+    kernel = SimpleNamespace(
+        lpvg_lyapunov_hessian=lambda *arguments: asked.append([c.value for c in arguments[:3]])
+    )
     monkeypatch.setattr(native, "kernels", lambda name: kernel if name == "lyapunov_barrier" else None)
     assert not one.hessian(S).any() and asked == [[3, 2, 2]]
 
@@ -195,13 +197,13 @@ def test_a_step_without_y_is_newtons_of_p_alone():
     np.testing.assert_allclose(moved / np.linalg.norm(moved), step / np.linalg.norm(step), atol=1e-7)
 
 
-def told_steps(monkeypatch, *told) -> list:
+def told_steps(monkeypatch, *steps) -> list:
     """``newton_step`` finds (P, t, decrement) as told, the last of them again and again; what it is asked."""
     asked = []
 
     def step(one, P, t, directions, slope, price):
         asked.append((P[0, 0, 0], t[0], slope[0], directions, price))
-        P, t, decrement = told[min(len(asked), len(told)) - 1]
+        P, t, decrement = steps[min(len(asked), len(steps)) - 1]
         if decrement is None:
             raise np.linalg.LinAlgError
         return np.array([[[P]]]), np.array([t]), decrement
@@ -217,8 +219,8 @@ def scalar(count: int = 3) -> barrier.Barrier:
 
 
 def found_by(P: float = -2.0, unit=(4.0, 1.0)) -> float | None:
-    found = barrier.feasible(scalar(), np.array([[[P]]]), np.diag(unit))
-    return None if found is None else found[0, 0, 0]
+    solution = barrier.feasible(scalar(), np.array([[[P]]]), np.diag(unit))
+    return None if solution is None else solution[0, 0, 0]
 
 
 def test_the_search_begins_just_where_every_matrix_is_positive(monkeypatch):
@@ -316,12 +318,12 @@ def test_the_line_search_finds_the_minimum_inside_its_domain(seed):
         return slope * s - np.sum(np.log1p(s * curve))
 
     best = minimize_scalar(value, bounds=(0, end * (1 - 1e-9)), method="bounded", options={"xatol": 1e-12}).x
-    found = barrier.line_search(curve, slope)
-    assert 0 < found < end and found == pytest.approx(best, rel=2e-3)
+    step = barrier.line_search(curve, slope)
+    assert 0 < step < end and step == pytest.approx(best, rel=2e-3)
 
 
 @pytest.mark.parametrize(
-    ("curve", "slope", "found"),
+    ("curve", "slope", "minimiser"),
     [
         ([1.0], 0.5, 1.0),  # it begins at the least, 1
         ([-2.0], -20.0, 0.45),  # and here at 0.9 of the way to the end
@@ -332,8 +334,8 @@ def test_the_line_search_finds_the_minimum_inside_its_domain(seed):
         ([1.0], 1e9, 1e-30),  # a tenth at least
     ],
 )
-def test_the_line_search_by_hand(curve, slope, found):
-    assert barrier.line_search(np.array(curve), slope) == pytest.approx(found, rel=1e-12, abs=0)
+def test_the_line_search_by_hand(curve, slope, minimiser):
+    assert barrier.line_search(np.array(curve), slope) == pytest.approx(minimiser, rel=1e-12, abs=0)
 
 
 def test_the_line_search_begins_at_nine_tenths_of_the_way_to_the_end():
@@ -346,5 +348,5 @@ def test_the_line_search_begins_at_nine_tenths_of_the_way_to_the_end():
 def test_the_line_search_ends_where_a_step_is_a_thousandth():
     """log(1 + s) against slope s: from 1 Newton's method goes to 3 - 4 slope."""
     for off, ends in ((0.9e-3, True), (1.1e-3, False)):
-        found = barrier.line_search(np.array([1.0]), 0.5 - off / 4)
-        assert (found == 1.0) == ends and found == pytest.approx(1.0 + off, rel=1.2e-3)
+        step = barrier.line_search(np.array([1.0]), 0.5 - off / 4)
+        assert (step == 1.0) == ends and step == pytest.approx(1.0 + off, rel=1.2e-3)

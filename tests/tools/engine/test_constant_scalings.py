@@ -41,11 +41,11 @@ def test_slope_and_second_derivatives_are_those_of_differences(fixed, dynamics):
 @pytest.mark.parametrize("start", [0.0, 6.0])
 def test_no_other_search_finds_a_lesser_norm(seed, start):
     scalings = ConstantScalings(loop(seed), ROWS, COLS)
-    found, x = scalings.least(SIZES, REST, np.array([start, -start, 0.0]))
+    norm, x = scalings.least(SIZES, REST, np.array([start, -start, 0.0]))
     other = minimize(
         lambda x: scalings._largest(SIZES, REST, x), x, method="Nelder-Mead", options={"maxiter": 2000}
     )
-    assert found <= other.fun * (1 + 0.01) and found == scalings._largest(SIZES, REST, x)
+    assert norm <= other.fun * (1 + 0.01) and norm == scalings._largest(SIZES, REST, x)
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -56,8 +56,8 @@ def test_a_search_that_asks_only_whether_finds_what_the_whole_one_does(seed, sta
     norm, _ = scalings.least(SIZES, REST, np.zeros(3))
     for share, below in ((0.95, True), (1.01, False)):
         sizes, rest = share / norm * SIZES, share / norm * REST
-        found, x = scalings.least(sizes, rest, np.array(start, float), only_whether=True)
-        assert (found < 1) == below and found == scalings._largest(sizes, rest, x)
+        level, x = scalings.least(sizes, rest, np.array(start, float), only_whether=True)
+        assert (level < 1) == below and level == scalings._largest(sizes, rest, x)
 
 
 def test_a_block_that_a_constant_cannot_help_stops_at_the_farthest():
@@ -65,8 +65,8 @@ def test_a_block_that_a_constant_cannot_help_stops_at_the_farthest():
         np.zeros((1, 1)), np.zeros((1, 2)), np.zeros((2, 1)), np.array([[0.1, 1.0], [0.0, 0.1]]), 0.01
     )
     # The other block's input reaches this one's output alone: the larger the constant, the better.
-    found, x = ConstantScalings(G, [1, 1], [1, 1], 1).least(np.ones(2), 1.0, np.zeros(1))
-    assert found == pytest.approx(0.1, rel=1e-6) and 10 < x[0] <= FARTHEST
+    norm, x = ConstantScalings(G, [1, 1], [1, 1], 1).least(np.ones(2), 1.0, np.zeros(1))
+    assert norm == pytest.approx(0.1, rel=1e-6) and 10 < x[0] <= FARTHEST
 
 
 # ---------------------------------------------------------------- what is made small
@@ -79,8 +79,8 @@ def test_the_mean_is_the_power_mean_of_the_scaled_responses_norm():
     right = np.repeat(np.exp(-x), COLS).tolist() + [1.0] * 2
     sigma = np.linalg.norm(np.diag(left) @ G.response(omega) @ np.diag(right), 2, axis=(1, 2))
     scalings = ConstantScalings(G, ROWS, COLS)
-    found = scalings._mean(SIZES, REST, x)[0]
-    assert found == pytest.approx(np.log(np.mean((sigma / sigma.max()) ** 300)) / 300 + np.log(sigma.max()))
+    mean = scalings._mean(SIZES, REST, x)[0]
+    assert mean == pytest.approx(np.log(np.mean((sigma / sigma.max()) ** 300)) / 300 + np.log(sigma.max()))
     assert scalings._largest(SIZES, REST, x) == pytest.approx(sigma.max())
     scaled = scalings.scaled(SIZES, REST, x)
     np.testing.assert_allclose(
@@ -94,8 +94,8 @@ def test_the_mean_is_the_power_mean_of_the_scaled_responses_norm():
 def test_what_is_proved_is_the_norm_over_all_frequencies(monkeypatch):
     """A lag's peak of 3 at frequency 0, and sizes and constants that make 6 of it."""
     lag = StateSpace([[0.9]], [[0.1]], [[3.0]], [[0.0]], 0.01)
-    found = ConstantScalings(lag, [1], [1]).proved(np.array([2.0]), 1.0, np.array([0.7]))
-    assert 6.0 <= found <= 6.0 * (1 + 2e-5)
+    norm = ConstantScalings(lag, [1], [1]).proved(np.array([2.0]), 1.0, np.array([0.7]))
+    assert 6.0 <= norm <= 6.0 * (1 + 2e-5)
     alone = ConstantScalings(lag, [], [])
     assert alone.proved(np.zeros(0), 0.5, np.zeros(0)) == pytest.approx(1.5, rel=2e-5)
     assert alone.least(np.zeros(0), 0.5, np.zeros(0)) == (pytest.approx(1.5), pytest.approx([]))
@@ -113,7 +113,7 @@ def test_the_grid_goes_from_zero_to_just_below_half_the_sampling_frequency():
     np.testing.assert_allclose(np.diff(np.log(omega[1:])), np.log(omega[2] / omega[1]))
 
 
-def given(responses) -> ConstantScalings:
+def made_up(responses) -> ConstantScalings:
     """Of scalar responses at hand; one block."""
     one = ConstantScalings(gain(np.eye(1), 0.01), [1], [1])
     one._grid = np.array(responses, dtype=complex)[:, None, None]
@@ -123,15 +123,17 @@ def given(responses) -> ConstantScalings:
 def test_derivatives_are_worked_out_where_they_have_a_part_in_the_mean(monkeypatch):
     """sigma^300 below EPS of the largest has none: sigma^2 below EPS^(2/300) = 0.7864."""
     sigma = np.sqrt([0.7861, 1.0, 0.7867, 0.1])
-    scalings = given(sigma)
+    scalings = made_up(sigma)
     seen, derivatives = [], scalings._derivatives
-    monkeypatch.setattr(scalings, "_derivatives", lambda N, *of: seen.append(N) or derivatives(N, *of))
+    monkeypatch.setattr(
+        scalings, "_derivatives", lambda N, *arguments: seen.append(N) or derivatives(N, *arguments)
+    )
     value, *_ = scalings._mean(np.ones(1), 1.0, np.zeros(1))
     np.testing.assert_allclose(seen[0][:, 0, 0], sigma[1:3])
     assert value == pytest.approx(np.log(np.mean(sigma**300)) / 300, rel=1e-12)
     # Of close ones each has its part.
     sigma = np.array([3.0, 2.99, 2.98])
-    value, *_ = given(sigma)._mean(np.ones(1), 1.0, np.zeros(1))
+    value, *_ = made_up(sigma)._mean(np.ones(1), 1.0, np.zeros(1))
     assert value == pytest.approx(np.log(3) + np.log(np.mean((sigma / 3) ** 300)) / 300, rel=1e-13)
 
 
@@ -156,8 +158,8 @@ def test_singular_values_that_are_nearly_equal_count_as_a_millionth_apart(size):
 # ---------------------------------------------------------------- how
 
 
-class DriveSummary(ConstantScalings):
-    """Of a mean that is a given function of the logarithms: value, slope and second derivatives."""
+class ScriptedMean(ConstantScalings):
+    """Scalings whose mean is a given function of the logarithms: value, slope and second derivatives."""
 
     def __init__(self, mean, n: int):
         super().__init__(gain(np.eye(n), 0.01), [1] * n, [1] * n)
@@ -182,7 +184,7 @@ def bowl(H, centre, least: float = 0.0):
 @pytest.mark.parametrize("H", [0.25, 2.0])
 def test_newtons_step_is_that_of_a_curvature_and_a_little_more(H):
     """The root of EPS, times what is larger: the largest second derivative or 1."""
-    one = DriveSummary(bowl(H, 3.0), 1)
+    one = ScriptedMean(bowl(H, 3.0), 1)
     one.search(0.5)
     little = EPS**0.5 * max(H, 1.0)
     assert one.asked[1][0] - 3.0 == pytest.approx(-2.5 * little / (H + little), rel=1e-6)
@@ -191,16 +193,16 @@ def test_newtons_step_is_that_of_a_curvature_and_a_little_more(H):
 def test_the_largest_second_derivative_counts_by_its_size():
     """Of [[2, -3], [-3, 2]] along (1, -1) the curvature is 5 and the largest entry 3."""
     H, slope = np.array([[2.0, -3.0], [-3.0, 2.0]]), np.array([1.0, -1.0])
-    one = DriveSummary(lambda x: (-len(one.asked), slope, H), 2)
+    one = ScriptedMean(lambda x: (-len(one.asked), slope, H), 2)
     one.search([0.0, 0.0])
     np.testing.assert_allclose(one.asked[1], -slope / (5 + 3 * EPS**0.5), rtol=1e-11)
 
 
 def test_a_step_is_at_most_four_long_in_each_constant():
-    one = DriveSummary(bowl(np.eye(2), [10.0, -5.0]), 2)
+    one = ScriptedMean(bowl(np.eye(2), [10.0, -5.0]), 2)
     assert one.search([0.0, 0.0]) == pytest.approx([10.0, -5.0])
     np.testing.assert_allclose(one.asked[:4], [[0, 0], [4, -2], [8, -4], [10, -5]], atol=1e-6)
-    one = DriveSummary(bowl(np.eye(2), [-3.0, -10.0]), 2)
+    one = ScriptedMean(bowl(np.eye(2), [-3.0, -10.0]), 2)
     one.search([0.0, 0.0])
     np.testing.assert_allclose(one.asked[1], [-1.2, -4.0], atol=1e-6)
 
@@ -208,23 +210,23 @@ def test_a_step_is_at_most_four_long_in_each_constant():
 def test_a_constant_at_its_farthest_moves_inwards_alone():
     """There it has no say in what the others do, though they are coupled; it starts there at most."""
     H = np.array([[1.0, 0.5], [0.5, 1.0]])
-    one = DriveSummary(bowl(H, [40.0, 1.0]), 2)
-    found = one.search([90.0, 0.0])
+    one = ScriptedMean(bowl(H, [40.0, 1.0]), 2)
+    minimum = one.search([90.0, 0.0])
     # Of the other alone the slope is x - 1 + (30 - 40) / 2: least at 6, in a step of 4 and one of 2.
     np.testing.assert_allclose(one.asked[:3], [[30, 0], [30, 4], [30, 6]], atol=1e-6)
-    assert found == pytest.approx([30.0, 6.0])
-    other = DriveSummary(bowl(H, [-40.0, -1.0]), 2)
+    assert minimum == pytest.approx([30.0, 6.0])
+    other = ScriptedMean(bowl(H, [-40.0, -1.0]), 2)
     assert other.search([-90.0, 0.0]) == pytest.approx([-30.0, -6.0])
     np.testing.assert_allclose(other.asked[:3], [[-30, 0], [-30, -4], [-30, -6]], atol=1e-6)
     for sign in (1.0, -1.0):
-        outwards = DriveSummary(bowl(np.eye(2), [sign * 33.0, 0.0]), 2)
+        outwards = ScriptedMean(bowl(np.eye(2), [sign * 33.0, 0.0]), 2)
         assert outwards.search([sign * 27.0, 0.0]).tolist() == [sign * 30.0, 0.0]
-        near = DriveSummary(bowl(np.eye(2), [sign * 33.0, 0.0]), 2)
+        near = ScriptedMean(bowl(np.eye(2), [sign * 33.0, 0.0]), 2)
         assert near.search([sign * 29.5, 0.0]).tolist() == [sign * 30.0, 0.0]
-        inwards = DriveSummary(bowl(np.eye(2), [sign * 29.99, 0.0]), 2)
+        inwards = ScriptedMean(bowl(np.eye(2), [sign * 29.99, 0.0]), 2)
         assert inwards.search([sign * 30.0, 0.0])[0] == pytest.approx(sign * 29.99, abs=1e-6)
     # One without a slope of its own stays as well.
-    still = DriveSummary(lambda x: (-len(still.asked), np.array([0.0, 1.0]), H), 2)
+    still = ScriptedMean(lambda x: (-len(still.asked), np.array([0.0, 1.0]), H), 2)
     still.search([30.0, 0.0])
     np.testing.assert_allclose(still.asked[1], [30.0, -1.0], atol=1e-6)
 
@@ -235,7 +237,7 @@ def test_the_search_ends_where_a_step_promises_less_than_is_told(monkeypatch):
 
     def asked(least_gain):
         monkeypatch.setattr(constant_scalings, "LEAST_GAIN", least_gain)
-        one = DriveSummary(lambda x: (-float(len(one.asked)), slope, curvature), 1)
+        one = ScriptedMean(lambda x: (-float(len(one.asked)), slope, curvature), 1)
         one.search(0.0)
         return len(one.asked)
 
@@ -247,7 +249,7 @@ def test_a_search_that_asks_only_whether_ends_where_the_mean_says_so():
     border = -np.log(161) / 300
     for least, ends in ((border, False), (border * (1 + 1e-12), True)):
         for only_whether in (False, True):
-            one = DriveSummary(lambda x, least=least: (least if x[0] == 0 else 9.0, 1e-3, 0.1), 1)
+            one = ScriptedMean(lambda x, least=least: (least if x[0] == 0 else 9.0, 1e-3, 0.1), 1)
             one.search(0.0, only_whether)
             assert (len(one.asked) == 1) == (ends and only_whether)
 
@@ -257,38 +259,38 @@ def test_a_step_must_keep_a_ten_thousandth_of_its_promise_and_shortens_by_the_cu
     first, share = (0.0, 2.0, 1 - EPS**0.5), _shorter(2.0, 4.0, 8.0)
     assert 0.05 < share < 0.5
 
-    def asked(*told):
-        values = [first, *told]
+    def asked(*later):
+        values = [first, *later]
 
         def mean(x):
             k = len(one.asked) - 1
             return (3.0 + values[k][0], *values[k][1:]) if k < len(values) else (9.0, 0, 1)
 
-        one = DriveSummary(mean, 1)
-        found = one.search(0.0)
-        return [x[0] for x in one.asked], found[0]
+        one = ScriptedMean(mean, 1)
+        minimum = one.search(0.0)
+        return [x[0] for x in one.asked], minimum[0]
 
     flat, steep = (0.0, 1.0), (-4.0, 1.0)
-    points, found = asked((-4.001e-4, *flat))
-    assert points == [0.0, -2.0] and found == -2.0
+    points, x_end = asked((-4.001e-4, *flat))
+    assert points == [0.0, -2.0] and x_end == -2.0
     points, _ = asked((-3.999e-4, *steep), (-1.0, *flat))
     assert points[:3] == pytest.approx([0.0, -2.0, -2 * _shorter(-3.999e-4, 4.0, 8.0)])
     # After the first cut the promise is the share's: what it must keep is less.
-    points, found = asked((2.0, *steep), (-4.001e-4 * share, *flat))
-    assert points == pytest.approx([0.0, -2.0, -2 * share]) and found == pytest.approx(-2 * share)
+    points, x_end = asked((2.0, *steep), (-4.001e-4 * share, *flat))
+    assert points == pytest.approx([0.0, -2.0, -2 * share]) and x_end == pytest.approx(-2 * share)
     points, _ = asked((2.0, *steep), (-3.999e-4 * share, *steep), (-1.0, *flat))
     again = _shorter(-3.999e-4 * share, 4 * share, 8 * share)
     assert points[:4] == pytest.approx([0.0, -2.0, -2 * share, -2 * share * again])
     # Just as much is not enough.
     at_border = 0.0 - 1e-4 * 4.0
-    one = DriveSummary(
+    one = ScriptedMean(
         lambda x: (0.0 if x[0] == 0 else at_border, 2.0 if x[0] == 0 else 0.0, 1 - EPS**0.5), 1
     )
     assert -1.0 <= one.search(0.0)[0] < 0.0
 
 
 def test_a_step_is_shortened_thirty_times_at_most():
-    one = DriveSummary(lambda x: (0.0 if x[0] == 0.0 else 1.0, 1.0, 1.0), 1)
+    one = ScriptedMean(lambda x: (0.0 if x[0] == 0.0 else 1.0, 1.0, 1.0), 1)
     assert one.search(0.0).tolist() == [0.0] and len(one.asked) == 1 + 30
 
 

@@ -45,10 +45,10 @@ PARAMETERS = np.array([[0.3, -0.5, 0.2, 1.0, -1.3], [-0.7, 0.1, 2.0, -2.0, 0.4]]
 def test_a_scaling_is_its_product_of_corners_on_every_channel_of_its_block():
     scaling, omega = Scaling(PARAMETERS), np.array([0.0, 0.6, 30.0])
     left, right = (D.response(omega) for D in scaling.systems(plant()))
-    found = np.exp(scaling.log_magnitude(omega))
+    d = np.exp(scaling.log_magnitude(omega))
     for k, w in enumerate(omega):
         one, two = (magnitude(row, w) for row in PARAMETERS)
-        np.testing.assert_allclose(found[:, k], [one, two], rtol=1e-12)
+        np.testing.assert_allclose(d[:, k], [one, two], rtol=1e-12)
         np.testing.assert_allclose(np.abs(left[k]), np.diag([one, two, two, two, 1.0]), rtol=1e-12)
         np.testing.assert_allclose(
             np.abs(right[k]), np.diag([1 / one, 1 / one, 1 / two, 1.0, 1.0, 1.0]), rtol=1e-12
@@ -93,11 +93,11 @@ def test_a_scaled_plant_keeps_its_control_and_a_scaled_loop_has_none():
     work = dk._Work(one)
     left, right = (D.response(omega) for D in scaling.systems(one))
     G = one.system.response(omega)
-    found = work.scaled(one.system, scaling).response(omega)
-    np.testing.assert_allclose(found[:, :5, :6], left @ G[:, :5, :6] @ right, rtol=1e-9)
-    np.testing.assert_allclose(found[:, :5, 6:], left @ G[:, :5, 6:], rtol=1e-9)
-    np.testing.assert_allclose(found[:, 5:, :6], G[:, 5:, :6] @ right, rtol=1e-9)
-    np.testing.assert_allclose(found[:, 5:, 6:], G[:, 5:, 6:], rtol=1e-9, atol=1e-12)
+    response = work.scaled(one.system, scaling).response(omega)
+    np.testing.assert_allclose(response[:, :5, :6], left @ G[:, :5, :6] @ right, rtol=1e-9)
+    np.testing.assert_allclose(response[:, :5, 6:], left @ G[:, :5, 6:], rtol=1e-9)
+    np.testing.assert_allclose(response[:, 5:, :6], G[:, 5:, :6] @ right, rtol=1e-9)
+    np.testing.assert_allclose(response[:, 5:, 6:], G[:, 5:, 6:], rtol=1e-9, atol=1e-12)
     loop = one.system.select(slice(0, 5), slice(0, 6))
     np.testing.assert_allclose(
         work.scaled(loop, scaling).response(omega), left @ G[:, :5, :6] @ right, rtol=1e-9
@@ -149,11 +149,11 @@ def posed(monkeypatch) -> dict:
 def test_a_fit_minimises_the_power_mean_of_the_scaled_gains(posed, power):
     one = plant()
     work, loop = dk._Work(one), one.system.select(slice(0, 5), slice(0, 6))
-    found = work.fit(loop, Scaling(PARAMETERS), power)
+    scaling = work.fit(loop, Scaling(PARAMETERS), power)
     assert posed["options"] == {"jac": True, "method": "BFGS", "options": {"maxiter": 40, "gtol": 1e-6}}
     np.testing.assert_array_equal(posed["x0"], PARAMETERS.ravel())
     np.testing.assert_allclose(
-        found.log_parameters, np.clip(np.linspace(-20.0, 20.0, 10), *np.log([1e-4, 1e4])).reshape(2, 5)
+        scaling.log_parameters, np.clip(np.linspace(-20.0, 20.0, 10), *np.log([1e-4, 1e4])).reshape(2, 5)
     )
     value, slope = posed["objective"](posed["x0"])
     M = loop.response(work.omega)
@@ -196,8 +196,8 @@ def test_a_fit_leaves_a_loop_without_gain_finite(posed):
 def test_a_fit_finds_the_scaling_of_a_constant_loop():
     """Of [a b; c d] with one scalar Delta the best d is sqrt(|c / b|)."""
     one = GeneralisedPlant(gain(np.zeros((3, 3))), (ONE,), 1, 1, 1, 1)
-    found = dk._Work(one).fit(gain(np.array([[0.5, 8.0], [0.02, 0.3]])), Scaling(np.zeros((1, 1))), 10.0)
-    assert np.exp(found.log_parameters[0, 0]) == pytest.approx(np.sqrt(0.02 / 8.0), rel=1e-4)
+    scaling = dk._Work(one).fit(gain(np.array([[0.5, 8.0], [0.02, 0.3]])), Scaling(np.zeros((1, 1))), 10.0)
+    assert np.exp(scaling.log_parameters[0, 0]) == pytest.approx(np.sqrt(0.02 / 8.0), rel=1e-4)
 
 
 # ---------------------------------------------------------------- certificates
@@ -241,14 +241,14 @@ def closed(dt: float = 0.0) -> tuple[GeneralisedPlant, StateSpace]:
 @pytest.mark.parametrize("dt", [0.0, 0.1])
 def test_a_certificate_has_the_gain_of_the_better_scaling_and_mu_below_it(dt):
     one, K = closed(dt)
-    found = dk.certify(one, K)
-    assert found.upper == found.bracket.upper == pytest.approx(2.0, rel=1e-3)
-    assert found.upper >= 2.0 * (1 - 1e-9) and found.bracket.lower <= found.upper
-    assert found.lower == pytest.approx(2.0, rel=1e-6)
-    assert found.lower_frequency < 0.1 and found.delta.shape == (2, 2)
-    given = dk.certify(one, K, Scaling(np.array([[np.log(np.sqrt(4 * 0.2 / 1.2) * 1e-3)]])))
-    assert given.upper == pytest.approx(2.0, rel=1e-4), "fitted anew"
-    assert given.scaling.log_parameters.shape == (1, 1)
+    performance = dk.certify(one, K)
+    assert performance.upper == performance.bracket.upper == pytest.approx(2.0, rel=1e-3)
+    assert performance.upper >= 2.0 * (1 - 1e-9) and performance.bracket.lower <= performance.upper
+    assert performance.lower == pytest.approx(2.0, rel=1e-6)
+    assert performance.lower_frequency < 0.1 and performance.delta.shape == (2, 2)
+    performance = dk.certify(one, K, Scaling(np.array([[np.log(np.sqrt(4 * 0.2 / 1.2) * 1e-3)]])))
+    assert performance.upper == pytest.approx(2.0, rel=1e-4), "fitted anew"
+    assert performance.scaling.log_parameters.shape == (1, 1)
 
 
 def test_of_two_scalings_the_lower_level_counts_with_its_own_frequencies(monkeypatch):
@@ -271,11 +271,15 @@ def test_of_two_scalings_the_lower_level_counts_with_its_own_frequencies(monkeyp
         dk._Work, "scaled_norm", lambda self, loop, scaling: levels[scaling.log_parameters[0, 0]]
     )
     work = dk._Work(one)
-    for given, wanted in ((start, other), (other, other)):
-        found = dk.certify(one, K, given)
-        assert found.scaling is wanted and (found.upper, found.lower, found.delta) == (2.1, 1.5, "delta")
-        assert found.lower_frequency == work.unwarp(9.0)
-        assert found.bracket == NormBracket(2.0, 2.1, work.unwarp(7.0))
+    for scaling, wanted in ((start, other), (other, other)):
+        performance = dk.certify(one, K, scaling)
+        assert performance.scaling is wanted and (
+            performance.upper,
+            performance.lower,
+            performance.delta,
+        ) == (2.1, 1.5, "delta")
+        assert performance.lower_frequency == work.unwarp(9.0)
+        assert performance.bracket == NormBracket(2.0, 2.1, work.unwarp(7.0))
     assert powers == [(start, 200), (other, 200)] and asked == [(other, 7.0), (other, 7.0)]
     levels |= {0.1: NormBracket(1.0, 1.1, 5.0), 0.0: NormBracket(9.0, 9.1, 5.0)}
     assert dk.certify(one, K, start).scaling is start
@@ -287,22 +291,25 @@ def test_of_two_scalings_the_lower_level_counts_with_its_own_frequencies(monkeyp
 def test_a_loop_that_is_not_stable_has_no_level(pole, stable):
     G = StateSpace([[pole]], [[1.0, 1.0, 0.0]], [[1.0], [1.0], [0.0]], np.zeros((3, 3)))
     one = GeneralisedPlant(G, (ONE,), 1, 1, 1, 1)
-    found = dk.certify(one, gain([[0.0]]))
-    assert np.isfinite(found.upper) == stable
+    performance = dk.certify(one, gain([[0.0]]))
+    assert np.isfinite(performance.upper) == stable
     if not stable:
-        assert found.upper == found.lower == np.inf and np.isnan(found.lower_frequency)
-        assert found.bracket.lower == found.bracket.upper == np.inf and found.delta is None
-        assert found.scaling.log_parameters.shape == (1, 3)
+        assert performance.upper == performance.lower == np.inf and np.isnan(performance.lower_frequency)
+        assert performance.bracket.lower == performance.bracket.upper == np.inf and performance.delta is None
+        assert performance.scaling.log_parameters.shape == (1, 3)
 
 
 @pytest.mark.parametrize("dt", [0.0, 0.1])
 def test_without_blocks_the_level_is_the_norm_of_the_loop(dt):
     one = plant(blocks=(), dt=dt)
-    found = dk.certify(one, gain(np.zeros((2, 1)), dt))
+    performance = dk.certify(one, gain(np.zeros((2, 1)), dt))
     wanted = hinf_norm(one.system.select(slice(0, 1), slice(0, 3)))
-    assert found.bracket == wanted and (found.upper, found.lower) == (wanted.upper, wanted.lower)
-    assert found.lower_frequency == wanted.peak_frequency and found.delta is None
-    assert found.scaling.log_parameters.shape == (0, 1)
+    assert performance.bracket == wanted and (performance.upper, performance.lower) == (
+        wanted.upper,
+        wanted.lower,
+    )
+    assert performance.lower_frequency == wanted.peak_frequency and performance.delta is None
+    assert performance.scaling.log_parameters.shape == (0, 1)
 
 
 # ---------------------------------------------------------------- the iteration
@@ -363,7 +370,7 @@ def scripted(monkeypatch):
 
 
 def test_k_and_d_steps_take_turns_and_the_best_scaling_is_polished(scripted):
-    found, work, seen = scripted([5.0, 4.0, 3.0, 3.5, 1.0])
+    result, work, seen = scripted([5.0, 4.0, 3.0, 3.5, 1.0])
     k_step = {"rtol": 2e-5}
     assert work.asked == [
         (0.0, k_step | {"guess": None}),
@@ -376,9 +383,9 @@ def test_k_and_d_steps_take_turns_and_the_best_scaling_is_polished(scripted):
     assert seen["polish"] == (6.0, 3.0, 40, map)
     assert seen["reduce"] == (5.0, 300.0, pytest.approx(2.0 * (1 + 3e-5), rel=1e-12))
     assert seen["certify"][2] == 300.0 and seen["certify"][1].order == 1
-    assert found.history == (5.0, 4.0, 3.0, 3.5, 0.9) and found.performance == "certified"
-    assert found.full_order == 0 and found.controller is seen["certify"][1]
-    assert found.controller.dt == 0.0 and found.controller.A.tolist() == [[-1.0]]
+    assert result.history == (5.0, 4.0, 3.0, 3.5, 0.9) and result.performance == "certified"
+    assert result.full_order == 0 and result.controller is seen["certify"][1]
+    assert result.controller.dt == 0.0 and result.controller.A.tolist() == [[-1.0]]
 
 
 @pytest.mark.parametrize(
@@ -406,8 +413,8 @@ def test_four_steps_are_taken_unless_another_number_is_asked_for(scripted):
 def test_of_equal_levels_the_first_counts_and_one_step_is_enough(scripted):
     _, work, seen = scripted([5.0, 5.0, 5.0, 9.0], polish=7, workers="workers")
     assert seen["polish"] == (0.0, 5.0, 7, "workers")
-    found, work, _ = scripted([5.0, 1.0], iterations=1, reduction_loss=0.5)
-    assert found.history == (5.0, 0.9) and not work.fits
+    result, work, _ = scripted([5.0, 1.0], iterations=1, reduction_loss=0.5)
+    assert result.history == (5.0, 0.9) and not work.fits
 
 
 def test_the_scaling_starts_as_it_is_given_or_as_identity_of_its_degree(scripted):
@@ -420,14 +427,14 @@ def test_the_scaling_starts_as_it_is_given_or_as_identity_of_its_degree(scripted
 
 
 def test_a_sampled_plant_has_a_sampled_controller(scripted):
-    found, _, seen = scripted([5.0, 1.0], iterations=1, dt=0.1)
-    assert found.controller is seen["certify"][1] and found.controller.dt == 0.1
-    np.testing.assert_allclose(found.controller.A, [[0.95 / 1.05]])
+    result, _, seen = scripted([5.0, 1.0], iterations=1, dt=0.1)
+    assert result.controller is seen["certify"][1] and result.controller.dt == 0.1
+    np.testing.assert_allclose(result.controller.A, [[0.95 / 1.05]])
 
 
 def test_without_blocks_one_synthesis_is_all(scripted):
-    found, work, seen = scripted([5.0], blocks=())
-    assert work.asked == [(0.0, {"backoff": 3e-4, "guess": None})] and found.history == ()
+    result, work, seen = scripted([5.0], blocks=())
+    assert work.asked == [(0.0, {"backoff": 3e-4, "guess": None})] and result.history == ()
     assert "polish" not in seen and work.scalings[0].log_parameters.shape == (0, 3)
 
 
@@ -456,11 +463,11 @@ START = np.array([[0.0, 1.0, 2.0], [3.0, 4.0, 5.0]])
 
 def moved(asked, start=START):
     """Of every trial what it moves, and by how much."""
-    found = []
+    moves = []
     for _, x in asked:
         [place] = np.argwhere(np.abs(x - start) > 1e-12)
-        found.append((*map(int, place), round(float((x - start)[tuple(place)]), 9)))
-    return found
+        moves.append((*map(int, place), round(float((x - start)[tuple(place)]), 9)))
+    return moves
 
 
 def test_a_search_that_finds_nothing_goes_both_ways_thrice_with_half_the_step():
@@ -617,8 +624,8 @@ def test_a_reduced_controller_keeps_the_level_with_fewer_states():
     P, K = controlled()
     work = SimpleNamespace(system=P, scaled=lambda system, scaling: system)
     level = hinf_norm(lft(P, K)).upper
-    found = dk.reduce_controller(work, K, Scaling(np.zeros((0, 1))), 1.5 * level)
-    assert 1 <= found.order < 3 and hinf_norm(lft(P, found)).upper <= 1.5 * level
+    reduced = dk.reduce_controller(work, K, Scaling(np.zeros((0, 1))), 1.5 * level)
+    assert 1 <= reduced.order < 3 and hinf_norm(lft(P, reduced)).upper <= 1.5 * level
 
 
 def test_a_factor_of_a_gramian_drops_what_rounding_made_negative():

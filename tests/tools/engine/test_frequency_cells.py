@@ -64,43 +64,43 @@ class Laid:
 
 def test_cells_cover_the_interval_and_the_level_is_that_of_the_largest_bound(monkeypatch):
     laid = Laid(monkeypatch, lambda omega: 5.0 - omega)
-    found = laid.cover()
+    cells = laid.cover()
     covered = np.sort([(max(a, c - 0.5), min(b, c + 0.5)) for a, b, c, *_ in laid.cells], axis=0)
     assert covered[0, 0] == 0.0 and covered[-1, 1] == 4.0
     np.testing.assert_allclose(covered[1:, 0], covered[:-1, 1], rtol=1e-12)
     first = next(c for *_, c, _, _ in laid.cells)
-    assert first == 1.7 and len(found.cells) == len(laid.cells) == len(laid.asked) > 4
+    assert first == 1.7 and len(cells.cells) == len(laid.cells) == len(laid.asked) > 4
     values = np.array([5.0 - omega for omega, _ in laid.asked])
     before = np.r_[0.0, np.maximum.accumulate(values)[:-1]]
     np.testing.assert_allclose([largest for _, largest in laid.asked], before, rtol=1e-12)
     np.testing.assert_allclose(
         [level for *_, level in laid.cells], 1.1 * np.maximum.accumulate(values), rtol=1e-12
     )
-    assert found.largest == pytest.approx(values.max()) and found.omega == pytest.approx(5.0 - values.max())
-    assert found.upper == pytest.approx(1.1 * values.max())
+    assert cells.largest == pytest.approx(values.max()) and cells.omega == pytest.approx(5.0 - values.max())
+    assert cells.upper == pytest.approx(1.1 * values.max())
 
 
 def test_scalings_that_prove_clearly_less_serve_again(monkeypatch):
     for proved, again in ((0.95 * 3.0, True), (0.9501 * 3.0, False)):
         laid = Laid(monkeypatch, lambda omega: 3.0, lambda omega, proved=proved: proved)
-        found = laid.cover()
-        assert (len(laid.asked) == 1) == again and len(found.cells) == len(laid.cells) > 4
+        cells = laid.cover()
+        assert (len(laid.asked) == 1) == again and len(cells.cells) == len(laid.cells) > 4
         assert [value for *_, value, _ in laid.cells[1:]] == [proved if again else 3.0] * (
-            len(found.cells) - 1
+            len(cells.cells) - 1
         )
-        assert found.upper == pytest.approx(3.3) and found.omega == pytest.approx(1.7)
+        assert cells.upper == pytest.approx(3.3) and cells.omega == pytest.approx(1.7)
 
 
 def test_an_interval_without_a_bound_ends_the_search(monkeypatch):
     laid = Laid(monkeypatch, lambda omega: 1.0 if omega > 1.0 else np.inf)
-    found = laid.cover()
-    assert found.upper == found.largest == np.inf and found.omega <= 1.0
-    assert len(found.cells) == len(laid.cells) == len(laid.asked) - 1
+    cells = laid.cover()
+    assert cells.upper == cells.largest == np.inf and cells.omega <= 1.0
+    assert len(cells.cells) == len(laid.cells) == len(laid.asked) - 1
 
 
 def test_a_loop_without_a_gain_has_a_bound_above_zero(monkeypatch):
-    found = Laid(monkeypatch, lambda omega: 0.0).cover()
-    assert found.largest == 0.0 and found.upper == 1e-12 and found.omega == pytest.approx(1.7)
+    cells = Laid(monkeypatch, lambda omega: 0.0).cover()
+    assert cells.largest == 0.0 and cells.upper == 1e-12 and cells.omega == pytest.approx(1.7)
 
 
 def test_too_many_cells_are_refused(monkeypatch):
@@ -121,8 +121,12 @@ def test_half_the_rate_may_be_passed_by_its_rounding():
 
 
 def test_a_constant_loop_is_covered_by_one_cell_and_a_loop_that_does_not_decay_is_refused():
-    found = mu_interval(gain([[3.0]]), ONE.blocks, 0.0, np.inf)
-    assert len(found.proof) == 1 and found.lower == pytest.approx(3.0) and found.upper == pytest.approx(3.006)
+    interval = mu_interval(gain([[3.0]]), ONE.blocks, 0.0, np.inf)
+    assert (
+        len(interval.proof) == 1
+        and interval.lower == pytest.approx(3.0)
+        and interval.upper == pytest.approx(3.006)
+    )
     for pole in (0.0, 0.1):
         with pytest.raises(SynthesisError, match="not stable"):
             mu_interval(StateSpace([[pole]], [[1.0]], [[1.0]], [[0.0]]), ONE.blocks, 0.0, 1.0)
@@ -151,9 +155,9 @@ def test_a_search_begins_at_the_pole_where_the_middles_scalings_prove_the_least(
         asked.append((M[0, 0], largest))
         return bound(1.0)
 
-    found = interval._likely_peak(G, at, lambda M, point: point.value * abs(M[0, 0]), a, b, 7.0)
+    peak = interval._likely_peak(G, at, lambda M, point: point.value * abs(M[0, 0]), a, b, 7.0)
     middle = interval.middle(a, b, 7.0)
-    assert found == pytest.approx(middle if start is None else start, rel=1e-9)
+    assert peak == pytest.approx(middle if start is None else start, rel=1e-9)
     assert asked == ([] if start is None else [(G.response([middle])[0, 0, 0], 0.0)])
 
 
@@ -169,10 +173,10 @@ def test_the_quadratic_form_of_scalings_is_that_of_their_definition():
     left[0, 1] += 0.3j
     left[1, 0] -= 0.3j
     point = replace(bound(1.0), left=left, skew=skew)
-    found = interval.quadratic(M, point)
+    form = interval.quadratic(M, point)
     turned = skew @ M
-    np.testing.assert_allclose(found, M.conj().T @ left @ M + 1j * (turned - turned.conj().T), rtol=1e-12)
-    assert (found == found.conj().T).all(), "Hermitian to the last bit"
+    np.testing.assert_allclose(form, M.conj().T @ left @ M + 1j * (turned - turned.conj().T), rtol=1e-12)
+    assert (form == form.conj().T).all(), "Hermitian to the last bit"
 
 
 # --- one cell ---
@@ -195,8 +199,8 @@ def random_loop(seed: int) -> tuple[StateSpace, PointBound]:
 
 def least(G: StateSpace, point: PointBound, level: float, omega) -> np.ndarray:
     """Least eigenvalue of Phi at ``omega`` (K,)."""
-    found = [interval.quadratic(M, point) for M in G.response(np.atleast_1d(omega))]
-    return np.array([np.linalg.eigvalsh(point.fixed + level**2 * point.scaled - N)[0] for N in found])
+    forms = [interval.quadratic(M, point) for M in G.response(np.atleast_1d(omega))]
+    return np.array([np.linalg.eigvalsh(point.fixed + level**2 * point.scaled - N)[0] for N in forms])
 
 
 @pytest.mark.unhurried
@@ -252,6 +256,6 @@ def test_a_state_that_nothing_reaches_leaves_the_singular_frequencies():
     A[:3, :3] = G.A
     more = StateSpace(A, np.vstack([G.B, np.zeros(3)]), np.column_stack([G.C, np.zeros(3)]), G.D)
     level = 0.8 * np.sqrt(1.0 - least(G, point, 1.0, np.linspace(0.0, 20.0, 801)).min())
-    found = interval._singular(G, point, level)
-    assert found.size
-    np.testing.assert_allclose(interval._singular(more, point, level), found, rtol=1e-8)
+    frequencies = interval._singular(G, point, level)
+    assert frequencies.size
+    np.testing.assert_allclose(interval._singular(more, point, level), frequencies, rtol=1e-8)

@@ -41,7 +41,7 @@ def test_f_is_what_the_inequality_says(grid):
     """At a knot and between knots, for either slope and direction, by hand."""
     rate = 0.7
     P, speeds = point(grid).P, np.array([1.5, 2.0])
-    found = replace(grid, speeds=speeds).F(point(grid), rate)
+    values = replace(grid, speeds=speeds).F(point(grid), rate)
     wanted = []
     for v, now, slopes in (
         (1.5, P[1], [(P[1] - P[0]) / 0.5, P[2] - P[1]]),
@@ -54,7 +54,7 @@ def test_f_is_what_the_inequality_says(grid):
                 F = -M.T @ (now + sign * rate * TS * slope) @ M - N[1:].T @ N[1:] - 1.1 * N[:1].T @ N[:1]
                 F[:2, :2] += now
                 wanted.append(F + np.diag([0.0, 0.0, 1.1, 1.0]))
-    np.testing.assert_allclose(found, wanted, rtol=1e-12, atol=1e-14)
+    np.testing.assert_allclose(values, wanted, rtol=1e-12, atol=1e-14)
 
 
 def test_the_block_solver_agrees_with_the_dense_one(grid):
@@ -75,17 +75,17 @@ def test_the_halves_of_the_factor_meet_whatever_the_number_of_blocks(rows, count
     random, size = np.random.default_rng(4), rows * count
     H = 0.1 * np.eye(size)
     for k in range(max(count - 1, 1)):
-        of = slice(rows * k, rows * (k + 2))
-        X = random.standard_normal((len(H[of]), 4 * rows))
-        H[of, of] += X @ X.T
+        rows_of_block = slice(rows * k, rows * (k + 2))
+        X = random.standard_normal((len(H[rows_of_block]), 4 * rows))
+        H[rows_of_block, rows_of_block] += X @ X.T
     unit = 1 / np.sqrt(np.diagonal(H))
     H *= unit * unit[:, None]
     at = [slice(rows * k, rows * (k + 1)) for k in range(count)]
     right = random.standard_normal((size, 2))
-    found = knot_search.solved_blocks(
+    x = knot_search.solved_blocks(
         [np.tril(H[one, one]) for one in at], [H[two, one] for one, two in itertools.pairwise(at)], right
     )
-    np.testing.assert_allclose(H @ found, right, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(H @ x, right, rtol=0, atol=1e-9)
 
 
 @pytest.mark.parametrize("place", [0, 1, 3])
@@ -98,13 +98,13 @@ def test_a_matrix_that_no_addition_makes_positive_is_refused(place):
 
 
 def test_what_is_found_is_positive_for_either_slope_and_near_the_centre(grid):
-    found = knot_search.found_at(grid, Point(np.tile(np.eye(2), (4, 1, 1))), 0.3, np.eye(4))
-    least = np.linalg.eigvalsh(grid.F(found, 0.3))[:, 0]
+    point = knot_search.found_at(grid, Point(np.tile(np.eye(2), (4, 1, 1))), 0.3, np.eye(4))
+    least = np.linalg.eigvalsh(grid.F(point, 0.3))[:, 0]
     assert least.min() > 0 and len(least) == 12
     barrier, gain = grid.barrier(0.3), grid.gain_direction()[None]
     price = barrier.price(grid.cost)
     _, _, decrement = knot_search.newton_step(
-        barrier, found.P, np.array([found.excess]), gain, np.zeros(1), price
+        barrier, point.P, np.array([point.excess]), gain, np.zeros(1), price
     )
     assert decrement < knot_search.NEAR
 
@@ -118,7 +118,7 @@ def test_a_rate_out_of_reach_is_given_up_near_the_centre(grid, monkeypatch):
 
     steps, newton_step = [], knot_search.newton_step
 
-    def told(barrier, P, y, directions, slope, price):
+    def stub(barrier, P, y, directions, slope, price):
         steps.append(
             (
                 slope[0] / (len(directions[0]) * directions.shape[-1]),
@@ -127,7 +127,7 @@ def test_a_rate_out_of_reach_is_given_up_near_the_centre(grid, monkeypatch):
         )
         return steps[-1][1]
 
-    monkeypatch.setattr(knot_search, "newton_step", told)
+    monkeypatch.setattr(knot_search, "newton_step", stub)
     other = replace(grid, loop_at=loud)
     assert knot_search.found_at(other, Point(np.tile(np.eye(2), (4, 1, 1))), 0.3, np.eye(4)) is None
     weight, (_, y, decrement) = steps[-1]
@@ -170,8 +170,8 @@ def test_no_speed_joins_where_none_is_violated(grid):
         return replace(G, C=0.1 * G.C)
 
     quieter = replace(grid, loop_at=quiet)
-    found = knot_search.found_at(quieter, Point(np.tile(np.eye(2), (4, 1, 1))), 0.3, np.eye(4))
-    assert len(quieter.violated(found, 0.3, np.linspace(1.0, 3.0, 41))) == 0
+    point_found = knot_search.found_at(quieter, Point(np.tile(np.eye(2), (4, 1, 1))), 0.3, np.eye(4))
+    assert len(quieter.violated(point_found, 0.3, np.linspace(1.0, 3.0, 41))) == 0
     assert len(grid.violated(point(grid), 0.3, grid.speeds)) == 0, "nothing is left to ask"
 
 
@@ -193,9 +193,9 @@ def test_even_coordinates_change_nothing_but_the_coordinates(grid):
 @pytest.mark.parametrize("delta", [(1, 2), (2, 1)])
 def test_the_gain_of_delta_is_told_by_its_own_inputs_and_outputs(grid, delta):
     """Of an inequality its speed's: eta'eta less, xi'xi more."""
-    found = replace(grid, speeds=np.array([1.5, 2.0]), delta=delta).gain_direction()
-    assert len(found) == 6
-    for X, v in zip(found, [1.5] * 4 + [2.0] * 2, strict=True):
+    directions = replace(grid, speeds=np.array([1.5, 2.0]), delta=delta).gain_direction()
+    assert len(directions) == 6
+    for X, v in zip(directions, [1.5] * 4 + [2.0] * 2, strict=True):
         G = loop_at(v)
         N = np.hstack([G.C, G.D])[: delta[0]]
         np.testing.assert_allclose(X, -N.T @ N + np.diag([0, 0, 1, delta[1] - 1]), atol=1e-14)
@@ -225,7 +225,7 @@ def test_coordinates_stay_where_not_every_state_dissipates(grid):
 def test_two_threads_factor_halves_of_like_length(count, lengths, monkeypatch):
     asked, threads, factored, pool = [], [], knot_search._factored, knot_search.ThreadPoolExecutor
 
-    def told(chain, extra):
+    def stub(chain, extra):
         asked.append((len(chain[0]), extra))
         return factored(chain, extra)
 
@@ -233,7 +233,7 @@ def test_two_threads_factor_halves_of_like_length(count, lengths, monkeypatch):
         threads.append(workers)
         return pool(workers)
 
-    monkeypatch.setattr(knot_search, "_factored", told)
+    monkeypatch.setattr(knot_search, "_factored", stub)
     monkeypatch.setattr(knot_search, "ThreadPoolExecutor", opened)
     right = np.arange(2.0 * count).reshape(count, 2)
     x = knot_search.solved_blocks([np.eye(1)] * count, [np.zeros((1, 1))] * (count - 1), right)
@@ -243,24 +243,24 @@ def test_two_threads_factor_halves_of_like_length(count, lengths, monkeypatch):
 
 def test_the_least_addition_that_makes_a_matrix_positive_is_the_one_solved_with():
     for beside, extra in ((1 + 5e-14, 1e-13), (1 + 5e-10, 1e-9), (1 + 5e-8, 1e-7)):
-        found = knot_search.solved_blocks([np.eye(1)] * 2, [np.array([[beside]])], np.array([[1.0], [0.0]]))
+        x = knot_search.solved_blocks([np.eye(1)] * 2, [np.array([[beside]])], np.array([[1.0], [0.0]]))
         det = (1 + extra) ** 2 - beside**2
-        np.testing.assert_allclose(found.ravel() * det, [1.0, -beside], rtol=1e-2)
+        np.testing.assert_allclose(x.ravel() * det, [1.0, -beside], rtol=1e-2)
 
 
 def test_a_triangle_is_solved_in_pieces_of_200_rows_at_most(monkeypatch):
     rows, solve = [], knot_search.sl.solve_triangular
 
-    def told(L, right, **options):
+    def stub(L, right, **options):
         rows.append(len(L))
         return solve(L, right, **options)
 
-    monkeypatch.setattr(knot_search.sl, "solve_triangular", told)
+    monkeypatch.setattr(knot_search.sl, "solve_triangular", stub)
     L = np.tril(np.random.default_rng(5).uniform(0, 1e-2, (401, 401))) + np.eye(401)
     for size, pieces in ((200, [200]), (201, [100, 101]), (401, [200, 100, 101])):
         rows.clear()
-        found = knot_search._divided(L[:size, :size], np.ones((size, 1)))
-        np.testing.assert_allclose(L[:size, :size] @ found, 1.0, atol=1e-9)
+        x = knot_search._divided(L[:size, :size], np.ones((size, 1)))
+        np.testing.assert_allclose(L[:size, :size] @ x, 1.0, atol=1e-9)
         assert rows == pieces
 
 
@@ -294,8 +294,8 @@ def test_f_is_measured_in_itself_or_in_what_is_nearest_and_positive():
     sizes, segment = np.array([1.0, -1.0, 3.0, 0.0, -2.0, 7.0]), np.array([0, 1, 2, 4, 4, 5])
     F = sizes[:, None, None] * np.eye(2)
     F[1, 1, 1] = 9.0
-    found = knot_search._units(F, segment, 99 * np.eye(2))
-    assert found[:, 0, 0].tolist() == [1.0, 2.0, 3.0, 7.0, 7.0, 7.0] and not found[:, 0, 1].any()
+    units = knot_search._units(F, segment, 99 * np.eye(2))
+    assert units[:, 0, 0].tolist() == [1.0, 2.0, 3.0, 7.0, 7.0, 7.0] and not units[:, 0, 1].any()
     none = knot_search._units(-np.ones((3, 1, 1)), np.arange(3), np.array([[5.0]]))
     assert none.ravel().tolist() == [5.0] * 3
 
@@ -337,9 +337,9 @@ def feasible(stepped, script, gain=NO_GAIN, start=None):
 def test_what_f_lacks_is_weighed_more_near_each_centre_until_nothing_lacks(stepped):
     """FIRST_WEIGHT for each of 6 rows; five times as much where the decrement is below 200."""
     script = [([0.3], 200.0), ([0.2], 199.0), ([0.04], 1.0), ([0.0], 200.0), ([-1e-9], 999.0)]
-    found, asked = feasible(stepped, script)
-    np.testing.assert_array_equal(found.P, LACKING + 5.0)
-    assert found.excess == 0.0
+    solution, asked = feasible(stepped, script)
+    np.testing.assert_array_equal(solution.P, LACKING + 5.0)
+    assert solution.excess == 0.0
     assert asked[0].y == [pytest.approx(1.05 * 0.75 + 1e-3, rel=1e-12)]
     assert [one.y for one in asked[1:]] == [[0.3], [0.2], [0.04], [0.0]]
     assert [one.slope for one in asked] == [[60.0], [60.0], [300.0], [1500.0], [1500.0]]
@@ -351,16 +351,16 @@ def test_what_f_lacks_is_weighed_more_near_each_centre_until_nothing_lacks(stepp
 def test_a_point_is_out_of_reach_where_too_much_lacks_near_a_centre(stepped):
     assert feasible(stepped, [([0.2 + 1e-9], 199.0)])[0] is None
     assert feasible(stepped, [([0.2 + 1e-9], 200.0), None])[0] is None
-    found, asked = feasible(stepped, [([0.2], 199.0), ([0.04 + 1e-9], 199.0)])
-    assert found is None and len(asked) == 2
+    solution, asked = feasible(stepped, [([0.2], 199.0), ([0.04 + 1e-9], 199.0)])
+    assert solution is None and len(asked) == 2
 
 
 def test_steps_are_counted_and_a_start_that_lacks_nothing_is_found(stepped):
-    found, asked = feasible(stepped, [([0.5], 999.0)] * 99)
-    assert found is None and len(asked) == knot_search.STEPS == 60
+    solution, asked = feasible(stepped, [([0.5], 999.0)] * 99)
+    assert solution is None and len(asked) == knot_search.STEPS == 60
     inside = Point(np.tile(np.eye(2), (3, 1, 1)), 0.25)
-    found, asked = feasible(stepped, [], start=inside)
-    assert found is inside and not asked
+    solution, asked = feasible(stepped, [], start=inside)
+    assert solution is inside and not asked
     border = Point(np.tile(np.diag([0.0, 1.0]), (3, 1, 1)), 0.25)
     assert len(feasible(stepped, [([-1.0], 1.0)], start=border)[1]) == 1
 
@@ -368,11 +368,11 @@ def test_steps_are_counted_and_a_start_that_lacks_nothing_is_found(stepped):
 def test_the_gain_is_searched_beside_p_from_where_it_is(stepped):
     """An excess of 0.5 adds half the identity: the second then lacks 5/8 of its unit."""
     script = [([0.1, 0.9], 1.0), ([-0.1, 0.75], 1.0)]
-    found, asked = feasible(stepped, script, ONE_GAIN, Point(LACKING, 0.5))
+    solution, asked = feasible(stepped, script, ONE_GAIN, Point(LACKING, 0.5))
     assert asked[0].y == [pytest.approx(1.05 * 0.625 + 1e-3), 0.5]
     assert [one.slope for one in asked] == [[60.0, 0.0], [300.0, 0.0]]
     np.testing.assert_array_equal(asked[0].directions, [UNITS, *ONE_GAIN])
-    assert found.excess == 0.75
+    assert solution.excess == 0.75
 
 
 def test_what_f_lacks_is_an_eigenvalue_over_its_unit(stepped):
@@ -390,17 +390,17 @@ def test_what_f_lacks_is_an_eigenvalue_over_its_unit(stepped):
     [([([0.1], 200.0)] * 9, 4, 4), ([([0.1], 200.0), ([0.2], 199.0)], 2, 2), ([([0.1], 200.0), None], 2, 1)],
 )
 def test_four_steps_at_most_go_to_the_centre(script, steps, moves, stepped):
-    found, asked = stepped(
+    point_found, asked = stepped(
         lambda barrier: knot_search._centred(barrier, Point(LACKING, 0.5), ONE_GAIN, "price"), script
     )
     assert len(asked) == steps and asked[0].y == [0.5]
     assert all(one.slope == [0.0] and one.price == "price" and one.directions is ONE_GAIN for one in asked)
-    np.testing.assert_array_equal(found.P, LACKING + moves)
-    assert found.excess == script[moves - 1][0][0]
-    found, asked = stepped(
+    np.testing.assert_array_equal(point_found.P, LACKING + moves)
+    assert point_found.excess == script[moves - 1][0][0]
+    point_found, asked = stepped(
         lambda barrier: knot_search._centred(barrier, Point(LACKING), NO_GAIN, "price"), [([], 1.0)]
     )
-    assert found.excess == 0.0 and asked[0].y == asked[0].slope == []
+    assert point_found.excess == 0.0 and asked[0].y == asked[0].slope == []
 
 
 def test_a_search_is_told_its_units_its_gain_and_its_price(grid, monkeypatch):

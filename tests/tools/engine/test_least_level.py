@@ -72,30 +72,33 @@ def test_the_weights_stand_where_they_belong():
 
 @pytest.mark.unhurried
 def test_no_gain_proves_a_level_below_the_frozen_one(moving):
-    one, found = moving
+    one, certificate = moving
     least = max(frozen_level(one, v) for v in (1.0, 2.0, 3.0))
     for gain in (0.5, 1.0, 2.0):
-        below = least_level.weighed(one, DELTA, 0.99 * least, gain * found.gain)
-        assert lpv.prove(below, found.storage, RATE) is None
+        below = least_level.weighed(one, DELTA, 0.99 * least, gain * certificate.gain)
+        assert lpv.prove(below, certificate.storage, RATE) is None
 
 
 @pytest.mark.unhurried
 def test_a_level_at_a_moving_speed_is_above_the_frozen_one_and_proved_anew(moving):
-    one, found = moving
-    assert found.level > max(frozen_level(one, v) for v in (1.0, 2.0, 3.0))
-    assert found.rate == RATE and found.proof.margin > 0
-    again = least_level.weighed(one, DELTA, found.level, found.gain)
-    storage = found.storage
-    assert found.own_knots and found.P is None and not storage.adjoint
+    one, certificate = moving
+    assert certificate.level > max(frozen_level(one, v) for v in (1.0, 2.0, 3.0))
+    assert certificate.rate == RATE and certificate.proof.margin > 0
+    again = least_level.weighed(one, DELTA, certificate.level, certificate.gain)
+    storage = certificate.storage
+    assert certificate.own_knots and certificate.P is None and not storage.adjoint
     assert lpv.prove(again, storage, RATE) is not None
     assert lpv.prove(replace(again, Ts=20 * TS), storage, RATE) is None
-    assert lpv.prove(least_level.weighed(one, DELTA, 0.5 * found.level, found.gain), storage, RATE) is None
+    assert (
+        lpv.prove(least_level.weighed(one, DELTA, 0.5 * certificate.level, certificate.gain), storage, RATE)
+        is None
+    )
 
 
 @pytest.mark.slow("8 s: random speed histories")
 def test_every_delta_keeps_the_level_along_random_speed_histories(moving):
     """Delta: constants, and all-passes that turn by a quarter at the resonance, where they take damping."""
-    one, found = moving
+    one, certificate = moving
     random, largest = np.random.default_rng(4), 0.0
     turn = np.tan(0.5 * 1.06 * TS)
     lag = (turn - 1) / (turn + 1)
@@ -112,7 +115,7 @@ def test_every_delta_keeps_the_level_along_random_speed_histories(moving):
                 x = G.A @ x + G.B @ np.array([size * xi, w])
                 v = np.clip(v + RATE * TS * np.sign(np.sin(2 * np.pi * k / period)), 1.0, 3.0)
             largest = max(largest, np.sqrt(energy_out / energy_in))
-    assert 0.25 * found.level < largest < found.level
+    assert 0.25 * certificate.level < largest < certificate.level
 
 
 def test_there_is_no_level_for_a_loop_that_delta_makes_unstable():
@@ -132,8 +135,8 @@ def test_without_delta_the_level_is_the_first_that_leaves_room_above_the_norm(pe
     """The norm is 1.67 ``performance``: 1 leaves room for 0.83, 2.5 for 2 and not for 3.3."""
     alone = lpv.relevant(family(turn=0.0, performance=performance), slice(1, 2), slice(1, 2))
     asked = []
-    found = least_level.find_level(lambda level: asked.append(level) or alone, (0, 0), RATE)
-    assert (found and (found.level, found.gain)) == (level and (level, 1.0))
+    certificate = least_level.find_level(lambda level: asked.append(level) or alone, (0, 0), RATE)
+    assert (certificate and (certificate.level, certificate.gain)) == (level and (level, 1.0))
     assert asked == [one for one in least_level.LEVELS if level is None or one <= level]
     norm = hinf_norm(alone.loop(2.0), rtol=1e-6).upper
     assert level is None or norm <= least_level.ROOMY * level
@@ -150,53 +153,53 @@ def test_a_level_whose_storage_function_is_not_proved_is_left_for_the_next(monke
         return None if at[-1] == 0.5 else proved(one, storage, rate)
 
     monkeypatch.setattr(least_level, "prove", none_at_first)
-    found = least_level.find_level(lambda _: alone, (0, 0), RATE)
-    assert found.level == 2.5 and at == [0.5, pytest.approx(0.2)]
+    certificate = least_level.find_level(lambda _: alone, (0, 0), RATE)
+    assert certificate.level == 2.5 and at == [0.5, pytest.approx(0.2)]
 
 
 def test_p_costs_more_the_further_it_is_from_the_frozen_solutions(monkeypatch):
     """Every search gets COST over their mean, in the coordinates in which it searches."""
-    one, given, frozen = family(turn=0.2), [], []
+    one, searches, frozen = family(turn=0.2), [], []
     search, solved = least_level.found_at, least_level.frozen_at
 
-    def told(family, speeds):
+    def stub(family, speeds):
         frozen.append(solved(family, speeds))
         return frozen[-1]
 
-    monkeypatch.setattr(least_level, "found_at", lambda *asked: given.append(asked) or search(*asked))
-    monkeypatch.setattr(least_level, "frozen_at", told)
+    monkeypatch.setattr(least_level, "found_at", lambda *asked: searches.append(asked) or search(*asked))
+    monkeypatch.setattr(least_level, "frozen_at", stub)
     assert least_level.find_level(lambda _: one, DELTA, RATE) is not None
-    last = [asked for asked in given if asked[2] == 0.0][-1]
+    last = [asked for asked in searches if asked[2] == 0.0][-1]
     basis, _, P = frozen[-1]
-    for grid, *_ in given[given.index(last) :]:
+    for grid, *_ in searches[searches.index(last) :]:
         moved = np.linalg.solve(basis, grid.basis)
         mean = moved.T @ P.mean(axis=0) @ moved
         np.testing.assert_allclose(grid.cost @ mean, least_level.COST * np.eye(2), atol=1e-9)
-    assert len(given) > least_level.RATE_STEPS
+    assert len(searches) > least_level.RATE_STEPS
 
 
 def test_knots_join_half_way_between_the_nodes_and_every_quarter_is_asked(moving, monkeypatch):
     """Up to a quarter of the rate the nodes are knots enough; after a proof that fails more is asked."""
-    (one, found), given, proofs = moving, [], []
+    (one, certificate), searches, proofs = moving, [], []
     search, proved = least_level.found_at, least_level.prove
 
     def none_at_first(*asked):
         proofs.append(asked)
         return proved(*asked) if len(proofs) > 1 else None
 
-    monkeypatch.setattr(least_level, "found_at", lambda *asked: given.append(asked) or search(*asked))
+    monkeypatch.setattr(least_level, "found_at", lambda *asked: searches.append(asked) or search(*asked))
     monkeypatch.setattr(least_level, "prove", none_at_first)
-    monkeypatch.setattr(least_level, "LEVELS", (found.level,))
+    monkeypatch.setattr(least_level, "LEVELS", (certificate.level,))
     monkeypatch.setattr(KnotGrid, "violated", lambda *_: np.array([1.01]))
-    assert least_level.find_level(lambda _: one, DELTA, RATE).level == found.level
-    rates = np.array([rate for _, _, rate, _ in given])
+    assert least_level.find_level(lambda _: one, DELTA, RATE).level == certificate.level
+    rates = np.array([rate for _, _, rate, _ in searches])
     np.testing.assert_allclose(
         rates * least_level.GRID_SHARE / RATE, [0, *2.0 ** np.arange(-5, 1), 1.0], rtol=1e-12
     )
     coarse, fine = one.nodes.tolist(), np.linspace(1.0, 3.0, 9).tolist()
-    assert [grid.knots.tolist() for grid, *_ in given] == [coarse] * 5 + [fine] * 3
+    assert [grid.knots.tolist() for grid, *_ in searches] == [coarse] * 5 + [fine] * 3
     asked = np.linspace(1.0, 3.0, 33).tolist()
-    assert [grid.speeds.tolist() for grid, *_ in given] == [asked] * 7 + [sorted([*asked, 1.01])]
+    assert [grid.speeds.tolist() for grid, *_ in searches] == [asked] * 7 + [sorted([*asked, 1.01])]
 
 
 def test_d_is_tuned_from_the_best_start():
@@ -211,11 +214,13 @@ def test_d_is_tuned_from_the_best_start():
     )
     good, bad = Scaling(np.array([[-1.0, 0.0, 0.0]])), Scaling(np.array([[9.0, 5.0, -5.0]]))
 
-    def found(*starts):
+    def tuned_from(*starts):
         return least_level.tuned([G], DELTA, 1.0, starts).log_parameters
 
-    assert np.array_equal(found(bad, good), found(good)) and np.array_equal(found(good, bad), found(good))
-    assert not np.array_equal(found(bad), found(good))
+    assert np.array_equal(tuned_from(bad, good), tuned_from(good)) and np.array_equal(
+        tuned_from(good, bad), tuned_from(good)
+    )
+    assert not np.array_equal(tuned_from(bad), tuned_from(good))
 
 
 def test_the_shape_of_d_is_tuned_and_stays_where_blocks_are_not_scalar():
@@ -241,9 +246,9 @@ def test_the_shape_of_d_is_tuned_and_stays_where_blocks_are_not_scalar():
         return np.linalg.norm(M, 2, axis=(1, 2)).max()
 
     start = Scaling(np.zeros((1, 3)))
-    found = least_level.tuned([G], DELTA, 2.5, [start])
-    assert norm(start) == pytest.approx(1.0, rel=1e-3) and norm(found) < 1.1 * np.sqrt(1 / 6)
-    assert least_level.tuned([G], (2, 1), 2.5, [start, found]) is start
+    tuned = least_level.tuned([G], DELTA, 2.5, [start])
+    assert norm(start) == pytest.approx(1.0, rel=1e-3) and norm(tuned) < 1.1 * np.sqrt(1 / 6)
+    assert least_level.tuned([G], (2, 1), 2.5, [start, tuned]) is start
 
 
 def at_frequencies(*values) -> SimpleNamespace:
@@ -280,11 +285,11 @@ def test_the_pattern_of_the_search_for_d(level, sign):
     best = sign * 0.52
     a, b = np.exp(-best), level * np.exp(best)
     loops = [at_frequencies([[0, a], [0, 0], [0, 0]]), at_frequencies([[0, 0], [0.6 * b, 0], [0.8 * b, 0]])]
-    found = least_level.tuned(loops, DELTA, level, [shape(0.0)])
-    np.testing.assert_allclose(found.log_parameters, [[sign * 0.525]], rtol=1e-12)
+    scaling = least_level.tuned(loops, DELTA, level, [shape(0.0)])
+    np.testing.assert_allclose(scaling.log_parameters, [[sign * 0.525]], rtol=1e-12)
     # From farther away each step is repeated while it helps.
-    found = least_level.tuned(loops, DELTA, level, [shape(best - 1.21)])
-    assert found.log_parameters[0, 0] - best == pytest.approx(-1.21 + 4 * 0.3)
+    scaling = least_level.tuned(loops, DELTA, level, [shape(best - 1.21)])
+    assert scaling.log_parameters[0, 0] - best == pytest.approx(-1.21 + 4 * 0.3)
 
 
 def test_d_is_tried_up_and_down_by_the_last_step_too(monkeypatch):
@@ -304,8 +309,8 @@ def test_a_step_for_d_must_gain_a_hundred_thousandth():
     """The norm of [1, e d] is about 1 + e^2 d^2 / 2: a step of -0.3 gains 0.2256 e^2, of -0.15 0.13 e^2."""
     for square, moved in ((4.3e-5, False), (4.6e-5, True)):
         loop = at_frequencies([[1.0, square**0.5], [0.0, 0.0]])
-        found = least_level.tuned([loop], DELTA, 1.0, [shape(0.0)])
-        assert (found.log_parameters[0, 0] < 0) == moved
+        scaling = least_level.tuned([loop], DELTA, 1.0, [shape(0.0)])
+        assert (scaling.log_parameters[0, 0] < 0) == moved
 
 
 def test_ds_gain_is_searched_at_four_speeds(monkeypatch):
@@ -326,13 +331,13 @@ def test_ds_gain_is_searched_at_four_speeds(monkeypatch):
     assert {performance for performance, *_ in asked} == {0.25} and {rtol for *_, rtol in asked} == {1e-3}
     speeds.clear()
     # Without rows of Delta every output is over the level, and the gain is 1.
-    found = least_level._least_gain(one, (0, 1), 4.0)
-    assert found == (1.0, pytest.approx(3 + (np.log(0.25) - 0.7) ** 2))
+    least_gain = least_level._least_gain(one, (0, 1), 4.0)
+    assert least_gain == (1.0, pytest.approx(3 + (np.log(0.25) - 0.7) ** 2))
     assert len(speeds) == 4 and asked[-1][1] == 1.0
 
 
-@pytest.mark.parametrize(("best", "found"), [(5.0, 2.0), (-5.0, -2.0)])
-def test_ds_gain_is_at_most_e_squared_from_the_given_one(monkeypatch, best, found):
+@pytest.mark.parametrize(("best", "log_gain"), [(5.0, 2.0), (-5.0, -2.0)])
+def test_ds_gain_is_at_most_e_squared_from_the_given_one(monkeypatch, best, log_gain):
     monkeypatch.setattr(lpv.Family, "loop", lambda self, v: self.at(v).C[0, 0] / 0.35)
     monkeypatch.setattr(
         least_level, "hinf_norm", lambda gain, rtol: SimpleNamespace(upper=(np.log(gain) - best) ** 2)
@@ -340,10 +345,12 @@ def test_ds_gain_is_at_most_e_squared_from_the_given_one(monkeypatch, best, foun
     asked = []
     search = least_level.minimize_scalar
     monkeypatch.setattr(
-        least_level, "minimize_scalar", lambda *of, **how: asked.append(how["options"]) or search(*of, **how)
+        least_level,
+        "minimize_scalar",
+        lambda *arguments, **how: asked.append(how["options"]) or search(*arguments, **how),
     )
     gain, _ = least_level._least_gain(family(turn=0.2), DELTA, 1.0)
-    assert np.log(gain) == pytest.approx(found, abs=0.03) and asked == [{"xatol": 0.02}]
+    assert np.log(gain) == pytest.approx(log_gain, abs=0.03) and asked == [{"xatol": 0.02}]
 
 
 class ToldGrid:
@@ -372,20 +379,20 @@ class ToldGrid:
         return self
 
 
-def told_level(monkeypatch, found, proofs, violated, frozen_gain=0.9, frozen=True) -> tuple:
+def told_level(monkeypatch, points, proofs, violated, frozen_gain=0.9, frozen=True) -> tuple:
     """The certificate of level 10, and what was said and asked in order: searches find points with the excess
-    ``found``, and proofs, violated speeds are as told; each last one again and again."""
+    ``points``, and proofs, violated speeds are as told; each last one again and again."""
     said, made = [], []
 
-    def next_of(told):
-        return told.pop(0) if len(told) > 1 else told[0]
+    def next_of(answers):
+        return answers.pop(0) if len(answers) > 1 else answers[0]
 
-    def grid(*of):
-        made.append(ToldGrid(said, violated, *of))
+    def grid(*arguments):
+        made.append(ToldGrid(said, violated, *arguments))
         return made[0]
 
     def search(grid, point, rate, unit):
-        excess = next_of(found)
+        excess = next_of(points)
         said.append(("search", point.excess, rate))
         searches.append((point, unit))
         return None if excess is None else Point(point.P, excess)
@@ -477,15 +484,15 @@ def test_after_a_proof_that_fails_more_speeds_are_asked(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("found", "violated", "proofs"),
+    ("points", "violated", "proofs"),
     [
         ([0.0], [np.array([1.01])] * 6, 6),  # six rounds
         ([0.0], [np.array([1.01]), np.zeros(0)], 2),  # nothing is violated
         ([0.0] * 8 + [None], [np.array([1.01])] * 6, 2),  # the second search fails
     ],
 )
-def test_a_level_without_a_proof_is_given_up(monkeypatch, found, violated, proofs):
-    out, said, *_ = told_level(monkeypatch, found, [None], violated)
+def test_a_level_without_a_proof_is_given_up(monkeypatch, points, violated, proofs):
+    out, said, *_ = told_level(monkeypatch, points, [None], violated)
     assert out is None and said.count("proof between the speeds") == proofs
 
 

@@ -27,10 +27,10 @@ def limit_itself(w: np.ndarray, u_max: float) -> tuple[np.ndarray, np.ndarray]:
     for now in w:
         wanted = float(G.C[0] @ x)
         q = wanted - np.clip(wanted, -u_max, u_max)
-        given = np.r_[2 * q - wanted, now]
+        inputs = np.r_[2 * q - wanted, now]
         u.append(wanted)
-        z.append((G.C @ x + G.D @ given)[1:])
-        x = G.A @ x + G.B @ given
+        z.append((G.C @ x + G.D @ inputs)[1:])
+        x = G.A @ x + G.B @ inputs
     return np.array(u), np.array(z)
 
 
@@ -40,8 +40,8 @@ def test_a_run_is_that_of_the_limit_and_its_gradient_that_of_finite_differences(
     w, by_u, by_z = (random.standard_normal(shape) for shape in ((T, 2), (T,), (T, 2)))
     u, z = one.run(w)
     assert (u_max < 1) == bool((np.abs(u) > u_max).any())
-    for found, wanted in zip((u, z), limit_itself(w, u_max), strict=True):
-        assert found == pytest.approx(wanted)
+    for computed, wanted in zip((u, z), limit_itself(w, u_max), strict=True):
+        assert computed == pytest.approx(wanted)
     slope, step = one.gradient(u, by_u, by_z), 1e-6
 
     def value(w: np.ndarray) -> float:
@@ -111,5 +111,5 @@ def test_a_climb_ends_after_twelve_runs(monkeypatch):
 def test_a_demand_below_zero_counts_by_its_size(monkeypatch):
     monkeypatch.setattr(limited_history, "CLIMBS", 1)
     one, start = LimitedHistory(loop(), 0.5), np.random.default_rng(5).standard_normal((T, 2))
-    found = [one.furthest(aim, 4.0, sign * start)[0] for aim in ("demand", "step") for sign in (1, -1)]
-    assert found[0] == found[1] > 0 and found[2] == found[3] > 0
+    furthest = [one.furthest(aim, 4.0, sign * start)[0] for aim in ("demand", "step") for sign in (1, -1)]
+    assert furthest[0] == furthest[1] > 0 and furthest[2] == furthest[3] > 0

@@ -55,10 +55,10 @@ def least(plant: GeneralisedPlant, M: np.ndarray) -> float:
 def test_the_floor_is_the_least_scaled_norm_of_any_controller(seed, blocks, rtol):
     plant = made(seed, blocks)
     M = plant.system.response([0.7])[0]
-    found, want = limits.mu_floor(plant, 0.7, rtol), least(plant, M)
-    assert found.frequency == 0.7
-    assert found.value <= want * (1 + 1e-6) and want <= found.at * (1 + 1e-9)
-    assert found.value <= found.at <= found.value * (1 + 1.05 * rtol)
+    floor, want = limits.mu_floor(plant, 0.7, rtol), least(plant, M)
+    assert floor.frequency == 0.7
+    assert floor.value <= want * (1 + 1e-6) and want <= floor.at * (1 + 1e-9)
+    assert floor.value <= floor.at <= floor.value * (1 + 1.05 * rtol)
     assert limits.floor_exceeds(plant, 0.7, want * (1 - 1e-3))
     assert not limits.floor_exceeds(plant, 0.7, want * (1 + 1e-3))
 
@@ -108,11 +108,11 @@ def test_without_blocks_it_is_parrotts_bound_and_nothing_is_searched_for():
     plant = made(2, ())
     M = plant.system.response([0.7])[0]
     want = scaled_norm(plant, M, np.zeros(0))
-    found = limits.mu_floor(plant, 0.7)
-    assert found.value == found.at == pytest.approx(want)
+    floor = limits.mu_floor(plant, 0.7)
+    assert floor.value == floor.at == pytest.approx(want)
     assert limits.floor_exceeds(plant, 0.7, want * (1 - 1e-9))
     assert not limits.floor_exceeds(plant, 0.7, want * (1 + 1e-9))
-    assert not limits.floor_exceeds(plant, 0.7, found.value)
+    assert not limits.floor_exceeds(plant, 0.7, floor.value)
 
 
 def test_where_all_is_seen_and_reached_there_is_no_floor():
@@ -139,11 +139,11 @@ def test_the_highest_floor_of_the_frequencies_below_nyquist_counts(dt):
     plant = made(3, (ONE,), dt)
     omega = np.array([0.2, 3.0, np.pi / 0.5, 9.0, 0.9])
     each = [limits.mu_floor(plant, w) for w in (omega[[0, 1, 2, 4]] if dt else omega)]
-    found = limits.mu_floor(plant, omega)
+    floor = limits.mu_floor(plant, omega)
     best = max(each, key=lambda one: one.value)
-    assert found.frequency == best.frequency
-    assert found.value == pytest.approx(best.value, rel=2.1e-5)
-    assert found.value <= found.at and found.value >= max(one.value for one in each) * (1 - 2.1e-5)
+    assert floor.frequency == best.frequency
+    assert floor.value == pytest.approx(best.value, rel=2.1e-5)
+    assert floor.value <= floor.at and floor.value >= max(one.value for one in each) * (1 - 2.1e-5)
     assert limits.GRID[0] == 0 and limits.mu_floor(plant).value > 0
     if dt:
         image = 2 * np.pi / dt - best.frequency  # its response has the same size
@@ -239,11 +239,11 @@ def test_the_gain_over_sources_is_a_generalised_eigenvalue():
     image = random.standard_normal((3, 2)) + 1j * random.standard_normal((3, 2))
     source = random.standard_normal((4, 2)) + 1j * random.standard_normal((4, 2))
     left, right = random.standard_normal((2, 3)), random.standard_normal((2, 4))
-    found = limits._gain(image, source, left, right)
+    gains = limits._gain(image, source, left, right)
     for k in range(2):
         over, under = np.exp(left[k])[:, None] * image, np.exp(right[k])[:, None] * source
         ratio = np.linalg.eigvals(np.linalg.solve(under.conj().T @ under, over.conj().T @ over)).real.max()
-        assert found[k] == pytest.approx(np.sqrt(ratio))
+        assert gains[k] == pytest.approx(np.sqrt(ratio))
     assert limits._gain(image[:, :0], source[:, :0], left, right).tolist() == [0.0, 0.0]
 
 

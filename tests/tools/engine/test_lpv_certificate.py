@@ -76,9 +76,9 @@ def test_a_storage_function_of_the_loop_itself_is_proved_too_and_none_holds_for_
 def test_a_cell_bounds_what_the_loop_loses_between_its_ends(proved, adjoint):
     """F at random speeds and steps of a wide cell is nowhere less than what the cell promises."""
     one = replace(family(0.4), adjoint=adjoint)
-    found = proved if adjoint else lpv._polynomial(one)
-    storage, n = found.storage, len(found.storage.basis)
-    rate, random = 0.2 * found.rate, np.random.default_rng(7)
+    certificate = proved if adjoint else lpv._polynomial(one)
+    storage, n = certificate.storage, len(certificate.storage.basis)
+    rate, random = 0.2 * certificate.rate, np.random.default_rng(7)
     low, high = 1.0, 1.02
     ends = [lpv._End.at_speed(one, storage, v) for v in (low, high)]
     promised = lpv._cell_slack(one, storage, *ends, rate)
@@ -137,6 +137,6 @@ def test_a_peak_between_the_knots_is_seen():
             G.A, G.B, np.vstack([(1 + 6 * max(0.0, 1 - abs(v - 1.25) / 0.05)) * G.C[:1], G.C[1:]]), G.D, TS
         )
 
-    found = lpv.find(plain)
+    certificate = lpv.find(plain)
     bad = lpv.Family(at, np.array([1.0, 1.2, 1.25, 1.3, 2.0, 3.0]), plain.vehicle, 3, plain.hold_bounds, TS)
-    assert lpv.prove(bad, found.storage, found.rate) is None
+    assert lpv.prove(bad, certificate.storage, certificate.rate) is None

@@ -95,8 +95,8 @@ def uneven() -> lpv.Storage:
 )
 def test_p_after_a_step_lies_on_these_chords(low, high, step, pairs):
     """By hand: what v + step reaches, and the knots on the way; by slopes where a knot is reached by some."""
-    found = uneven().afterwards(low, high, step)
-    assert {tuple(round(float(x[0, 0]), 9) for x in pair) for pair in found} == {
+    chords = uneven().afterwards(low, high, step)
+    assert {tuple(round(float(x[0, 0]), 9) for x in pair) for pair in chords} == {
         tuple(round(x, 9) for x in pair) for pair in pairs
     }
 
@@ -164,7 +164,7 @@ def test_two_remainders_are_weighed_at_the_least_cost():
 
 
 @pytest.mark.parametrize(
-    ("found", "failed", "wanted"),
+    ("reached", "failed", "wanted"),
     [
         (None, None, 0.25),
         (None, 0.25, 0.0625),
@@ -183,8 +183,8 @@ def test_two_remainders_are_weighed_at_the_least_cost():
         (1.0, 2.1, None),
     ],
 )
-def test_rates_go_by_fours_and_then_by_the_geometric_mean(found, failed, wanted):
-    assert lpv._next_rate(found, failed) == (wanted and pytest.approx(wanted))
+def test_rates_go_by_fours_and_then_by_the_geometric_mean(reached, failed, wanted):
+    assert lpv._next_rate(reached, failed) == (wanted and pytest.approx(wanted))
 
 
 def loops(one: lpv.Family, speeds) -> list[StateSpace]:
@@ -476,21 +476,21 @@ def web(vehicle: bool = True, hears=lambda v: v > 2.9) -> lpv.Family:
 )
 def test_the_states_that_are_kept_are_both_entered_and_read_at_some_speed(rows, columns, kept):
     one = web()
-    found = lpv.relevant(one, rows, columns)
+    relevant = lpv.relevant(one, rows, columns)
     for v in (1.0, 2.4, 3.0):
-        G, part = one.at(v), found.at(v)
+        G, part = one.at(v), relevant.at(v)
         outputs = [*range(2)[rows], 2, 3, 4]
         np.testing.assert_array_equal(part.A, G.A[np.ix_(kept, kept)])
         np.testing.assert_array_equal(part.B, G.B[kept][:, columns])
         np.testing.assert_array_equal(part.C, G.C[np.ix_(outputs, kept)])
         np.testing.assert_array_equal(part.D, G.D[outputs][:, columns])
         assert part.dt == TS
-    assert found.vehicle == (slice(1, 3) if kept else slice(0, 0))
-    first, second = found.hold_bounds(1.0, 2.0)
+    assert relevant.vehicle == (slice(1, 3) if kept else slice(0, 0))
+    first, second = relevant.hold_bounds(1.0, 2.0)
     whole = one.hold_bounds(1.0, 2.0)
-    for part, of in ((first, whole[0]), (second, whole[1])):
-        np.testing.assert_array_equal(part, of if kept else of[:0])
-    assert (found.nodes, found.n_probes, found.Ts, found.adjoint) == (one.nodes, 3, TS, False)
+    for part, bound in ((first, whole[0]), (second, whole[1])):
+        np.testing.assert_array_equal(part, bound if kept else bound[:0])
+    assert (relevant.nodes, relevant.n_probes, relevant.Ts, relevant.adjoint) == (one.nodes, 3, TS, False)
 
 
 def test_states_are_looked_for_half_way_between_the_nodes_too():
@@ -532,9 +532,9 @@ def test_the_vehicle_counts_as_moved_by_all_that_its_probes_see():
         C[2, 2], C[2, 0] = 0.0, -1.0
         return StateSpace(G.A, G.B, C, 0 * G.D, TS)
 
-    found = lpv.relevant(replace(one, at=one_part), slice(0, 1), slice(0, 1))
-    assert found.vehicle == slice(1, 2), "the filter moves the vehicle through its probe"
-    np.testing.assert_array_equal(found.hold_bounds(1.0, 2.0)[0], [[4.0, 5.0, 6.0]])
+    part = lpv.relevant(replace(one, at=one_part), slice(0, 1), slice(0, 1))
+    assert part.vehicle == slice(1, 2), "the filter moves the vehicle through its probe"
+    np.testing.assert_array_equal(part.hold_bounds(1.0, 2.0)[0], [[4.0, 5.0, 6.0]])
 
 
 # ---------------------------------------------------------------- cells
@@ -546,8 +546,8 @@ ULP = np.spacing(1.375)
 @pytest.mark.parametrize(("before", "all_reach"), [(3, True), (4, False)])
 def test_a_speed_four_ulp_from_a_cells_end_says_which_segment_is_reached(before, all_reach):
     """From 1.375 a step of 0.125 reaches the knot at 1.5. P there is a pair where all reach it."""
-    found = uneven().afterwards(1.375 - before * ULP, 1.45, 0.125)
-    assert len(found) == 3 and any(one is two for one, two in found) == all_reach
+    pairs = uneven().afterwards(1.375 - before * ULP, 1.45, 0.125)
+    assert len(pairs) == 3 and any(one is two for one, two in pairs) == all_reach
 
 
 @pytest.mark.parametrize(("beyond", "pairs"), [(4, 2), (5, 3)])
@@ -578,12 +578,12 @@ def celled(monkeypatch):
         for name, value in limits.items():
             monkeypatch.setattr(lpv, name, value)
 
-        def end(one, of, v):
-            assert one.adjoint == adjoint and of is storage
+        def end(one, one_storage, v):
+            assert one.adjoint == adjoint and one_storage is storage
             made.append(v)
             return SimpleNamespace(v=v)
 
-        def cell(one, of, low, high, rate):
+        def cell(one, one_storage, low, high, rate):
             asked.append((low.v, high.v))
             return slack(low.v, high.v)
 
@@ -594,37 +594,37 @@ def celled(monkeypatch):
         monkeypatch.setattr(lpv._End, "at_speed", end)
         monkeypatch.setattr(lpv, "_cell_slack", cell)
         monkeypatch.setattr(lpv.Storage, "cut", cut)
-        found = lpv.prove(replace(family(), nodes=np.array(nodes)), storage, 3.0)
+        proof = lpv.prove(replace(family(), nodes=np.array(nodes)), storage, 3.0)
         assert len(set(made)) == len(made), "each end once"
         assert set(cuts) <= {3.0 * TS}
-        return found, asked
+        return proof, asked
 
     return run
 
 
 def test_cells_that_fail_are_halved_until_all_hold(celled):
-    found, asked = celled(lambda low, high: None if high - low > 0.2 else low, adjoint=True)
-    assert found.cells == 8 and len(asked) == 2 + 4 + 8
-    assert found.margin == pytest.approx(1.0 / 3.0), "the mean of P has the trace 6 for two states"
+    proof, asked = celled(lambda low, high: None if high - low > 0.2 else low, adjoint=True)
+    assert proof.cells == 8 and len(asked) == 2 + 4 + 8
+    assert proof.margin == pytest.approx(1.0 / 3.0), "the mean of P has the trace 6 for two states"
     assert sorted(asked)[0] == (1.0, 1.125)
     assert sorted((low, high) for low, high in asked if high - low < 0.2) == [
         (1 + k / 8, 1 + (k + 1) / 8) for k in range(8)
     ]
-    found, asked = celled(lambda low, high: 0.3, nodes=(1.0, 1.6, 2.0))
-    assert found == lpv.Proof(4, pytest.approx(0.1)) and sorted(asked)[1] == (1.3, 1.6)
+    proof, asked = celled(lambda low, high: 0.3, nodes=(1.0, 1.6, 2.0))
+    assert proof == lpv.Proof(4, pytest.approx(0.1)) and sorted(asked)[1] == (1.3, 1.6)
 
 
 def test_a_proof_is_given_up_in_cells_that_are_too_small_or_too_many(celled):
     """None of them holds, or only the last."""
-    found, asked = celled(lambda low, high: None)
-    assert found is None and len(asked) == 10 and asked[-1][1] - asked[-1][0] == 0.5**10
+    proof, asked = celled(lambda low, high: None)
+    assert proof is None and len(asked) == 10 and asked[-1][1] - asked[-1][0] == 0.5**10
     assert len(celled(lambda low, high: None, SMALLEST_CELL=0.125)[1]) == 4
-    found, asked = celled(lambda low, high: None, SMALLEST_CELL=1e-9, MOST_CELLS=5)
-    assert found is None and len(asked) == 6
-    found, asked = celled(lambda low, high: 1.0 if low == 1.5 else None, SMALLEST_CELL=1e-9, MOST_CELLS=5)
-    assert found is None and len(asked) == 7
-    found, asked = celled(lambda low, high: 1.0 if high - low < 0.1 else None, MOST_CELLS=16)
-    assert found.cells == 16
+    proof, asked = celled(lambda low, high: None, SMALLEST_CELL=1e-9, MOST_CELLS=5)
+    assert proof is None and len(asked) == 6
+    proof, asked = celled(lambda low, high: 1.0 if low == 1.5 else None, SMALLEST_CELL=1e-9, MOST_CELLS=5)
+    assert proof is None and len(asked) == 7
+    proof, asked = celled(lambda low, high: 1.0 if high - low < 0.1 else None, MOST_CELLS=16)
+    assert proof.cells == 16
 
 
 @pytest.mark.parametrize("P", [(1.0, 0.0), (-1.0, 1.0), (1.0, np.array([-1.0, 1.0]))])
@@ -720,9 +720,9 @@ def test_products_are_weighed_one_by_one_and_those_with_nothing_left_out():
         x[:, 1] = 0.0
     reached[0][:, 2] = 0.0
     right[1] = right[0, 0] = reached[0][0, 0] = reached[1][0, 0] = 0.0
-    found = lpv._crossed(reached, bound, right, inverse)
-    assert np.isfinite(found).all()
-    np.testing.assert_allclose(found, crossed(reached, bound, right, inverse), rtol=1e-10)
+    bounds = lpv._crossed(reached, bound, right, inverse)
+    assert np.isfinite(bounds).all()
+    np.testing.assert_allclose(bounds, crossed(reached, bound, right, inverse), rtol=1e-10)
 
 
 def test_a_part_too_small_to_be_squared_is_weighed_as_one_of_size_one():
@@ -773,9 +773,9 @@ def test_a_cells_slack_is_f_less_what_its_chords_may_lose(low, high, rate, adjoi
             on_Q = np.linalg.norm(end.S, 2) ** 2 * np.abs(q).sum(axis=1).max()
             by_rounding = 4 * len(f) * (on_P + on_Q)
             slacks.append((np.linalg.eigvalsh(f - lost)[0] - 1e-5 * by_rounding, by_rounding))
-    found = lpv._cell_slack(one, storage, *ends, rate)
+    slack = lpv._cell_slack(one, storage, *ends, rate)
     least, by_rounding = min(slacks)
-    assert least > 0 and found == pytest.approx(least, rel=1e-9)
+    assert least > 0 and slack == pytest.approx(least, rel=1e-9)
     monkeypatch.setattr(lpv, "EPS", 1e-5 + (least + 0.01) / by_rounding)
     assert lpv._cell_slack(one, storage, *ends, rate) is None, "0.01 below 0"
 
@@ -817,7 +817,9 @@ def test_a_loop_on_the_border_of_stability_has_no_frozen_solutions(monkeypatch):
 
     monkeypatch.setattr(lpv, "_coordinates", never)
     for margins in ((0.0, 0.5), (0.5, 0.0), (0.5, -0.5)):
-        one = SimpleNamespace(loop=lambda v, of=margins: SimpleNamespace(stability_margin=lambda: of[v]))
+        one = SimpleNamespace(
+            loop=lambda v, margin_at=margins: SimpleNamespace(stability_margin=lambda: margin_at[v])
+        )
         assert lpv.frozen_at(one, np.arange(2)) is None
 
 
@@ -857,8 +859,8 @@ PARTS = [
 @pytest.mark.parametrize(("bears", "slack"), [(1.0, 3e-4), (2e-4, 1e-4), (2e-6, 1e-6)])
 def test_frozen_solutions_have_the_largest_slack_that_every_speed_bears(bears, slack, norms):
     asked = norms(bears)
-    found = lpv._frozen(PARTS, TS)
-    for P, (M, N), (G, rtol) in zip(found, PARTS, asked[-2:], strict=True):
+    solutions = lpv._frozen(PARTS, TS)
+    for P, (M, N), (G, rtol) in zip(solutions, PARTS, asked[-2:], strict=True):
         extra = np.sqrt(slack) * np.eye(2)
         A, B, C = M[:, :2], np.hstack([M[:, 2:], extra]), np.vstack([N[:, :2], extra])
         D = sl.block_diag(N[:, 2:], np.zeros((2, 2)))
@@ -879,8 +881,8 @@ def test_without_a_norm_below_one_or_a_solution_nothing_is_frozen(norms, monkeyp
     norms(1.0)
     options = []
 
-    def solve(*args, **given):
-        options.append(given["balanced"])
+    def solve(*args, **options_given):
+        options.append(options_given["balanced"])
         raise next(errors)
 
     monkeypatch.setattr(lpv.sl, "solve_discrete_are", solve)
@@ -933,7 +935,7 @@ def searched(monkeypatch):
     """`_on_grid` where a storage function is found up to the rate ``found`` and proved at the rates
     ``proved``: what it gives, the starts of the searches, and the proofs asked."""
 
-    def run(found, proved=(), start=True):
+    def run(largest, proved=(), start=True):
         tried, asked = [], []
         search = SimpleNamespace(
             fitted=lambda frozen: ("fitted", frozen),
@@ -944,7 +946,7 @@ def searched(monkeypatch):
         def feasible(rate, P, unit):
             assert unit.tolist() == [4.0, 6.0]
             tried.append((rate, P))
-            return rate if rate <= found else None
+            return rate if rate <= largest else None
 
         def prove(one, storage, rate):
             asked.append((storage[2][1], round(rate, 9)))
@@ -970,21 +972,26 @@ def searched(monkeypatch):
 
 def test_rates_are_searched_from_the_last_one_found_and_proved_from_the_largest(searched):
     one = ("fitted", "frozen")
-    (there, found), tried, asked = searched(1.5, {0.7, 0.2375})
+    (there, certificate), tried, asked = searched(1.5, {0.7, 0.2375})
     assert tried == [(0.25, one), (1.0, 0.25), (4.0, 1.0), (2.0, 1.0)]
     assert asked == [(1.0, 0.95), (1.0, 0.7)] and there is True
-    assert (found.rate, found.P, found.proof, found.not_found) == (0.7, ("coefficients", 1.0), "proof", 2.0)
-    assert found.storage[1:] == ("basis", ("coefficients", 1.0)) and not found.own_knots
-    (there, found), _, asked = searched(1.5, {0.175})
-    assert there and found.rate == 0.25 * 0.7 and found.P == ("coefficients", 0.25)
+    assert (certificate.rate, certificate.P, certificate.proof, certificate.not_found) == (
+        0.7,
+        ("coefficients", 1.0),
+        "proof",
+        2.0,
+    )
+    assert certificate.storage[1:] == ("basis", ("coefficients", 1.0)) and not certificate.own_knots
+    (there, certificate), _, asked = searched(1.5, {0.175})
+    assert there and certificate.rate == 0.25 * 0.7 and certificate.P == ("coefficients", 0.25)
     assert asked == [(1.0, 0.95), (1.0, 0.7), (1.0, 0.5), (0.25, 0.2375), (0.25, 0.175)]
     assert searched(99.0, {7.6})[0][1].not_found is None
 
 
 def test_what_is_found_and_not_proved_is_told_from_what_is_not_found(searched):
     assert searched(1.5)[0] == (True, None)
-    found, tried, asked = searched(0.0)
-    assert found == (False, None) and not asked
+    result, tried, asked = searched(0.0)
+    assert result == (False, None) and not asked
     assert [rate for rate, _ in tried] == [0.25, 0.0625, 0.015625]
     assert searched(9.0, start=False) == ((False, None), [], [])
 
@@ -1033,17 +1040,17 @@ def test_frozen_solutions_are_proved_at_half_the_rate_of_the_knots(monkeypatch):
 def test_the_adjoint_is_asked_first_and_polynomials_before_frozen_solutions(monkeypatch):
     asked = []
 
-    def told(name):
+    def stub(name):
         def ask(one):
             asked.append((name, one.adjoint))
-            return "found" if len(asked) == found else None
+            return "found" if len(asked) == rank else None
 
         return ask
 
-    monkeypatch.setattr(lpv, "_polynomial", told("polynomial"))
-    monkeypatch.setattr(lpv, "_riccati", told("riccati"))
+    monkeypatch.setattr(lpv, "_polynomial", stub("polynomial"))
+    monkeypatch.setattr(lpv, "_riccati", stub("riccati"))
     order = [("polynomial", True), ("riccati", True), ("polynomial", False), ("riccati", False)]
-    for found in (1, 2, 3, 4, 5):
+    for rank in (1, 2, 3, 4, 5):
         asked.clear()
-        assert lpv.find(family()) == ("found" if found < 5 else None)
-        assert asked == order[:found]
+        assert lpv.find(family()) == ("found" if rank < 5 else None)
+        assert asked == order[:rank]

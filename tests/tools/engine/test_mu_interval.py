@@ -44,28 +44,28 @@ OF_REAL = pytest.mark.long("10 s: with a real block each loop takes ten times as
 )
 def test_it_is_above_every_point_and_close_to_the_largest(blocks, seed):
     loop = loop_of(seed)
-    found = mu_interval(loop, blocks, 0.0, np.inf)
-    fine = np.concatenate([[0.0], np.geomspace(1e-3, 1e3, 40), found.omega * np.linspace(0.9, 1.1, 7)])
-    assert largest_on_grid(loop, blocks, fine) <= found.upper * (1 + 1e-9)
-    at_peak = mu_bounds(loop.response([found.omega])[0], blocks, 1e-6).upper
-    assert found.upper <= at_peak * 1.005
+    interval = mu_interval(loop, blocks, 0.0, np.inf)
+    fine = np.concatenate([[0.0], np.geomspace(1e-3, 1e3, 40), interval.omega * np.linspace(0.9, 1.1, 7)])
+    assert largest_on_grid(loop, blocks, fine) <= interval.upper * (1 + 1e-9)
+    at_peak = mu_bounds(loop.response([interval.omega])[0], blocks, 1e-6).upper
+    assert interval.upper <= at_peak * 1.005
 
 
 def test_of_one_full_block_it_is_the_norm():
     for loop in (loop_of(4), to_discrete(loop_of(4), 0.1)):
         last = np.pi / loop.dt if loop.dt else np.inf
-        found, norm = mu_interval(loop, [Block("full", 3, 3)], 0.0, last), hinf_norm(loop)
-        assert norm.lower * (1 - 1e-9) <= found.upper <= norm.upper * 1.0025
+        interval, norm = mu_interval(loop, [Block("full", 3, 3)], 0.0, last), hinf_norm(loop)
+        assert norm.lower * (1 - 1e-9) <= interval.upper <= norm.upper * 1.0025
 
 
 @pytest.mark.parametrize("blocks", [FULL, REAL])
 def test_a_level_that_is_asked_for_is_proved_and_a_lower_one_is_not(blocks):
     loop = loop_of(1)
-    found = mu_interval(loop, blocks, 0.0, np.inf)
-    at_peak = mu_bounds(loop.response([found.omega])[0], blocks, 1e-6).upper
+    interval = mu_interval(loop, blocks, 0.0, np.inf)
+    at_peak = mu_bounds(loop.response([interval.omega])[0], blocks, 1e-6).upper
     for share in (1.0015, 1.3):
         upper = mu_interval(loop, blocks, 0.0, np.inf, least=share * at_peak).upper
-        assert share * at_peak <= upper <= max(share * at_peak, 1.0021 * found.lower)
+        assert share * at_peak <= upper <= max(share * at_peak, 1.0021 * interval.lower)
     assert mu_interval(loop, blocks, 0.0, np.inf, least=0.999 * at_peak).upper > at_peak
 
 
@@ -80,8 +80,8 @@ def test_a_peak_outside_of_the_interval_does_not_count():
 
 def test_a_peak_narrower_than_any_grid_is_found():
     loop = StateSpace([[-1e-6, 1.0], [-1.0, -1e-6]], [[0.0], [1.0]], [[1.0, 0.0]], [[0.0]])
-    found = mu_interval(loop, [Block("full", 1, 1)], 0.5, 3.0)
-    assert 0.999 * 5e5 < found.upper < 1.005 * 5e5 and found.omega == pytest.approx(1.0, abs=1e-6)
+    interval = mu_interval(loop, [Block("full", 1, 1)], 0.5, 3.0)
+    assert 0.999 * 5e5 < interval.upper < 1.005 * 5e5 and interval.omega == pytest.approx(1.0, abs=1e-6)
 
 
 @pytest.mark.slow("10 s: two syntheses of the paper's case")
@@ -93,9 +93,9 @@ def test_the_papers_controllers_keep_their_mu_between_frequencies(structure):
     result = dk_synthesis(plant)
     loop = lft(plant.system, result.controller)
     blocks = [*plant.blocks, plant.performance_block]
-    found = mu_interval(loop, blocks, 0.0, np.inf)
-    assert found.upper <= result.performance.upper * 1.003
-    assert found.upper <= 1.005 * largest_on_grid(loop, blocks, [found.omega])
+    interval = mu_interval(loop, blocks, 0.0, np.inf)
+    assert interval.upper <= result.performance.upper * 1.003
+    assert interval.upper <= 1.005 * largest_on_grid(loop, blocks, [interval.omega])
 
 
 def problem(**changes) -> dict:

@@ -31,12 +31,12 @@ def centred(monkeypatch):
     """Every centre of a search: where it starts, what it is asked, and where it ends."""
     calls, centre = [], mu_upper._centre
 
-    def told(x, F, structure, trace):
+    def stub(x, F, structure, trace):
         end, Z = centre(x, F, structure, trace)
         calls.append(SimpleNamespace(start=x, F=F, trace=trace, end=end))
         return end, Z
 
-    monkeypatch.setattr(mu_upper, "_centre", told)
+    monkeypatch.setattr(mu_upper, "_centre", stub)
     monkeypatch.setattr(mu_upper, "simple_infimum", lambda *_: None)
     return calls
 
@@ -69,8 +69,8 @@ def test_every_centre_starts_a_twentieth_of_the_way_above_the_last_one_in_its_co
             S = np.tensordot(x, call.F, 1)
             np.testing.assert_allclose(S, S.conj().T, atol=1e-12 * np.abs(S).max())
             slack.append(sl.eigh(S, scalings(structure, x)[1], eigvals_only=True)[0])
-        for found, matrix_ in zip(scalings(structure, call.start), wanted, strict=True):
-            np.testing.assert_allclose(found, matrix_, atol=1e-8)
+        for coordinates, matrix_ in zip(scalings(structure, call.start), wanted, strict=True):
+            np.testing.assert_allclose(coordinates, matrix_, atol=1e-8)
         D_left, D_right, G = scalings(structure, call.end)
         L, R = (
             np.linalg.inv(np.linalg.cholesky(D + size))
@@ -120,18 +120,18 @@ def scripted(monkeypatch):
 
 
 def test_levels_fall_to_a_twentieth_above_the_best_whose_scalings_are_kept(scripted):
-    found, levels = scripted([1.0, 1.05, 0.9, 0.0], gaps=[0.5, 9.0, 0.3], moves=[4.0, 9.0, 16.0, 0.25])
+    result, levels = scripted([1.0, 1.05, 0.9, 0.0], gaps=[0.5, 9.0, 0.3], moves=[4.0, 9.0, 16.0, 0.25])
     third = 1.0 + 0.05**2 * 0.1
     np.testing.assert_allclose(levels, [1.1, 1.005, third, 0.9 + 0.05 * (third - 0.9)])
-    upper, infimum, left, right, G = found
+    upper, infimum, left, right, G = result
     assert (upper, infimum) == (0.0, pytest.approx(2 * np.sqrt(third - 0.3)))
     np.testing.assert_allclose(left, np.diag([2.0 * 4.0 * 0.5, 1.0]))
     np.testing.assert_allclose(right, left)
     assert not G.any()
-    found, levels = scripted([1.0, 0.5], moves=[4.0, None])
-    assert found[0] == 2.0 and found[1] == 0.0 and found[2][0, 0] == 2.0 and len(levels) == 2
-    found, _ = scripted([1.0, 1.0], moves=[4.0, 9.0, None])
-    assert found[2][0, 0] == 2.0, "of equals the first"
+    result, levels = scripted([1.0, 0.5], moves=[4.0, None])
+    assert result[0] == 2.0 and result[1] == 0.0 and result[2][0, 0] == 2.0 and len(levels) == 2
+    result, _ = scripted([1.0, 1.0], moves=[4.0, 9.0, None])
+    assert result[2][0, 0] == 2.0, "of equals the first"
     assert scripted([-1e-20])[0][0] == 0.0, "rounding of what is 0"
 
 
@@ -156,14 +156,14 @@ def test_the_search_ends_near_the_infimum_or_where_levels_stand(value, infimum, 
 def test_what_newtons_method_finds_is_the_bound(monkeypatch):
     asked, M, structure = [], matrix(FULL, 0), Structure(FULL)
 
-    def found(*args):
+    def stub(*args):
         asked.append(args)
         return "found"
 
-    monkeypatch.setattr(mu_upper, "simple_infimum", found)
+    monkeypatch.setattr(mu_upper, "simple_infimum", stub)
     assert mu_upper.upper_bound(M, structure, 1e-3) == "found"
-    [(of, in_, rtol, d)] = asked
-    assert of is M and in_ is structure and rtol == 1e-3
+    [(matrix_asked, in_, rtol, d)] = asked
+    assert matrix_asked is M and in_ is structure and rtol == 1e-3
     np.testing.assert_array_equal(d, mu_upper._balance(M, structure))
 
 
@@ -184,7 +184,7 @@ def modelled(monkeypatch):
     def run(model, start, rtol=1e-3, level=1.0):
         blocks, seen, levels = (ONE,) * len(start), [], []
 
-        def told(M, x, rows, cols, member):
+        def stub(M, x, rows, cols, member):
             seen.append(x.tolist())
             return model(x)
 
@@ -192,7 +192,7 @@ def modelled(monkeypatch):
             levels.append(args)
             return level
 
-        monkeypatch.setattr(mu_upper, "_newton_model", told)
+        monkeypatch.setattr(mu_upper, "_newton_model", stub)
         monkeypatch.setattr(mu_upper, "_level", proved)
         M = np.eye(len(blocks), dtype=complex)
         return mu_upper.simple_infimum(M, Structure(blocks), rtol, np.exp(start)), seen, levels
@@ -221,13 +221,13 @@ def line(value, slope=None, curvature=None, low=lambda t: 0.0):
 
 
 def test_a_step_goes_to_the_minimum_and_the_last_scale_stays(modelled):
-    found, seen, levels = modelled(bowl, [0.0, 0.0, 0.3], level=0.25)
+    result, seen, levels = modelled(bowl, [0.0, 0.0, 0.3], level=0.25)
     np.testing.assert_allclose(seen, [[0.0, 0.0, 0.3], [1.0, 0.5, 0.3]])
     [(_, left, right, I_left, I_right, G, size)] = levels
     np.testing.assert_allclose(left, np.diag(np.exp([1.0, 0.5, 0.3])))
     np.testing.assert_allclose(right, left)
     assert I_left.tolist() == I_right.tolist() == np.eye(3).tolist() and size == 2.0 and not G.any()
-    assert found[:2] == (1.0, 1.0) and found[2] is left and found[3] is right and found[4] is G
+    assert result[:2] == (1.0, 1.0) and result[2] is left and result[3] is right and result[4] is G
     assert modelled(bowl, [0.0, 0.0, 0.3], level=4.0)[0][:2] == (4.0, 2.0)
     assert modelled(bowl, [0.0, 0.0, 0.3], level=-1.0)[0][:2] == (0.0, 0.0)
 
@@ -257,21 +257,21 @@ def test_a_step_is_halved_until_the_value_falls(modelled):
     np.testing.assert_allclose([x[0] for x in seen], [0.5, -0.5, 0.0], err_msg="no fall is no gain")
 
 
-@pytest.mark.parametrize(("ahead", "found"), [(2.0, True), (2.0 + 1e-9, False)])
-def test_a_point_at_its_bound_from_below_is_taken_and_ends_the_search(ahead, found, modelled):
+@pytest.mark.parametrize(("ahead", "taken"), [(2.0, True), (2.0 + 1e-9, False)])
+def test_a_point_at_its_bound_from_below_is_taken_and_ends_the_search(ahead, taken, modelled):
     """Also where the value does not fall; within half the tolerance, here a quarter of 1.6."""
     model = line(lambda t: ahead if t else 1.0, lambda t: -1.0, low=lambda t: 1.6 if t else 0.0)
     got, seen, _ = modelled(model, [0.0, 0.0], rtol=0.5)
-    assert (got is not None) == found and seen[1] == [1.0, 0.0]
-    assert seen[2:3] == ([] if found else [[0.5, 0.0]])
+    assert (got is not None) == taken and seen[1] == [1.0, 0.0]
+    assert seen[2:3] == ([] if taken else [[0.5, 0.0]])
     again, seen, _ = modelled(line(lambda t: ahead, low=lambda t: 1.6), [0.0, 0.0], rtol=0.5)
-    assert (again is not None) == found and len(seen) == 1
+    assert (again is not None) == taken and len(seen) == 1
 
 
 def test_a_step_that_would_have_to_be_shorter_than_the_shortest_is_none(modelled, monkeypatch):
     rising = line(lambda t: 1.0 + abs(t), lambda t: -1.0)
-    found, seen, _ = modelled(rising, [0.0, 0.0])
-    assert found is None
+    result, seen, _ = modelled(rising, [0.0, 0.0])
+    assert result is None
     np.testing.assert_allclose([x[0] for x in seen], [0.0, *0.5 ** np.arange(20)])
     monkeypatch.setattr(mu_upper, "SHORTEST_STEP", 0.25)
     assert len(modelled(rising, [0.0, 0.0])[1]) == 3
@@ -281,13 +281,13 @@ def test_a_step_that_would_have_to_be_shorter_than_the_shortest_is_none(modelled
     ("slope", "curvature"), [(1.0, 0.0), (1.0, np.nan), (0.5, -0.5), (0.0, 1.0), (np.inf, 1.0)]
 )
 def test_without_a_way_down_newtons_method_ends(slope, curvature, modelled):
-    found, seen, _ = modelled(line(lambda t: 9.0 - abs(t), lambda t: slope, lambda t: curvature), [0.0, 0.0])
-    assert found is None and len(seen) == 1
+    result, seen, _ = modelled(line(lambda t: 9.0 - abs(t), lambda t: slope, lambda t: curvature), [0.0, 0.0])
+    assert result is None and len(seen) == 1
 
 
 def test_newtons_method_has_so_many_steps(modelled):
-    found, seen, _ = modelled(line(lambda t: 99.0 - t, lambda t: -0.25), [0.0, 0.0])
-    assert found is None and len(seen) == 1 + mu_upper.NEWTON_STEPS == 26
+    result, seen, _ = modelled(line(lambda t: 99.0 - t, lambda t: -0.25), [0.0, 0.0])
+    assert result is None and len(seen) == 1 + mu_upper.NEWTON_STEPS == 26
     np.testing.assert_allclose(np.diff(np.array(seen)[:, 0]), 0.25)
 
 
@@ -300,8 +300,8 @@ def test_the_singular_value_is_modelled_by_the_blocks_of_rows_and_columns(monkey
 
     monkeypatch.setattr(mu_upper, "_newton_model", model)
     mu_upper.simple_infimum(M, Structure(FULL), 1e-3)
-    [(of, x, rows, cols, member)] = asked
-    assert of is M and (rows, cols) == ([1, 2], [2, 1])
+    [(matrix_asked, x, rows, cols, member)] = asked
+    assert matrix_asked is M and (rows, cols) == ([1, 2], [2, 1])
     np.testing.assert_allclose(np.exp(x), mu_upper._balance(M, Structure(FULL)))
     assert member.tolist() == [[1, 0, 0, -1, -1, 0], [0, 1, 1, 0, 0, -1]]
     assert mu_upper.simple_infimum(M, Structure((Block("full", 3, 3),)), 1e-3) is None
@@ -335,10 +335,10 @@ def test_a_block_outside_of_the_largest_singular_vectors_says_nothing_of_the_bou
     member = np.array([[1, 0, -1, 0], [0, 1, 0, -1]], float)
     for gains in ([2.0, 1.0], [1.0, 2.0], [2.0, 0.0]):
         with np.errstate(all="raise"):
-            found = mu_upper._newton_model(
+            model = mu_upper._newton_model(
                 np.diag(gains).astype(complex), np.zeros(2), [1, 1], [1, 1], member
             )
-        assert (found[0], found[3]) == (2.0, 2.0)
+        assert (model[0], model[3]) == (2.0, 2.0)
 
 
 @pytest.mark.parametrize("blocks", [((1, 2), (1, 1)), ((2, 1), (1, 1))], ids=["low", "wide"])
@@ -355,8 +355,8 @@ def test_newtons_model_of_a_matrix_of_fewer_rows_or_columns_is_that_of_its_singu
             np.diag(np.exp(np.repeat(x, rows))) @ M @ np.diag(np.exp(-np.repeat(x, cols))), 2
         )
 
-    found, slope, *_ = mu_upper._newton_model(M, x, rows, cols, member)
-    assert found == pytest.approx(value(x))
+    model, slope, *_ = mu_upper._newton_model(M, x, rows, cols, member)
+    assert model == pytest.approx(value(x))
     np.testing.assert_allclose(
         slope, [(value(x + h * e) - value(x - h * e)) / (2 * h) for e in np.eye(2)], rtol=1e-6
     )
@@ -422,8 +422,8 @@ def test_the_level_of_dense_scalings_is_a_generalised_eigenvalue(monkeypatch):
     W = N.conj().T @ D_left @ N + 1j * (G @ N) + (1j * (G @ N)).conj().T
     sizes = np.einsum("ka,kl,lb->ab", np.abs(left), np.abs(M), np.abs(np.linalg.inv(right.conj().T))) / 3.0
     lost = 8 * eps * np.linalg.norm(sizes) * (np.linalg.norm(N) + 2 * np.linalg.norm(G))
-    found = mu_upper._level(M, left, right, D_left, D_right, G, 3.0)
-    assert found == pytest.approx(sl.eigvalsh(W + lost * np.eye(cols), D_right)[-1], rel=1e-9)
+    level = mu_upper._level(M, left, right, D_left, D_right, G, 3.0)
+    assert level == pytest.approx(sl.eigvalsh(W + lost * np.eye(cols), D_right)[-1], rel=1e-9)
 
 
 def test_the_level_counts_the_rounding_of_terms_that_cancel():
@@ -432,9 +432,9 @@ def test_the_level_counts_the_rounding_of_terms_that_cancel():
     M, right = np.array([[-1e8], [1.0]], complex), np.array([[2.0]], complex)
     G = np.array([[3.0, 4.0]], complex)
     terms, N, eps = np.hypot(2e8, 1.0) / 8.0, 1.0 / 8.0, np.finfo(float).eps
-    found = mu_upper._level(M, left, right, np.eye(2), np.eye(1), G, 4.0)
+    level = mu_upper._level(M, left, right, np.eye(2), np.eye(1), G, 4.0)
     wanted = N**2 + 8 * eps * terms * (N + 2 * 5.0)
-    assert found - N**2 == pytest.approx(wanted - N**2, rel=1e-8)
+    assert level - N**2 == pytest.approx(wanted - N**2, rel=1e-8)
 
 
 def test_the_gap_is_what_the_multipliers_leave_of_each_block():
@@ -489,17 +489,17 @@ def test_a_centre_is_found_by_newtons_steps_whatever_the_unit_of_a_scale(unit, s
     trace, x = np.array([1.0, 2.0]) * units * unit, np.array(start) / units
     points, Z = reference_steps(x, F, structure, trace)
 
-    def told(point, basis, axes):
+    def stub(point, basis, axes):
         if basis is F:
             seen.append(point * units)
         return tensordot(point, basis, axes)
 
     with monkeypatch.context() as patch:
-        patch.setattr(np, "tensordot", told)
-        found, Z_found = mu_upper._centre(x, F, structure, trace)
+        patch.setattr(np, "tensordot", stub)
+        centre, Z_found = mu_upper._centre(x, F, structure, trace)
     assert len(seen) == len(points) > 4
     np.testing.assert_allclose(seen, points * units, rtol=1e-7, atol=1e-9)
-    np.testing.assert_allclose(found * units, points[-1] * units, rtol=1e-9)
+    np.testing.assert_allclose(centre * units, points[-1] * units, rtol=1e-9)
     np.testing.assert_allclose(Z_found, Z, rtol=1e-6, atol=1e-9)
 
 

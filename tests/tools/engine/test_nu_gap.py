@@ -22,16 +22,16 @@ def random_plant(seed: int, inputs: int = 1, outputs: int = 2) -> StateSpace:
 
 def test_of_two_constants_it_is_the_chordal_distance():
     for a, b in ((0.0, 1.0), (2.0, -0.5), (3.0, 4.0)):
-        found = nu_gap(gain([[a]]), gain([[b]]))
+        gap = nu_gap(gain([[a]]), gain([[b]]))
         want = abs(a - b) / np.hypot(1, a) / np.hypot(1, b)
-        assert found.upper == pytest.approx(want, rel=1e-5)
+        assert gap.upper == pytest.approx(want, rel=1e-5)
 
 
 def test_lags_with_opposite_slow_poles_are_near_in_closed_loop():
     """1/(s + e) and 1/(s - e): any gain of 1 stabilises both; the distance is 2e/(1 + e^2) at frequency 0."""
     e = 0.05
-    found = nu_gap(first_order(1.0, -e), first_order(1.0, e))
-    assert found.upper == pytest.approx(2 * e / (1 + e * e), rel=1e-4) and found.peak_frequency < 1e-3
+    gap = nu_gap(first_order(1.0, -e), first_order(1.0, e))
+    assert gap.upper == pytest.approx(2 * e / (1 + e * e), rel=1e-4) and gap.peak_frequency < 1e-3
 
 
 def test_another_sign_is_a_gap_of_one():

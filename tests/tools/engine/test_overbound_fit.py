@@ -46,9 +46,9 @@ def test_orders_go_from_the_lowest_that_is_proper_to_eight():
 def test_the_order_chosen_is_the_smallest_of_which_no_higher_one_gains_the_tolerance_a_state(
     ratios_db, tol_db, order
 ):
-    found = {n: MinimaxFit(n, *[np.ones(1)] * 2, r, 0.0, np.ones(1)) for n, r in enumerate(ratios_db)}
-    assert fit._choose(found, tol_db) == order
-    assert fit._choose({n + 1: f for n, f in found.items()}, tol_db) == order + 1
+    fits = {n: MinimaxFit(n, *[np.ones(1)] * 2, r, 0.0, np.ones(1)) for n, r in enumerate(ratios_db)}
+    assert fit._choose(fits, tol_db) == order
+    assert fit._choose({n + 1: f for n, f in fits.items()}, tol_db) == order + 1
 
 
 class Tried:
@@ -81,12 +81,14 @@ class Tried:
 def test_orders_to_four_are_tried_and_three_tenths_of_a_db_pay_for_a_state(monkeypatch):
     for step, chosen in ((0.301, 4), (0.299, 0)):
         tried = Tried(monkeypatch, [9.0 - step * n for n in range(9)])
-        found = tried.fit()
+        scaling = tried.fit()
         assert tried.orders == [(0, None), (1, 0), (2, 1), (3, 2), (4, 3)]
-        assert tried.closed == [(chosen, chosen - 1 if chosen else None)] and found.order == chosen
-        assert (found.inflation, found.lp_optimum_db) == (1.5, 0.25)
-        assert found.worst_ratio_db == found.ratios_db[chosen] == pytest.approx(20 * math.log10(2), rel=1e-6)
-        assert {n: r for n, r in found.ratios_db.items() if n != chosen} == {
+        assert tried.closed == [(chosen, chosen - 1 if chosen else None)] and scaling.order == chosen
+        assert (scaling.inflation, scaling.lp_optimum_db) == (1.5, 0.25)
+        assert (
+            scaling.worst_ratio_db == scaling.ratios_db[chosen] == pytest.approx(20 * math.log10(2), rel=1e-6)
+        )
+        assert {n: r for n, r in scaling.ratios_db.items() if n != chosen} == {
             n: 9.0 - step * n for n in range(5) if n != chosen
         }
     tried = Tried(monkeypatch, [9.0 - n for n in range(9)])
@@ -121,8 +123,8 @@ def test_the_next_lower_order_is_taken_where_one_falls_back_or_cannot_be_certifi
 
 
 def test_what_is_no_bound_of_a_fit_is_told_by_its_name():
-    for name, told in (("", "weight fit: "), ("W_delta", "W_delta: ")):
-        with pytest.raises(InputError, match=f"^{told}"):
+    for name, prefix in (("", "weight fit: "), ("W_delta", "W_delta: ")):
+        with pytest.raises(InputError, match=f"^{prefix}"):
             fit.fit_overbound([1.0], [np.nan], name=name)
 
 
@@ -167,11 +169,11 @@ def test_a_candidate_is_lifted_by_what_the_certificate_finds_three_times_at_most
     monkeypatch.setattr(fit, "verify_overbound", verify)
     samples = SampledBound.read("here", [1.0, 2.0], [1.0, 1.0], None)
     candidate = MinimaxFit(0, np.ones(1), np.ones(1), 0.0, 0.0, np.ones(1))
-    _, found, certificate = fit._lift(Grid(samples, False), candidate)
+    _, lift, certificate = fit._lift(Grid(samples, False), candidate)
     assert len(asked) == calls and certificate.min_ratio == least[-1]
     lifts = sum(0.0 < r < 1.0 for r in least)
-    assert found == pytest.approx(inflation * (1 + lifts * 1e-12), rel=1e-14)
-    assert asked[-1] == pytest.approx(found * (0.9 if calls == 3 else 1.0), rel=1e-11)
+    assert lift == pytest.approx(inflation * (1 + lifts * 1e-12), rel=1e-14)
+    assert asked[-1] == pytest.approx(lift * (0.9 if calls == 3 else 1.0), rel=1e-11)
 
 
 class Closing:
@@ -247,8 +249,8 @@ def test_breaks_outside_are_those_beyond_the_samples_in_order():
 
 @pytest.mark.parametrize("p", [[3.0], [2.0, 1.0], [1.0, 3.0, 2.0], [0.5, 1.0, 4.0], [-1.0, -3.0, -3.0, -1.0]])
 def test_a_spectral_factor_has_the_square_and_its_roots_on_the_left(p):
-    found = fit._spectral_factor(squared(np.array(p), 1.0))
-    np.testing.assert_allclose(found, np.abs(p), rtol=1e-4)
+    factor = fit._spectral_factor(squared(np.array(p), 1.0))
+    np.testing.assert_allclose(factor, np.abs(p), rtol=1e-4)
     mirrored = np.array(p) * (-1.0) ** np.arange(len(p))
     np.testing.assert_allclose(fit._spectral_factor(squared(mirrored, 1.0)), np.abs(p), rtol=1e-4)
 

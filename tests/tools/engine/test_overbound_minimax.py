@@ -134,7 +134,7 @@ def test_the_spread_is_that_of_the_rows_from_the_least_below_the_band():
 # ---------------------------------------------------------------- what fails
 
 
-def told(y, ratio_db, *, below=None, strict=False):
+def grid_with(y, ratio_db, *, below=None, strict=False):
     """A grid of which only places and the band matter, and ratios given in dB; NaN stays."""
     y = np.asarray(y, float)
     below = np.ones(len(y), bool) if below is None else below
@@ -147,7 +147,7 @@ def test_the_places_that_are_added_are_the_local_extremes_outside_one_and_the_le
     db[30] = db[31] = 4.0
     db[40], db[50], db[60], db[70] = 2.00051, 2.00049, -0.00051, -0.00049
     below = np.arange(100) < 75
-    grid, ratio2 = told(np.arange(100), db, below=below)
+    grid, ratio2 = grid_with(np.arange(100), db, below=below)
     assert minimax._failures(grid, ratio2, 2.0).tolist() == [0, 10, 20, 30, 31, 40, 60, 99]
 
 
@@ -158,24 +158,24 @@ def test_one_place_is_added_of_each_stretch_without_a_ratio():
     for strict in (False, True):
         grid = SimpleNamespace(y=y, below=np.ones(40, bool), strict=strict)
         with np.errstate(all="raise"):
-            found = minimax._failures(grid, ratio, 0.0).tolist()
-        assert found == [4, 20, 31, 38], "the middle of each"
-    grid, _ = told(range(3), [0, 0, 0])
+            places = minimax._failures(grid, ratio, 0.0).tolist()
+        assert places == [4, 20, 31, 38], "the middle of each"
+    grid, _ = grid_with(range(3), [0, 0, 0])
     with np.errstate(all="raise"):
         assert minimax._failures(grid, np.array([0.0, 1.0, 1.0]), 0.0).tolist() == [0]
     # A strictly proper weight is 0 at the infinite, and nowhere else.
-    for strict, found in ((True, [1]), (False, [1, math.inf])):
+    for strict, places in ((True, [1]), (False, [1, math.inf])):
         grid = SimpleNamespace(y=np.array([0.0, 1.0, 2.0, np.inf]), below=np.zeros(4, bool), strict=strict)
-        assert minimax._failures(grid, np.array([1.0, 0.0, 1.0, 0.0]), 0.0).tolist() == found
+        assert minimax._failures(grid, np.array([1.0, 0.0, 1.0, 0.0]), 0.0).tolist() == places
 
 
 def test_thirty_extremes_are_added_at_most_the_worst_first():
     db = np.zeros(200)
     db[1:120:3] = np.linspace(1.0, 5.0, 40)
-    grid, ratio2 = told(np.arange(200), db)
+    grid, ratio2 = grid_with(np.arange(200), db)
     assert minimax._failures(grid, ratio2, 0.0).tolist() == list(range(1 + 3 * 10, 120, 3))
     db[1:120:3] = 1.0
-    assert minimax._failures(*told(np.arange(200), db), 0.0).tolist() == list(range(1, 90, 3))
+    assert minimax._failures(*grid_with(np.arange(200), db), 0.0).tolist() == list(range(1, 90, 3))
 
 
 @pytest.mark.parametrize("at", [0, 1])
@@ -237,30 +237,30 @@ def test_a_program_is_asked_in_units_of_the_old_denominator(strict, monkeypatch)
     """bound^2 D <= t N', N' / t - bound^2 D <= tau bound^2 D_old, D >= 1e-5 D_old, mean of D = 1."""
     grid = grid_of([1.0, 9.0], [2.0, 3.0], strict=strict)
     last = len(grid.y) - 1
-    told = Program(monkeypatch, grid, [0, 20, 60, 100, last - 5, last], [2.0, -1.0, 0.5], 6.0)
-    n, d, mean, n_scale, d_scale = told.rows_of()
-    a, tau = told.asked["A_ub"], np.ones((6, 1))
-    below = grid.below[told.rows]
+    program = Program(monkeypatch, grid, [0, 20, 60, 100, last - 5, last], [2.0, -1.0, 0.5], 6.0)
+    n, d, mean, n_scale, d_scale = program.rows_of()
+    a, tau = program.asked["A_ub"], np.ones((6, 1))
+    below = grid.below[program.rows]
     assert below.tolist() == ([True] * 4 + [False] * 2 if strict else [True] * 6)
     n_all, d_all = n / n_scale, d / d_scale
     np.testing.assert_allclose(
-        a[:6], np.hstack([-told.t * n_all, below[:, None] * d_all, 0 * tau]), rtol=1e-12
+        a[:6], np.hstack([-program.t * n_all, below[:, None] * d_all, 0 * tau]), rtol=1e-12
     )
-    np.testing.assert_allclose(a[6:12], np.hstack([n_all / told.t, -d_all, -tau]), rtol=1e-12)
+    np.testing.assert_allclose(a[6:12], np.hstack([n_all / program.t, -d_all, -tau]), rtol=1e-12)
     np.testing.assert_allclose(a[12:], np.hstack([0 * n_all, -d_all, 0 * tau]), rtol=1e-12)
     beyond = [0.0] * 6
     if strict:  # N only stays positive
         beyond = [0.0] * 4 + [-1e-5 * grid.end / grid.y[last - 5], 0.0]
-    np.testing.assert_allclose(told.asked["b_ub"], [*beyond, *[0.0] * 6, *[-1e-5] * 6], rtol=1e-12)
+    np.testing.assert_allclose(program.asked["b_ub"], [*beyond, *[0.0] * 6, *[-1e-5] * 6], rtol=1e-12)
     columns = a.shape[1]
-    assert columns == 7 - strict and told.asked["cost"].tolist() == [0.0] * (columns - 1) + [1.0]
+    assert columns == 7 - strict and program.asked["cost"].tolist() == [0.0] * (columns - 1) + [1.0]
     np.testing.assert_allclose(
-        told.asked["A_eq"], [[*[0.0] * (3 - strict), *(mean / d_scale), 0.0]], rtol=1e-12
+        program.asked["A_eq"], [[*[0.0] * (3 - strict), *(mean / d_scale), 0.0]], rtol=1e-12
     )
-    assert told.asked["b_eq"] == [1.0] and told.asked["bounds"] == (None, None)
-    top, bottom = told.answer
+    assert program.asked["b_eq"] == [1.0] and program.asked["bounds"] == (None, None)
+    top, bottom = program.answer
     k = 3 - strict
-    raw = told.x[:k] / n_scale, told.x[k:-1] / d_scale
+    raw = program.x[:k] / n_scale, program.x[k:-1] / d_scale
     size = np.abs(raw[1]).max()
     np.testing.assert_allclose(top, raw[0] / size, rtol=1e-12)
     np.testing.assert_allclose(bottom, raw[1] / size, rtol=1e-12)
@@ -319,18 +319,18 @@ class Trials:
 
     def bracket(self, lower_db: float, upper_db: float, tol_db: float):
         bottom = np.array([1.0, 5.0])
-        found, lower = minimax._exchange(self.grid, self.active, 1, bottom, lower_db, upper_db, tol_db)
+        polynomials, lower = minimax._exchange(self.grid, self.active, 1, bottom, lower_db, upper_db, tol_db)
         np.testing.assert_array_equal(self.bottoms[0], bottom) if self.bottoms else None
-        return found, lower
+        return polynomials, lower
 
 
 def test_a_bracket_is_halved_until_a_step_is_fast_and_then_tried_near_its_upper_end(flat, monkeypatch):
     trials = Trials(monkeypatch, flat, [6.0, 3.4, 4.0])
-    found, lower = trials.bracket(0.0, 8.0, 1.0)
+    bracket_, lower = trials.bracket(0.0, 8.0, 1.0)
     # 6 dB at a trial of 1: the optimum is above 1, and what was found is the new upper end.
     assert trials.levels == pytest.approx([1.0, 3.5, 2.5]) and lower == pytest.approx(2.5)
-    np.testing.assert_array_equal(found[1], trials.given[1][1])
-    np.testing.assert_allclose(found[0], rising(3.4)[0], rtol=1e-12)
+    np.testing.assert_array_equal(bracket_[1], trials.given[1][1])
+    np.testing.assert_allclose(bracket_[0], rising(3.4)[0], rtol=1e-12)
     assert trials.bottoms[1] is trials.given[0][1] and trials.bottoms[2] is trials.given[1][1]
     # A bracket that is just half as wide was a fast step: 3.5 of 7.
     trials = Trials(monkeypatch, flat, [9.0, 9.0, 7.5])
@@ -347,8 +347,8 @@ def test_a_bracket_is_halved_until_a_step_is_fast_and_then_tried_near_its_upper_
 
 def test_a_bracket_that_is_narrow_from_the_start_is_tried_in_its_middle(flat, monkeypatch):
     trials = Trials(monkeypatch, flat, [3.0, 3.0])
-    found, lower = trials.bracket(0.0, 1.5, 1.0)
-    assert trials.levels == pytest.approx([0.75]) and lower == pytest.approx(0.75) and found is None
+    bracket_, lower = trials.bracket(0.0, 1.5, 1.0)
+    assert trials.levels == pytest.approx([0.75]) and lower == pytest.approx(0.75) and bracket_ is None
     trials = Trials(monkeypatch, flat, [3.0, 3.0])
     assert trials.bracket(1.0, 2.5, 1.0)[1] == pytest.approx(1.75) == trials.levels[0]
     # One that is no wider than the tolerance is asked whether its lower limit is one.
@@ -362,14 +362,14 @@ def test_a_bracket_that_is_narrow_from_the_start_is_tried_in_its_middle(flat, mo
 def test_a_verdict_by_rows_of_a_far_denominator_is_asked_again(flat, monkeypatch):
     """The first answer is 0.15 dB where 8 were known: its rows were scaled by what reaches 8."""
     trials = Trials(monkeypatch, flat, [0.15, 0.05, 0.05])
-    found, lower = trials.bracket(0.0, 8.0, 0.1)
+    bracket_, lower = trials.bracket(0.0, 8.0, 0.1)
     assert trials.levels == pytest.approx([0.1, 0.1, 0.0]) and lower == 0.0
-    np.testing.assert_allclose(found[0], rising(0.05)[0], rtol=1e-12)
+    np.testing.assert_allclose(bracket_[0], rising(0.05)[0], rtol=1e-12)
     # With the verdict confirmed the search ends there.
     trials = Trials(monkeypatch, flat, [0.15, 0.12])
-    found, lower = trials.bracket(0.0, 8.0, 0.1)
+    bracket_, lower = trials.bracket(0.0, 8.0, 0.1)
     assert trials.levels == pytest.approx([0.1, 0.1]) and lower == pytest.approx(0.1)
-    np.testing.assert_allclose(found[0], rising(0.12)[0], rtol=1e-12)
+    np.testing.assert_allclose(bracket_[0], rising(0.12)[0], rtol=1e-12)
 
 
 @pytest.mark.parametrize("known, tol, asked", [(0.599, 0.1, 1), (0.601, 0.1, 2), (0.75, 0.25, 1)])
@@ -409,7 +409,7 @@ class Cuts:
         self.resolved: list[tuple] = []
         monkeypatch.setattr(minimax, "_exchange", self.exchange)
         monkeypatch.setattr(minimax, "_failures", self.fail)
-        monkeypatch.setattr(minimax, "_resolve", lambda *given: self.resolved.append(given))
+        monkeypatch.setattr(minimax, "_resolve", lambda *arguments: self.resolved.append(arguments))
 
     def exchange(self, grid, active, order, bottom, lower_db, upper_db, tol_db):
         self.asked.append((active, order, bottom, lower_db, upper_db, tol_db))
@@ -432,10 +432,10 @@ LOWER = MinimaxFit(0, np.ones(1), np.ones(1), 6.0, 6.0, np.ones(1))
 
 def test_order_zero_is_the_largest_bound_and_its_ratio_that_of_the_bounds():
     grid = grid_of([1.0, 2.0, 3.0], [1.0, 10.0, 5.0])
-    found = minimax.least_worst_ratio(grid, 0, None)
-    assert found.order == 0 and found.ratio_db == found.lower_db == pytest.approx(20.0)
-    assert found.top.tolist() == [grid.b2.max()] and found.bottom.tolist() == [1.0]
-    assert found.active is grid.y
+    fit = minimax.least_worst_ratio(grid, 0, None)
+    assert fit.order == 0 and fit.ratio_db == fit.lower_db == pytest.approx(20.0)
+    assert fit.top.tolist() == [grid.b2.max()] and fit.bottom.tolist() == [1.0]
+    assert fit.active is grid.y
 
 
 def test_an_order_that_needs_no_improvement_is_not_tried(flat, monkeypatch):
@@ -447,18 +447,18 @@ def test_an_order_that_needs_no_improvement_is_not_tried(flat, monkeypatch):
 
 def test_tolerances_follow_the_distance_to_the_lower_limit_down_to_the_step(flat, monkeypatch):
     cuts = Cuts(monkeypatch, flat, [(5.0, 2.0), (None, 2.2), (4.0, 2.5)], [[0.3], []])
-    found = minimax.least_worst_ratio(flat, 1, LOWER)
+    fit = minimax.least_worst_ratio(flat, 1, LOWER)
     assert cuts.column(5) == pytest.approx([1.0, 0.3, 0.002])
     assert cuts.column(3) == [0.0, 2.0, 2.2] and cuts.column(4) == pytest.approx([6.0, 5.0, 5.0])
-    assert cuts.column(1) == [1, 1, 1] and (found.order, found.lower_db) == (1, 2.5)
+    assert cuts.column(1) == [1, 1, 1] and (fit.order, fit.lower_db) == (1, 2.5)
     # A first break in the middle of the band, between 1 and 2 rad/s in y.
     np.testing.assert_allclose(cuts.asked[0][2], [1.0, 0.5], rtol=1e-12)
     np.testing.assert_array_equal(cuts.asked[1][2], np.ones(2))
     np.testing.assert_array_equal(cuts.asked[0][0], flat.start())
-    for active in (cuts.asked[1][0], cuts.asked[2][0], found.active):
+    for active in (cuts.asked[1][0], cuts.asked[2][0], fit.active):
         np.testing.assert_array_equal(active, np.union1d(flat.start(), [0.3]))
-    assert found.ratio_db == pytest.approx(4.0)
-    np.testing.assert_allclose(found.top, rising(4.0)[0], rtol=1e-12)
+    assert fit.ratio_db == pytest.approx(4.0)
+    np.testing.assert_allclose(fit.top, rising(4.0)[0], rtol=1e-12)
     assert [level for _, level in cuts.looked] == [2.0, 2.5] and len(cuts.resolved) == 2
     np.testing.assert_allclose(cuts.resolved[0][1], 2.0 * rising(5.0)[0])
 
@@ -478,11 +478,11 @@ def test_what_has_no_ratio_is_no_candidate_and_the_tolerance_stays(flat, monkeyp
         [(math.inf, 1.0), (5.5, 1.0), (5.6, 1.5), (None, 1.5), (None, 1.6)],
         [[0.3], [0.4], [0.5]],
     )
-    found = minimax.least_worst_ratio(flat, 1, LOWER)
+    fit = minimax.least_worst_ratio(flat, 1, LOWER)
     assert cuts.column(5) == pytest.approx([1.0, 1.0, 0.45, 0.41, 0.002])
     assert cuts.column(4) == pytest.approx([6.0, 6.0, 5.5, 5.5, 5.5])
-    assert found.ratio_db == pytest.approx(5.5) and found.lower_db == 1.6
-    np.testing.assert_array_equal(found.active, np.union1d(flat.start(), [0.3, 0.4, 0.5]))
+    assert fit.ratio_db == pytest.approx(5.5) and fit.lower_db == 1.6
+    np.testing.assert_array_equal(fit.active, np.union1d(flat.start(), [0.3, 0.4, 0.5]))
 
 
 def test_the_step_is_the_tolerance_once_nothing_fails(flat, monkeypatch):
@@ -528,9 +528,9 @@ def test_sixty_cuts_are_made_at_most(flat, monkeypatch):
 def test_a_search_goes_on_with_what_was_found_before_the_grid_grew(flat, monkeypatch):
     last = MinimaxFit(1, *rising(5.0), 5.0, 3.0, np.array([0.0, 0.7]))
     cuts = Cuts(monkeypatch, flat, [(None, 3.1)], [[0.2, 0.7]])
-    found = minimax.least_worst_ratio(flat, 1, LOWER, last)
+    fit = minimax.least_worst_ratio(flat, 1, LOWER, last)
     [(active, order, bottom, lower_db, upper_db, tol_db)] = cuts.asked
-    assert active.tolist() == [0.0, 0.2, 0.7] and bottom is last.bottom and found is LOWER
+    assert active.tolist() == [0.0, 0.2, 0.7] and bottom is last.bottom and fit is LOWER
     assert (order, lower_db, upper_db, tol_db) == (1, 3.0, 6.0, 0.002)
     np.testing.assert_allclose(cuts.looked[0][0], flat.ratio2(*rising(5.0)))
     assert cuts.looked[0][1] == 3.0
@@ -539,11 +539,11 @@ def test_a_search_goes_on_with_what_was_found_before_the_grid_grew(flat, monkeyp
 def test_a_strictly_proper_first_order_begins_with_any_roll_off(monkeypatch):
     grid = grid_of([1.0, 2.0], [1.0, 1.0], strict=True)
     cuts = Cuts(monkeypatch, grid, [(None, 0.5), (None, 0.6)])
-    found = minimax.least_worst_ratio(grid, 1, None)
+    fit = minimax.least_worst_ratio(grid, 1, None)
     ratio2 = 1.0 / (grid.b2[:-1] * (1.0 + 0.5 * grid.y[:-1]))
     least = ratio2[grid.y[:-1] <= grid.end].min()
     spread = 10 * math.log10(ratio2.max() / least)
-    assert cuts.column(4) == pytest.approx([spread] * 2) and found.ratio_db == pytest.approx(spread)
-    assert (found.order, found.lower_db) == (1, 0.6) and found.top.tolist() == pytest.approx([1.0 / least])
-    np.testing.assert_allclose(found.bottom, [1.0, 0.5])
-    np.testing.assert_array_equal(found.active, grid.start())
+    assert cuts.column(4) == pytest.approx([spread] * 2) and fit.ratio_db == pytest.approx(spread)
+    assert (fit.order, fit.lower_db) == (1, 0.6) and fit.top.tolist() == pytest.approx([1.0 / least])
+    np.testing.assert_allclose(fit.bottom, [1.0, 0.5])
+    np.testing.assert_array_equal(fit.active, grid.start())

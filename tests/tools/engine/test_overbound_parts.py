@@ -74,11 +74,11 @@ def test_the_largest_range_is_still_a_bound():
 )
 @pytest.mark.parametrize("unit", [1.0, 8.0, 0.25])
 def test_the_squared_magnitude_is_the_polynomial_of_the_squared_frequency(coefficients, unit):
-    found = squared(np.array(coefficients), unit)
-    assert len(found) == len(coefficients)
+    magnitudes = squared(np.array(coefficients), unit)
+    assert len(magnitudes) == len(coefficients)
     for w in (0.0, 0.3, 1.0, 7.0):
         wanted = abs(np.polyval(coefficients, 1j * w)) ** 2
-        assert np.polyval(found[::-1], (w / unit) ** 2) == pytest.approx(wanted, rel=1e-12)
+        assert np.polyval(magnitudes[::-1], (w / unit) ** 2) == pytest.approx(wanted, rel=1e-12)
 
 
 def test_routh_agrees_with_the_roots_of_random_polynomials():
@@ -172,12 +172,12 @@ def test_a_constant_piece_may_begin_at_zero_and_a_pole_there_is_no_least_point()
 def test_the_certificate_of_a_first_order_lag_is_known_by_hand():
     """|W|^2 = 4 / (1 + w^2) over a bound of 1 from 0.5 to 1.5 rad/s: 2 at DC, 2 / sqrt(3.25) at the end."""
     W = Weight(np.array([2.0]), np.array([1.0, 1.0]))
-    found = verify_overbound(W, [0.5, 1.5], [1.0, 1.0])
-    assert found.ok and found.stable and found.minimum_phase
-    assert found.min_ratio == pytest.approx(2 / math.sqrt(3.25), rel=1e-8)
-    assert found.min_ratio_at == pytest.approx(1.5, rel=1e-8)
-    assert found.max_ratio == pytest.approx(2.0, rel=1e-8) and found.max_ratio_at == 0.0
-    assert found.omega_max == 1.5 and found.intervals >= 4
+    report = verify_overbound(W, [0.5, 1.5], [1.0, 1.0])
+    assert report.ok and report.stable and report.minimum_phase
+    assert report.min_ratio == pytest.approx(2 / math.sqrt(3.25), rel=1e-8)
+    assert report.min_ratio_at == pytest.approx(1.5, rel=1e-8)
+    assert report.max_ratio == pytest.approx(2.0, rel=1e-8) and report.max_ratio_at == 0.0
+    assert report.omega_max == 1.5 and report.intervals >= 4
     proper = Weight(np.array([0.5, 2.0]), np.array([1.0, 1.0]))
     known = verify_overbound(proper, [0.5, 1.5], [0.4, 0.4])
     assert known.ok and known.omega_max == math.inf
@@ -189,9 +189,9 @@ def test_the_certificate_of_a_first_order_lag_is_known_by_hand():
 def test_a_zero_on_the_axis_leaves_no_ratio():
     """|W| = 0 at 1 rad/s, a sample; beside a bound that is met everywhere else."""
     W = Weight(np.array([1.0, 0.0, 1.0]), np.array([1.0, 2.0, 1.0]))
-    found = verify_overbound(W, [0.5, 1.0, 2.0], [0.1, 0.1, 0.1])
-    assert found.min_ratio == 0.0 and found.min_ratio_at == 1.0
-    assert not found.ok and not found.minimum_phase and found.stable
+    report = verify_overbound(W, [0.5, 1.0, 2.0], [0.1, 0.1, 0.1])
+    assert report.min_ratio == 0.0 and report.min_ratio_at == 1.0
+    assert not report.ok and not report.minimum_phase and report.stable
     upside = verify_overbound(Weight(W.den, W.num), [0.5, 1.0, 2.0], [0.1, 0.1, 0.1])
     assert upside.max_ratio == math.inf and not upside.stable and upside.minimum_phase
 
@@ -200,10 +200,10 @@ def test_the_least_ratio_between_two_samples_is_where_calculus_puts_it():
     """|W|^2 = 1 + w^2 over a bound of w^(1/2) from 0.25 to 9 rad/s."""
     W = Weight(np.array([1.0, 1.0]), np.array([1e-9, 1.0]))
     omega = np.array([0.25, 9.0])
-    found = verify_overbound(W, omega, np.sqrt(omega))
+    report = verify_overbound(W, omega, np.sqrt(omega))
     # (1 + w^2) / w has its least value 2 at w = 1.
-    assert found.min_ratio == pytest.approx(math.sqrt(2.0), rel=1e-7)
-    assert found.min_ratio_at == pytest.approx(1.0, rel=1e-3)
+    assert report.min_ratio == pytest.approx(math.sqrt(2.0), rel=1e-7)
+    assert report.min_ratio_at == pytest.approx(1.0, rel=1e-3)
 
 
 def test_the_unit_of_frequency_and_of_the_bound_change_nothing_but_themselves():
@@ -233,17 +233,17 @@ NOTCHED = Weight([1.0, 0.1, 1.0], [1.0, 2.0, 1.0])
 
 @pytest.mark.parametrize("omega", [[0.1, 0.2], [5.0, 10.0], [0.1, 10.0]], ids=["beyond", "before", "inside"])
 def test_a_least_ratio_is_found_beyond_the_samples_too(omega, rounds):
-    found = verify_overbound(NOTCHED, omega, [0.04, 0.04])
-    assert found.ok and found.min_ratio == pytest.approx(0.05 / 0.04, rel=2e-9)
-    assert found.min_ratio_at == pytest.approx(1.0, rel=1e-3)
-    assert found.intervals == sum(rounds) > len(rounds) > 4
+    report = verify_overbound(NOTCHED, omega, [0.04, 0.04])
+    assert report.ok and report.min_ratio == pytest.approx(0.05 / 0.04, rel=2e-9)
+    assert report.min_ratio_at == pytest.approx(1.0, rel=1e-3)
+    assert report.intervals == sum(rounds) > len(rounds) > 4
 
 
 def test_a_proved_ratio_is_half_a_billionth_below_the_one_attained():
     for ratio in (1 + 0.4e-9, 1 + 0.6e-9):
-        found = verify_overbound(Weight([ratio], [1.0]), [1.0], [1.0])
-        assert found.min_ratio == pytest.approx(ratio * (1 - 0.5e-9), rel=1e-12) and found.intervals == 4
-        assert found.ok == (ratio > 1 + 0.5e-9)
+        report = verify_overbound(Weight([ratio], [1.0]), [1.0], [1.0])
+        assert report.min_ratio == pytest.approx(ratio * (1 - 0.5e-9), rel=1e-12) and report.intervals == 4
+        assert report.ok == (ratio > 1 + 0.5e-9)
 
 
 def test_a_search_that_takes_too_many_tests_or_halvings_proves_nothing(rounds, monkeypatch):
@@ -259,20 +259,20 @@ def test_a_search_that_takes_too_many_tests_or_halvings_proves_nothing(rounds, m
     monkeypatch.setattr(proof, "_MAX_TESTS", first)
     assert least()[0] == 0.0 and sum(rounds) == second, "as many as allowed, and those that begin"
     monkeypatch.setattr(proof, "_MAX_TESTS", first - 1)
-    found = least()
-    assert found[0] == 0.0 and found[2] == sum(rounds) == first and 0.0 <= found[1] <= 2.0
+    result = least()
+    assert result[0] == 0.0 and result[2] == sum(rounds) == first and 0.0 <= result[1] <= 2.0
     monkeypatch.undo()
     monkeypatch.setattr(proof, "_MAX_HALVINGS", 2)
-    found = proof._least_ratio(top, bottom, samples, strict=True)
-    assert found[0] == 0.0 and found[2] == second and 0.0 <= found[1] <= 2.0
+    result = proof._least_ratio(top, bottom, samples, strict=True)
+    assert result[0] == 0.0 and result[2] == second and 0.0 <= result[1] <= 2.0
 
 
 def test_where_rounding_stops_a_proof_its_margin_grows():
     """A pole and a zero at 1 rad/s with a damping of 1e-3: the terms of both cancel to a millionth."""
     W = Weight([1.0, 1.8e-3, 1.0], [1.0, 2e-3, 1.0])
-    found = verify_overbound(W, [0.1, 10.0], [0.8, 0.8])
-    assert found.ok and found.min_ratio == pytest.approx(0.9 / 0.8, rel=1e-6)
-    assert 0.9 / 0.8 - found.min_ratio > 1e-8
+    report = verify_overbound(W, [0.1, 10.0], [0.8, 0.8])
+    assert report.ok and report.min_ratio == pytest.approx(0.9 / 0.8, rel=1e-6)
+    assert 0.9 / 0.8 - report.min_ratio > 1e-8
 
 
 def test_rounding_is_taken_off_every_term(monkeypatch):
@@ -296,8 +296,8 @@ def test_a_common_zero_is_no_least_point(bottom):
 
 def test_what_is_no_bound_of_a_check_is_told_by_its_name():
     W = Weight([1.0], [1.0])
-    for name, told in (("", "weight check: "), ("W_delta", "W_delta: ")):
-        with pytest.raises(InputError, match=f"^{told}"):
+    for name, prefix in (("", "weight check: "), ("W_delta", "W_delta: ")):
+        with pytest.raises(InputError, match=f"^{prefix}"):
             verify_overbound(W, [1.0], [np.nan], name=name)
 
 
@@ -307,8 +307,8 @@ def test_what_is_no_bound_of_a_check_is_told_by_its_name():
 @pytest.mark.parametrize("spread", [1.0, 1e12, 1e-12])
 def test_roots_are_found_in_any_unit(spread):
     roots = np.array([-1.0, -2.0, -5.0]) * spread
-    found = np.sort_complex(polynomial_roots(3.0 * np.poly(roots)))
-    np.testing.assert_allclose(found, np.sort_complex(roots.astype(complex)), rtol=1e-9)
+    roots_found = np.sort_complex(polynomial_roots(3.0 * np.poly(roots)))
+    np.testing.assert_allclose(roots_found, np.sort_complex(roots.astype(complex)), rtol=1e-9)
     assert polynomial_roots(np.array([2.0])).size == 0
     np.testing.assert_allclose(np.sort(polynomial_roots(np.array([1.0, 3.0, 0.0])).real), [-3.0, 0.0])
     np.testing.assert_allclose(np.sort(polynomial_roots(np.array([-2.0, 0.0, 8.0])).real), [-2.0, 2.0])
@@ -322,9 +322,9 @@ def test_coefficients_of_a_weight_are_finite_numbers_and_the_first_is_not_zero(n
 
 
 def test_a_weight_keeps_its_coefficients_and_is_complex_where_it_is_asked_for():
-    given = np.array([1.0, 2.0])
-    W = Weight(given, given + 1)
-    given[0] = 7.0
+    original = np.array([1.0, 2.0])
+    W = Weight(original, original + 1)
+    original[0] = 7.0
     assert W.num.tolist() == [1.0, 2.0]
     for coefficients in (W.num, W.den):
         with pytest.raises(ValueError, match="read-only"):
@@ -353,8 +353,8 @@ def test_a_realisation_has_the_response_of_its_weight(zeros, poles):
     A, B, C, D = W.to_state_space()
     assert len(A) == W.order == len(poles) and B.shape == (len(poles), 1) and C.shape == (1, len(poles))
     for s in (0.0, 0.7j, 5j, 0.3 + 2j):
-        found = (C @ np.linalg.solve(s * np.eye(len(A)) - A, B) + D)[0, 0]
-        assert found == pytest.approx(complex(W(s)), rel=1e-9)
+        response = (C @ np.linalg.solve(s * np.eye(len(A)) - A, B) + D)[0, 0]
+        assert response == pytest.approx(complex(W(s)), rel=1e-9)
     np.testing.assert_allclose(
         np.sort_complex(np.linalg.eigvals(A)), np.sort_complex(np.array(poles, complex)), rtol=1e-7
     )

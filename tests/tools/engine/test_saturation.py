@@ -34,11 +34,11 @@ def run(w: np.ndarray, delta: np.ndarray, limit: float) -> tuple[np.ndarray, np.
     for value, d in zip(w, delta, strict=True):
         u = float((K.C @ k)[0])
         v = float(np.clip(u, -limit, limit))
-        given = np.array([d * (P.C[0] @ x), value, v])
-        out = P.C @ x + P.D @ given
+        inputs = np.array([d * (P.C[0] @ x), value, v])
+        out = P.C @ x + P.D @ inputs
         wanted.append(u)
         errors.append(out[1])
-        x, k = P.A @ x + P.B @ given, K.A @ k + K.B[:, 0] * out[2] + L[:, 0] * (v - u)
+        x, k = P.A @ x + P.B @ inputs, K.A @ k + K.B[:, 0] * out[2] + L[:, 0] * (v - u)
     return np.array(wanted), np.array(errors)
 
 
@@ -59,19 +59,19 @@ def test_no_disturbance_of_the_proved_energy_leaves_the_range_or_exceeds_the_gai
     one = loop(kappa)
     constants = one.stability().least(one.ones, 1.0, np.zeros(2))[1]
     gamma, by_gain = one.gain()
-    found = one.largest_energy([constants, by_gain], U_MAX, STEP_MAX)
+    reachable = one.largest_energy([constants, by_gain], U_MAX, STEP_MAX)
     random, largest, moved = np.random.default_rng(5), 0.0, 0.0
     for trial in range(60):
         if trial % 2:
             w = worst_for_demand() * random.choice([-1, 1])
         else:
             w = random.standard_normal(120) * np.exp(-random.uniform(0, 0.1) * np.arange(120))
-        w = np.r_[w, np.zeros(80)] * found.energy / np.linalg.norm(w)
+        w = np.r_[w, np.zeros(80)] * reachable.energy / np.linalg.norm(w)
         delta = np.full(len(w), random.choice([-1.0, 0.0, 1.0])) if trial % 3 else np.zeros(len(w))
         wanted, z = run(w, delta, U_MAX)
         largest = max(largest, np.abs(wanted).max())
         moved = max(moved, np.abs(np.diff(wanted, prepend=0.0)).max())
-        assert np.linalg.norm(z) <= gamma * found.energy
+        assert np.linalg.norm(z) <= gamma * reachable.energy
     assert largest <= kappa * U_MAX and moved <= STEP_MAX
     assert kappa > 1 or largest > 0.3 * U_MAX  # beyond the limit the sector is wider than the dead zone
 
@@ -133,7 +133,7 @@ def test_two_inputs_side_by_side_have_what_is_proved_of_one():
     one."""
     one, kappa = plant(), 1.5
     both = GeneralisedPlant(twice(one.system, [1, 1, 1], [1, 1, 1]), one.blocks * 2, 2, 2, 2, 2)
-    found = LimitedLoop(
+    limited = LimitedLoop(
         both,
         append(controller(), controller()),
         np.kron(np.eye(2), L),
@@ -146,8 +146,8 @@ def test_two_inputs_side_by_side_have_what_is_proved_of_one():
     want = alone.energy(constants, U_MAX, STEP_MAX)
     assert want is not None
     for limits in (np.array([1.0, 1.0]), np.array([1.0, 0.5]), np.array([0.5, 1.0])):
-        got = found.energy(each, limits * U_MAX, limits * STEP_MAX)
+        got = limited.energy(each, limits * U_MAX, limits * STEP_MAX)
         assert got == pytest.approx(limits.min() * want, rel=1e-4)
-    assert found.stability().proved(found.ones, 1.0, each) == pytest.approx(
+    assert limited.stability().proved(limited.ones, 1.0, each) == pytest.approx(
         alone.stability().proved(alone.ones, 1.0, constants), rel=1e-6
     )

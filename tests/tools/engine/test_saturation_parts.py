@@ -37,8 +37,8 @@ def by_equations(s: float) -> np.ndarray:
     R_P, R_K = (np.linalg.inv(Z * np.eye(len(A)) - A) for A in (P.A, K.A))
     columns = []
     for k in range(4):
-        given = np.eye(4)[k]
-        w, p = np.r_[given[0], given[2:]], given[1]
+        unit = np.eye(4)[k]
+        w, p = np.r_[unit[0], unit[2:]], unit[1]
 
         def signals(u, w=w, p=p):
             q = 0.5 * s * (u + p)
@@ -185,8 +185,8 @@ def test_a_gain_is_searched_as_finely_as_asked(monkeypatch):
     loop, whole = LimitedLoop(plant(), K, L, 2.0, SCALING), float(np.log(50.0) - np.log(0.5))
     asked, (gamma, _) = searched_with(monkeypatch, loop, lambda *_: 0.5, LARGEST_GAIN=50.0, GAIN_RTOL=whole)
     assert len(asked) == 2 and gamma == pytest.approx(1.05 * 50.0)
-    asked, found = searched_with(monkeypatch, loop, lambda *_: 1.0)
-    assert len(asked) == 2 and found is None
+    asked, energy = searched_with(monkeypatch, loop, lambda *_: 1.0)
+    assert len(asked) == 2 and energy is None
 
 
 def test_a_gain_that_is_not_proved_is_none(monkeypatch):
@@ -271,8 +271,8 @@ def test_the_largest_energy_is_that_of_the_best_start_and_offset(monkeypatch):
         return None if constants[0] > 1.5 else 10.0 - abs(constants[1] - 3.0)
 
     monkeypatch.setattr(loop, "energy", energy)
-    found = loop.largest_energy([np.array([0.0, 0.5]), np.array([-1.0, 1.0])], 0.7, 0.3)
-    assert found.energy == 10.0 and found.log_constants.tolist() == [1.0, 3.0]
+    reachable = loop.largest_energy([np.array([0.0, 0.5]), np.array([-1.0, 1.0])], 0.7, 0.3)
+    assert reachable.energy == 10.0 and reachable.log_constants.tolist() == [1.0, 3.0]
     assert len(asked) == 10 and {one[2:] for one in asked} == {(0.7, 0.3)}
     assert [one[0] for one in asked[:5]] == [-4.0, -2.0, 0.0, 2.0, 4.0]
     assert loop.largest_energy([np.array([9.0, 0.0])], 0.7, 0.3) is None
@@ -329,8 +329,8 @@ def test_the_proof_is_the_least_eigenvalue_over_its_reserve():
     M = np.array([[a, b / 2], [2 * c, 0.0]])  # in units in which Q is 1
     F = np.eye(2) - M @ M.T
     reserve = 64 * EPS * (1 + np.linalg.norm(np.abs(M) @ np.abs(M.T), 2))
-    found = _proof(np.array([[a]]), np.array([[b]]), np.array([[c]]), np.zeros((1, 1)), np.array([[q]]))
-    assert found == pytest.approx(np.linalg.eigvalsh(F)[0] / reserve, rel=1e-9)
+    proof = _proof(np.array([[a]]), np.array([[b]]), np.array([[c]]), np.zeros((1, 1)), np.array([[q]]))
+    assert proof == pytest.approx(np.linalg.eigvalsh(F)[0] / reserve, rel=1e-9)
     # Two states that Q couples, and a direct term.
     A, B, C, D = small(0.5)
     A, B, C = A[:2, :2], B[:2], C[:, :2]

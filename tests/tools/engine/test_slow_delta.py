@@ -70,9 +70,9 @@ def test_a_delta_that_hardly_varies_leaves_the_scaled_norm(performance):
 
 def test_a_larger_rate_than_the_proved_one_is_not_proved_by_its_constants():
     loop = SlowLoop(plant(3, 0.9), NO_CONTROLLER, SCALING, True)
-    found = loop.search()
-    assert found.level < 1 and loop.proved(found.rate, found.log_constants) == found.level
-    assert loop.proved(1.2 * found.rate, found.log_constants) > 1
+    minimum = loop.search()
+    assert minimum.level < 1 and loop.proved(minimum.rate, minimum.log_constants) == minimum.level
+    assert loop.proved(1.2 * minimum.rate, minimum.log_constants) > 1
     assert SlowLoop(plant(3, 1.01), NO_CONTROLLER, SCALING, True).search() is None
 
 
@@ -188,15 +188,15 @@ def searched(limit: float, proved: float) -> SlowLoop:
 @pytest.mark.parametrize(("proved", "share"), [(1.1, 0.98), (0.92, 0.9), (0.75, 0.7), (0.45, 0.4)])
 def test_the_largest_rate_is_bisected_and_a_share_of_it_proved(limit, proved, share):
     loop = searched(limit, proved)
-    found, asked = loop.search(), loop.scalings.asked
+    minimum, asked = loop.search(), loop.scalings.asked
     best = max(rate for rate, *_ in asked if rate < limit)
     assert limit * np.exp(-slow_delta.RATE_RTOL) < best < limit
-    assert found.rate == pytest.approx(share * best) and found.level == pytest.approx(
-        found.rate / proved / limit
+    assert minimum.rate == pytest.approx(share * best) and minimum.level == pytest.approx(
+        minimum.rate / proved / limit
     )
     assert len(asked) == 10, "from 1e-6 to 1e4 in halves to 3 %"
     [x] = [start + 0.1 for rate, _, start, _ in asked if rate == best]
-    np.testing.assert_array_equal(found.log_constants, x)
+    np.testing.assert_array_equal(minimum.log_constants, x)
     below = 0
     for rate, level, start, decided in asked:
         np.testing.assert_allclose(start - loop.even(rate), 0.1 * below, atol=1e-12)
@@ -209,12 +209,12 @@ def test_without_a_rate_or_a_proof_there_is_none():
     loop = searched(1.0, 0.3)
     assert loop.search() is None and len(loop.scalings.held) == len(slow_delta.SHARES)
     loop = searched(1.0, 0.5)
-    given = loop.at(0.3)
-    assert (given.rate, given.level) == (0.3, pytest.approx(0.6))
+    proved = loop.at(0.3)
+    assert (proved.rate, proved.level) == (0.3, pytest.approx(0.6))
     [(rate, level, start, decided)] = loop.scalings.asked
     assert (rate, level, decided) == (pytest.approx(0.3), 1.0, False)
     np.testing.assert_array_equal(start, loop.even(0.3))
-    np.testing.assert_array_equal(given.log_constants, start + 0.1)
+    np.testing.assert_array_equal(proved.log_constants, start + 0.1)
     assert loop.proved(0.3, start) == pytest.approx(0.6)
 
 

@@ -25,9 +25,11 @@ def cell(structure: str = "K_i", A_t: float = 80.0, A_u: float = 1e-6, upper: fl
     return Cell(structure, A_t, A_u, result, Floor(0.85, 0.86, 0.5), 1.5)
 
 
-def row(*given, reference=None, reference_order=None, paper=None, paper_order=None, **more) -> cases.TableRow:
+def row(
+    *arguments, reference=None, reference_order=None, paper=None, paper_order=None, **more
+) -> cases.TableRow:
     return cases.TableRow(
-        **vars(cell(*given, **more)),
+        **vars(cell(*arguments, **more)),
         reference=reference,
         reference_order=reference_order,
         paper=paper,
@@ -64,7 +66,7 @@ def test_the_vehicle_is_that_of_the_cases_speed_or_of_the_one_given(case):
 
 def test_every_structure_of_every_objective_is_a_row_beside_what_is_known_of_it(monkeypatch, case):
     del case["objective"][1]["mu_K_is"], case["objective"][1]["gamma_K_inf"], case["objective"][2]["paper"]
-    asked, told = [], []
+    asked, texts = [], []
     monkeypatch.setattr(cases, "read_case", lambda path: case)
 
     def made(plant, structure, A_t, A_u, **options):
@@ -72,14 +74,14 @@ def test_every_structure_of_every_objective_is_a_row_beside_what_is_known_of_it(
         return cell(structure, A_t, A_u)
 
     monkeypatch.setattr(cases, "cell", made)
-    rows = cases.paper_case("case.toml", progress=told.append, steps=3)
+    rows = cases.paper_case("case.toml", progress=texts.append, steps=3)
     wanted = [
         (0.0, s, A_t, A_u, {"steps": 3})
         for A_t, A_u in ((95.0, 1e-6), (75.0, 1e-6), (95.0, 1e-7))
         for s in ("K_inf", "K_i", "K_is")
     ]
     assert asked == wanted
-    assert [(str(text), text.done, text.total) for text in told[::4]] == [
+    assert [(str(text), text.done, text.total) for text in texts[::4]] == [
         ("K_inf, A_t 95, A_u 1e-06", 0, 9),
         ("K_i, A_t 75, A_u 1e-06", 4, 9),
         ("K_is, A_t 95, A_u 1e-07", 8, 9),
@@ -116,42 +118,42 @@ def test_a_row_holds_its_reference_and_the_paper():
 LIMIT = "with this case's weights no controller goes below 0.85000 (at 0.5 rad/s)"
 
 
-def told(one: cases.TableRow, monkeypatch, scale=None, rows=()) -> str:
+def sentence(one: cases.TableRow, monkeypatch, scale=None, rows=()) -> str:
     monkeypatch.setattr(cases, "_uncertainty_scale", lambda case, row, paper: scale)
     [text] = cases.differences({}, [one]) if not rows else [cases._difference({}, one, list(rows))]
     return text
 
 
 def test_what_is_told_of_a_row_that_has_the_papers_digits(monkeypatch):
-    assert told(row(), monkeypatch) == "The paper has no such row."
+    assert sentence(row(), monkeypatch) == "The paper has no such row."
     for off in (0.0, 4.9e-4, -4.9e-4):
-        text = told(row(paper=0.9 + off), monkeypatch)
+        text = sentence(row(paper=0.9 + off), monkeypatch)
         assert text == (
             "The paper's value to its three digits, as what the calibrated noise and disturbance allow at DC "
             f"decides: {LIMIT}; order 0."
         )
-    text = told(row("K_inf", paper=0.9, paper_order=23), monkeypatch)
+    text = sentence(row("K_inf", paper=0.9, paper_order=23), monkeypatch)
     assert text == (
         "The paper's value to its three digits, as |W_nr(0)| and |W_wr(0)| were calibrated to this row: "
         f"{LIMIT}; order 0 instead of 23 since states are cut as long as the certified level stays "
         "(before: 9)."
     )
     # Half a unit of the last digit, exactly.
-    exact = told(row(paper=0.5, upper=0.5 + 2.0**-11), monkeypatch)
+    exact = sentence(row(paper=0.5, upper=0.5 + 2.0**-11), monkeypatch)
     assert exact.startswith("The paper's value")
     monkeypatch.setattr(cases, "PAPER_DIGITS", 2.0**-11)
-    assert told(row(paper=0.5, upper=0.5 + 2.0**-11), monkeypatch).startswith("The paper's value")
+    assert sentence(row(paper=0.5, upper=0.5 + 2.0**-11), monkeypatch).startswith("The paper's value")
 
 
 def test_what_is_told_of_a_row_that_differs(monkeypatch):
     within = f"{LIMIT}, and ours is within 5.9e-02 of that"
-    assert told(row(paper=1.0), monkeypatch) == f"10.0% below the paper's 1: {within}; order 0."
-    assert told(row(paper=0.8), monkeypatch) == f"12.5% above the paper's 0.8: {within}; order 0."
-    assert told(row(paper=1.0), monkeypatch, scale=2.345) == (
+    assert sentence(row(paper=1.0), monkeypatch) == f"10.0% below the paper's 1: {within}; order 0."
+    assert sentence(row(paper=0.8), monkeypatch) == f"12.5% above the paper's 0.8: {within}; order 0."
+    assert sentence(row(paper=1.0), monkeypatch, scale=2.345) == (
         f"10.0% below the paper's 1: {within}; the paper's value would be this limit with the uncertainty "
         "weights 2.3 times as large, and its own are not published; order 0."
     )
-    assert told(row(paper=0.3), monkeypatch).startswith("200.0% above")
+    assert sentence(row(paper=0.3), monkeypatch).startswith("200.0% above")
 
 
 @pytest.mark.parametrize(
@@ -169,7 +171,7 @@ def test_a_reference_below_the_limit_is_told_to_be_rounded(monkeypatch, referenc
     one = row(paper=1.0, reference=reference, upper=upper)
     one = cases.TableRow(**(vars(one) | {"floor": Floor(floor, floor, 0.5)}))
     said = f"; the reference's {reference or 0:g} is rounded, and below that limit"
-    assert (said in told(one, monkeypatch)) == rounded
+    assert (said in sentence(one, monkeypatch)) == rounded
 
 
 def test_a_level_that_moves_as_the_effort_does_is_told():
@@ -181,7 +183,7 @@ def test_a_level_that_moves_as_the_effort_does_is_told():
     )
     smaller = row("K_i", 60.0, 1e-7, paper=0.9)
     below = row("K_i", 80.0, 1e-6, paper=0.9)
-    for other, told in (
+    for other, moves in (
         (smaller, True),
         (below, True),  # a level that falls while A_t stays
         (row("K_i", 60.0, 2e-6, paper=0.9), False),
@@ -192,7 +194,7 @@ def test_a_level_that_moves_as_the_effort_does_is_told():
         (row("K_i", 60.0, 1e-6, paper=0.69), True),
         (row("K_i", 60.0, 1e-6, paper=0.71), False),
     ):
-        assert bool(cases._moves(one, 1.0, [one, other])) == told, other
+        assert bool(cases._moves(one, 1.0, [one, other])) == moves, other
     assert cases._moves(one, 0.9, [one]) == ""
     two = row("K_i", 80.0, 1e-6, paper=2.0)
     assert cases._moves(two, 2.0, [two, row("K_i", 60.0, 1e-6, paper=1.5)]) == ""
@@ -215,12 +217,12 @@ def test_the_scale_of_the_uncertainty_weights_that_explains_a_level_is_found(mon
         return max(ratios) > wanted
 
     monkeypatch.setattr(cases, "floor_exceeds", exceeds)
-    found = cases._uncertainty_scale(case, one, 1.1)
-    assert wanted * np.exp(-0.0101) <= found <= wanted
+    scale = cases._uncertainty_scale(case, one, 1.1)
+    assert wanted * np.exp(-0.0101) <= scale <= wanted
     assert asked[0][1:] == ({"A_t": 80.0, "A_u": 1e-6}, "K_i")
     assert asked[0][0]["W_delta_i"]["poles"] == case["W_delta_i"]["poles"] and asked[0][0]["v"] == 15.0
     assert len(asked) == 2 + 11, "from 1e-3 to 1e3 in halves to a hundredth"
-    ends = [given["W_delta_s"]["gain"] / case["W_delta_s"]["gain"] for given, *_ in asked[:2]]
+    ends = [weights["W_delta_s"]["gain"] / case["W_delta_s"]["gain"] for weights, *_ in asked[:2]]
     assert ends == pytest.approx([1e-3, 1e3], rel=1e-9)
 
 

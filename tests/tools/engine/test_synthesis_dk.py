@@ -219,14 +219,17 @@ def test_no_controller_goes_below_the_floor(case, rows):
 
 @pytest.mark.unhurried
 def test_each_difference_to_the_paper_is_one_sentence_that_the_weights_explain(case, rows):
-    told = differences(case, rows)
-    assert all(text.count(". ") == 0 and text.endswith(".") for text in told)
-    assert "calibrated" in told[0] and f"{rows[0].floor.value:.5f}" in told[0]
-    scale = float(re.search(r"uncertainty weights ([\d.]+) times", told[2]).group(1))
+    difference = differences(case, rows)
+    assert all(text.count(". ") == 0 and text.endswith(".") for text in difference)
+    assert "calibrated" in difference[0] and f"{rows[0].floor.value:.5f}" in difference[0]
+    scale = float(re.search(r"uncertainty weights ([\d.]+) times", difference[2]).group(1))
     grown = case | {k: case[k] | {"gain": case[k]["gain"] * scale} for k in ("W_delta_i", "W_delta_s")}
     assert mu_floor(case_plant(grown, OBJECTIVE, "K_is"), 0.0).at == pytest.approx(rows[2].paper, abs=2e-3)
-    assert "limited by the control effort" in told[1] and "limited by the control effort" not in told[2]
-    assert "rounded" in told[5] and rows[5].floor.value > rows[5].reference
+    assert (
+        "limited by the control effort" in difference[1]
+        and "limited by the control effort" not in difference[2]
+    )
+    assert "rounded" in difference[5] and rows[5].floor.value > rows[5].reference
 
 
 @pytest.mark.slow("4 s: a case is solved")

@@ -92,10 +92,10 @@ def test_a_level_is_reached_above_the_floor_where_the_coupling_is_above_one():
 
 def bracket(problem: MadeUp, rtol: float = 1e-3, guess: float | None = None) -> tuple:
     """The bracket that ``optimum`` narrows."""
-    found: list[tuple] = []
-    problem._narrow = lambda rtol, *ends: found.append(ends) or 7.0  # type: ignore[method-assign]
+    brackets: list[tuple] = []
+    problem._narrow = lambda rtol, *ends: brackets.append(ends) or 7.0  # type: ignore[method-assign]
     assert problem.optimum(rtol, guess) == 7.0
-    return found[0]
+    return brackets[0]
 
 
 def test_without_a_bound_the_search_begins_at_one_and_goes_by_tens():
@@ -299,7 +299,7 @@ def test_a_cost_beside_the_controls_path_is_none():
 def test_what_is_softened_is_what_keeps_zeros_on_the_axis(monkeypatch):
     probed, asked = [], []
     monkeypatch.setattr(
-        gamma_search, "extended_plant", lambda *given: probed.append(given) or singular_plant(1.0)
+        gamma_search, "extended_plant", lambda *arguments: probed.append(arguments) or singular_plant(1.0)
     )
     answers = iter([(), (0.0,), (2.0,), ()])
     monkeypatch.setattr(
@@ -326,8 +326,8 @@ def test_a_controller_is_the_central_one_of_the_plant_or_of_that_with_extra_cost
     P = plant()
     problem = GammaProblem(P)
     for epsilon in (0.0, 0.1, 1.0):
-        of = P if epsilon == 0 else extended_plant(P, (False, False), epsilon)
-        want, got = central_controller(of, 9.0), problem.controller(9.0, epsilon)
+        softened = P if epsilon == 0 else extended_plant(P, (False, False), epsilon)
+        want, got = central_controller(softened, 9.0), problem.controller(9.0, epsilon)
         for name in ("A", "B", "C", "D"):
             np.testing.assert_array_equal(getattr(got, name), getattr(want, name))
     assert problem.controller(0.1, 0.0) is None

@@ -352,19 +352,19 @@ def test_what_rounding_of_the_plant_hides_is_not_claimed(size):
     plant = mixed_sensitivity(6, 2e-5, 2e4)
     calm = hinf_synthesis(plant, 1, 1)
     U, V = (np.linalg.qr(rng.standard_normal((6, 6)))[0] for _ in range(2))
-    given = plant.transformed(U @ np.diag(np.geomspace(1, size, 6)) @ V)
+    other = plant.transformed(U @ np.diag(np.geomspace(1, size, 6)) @ V)
     try:
-        got = hinf_synthesis(given, 1, 1)
+        got = hinf_synthesis(other, 1, 1)
     except SynthesisError as refused:
         assert "last digits of A move its pole" in str(refused)
         return
     assert not got.resolved and calm.gamma <= got.gamma_achieved
-    lower = proved_lower_bound(given, 1, 1, got.gamma)
+    lower = proved_lower_bound(other, 1, 1, got.gamma)
     assert lower.moved > 1e-2 and lower.value <= calm.gamma_achieved, "the digits do not determine it"
     assert any("not resolved" in note for note in got.notes) and any(
         "last digits of A" in note for note in got.notes
     )
-    loop = lft(given, got.controller)
+    loop = lft(other, got.controller)
     grid = np.r_[0, np.geomspace(1e-6, 1e6, 2000)]
     assert (
         loop.stability_margin() > 0

@@ -148,10 +148,10 @@ def test_of_a_singular_problem_the_regularisation_falls_too():
 def test_what_is_not_resolved_says_between_which_levels_the_optimum_lies():
     one = trials(MadeUp(lambda *_: 4.0))
     one.attempt(1.0, 0.0)
-    told = hinf._unresolved(one.best, one.posed, 1.0)
-    assert not told.resolved and told.gamma_achieved == one.best.gamma_achieved
-    assert told.notes[0] == "made up" and len(told.notes) == 2
-    assert told.notes[1] == (
+    cells = hinf._unresolved(one.best, one.posed, 1.0)
+    assert not cells.resolved and cells.gamma_achieved == one.best.gamma_achieved
+    assert cells.notes[0] == "made up" and len(cells.notes) == 2
+    assert cells.notes[1] == (
         "not resolved: the best controller achieves 4 and has poles up to 0; the Riccati equations claim 1"
     )
 
@@ -187,15 +187,19 @@ def test_the_basis_leads_from_the_problems_state_to_the_plants():
 
 def test_in_the_plants_coordinates_controllers_do_not_depend_on_the_plants_units():
     S = np.diag([1e3, 1.0, 1e-2])
-    found = []
+    controllers = []
     for plant in (mixed(), mixed().transformed(S)):
         one = hinf_synthesis(plant, 1, 1)
         K = one.controller.transformed(np.linalg.inv(one.basis))
         assert one.resolved and hinf_norm(lft(plant, one.controller)).upper <= one.gamma * 1.008
-        found.append(K)
-    back = found[1].transformed(np.linalg.inv(S))
-    np.testing.assert_allclose(back.A, found[0].A, rtol=1e-4, atol=1e-4 * np.abs(found[0].A).max())
-    np.testing.assert_allclose(back.C, found[0].C, rtol=1e-4, atol=1e-4 * np.abs(found[0].C).max())
+        controllers.append(K)
+    back = controllers[1].transformed(np.linalg.inv(S))
+    np.testing.assert_allclose(
+        back.A, controllers[0].A, rtol=1e-4, atol=1e-4 * np.abs(controllers[0].A).max()
+    )
+    np.testing.assert_allclose(
+        back.C, controllers[0].C, rtol=1e-4, atol=1e-4 * np.abs(controllers[0].C).max()
+    )
 
 
 def test_a_level_is_improved_only_where_the_optimum_is_below_it():
@@ -240,8 +244,8 @@ class Asked:
     def __init__(self, optimum: float):
         self.best, self.optima, self.levels = optimum, [], []
 
-    def optimum(self, *given):
-        self.optima.append(given)
+    def optimum(self, *arguments):
+        self.optima.append(arguments)
         return self.best
 
     def reached(self, level):
@@ -253,7 +257,7 @@ def test_a_level_stands_in_place_of_backoff_and_guess(monkeypatch):
     problem, asked = Asked(2.0), []
     monkeypatch.setattr(hinf, "_posed", lambda *_: SimpleNamespace(problem=problem))
     answer = SimpleNamespace(resolved=True, gamma_achieved=1.0)
-    monkeypatch.setattr(hinf, "_synthesis", lambda posed, *given: asked.append(given) or answer)
+    monkeypatch.setattr(hinf, "_synthesis", lambda posed, *arguments: asked.append(arguments) or answer)
     hinf_synthesis(PLANT, 1, 1)
     assert asked == [(0.008, GAMMA_RTOL, None)] and problem.optima == []
     hinf_synthesis(PLANT, 1, 1, level=3.0)
@@ -313,11 +317,11 @@ def test_what_was_closed_and_left_out_is_restored_in_the_plants_time_and_names()
     plant = StateSpace(np.zeros((0, 0)), np.zeros((0, 3)), np.zeros((3, 0)), np.zeros((3, 3)), 0.1, **names)
     D22, shift = np.array([[0.5], [0.2]]), np.array([[0.3, -0.4]])
     K = StateSpace([[-2.0]], [[1.0, 0.5]], [[3.0]], [[0.1, 0.2]])
-    found = hinf._Posed(plant, None, D22, shift, np.eye(0)).restore(K)
+    restored = hinf._Posed(plant, None, D22, shift, np.eye(0)).restore(K)
     z = 0.3 + 0.8j
     k = K.evaluate([20 * (z - 1) / (z + 1)])[0]
-    np.testing.assert_allclose(found.evaluate([z])[0], k @ np.linalg.inv(np.eye(2) + D22 @ k) + shift)
-    assert (found.inputs, found.outputs, found.dt) == (("y1", "y2"), ("u",), 0.1)
+    np.testing.assert_allclose(restored.evaluate([z])[0], k @ np.linalg.inv(np.eye(2) + D22 @ k) + shift)
+    assert (restored.inputs, restored.outputs, restored.dt) == (("y1", "y2"), ("u",), 0.1)
 
 
 def test_a_problem_is_posed_in_the_product_of_its_scalings_and_only_where_it_can_be(monkeypatch):
@@ -343,8 +347,8 @@ def test_a_problem_is_posed_in_the_product_of_its_scalings_and_only_where_it_can
 class Searched(MadeUp):
     floor = 2.0
 
-    def __init__(self, optimum, norm, *given, **more):
-        super().__init__(norm, *given, **more)
+    def __init__(self, optimum, norm, *arguments, **more):
+        super().__init__(norm, *arguments, **more)
         self.found = optimum
 
     def optimum(self, rtol, guess):
@@ -361,17 +365,17 @@ def test_a_singular_problem_without_a_bracket_falls_back_on_its_floor():
     with pytest.raises(SynthesisError, match="gamma: none"):
         synthesis(Searched(None, lambda *_: 2.05, [(0.0, 0.5)]))
     problem = Searched(None, lambda *_: 2.05, [(1e-2, 0.5)], singular=True)
-    found = synthesis(problem)
-    assert found.gamma == 2.0 and problem.tried == [(pytest.approx(2.1), 1e-2)]
-    assert found.notes == ("made up", "the optimum could not be bracketed: gamma is a lower bound only")
+    result = synthesis(problem)
+    assert result.gamma == 2.0 and problem.tried == [(pytest.approx(2.1), 1e-2)]
+    assert result.notes == ("made up", "the optimum could not be bracketed: gamma is a lower bound only")
 
 
 def test_the_search_goes_down_only_where_nothing_near_the_optimum_was_good():
     good = Searched(1.0, lambda *_: 1.05, [(0.0, 0.5)])
     assert synthesis(good).resolved and len(good.tried) == 1
     far = Searched(1.0, lambda *_: 4.0, [(0.0, 0.5)])
-    found = synthesis(far)
-    assert not found.resolved and "not resolved" in found.notes[-1] and len(far.tried) == 1 + 5
+    result = synthesis(far)
+    assert not result.resolved and "not resolved" in result.notes[-1] and len(far.tried) == 1 + 5
     unstable = Searched(1.0, None, [(0.0, 0.5)])
     unstable.controller = lambda *_: StateSpace([[3.0]], [[1.0]], [[1.0]], [[0.0]])
     with pytest.raises(SynthesisError, match="no controller passed its certificate"):
@@ -406,5 +410,5 @@ def test_the_fastest_pole_of_what_is_not_resolved_is_told():
     one = trials(MadeUp(lambda *_: 4.0))
     one.attempt(1.0, 0.0)
     K = StateSpace(np.diag([-3.0, -1.0]), np.ones((2, 1)), np.ones((1, 2)), [[0.0]])
-    told = hinf._unresolved(replace(one.best, controller=K), one.posed, 1.0)
-    assert told.notes[-1].endswith("has poles up to 3; the Riccati equations claim 1")
+    cells = hinf._unresolved(replace(one.best, controller=K), one.posed, 1.0)
+    assert cells.notes[-1].endswith("has poles up to 3; the Riccati equations claim 1")

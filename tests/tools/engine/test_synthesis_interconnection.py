@@ -82,20 +82,20 @@ def by_equations(structure: str, dt: float, delay: int, probes: bool) -> dict[st
 @pytest.mark.parametrize(("dt", "delay"), [(0.0, 0), (0.1, 0), (0.1, 1), (0.1, 3)])
 @pytest.mark.parametrize("probes", [False, True])
 def test_every_signal_is_that_of_the_equations(structure, dt, delay, probes):
-    found = generalised_plant(A, B, WEIGHTS, structure, dt, delay, probes)
+    system = generalised_plant(A, B, WEIGHTS, structure, dt, delay, probes)
     wanted = by_equations(structure, dt, delay, probes)
-    G = found.system
+    G = system.system
     assert G.outputs == tuple(wanted) and G.inputs == tuple(wanted["z_u"]) and G.dt == dt
     values = np.array([list(row.values()) for row in wanted.values()])
     np.testing.assert_allclose(G.evaluate([POINT])[0], values, rtol=1e-10, atol=1e-12)
     np.testing.assert_allclose(G.A[:3, :3], sl.expm(A * dt) if dt else A, rtol=1e-12)
-    one, blocks = Block("full", 1, 1), found.blocks
+    one, blocks = Block("full", 1, 1), system.blocks
     full = {"K_inf": (), "K_i": (one,), "K_is": (one, Block("full", 3, 3)), "K_o": (one, one)}
     assert blocks == full[structure]
     n = {"K_inf": 0, "K_i": 1, "K_is": 4, "K_o": 2}[structure]
-    assert (found.n_delta_out, found.n_delta_in, found.n_control, found.n_measurement) == (n, n, 1, 3)
+    assert (system.n_delta_out, system.n_delta_in, system.n_control, system.n_measurement) == (n, n, 1, 3)
     z = 2 + (4 + 3 * (structure == "K_is")) * probes
-    assert found.performance_block == Block("full", 5, z)
+    assert system.performance_block == Block("full", 5, z)
     weights = {"K_inf": 8, "K_i": 9, "K_is": 12, "K_o": 10}[structure]
     assert G.order == 3 + weights + delay
 
@@ -122,8 +122,8 @@ def two_inputs(structure: str, delay: float, n_y: int = 3) -> GeneralisedPlant:
 def test_two_inputs_act_late_by_any_delay_and_the_named_output_is_controlled(delay, n_y):
     """With K_o: every path from the inputs, against the exact response to inputs held from instants between
     samples."""
-    found = two_inputs("K_o", delay, n_y)
-    G, names = found.system, "abc"[:n_y]
+    plant = two_inputs("K_o", delay, n_y)
+    G, names = plant.system, "abc"[:n_y]
     s, whole, part = 2 / 0.1 * (POINT - 1) / (POINT + 1), int(delay), delay - int(delay)
     late, early = (
         np.linalg.solve(A, sl.expm(A * x) - np.eye(3)) @ B_2 for x in (part * 0.1, (1 - part) * 0.1)
@@ -147,8 +147,8 @@ def test_two_inputs_act_late_by_any_delay_and_the_named_output_is_controlled(del
         for k, own in enumerate(("u", "nr")):
             assert got[f"z_u{k + 1}", u] == pytest.approx(weight(own) * (k == i))
     assert got["z_t", "r_c"] == pytest.approx(weight("t") * weight("R") * weight("C"))
-    assert found.blocks == (Block("full", 1, 1),) * n_y
-    assert (found.n_control, found.n_measurement) == (2, 1 + n_y)
+    assert plant.blocks == (Block("full", 1, 1),) * n_y
+    assert (plant.n_control, plant.n_measurement) == (2, 1 + n_y)
     assert two_inputs("K_i", delay, n_y).blocks == (Block("full", 2, 2),)
 
 
@@ -158,11 +158,11 @@ def test_a_delayed_state_is_among_the_probes():
 
 
 def test_the_plant_is_continuous_and_without_probes_unless_asked():
-    plain, given = (
+    plain, system = (
         generalised_plant(A, B, WEIGHTS, "K_is"),
         generalised_plant(A, B, WEIGHTS, "K_is", 0.0, 0, False),
     )
-    assert plain.system.dt == 0 and plain.system.outputs == given.system.outputs
+    assert plain.system.dt == 0 and plain.system.outputs == system.system.outputs
 
 
 def test_what_fig_1_cannot_have_is_refused():

@@ -66,25 +66,25 @@ def test_random_loops_have_the_margins_of_python_control():
         if not ours.stable:
             continue
         stable += 1
-        found, theirs = ours.by_name, peer(loop)
+        by_name, theirs = ours.by_name, peer(loop)
         gains, phases, *_ = control.stability_margins(theirs, returnall=True)
         # A crossing at DC or at half the sampling frequency is not always listed by the peer.
-        inside = found["gain_up"].omega not in (0.0, np.pi / loop.dt if loop.dt else np.inf)
+        inside = by_name["gain_up"].omega not in (0.0, np.pi / loop.dt if loop.dt else np.inf)
         if inside:
             up = nearest([g for g in gains if g > 1], np.inf)
-            assert found["gain_up"].value == pytest.approx(up, rel=1e-6), seed
+            assert by_name["gain_up"].value == pytest.approx(up, rel=1e-6), seed
         down = max([g for g in gains if 0 < g < 1], default=0.0)
-        assert found["gain_down"].value == pytest.approx(down, rel=1e-6), seed
+        assert by_name["gain_down"].value == pytest.approx(down, rel=1e-6), seed
         phase = nearest(np.abs(np.deg2rad(phases)), np.inf)
-        assert found["phase"].value == pytest.approx(phase, rel=1e-6), seed
+        assert by_name["phase"].value == pytest.approx(phase, rel=1e-6), seed
         grid = np.geomspace(1e-3, np.pi / loop.dt if loop.dt else 1e3, 1500)
         for name, skew in SKEWS.items():
-            radius = found[f"disk_{name}"]
+            radius = by_name[f"disk_{name}"]
             there = control.disk_margins(theirs, np.array([radius.omega]), skew=skew, returnall=True)[0]
             assert there[0] == pytest.approx(radius.value, rel=1e-6), (seed, name)
             assert control.disk_margins(theirs, grid, skew=skew)[0] >= radius.value * (1 - 1e-6), (seed, name)
-        assert found["Ms"].value == pytest.approx(1 / found["disk_S"].value)
-        assert found["Mt"].value == pytest.approx(1 / found["disk_T"].value)
+        assert by_name["Ms"].value == pytest.approx(1 / by_name["disk_S"].value)
+        assert by_name["Mt"].value == pytest.approx(1 / by_name["disk_T"].value)
     assert stable >= 50 / 80 * len(SEEDS)
 
 
@@ -99,15 +99,15 @@ def test_the_peak_of_s_is_its_h_infinity_norm():
             loop.dt,
         )
         T = lft(one, StateSpace(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), [[1.0]], loop.dt))
-        found = margins(*of_system(loop))
-        if found.stable:
-            assert found.by_name["Mt"].value == pytest.approx(hinf_norm(T).upper, rel=1e-6)
+        by_name = margins(*of_system(loop))
+        if by_name.stable:
+            assert by_name.by_name["Mt"].value == pytest.approx(hinf_norm(T).upper, rel=1e-6)
 
 
 def test_a_delay_of_the_margin_ends_stability_and_a_smaller_one_does_not():
     response, grid = of_system(rational([1.0], [1.0, 1.0, 0.4]))
-    found = margins(response, grid).by_name
-    limit, omega = found["delay"].value, found["delay"].omega
+    by_name = margins(response, grid).by_name
+    limit, omega = by_name["delay"].value, by_name["delay"].omega
     assert response(np.array([omega]))[0] * np.exp(-1j * omega * limit) == pytest.approx(-1.0)
     for share, poles in ((0.99, 0), (1.01, 2)):
 
@@ -119,44 +119,44 @@ def test_a_delay_of_the_margin_ends_stability_and_a_smaller_one_does_not():
 
 def test_textbook_loops_have_their_closed_form_margins():
     # k/(s + 1)^3 meets the negative real axis at sqrt(3) with k/8.
-    found = margins(*of_system(rational([2.0], [1.0, 3.0, 3.0, 1.0]))).by_name
-    assert found["gain_up"].value == pytest.approx(4.0, rel=1e-9)
-    assert found["gain_up"].omega == pytest.approx(np.sqrt(3), rel=1e-9)
-    assert (found["gain_down"].value, found["gain_down"].omega) == (0.0, None)
+    by_name = margins(*of_system(rational([2.0], [1.0, 3.0, 3.0, 1.0]))).by_name
+    assert by_name["gain_up"].value == pytest.approx(4.0, rel=1e-9)
+    assert by_name["gain_up"].omega == pytest.approx(np.sqrt(3), rel=1e-9)
+    assert (by_name["gain_down"].value, by_name["gain_down"].omega) == (0.0, None)
     crossing = np.sqrt(2 ** (2 / 3) - 1)
-    assert found["phase"].omega == pytest.approx(crossing, rel=1e-9)
-    assert found["phase"].value == pytest.approx(np.pi - 3 * np.arctan(crossing), rel=1e-9)
-    assert found["delay"].value == pytest.approx(found["phase"].value / crossing, rel=1e-9)
+    assert by_name["phase"].omega == pytest.approx(crossing, rel=1e-9)
+    assert by_name["phase"].value == pytest.approx(np.pi - 3 * np.arctan(crossing), rel=1e-9)
+    assert by_name["delay"].value == pytest.approx(by_name["phase"].value / crossing, rel=1e-9)
     # a/(s + 1): S = (s + 1)/(s + 1 + a), T = a/(s + 1 + a) and S - 1/2 are largest at the ends.
-    found = margins(*of_system(rational([3.0], [1.0, 1.0]))).by_name
-    assert found["gain_up"].value == np.inf and found["Mt"].value == pytest.approx(0.75)
-    assert found["Ms"].value == pytest.approx(1.0, rel=1e-6)
-    assert found["disk_balanced"].value == pytest.approx(2.0, rel=1e-6)
-    assert found["phase"].value == pytest.approx(np.pi - np.arctan(np.sqrt(8)), rel=1e-9)
+    by_name = margins(*of_system(rational([3.0], [1.0, 1.0]))).by_name
+    assert by_name["gain_up"].value == np.inf and by_name["Mt"].value == pytest.approx(0.75)
+    assert by_name["Ms"].value == pytest.approx(1.0, rel=1e-6)
+    assert by_name["disk_balanced"].value == pytest.approx(2.0, rel=1e-6)
+    assert by_name["phase"].value == pytest.approx(np.pi - np.arctan(np.sqrt(8)), rel=1e-9)
     # a/z in discrete time turns once round the circle of radius a.
-    found = margins(*of_system(StateSpace([[0.0]], [[0.5]], [[1.0]], [[0.0]], 0.1))).by_name
-    assert found["gain_up"].value == pytest.approx(2.0) and found["phase"].value == np.inf
-    assert found["Ms"].value == pytest.approx(2.0) and found["Mt"].value == pytest.approx(1.0)
+    by_name = margins(*of_system(StateSpace([[0.0]], [[0.5]], [[1.0]], [[0.0]], 0.1))).by_name
+    assert by_name["gain_up"].value == pytest.approx(2.0) and by_name["phase"].value == np.inf
+    assert by_name["Ms"].value == pytest.approx(2.0) and by_name["Mt"].value == pytest.approx(1.0)
 
 
 def test_the_published_example_of_disk_margins_has_its_published_numbers():
     """25/(s^3 + 10 s^2 + 10 s + 10) has 0.46 at 1.94 rad/s and gains from 0.63 to 1.59, by its authors ([13]
     in lib/THEORY.md)."""
     loop = rational([25.0], [1.0, 10.0, 10.0, 10.0])
-    found = margins(*of_system(loop)).by_name["disk_balanced"]
-    assert (found.value, found.omega) == (pytest.approx(0.46, abs=5e-3), pytest.approx(1.94, abs=0.02))
-    low, high, _ = disk_gain_and_phase(found.value, SKEWS["balanced"])
+    by_name = margins(*of_system(loop)).by_name["disk_balanced"]
+    assert (by_name.value, by_name.omega) == (pytest.approx(0.46, abs=5e-3), pytest.approx(1.94, abs=0.02))
+    low, high, _ = disk_gain_and_phase(by_name.value, SKEWS["balanced"])
     assert (low, high) == (pytest.approx(0.63, abs=5e-3), pytest.approx(1.59, abs=1e-2))
-    theirs = control.disk_margins(peer(loop), np.array([found.omega]), returnall=True)[0]
-    assert theirs[0] == pytest.approx(found.value, rel=1e-9)
+    theirs = control.disk_margins(peer(loop), np.array([by_name.omega]), returnall=True)[0]
+    assert theirs[0] == pytest.approx(by_name.value, rel=1e-9)
 
 
 def test_a_conditionally_stable_loop_has_a_gain_margin_downward():
     # Bode's example: low and high gain are both unstable, counted with a lag far below the crossings.
     loop = rational(np.poly([-1.0, -1.0]) * 20.0, np.poly([-0.05, -0.05, -0.05, -20.0, -40.0]) / 40.0)
-    found = margins(*of_system(loop))
-    assert found.unstable_poles == closed_poles(loop) == 0
-    up, down = found.by_name["gain_up"].value, found.by_name["gain_down"].value
+    by_name = margins(*of_system(loop))
+    assert by_name.unstable_poles == closed_poles(loop) == 0
+    up, down = by_name.by_name["gain_up"].value, by_name.by_name["gain_down"].value
     assert 0 < down < 1 < up
     for factor, poles in ((0.99 * up, 0), (1.01 * up, 2), (1.01 * down, 0), (0.99 * down, 2)):
         scaled = StateSpace(loop.A, factor * loop.B, loop.C, loop.D)
@@ -242,9 +242,9 @@ def test_what_is_promised_holds_for_every_loop_of_the_set_and_for_one_barely():
         half = np.abs(1 / (1 + curve) - 0.5).max()
         assert 1 / half >= promised["disk_balanced"].value * (1 - 1e-9)
         if abs(turn) in (0.0, np.pi):
-            found = margins(loop, grid).by_name
+            by_name = margins(loop, grid).by_name
             for name in NAMES:
-                better = found[name].value - promised[name].value
+                better = by_name[name].value - promised[name].value
                 assert better * (-1 if name in larger_is_worse else 1) >= -1e-9, name
     assert barely < 1.01 and promised["gain_up"].value < 4.0
     # At the place of each promised margin the disk touches -1.

@@ -39,10 +39,10 @@ def test_the_disk_margins_follow_from_the_peaks():
     peak = LoopMargin(4.0, 2.0)
     assert m._disk("S", peak) == {"Ms": peak, "disk_S": LoopMargin(0.25, 2.0)}
     assert m._disk("T", peak) == {"Mt": peak, "disk_T": LoopMargin(0.25, 2.0)}
-    found = m._disk("balanced", peak)
-    assert found["disk_balanced"] == LoopMargin(0.25, 2.0)
-    assert found["disk_gain"].value == pytest.approx(2.25 / 1.75) and found["disk_gain"].omega == 2.0
-    assert found["disk_phase"].value == pytest.approx(2 * np.arctan(0.125))
+    disk = m._disk("balanced", peak)
+    assert disk["disk_balanced"] == LoopMargin(0.25, 2.0)
+    assert disk["disk_gain"].value == pytest.approx(2.25 / 1.75) and disk["disk_gain"].omega == 2.0
+    assert disk["disk_phase"].value == pytest.approx(2 * np.arctan(0.125))
     assert m._disk("T", LoopMargin(0.0, 2.0))["disk_T"].value == np.inf
 
 
@@ -100,9 +100,9 @@ def test_samples_out_of_order_or_of_another_length_are_refused():
     m.of_samples(omega, L)
     twice, zero = omega.copy(), omega.copy()
     twice[4], zero[0] = twice[3], 0.0
-    for bad, of in ((twice, L), (zero, L), (omega, L[:-1]), (omega[:7], L[:7])):
+    for bad, samples in ((twice, L), (zero, L), (omega, L[:-1]), (omega[:7], L[:7])):
         with pytest.raises(SynthesisError, match=r"\d frequencies; expected at least 8, rising from above 0"):
-            m.of_samples(bad, of)
+            m.of_samples(bad, samples)
     L[4] = np.nan
     with pytest.raises(SynthesisError, match="not finite"):
         m.of_samples(omega, L)
@@ -250,8 +250,8 @@ def test_the_largest_value_is_followed_from_every_high_neighbourhood():
     def flat(w):
         return 1.0 + bump(w, 0.2, 4.5)
 
-    found = m._largest(flat, grid)  # equal at every point of the grid
-    assert (found.value, found.omega) == (pytest.approx(1.2), pytest.approx(4.5, rel=1e-6))
+    largest = m._largest(flat, grid)  # equal at every point of the grid
+    assert (largest.value, largest.omega) == (pytest.approx(1.2), pytest.approx(4.5, rel=1e-6))
     assert m._largest(lambda w: 1.0 + 0 * w, grid) == LoopMargin(1.0, 1.0)
 
     def two(w):  # 2 on the grid at 7, and 3 between 3 and 4, where the grid shows less
@@ -320,10 +320,10 @@ def test_zeros_are_found_on_the_grid_between_its_points_and_in_pairs_that_it_mis
 def test_what_crosses_zero_is_not_followed_beside_it():
     grid, asked = np.arange(0.0, 8.0), []
 
-    def value(of):
+    def value(function):
         def noted(w):
             asked.extend([float(x) for x in w] if len(w) == 1 else [])
-            return of(np.asarray(w))
+            return function(np.asarray(w))
 
         return noted
 
@@ -342,8 +342,8 @@ def test_every_pair_is_found_between_its_own_neighbours():
         w = np.asarray(w)
         return 0.04 * (np.min([(w - at) ** 2 for at in (2.8, 4.8, 6.8)], axis=0) - 0.01)
 
-    found = m._roots(value, np.arange(0.0, 9.0))
-    np.testing.assert_allclose(sorted(found), [2.7, 2.9, 4.7, 4.9, 6.7, 6.9], rtol=1e-9)
+    roots = m._roots(value, np.arange(0.0, 9.0))
+    np.testing.assert_allclose(sorted(roots), [2.7, 2.9, 4.7, 4.9, 6.7, 6.9], rtol=1e-9)
 
 
 def test_a_pair_of_zeros_is_sought_from_a_step_on_and_where_neighbours_are_level():
@@ -351,15 +351,15 @@ def test_a_pair_of_zeros_is_sought_from_a_step_on_and_where_neighbours_are_level
     # Level at 2 and 3, zeros at 2.4 and 2.6.
     value = 0.04 * ((grid - 2.5) ** 2 - 0.01)
     assert value[1] == pytest.approx(value[2])
-    found = m._roots(lambda w: 0.04 * ((np.asarray(w) - 2.5) ** 2 - 0.01), grid)
-    np.testing.assert_allclose(sorted(found), [2.4, 2.6])
+    roots = m._roots(lambda w: 0.04 * ((np.asarray(w) - 2.5) ** 2 - 0.01), grid)
+    np.testing.assert_allclose(sorted(roots), [2.4, 2.6])
 
     def level(w):  # equal at 1, 2 and 3, or at 2, 3 and 4, with zeros between 2 and 3
         return 0.01 - 0.02 * np.maximum(0.0, 1 - ((w - 2.5) / 0.45) ** 2)
 
     for rise in (-1.0, 1.0):
-        found = m._roots(lambda w, rise=rise: level(w) + 0.1 * np.maximum(0.0, rise * (w - 2.5) - 0.5), grid)
-        assert len(found) == 2
+        roots = m._roots(lambda w, rise=rise: level(w) + 0.1 * np.maximum(0.0, rise * (w - 2.5) - 0.5), grid)
+        assert len(roots) == 2
 
 
 # ---------------------------------------------------------------- margins of one loop, and of a disk
@@ -377,13 +377,13 @@ def test_crossings_are_those_nearest_to_minus_one_on_each_side():
         return np.interp(w, np.arange(1.0, 7.0), values) + 1e-3j * np.sin(np.pi * w)
 
     grid = np.arange(1.0, 6.01, 0.25)
-    found = m._crossings(response, grid, response(grid))
-    assert found["gain_up"].value == pytest.approx(2.0, rel=1e-6)
-    assert found["gain_up"].omega == pytest.approx(3.0)
-    assert found["gain_down"].value == pytest.approx(0.5, rel=1e-6)
-    assert found["gain_down"].omega == pytest.approx(2.0)
-    assert found["phase"].omega == pytest.approx(2 + 2 / 3, rel=1e-5)
-    assert found["phase"].value == pytest.approx(1e-3 * np.sin(np.pi * 2 / 3), rel=1e-3)
+    crossings = m._crossings(response, grid, response(grid))
+    assert crossings["gain_up"].value == pytest.approx(2.0, rel=1e-6)
+    assert crossings["gain_up"].omega == pytest.approx(3.0)
+    assert crossings["gain_down"].value == pytest.approx(0.5, rel=1e-6)
+    assert crossings["gain_down"].omega == pytest.approx(2.0)
+    assert crossings["phase"].omega == pytest.approx(2 + 2 / 3, rel=1e-5)
+    assert crossings["phase"].value == pytest.approx(1e-3 * np.sin(np.pi * 2 / 3), rel=1e-3)
 
 
 def test_of_crossings_the_nearest_counts_and_of_equal_ones_the_first():
@@ -395,14 +395,17 @@ def test_of_crossings_the_nearest_counts_and_of_equal_ones_the_first():
         return near + 1e-3j * np.sin(np.pi * np.asarray(w))
 
     fine = np.arange(0.75, 7.3, 0.25)
-    found = m._crossings(response, fine, response(fine))
-    assert found["gain_up"].value == pytest.approx(1 / 0.3)
-    assert found["gain_up"].omega == pytest.approx(2.0, rel=1e-9)
-    assert found["gain_down"].value == pytest.approx(0.4)
-    assert found["gain_down"].omega == pytest.approx(4.0, rel=1e-9)
+    crossings = m._crossings(response, fine, response(fine))
+    assert crossings["gain_up"].value == pytest.approx(1 / 0.3)
+    assert crossings["gain_up"].omega == pytest.approx(2.0, rel=1e-9)
+    assert crossings["gain_down"].value == pytest.approx(0.4)
+    assert crossings["gain_down"].omega == pytest.approx(4.0, rel=1e-9)
     for value in (0.0, -1.0):
-        found = m._crossings(constant(value), grid, constant(value)(grid))
-        assert (found["gain_up"], found["gain_down"]) == (LoopMargin(np.inf, None), LoopMargin(0.0, None))
+        crossings = m._crossings(constant(value), grid, constant(value)(grid))
+        assert (crossings["gain_up"], crossings["gain_down"]) == (
+            LoopMargin(np.inf, None),
+            LoopMargin(0.0, None),
+        )
 
 
 def on_the_circle(*lags: float):
@@ -417,13 +420,13 @@ def on_the_circle(*lags: float):
 
 
 def test_of_several_phases_and_delays_the_least_counts_and_of_equal_ones_the_first():
-    found = m._crossings(*(lambda L, w: (L, w, L(w)))(*on_the_circle(100, 20, 350, 200, 350)))
-    assert found["phase"].value == pytest.approx(np.deg2rad(10))
-    assert found["phase"].omega == pytest.approx(2.0, abs=1e-9)
-    assert found["delay"].value == pytest.approx(np.deg2rad(20))
-    assert found["delay"].omega == pytest.approx(1.0, abs=1e-9)
-    found = m._crossings(*(lambda L, w: (L, w, L(w)))(*on_the_circle(100, 20, 30, 50)))
-    assert found["delay"].value == pytest.approx(np.deg2rad(15))
+    crossings = m._crossings(*(lambda L, w: (L, w, L(w)))(*on_the_circle(100, 20, 350, 200, 350)))
+    assert crossings["phase"].value == pytest.approx(np.deg2rad(10))
+    assert crossings["phase"].omega == pytest.approx(2.0, abs=1e-9)
+    assert crossings["delay"].value == pytest.approx(np.deg2rad(20))
+    assert crossings["delay"].omega == pytest.approx(1.0, abs=1e-9)
+    crossings = m._crossings(*(lambda L, w: (L, w, L(w)))(*on_the_circle(100, 20, 30, 50)))
+    assert crossings["delay"].value == pytest.approx(np.deg2rad(15))
 
     def quarter(w):  # lags of 90 and 180 degrees at 1 and 2
         return np.where(w == 1, -1j, np.where(w == 2, 1.0, 2.0))
@@ -435,8 +438,10 @@ def test_of_several_phases_and_delays_the_least_counts_and_of_equal_ones_the_fir
         return np.where(np.isin(w, (0.0, 1.0, 2.0)), -1j, 2.0)
 
     at = np.arange(4.0)
-    found = m._crossings(level, at, level(at))
-    assert found["phase"] == LoopMargin(np.pi / 2, 0.0) and found["delay"] == LoopMargin(np.pi / 4, 2.0)
+    crossings = m._crossings(level, at, level(at))
+    assert crossings["phase"] == LoopMargin(np.pi / 2, 0.0) and crossings["delay"] == LoopMargin(
+        np.pi / 4, 2.0
+    )
 
 
 def test_where_l_vanishes_it_is_inside_the_circle():
@@ -452,8 +457,8 @@ def test_the_ends_of_the_grid_count_where_l_is_real_there():
     grid = np.array([1.0, 2.0, 3.0])
     assert m._crossings(response, grid, response(grid))["gain_up"] == LoopMargin(2.0, 1.0)
     tilted = lambda w: (-0.5 - 0.1 * (3.0 - w)) * np.exp(1j * np.where(w == 3.0, 0.9e-9, 0.1))  # noqa: E731
-    found = m._crossings(tilted, grid, tilted(grid))["gain_up"]
-    assert (found.value, found.omega) == (pytest.approx(2.0), 3.0)
+    crossings = m._crossings(tilted, grid, tilted(grid))["gain_up"]
+    assert (crossings.value, crossings.omega) == (pytest.approx(2.0), 3.0)
     exact = lambda w: np.where(w == 1.0, -0.5 + 0.5e-9j, -0.5 + 0.1j)  # noqa: E731
     assert m._crossings(exact, grid, exact(grid))["gain_up"] == LoopMargin(2.0, 1.0)
     tilted = lambda w: (-0.5 - 0.1 * (3.0 - w)) * np.exp(1j * np.where(w == 3.0, 1.1e-9, 0.1))  # noqa: E731
@@ -468,13 +473,13 @@ def test_phase_counts_to_both_sides_and_delay_to_one():
         return 2.0 ** (2 - w) * np.exp(1j * angle)
 
     grid = np.array([1.0, 2.0, 3.0])
-    found = m._crossings(leading, grid, leading(grid))
-    assert found["phase"].value == pytest.approx(np.deg2rad(10.0)) and found["phase"].omega == 2.0
-    assert found["delay"].value == pytest.approx(np.deg2rad(350.0) / 2)
+    crossings = m._crossings(leading, grid, leading(grid))
+    assert crossings["phase"].value == pytest.approx(np.deg2rad(10.0)) and crossings["phase"].omega == 2.0
+    assert crossings["delay"].value == pytest.approx(np.deg2rad(350.0) / 2)
     lagging = lambda w: leading(w).conj()  # noqa: E731
-    found = m._crossings(lagging, grid, lagging(grid))
-    assert found["phase"].value == pytest.approx(np.deg2rad(10.0))
-    assert found["delay"].value == pytest.approx(np.deg2rad(10.0) / 2) and found["delay"].omega == 2.0
+    crossings = m._crossings(lagging, grid, lagging(grid))
+    assert crossings["phase"].value == pytest.approx(np.deg2rad(10.0))
+    assert crossings["delay"].value == pytest.approx(np.deg2rad(10.0) / 2) and crossings["delay"].omega == 2.0
 
 
 CENTRES = np.array(
@@ -487,8 +492,8 @@ def test_a_static_set_has_the_margins_of_its_nearest_loop():
     grid = np.array([0.0, 1.0, 4.0])
 
     def promised(c, r):
-        found = m.guaranteed(constant(c), lambda w: r + 0 * w, grid)
-        return found if found is None else found.by_name
+        promise = m.guaranteed(constant(c), lambda w: r + 0 * w, grid)
+        return promise if promise is None else promise.by_name
 
     assert promised(-0.25, 0.75) is None is promised(-3.0, 2.0)
     assert promised(-0.25, 0.74) is not None is not promised(-3.0, 1.99)
@@ -518,8 +523,8 @@ def test_a_loop_is_stable_or_says_how_many_poles_are_not():
 def test_the_worst_sensitivity_is_the_largest_over_the_disks_edge(skew):
     edge = CENTRES + RADII * np.exp(1j * np.linspace(0, 2 * np.pi, 20001))[:, None]
     want = np.abs(1 / (1 + edge) + (skew - 1) / 2).max(axis=0)
-    found = m._worst_sensitivity(lambda w: CENTRES, lambda w: RADII, skew, np.zeros(10))
-    np.testing.assert_allclose(found, want, rtol=1e-6)
+    peaks = m._worst_sensitivity(lambda w: CENTRES, lambda w: RADII, skew, np.zeros(10))
+    np.testing.assert_allclose(peaks, want, rtol=1e-6)
 
 
 def test_factors_and_turns_that_bring_a_disk_to_minus_one():

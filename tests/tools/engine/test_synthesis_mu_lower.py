@@ -45,9 +45,9 @@ def parts_of(seed: int = 0) -> list:
 
 def test_a_phase_is_of_size_one_and_that_of_zero_is_one():
     with np.errstate(all="raise"):
-        found = mu_lower._phase(np.array([3 - 4j, -0.25, 0.0, 1e-3j]))
+        phase = mu_lower._phase(np.array([3 - 4j, -0.25, 0.0, 1e-3j]))
         assert mu_lower._phase(0.0) == 1.0 and mu_lower._phase(-2j) == -1j
-    np.testing.assert_allclose(found, [0.6 - 0.8j, -1.0, 1.0, 1j], rtol=1e-15)
+    np.testing.assert_allclose(phase, [0.6 - 0.8j, -1.0, 1.0, 1j], rtol=1e-15)
 
 
 def test_vectors_are_brought_to_length_one_but_zero():
@@ -117,8 +117,8 @@ def test_a_perturbation_attains_its_value_or_nothing(planted, value):
 
 def test_candidates_within_a_millionth_of_the_one_before_count_once():
     values = [2.0, 2.0 * (1 - 1e-6), 1.0, 1 - 1.1e-6, 1 - 2e-6]
-    found = mu_lower._distinct([(value, None, []) for value in values])
-    assert [value for value, *_ in found] == [2.0, 1.0, 1 - 1.1e-6]
+    distinct = mu_lower._distinct([(value, None, []) for value in values])
+    assert [value for value, *_ in distinct] == [2.0, 1.0, 1 - 1.1e-6]
 
 
 def test_vertices_have_their_real_blocks_at_plus_or_minus_one_up_to_a_common_sign():
@@ -136,33 +136,35 @@ def test_vertices_have_their_real_blocks_at_plus_or_minus_one_up_to_a_common_sig
 
 
 def test_a_candidate_is_kept_where_it_attains_more_than_asked_and_makes_the_loop_singular(monkeypatch):
-    told = {"value": 0.25, "delta": np.eye(2), "singular": True}
-    monkeypatch.setattr(mu_lower, "_make_singular", lambda *_: (told["value"], told["delta"]))
+    answers = {"value": 0.25, "delta": np.eye(2), "singular": True}
+    monkeypatch.setattr(mu_lower, "_make_singular", lambda *_: (answers["value"], answers["delta"]))
     monkeypatch.setattr(
-        mu_lower, "_is_singular", lambda _, delta: delta is told["delta"] and told["singular"]
+        mu_lower, "_is_singular", lambda _, delta: delta is answers["delta"] and answers["singular"]
     )
-    assert mu_lower._checked("M", FULL, [1.0]) == (0.25, told["delta"], [1.0])
-    assert mu_lower._checked("M", FULL, [1.0], 0.2) == (0.25, told["delta"], [1.0])
+    assert mu_lower._checked("M", FULL, [1.0]) == (0.25, answers["delta"], [1.0])
+    assert mu_lower._checked("M", FULL, [1.0], 0.2) == (0.25, answers["delta"], [1.0])
     assert mu_lower._checked("M", FULL, [1.0], 0.25) is None
-    told["singular"] = False
+    answers["singular"] = False
     assert mu_lower._checked("M", FULL, [1.0]) is None
-    told |= {"singular": True, "value": 0.0}
+    answers |= {"singular": True, "value": 0.0}
     assert mu_lower._checked("M", FULL, [1.0]) is None
-    told |= {"value": 0.25, "delta": None}
+    answers |= {"value": 0.25, "delta": None}
     assert mu_lower._checked("M", FULL, [1.0]) is None
-    told |= {"value": 0.25, "delta": np.eye(2)}
+    answers |= {"value": 0.25, "delta": np.eye(2)}
     assert mu_lower._checked("M", FULL, [np.array([[np.nan]])]) is None, "extreme scalings left no candidate"
 
 
 def test_an_upper_bound_is_attained_by_the_blocks_of_its_singular_vectors(monkeypatch):
     """Each block takes its part of u to that of v; ten times the precision of the bound may be missing."""
     M, asked = matrix(FULL), []
-    told = [None, (1.9, "delta", "parts")]
+    answers = [None, (1.9, "delta", "parts")]
     left, right = np.diag([2.0, 1.0, 1.0]), np.diag([3.0, 3.0, 1.0])
     monkeypatch.setattr(
-        mu_lower, "simple_infimum", lambda *given: asked.append(given) or (2.0, 1.0, left, right, None)
+        mu_lower,
+        "simple_infimum",
+        lambda *arguments: asked.append(arguments) or (2.0, 1.0, left, right, None),
     )
-    monkeypatch.setattr(mu_lower, "_checked", lambda *given: asked.append(given) or told.pop())
+    monkeypatch.setattr(mu_lower, "_checked", lambda *arguments: asked.append(arguments) or answers.pop())
     start = np.diag([-5.0, 7j, 1.0])
     assert mu_lower._attained(M, FULL, start) == (1.9, "delta")
     (_, _, rtol, scales), (asked_M, structure, parts, least) = asked
@@ -196,12 +198,14 @@ def test_a_complex_perturbation_is_divided_by_the_largest_eigenvalue():
 def test_each_eigenvalue_of_a_mixed_perturbation_is_made_real_and_the_least_size_counts(monkeypatch):
     M, parts, asked = np.array([[0.0, 1.0], [3.0, 0.0]]), [0.5, np.array([[1j]])], []
     families = [lambda s: np.diag([1.0, 1j])[::-1] + s, lambda s: np.diag([2.0, 1.0])[::-1] + s]
-    told = iter([None, 4.0, 0.5j, 0.5])
-    monkeypatch.setattr(mu_lower, "_free_parameters", lambda *given: given == (SCALARS, parts) and families)
+    answers = iter([None, 4.0, 0.5j, 0.5])
+    monkeypatch.setattr(
+        mu_lower, "_free_parameters", lambda *arguments: arguments == (SCALARS, parts) and families
+    )
 
-    def make_real(of, vary, start):
+    def make_real(perturbation, vary, start):
         asked.append((vary, start))
-        size = next(told, None)
+        size = next(answers, None)
         return None if size is None else np.diag([0.1, size])
 
     monkeypatch.setattr(mu_lower, "_make_real", make_real)
@@ -210,7 +214,7 @@ def test_each_eigenvalue_of_a_mixed_perturbation_is_made_real_and_the_least_size
     assert [vary for vary, _ in asked] == [families[0]] * 2 + [families[1]] * 2
     assert sorted(start.real + 10 * start.imag for _, start in asked) == [1.0, 2.0, 3.0, 30.0]
     for sizes, value in ([0.5, 3.0], 2.0), ([4.0], 0.25), ([], 0.0):
-        told = iter(sizes)
+        answers = iter(sizes)
         assert mu_lower._make_singular(M, SCALARS, parts)[0] == value
     assert mu_lower._make_singular(M, SCALARS, parts) == (0.0, None)
 
@@ -229,8 +233,8 @@ def test_one_parameter_turns_the_complex_blocks_or_moves_a_real_one_within_its_b
 class Family:
     """1 x 1 perturbations of a parameter, or what stands for the n-th of them; notes the parameters asked."""
 
-    def __init__(self, of) -> None:
-        self.of, self.asked = of, []
+    def __init__(self, matrix_of) -> None:
+        self.of, self.asked = matrix_of, []
 
     def __call__(self, s: float) -> np.ndarray:
         self.asked.append(s)
@@ -273,9 +277,9 @@ def test_an_eigenvalue_is_real_to_a_ten_trillionth(start, steps):
 )
 def test_an_eigenvalue_that_does_not_move_is_real_to_a_hundred_billionth(value, good):
     vary = Family(lambda s, n: value)
-    found = mu_lower._make_real(np.eye(1), vary, value)
-    assert (found is not None) == good and vary.asked == [1e-4] * (2 if good else 1)
-    assert not good or found == value / value.real
+    delta = mu_lower._make_real(np.eye(1), vary, value)
+    assert (delta is not None) == good and vary.asked == [1e-4] * (2 if good else 1)
+    assert not good or delta == value / value.real
 
 
 def test_an_eigenvalue_of_zero_and_one_that_does_not_settle_are_left():
@@ -322,24 +326,24 @@ def test_blocks_are_turned_to_the_gradient_of_the_largest_eigenvalue():
     ],
 )
 def test_an_ascent_ends_where_it_gains_only_rounding_and_after_two_hundred_steps(monkeypatch, values, asked):
-    given, calls = iter(values), []
+    answers, calls = iter(values), []
 
     def eig(X, left):
         calls.append(X)
-        return np.array([next(given), 0.0]), np.eye(2), np.eye(2)
+        return np.array([next(answers), 0.0]), np.eye(2), np.eye(2)
 
     monkeypatch.setattr(mu_lower.sl, "eig", eig)
     structure = Structure((Block("full", 1, 1), Block("full", 1, 1)))
     parts = [np.array([[1j]]), np.array([[1j]])]
-    found = mu_lower._align(np.eye(2), structure, parts)
-    assert len(calls) == asked and (found is parts) == (asked == 1)
+    aligned = mu_lower._align(np.eye(2), structure, parts)
+    assert len(calls) == asked and (aligned is parts) == (asked == 1)
 
 
 def test_what_is_left_of_a_loop_closed_by_real_blocks_is_closed_by_the_complex_ones(monkeypatch):
-    M, parts, told = matrix(MIXED), parts_of(), []
+    M, parts, calls = matrix(MIXED), parts_of(), []
 
     def align(N, rest, parts, steps):
-        told.append((rest, steps))
+        calls.append((rest, steps))
         return list(parts)
 
     monkeypatch.setattr(mu_lower, "_align", align)
@@ -347,7 +351,7 @@ def test_what_is_left_of_a_loop_closed_by_real_blocks_is_closed_by_the_complex_o
     assert ascent.q.tolist() == [0.5, -0.8] and ascent.parts == parts[1:3]
     q, beta = np.array([0.9, -0.4]), 2.5
     value, aligned = ascent.spectral(q, beta, ascent.parts)
-    assert aligned == parts[1:3] and told[0][1] == 20 and told[0][0].blocks == MIXED.blocks[1:3]
+    assert aligned == parts[1:3] and calls[0][1] == 20 and calls[0][0].blocks == MIXED.blocks[1:3]
     delta = mu_lower._assemble(MIXED, [q[0] / beta, parts[1] / value, parts[2] / value, q[1] / beta])
     assert np.linalg.svd(np.eye(7) - M @ delta)[1][-1] < 1e-12
     # No larger eigenvalue: det(I - M Δ(λ)) has no zero outside of it.
@@ -478,12 +482,12 @@ def reference(N, structure, b, q, steps: int) -> list:
             else:
                 after[c] = a[r] * np.conj(factor(k, kind, a[r], w[c], b[c]))
         b = after
-    found = {
+    makers = {
         "full": lambda k, w, a: np.outer(w, a.conj()) / size(w) / size(a),
         "repeated_complex": lambda k, w, a: np.vdot(a, w) / abs(np.vdot(a, w)),
         "repeated_real": lambda k, w, a: q[k],
     }
-    return [found[kind](k, w[c], a[r]) for k, kind, r, c in blocks]
+    return [makers[kind](k, w[c], a[r]) for k, kind, r, c in blocks]
 
 
 @pytest.mark.parametrize("steps", [1, 2, 4])
@@ -496,11 +500,11 @@ def test_every_run_of_the_power_iteration_is_one_of_its_own(structure, steps):
     b = random.standard_normal((cols, count)) + 1j * random.standard_normal((cols, count))
     b[:, starts:] = np.linalg.svd(N)[2][: min(rows, cols)].conj().T
     uniform = random.uniform(-1, 1, (len(structure.blocks), count))
-    found = mu_lower._power_iteration(N, structure, starts, steps)
-    assert len(found) == count
+    candidates = mu_lower._power_iteration(N, structure, starts, steps)
+    assert len(candidates) == count
     for s in range(count):
         q = uniform[:, s] if s % 2 else np.ones(len(structure.blocks))
-        for one, other in zip(found[s], reference(N, structure, b[:, s], q, steps), strict=True):
+        for one, other in zip(candidates[s], reference(N, structure, b[:, s], q, steps), strict=True):
             np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-12)
 
 
@@ -529,13 +533,13 @@ def test_a_repeated_block_multiplies_by_a_phase_or_a_number_within_one():
     a = np.array([[0.6] * 8, [0.8j] * 8])
     w = np.array([[0.5, 0.5, 0.25, 0.5, 5, -5, 0, 0], [0.1j, 1, 0, 0, 0, 0, 1, 1]], complex)
     b = np.array([[0.3, 0.15, 7.0, 0.3, 0, 0, 1, 1], [0.4, 0.2, 7.0, 0, 0, 0, 0, 0]])
-    found = mu_lower._factor(Block("repeated_real", 2, 2), a, w, b, q, 1)
-    np.testing.assert_allclose(found, [0.5 + 0.38, -0.25 + 0.3, 0.15, 1e-3, 1, -1, 1, -1], rtol=1e-14)
-    np.testing.assert_array_equal(q, [[9.0] * 8, found])
+    factor = mu_lower._factor(Block("repeated_real", 2, 2), a, w, b, q, 1)
+    np.testing.assert_allclose(factor, [0.5 + 0.38, -0.25 + 0.3, 0.15, 1e-3, 1, -1, 1, -1], rtol=1e-14)
+    np.testing.assert_array_equal(q, [[9.0] * 8, factor])
     w[:, -1] = 0.0
-    found = mu_lower._factor(Block("repeated_complex", 2, 2), a, w, b, q, 0)
+    factor = mu_lower._factor(Block("repeated_complex", 2, 2), a, w, b, q, 0)
     turned = (0.3 + 0.8j) / abs(0.3 + 0.8j)
-    np.testing.assert_allclose(found, [1, turned, 1, 1, 1, -1, 1j, 1], rtol=1e-14)
+    np.testing.assert_allclose(factor, [1, turned, 1, 1, 1, -1, 1j, 1], rtol=1e-14)
     assert (q[0] == 9.0).all()
 
 
@@ -598,9 +602,9 @@ def test_the_search_runs_on_the_balanced_matrix_of_size_one(monkeypatch):
     want = left.conj().T @ M @ np.linalg.inv(right).conj().T
     np.testing.assert_allclose(search.scaled, want / np.linalg.svd(want)[1][0], rtol=1e-12)
     assert search.counts == (7, 200)
-    monkeypatch.setattr(mu_lower, "_attained", lambda *given: given)
-    for given, want in zip(mu_lower.lower_bound(M, FULL, left, right, 0.5, 7), (M, FULL, left), strict=True):
-        assert given is want
+    monkeypatch.setattr(mu_lower, "_attained", lambda *arguments: arguments)
+    for passed, want in zip(mu_lower.lower_bound(M, FULL, left, right, 0.5, 7), (M, FULL, left), strict=True):
+        assert passed is want
     assert mu_lower.lower_bound(0 * M, FULL, left, right, 0.5, 7) == (0.0, None)
 
 

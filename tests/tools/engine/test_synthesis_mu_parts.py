@@ -36,14 +36,14 @@ def test_a_level_is_crossed_where_a_singular_value_equals_it(m, p, seed):
     grid = np.linspace(0, 60, 60001)
     gains = np.linalg.norm(G.response(grid), 2, axis=(1, 2))
     level = 0.5 * (gains.max() + gains[-1])
-    found = norms._crossings(G, level)
+    crossings = norms._crossings(G, level)
     crossed = grid[:-1][np.diff(np.sign(gains - level)) != 0]
     assert len(crossed) >= 1
     for omega in crossed:
-        assert np.abs(found - omega).min() < 1e-2
+        assert np.abs(crossings - omega).min() < 1e-2
     assert norms._crossings(G, 1.001 * max(gains.max(), norms.hinf_norm(G).upper)).size == 0
     # The points between: one where the gain is above the level, if it is so anywhere.
-    assert np.linalg.norm(G.response(found), 2, axis=(1, 2)).max() > level
+    assert np.linalg.norm(G.response(crossings), 2, axis=(1, 2)).max() > level
     assert (
         norms._crossings(StateSpace(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), [[3.0]]), 1.0).size
         == 0
@@ -53,8 +53,10 @@ def test_a_level_is_crossed_where_a_singular_value_equals_it(m, p, seed):
 def test_frequencies_near_the_axis_come_with_zero_the_middles_and_twice_the_last():
     values = np.array([2j, -2j, 8j, -8j, 2.0 + 1j, 2.0 - 1j, -3.0])
     blocks = [[[v.real, v.imag], [-v.imag, v.real]] for v in values[[0, 2, 4]]]
-    found = norms.axis_frequencies(sl.block_diag(*blocks, -3.0), 1.0)
-    np.testing.assert_allclose(np.sort(found), np.sort([0.0, 2.0, 8.0, 1.0, 5.0, 4.0, 16.0]), atol=1e-12)
+    frequencies = norms.axis_frequencies(sl.block_diag(*blocks, -3.0), 1.0)
+    np.testing.assert_allclose(
+        np.sort(frequencies), np.sort([0.0, 2.0, 8.0, 1.0, 5.0, 4.0, 16.0]), atol=1e-12
+    )
     assert norms.axis_frequencies(np.diag([1.0, -1.0]), 1.0).size == 0
     nearly = [[-0.9e-3, 1.0], [-1.0, -0.9e-3]]
     assert norms.axis_frequencies(np.array(nearly), 0.0).size > 0
@@ -108,11 +110,11 @@ def test_the_norm_does_not_settle_for_a_level_below_the_peak(monkeypatch):
     grid = np.linspace(0, 100, 200001)
     peak = np.linalg.norm(G.response(grid), 2, axis=(1, 2)).max()
     for rtol in (1e-2, 1e-6):
-        found = norms.hinf_norm(G, rtol)
-        assert found.lower <= peak * (1 + 1e-6) and found.upper >= peak
-        assert found.upper <= (1 + rtol) * found.lower * (1 + 1e-9)
-        at = np.linalg.norm(G.response([found.peak_frequency])[0], 2)
-        assert at == pytest.approx(found.lower, rel=1e-9)
+        norm = norms.hinf_norm(G, rtol)
+        assert norm.lower <= peak * (1 + 1e-6) and norm.upper >= peak
+        assert norm.upper <= (1 + rtol) * norm.lower * (1 + 1e-9)
+        at = np.linalg.norm(G.response([norm.peak_frequency])[0], 2)
+        assert at == pytest.approx(norm.lower, rel=1e-9)
     monkeypatch.setattr(norms, "_crossings", lambda H, level: np.array([1.0]))
     levels = iter(np.arange(1000.0, 2000.0))
     monkeypatch.setattr(norms, "_largest", lambda H, omega: (next(levels), 1.0))
@@ -223,17 +225,21 @@ def test_the_scalings_prove_the_bound_and_no_smaller_one(blocks, seed):
 @pytest.mark.parametrize("seed", range(4))
 def test_newtons_method_finds_what_the_method_of_centres_finds(blocks, seed, monkeypatch):
     structure, M = Structure(blocks), 10.0 ** (3 * seed - 4) * matrix(blocks, seed)
-    found = mu_upper.simple_infimum(M, structure, 1e-8)
-    assert found is not None
+    infimum_found = mu_upper.simple_infimum(M, structure, 1e-8)
+    assert infimum_found is not None
     monkeypatch.setattr(mu_upper, "simple_infimum", lambda *_: None)
     upper, infimum, *_ = mu_upper.upper_bound(M, structure, 1e-7)
-    assert found[0] == pytest.approx(upper, rel=1e-6) and found[1] <= found[0] * (1 + 1e-15)
-    assert found[1] == pytest.approx(found[0], rel=1e-8) and infimum <= found[0] * (1 + 1e-9)
-    left, right = found[2:4]
-    assert np.linalg.norm(left @ M @ np.linalg.inv(right), 2) <= found[0] * (1 + 1e-14)
+    assert infimum_found[0] == pytest.approx(upper, rel=1e-6) and infimum_found[1] <= infimum_found[0] * (
+        1 + 1e-15
+    )
+    assert infimum_found[1] == pytest.approx(infimum_found[0], rel=1e-8) and infimum <= infimum_found[0] * (
+        1 + 1e-9
+    )
+    left, right = infimum_found[2:4]
+    assert np.linalg.norm(left @ M @ np.linalg.inv(right), 2) <= infimum_found[0] * (1 + 1e-14)
     # At a simple largest singular value the bound is attained.
     value, delta = mu_lower._attained(M, structure, left)
-    assert value == pytest.approx(found[0], rel=1e-8)
+    assert value == pytest.approx(infimum_found[0], rel=1e-8)
     assert np.linalg.svd(np.eye(len(M)) - M @ delta)[1][-1] < 1e-9
     assert np.linalg.norm(delta, 2) == pytest.approx(1 / value, rel=1e-8)
 
@@ -304,8 +310,8 @@ def test_the_level_of_scalings_is_a_generalised_eigenvalue(seed):
     D = sl.block_diag(np.eye(2) * 1.3, 0.7).astype(complex)
     N = left.conj().T @ M @ np.linalg.inv(right.conj().T) / 2.0
     wanted = sl.eigvalsh(N.conj().T @ D @ N + 1j * (G @ N - N.conj().T @ G.conj().T), D)[-1]
-    found = mu_upper._level(M, left, right, D, D, G, 2.0)
-    assert found == pytest.approx(wanted, rel=1e-12) and found > wanted
+    level = mu_upper._level(M, left, right, D, D, G, 2.0)
+    assert level == pytest.approx(wanted, rel=1e-12) and level > wanted
     L = np.linalg.cholesky(np.array([[2.0, 0.5], [0.5, 1.0]]))
     F = np.array([[[1.0, 2.0], [2.0, 5.0]]])
     np.testing.assert_allclose(L @ mu_upper._whiten(L, F)[0] @ L.T, F[0], atol=1e-14)
@@ -359,12 +365,12 @@ def test_the_singular_frequencies_are_those_of_phi(seed):
     least = np.array([np.linalg.eigvalsh(phi(w, 1.0))[0] for w in grid])
     level = 0.7 * np.sqrt(1.0 - least.min())
     point = interval.PointBound(level, D, np.zeros_like(D), D, skew)
-    found = interval._singular(G, point, level)
+    frequencies = interval._singular(G, point, level)
     values = np.array([np.linalg.eigvalsh(phi(w, level)) for w in grid])
     crossed = grid[:-1][(np.diff(np.sign(values), axis=0) != 0).any(axis=1)]
-    assert len(crossed) and (np.diff(found) > 0).all() and (found >= 0).all()
+    assert len(crossed) and (np.diff(frequencies) > 0).all() and (frequencies >= 0).all()
     for omega in crossed:
-        nearest = found[np.abs(found - omega).argmin()]
+        nearest = frequencies[np.abs(frequencies - omega).argmin()]
         assert abs(nearest - omega) < 1e-2
         assert np.abs(np.linalg.eigvalsh(phi(nearest, level))).min() < 1e-6 * level**2
     none = StateSpace(np.zeros((0, 0)), np.zeros((0, 3)), np.zeros((3, 0)), G.D)
@@ -389,18 +395,18 @@ def test_the_bound_on_an_interval_is_the_norm_there(dt):
     gains = np.abs(loop.response(grid)[:, 0, 0])
     for low, high in ((0.0, last), (0.0, 0.8), (0.9, 1.4), (1.3, last), (0.2, 5.0)):
         inside = (grid >= low) & (grid <= high)
-        found = mu.mu_interval(loop, [Block("full", 1, 1)], low, high)
-        assert gains[inside].max() <= found.upper <= 1.01 * gains[inside].max()
-        assert found.lower <= found.upper and low <= found.omega <= high and found.proof
-        at = np.abs(loop.response([found.omega])[0, 0, 0])
-        assert found.lower == pytest.approx(at, rel=1e-9)
+        interval = mu.mu_interval(loop, [Block("full", 1, 1)], low, high)
+        assert gains[inside].max() <= interval.upper <= 1.01 * gains[inside].max()
+        assert interval.lower <= interval.upper and low <= interval.omega <= high and interval.proof
+        at = np.abs(loop.response([interval.omega])[0, 0, 0])
+        assert interval.lower == pytest.approx(at, rel=1e-9)
 
 
 def test_the_lower_bound_on_an_interval_is_mus_at_its_frequency():
     loop = system(7, n=4, m=3, p=3)
-    found = mu.mu_interval(loop, FULL, 0.0, np.inf)
-    M = loop.response([found.omega])[0]
-    assert found.lower == pytest.approx(mu_upper.upper_bound(M, Structure(FULL), 1e-8)[0], rel=1e-6)
+    interval = mu.mu_interval(loop, FULL, 0.0, np.inf)
+    M = loop.response([interval.omega])[0]
+    assert interval.lower == pytest.approx(mu_upper.upper_bound(M, Structure(FULL), 1e-8)[0], rel=1e-6)
 
 
 @pytest.mark.parametrize(("low", "high"), [(-0.1, 1.0), (1.0, 1.0), (2.0, 1.0), (0.0, 17.0), (np.nan, 1.0)])

@@ -128,9 +128,9 @@ def test_a_level_is_crossed_where_a_singular_value_is_that_level(shape):
         for share in (0.3, 0.7, 0.95):
             level = ends + share * (bracket.lower - ends)
             crossed = np.flatnonzero(np.diff(values > level))
-            found = _crossings(G, level)
+            crossings = _crossings(G, level)
             for k in crossed:
-                near = (found >= grid[k] * (1 - 1e-6)) & (found <= grid[k + 1] * (1 + 1e-6))
+                near = (crossings >= grid[k] * (1 - 1e-6)) & (crossings <= grid[k + 1] * (1 + 1e-6))
                 assert near.any(), (n, share, grid[k])
         assert _crossings(G, 1.01 * bracket.upper).size == 0
     assert _crossings(gain(np.ones(shape)), 2.0).size == 0
@@ -165,9 +165,9 @@ def with_eigenvalues(*pairs: complex) -> np.ndarray:
 
 def test_frequencies_on_the_axis_stand_with_dc_those_between_and_one_above():
     three = with_eigenvalues(1j, 4j, 9j, 1 + 2j, -1 + 2j)
-    found = axis_frequencies(three, 1.0)
+    frequencies = axis_frequencies(three, 1.0)
     between, geometric = [0.5, 2.5, 6.5], [2.0, 6.0]
-    np.testing.assert_allclose(found, [0.0, 1.0, 4.0, 9.0, *between, *geometric, 18.0], rtol=1e-12)
+    np.testing.assert_allclose(frequencies, [0.0, 1.0, 4.0, 9.0, *between, *geometric, 18.0], rtol=1e-12)
     np.testing.assert_allclose(axis_frequencies(with_eigenvalues(3j), 1.0), [0.0, 3.0, 1.5, 6.0], rtol=1e-12)
     two = [0.0, 2.0, 8.0, 1.0, 5.0, 4.0, 16.0]
     np.testing.assert_allclose(axis_frequencies(with_eigenvalues(2j, 8j), 1.0), two, rtol=1e-12)

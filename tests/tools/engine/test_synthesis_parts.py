@@ -182,13 +182,13 @@ def test_a_controller_takes_the_feedthrough_that_the_design_left_out():
     np.testing.assert_allclose(lft(G, partition.absorb_feedthrough(K, one)).response(omega), wanted)
 
 
-def existence(A, B2, C2, of: StateSpace | None = None) -> str:
+def existence(A, B2, C2, direct: StateSpace | None = None) -> str:
     """What the test of existence says of (A, B2, C2); empty where it passes."""
     A, B2, C2 = (np.array(M, float) for M in (A, B2, C2))
     n = len(A)
     P = Plant(A, np.zeros((n, 1)), B2, np.zeros((1, n)), C2, *(np.zeros((1, 1)),) * 3)
     try:
-        partition.check_existence(P, of or gain(np.zeros((1, 1))))
+        partition.check_existence(P, direct or gain(np.zeros((1, 1))))
     except SynthesisError as error:
         return str(error)
     return ""
@@ -232,8 +232,8 @@ def test_the_size_of_A_and_B_is_that_of_their_largest_singular_value():
 
 
 def test_the_pole_is_named_where_the_plant_has_it():
-    of = gain(np.zeros((1, 1)), 0.5)
-    assert "the pole at 1.66667" in existence([[1.0]], [[0.0]], [[1.0]], of), "(4 + 1) / (4 - 1)"
+    direct = gain(np.zeros((1, 1)), 0.5)
+    assert "the pole at 1.66667" in existence([[1.0]], [[0.0]], [[1.0]], direct), "(4 + 1) / (4 - 1)"
 
 
 # ---------------------------------------------------------------- coordinates

@@ -32,16 +32,16 @@ def terms(one: Side, gamma: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 @pytest.mark.parametrize("gamma", [30.0, 300.0])
 def test_the_solution_has_no_residual_and_closes_a_stable_loop(seed, gamma):
     one = side(seed)
-    found = one.solve(gamma)
-    assert found is not None
-    X = found.X
+    solution = one.solve(gamma)
+    assert solution is not None
+    X = solution.X
     B, D, R = terms(one, gamma)
     F = -np.linalg.solve(R, D.T @ one.C1 + B.T @ X)
     residual = one.A.T @ X + X @ one.A + one.C1.T @ one.C1 - F.T @ R @ F
     assert np.abs(residual).max() < 1e-8 * (1 + np.abs(X).max()) ** 2
     np.testing.assert_array_equal(X, X.T)
     assert np.linalg.eigvals(one.A + B @ F).real.max() < 0
-    assert found.definite and np.linalg.eigvalsh(X)[0] > 0
+    assert solution.definite and np.linalg.eigvalsh(X)[0] > 0
 
 
 def test_without_disturbance_it_is_the_lqr_of_scipy():
@@ -121,9 +121,9 @@ def test_subspace_and_pencil_give_one_solution(seed):
     plain, condition = riccati._subspace_solution(H, np.ones(4))
     scaled, _ = riccati._subspace_solution(H * both / both[:, None], t)
     pencil, other = riccati._pencil_solution(one, 40.0, t)
-    for found in (scaled, pencil):
-        np.testing.assert_allclose(found.X, plain.X, rtol=1e-7, atol=1e-8 * np.abs(plain.X).max())
-        assert found.definite
+    for solution in (scaled, pencil):
+        np.testing.assert_allclose(solution.X, plain.X, rtol=1e-7, atol=1e-8 * np.abs(plain.X).max())
+        assert solution.definite
     assert 1 <= condition < 1e10 and 1 <= other < 1e10
     weighted = Side(one.A, one.B1, one.B2, one.C1, one.D11, one.D12, one.basis, weight=0.7)
     both_ways = (
@@ -147,8 +147,8 @@ def test_eigenvalues_on_the_axis_have_no_solution():
 def test_a_solution_that_is_not_definite_says_so():
     """x' = x + u, z = [0; u] costs nothing at X = 0 or 2; with a negative state cost X has both signs."""
     H = np.array([[1.0, -1.0], [0.0, -1.0]])
-    found = riccati.stabilising_solution(H)
-    assert found.X[0, 0] == pytest.approx(2.0) and found.definite
+    solution = riccati.stabilising_solution(H)
+    assert solution.X[0, 0] == pytest.approx(2.0) and solution.definite
     negative = riccati.stabilising_solution(np.array([[-1.0, -1.0], [0.5, 1.0]]))
     assert negative.X[0, 0] == pytest.approx(-1 + np.sqrt(0.5)) and not negative.definite
     skew = riccati._from_basis(np.eye(2), np.array([[0.0, 1.0], [-1.0, 0.0]]), np.ones(2), 0.0)
@@ -218,9 +218,13 @@ def test_no_full_information_controller_is_below_the_frequency_bound(seed):
 def test_the_side_of_a_plant_is_bounded_by_what_no_control_reaches_at_once():
     one = side(5, m2=3)
     P = Plant(one.A, one.B1, one.B2, one.C1, np.eye(4)[:1], one.D11, one.D12, np.ones((1, 2)))
-    found = Side.regular(P)
-    assert found.bound == unreachable_gain(P.D11, P.D12, np.zeros(3)) > 0
-    assert found.basis.tolist() == np.eye(4).tolist() and found.C1 is P.C1 and found.axis == ()
+    regular_plant = Side.regular(P)
+    assert regular_plant.bound == unreachable_gain(P.D11, P.D12, np.zeros(3)) > 0
+    assert (
+        regular_plant.basis.tolist() == np.eye(4).tolist()
+        and regular_plant.C1 is P.C1
+        and regular_plant.axis == ()
+    )
 
 
 @pytest.mark.parametrize(("over", "asked"), [(1e-12, False), (0.5e-12, False), (3e-12, True)])
@@ -274,14 +278,14 @@ def test_a_state_between_two_others_is_balanced_too():
     assert riccati.balance_hamiltonian(H)[1].tolist() == [1.0, 0.125, 1.0, 1.0][:2]
 
 
-def told(monkeypatch, subspace, pencil=(), size: float = 1e9, gamma: float = 7.0):
+def taken(monkeypatch, subspace, pencil=(), size: float = 1e9, gamma: float = 7.0):
     """Which solution ``stabilising_solution`` takes where the subspaces and pencils give the conditions told
     (a negative one: no solution, of that size), and what was asked. A is 4 in the balanced units."""
     t, asked = np.array([2.0, 8.0]), []
     solutions = {c: RiccatiSolution(np.full((1, 1), c), True) for c in (*subspace, *pencil) if c > 0}
     left, others = list(subspace), list(pencil)
 
-    def of(c):
+    def condition(c):
         return solutions.get(c), abs(c)
 
     def balance(H, floor):
@@ -291,22 +295,22 @@ def told(monkeypatch, subspace, pencil=(), size: float = 1e9, gamma: float = 7.0
     def pencil_of(side, level, scale):
         assert level == gamma
         asked.append(scale.tolist())
-        return of(others.pop(0))
+        return condition(others.pop(0))
 
     monkeypatch.setattr(riccati, "balance_hamiltonian", balance)
-    monkeypatch.setattr(riccati, "_subspace_solution", lambda H, t: of(left.pop(0)))
+    monkeypatch.setattr(riccati, "_subspace_solution", lambda H, t: condition(left.pop(0)))
     monkeypatch.setattr(riccati, "_pencil_solution", pencil_of)
     one = side(1, n=2)
     one = Side(np.array([[0.0, 1.0], [0.0, 0.0]]), one.B1, one.B2, one.C1, one.D11, one.D12, one.basis)
-    found = riccati.stabilising_solution(np.eye(4), one, gamma)
-    return None if found is None else found.X[0, 0], asked
+    solution = riccati.stabilising_solution(np.eye(4), one, gamma)
+    return None if solution is None else solution.X[0, 0], asked
 
 
 T, ONES = [2.0, 8.0], [1.0, 1.0]
 
 
 @pytest.mark.parametrize(
-    ("subspace", "found", "asked"),
+    ("subspace", "solution", "asked"),
     [
         ([9999999999.5], 9999999999.5, [0.0]),  # well enough at once
         ([1e10, 1e11], 1e10, [0.0, EPS]),  # else the other balancing is tried, and the better one is kept
@@ -317,12 +321,12 @@ T, ONES = [2.0, 8.0], [1.0, 1.0]
         ([-1e17, -1e17], None, [0.0, EPS]),
     ],
 )
-def test_of_two_balancings_the_better_condition_counts(monkeypatch, subspace, found, asked):
-    assert told(monkeypatch, subspace, size=1.0) == (found, asked)
+def test_of_two_balancings_the_better_condition_counts(monkeypatch, subspace, solution, asked):
+    assert taken(monkeypatch, subspace, size=1.0) == (solution, asked)
 
 
 @pytest.mark.parametrize(
-    ("subspace", "pencil", "found"),
+    ("subspace", "pencil", "solution"),
     [
         ([2e6], [1e5, 1e7], 1e5),
         ([2e6], [1e7, 1e5], 1e5),
@@ -333,15 +337,15 @@ def test_of_two_balancings_the_better_condition_counts(monkeypatch, subspace, fo
         ([-0.0], [-1.0, -1.0], None),
     ],
 )
-def test_a_stiff_hamiltonian_is_asked_as_a_pencil_in_both_units(monkeypatch, subspace, pencil, found):
-    assert told(monkeypatch, subspace, pencil) == (found, [0.0, T, ONES])
+def test_a_stiff_hamiltonian_is_asked_as_a_pencil_in_both_units(monkeypatch, subspace, pencil, solution):
+    assert taken(monkeypatch, subspace, pencil) == (solution, [0.0, T, ONES])
 
 
 def test_the_pencil_is_for_what_is_stiff_and_badly_conditioned(monkeypatch):
-    assert told(monkeypatch, [1e6], [2.0, 3.0]) == (1e6, [0.0])
+    assert taken(monkeypatch, [1e6], [2.0, 3.0]) == (1e6, [0.0])
     border = 1e4 * 4.0
-    assert told(monkeypatch, [2e6], [2.0, 3.0], size=border) == (2e6, [0.0])
-    assert told(monkeypatch, [2e6], [2.0, 3.0], size=border * (1 + 1e-12)) == (2.0, [0.0, T, ONES])
+    assert taken(monkeypatch, [2e6], [2.0, 3.0], size=border) == (2e6, [0.0])
+    assert taken(monkeypatch, [2e6], [2.0, 3.0], size=border * (1 + 1e-12)) == (2.0, [0.0, T, ONES])
 
 
 def test_equal_conditions_leave_the_first(monkeypatch):
@@ -392,8 +396,8 @@ def basis(U1, U2, noise: float = 0.0) -> RiccatiSolution | None:
 
 @pytest.mark.parametrize(("skew", "good"), [(1e-5, True), (1.1e-5, False), (0.5, False), (-0.5, False)])
 def test_a_basis_whose_solution_is_not_symmetric_is_none(skew, good):
-    found = riccati._from_basis(np.eye(2), np.array([[1.0, skew], [0.0, 1.0]]), np.ones(2), 0.0)
-    assert (found[0] is not None) == good
+    solution = riccati._from_basis(np.eye(2), np.array([[1.0, skew], [0.0, 1.0]]), np.ones(2), 0.0)
+    assert (solution[0] is not None) == good
 
 
 def test_a_basis_of_which_nothing_is_sure_gives_no_solution():
@@ -426,11 +430,11 @@ def pencilled(monkeypatch, alpha, beta, size: float = 4.0) -> float | None:
     """The noise of a pencil's basis, n = 1, with the eigenvalues told; None: (None, 0)."""
     seen = noises(monkeypatch)
     S = np.diag([size, 0.0])
-    told = S, None, np.array(alpha, complex), np.array(beta, float), None, np.eye(2)
-    monkeypatch.setattr(riccati.sl, "ordqz", lambda *_, **__: told)
+    answer = S, None, np.array(alpha, complex), np.array(beta, float), None, np.eye(2)
+    monkeypatch.setattr(riccati.sl, "ordqz", lambda *_, **__: answer)
     with np.errstate(all="raise"):
-        found = riccati._pencil_solution(side(1, n=1, m1=1, m2=2), 30.0, np.ones(1))
-    assert seen or found == (None, 0.0)
+        solution = riccati._pencil_solution(side(1, n=1, m1=1, m2=2), 30.0, np.ones(1))
+    assert seen or solution == (None, 0.0)
     return seen[0] / (100 * EPS * size) if seen else None
 
 
@@ -453,8 +457,8 @@ def pencilled(monkeypatch, alpha, beta, size: float = 4.0) -> float | None:
     ],
 )
 def test_a_pencil_has_one_stable_half_off_the_axis(monkeypatch, alpha, beta, speed):
-    found = pencilled(monkeypatch, alpha, beta)
-    assert found == (None if speed is None else pytest.approx(1 / speed))
+    pencil = pencilled(monkeypatch, alpha, beta)
+    assert pencil == (None if speed is None else pytest.approx(1 / speed))
 
 
 def test_a_pencil_whose_halves_cannot_be_told_apart_has_no_solution(monkeypatch):
@@ -542,14 +546,14 @@ def test_a_billionth_of_what_is_disturbed_is_rounding(left, bound):
 
 
 def test_controls_apart_by_a_hundred_thousandth_are_not_sure(monkeypatch):
-    told = {}
+    answer = {}
 
     def svd(free, full_matrices):
         assert not full_matrices
-        return np.array([[[0.0], [1.0]]]), np.array([[told["sigma"]]]), None
+        return np.array([[[0.0], [1.0]]]), np.array([[answer["sigma"]]]), None
 
     monkeypatch.setattr(np.linalg, "svd", svd)
-    for told["sigma"], bound in ((1e-5, 0.0), (1.1e-5, 2.0)):
+    for answer["sigma"], bound in ((1e-5, 0.0), (1.1e-5, 2.0)):
         assert known_bound([[2.0, 0.0], [0.0, 1.0]]) == pytest.approx(bound)
 
 

@@ -39,17 +39,17 @@ def test_the_scaled_plant_is_that_of_continuous_time_between_d_and_its_inverse()
     s = 0.3 + 1.1j
     G = to_continuous(plant().system)
     want = np.diag([d(s), 1, 1, 1, 1]) @ G.evaluate([s])[0] @ np.diag([1 / d(s), 1, 1, 1])
-    found = scheduling.scaled_plant(plant(), SCALING)
-    np.testing.assert_allclose(found.evaluate([s])[0], want)
-    assert found.order == 4 and found.dt == 0.0
-    np.testing.assert_array_equal(found.A[1:3, 1:3], G.A)
+    scaled = scheduling.scaled_plant(plant(), SCALING)
+    np.testing.assert_allclose(scaled.evaluate([s])[0], want)
+    assert scaled.order == 4 and scaled.dt == 0.0
+    np.testing.assert_array_equal(scaled.A[1:3, 1:3], G.A)
 
 
 def test_the_scaled_loop_is_discrete_and_leaves_what_stands_beside_alone():
     loop = lft(plant().system, controller())
-    found = scheduling.closed_scaled(plant(), controller(), SCALING)
-    assert found.dt == DT and found.order == 5
-    for z, got in zip(POINTS, found.evaluate(POINTS), strict=True):
+    scaled = scheduling.closed_scaled(plant(), controller(), SCALING)
+    assert scaled.dt == DT and scaled.order == 5
+    for z, got in zip(POINTS, scaled.evaluate(POINTS), strict=True):
         s = 2 / DT * (z - 1) / (z + 1)
         want = np.diag([d(s), 1, 1, 1]) @ loop.evaluate([z])[0] @ np.diag([1 / d(s), 1, 1])
         np.testing.assert_allclose(got, want)

@@ -61,8 +61,8 @@ def test_rounding_of_dense_states_beside_a_fast_one_hides_no_zero_and_makes_none
     one = both(exact, side([[-fast]], [[fast]], [[1]], [[1]]))
     T = random.standard_normal((len(one.A),) * 2) + 3 * np.eye(len(one.A))
     dense = side(np.linalg.solve(T, one.A @ T), np.linalg.solve(T, one.B2), one.C1 @ T, one.D12)
-    found = zeros.axis_zeros(dense, float(np.linalg.norm(dense.A, 2)))
-    assert found == pytest.approx((omega,), rel=5e-8, abs=1e-12)
+    axis_zeros = zeros.axis_zeros(dense, float(np.linalg.norm(dense.A, 2)))
+    assert axis_zeros == pytest.approx((omega,), rel=5e-8, abs=1e-12)
 
 
 def test_a_disturbance_has_no_say_in_where_the_zeros_are():
@@ -132,11 +132,11 @@ def test_at_a_zero_of_the_controls_the_nominal_gain_stays():
     X = joined([gain([[1.0]]), lag(1.0, 1.0)], [gain([[0.0]]), gain([[1.0]])])
     whole = series(append(X, gain(np.eye(2))), joined([G, control], [gain(np.eye(2)), measured]))
     P = loop_of(whole, 2, 2)
-    found = zeros.axis_bounds(P, (2.0, 1.0))
+    bounds = zeros.axis_bounds(P, (2.0, 1.0))
     want = np.linalg.norm(G.response([2.0])[0, 0]) / np.hypot(1, abs(1 / (2j + 1)))
-    assert found[0] == pytest.approx(want, rel=1e-6)
-    assert found[1:] == pytest.approx([0.0, 0.0, 0.0], abs=1e-9)
-    assert zeros.axis_bounds(P.dual, (2.0,)) == pytest.approx([0.0, found[0]], abs=1e-9)
+    assert bounds[0] == pytest.approx(want, rel=1e-6)
+    assert bounds[1:] == pytest.approx([0.0, 0.0, 0.0], abs=1e-9)
+    assert zeros.axis_bounds(P.dual, (2.0,)) == pytest.approx([0.0, bounds[0]], abs=1e-9)
     assert zeros.axis_bounds(P, ()) == []
 
 
@@ -147,8 +147,8 @@ def test_at_a_zero_of_an_unstable_plant_the_sensitivity_is_one():
     G = series(append(StateSpace(A, B, C, [[1.0]]), lag(1.0, 2.0, 1.0)), TURN)
     still = np.zeros((3, 2))
     P = Plant(G.A, still, G.B, G.C, G.C, np.eye(2), G.D, np.eye(2))
-    found = zeros.axis_bounds(P, (2.0,))
-    assert found[0] == pytest.approx(1.0, rel=1e-7) and found[1] == pytest.approx(0.0, abs=1e-9)
+    bounds = zeros.axis_bounds(P, (2.0,))
+    assert bounds[0] == pytest.approx(1.0, rel=1e-7) and bounds[1] == pytest.approx(0.0, abs=1e-9)
     hidden = Plant(G.A, still, 0 * G.B, G.C, G.C, np.eye(2), G.D, np.eye(2))
     assert zeros.axis_bounds(hidden, (2.0,)) == [] == zeros.axis_bounds(hidden.dual, (2.0,))
     A = np.array([[1.0, 1.0], [0.0, -1.0]])  # the measured state moves the unstable one, which does not show
@@ -169,58 +169,58 @@ def posed(A, B2, C1, D12, B1=None, D11=None) -> Plant:
 
 def test_a_regular_side_is_the_plants_own():
     P = posed([[-1, 2], [0, -3]], [[0], [1]], [[1, 0], [0, 0]], [[0], [2]], D11=[[0.3], [0.4]])
-    found = singular.reduced_side(P)
+    side = singular.reduced_side(P)
     for name in ("A", "B1", "B2", "C1", "D11", "D12"):
-        np.testing.assert_array_equal(getattr(found, name), getattr(P, name))
-    np.testing.assert_array_equal(found.basis, np.eye(2))
-    assert (found.axis, found.weight) == ((), 0.0)
-    assert found.bound == pytest.approx(0.3), "what u does not reach of D11"
+        np.testing.assert_array_equal(getattr(side, name), getattr(P, name))
+    np.testing.assert_array_equal(side.basis, np.eye(2))
+    assert (side.axis, side.weight) == ((), 0.0)
+    assert side.bound == pytest.approx(0.3), "what u does not reach of D11"
 
 
 def test_a_state_that_costs_nothing_to_move_becomes_the_control():
     """x1' = x2 + w, x2' = u, z = [x1; 3 x2]: x2 is the control of x1. With z = x1, x1 itself is free too."""
     P = posed([[0, 1], [0, 0]], [[0], [1]], [[1, 0], [0, 3]], [[0], [0]], B1=[[1], [5]])
-    found = singular.reduced_side(P)
-    sign = np.sign(found.basis[0, 0])
-    np.testing.assert_allclose(found.basis, [[sign], [0]])
-    np.testing.assert_allclose(found.A, [[0.0]])
-    np.testing.assert_allclose(found.B1 * sign, [[1.0]])
-    np.testing.assert_allclose(np.abs(found.B2), [[1.0]])
-    np.testing.assert_allclose(found.C1 * sign, [[1.0], [0.0]])
-    np.testing.assert_allclose(np.abs(found.D12), [[0.0], [3.0]])
-    assert found.basis[1, 0] == 0.0, "no rounding in the place of a zero"
+    side = singular.reduced_side(P)
+    sign = np.sign(side.basis[0, 0])
+    np.testing.assert_allclose(side.basis, [[sign], [0]])
+    np.testing.assert_allclose(side.A, [[0.0]])
+    np.testing.assert_allclose(side.B1 * sign, [[1.0]])
+    np.testing.assert_allclose(np.abs(side.B2), [[1.0]])
+    np.testing.assert_allclose(side.C1 * sign, [[1.0], [0.0]])
+    np.testing.assert_allclose(np.abs(side.D12), [[0.0], [3.0]])
+    assert side.basis[1, 0] == 0.0, "no rounding in the place of a zero"
     P = posed([[0, 1], [0, 0]], [[0], [1]], [[1, 0]], [[0]], B1=[[1], [5]])
-    found = singular.reduced_side(P)
-    assert found.A.shape == (0, 0) and found.basis.shape == (2, 0)
-    np.testing.assert_allclose(np.abs(found.D12), [[1.0]])
-    assert found.bound == 0.0
+    side = singular.reduced_side(P)
+    assert side.A.shape == (0, 0) and side.basis.shape == (2, 0)
+    np.testing.assert_allclose(np.abs(side.D12), [[1.0]])
+    assert side.bound == 0.0
 
 
 def test_of_two_controls_the_free_one_is_taken_and_the_paid_one_kept():
     """x1' = x2 + u1, x2' = 4 u1 + 1e-12 u2, z = [x1; 2 u1; 3 x2]."""
     P = posed([[0, 1], [0, 0]], [[1, 0], [4, 1e-12]], [[1, 0], [0, 0], [0, 3]], [[0, 0], [2, 0], [0, 0]])
-    found = singular.reduced_side(P)
-    np.testing.assert_allclose(np.abs(found.basis), [[1.0], [0.0]])
-    assert found.B2.shape == (1, 2) and found.D12.shape == (3, 2)
+    side = singular.reduced_side(P)
+    np.testing.assert_allclose(np.abs(side.basis), [[1.0], [0.0]])
+    assert side.B2.shape == (1, 2) and side.D12.shape == (3, 2)
     # The paid control counts per unit of its cost: 1 / 2 of u1 on x1.
-    np.testing.assert_allclose(np.abs(found.B2), [[0.5, 1.0]])
-    np.testing.assert_allclose(np.abs(found.D12), [[0, 0], [1, 0], [0, 3]])
+    np.testing.assert_allclose(np.abs(side.B2), [[0.5, 1.0]])
+    np.testing.assert_allclose(np.abs(side.D12), [[0, 0], [1, 0], [0, 3]])
 
 
 def test_a_control_that_does_nothing_is_left_out():
     P = posed([[-1.0]], [[1, 0]], [[1], [0]], [[0, 0], [2, 0]])
-    found = singular.reduced_side(P)
-    np.testing.assert_allclose(np.abs(found.B2), [[0.5]])
-    np.testing.assert_allclose(np.abs(found.D12), [[0.0], [1.0]])
+    side = singular.reduced_side(P)
+    np.testing.assert_allclose(np.abs(side.B2), [[0.5]])
+    np.testing.assert_allclose(np.abs(side.D12), [[0.0], [1.0]])
     static = posed(
         np.zeros((0, 0)), np.zeros((0, 2)), np.zeros((2, 0)), [[1, 0], [0, 0]], np.zeros((0, 1)), [[2], [3]]
     )
-    found = singular.reduced_side(static)
-    assert found.B2.shape == (0, 1) and found.D12.shape == (2, 1) and found.bound == pytest.approx(3.0)
+    side = singular.reduced_side(static)
+    assert side.B2.shape == (0, 1) and side.D12.shape == (2, 1) and side.bound == pytest.approx(3.0)
     # One that does nothing beside one that is free.
     P = posed([[-1, 1], [0, -1]], [[0, 0], [0, 2]], [[1, 0], [0, 1]], [[0, 0], [0, 0]])
-    found = singular.reduced_side(P)
-    np.testing.assert_allclose(np.abs(found.basis), [[1.0], [0.0]])
+    side = singular.reduced_side(P)
+    np.testing.assert_allclose(np.abs(side.basis), [[1.0], [0.0]])
 
 
 def test_free_controls_that_drive_one_direction_count_as_one():
@@ -248,13 +248,13 @@ def test_a_cost_counts_beside_the_path_through_states_at_the_rate_of_A():
 def test_zeros_on_the_axis_are_given_a_small_cost():
     one = notch(2.0)
     P = posed(one.A, one.B2, 5 * one.C1, 5 * one.D12)
-    found = singular.reduced_side(P)
-    assert found.axis == pytest.approx((2.0,), rel=1e-9)
-    assert found.weight == pytest.approx(1e-7 * np.linalg.norm(5 * one.C1), rel=1e-12)
+    side = singular.reduced_side(P)
+    assert side.axis == pytest.approx((2.0,), rel=1e-9)
+    assert side.weight == pytest.approx(1e-7 * np.linalg.norm(5 * one.C1), rel=1e-12)
     # z = 0 x + u of an undamped oscillator: without a state cost the weight is eps.
     P = posed([[0, 1], [-1, 0]], [[0], [1]], [[0, 0]], [[1]])
-    found = singular.reduced_side(P)
-    assert found.axis == pytest.approx((1.0,)) and found.weight == 1e-7 * EPS
+    side = singular.reduced_side(P)
+    assert side.axis == pytest.approx((1.0,)) and side.weight == 1e-7 * EPS
 
 
 def test_the_regular_plant_has_the_extra_costs_and_noises_and_no_others():
@@ -262,25 +262,29 @@ def test_the_regular_plant_has_the_extra_costs_and_noises_and_no_others():
     G = StateSpace(*(random.standard_normal(s) for s in ((3, 3), (3, 4), (4, 3), (4, 4))))
     P = loop_of(G, 2, 1)
     for soft in ((False, False), (True, False), (False, True), (True, True)):
-        found, eps = singular.extended_plant(P, soft, 0.1), 0.1
+        extended, eps = singular.extended_plant(P, soft, 0.1), 0.1
         rows, cols = 3 + 2 + 3 * soft[0], 2 + 1 + 3 * soft[1]
-        assert found.C1.shape == (rows, 3) and found.B1.shape == (3, cols) and found.D11.shape == (rows, cols)
-        np.testing.assert_array_equal(found.D11[:3, :2], P.D11)
-        assert not found.D11[3:].any() and not found.D11[:, 2:].any()
-        np.testing.assert_array_equal(found.C1[:3], P.C1)
-        np.testing.assert_array_equal(found.B1[:, :2], P.B1)
-        np.testing.assert_array_equal(found.D12[:3], P.D12)
-        np.testing.assert_array_equal(found.D21[:, :2], P.D21)
-        assert not found.C1[3:5].any() and not found.B1[:, 2:3].any()
-        assert not found.D12[5:].any() and not found.D21[:, 3:].any()
+        assert (
+            extended.C1.shape == (rows, 3)
+            and extended.B1.shape == (3, cols)
+            and extended.D11.shape == (rows, cols)
+        )
+        np.testing.assert_array_equal(extended.D11[:3, :2], P.D11)
+        assert not extended.D11[3:].any() and not extended.D11[:, 2:].any()
+        np.testing.assert_array_equal(extended.C1[:3], P.C1)
+        np.testing.assert_array_equal(extended.B1[:, :2], P.B1)
+        np.testing.assert_array_equal(extended.D12[:3], P.D12)
+        np.testing.assert_array_equal(extended.D21[:, :2], P.D21)
+        assert not extended.C1[3:5].any() and not extended.B1[:, 2:3].any()
+        assert not extended.D12[5:].any() and not extended.D21[:, 3:].any()
         reach = np.linalg.norm(P.B2, axis=0)
         cost, noise = eps * np.linalg.norm(P.C1, 2), eps * np.linalg.norm(P.B1, 2)
-        np.testing.assert_allclose(found.D12[3:5], cost * np.diag(reach / reach.max()))
-        np.testing.assert_allclose(found.D21[:, 2:3], [[noise]])
-        np.testing.assert_allclose(found.C1[5:], cost * np.eye(3)[: 3 * soft[0]])
-        np.testing.assert_allclose(found.B1[:, 3:], noise * np.eye(3)[:, : 3 * soft[1]])
+        np.testing.assert_allclose(extended.D12[3:5], cost * np.diag(reach / reach.max()))
+        np.testing.assert_allclose(extended.D21[:, 2:3], [[noise]])
+        np.testing.assert_allclose(extended.C1[5:], cost * np.eye(3)[: 3 * soft[0]])
+        np.testing.assert_allclose(extended.B1[:, 3:], noise * np.eye(3)[:, : 3 * soft[1]])
         for name in ("A", "B2", "C2"):
-            np.testing.assert_array_equal(getattr(found, name), getattr(P, name))
+            np.testing.assert_array_equal(getattr(extended, name), getattr(P, name))
     idle = posed([[-1.0]], [[0, 4]], [[2]], [[0, 0]])
     np.testing.assert_allclose(singular.extended_plant(idle, (False, False), 0.1).D12[1:], 0.2 * np.eye(2))
     small = posed([[-1.0]], [[1e-6, -4e-6]], [[2]], [[0, 0]])

@@ -187,9 +187,9 @@ def test_the_margin_is_the_distance_of_the_nearest_pole_from_instability():
 def test_many_points_are_those_of_one_at_a_time_and_a_pole_is_infinite():
     G = random_system(7, n=40)
     many = np.linspace(0.0, 9.0, 1300)  # 1250 at once
-    found = G.response(many)
+    response = G.response(many)
     for k in (0, 1, 777, 1249, 1250, 1299):
-        np.testing.assert_allclose(found[k], G.evaluate([1j * many[k]])[0], rtol=1e-12)
+        np.testing.assert_allclose(response[k], G.evaluate([1j * many[k]])[0], rtol=1e-12)
     lag = StateSpace(np.diag([1.0, 2.0]), np.eye(2), [[1.0, 1.0], [0.0, 1.0]], 5 * np.eye(2))
     at = lag.evaluate([0.0, 1.0, 3.0], skip=np.array([True, False, False]))
     np.testing.assert_allclose(at[0], 5 * np.eye(2))

@@ -109,9 +109,9 @@ def test_the_parts_of_delta_are_its_singular_vectors_and_at_dc_every_choice_of_s
     assert len(parts) == 2
     np.testing.assert_allclose(np.outer(parts[0][0], parts[0][1].conj()), delta[:2, :1], atol=1e-12)
     np.testing.assert_allclose(np.outer(parts[1][0], parts[1][1].conj()), delta[2:, 1:], atol=1e-12)
-    found = list(search_of_two().choices(delta, True))
-    assert len(found) == 4
-    both = [tuple(np.outer(u, v) for u, v in parts) for parts in found]
+    choices = list(search_of_two().choices(delta, True))
+    assert len(choices) == 4
+    both = [tuple(np.outer(u, v) for u, v in parts) for parts in choices]
     for one, two in both:
         # The real part of [0.6, 0.8j], turned so that its largest entry is real: [0, 1].
         np.testing.assert_allclose(np.abs(one), [[0.0], [1.0]], atol=1e-12)

@@ -23,10 +23,10 @@ def test_the_hermitian_basis_spans_the_hermitian_matrices_and_no_more():
 def test_a_gram_matrix_is_the_product_with_each_basis_matrix_between():
     rng = np.random.default_rng(1)
     left, right, basis = gauss(rng, 2, 4), gauss(rng, 2, 4), lmi.hermitian_basis(2)
-    found = lmi.gram(left, right, basis)
-    assert found.shape == (4, 4, 4)
+    gramian = lmi.gram(left, right, basis)
+    assert gramian.shape == (4, 4, 4)
     for k in range(4):
-        np.testing.assert_allclose(found[k], left.conj().T @ basis[k] @ right, rtol=1e-13)
+        np.testing.assert_allclose(gramian[k], left.conj().T @ basis[k] @ right, rtol=1e-13)
     np.testing.assert_allclose(lmi.gram(left, right, None), [left.conj().T @ right])
 
 
@@ -75,10 +75,10 @@ def test_the_best_level_with_matrix_multipliers_is_a_semidefinite_solvers(seed, 
     trace = sum(y[k] for y, kind, r, _ in members if kind == "psd" for k in range(r))
     best = cp.Problem(cp.Maximize(level), [*rules, trace == 1]).solve(solver=cp.CLARABEL)
     assert best > 0.1
-    found = lmi.maximise_level(q, c, relative=1e-6)
-    assert found.x <= best * (1 + 1e-6) and found.x_above >= best * (1 - 1e-6)
-    assert found.x == pytest.approx(best, rel=1e-5)
-    assert c.normal @ found.y == pytest.approx(1)
+    certificate = lmi.maximise_level(q, c, relative=1e-6)
+    assert certificate.x <= best * (1 + 1e-6) and certificate.x_above >= best * (1 - 1e-6)
+    assert certificate.x == pytest.approx(best, rel=1e-5)
+    assert c.normal @ certificate.y == pytest.approx(1)
     rough = lmi.maximise_level(q, c, relative=0.3)
     assert rough.x_above - rough.x <= 0.3 * rough.x and rough.x <= best * (1 + 1e-9) <= rough.x_above * (
         1 + 2e-9
@@ -145,16 +145,16 @@ def test_a_certificate_reaches_to_where_it_stops_being_positive():
     zero, slopes = a @ a.conj().T + np.eye(4), slopes @ slopes.conj().swapaxes(1, 2)
     slopes = np.concatenate([slopes, np.zeros((1, 4, 4))])
     error = 0.2
-    found = lmi.reach(zero, slopes, error)
-    for length, slope in zip(found[:2], slopes, strict=False):
+    reached = lmi.reach(zero, slopes, error)
+    for length, slope in zip(reached[:2], slopes, strict=False):
         at = np.linalg.eigvalsh(zero - error * np.eye(4) - length * slope)[0]
         assert abs(at) < 1e-9 and np.linalg.eigvalsh(zero - length * slope)[0] == pytest.approx(
             error, abs=1e-9
         )
-    assert found[2] == np.inf
+    assert reached[2] == np.inf
     least = np.linalg.eigvalsh(zero)[0]
     np.testing.assert_array_equal(lmi.reach(zero, slopes, 1.001 * least), np.zeros(3))
-    assert lmi.reach(zero, slopes)[0] > found[0]
+    assert lmi.reach(zero, slopes)[0] > reached[0]
     # Never past the end, whatever rounding does: a trillionth is left.
     assert lmi.reach(np.eye(1), np.ones((1, 1, 1)))[0] == 1 - 1e-12
 
@@ -168,14 +168,14 @@ def test_many_certificates_reach_as_each_alone():
     errors = np.full((2, 3), 1e-4)
     errors[1, 2] = 1.01 * np.linalg.eigvalsh(zeros[1, 2])[0]
     errors[0, 1] = 0.6 * np.linalg.eigvalsh(zeros[0, 1])[0]  # less than half is left: not called positive
-    found = lmi.reaches(zeros, slopes, errors)
+    times = lmi.reaches(zeros, slopes, errors)
     for i in range(2):
         for j in range(3):
             if (i, j) in ((1, 2), (0, 1)):
-                assert (found[i, j] == -np.inf).all()
+                assert (times[i, j] == -np.inf).all()
             else:
                 np.testing.assert_allclose(
-                    found[i, j], lmi.reach(zeros[i, j], slopes, errors[i, j]), rtol=1e-12
+                    times[i, j], lmi.reach(zeros[i, j], slopes, errors[i, j]), rtol=1e-12
                 )
 
 
@@ -241,11 +241,11 @@ def test_both_engines_go_the_same_way_along_a_ray(name, monkeypatch):
     for seed in range(3):
         q0, level, c = along_a_ray(ON_A_RAY[name], seed)
         for cutoff in (0.0, 1.0, np.inf):
-            found = []
+            rays = []
             for off in ("", "1"):
                 monkeypatch.setenv("LPVGUARD_NO_NATIVE", off)
-                found.append(lmi.ray_length(q0, level, c, cutoff))
-            (length, y, inverse), (plain, plain_y, plain_inverse) = found
+                rays.append(lmi.ray_length(q0, level, c, cutoff))
+            (length, y, inverse), (plain, plain_y, plain_inverse) = rays
             assert plain == pytest.approx(length, rel=1e-6)
             np.testing.assert_allclose(plain_y, y, atol=1e-5 * np.abs(y).max())
             np.testing.assert_allclose(plain_inverse, inverse, atol=1e-3 * np.abs(inverse).max())
@@ -377,7 +377,9 @@ def test_the_compiled_ray_is_asked_about_no_more_than_it_holds(monkeypatch):
     if native.kernels("ray") is None:
         pytest.skip("no C compiler: nothing to ask")
     asked = []
-    monkeypatch.setattr(lmi, "_ray_length_numpy", lambda *given: asked.append(given) or (1.5, None, None))
+    monkeypatch.setattr(
+        lmi, "_ray_length_numpy", lambda *arguments: asked.append(arguments) or (1.5, None, None)
+    )
     rng = np.random.default_rng(2)
     for n, groups, plain in (
         (16, 4 * [("psd", 4)], False),
@@ -531,8 +533,8 @@ def test_a_real_scalar_does_not_reach_an_imaginary_target():
         forms = [scalars_of(kind, row(1, 0), row(0, 1), param=0), Form(row(1, -1j), row(0, 1), param=1)]
         side = 5.0 if kind == "repeated_real" else 5 + 5j
         node = BranchNode(0.0, 0, np.array([[0.0, 1.0]]), {0: Box(-side, side)})
-        found, _, _ = Relaxation(Quadratic(forms, 2, 2)).lower(node, np.inf)
-        assert least * (1 - 1e-4) <= found <= least + 1e-6
+        bound, _, _ = Relaxation(Quadratic(forms, 2, 2)).lower(node, np.inf)
+        assert least * (1 - 1e-4) <= bound <= least + 1e-6
 
 
 def test_a_scalar_without_a_bound_bounds_nothing():
@@ -542,8 +544,8 @@ def test_a_scalar_without_a_bound_bounds_nothing():
         Form(row(1, 1), row(0, 1), param=1),
     ]
     node = BranchNode(0.0, 0, np.array([[0.5, 0.5]]), {})
-    found, _, _ = Relaxation(Quadratic(forms, 2, 2)).lower(node, np.inf)
-    assert found == pytest.approx(2.0, rel=1e-4)
+    bound, _, _ = Relaxation(Quadratic(forms, 2, 2)).lower(node, np.inf)
+    assert bound == pytest.approx(2.0, rel=1e-4)
 
 
 def test_a_cone_of_sizes_is_bounded_at_its_edges():
@@ -666,12 +668,12 @@ def test_a_cones_bound_is_what_its_centres_certificate_proves_at_its_edges(monke
     y = np.array([0.5, 0.3, 0.01, 0.01])
     asked = []
     answer = (0.7, y, np.eye(2))
-    monkeypatch.setattr(lmi, "ray_length", lambda *given: asked.append(given) or answer)
+    monkeypatch.setattr(lmi, "ray_length", lambda *arguments: asked.append(arguments) or answer)
     for cutoff, left in ((10.0, 6.0), (3.0, 0.0)):
         lower, central, inverse = relaxation.lower(node, cutoff)
-        q0, level, of, most = asked.pop()
+        q0, level, cone, most = asked.pop()
         assert most == pytest.approx(left) and most >= 0.0
-        assert of.order == (1, 1, 1, 1) and central == pytest.approx(base + 0.7) and inverse is answer[2]
+        assert cone.order == (1, 1, 1, 1) and central == pytest.approx(base + 0.7) and inverse is answer[2]
         np.testing.assert_array_equal(q0, g.q0)
         weights = np.array([0.6, 0.4, 0.0, 0.0])
         np.testing.assert_allclose(level, g.level * weights[:, None, None])
@@ -694,10 +696,10 @@ def test_scalars_are_held_in_units_of_their_block_at_the_centre_and_the_corners(
     }
     d = [0.5, 1j, 2.0]
     rows = held.rows(np.array(d))
-    for k, c, scalar, found in zip((2, 4, 5), held.centre, d, rows, strict=True):
+    for k, c, scalar, held_row in zip((2, 4, 5), held.centre, d, rows, strict=True):
         a, b = forms[k].a, forms[k].b
         unit = np.linalg.norm(a) + abs(c) * np.linalg.norm(b)
-        np.testing.assert_allclose(found, ((a - scalar * b) / unit)[0], rtol=1e-13)
+        np.testing.assert_allclose(held_row, ((a - scalar * b) / unit)[0], rtol=1e-13)
     # Of the three only the first has a size of its own: (2 * 2 * 0.5 - 2^2) / 7.
     assert held.base(np.array(d)) == pytest.approx(-2 / 7)
     with pytest.raises(ValueError, match="longer"):
@@ -737,8 +739,8 @@ class Tangents:
         self.shown: list[tuple] = []
         self.lengths = np.zeros((len(self.scalars), len(PENALTIES), 1 + len(node.rays)))
         self.ray: tuple = (0.7, np.array([0.5, 0.3, 0.2]), np.eye(3))
-        monkeypatch.setattr(lmi, "ray_length", lambda *given: self.asked.append(given) or self.ray)
-        monkeypatch.setattr(lmi, "reaches", lambda *given: self.shown.append(given) or self.lengths)
+        monkeypatch.setattr(lmi, "ray_length", lambda *arguments: self.asked.append(arguments) or self.ray)
+        monkeypatch.setattr(lmi, "reaches", lambda *arguments: self.shown.append(arguments) or self.lengths)
 
     def kernel(self) -> np.ndarray:
         """Projector on the signals that the scalars of the centre leave."""
@@ -781,9 +783,13 @@ def test_a_tangent_asks_for_a_certificate_of_what_the_centres_scalars_leave(monk
     kernel, g = tangents.kernel(), tangents.relaxation._plain
     base = abs(1.5 + 2j) ** 2
     for cutoff, left in ((10.0, 10 - base), (base + 0.5, 0.5), (3.0, 0.0), (np.inf, np.inf)):
-        found = tangents.relaxation.tangent(tangents.node, cutoff)
+        tangent_point = tangents.relaxation.tangent(tangents.node, cutoff)
         q0, level, cone, most = tangents.asked.pop()
-        assert most == pytest.approx(left) and cone is g.cone and found.centre == pytest.approx(base + 0.7)
+        assert (
+            most == pytest.approx(left)
+            and cone is g.cone
+            and tangent_point.centre == pytest.approx(base + 0.7)
+        )
         # The same eigenvalues in whichever coordinates of the kernel, beside two zeros.
         shares = np.array([0.0, 0.6, 0.4])
         for mix in np.random.default_rng(3).normal(size=(3, 3)):
@@ -792,7 +798,7 @@ def test_a_tangent_asks_for_a_certificate_of_what_the_centres_scalars_leave(monk
                     np.linalg.eigvalsh(np.tensordot(mix, m, axes=1)) for m in (inner, kernel @ outer @ kernel)
                 )
                 np.testing.assert_allclose(np.sort([*inside, 0, 0]), whole, atol=1e-12)
-        np.testing.assert_allclose(found.inverse, kernel, atol=1e-12)
+        np.testing.assert_allclose(tangent_point.inverse, kernel, atol=1e-12)
     tangents.ray = (0.7, tangents.ray[1], None)
     assert tangents.relaxation.tangent(tangents.node, 10.0).inverse is None
     tangents.ray = (0.0, None, np.eye(3))
@@ -809,9 +815,9 @@ def test_a_tangent_lifts_its_certificate_off_the_kernel_and_moves_it_to_the_corn
 
 def test_a_tangent_without_a_signal_left_has_a_certificate_all_the_same(monkeypatch):
     tangents = Tangents(monkeypatch, *all_held())
-    found = tangents.relaxation.tangent(tangents.node, 10.0)
-    assert not tangents.asked and found.inverse is None
-    assert found.centre == pytest.approx(4 / 7), "the one block with a size of its own"
+    tangent_point = tangents.relaxation.tangent(tangents.node, 10.0)
+    assert not tangents.asked and tangent_point.inverse is None
+    assert tangent_point.centre == pytest.approx(4 / 7), "the one block with a size of its own"
     tangents.compare(np.array([0.5, 0.5]), 0.0)
 
 
@@ -825,10 +831,10 @@ def test_a_tangents_bound_is_the_best_penaltys_at_its_worst_corner_and_ray(probl
         bounds = np.array([b + m for b, m in zip(bases, tangents.lengths, strict=True)])
         worst = [min(bounds[c, k, r] for c in range(1, len(bases)) for r in (1, 2)) for k in range(7)]
         kept = bounds[:, worst.index(max(worst))]
-        found = tangents.relaxation.tangent(tangents.node, 10.0)
-        assert found.lower == pytest.approx(max(worst), rel=1e-12)
-        assert found.box == pytest.approx(min(kept[1:, 0]), rel=1e-12)
-        assert found.cone == pytest.approx(min(kept[0, 1:]), rel=1e-12)
+        tangent_point = tangents.relaxation.tangent(tangents.node, 10.0)
+        assert tangent_point.lower == pytest.approx(max(worst), rel=1e-12)
+        assert tangent_point.box == pytest.approx(min(kept[1:, 0]), rel=1e-12)
+        assert tangent_point.cone == pytest.approx(min(kept[0, 1:]), rel=1e-12)
 
 
 def test_there_is_no_tangent_without_boxes_or_forms_beside_them(monkeypatch):

@@ -42,7 +42,7 @@ def test_a_level_is_followed_along_its_centres_by_newtons_steps(groups, shift, r
     m = len(c.normal)
     q = hermitian(rng, m, n)
     q[: c.start[1]] += shift * np.eye(n)
-    found = lmi.maximise_level(q, c, relative=relative, absolute=1e-7)
+    certificate = lmi.maximise_level(q, c, relative=relative, absolute=1e-7)
     y = c.normal / sum(r for kind, r in groups if kind == "psd")
     matrix = sum(y[j] * q[j] for j in range(m))
     low = np.linalg.eigvalsh(matrix)[0]
@@ -69,10 +69,10 @@ def test_a_level_is_followed_along_its_centres_by_newtons_steps(groups, shift, r
             eps *= 0.15
         else:
             assert k < len(trace) - 1
-    assert (found.x, found.x_above) == (pytest.approx(x), pytest.approx(above)) and above < np.inf
-    np.testing.assert_array_equal(found.y, y)
-    np.testing.assert_allclose(found.inverse, inverse, rtol=1e-9, atol=1e-9 * np.abs(inverse).max())
-    np.testing.assert_allclose(found.inverse, found.inverse.conj().T, rtol=1e-14)
+    assert (certificate.x, certificate.x_above) == (pytest.approx(x), pytest.approx(above)) and above < np.inf
+    np.testing.assert_array_equal(certificate.y, y)
+    np.testing.assert_allclose(certificate.inverse, inverse, rtol=1e-9, atol=1e-9 * np.abs(inverse).max())
+    np.testing.assert_allclose(certificate.inverse, certificate.inverse.conj().T, rtol=1e-14)
 
 
 class Steps:
@@ -112,11 +112,11 @@ def test_the_barrier_shrinks_where_a_step_ended_near_the_centre(monkeypatch):
     """Less than half a decrement away, and less than one before."""
     decrements, shares = [0.9, 0.9, 0.99, 1.01, 0.7, 0.7], [1.0, 1.06, 1.0, 0.4, 1.2, 1.22]
     steps = Steps(monkeypatch, [*decrements, 5.0], [1.0] * 6 + [None], shares)
-    found = steps.run(relative=0.0, absolute=0.0)
+    result = steps.run(relative=0.0, absolute=0.0)
     factors = np.array(steps.eps[1:]) / steps.eps[:-1]
     assert steps.eps[0] == 0.25 and factors == pytest.approx([0.15, 1.0, 0.15, 1.0, 0.15, 1.0])
     # Four states and multipliers in all: the last shrinking was at 0.25 * 0.15^2.
-    assert found.x_above == pytest.approx(1.0 + 2 * 4 * 0.25 * 0.15**2) and found.x == 1.0
+    assert result.x_above == pytest.approx(1.0 + 2 * 4 * 0.25 * 0.15**2) and result.x == 1.0
 
 
 def test_a_level_is_known_where_its_gap_is_small_or_it_is_proven_negative(monkeypatch):
@@ -136,9 +136,9 @@ def test_a_level_is_known_where_its_gap_is_small_or_it_is_proven_negative(monkey
         ({}, 21.0, 1),
     ):
         steps = Steps(monkeypatch, [0.0] * 9, [level] * 2 + [None])
-        found = steps.run(**accuracy)
+        result = steps.run(**accuracy)
         assert len(steps.lengths) == steps_taken, (accuracy, level)
-        assert found.x == level and found.x_above == pytest.approx(level + [2.0, 0.3][steps_taken - 1])
+        assert result.x == level and result.x_above == pytest.approx(level + [2.0, 0.3][steps_taken - 1])
     # Of itself a level of 0 is known to a billionth: 2 * 0.15^12.
     steps = Steps(monkeypatch, [0.0] * 30, [0.0] * 30)
     assert steps.run().x_above == pytest.approx(2 * 0.15**12) and len(steps.lengths) == 13
@@ -152,16 +152,16 @@ def test_a_search_ends_with_what_it_has_after_120_steps_or_one_that_is_none(monk
     steps.run()
     assert len(steps.lengths) == 120
     steps = Steps(monkeypatch, [2.0, np.nan])
-    found = steps.run()
-    assert len(steps.lengths) == 1 and found.x_above == np.inf and found.y.tolist() == [0.5, 0.5]
+    result = steps.run()
+    assert len(steps.lengths) == 1 and result.x_above == np.inf and result.y.tolist() == [0.5, 0.5]
     # Where rounding makes the promised gain negative the step is that of a centre.
     steps = Steps(monkeypatch, [2.0, np.nan], [0.5])
     steps.curvature = -1.0
     assert steps.run(relative=0.0, absolute=0.0).x_above == 2.5 and steps.lengths == [1.0]
     steps = Steps(monkeypatch, [0.0, 2.0], [0.5, None])
-    found = steps.run(relative=0.0, absolute=0.0)
-    assert (found.x, found.x_above) == (0.5, 2.5)
-    np.testing.assert_array_equal(found.inverse, np.eye(2))
+    result = steps.run(relative=0.0, absolute=0.0)
+    assert (result.x, result.x_above) == (0.5, 2.5)
+    np.testing.assert_array_equal(result.inverse, np.eye(2))
 
 
 def test_a_level_of_almost_zero_is_begun_a_two_thousandth_below():
@@ -175,8 +175,10 @@ def test_a_level_of_almost_zero_is_begun_a_two_thousandth_below():
 
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(lmi, "_barrier", end)
-            found = lmi.maximise_level(np.diag([low, low + 1.0])[None], lmi.cone([("psd", 1)]))
-        assert found.x == pytest.approx(low - below, rel=1e-9) and seen[0][1] == pytest.approx(0.5 * below)
+            certificate = lmi.maximise_level(np.diag([low, low + 1.0])[None], lmi.cone([("psd", 1)]))
+        assert certificate.x == pytest.approx(low - below, rel=1e-9) and seen[0][1] == pytest.approx(
+            0.5 * below
+        )
         np.testing.assert_allclose(seen[0][0], np.diag([1 / below, 1 / (1 + below)]), rtol=1e-9)
 
 
@@ -232,8 +234,8 @@ def test_what_nothing_ends_is_divided_by_nothing():
 
 def test_a_zero_must_be_positive_by_more_than_its_error_left_once_more():
     """1 - error has to be above error."""
-    found = lmi.reaches(np.stack([np.eye(2)] * 2), np.eye(2)[None], np.array([0.5, 0.499]))
-    assert found[0, 0] == -np.inf and found[1, 0] == pytest.approx(0.501)
+    times = lmi.reaches(np.stack([np.eye(2)] * 2), np.eye(2)[None], np.array([0.5, 0.499]))
+    assert times[0, 0] == -np.inf and times[1, 0] == pytest.approx(0.501)
 
 
 def test_a_ray_is_asked_eighty_levels_at_most(monkeypatch):

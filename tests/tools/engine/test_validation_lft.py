@@ -201,36 +201,40 @@ def scalar_blocks(kinds: tuple[str, ...], p11: float, p21: list, e: list) -> Lft
 @pytest.mark.parametrize("gamma", [1.52, 1.56])
 def test_one_scalar_with_a_constant_input_is_the_closed_trade_off(lambda_w, lambda_nu, gamma):
     z, e = [1.0, 0.5 - 1j], [1.0 + 1j, -0.7]
-    found = lft.optimum(scalar_blocks(("full",), 0.0, [[v] for v in z], e), gamma, [lambda_nu], lambda_w)
+    least_ratio = lft.optimum(
+        scalar_blocks(("full",), 0.0, [[v] for v in z], e), gamma, [lambda_nu], lambda_w
+    )
     exact = s1.tradeoff(e, z, gamma, lambda_nu, [0.0, 0.0] if lambda_w is None else lambda_w)
-    assert found.upper == pytest.approx(float(exact.cost), rel=1e-4, abs=1e-9)
-    assert found.lower <= float(exact.cost) * (1 + 1e-9) + 1e-12
+    assert least_ratio.upper == pytest.approx(float(exact.cost), rel=1e-4, abs=1e-9)
+    assert least_ratio.lower <= float(exact.cost) * (1 + 1e-9) + 1e-12
 
 
 def test_a_block_without_a_price_explains_what_it_can():
     """xi_1 for nothing; where it is real, the imaginary part of e = 1 + i is left to the priced one."""
     for kind, cost in (("full", 0.0), ("repeated_complex", 0.0), ("repeated_real", 4.0)):
         problem = scalar_blocks((kind, "full"), 0.0, [[1.0, 1.0]], [1.0 + 1j])
-        found = lft.optimum(problem, 0.0, [0.0, 4.0])
-        assert found.upper == pytest.approx(cost, rel=1e-3, abs=1e-9)
-        assert found.nu[0] > 0.9 and found.nu[1] == pytest.approx(np.sqrt(cost / 4), rel=1e-3, abs=1e-9)
+        least_ratio = lft.optimum(problem, 0.0, [0.0, 4.0])
+        assert least_ratio.upper == pytest.approx(cost, rel=1e-3, abs=1e-9)
+        assert least_ratio.nu[0] > 0.9 and least_ratio.nu[1] == pytest.approx(
+            np.sqrt(cost / 4), rel=1e-3, abs=1e-9
+        )
 
 
 def test_a_real_scalar_with_a_constant_input_stays_real():
     """e = 1 + i / 2: w takes the imaginary part, and of the real one what is left to it."""
-    found = lft.optimum(scalar_blocks(("repeated_real",), 0.0, [[1.0]], [1.0 + 0.5j]), 0.8, [2.0])
-    assert found.nu[0] == pytest.approx(1 - np.sqrt(0.8**2 - 0.5**2), rel=1e-3)
-    assert found.upper == pytest.approx(2 * found.nu[0] ** 2, rel=1e-6)
+    least_ratio = lft.optimum(scalar_blocks(("repeated_real",), 0.0, [[1.0]], [1.0 + 0.5j]), 0.8, [2.0])
+    assert least_ratio.nu[0] == pytest.approx(1 - np.sqrt(0.8**2 - 0.5**2), rel=1e-3)
+    assert least_ratio.upper == pytest.approx(2 * least_ratio.nu[0] ** 2, rel=1e-6)
 
 
 def test_a_real_block_without_a_price_goes_as_far_as_its_cap():
     """3.5 of a cap of 4 at xi_1 = 28: what is left to the priced block is i, and what lowers its size."""
     problem = scalar_blocks(("repeated_real", "full"), 0.25, [[1.0, 1.0]], [28.0 + 1j])
-    found = lft.optimum(problem, 0.0, [0.0, 1.0])
+    least_ratio = lft.optimum(problem, 0.0, [0.0, 1.0])
     xi = np.linspace(0.0, 1.0, 10001) + 1j
     best = np.argmin(np.abs(xi / (1 + xi / 4)))
-    assert found.upper == pytest.approx(np.abs(xi / (1 + xi / 4))[best] ** 2, rel=1e-3)
-    assert found.nu[0] == pytest.approx(4 - 16 / (32 - xi[best].real), rel=1e-3)
+    assert least_ratio.upper == pytest.approx(np.abs(xi / (1 + xi / 4))[best] ** 2, rel=1e-3)
+    assert least_ratio.nu[0] == pytest.approx(4 - 16 / (32 - xi[best].real), rel=1e-3)
 
 
 def test_parametrisation_covers_exactly_the_solutions():

@@ -35,25 +35,25 @@ def test_the_kernel_finds_what_branch_and_bound_finds(blocks, options, unit, mon
     problem = replace(problem, e=unit * problem.e, p21=unit * problem.p21)
     gamma, lambda_w = 1.5 * unit * np.linalg.norm(w), np.linspace(0.3, 2.0, len(w)) / unit**2
     want, (quadratic, caps, scaled) = asked_for(monkeypatch, problem, gamma, [1.7], lambda_w)
-    found = lft._one_block(quadratic, caps, scaled)
-    assert found.upper == pytest.approx(want.upper, rel=1e-6)
-    assert (1 - 2e-4) * want.upper <= found.lower <= want.upper * (1 + 1e-9)
-    assert 1 < found.nodes < 100, "evaluations of the dual"
+    blocks_bound = lft._one_block(quadratic, caps, scaled)
+    assert blocks_bound.upper == pytest.approx(want.upper, rel=1e-6)
+    assert (1 - 2e-4) * want.upper <= blocks_bound.lower <= want.upper * (1 + 1e-9)
+    assert 1 < blocks_bound.nodes < 100, "evaluations of the dual"
     monkeypatch.setattr(lft, "minimise", None)  # not asked where the kernel is near enough
     again = lft.optimum(problem, gamma, [1.7], lambda_w)
-    assert (again.lower, again.upper) == (found.lower * (1 - SLACK), found.upper)
+    assert (again.lower, again.upper) == (blocks_bound.lower * (1 - SLACK), blocks_bound.upper)
 
 
 def test_branch_and_bound_takes_over_where_the_kernel_is_not_near_enough(monkeypatch):
     problem, *_ = made_from_truth(np.random.default_rng(4), 2, [("full", 1, 1)], noise=0.5)
     want, (quadratic, caps, scaled) = asked_for(monkeypatch, problem, 0.75, [1.7], [1.0, 1.0])
-    found = lft._one_block(quadratic, caps, scaled)
+    blocks_bound = lft._one_block(quadratic, caps, scaled)
     for apart, takes_over in ((1.99e-4, False), (2.01e-4, True)):
-        far = replace(found, lower=found.upper * (1 - apart))
+        far = replace(blocks_bound, lower=blocks_bound.upper * (1 - apart))
         monkeypatch.setattr(lft, "_one_block", lambda *_, far=far: far)
         again = lft.optimum(problem, 0.75, [1.7], [1.0, 1.0])
         assert again.lower == (want.lower if takes_over else far.lower * (1 - SLACK))
-    half = replace(found, lower=0.5, upper=1.0)
+    half = replace(blocks_bound, lower=0.5, upper=1.0)
     monkeypatch.setattr(lft, "_one_block", lambda *_: half)
     monkeypatch.setattr(lft, "proves", lambda *_: True)
     monkeypatch.setattr(lft, "minimise", None)  # not asked: twice the gap to the digit is near enough
@@ -66,9 +66,9 @@ def test_a_size_near_its_cap_is_left_to_branch_and_bound(monkeypatch):
     want, (quadratic, _, scaled) = asked_for(monkeypatch, problem, 1.5 * np.linalg.norm(w), [1.7], [1.0, 1.0])
     solved, solve = [], lft.s2.solve_forms
     monkeypatch.setattr(
-        lft.s2, "solve_forms", lambda *a: solved.append((a[2], solve(*a))) or replace(solved[-1][1], **given)
+        lft.s2, "solve_forms", lambda *a: solved.append((a[2], solve(*a))) or replace(solved[-1][1], **named)
     )
-    given: dict[str, np.ndarray] = {}
+    named: dict[str, np.ndarray] = {}
     cap = 3.0 * want.nu
     assert lft._one_block(quadratic, cap, scaled) is not None
     p_max, out = solved[0]
@@ -82,9 +82,9 @@ def test_a_size_near_its_cap_is_left_to_branch_and_bound(monkeypatch):
         (near * (1 + 1e-12), 1.0, True),
         (near / 2, np.inf, True),
     ):
-        given = {"p": np.array([p]), "upper": np.array([upper])}
+        named = {"p": np.array([p]), "upper": np.array([upper])}
         assert (lft._one_block(quadratic, cap, scaled) is None) == left_alone
-    given = {}
+    named = {}
     assert lft._one_block(quadratic, 0.9 * want.nu, scaled) is None
 
 
@@ -93,8 +93,8 @@ def test_the_cap_is_that_of_the_block_whose_input_varies(monkeypatch):
     problem, *_ = made_from_truth(np.random.default_rng(5), 2, [("full", 1, 1), ("full", 1, 1)], noise=0.5)
     problem = replace(problem, p11=np.diag([0.0, 0.3]).astype(complex))
     want, (quadratic, _, scaled) = asked_for(monkeypatch, problem, 0.3, [1.7, 0.6], None)
-    found = lft._one_block(quadratic, np.array([1e-6, np.inf]), scaled)
-    assert found.upper == pytest.approx(want.upper, rel=1e-6)
+    blocks_bound = lft._one_block(quadratic, np.array([1e-6, np.inf]), scaled)
+    assert blocks_bound.upper == pytest.approx(want.upper, rel=1e-6)
     assert lft._one_block(quadratic, np.array([np.inf, 1e-6]), scaled) is None
 
 
@@ -129,8 +129,8 @@ def test_the_kernel_gets_each_form_in_a_unit_of_its_own(monkeypatch):
     ball, cost = Form(row(3, 0), row(0, 3), constant=4.0), Form(row(5, 0), row(0, 2), param=1)
     asked = []
 
-    def kernel(*given):
-        asked.append(given)
+    def kernel(*arguments):
+        asked.append(arguments)
         raise Asked
 
     monkeypatch.setattr(lft.s2, "solve_forms", kernel)
@@ -182,8 +182,8 @@ def test_a_last_block_of_exactly_its_cap_is_refused(monkeypatch):
         Block("full", 1, 1), np.diag([0, 0.25]), np.eye(2), np.zeros((2, 1)), [1.0, 2.0]
     )
     for upper, fits in ((15.9, True), (16.0, False)):
-        found = Interval(1.0, upper, None, 1)
-        monkeypatch.setattr(lft, "minimise", lambda *a, found=found: found)
+        answer = Interval(1.0, upper, None, 1)
+        monkeypatch.setattr(lft, "minimise", lambda *a, answer=answer: answer)
         if fits:
             assert lft.smallest_last_block(problem, 0.0) == (1.0, np.sqrt(upper))
         else:
@@ -261,8 +261,8 @@ def test_blocks_that_are_not_repeated_have_no_cap_beside_the_last():
 
 def test_the_margin_of_disturbances_alone_is_the_largest_of_them():
     problem = beside_the_last(Block("full", 1, 1), np.zeros((2, 2)), np.zeros((2, 2)), np.eye(2), [3.0, 4j])
-    found = lft.margin(problem, [1.0, 1.0], [1.0, 2.0])
-    assert (found.lower, found.upper) == pytest.approx((3.0, 3.0), rel=1e-3)
+    t = lft.margin(problem, [1.0, 1.0], [1.0, 2.0])
+    assert (t.lower, t.upper) == pytest.approx((3.0, 3.0), rel=1e-3)
 
 
 # --- what branch and bound is asked ---
@@ -300,8 +300,8 @@ def question(monkeypatch, ask, *arguments, **named):
     """(Quadratic, further arguments) of the search that ``ask`` begins; how often the kernel was tried."""
     tried, seen = [], []
 
-    def search(*given, **more):
-        seen.append((given, more))
+    def search(*arguments, **more):
+        seen.append((arguments, more))
         raise Asked
 
     with monkeypatch.context() as patched:
@@ -421,6 +421,6 @@ def test_a_last_block_is_free_up_to_the_rounding_of_the_ball_or_its_edge_where_t
     for gamma, slack in ((1.0, EDGE), (1.5, ROUNDING)):
         limit = gamma**2 * (1 + slack)
         for upper, free in ((limit, True), (limit * (1 + 3e-16), False)):
-            found = Interval(0.0, upper, None, 1)
-            monkeypatch.setattr(lft, "minimise", lambda *a, found=found, **b: found)
+            answer = Interval(0.0, upper, None, 1)
+            monkeypatch.setattr(lft, "minimise", lambda *a, answer=answer, **b: answer)
             assert is_free(problem, gamma) == free

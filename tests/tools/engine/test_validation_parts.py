@@ -154,11 +154,11 @@ def closed(seed: int) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray, np
 
 def test_an_explanation_is_closed_again_and_what_it_misses_is_its_share_of_e():
     p, e, w, xi, nu = closed(5)
-    found = dl.verify(BLOCKS, p, e, w, xi, nu)
-    assert found.residual < 1e-13 and [d.shape for d in found.deltas] == [(2, 3), (2, 2), (1, 1)]
-    np.testing.assert_allclose(found.sizes, nu, rtol=1e-12)
+    report = dl.verify(BLOCKS, p, e, w, xi, nu)
+    assert report.residual < 1e-13 and [d.shape for d in report.deltas] == [(2, 3), (2, 2), (1, 1)]
+    np.testing.assert_allclose(report.sizes, nu, rtol=1e-12)
     for part, xi_i, eta_i in zip(
-        found.deltas,
+        report.deltas,
         dl.split(BLOCKS, xi, "rows"),
         dl.split(BLOCKS, p["P11"] @ xi + p["P12"] @ w + p["eta0"], "cols"),
         strict=True,
@@ -168,8 +168,8 @@ def test_an_explanation_is_closed_again_and_what_it_misses_is_its_share_of_e():
     across = np.array([-e[1].conj(), e[0].conj()])
     for share in (0.8e-6, 0.4e-3):
         moved = e + share * across
-        found = dl.verify(BLOCKS, p, moved, w, xi, nu, rtol=1e-3)
-        assert found.residual == pytest.approx(share / np.sqrt(1 + share**2), rel=1e-6)
+        report = dl.verify(BLOCKS, p, moved, w, xi, nu, rtol=1e-3)
+        assert report.residual == pytest.approx(share / np.sqrt(1 + share**2), rel=1e-6)
 
 
 def test_what_misses_the_data_or_its_size_by_more_than_a_millionth_is_refused():
@@ -189,17 +189,17 @@ def test_what_misses_the_data_or_its_size_by_more_than_a_millionth_is_refused():
 
 def test_a_residual_at_its_limit_and_an_output_that_is_partly_zero_are_taken():
     p, e, w, xi, nu = closed(8)
-    found = dl.verify(BLOCKS, p, e * (1 + 1e-4), w, xi, nu, rtol=1e-3)
-    again = dl.verify(BLOCKS, p, e * (1 + 1e-4), w, xi, nu, rtol=found.residual)
-    assert again.residual == found.residual == pytest.approx(1e-4, rel=1e-3)
+    report = dl.verify(BLOCKS, p, e * (1 + 1e-4), w, xi, nu, rtol=1e-3)
+    again = dl.verify(BLOCKS, p, e * (1 + 1e-4), w, xi, nu, rtol=report.residual)
+    assert again.residual == report.residual == pytest.approx(1e-4, rel=1e-3)
     eta = np.array([1.0, 2j, 0.5])
     np.testing.assert_allclose(dl.construct(BLOCKS[0], np.array([0.0, 2.0]), eta) @ eta, [0.0, 2.0])
 
 
 def test_data_of_zero_are_explained_by_nothing():
     p, e, w, xi, nu = closed(7)
-    found = dl.verify(BLOCKS, p, 0 * e, 0 * w, 0 * xi, 0 * nu)
-    assert found.residual == 0.0 and not found.sizes.any()
+    report = dl.verify(BLOCKS, p, 0 * e, 0 * w, 0 * xi, 0 * nu)
+    assert report.residual == 0.0 and not report.sizes.any()
     with pytest.raises(InputError, match="re-simulated"):
         dl.verify(BLOCKS, p, 0 * e, w, 0 * xi, nu)
 
@@ -300,9 +300,9 @@ def test_a_disturbance_that_the_data_fix_moves_in_no_direction():
             lft.optimum(Lft(BLOCKS, **parts), 0.99 * par.b1, [1.0, 1.0, 1.0])
 
 
-@pytest.mark.parametrize("of", ["block 1", "block 2", "block 3", "w"])
+@pytest.mark.parametrize("signal", ["block 1", "block 2", "block 3", "w"])
 @pytest.mark.parametrize("unit", [1e13, 1e-13])
-def test_a_block_or_the_disturbance_in_another_unit_is_the_same_block(of, unit):
+def test_a_block_or_the_disturbance_in_another_unit_is_the_same_block(signal, unit):
     parts = parts_of(4, 3, np.random.default_rng(11))
     b1 = parametrise(Lft(BLOCKS, **parts)).b1
     assert b1 < 1e-12, "P21 reaches all of e"
@@ -310,13 +310,13 @@ def test_a_block_or_the_disturbance_in_another_unit_is_the_same_block(of, unit):
     parts["p21"][1] = parts["p21"][2] = 0.0
     moved = {name: m.copy() for name, m in parts.items()}
     columns = {"block 1": slice(2), "block 2": slice(2, 4), "block 3": slice(4, 5)}
-    if of == "w":
+    if signal == "w":
         moved["p22"] *= unit
     else:
-        moved["p21"][:, columns[of]] *= unit
+        moved["p21"][:, columns[signal]] *= unit
     was, now = parametrise(Lft(BLOCKS, **parts)), parametrise(Lft(BLOCKS, **moved))
     assert (was.n_phi, was.xi_map.shape) == (now.n_phi, now.xi_map.shape) == (1, (5, 5))
-    assert now.b1 * (unit if of == "w" else 1.0) == pytest.approx(was.b1, rel=1e-9) and was.b1 > 0.1
+    assert now.b1 * (unit if signal == "w" else 1.0) == pytest.approx(was.b1, rel=1e-9) and was.b1 > 0.1
     # Blocks 2 and 3 reach no output: each of their signals is free.
     assert np.linalg.matrix_rank(now.xi_map[2:, :-1]) == 3
 
@@ -470,11 +470,11 @@ def test_a_held_scalar_may_miss_its_equation_by_a_billionth_of_the_terms(share, 
     problem = Quadratic([scalars_of("repeated_complex", row(0, sign), row(0, 1), param=0)], 1, 2)
     mirrored = Quadratic([scalars_of("repeated_complex", row(0, 1), row(0, -1), param=0)], 1, 2)
     z = np.array([0.0, 1.0])
-    found = (
+    held = (
         problem.on_subspace(z, {0: sign * (1 + share * 1e-9)}),
         mirrored.on_subspace(z, {0: -1 - share * 1e-9}),
     )
-    assert [f is not None for f in found] == [share < 2, share < 2]
+    assert [f is not None for f in held] == [share < 2, share < 2]
     # In a column that cancels there are terms as well: 2 for x of size 1, and 2 for the last one.
     for x in (1.0, -1.0):
         beside = Quadratic(
@@ -574,14 +574,14 @@ def test_the_point_that_violates_the_constants_least():
     ]
     problem = Quadratic(forms, 1, 2)
     for delta, ratio in ((6.0, 1.5), (3.0, 0.0), (1.0, 1.0), (3 + 1j, 0.5)):
-        found, z = problem.inside({1: delta})
-        assert found == pytest.approx(ratio, abs=1e-12) and z == pytest.approx(np.array([delta, 1.0]))
+        violation, z = problem.inside({1: delta})
+        assert violation == pytest.approx(ratio, abs=1e-12) and z == pytest.approx(np.array([delta, 1.0]))
     # Without a held scalar x is free; two such limits, at 0 and 3, meet in between in units of their radii.
     two = Quadratic(
         [Form(row(1, -3), row(0, 1), constant=1.0), Form(row(1, 0), row(0, 1), constant=4.0)], 1, 2
     )
-    found, z = two.inside({})
-    assert z[0] == pytest.approx(3 / (1 + 0.25)) and found == pytest.approx(max(0.6, 1.2))
+    violation, z = two.inside({})
+    assert z[0] == pytest.approx(3 / (1 + 0.25)) and violation == pytest.approx(max(0.6, 1.2))
     slopes = [
         Form(row(1, 0, -3), row(0, 0, 1), constant=0.25, slope=4.0),
         Form(row(1, 0, 0), row(0, 0, 1), constant=16.0, slope=0.25),
@@ -589,9 +589,9 @@ def test_the_point_that_violates_the_constants_least():
         Form(row(1, 1, 7), row(0, 0, 1), param=0),
         scalars_of("repeated_complex", row(1, 0, 0), row(0, 0, 1), constant=1e-6),
     ]
-    found, z = Quadratic(slopes, 1, 3).inside({})
+    violation, z = Quadratic(slopes, 1, 3).inside({})
     np.testing.assert_allclose(z, [2.4, 5.0, 1.0])
-    assert found == pytest.approx(1.2), "sizes that are asked for and scalars' bounds do not count"
+    assert violation == pytest.approx(1.2), "sizes that are asked for and scalars' bounds do not count"
     assert (
         Quadratic([scalars_of("repeated_real", row(1, 0), row(0, 1), param=0)], 1, 2).inside({0: 2.0})[0]
         == 0.0
@@ -614,10 +614,10 @@ def test_a_point_without_any_size_is_found_where_there_is_one():
     at = np.append(np.linalg.lstsq(tall[:, :5], -tall[:, 5])[0], 1.0)
     left = w[:, :5] @ plane
     least = np.linalg.norm(w @ at - left @ np.linalg.lstsq(left, w @ at)[0])
-    for share, found in ((0.999, False), (1.001, True)):
+    for share, there in ((0.999, False), (1.001, True)):
         limit = (share * least) ** 2
         problem = Quadratic([Form(w, 2 * one, constant=limit / 8, slope=2.0), Form(tall, one, param=0)], 1, 6)
-        assert (problem.zero() is not None) == found
+        assert (problem.zero() is not None) == there
     parts = (tall, 1e14 * xi)
     stacked = Quadratic([Form(np.vstack(parts), one, param=0, parts=parts)], 1, 6)
     assert stacked.zero() is None, "six rows for five free numbers, whichever unit the first four have"
@@ -712,8 +712,8 @@ def test_every_point_of_the_coordinates_is_a_solution_and_its_size_is_that_of_th
     assert ScaledProblem(problem, w_scale).points(None) == []
     if known is not None:
         [z] = scaled.points(known)
-        for found, was in zip(scaled.signals(z), (known.xi, known.eta, known.w), strict=True):
-            np.testing.assert_allclose(found, was, atol=1e-9)
+        for signal, was in zip(scaled.signals(z), (known.xi, known.eta, known.w), strict=True):
+            np.testing.assert_allclose(signal, was, atol=1e-9)
 
 
 def size_of(scaled: ScaledProblem, w_scale: np.ndarray, z: np.ndarray, size_e: float) -> float:
@@ -757,8 +757,8 @@ def test_the_point_of_an_explanation_is_found_again_beside_dead_blocks_and_in_an
         z = np.append(gauss(np.random.default_rng(5), scaled.n - 1), 1.0)
         xi, eta, w = scaled.signals(z)
         known = Solution(0.0, 1.0, np.ones(3), xi, eta, w, scaled.b1, None, 1)
-        [found] = scaled.points(known)
-        np.testing.assert_allclose(found, z, rtol=1e-6)
+        [point] = scaled.points(known)
+        np.testing.assert_allclose(point, z, rtol=1e-6)
 
 
 def test_a_least_disturbance_that_is_all_that_is_allowed_is_one_point():
@@ -806,8 +806,8 @@ def test_a_block_without_input_is_held_at_zero_or_named():
     assert scaled.dead == [1] and not scaled.xi[1].any()
     xi, eta, w = scaled.signals(np.append(np.ones(scaled.n - 1), 1.0))
     assert residual_of(problem, xi, eta, w) < 1e-9 and not xi[2:4].any()
-    found = lft.optimum(problem, 2.0 * np.linalg.norm(problem.e), [1.0, 1.0, 1.0])
-    assert found.nu[1] == 0.0 and not found.xi[2:4].any()
+    least_ratio = lft.optimum(problem, 2.0 * np.linalg.norm(problem.e), [1.0, 1.0, 1.0])
+    assert least_ratio.nu[1] == 0.0 and not least_ratio.xi[2:4].any()
     # Where e needs that block alone it is named.
     parts["p21"][:, [0, 1, 4]] = 0.0
     parts["p22"][0] = 0.0
@@ -842,8 +842,8 @@ def test_what_the_data_hold_at_zero_already_is_not_held_again(seed, unit):
     for problem in (one, two):
         scaled = scaled_problem(problem, 0.5)
         assert scaled.dead == [0] and scaled.n == 2
-        found = lft.optimum(problem, 0.5, [1.0, 1.0])
-        assert found.nu[0] == 0.0 and found.nu[1] == pytest.approx(0.5 / 1.15, rel=1e-6)
+        least_ratio = lft.optimum(problem, 0.5, [1.0, 1.0])
+        assert least_ratio.nu[0] == 0.0 and least_ratio.nu[1] == pytest.approx(0.5 / 1.15, rel=1e-6)
 
 
 @pytest.mark.parametrize("share, fits", [(0.9e-8, True), (1.1e-8, False)])
@@ -881,8 +881,8 @@ def test_the_point_of_an_explanation_is_found_in_a_block_of_a_tiny_unit_alone():
     scaled = scaled_problem(problem, 1.0)
     z = np.append(gauss(np.random.default_rng(6), scaled.n - 1), 1.0)
     assert scaled.n == 3
-    [found] = scaled.points(Solution(0.0, 1.0, np.ones(2), *scaled.signals(z), scaled.b1, None, 1))
-    np.testing.assert_allclose(found, z, rtol=1e-9)
+    [point] = scaled.points(Solution(0.0, 1.0, np.ones(2), *scaled.signals(z), scaled.b1, None, 1))
+    np.testing.assert_allclose(point, z, rtol=1e-9)
 
 
 def test_without_a_disturbance_its_rounding_has_no_size_however_large_e():
@@ -935,13 +935,13 @@ def test_an_explanation_is_finished_with_its_sizes_or_refused():
     with pytest.raises(InputError, match="no Delta of this structure explains e within the bounds"):
         scaled.finish(Interval(0.0, np.inf, None, 7), "gamma_w")
     z = scaled.points(lft.optimum(problem, 1.0, [1.0]))[0]
-    found = scaled.finish(Interval(0.25, 0.5, z, 7), "gamma_w")
-    assert (found.lower, found.upper, found.nodes, found.b1) == (0.25, 0.5, 7, scaled.b1)
-    eta = problem.p11 @ found.xi + problem.p12 @ found.w + problem.eta0
-    assert found.nu[0] == pytest.approx(np.linalg.norm(found.xi) / np.linalg.norm(eta), rel=1e-12)
-    np.testing.assert_allclose(found.eta, eta, rtol=1e-12)
+    solution = scaled.finish(Interval(0.25, 0.5, z, 7), "gamma_w")
+    assert (solution.lower, solution.upper, solution.nodes, solution.b1) == (0.25, 0.5, 7, scaled.b1)
+    eta = problem.p11 @ solution.xi + problem.p12 @ solution.w + problem.eta0
+    assert solution.nu[0] == pytest.approx(np.linalg.norm(solution.xi) / np.linalg.norm(eta), rel=1e-12)
+    np.testing.assert_allclose(solution.eta, eta, rtol=1e-12)
     # With a loop gain of 1 / nu the same size makes the loop singular.
-    hard = Lft(BLOCKS[:1], **one_block(1.001 / found.nu[0]))
+    hard = Lft(BLOCKS[:1], **one_block(1.001 / solution.nu[0]))
     scaled = scaled_problem(hard, 1.0)
     with pytest.raises(InputError, match="well-posedness cap"):
         scaled.finish(Interval(0.0, 1.0, z, 7), "gamma_w")

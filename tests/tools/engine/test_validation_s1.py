@@ -128,9 +128,9 @@ def test_one_number_that_is_not_finite_leaves_no_result_of_its_point_alone(engin
         {"e": e, "z": z}[place][1, 1] = bad
     broken = s1.solve(e, z, gamma)
     for name in ("b1", "nu", "delta"):
-        found = getattr(broken, name)
-        assert np.isnan(found).tolist() == [False, True, False], name
-        assert found[0] == found[2] == getattr(whole, name)[0] != 0.0
+        numbers = getattr(broken, name)
+        assert np.isnan(numbers).tolist() == [False, True, False], name
+        assert numbers[0] == numbers[2] == getattr(whole, name)[0] != 0.0
     assert broken.feasible.tolist() == [True, False, True]
     assert np.isnan(broken.w).all(axis=1).tolist() == [False, True, False]
 
@@ -142,36 +142,36 @@ def test_a_single_part_of_either_sign_sets_the_scale(engine, turn, which):
     for size in (1e-200, 1e200):
         k, m = (size, 1.0) if which == "e" else (1.0, size)
         e, z = np.array([0.5 * turn * k]), np.array([0.25 * turn * m])
-        found = s1.solve(e, z, 0.0)
-        assert found.nu == pytest.approx(2.0 * k / m, rel=1e-14) and found.feasible
-        assert found.delta == pytest.approx(2.0 * k / m, rel=1e-14)
-        assert found.b1 == 0.0 and np.abs(found.w) <= 1e-15 * k
+        solution = s1.solve(e, z, 0.0)
+        assert solution.nu == pytest.approx(2.0 * k / m, rel=1e-14) and solution.feasible
+        assert solution.delta == pytest.approx(2.0 * k / m, rel=1e-14)
+        assert solution.b1 == 0.0 and np.abs(solution.w) <= 1e-15 * k
 
 
 @pytest.mark.parametrize("place", ["e", "z", "gamma"])
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
 def test_a_point_that_is_not_finite_raises_no_flag_of_the_processor(place, bad):
     """Numbers of the numpy version alone: the product with delta that leaves w is the caller's."""
-    given = {"e": np.ones((2, 2), complex), "z": np.ones((2, 2), complex), "gamma": np.full(2, 0.5)}
-    given[place].flat[0] = bad
+    arrays = {"e": np.ones((2, 2), complex), "z": np.ones((2, 2), complex), "gamma": np.full(2, 0.5)}
+    arrays[place].flat[0] = bad
     with np.errstate(all="raise"):
-        b1, nu, delta = s1._s1_numpy(*given.values())
+        b1, nu, delta = s1._s1_numpy(*arrays.values())
     assert np.isnan([b1[0], nu[0], delta[0]]).all() and (b1[1], nu[1]) == (0.0, pytest.approx(1 - 8**-0.5))
 
 
 def test_a_scalar_product_of_one_is_no_exception(engine):
     for sign in (1.0, -1.0):
-        found = s1.solve(np.full(4, 0.5), np.full(4, 0.5 * sign), 0.0)
-        assert found.delta == sign and found.nu == 1.0
+        solution = s1.solve(np.full(4, 0.5), np.full(4, 0.5 * sign), 0.0)
+        assert solution.delta == sign and solution.nu == 1.0
 
 
 def test_zeros_leave_nothing_to_explain(engine):
     """E = 0 needs no delta and no w; with no w allowed a delta that fits exactly is feasible."""
     for z in ([0.0, 0.0], [1.0, 2.0]):
-        found = s1.solve(np.zeros(2), np.array(z), 0.0)
-        assert found.feasible and found.nu == found.b1 == found.delta == 0.0
-    found = s1.solve(np.array([2.0, 4j]), np.array([1.0, 2j]), 0.0)
-    assert found.feasible and found.nu == 2.0 and found.delta == 2.0 and found.b1 == 0.0
+        solution = s1.solve(np.zeros(2), np.array(z), 0.0)
+        assert solution.feasible and solution.nu == solution.b1 == solution.delta == 0.0
+    solution = s1.solve(np.array([2.0, 4j]), np.array([1.0, 2j]), 0.0)
+    assert solution.feasible and solution.nu == 2.0 and solution.delta == 2.0 and solution.b1 == 0.0
     only_w = s1.solve(np.array([1.0, 0.0]), np.array([0.0, 1.0]), 1.0)
     assert only_w.feasible and only_w.nu == only_w.delta == 0.0
 
@@ -182,9 +182,9 @@ def test_the_tolerance_of_the_edge_is_relative(engine):
         e = np.array([size, 0.0])
         for z in ([0.0, 0.0], [0.0, 1.0]):
             for below, feasible in ((2e-12, False), (5e-13, True)):
-                found = s1.solve(e, np.array(z), size * (1 - below))
-                assert found.feasible == feasible, (size, z, below)
-                assert found.nu == (0.0 if feasible else np.inf)
+                solution = s1.solve(e, np.array(z), size * (1 - below))
+                assert solution.feasible == feasible, (size, z, below)
+                assert solution.nu == (0.0 if feasible else np.inf)
 
 
 def test_the_least_disturbance_is_feasible_where_e_is_orthogonal_to_z(engine):
@@ -194,11 +194,11 @@ def test_the_least_disturbance_is_feasible_where_e_is_orthogonal_to_z(engine):
         e, z = np.zeros((400, 2), complex), np.zeros((400, 2), complex)
         e[:, 0], z[:, 1] = gauss(rng, 400), gauss(rng, 400)
         z[:, 0] = slant * z[:, 1]
-        found = s1.solve(e, z, s1.solve(e, z, 0.0).b1)
+        solution = s1.solve(e, z, s1.solve(e, z, 0.0).b1)
         delta0 = slant * np.abs(e[:, 0] / z[:, 1]) / (1 + slant**2)
-        assert found.feasible.all()
-        assert (found.nu <= delta0 * (1 + 1e-12)).all()
-        np.testing.assert_allclose(np.abs(found.delta), found.nu, rtol=1e-12)
+        assert solution.feasible.all()
+        assert (solution.nu <= delta0 * (1 + 1e-12)).all()
+        np.testing.assert_allclose(np.abs(solution.delta), solution.nu, rtol=1e-12)
 
 
 def test_the_least_squares_scalar_is_the_projection():
@@ -253,15 +253,15 @@ def test_the_tradeoff_loses_no_digits_where_it_stops_just_short_of_no_delta():
     z, short = gauss(np.random.default_rng(1), 2), np.linspace(1.1e-9, 2e-9, 20)
     e = 1000.0 * np.exp(1j) * z
     gamma = np.linalg.norm(e) * (1 - short)
-    found, exact = s1.tradeoff(e, z, gamma, 1.0, np.zeros(2)), s1.solve(e, z, gamma)
+    solution, exact = s1.tradeoff(e, z, gamma, 1.0, np.zeros(2)), s1.solve(e, z, gamma)
     np.testing.assert_allclose(exact.nu, 1000.0 * short, rtol=1e-6)
-    np.testing.assert_allclose(found.delta, exact.delta, rtol=1e-12)
-    np.testing.assert_allclose(found.nu, exact.nu, rtol=1e-12)
+    np.testing.assert_allclose(solution.delta, exact.delta, rtol=1e-12)
+    np.testing.assert_allclose(solution.nu, exact.nu, rtol=1e-12)
 
 
 def test_the_tradeoff_within_the_tolerance_of_the_edge_is_least_squares():
-    found = s1.tradeoff(np.array([1.0, 1.0]), np.array([1.0, 0.0]), 1 - 5e-13, 1.0, np.zeros(2))
-    assert found.delta == found.nu == found.cost == 1.0
+    solution = s1.tradeoff(np.array([1.0, 1.0]), np.array([1.0, 0.0]), 1 - 5e-13, 1.0, np.zeros(2))
+    assert solution.delta == solution.nu == solution.cost == 1.0
 
 
 def test_a_tradeoff_of_a_silent_point_and_a_scalar_of_no_output_ask_for_no_division_by_zero():
@@ -368,9 +368,9 @@ def test_one_number_that_is_not_finite_leaves_no_margin_of_its_point_alone(engin
     if not separate:
         arguments[2] = np.ones((9, 1))
     arguments[place][4, -1] = bad
-    found = s1.margin(*arguments)
-    assert np.isnan(found).tolist() == [k == 4 for k in range(9)]
-    np.testing.assert_allclose(np.delete(found, 4), 0.5)
+    t = s1.margin(*arguments)
+    assert np.isnan(t).tolist() == [k == 4 for k in range(9)]
+    np.testing.assert_allclose(np.delete(t, 4), 0.5)
 
 
 def test_each_argument_of_the_margin_may_lead_the_shape(engine):
@@ -395,8 +395,8 @@ def test_the_compiled_margin_is_asked_about_no_more_outputs_than_it_holds(monkey
     monkeypatch.setattr(s1.native, "kernels", lambda name: kernels)
     monkeypatch.setattr(s1, "_margin_numpy", lambda *arguments: np.array([7.0]))
     for n in (2, 64, 65):
-        found = s1.margin(np.ones(n), np.ones(n), 1.0, np.ones(n))
-    assert asked == [2, 64] and found == 7.0
+        t = s1.margin(np.ones(n), np.ones(n), 1.0, np.ones(n))
+    assert asked == [2, 64] and t == 7.0
 
 
 def test_the_compiled_kernel_is_asked_where_there_is_one(monkeypatch):
@@ -473,15 +473,15 @@ def test_least_has_the_sizes_and_what_solve_and_the_least_squares_scalar_say(n_y
     if n_y > 1:
         e[25:30, 0], e[25:30, 1] = z[25:30, 1].conj(), -z[25:30, 0].conj()
         e[30:35, 0], z[30:35, 1] = 0.0, 0.0
-    found = s1.least(e, z)
+    sizes = s1.least(e, z)
     scale = np.abs(e).max(axis=1) + (np.abs(e).max(axis=1) == 0)
-    np.testing.assert_allclose(found.e, np.linalg.norm(e / scale[:, None], axis=1) * scale, rtol=1e-13)
-    np.testing.assert_allclose(found.b1, s1.solve(e, z, found.e).b1, rtol=1e-12)
+    np.testing.assert_allclose(sizes.e, np.linalg.norm(e / scale[:, None], axis=1) * scale, rtol=1e-13)
+    np.testing.assert_allclose(sizes.b1, s1.solve(e, z, sizes.e).b1, rtol=1e-12)
     np.testing.assert_allclose(
-        found.delta, np.abs(s1.least_squares_delta(e, z)), rtol=1e-12, atol=1e-15 * found.delta.max()
+        sizes.delta, np.abs(s1.least_squares_delta(e, z)), rtol=1e-12, atol=1e-15 * sizes.delta.max()
     )
-    assert (found.z[5:10] == 0).all() and (found.delta[5:10] == 0).all()
-    assert found.z[20] == pytest.approx(1e180 * np.linalg.norm(z[20] / 1e180), rel=1e-13)
+    assert (sizes.z[5:10] == 0).all() and (sizes.delta[5:10] == 0).all()
+    assert sizes.z[20] == pytest.approx(1e180 * np.linalg.norm(z[20] / 1e180), rel=1e-13)
     most = s1.least(1e308 * np.eye(1, n_y), 1e308 * np.eye(1, n_y))
     assert most.delta == pytest.approx(1.0) and most.b1 == 0.0
     e[0, 0], z[1, 0] = np.nan, np.inf

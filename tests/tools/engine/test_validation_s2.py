@@ -378,15 +378,15 @@ def interval(lo: float, hi: float, **named) -> s2._Interval:
 
 def test_s2_an_interval_is_bounded_at_its_ends_by_its_duals(monkeypatch):
     point = point_of(0.0, 0.0, 0.0, 0.0)
-    of = {1.0: 0.5, 3.0: -1.8}
+    slopes = {1.0: 0.5, 3.0: -1.8}
     asked = []
-    monkeypatch.setattr(point, "_factor", lambda mu, p: asked.append(mu) or (of[p], None, None))
+    monkeypatch.setattr(point, "_factor", lambda mu, p: asked.append(mu) or (slopes[p], None, None))
     v = interval(1.0, 3.0)
     assert point._bound(v) == pytest.approx(1.2) and all(mu is v.at.mu for mu in asked)
-    of[3.0] = -1.2
+    slopes[3.0] = -1.2
     assert point._bound(v) == 1.5
     assert point._bound(interval(1.0, 3.0, lower=1.7)) == 1.7
-    of[1.0] = -0.3
+    slopes[1.0] = -0.3
     assert point._bound(v) == 1.0, "its least size alone"
     asked.clear()
     assert point._bound(interval(1.0, 3.0, known=False, lower=0.3)) == 1.0
@@ -424,17 +424,19 @@ def test_s2_a_dual_is_sought_as_finely_as_the_cost_asks(monkeypatch):
         point = point_of(0.0, 0.0, 0.0, 0.0, gap=0.01)
         point.cost = cost
         asked, offered = [], []
-        monkeypatch.setattr(point, "_maximise_dual", lambda *given, asked=asked: asked.append(given) or True)
+        monkeypatch.setattr(
+            point, "_maximise_dual", lambda *arguments, asked=asked: asked.append(arguments) or True
+        )
         monkeypatch.setattr(point, "_offer", offered.append)
         monkeypatch.setattr(point, "_bound", lambda v: 0.625)
         v = interval(2.0, 5.0)
         v.at.mu[:] = [1e-9, 0.7]
         v.at.z = np.ones(2)
         point._evaluate(v)
-        [given] = asked
-        assert given[:4] == pytest.approx((5.0, 1e-3 * scale, 0.02 * scale, 1.05 * cost))
-        assert given[4] == enough + 3.0
-        assert given[5] is v.at and v.at.mu.tolist() == [1e-3 * scale, 0.7]
+        [arguments] = asked
+        assert arguments[:4] == pytest.approx((5.0, 1e-3 * scale, 0.02 * scale, 1.05 * cost))
+        assert arguments[4] == enough + 3.0
+        assert arguments[5] is v.at and v.at.mu.tolist() == [1e-3 * scale, 0.7]
         assert v.known and v.lower == 0.625 and offered == [v.at.z]
     monkeypatch.setattr(point, "_maximise_dual", lambda *_: False)
     offered.clear()
@@ -726,8 +728,8 @@ def test_s2_starts_on_the_rim_of_the_ball_on_the_way_to_the_least_disturbance():
 @pytest.mark.parametrize("weak, b1", [(1.1e-12, 0.0), (0.9e-12, 1.0)])
 def test_s2_a_direction_of_less_than_a_trillionth_moves_no_disturbance(weak, b1):
     maps = np.array([[[1.0, 0.0, 1.0], [0.0, weak, 1.0]]], complex)
-    found, z = s2._inside_ball(maps, np.array([1.2]))
-    assert found == pytest.approx(b1, abs=1e-9)
+    inside, z = s2._inside_ball(maps, np.array([1.2]))
+    assert inside == pytest.approx(b1, abs=1e-9)
     assert (abs(z[0, 1]) > 1.0) == (b1 == 0.0)
 
 
@@ -759,7 +761,7 @@ def test_s2_gives_back_what_its_kernel_found_and_nothing_where_no_disturbance_is
     gamma[1] = 0.9 * b1[1]
     data = replace(data, gamma=gamma)
     with np.errstate(invalid="raise"):
-        found, (forms, start, p_max, gap), _ = answered(monkeypatch, data, lost=[2])
+        solution, (forms, start, p_max, gap), _ = answered(monkeypatch, data, lost=[2])
     maps, where = s2._Maps.from_data(data), [0, 2, 3, 4]
     assert gap == s2.GAP and len(forms) == 4
     want = s2._inside_ball(maps.w, gamma)[1]
@@ -769,33 +771,33 @@ def test_s2_gives_back_what_its_kernel_found_and_nothing_where_no_disturbance_is
     cap = 1 / np.array([np.linalg.svd(h)[1][0] for h in data.h_s])
     np.testing.assert_allclose(p_max, (data.lam_s * cap**2 * (1 - 1e-9) / cost)[where], rtol=1e-12)
     z = want + 0.1 * np.array([1, 1, 1, 0])
-    np.testing.assert_allclose(found.upper, 0.9 * cost * [1, np.inf, 1, np.inf, 1], rtol=1e-14)
-    np.testing.assert_allclose(found.lower, 0.81 * cost * [1, np.inf, 1, np.inf, 1], rtol=1e-14)
-    np.testing.assert_array_equal(found.duals, [7, 0, 8, 9, 10])
-    np.testing.assert_array_equal(found.b1, s2._inside_ball(maps.w, gamma)[0])
+    np.testing.assert_allclose(solution.upper, 0.9 * cost * [1, np.inf, 1, np.inf, 1], rtol=1e-14)
+    np.testing.assert_allclose(solution.lower, 0.81 * cost * [1, np.inf, 1, np.inf, 1], rtol=1e-14)
+    np.testing.assert_array_equal(solution.duals, [7, 0, 8, 9, 10])
+    np.testing.assert_array_equal(solution.b1, s2._inside_ball(maps.w, gamma)[0])
     good = [0, 2, 4]
     xi, w, eta = signals_at(data, maps, z)
-    np.testing.assert_allclose(found.xi[good], xi[good], rtol=1e-12)
-    np.testing.assert_allclose(found.w[good], w[good], rtol=1e-12)
-    np.testing.assert_allclose(found.nu_i[good], (np.abs(xi[:, 0]) / np.abs(data.u))[good], rtol=1e-14)
+    np.testing.assert_allclose(solution.xi[good], xi[good], rtol=1e-12)
+    np.testing.assert_allclose(solution.w[good], w[good], rtol=1e-12)
+    np.testing.assert_allclose(solution.nu_i[good], (np.abs(xi[:, 0]) / np.abs(data.u))[good], rtol=1e-14)
     nu_s = np.linalg.norm(xi[:, 1:], axis=1) / np.linalg.norm(eta, axis=1)
-    np.testing.assert_allclose(found.nu_s[good], nu_s[good], rtol=1e-12)
-    for array in (found.xi, found.w, found.nu_i, found.nu_s):
+    np.testing.assert_allclose(solution.nu_s[good], nu_s[good], rtol=1e-12)
+    for array in (solution.xi, solution.w, solution.nu_i, solution.nu_s):
         assert np.isnan(array[[1, 3]]).all()
-    assert found.at_cap.tolist() == [True, False, True, True, True], "the bounds are not near"
+    assert solution.at_cap.tolist() == [True, False, True, True, True], "the bounds are not near"
 
 
 def test_s2_says_at_the_cap_where_the_bounds_stay_apart_or_the_size_is_the_caps(monkeypatch):
     data = data_of(points=1, n_y=2)
     data = replace(data, gamma=0.9 * np.linalg.norm(data.e, axis=1), h_s=0.01 * data.h_s)
     for low, at_cap in ((1 - 0.99e-2, False), (1 - 1.01e-2, True)):
-        found, *_ = answered(monkeypatch, data, low=low, gap=1e-3)
-        assert found.at_cap.tolist() == [at_cap]
+        solution, *_ = answered(monkeypatch, data, low=low, gap=1e-3)
+        assert solution.at_cap.tolist() == [at_cap]
     one = replace(data, h_s=np.eye(2)[None].astype(complex))
     for share, at_cap in ((1.0, True), (1 + 1e-15, False)):
         monkeypatch.setattr(s2, "NEAR_CAP", share * answered(monkeypatch, one, low=1.0)[0].nu_s[0])
         assert answered(monkeypatch, one, low=1.0)[0].at_cap.tolist() == [at_cap]
-    near = found.nu_s[0] * np.linalg.norm(data.h_s[0], 2)
+    near = solution.nu_s[0] * np.linalg.norm(data.h_s[0], 2)
     for share, at_cap in ((0.99989, False), (0.99991, True)):
         # h_s over a factor and xi_s times it are the same d: the size over its cap is what counts.
         monkeypatch.setattr(s2, "NEAR_CAP", near / share * (1 - 1e-4))
@@ -805,10 +807,10 @@ def test_s2_says_at_the_cap_where_the_bounds_stay_apart_or_the_size_is_the_caps(
 def test_s2_a_disturbance_of_all_that_is_allowed_explains_alone(monkeypatch):
     data = data_of(points=2, n_y=2)
     data = replace(data, e=np.array([[3.0, 4j], [3.0, 4.001j]]), gamma=np.full(2, 5.0))
-    found, *_ = answered(monkeypatch, data)
-    assert (found.lower[0], found.upper[0], found.nu_i[0], found.nu_s[0]) == (0.0, 0.0, 0.0, 0.0)
-    np.testing.assert_array_equal(found.w[0], data.e[0])
-    assert not found.xi[0].any() and found.upper[1] > 0.0 and not found.at_cap[0]
+    solution, *_ = answered(monkeypatch, data)
+    assert (solution.lower[0], solution.upper[0], solution.nu_i[0], solution.nu_s[0]) == (0.0, 0.0, 0.0, 0.0)
+    np.testing.assert_array_equal(solution.w[0], data.e[0])
+    assert not solution.xi[0].any() and solution.upper[1] > 0.0 and not solution.at_cap[0]
 
 
 def test_s2_takes_its_arguments_by_shape_and_names_each_that_is_not_positive_or_finite():
@@ -825,19 +827,19 @@ def test_s2_takes_its_arguments_by_shape_and_names_each_that_is_not_positive_or_
         with pytest.raises(InputError, match="one a point"):
             data.check(names)
     places = {"e": "e", "u": "u", "x_nom": "x_nom", "h_i": "h_i", "h_s": "h_s", "gamma": "gamma_w"}
-    for name, told in places.items():
+    for name, prefix in places.items():
         for bad in (np.nan, np.inf):
             spoiled = getattr(data, name).copy()
             spoiled.reshape(3, -1)[1, -1] = bad
-            with pytest.raises(InputError, match=f"{told}, point 1: a value that is not finite"):
+            with pytest.raises(InputError, match=f"{prefix}, point 1: a value that is not finite"):
                 replace(data, **{name: spoiled}).check(None)
-            with pytest.raises(InputError, match=f"{told}, b: a value that is not finite"):
+            with pytest.raises(InputError, match=f"{prefix}, b: a value that is not finite"):
                 replace(data, **{name: spoiled}).check(["a", "b", "c"])
-    for name, told in (("gamma", "gamma_w"), ("lam_i", "lambda_i"), ("lam_s", "lambda_s")):
+    for name, prefix in (("gamma", "gamma_w"), ("lam_i", "lambda_i"), ("lam_s", "lambda_s")):
         for bad in (0.0, -1.0):
             spoiled = getattr(data, name).copy()
             spoiled[2] = bad
-            with pytest.raises(InputError, match=f"{told}, point 2: zero or negative"):
+            with pytest.raises(InputError, match=f"{prefix}, point 2: zero or negative"):
                 replace(data, **{name: spoiled}).check(None)
     replace(data, lam_i=0.5 * np.ones(3), gamma=1e-9 * np.ones(3), u=np.array([1e-9, 1, 1])).check(None)
     with pytest.raises(InputError, match="u, point 0: zero"):
@@ -853,20 +855,20 @@ def test_s2_a_least_disturbance_of_just_what_is_allowed_is_enough(monkeypatch):
 def test_s2_takes_lists_and_a_point_without_an_error(monkeypatch):
     data = data_of()
     arguments = (data.e, data.u, data.x_nom, data.h_i, data.h_s, data.c, data.gamma)
-    given = answered(monkeypatch, replace(data, lam_i=np.ones(3), lam_s=np.ones(3)))[0]
-    np.testing.assert_array_equal(s2.solve(*(a.tolist() for a in arguments)).upper, given.upper)
+    solution = answered(monkeypatch, replace(data, lam_i=np.ones(3), lam_s=np.ones(3)))[0]
+    np.testing.assert_array_equal(s2.solve(*(a.tolist() for a in arguments)).upper, solution.upper)
     monkeypatch.undo()
     data.e[1] = 0.0
     with np.errstate(all="raise", under="ignore"):
-        found = s2.solve(*arguments)
-    assert found.lower[1] == found.upper[1] == found.nu_s[1] == 0.0 and found.duals[1] == 1
+        solution = s2.solve(*arguments)
+    assert solution.lower[1] == solution.upper[1] == solution.nu_s[1] == 0.0 and solution.duals[1] == 1
 
 
 def test_s2_prices_are_one_where_none_are_given(monkeypatch):
     data = replace(data_of(), lam_i=np.ones(3), lam_s=np.ones(3))
-    given = answered(monkeypatch, data)[0]
+    solution = answered(monkeypatch, data)[0]
     arguments = (data.e, data.u, data.x_nom, data.h_i, data.h_s, data.c, data.gamma)
-    np.testing.assert_array_equal(s2.solve(*arguments).upper, given.upper)
+    np.testing.assert_array_equal(s2.solve(*arguments).upper, solution.upper)
     one = s2.solve(*arguments[:-1], 2.0)
     np.testing.assert_array_equal(one.upper, s2.solve(*arguments[:-1], np.full(3, 2.0)).upper)
 

@@ -32,28 +32,28 @@ def scalar_problem(kind: str, target: complex) -> Quadratic:
     return Quadratic(forms, 2, 2)
 
 
-def told(forms: list[Form], asked: list[dict]) -> Quadratic:
+def problem_of(forms: list[Form], asked: list[dict]) -> Quadratic:
     """A problem that adds the scalars at which it is solved to ``asked``, and has one answer for all."""
 
-    class DriveSummary(Quadratic):
+    class OneAnswer(Quadratic):
         def inside(self, scalars):
             asked.append(dict(scalars))
             return 0.5, np.array([0.0, 1.0])
 
-    return DriveSummary(forms, 1, 2)
+    return OneAnswer(forms, 1, 2)
 
 
 @pytest.mark.parametrize("weight", [1.0, 0.25, 9.0])
 @pytest.mark.parametrize("nodes", [1, 2, 3, 8, 5000])
 def test_an_interval_holds_the_optimum_whenever_the_search_stops(weight, nodes):
     best = 4 * weight / (1 + weight)
-    found = minimise(two_points(weight), gap=1e-5, max_nodes=nodes)
-    assert found.lower <= best * (1 + 1e-9) and found.upper >= best * (1 - 1e-9)
-    assert two_points(weight).cost(found.z) == found.upper and found.lower <= found.upper
-    assert found.nodes <= nodes + 2
+    minimum = minimise(two_points(weight), gap=1e-5, max_nodes=nodes)
+    assert minimum.lower <= best * (1 + 1e-9) and minimum.upper >= best * (1 - 1e-9)
+    assert two_points(weight).cost(minimum.z) == minimum.upper and minimum.lower <= minimum.upper
+    assert minimum.nodes <= nodes + 2
     if nodes == 5000:
-        assert found.upper - found.lower <= 1e-5 * found.upper
-        assert found.z[0] == pytest.approx((1 - weight) / (1 + weight), abs=1e-3)
+        assert minimum.upper - minimum.lower <= 1e-5 * minimum.upper
+        assert minimum.z[0] == pytest.approx((1 - weight) / (1 + weight), abs=1e-3)
 
 
 @pytest.mark.parametrize("target", [2.0 + 1j, -1 + 2j, -2 - 0.5j, 1 - 2j])
@@ -62,11 +62,11 @@ def test_a_scalar_is_found_in_every_quadrant(kind, target):
     best = 0.75 * abs(target) ** 2
     if kind == "repeated_real":
         best = 0.75 * target.real**2 + 3 * target.imag**2
-    found = minimise(scalar_problem(kind, target), gap=1e-4)
-    assert found.lower <= best * (1 + 1e-9) and found.upper >= best * (1 - 1e-9)
-    assert found.upper - found.lower <= 1e-4 * found.upper
+    minimum = minimise(scalar_problem(kind, target), gap=1e-4)
+    assert minimum.lower <= best * (1 + 1e-9) and minimum.upper >= best * (1 - 1e-9)
+    assert minimum.upper - minimum.lower <= 1e-4 * minimum.upper
     want = 0.75 * (target.real if kind == "repeated_real" else target)
-    assert found.z[0] == pytest.approx(want, abs=0.03)
+    assert minimum.z[0] == pytest.approx(want, abs=0.03)
 
 
 def test_the_search_ends_once_the_question_is_answered():
@@ -115,9 +115,9 @@ def test_a_point_is_repaired_before_it_is_taken():
 def test_readings_of_a_primal_matrix_are_its_points():
     point = np.array([0.3 - 1j, 2.0, 1.0])
     for scale in (1.0, 7j):
-        found = _candidates(np.outer(scale * point, np.conj(scale * point)))
-        assert len(found) >= 2
-        for z in found[:2]:
+        candidates = _candidates(np.outer(scale * point, np.conj(scale * point)))
+        assert len(candidates) >= 2
+        for z in candidates[:2]:
             np.testing.assert_allclose(z, point, rtol=1e-9)
     assert _candidates(None) == [] == _candidates(np.full((2, 2), np.nan))
     assert all(z[-1] == 1 for z in _candidates(np.diag([1.0, 0.0, 2.0]).astype(complex)))
@@ -281,22 +281,22 @@ def test_first_points_are_sampled_about_the_size_at_which_a_block_makes_its_outp
     def drawn(kind: str, b: float) -> np.ndarray:
         asked.clear()
         forms = [scalars_of(kind, row(0, 6), row(0, b), param=0), Form(row(1, 0), row(0, 1), constant=1.0)]
-        repeated_starts(told(forms, asked))
+        repeated_starts(problem_of(forms, asked))
         assert len(asked) == local_search.SAMPLES + local_search.MAX_POLISHED
         return np.array([one[0] for one in asked[: local_search.SAMPLES]])
 
     for b, largest in ((2.0, 12.0), (0.0, 1.0)):
         for kind in ("repeated_complex", "repeated_real"):
-            found = drawn(kind, b)
-            size = np.abs(found)
-            assert len(found) == 150 and 0.9 * largest < size.max() <= largest
+            points = drawn(kind, b)
+            size = np.abs(points)
+            assert len(points) == 150 and 0.9 * largest < size.max() <= largest
             assert 1e-3 * largest <= size.min() < 1.2e-3 * largest
             # Even in the logarithm: half of them below the middle decade and a half.
             assert 0.35 < np.mean(size < largest * 10**-1.5) < 0.65
             if kind == "repeated_real":
-                assert not found.imag.any() and 0.3 < np.mean(found.real > 0) < 0.7
+                assert not points.imag.any() and 0.3 < np.mean(points.real > 0) < 0.7
             else:
-                turns = np.histogram(np.angle(found), 4, (-np.pi, np.pi))[0]
+                turns = np.histogram(np.angle(points), 4, (-np.pi, np.pi))[0]
                 assert turns.min() > 20
     assert drawn("repeated_complex", 2.0)[0] == pytest.approx(0.94518 + 0.24885j, rel=1e-4), "seed 0"
 
@@ -348,8 +348,8 @@ def test_derivatives_are_those_of_constants_beside_sizes():
     smooth = _Smooth(Quadratic(forms, 2, 3), np.array([0.3, -0.5j, 1.0]))
     v = smooth.first + 0.2 * rng.normal(size=len(smooth.first))
     step = 1e-6 * np.eye(len(v))
-    found = np.array([(smooth.inequality(v + h) - smooth.inequality(v - h)) / 2e-6 for h in step]).T
-    np.testing.assert_allclose(smooth.inequality_jacobian(v), found, rtol=1e-6, atol=1e-6)
+    slopes = np.array([(smooth.inequality(v + h) - smooth.inequality(v - h)) / 2e-6 for h in step]).T
+    np.testing.assert_allclose(smooth.inequality_jacobian(v), slopes, rtol=1e-6, atol=1e-6)
 
 
 def test_each_repeated_block_has_a_scalar_of_its_own():
@@ -360,10 +360,10 @@ def test_each_repeated_block_has_a_scalar_of_its_own():
         scalars_of("repeated_real", row(0, 1), row(0, 2), param=0),
         scalars_of("repeated_complex", row(0, 30), row(0, 1), param=0),
     ]
-    assert len(repeated_starts(told(forms, asked))) == local_search.MAX_POLISHED
+    assert len(repeated_starts(problem_of(forms, asked))) == local_search.MAX_POLISHED
     first, real, last = (np.array([one[k] for one in asked[:150]]) for k in (0, 2, 3))
-    for found, largest in ((first, 12.0), (real, 2.0), (last, 120.0)):
-        assert 0.8 * largest < np.abs(found).max() <= largest
+    for sample, largest in ((first, 12.0), (real, 2.0), (last, 120.0)):
+        assert 0.8 * largest < np.abs(sample).max() <= largest
     assert not real.imag.any() and first.imag.any() and last.imag.any()
     assert (
         np.abs(np.corrcoef([first.real, first.imag, real.real, last.real, last.imag]) - np.eye(5)).max() < 0.3
@@ -373,7 +373,7 @@ def test_each_repeated_block_has_a_scalar_of_its_own():
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
 def test_a_search_that_ends_nowhere_has_no_point(bad, monkeypatch):
     monkeypatch.setattr(
-        local_search, "minimize", lambda *given, **more: SimpleNamespace(x=np.array([0.5, bad, 1.0, 1.0]))
+        local_search, "minimize", lambda *arguments, **more: SimpleNamespace(x=np.array([0.5, bad, 1.0, 1.0]))
     )
     assert polish(two_points(), np.array([1.0, 1.0])) is None
 
@@ -429,7 +429,7 @@ TREE = {
 
 def test_the_search_takes_the_least_bound_first_and_keeps_what_it_cannot_cut():
     search = Scripted(TREE, first=10.0)
-    found = search.run(100, 0.0, ["a", "b"], 0.0)
+    result = search.run(100, 0.0, ["a", "b"], 0.0)
     assert search.visited == [
         (1, 0, 0, False),
         (2, 1, 1, False),
@@ -437,7 +437,7 @@ def test_the_search_takes_the_least_bound_first_and_keeps_what_it_cannot_cut():
         (4, 2, 3, False),
         (5, 2, 4, False),
     ]
-    assert (found.lower, found.upper, found.z, found.nodes) == (2.5, 4.0, "point", 5)
+    assert (result.lower, result.upper, result.z, result.nodes) == (2.5, 4.0, "point", 5)
     assert len(search.started) == 1 and search.started[0][1:] == ["a", "b"]
     np.testing.assert_array_equal(search.started[0][0], [0, 1])
 
@@ -445,24 +445,24 @@ def test_the_search_takes_the_least_bound_first_and_keeps_what_it_cannot_cut():
 def test_the_search_stops_at_its_gap_and_at_its_nodes():
     tree = TREE | {5.0: (2.5, 2.6, (6, 7)), 6.0: (2.55, NONE, None), 7.0: (2.55, NONE, None)}
     # 2.5 is within a tenth of 2.6: what was cut off before, at 3, is above it.
-    found = Scripted(tree, first=10.0).run(100, 0.0, [], 0.0)
-    assert (found.lower, found.upper, found.nodes) == (2.5, 2.6, 5)
+    result = Scripted(tree, first=10.0).run(100, 0.0, [], 0.0)
+    assert (result.lower, result.upper, result.nodes) == (2.5, 2.6, 5)
     fine = Scripted(tree, first=10.0, gap=1e-3)
-    found = fine.run(100, 0.0, [], 0.0)
-    assert (found.lower, found.upper, found.nodes) == (2.55, 2.6, 7) and len(fine.visited) == 7
+    result = fine.run(100, 0.0, [], 0.0)
+    assert (result.lower, result.upper, result.nodes) == (2.55, 2.6, 7) and len(fine.visited) == 7
     # A node in the heap at the gap ends the search with its own bound.
     ends = {1.0: (9.0, 10.0, (2, 3)), 2.0: (9.5, NONE, None), 3.0: (9.9, NONE, None)}
     search = Scripted(ends, gap=0.1)
-    found = search.run(100, 0.0, [], 0.0)
-    assert (found.lower, found.nodes, len(search.visited)) == (9.0, 1, 1)
+    result = search.run(100, 0.0, [], 0.0)
+    assert (result.lower, result.nodes, len(search.visited)) == (9.0, 1, 1)
     search = Scripted(ends, gap=0.099)
-    found = search.run(100, 0.0, [], 0.0)
-    assert found.lower == 9.5 and len(search.visited) == 3
+    result = search.run(100, 0.0, [], 0.0)
+    assert result.lower == 9.5 and len(search.visited) == 3
     # One that was below when it was made is not bounded once a point closes its gap.
     closed = {1.0: (1.0, NONE, (2, 3)), 2.0: (1.8, 2.0, None), 3.0: (1.5, NONE, None)}
     search = Scripted(closed, gap=0.5)
-    found = search.run(100, 0.0, [], 0.0)
-    assert (found.lower, found.upper, found.nodes, len(search.visited)) == (1.0, 2.0, 3, 2)
+    result = search.run(100, 0.0, [], 0.0)
+    assert (result.lower, result.upper, result.nodes, len(search.visited)) == (1.0, 2.0, 3, 2)
     # So many nodes are made, and what is open stays below.
     for most, visited, lower in (
         (0, 0, 0.0),
@@ -473,26 +473,26 @@ def test_the_search_stops_at_its_gap_and_at_its_nodes():
         (5, 5, 2.5),
     ):
         search = Scripted(TREE, first=10.0)
-        found = search.run(most, 0.0, [], 0.0)
-        assert (len(search.visited), found.lower) == (visited, lower), most
+        result = search.run(most, 0.0, [], 0.0)
+        assert (len(search.visited), result.lower) == (visited, lower), most
     uneven = {1.0: (1.0, 10.0, (2, 3)), 2.0: (1.5, NONE, (4, 5))}
-    found = Scripted(uneven).run(3, 0.0, [], 0.0)
-    assert (found.lower, found.nodes) == (1.0, 5), "the least that is open"
+    result = Scripted(uneven).run(3, 0.0, [], 0.0)
+    assert (result.lower, result.nodes) == (1.0, 5), "the least that is open"
 
 
 def test_the_search_ends_once_it_knows_on_which_side_of_the_question_the_optimum_is():
     for enough, visited, lower in ((3.9, 5, 2.5), (4.0, 3, 2.0), (0.5, 1, 1.0), (1.5, 3, 2.0), (2.0, 5, 2.5)):
         search = Scripted(TREE, first=10.0)
-        found = search.run(100, 0.0, [], enough)
-        assert (len(search.visited), found.lower) == (visited, lower), enough
+        result = search.run(100, 0.0, [], enough)
+        assert (len(search.visited), result.lower) == (visited, lower), enough
 
 
 def test_a_cost_that_is_a_small_share_of_the_first_is_nothing():
     for share, zero in ((0.4, True), (0.39, False)):
         search = Scripted(TREE, first=10.0)
-        found = search.run(100, share, [], 0.0)
-        assert (found.lower == found.upper == 0.0) == zero
-        assert found.nodes == (3 if zero else 5) and found.z == "point"
+        result = search.run(100, share, [], 0.0)
+        assert (result.lower == result.upper == 0.0) == zero
+        assert result.nodes == (3 if zero else 5) and result.z == "point"
     # Without a first point the first that is found counts: 4 is no small share of itself.
     late = Scripted({1.0: (1.0, 4.0, (2, 3)), 2.0: (3.5, 1.0, None), 3.0: (3.9, NONE, None)})
     assert late.run(100, 0.25, [], 0.0).upper == 0.0
@@ -504,8 +504,8 @@ def test_repeated_blocks_are_sampled_once_where_the_first_node_left_no_point(mon
     monkeypatch.setattr(branch, "repeated_starts", lambda problem: ["sampled"])
     out = {6.0: (46.0, NONE, None), 7.0: (47.0, NONE, None)}
     search = Scripted(TREE | {3.0: (2.0, NONE, (4, 5))} | out)
-    found = search.run(100, 0.0, [], 0.0)
-    assert [one[-1] for one in search.started[1:]] == ["sampled"] and found.upper == 50.0
+    result = search.run(100, 0.0, [], 0.0)
+    assert [one[-1] for one in search.started[1:]] == ["sampled"] and result.upper == 50.0
     for first, there in ((10.0, NONE), (np.inf, 30.0)):
         search = Scripted(TREE | {1.0: (1.0, there, (2, 3))} | out, first=first)
         search.run(100, 0.0, [], 0.0)
@@ -513,28 +513,28 @@ def test_repeated_blocks_are_sampled_once_where_the_first_node_left_no_point(mon
     none = Scripted({1.0: (1.0, NONE, (2, 3)), 2.0: (NONE, NONE, (4, 5)), 3.0: (NONE, NONE, (4, 5))})
     asked: list[list] = []
     none.best.start = lambda points: asked.append(points) or np.inf
-    found = none.run(100, 0.5, [], 0.0)
+    result = none.run(100, 0.5, [], 0.0)
     assert len(none.visited) == 3 and len(asked) == 2
-    assert found.lower == np.inf and found.upper == np.inf, "nothing explains it"
+    assert result.lower == np.inf and result.upper == np.inf, "nothing explains it"
 
 
 def test_a_node_is_small_where_the_tangents_bound_was_the_better_one():
     def tangent(lower: float) -> Tangent:
         return Tangent(lower, 0.0, 0.0, 0.0, None)
 
-    for edges, of, small in (
+    for edges, known, small in (
         (0.5, None, False),
         (0.5, tangent(0.6), True),
         (0.5, tangent(0.5), False),
         (-np.inf, tangent(0.0), False),
         (-np.inf, tangent(0.1), True),
     ):
-        search = Scripted(TREE, first=10.0, tangents={1.0: (edges, of)})
+        search = Scripted(TREE, first=10.0, tangents={1.0: (edges, known)})
         search.run(100, 0.0, [], 0.0)
         assert [one[3] for one in search.visited] == [False, small, small, False, False]
 
 
-class DriveSummary:
+class ScriptedRelaxation:
     """A relaxation that answers from a table and notes what it is asked."""
 
     def __init__(self, box: float, tangent: Tangent | None, lower: tuple):
@@ -556,7 +556,7 @@ class DriveSummary:
 def test_a_nodes_bound_is_the_best_of_its_own_its_boxes_the_tangents_and_the_relaxations():
     primal = np.outer([2.0, 1.0], [2.0, 1.0]).astype(complex)
     tangent = Tangent(3.0, 0.0, 0.0, 0.0, primal)
-    for own, box, of, edges, want, asked in (
+    for own, box, known, edges, want, asked in (
         (1.0, 0.5, None, 2.0, 2.0, True),
         (1.0, 2.5, None, 2.0, 2.5, True),
         (4.0, 2.5, tangent, 2.0, 4.0, True),
@@ -568,25 +568,25 @@ def test_a_nodes_bound_is_the_best_of_its_own_its_boxes_the_tangents_and_the_rel
     ):
         search = _Search(two_points(), 0.1)
         search.best.cost = 10.0
-        search.relaxation = told = DriveSummary(box, of, (edges, 7.0, primal))
-        found = search._bound(BranchNode(own, 3, np.eye(2), {}))
-        assert found.lower == want and found.tangent is of
-        assert told.asked["box"] == {0, 1} and told.asked["tangent"] == 10.0
-        assert ("lower" in told.asked) == asked
+        search.relaxation = relaxation = ScriptedRelaxation(box, known, (edges, 7.0, primal))
+        bound = search._bound(BranchNode(own, 3, np.eye(2), {}))
+        assert bound.lower == want and bound.tangent is known
+        assert relaxation.asked["box"] == {0, 1} and relaxation.asked["tangent"] == 10.0
+        assert ("lower" in relaxation.asked) == asked
         each = len(_candidates(primal))
-        assert len(found.readings) == each * ((of is not None) + asked)
-        assert (found.edges, found.central) == ((edges, 7.0) if asked else (-np.inf, np.inf))
+        assert len(bound.readings) == each * ((known is not None) + asked)
+        assert (bound.edges, bound.central) == ((edges, 7.0) if asked else (-np.inf, np.inf))
         if asked:
-            assert told.asked["lower"] == pytest.approx(9.0 * (1 + 1e-12), rel=1e-14)
+            assert relaxation.asked["lower"] == pytest.approx(9.0 * (1 + 1e-12), rel=1e-14)
 
 
 def test_a_costly_relaxation_is_left_out_where_the_tangent_was_better():
     for costly, small, asked in ((True, True, False), (True, False, True), (False, True, True)):
         search = _Search(two_points(), 0.1)
         search.best.cost, search._costly = 10.0, costly
-        search.relaxation = told = DriveSummary(1.0, None, (2.0, 7.0, None))
+        search.relaxation = relaxation = ScriptedRelaxation(1.0, None, (2.0, 7.0, None))
         search._bound(BranchNode(1.0, 3, np.eye(2), {}, small))
-        assert ("lower" in told.asked) == asked
+        assert ("lower" in relaxation.asked) == asked
 
 
 def test_more_than_two_dozen_multipliers_of_repeated_blocks_are_costly():
@@ -637,9 +637,9 @@ def test_readings_are_the_column_of_t_and_the_two_leading_vectors_with_a_last_en
     turn = np.linalg.qr(np.array([[1.0, 2, 3], [0, 1j, 4], [2, 0, 1]]))[0]
     primal = turn @ np.diag([1.0, 5.0, 3.0]) @ turn.conj().T
     wanted = [primal[:, -1], turn[:, 1], turn[:, 2]]
-    found = _candidates(primal)
-    assert len(found) == 3
-    for z, v in zip(found, wanted, strict=True):
+    candidates = _candidates(primal)
+    assert len(candidates) == 3
+    for z, v in zip(candidates, wanted, strict=True):
         np.testing.assert_allclose(z, v / v[-1], rtol=1e-9)
     np.testing.assert_array_equal(_candidates(np.full((1, 1), 2.0 + 0j)), 2 * [[1.0]])
     one_bad = primal.copy()
@@ -665,8 +665,8 @@ def test_a_cone_is_cut_where_its_loss_is_half_of_the_boxes_and_a_box_elsewhere()
     search._first_boxes = box = {0: Box(-1 - 1j, 1 + 1j)}
     node = BranchNode(0.0, 1, np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]), box)
 
-    def cuts(found: _NodeBounds, node: BranchNode = node) -> str:
-        children = search._branch(node, found)
+    def cuts(bounds: _NodeBounds, node: BranchNode = node) -> str:
+        children = search._branch(node, bounds)
         if children is None:
             return "nothing"
         return "cone" if all(boxes is node.boxes for _, boxes in children) else "box"

@@ -84,10 +84,10 @@ def test_delta_is_closed_as_by_an_lft_and_a_direct_term_is_refused():
     G = StateSpace(S[0, :N, :N], S[0, :N, N:], S[0, N:, :N], S[0, N:, N:], TS)
     turned = lft(G.select([1, 0], [1, 0]), delta)
     order = N + delta.order
-    found = StateSpace(closed[:order, :order], closed[:order, order:], closed[order:, :order],
+    turned_by_hand = StateSpace(closed[:order, :order], closed[:order, order:], closed[order:, :order],
                        closed[order:, order:], TS)  # fmt: skip
     omega = [0.0, 1.0, 20.0]
-    assert found.response(omega) == pytest.approx(turned.response(omega))
+    assert turned_by_hand.response(omega) == pytest.approx(turned.response(omega))
     S[:, N, N] = 1e-3
     with pytest.raises(SynthesisError, match="direct term"):
         close(S, N, delta)
@@ -112,17 +112,17 @@ def over() -> tuple[Family, OverSpeed]:
 
 
 def test_matrices_over_speed_are_those_of_the_family_and_so_is_their_derivative():
-    family, found = over()
+    family, over_speed = over()
     speeds = np.array([1.0, 1.03, 1.97, 2.0, 3.3, 4.0])
-    for v, S in zip(speeds, found.at(speeds), strict=True):
+    for v, S in zip(speeds, over_speed.at(speeds), strict=True):
         G = family.loop(v)
         assert pytest.approx(np.block([[G.A, G.B], [G.C, G.D]]), abs=1e-9) == S
     inner, step = np.array([1.4, 2.7, 3.9]), 1e-6
-    by_difference = (found.at(inner + step) - found.at(inner - step)) / (2 * step)
-    assert found.derivative(inner) == pytest.approx(by_difference, abs=1e-7)
+    by_difference = (over_speed.at(inner + step) - over_speed.at(inner - step)) / (2 * step)
+    assert over_speed.derivative(inner) == pytest.approx(by_difference, abs=1e-7)
     for v in (0.99, 4.01):
         with pytest.raises(SynthesisError, match="1 to 4 m/s"):
-            found.at(np.array([2.0, v]))
+            over_speed.at(np.array([2.0, v]))
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
@@ -144,14 +144,18 @@ def test_the_favoured_places_are_the_best_of_all_that_move_so_little(moves):
     random, places, length = np.random.default_rng(8), 4, 6
     for _ in range(20):
         slope = random.standard_normal(length)
-        found = steered(slope, moves, places)
-        assert np.abs(np.diff(found)).max() <= moves and found.min() >= 0 and found.max() < places
+        places_found = steered(slope, moves, places)
+        assert (
+            np.abs(np.diff(places_found)).max() <= moves
+            and places_found.min() >= 0
+            and places_found.max() < places
+        )
         best = max(
             float(np.dot(slope, way))
             for way in itertools.product(range(places), repeat=length)
             if np.abs(np.diff(way)).max() <= moves
         )
-        assert float(slope @ found) == pytest.approx(best, abs=1e-5)
+        assert float(slope @ places_found) == pytest.approx(best, abs=1e-5)
 
 
 def tall() -> History:
@@ -171,8 +175,8 @@ def test_outputs_and_inputs_may_be_of_different_number():
     assert w.ravel() == pytest.approx(every.T @ z.ravel()) and both.shape == (T, N + 3)
     np.testing.assert_array_equal(both[:, N:], z)
     np.testing.assert_array_equal(both[-1, :N], 0)
-    found, w = one.gain(np.ones((T, 1)), 12)
-    assert found == pytest.approx(np.linalg.norm(every, 2), rel=1e-9) and w.shape == (T, 1)
+    gain, w = one.gain(np.ones((T, 1)), 12)
+    assert gain == pytest.approx(np.linalg.norm(every, 2), rel=1e-9) and w.shape == (T, 1)
     x, _ = one.states(w)
     np.testing.assert_array_equal(x[:, N:], w)
     for k in range(T - 1):
@@ -186,8 +190,8 @@ def test_a_map_of_few_directions_ends_the_iteration():
     index = np.zeros(T, int)
     index[4] = 1
     one = History(S, index, N)
-    found, w = one.gain(np.ones((T, 2)))
-    assert found == pytest.approx(np.linalg.norm(S[1, N:, N:], 2), rel=1e-12)
+    gain, w = one.gain(np.ones((T, 2)))
+    assert gain == pytest.approx(np.linalg.norm(S[1, N:, N:], 2), rel=1e-12)
     assert np.linalg.norm(w) == pytest.approx(1) and np.linalg.norm(w[4]) == pytest.approx(1)
     assert np.linalg.norm(History(0 * S, index, N).gain(np.full((T, 2), 5.0))[1]) == pytest.approx(1)
 
@@ -217,9 +221,9 @@ def test_delta_may_have_more_inputs_than_outputs_and_fewer(q, r):
         G = StateSpace(one[:N, :N], one[:N, N:], one[N:, :N], one[N:, N:], TS)
         turned = lft(G.select([*range(q, q + 2), *range(q)], [*range(r, r + 2), *range(r)]), delta)
         order = N + 2
-        found = StateSpace(closed[:order, :order], closed[:order, order:], closed[order:, :order],
+        turned_by_hand = StateSpace(closed[:order, :order], closed[:order, order:], closed[order:, :order],
                            closed[order:, order:], TS)  # fmt: skip
-        assert found.response([0.0, 1.0, 20.0]) == pytest.approx(turned.response([0.0, 1.0, 20.0]))
+        assert turned_by_hand.response([0.0, 1.0, 20.0]) == pytest.approx(turned.response([0.0, 1.0, 20.0]))
     S[1, N + q - 1, N] = 1e-3
     with pytest.raises(SynthesisError, match="direct term"):
         close(S, N, delta)
@@ -238,13 +242,13 @@ def test_small_slopes_count_before_large_ones():
 
 
 def test_at_a_node_the_interval_that_begins_there_counts_and_at_the_last_the_one_before():
-    family, found = over()
-    after = found.derivative(np.array([1.0, 2.0]))
-    before = found.derivative(np.array([4.0]))[0]
+    family, over_speed = over()
+    after = over_speed.derivative(np.array([1.0, 2.0]))
+    before = over_speed.derivative(np.array([4.0]))[0]
     # The third state's own coupling is 0.5 + 0.1 |v - 2|: it falls up to 2 m/s and rises from there.
     assert after[:, 2, 2] == pytest.approx([-0.1, 0.1]) and before[2, 2] == pytest.approx(0.1)
-    assert found.n == 3 and len(found.at_nodes) == 3
+    assert over_speed.n == 3 and len(over_speed.at_nodes) == 3
     middle = family.loop(2.5)  # the vehicle's rows are followed between the nodes, not interpolated
-    assert found.at(np.array([2.5]))[0][:2] == pytest.approx(
+    assert over_speed.at(np.array([2.5]))[0][:2] == pytest.approx(
         np.hstack([middle.A[:2], middle.B[:2]]), abs=1e-9
     )

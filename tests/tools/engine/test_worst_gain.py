@@ -37,29 +37,29 @@ def loop_of(seed: int, size: float = 0.2) -> StateSpace:
 def test_no_delta_of_size_1_exceeds_it_and_one_comes_close(seed, dt):
     loop = loop_of(seed, 0.6)
     loop = to_discrete(loop, dt) if dt else loop
-    found = worst_gain(loop, [ONE, ONE], Block("full", 2, 2), 0.0, np.pi / dt if dt else np.inf)
+    bound = worst_gain(loop, [ONE, ONE], Block("full", 2, 2), 0.0, np.pi / dt if dt else np.inf)
     random = np.random.default_rng(seed)
-    M = loop.response([found.omega])[0]
+    M = loop.response([bound.omega])[0]
     reached = 0.0
     for turn in np.exp(1j * random.uniform(0, 2 * np.pi, (4000, 2))):
         delta = np.diag(turn)
         closed = M[2:, 2:] + M[2:, :2] @ delta @ np.linalg.solve(np.eye(2) - M[:2, :2] @ delta, M[:2, 2:])
         reached = max(reached, np.linalg.norm(closed, 2))
-    assert 0.9 * found.upper <= reached <= found.upper * (1 + 1e-9)
+    assert 0.9 * bound.upper <= reached <= bound.upper * (1 + 1e-9)
 
 
 def test_without_uncertainty_it_is_the_norm():
     loop = loop_of(5)
-    found, norm = worst_gain(loop, [], Block("full", 4, 4), 0.0, np.inf), hinf_norm(loop)
-    assert norm.lower * (1 - 1e-9) <= found.upper <= norm.upper * 1.0025
+    bound, norm = worst_gain(loop, [], Block("full", 4, 4), 0.0, np.inf), hinf_norm(loop)
+    assert norm.lower * (1 - 1e-9) <= bound.upper <= norm.upper * 1.0025
 
 
 def test_a_closed_form():
     """1/(s + 1) with Δ about its input: |1 + 0.5 δ|, at most 1.5, at frequency 0."""
     loop = series(StateSpace([[-1.0]], [[1.0]], [[1.0]], [[0.0]]), gain([[1.0, 1.0]]))
     first = StateSpace(loop.A, loop.B, np.vstack([np.zeros((1, 1)), loop.C]), [[0.0, 0.5], [0.0, 0.0]])
-    found = worst_gain(first, [ONE], ONE, 0.0, np.inf)
-    assert 1.5 * (1 - 1e-4) <= found.upper <= 1.5 * 1.003 and found.omega < 0.1
+    bound = worst_gain(first, [ONE], ONE, 0.0, np.inf)
+    assert 1.5 * (1 - 1e-4) <= bound.upper <= 1.5 * 1.003 and bound.omega < 0.1
 
 
 def test_where_delta_makes_the_loop_unstable_there_is_no_bound():
@@ -71,16 +71,16 @@ def test_where_delta_makes_the_loop_unstable_there_is_no_bound():
 def test_cells_prove_the_gain_that_is_returned_and_no_planted_one(blocks, dt, monkeypatch):
     loop, performance = loop_of(2, 0.6), Block("full", 2, 2)
     loop, last = (to_discrete(loop, dt), np.pi / dt) if dt else (loop, np.inf)
-    found = worst_gain(loop, blocks, performance, 0.0, last)
+    bound = worst_gain(loop, blocks, performance, 0.0, last)
     structure = Structure((*blocks, performance))
     G, low, high, _ = continuous_interval("here", loop, structure, 0.0, last)
-    assert len(found.cells) > 1 and parts.proves(found, G, structure, low, high)
-    assert parts.proves(replace(found, upper=1.5 * found.upper), G, structure, low, high)
+    assert len(bound.cells) > 1 and parts.proves(bound, G, structure, low, high)
+    assert parts.proves(replace(bound, upper=1.5 * bound.upper), G, structure, low, high)
     wrong = (
-        replace(found, upper=0.997 * found.upper),
-        replace(found, upper=np.inf),
-        replace(found, cells=found.cells[1:]),
-        replace(found, cells=(replace(found.cells[0], low=found.cells[0].low + 0.1), *found.cells[1:])),
+        replace(bound, upper=0.997 * bound.upper),
+        replace(bound, upper=np.inf),
+        replace(bound, cells=bound.cells[1:]),
+        replace(bound, cells=(replace(bound.cells[0], low=bound.cells[0].low + 0.1), *bound.cells[1:])),
     )
     for planted in wrong:
         assert not parts.proves(planted, G, structure, low, high)
@@ -90,11 +90,11 @@ def test_cells_prove_the_gain_that_is_returned_and_no_planted_one(blocks, dt, mo
 
 def test_a_gain_that_is_asked_for_is_proved_and_a_smaller_one_is_not():
     loop, performance = loop_of(2, 0.6), Block("full", 2, 2)
-    found = worst_gain(loop, [ONE, ONE], performance, 0.0, np.inf)
-    asked = 1.0015 * found.largest
+    bound = worst_gain(loop, [ONE, ONE], performance, 0.0, np.inf)
+    asked = 1.0015 * bound.largest
     assert worst_gain(loop, [ONE, ONE], performance, 0.0, np.inf, least=asked).upper == asked
-    lower = worst_gain(loop, [ONE, ONE], performance, 0.0, np.inf, least=0.995 * found.largest)
-    assert lower.upper > 0.998 * found.largest
+    lower = worst_gain(loop, [ONE, ONE], performance, 0.0, np.inf, least=0.995 * bound.largest)
+    assert lower.upper > 0.998 * bound.largest
 
 
 @pytest.mark.parametrize("fast", [1e3, 1e5, 1e7])
@@ -266,11 +266,11 @@ def test_a_level_without_room_is_followed_by_four_times_it_up_to_a_million(monke
     assert asked.at(TALL, 0.0).value == 9.0
     assert asked.levels == pytest.approx([nominal, 4 * nominal, 16 * nominal, 9.0], rel=1e-12)
     asked = Asked(monkeypatch, [None] * 50)
-    found = asked.at(TALL, 0.0)
+    bound = asked.at(TALL, 0.0)
     assert asked.levels == pytest.approx([nominal * 4.0**k for k in range(10)]), "4^10 is above a million"
-    assert found.value == np.inf
-    assert [M.shape for M in (found.left, found.fixed, found.scaled, found.skew)] == [(4, 4)] * 4
-    assert not any(M.any() for M in (found.left, found.fixed, found.scaled, found.skew))
+    assert bound.value == np.inf
+    assert [M.shape for M in (bound.left, bound.fixed, bound.scaled, bound.skew)] == [(4, 4)] * 4
+    assert not any(M.any() for M in (bound.left, bound.fixed, bound.scaled, bound.skew))
     monkeypatch.setattr(parts, "LARGEST", 16.0)
     asked = Asked(monkeypatch, [None] * 50)
     asked.at(TALL, 0.0)

@@ -120,7 +120,7 @@ def test_the_tracker_is_the_regularised_fit_with_forgetting(truck, error, nomina
         truck.estimator.Ts,
         truck.estimator.settled(v),
     )
-    (found,) = (c for _, c in truck.components([b], e, nominal, v))
+    (components,) = (c for _, c in truck.components([b], e, nominal, v))
     for k in (2900, 5999):
         first = k - int(np.argmin(usable[k::-1])) + 1 if not usable[: k + 1].all() else 0
         age = np.arange(k - first, -1, -1) * Ts
@@ -130,8 +130,8 @@ def test_the_tracker_is_the_regularised_fit_with_forgetting(truck, error, nomina
             weighted = phi * np.exp(-age / 0.5)[:, None]
             R = weighted.T @ phi + 0.2 * 0.5 / Ts * truck.scales.moments[j]
             theta = np.linalg.solve(R, weighted.T @ e[first : k + 1, j])
-            np.testing.assert_allclose(found[3 * j : 3 * j + 3, k], np.abs(theta), rtol=1e-6)
-    assert (found[:, ~usable] == -np.inf).all()
+            np.testing.assert_allclose(components[3 * j : 3 * j + 3, k], np.abs(theta), rtol=1e-6)
+    assert (components[:, ~usable] == -np.inf).all()
 
 
 def test_the_ratio_is_that_of_the_best_onset_and_direction(truck, error, nominal):
@@ -158,10 +158,10 @@ def test_a_fault_along_a_direction_is_recovered(truck, q):
     nominal = np.cumsum(random.standard_normal((4000, 2)), axis=0) * 0.01
     e = 0.3 * nominal * [1.0, 0.0]
     b = Baseline("glr", window_s=5.0, process_ratio=q)
-    (found,) = (c for _, c in truck.components([b], e, nominal, v))
+    (components,) = (c for _, c in truck.components([b], e, nominal, v))
     n = round(5.0 / truck.estimator.Ts)
     white = truck.innovations(q, e, v)[-n:]
-    assert found[0, -1] == pytest.approx(np.sqrt(np.sum(white**2)), rel=1e-6) == found[:, -1].max()
+    assert components[0, -1] == pytest.approx(np.sqrt(np.sum(white**2)), rel=1e-6) == components[:, -1].max()
 
 
 def test_statistics_from_a_sample_on_are_those_of_the_whole_drive(truck, error, nominal):
@@ -175,10 +175,12 @@ def test_statistics_from_a_sample_on_are_those_of_the_whole_drive(truck, error, 
 def test_scales_are_means_over_all_usable_samples(error):
     e, v = error
     usable, u = v > 5.0, np.ones((len(v), 1))
-    found = Scales.of([Sizes.of(e, e, u, usable, 0.01), Sizes.of(2 * e, e, u, usable, 0.01)])
-    np.testing.assert_allclose(found.error, np.sqrt(2.5 * np.mean(e[usable] ** 2, axis=0)))
+    scales = Scales.from_sizes(
+        [Sizes.from_drive(e, e, u, usable, 0.01), Sizes.from_drive(2 * e, e, u, usable, 0.01)]
+    )
+    np.testing.assert_allclose(scales.error, np.sqrt(2.5 * np.mean(e[usable] ** 2, axis=0)))
     phi = regressors(e, 0.01)[1][:, usable]
-    np.testing.assert_allclose(found.moments[1], phi @ phi.T / usable.sum())
+    np.testing.assert_allclose(scales.moments[1], phi @ phi.T / usable.sum())
 
 
 @pytest.fixture(scope="module")
@@ -195,35 +197,35 @@ def study(g80, synthetic, identified, core):
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_drive_under_test_takes_part_in_nothing(study, kind):
     """Whatever its statistics and cases are, parameters and threshold for it stay the same."""
-    found, names = study
+    baseline_study, names = study
     for name in names[:3]:
-        before = found.best(kind, name)
-        largest, merits = dict(found.largest), dict(found.merits)
+        before = baseline_study.best(kind, name)
+        largest, merits = dict(baseline_study.largest), dict(baseline_study.merits)
         try:
-            found.largest[name] = {b: np.full(3, 1e9) for b in GRID}
-            found.merits[name] = {
+            baseline_study.largest[name] = {b: np.full(3, 1e9) for b in GRID}
+            baseline_study.merits[name] = {
                 key: Merit(1000 + i, 0.0) for i, key in enumerate(next(iter(merits.values())))
             }
-            assert found.best(kind, name) == before
-            without = {n: found.largest[n][before[0]].max() for n in names if n != name}
+            assert baseline_study.best(kind, name) == before
+            without = {n: baseline_study.largest[n][before[0]].max() for n in names if n != name}
             threshold = before[1].threshold
             assert threshold <= max(without.values()) and any(
                 np.isclose(threshold, s) for s in without.values()
             )
         finally:
-            found.largest, found.merits = largest, merits
+            baseline_study.largest, baseline_study.merits = largest, merits
 
 
 @pytest.mark.unhurried
 def test_no_setting_of_the_grid_finds_more_on_the_drives_of_the_search(study):
-    found, names = study
+    baseline_study, names = study
 
     def finds(b: Baseline) -> int:
-        h = found.calibration(b, names[0]).threshold
-        return sum(m[b, h].found for n, m in found.merits.items() if n != names[0])
+        h = baseline_study.calibration(b, names[0]).threshold
+        return sum(m[b, h].detected for n, m in baseline_study.merits.items() if n != names[0])
 
     for kind in KINDS:
-        best, _ = found.best(kind, names[0])
+        best, _ = baseline_study.best(kind, names[0])
         assert finds(best) == max(finds(b) for b in GRID if b.kind == kind) > 0
 
 
@@ -231,18 +233,18 @@ def test_no_setting_of_the_grid_finds_more_on_the_drives_of_the_search(study):
 def test_an_alarm_in_the_last_seconds_is_counted(study):
     """Every sample from ``piece_starts`` on belongs to a piece, the drive's remainder after whole minutes
     too."""
-    found, names = study
-    pieces = found.largest[names[0]][GRID[0]]
+    baseline_study, names = study
+    pieces = baseline_study.largest[names[0]][GRID[0]]
     assert alarmed(pieces, np.inf) == (0, len(pieces))
     assert alarmed(np.r_[np.full(len(pieces) - 1, -np.inf), 2.0], 1.0) == (1, len(pieces))
 
 
 @pytest.mark.unhurried
 def test_the_largest_statistic_is_that_of_each_piece_and_none_is_left_out(study, g80, synthetic):
-    found, names = study
+    baseline_study, names = study
     drive, e, yhat = identify.DriveSet(g80, NominalModel(g80), synthetic).load(names[0])
-    statistics = dict(found.bank.statistics(GRID[:1], e, yhat, drive.v))[GRID[0]]
-    largest, length = found.largest[names[0]][GRID[0]], round(60.0 / g80.Ts_s)
+    statistics = dict(baseline_study.bank.statistics(GRID[:1], e, yhat, drive.v))[GRID[0]]
+    largest, length = baseline_study.largest[names[0]][GRID[0]], round(60.0 / g80.Ts_s)
     assert len(largest) == -(-(len(drive.v) - 1) // length)
     for i, value in enumerate(largest):
         end = None if i == len(largest) - 1 else (i + 1) * length
@@ -251,38 +253,38 @@ def test_the_largest_statistic_is_that_of_each_piece_and_none_is_left_out(study,
 
 @pytest.mark.unhurried
 def test_components_have_the_size_of_1_on_the_bound_setting_drives(study, g80, synthetic, identified):
-    found, _ = study
+    baseline_study, _ = study
     drives = identify.DriveSet(g80, NominalModel(g80), synthetic)
     setting = identify.load(identified).manifest["drives"]["bounds"]
     b = next(b for b in GRID if b.kind == "tracker")
     squares, count = 0.0, 0
     for name in setting:
         drive, e, yhat = drives.load(name)
-        (components,) = (c for _, c in found.bank.components([b], e, yhat, drive.v))
+        (components,) = (c for _, c in baseline_study.bank.components([b], e, yhat, drive.v))
         said = components[:, np.isfinite(components[0])]
         squares, count = squares + np.sum(said**2, axis=1), count + said.shape[1]
-    np.testing.assert_allclose(found.bank.sizes[b], np.sqrt(squares / count))
+    np.testing.assert_allclose(baseline_study.bank.sizes[b], np.sqrt(squares / count))
 
 
 @pytest.mark.unhurried
 def test_without_scores_a_baseline_never_alarms(study):
     """No drive on which it spoke calibrates it, and 0 is no threshold."""
-    found, names = study
-    largest = dict(found.largest)
+    baseline_study, names = study
+    largest = dict(baseline_study.largest)
     try:
-        found.largest.update({n: {b: np.full(3, -np.inf) for b in GRID} for n in names})
-        calibration = found.calibration(GRID[0], names[0])
+        baseline_study.largest.update({n: {b: np.full(3, -np.inf) for b in GRID} for n in names})
+        calibration = baseline_study.calibration(GRID[0], names[0])
         assert (
             calibration.threshold == np.inf
             and calibration.alpha is None
             and "not stated" in calibration.claim()
         )
     finally:
-        found.largest = largest
+        baseline_study.largest = largest
 
 
 def test_a_duel_counts_rows_and_names_where_the_monitor_is_behind():
-    def rows(*of: tuple[int, float | None], alarms: int = 0) -> list[dict]:
+    def rows(*outcomes: tuple[int, float | None], alarms: int = 0) -> list[dict]:
         """Of each row's 7 starts as many found; the untouched drive alarms at the last ``alarms`` of them."""
         return [
             {
@@ -296,7 +298,7 @@ def test_a_duel_counts_rows_and_names_where_the_monitor_is_behind():
                     for k in range(7)
                 ],
             }
-            for f, (n, s) in zip("abcde", of, strict=True)
+            for f, (n, s) in zip("abcde", outcomes, strict=True)
         ]
 
     ours = rows((7, 2.0), (7, 3.0), (6, 1.0), (0, None), (5, 2.0), alarms=1)
@@ -317,12 +319,12 @@ def test_a_duel_of_all_ways_has_one_row_a_fault_and_the_times_of_all_starts():
             {
                 "way": way,
                 "fault": "a",
-                "found": sum(s is not None for s in of),
-                "counted": len(of),
-                "median_s": median_time(of),
-                "cases": [{"s": s, "untouched_s": None} for s in of],
+                "found": sum(s is not None for s in row_times),
+                "counted": len(row_times),
+                "median_s": median_time(row_times),
+                "cases": [{"s": s, "untouched_s": None} for s in row_times],
             }
-            for way, of in times.items()
+            for way, row_times in times.items()
         ]
 
     ours, other = rows(step=[1.0, 2.0], start=[9.0]), rows(step=[1.5, 1.5], start=[None])
@@ -336,8 +338,8 @@ def test_a_duel_of_all_ways_has_one_row_a_fault_and_the_times_of_all_starts():
 
 
 def test_ranking_is_by_share_then_time_and_names_all_that_tie():
-    def row(found, counted, median):
-        return {"found": found, "counted": counted, "median_s": median}
+    def row(detected, counted, median):
+        return {"found": detected, "counted": counted, "median_s": median}
 
     assert ranking({"monitor": row(7, 7, 3.0), "rms": row(6, 7, 0.1)}) == ["monitor"]
     assert ranking({"monitor": row(7, 7, 3.0), "rms": row(7, 7, 2.0)}) == ["rms"]

@@ -28,9 +28,9 @@ FOUND_WITHIN_S = USUAL.within_s
 
 
 def hits(n: int, *at: int) -> np.ndarray:
-    found = np.zeros(n, bool)
-    found[list(at)] = True
-    return found
+    marks = np.zeros(n, bool)
+    marks[list(at)] = True
+    return marks
 
 
 def replay(seconds: float, relevant=slice(None), *, name: str = "made up", falsified=(), over=()) -> Replay:
@@ -58,13 +58,13 @@ def replay(seconds: float, relevant=slice(None), *, name: str = "made up", falsi
 
 
 def test_the_clock_runs_in_judged_driving_from_the_first_faulty_sample_on():
-    clock = JudgedClock.of(replay(100.0, slice(0, 3500)), 3000, FOUND_WITHIN_S)
+    clock = JudgedClock.from_replay(replay(100.0, slice(0, 3500)), 3000, FOUND_WITHIN_S)
     assert clock.read(hits(5001, 2999)) is None
     assert clock.read(hits(5001, 2999, 3000)) == pytest.approx(TS), "the first faulty sample counts"
     assert clock.read(hits(5001, 3499)) == clock.read(hits(5001, 4500)) == pytest.approx(10.0), (
         "it stands where nothing is judged"
     )
-    whole = JudgedClock.of(replay(100.0), 3000, FOUND_WITHIN_S)
+    whole = JudgedClock.from_replay(replay(100.0), 3000, FOUND_WITHIN_S)
     assert whole.end == 3000 + round(FOUND_WITHIN_S / TS)
 
 
@@ -80,28 +80,30 @@ def test_the_clock_runs_in_judged_driving_from_the_first_faulty_sample_on():
     ],
 )  # in time, and one sample too late
 def test_found_means_before_the_untouched_drive_and_in_time(faulty, untouched, s):
-    clock = JudgedClock.of(replay(120.0), 3000, FOUND_WITHIN_S)
+    clock = JudgedClock.from_replay(replay(120.0), 3000, FOUND_WITHIN_S)
     other = None if untouched is None else clock.read(hits(6001, untouched))
-    case = FaultOutcome.of("made up", TS, clock, clock.read(hits(6001, faulty)), other)
+    case = FaultOutcome.from_times("made up", TS, clock, clock.read(hits(6001, faulty)), other)
     assert case.untouched_s == other
     assert (
         case.s == (None if s is None else pytest.approx(s))
-        and case.found == (s is not None)
+        and case.detected == (s is not None)
         and case.start_s == 60.0
     )
 
 
 def test_what_the_untouched_drive_says_later_does_not_matter():
-    clock = JudgedClock.of(replay(120.0), 3000, FOUND_WITHIN_S)
-    case = FaultOutcome.of("made up", TS, clock, *(clock.read(hits(6001, k)) for k in (3009, 4501)))
-    assert case.found and case.untouched_s is None
+    clock = JudgedClock.from_replay(replay(120.0), 3000, FOUND_WITHIN_S)
+    case = FaultOutcome.from_times("made up", TS, clock, *(clock.read(hits(6001, k)) for k in (3009, 4501)))
+    assert case.detected and case.untouched_s is None
 
 
 def test_an_alarm_that_stands_when_the_fault_starts_is_none_of_it():
-    clock = JudgedClock.of(replay(120.0), 3000, FOUND_WITHIN_S)
+    clock = JudgedClock.from_replay(replay(120.0), 3000, FOUND_WITHIN_S)
     standing = hits(6001, *range(2900, 3100))
     faulty = standing | hits(6001, 3200)
-    assert not FaultOutcome.of("made up", TS, clock, clock.read(faulty), clock.read(standing)).found
+    assert not FaultOutcome.from_times(
+        "made up", TS, clock, clock.read(faulty), clock.read(standing)
+    ).detected
 
 
 def test_starts_leave_time_to_find_and_do_not_depend_on_other_drives():
@@ -152,14 +154,14 @@ def test_an_alarm_stands_where_the_core_says_so(core, g80, synthetic):
     """The verdict turns invalid with the very samples that are counted; a frame waits for its turn after its
     end."""
     drive = inject(read_drive(synthetic / "synthetic_06.csv", g80), Fault("gain", 0.3), 60.0, g80.Ts_s)
-    found = Replayer(g80, core, threshold=1.5, energy_threshold=1e6, change_threshold=1e6).replay(drive)
-    assert not found.over.any() and found.falsified.any()
-    assert found.first_invalid_s == pytest.approx(np.flatnonzero(alarming(found))[0] * found.Ts)
-    frames = found.run.frames
-    wait = np.round((frames.t_judged_s - frames.t_end_s) / found.Ts)
+    replay = Replayer(g80, core, threshold=1.5, energy_threshold=1e6, change_threshold=1e6).replay(drive)
+    assert not replay.over.any() and replay.falsified.any()
+    assert replay.first_invalid_s == pytest.approx(np.flatnonzero(alarming(replay))[0] * replay.Ts)
+    frames = replay.run.frames
+    wait = np.round((frames.t_judged_s - frames.t_end_s) / replay.Ts)
     assert (wait >= 0).all() and wait.max() > 0
     of_energy = Replayer(g80, core, threshold=1e6, energy_threshold=1.5, change_threshold=1e6).replay(drive)
-    assert of_energy.first_invalid_s == pytest.approx(np.flatnonzero(alarming(of_energy))[0] * found.Ts)
+    assert of_energy.first_invalid_s == pytest.approx(np.flatnonzero(alarming(of_energy))[0] * replay.Ts)
 
 
 # ------------------------------------------------------------------------------------------- what is promised
@@ -173,11 +175,13 @@ def test_one_threshold_for_all_tests_keeps_alpha_and_two_do_not():
     joint = apart = 0
     for _ in range(trials):
         frame, change = random.lognormal(-0.2, 0.3, (2, n + 1))
-        of = [{str(i): s for i, s in enumerate(x[:n])} for x in (frame, change)]
-        scores = joint_scores({"frame": of[0], "change": of[1], "energy": dict.fromkeys(of[0], 1.0)}, FLOORS)
+        by_test = [{str(i): s for i, s in enumerate(x[:n])} for x in (frame, change)]
+        scores = joint_scores(
+            {"frame": by_test[0], "change": by_test[1], "energy": dict.fromkeys(by_test[0], 1.0)}, FLOORS
+        )
         threshold = calibrate(scores, alpha, floor=FLOORS["change"]).threshold
         joint += frame[n] > max(threshold, FLOORS["frame"]) or change[n] > threshold
-        own = [calibrate(s, alpha, floor=0.05).threshold for s in of]
+        own = [calibrate(s, alpha, floor=0.05).threshold for s in by_test]
         apart += frame[n] > own[0] or change[n] > own[1]
     spread = 3 * np.sqrt(0.25 / trials)
     assert joint / trials == pytest.approx(1 / 11, abs=spread) and apart / trials == pytest.approx(
@@ -211,7 +215,7 @@ def test_settings_say_when_and_how_large_faults_are():
         gains=(0.5,),
         delays_s=(0.1, 0.2),
     )
-    injection = Injection.of(settings, np.array([2.0, 0.4]))
+    injection = Injection.from_settings(settings, np.array([2.0, 0.4]))
     times = {"from_s": 5.0, "shortest_s": 20.0, "within_s": 10.0, "starts": 2, "ramp_s": 20.0}
     assert injection.to_dict() == times | {"ways": ["step", "ramp", "start"]}
     assert [f.label for f in injection.faults] == [
@@ -241,7 +245,7 @@ def test_settings_say_when_and_how_large_faults_are():
 
 
 def test_refutable_is_when_the_faulty_margin_exceeds_1_and_the_untouched_one_does_not(core, g80, synthetic):
-    clock = JudgedClock.of(replay(120.0), 3000, FOUND_WITHIN_S)
+    clock = JudgedClock.from_replay(replay(120.0), 3000, FOUND_WITHIN_S)
     faulty, untouched = np.zeros(6001), np.zeros(6001)
     faulty[[2000, 3100, 3200, 3300]] = [9.0, 1.0, 1.5, 1.5]
     untouched[3200] = 1.2
@@ -253,10 +257,13 @@ def test_refutable_is_when_the_faulty_margin_exceeds_1_and_the_untouched_one_doe
     # Of a replay: the t* of a frame where it ends, and the energy test's ratio, whatever is larger.
     drive = read_drive(synthetic / "synthetic_06.csv", g80)
     seen = Replayer(g80, core).replay(inject(drive, Fault("gain", 0.3), 60.0, g80.Ts_s))
-    found, frames = margins(seen, drive.t[0]), seen.run.frames
-    assert found.max() == max(seen.max_margin, seen.run.energy.max()) and (found >= seen.run.energy).all()
+    by_sample, frames = margins(seen, drive.t[0]), seen.run.frames
+    assert (
+        by_sample.max() == max(seen.max_margin, seen.run.energy.max())
+        and (by_sample >= seen.run.energy).all()
+    )
     worst = np.flatnonzero(frames.counted)[np.argmax(frames.margin[frames.counted])]
-    assert found[round((frames.t_end_s[worst] - drive.t[0]) / g80.Ts_s)] >= seen.max_margin
+    assert by_sample[round((frames.t_end_s[worst] - drive.t[0]) / g80.Ts_s)] >= seen.max_margin
 
 
 # ------------------------------------------------------------------------------------------------- recordings
@@ -264,17 +271,17 @@ def test_refutable_is_when_the_faulty_margin_exceeds_1_and_the_untouched_one_doe
 
 def pieces(recordings: int, each: int) -> tuple[dict[str, float], Recordings]:
     """Scores that grow from piece to piece, and the recording of each."""
-    of = {f"r{r}_{k}": f"r{r}" for r in range(recordings) for k in range(each)}
-    return {n: 1.0 + i for i, n in enumerate(of)}, Recordings(of)
+    recording_of = {f"r{r}_{k}": f"r{r}" for r in range(recordings) for k in range(each)}
+    return {n: 1.0 + i for i, n in enumerate(recording_of)}, Recordings(recording_of)
 
 
 def test_pieces_of_two_recordings_buy_no_alpha():
     scores, recordings = pieces(2, 11)
     scores.pop("r1_10")
-    found = calibrate(scores, 0.05, recordings=recordings)
-    assert found.alpha is None and found.conditional_bound is None
-    assert found.threshold == max(scores.values())
-    assert found.claim() == (
+    calibration = calibrate(scores, 0.05, recordings=recordings)
+    assert calibration.alpha is None and calibration.conditional_bound is None
+    assert calibration.threshold == max(scores.values())
+    assert calibration.claim() == (
         "alpha is not stated: 21 drives calibrate, of 2 recordings that did not set the bounds; "
         "pieces of one recording are no draws of their own"
     )
@@ -283,17 +290,17 @@ def test_pieces_of_two_recordings_buy_no_alpha():
 
 def test_a_recordings_score_is_its_largest_and_one_that_sets_the_bounds_does_not_count():
     scores, recordings = pieces(10, 3)
-    found = calibrate(scores, 0.1, recordings=recordings)
-    assert found.threshold == max(scores.values()) and found.alpha == 0.1
-    assert found.claim().startswith("alpha 0.1 from 10 recordings, with 95 % confidence below")
+    calibration = calibrate(scores, 0.1, recordings=recordings)
+    assert calibration.threshold == max(scores.values()) and calibration.alpha == 0.1
+    assert calibration.claim().startswith("alpha 0.1 from 10 recordings, with 95 % confidence below")
     one_sets = replace(recordings, setting=("r9",))
-    found = calibrate(scores, 0.1, recordings=one_sets)
-    assert found.threshold == scores["r8_2"] and "from 9 recordings" in found.claim()
+    calibration = calibrate(scores, 0.1, recordings=one_sets)
+    assert calibration.threshold == scores["r8_2"] and "from 9 recordings" in calibration.claim()
     two_set = calibrate(scores, 0.1, recordings=replace(recordings, setting=("r8", "r9")))
     assert two_set.alpha is None and two_set.threshold == max(scores.values())
     assert two_set.claim().endswith("and 6 are of recordings that set the bounds")
     assert recordings.others(scores, "r3_1") == [n for n in scores if not n.startswith("r3_")]
-    for c in (found, two_set, calibrate(scores, 0.1)):
+    for c in (calibration, two_set, calibrate(scores, 0.1)):
         assert Calibration.from_dict(json.loads(json.dumps(c.to_dict()))) == c
 
 
@@ -415,8 +422,12 @@ def test_21_pieces_of_two_recordings_buy_no_alpha_and_the_sentence_says_why(fold
         "pieces of one recording are no draws of their own"
     )
     assert " ".join(done.stderr.split()).count(why) == 3, "of every test"
-    told = json.loads((made.parent / "told.json").read_text())
-    for calibration in (told, told["energy"]["calibration"], told["change"]["calibration"]):
+    identification = json.loads((made.parent / "told.json").read_text())
+    for calibration in (
+        identification,
+        identification["energy"]["calibration"],
+        identification["change"]["calibration"],
+    ):
         assert calibration["alpha"] is None is calibration["conditional_bound"]
         assert len(calibration["scores"]) == 21
         assert calibration["threshold"] == max(calibration["scores"].values())

@@ -124,8 +124,8 @@ def test_held_out_drives_are_judged_with_the_thresholds_as_stored(
         w for w in ("step", "ramp", "start") for _ in range(10)
     ]
     assert all(row["counted"] == 2 for row in table["faults"])
-    for of in (table["faults"], *(b["faults"] for b in table["baselines"])):
-        for row, ours in zip(of, table["faults"], strict=True):
+    for detector_rows in (table["faults"], *(b["faults"] for b in table["baselines"])):
+        for row, ours in zip(detector_rows, table["faults"], strict=True):
             cases = row["cases"]
             assert [c["refutable_s"] for c in cases] == [c["refutable_s"] for c in ours["cases"]]
             assert row["refutable"] == sum(c["refutable_s"] is not None for c in cases)

@@ -38,13 +38,13 @@ def diagnosis(
     return Diagnosis(alarm_s + after_s, alarm_s, name, cause, value, low, high, alarm_s, False, final, "")
 
 
-def outcome(project, fault: Fault, *found: Diagnosis, ramp_s: float = 0.0, drive: Drive | None = None):
+def outcome(project, fault: Fault, *diagnoses: Diagnosis, ramp_s: float = 0.0, drive: Drive | None = None):
     drive = drive or made_drive(project)
     clock = JudgedClock(drive.t, round(START_S / project.Ts_s), 50.0)
     case = Case("ramp" if ramp_s else "step", fault, ramp_s)
-    replay = SimpleNamespace(Ts=project.Ts_s, diagnoses=found)
+    replay = SimpleNamespace(Ts=project.Ts_s, diagnoses=diagnoses)
     faulty = inject(drive, fault, START_S, project.Ts_s, ramp_s)
-    return CauseOutcome.of(case, project, clock, drive, faulty, replay)
+    return CauseOutcome.from_replay(case, project, clock, drive, faulty, replay)
 
 
 @pytest.mark.parametrize(
@@ -83,10 +83,10 @@ def test_the_size_of_a_delay_is_that_which_was_injected(g80):
     first = round(START_S / 0.04)
     np.testing.assert_array_equal(late[first:], drive.y[first - 8 : -8])
     for kind, sign in (("output_delay", 1.0), ("input_delay", -1.0)):
-        found = outcome(
+        cause = outcome(
             slow, Fault(kind, 0.3), diagnosis(slow, "delay", sign * 0.3, *sorted((sign * 0.31, sign * 0.33)))
         )
-        assert found.outputs[0].truth == pytest.approx(sign * 0.32) and found.outputs[0].held
+        assert cause.outputs[0].truth == pytest.approx(sign * 0.32) and cause.outputs[0].held
 
 
 def test_a_fault_can_be_named_where_healthy_vehicles_differ_by_less(g80):
@@ -107,17 +107,17 @@ def test_a_fault_can_be_named_where_healthy_vehicles_differ_by_less(g80):
 
 
 def test_a_frozen_output_has_a_value_and_no_interval(g80):
-    found = outcome(g80, Fault("freeze"), diagnosis(g80, "frozen", 0.1))
-    assert found.judgement == "right" and found.outputs[0].held is None
+    cause = outcome(g80, Fault("freeze"), diagnosis(g80, "frozen", 0.1))
+    assert cause.judgement == "right" and cause.outputs[0].held is None
 
 
 def test_the_size_of_a_fault_that_grows_is_its_mean_from_alarm_to_diagnosis(g80):
     after = np.arange(round(ALARM_S / g80.Ts_s), round(FOUND_S / g80.Ts_s)) - round(START_S / g80.Ts_s)
     share = share_of(after, g80.Ts_s, 20.0).mean()
     assert share == pytest.approx(0.5, abs=1e-3)
-    found = outcome(g80, Fault("gain", 0.6), diagnosis(g80, "gain", 0.8, 0.75, 0.85), ramp_s=20.0)
-    assert found.outputs[0].truth == pytest.approx(1 + share * -0.4)
-    assert found.outputs[0].held
+    cause = outcome(g80, Fault("gain", 0.6), diagnosis(g80, "gain", 0.8, 0.75, 0.85), ramp_s=20.0)
+    assert cause.outputs[0].truth == pytest.approx(1 + share * -0.4)
+    assert cause.outputs[0].held
 
 
 @pytest.mark.parametrize("fault", no_single_cause(np.array([0.15])), ids=lambda f: f.label)
@@ -144,11 +144,11 @@ def test_uneven_is_an_amplitude_that_differs_by_two(g80):
 def test_what_half_of_the_record_says_counts_where_the_drive_ends_before_all_of_it(g80):
     fault = Fault("gain", 0.6)
     half, whole = diagnosis(g80, "bias", 0.1, 0.0, 0.2, after_s=5.0), diagnosis(g80, "gain", 0.6, 0.5, 0.7)
-    found = outcome(g80, fault, half)
-    assert (found.judgement, found.after_s, found.preliminary) == ("wrong", 5.0, True)
-    found = outcome(g80, fault, half, whole, replace(half, alarm_s=40.0, t_s=45.0))
-    assert (found.judgement, found.after_s, found.preliminary) == ("right", 10.0, False)
-    assert len(found.outputs) == 1
+    cause = outcome(g80, fault, half)
+    assert (cause.judgement, cause.after_s, cause.preliminary) == ("wrong", 5.0, True)
+    cause = outcome(g80, fault, half, whole, replace(half, alarm_s=40.0, t_s=45.0))
+    assert (cause.judgement, cause.after_s, cause.preliminary) == ("right", 10.0, False)
+    assert len(cause.outputs) == 1
 
 
 def test_an_output_with_a_wrong_cause_outweighs_one_with_the_right_one(g80):
@@ -160,7 +160,7 @@ def test_an_output_with_a_wrong_cause_outweighs_one_with_the_right_one(g80):
 
 def test_the_table_counts_what_was_found(g80):
     gain, dead = Fault("gain", 0.6), Fault("dead_zone", 0.05)
-    found = {
+    outcomes = {
         Case("step", gain, 0.0): [
             outcome(g80, gain, diagnosis(g80, "gain", 0.6, 0.5, 0.7)),
             outcome(g80, gain, diagnosis(g80, "gain", 0.9, 0.8, 1.0)),
@@ -171,9 +171,9 @@ def test_the_table_counts_what_was_found(g80):
         Case("step", dead, 0.0): [outcome(g80, dead, diagnosis(g80, "other"))],
     }
     scales = SimpleNamespace(least=np.array([[0.1, 0.1, 0.1]]))
-    table = cause_table(found, g80, scales)
+    table = cause_table(outcomes, g80, scales)
     assert table["can_be_named"] == table["known"]
-    small = cause_table(found, g80, SimpleNamespace(least=np.array([[0.7, 0.1, 0.1]])))
+    small = cause_table(outcomes, g80, SimpleNamespace(least=np.array([[0.7, 0.1, 0.1]])))
     assert small["known"] == table["known"] and small["can_be_named"]["found"] == 0
     judged = {"right": 2, "other": 1, "wrong": 1, "not_yet": 1, "preliminary": 1}
     assert table["known"] == {"found": 5, **judged, "intervals": 2, "held": 1}
@@ -187,5 +187,5 @@ def test_the_table_counts_what_was_found(g80):
         "of those larger than the difference of healthy vehicles: right 2 of 5, 5.27 to 85.34 %, wrong 1 of 5"
     )
     assert cause_sentences(table)[2].startswith(large)
-    unknown = cause_table(found, g80, None)
+    unknown = cause_table(outcomes, g80, None)
     assert unknown["can_be_named"] is None and "is not known" in cause_sentences(unknown)[2]

@@ -32,8 +32,8 @@ def test_alarms_an_hour_stand_first_and_the_best_baseline_last(evaluation):
 def test_what_is_missed_partly_found_or_without_a_drive_has_a_line_each(evaluation):
     rows = evaluation["faults"]
     rows += [deepcopy(rows[0]) for _ in range(3)]
-    for row, name, found, counted in zip(rows[2:], "abc", (0, 17, 0), (35, 35, 0), strict=True):
-        row |= {"fault": name, "found": found, "counted": counted, "median_s": None}
+    for row, name, detected, counted in zip(rows[2:], "abc", (0, 17, 0), (35, 35, 0), strict=True):
+        row |= {"fault": name, "found": detected, "counted": counted, "median_s": None}
     lines = summary(evaluation)
     assert "of 4 faults 2 found, 1 partly found, 1 missed" in lines[1]
     assert {

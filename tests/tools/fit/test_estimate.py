@@ -29,9 +29,9 @@ def campaign(project, seeds: int) -> tuple[np.ndarray, np.ndarray]:
     for seed in range(seeds):
         random = np.random.default_rng([17, seed])
         car = KnownCar.drawn(random)
-        found = Fit(unknowns, car.drives(random)).estimated(unknowns.start)
-        errors.append(found.theta - car.truth)
-        stated.append(found.standard_error)
+        estimate = Fit(unknowns, car.drives(random)).estimated(unknowns.start)
+        errors.append(estimate.theta - car.truth)
+        stated.append(estimate.standard_error)
     return np.array(errors), np.array(stated)
 
 
@@ -53,10 +53,10 @@ def test_one_car_is_found_from_far_away_guesses(g80):
     random = np.random.default_rng(1)
     car = KnownCar.drawn(random)
     unknowns = Unknowns.from_project(guessed(g80))
-    found = Fit(unknowns, car.drives(random, 60.0)).estimated(unknowns.start)
-    assert np.all(np.abs(found.theta - car.truth) <= 4 * found.standard_error)
-    assert found.standard_error[NAMES.index("input_delay_s")] < 2e-3
-    assert np.allclose(np.diag(found.correlation), 1.0)
+    estimate = Fit(unknowns, car.drives(random, 60.0)).estimated(unknowns.start)
+    assert np.all(np.abs(estimate.theta - car.truth) <= 4 * estimate.standard_error)
+    assert estimate.standard_error[NAMES.index("input_delay_s")] < 2e-3
+    assert np.allclose(np.diag(estimate.correlation), 1.0)
 
 
 @pytest.mark.unhurried
@@ -69,11 +69,11 @@ def test_a_trim_a_drive_is_found_and_its_mean_is_the_projects(g80):
         d.u[:] += trim
     project = guessed(g80).model_copy(update={"fit": FitSettings(trim="drive")})
     unknowns = Unknowns.from_project(project)
-    found = Fit(unknowns, drives).estimated(unknowns.start)
-    written = found.unknowns.base.model.input_offset
-    assert np.abs(found.trims[:, 0] - (trims - trims.mean())).max() < 4e-3
+    estimate = Fit(unknowns, drives).estimated(unknowns.start)
+    written = estimate.unknowns.base.model.input_offset
+    assert np.abs(estimate.trims[:, 0] - (trims - trims.mean())).max() < 4e-3
     assert written is not None and abs(written[0] - car.trim - trims.mean()) < 3e-3
-    assert "input_offset[0]" not in found.unknowns.names
+    assert "input_offset[0]" not in estimate.unknowns.names
 
 
 def test_the_quick_model_is_the_nominal_one(g80):
@@ -88,9 +88,9 @@ def test_an_autoregression_is_found_and_makes_the_residuals_white():
     from scipy.signal import lfilter
 
     e = [lfilter([1.0], [1.0, -1.5, 0.7], s * random.standard_normal(4000)) for s in (1.0, 3.0)]
-    found = noise.fitted([[x] for x in e])
-    assert found.order == 2 and np.abs(found.a - [1.0, -1.5, 0.7]).max() < 0.05
-    assert np.abs(found.sigma / [1.0, 3.0] - 1).max() < 0.05
+    autoregression = noise.fitted([[x] for x in e])
+    assert autoregression.order == 2 and np.abs(autoregression.a - [1.0, -1.5, 0.7]).max() < 0.05
+    assert np.abs(autoregression.sigma / [1.0, 3.0] - 1).max() < 0.05
 
 
 @pytest.mark.slow("12 s: the measured drives fitted")
@@ -101,9 +101,9 @@ def test_on_measured_drives_it_explains_unseen_ones_at_least_as_well_as_the_publ
     setting = [read_drive(e.path, g80) for e in experiments if e.split == "train"]
     unseen = [read_drive(e.path, g80) for e in experiments if e.split != "train"]
     unknowns = Unknowns.from_project(g80)
-    found = Fit(unknowns, setting).estimated(unknowns.start)
+    estimate = Fit(unknowns, setting).estimated(unknowns.start)
     ours, published = (
-        by_drive(NominalModel(project), unseen, []) for project in (unknowns.project(found.theta), g80)
+        by_drive(NominalModel(project), unseen, []) for project in (unknowns.project(estimate.theta), g80)
     )
     assert pooled_vaf(ours) >= pooled_vaf(published)
     assert np.mean([q.vaf for q in ours]) >= np.mean([q.vaf for q in published])

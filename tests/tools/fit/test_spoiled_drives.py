@@ -99,9 +99,9 @@ def test_one_spoiled_drive_among_good_ones_is_named(project, drives, name):
     spoiled = [drives[0], spoil(drives[1]), drives[2]]
     try:
         require_unspoiled(project, spoiled)
-        found = screened(project, spoiled)
-        assert found.certain == {"at_10"} and [d.name for d in found.explained] == ["at_6", "at_15"]
-        text = str(found.faults["at_10"])
+        screening = screened(project, spoiled)
+        assert screening.certain == {"at_10"} and [d.name for d in screening.explained] == ["at_6", "at_15"]
+        text = str(screening.faults["at_10"])
     except InputError as error:
         text = str(error)
     assert text.startswith("at_10") and said in text
@@ -137,8 +137,8 @@ def test_a_column_that_begins_late_is_said_to_stand_or_to_be_late(project, drive
 
 def test_good_drives_pass(project, drives):
     require_unspoiled(project, drives)
-    found = screened(project, drives)
-    assert found.explained == drives and found.faults == {}
+    screening = screened(project, drives)
+    assert screening.explained == drives and screening.faults == {}
 
 
 def test_a_drive_twice_is_named_also_when_it_was_cut(project, drives):
@@ -151,9 +151,9 @@ def test_a_drive_twice_is_named_also_when_it_was_cut(project, drives):
 def test_another_cars_drive_is_named_and_left_out(project, drives):
     random = np.random.default_rng(8)
     other = KnownCar(3.9, 0.004, 0.009, 0.1, 0.0, 0.0).drive(random, 11.0, 60.0, "other")
-    found = screened(project, [*drives, other])
-    assert "other: needs other parameters than the other drives (L = " in str(found.faults["other"])
-    assert found.certain == set() and found.explained == drives
+    screening = screened(project, [*drives, other])
+    assert "other: needs other parameters than the other drives (L = " in str(screening.faults["other"])
+    assert screening.certain == set() and screening.explained == drives
 
 
 @pytest.mark.long("8 s: every reading fitted")

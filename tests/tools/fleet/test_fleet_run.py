@@ -98,10 +98,10 @@ def test_wear_is_found_and_the_state_goes_on_where_it_was(lpvguard, synthetic, t
     days = [str(day) for day in (5, 6, 7, 8, 1, 2, 3, 4)]
     folder = write_drives(tmp_path / "car", after | before, columns, day=days, car=["x"] * 8)
     index, state, out = folder / "experiments.csv", tmp_path / "state.json", tmp_path / "out.json"
-    given = ("fleet", "--vehicle", "g80", "--json", str(out), str(folder))
+    arguments = ("fleet", "--vehicle", "g80", "--json", str(out), str(folder))
     calibrated = ("--calibration", str(synthetic))
     # In one go, ordered by a column, of a vehicle that another names.
-    done = lpvguard(*given, *calibrated, "--order", "day", "--by", "car")
+    done = lpvguard(*arguments, *calibrated, "--order", "day", "--by", "car")
     assert done.returncode == 1, done.stderr
     whole = json.loads(out.read_text())
     assert not list(jsonschema.Draft202012Validator(schemas.schema("fleet")).iter_errors(whole))
@@ -112,14 +112,14 @@ def test_wear_is_found_and_the_state_goes_on_where_it_was(lpvguard, synthetic, t
 
     # In two calls, the folder grown between them.
     listed([*before])
-    done = lpvguard(*given, *calibrated, "--state", str(state))
+    done = lpvguard(*arguments, *calibrated, "--state", str(state))
     assert done.returncode == 0, done.stderr
     first = json.loads(out.read_text())["vehicles"]["car"]
     assert first["changed_at"] is None and first["recordings"] == 4 and first["earliest"] == 3
     assert f"{CALIBRATE} recordings ({CALIBRATE} drives)" in done.stderr
     assert "synthetic_00: set the bounds" in done.stderr
     listed([*before, *after])
-    done = lpvguard(*given, "--state", str(state))
+    done = lpvguard(*arguments, "--state", str(state))
     assert done.returncode == 1, done.stderr
     vehicle = json.loads(out.read_text())["vehicles"]["car"]
     assert vehicle["already_counted"] == 4 and vehicle["recordings"] == 8 and vehicle["changed_at"] == 7

@@ -77,7 +77,7 @@ def many_lives(table: LifeTable, places, recordings: int, lives: int) -> np.ndar
 @pytest.mark.parametrize("n", [11, 100])
 def test_the_worst_law_alarms_in_a_life_at_most_at_the_stated_rate(n):
     alpha, lives = 0.2, 4000
-    table = LifeTable.of(np.arange(n), alpha, 0.05)
+    table = LifeTable.from_scores(np.arange(n), alpha, 0.05)
     tails, random = simultaneous_tails(n, 0.05), np.random.default_rng(2)
 
     def from_tails(t: np.ndarray):
@@ -91,7 +91,7 @@ def test_the_worst_law_alarms_in_a_life_at_most_at_the_stated_rate(n):
 
 
 def test_one_life_is_as_many():
-    table = LifeTable.of(np.random.default_rng(3).random(40), 0.05, 0.05)
+    table = LifeTable.from_scores(np.random.default_rng(3).random(40), 0.05, 0.05)
     scores = np.random.default_rng(4).random(300) + np.linspace(0, 0.8, 300)
     places = table.place(scores)
     life, wealth = Life(), []
@@ -105,24 +105,24 @@ def test_one_life_is_as_many():
 
 
 def test_a_score_equal_to_a_level_is_not_above_it():
-    table = LifeTable.of([1.0, 2.0, 3.0, 4.0], 0.05, 0.05)
+    table = LifeTable.from_scores([1.0, 2.0, 3.0, 4.0], 0.05, 0.05)
     assert table.levels.tolist() == [3.0, 4.0]
     assert table.place([2.9, 3.0, 3.1, 4.0, 4.1]).tolist() == [0, 0, 1, 1, 2]
 
 
 def test_the_earliest_alarm_is_the_one_that_comes():
     for n, expected in ((11, 7), (100, 3)):
-        table = LifeTable.of(np.arange(n), 0.05, 0.05)
+        table = LifeTable.from_scores(np.arange(n), 0.05, 0.05)
         life, count = Life(), 0
         while not life.changed_at:
             life, count = life.after(len(table.levels), table), count + 1
         assert table.earliest(Life()) == count == expected
         assert table.earliest(life) == 0
-    assert LifeTable.of([1.0], 1e-30, 0.05).earliest(Life()) is None
+    assert LifeTable.from_scores([1.0], 1e-30, 0.05).earliest(Life()) is None
 
 
 def test_wealth_stays_finite_and_counts_end():
-    table = LifeTable.of(np.arange(100), 0.05, 0.05)
+    table = LifeTable.from_scores(np.arange(100), 0.05, 0.05)
     life = Life()
     for _ in range(200):
         life = life.after(len(table.levels), table)
@@ -143,4 +143,4 @@ def test_wealth_stays_finite_and_counts_end():
 )
 def test_what_is_no_calibration_is_refused(scores, alpha, eta, what):
     with pytest.raises(InputError, match=what):
-        LifeTable.of(scores, alpha, eta)
+        LifeTable.from_scores(scores, alpha, eta)

@@ -40,21 +40,22 @@ def scores_of(n: int, seed: int = 0) -> dict[str, float]:
 @pytest.mark.parametrize("n", [8, 9, 10, 19, 20, 29, 40])
 def test_the_threshold_is_the_rank_of_the_theorem_and_the_bound_that_of_the_binomial(n, alpha):
     scores = scores_of(n)
-    found = calibrate(scores, float(alpha))
+    calibration = calibrate(scores, float(alpha))
     exact = (n + 1) * (1 - Fraction(alpha))
     rank = -(-exact.numerator // exact.denominator)
     if n < 9 or rank > n:
-        assert found.alpha is None is found.conditional_bound
-        assert found.threshold == max(scores.values())
-        assert found.claim() == f"alpha is not stated: too few calibration drives ({n})"
+        assert calibration.alpha is None is calibration.conditional_bound
+        assert calibration.threshold == max(scores.values())
+        assert calibration.claim() == f"alpha is not stated: too few calibration drives ({n})"
         return
-    assert found.threshold == sorted(scores.values())[rank - 1]
-    assert found.alpha == float(alpha)
+    assert calibration.threshold == sorted(scores.values())[rank - 1]
+    assert calibration.alpha == float(alpha)
     # A false-alarm probability above p would put rank scores or more below the threshold too rarely.
     p = brentq(lambda p: binom.sf(rank - 1, n, 1 - p) - 0.05, 1e-9, 1 - 1e-9, xtol=1e-12)
-    assert found.conditional_bound == pytest.approx(p, abs=1e-9)
-    assert found.claim() == (
-        f"alpha {float(alpha):g} from {n} drives, with 95 % confidence below {found.conditional_bound:.3f}"
+    assert calibration.conditional_bound == pytest.approx(p, abs=1e-9)
+    assert calibration.claim() == (
+        f"alpha {float(alpha):g} from {n} drives, with 95 % confidence below "
+        f"{calibration.conditional_bound:.3f}"
     )
 
 
@@ -64,8 +65,8 @@ def test_the_bound_holds_over_calibrations_with_its_confidence():
     held = 0
     for _ in range(2000):
         scores = dict(enumerate(random.uniform(size=19).tolist()))
-        found = calibrate(scores, 0.1, floor=0.0)
-        held += 1 - found.threshold <= found.conditional_bound
+        calibration = calibrate(scores, 0.1, floor=0.0)
+        held += 1 - calibration.threshold <= calibration.conditional_bound
     assert held / 2000 == pytest.approx(0.95, abs=0.012)
 
 
@@ -81,7 +82,7 @@ def test_no_threshold_is_below_the_floor():
     assert calibrate({}, 0.1).threshold == 1.0
 
 
-PIECES = Recordings(of={"a1": "a", "a2": "a", "b1": "b", "c1": "c", "c2": "c"}, setting=("c",))
+PIECES = Recordings(by_drive={"a1": "a", "a2": "a", "b1": "b", "c1": "c", "c2": "c"}, setting=("c",))
 
 
 def test_a_recording_scores_its_worst_piece_and_one_that_set_the_bounds_none():
@@ -93,9 +94,9 @@ def test_a_recording_scores_its_worst_piece_and_one_that_set_the_bounds_none():
     assert PIECES.others(scores, "a1") == ["b1", "c1", "c2", "d"]
     assert PIECES.others(scores, "d") == ["a1", "a2", "b1", "c1", "c2"]
     assert NO_RECORDINGS.largest(scores) == scores
-    found = calibrate(scores, 0.1, recordings=PIECES)
-    assert found.alpha is None and found.threshold == 9.0
-    assert found.claim() == (
+    calibration = calibrate(scores, 0.1, recordings=PIECES)
+    assert calibration.alpha is None and calibration.threshold == 9.0
+    assert calibration.claim() == (
         "alpha is not stated: 6 drives calibrate, of 3 recordings that did not set the bounds; pieces of one "
         "recording are no draws of their own, and 2 are of recordings that set the bounds"
     )
@@ -107,70 +108,73 @@ def test_a_recording_scores_its_worst_piece_and_one_that_set_the_bounds_none():
 def test_pieces_of_one_recording_are_one_draw():
     scores = scores_of(20)
     halves = {f"{d}{part}": s - 0.01 * part for d, s in scores.items() for part in (0, 1)}
-    recordings = Recordings(of={piece: piece[:-1] for piece in halves})
-    found, plain = calibrate(halves, 0.1, recordings=recordings), calibrate(scores, 0.1)
-    assert (found.threshold, found.conditional_bound) == (plain.threshold, plain.conditional_bound)
-    assert found.claim().startswith("alpha 0.1 from 20 recordings, ")
+    recordings = Recordings(by_drive={piece: piece[:-1] for piece in halves})
+    calibration, plain = calibrate(halves, 0.1, recordings=recordings), calibrate(scores, 0.1)
+    assert (calibration.threshold, calibration.conditional_bound) == (
+        plain.threshold,
+        plain.conditional_bound,
+    )
+    assert calibration.claim().startswith("alpha 0.1 from 20 recordings, ")
 
 
 def test_the_claim_an_hour_is_the_rate_of_recordings_of_the_mean_length():
     """19 recordings of 90 s are judged: 0.475 h. alpha 0.1 a recording is 0.1 * 19 / 0.475 = 4 an hour."""
     scores = scores_of(19)
     judged = dict.fromkeys(scores, 90.0)
-    found = calibrate(scores, 0.1).over(judged | {"another": 1e9})
-    assert found.judged_s == judged
-    bound = found.conditional_bound * 19 / 0.475
-    assert found.hourly == f"; 4 and {bound:.3g} an hour judged, of 0.475 h"
-    assert found.claim().endswith(found.hourly)
+    calibration = calibrate(scores, 0.1).over(judged | {"another": 1e9})
+    assert calibration.judged_s == judged
+    bound = calibration.conditional_bound * 19 / 0.475
+    assert calibration.hourly == f"; 4 and {bound:.3g} an hour judged, of 0.475 h"
+    assert calibration.claim().endswith(calibration.hourly)
     assert calibrate(scores, 0.1).hourly == ""
     assert calibrate(scores, 0.01).over(judged).hourly == "", "no alpha, no rate"
 
 
 def test_the_claim_an_hour_leaves_out_recordings_that_set_the_bounds_and_counts_pieces_once():
     scores = scores_of(20)
-    recordings = Recordings(of={"d0": "r", "d1": "r", "d2": "s"}, setting=("s",))
-    found = calibrate(scores, 0.2, recordings=recordings).over(dict.fromkeys(scores, 360.0))
+    recordings = Recordings(by_drive={"d0": "r", "d1": "r", "d2": "s"}, setting=("s",))
+    calibration = calibrate(scores, 0.2, recordings=recordings).over(dict.fromkeys(scores, 360.0))
     # 18 recordings: r of two drives, 17 of one. 19 drives are judged for 0.1 h each.
-    assert found.alpha == 0.2 and found.hourly.startswith(f"; {0.2 * 18 / 1.9:.3g} and ")
-    assert found.hourly.endswith("an hour judged, of 1.9 h")
+    assert calibration.alpha == 0.2 and calibration.hourly.startswith(f"; {0.2 * 18 / 1.9:.3g} and ")
+    assert calibration.hourly.endswith("an hour judged, of 1.9 h")
 
 
 def test_each_group_states_its_own_hours():
     scores = scores_of(30)
     groups = {d: ("wet" if k < 11 else "dry") for k, d in enumerate(scores)}
     judged = {d: (720.0 if g == "wet" else 36.0) for d, g in groups.items()}
-    found = calibrate(scores, 0.2, recordings=Recordings(groups=groups)).over(judged)
-    dry, wet = (found.of_group(g) for g in ("dry", "wet"))
+    calibration = calibrate(scores, 0.2, recordings=Recordings(groups=groups)).over(judged)
+    dry, wet = (calibration.of_group(g) for g in ("dry", "wet"))
     assert set(dry.scores) == {d for d, g in groups.items() if g == "dry"} and len(wet.scores) == 11
     assert wet.claim().endswith("an hour judged, of 2.2 h") and f"; {0.2 * 11 / 2.2:.3g} and " in wet.claim()
     assert (
         dry.claim().endswith("an hour judged, of 0.19 h") and f"; {0.2 * 19 / 0.19:.3g} and " in dry.claim()
     )
-    assert f"of {2.2 + 0.19:.3g} h" in found.claim()
-    assert dry.groups == {"dry": found.groups["dry"]} and dry.group == "dry"
-    assert dry.carried == dry.threshold == found.groups["dry"].threshold
-    assert found.carried == max(found.threshold, dry.threshold, wet.threshold)
-    assert found.of_group(None).threshold == found.carried
-    unknown = found.of_group("ice")
-    assert unknown.threshold == found.threshold and unknown.alpha is None and unknown.scores == {}
+    assert f"of {2.2 + 0.19:.3g} h" in calibration.claim()
+    assert dry.groups == {"dry": calibration.groups["dry"]} and dry.group == "dry"
+    assert dry.carried == dry.threshold == calibration.groups["dry"].threshold
+    assert calibration.carried == max(calibration.threshold, dry.threshold, wet.threshold)
+    assert calibration.of_group(None).threshold == calibration.carried
+    unknown = calibration.of_group("ice")
+    assert unknown.threshold == calibration.threshold and unknown.alpha is None and unknown.scores == {}
 
 
 def test_a_group_without_a_threshold_of_its_own_does_not_raise_what_is_carried():
-    found = Calibration(
+    calibration = Calibration(
         2.0, {}, 0.1, 0.2, groups={"a": GroupThreshold(3), "b": GroupThreshold(20, 2.5, 0.1, 0.2)}
     )
-    assert found.carried == 2.5
+    assert calibration.carried == 2.5
     assert Calibration(3.0, {}, 0.1, 0.2, groups={"b": GroupThreshold(20, 2.5, 0.1, 0.2)}).carried == 3.0
-    assert found.of_group("a").carried == 2.0
+    assert calibration.of_group("a").carried == 2.0
 
 
 @pytest.mark.parametrize("recordings", [NO_RECORDINGS, PIECES, Recordings(groups={"d0": "x", "d1": "y"})])
 def test_what_is_stored_comes_back(recordings):
-    found = calibrate(scores_of(12) | {"a1": 1.0}, 0.2, recordings=recordings)
-    for one in (found, found.over(dict.fromkeys(found.scores, 60.0))):
+    calibration = calibrate(scores_of(12) | {"a1": 1.0}, 0.2, recordings=recordings)
+    for one in (calibration, calibration.over(dict.fromkeys(calibration.scores, 60.0))):
         stored = json.loads(json.dumps(one.to_dict()))
         assert Calibration.from_dict(stored) == one
-        assert ("recordings" in stored) == bool(recordings.of)
+        assert ("recordings" in stored) == bool(recordings.by_drive)
         assert ("groups" in stored) == bool(recordings.groups)
         assert ("judged_s" in stored) == bool(one.judged_s)
 
@@ -201,8 +205,8 @@ def test_the_rank_is_exact_however_the_product_rounds():
         scores = {f"d{k}": float(k + 2) for k in range(n)}
         for percent in range(1, 100):
             rank = -(-(n + 1) * (100 - percent) // 100)
-            found = calibrate(scores, percent / 100)
-            assert found.threshold == (rank + 1 if rank <= n else n + 1), (n, percent)
+            calibration = calibrate(scores, percent / 100)
+            assert calibration.threshold == (rank + 1 if rank <= n else n + 1), (n, percent)
 
 
 def drive(name: str, recording: str, group: str | None = None) -> Experiment:
@@ -212,17 +216,17 @@ def drive(name: str, recording: str, group: str | None = None) -> Experiment:
 def test_recordings_are_read_from_the_list_of_experiments_once():
     setting = [drive("s1", "s1"), drive("s2", "day"), drive("s3", "night")]
     others = [drive("o1", "day"), drive("o2", "o2"), drive("o3", "dusk"), drive("o4", "night")]
-    found = Recordings.listed(iter(setting), iter(others))
-    assert found.of == {"s2": "day", "s3": "night", "o1": "day", "o3": "dusk", "o4": "night"}
-    assert found.setting == ("day", "night") and found.groups == {}
+    recordings = Recordings.listed(iter(setting), iter(others))
+    assert recordings.by_drive == {"s2": "day", "s3": "night", "o1": "day", "o3": "dusk", "o4": "night"}
+    assert recordings.setting == ("day", "night") and recordings.groups == {}
     grouped = Recordings.listed(setting[:1], [drive("o1", "day", "wet"), drive("o2", "o2", "dry")])
     assert grouped.groups == {"o1": "wet", "o2": "dry"} and grouped.setting == ()
 
 
 def test_an_hour_is_3600_s():
     scores = scores_of(19)
-    found = calibrate(scores, 0.1).over(dict.fromkeys(scores, 1805.3 / 19))
-    assert found.hourly.endswith("an hour judged, of 0.501 h")
+    calibration = calibrate(scores, 0.1).over(dict.fromkeys(scores, 1805.3 / 19))
+    assert calibration.hourly.endswith("an hour judged, of 0.501 h")
 
 
 def run_of(frames, energy=(0.0, 0.0), change=(0.0, 0.0), energy_band=(0, 0)) -> SimpleNamespace:
@@ -242,8 +246,8 @@ def test_a_peak_is_the_largest_that_counted_and_what_is_left_without_the_frames_
     overlapping = [(0, 17.5, 3.0, True), (0, 14.25, 3.5, True)]
     others = [(0, 14.0, 1.5, True), (1, 16.0, 1.2, True)]
     silent = (1, 16.0, 9.0, False)
-    found = peaks(run_of([*overlapping, silent, first, *others]), 10.0, 0.5, length)
-    assert found == {"frame": Peak(6.0, 0, 1.5)}
+    by_test = peaks(run_of([*overlapping, silent, first, *others]), 10.0, 0.5, length)
+    assert by_test == {"frame": Peak(6.0, 0, 1.5)}
     assert peaks(run_of([first, others[1], silent]), 10.0, 0.5, length) == {"frame": Peak(6.0, 0, 1.2)}
     small = (1, 18.0, 0.4, True)
     assert peaks(run_of([small, first]), 10.0, 0.5, length)["frame"].without == 0.4
@@ -266,8 +270,12 @@ def test_a_joint_score_is_the_largest_above_its_own_floor():
 
 
 def test_the_drive_that_decides_is_the_one_whose_score_the_core_carries():
-    found = calibrate(scores_of(20), 0.1)
-    assert found.scores[found.decided_by] == found.threshold != next(iter(found.scores.values()))
+    calibration = calibrate(scores_of(20), 0.1)
+    assert (
+        calibration.scores[calibration.decided_by]
+        == calibration.threshold
+        != next(iter(calibration.scores.values()))
+    )
     assert calibrate(scores_of(20), 0.1, floor=100.0).decided_by is None
 
 

@@ -56,7 +56,7 @@ def test_gain_delay_and_bias_are_estimated_in_their_units(g80):
     test = replace(designed(g80, estimator, *healthy), memory_s=200.0)
     for gain, delay_s, bias in ((-0.3, 0.0, 0.0), (0.0, 0.05, 0.0), (0.0, 0.0, 0.1), (0.2, -0.03, 0.05)):
         e, yhat, v = fault_drive(estimator, gain, delay_s, bias)
-        (blocks,) = Blocks.of(e, yhat, estimator.settled(v))
+        (blocks,) = Blocks.stretches(e, yhat, estimator.settled(v))
         # A prior of a fifth of a memory pulls towards 0 by about a sixth: that of each, and no more.
         theta = test.estimates(blocks)[-1, 0]
         unit = np.array([test.unit[0, 0], test.unit[0, 1] / (BLOCK * test.Ts), 1.0])
@@ -67,8 +67,8 @@ def test_where_nothing_is_excited_the_prior_keeps_the_estimate(g80):
     estimator = Estimator.from_project(g80, NominalModel(g80))
     test = designed(g80, estimator, *fault_drive(estimator, 0.1, 0.02, 0.05))
     e, yhat, v = fault_drive(estimator, 0.5, 0.1, 0.0)
-    found = estimates_met(test, 1e-3 * e, 1e-3 * yhat, v, estimator)
-    assert (found.largest < 2e-2 * test.largest).all(), "faults five times as large"
+    met = estimates_met(test, 1e-3 * e, 1e-3 * yhat, v, estimator)
+    assert (met.largest < 2e-2 * test.largest).all(), "faults five times as large"
 
 
 def test_blocks_are_whole_settled_and_begin_with_the_one_after_the_first(g80):
@@ -77,14 +77,14 @@ def test_blocks_are_whole_settled_and_begin_with_the_one_after_the_first(g80):
     usable = np.ones(n, bool)
     usable[40] = False
     index = np.arange(n, dtype=float)[:, None]
-    first, second = Blocks.of(index, 2 * index, usable)
+    first, second = Blocks.stretches(index, 2 * index, usable)
     assert first.ends[0] == 10 and (np.diff(first.ends) == BLOCK).all() and first.ends[-1] == 38
     assert second.ends[0] == 50, "42 holds sample 40 and 46 is only remembered"
     assert first.e[:, 0] == pytest.approx(first.ends - 1.5)
     assert first.phi[:, 0, 0] == pytest.approx(2 * (first.ends - 1.5))
     assert (first.phi[:, 0, 1] == -2.0 * BLOCK).all() and (first.phi[:, 0, 2] == 1.0).all()
-    assert next(Blocks.of(index[:9], index[:9], usable[:9])).ends.tolist() == []
-    assert list(Blocks.of(index, index, np.zeros(n, bool))) == []
+    assert next(Blocks.stretches(index[:9], index[:9], usable[:9])).ends.tolist() == []
+    assert list(Blocks.stretches(index, index, np.zeros(n, bool))) == []
     assert estimator.Ts > 0
 
 
@@ -96,7 +96,7 @@ def test_the_core_says_what_the_definition_says(identified, synthetic, g80, core
         drive = read_drive(synthetic / f"{name}.csv", g80)
         for faulty in (drive, inject(drive, Fault("gain", 0.5), 50.0, g80.Ts_s)):
             said = core.monitor().run_drive(faulty).change
-            for blocks in Blocks.of(*nominal_error(faulty, model), estimator.settled(faulty.v)):
+            for blocks in Blocks.stretches(*nominal_error(faulty, model), estimator.settled(faulty.v)):
                 ratio = np.abs(test.estimates(blocks) / test.size).max(axis=2)[:, 0]
                 # Judged in one of the pushes after the block, before the next ends.
                 later = said[blocks.ends[:-1] + BLOCK - 1]
@@ -125,7 +125,7 @@ def test_sizes_are_the_rms_of_the_bound_setting_drives_and_scores_the_cores(iden
             test.estimates(blocks)[:, 0]
             for name in stored.manifest["drives"]["bounds"]
             for drive in [read_drive(synthetic / f"{name}.csv", g80)]
-            for blocks in Blocks.of(*nominal_error(drive, model), estimator.settled(drive.v))
+            for blocks in Blocks.stretches(*nominal_error(drive, model), estimator.settled(drive.v))
         ]
     )
     largest, rms = np.abs(theta).max(axis=0), np.sqrt(np.mean(theta**2, axis=0))

@@ -42,18 +42,18 @@ def test_the_frame_that_decides_a_bound_is_known_and_what_the_bound_is_without_i
         "d": remainders(estimator, [], []),
     }
     for order in (list(drives), list(drives)[::-1]):
-        of = Deciders("B_w", (estimator.n_bins, 1))
+        deciders = Deciders("B_w", (estimator.n_bins, 1))
         parts = [{k: v.copy() for k, v in drives[name].items()} for name in order]
-        total = fold(of.watched(order, iter(parts)))
+        total = fold(deciders.watched(order, iter(parts)))
         assert set(total) == {"B_w"} and total["B_w"][RARE, 0] == 5.0
-        assert (of.drive[RARE, 0], of.first[RARE, 0]) == ("b", 7)
-        assert of.without[RARE, 0] == 3.0, order
-        assert (of.without[np.arange(estimator.n_bins) != RARE] == 0).all()
+        assert (deciders.drive[RARE, 0], deciders.first[RARE, 0]) == ("b", 7)
+        assert deciders.without[RARE, 0] == 3.0, order
+        assert (deciders.without[np.arange(estimator.n_bins) != RARE] == 0).all()
 
 
-def said(stored, **given) -> SimpleNamespace:
+def said(stored, **changed) -> SimpleNamespace:
     """As much of an Identification as the sentences read."""
-    of = Deciders("B_w", (len(stored.bounds["omega_rad_s"]), 1))
+    deciders = Deciders("B_w", (len(stored.bounds["omega_rad_s"]), 1))
     usual = {
         "project": stored.project,
         "bounds": SimpleNamespace(
@@ -64,12 +64,12 @@ def said(stored, **given) -> SimpleNamespace:
         "energy": stored.energy,
         "change": stored.change,
         "peaks": {},
-        "decided": {"B_w": of},
+        "decided": {"B_w": deciders},
         "weights": stored.fitted,
         "evidence": np.ones(len(stored.bounds["omega_rad_s"])),
     }
-    of_origins = {k: given.pop(k, usual.pop(k)) for k in ("peaks", "decided", "evidence")}
-    return SimpleNamespace(**(usual | given), origins=Origins(**of_origins))
+    of_origins = {k: changed.pop(k, usual.pop(k)) for k in ("peaks", "decided", "evidence")}
+    return SimpleNamespace(**(usual | changed), origins=Origins(**of_origins))
 
 
 def test_a_threshold_names_drive_time_and_bin_and_what_it_is_without_one_frame(identified):
@@ -108,7 +108,7 @@ def test_a_drive_whose_score_lies_outside_the_others_is_named_and_still_calibrat
     scores = {f"drive_{k}": s for k, s in enumerate(np.geomspace(0.4, 0.8, 9))} | {"slide": 6.0}
     at = {n: {"frame": Peak(41.2, RARE, 1.1), "energy": Peak(7.0, 1), "change": Peak(9.0)} for n in scores}
 
-    def told(scores: dict[str, float], silent: tuple[int, ...] = ()) -> list[str]:
+    def sentences(scores: dict[str, float], silent: tuple[int, ...] = ()) -> list[str]:
         c = Calibration(6.0, scores, 0.1, 0.3)
         return outlying(
             said(
@@ -128,27 +128,38 @@ def test_a_drive_whose_score_lies_outside_the_others_is_named_and_still_calibrat
         f"frame {begin}, at 41.2 s, {frequency}{end}",
         f"energy {begin}, at 7 s, band between{end}",
     )
-    assert told(scores) == [frame, energy]
+    assert sentences(scores) == [frame, energy]
     # The logarithm of a normal drive of these ten is within 3.5 deviations.
-    assert told(scores | {"slide": 1.5}) == []
-    assert told(dict(list(scores.items())[-4:])) == [], "four scores are too few to compare"
-    assert told(dict.fromkeys(scores, 0.7) | {"slide": 0.75}) == [], "equal scores do not make one outlying"
-    assert told(dict.fromkeys(scores, 0.7) | {"slide": 0.8})[0].startswith("frame test: slide lies outside")
-    assert told(scores, tuple(range(len(stored.bounds["omega_rad_s"])))) == [energy], "silent bins say none"
+    assert sentences(scores | {"slide": 1.5}) == []
+    assert sentences(dict(list(scores.items())[-4:])) == [], "four scores are too few to compare"
+    assert sentences(dict.fromkeys(scores, 0.7) | {"slide": 0.75}) == [], (
+        "equal scores do not make one outlying"
+    )
+    assert sentences(dict.fromkeys(scores, 0.7) | {"slide": 0.8})[0].startswith(
+        "frame test: slide lies outside"
+    )
+    assert sentences(scores, tuple(range(len(stored.bounds["omega_rad_s"])))) == [energy], (
+        "silent bins say none"
+    )
 
 
 def test_a_bound_names_drive_and_time_and_what_it_is_without_one_frame(identified):
     stored = stage.load(identified)
     result = said(stored)
-    of = result.origins.decided["B_w"]
+    deciders = result.origins.decided["B_w"]
     assert decides_bounds(result) == []
-    of.largest[RARE], of.rest[RARE], of.drive[RARE], of.first[RARE] = 0.3, 0.1, "slide", 50
+    deciders.largest[RARE], deciders.rest[RARE], deciders.drive[RARE], deciders.first[RARE] = (
+        0.3,
+        0.1,
+        "slide",
+        50,
+    )
     frequency = f"{stored.bounds['omega_rad_s'][RARE]:.3g} rad/s"
     begin = f"{frequency}: slide decides B_w of yaw_rate, 0.3, from 1 s on"
     assert decides_bounds(result) == [Decision(f"{begin}; one frame does: without it 0.1", alone=True)]
-    of.others[RARE] = 0.29
+    deciders.others[RARE] = 0.29
     assert decides_bounds(result) == [Decision(begin, alone=False)]
-    of.largest[RARE] = 0.01
+    deciders.largest[RARE] = 0.01
     assert decides_bounds(result) == [], "below its floor no frame decides"
 
 
@@ -172,7 +183,7 @@ def test_peaks_are_where_the_scores_come_from():
 def test_evidence_is_the_largest_of_all_speeds_by_bin(g80):
     Z = np.array([[1.0], [3.0], [2.0]], complex)
     W, B = np.full((2, 1), 0.5), np.ones((2, 1))
-    met = Excitation.of(
+    met = Excitation.from_frames(
         "a", (3.0, 19.0), np.array([0, 0, 0]), np.array([4.0, 18.0, 4.0]), Z, W, B, np.arange(3)
     )
     assert met.evidence(2) == pytest.approx([3.0 / 2.5, 0.0])
@@ -212,8 +223,8 @@ def test_which_bins_are_silent_and_why_is_said_and_stored(identified, g80):
     evidence[RARE] = 0.46
     weights = replace(stored.fitted, silent=(RARE, RARE + 1))
     low, high = (f"{stored.bounds['omega_rad_s'][k]:.3g} rad/s" for k in weights.silent)
-    told = silence(said(stored, weights=weights, evidence=evidence))
-    assert told == [
+    sentences = silence(said(stored, weights=weights, evidence=evidence))
+    assert sentences == [
         f"{low} is silent: on the drives that set the bounds a vehicle that does not respond would have had "
         "margins up to 0.46",
         f"{high} is silent: fewer than 8 frames one after another set its bounds",

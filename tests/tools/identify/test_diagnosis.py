@@ -40,10 +40,10 @@ def test_windows_estimate_what_made_them(g80):
     estimator = Estimator.from_project(g80, NominalModel(g80))
     yhat, v = rich(estimator, 20_000, 0.0)
     theta = np.array([0.2, 0.0, -0.05, 0.1])
-    found = windows_of(error_of(theta, yhat, np.random.default_rng(1)), yhat, v, estimator, UNIT)
-    assert len(found.n) > 20 and (found.n == 125).all()
-    assert found.theta[:, 0] == pytest.approx(np.tile(theta, (len(found.n), 1)), abs=3e-3)
-    assert (found.residue < 1e-6).all() and (found.still > 0).all()
+    windows = windows_of(error_of(theta, yhat, np.random.default_rng(1)), yhat, v, estimator, UNIT)
+    assert len(windows.n) > 20 and (windows.n == 125).all()
+    assert windows.theta[:, 0] == pytest.approx(np.tile(theta, (len(windows.n), 1)), abs=3e-3)
+    assert (windows.residue < 1e-6).all() and (windows.still > 0).all()
     short = windows_of(0 * yhat[:240], yhat[:240], v[:240], estimator, UNIT)
     assert short.n.tolist() == [], "less than half a window is settled"
     outside = windows_of(0 * yhat, yhat, 0 * v, estimator, UNIT)
@@ -56,15 +56,15 @@ def scaled(
     """Scales of drives whose theta is drawn with these standard deviations (4,), anew after ``kept``
     samples."""
     estimator, random = Estimator.from_project(g80, NominalModel(g80)), np.random.default_rng(2)
-    found = []
+    windows_by_drive = []
     for k in range(drives):
         yhat, v = rich(estimator, samples, 0.7 * k)
         e = [
             error_of(deviation * random.standard_normal(PARTS), yhat[at : at + kept], random)
             for at in range(0, samples, kept)
         ]
-        found.append(windows_of(np.concatenate(e), yhat, v, estimator, UNIT))
-    return DiagnosisScales.of(g80, 1 / UNIT, found)
+        windows_by_drive.append(windows_of(np.concatenate(e), yhat, v, estimator, UNIT))
+    return DiagnosisScales.from_windows(g80, 1 / UNIT, windows_by_drive)
 
 
 def test_the_spread_is_that_of_healthy_drives(g80):
@@ -75,7 +75,7 @@ def test_the_spread_is_that_of_healthy_drives(g80):
     assert spread[1] < 0.005
     assert 1.0 <= scales.enlarged[0] < 2.5
     with pytest.raises(InputError, match="window"):
-        DiagnosisScales.of(g80, 1 / UNIT, [])
+        DiagnosisScales.from_windows(g80, 1 / UNIT, [])
 
 
 @pytest.mark.unhurried
@@ -97,14 +97,14 @@ def test_the_kernel_of_the_spread_sums_what_the_inverses_say(windows, monkeypatc
     """Windows fill their lanes, leave some empty, or are fewer than lanes are."""
     random = np.random.default_rng(windows)
     theta, root = random.standard_normal((2, PARTS, windows)), random.standard_normal((windows, 2, PARTS, 6))
-    errors, found = root @ root.swapaxes(2, 3), np.stack([np.diag([1.0, 2.0, 0.1, 3.0]) + 0.05] * 2)
-    inverse = np.linalg.inv(found + errors)
+    errors, moments = root @ root.swapaxes(2, 3), np.stack([np.diag([1.0, 2.0, 0.1, 3.0]) + 0.05] * 2)
+    inverse = np.linalg.inv(moments + errors)
     u = (inverse @ theta.transpose(2, 0, 1)[..., None])[..., 0]
     wanted = (u[..., None] * u[..., None, :] - inverse).sum(axis=0)
     turned = np.ascontiguousarray(errors.transpose(2, 3, 1, 0))
     for without in ("", "1"):
         monkeypatch.setenv("LPVGUARD_NO_NATIVE", without)
-        assert diagnosis._surplus(theta, turned, found) == pytest.approx(wanted, rel=1e-10)
+        assert diagnosis._surplus(theta, turned, moments) == pytest.approx(wanted, rel=1e-10)
 
 
 def test_what_no_record_names_is_what_healthy_vehicles_differ_by(g80):

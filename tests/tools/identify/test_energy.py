@@ -429,7 +429,7 @@ def test_opposite_errors_under_one_nominal_output_are_caught_by_the_joint_form_o
         np.full(len(t), 15.0),
     )
     z = model.simulate(v, u, model.output_offset)
-    found = {}
+    alarms_by_form = {}
     for name, directions in (
         ("joint", test.directions),
         ("separate", np.eye(2)[np.arange(len(test.directions)) % 2]),
@@ -451,8 +451,13 @@ def test_opposite_errors_under_one_nominal_output_are_caught_by_the_joint_form_o
         core = Core(folder)
         for sign in (1.0, -1.0):
             run = core.monitor().run(t, v, u, z + z * [1.0, sign])
-            found[name, sign] = len(run.energy_alarms.bin)
-    assert found == {("joint", 1.0): 0, ("joint", -1.0): 1, ("separate", 1.0): 0, ("separate", -1.0): 0}
+            alarms_by_form[name, sign] = len(run.energy_alarms.bin)
+    assert alarms_by_form == {
+        ("joint", 1.0): 0,
+        ("joint", -1.0): 1,
+        ("separate", 1.0): 0,
+        ("separate", -1.0): 0,
+    }
 
 
 @pytest.mark.parametrize("structure", ["S1", "S1_diagonal"])
@@ -492,10 +497,10 @@ def test_what_a_drive_asks_of_sigma_is_the_most_that_its_norms_do(structure):
                 wanted[key][band, j] = max(wanted[key][band, j], value.max())
         for a in test.directions / test.sigma[band]:
             wanted["joint"][band] = max(wanted["joint"][band], (size(left, a) - explained(a)).max())
-    found = test.needs(e, yhat, v)
-    assert found.keys() == wanted.keys()
+    needed = test.needs(e, yhat, v)
+    assert needed.keys() == wanted.keys()
     for key, value in wanted.items():
-        np.testing.assert_allclose(found[key], value, rtol=1e-6, atol=1e-9)
+        np.testing.assert_allclose(needed[key], value, rtol=1e-6, atol=1e-9)
 
 
 # ------------------------------------------------------------------------------------------ a Delta an output
@@ -709,7 +714,7 @@ def test_brakes_at_four_tenths_are_found_by_the_energy_test_alone_in_90_seconds(
     project, _, core, _ = truck
     replayer = Replayer(project, core, threshold=1e9, change_threshold=1e9)
     rng, runs = np.random.default_rng(6), 24 if FULL else 6
-    found = 0
+    alarmed = 0
     for k in range(runs):
         scenario, table = tmp_path / f"{k}.toml", tmp_path / f"{k}.csv"
         scenario.write_text(
@@ -738,5 +743,5 @@ def test_brakes_at_four_tenths_are_found_by_the_energy_test_alone_in_90_seconds(
         subprocess.run([str(c) for c in command], check=True)
         alarms = replayer.replay_file(table).alarms
         assert {a.test for a in alarms} <= {"energy"}
-        found += bool(alarms)
-    assert found >= runs / 2
+        alarmed += bool(alarms)
+    assert alarmed >= runs / 2

@@ -93,9 +93,9 @@ def right_side(test: EnergyTest, right, band: int, t: int, a: np.ndarray) -> flo
 
 
 def test_both_sides_are_the_sums_of_the_inequality(test, drive):
-    found, wanted = list(test.norms(*drive)), list(by_definition(test, *drive))
-    assert [(f, b) for f, b, _, _ in found] == [(f, b) for f, b, _, _ in wanted]
-    for (_, _, left, right), (_, _, one, two) in zip(found, wanted, strict=True):
+    norms, wanted = list(test.norms(*drive)), list(by_definition(test, *drive))
+    assert [(f, b) for f, b, _, _ in norms] == [(f, b) for f, b, _, _ in wanted]
+    for (_, _, left, right), (_, _, one, two) in zip(norms, wanted, strict=True):
         np.testing.assert_allclose(left, one, rtol=1e-10, atol=1e-12)
         np.testing.assert_allclose(right, two, rtol=1e-10, atol=1e-12)
 
@@ -106,8 +106,8 @@ def test_a_stretch_is_judged_when_it_is_longer_than_it_takes_to_settle(test, dri
     v[10 : 10 + SETTLE] = 5.0
     assert list(test.norms(e, yhat, v)) == []
     v[10 : 11 + SETTLE] = 5.0
-    found = list(test.norms(e, yhat, v))
-    assert [(first, band, len(left), len(right)) for first, band, left, right in found] == [
+    norms = list(test.norms(e, yhat, v))
+    assert [(first, band, len(left), len(right)) for first, band, left, right in norms] == [
         (14, b, 1, 1) for b in range(3)
     ]
 
@@ -150,28 +150,28 @@ def test_sigma_is_what_is_needed_and_no_less_than_its_floor(test):
         "bound": np.array([[2.0, 0.25], [1.0, 2.0], [0.5, 3.0]]),
         "memory": np.array([[0.7, 0.8], [0.9, 1.0], [1.1, 1.2]]),
     }
-    found = test.with_sigma(needs)
+    sized = test.with_sigma(needs)
     size = [[2.0, 0.5], [3.0, 2.0], [1.0, 3.0]]
     wanted = [
         [0.5, SMALLEST_SIGMA * 0.5],
         [SMALLEST_SIGMA * 3.0, 0.3],
         [2.0, max(0.02, SMALLEST_SIGMA * 3.0)],
     ]
-    np.testing.assert_allclose(found.sigma, wanted)
-    assert (found.sigma >= SMALLEST_SIGMA * np.array(size)).all()
+    np.testing.assert_allclose(sized.sigma, wanted)
+    assert (sized.sigma >= SMALLEST_SIGMA * np.array(size)).all()
     floor = np.array([[1.5, 0.0], [0.001, 0.6], [2.0, 0.01]])  # what the sensors cannot tell
     np.testing.assert_allclose(test.with_sigma(needs, floor).sigma, np.maximum(wanted, floor))
     np.testing.assert_allclose(test.with_sigma(needs, 0.4).sigma, np.maximum(wanted, 0.4))
-    np.testing.assert_allclose(found.start, needs["memory"])
+    np.testing.assert_allclose(sized.start, needs["memory"])
     for key, value in (("error", 0.0), ("error", np.nan)):
         spoiled = {k: v.copy() for k, v in needs.items()}
         spoiled[key][1, 1] = value
         spoiled["bound"][1, 1] = value
         with pytest.raises(InputError, match="it judges no excited drive among those that set the bounds"):
             test.with_sigma(spoiled)
-    joint = found.with_joint({"joint": np.array([0.4, 1.0, 2.5])})
+    joint = sized.with_joint({"joint": np.array([0.4, 1.0, 2.5])})
     assert joint.joint.tolist() == [1.0, 1.0, 2.5]
-    np.testing.assert_allclose(joint.sigma, found.sigma * [[1.0], [1.0], [2.5]])
+    np.testing.assert_allclose(joint.sigma, sized.sigma * [[1.0], [1.0], [2.5]])
 
 
 def test_the_core_gets_the_numbers_of_the_definition(test):
@@ -315,18 +315,18 @@ def test_a_silent_band_has_a_million_times_its_sigma_in_the_core_alone(test):
 def test_a_memory_that_just_equals_the_slowest_filters_is_refused(g80, g80_model):
     estimator = Estimator.from_project(g80, g80_model)
     # The corner of which one over its warped frequency, times that, is 1 in all digits.
-    found = 0
+    refused = 0
     for low_hz in np.linspace(0.2, 0.3, 20):
         low_rad = 2 / g80.Ts_s * np.tan(np.pi * low_hz * g80.Ts_s)
         memory = 1.0 / low_rad
         if memory * low_rad != 1.0:
             continue
-        found += 1
+        refused += 1
         settings = g80.energy_test.model_copy(update={"band_hz": (low_hz, 3.0), "memory_s": memory})
         project = g80.model_copy(update={"energy_test": settings})
         with pytest.raises(InputError, match="must forget faster than the sums"):
             EnergyTest.design(project, estimator, [Weight([1.0], [1.0])], [1.0], [[0.2]], 1.0)
-    assert found > 5
+    assert refused > 5
 
 
 def test_a_weight_below_its_bound_is_raised_to_what_the_certificate_proves(g80, g80_model):

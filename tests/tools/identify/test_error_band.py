@@ -29,7 +29,7 @@ from lpvguard.vehicle.project import load_project
 PROJECT = load_project("g80")
 MODEL = NominalModel(PROJECT)
 ESTIMATOR = Estimator.from_project(PROJECT, MODEL)
-DOMAIN = ErrorDomain.of(ESTIMATOR, PROJECT.frame_test.excited_std)
+DOMAIN = ErrorDomain.from_estimator(ESTIMATOR, PROJECT.frame_test.excited_std)
 
 
 def noise(random: np.random.Generator, n: int, band_hz: tuple[float, float]) -> np.ndarray:
@@ -59,9 +59,9 @@ def drive_of(
 
 
 def sums_of(*drives: tuple[Drive, np.ndarray, np.ndarray], groups: list[str] | None = None) -> ErrorSums:
-    named, given = groups or [""] * len(drives), (DOMAIN, MODEL, ESTIMATOR)
-    common = common_fit(sum_of([common_products(*given, *d) for d in drives]))
-    return joined([error_sums(*given, *d, g, common) for d, g in zip(drives, named, strict=True)])
+    named, setup = groups or [""] * len(drives), (DOMAIN, MODEL, ESTIMATOR)
+    common = common_fit(sum_of([common_products(*setup, *d) for d in drives]))
+    return joined([error_sums(*setup, *d, g, common) for d, g in zip(drives, named, strict=True)])
 
 
 def test_the_hats_of_the_lags_sum_to_one_up_to_the_last_knot():
@@ -153,14 +153,16 @@ def test_evidence_and_posterior_are_those_of_the_dense_gaussian(groups):
                 S[d * n : (d + 1) * n, other * n : (other + 1) * n] += own[d] * variance @ own[other].T
         flat = y.ravel()
         dense = -0.5 * flat @ np.linalg.solve(S, flat) - 0.5 * np.linalg.slogdet(S)[1]
-        found = of_output.posterior(prior, x)
-        values.append(found.evidence)
-        assert found.evidence == pytest.approx(dense, rel=1e-8)
-        assert found.mean == pytest.approx(K @ everything.T @ np.linalg.solve(S, flat), rel=1e-5, abs=1e-7)
+        posterior = of_output.posterior(prior, x)
+        values.append(posterior.evidence)
+        assert posterior.evidence == pytest.approx(dense, rel=1e-8)
+        assert posterior.mean == pytest.approx(
+            K @ everything.T @ np.linalg.solve(S, flat), rel=1e-5, abs=1e-7
+        )
         covariance = K - K @ everything.T @ np.linalg.solve(S, everything @ K)
-        assert found.root @ found.root.T == pytest.approx(covariance, rel=1e-4, abs=1e-7)
+        assert posterior.root @ posterior.root.T == pytest.approx(covariance, rel=1e-4, abs=1e-7)
         evidence, slope = of_output.evidence_slope(prior, x)
-        assert evidence == found.evidence
+        assert evidence == posterior.evidence
         steps = 1e-3 * np.eye(len(x))
         apart = [
             of_output.posterior(prior, x + h).evidence - of_output.posterior(prior, x - h).evidence

@@ -54,7 +54,7 @@ def drives(tmp_path_factory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def found(drives) -> stage.Identification:
+def identification(drives) -> stage.Identification:
     return stage.identify(fleet.vehicle(), drives)[0]
 
 
@@ -249,18 +249,18 @@ def test_an_input_error_of_a_worker_keeps_its_parts(drives, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("given", "says"),
+    ("settings", "says"),
     [
         ({"jobs": 0}, "at least 1"),
         ({"jobs": 2, "scheduler": "tcp://x:1"}, "one of them"),
         ({"scheduler": "nonsense"}, "no scheduler answers"),
     ],
 )
-def test_bad_worker_settings_are_named(given, says, monkeypatch):
+def test_bad_worker_settings_are_named(settings, says, monkeypatch):
     monkeypatch.setattr("lpvguard.base.parallel.CONNECT_TIMEOUT_S", 1)
-    if given.get("scheduler") == "nonsense":
+    if settings.get("scheduler") == "nonsense":
         pytest.importorskip("distributed")
-    with pytest.raises(InputError, match=says), workers(**given):
+    with pytest.raises(InputError, match=says), workers(**settings):
         pass
 
 
@@ -306,7 +306,7 @@ def test_a_reader_keeps_as_many_drives_as_have_room(tmp_path, monkeypatch):
     project, drives = fleet.vehicle(), list_experiments(tmp_path / "drives")
     reader, files = passes.DriveReader(project, NominalModel(project)), []
     monkeypatch.setattr(
-        passes, "read_drive", lambda path, of: files.append(path.stem) or read_drive(path, of)
+        passes, "read_drive", lambda path, project: files.append(path.stem) or read_drive(path, project)
     )
     drive, e, yhat = reader.read(drives[0])
     size = sum(x.nbytes for x in (drive.t, drive.v, drive.u, drive.y, yhat))
@@ -370,12 +370,14 @@ def test_a_draw_by_hash_is_uniform():
 
 
 @pytest.mark.unhurried
-def test_spectra_are_thinned_to_the_stated_cap_and_keep_the_largest(monkeypatch, drives, found):
+def test_spectra_are_thinned_to_the_stated_cap_and_keep_the_largest(monkeypatch, drives, identification):
     monkeypatch.setattr(passes, "LARGEST_SPECTRA", 5)
     monkeypatch.setattr(passes, "DRAWN_SPECTRA", 15)
     thin = stage.identify(fleet.vehicle(), drives)[0].spectra
-    for k in range(found.estimator.n_bins):
-        whole, kept = (np.linalg.norm(r["E"][r["group"] == k], axis=1) for r in (found.spectra, thin))
+    for k in range(identification.estimator.n_bins):
+        whole, kept = (
+            np.linalg.norm(r["E"][r["group"] == k], axis=1) for r in (identification.spectra, thin)
+        )
         assert min(len(whole), 15) <= len(kept) <= 20
         np.testing.assert_array_equal(np.sort(kept)[-5:], np.sort(whole)[-5:])
 
@@ -388,7 +390,7 @@ def test_excitation_of_all_drives_is_that_of_their_frames_together():
         for n in (300, 700)
     ]
     parts = [
-        Excitation.of(f"d{i}", (4.0, 19.0), b, v, Z, W_delta, B_w, np.arange(len(b)))
+        Excitation.from_frames(f"d{i}", (4.0, 19.0), b, v, Z, W_delta, B_w, np.arange(len(b)))
         for i, (b, v, Z) in enumerate(frames)
     ]
     joined = Excitation.joined(parts)
@@ -448,10 +450,10 @@ def test_front_is_the_largest_exact_nu_of_all_frames(n_y, alike, g80, g80_model)
     assert np.isnan(front_grid(B1, B2, estimator, "S0")).all()
 
 
-def test_what_was_taken_lies_on_the_front(found):
-    b = found.bounds
-    assert b.front_nu.shape == (found.estimator.n_bins, FRONT_POINTS)
-    for k in range(1, found.estimator.n_bins):
+def test_what_was_taken_lies_on_the_front(identification):
+    b = identification.bounds
+    assert b.front_nu.shape == (identification.estimator.n_bins, FRONT_POINTS)
+    for k in range(1, identification.estimator.n_bins):
         below, above = b.front_gamma_w[k] <= b.gamma_w[k], b.front_gamma_w[k] >= b.gamma_w[k]
         assert b.front_nu[k][below].min() >= b.nu[k] >= (b.front_nu[k][above].max() if above.any() else 0.0)
 

@@ -28,39 +28,42 @@ def made_up() -> tuple[dict[str, float], Recordings]:
 
 def test_a_group_with_enough_recordings_has_its_own_threshold_and_the_others_the_pooled_one():
     scores, recordings = made_up()
-    found = calibrate(scores, 0.1, recordings=recordings)
+    calibration = calibrate(scores, 0.1, recordings=recordings)
     # ceil(20 * 0.9) = 18 of 19; ceil(13 * 0.9) = 12 of 12; of all 34 the 32nd.
-    dry, wet, snow = (found.of_group(g) for g in SIZES)
+    dry, wet, snow = (calibration.of_group(g) for g in SIZES)
     assert (dry.threshold, wet.threshold) == (scores["dry18"], scores["wet12"])
-    assert snow.threshold == found.threshold == scores["snow1"]
-    assert found.carried == found.threshold and dry.carried == scores["dry18"]
+    assert snow.threshold == calibration.threshold == scores["snow1"]
+    assert calibration.carried == calibration.threshold and dry.carried == scores["dry18"]
     assert dry.claim().startswith("group dry: threshold 1.18, alpha 0.1 from 19 recordings, with 95 % ")
     said = snow.claim()
     assert said == (
         "group snow: 3 recordings are too few for its own threshold; it has the pooled one without alpha"
     )
-    assert snow.alpha is None is snow.conditional_bound and dry.alpha == wet.alpha == found.alpha == 0.1
-    assert found.claim().startswith("pooled: alpha 0.1 from 34 drives") and said in found.claim()
-    assert dry.claim() in found.claim() and wet.claim() in found.claim()
-    assert found.claim().endswith("the core carries the largest, 3.01")
-    assert found.of_group(None) == found and "group fog: 0 recordings" in found.of_group("fog").claim()
+    assert snow.alpha is None is snow.conditional_bound and dry.alpha == wet.alpha == calibration.alpha == 0.1
+    assert calibration.claim().startswith("pooled: alpha 0.1 from 34 drives") and said in calibration.claim()
+    assert dry.claim() in calibration.claim() and wet.claim() in calibration.claim()
+    assert calibration.claim().endswith("the core carries the largest, 3.01")
+    assert (
+        calibration.of_group(None) == calibration
+        and "group fog: 0 recordings" in calibration.of_group("fog").claim()
+    )
 
 
 def test_the_core_carries_the_largest_threshold_so_that_every_claim_holds():
     scores, recordings = made_up()
     calm = {d: s for d, s in scores.items() if not d.startswith("snow")}
-    found = calibrate(
+    calibration = calibrate(
         {d: (0.5 if d.startswith("dry") else s) for d, s in calm.items()}, 0.3, recordings=recordings
     )
-    own = {g.threshold for g in found.groups.values()}
-    assert found.groups.keys() == {"dry", "wet"} and None not in own
-    assert found.carried == max(own) > found.threshold and min(own) == 1.0, "at least the floor"
+    own = {g.threshold for g in calibration.groups.values()}
+    assert calibration.groups.keys() == {"dry", "wet"} and None not in own
+    assert calibration.carried == max(own) > calibration.threshold and min(own) == 1.0, "at least the floor"
 
 
 def test_groups_are_stored_and_without_a_column_nothing_changes():
     scores, recordings = made_up()
-    found = calibrate(scores, 0.1, recordings=recordings)
-    for c in (found, found.of_group("dry"), found.of_group("snow")):
+    calibration = calibrate(scores, 0.1, recordings=recordings)
+    for c in (calibration, calibration.of_group("dry"), calibration.of_group("snow")):
         assert Calibration.from_dict(json.loads(json.dumps(c.to_dict()))) == c
     plain = calibrate(scores, 0.1)
     assert plain.to_dict().keys() == {"threshold", "scores", "alpha", "conditional_bound"}
@@ -77,10 +80,10 @@ def test_the_alpha_of_a_group_is_kept_where_the_pooled_threshold_fails_it():
         level = {"calm": 0.0, "rough": 1.5}
         groups = {f"{g}{k}": g for g, n in (("calm", 90), ("rough", 10)) for k in range(n)}
         scores = {d: float(np.exp(level[g] + 0.3 * random.normal())) for d, g in groups.items()}
-        found = calibrate(scores, alpha, floor=0.0, recordings=Recordings(groups=groups))
+        calibration = calibrate(scores, alpha, floor=0.0, recordings=Recordings(groups=groups))
         further = np.exp(level["rough"] + 0.3 * random.normal())
-        alarms["pooled"] += further > found.threshold
-        alarms["own"] += further > found.of_group("rough").threshold
+        alarms["pooled"] += further > calibration.threshold
+        alarms["own"] += further > calibration.of_group("rough").threshold
     assert alarms["own"] / trials == pytest.approx(1 / 11, abs=0.025) and alarms["pooled"] / trials > 0.5
 
 

@@ -39,9 +39,9 @@ def chosen(drives: list[list[FrameSet]], typical: float, largest: float = 2.0) -
     return healthy_set([needed(d, ESTIMATOR, 1, "S1") for d in drives], rows, FLOOR, *errors)
 
 
-def largest_margin(found: HealthySet, drives: list[list[FrameSet]]) -> float:
+def largest_margin(healthy: HealthySet, drives: list[list[FrameSet]]) -> float:
     return max(
-        float((np.abs(s.E) / (found.B_w[3] + found.W_delta[3] * np.abs(s.Z))).max())
+        float((np.abs(s.E) / (healthy.B_w[3] + healthy.W_delta[3] * np.abs(s.Z))).max())
         for d in drives
         for s in d
     )
@@ -59,11 +59,11 @@ def test_what_a_drive_asks_for_is_the_largest_remainder():
 def test_the_pair_sees_the_smallest_gain_error_of_all_that_hold_the_frames():
     random = np.random.default_rng(2)
     drives = [drive(random, gain, 0.05) for gain in (0.1, 0.1, 0.1)]
-    found = chosen(drives, typical=0.0)
-    assert largest_margin(found, drives) <= 1 + 1e-9
+    healthy = chosen(drives, typical=0.0)
+    assert largest_margin(healthy, drives) <= 1 + 1e-9
     every = np.concatenate([np.abs(d[0].Z) for d in drives])[:, 0]
     typical = np.percentile(every, 90)
-    seen = float(found.W_delta[3, 0] + found.B_w[3, 0] / typical)
+    seen = float(healthy.W_delta[3, 0] + healthy.B_w[3, 0] / typical)
     for W in CANDIDATES:
         B = max(float(np.maximum(0, np.abs(d[0].E) - W * np.abs(d[0].Z)).max()) for d in drives)
         assert seen <= 1.1 * (W + B / typical)
@@ -79,9 +79,9 @@ def test_a_further_drive_with_the_typical_error_asks_for_more_uncertainty():
 
 def test_w_delta_stays_within_the_certificates():
     random = np.random.default_rng(4)
-    found = chosen([drive(random, gain, 0.05) for gain in (0.0, 0.6)], typical=0.5, largest=0.2)
-    assert found.W_delta[3, 0] <= 0.2
-    assert (found.W_delta > 0).all()
+    healthy = chosen([drive(random, gain, 0.05) for gain in (0.0, 0.6)], typical=0.5, largest=0.2)
+    assert healthy.W_delta[3, 0] <= 0.2
+    assert (healthy.W_delta > 0).all()
 
 
 def test_a_bin_whose_drives_differ_is_wider_than_one_whose_drives_agree():
@@ -93,11 +93,13 @@ def test_a_bin_whose_drives_differ_is_wider_than_one_whose_drives_agree():
         "group": np.concatenate([np.full(len(s.Z), s.bin) for d in both for s in d]),
     }
     largest = np.full((K, 1), 2.0)
-    found = healthy_set([needed(d, ESTIMATOR, 1, "S1") for d in both], rows, FLOOR, np.zeros((K, 1)), largest)
-    assert found.factor[4, 0] > 1.1 * found.factor[3, 0] and found.factor.min() == 1
-    assert found.folds.tolist() == [3 if k in (3, 4) else 0 for k in range(K)]
-    again = HealthySet.from_dict(found.to_dict())
-    assert np.array_equal(again.B_w, found.B_w) and np.array_equal(again.W_delta, found.W_delta)
+    healthy = healthy_set(
+        [needed(d, ESTIMATOR, 1, "S1") for d in both], rows, FLOOR, np.zeros((K, 1)), largest
+    )
+    assert healthy.factor[4, 0] > 1.1 * healthy.factor[3, 0] and healthy.factor.min() == 1
+    assert healthy.folds.tolist() == [3 if k in (3, 4) else 0 for k in range(K)]
+    again = HealthySet.from_dict(healthy.to_dict())
+    assert np.array_equal(again.B_w, healthy.B_w) and np.array_equal(again.W_delta, healthy.W_delta)
 
 
 def test_every_delta_has_a_pair_of_its_own():
@@ -106,9 +108,9 @@ def test_every_delta_has_a_pair_of_its_own():
     both = FrameSet(3, np.hstack([one.E, other.E]), np.hstack([one.Z, other.Z]), one.starts)
     rows = {"Z": both.Z, "group": np.full(len(both.Z), 3)}
     needs = [needed([both], ESTIMATOR, 2, "S1_diagonal")] * 2
-    found = healthy_set(needs, rows, np.full((K, 2), 1e-6), np.zeros((K, 2)), np.full((K, 2), 2.0))
-    assert found.W_delta.shape == (K, 2) and found.B_w.shape == (K, 2)
-    assert found.W_delta[3, 1] > found.W_delta[3, 0]
+    healthy = healthy_set(needs, rows, np.full((K, 2), 1e-6), np.zeros((K, 2)), np.full((K, 2), 2.0))
+    assert healthy.W_delta.shape == (K, 2) and healthy.B_w.shape == (K, 2)
+    assert healthy.W_delta[3, 1] > healthy.W_delta[3, 0]
 
 
 @pytest.mark.slow("15 s: an identification with bands of the model error")
@@ -116,8 +118,8 @@ def test_without_a_ceiling_the_band_sets_w_delta_and_the_frames_have_their_own_s
     document = PROJECT.model_dump(by_alias=True)
     document["bounds"]["nu_ceiling"] = None
     project = parse_project(document, "g80")
-    found, drives = stage.identify(project, synthetic)
-    stage.save(found, drives, tmp_path / "found")
+    identification, drives = stage.identify(project, synthetic)
+    stage.save(identification, drives, tmp_path / "found")
     stored = stage.load(tmp_path / "found")
     error, healthy = stored.model_error, stored.fitted.healthy
     assert len(error.bands) == 1 and error.coverage == 1
@@ -130,7 +132,7 @@ def test_without_a_ceiling_the_band_sets_w_delta_and_the_frames_have_their_own_s
     speaking = [k for k in range(K) if k not in stored.fitted.silent]
     core = np.array(stored.coefficients.reals["W_delta"]).reshape(K, -1)
     assert speaking and core[speaking] == pytest.approx(ours[0][speaking])
-    assert np.array_equal(healthy.B_w, found.weights.healthy.B_w)
+    assert np.array_equal(healthy.B_w, identification.weights.healthy.B_w)
     assert not premise(stored).refuted
     for name in ("model_error", "weights"):
         read = json.loads((tmp_path / "found" / f"{name}.json").read_text())

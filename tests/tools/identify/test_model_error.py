@@ -104,11 +104,11 @@ class Toy:
         self.project = toy(outputs, **settings)
         self.model = NominalModel(self.project)
         self.estimator = Estimator.from_project(self.project, self.model)
-        self.grid = ErrorGrid.of(self.project, self.estimator)
+        self.grid = ErrorGrid.from_project(self.project, self.estimator)
 
     def sums(self, drive: Drive) -> Sums:
-        found = nominal_error(drive, self.model)
-        return drive_sums(self.grid, self.model, self.estimator, 0.01, drive, *found)
+        signals = nominal_error(drive, self.model)
+        return drive_sums(self.grid, self.model, self.estimator, 0.01, drive, *signals)
 
     def drive(self, seed, v, u, deltas, disturbance, name="drive") -> Drive:
         """y = yhat + delta yhat + w of white noise, by output; ``v``, ``u`` (N,) or numbers."""
@@ -123,7 +123,7 @@ class Toy:
         total = Sums.none(self.grid, self.project.n_y)
         for drive in drives:
             total = total.plus(self.sums(drive))
-        return ErrorEstimate.of(total, self.grid)
+        return ErrorEstimate.from_sums(total, self.grid)
 
 
 def white(seed: int, samples: int = SAMPLES, rms: float = 1.0) -> np.ndarray:
@@ -155,16 +155,16 @@ def cells():
 
 def test_the_estimate_is_within_k_standard_errors_in_every_cell(cells):
     vehicle, drives = cells
-    found = vehicle.estimate(drives)
-    assert found.se.shape == (len(vehicle.grid.omega), 2, 2, 2) and np.isfinite(found.se).all()
-    off = errors(found, vehicle.grid)
-    assert (off <= found.k).all(), off.max()
+    estimate = vehicle.estimate(drives)
+    assert estimate.se.shape == (len(vehicle.grid.omega), 2, 2, 2) and np.isfinite(estimate.se).all()
+    off = errors(estimate, vehicle.grid)
+    assert (off <= estimate.k).all(), off.max()
     assert 0.4 < np.mean(off**2) < 1.6, "se is what it says, neither too small nor too large"
     # The strong class tells more: its disturbance is the same.
-    assert np.median(found.se[..., 1] / found.se[..., 0]) < 0.4
-    estimates = sum(len(np.unique(row)) for row in found.se.reshape(-1, 4))
-    assert found.k == pytest.approx(np.sqrt(np.log(estimates / 0.05))) and estimates < found.se.size
-    assert (found.n >= LEAST_FRAMES).all() and set(found.periods.ravel()) <= set(PERIODS)
+    assert np.median(estimate.se[..., 1] / estimate.se[..., 0]) < 0.4
+    estimates = sum(len(np.unique(row)) for row in estimate.se.reshape(-1, 4))
+    assert estimate.k == pytest.approx(np.sqrt(np.log(estimates / 0.05))) and estimates < estimate.se.size
+    assert (estimate.n >= LEAST_FRAMES).all() and set(estimate.periods.ravel()) <= set(PERIODS)
 
 
 def test_a_coloured_disturbance_does_not_bias_it():
@@ -172,9 +172,9 @@ def test_a_coloured_disturbance_does_not_bias_it():
     for seed in range(5):
         drive = vehicle.drive(seed, 15.0, white(seed, 12000), DELTAS[:1], 0.0)
         noise = lfilter([0.3], [1.0, -0.95], white(100 + seed, 12000))[:, None]
-        found = vehicle.estimate([replace(drive, y=drive.y + noise)])
+        estimate = vehicle.estimate([replace(drive, y=drive.y + noise)])
         truth = response(DELTAS[0], vehicle.grid.omega)[:, None, None, None]
-        off.append((found.delta - truth) / found.se)
+        off.append((estimate.delta - truth) / estimate.se)
     off = np.array(off)
     assert np.abs(off).max() <= np.sqrt(np.log(off.size / 0.05)), "at the simultaneous level of all of them"
     assert np.abs(off.mean(axis=0)).max() <= np.sqrt(np.log(off[0].size / 0.01) / len(off)) * 1.3
@@ -199,14 +199,14 @@ def closed_loop(seeds: range) -> list[Drive]:
 
 
 def test_an_instrument_removes_the_bias_of_a_driver_who_steers_against_the_disturbance():
-    blind, told = Toy(), Toy(instrument="r")
+    blind, instrumented = Toy(), Toy(instrument="r")
     drives, delta = closed_loop(range(8)), [np.array([0.2])]
     least_squares = blind.estimate([replace(d, instrument=None) for d in drives])
-    instrumental = told.estimate(drives)
+    instrumental = instrumented.estimate(drives)
     low = blind.grid.omega < 2.0
     assert (errors(least_squares, blind.grid, delta)[low] > 2 * least_squares.k).all()
-    assert (errors(instrumental, told.grid, delta) <= instrumental.k).all()
-    assert claim(blind.project) == BIASED and claim(told.project) == INSTRUMENTAL
+    assert (errors(instrumental, instrumented.grid, delta) <= instrumental.k).all()
+    assert claim(blind.project) == BIASED and claim(instrumented.project) == INSTRUMENTAL
     assert "may be biased" in BIASED or "biases it" in BIASED
 
 
@@ -217,12 +217,12 @@ def test_cells_with_few_frames_are_pooled_and_never_skipped():
         vehicle.drive(1, 9.0, white(1, rms=0.3), DELTAS[:1], 0.1),
         vehicle.drive(2, 13.0, white(2, 900, 0.3), DELTAS[:1], 0.1),
     ]
-    found = vehicle.estimate(drives)
-    assert np.isfinite(found.se).all() and (found.n >= LEAST_FRAMES).all()
-    for own in (found.delta, found.se, found.n):  # one line fits all: every cell has it
+    estimate = vehicle.estimate(drives)
+    assert np.isfinite(estimate.se).all() and (estimate.n >= LEAST_FRAMES).all()
+    for own in (estimate.delta, estimate.se, estimate.n):  # one line fits all: every cell has it
         assert (own == own[:, :, :1, :1]).all()
     # The level is nominal: of 20 seeds 8 have a frequency beyond it (THEORY 7.6).
-    assert (errors(found, vehicle.grid) <= found.k).mean() > 0.9
+    assert (errors(estimate, vehicle.grid) <= estimate.k).mean() > 0.9
     none = vehicle.estimate([])
     assert not np.isfinite(none.se).any() and (none.lower == 0).all() and np.isinf(none.upper).all()
 
@@ -231,12 +231,12 @@ def test_cells_that_no_line_fits_are_estimated_by_themselves():
     vehicle, drives = Toy(speed_cells=4), []
     for k, (v, size) in enumerate(((9.5, 0.2), (13.0, 0.6), (17.0, 0.2), (20.0, 0.6))):
         drives.append(vehicle.drive(k, v, white(k), [np.array([size])], 0.05, f"d{k}"))
-    found = vehicle.estimate(drives)
+    estimate = vehicle.estimate(drives)
     fast = vehicle.grid.omega > 2.0  # where the cells have frames enough to object to a line
-    assert (found.upper[:, 0, :, 0] >= np.array([0.2, 0.6, 0.2, 0.6]))[fast].all()
+    assert (estimate.upper[:, 0, :, 0] >= np.array([0.2, 0.6, 0.2, 0.6]))[fast].all()
     # Two cells of one speed each lie on a line; all four do not.
-    assert all(len(np.unique(se)) == 2 for se in found.se[fast, 0])
-    assert (np.diff(found.delta.real[fast, 0, :, 0])[:, [0, 2]] == 0).all()
+    assert all(len(np.unique(se)) == 2 for se in estimate.se[fast, 0])
+    assert (np.diff(estimate.delta.real[fast, 0, :, 0])[:, [0, 2]] == 0).all()
 
 
 def test_an_error_that_varies_with_speed_within_a_cell_is_followed():
@@ -246,12 +246,14 @@ def test_an_error_that_varies_with_speed_within_a_cell_is_followed():
         drive = vehicle.drive(seed, v, white(seed), [np.zeros(1)], 0.05)
         yhat = vehicle.model.simulate(drive.v, drive.u, np.zeros(1))
         drives.append(replace(drive, y=drive.y + (0.1 + 0.03 * (v[:, None] - 8.0)) * yhat))
-    found = vehicle.estimate(drives)
-    truth = 0.1 + 0.03 * (found.v - 8.0)
-    short = found.periods * 2 * np.pi / vehicle.grid.omega[:, None, None, None] < 30.0
-    assert (np.abs(found.delta - truth) <= found.k * found.se + 0.01)[short].all()
+    estimate = vehicle.estimate(drives)
+    truth = 0.1 + 0.03 * (estimate.v - 8.0)
+    short = estimate.periods * 2 * np.pi / vehicle.grid.omega[:, None, None, None] < 30.0
+    assert (np.abs(estimate.delta - truth) <= estimate.k * estimate.se + 0.01)[short].all()
     mean = 0.1 + 0.03 * (15.0 - 8.0)
-    assert (found.v > 17.0).all() and (np.abs(found.delta) > 1.2 * mean).all(), "the larger end is taken"
+    assert (estimate.v > 17.0).all() and (np.abs(estimate.delta) > 1.2 * mean).all(), (
+        "the larger end is taken"
+    )
 
 
 def test_whitening_finds_the_error_where_yhat_falls_steeply(monkeypatch):
@@ -265,11 +267,11 @@ def test_whitening_finds_the_error_where_yhat_falls_steeply(monkeypatch):
     drive = replace(drive, y=drive.y + lfilter(hb, ha, yhat, axis=0))
     omega, z = vehicle.grid.omega, np.exp(-1j * vehicle.grid.omega * TS)
     truth = np.polyval(hb[::-1], z) / np.polyval(ha[::-1], z)
-    told = (omega > 2.0) & (omega < 6.0)
+    informed = (omega > 2.0) & (omega < 6.0)
 
     def relative() -> np.ndarray:
-        found = vehicle.estimate([drive]).delta[:, 0, 0, 0]
-        return np.abs(found - truth)[told] / np.abs(truth)[told]
+        delta = vehicle.estimate([drive]).delta[:, 0, 0, 0]
+        return np.abs(delta - truth)[informed] / np.abs(truth)[informed]
 
     assert relative().max() < 0.12
     monkeypatch.setattr(model_error, "PERIODS", (3,))
@@ -289,19 +291,19 @@ def test_where_the_data_are_silent_the_bound_is_one_plus_rho():
     vehicle = Toy(beyond=[{"output": "y0", "ratio": "1 + 0.1*omega", "reason": "known"}])
     b, a = butter(4, 2.0 * TS / np.pi)
     drive = vehicle.drive(1, 15.0, lfilter(b, a, white(1, rms=3.0)), DELTAS[:1], 0.1)
-    found = vehicle.estimate([drive])
+    estimate = vehicle.estimate([drive])
     dead, omega = beyond(vehicle.project, vehicle.grid), vehicle.grid.omega
     np.testing.assert_allclose(dead[:, 0], 2 + 0.1 * omega)
-    last = last_telling(found)[0]
+    last = last_telling(estimate)[0]
     assert 0 < last < len(omega) - 3
-    bound = uncertainty_bound(vehicle.project, vehicle.grid, found)
+    bound = uncertainty_bound(vehicle.project, vehicle.grid, estimate)
     assert (bound[last + 1 :] >= dead[last + 1 :]).all()
     before = slice(0, last + 1)
-    assert (bound[before, 0] == found.upper[before, 0, 0, 0]).all() and (bound[before] < 1.0).all()
-    silent = ErrorEstimate.of(Sums.none(vehicle.grid, 1), vehicle.grid)
+    assert (bound[before, 0] == estimate.upper[before, 0, 0, 0]).all() and (bound[before] < 1.0).all()
+    silent = ErrorEstimate.from_sums(Sums.none(vehicle.grid, 1), vehicle.grid)
     np.testing.assert_array_equal(uncertainty_bound(vehicle.project, vehicle.grid, silent), dead)
     assert last_telling(silent)[0] == -1
-    written = ModelError(vehicle.grid, found, bound, None, []).to_dict(vehicle.project)
+    written = ModelError(vehicle.grid, estimate, bound, None, []).to_dict(vehicle.project)
     assert written["beyond"]["y0"]["reason"] == "known"
     assert written["beyond"]["y0"]["last_rad_s"] == omega[last]
     np.testing.assert_array_equal(beyond(Toy().project, vehicle.grid), 2.0)
@@ -339,8 +341,8 @@ def test_the_same_bytes_for_any_order_of_the_drives(tmp_path):
         drives = DriveSet(vehicle.project, vehicle.model, tmp_path)
         listed = list(drives.experiments.values())
         drives.experiments = {listed[k].name: listed[k] for k in order}
-        found = OverDrives(drives, map, _quiet).model_error(Chosen.by_split(drives))
-        return artefacts.to_json(found.to_dict(vehicle.project))
+        error = OverDrives(drives, map, _quiet).model_error(Chosen.by_split(drives))
+        return artefacts.to_json(error.to_dict(vehicle.project))
 
     text = written([0, 1, 2, 3, 4])
     assert written([4, 1, 3, 0, 2]) == text
@@ -355,19 +357,19 @@ def test_frames_are_doubled_until_that_moves_the_estimate_by_less_than_its_error
     vehicle = Toy()
     delay = np.r_[np.zeros(20), 0.5]
     drive = vehicle.drive(1, 15.0, white(1, 20000), [delay], 0.02)
-    found, sums = vehicle.estimate([drive]), vehicle.sums(drive)
+    estimate, sums = vehicle.estimate([drive]), vehicle.sums(drive)
     high = vehicle.grid.omega > 6.0
-    assert (found.periods[high] >= 16).all()
+    assert (estimate.periods[high] >= 16).all()
     only = Sums(*(f.copy() for f in sums))
     for field in only:
         field[:, 1:] = 0
-    shortest = ErrorEstimate.of(only, vehicle.grid)
+    shortest = ErrorEstimate.from_sums(only, vehicle.grid)
     truth = response(delay, vehicle.grid.omega)
 
     def off(estimate: ErrorEstimate) -> np.ndarray:
         return np.abs(estimate.delta[:, 0, 0, 0] - truth)[high]
 
-    assert (off(found) < 0.5 * off(shortest)).all()
+    assert (off(estimate) < 0.5 * off(shortest)).all()
     # Where doubling changes nothing the short frames, which are many, are taken.
     plain = vehicle.estimate([vehicle.drive(1, 15.0, white(1, 20000), [np.array([0.3])], 0.1)])
     assert np.mean(plain.periods == PERIODS[0]) > 0.5 and np.mean(plain.moved < 1) > 0.7
@@ -377,11 +379,11 @@ def test_a_drive_unlike_the_others_is_not_covered_when_it_is_left_out():
     vehicle = Toy()
     alike = [vehicle.sums(vehicle.drive(k, 15.0, white(k), DELTAS[:1], 0.1)) for k in range(4)]
     other = vehicle.sums(vehicle.drive(9, 15.0, white(9), [np.array([0.9])], 0.1))
-    found = ModelError.of(vehicle.project, vehicle.grid, alike, [])
-    assert found.coverage == 1.0 and len(found.left_out) == 4 and found.judging is None
-    mixed = ModelError.of(vehicle.project, vehicle.grid, [*alike, other], [other])
+    error = ModelError.from_sums(vehicle.project, vehicle.grid, alike, [])
+    assert error.coverage == 1.0 and len(error.left_out) == 4 and error.judging is None
+    mixed = ModelError.from_sums(vehicle.project, vehicle.grid, [*alike, other], [other])
     assert mixed.coverage == 0.8 and mixed.left_out[-1] < 1 < min(mixed.left_out[:-1])
-    assert np.isnan(ModelError.of(vehicle.project, vehicle.grid, alike[:1], []).coverage)
+    assert np.isnan(ModelError.from_sums(vehicle.project, vehicle.grid, alike[:1], []).coverage)
 
 
 def test_class_S0_is_given_no_uncertainty_and_drives_of_commands_must_be_there(tmp_path):
@@ -403,7 +405,7 @@ def test_class_S0_is_given_no_uncertainty_and_drives_of_commands_must_be_there(t
     with pytest.raises(InputError, match="command_split must be among bound_split"):
         parse_project({**document, "data": {"bound_split": ["train"], "command_split": ["town"]}}, "toy")
     chosen = Chosen.by_split(DriveSet(vehicle.project, vehicle.model, tmp_path)).setting
-    error = ModelError.of(vehicle.project, vehicle.grid, [vehicle.sums(d) for d in rows], [])
+    error = ModelError.from_sums(vehicle.project, vehicle.grid, [vehicle.sums(d) for d in rows], [])
     for structure, least in (("S0", 0.0), ("S1", 0.2)):
         bounds = vehicle.project.bounds.model_copy(update={"structure": structure})
         project = vehicle.project.model_copy(update={"bounds": bounds})

@@ -27,7 +27,7 @@ from lpvguard.vehicle.project import load_project
 
 PROJECT = load_project("g80")
 ESTIMATOR = Estimator.from_project(PROJECT, NominalModel(PROJECT))
-SIZES = PoolSizes.of(PROJECT, ESTIMATOR)
+SIZES = PoolSizes.for_project(PROJECT, ESTIMATOR)
 K = ESTIMATOR.n_bins
 
 
@@ -37,10 +37,10 @@ def frames_of(random: np.random.Generator, k: int, starts: np.ndarray, gain: com
     return FrameSet(k, gain * Z + 0.1 * w, Z, starts)
 
 
-def hand_made(needs: np.ndarray, names: list[str], of: dict[str, str] | None = None) -> Pools:
-    """Pools with W = 0 and ``needs`` (R, k, n_y) of recordings; ``of``: recording by calibration drive."""
-    drives = of or {n: n for n in names}
-    calibration = calibrate(dict.fromkeys(drives, 1.0), 0.1, recordings=Recordings(of or {}))
+def hand_made(needs: np.ndarray, names: list[str], recording_of: dict[str, str] | None = None) -> Pools:
+    """Pools with W = 0 and ``needs`` (R, k, n_y); ``recording_of``: recording by calibration drive."""
+    drives = recording_of or {n: n for n in names}
+    calibration = calibrate(dict.fromkeys(drives, 1.0), 0.1, recordings=Recordings(recording_of or {}))
     nothing = np.zeros(needs.shape[1:])
     sizes = PoolSizes(np.ones(len(nothing), int), np.ones(len(nothing), int))
     return Pools(sizes, nothing, nothing + 1e-6, dict(zip(names, needs, strict=True)), calibration)
@@ -72,14 +72,14 @@ def test_a_pool_sums_the_frames_that_end_before_it(count):
 
 def test_a_score_is_the_remainder_over_the_bound_of_the_others():
     needs = np.random.default_rng(2).uniform(0.1, 1.0, (6, 4, 2))
-    of = {"a1": "a", "a2": "a", "b": "b", "c": "c", "d": "d"}
-    pools = hand_made(needs, ["a", "b", "c", "d", "e", "f"], of)
+    recording_of = {"a1": "a", "a2": "a", "b": "b", "c": "c", "d": "d"}
+    pools = hand_made(needs, ["a", "b", "c", "d", "e", "f"], recording_of)
     for without, out in ((None, None), ("a2", 0), ("d", 3)):
         kept = [i for i in range(6) if i != out]
         scores = pools.scores(without)
-        assert set(scores) == {d for d, r in of.items() if out is None or r != pools_name(out)}
+        assert set(scores) == {d for d, r in recording_of.items() if out is None or r != pools_name(out)}
         for drive, score in scores.items():
-            i = "abcdef".index(of[drive])
+            i = "abcdef".index(recording_of[drive])
             others = np.max([needs[m] for m in kept if m != i], axis=0)
             assert score == pytest.approx((needs[i] / others).max())
         assert pools.bound(None if out is None else pools_name(out)) == pytest.approx(needs[kept].max(axis=0))
@@ -136,8 +136,8 @@ def test_the_excitation_says_which_gain_error_a_pool_shows():
     W, B = np.full((K, 2), 0.1), np.tile([2.0, 1.0], (K, 1))
     v = np.full(int(starts[-1] + ESTIMATOR.length[5]), 10.0)
     e = SimpleNamespace(name="a", recording="a")
-    found = remainders_of(e, [s], v, ESTIMATOR, SIZES, W)
-    met = Remainders.joined([found, found]).excitation(W, B)
+    remainders = remainders_of(e, [s], v, ESTIMATOR, SIZES, W)
+    met = Remainders.joined([remainders, remainders]).excitation(W, B)
     assert np.all(met.sample["floor"] == 0.1)
     size = np.concatenate([size for _, size in pooled(s, ESTIMATOR, SIZES.counts(5)[:1])])
     on_grid = size[starts % ESTIMATOR.hop[5] == 0]
@@ -145,7 +145,7 @@ def test_the_excitation_says_which_gain_error_a_pool_shows():
         1 / (0.1 + 1 / max(on_grid[:, 0].max() / 2, on_grid[:, 1].max()))
     )
     largest = max(float((along - 0.1 * z).max()) for along, z in pooled(s, ESTIMATOR, SIZES.counts(5)))
-    assert found.largest.max() == pytest.approx(largest)
+    assert remainders.largest.max() == pytest.approx(largest)
 
 
 def test_the_core_reads_no_more_than_the_remainders_say(g80, synthetic, identified, core: Core):

@@ -48,18 +48,20 @@ def asking(stored, share: float):
 
 
 def test_the_drives_that_judge_do_not_refute_what_was_identified(stored):
-    found = require_premise(stored)
-    assert not found.refuted and found.folds == len(stored.manifest["drives"]["bounds"])
-    assert "W_delta" in found.sentence() and "left out and covered" in found.sentence()
-    told = json.loads(artefacts.to_json(found.to_dict()))
-    assert told["doubting"]["ratio"] == found.doubting.ratio and told["sentence"] == found.sentence()
+    judged = require_premise(stored)
+    assert not judged.refuted and judged.folds == len(stored.manifest["drives"]["bounds"])
+    assert "W_delta" in judged.sentence() and "left out and covered" in judged.sentence()
+    document = json.loads(artefacts.to_json(judged.to_dict()))
+    assert (
+        document["doubting"]["ratio"] == judged.doubting.ratio and document["sentence"] == judged.sentence()
+    )
 
 
 def test_a_weight_that_is_too_small_is_refused_with_frequency_and_both_numbers(stored):
     small = scaled(stored, 1e-3)
-    found = premise(small)
-    assert found.refuted and found.doubtful
-    least = found.refuting
+    judged = premise(small)
+    assert judged.refuted and judged.doubtful
+    least = judged.refuting
     assert least.W_delta == pytest.approx(weight_met(small, np.array([least.omega]))[0, 0])
     assert least.ratio == pytest.approx(least.W_delta / (least.delta - least.spread))
     with pytest.raises(InputError, match=JUDGED) as refused:
@@ -74,12 +76,12 @@ def test_a_weight_that_is_too_small_is_refused_with_frequency_and_both_numbers(s
 def test_between_the_two_the_gate_warns(stored, share, refuted, doubtful):
     """W_delta beside 0.9 and 1.1 times ``share`` of it."""
     one, at = asking(stored, share)
-    found = premise(one)
-    assert (found.refuted, found.doubtful) == (refuted, doubtful)
-    assert found.refuting.ratio == pytest.approx(1 / (0.9 * share))
-    assert found.doubting.ratio == pytest.approx(1 / (1.1 * share))
-    assert found.doubting.omega == stored.model_error.grid.omega[at[0]]
-    assert found.doubting.v == stored.model_error.judging.v[at]
+    judged = premise(one)
+    assert (judged.refuted, judged.doubtful) == (refuted, doubtful)
+    assert judged.refuting.ratio == pytest.approx(1 / (0.9 * share))
+    assert judged.doubting.ratio == pytest.approx(1 / (1.1 * share))
+    assert judged.doubting.omega == stored.model_error.grid.omega[at[0]]
+    assert judged.doubting.v == stored.model_error.judging.v[at]
 
 
 def test_what_cannot_tell_is_no_objection(stored):

@@ -104,15 +104,15 @@ def test_noise_alone_is_rarely_above_its_floor(g80):
 def test_what_the_project_file_states_holds_and_the_least_of_the_drives_else(g80):
     drives = [np.array([[2e-3], [3e-3]]), np.array([[1e-3], [np.nan]]), np.array([[np.nan], [4e-3]])]
     least = np.fmin.reduce(drives)
-    seen = Resolution.of(g80, least)
+    seen = Resolution.for_project(g80, least)
     assert seen.step == pytest.approx([1e-3])
     assert seen.noise == pytest.approx([np.sqrt(9e-6 - 1e-6 / 12)]), "rounding is not counted twice"
-    assert Resolution.of(g80, np.full((2, 1), np.nan)).noise.tolist() == [0.0]
+    assert Resolution.for_project(g80, np.full((2, 1), np.nan)).noise.tolist() == [0.0]
     document = g80.model_dump(by_alias=True)
     output = next(s for s in document["signals"] if s["role"] == "output")
     assert "resolution" not in output and "noise" not in output, "stored as before where nothing is stated"
     output |= {"resolution": 5e-3, "noise": 0.0}
-    stated = Resolution.of(parse_project(document, "g80"), least)
+    stated = Resolution.for_project(parse_project(document, "g80"), least)
     assert (stated.step.tolist(), stated.noise.tolist()) == ([5e-3], [0.0])
     again = parse_project(parse_project(document, "g80").model_dump(by_alias=True), "g80").outputs[0]
     assert (again.resolution, again.noise) == (5e-3, 0.0)
@@ -170,13 +170,19 @@ def quantised(seed: int, amplitude: float) -> Drive:
     return Drive(f"d{seed}", t, v, u, rounded(y, STEP))
 
 
-def falsified(found: stage.Identification, drive: Drive) -> int:
+def falsified(identification: stage.Identification, drive: Drive) -> int:
     """How many frames of a drive have a margin above 1, and samples a ratio of the energy test."""
-    assert found.energy is not None and found.change is not None
+    assert identification.energy is not None and identification.change is not None
     coefficients = coefficients_of(
-        found.project, found.model, found.estimator, found.weights, 1.0, found.energy, found.change
+        identification.project,
+        identification.model,
+        identification.estimator,
+        identification.weights,
+        1.0,
+        identification.energy,
+        identification.change,
     )
-    with scratch_core(found.project, coefficients) as core:
+    with scratch_core(identification.project, coefficients) as core:
         run = core.monitor().run_drive(drive)
     assert run.frames.counted.any()
     return int((run.frames.margin[run.frames.counted] > 1.0).sum() + (run.energy > 1.001).sum())
@@ -186,20 +192,22 @@ def falsified(found: stage.Identification, drive: Drive) -> int:
 def test_a_vehicle_whose_only_sin_is_rounding_is_not_falsified(coarse, monkeypatch):
     """Driven gently it moves within a bit or two, or reads zero: nothing like the drives that set the
     bounds."""
-    found, _ = stage.identify(fleet.vehicle(), coarse)
-    assert found.bounds.resolution.step == pytest.approx([STEP])
+    identification, _ = stage.identify(fleet.vehicle(), coarse)
+    assert identification.bounds.resolution.step == pytest.approx([STEP])
     floor, speaks = (
-        found.bounds.B_w_floor,
-        np.setdiff1d(np.arange(found.estimator.n_bins), found.weights.silent),
+        identification.bounds.B_w_floor,
+        np.setdiff1d(np.arange(identification.estimator.n_bins), identification.weights.silent),
     )
     assert len(speaks) > 3, "and yet a vehicle that does not respond would be"
-    assert (found.bounds.B_w >= floor).all() and (found.bounds.B_w[speaks] == floor[speaks]).any()
-    (said,) = unresolved(found)
+    assert (identification.bounds.B_w >= floor).all() and (
+        identification.bounds.B_w[speaks] == floor[speaks]
+    ).any()
+    (said,) = unresolved(identification)
     assert said.startswith("B_w of yaw_rate is the limit of its sensor, and the drives need no more, at 0")
     assert "steps of 0.02 rad/s, noise of 0 rad/s" in said
     gentle = [quantised(100 + i, a) for i, a in enumerate((2e-4, 5e-4, 1e-3, 2e-3))]
     assert set(np.unique(np.round(gentle[1].y / STEP))) <= {-1.0, 0.0, 1.0}, "a bit or two"
-    assert [falsified(found, drive) for drive in gentle] == [0, 0, 0, 0]
+    assert [falsified(identification, drive) for drive in gentle] == [0, 0, 0, 0]
 
     monkeypatch.setattr(Resolution, "floor", lambda self, e: np.zeros((e.n_bins, 1)))
     monkeypatch.setattr(Resolution, "energy_floor", lambda self, F, Ts, memories_s: np.zeros((len(F), 1)))
@@ -235,13 +243,13 @@ def test_what_a_quick_input_does_to_the_vehicle_or_a_coarse_one_to_the_model_is_
     n = 6000
     t, v, noise = np.arange(n) * g80.Ts_s, np.full(n, 10.0), 1e-3 * random.standard_normal((n, 1))
     slow = 0.02 * np.sin(0.8 * t)[:, None]
-    for given, true in (
+    for demand, true in (
         (quick := slow + 0.05 * random.standard_normal((n, 1)), quick),
         (rounded(slow, 0.01), slow),
     ):
         y = model.simulate(v, true, np.zeros(1)) + noise
-        drive = Drive("made", t, v, given, y)
+        drive = Drive("made", t, v, demand, y)
         e, _ = nominal_error(drive, model)
-        found = resolution_of(drive, e, estimator)[1, 0]
+        stated = resolution_of(drive, e, estimator)[1, 0]
         both = [noise_deviation(x[:, 0], estimator.settled(v)) for x in (y, e)]
-        assert found == pytest.approx(1e-3, rel=0.15) and min(both) == found
+        assert stated == pytest.approx(1e-3, rel=0.15) and min(both) == stated

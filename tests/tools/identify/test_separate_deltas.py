@@ -59,8 +59,8 @@ def test_a_cut_drive_far_below_the_energy_tests_bound_asks_for_no_larger_sigma(
     """With a tenth of sigma some drives ask for more, and the core's ratio is above FAR_BELOW on each."""
     reader = DriveReader(stored.project, NominalModel(stored.project))
     test = replace(stored.energy, sigma=share * stored.energy.sigma)
-    given = stored.project, reader.model, reader.estimator, stored.fitted, 1.0, test, stored.change
-    weights, reals = stored.fitted.at(reader.estimator.omega), coefficients_of(*given).flat_reals()
+    arguments = stored.project, reader.model, reader.estimator, stored.fitted, 1.0, test, stored.change
+    weights, reals = stored.fitted.at(reader.estimator.omega), coefficients_of(*arguments).flat_reals()
     asking = 0
     for e in list_experiments(few_truck_drives):
         if e.name in stored.manifest["drives"]["bounds"]:

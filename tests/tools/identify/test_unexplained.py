@@ -49,9 +49,9 @@ def test_an_unexplained_drive_is_named_with_its_cost_and_leaves_only_by_hand(lpv
         return json.loads((tmp_path / f"{name}.json").read_text()), done.stderr
 
     listed(folder, rows)
-    found, said = identified("all")
-    assert [u["name"] for u in found["unexplained"]] == ["slide"] and "slide" in found["bound_drives"]
-    cost = found["unexplained_cost"]
+    result, said = identified("all")
+    assert [u["name"] for u in result["unexplained"]] == ["slide"] and "slide" in result["bound_drives"]
+    cost = result["unexplained_cost"]
     assert cost["names"] == ["slide"] and 0 <= cost["found"] < cost["found_without"] <= cost["of"] == 20
     assert "unexplained: slide sets the bounds, and the model leaves" in said
     assert f"with it, {cost['found']} of 20 faults" in said and f"without it, {cost['found_without']}" in said
@@ -61,7 +61,7 @@ def test_an_unexplained_drive_is_named_with_its_cost_and_leaves_only_by_hand(lpv
     why = "set aside in experiments.csv: slid on wet leaves"
     assert aside["left_out"] == {"slide": why} and f"left out: slide: {why}" in said
     assert aside["unexplained"] == [] and aside["unexplained_cost"] is None
-    assert aside["bound_drives"] == found["bound_drives"][:-1]
+    assert aside["bound_drives"] == result["bound_drives"][:-1]
 
 
 def test_the_index_says_use_with_yes_or_no_and_a_reason(spoiled):

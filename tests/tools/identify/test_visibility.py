@@ -25,7 +25,7 @@ def case(n_y: int, frames: int = 400, seed: int = 3):
 
 
 def run(bin_of, speed, Z, B_w, W_delta=W_DELTA) -> dict:
-    met = Excitation.of("drive", SPEEDS, bin_of, speed, Z, W_delta, B_w, np.arange(len(Z)))
+    met = Excitation.from_frames("drive", SPEEDS, bin_of, speed, Z, W_delta, B_w, np.arange(len(Z)))
     return visibility(OMEGA, SPEEDS, met, W_delta, THRESHOLD)
 
 
@@ -33,8 +33,8 @@ def representative(c: int, k: int, bin_of, speed, Z, B_w, W_delta=W_DELTA) -> np
     """Z of the frame at the percentile, found independently: sorted by the margin of a dead vehicle, nearest
     rank."""
     width = (SPEEDS[1] - SPEEDS[0]) / SPEED_CELLS
-    of = (bin_of == k) & (np.minimum((speed - SPEEDS[0]) // width, SPEED_CELLS - 1) == c)
-    ordered = sorted(Z[of], key=lambda z: float(s1.margin(-z, z, W_delta[k], B_w[k])))
+    in_cell = (bin_of == k) & (np.minimum((speed - SPEEDS[0]) // width, SPEED_CELLS - 1) == c)
+    ordered = sorted(Z[in_cell], key=lambda z: float(s1.margin(-z, z, W_delta[k], B_w[k])))
     return ordered[-(-PERCENTILE * len(ordered) // 100) - 1]
 
 
@@ -42,10 +42,10 @@ def representative(c: int, k: int, bin_of, speed, Z, B_w, W_delta=W_DELTA) -> np
 def test_margin_crosses_the_threshold_at_the_smallest_visible_errors(n_y, n_delta):
     """Also of one Delta an output (n_delta = n_y), with weights that differ."""
     frames, W_delta = case(n_y), W_DELTA * (1.0 + np.arange(n_delta))
-    B_w, found = frames[-1], run(*frames, W_delta)
-    np.testing.assert_allclose(found["gain_error_floor"], THRESHOLD * W_DELTA[:, 0])
-    for c, cell in enumerate(found["at_percentile"]):
-        assert (np.array(cell["gain_error"]) > found["gain_error_floor"]).all()
+    B_w, seen = frames[-1], run(*frames, W_delta)
+    np.testing.assert_allclose(seen["gain_error_floor"], THRESHOLD * W_DELTA[:, 0])
+    for c, cell in enumerate(seen["at_percentile"]):
+        assert (np.array(cell["gain_error"]) > seen["gain_error_floor"]).all()
         for k in range(BINS):
             z = representative(c, k, *frames, W_delta)
             for factor, above in ((1 - 1e-6, False), (1 + 1e-6, True)):
@@ -112,8 +112,10 @@ def test_the_strongest_frame_is_at_least_as_telling_and_inflation_scales_what_is
     for typical, strongest in zip(seen["at_percentile"], seen["at_strongest"], strict=False):
         assert all(s <= t for s, t in zip(strongest["gain_error"], typical["gain_error"], strict=False))
         assert strongest["frames"] == typical["frames"]
-    inflated = Excitation.of("drive", SPEEDS, bin_of, speed, Z, 1.3 * W_DELTA, 1.3 * B_w, np.arange(len(Z)))
-    met = Excitation.of("drive", SPEEDS, bin_of, speed, Z, W_DELTA, B_w, np.arange(len(Z)))
+    inflated = Excitation.from_frames(
+        "drive", SPEEDS, bin_of, speed, Z, 1.3 * W_DELTA, 1.3 * B_w, np.arange(len(Z))
+    )
+    met = Excitation.from_frames("drive", SPEEDS, bin_of, speed, Z, W_DELTA, B_w, np.arange(len(Z)))
     a, b = (
         visibility(OMEGA, SPEEDS, inflated, 1.3 * W_DELTA, THRESHOLD),
         visibility(OMEGA, SPEEDS, met, W_DELTA, THRESHOLD, 1.3),

@@ -32,20 +32,20 @@ def cut(frames: Frames, size: int) -> list[Frames]:
 @contextmanager
 def served(watch: Watch):
     """The URL of the page of ``watch`` while it is served."""
-    found, ready = [], threading.Event()
+    loop_ends_url, ready = [], threading.Event()
 
     async def main():
         ends = asyncio.Event()
-        found.extend([asyncio.get_running_loop(), ends])
-        await serve(watch, 0, lambda url: (found.append(url), ready.set()), ends)
+        loop_ends_url.extend([asyncio.get_running_loop(), ends])
+        await serve(watch, 0, lambda url: (loop_ends_url.append(url), ready.set()), ends)
 
     thread = threading.Thread(target=lambda: asyncio.run(main()))
     thread.start()
     assert ready.wait(60)
     try:
-        yield found[2]
+        yield loop_ends_url[2]
     finally:
-        found[0].call_soon_threadsafe(found[1].set)
+        loop_ends_url[0].call_soon_threadsafe(loop_ends_url[1].set)
         thread.join(60)
     assert not thread.is_alive()
 

@@ -27,9 +27,9 @@ DATA = struct.Struct("<BIQ")
 
 @pytest.fixture
 def server(replayer):
-    found = FoxgloveServer(replayer, 0)
-    yield found
-    found.stop()
+    foxglove = FoxgloveServer(replayer, 0)
+    yield foxglove
+    foxglove.stop()
 
 
 class Client:

@@ -97,12 +97,12 @@ def test_the_nominal_model_in_pieces_is_the_model_in_one(replayer, synthetic):
 
 
 def test_a_ring_keeps_the_newest_rows_in_their_order():
-    ring, told = Ring(10, 2), []
+    ring, rows = Ring(10, 2), []
     for size in (3, 4, 0, 25, 1, 9):
-        new = np.column_stack([len(told) + np.arange(size), np.arange(size)])
-        told += new.tolist()
+        new = np.column_stack([len(rows) + np.arange(size), np.arange(size)])
+        rows += new.tolist()
         ring.put(new)
-        assert ring.rows(0, 10**9).tolist() == told[-10:]
+        assert ring.rows(0, 10**9).tolist() == rows[-10:]
     assert ring.count == 42 and ring.find(35.5) == 36 and ring.find(-1) == 32 and ring.find(99) == 42
     assert ring.rows(0, 42, 4)[:, 0].tolist() == [32, 36, 40]
 
@@ -147,11 +147,11 @@ def test_a_growing_log_is_read_by_whole_lines_and_anew_when_it_is_replaced(fault
     pieces = LogSource(path).pieces()
 
     def came():
-        piece, found = next(pieces), 0
+        piece, count = next(pieces), 0
         while piece is not None:
-            found += len(piece)
+            count += len(piece)
             piece = next(pieces)
-        return found
+        return count
 
     assert came() == 0
     with path.open("ab", buffering=0) as stream:

@@ -26,9 +26,9 @@ def beside(flood: str, live: list, source: list) -> dict:
     script = Path(__file__).with_name("on_vcan.py")
     done = with_vcan(sys.executable, script, flood, *live, "--", *CLI, *source, timeout=900)
     assert done.returncode == 0, done.stderr
-    told = json.loads(done.stdout)
-    assert told["status"] == 0, "an interrupt ends the page with status 0"
-    return told
+    result = json.loads(done.stdout)
+    assert result["status"] == 0, "an interrupt ends the page with status 0"
+    return result
 
 
 def verdicts(view: dict, since: float = 0.0) -> list[int]:
@@ -50,8 +50,8 @@ def test_a_can_interface_that_goes_away_and_a_flood_on_it(g80, vehicle, core, fa
     replayer_for(g80, vehicle, "g80")  # compiled here, and not on the one processor of the guest
     live = ["--vehicle", "g80", "--coefficients", vehicle, "socketcan:vcan0"]
     source = ["replay", "--vehicle", "g80", "--coefficients", vehicle, path, "--to", "socketcan:vcan0"]
-    told = beside("cangen vcan0 -g 1 -I 7F1 -L 8", live, source)
-    views = told["views"]
+    result = beside("cangen vcan0 -g 1 -I 7F1 -L 8", live, source)
+    views = result["views"]
     assert views["silent"]["now"]["trouble"] == "" and views["away"]["now"]["trouble"] != ""
     assert views["back"]["now"]["trouble"] == "" and views["back"]["now"]["silent"]
     before, after = views["killed"]["now"]["t"], views["after"]["now"]["t"]
@@ -74,9 +74,9 @@ def test_a_simulation_over_lcm_that_is_killed_and_begins_again(tmp_path):
     replayer_for(load_project("truck"), folder, "truck")
     live = ["--vehicle", "truck", "--coefficients", folder, URL]
     source = ["sim", path, "--coefficients", folder, "--lcm", URL, "--pace", "2", "--json", "-"]
-    told = beside("", live, source)
-    views = told["views"]
-    (run,) = json.loads(told["source"])
+    result = beside("", live, source)
+    views = result["views"]
+    (run,) = json.loads(result["source"])
     after = views["after"]["now"]
     assert after["restarts"] == 1 and not views["killed"]["now"]["restarts"]
     whole = after["t"] - views["silent"]["now"]["t"]

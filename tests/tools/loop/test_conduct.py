@@ -117,9 +117,9 @@ def row(**other) -> dict:
     ],
 )
 def test_what_a_certificate_rules_out(other, said):
-    found = list(conduct.ruled_out(row(**other)))
-    assert len(found) == len(said)
-    for text, start in zip(found, said, strict=True):
+    ruled_out = list(conduct.ruled_out(row(**other)))
+    assert len(ruled_out) == len(said)
+    for text, start in zip(ruled_out, said, strict=True):
         assert text.startswith(start)
 
 
@@ -158,9 +158,9 @@ def test_a_truck_beyond_the_weight_at_one_frequency_is_not_within(truck, measure
         return 0.3 * (1 + omega / 20)
 
     points = measured(lambda omega, v, amplitude: 0.99 * weight(omega))
-    found = bounds(truck, weight).distance("")
-    assert found.ratio == pytest.approx(0.99) and found.output == "road_wheel_angle"
-    assert found.least_gain == pytest.approx(1.0)
+    distance = bounds(truck, weight).distance("")
+    assert distance.ratio == pytest.approx(0.99) and distance.output == "road_wheel_angle"
+    assert distance.least_gain == pytest.approx(1.0)
     assert {v for v, _, _ in points} == {8.0, 12.0, 17.0, 22.0}
     assert {round(u, 2) for _, u, _ in points} == {0.25, 0.7, 2.06}
     assert sum(n for _, _, n in points) == 40 * 12
@@ -171,9 +171,9 @@ def test_a_truck_beyond_the_weight_at_one_frequency_is_not_within(truck, measure
         return np.where(beyond, 1.01, 0.99) * weight(omega)
 
     measured(one)
-    found = bounds(truck, weight).distance("")
-    assert found.ratio == pytest.approx(1.01) and found.omega_radps == at and found.speed_mps == 17.0
-    assert found.amplitude_bar == pytest.approx(2.0624, abs=1e-4)
+    distance = bounds(truck, weight).distance("")
+    assert distance.ratio == pytest.approx(1.01) and distance.omega_radps == at and distance.speed_mps == 17.0
+    assert distance.amplitude_bar == pytest.approx(2.0624, abs=1e-4)
 
 
 def test_the_grid_of_the_response_holds_what_the_runs_do(truck):
@@ -191,7 +191,7 @@ def test_a_certificate_about_more_than_the_weight_is_refused(truck):
     design = truck.design.model_copy(update={"structure": "K_is"})
     stored = SimpleNamespace(project=truck.model_copy(update={"design": design}), fitted=None)
     with pytest.raises(InputError, match="not about W_delta alone"):
-        trucks.CertifiedSet.of(stored)
+        trucks.CertifiedSet.from_identification(stored)
 
 
 def test_speeds_and_demands_of_the_runs_lie_in_what_is_checked():
@@ -199,7 +199,7 @@ def test_speeds_and_demands_of_the_runs_lie_in_what_is_checked():
     limit, asked, speeds, kinds = 2.06, [], [], set()
     for n in range(300):
         gain = 1.0 if n % 2 else 0.7
-        drawn = Drawn.of(limit, 4, PlannedRun(n, "within", 0.0, 0, 0.0, "", gain))
+        drawn = Drawn.for_run(limit, 4, PlannedRun(n, "within", 0.0, 0, 0.0, "", gain))
         asked.append(drawn.demand_bar / gain)
         speeds += [v for _, v in drawn.profile]
         kinds.add((drawn.command.keys.split("\n")[0], drawn.command.highest, drawn.command.size))

@@ -106,7 +106,7 @@ def test_every_measurement_has_text_unit_range_and_conversion(truck):
 
 
 def test_signals_have_the_unit_and_range_of_the_signal_table(truck):
-    found = {m.Name.Value: m for m in truck.MEASUREMENT}
+    by_name = {m.Name.Value: m for m in truck.MEASUREMENT}
     for name, unit, low, high in (
         ("ecu.signals.speed", "m/s", -1, 40),
         ("ecu.signals.y[0]", "rad/s", -1.5, 1.5),
@@ -114,12 +114,12 @@ def test_signals_have_the_unit_and_range_of_the_signal_table(truck):
         ("ecu.report.demand", "bar", -12.5, 12.5),
         ("ecu.supervisor.watch[2].score", "-", 0, 5),
     ):
-        m = found[name]
+        m = by_name[name]
         assert (m.PHYS_UNIT.Unit.Value, m.LowerLimit.Value, m.UpperLimit.Value) == (unit, low, high)
-    assert found["ecu.report.verdict"].Conversion.Value == "CM.lpvg_verdict_t"
-    assert found["ecu.kept.rate_max"].PHYS_UNIT.Unit.Value == "bar/s"
-    assert found["ecu.monitor.signal"].PHYS_UNIT.Unit.Value == "rad/s | rad"
-    dim = found["ecu.monitor.signal"].MATRIX_DIM
+    assert by_name["ecu.report.verdict"].Conversion.Value == "CM.lpvg_verdict_t"
+    assert by_name["ecu.kept.rate_max"].PHYS_UNIT.Unit.Value == "bar/s"
+    assert by_name["ecu.monitor.signal"].PHYS_UNIT.Unit.Value == "rad/s | rad"
+    dim = by_name["ecu.monitor.signal"].MATRIX_DIM
     assert (dim.XDim.Value, dim.YDim.Value, dim.ZDim.Value) == (4, 8, 1), "fastest first"
 
 
@@ -263,12 +263,12 @@ def test_the_command_writes_it_and_renews_its_own(image, truck_elf, truck_text, 
     assert f"{truck_text.count('/begin MEASUREMENT')} measurements of ecu" in done.stderr
     again = image(TYPE.format(header="ecu", of="int before = 1;\n", type="ecu", name="other"))
     for place, status in ((out, 0), (truck_elf, 2)):
-        given = ("--elf", again, "--instance", "other", "-o", place)
-        assert lpvguard("a2l", "--vehicle", "truck", *given).returncode == status, (
+        arguments = ("--elf", again, "--instance", "other", "-o", place)
+        assert lpvguard("a2l", "--vehicle", "truck", *arguments).returncode == status, (
             "its own file, and no other"
         )
     assert 'SYMBOL_LINK "other"' in out.read_text()
-    given = ("--elf", truck_elf, "--instance", "ecu", "-o", out, "--xcp")
-    assert lpvguard("a2l", "--vehicle", "truck", *given, "0x1").returncode == 2
-    assert lpvguard("a2l", "--vehicle", "truck", *given, "0x98EF27F9:0x98EFF927").returncode == 0
+    arguments = ("--elf", truck_elf, "--instance", "ecu", "-o", out, "--xcp")
+    assert lpvguard("a2l", "--vehicle", "truck", *arguments, "0x1").returncode == 2
+    assert lpvguard("a2l", "--vehicle", "truck", *arguments, "0x98EF27F9:0x98EFF927").returncode == 0
     assert "CAN_ID_MASTER 0x98EF27F9\n" in out.read_text()

@@ -59,14 +59,21 @@ from lpvguard.vehicle.project import parse_project
 def test_a_cause_in_words(g80, cause, numbers, at_least, advice, said):
     document = {**g80.model_dump(by_alias=True), "advice": {} if advice is None else {cause: advice}}
     project = parse_project(document, "x")
-    found = diagnosed(project, cause, 0, numbers, found_s=60.0, alarm_s=50.0, since_s=41.2, at_least=at_least)
-    assert found.says == said
-    assert (found.t_s, found.alarm_s, found.since_s, found.at_least) == (60.0, 50.0, 41.2, at_least)
+    diagnosis = diagnosed(
+        project, cause, 0, numbers, found_s=60.0, alarm_s=50.0, since_s=41.2, at_least=at_least
+    )
+    assert diagnosis.says == said
+    assert (diagnosis.t_s, diagnosis.alarm_s, diagnosis.since_s, diagnosis.at_least) == (
+        60.0,
+        50.0,
+        41.2,
+        at_least,
+    )
     soon = diagnosed(
         project, cause, 0, numbers, found_s=55.0, alarm_s=50.0, since_s=41.2, at_least=at_least, final=False
     )
-    assert (found.final, soon.final, soon.says) == (True, False, f"so far {said}")
-    shown = [x for x in (found.value, found.low, found.high) if x is not None]
+    assert (diagnosis.final, soon.final, soon.says) == (True, False, f"so far {said}")
+    shown = [x for x in (diagnosis.value, diagnosis.low, diagnosis.high) if x is not None]
     assert shown == list(numbers[: {"other": 0, "frozen": 1, "noise": 1}.get(cause, 3)])
 
 

@@ -107,9 +107,13 @@ def test_faults_are_found_and_the_untouched_drive_is_not(fault, drive, core, g80
     replayer = Replayer(g80, core)
     clean = read_drive(synthetic / f"{drive}.csv", g80)
     assert not replayer.replay(clean).alarms
-    found = replayer.replay(inject(clean, fault, 60.0, g80.Ts_s))
-    assert found.alarms and 60.0 < found.alarms[0].t_s < 95.0 and found.first_invalid_s >= found.alarms[0].t_s
-    alarm = next(a for a in found.alarms if a.test == "frame")
+    replay = replayer.replay(inject(clean, fault, 60.0, g80.Ts_s))
+    assert (
+        replay.alarms
+        and 60.0 < replay.alarms[0].t_s < 95.0
+        and replay.first_invalid_s >= replay.alarms[0].t_s
+    )
+    alarm = next(a for a in replay.alarms if a.test == "frame")
     assert alarm.statistic > alarm.threshold
     assert abs(alarm.E[0]) == pytest.approx(
         alarm.margin * (alarm.B_w[0] + alarm.W_delta[0] * abs(alarm.Z[0])), rel=1e-4

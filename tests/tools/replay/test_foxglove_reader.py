@@ -81,10 +81,10 @@ def test_the_reader_objects_to_a_message_that_is_not_as_its_schema_says(
     series = replayer.series(replayer.read_file(path), said)
 
     def bent(*arguments):
-        found = messages(*arguments)
-        at = next(i for i, m in enumerate(found) if m.topic == topic)
-        found[at] = replace(found[at], content=found[at].content | wrong)
-        return found
+        series_messages = messages(*arguments)
+        at = next(i for i, m in enumerate(series_messages) if m.topic == topic)
+        series_messages[at] = replace(series_messages[at], content=series_messages[at].content | wrong)
+        return series_messages
 
     monkeypatch.setattr(recordings, "messages", bent)
     recordings.write_series(tmp_path / "run.mcap", "mcap", series, said.to_dict()["alarms"], "g80")

@@ -192,17 +192,17 @@ def autosar(name: str, data: bytearray, count: int) -> bytes:
     assert e2e
     from e2e import p01, p02, p05, p11
 
-    profile, given = name.removeprefix("autosar_"), SETTINGS[name]["data_id"]
+    profile, data_id = name.removeprefix("autosar_"), SETTINGS[name]["data_id"]
     at, mask = (2, 0xFF) if profile == "p05" else (1, 0x0F)
     data[at] = data[at] & ~mask | count % COUNTERS[name]
     if profile == "p01":
-        p01.e2e_p01_protect(data, given, data_id_mode=p01.E2E_P01_DATAID_BOTH, increment_counter=False)
+        p01.e2e_p01_protect(data, data_id, data_id_mode=p01.E2E_P01_DATAID_BOTH, increment_counter=False)
     elif profile == "p05":
-        p05.e2e_p05_protect(data, given, increment_counter=False)
+        p05.e2e_p05_protect(data, data_id, increment_counter=False)
     elif profile == "p11":
-        p11.e2e_p11_protect(data, given, data_id_mode=p11.E2E_P11_DATAID_BOTH, increment_counter=False)
+        p11.e2e_p11_protect(data, data_id, data_id_mode=p11.E2E_P11_DATAID_BOTH, increment_counter=False)
     else:
-        p02.e2e_p02_protect(data, bytes(given), increment_counter=False)
+        p02.e2e_p02_protect(data, bytes(data_id), increment_counter=False)
     return bytes(data)
 
 
@@ -262,11 +262,11 @@ def test_right_frames_give_their_values(bus):
 def test_spoiled_frames_are_counted_for_what_they_are(bus):
     names, receiver = bus
     log = log_of(names, np.zeros((FRAMES, len(names)), int))
-    of = {name: np.flatnonzero(log.id == 0x2A0 + j) for j, name in enumerate(names)}
+    positions = {name: np.flatnonzero(log.id == 0x2A0 + j) for j, name in enumerate(names)}
     for name in names:
-        log.data[of[name][10], AT.get(name, 4)] ^= 0x20  # a payload bit
-        log.data[of[name][30]] = log.data[of[name][29]]  # a repeated frame
-        log.length[of[name][50]] = 7
+        log.data[positions[name][10], AT.get(name, 4)] ^= 0x20  # a payload bit
+        log.data[positions[name][30]] = log.data[positions[name][29]]  # a repeated frame
+        log.length[positions[name][50]] = 7
     got = receiver.receive(log, "log")
     for name in names:
         counted = got.report["messages"][name.upper()]

@@ -24,10 +24,10 @@ def recorded(replayer, alarmed, tmp_path_factory):
 
 def read(path) -> dict[str, list]:
     """Messages by topic, in the order of the file."""
-    found: dict[str, list] = {}
+    by_topic: dict[str, list] = {}
     for message in read_ros2_messages(str(path)):
-        found.setdefault(message.channel.topic, []).append(message)
-    return found
+        by_topic.setdefault(message.channel.topic, []).append(message)
+    return by_topic
 
 
 def test_the_diagnostics_say_each_verdict_and_each_alarm(recorded):
@@ -38,11 +38,11 @@ def test_the_diagnostics_say_each_verdict_and_each_alarm(recorded):
     said = [m.ros_msg.status[0] for m in messages]
     words = {sentence for s in said for sentence in s.message.split("; frame")}
     assert all(any(alarm_sentence(alarm).removeprefix("frame") in w for w in words) for alarm in alarms)
-    told = [s.values[0].value for s in said]
-    assert [v for v, _ in groupby(told)] == [v for v, _ in groupby(series["verdict"].to_pylist())]
+    verdicts = [s.values[0].value for s in said]
+    assert [v for v, _ in groupby(verdicts)] == [v for v, _ in groupby(series["verdict"].to_pylist())]
     assert all(
         s.level in (LEVELS.get(v, STALE), bytes([LEVELS.get(v, STALE)]))
-        for s, v in zip(said, told, strict=True)
+        for s, v in zip(said, verdicts, strict=True)
     )
     assert {s.hardware_id for s in said} == {"g80"}
 

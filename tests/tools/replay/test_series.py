@@ -29,8 +29,8 @@ def test_the_table_of_the_command_is_what_the_core_said(lpvguard, replayer, vehi
     columns = [margin_column(w) for w in replayer.estimator.omega]
     frames = said.run.frames
     for k, column in enumerate(columns):
-        found = table[column].drop_null().to_numpy()
-        assert np.array_equal(found, frames.margin[frames.counted & (frames.bin == k)]), column
+        margins = table[column].drop_null().to_numpy()
+        assert np.array_equal(margins, frames.margin[frames.counted & (frames.bin == k)]), column
     assert max(table[c].drop_null().to_numpy().max(initial=0) for c in columns) == said.max_margin
     assert table["energy_ratio"].drop_null().to_numpy().max() == said.run.energy.max()
 
@@ -68,12 +68,12 @@ def test_an_mcap_recording_is_read_back_with_the_same_verdicts_margins_and_alarm
     out = tmp_path / "out"
     words = ("replay", "--vehicle", "g80", "--coefficients", vehicle, path, "--table", out, "--as", "mcap")
     assert lpvguard(*words).returncode == 1
-    found = {topic: [] for topic in ("/lpvguard/sample", "/lpvguard/margin", "/lpvguard/alarm")}
+    by_topic = {topic: [] for topic in ("/lpvguard/sample", "/lpvguard/margin", "/lpvguard/alarm")}
     with (out / "weak.mcap").open("rb") as stream:
         for schema, channel, message in reader.make_reader(stream, validate_crcs=True).iter_messages():
             assert schema.encoding == "jsonschema" and channel.message_encoding == "json"
-            found[channel.topic].append((message.log_time, json.loads(message.data)))
-    samples, margins, alarms = found.values()
+            by_topic[channel.topic].append((message.log_time, json.loads(message.data)))
+    samples, margins, alarms = by_topic.values()
     assert [m["verdict"] for _, m in samples] == [VERDICTS[code] for code in said.run.verdict]
     assert [t for t, _ in samples] == [round(k * 0.02 * 1e9) for k in range(len(samples))]
     frames = said.run.frames

@@ -124,9 +124,9 @@ def opened(folder: Path, page: str, width: int, zooms: bool) -> dict:
     early = f"<script>window.zooms = {json.dumps(zooms)};</script>{EARLY}"
     path.write_text(page.replace("<style>", early + "<style>", 1).replace("</body>", LATE + "</body>"))
     dom = chromium(folder, path, f"--window-size={width},800", "--virtual-time-budget=120000", "--dump-dom")
-    told = re.search(r'<pre id="told">(.*?)</pre>', dom, re.DOTALL)
-    assert told, "the page did not finish"
-    return json.loads(unescape(told.group(1)))
+    match = re.search(r'<pre id="told">(.*?)</pre>', dom, re.DOTALL)
+    assert match, "the page did not finish"
+    return json.loads(unescape(match.group(1)))
 
 
 @pytest.mark.slow("8 s: a browser opens the page and zooms every picture")
@@ -134,17 +134,17 @@ def opened(folder: Path, page: str, width: int, zooms: bool) -> dict:
 def test_the_page_works_in_a_browser_and_asks_nobody(page, tmp_path, width):
     require("chromium")
     zooms = FULL or width < 1000
-    told = opened(tmp_path, page, width, zooms)
+    result = opened(tmp_path, page, width, zooms)
     pictures = page.count('<script type="application/json">')
-    assert told["wrong"] == [] and told["asked"] == []
-    assert told["lost"] == [] and pictures > 0 and told["zoomed"] == (pictures if zooms else 0)
-    assert told["overlaps"] == [] and told["letters"] > 100
-    assert told["wide"] <= 0, "the page is wider than the window"
-    assert width < 1000 or told["bottom"] <= 800, "the answers do not fit on the first screen"
-    assert told["focused"].startswith("cell-") and "rad/s" in told["reading"]
-    assert sorted(told["sorted"]) == sorted(name for name, *_ in DRIVES) and told["searched"] == ["weak"]
+    assert result["wrong"] == [] and result["asked"] == []
+    assert result["lost"] == [] and pictures > 0 and result["zoomed"] == (pictures if zooms else 0)
+    assert result["overlaps"] == [] and result["letters"] > 100
+    assert result["wide"] <= 0, "the page is wider than the window"
+    assert width < 1000 or result["bottom"] <= 800, "the answers do not fit on the first screen"
+    assert result["focused"].startswith("cell-") and "rad/s" in result["reading"]
+    assert sorted(result["sorted"]) == sorted(name for name, *_ in DRIVES) and result["searched"] == ["weak"]
     ratios = dict(re.findall(r'data-drive="(\w+)" data-ratio="([^"]*)" data-alarms', page))
-    judged = [float(ratios[name]) for name in told["sorted"] if ratios[name]]
+    judged = [float(ratios[name]) for name in result["sorted"] if ratios[name]]
     assert judged == sorted(judged, reverse=True)
 
 
@@ -156,10 +156,10 @@ def test_the_browser_test_finds_errors_requests_and_overlaps(page, tmp_path):
         '<img src="https://example.org/x.png"><p style="position:absolute;top:0">over the title</p>'
         "<script>undefined_name()</script></body>",
     )
-    told = opened(tmp_path, bad, 1280, zooms=False)
-    assert any("undefined_name" in w for w in told["wrong"])
-    assert any("blocked https://example.org" in w for w in told["wrong"])
-    assert any("over the title" in pair for pair in told["overlaps"])
+    result = opened(tmp_path, bad, 1280, zooms=False)
+    assert any("undefined_name" in w for w in result["wrong"])
+    assert any("blocked https://example.org" in w for w in result["wrong"])
+    assert any("over the title" in pair for pair in result["overlaps"])
 
 
 @pytest.mark.long("11 s: a browser prints the page")

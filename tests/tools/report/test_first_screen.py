@@ -41,12 +41,12 @@ class Reader(HTMLParser):
         self.feed(screen)
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        given = {k: v or "" for k, v in attrs}
-        one = Element({k[5:]: v for k, v in given.items() if k.startswith("data-")}, tag)
+        attributes = {k: v or "" for k, v in attrs}
+        one = Element({k[5:]: v for k, v in attributes.items() if k.startswith("data-")}, tag)
         if self._open:
             self._open[-1].below.append(one)
-        if "id" in given:
-            self.found[given["id"]] = one
+        if "id" in attributes:
+            self.found[attributes["id"]] = one
         self._open.append(one)
 
     def handle_endtag(self, tag: str) -> None:
@@ -116,16 +116,16 @@ def answers(case: Case, page: str) -> Reader:
         alarms[name] = replay.alarms
     quiet = {n: r for n, r in ratios.items() if not alarms[n]}
     nearest = max(quiet, key=lambda n: quiet[n])
-    told = reader.found["nearest"]
-    assert told.data["drive"] == nearest and nearest in told.text
-    assert float(told.data["ratio"]) == pytest.approx(quiet[nearest], rel=1e-3)
+    element = reader.found["nearest"]
+    assert element.data["drive"] == nearest and nearest in element.text
+    assert float(element.data["ratio"]) == pytest.approx(quiet[nearest], rel=1e-3)
     count = sum(map(len, alarms.values()))
     assert reader.found["alarms"].data["alarms"] == str(count)
     shown = sum(int(c.data["alarms"]) for n, c in reader.found.items() if n.startswith("cell-"))
-    assert shown == sum(a.test == "frame" for of in alarms.values() for a in of)
-    for name, of in alarms.items():
+    assert shown == sum(a.test == "frame" for drive_alarms in alarms.values() for a in drive_alarms)
+    for name, drive_alarms in alarms.items():
         ratio = f"{ratios[name]:.4g}" if ratios[name] else ""
-        assert f'data-drive="{name}" data-ratio="{ratio}" data-alarms="{len(of)}"' in page
+        assert f'data-drive="{name}" data-ratio="{ratio}" data-alarms="{len(drive_alarms)}"' in page
     return reader
 
 
@@ -160,8 +160,10 @@ def test_a_reader_of_the_measured_drives_finds_the_answers(g80, measured, measur
     ],
 )
 def test_alarms_that_refute_no_certificate_falsify_nothing(verdicts_of_drives, said):
-    told = [SimpleNamespace(alarms=[SimpleNamespace(verdict=v) for v in of]) for of in verdicts_of_drives]
-    assert outcome(told) == said
+    drives = [
+        SimpleNamespace(alarms=[SimpleNamespace(verdict=v) for v in alarms]) for alarms in verdicts_of_drives
+    ]
+    assert outcome(drives) == said
 
 
 @pytest.mark.parametrize(
@@ -219,8 +221,8 @@ def test_a_cell_is_proved_blind_without_data_or_violated():
 
 
 def test_neighbouring_speeds_with_the_same_bins_are_said_together():
-    found = regions(cells(SEEN, []), lambda c: c.state == "proved")
-    assert [(r.speed_mps, [(a.omega, b.omega) for a, b in r.runs]) for r in found] == [
+    joined = regions(cells(SEEN, []), lambda c: c.state == "proved")
+    assert [(r.speed_mps, [(a.omega, b.omega) for a, b in r.runs]) for r in joined] == [
         ((5.0, 15.0), [(0.0, 1.0)]),
         ((15.0, 20.0), [(1.0, 1.0)]),
     ]
@@ -242,9 +244,11 @@ def test_drives_that_the_model_leaves_unexplained_stand_on_the_first_screen(
         drive, e, _ = case.drives.load(name)
         left[name] = float((e.var(axis=0) / drive.y.var(axis=0)).max())
     assert [name for name in left if left[name] > 0.3] == ["weak"] and "weak" in groups["calibration"]
-    told = Reader(page).found["unexplained"]
-    assert told.data["drives"] == "1" and "weak (calibrates, " in told.text
-    assert float(re.search(r"([\d.]+)% of", told.text).group(1)) == pytest.approx(100 * left["weak"], abs=3)
+    element = Reader(page).found["unexplained"]
+    assert element.data["drives"] == "1" and "weak (calibrates, " in element.text
+    assert float(re.search(r"([\d.]+)% of", element.text).group(1)) == pytest.approx(
+        100 * left["weak"], abs=3
+    )
     rows = dict(re.findall(r'<tr data-drive="(\w+)" data-ratio(.*?)</tr>', page, re.S))
     for name, part in left.items():
         value, bad = re.search(

@@ -58,9 +58,9 @@ def test_a_table_has_every_finite_point_and_the_page_the_extremes_of_long_lines(
     rows = list(csv.DictReader(to_csv(panels).splitlines()))
     of_line = [r for r in rows if r["series"] == "γ_w of a frame"]
     assert len(of_line) == len(x) and float(of_line[777]["y"]) == 9.0
-    told = json.loads(to_json(panels))[0]["series"][0]
-    assert len(told["x"]) == len(told["y"]) <= 1.1 * MOST_POINTS and max(told["y"]) == 9.0
-    assert told["x"] == sorted(told["x"])
+    series = json.loads(to_json(panels))[0]["series"][0]
+    assert len(series["x"]) == len(series["y"]) <= 1.1 * MOST_POINTS and max(series["y"]) == 9.0
+    assert series["x"] == sorted(series["x"])
 
 
 def test_text_of_a_picture_cannot_end_the_script_that_holds_its_numbers():
@@ -76,10 +76,10 @@ def test_mathematical_text_is_said_in_characters():
 
 @pytest.mark.unhurried
 def test_pictures_are_kept_only_while_asked():
-    with kept() as found:
+    with kept() as pictures:
         one = drawn("a", np.array([1.0]), np.array([1.0]))
     drawn("b", np.array([1.0]), np.array([1.0]))
-    assert found == [one] and standalone(one).startswith("<svg xmlns=")
+    assert pictures == [one] and standalone(one).startswith("<svg xmlns=")
 
 
 @pytest.mark.long("13 s: a page with its pictures")

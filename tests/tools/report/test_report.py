@@ -76,29 +76,29 @@ def test_bounds_of_the_plain_dft_have_a_page_without_a_core(tmp_path):
 @pytest.mark.unhurried
 def test_has_every_section_in_order(page):
     assert re.findall("<h2>(.*?)</h2>", page) == TITLES
-    told = without_scripts(page)
-    assert told.count("<svg") == told.count("</svg>") >= 2 * len(DRIVES) + 5
+    markup = without_scripts(page)
+    assert markup.count("<svg") == markup.count("</svg>") >= 2 * len(DRIVES) + 5
     for figure in ("Fig. 2", "Fig. 3", "Fig. 4"):
         assert f"Counterpart of {figure}" in page
 
 
 @pytest.mark.unhurried
 def test_needs_nothing_from_outside(page):
-    told = without_scripts(page)
+    markup = without_scripts(page)
     assert not re.search(
-        r"https?:|//[a-z]|<script|<link|<iframe|@import|javascript:", re.sub(r"base64,[^\"]*", "", told)
+        r"https?:|//[a-z]|<script|<link|<iframe|@import|javascript:", re.sub(r"base64,[^\"]*", "", markup)
     )
-    assert set(re.findall(r'(?:href|src)="(data:|#)?', told)) <= {"data:", "#"}
+    assert set(re.findall(r'(?:href|src)="(data:|#)?', markup)) <= {"data:", "#"}
     policy = re.search(r'Content-Security-Policy" content="([^"]*)"', page)
     assert policy and policy.group(1).startswith("default-src 'none';") and "http" not in policy.group(1)
 
 
 @pytest.mark.unhurried
 def test_references_within_the_page_resolve_and_are_unique(page):
-    told = without_scripts(page)
-    ids = re.findall(r' id="([^"]+)"', told)
+    markup = without_scripts(page)
+    ids = re.findall(r' id="([^"]+)"', markup)
     assert len(ids) == len(set(ids))
-    assert set(re.findall(r'(?:href="|url\()#([^")]+)', told)) <= set(ids)
+    assert set(re.findall(r'(?:href="|url\()#([^")]+)', markup)) <= set(ids)
 
 
 @pytest.mark.slow("5 s: another page")
@@ -130,8 +130,8 @@ def test_alarms_are_listed_with_their_evidence(case, page):
 def test_a_campaign_is_told_with_every_severity_and_whoever_was_best(case, tmp_path):
     detectors = {"monitor": "lpvguard", "rms": "residual RMS", "cusum": "CUSUM", "nis": "NIS"}
 
-    def severity(kind: str, x: float, found: int, mu: float | None, stable: bool = True) -> dict:
-        shares = dict.fromkeys(detectors, found)
+    def severity(kind: str, x: float, detected: int, mu: float | None, stable: bool = True) -> dict:
+        shares = dict.fromkeys(detectors, detected)
         return {
             "kind": kind,
             "severity": x,
@@ -366,21 +366,21 @@ def test_a_weight_that_is_nearest_its_bound_at_infinity_is_shown(case, page, tmp
 
 
 def test_the_design_section_tells_true_margins_where_they_lie_beside_it(tmp_path):
-    folder, found = tmp_path / "design", schemas.example("robust")
+    folder, truth = tmp_path / "design", schemas.example("robust")
     folder.mkdir()
     certificates = schemas.example("controller")["certificates"]
     (folder / "controller.json").write_text(artefacts.to_json({"certificates": certificates}))
     assert "what is promised" not in design_section(folder)
-    found |= {"coefficients_sha256": certificates["coefficients_sha256"], "beyond": 1}
-    true = found["true"][0]
+    truth |= {"coefficients_sha256": certificates["coefficients_sha256"], "beyond": 1}
+    true = truth["true"][0]
     true["deviations"][0] |= {"ratio": 1.25, "delta": 0.75, "W_delta": 0.6, "omega_rad_s": 7.5}
     true["margins"]["gain_up"] |= {"value": 1.625}
-    found["true"].append(true | {"unstable_poles": 2, "margins": None, "deviations": []})
-    (tmp_path / "robust.json").write_text(artefacts.to_json(found))
+    truth["true"].append(true | {"unstable_poles": 2, "margins": None, "deviations": []})
+    (tmp_path / "robust.json").write_text(artefacts.to_json(truth))
     text = design_section(folder)
     name = true["deviations"][0]["output"]
     assert f'{name} <span class="no">1.25</span>: 0.75 against 0.6 at 7.5 rad/s' in text
     assert "<td>1.62</td>" in text and '<span class="no">unstable</span>' in text and "1 of 2 ratios" in text
-    (tmp_path / "robust.json").write_text(artefacts.to_json(found | {"coefficients_sha256": "0" * 64}))
+    (tmp_path / "robust.json").write_text(artefacts.to_json(truth | {"coefficients_sha256": "0" * 64}))
     with pytest.raises(InputError, match="another controller"):
         design_section(folder)

@@ -103,8 +103,8 @@ BY_HAND = {
 
 @pytest.mark.parametrize("form", robust.FORMS)
 def test_the_radius_of_each_form_is_the_one_computed_by_hand(form):
-    found = robust.uncertainty_set(OMEGA, control.tf([2.0], [1.0]), np.full((1, 41, 1, 1), 3.0), form)
-    assert found.radius == pytest.approx(BY_HAND[form], rel=1e-12)
+    uncertainty = robust.uncertainty_set(OMEGA, control.tf([2.0], [1.0]), np.full((1, 41, 1, 1), 3.0), form)
+    assert uncertainty.radius == pytest.approx(BY_HAND[form], rel=1e-12)
 
 
 @pytest.mark.parametrize("form", robust.FORMS)
@@ -112,9 +112,9 @@ def test_a_set_contains_every_response_and_no_smaller_one_does(form):
     rng = np.random.default_rng(7)
     G0, G = (rng.normal(size=(n, 41, 2, 2)) + 1j * rng.normal(size=(n, 41, 2, 2)) for n in (1, 5))
     G = G0 + 0.1 * G
-    found = robust.uncertainty_set(OMEGA, G0[0], G, form)
-    size = np.linalg.norm(found.residuals, 2, axis=(2, 3))
-    assert found.radius == pytest.approx(size.max(axis=0))
+    uncertainty = robust.uncertainty_set(OMEGA, G0[0], G, form)
+    size = np.linalg.norm(uncertainty.residuals, 2, axis=(2, 3))
+    assert uncertainty.radius == pytest.approx(size.max(axis=0))
     if form == "coprime":  # the pointwise gap, which no factorisation changes
         inner = lambda X: np.linalg.inv(np.linalg.cholesky(X))  # noqa: E731
         star = lambda X: np.conj(np.swapaxes(X, -1, -2))  # noqa: E731
@@ -124,9 +124,9 @@ def test_a_set_contains_every_response_and_no_smaller_one_does(form):
 
 def test_a_set_comes_with_a_weight_above_its_radius():
     responses = (1 + 0.3 * OMEGA / (1 + OMEGA))[None, :, None, None]
-    found = robust.uncertainty_set(OMEGA, np.ones((41, 1, 1)), responses, "multiplicative_output")
-    weight, _ = found.weight(2)
-    assert (np.abs(weight(1j * OMEGA)) >= found.radius * (1 - 1e-9)).all()
+    uncertainty = robust.uncertainty_set(OMEGA, np.ones((41, 1, 1)), responses, "multiplicative_output")
+    weight, _ = uncertainty.weight(2)
+    assert (np.abs(weight(1j * OMEGA)) >= uncertainty.radius * (1 - 1e-9)).all()
 
 
 @pytest.mark.parametrize(

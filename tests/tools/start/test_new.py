@@ -329,8 +329,8 @@ def test_logs_may_be_called_anything(tmp_path):
         for log, name in zip(write_logs(tmp_path), ('a "wet", one.csv', "a\nb.csv"), strict=True)
     ]
     new("mine", logs, tmp_path / "out", wheelbase_m=2.8)
-    found = list_experiments(tmp_path / "out" / "drives")
-    assert sorted((e.name, e.recording) for e in found) == sorted((log.stem, log.stem) for log in logs)
+    experiments = list_experiments(tmp_path / "out" / "drives")
+    assert sorted((e.name, e.recording) for e in experiments) == sorted((log.stem, log.stem) for log in logs)
 
 
 def test_a_signal_that_stands_still_is_told_apart_from_none(tmp_path):
@@ -362,8 +362,8 @@ def test_a_folder_is_its_logs_without_the_index(tmp_path, lpvguard):
 def test_a_log_whose_name_is_no_utf8_is_named(tmp_path, lpvguard):
     (tmp_path / "logs").mkdir()
     log = write_logs(tmp_path / "logs")[0].rename(tmp_path / "logs" / os.fsdecode(b"f\xe4hrt.csv"))
-    for given in (log.parent, log):
-        done = lpvguard("new", "mine", given, "-o", tmp_path / "out")
+    for path in (log.parent, log):
+        done = lpvguard("new", "mine", path, "-o", tmp_path / "out")
         assert done.returncode == 2 and r"f\xe4hrt.csv': the name is not UTF-8" in done.stderr
 
 

@@ -177,9 +177,9 @@ def test_steering_yaw_rate_and_speed_are_proposed_right(databases):
         ]
         units = {n: s.unit or "" for n, s in signals if s.length > 1}  # `new` asks for more than two values
         for role, pattern in zip(ROLES, right, strict=True):
-            found = next(iter(ranked(role, units, units)), None)
-            if not (re.fullmatch(pattern, found or "") if pattern else found is None):
-                wrong.append(f"{name} {role}: {found}, expected {pattern}")
+            proposed = next(iter(ranked(role, units, units)), None)
+            if not (re.fullmatch(pattern, proposed or "") if pattern else proposed is None):
+                wrong.append(f"{name} {role}: {proposed}, expected {pattern}")
     cars = len({text.split()[0] for text in wrong})
     print(f"{len(CARS) - cars} of {len(CARS)} cars right", *wrong, sep="\n")
     assert cars <= len(CARS) // 6

@@ -49,13 +49,14 @@ def drive() -> np.ndarray:
 
 def spoiled(random: np.random.Generator) -> tuple[str, tuple[str, ...]]:
     """The text of a log with a spoiled header, time or unit, and the units that its numbers are in."""
-    units = tuple(str(random.choice(of)) for of in UNITS)
+    units = tuple(str(random.choice(choices)) for choices in UNITS)
     stated = [
-        u if random.random() < 0.85 else str(random.choice(of)) for u, of in zip(units, UNITS, strict=True)
+        u if random.random() < 0.85 else str(random.choice(choices))
+        for u, choices in zip(units, UNITS, strict=True)
     ]
     if stated[0] != units[0] and {stated[0], units[0]} != {"m/s", "km/h"}:
         stated[0] = units[0]
-    names = [str(random.choice(of)) for of in NAMES]
+    names = [str(random.choice(choices)) for choices in NAMES]
     as_stated = str(random.choice(STATED))
     header = [
         as_stated.format(n, u) if random.random() < 0.6 else n for n, u in zip(names, stated, strict=True)
@@ -110,7 +111,7 @@ def outcome(folder: Path, text: str, units: tuple[str, ...]) -> str:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             logs, _ = recordings_of([log], None)
-            found = proposed(logs, {}, Known("car", 2.8))
+            proposals = proposed(logs, {}, Known("car", 2.8))
     except InputError as error:
         return "refused" if len(str(error)) > 20 else f"says nothing: {error}"
     truth = drive()
@@ -118,7 +119,7 @@ def outcome(folder: Path, text: str, units: tuple[str, ...]) -> str:
     if abs(step / 0.02 - 1) > 0.05:
         return f"wrong time: a step of {step:g} s"
     for k, role in enumerate(ROLES):
-        p = found[role]
+        p = proposals[role]
         values = logs[0].values[p.name] * p.factor * (unit_factor(p.unit, SI[k]) or np.nan)
         spread = np.nanstd(values) / np.std(truth[:, k + 1])
         if not 0.8 < spread < 1.25:
@@ -128,25 +129,25 @@ def outcome(folder: Path, text: str, units: tuple[str, ...]) -> str:
 
 def counted(folder: Path, seeds: range) -> tuple[Counter[str], list[str]]:
     """Outcomes by kind, and those that are wrong."""
-    found: Counter[str] = Counter()
+    counts: Counter[str] = Counter()
     wrong = []
     for seed in seeds:
         said = outcome(folder, *spoiled(np.random.default_rng(seed)))
-        found[said.split(":")[0]] += 1
+        counts[said.split(":")[0]] += 1
         if said not in ("right", "refused"):
             wrong.append(f"seed {seed}: {said}")
-    return found, wrong
+    return counts, wrong
 
 
 @pytest.mark.slow("4 s: 20 logs")
 def test_spoiled_logs_are_read_right_or_refused(tmp_path):
-    found, wrong = counted(tmp_path, range(20))
-    assert not wrong and found["right"] >= 3, wrong
+    counts, wrong = counted(tmp_path, range(20))
+    assert not wrong and counts["right"] >= 3, wrong
 
 
 @pytest.mark.long("40 s: 200 logs")
 def test_200_spoiled_logs_are_read_right_or_refused(tmp_path, capsys):
-    found, wrong = counted(tmp_path, range(200))
+    counts, wrong = counted(tmp_path, range(200))
     with capsys.disabled():
-        print("\nof 200 spoiled logs:", ", ".join(f"{n} {what}" for what, n in sorted(found.items())))
+        print("\nof 200 spoiled logs:", ", ".join(f"{n} {what}" for what, n in sorted(counts.items())))
     assert not wrong, wrong

@@ -45,16 +45,18 @@ def logs(tmp_path):
 
 
 def test_each_folder_of_topics_is_a_recording(logs, tmp_path):
-    found = logs_among([logs])
-    assert [p.name for p in found] == ["run0", "run1"] and logs_among([found[0]]) == found[:1]
-    made = new("mine", found, tmp_path / "out", wheelbase_m=2.7)
+    recordings = logs_among([logs])
+    assert [p.name for p in recordings] == ["run0", "run1"] and logs_among([recordings[0]]) == recordings[:1]
+    made = new("mine", recordings, tmp_path / "out", wheelbase_m=2.7)
     assert {role: (p.name, p.unit, p.factor) for role, p in made.proposals.items()} == {
         "speed": ("odom.field.twist.twist.linear.x", "m/s", 1.0),
         "input": ("steering.angle [rad]", "rad", 1.0),
         "output": ("imu.field.angular_velocity.z", "rad/s", 1.0),
     }
     assert made.project.Ts_s == 0.05  # twice the speed's rate, which is the slowest
-    again = ingest(found, dbc=None, signals_map=tmp_path / "out" / "signals.toml", out=tmp_path / "again")
+    again = ingest(
+        recordings, dbc=None, signals_map=tmp_path / "out" / "signals.toml", out=tmp_path / "again"
+    )
     written = (tmp_path / "out" / "drives" / "run0.csv").read_text()
     assert len(again) == 2 and (tmp_path / "again" / "run0.csv").read_text() == written
 

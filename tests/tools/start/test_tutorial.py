@@ -32,7 +32,7 @@ class Shown:
 
 def shown(text: str) -> list[Shown]:
     """Commands of a document's console blocks, in order; "..." stands for lines that are not shown."""
-    found = []
+    commands = []
     for block in BLOCK.findall(text):
         for piece in re.split(r"^\$ ", block.replace("\\\n", " "), flags=re.MULTILINE)[1:]:
             command, *lines = piece.splitlines()
@@ -40,8 +40,8 @@ def shown(text: str) -> list[Shown]:
             assert program == "lpvguard", f"no command of this package: {command}"
             status = STATUS.search(command)
             shown_lines = [line for line in lines if line != "..."]
-            found.append(Shown(words, int(status[1]) if status else 0, shown_lines))
-    return found
+            commands.append(Shown(words, int(status[1]) if status else 0, shown_lines))
+    return commands
 
 
 def missing(said: str, lines: list[str]) -> list[str]:

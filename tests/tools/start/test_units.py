@@ -29,13 +29,13 @@ COMBINATIONS = list(product(*(GUESSED_UNITS[role] for role in ROLES), (False, Tr
 def recordings(car: KnownCar, speeds: tuple[float, float]) -> list[Recording]:
     """A drive at each speed, in SI units at the road wheels."""
     random = np.random.default_rng(57)
-    found = []
+    recordings_read = []
     for k, speed in enumerate(speeds):
         d = car.drive(random, speed, 90.0, f"d{k}")
         gentle = min(1.0, 3.0 / float(np.quantile(np.abs(d.v * d.y[:, 0]), 0.99)))  # as people drive
         values = {"speed": d.v, "angle_of_steering": gentle * d.u[:, 0], "yaw_rate": gentle * d.y[:, 0]}
-        found.append(Recording(d.name, d.t, values, {}))
-    return found
+        recordings_read.append(Recording(d.name, d.t, values, {}))
+    return recordings_read
 
 
 def in_units(logs: list[Recording], units: tuple[str, str, str], ratio: float) -> list[Recording]:
@@ -56,13 +56,13 @@ def in_units(logs: list[Recording], units: tuple[str, str, str], ratio: float) -
 def outcome(logs: list[Recording], units: tuple[str, str, str], ratio: float, known: Known) -> str:
     """Say right, asked, or what else came out."""
     try:
-        found = proposed(logs, {}, known)
+        proposals = proposed(logs, {}, known)
     except InputError as error:
         return "asked" if "readings fit" in str(error) else f"refused: {error}"
-    factor = found["input"].factor * ratio
-    if tuple(found[role].unit for role in ROLES) == units and 0.8 < factor < 1.25:
+    factor = proposals["input"].factor * ratio
+    if tuple(proposals[role].unit for role in ROLES) == units and 0.8 < factor < 1.25:
         return "right"
-    return f"wrong: {[p.unit for p in found.values()]}, steering {factor:.3g} times the right one"
+    return f"wrong: {[p.unit for p in proposals.values()]}, steering {factor:.3g} times the right one"
 
 
 def counted(car: str, speeds: str) -> Counter[str]:
@@ -70,25 +70,25 @@ def counted(car: str, speeds: str) -> Counter[str]:
     model, ratio = CARS[car]
     logs = recordings(model, SPEEDS[speeds])
     known = Known(kind_of(model.L), model.L)
-    found: Counter[str] = Counter()
+    counts: Counter[str] = Counter()
     for *units, wheel in COMBINATIONS:
         at = ratio if wheel else 1.0
-        found[outcome(in_units(logs, tuple(units), at), tuple(units), at, known)] += 1
-    return found
+        counts[outcome(in_units(logs, tuple(units), at), tuple(units), at, known)] += 1
+    return counts
 
 
 @pytest.mark.slow("3 s: 24 logs")
 def test_logs_of_known_units_are_read_right_or_asked():
-    found = counted("saloon", "country")
-    assert set(found) == {"right", "asked"} and found.total() == 24 and found["right"] >= 12, found
+    counts = counted("saloon", "country")
+    assert set(counts) == {"right", "asked"} and counts.total() == 24 and counts["right"] >= 12, counts
 
 
 @pytest.mark.long("40 s: 288 logs")
 def test_288_logs_of_known_units_are_read_right_or_asked(capsys):
-    found = sum((counted(car, speeds) for car, speeds in product(CARS, SPEEDS)), Counter())
+    counts = sum((counted(car, speeds) for car, speeds in product(CARS, SPEEDS)), Counter())
     with capsys.disabled():
-        print("\nof 288 logs:", ", ".join(f"{n} {what}" for what, n in sorted(found.items())))
-    assert set(found) == {"right", "asked"} and found.total() == 288
+        print("\nof 288 logs:", ", ".join(f"{n} {what}" for what, n in sorted(counts.items())))
+    assert set(counts) == {"right", "asked"} and counts.total() == 288
 
 
 SPELLINGS = {

@@ -27,13 +27,13 @@ def root(x):
 @pytest.mark.parametrize("low, high", [(1.0, 1.1), (2.0, 5.0), (8.0, 8.02)])
 def test_values_and_derivatives_lie_in_the_enclosure(case, low, high):
     f, *known = FUNCTIONS[case]
-    found = f(Taylor.variable(low, high))
+    enclosure = f(Taylor.variable(low, high))
     v = np.linspace(low, high, 41)
     h = 1e-4
     slope = known[0](v) if known[0] else (f(v + h) - f(v - h)) / (2 * h)
     bend = known[1](v) if known[1] else (f(v + h) - 2 * f(v) + f(v - h)) / (2 * h**2)
     for k, (values, room) in enumerate(((f(v), 1e-12), (slope, 1e-6), (bend, 1e-6))):
-        assert found.low[k] <= values.min() + room and values.max() - room <= found.high[k]
+        assert enclosure.low[k] <= values.min() + room and values.max() - room <= enclosure.high[k]
 
 
 def test_what_cannot_be_enclosed_is_refused():
@@ -87,6 +87,6 @@ def test_a_model_that_cannot_be_bounded_is_named():
 
 @pytest.mark.parametrize("low, high, slope", [(1.0, 1.4, 0.0), (1.6, 2.0, 2.0)])
 def test_min_and_max_are_bounded_on_either_side_of_their_kink(low, high, slope):
-    found = evaluate("max(min(v, 9), 1.5) * 2", {"v": Taylor.variable(low, high)}, "test")
-    assert found.low[1] == found.high[1] == slope
-    assert (found.low[0], found.high[0]) == ((3.0, 3.0) if slope == 0 else (2 * low, 2 * high))
+    enclosure = evaluate("max(min(v, 9), 1.5) * 2", {"v": Taylor.variable(low, high)}, "test")
+    assert enclosure.low[1] == enclosure.high[1] == slope
+    assert (enclosure.low[0], enclosure.high[0]) == ((3.0, 3.0) if slope == 0 else (2 * low, 2 * high))

@@ -5,11 +5,11 @@ room says what comes in, what goes out and which rooms it may import.
 
 The Python interface is the room ``api``. Its names are here as well:
 
-    found = lpvguard.identify_drives("mycar.toml", "drives")           found.bounds, found.weights
-    code = found.export("code")
+    identified = lpvguard.identify_drives("mycar.toml", "drives")      identified.bounds, identified.weights
+    code = identified.export("code")
     run = lpvguard.replay_drive("mycar.toml", "drive.csv", coefficients=code)   run.series, run.frames
-    said = lpvguard.Monitor("mycar.toml", code).push(t, v, u, y)          said.verdict
-    lpvguard.plots.weights(found), lpvguard.plots.margins(run)            in a notebook
+    verdicts = lpvguard.Monitor("mycar.toml", code).push(t, v, u, y)      verdicts.verdict
+    lpvguard.plots.weights(identified), lpvguard.plots.margins(run)       in a notebook
 """
 
 from __future__ import annotations

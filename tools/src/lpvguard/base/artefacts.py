@@ -136,8 +136,8 @@ def reading(path: Path) -> Iterator[None]:
     except InputError:
         raise
     except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
-        said = str(error).splitlines()[0] if str(error) else ""
-        what = f"has unexpected content ({type(error).__name__}: {said})"
+        reason = str(error).splitlines()[0] if str(error) else ""
+        what = f"has unexpected content ({type(error).__name__}: {reason})"
         raise InputError(path, "", what, "the file as lpvguard writes it") from None
 
 
@@ -404,12 +404,12 @@ def require_replaceable_folder(
             "was changed or written by an earlier version, so the owner of its files is unknown",
             expected,
         )
-    for key, wanted in (("kind", kind), ("vehicle", vehicle)):
-        if wanted is not None and document.get(key) != wanted:
+    for key, expected_value in (("kind", kind), ("vehicle", vehicle)):
+        if expected_value is not None and document.get(key) != expected_value:
             raise InputError(
                 target,
                 "-o",
-                f"exists and holds another result: {key} {document.get(key)!r}, not {wanted!r}",
+                f"exists and holds another result: {key} {document.get(key)!r}, not {expected_value!r}",
                 expected,
             )
     differs = _difference(place, document["files"], may_lack=resumed)
@@ -810,14 +810,14 @@ class KeptFolder:
 
 
 @contextmanager
-def kept_folder(target: Path, kind: str, **asked: Any) -> Iterator[KeptFolder]:
+def kept_folder(target: Path, kind: str, **settings: Any) -> Iterator[KeptFolder]:
     """Give the folder of a command that can be stopped and resumed.
 
     Parameters
     ----------
     target : Path
     kind : str
-    **asked : Any, the settings of the command, kept in the manifest
+    **settings : Any, the settings of the command, kept in the manifest
 
     Yields
     ------
@@ -829,7 +829,7 @@ def kept_folder(target: Path, kind: str, **asked: Any) -> Iterator[KeptFolder]:
         If the target holds anything else, or a result of other settings.
     """
     place = _place(target)
-    document = json.loads(manifest(kind, **asked))
+    document = json.loads(manifest(kind, **settings))
     with claimed(target) as work:
         if place.is_dir() and any(place.iterdir()) and not (place / MANIFEST).is_file():
             raise InputError(target, "-o", f"exists and is no {kind}", "a new or empty folder")

@@ -53,8 +53,8 @@ def command_authentication(frames: Frames, catalogue: Catalogue | None = None) -
     """
     message = (catalogue or load_catalogue()).message(AUTHENTICATION.message)
     signal = next(s for s in message.signals if s.name == AUTHENTICATION.signal)
-    wanted = np.uint32((message.id | EXTENDED) & ANY_PRIORITY)
-    reports = np.flatnonzero(((frames.id & np.uint32(ANY_PRIORITY)) == wanted) & (frames.length == 8))
+    identifier = np.uint32((message.id | EXTENDED) & ANY_PRIORITY)
+    reports = np.flatnonzero(((frames.id & np.uint32(ANY_PRIORITY)) == identifier) & (frames.length == 8))
     if not len(reports):
         return None
     raw = int.from_bytes(frames.data[reports[-1], :8].tobytes(), "little")

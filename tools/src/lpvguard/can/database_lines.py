@@ -70,17 +70,17 @@ def read_sound_lines(text: str) -> tuple[Database, list[str]]:
     if database is None:  # statements that are sound one by one, and not together
         database = _database(_HEAD)
         left_out += [line for m in sound for line in (m.head, *m.signals, *m.about)]
-    said = [
+    sentences = [
         (number, f"left out, cannot be read: line {number}: {line.strip()[:80]}") for number, line in left_out
     ]
-    said += [
+    sentences += [
         (
             number,
             f"line {number}: {line.strip()[:80]}: read as an identifier of 29 bits, though its flag lacks",
         )
         for number, line in corrected
     ]
-    return database, [text for _, text in sorted(said)]
+    return database, [text for _, text in sorted(sentences)]
 
 
 def _flagged(identifier: str) -> str:

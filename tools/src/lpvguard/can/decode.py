@@ -212,23 +212,23 @@ def find_frames(
         If a message is on several channels, or a J1939 group from several senders, and nothing says which.
     """
     if j1939 and message.is_extended_frame:
-        wanted = _j1939(frames, message, source_address, where)
+        matching = _j1939(frames, message, source_address, where)
     else:
-        wanted = frames.id == np.uint32(message.frame_id | (EXTENDED if message.is_extended_frame else 0))
+        matching = frames.id == np.uint32(message.frame_id | (EXTENDED if message.is_extended_frame else 0))
     if channel is not None:
         if channel not in frames.channels:
             raise InputError(
                 where, "channel", f"{channel} is not in the log", f"one of {', '.join(frames.channels)}"
             )
-        wanted &= frames.channel == frames.channels.index(channel)
-    elif len(present := np.unique(frames.channel[wanted])) > 1:
+        matching &= frames.channel == frames.channels.index(channel)
+    elif len(present := np.unique(frames.channel[matching])) > 1:
         raise InputError(
             where,
             message.name,
             "is on the channels " + " and ".join(frames.channels[c] for c in present),
             "--channel, or channel in the signal map, to say which",
         )
-    return np.flatnonzero(wanted)
+    return np.flatnonzero(matching)
 
 
 def _j1939(frames: Frames, message, source_address: int | None, where: str) -> np.ndarray:

@@ -468,5 +468,5 @@ def _require_fit(kind: Protection, checksum: Bits, car: CarMessage, settings: Ow
     data_id = settings.data_id
     count = len(data_id) if isinstance(data_id, list) else 0 if data_id is None else 1
     if count != kind.data_ids or isinstance(data_id, list) != (kind.data_ids > 1):
-        wanted = {0: "none", 1: "one number"}.get(kind.data_ids, f"a list of {kind.data_ids}")
-        raise InputError(where, f"{place}.data_id", f"{count} given", f"{wanted} for {settings.checksum}")
+        expected = {0: "none", 1: "one number"}.get(kind.data_ids, f"a list of {kind.data_ids}")
+        raise InputError(where, f"{place}.data_id", f"{count} given", f"{expected} for {settings.checksum}")

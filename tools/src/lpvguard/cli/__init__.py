@@ -107,10 +107,10 @@ def main() -> None:
             signal.signal(number, _end)
     try:
         try:
-            asked = COMPLETE in os.environ
-            if asked:
+            completes = COMPLETE in os.environ
+            if completes:
                 completion_init()  # adds the shells that Typer knows
-            app(prog_name=PROGRAM if asked else None)
+            app(prog_name=PROGRAM if completes else None)
         finally:
             sys.stdout.flush()
     except InputError as error:

@@ -55,7 +55,7 @@ def fleet(
     from ..extras.fleet.recordings import Listed, begun, changed, follow
     from ..extras.fleet.state import KIND
 
-    replayer, listed = replayer_of(vehicle, coefficients), Listed.of(drives, order, by)
+    replayer, listed = replayer_of(vehicle, coefficients), Listed.from_folder(drives, order, by)
     stated = {"judged_s": judged_s, "alpha": alpha, "eta": eta}
     with progress_bar("fleet") as tell, workers(jobs, scheduler) as run:
         before, left_out = begun(replayer, state, calibration, stated, run, tell)

@@ -63,7 +63,7 @@ def identify(
             "change": result.change.to_dict() if result.change else None,
             "model_fit": [q.to_dict() for q in result.model_fit],
             "unexplained": [vars(u) for u in named],
-            "unexplained_cost": None if price is None else vars(price),
+            "unexplained_cost": None if price is None else price.to_dict(),
         },
     )
     c = result.calibration

@@ -582,10 +582,10 @@ def _print_bus(summary: dict[str, Any]) -> None:
         }
         for kind, rows in kinds.items()
     )
-    for which, said in summary["supervision"].items():
+    for which, reactions in summary["supervision"].items():
         console.print(
-            f"supervision of a {which} bus as its frames require: {share_words(said['as_required'])} runs; "
-            f"of {said['due']} reactions due, {said['met']} came in the required tick"
+            f"supervision of a {which} bus as its frames require: {share_words(reactions['as_required'])} "
+            f"runs; of {reactions['due']} reactions due, {reactions['met']} came in the required tick"
         )
 
 

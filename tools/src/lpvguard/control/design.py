@@ -224,13 +224,13 @@ def crossover(schedule: Scheduled, model: NominalModel) -> float:
 def _require_reach(stored: StoredIdentification, schedule: Scheduled) -> None:
     """Raise InputError unless the model error model reaches REACH crossovers."""
     omega = stored.model_error.grid.omega
-    wanted = REACH * crossover(schedule, stored.model)
-    if omega[-1] < wanted:
+    needed = REACH * crossover(schedule, stored.model)
+    if omega[-1] < needed:
         raise InputError(
             stored.folder,
             "model_error",
             f"reaches {omega[-1]:.3g} rad/s",
-            f"at least {wanted:.3g} rad/s, {REACH} times the crossover",
+            f"at least {needed:.3g} rad/s, {REACH} times the crossover",
         )
 
 
@@ -444,8 +444,8 @@ def largest_A_t(stored: StoredIdentification, progress: Progress = lambda _: Non
         steps += 1
 
         try:
-            asked = problem.settings.model_copy(update={"A_t": trial, "synthesised_for": None})
-            one = _designed(problem.with_settings(asked), scaling, tell)
+            settings = problem.settings.model_copy(update={"A_t": trial, "synthesised_for": None})
+            one = _designed(problem.with_settings(settings), scaling, tell)
             worst, scaling = one.worst, one.scaling
         except (InputError, SynthesisError):
             worst = np.inf
@@ -466,9 +466,11 @@ def _certificates(
     progress: Progress = lambda _: None,
     workers: Map = map,
 ) -> list[tuple[float, RobustPerformance]]:
-    asked = [(plant, schedule.at(v), scaling if plant.blocks else None) for v, plant in loops.items()]
+    loops_to_certify = [
+        (plant, schedule.at(v), scaling if plant.blocks else None) for v, plant in loops.items()
+    ]
     texts = [f"certificate at {v:.3g} m/s" for v in loops]
-    return list(zip(loops, counted(progress, texts, workers(certified, asked)), strict=True))
+    return list(zip(loops, counted(progress, texts, workers(certified, loops_to_certify)), strict=True))
 
 
 def verify(
@@ -531,9 +533,9 @@ def _require_settings(
 def _require_floor(path: Path, stated: dict, floor: float) -> None:
     """InputError unless the DC floor is ``floor``, and the largest A_t lies within what it leaves."""
     largest = stated["largest_A_t"]
-    wanted = {"dc_floor": (stated["dc_floor"], floor)}
+    recomputed = {"dc_floor": (stated["dc_floor"], floor)}
     if largest is not None:
-        wanted["largest_A_t.product"] = largest["product"], largest["A_t"] * floor
+        recomputed["largest_A_t.product"] = largest["product"], largest["A_t"] * floor
         if not (largest["worst"] < 1 and 0 < largest["A_t"] < largest["failed"] <= (1 + FLOOR_RTOL) / floor):
             raise InputError(
                 path,
@@ -541,7 +543,7 @@ def _require_floor(path: Path, stated: dict, floor: float) -> None:
                 f"A_t {largest['A_t']:.6g} with mu {largest['worst']:.6g}, failed {largest['failed']:.6g}",
                 f"mu below 1, and A_t below one that failed, up to {1 / floor:.6g}",
             )
-    for name, (value, want) in wanted.items():
+    for name, (value, want) in recomputed.items():
         same = (
             value is None if np.isnan(want) else value is not None and abs(value - want) <= FLOOR_RTOL * want
         )

@@ -103,19 +103,19 @@ def limits(
 ) -> Limits:
     """Rows of SPEEDS nodes and every kappa, shared by ``workers``."""
     some = evenly(len(schedule.speeds), SPEEDS)
-    asked = [(float(schedule.speeds[k]), kappa) for k in some for kappa in KAPPAS]
+    points = [(float(schedule.speeds[k]), kappa) for k in some for kappa in KAPPAS]
     rows = workers(
-        partial(_row, schedule, largest_step(problem, schedule)), _loops(problem, schedule, scaling, asked)
+        partial(_row, schedule, largest_step(problem, schedule)), _loops(problem, schedule, scaling, points)
     )
-    return Limits(tuple(counted(progress, _texts(asked), rows)))
+    return Limits(tuple(counted(progress, _texts(points), rows)))
 
 
-def _texts(asked: list[tuple[float, float]]) -> list[str]:
-    return [f"limits at {v:.3g} m/s" for v, _ in asked]
+def _texts(points: list[tuple[float, float]]) -> list[str]:
+    return [f"limits at {v:.3g} m/s" for v, _ in points]
 
 
-def _row(schedule: Scheduled, step_max: np.ndarray, asked: tuple[float, LimitedLoop]) -> LimitRow:
-    v, loop = asked
+def _row(schedule: Scheduled, step_max: np.ndarray, point: tuple[float, LimitedLoop]) -> LimitRow:
+    v, loop = point
     stability = loop.stability()
     level, constants = stability.least(loop.ones, 1.0, np.zeros(stability.free))
     level = stability.proved(loop.ones, 1.0, constants) if loop.stable else np.inf
@@ -153,20 +153,20 @@ def require_limits(
     if stated is None:
         return
     rows = stated["rows"]
-    asked = [(row["v_mps"], np.inf if row["kappa"] is None else row["kappa"]) for row in rows]
+    points = [(row["v_mps"], np.inf if row["kappa"] is None else row["kappa"]) for row in rows]
     step_max = largest_step(problem, schedule)
-    loops = zip(rows, _loops(problem, schedule, scaling, asked), strict=True)
+    loops = zip(rows, _loops(problem, schedule, scaling, points), strict=True)
     for _ in counted(
-        progress, _texts(asked), workers(partial(_require_row, path, schedule, step_max), loops)
+        progress, _texts(points), workers(partial(_require_row, path, schedule, step_max), loops)
     ):
         pass
 
 
 def _require_row(
-    path: Path, schedule: Scheduled, step_max: np.ndarray, asked: tuple[dict, tuple[float, LimitedLoop]]
+    path: Path, schedule: Scheduled, step_max: np.ndarray, stated_row: tuple[dict, tuple[float, LimitedLoop]]
 ) -> None:
     """Raise InputError unless a row's constants prove its numbers for its loop."""
-    row, (v, loop) = asked
+    row, (v, loop) = stated_row
 
     def refuse(name: str, value: float | None) -> None:
         raise InputError(
@@ -210,9 +210,9 @@ def largest_step(problem: DesignProblem, schedule: Scheduled) -> np.ndarray:
 
 
 def _loops(
-    problem: DesignProblem, schedule: Scheduled, scaling: Scaling, asked: list[tuple[float, float]]
+    problem: DesignProblem, schedule: Scheduled, scaling: Scaling, points: list[tuple[float, float]]
 ) -> Iterator[tuple[float, LimitedLoop]]:
-    """Speed and loop of every speed and kappa in ``asked``."""
-    for v, kappa in asked:
+    """Speed and loop of every speed and kappa in ``points``."""
+    for v, kappa in points:
         plant = problem.plant(v)
         yield v, LimitedLoop(plant, schedule.at(v), schedule.injection(v), kappa, scaling)

@@ -103,9 +103,9 @@ def moving_certificates(
     }
 
 
-def _stability(asked: tuple[DesignProblem, Scheduled, Scaling]) -> Moving | None:
+def _stability(design: tuple[DesignProblem, Scheduled, Scaling]) -> Moving | None:
     """Certificate of stability; None without one or without a Delta."""
-    problem, schedule, scaling = asked
+    problem, schedule, scaling = design
     families = scaled_families(problem, schedule, scaling)
     stable = find(families["stability"]) if "stability" in families else None
     return None if stable is None else Moving(stable, scaling)
@@ -123,15 +123,15 @@ def tuning(
     plants = {float(v): plant_of(float(v)) for v in nodes}
     loops = [lft(plant.system, schedule.at(v)) for v, plant in plants.items()]
     # The common D can lie where no single parameter improves it; those of the single speeds lead out.
-    asked = [(plant, schedule.at(v), scaling) for v, plant in plants.items()]
-    starts = [scaling, *(one.scaling for one in workers(certified, asked))]
+    designs = [(plant, schedule.at(v), scaling) for v, plant in plants.items()]
+    starts = [scaling, *(one.scaling for one in workers(certified, designs))]
     delta = _delta(plants[float(nodes[0])])
     return lambda level: tuned(loops, delta, level, starts)
 
 
-def certified(asked: tuple[GeneralisedPlant, StateSpace, Scaling | None]) -> RobustPerformance:
+def certified(design: tuple[GeneralisedPlant, StateSpace, Scaling | None]) -> RobustPerformance:
     """`certify` for a plant, a controller and a scaling, as sent to workers."""
-    return certify(*asked)
+    return certify(*design)
 
 
 def _delta(plant: GeneralisedPlant) -> tuple[int, int]:
@@ -190,47 +190,47 @@ def require_moving(
 
     ``workers`` share the claims.
     """
-    said_of = {claim: stated["moving_speed"].get(claim, {"rate_mps2": np.nan}) for claim in CLAIMS}
-    said_of = {claim: said for claim, said in said_of.items() if said["rate_mps2"] is not None}
-    asked = ((problem, schedule, claim, said) for claim, said in said_of.items())
-    texts = [f"{claim}: proof between the speeds" for claim in said_of]
-    for (claim, said), holds in zip(
-        said_of.items(), counted(progress, texts, workers(_holds, asked)), strict=True
+    entries = {claim: stated["moving_speed"].get(claim, {"rate_mps2": np.nan}) for claim in CLAIMS}
+    entries = {claim: entry for claim, entry in entries.items() if entry["rate_mps2"] is not None}
+    statements = ((problem, schedule, claim, entry) for claim, entry in entries.items())
+    texts = [f"{claim}: proof between the speeds" for claim in entries]
+    for (claim, entry), holds in zip(
+        entries.items(), counted(progress, texts, workers(_holds, statements)), strict=True
     ):
         if not holds:
             raise InputError(
                 path,
                 f"certificates.moving_speed.{claim}",
-                f"its storage function does not prove it for |dv/dt| up to {said['rate_mps2']:.4g} m/s2",
+                f"its storage function does not prove it for |dv/dt| up to {entry['rate_mps2']:.4g} m/s2",
                 "the coefficients, weights, speeds and P that were certified",
             )
 
 
-def _holds(asked: tuple[DesignProblem, Scheduled, str, dict]) -> bool:
+def _holds(statement: tuple[DesignProblem, Scheduled, str, dict]) -> bool:
     """Return whether controller.json's statement of a claim at a moving speed is proved again."""
-    problem, schedule, claim, said = asked
-    if not all(np.isfinite(said.get(name, np.nan)) and said[name] > 0 for name in POSITIVE):
+    problem, schedule, claim, entry = statement
+    if not all(np.isfinite(entry.get(name, np.nan)) and entry[name] > 0 for name in POSITIVE):
         return False
     # A level is performance's: stability is claimed at 1 alone, with the design's own D.
-    families = scaled_families(problem, schedule, _scaling(said["scaling"]))
+    families = scaled_families(problem, schedule, _scaling(entry["scaling"]))
     if claim not in families:
         return False
     family, delta = families[claim], _delta(problem.plant(float(schedule.speeds[0])))
-    family = replace(weighed(family, delta, said["level"], said["gain"]), adjoint=said["adjoint"])
-    storage = _storage(family, said)
-    proof = None if storage is None else prove(family, storage, said["rate_mps2"])
-    return proof is not None and said["margin"] <= proof.margin * (1 + MARGIN_RTOL)
+    family = replace(weighed(family, delta, entry["level"], entry["gain"]), adjoint=entry["adjoint"])
+    storage = _storage(family, entry)
+    proof = None if storage is None else prove(family, storage, entry["rate_mps2"])
+    return proof is not None and entry["margin"] <= proof.margin * (1 + MARGIN_RTOL)
 
 
-def _storage(family: Family, said: dict) -> Storage | None:
+def _storage(family: Family, entry: dict) -> Storage | None:
     """Storage function of controller.json; None where it is not of this loop over its range."""
-    if said["P"] is None:
+    if entry["P"] is None:
         return riccati_storage(family)
-    n, knots = family.at(float(family.nodes[0])).order, said["knots_mps"]
+    n, knots = family.at(float(family.nodes[0])).order, entry["knots_mps"]
     terms = 3 if knots is None else np.size(knots)
-    if [np.size(said["basis"]), *map(np.size, said["P"])] != [n * n, *[n * (n + 1) // 2] * terms]:
+    if [np.size(entry["basis"]), *map(np.size, entry["P"])] != [n * n, *[n * (n + 1) // 2] * terms]:
         return None
-    basis, P = _square(said["basis"]), np.array([_symmetric(P) for P in said["P"]])
+    basis, P = _square(entry["basis"]), np.array([_symmetric(P) for P in entry["P"]])
     if knots is None:
         return polynomial_storage(family, basis, P)
     v = np.array(knots, float)

@@ -165,7 +165,7 @@ def _with_units(
 ) -> Robustness:
     speeds = [float(v) for v in schedule.speeds]
     units_u = unit_u * _proportions(schedule)
-    asked = [
+    nodes_to_judge = [
         _Asked(
             v,
             problem.plant(v),
@@ -181,7 +181,7 @@ def _with_units(
         for k, v in enumerate(speeds)
     ]
     texts = [f"margins at {v:.3g} m/s" for v in speeds]
-    nodes = workers(partial(_node, scaling, units_u, units_y), asked)
+    nodes = workers(partial(_node, scaling, units_u, units_y), nodes_to_judge)
     return Robustness(tuple(counted(progress, texts, nodes)), unit_u, units_y)
 
 

@@ -177,16 +177,16 @@ class _RowFit:
         seen = observed(a, z)
         size = np.sqrt(np.mean(np.abs(seen) ** 2, axis=0))
         K = np.einsum("k,kj,kmc->kcjm", self.left, seen / size, self.right).reshape(self.response.size, -1)
-        wanted = np.einsum("k,km,kmc->kc", self.left, self.response, self.right).ravel()
+        target = np.einsum("k,km,kmc->kc", self.left, self.response, self.right).ravel()
         # Per measurement: one that the loop hardly needs gets columns that are orders of magnitude larger.
         largest = np.linalg.norm(K, axis=0).reshape(len(a), -1).max(axis=0)
         ridge = RIDGE * np.diag(np.tile(largest, len(a)))
-        return np.vstack([_stacked(K), ridge]), np.append(_stacked(wanted), np.zeros(len(ridge))), size
+        return np.vstack([_stacked(K), ridge]), np.append(_stacked(target), np.zeros(len(ridge))), size
 
     def rows(self, a: np.ndarray, z: np.ndarray) -> np.ndarray:
         """The best B (n, m)."""
-        K, wanted, size = self.problem(a, z)
-        return np.linalg.lstsq(K, wanted, rcond=None)[0].reshape(len(a), -1) / size[:, None]
+        K, target, size = self.problem(a, z)
+        return np.linalg.lstsq(K, target, rcond=None)[0].reshape(len(a), -1) / size[:, None]
 
 
 def _fits(loop: FrozenLoop, scaling: Scaling, omega: np.ndarray) -> list[_RowFit]:
@@ -222,16 +222,16 @@ def _recovery(loop: FrozenLoop, a: np.ndarray, B: np.ndarray, u_max: np.ndarray,
     F = np.linalg.solve(R + B_p.T @ X @ B_p, B_p.T @ X @ A_p)
     seen = observed(a, z)
     shown = np.einsum("kj,ijm->kim", seen, B[:, :, 1:]) @ C_p + F
-    wanted = -shown @ np.linalg.solve(
+    recovery = -shown @ np.linalg.solve(
         z[:, None, None] * eye - A_p + B_p @ F, np.broadcast_to(B_p, (len(z), *B_p.shape))
     )
-    # Under limits L scales the demand by (1 + wanted)^-1, which weights a deviation.
-    weight = np.linalg.norm(np.linalg.inv(np.eye(n_u) + wanted), axis=1)
+    # Under limits L scales the demand by (1 + recovery)^-1, which weights a deviation.
+    weight = np.linalg.norm(np.linalg.inv(np.eye(n_u) + recovery), axis=1)
     L = np.empty((n_u, len(a), n_u))
     for i in range(n_u):
         K = seen * weight[:, i, None]
         size = np.linalg.norm(K, axis=0)
         problem = np.vstack([_stacked(K / size), RECOVERY_RIDGE * np.eye(len(a))])
-        target = np.vstack([_stacked(wanted[:, i] * weight[:, i, None]), np.zeros((len(a), n_u))])
+        target = np.vstack([_stacked(recovery[:, i] * weight[:, i, None]), np.zeros((len(a), n_u))])
         L[i] = np.linalg.lstsq(problem, target, rcond=None)[0] / size[:, None]
     return L

@@ -167,16 +167,18 @@ def require_slowness(
             raise InputError(
                 path, f"certificates.slow_delta.{name}", f"{value}", f"{want}, of nodes and frames"
             )
-    asked = zip(nodes, _closed(problem, schedule), strict=True)
-    for _ in counted(progress, _texts(schedule), workers(partial(_require_node, path, scaling), asked)):
+    stated_nodes = zip(nodes, _closed(problem, schedule), strict=True)
+    for _ in counted(
+        progress, _texts(schedule), workers(partial(_require_node, path, scaling), stated_nodes)
+    ):
         pass
 
 
 def _require_node(
-    path: Path, scaling: Scaling, asked: tuple[dict, tuple[float, GeneralisedPlant, StateSpace]]
+    path: Path, scaling: Scaling, stated_node: tuple[dict, tuple[float, GeneralisedPlant, StateSpace]]
 ) -> None:
     """Raise InputError unless a row's constants prove its rates for its loop."""
-    row, (v, plant, K) = asked
+    row, (v, plant, K) = stated_node
     moving, still = _loops(plant, K, scaling)
     any_rate = row["stability_rate"] is None
     for part, loop, rate in (

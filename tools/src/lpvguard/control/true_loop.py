@@ -123,7 +123,7 @@ def certified_weight(fitted: Weights, Ts: float, omega: np.ndarray) -> np.ndarra
     return fitted.at(2 / Ts * np.tan(omega * Ts / 2))[0]
 
 
-def within_use(model: NominalModel, v: float, asked: Sequence[float]) -> list[float]:
+def within_use(model: NominalModel, v: float, amplitudes: Sequence[float]) -> list[float]:
     """Reduce amplitudes of the demand to the edge of use.
 
     There the predicted steady lateral acceleration v |G_r(0)| u is LATERAL_ACCELERATION_MAX; the yaw rate r
@@ -133,14 +133,14 @@ def within_use(model: NominalModel, v: float, asked: Sequence[float]) -> list[fl
     ----------
     model : NominalModel
     v : float, m/s
-    asked : Sequence[float], input unit
+    amplitudes : Sequence[float], input unit
 
     Returns
     -------
     list of float, input unit
     """
     edge = float(turning_limit(model, LATERAL_ACCELERATION_MAX, np.array([v]))[0, 0])
-    return [min(u, edge) for u in asked]
+    return [min(u, edge) for u in amplitudes]
 
 
 def deviations(
@@ -189,9 +189,9 @@ class CertifiedLoop:
         self.model: NominalModel = stored.model
         self.outputs = [signal.name for signal in stored.project.outputs]
 
-    def amplitudes(self, v: float, asked: Sequence[float]) -> list[float]:
-        """Each of ``asked``, reduced to the edge of use."""
-        return within_use(self.model, v, asked)
+    def amplitudes(self, v: float, amplitudes: Sequence[float]) -> list[float]:
+        """Each of ``amplitudes``, reduced to the edge of use."""
+        return within_use(self.model, v, amplitudes)
 
     def W_delta(self, omega: np.ndarray) -> np.ndarray:
         """Certified weight (K, n_delta) of the sampled loop at ``omega`` (K,) [rad/s].

@@ -138,13 +138,13 @@ def worst_runs(problem: FrozenProblem, cells: list[Cell], drives: DriveSet) -> W
     factor = min([1.0, *(_dc_bound(problem, c) / max(abs(e[:, 0].mean()), 1e-300) for c in chosen)])
     signals = np.column_stack([factor * e[:, 0], e[:, 1], noise, reference])
     W_R = to_discrete(problem.weights("K_inf", 1.0, 1.0).W_R, project.Ts_s)
-    wanted = respond(W_R, reference[:, None])[:, 0]
-    runs = [_run(problem, c, signals, wanted) for c in chosen]
+    command = respond(W_R, reference[:, None])[:, 0]
+    runs = [_run(problem, c, signals, command) for c in chosen]
     return WorstRuns(
         drive.name,
         float(factor),
         np.arange(len(e)) * project.Ts_s,
-        wanted,
+        command,
         runs,
         [s for s in dict.fromkeys(c.structure for c in cells) if s not in met],
     )
@@ -154,7 +154,7 @@ def _dc_bound(problem: FrozenProblem, c: Cell) -> float:
     return float(abs(problem.weights(c.structure, c.A_t, c.A_u).W_w[0].response([0.0])[0, 0, 0]))
 
 
-def _run(problem: FrozenProblem, c: Cell, signals: np.ndarray, wanted: np.ndarray) -> WorstRun:
+def _run(problem: FrozenProblem, c: Cell, signals: np.ndarray, command: np.ndarray) -> WorstRun:
     weights, v = problem.weights(c.structure, c.A_t, c.A_u), problem.settings.design_speed_mps
     bins = problem.frames.estimator.omega
     # Within the band of the data: beyond it Δ and its effect were never measured.
@@ -170,7 +170,7 @@ def _run(problem: FrozenProblem, c: Cell, signals: np.ndarray, wanted: np.ndarra
         loop.select(np.arange(n, loop.n_outputs), np.arange(physical.n_delta_out, loop.n_inputs)), signals
     )
     return WorstRun(
-        c, worst, with_delta[:, 1], wanted - with_delta[:, 0], _rms(with_delta[:, 0]), _rms(without[:, 0])
+        c, worst, with_delta[:, 1], command - with_delta[:, 0], _rms(with_delta[:, 0]), _rms(without[:, 0])
     )
 
 

@@ -26,7 +26,7 @@ from .false_alarms import false_alarms, piece_starts
 
 def _sizes(reader: DriveReader, experiment: Experiment) -> Sizes:
     drive, e, yhat = reader.read(experiment)
-    return Sizes.of(e, yhat, drive.u, reader.estimator.settled(drive.v), reader.estimator.Ts)
+    return Sizes.from_drive(e, yhat, drive.u, reader.estimator.settled(drive.v), reader.estimator.Ts)
 
 
 def _largest(
@@ -45,11 +45,11 @@ def _component_squares(
     """Sums of the squared components of the item's baselines over its drive, and the number of samples."""
     experiment, baselines = item
     drive, e, yhat = reader.read(experiment)
-    found = {}
+    squares = {}
     for b, components in bank.components(baselines, e, yhat, drive.v):
-        said = components[:, components[0] >= 0]
-        found[b] = np.sum(said**2, axis=1), said.shape[1]
-    return found
+        usable = components[:, components[0] >= 0]
+        squares[b] = np.sum(usable**2, axis=1), usable.shape[1]
+    return squares
 
 
 Key = tuple[Baseline, float]
@@ -76,12 +76,12 @@ def _outcomes(
     untouched = dict(bank.statistics(thresholds, e, yhat, drive.v))
     for case, clock in injected:
         faulty = case.into(drive, clock, Ts)
-        found = bank.statistics(thresholds, *nominal_error(faulty, reader.model), faulty.v, clock.first)
-        for b, statistic in found:
+        statistics = bank.statistics(thresholds, *nominal_error(faulty, reader.model), faulty.v, clock.first)
+        for b, statistic in statistics:
             for h in thresholds[b]:
                 first = clock.read_after(statistic > h)
                 without = clock.read_after(untouched[b][clock.first :] > h)
-                outcome = FaultOutcome.of(experiment.name, Ts, clock, first, without)
+                outcome = FaultOutcome.from_times(experiment.name, Ts, clock, first, without)
                 yield (b, h), case, outcome
 
 
@@ -89,7 +89,7 @@ def _outcomes(
 class Merit:
     """Number of injected faults found, and their seconds; a miss counts as the time allowed."""
 
-    found: int = 0
+    detected: int = 0
     seconds: float = 0.0
 
 
@@ -104,7 +104,7 @@ def _merits(
     merits = dict.fromkeys(item[1], Merit())
     for key, _, outcome in _outcomes(core, injection, reader, bank, item):
         s = injection.within_s if outcome.s is None else outcome.s
-        merits[key] = Merit(merits[key].found + outcome.found, merits[key].seconds + s)
+        merits[key] = Merit(merits[key].detected + outcome.detected, merits[key].seconds + s)
     return merits
 
 
@@ -116,10 +116,10 @@ def _judged(
     item: tuple[Experiment, tuple[Key, ...]],
 ) -> dict[Key, Outcomes]:
     """Outcomes of each of the keys on a drive."""
-    found: dict[Key, Outcomes] = {key: {case: [] for case in injection.cases} for key in item[1]}
+    outcomes: dict[Key, Outcomes] = {key: {case: [] for case in injection.cases} for key in item[1]}
     for key, case, outcome in _outcomes(core, injection, reader, bank, item):
-        found[key][case].append(outcome)
-    return found
+        outcomes[key][case].append(outcome)
+    return outcomes
 
 
 @dataclass(frozen=True)
@@ -175,13 +175,13 @@ class BaselineStudy:
     def _bank(self, setting: list[Experiment]) -> Bank:
         """The detectors, scaled by the ``setting`` drives."""
         model, estimator = self.reader.model, self.reader.estimator
-        scales = Scales.of(self.workers(partial(_sizes, self.reader), setting))
+        scales = Scales.from_sizes(self.workers(partial(_sizes, self.reader), setting))
         self.bank = Bank(model, estimator, scales).prepared(GRID)
-        found = self._over(_component_squares, [(e, GRID) for e in setting], "sizes of baselines").values()
-        sums = {b: [of[b] for of in found] for b in GRID if b.kind in WITH_COMPONENTS}
+        by_drive = self._over(_component_squares, [(e, GRID) for e in setting], "sizes of baselines").values()
+        sums = {b: [squares[b] for squares in by_drive] for b in GRID if b.kind in WITH_COMPONENTS}
         sizes = {
-            b: np.sqrt(sum(squares for squares, _ in of) / max(1, sum(n for _, n in of)))
-            for b, of in sums.items()
+            b: np.sqrt(sum(squares for squares, _ in parts) / max(1, sum(n for _, n in parts)))
+            for b, parts in sums.items()
         }
         return Bank(model, estimator, scales, sizes).prepared(GRID)
 
@@ -218,8 +218,8 @@ class BaselineStudy:
 
         def merit(b: Baseline) -> tuple[int, float]:
             key = b, self.calibration(b, without).threshold
-            of = [self.merits[name][key] for name in others]
-            return sum(m.found for m in of), -sum(m.seconds for m in of)
+            merits = [self.merits[name][key] for name in others]
+            return sum(m.detected for m in merits), -sum(m.seconds for m in merits)
 
         b = max((b for b in GRID if b.kind == kind), key=merit)
         return b, self.calibration(b, without)
@@ -232,14 +232,14 @@ class BaselineStudy:
         chosen = {
             e.name: {kind: self.best(kind, e.name if left_out else None) for kind in KINDS} for e in judged
         }
-        keys = {n: tuple((b, c.threshold) for b, c in of.values()) for n, of in chosen.items()}
+        keys = {n: tuple((b, c.threshold) for b, c in by_kind.values()) for n, by_kind in chosen.items()}
         further = [(e, tuple(b for b, _ in keys[e.name])) for e in judged if e.name not in self.largest]
         largest = self.largest | self._over(_largest, further, "baselines")
         outcomes = self._inject(_judged, [(e, keys[e.name]) for e in judged])
         return OnDrives(
             chosen,
-            {n: {b.kind: alarmed(largest[n][b], h) for b, h in of} for n, of in keys.items()},
-            {n: {b.kind: outcomes[n][b, h] for b, h in of} for n, of in keys.items()},
+            {n: {b.kind: alarmed(largest[n][b], h) for b, h in pairs} for n, pairs in keys.items()},
+            {n: {b.kind: outcomes[n][b, h] for b, h in pairs} for n, pairs in keys.items()},
         )
 
 

@@ -127,7 +127,7 @@ class Scales:
     moments: np.ndarray
 
     @classmethod
-    def of(cls, drives: Iterable[Sizes]) -> Scales:
+    def from_sizes(cls, drives: Iterable[Sizes]) -> Scales:
         """Means from the sums of each drive; all samples count alike."""
         sums = reduce(lambda a, b: a + b, drives)
         return cls(
@@ -145,11 +145,13 @@ class Sizes:
     count: int
 
     @classmethod
-    def of(cls, e: np.ndarray, yhat: np.ndarray, u: np.ndarray, usable: np.ndarray, Ts: float) -> Sizes:
+    def from_drive(
+        cls, e: np.ndarray, yhat: np.ndarray, u: np.ndarray, usable: np.ndarray, Ts: float
+    ) -> Sizes:
         """Sums of a drive: e, yhat (N, n_y), u (N, n_u), usable (N,)."""
         phi = regressors(yhat, Ts)[:, :, usable]
-        error, given = (np.sum(x[usable] ** 2, axis=0) for x in (e, u))
-        return cls(error, given, np.einsum("jik,jlk->jil", phi, phi), int(usable.sum()))
+        error, demand = (np.sum(x[usable] ** 2, axis=0) for x in (e, u))
+        return cls(error, demand, np.einsum("jik,jlk->jil", phi, phi), int(usable.sum()))
 
     def __add__(self, other: Sizes) -> Sizes:
         return Sizes(*(getattr(self, k) + getattr(other, k) for k in vars(self)))
@@ -193,10 +195,10 @@ class Bank:
         """
         along = _Along(self, e, yhat, v, first)
         for b in baselines:
-            found = getattr(along, b.kind)(b)
+            statistic = getattr(along, b.kind)(b)
             if b.kind in WITH_COMPONENTS:
-                found = (found / np.maximum(self.sizes[b], np.finfo(float).tiny)[:, None]).max(axis=0)
-            yield b, found
+                statistic = (statistic / np.maximum(self.sizes[b], np.finfo(float).tiny)[:, None]).max(axis=0)
+            yield b, statistic
 
     def components(
         self, baselines: Iterable[Baseline], e: np.ndarray, yhat: np.ndarray, v: np.ndarray
@@ -288,11 +290,11 @@ class _Along:
 
     def tracker(self, b: Baseline) -> np.ndarray:
         """(3 n_y, M) sizes of the estimated gain, delay and bias of each output; -inf at unusable samples."""
-        weight, found = b.prior * b.window_s / self.bank.estimator.Ts, []
+        weight, sizes = b.prior * b.window_s / self.bank.estimator.Ts, []
         moments = self.bank.scales.moments[..., None]
         for (R, r), M in zip(self._once(self._forgetting, b.window_s), moments, strict=True):
-            found.append(np.abs(_solved(R + weight * M, r)))
-        return np.where(self.run > 0, np.concatenate(found), -np.inf)
+            sizes.append(np.abs(_solved(R + weight * M, r)))
+        return np.where(self.run > 0, np.concatenate(sizes), -np.inf)
 
     def glr(self, b: Baseline) -> np.ndarray:
         """(3 n_y, M) root of the largest ratio over onsets, per direction; -inf if no onset is usable."""
@@ -303,11 +305,11 @@ class _Along:
             out = np.maximum(out, self._once(self._ratio, b.process_ratio, n))
         return np.sqrt(out, where=out >= 0, out=np.full_like(out, -np.inf))
 
-    def _once(self, make: Callable, *of: float) -> Any:
+    def _once(self, make: Callable, *parameters: float) -> Any:
         """Result of ``make`` for these parameters, cached."""
-        key = (make.__name__, *of)
+        key = (make.__name__, *parameters)
         if key not in self._shared:
-            self._shared[key] = make(*of)
+            self._shared[key] = make(*parameters)
         return self._shared[key]
 
     def _samples(self, seconds: float) -> int:
@@ -351,15 +353,15 @@ class _Along:
     def _forgetting(self, memory_s: float) -> list[tuple[np.ndarray, np.ndarray]]:
         """Forgetting sums of phi phi' (3, 3, M) and phi e_j (3, M) per output, from 0 at each first usable
         sample."""
-        keep, found = float(np.exp(-self.bank.estimator.Ts / memory_s)), []
+        keep, forgetting = float(np.exp(-self.bank.estimator.Ts / memory_s)), []
         for j, phi in enumerate(self._once(self._phi)):
             products = np.concatenate([phi[list(UPPER[0])] * phi[list(UPPER[1])], phi * self.e[:, j]])
             sums = np.zeros_like(products)
             for begin, end in self.edges:
                 sums[:, begin:end] = lfilter([1.0], [1.0, -keep], products[:, begin:end], axis=1)
             newest = sums[:, self.first :]
-            found.append((newest[list(SYMMETRIC)].reshape(3, 3, -1), newest[len(UPPER[0]) :]))
-        return found
+            forgetting.append((newest[list(SYMMETRIC)].reshape(3, 3, -1), newest[len(UPPER[0]) :]))
+        return forgetting
 
     def _onsets(self, process_ratio: float) -> tuple[np.ndarray, np.ndarray]:
         """Running sums (3 n_y, N + 1) of nu' phi and phi' phi, white, per direction."""
@@ -377,10 +379,10 @@ class _Along:
     def _ratio(self, process_ratio: float, n: int) -> np.ndarray:
         """(3 n_y, M) ratios with an onset n samples ago; -inf where these are not usable."""
         cross, power = self._once(self._onsets, process_ratio)
-        fits, of = self._over(cross, n), self._over(power, n)
+        fits, excitation = self._over(cross, n), self._over(power, n)
         # Differences of sums round; a direction without excitation has no statistic.
         least = 1e-9 * power[:, -1:] + np.finfo(float).tiny
-        ratio = np.where(of > least, fits**2 / np.maximum(of, least), 0.0)
+        ratio = np.where(excitation > least, fits**2 / np.maximum(excitation, least), 0.0)
         return np.where(self.run >= n, ratio, -np.inf)
 
 
@@ -404,5 +406,5 @@ def _solved(A: np.ndarray, b: np.ndarray) -> np.ndarray:
         (p * r - q, p * q - r, 1 - p * p),
     )
     determinant = cofactors[0][0] + p * cofactors[0][1] + q * cofactors[0][2]
-    x = np.stack([sum(f * of for f, of in zip(row, c, strict=True)) for row in cofactors])
+    x = np.stack([sum(f * value for f, value in zip(row, c, strict=True)) for row in cofactors])
     return x / determinant * scale

@@ -90,7 +90,7 @@ class CauseOutcome:
     outputs: tuple[OutputCause, ...]
 
     @classmethod
-    def of(
+    def from_replay(
         cls, case: Case, project: Project, clock: JudgedClock, drive: Drive, faulty: Drive, replay: Replay
     ) -> CauseOutcome:
         """Outcome of a ``case`` from the start of ``clock`` on; ``replay`` is that of the ``faulty``
@@ -103,8 +103,8 @@ class CauseOutcome:
         first = [d for d in of_alarm if d.t_s == of_alarm[-1].t_s]
         span = slice(*(round(t / replay.Ts) for t in (first[0].alarm_s, first[0].t_s)))
         outputs = tuple(_output(case, project, d, clock.first, span, drive, faulty) for d in first)
-        found = {o.judgement for o in outputs}
-        judgement = next(j for j in (WRONG, RIGHT, OTHER) if j in found)
+        judgements = {o.judgement for o in outputs}
+        judgement = next(j for j in (WRONG, RIGHT, OTHER) if j in judgements)
         return cls(
             drive.name,
             start_s,
@@ -160,30 +160,30 @@ def can_be_named(fault: Fault, project: Project, scales: DiagnosisScales) -> boo
     least = scales.least
     sizes = [_size(fault, j, 1.0, project.Ts_s) for j in range(project.n_y)]
     if fault.kind == "gain":
-        return any(abs(g - 1.0) > of[0] * abs(g) for g, of in zip(sizes, least, strict=True))
+        return any(abs(g - 1.0) > limits[0] * abs(g) for g, limits in zip(sizes, least, strict=True))
     part = 2 if fault.kind == "bias" else 1
-    return any(abs(size) > of[part] for size, of in zip(sizes, least, strict=True))
+    return any(abs(size) > limits[part] for size, limits in zip(sizes, least, strict=True))
 
 
 CauseOutcomes = dict[Case, list[CauseOutcome]]
 """Named causes per case, where it was found."""
 
 
-def cause_table(found: CauseOutcomes, project: Project, scales: DiagnosisScales | None) -> dict:
+def cause_table(outcomes: CauseOutcomes, project: Project, scales: DiagnosisScales | None) -> dict:
     """JSON-able table, a row per case.
 
     Sums are over known faults, over those of them that can be named, and over those without a single cause.
     ``scales`` decide which can be named; None: unknown.
     """
-    rows = [_row(case, members) for case, members in found.items()]
-    known = [m for case, of in found.items() if true_cause(case.fault) is not None for m in of]
+    rows = [_row(case, members) for case, members in outcomes.items()]
+    known = [m for case, members in outcomes.items() if true_cause(case.fault) is not None for m in members]
     named = [
         m
-        for case, of in found.items()
+        for case, members in outcomes.items()
         if true_cause(case.fault) is not None and scales and can_be_named(case.fault, project, scales)
-        for m in of
+        for m in members
     ]
-    single = [m for case, of in found.items() if true_cause(case.fault) is None for m in of]
+    single = [m for case, members in outcomes.items() if true_cause(case.fault) is None for m in members]
     uneven = [m for m in single if m.uneven]
     return {
         "diagnosed_s": DIAGNOSED_S,
@@ -278,12 +278,12 @@ def cause_rows(table: dict) -> list[list[str]]:
     return rows
 
 
-def _cells(of: dict) -> list[str]:
-    return [str(of["found"]), *(str(of[j.replace(" ", "_")]) for j in JUDGEMENTS)]
+def _cells(counts: dict) -> list[str]:
+    return [str(counts["found"]), *(str(counts[j.replace(" ", "_")]) for j in JUDGEMENTS)]
 
 
-def _held(of: dict) -> str:
-    return f"{of['held']} of {of['intervals']}" if of["intervals"] else "–"
+def _held(counts: dict) -> str:
+    return f"{counts['held']} of {counts['intervals']}" if counts["intervals"] else "–"
 
 
 def cause_sentences(table: dict) -> list[str]:
@@ -318,5 +318,5 @@ def cause_sentences(table: dict) -> list[str]:
     ]
 
 
-def _share(n: int, of: int) -> str:
-    return share_words(rate(n, of))
+def _share(n: int, total: int) -> str:
+    return share_words(rate(n, total))

@@ -80,10 +80,13 @@ def columns(evaluation: dict) -> dict[str, DetectorColumn]:
     -------
     dict[str, DetectorColumn], by name: the monitor, exported and each test, the baselines
     """
-    found = {MONITOR: (evaluation["false_alarms"]["all"], evaluation["faults"])}
-    found |= {name: (t["false_alarms"], t["faults"]) for name, t in evaluation["tests"].items()}
-    found |= {b["kind"]: (b["false_alarms"], b["faults"]) for b in evaluation["baselines"]}
-    return {name: DetectorColumn(*of, evaluation["stated_rates"][name]) for name, of in found.items()}
+    alarms_and_faults = {MONITOR: (evaluation["false_alarms"]["all"], evaluation["faults"])}
+    alarms_and_faults |= {name: (t["false_alarms"], t["faults"]) for name, t in evaluation["tests"].items()}
+    alarms_and_faults |= {b["kind"]: (b["false_alarms"], b["faults"]) for b in evaluation["baselines"]}
+    return {
+        name: DetectorColumn(*pair, evaluation["stated_rates"][name])
+        for name, pair in alarms_and_faults.items()
+    }
 
 
 def pieces_an_hour(alarms: dict) -> str:
@@ -141,7 +144,7 @@ def detector_rows(detectors: list[DetectorColumn], best: list[str] | None = None
     list of list of str
     """
 
-    def found(row: dict) -> str:
+    def cell(row: dict) -> str:
         if not row["counted"]:
             return "no drive qualifies"
         return f"{row['found']} of {row['counted']} ({row['drives_found']} of {row['drives']})" + (
@@ -164,21 +167,23 @@ def detector_rows(detectors: list[DetectorColumn], best: list[str] | None = None
         ],
         [
             "starts, untouched drive alarms",
-            *(f"{of[0]['untouched_alarms']} of {of[0]['counted']}" for of in faults),
+            *(f"{column[0]['untouched_alarms']} of {column[0]['counted']}" for column in faults),
         ],
     ]
     same_rows = list(zip(*faults, strict=True))
     qualify = [any(row["counted"] for row in same) for same in same_rows]
     named = [
-        [row_name(same[0]), *map(found, same)] for same, keep in zip(same_rows, qualify, strict=True) if keep
+        [row_name(same[0]), *map(cell, same)] for same, keep in zip(same_rows, qualify, strict=True) if keep
     ]
     if without := [row_name(same[0]) for same, keep in zip(same_rows, qualify, strict=True) if not keep]:
         named.append([f"no drive qualifies: {'; '.join(without)}", *[""] * len(detectors)])
     rows += named
     ways = list(dict.fromkeys(row["way"] for row in faults[0]))
     for way in ways:
-        mine = [[r for r in of if r["way"] == way] for of in faults]
-        totals = (f"{sum(r['found'] for r in of)} of {sum(r['counted'] for r in of)}" for of in mine)
+        mine = [[r for r in column if r["way"] == way] for column in faults]
+        totals = (
+            f"{sum(r['found'] for r in column)} of {sum(r['counted'] for r in column)}" for column in mine
+        )
         rows.append([f"{WAY_WORDS[way]}: all faults", *totals])
     if best is None:
         return rows
@@ -221,13 +226,13 @@ def refutable_rows(detectors: list[DetectorColumn]) -> list[list[str]]:
     list of list of str
     """
 
-    def found(row: dict) -> str:
+    def cell(row: dict) -> str:
         return f"{row['refutable_found']}" + (
             "" if row["median_after_s"] is None else f", {row['median_after_s']:.2f} s"
         )
 
     return [
-        [row_name(same[0]), f"{same[0]['refutable']} of {same[0]['counted']}", *map(found, same)]
+        [row_name(same[0]), f"{same[0]['refutable']} of {same[0]['counted']}", *map(cell, same)]
         for same in zip(*(d.faults for d in detectors), strict=True)
         if same[0]["counted"]
     ]
@@ -246,14 +251,14 @@ def duels(monitor: list[dict], baselines: list[dict]) -> list[dict]:
     behind      faults on which it found fewer, or found as many and later
     """
     ways = list(dict.fromkeys(m["way"] for m in monitor))
-    found = []
+    table = []
     for b in baselines:
         pairs = list(zip(monitor, b["faults"], strict=True))
-        found += [_duel(way, b["kind"], [(m, o) for m, o in pairs if m["way"] == way]) for way in ways]
+        table += [_duel(way, b["kind"], [(m, o) for m, o in pairs if m["way"] == way]) for way in ways]
         if len(ways) > 1:
             both = [_together([side[k] for side in pairs]) for k in (0, 1)]
-            found.append(_duel(TOGETHER, b["kind"], list(zip(*both, strict=True))))
-    return found
+            table.append(_duel(TOGETHER, b["kind"], list(zip(*both, strict=True))))
+    return table
 
 
 def _together(rows: list[dict]) -> list[dict]:
@@ -343,7 +348,7 @@ def duel_rows(evaluation: dict) -> list[list[str]]:
     """
     rows = []
     for duel in evaluation["duels"]:
-        of, leads = len(duel["rows"]), [r["leads"] for r in duel["rows"]]
+        total, leads = len(duel["rows"]), [r["leads"] for r in duel["rows"]]
         ties = leads.count("tie")
         rows.append(
             [
@@ -351,8 +356,8 @@ def duel_rows(evaluation: dict) -> list[list[str]]:
                 duel["kind"],
                 *(f"{n} of {duel['counted']}" for n in duel["found"]),
                 " and ".join(map(str, duel["precluded"])),
-                *(f"{duel[key]} of {of}" for key in ("as_often", "sooner", "later")),
-                f"{leads.count(MONITOR)} of {of}" + (f", {ties} tied" if ties else ""),
+                *(f"{duel[key]} of {total}" for key in ("as_often", "sooner", "later")),
+                f"{leads.count(MONITOR)} of {total}" + (f", {ties} tied" if ties else ""),
                 "; ".join(duel["behind"]) or "none",
             ]
         )
@@ -377,12 +382,12 @@ def way_rows(summary: dict) -> list[list[str]]:
     list of list of str
     """
 
-    def found(of: dict, d: str) -> str:
-        s = of["median_s"][d]
-        shares = f"{of['average'][d]['calibrated']:.1%}, {of['average'][d]['matched']:.1%}"
+    def cell(results: dict, d: str) -> str:
+        s = results["median_s"][d]
+        shares = f"{results['average'][d]['calibrated']:.1%}, {results['average'][d]['matched']:.1%}"
         return shares + ("" if s is None else f", {s:.2f} s")
 
     return [
-        [WAY_WORDS[way], str(of["runs"]), *(found(of, d) for d in summary["detectors"])]
-        for way, of in summary["ways"].items()
+        [WAY_WORDS[way], str(results["runs"]), *(cell(results, d) for d in summary["detectors"])]
+        for way, results in summary["ways"].items()
     ]

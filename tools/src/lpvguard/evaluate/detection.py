@@ -71,7 +71,7 @@ class JudgedClock:
     within_s: float
 
     @classmethod
-    def of(cls, replay: Replay, first: int, within_s: float) -> JudgedClock:
+    def from_replay(cls, replay: Replay, first: int, within_s: float) -> JudgedClock:
         """Clock of a replayed drive from its sample ``first`` on."""
         relevant = replay.judged & replay.in_range & replay.excited
         relevant[:first] = False
@@ -88,8 +88,8 @@ class JudgedClock:
 
     def read_after(self, hits: np.ndarray) -> float | None:
         """Reading [s] at the first True of ``hits`` (M,), which begin at ``first``; None without any."""
-        found = np.flatnonzero(hits)
-        return float(self.seconds[self.first + found[0]]) if len(found) else None
+        places = np.flatnonzero(hits)
+        return float(self.seconds[self.first + places[0]]) if len(places) else None
 
 
 @dataclass(frozen=True)
@@ -118,10 +118,10 @@ class Injection:
     @classmethod
     def usual(cls) -> Injection:
         """Defaults of the settings, with a bias of 0.05."""
-        return cls.of(EvaluationSettings(bias=0.05), np.zeros(0))
+        return cls.from_settings(EvaluationSettings(bias=0.05), np.zeros(0))
 
     @classmethod
-    def of(cls, settings: EvaluationSettings, spread: np.ndarray) -> Injection:
+    def from_settings(cls, settings: EvaluationSettings, spread: np.ndarray) -> Injection:
         """Injection of a project file's settings; ``spread`` (n_y,) is that of the outputs.
 
         Without a spread there are no further faults.
@@ -151,7 +151,7 @@ class Injection:
     def into(self, untouched: Replay, seed: int) -> Iterator[tuple[Case, JudgedClock]]:
         """Every case with the clock of each instant in a drive; none where the drive does not qualify."""
         clocks = self.clocks(untouched, seed)
-        whole = [JudgedClock.of(untouched, 0, self.within_s)] if clocks else []
+        whole = [JudgedClock.from_replay(untouched, 0, self.within_s)] if clocks else []
         for case in self.cases:
             yield from ((case, clock) for clock in (whole if case.way == "start" else clocks))
 
@@ -160,7 +160,7 @@ class Injection:
         if untouched.duration_s <= self.shortest_s:
             return []
         earliest = round(self.from_s / untouched.Ts)
-        seconds = JudgedClock.of(untouched, earliest, self.within_s).seconds
+        seconds = JudgedClock.from_replay(untouched, earliest, self.within_s).seconds
         latest = int(np.searchsorted(seconds, seconds[-1] - self.within_s, side="right"))
         if seconds[-1] < self.within_s:
             return []
@@ -168,7 +168,7 @@ class Injection:
         random = np.random.default_rng([seed, zlib.crc32(untouched.name.encode())])
         spans = (np.arange(self.starts) + random.uniform(size=self.starts)) / self.starts
         firsts = earliest + spans * max(0, latest - earliest)
-        return [JudgedClock.of(untouched, int(first), self.within_s) for first in firsts]
+        return [JudgedClock.from_replay(untouched, int(first), self.within_s) for first in firsts]
 
 
 @dataclass(frozen=True)
@@ -187,7 +187,7 @@ class FaultOutcome:
     refutable_s: float | None = None
 
     @classmethod
-    def of(
+    def from_times(
         cls,
         run: str,
         Ts: float,
@@ -212,7 +212,7 @@ class FaultOutcome:
         )
 
     @property
-    def found(self) -> bool:
+    def detected(self) -> bool:
         """Whether the detector found the fault in time."""
         return self.s is not None
 
@@ -223,10 +223,10 @@ def margins(replay: Replay, first_s: float) -> np.ndarray:
     It is the larger of the energy test's ratio and the largest t* of the counted frames that end there.
     ``first_s`` is the time of the drive's first sample [s].
     """
-    frames, found = replay.run.frames, replay.run.energy.copy()
+    frames, largest = replay.run.frames, replay.run.energy.copy()
     ends = np.round((frames.t_end_s[frames.counted] - first_s) / replay.Ts).astype(int)
-    np.maximum.at(found, ends, frames.margin[frames.counted])
-    return found
+    np.maximum.at(largest, ends, frames.margin[frames.counted])
+    return largest
 
 
 def refutable(clock: JudgedClock, faulty: np.ndarray, untouched: np.ndarray) -> float | None:
@@ -244,9 +244,10 @@ Outcomes = dict[Case, list[FaultOutcome]]
 
 def with_refutable(cases: Outcomes, known: Outcomes) -> Outcomes:
     """The ``cases`` of a detector with the refutable times of the ``known`` ones."""
-    at = {(case, c.run, c.start_s): c.refutable_s for case, of in known.items() for c in of}
+    at = {(case, c.run, c.start_s): c.refutable_s for case, members in known.items() for c in members}
     return {
-        case: [replace(c, refutable_s=at[case, c.run, c.start_s]) for c in of] for case, of in cases.items()
+        case: [replace(c, refutable_s=at[case, c.run, c.start_s]) for c in members]
+        for case, members in cases.items()
     }
 
 
@@ -265,14 +266,14 @@ def fault_rows(cases: Outcomes) -> list[dict]:
             {
                 "way": case.way,
                 "fault": case.fault.label,
-                "found": sum(c.found for c in members),
+                "found": sum(c.detected for c in members),
                 "counted": len(members),
                 "drives": len(runs),
-                "drives_found": len(runs - {c.run for c in members if not c.found}),
+                "drives_found": len(runs - {c.run for c in members if not c.detected}),
                 "untouched_alarms": sum(c.untouched_s is not None for c in members),
                 "median_s": median_time([c.s for c in members]),
                 "refutable": len(refuted),
-                "refutable_found": sum(c.found for c in refuted),
+                "refutable_found": sum(c.detected for c in refuted),
                 "median_after_s": median_time(after),
                 "cases": [vars(c) for c in members],
             }

@@ -92,7 +92,7 @@ def _evaluate_drive(
         "fault_starts_s": sorted({clock.first * Ts for _, clock in injected}),
         "scores": _drive_scores(replay),
     }
-    found: Found = {name: {case: [] for case in injection.cases} for name in detectors}
+    outcomes: Found = {name: {case: [] for case in injection.cases} for name in detectors}
     own = margins(replay, drive.t[0])
     causes: CauseOutcomes = {case: [] for case in injection.cases}
 
@@ -102,13 +102,15 @@ def _evaluate_drive(
         known = refutable(clock, margins(faulty[together], drive.t[0]), own)
         for name, (replayer, test) in detectors.items():
             first, without = (clock.read(alarming(r[replayer], test)) for r in (faulty, untouched))
-            outcome = FaultOutcome.of(experiment.name, Ts, clock, first, without, known)
-            found[name][case].append(outcome)
-        if found[EXPORTED][case][-1].found:
-            causes[case].append(CauseOutcome.of(case, project, clock, drive, faulty_drive, faulty[apart]))
+            outcome = FaultOutcome.from_times(experiment.name, Ts, clock, first, without, known)
+            outcomes[name][case].append(outcome)
+        if outcomes[EXPORTED][case][-1].detected:
+            causes[case].append(
+                CauseOutcome.from_replay(case, project, clock, drive, faulty_drive, faulty[apart])
+            )
     if core.diagnoses:
         causes |= _further_causes(apart, injection, drive, untouched[apart])
-    return row, found, causes
+    return row, outcomes, causes
 
 
 def _replayers(
@@ -156,8 +158,8 @@ def _further_causes(
         faulty = case.into(drive, clock, Ts, DIAGNOSED_S)
         replay = replayer.replay(faulty)
         first, without = clock.read(alarming(replay)), clock.read(hits)
-        if FaultOutcome.of(drive.name, Ts, clock, first, without).found:
-            causes[case].append(CauseOutcome.of(case, project, clock, drive, faulty, replay))
+        if FaultOutcome.from_times(drive.name, Ts, clock, first, without).detected:
+            causes[case].append(CauseOutcome.from_replay(case, project, clock, drive, faulty, replay))
     return causes
 
 
@@ -204,13 +206,13 @@ def _injection(
         return Injection.usual()
     setting = [drives.experiments[n] for n in stored.manifest["drives"]["bounds"]]
     within = np.mean(list(workers(partial(_variance, drives.reader), setting)), axis=0)
-    return Injection.of(settings, np.sqrt(within))
+    return Injection.from_settings(settings, np.sqrt(within))
 
 
 def one_rate(alphas: Iterable[float | None]) -> float | None:
     """Common alpha of a detector's calibrations, one for each drive left out; None where any states none."""
-    found = set(alphas)
-    return None if None in found else found.pop()
+    distinct = set(alphas)
+    return None if None in distinct else distinct.pop()
 
 
 def _false_alarms(detector: str, rows: list[dict]) -> dict:
@@ -285,17 +287,17 @@ def evaluate(
     evaluated: Iterator[tuple[dict, Found, CauseOutcomes]] = workers(
         partial(_evaluate_drive, drives.reader, core, injection), items
     )
-    for row, found, named in evaluated:
+    for row, outcomes, named in evaluated:
         progress(row["run"])
         if row["scores"]["frame"] is None:
             left_out[row["run"]] = drives.reader.why_without_frames()
             continue
         rows.append(row)
-        for detector, by_case in found.items():
+        for detector, by_case in outcomes.items():
             for case, members in by_case.items():
                 cases[detector][case] += members
-        for case, of in named.items():
-            causes[case] += of
+        for case, cause_outcomes in named.items():
+            causes[case] += cause_outcomes
     if not rows:
         name, why = next(iter(left_out.items()))
         raise InputError(

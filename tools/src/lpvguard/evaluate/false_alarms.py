@@ -43,7 +43,9 @@ class FalseAlarms:
     recordings_per_judged_h: dict
 
     @classmethod
-    def of(cls, counts: list[tuple[int, int]], judged_s: list[float], recordings: list[str]) -> FalseAlarms:
+    def from_counts(
+        cls, counts: list[tuple[int, int]], judged_s: list[float], recordings: list[str]
+    ) -> FalseAlarms:
         """False alarms from (alarmed, all) pieces, judged seconds and recording of each drive."""
         alarmed, pieces = (int(sum(c[i] for c in counts)) for i in (0, 1))
         judged_h = sum(judged_s) / 3600
@@ -62,7 +64,9 @@ class FalseAlarms:
 
 def false_alarms(counts: list[tuple[int, int]], rows: list[dict]) -> dict:
     """FalseAlarms object from (alarmed, all) pieces of each of the drives' ``rows``."""
-    return vars(FalseAlarms.of(counts, [r["judged_s"] for r in rows], [r["recording"] for r in rows]))
+    return vars(
+        FalseAlarms.from_counts(counts, [r["judged_s"] for r in rows], [r["recording"] for r in rows])
+    )
 
 
 def alarming(replay: Replay, test: str | None = None) -> np.ndarray:
@@ -80,13 +84,13 @@ def alarming(replay: Replay, test: str | None = None) -> np.ndarray:
     -------
     ndarray (N,) of bool
     """
-    found = {
+    by_test = {
         "frame": replay.falsified,
         "pools": replay.pooled,
         "energy": replay.over,
         "change": replay.changed,
     }
-    return np.logical_or.reduce(list(found.values())) if test is None else found[test]
+    return np.logical_or.reduce(list(by_test.values())) if test is None else by_test[test]
 
 
 def piece_starts(samples: int, Ts: float) -> np.ndarray:

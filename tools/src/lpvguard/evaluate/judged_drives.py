@@ -139,12 +139,12 @@ def calibrations_of(stored: StoredIdentification) -> dict[str, Calibration]:
         raise InputError(
             stored.folder, "energy", "no energy test was identified", "an identification with Hann frames"
         )
-    found = {
+    calibrations = {
         "frame": stored.calibration,
         "energy": stored.energy.calibration,
         "change": stored.change.calibration,
     }
-    return found if stored.pools is None else found | {POOLS: stored.pools.calibration}
+    return calibrations if stored.pools is None else calibrations | {POOLS: stored.pools.calibration}
 
 
 def drives_to_judge(stored: StoredIdentification, folders: Iterable[Path]) -> list[Experiment]:

@@ -29,10 +29,10 @@ def summary(evaluation: dict[str, Any]) -> list[str]:
         kind = "found" if share >= ALWAYS else "missed" if share <= NEVER else "partly found"
         after = "" if row["median_s"] is None else f", after {row['median_s']:.3g} s"
         groups[kind].append(f"{row_name(row)} ({row['found']} of {row['counted']}{after})")
-    starts, found = (sum(row[key] for row in counted) for key in ("counted", "found"))
+    starts, detected = (sum(row[key] for row in counted) for key in ("counted", "found"))
     lines = [
         _alarms(evaluation),
-        f"faults: {found} of {starts} starts found within {evaluation['injection']['within_s']:g} s of "
+        f"faults: {detected} of {starts} starts found within {evaluation['injection']['within_s']:g} s of "
         f"judged, excited driving; of {len(counted)} faults "
         + ", ".join(f"{len(names)} {kind}" for kind, names in groups.items()),
         *(f"{kind}: {_first(names)}" for kind, names in groups.items() if names),
@@ -52,17 +52,17 @@ def _first(names: list[str]) -> str:
 
 def _alarms(evaluation: dict[str, Any]) -> str:
     """Alarms an hour without a fault: promised, then measured."""
-    of = evaluation["false_alarms"]["all"]
-    stated, hours = evaluation["stated_rates"][MONITOR], of["judged_h"]
+    counts = evaluation["false_alarms"]["all"]
+    stated, hours = evaluation["stated_rates"][MONITOR], counts["judged_h"]
     promised = "nothing is promised, too few drives calibrate"
     if stated is not None and hours:
-        promised = f"at most {stated * of['recordings']['of'] / hours:.3g} an hour judged are promised"
-    rate = of["recordings_per_judged_h"]
+        promised = f"at most {stated * counts['recordings']['of'] / hours:.3g} an hour judged are promised"
+    rate = counts["recordings_per_judged_h"]
     measured = "none is measured, nothing is judged"
     if hours:
         low, high = rate["interval"]
         measured = f"{rate['rate']:.3g} measured (95 %: {low:.2g} to {high:.3g})"
-    drives = f"{of['alarmed_drives']} of {of['drives']} drives alarm in {hours:.3g} h"
+    drives = f"{counts['alarmed_drives']} of {counts['drives']} drives alarm in {hours:.3g} h"
     return f"alarms without a fault: {promised}, {measured}; {drives}"
 
 

@@ -69,7 +69,7 @@ def differences(fit: Fit, estimate: Estimate, groups: Mapping[str, str]) -> list
         parts["drives"][drive.name] = [k]
         if group := groups.get(drive.name) or day_of(drive.name):
             parts["days or groups"].setdefault(group, []).append(k)
-    said = []
+    sentences = []
     for what, members in parts.items():
         own = [
             one
@@ -78,8 +78,8 @@ def differences(fit: Fit, estimate: Estimate, groups: Mapping[str, str]) -> list
                 one := _own(fit, name, estimate.theta[compared], [(residuals[k], derivatives[k]) for k in at])
             )
         ]
-        said += _sentences(what, own, names, least)
-    return said
+        sentences += _sentences(what, own, names, least)
+    return sentences
 
 
 def _own(fit: Fit, name: str, theta: np.ndarray, parts: list[tuple[np.ndarray, np.ndarray]]) -> _Own | None:
@@ -102,7 +102,7 @@ def _own(fit: Fit, name: str, theta: np.ndarray, parts: list[tuple[np.ndarray, n
 
 def _sentences(what: str, own: list[_Own], names: list[str], least: list[float]) -> list[str]:
     """A sentence for each parameter that differs, by Cochran's Q."""
-    said = []
+    sentences = []
     for i, name in enumerate(names if len(own) > 1 else []):
         values, errors = np.array([o.theta[i] for o in own]), np.sqrt([o.variance[i] for o in own])
         mean = np.sum(values / errors**2) / np.sum(1 / errors**2)
@@ -115,11 +115,11 @@ def _sentences(what: str, own: list[_Own], names: list[str], least: list[float])
         if values[high] - values[low] < least[i]:
             continue
         ends = [f"{values[k]:.4g} (standard error {errors[k]:.2g}) in {own[k].name}" for k in (low, high)]
-        said.append(
+        sentences.append(
             f"{name} differs between {what} by more than its errors: {ends[0]}, {ends[1]}; "
             "one model has to allow for both, or each gets a project file of its own"
         )
-    return said
+    return sentences
 
 
 def outlook(recordings: int) -> str:

@@ -194,34 +194,34 @@ def _read(project: Project, experiments: list[Experiment]) -> tuple[list[Drive],
 def _findings(estimate: Estimate, qualities: list[Quality]) -> list[str]:
     """Findings of a successful fit."""
     u, theta = estimate.unknowns, estimate.theta
-    says = [
+    findings = [
         f"{name} is at the end of its range, {theta[u.names.index(name)]:.4g}: the drives do not tell it, or "
         "the range is too narrow"
         for name in u.at_end(theta)
     ]
     if estimate.plain:
-        says.append(
+        findings.append(
             "the residuals are the model's own error and no noise: plain least squares were taken, and "
             "another model may do better"
         )
     stated_delay = u.base.model.input_delay_s
     if DELAY in u.names and stated_delay > u.high[u.names.index(DELAY)]:
-        says.append(
+        findings.append(
             f"the project file's delay of {stated_delay:g} s does not fit the drives; their delay is "
             f"{theta[u.names.index(DELAY)]:.4g} s"
         )
     for i, j in zip(*np.where(np.triu(np.abs(estimate.correlation), 1) > APART), strict=True):
-        says.append(
+        findings.append(
             f"the drives do not separate {u.names[i]} and {u.names[j]}: the correlation of their errors is "
             f"{estimate.correlation[i, j]:.3f}"
         )
     for q in qualities:
         for j, signal in enumerate(u.base.outputs):
             if q.vaf[j] < POOR_VAF:
-                says.append(f"{q.name}: the model explains only {q.vaf[j]:.1%} of {signal.name}")
+                findings.append(f"{q.name}: the model explains only {q.vaf[j]:.1%} of {signal.name}")
             elif abs(q.gain[j] - 1) > GAIN_OFF:
-                says.append(f"{q.name}: {signal.name} is {q.gain[j]:.2f} times the model's")
-    return says
+                findings.append(f"{q.name}: {signal.name} is {q.gain[j]:.2f} times the model's")
+    return findings
 
 
 def _database(project: Project) -> dict[str, bytes]:

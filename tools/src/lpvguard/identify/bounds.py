@@ -205,8 +205,8 @@ class Deciders:
             value, first, rest = (part.pop(f"{self.key}{suffix}") for suffix in ("", FIRST, REST))
             beaten = ~(value <= self.largest) & ~np.isnan(value)
             self.others = np.fmax(self.others, np.where(beaten, self.largest, value))
-            for of, new in ((self.largest, value), (self.first, first), (self.rest, rest)):
-                of[beaten] = new[beaten]
+            for record, new in ((self.largest, value), (self.first, first), (self.rest, rest)):
+                record[beaten] = new[beaten]
             self.drive[beaten] = name
             yield part | {self.key: value}
 
@@ -376,14 +376,14 @@ def front(E: np.ndarray, Z: np.ndarray, gamma_w: np.ndarray) -> np.ndarray:
     |delta0|,
     B1 and |Z| of FRONT_BLOCK frames bound their nu, and most blocks stay below a first frame's.
     """
-    out, asked = np.full(len(gamma_w), np.nan), np.flatnonzero(~np.isnan(gamma_w))
-    if not len(E) or not len(asked):
+    out, valid = np.full(len(gamma_w), np.nan), np.flatnonzero(~np.isnan(gamma_w))
+    if not len(E) or not len(valid):
         return out
-    found, gamma = s1.least(E, Z), gamma_w[asked]
+    least, gamma = s1.least(E, Z), gamma_w[valid]
     firsts = np.arange(0, len(E), FRONT_BLOCK)
-    size, z, b1, centre = (np.maximum.reduceat(x, firsts) for x in found)
-    least_z = np.minimum.reduceat(np.where(found.z > 0, found.z, np.inf), firsts)
-    low, _ = _about(s1.LeastSquares(*(x[firsts] for x in found)), gamma[:, None])
+    size, z, b1, centre = (np.maximum.reduceat(x, firsts) for x in least)
+    least_z = np.minimum.reduceat(np.where(least.z > 0, least.z, np.inf), firsts)
+    low, _ = _about(s1.LeastSquares(*(x[firsts] for x in least)), gamma[:, None])
     with np.errstate(divide="ignore", invalid="ignore"):
         room = np.sqrt(np.maximum(gamma[:, None] ** 2 - b1**2, 0.0))
         high = centre - room / z + _slack(centre, least_z, gamma[:, None])
@@ -392,31 +392,31 @@ def front(E: np.ndarray, Z: np.ndarray, gamma_w: np.ndarray) -> np.ndarray:
     turns = np.cumsum(open_blocks.sum(axis=1)) // len(firsts)
     for turn in np.unique(turns):
         some = np.flatnonzero(turns == turn)
-        out[asked[some]] = _front_within(E, Z, found, gamma[some], open_blocks[some], firsts)
+        out[valid[some]] = _front_within(E, Z, least, gamma[some], open_blocks[some], firsts)
     return out
 
 
 def _front_within(
     E: np.ndarray,
     Z: np.ndarray,
-    found: s1.LeastSquares,
+    least: s1.LeastSquares,
     gamma_w: np.ndarray,
     open_blocks: np.ndarray,
     firsts: np.ndarray,
 ) -> np.ndarray:
     """Front (P,) at ``gamma_w`` (P,) by the frames of its open blocks (P, blocks); 0 without any."""
-    of, block = np.nonzero(open_blocks)
+    point, block = np.nonzero(open_blocks)
     inside = (firsts[block, None] + np.arange(FRONT_BLOCK)).ravel()
-    of = np.repeat(of, FRONT_BLOCK)[inside < len(E)]
+    point = np.repeat(point, FRONT_BLOCK)[inside < len(E)]
     inside = inside[inside < len(E)]
-    at, gamma = s1.LeastSquares(*(x[inside] for x in found)), gamma_w[of]
+    at, gamma = s1.LeastSquares(*(x[inside] for x in least)), gamma_w[point]
     low, high = _about(at, gamma)
     worst = np.full(len(gamma_w), -np.inf)
-    np.maximum.at(worst, of, low)
-    largest = (at.e > gamma) & (at.z > 0) & (high >= worst[of])
-    inside, of = inside[largest], of[largest]
+    np.maximum.at(worst, point, low)
+    largest = (at.e > gamma) & (at.z > 0) & (high >= worst[point])
+    inside, point = inside[largest], point[largest]
     out = np.zeros(len(gamma_w))
-    np.maximum.at(out, of, s1.solve(E[inside], Z[inside], gamma[largest]).nu)
+    np.maximum.at(out, point, s1.solve(E[inside], Z[inside], gamma[largest]).nu)
     return out
 
 
@@ -425,12 +425,12 @@ def _slack(centre: np.ndarray, z: np.ndarray, gamma: np.ndarray) -> np.ndarray:
     return 1e-6 * (centre + gamma / z)
 
 
-def _about(found: s1.LeastSquares, gamma: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _about(least: s1.LeastSquares, gamma: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Bounds of nu of frames (F,), where it is not 0, broadcast with gamma; -inf where it is."""
     with np.errstate(divide="ignore", invalid="ignore"):
-        about = found.delta - np.sqrt(np.maximum(gamma**2 - found.b1**2, 0.0)) / found.z
-        slack = _slack(found.delta, found.z, gamma)
-    needing = (found.e > gamma) & (found.z > 0)
+        about = least.delta - np.sqrt(np.maximum(gamma**2 - least.b1**2, 0.0)) / least.z
+        slack = _slack(least.delta, least.z, gamma)
+    needing = (least.e > gamma) & (least.z > 0)
     return np.where(needing, about - slack, -np.inf), np.where(needing, about + slack, -np.inf)
 
 
@@ -521,17 +521,17 @@ def undominated(sizes: np.ndarray) -> np.ndarray:
 
     They contain the largest of any sum that rises with every column.
     """
-    found = [np.zeros((0, sizes.shape[1]))]
+    rows = [np.zeros((0, sizes.shape[1]))]
     share = 1 / np.maximum(_maximum(sizes), np.finfo(float).tiny)
-    while len(sizes) and (sizes.shape[1] != 2 or len(found) <= FIRST_LARGEST):
+    while len(sizes) and (sizes.shape[1] != 2 or len(rows) <= FIRST_LARGEST):
         largest = sizes[(sizes @ share).argmax()]
-        found.append(largest[None])
+        rows.append(largest[None])
         sizes = sizes[reduce(np.logical_or, (sizes > largest).T)]
     if len(sizes):  # two columns: by the first one falling, each new maximum of the second
         sizes = sizes[np.lexsort(-sizes.T[::-1])]
         before = np.maximum.accumulate(np.append(-1.0, sizes[:-1, 1]))
-        found.append(sizes[sizes[:, 1] > before])
-    return np.concatenate(found)
+        rows.append(sizes[sizes[:, 1] > before])
+    return np.concatenate(rows)
 
 
 def covering(fronts: list[np.ndarray], B_w: np.ndarray) -> np.ndarray:

@@ -35,7 +35,7 @@ class Recordings:
     groups : dict[str, str], group by drive, where it has one
     """
 
-    of: dict[str, str] = field(default_factory=dict)
+    by_drive: dict[str, str] = field(default_factory=dict)
     setting: tuple[str, ...] = ()
     groups: dict[str, str] = field(default_factory=dict)
 
@@ -48,7 +48,7 @@ class Recordings:
         """
         setting, others = list(setting), list(others)
         both = {e.recording for e in setting} & {e.recording for e in others}
-        of = {e.name: e.recording for e in (*setting, *others) if e.recording != e.name}
+        by_drive = {e.name: e.recording for e in (*setting, *others) if e.recording != e.name}
         first: dict[str, Experiment] = {}
         for e in (*setting, *others):
             other = first.setdefault(e.recording, e)
@@ -68,11 +68,11 @@ class Recordings:
                 f"{without.name} has none, others have one",
                 "a group for every drive that calibrates or is judged, or for none",
             )
-        return cls(of, tuple(sorted(both)), {e.name: e.group for e in others if e.group is not None})
+        return cls(by_drive, tuple(sorted(both)), {e.name: e.group for e in others if e.group is not None})
 
     def named(self, drive: str) -> str:
         """Recording of the piece ``drive``."""
-        return self.of.get(drive, drive)
+        return self.by_drive.get(drive, drive)
 
     def others(self, drives: Iterable[str], without: str | None) -> list[str]:
         """The ``drives`` outside the recording of drive ``without``; None: all."""
@@ -84,11 +84,11 @@ class Recordings:
 
     def largest(self, scores: Mapping[str, float]) -> dict[str, float]:
         """Score of every recording that did not set the bounds, from the ``scores`` of its drives."""
-        found: dict[str, float] = {}
+        by_recording: dict[str, float] = {}
         for drive, value in scores.items():
             if (recording := self.named(drive)) not in self.setting:
-                found[recording] = max(value, found.get(recording, value))
-        return found
+                by_recording[recording] = max(value, by_recording.get(recording, value))
+        return by_recording
 
 
 NO_RECORDINGS = Recordings()
@@ -187,8 +187,8 @@ class Calibration:
         """JSON-able, for `from_dict`; ``recordings`` and ``groups`` only if experiments.csv names any."""
         named = self.recordings
         out: dict = {k: getattr(self, k) for k in ("threshold", "scores", "alpha", "conditional_bound")}
-        if named.of:
-            out["recordings"] = {"of": named.of, "setting": list(named.setting)}
+        if named.by_drive:
+            out["recordings"] = {"of": named.by_drive, "setting": list(named.setting)}
         if self.judged_s:
             out["judged_s"] = self.judged_s
         if self.groups:
@@ -211,19 +211,19 @@ class Calibration:
     def units(self) -> str:
         """Number of calibrating drives or recordings, in words."""
         count = len(self.recordings.largest(self.scores))
-        return f"{count} recordings" if self.recordings.of else f"{count} drives"
+        return f"{count} recordings" if self.recordings.by_drive else f"{count} drives"
 
     def claim(self) -> str:
         """Claim on the threshold's false alarms, in words."""
         if not self.groups:
             return self._pooled_claim()
-        told = "; ".join(
+        claims = "; ".join(
             g.words(name) + self._hourly(self.recordings.in_group(self.scores, name), g)
             for name, g in self.groups.items()
         )
         if self.group is not None:
-            return told
-        return f"pooled: {self._pooled_claim()}; {told}; the core carries the largest, {self.carried:.4g}"
+            return claims
+        return f"pooled: {self._pooled_claim()}; {claims}; the core carries the largest, {self.carried:.4g}"
 
     def _pooled_claim(self) -> str:
         if self.alpha is not None:
@@ -231,7 +231,7 @@ class Calibration:
                 f"alpha {self.alpha:g} from {self.units()}, with 95 % confidence below "
                 f"{self.conditional_bound:.3f}{self.hourly}"
             )
-        if not self.recordings.of:
+        if not self.recordings.by_drive:
             return f"alpha is not stated: too few calibration drives ({len(self.scores)})"
         beside = sum(self.recordings.named(d) in self.recordings.setting for d in self.scores)
         return (
@@ -245,15 +245,15 @@ class Calibration:
         """Pooled claim an hour judged, as a continuation of it; empty without one."""
         return self._hourly(self.scores, self)
 
-    def _hourly(self, scores: Mapping[str, float], of: GroupThreshold | Calibration) -> str:
+    def _hourly(self, scores: Mapping[str, float], threshold: GroupThreshold | Calibration) -> str:
         """Claim of recordings with these ``scores`` an hour judged, for a further one judged for their
         mean time."""
         counted = self.recordings.largest(scores)
         drives = [d for d in scores if self.recordings.named(d) in counted]
         hours = sum(self.judged_s.get(d, 0.0) for d in drives) / 3600
-        if of.alpha is None or of.conditional_bound is None or not hours:
+        if threshold.alpha is None or threshold.conditional_bound is None or not hours:
             return ""
-        rate, bound = (x * len(counted) / hours for x in (of.alpha, of.conditional_bound))
+        rate, bound = (x * len(counted) / hours for x in (threshold.alpha, threshold.conditional_bound))
         return f"; {rate:.3g} and {bound:.3g} an hour judged, of {hours:.3g} h"
 
 
@@ -276,18 +276,18 @@ def peaks(run: Run, t0: float, Ts: float, length: np.ndarray) -> dict[str, Peak]
 
     ``t0`` is the time of its first sample [s], ``length`` (K,) samples of a frame.
     """
-    found, f = {}, run.frames
+    by_test, f = {}, run.frames
     statistic = np.where(f.counted, f.statistic, -np.inf)
     if f.counted.any():
         k = int(np.argmax(statistic))
         other = (f.bin != f.bin[k]) | (np.abs(f.t_end_s - f.t_end_s[k]) > (length[f.bin[k]] - 0.5) * Ts)
         others = statistic[other & f.counted]
-        found["frame"] = Peak(float(f.t_end_s[k] - t0), int(f.bin[k]), float(others.max(initial=0.0)))
+        by_test["frame"] = Peak(float(f.t_end_s[k] - t0), int(f.bin[k]), float(others.max(initial=0.0)))
     for test, ratio in (("energy", run.energy), ("change", run.change)):
         if (ratio > 0).any():
             k = int(np.argmax(ratio))
-            found[test] = Peak(k * Ts, int(run.energy_band[k]) if test == "energy" else None)
-    return found
+            by_test[test] = Peak(k * Ts, int(run.energy_band[k]) if test == "energy" else None)
+    return by_test
 
 
 def score(run: Run) -> float | None:

@@ -55,7 +55,7 @@ class Blocks:
     phi: np.ndarray
 
     @classmethod
-    def of(cls, e: np.ndarray, yhat: np.ndarray, usable: np.ndarray) -> Iterator[Blocks]:
+    def stretches(cls, e: np.ndarray, yhat: np.ndarray, usable: np.ndarray) -> Iterator[Blocks]:
         """Stretches of blocks of ``usable`` (N,) samples; e, yhat (N, n_y)."""
         ends = np.arange(FIRST_BLOCK_END + BLOCK, len(e), BLOCK)
         at = ends[:, None] + np.arange(1 - BLOCK, 1)
@@ -253,7 +253,7 @@ def calibrated_change(scores: Mapping[str, float], alpha: float, recordings: Rec
 def regressor_products(e: np.ndarray, yhat: np.ndarray, v: np.ndarray, estimator: Estimator) -> np.ndarray:
     """Sums (n_y, 3, 3) of products of the regressors over a drive; e, yhat (N, n_y), v (N,)."""
     total = np.zeros((e.shape[1], 3, 3))
-    for blocks in Blocks.of(e, yhat, estimator.settled(v)):
+    for blocks in Blocks.stretches(e, yhat, estimator.settled(v)):
         total += np.einsum("mji,mjk->jik", blocks.phi, blocks.phi)
     return total
 
@@ -262,8 +262,8 @@ def estimates_met(
     test: ChangeTest, e: np.ndarray, yhat: np.ndarray, v: np.ndarray, estimator: Estimator
 ) -> Met:
     """Estimates along a drive, e and yhat (N, n_y), v (N,); without a block where nothing is settled."""
-    found = Met(np.zeros((e.shape[1], 3)), np.zeros((e.shape[1], 3)), 0)
-    for blocks in Blocks.of(e, yhat, estimator.settled(v)):
+    met = Met(np.zeros((e.shape[1], 3)), np.zeros((e.shape[1], 3)), 0)
+    for blocks in Blocks.stretches(e, yhat, estimator.settled(v)):
         theta = np.abs(test.estimates(blocks))
-        found += Met(theta.max(axis=0, initial=0.0), np.sum(theta**2, axis=0), len(theta))
-    return found
+        met += Met(theta.max(axis=0, initial=0.0), np.sum(theta**2, axis=0), len(theta))
+    return met

@@ -42,23 +42,23 @@ def decides_bounds(result: Identification) -> list[Decision]:
     -------
     list of Decision
     """
-    Ts, said = result.project.Ts_s, []
-    for key, of in result.origins.decided.items():
-        shared = of.largest.shape[1] == 1 and key == "nu"
+    Ts, decisions = result.project.Ts_s, []
+    for key, decided in result.origins.decided.items():
+        shared = decided.largest.shape[1] == 1 and key == "nu"
         names = [""] if shared else [f" of {s.name}" for s in result.project.outputs]
-        floor = result.bounds.B_w_floor if key == "B_w" else np.zeros(of.largest.shape)
-        for k, j in np.argwhere(of.largest > floor):
-            value, without = float(of.largest[k, j]), float(of.without[k, j])
+        floor = result.bounds.B_w_floor if key == "B_w" else np.zeros(decided.largest.shape)
+        for k, j in np.argwhere(decided.largest > floor):
+            value, without = float(decided.largest[k, j]), float(decided.without[k, j])
             alone = value > ONE_FRAME * without
-            said.append(
+            decisions.append(
                 Decision(
-                    f"{_frequency(result, k)}: {of.drive[k, j]} decides {key}{names[j]}, {value:.3g}, from "
-                    f"{of.first[k, j] * Ts:.4g} s on"
+                    f"{_frequency(result, k)}: {decided.drive[k, j]} decides {key}{names[j]}, {value:.3g}, "
+                    f"from {decided.first[k, j] * Ts:.4g} s on"
                     + (f"; one frame does: without it {without:.3g}" if alone else ""),
                     alone,
                 )
             )
-    return said
+    return decisions
 
 
 def decides_thresholds(result: Identification) -> list[Decision]:
@@ -78,27 +78,27 @@ def decides_thresholds(result: Identification) -> list[Decision]:
 
 
 def _tests(result: Identification) -> dict[str, Calibration]:
-    found = {
+    calibrations = {
         "frame": result.calibration,
         "energy": None if result.energy is None else result.energy.calibration,
         "change": None if result.change is None else result.change.calibration,
     }
-    return {test: c for test, c in found.items() if c is not None}
+    return {test: c for test, c in calibrations.items() if c is not None}
 
 
 def _decides(result: Identification, test: str, c: Calibration) -> Decision:
     drive = c.decided_by
     if drive is None:
         return Decision(f"{test} test: no drive decides the threshold {c.carried:.4g}, its floor", False)
-    said = f"{test} test: {drive} decides the threshold {c.carried:.4g}{_where(result, test, drive)}"
+    text = f"{test} test: {drive} decides the threshold {c.carried:.4g}{_where(result, test, drive)}"
     peak = result.origins.peaks[drive].get(test)
     if peak is None or peak.without is None:  # without a core the place is unknown
-        return Decision(said, False)
+        return Decision(text, False)
     alpha = result.project.frame_test.alpha
     left = calibrate(c.scores | {drive: peak.without}, alpha, recordings=c.recordings).carried
     if c.carried <= ONE_FRAME * left:
-        return Decision(said, False)
-    return Decision(f"{said}; one frame does: without it {left:.4g}", True)
+        return Decision(text, False)
+    return Decision(f"{text}; one frame does: without it {left:.4g}", True)
 
 
 def _where(result: Identification, test: str, drive: str) -> str:
@@ -106,12 +106,12 @@ def _where(result: Identification, test: str, drive: str) -> str:
     peak = result.origins.peaks[drive].get(test)
     if peak is None:
         return ""
-    said = f", at {peak.t_s:.4g} s"
+    text = f", at {peak.t_s:.4g} s"
     if peak.place is not None and test == "frame":
-        return f"{said}, {_frequency(result, peak.place)}"
+        return f"{text}, {_frequency(result, peak.place)}"
     if peak.place is not None and result.energy is not None:
-        return f"{said}, band {result.energy.bands[peak.place]}"
-    return said
+        return f"{text}, band {result.energy.bands[peak.place]}"
+    return text
 
 
 def outlying(result: Identification) -> list[str]:
@@ -127,7 +127,7 @@ def outlying(result: Identification) -> list[str]:
     -------
     list of str, sentences
     """
-    said = []
+    sentences = []
     for test, c in _tests(result).items():
         scores = {drive: s for drive, s in c.scores.items() if s > 0}
         if len(scores) < FEWEST_TO_COMPARE or (test == "frame" and _all_silent(result)):
@@ -136,14 +136,14 @@ def outlying(result: Identification) -> list[str]:
         middle = float(np.median(size))
         deviation = 1.4826 * float(np.median(np.abs(size - middle)))
         least = middle + max(OUTLYING * deviation, np.log(ONE_FRAME))
-        said += [
+        sentences += [
             f"{test} test: {drive} lies outside the other calibration drives: {s:.4g}, their median is "
             f"{np.exp(middle):.3g}{_where(result, test, drive)}; the drive calibrates unless "
             f"{EXPERIMENTS} sets it aside"
             for drive, s in scores.items()
             if np.log(s) > least
         ]
-    return said
+    return sentences
 
 
 def _all_silent(result: Identification) -> bool:
@@ -161,17 +161,17 @@ def unresolved(result: Identification) -> list[str]:
     -------
     list of str, sentences
     """
-    said, bounds = [], result.bounds
+    sentences, bounds = [], result.bounds
     for j, signal in enumerate(result.project.outputs):
         bins = np.flatnonzero(bounds.B_w[:, j] <= bounds.B_w_floor[:, j])
         if len(bins):
             step, noise = bounds.resolution.step[j], bounds.resolution.noise[j]
-            said.append(
+            sentences.append(
                 f"B_w of {signal.name} is the limit of its sensor, and the drives need no more, at "
                 f"{', '.join(_frequency(result, k) for k in bins.tolist())}: steps of {step:.3g} "
                 f"{signal.unit}, noise of {noise:.3g} {signal.unit}"
             )
-    return said
+    return sentences
 
 
 def silence(result: Identification) -> list[str]:
@@ -185,7 +185,7 @@ def silence(result: Identification) -> list[str]:
     -------
     list of str, sentences
     """
-    said = []
+    sentences = []
     for k in result.weights.silent:
         few = f"fewer than {FEWEST_FRAMES} frames one after another set its bounds"
         weak = (
@@ -195,11 +195,11 @@ def silence(result: Identification) -> list[str]:
         why = weak if result.origins.evidence[k] <= 1 else few
         if _all_silent(result) and result.bounds.omega[k] == 0:
             why = "every other bin is"
-        said.append(f"{_frequency(result, k)} is silent: {why}")
+        sentences.append(f"{_frequency(result, k)} is silent: {why}")
     if result.energy is not None and result.energy.silent:
         names = ", ".join(result.energy.bands[b] for b in result.energy.silent)
-        said.append(f"energy test: silent in the bands {names}, since every bin is")
-    return said
+        sentences.append(f"energy test: silent in the bands {names}, since every bin is")
+    return sentences
 
 
 def _frequency(result: Identification, k: int) -> str:

@@ -80,7 +80,7 @@ class Windows:
         """Windows of several drives in sequence."""
         return cls(*(np.concatenate([getattr(p, name) for p in parts]) for name in vars(parts[0])))
 
-    def of(self, chosen: np.ndarray) -> Windows:
+    def select(self, chosen: np.ndarray) -> Windows:
         """The ``chosen`` (W,) windows."""
         return Windows(*(value[chosen] for value in vars(self).values()))
 
@@ -106,7 +106,7 @@ class Windows:
         for value in sums.values():
             for k in range(2, len(value)):
                 value[k] += value[k - 2]
-        return replace(self, **sums).of(np.arange(len(self.n) - GAP))
+        return replace(self, **sums).select(np.arange(len(self.n) - GAP))
 
     @property
     def _regular(self) -> np.ndarray:
@@ -132,10 +132,10 @@ def windows_of(
     phi = np.stack([p, -change * unit[:, 1], np.ones_like(p), p * np.abs(p)], axis=-1)
     length = round(WINDOW_S / (BLOCK * estimator.Ts))
     starts = range(0, max(len(taken) - length // 2, 0), length // 2)
-    found = [taken[s : s + length] for s in starts if s == 0 or s + length <= len(taken)]
-    if not found:
+    indices = [taken[s : s + length] for s in starts if s == 0 or s + length <= len(taken)]
+    if not indices:
         return _empty(e.shape[1])
-    index = np.stack(found)  # a shorter one is alone
+    index = np.stack(indices)  # a shorter one is alone
     f, x = phi[index].transpose(0, 2, 3, 1), mean_e[index].swapaxes(1, 2)
     whole_change = change + np.diff(mean_e, axis=0, prepend=mean_e[:1])
     windows = Windows(
@@ -171,36 +171,36 @@ def _spread(theta: np.ndarray, errors: np.ndarray, start: np.ndarray | None = No
     """Second moments (n_y, 4, 4) of a random theta about 0, by expectation and maximisation.
 
     The estimates are (W, n_y, 4) with ``errors`` (W, n_y, 4, 4). ``start`` (n_y, 4, 4) are those of nearly
-    the same windows. With S_w = found + errors_w and u_w = S_w^-1 theta_w a step adds found (mean of u u' -
-    S^-1) found.
+    the same windows. With S_w = moments + errors_w and u_w = S_w^-1 theta_w a step adds
+    moments (mean of u u' - S^-1) moments.
     """
     theta = np.ascontiguousarray(np.moveaxis(theta, 0, -1))
     errors = np.ascontiguousarray(errors.transpose(2, 3, 1, 0))
     windows = theta.shape[-1]
     scale = np.sqrt((theta**2).mean(axis=-1)) + 1e-12
-    found = np.stack([np.diag(s**2) for s in scale])
-    least = 1e-6 * found
+    moments = np.stack([np.diag(s**2) for s in scale])
+    least = 1e-6 * moments
     if start is not None:
-        found = start
+        moments = start
     for _ in range(STEPS if start is None else FEWER_STEPS):
-        surplus = _surplus(theta, errors, found)
-        found = found + found @ surplus @ found / windows + least
-    return (found + found.swapaxes(1, 2)) / 2
+        surplus = _surplus(theta, errors, moments)
+        moments = moments + moments @ surplus @ moments / windows + least
+    return (moments + moments.swapaxes(1, 2)) / 2
 
 
-def _surplus(theta: np.ndarray, errors: np.ndarray, found: np.ndarray) -> np.ndarray:
-    """Sums (n_y, 4, 4) over windows of u u' - S^-1, for theta (n_y, 4, W), errors (4, 4, n_y, W), found (n_y,
-    4, 4).
+def _surplus(theta: np.ndarray, errors: np.ndarray, moments: np.ndarray) -> np.ndarray:
+    """Sums (n_y, 4, 4) over windows of u u' - S^-1, for theta (n_y, 4, W), errors (4, 4, n_y, W), moments
+    (n_y, 4, 4).
 
     The numpy version agrees with the compiled one to rounding.
     """
     if lib := native.kernels("spread"):
-        surplus = np.empty_like(found)
-        sizes = (ctypes.c_ssize_t(size) for size in (len(found), theta.shape[-1]))
-        arrays = (theta, errors, np.ascontiguousarray(found), surplus)
+        surplus = np.empty_like(moments)
+        sizes = (ctypes.c_ssize_t(size) for size in (len(moments), theta.shape[-1]))
+        arrays = (theta, errors, np.ascontiguousarray(moments), surplus)
         lib.lpvg_spread(*sizes, *map(native.pointer, arrays))
         return surplus
-    inverse = np.linalg.inv(np.moveaxis(errors, (0, 1), (2, 3)) + found[:, None])
+    inverse = np.linalg.inv(np.moveaxis(errors, (0, 1), (2, 3)) + moments[:, None])
     u = np.einsum("jwkm,jmw->jwk", inverse, theta)
     return np.einsum("jwk,jwm->jkm", u, u) - inverse.sum(axis=1)
 
@@ -237,7 +237,7 @@ class DiagnosisScales:
     drives: int
 
     @classmethod
-    def of(cls, project: Project, unit: np.ndarray, drives: Sequence[Windows]) -> DiagnosisScales:
+    def from_windows(cls, project: Project, unit: np.ndarray, drives: Sequence[Windows]) -> DiagnosisScales:
         """Scales from the windows of every bound-setting drive; ``unit`` (n_y, 2): sizes. InputError
         without any."""
         drives = [w for w in drives if len(w.n)]
@@ -355,12 +355,12 @@ def _of_others(
     ``windows`` are the numbers of each drive's windows, in the order of ``theta`` and ``errors``; ``spread``
     is that of all.
     """
-    found = np.empty_like(errors)
+    spreads = np.empty_like(errors)
     for first, end in pairwise(np.cumsum([0, *windows])):
         own = slice(first, end)
         rest, their = (x if len(windows) == 1 else np.delete(x, own, axis=0) for x in (theta, errors))
-        found[own] = _spread(rest, their, spread)
-    return found
+        spreads[own] = _spread(rest, their, spread)
+    return spreads
 
 
 def _needed(
@@ -391,15 +391,15 @@ def _kept(
     With it COVERED of the windows lie within the region predicted from their past. ``others``: see
     _of_others; ``correlated``: not ``enlarged`` yet.
     """
-    noise, told, first = enlarged * correlated, [], 0
+    noise, predictions, first = enlarged * correlated, [], 0
     for drive in drives:
         spread = enlarged[:, None, None] * others[first]
         first += len(drive.n)
         if len(drive.n) > GAP:
-            told.append(np.array([_foretold(drive, noise, spread, share) for share in KEPT]))
-    if not told:
+            predictions.append(np.array([_foretold(drive, noise, spread, share) for share in KEPT]))
+    if not predictions:
         return np.zeros(len(enlarged))
-    squares, sizes = np.concatenate(told, axis=2).swapaxes(0, 1)  # (KEPT, windows, n_y) each
+    squares, sizes = np.concatenate(predictions, axis=2).swapaxes(0, 1)  # (KEPT, windows, n_y) each
     within = np.quantile(squares, COVERED, axis=1) <= chi2.ppf(COVERED, PARTS)
     within[0] = True
     likelihood = np.where(within, -(squares + sizes).sum(axis=1), -np.inf)
@@ -415,7 +415,7 @@ def _foretold(
     The prediction is the best linear estimate if the drive keeps a ``share`` of the ``spread`` (n_y, 4, 4).
     ``noise`` (n_y,): as correlated.
     """
-    past, after = drive.pasts(), drive.of(np.arange(GAP, len(drive.n)))
+    past, after = drive.pasts(), drive.select(np.arange(GAP, len(drive.n)))
     weights = share * spread @ np.linalg.inv(spread + past.errors(noise))
     beside = after.theta - (weights @ past.theta[..., None])[..., 0]
     covariance = spread - share * weights @ spread + after.errors(noise)

@@ -122,8 +122,8 @@ def _raised(
 def _norm_in(sums: np.ndarray, directions: np.ndarray) -> np.ndarray:
     """sqrt(a' G a) (n, D) of matrices (n, n_y, n_y) in directions (D, n_y)."""
     products = directions[:, :, None] * directions[:, None, :]
-    found = sums.reshape(len(sums), -1) @ products.reshape(len(directions), -1).T
-    return np.sqrt(np.maximum(found, 0.0))
+    squares = sums.reshape(len(sums), -1) @ products.reshape(len(directions), -1).T
+    return np.sqrt(np.maximum(squares, 0.0))
 
 
 @dataclass(frozen=True)
@@ -341,8 +341,8 @@ class EnergyTest:
             "joint": np.full(len(self.F), np.nan)
         }
         for _, band, *sides in self._sides(e, yhat, v):
-            found = self._needs_in(band, *sides)
-            for key, value in found.items():
+            needed = self._needs_in(band, *sides)
+            for key, value in needed.items():
                 out[key][band] = np.fmax(out[key][band], value)
         return out
 
@@ -482,9 +482,9 @@ class EnergyTest:
         """
         least = {"sigma": np.finfo(float).tiny, "start": 0.0, "joint": 1.0}
         for name, low in least.items():
-            value, wanted = np.array(data[name], float), getattr(self, name).shape
-            if value.shape != wanted or not (np.isfinite(value) & (value >= low)).all():
-                raise InputError(where, name, f"{data[name]}", f"finite numbers {wanted}, {low:g} at least")
+            value, shape = np.array(data[name], float), getattr(self, name).shape
+            if value.shape != shape or not (np.isfinite(value) & (value >= low)).all():
+                raise InputError(where, name, f"{data[name]}", f"finite numbers {shape}, {low:g} at least")
         if not np.allclose(data["gain"], self.gain, rtol=STATED_RTOL, atol=0):
             raise InputError(where, "gain", f"{data['gain']}", f"{self.gain}, of the weights")
         for one, proved in zip(data["certificate"], self.certificate, strict=True):

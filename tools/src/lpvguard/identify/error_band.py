@@ -41,7 +41,7 @@ class ErrorBand:
     sd : (G, S, A) standard deviation of a further drive's error about it.
     k : factor on ``sd``.
     mean : (p,) posterior mean of the lag values.
-    prior, found : prior of the lag values, and its hyperparameters.
+    prior, most_probable : prior of the lag values, and its hyperparameters.
     """
 
     omega: np.ndarray
@@ -52,12 +52,12 @@ class ErrorBand:
     k: float
     mean: np.ndarray
     prior: ErrorPrior
-    found: Hyperparameters
+    most_probable: Hyperparameters
 
     @property
     def hyper(self) -> dict[str, float]:
         """Most probable hyperparameters, by name."""
-        return {n: self.prior.size(self.found.x, n) for n in self.prior.names}
+        return {n: self.prior.size(self.most_probable.x, n) for n in self.prior.names}
 
     @property
     def lower(self) -> np.ndarray:
@@ -157,7 +157,7 @@ def error_band(
         prior = ErrorPrior(domain, 1 < len(set(sums.groups)) < len(sums.groups), scales)
         hyper = hyperparameters(prior, of_output)
     else:
-        prior, hyper = like.prior, like.found
+        prior, hyper = like.prior, like.most_probable
     speed, amplitude = band_cells(domain, sums.histogram) if cells is None else cells
     s = np.repeat(domain.relative_speed(speed), amplitude.shape[1])
     features = domain.features(s, amplitude.ravel())

@@ -61,7 +61,7 @@ class ErrorDomain:
     least_amplitude: float
 
     @classmethod
-    def of(cls, estimator: Estimator, excited_std: float) -> ErrorDomain:
+    def from_estimator(cls, estimator: Estimator, excited_std: float) -> ErrorDomain:
         """Domain of an estimator's bins; ``excited_std`` [input unit] scalar."""
         omega = estimator.omega[estimator.cycles > 0]
         decimation = max(1, int(np.pi / (OVERSAMPLING * omega[-1] * estimator.Ts)))

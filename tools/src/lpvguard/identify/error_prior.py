@@ -226,13 +226,13 @@ class OutputSums:
 
             (c - S m)' dR w - tr(M^-1 R' S dR) + m' dc - m' dS m / 2 - tr(P dS) / 2 + dl,   m = R w
         """
-        found, R, gram, cross, logs = self._solved(prior, x)
+        posterior, R, gram, cross, logs = self._solved(prior, x)
         variances = self._variances(prior, x)
-        P = found.root @ found.root.T
-        left = cross - gram @ found.mean
+        P = posterior.root @ posterior.root.T
+        left = cross - gram @ posterior.mean
         # S R M^-1 = S R - S P S R, and R' (c - S m) = w.
         by_root = np.outer(left, R.T @ left) - gram @ (R - P @ (gram @ R))
-        by_gram = -0.5 * (np.outer(found.mean, found.mean) + P)
+        by_gram = -0.5 * (np.outer(posterior.mean, posterior.mean) + P)
         slope = np.empty(len(x))
         for k, h in enumerate(STEP * np.eye(len(x))):
             after = self._variances(prior, x + h)
@@ -240,9 +240,11 @@ class OutputSums:
                 slope[k] = (by_root * (prior.root(x + h) - R)).sum() / STEP
                 continue
             new_gram, new_cross, new_logs = self.reduced(*after)
-            change = (by_gram * (new_gram - gram)).sum() + found.mean @ (new_cross - cross) + new_logs - logs
+            change = (
+                (by_gram * (new_gram - gram)).sum() + posterior.mean @ (new_cross - cross) + new_logs - logs
+            )
             slope[k] = change / STEP
-        return found.evidence, slope
+        return posterior.evidence, slope
 
     @staticmethod
     def _variances(prior: ErrorPrior, x: np.ndarray) -> list[np.ndarray]:

@@ -176,7 +176,7 @@ class _Counted:
     counted: np.ndarray
 
     @classmethod
-    def of(
+    def from_drive(
         cls,
         domain: ErrorDomain,
         model: NominalModel,
@@ -255,13 +255,13 @@ def common_products(
     -------
     ndarray (n_y, COMMON, COMMON + 1)
     """
-    of = _Counted.of(domain, model, estimator, drive, e, yhat)
+    counted = _Counted.from_drive(domain, model, estimator, drive, e, yhat)
     out = np.zeros((e.shape[1], COMMON, COMMON + 1))
     for j in range(e.shape[1]):
-        by_speed = of.by_speed(domain, j)
-        found = of.whitened(j, by_speed, by_speed)
-        if found is not None:
-            y, X, basis = found
+        by_speed = counted.by_speed(domain, j)
+        whitened = counted.whitened(j, by_speed, by_speed)
+        if whitened is not None:
+            y, X, basis = whitened
             y, X = _without(basis, y), _without(basis, X)
             out[j] = X.T @ np.column_stack([X, y])
     return out
@@ -312,8 +312,8 @@ def error_sums(
     ErrorSums
     """
     n_y = e.shape[1]
-    of = _Counted.of(domain, model, estimator, drive, e, yhat)
-    features = domain.features(of.s, of.amplitude)
+    counted = _Counted.from_drive(domain, model, estimator, drive, e, yhat)
+    features = domain.features(counted.s, counted.amplitude)
     p = features.shape[1] * len(domain.lags)
     out = ErrorSums(
         np.zeros((n_y, p, p)),
@@ -323,18 +323,18 @@ def error_sums(
         np.zeros((1, n_y, p, DIRECTIONS)),
         np.zeros((1, n_y, DIRECTIONS)),
         np.zeros((1, n_y, DIRECTIONS, DIRECTIONS)),
-        _histogram(domain, of.s[of.counted], of.amplitude[of.counted]),
+        _histogram(domain, counted.s[counted.counted], counted.amplitude[counted.counted]),
         (group,),
     )
     for j in range(n_y):
-        by_speed, z = of.by_speed(domain, j), of.nominal[j]
+        by_speed, z = counted.by_speed(domain, j), counted.nominal[j]
         response = lagged_signals(domain, z + by_speed @ common[j]) @ deviations(domain)
-        found = of.whitened(j, by_speed, np.column_stack([lagged_signals(domain, z), response]))
-        if found is None:
+        whitened = counted.whitened(j, by_speed, np.column_stack([lagged_signals(domain, z), response]))
+        if whitened is None:
             continue
-        y, signals, basis = found
+        y, signals, basis = whitened
         lagged, own = np.split(signals, [-DIRECTIONS], axis=1)
-        X = (features[of.counted][:, :, None] * lagged[:, None, :]).reshape(len(y), -1)
+        X = (features[counted.counted][:, :, None] * lagged[:, None, :]).reshape(len(y), -1)
         X, y, own = (_without(basis, x) for x in (X, y, own))
         out.gram[j], out.cross[j] = X.T @ X, X.T @ y
         out.square[j], out.samples[j] = y @ y, len(y) - basis.shape[1]

@@ -69,10 +69,10 @@ def healthy_set(
     W_delta, B_w, factor = np.zeros((K, n_delta)), floor.copy(), np.ones((K, n_delta))
     for k in range(K):
         Z = np.abs(spectra["Z"][spectra["group"] == k])
-        for d, of in enumerate(outputs):
+        for d, indices in enumerate(outputs):
             errors = float(typical[k, d]), float(largest[k, d])
-            W, B, factor[k, d] = _best(each[:, k][:, :, of], Z[:, of], floor[k, of], *errors)
-            W_delta[k, d], B_w[k, of] = W, B
+            W, B, factor[k, d] = _best(each[:, k][:, :, indices], Z[:, indices], floor[k, indices], *errors)
+            W_delta[k, d], B_w[k, indices] = W, B
     folds = each.any(axis=(2, 3)).sum(axis=0)
     # The threshold has what all bins share.
     factor = np.where(folds[:, None] > 0, factor / factor[folds > 0].min(initial=np.inf), 1.0)
@@ -85,8 +85,8 @@ def _best(
     each: np.ndarray, Z: np.ndarray, floor: np.ndarray, typical: float, largest: float
 ) -> tuple[float, np.ndarray, float]:
     """W_delta, B_w (m,) and factor of one bin; needs of drives ``each`` (D, P, m), |Z| (F, m)."""
-    asked = each[each.any(axis=(1, 2))]
-    most = asked.max(axis=0, initial=0.0)
+    needed = each[each.any(axis=(1, 2))]
+    most = needed.max(axis=0, initial=0.0)
     B_of = np.maximum(most, floor)
     strongest = Z.max(axis=0, initial=0.0)
     reached = np.maximum(CANDIDATES, typical)
@@ -98,9 +98,9 @@ def _best(
             break
         factor = max(1.0, _least_factor(further, B, W))
         # Without the drive that asks for the most the next one does.
-        for d in np.unique(asked[:, p].argmax(axis=0)) if len(asked) > 1 else ():
-            rest = np.maximum(np.delete(asked[:, p], d, axis=0).max(axis=0), floor)
-            factor = max(factor, _least_factor(asked[d], rest, W))
+        for d in np.unique(needed[:, p].argmax(axis=0)) if len(needed) > 1 else ():
+            rest = np.maximum(np.delete(needed[:, p], d, axis=0).max(axis=0), floor)
+            factor = max(factor, _least_factor(needed[d], rest, W))
         g = np.max(Z / np.maximum(B, TINY), axis=1) if len(Z) else np.zeros(1)
         visible = factor * (W + 1 / max(float(np.percentile(g, TYPICAL)), TINY))
         if best is None or visible < best[0]:
@@ -114,6 +114,6 @@ def _least_factor(own: np.ndarray, B: np.ndarray, W: float) -> float:
     low, high = 0.0, LARGEST_FACTOR
     for _ in range(40):
         middle = 0.5 * (low + high)
-        asked = [np.interp(middle * W, CANDIDATES, column) for column in own.T]
-        low, high = (low, middle) if np.all(np.array(asked) <= middle * B) else (middle, high)
+        needed = [np.interp(middle * W, CANDIDATES, column) for column in own.T]
+        low, high = (low, middle) if np.all(np.array(needed) <= middle * B) else (middle, high)
     return high

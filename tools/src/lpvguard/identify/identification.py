@@ -157,8 +157,8 @@ def _weighted(
         healthy = run.healthy(error, W_delta, bounds.B_w_floor, chosen.setting)
         # The certificate's set contains the healthy one: what refutes it leaves that.
         bounds = replace(bounds, B_w=np.fmax(bounds.B_w, healthy.B_w))
-    given = project, estimator, bounds, gamma_w, W_delta, noise, first["E"], command
-    weights = fit_weights(*given, run.workers)
+    inputs = project, estimator, bounds, gamma_w, W_delta, noise, first["E"], command
+    weights = fit_weights(*inputs, run.workers)
     if healthy is not None:
         weights = with_healthy(project, estimator, weights, healthy, run.workers)
     return bounds, weights
@@ -200,7 +200,9 @@ def identify(
     hashes = table_hashes(list(drives.experiments.values()), workers)
     chosen = Chosen.by_split(drives)
     fit_of = partial(drive_fit, drives.reader)
-    model_fit, others_fit = (list(run.over("model", fit_of, of)) for of in (chosen.setting, chosen.others))
+    model_fit, others_fit = (
+        list(run.over("model", fit_of, group)) for group in (chosen.setting, chosen.others)
+    )
     require_better_than_none(drives, model_fit)
     error = run.model_error(chosen)
     ceiling = _ceiling(project, estimator, error)

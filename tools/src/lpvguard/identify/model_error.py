@@ -88,7 +88,7 @@ class ErrorGrid:
     amplitude_edges: np.ndarray
 
     @classmethod
-    def of(cls, project: Project, estimator: Estimator) -> ErrorGrid:
+    def from_project(cls, project: Project, estimator: Estimator) -> ErrorGrid:
         """The bins, points between distant ones, and STEP by STEP beyond them up to HIGHEST."""
         bins = estimator.omega[estimator.cycles > 0]
         kept = [bins[0]]
@@ -239,7 +239,7 @@ def drive_sums(
     each = len(stacked) // model.n_y
     power = np.r_[0.0, np.cumsum((drive.u[:, 0] - model.input_offset[0]) ** 2)]
     total, whole = (np.r_[0.0, np.cumsum(x)] for x in (drive.v, settled))
-    found: list[_Frames] = []
+    frame_sets: list[_Frames] = []
     for g, omega in enumerate(grid.omega):
         whitened = np.repeat(np.abs(np.array(filters) @ np.exp(-1j * omega * grid.Ts * lags)), each)
         for p, periods in enumerate(PERIODS):
@@ -263,11 +263,11 @@ def drive_sums(
                 _by_halves(stacked[:, : halves * half], _kernel(omega * grid.Ts, half))[:, good]
                 / whitened[:, None]
             )
-            found.append(_Frames((g, p), frames, speed[good], amplitude[good]))
+            frame_sets.append(_Frames((g, p), frames, speed[good], amplitude[good]))
     rows = 8 if drive.instrument is None else 14
     moments = np.zeros((len(grid.omega), len(PERIODS), model.n_y, *grid.cells, rows, POWERS))
-    if found:
-        _add(moments, grid, found)
+    if frame_sets:
+        _add(moments, grid, frame_sets)
     return Sums.of_moments(moments)
 
 
@@ -305,23 +305,25 @@ class _Frames(NamedTuple):
     amplitude: np.ndarray
 
 
-def _add(moments: np.ndarray, grid: ErrorGrid, found: list[_Frames]) -> None:
+def _add(moments: np.ndarray, grid: ErrorGrid, frame_sets: list[_Frames]) -> None:
     """Add frames to their cells of ``moments``; the order of frames in a cell stays."""
     n_y = moments.shape[2]
-    speed, amplitude = (np.concatenate([getattr(f, name) for f in found]) for name in ("speed", "amplitude"))
-    frames = np.concatenate([f.frames for f in found], axis=1)
+    speed, amplitude = (
+        np.concatenate([getattr(f, name) for f in frame_sets]) for name in ("speed", "amplitude")
+    )
+    frames = np.concatenate([f.frames for f in frame_sets], axis=1)
     cell = np.clip(np.searchsorted(grid.speed_edges, speed, "right") - 1, 0, grid.cells[0] - 1)
     within = cell * grid.cells[1] + np.searchsorted(grid.amplitude_edges, amplitude, "right")
-    of = np.repeat(np.arange(len(found)), [len(f.speed) for f in found])
-    places = of * np.prod(grid.cells) + within
+    owner = np.repeat(np.arange(len(frame_sets)), [len(f.speed) for f in frame_sets])
+    places = owner * np.prod(grid.cells) + within
     order = np.argsort(places, kind="stable")
     places, s = places[order], grid.relative(speed[order])
     products = _products(frames[:, order].reshape(n_y, -1, len(order)))
     powers = np.vander(s, POWERS, increasing=True)
     edges = np.flatnonzero(np.r_[True, places[1:] != places[:-1], True])
-    cells = np.stack(np.unravel_index(places[edges[:-1]], (len(found), *grid.cells)), axis=1).tolist()
+    cells = np.stack(np.unravel_index(places[edges[:-1]], (len(frame_sets), *grid.cells)), axis=1).tolist()
     for (k, c, a), (first, end) in zip(cells, pairwise(edges.tolist()), strict=True):
-        moments[(*found[k].at, slice(None), c, a)] += products[..., first:end] @ powers[first:end]
+        moments[(*frame_sets[k].at, slice(None), c, a)] += products[..., first:end] @ powers[first:end]
 
 
 def _products(frames: np.ndarray) -> np.ndarray:
@@ -404,7 +406,7 @@ class ErrorEstimate:
         return cls(delta=re + 1j * im, **columns)
 
     @classmethod
-    def of(cls, sums: Sums, grid: ErrorGrid) -> ErrorEstimate:
+    def from_sums(cls, sums: Sums, grid: ErrorGrid) -> ErrorEstimate:
         """Estimate from sums with the best length of frames.
 
         Best are the lengths with the narrowest pool, among these that with the least standard error of the
@@ -677,15 +679,15 @@ def beyond(project: Project, grid: ErrorGrid) -> np.ndarray:
     ----------
     THEORY 7.6, (T32).
     """
-    said = {b.output: b for b in project.model_error.beyond}
+    stated = {b.output: b for b in project.model_error.beyond}
     columns = []
     for signal in project.outputs:
-        if signal.name not in said:
+        if signal.name not in stated:
             columns.append(np.full(len(grid.omega), 2.0))
             continue
         where = f"vehicle {project.name}, model_error.beyond of {signal.name}"
         rho = np.broadcast_to(
-            evaluate(said[signal.name].ratio, {"omega": grid.omega}, where), grid.omega.shape
+            evaluate(stated[signal.name].ratio, {"omega": grid.omega}, where), grid.omega.shape
         )
         if not (np.isfinite(rho) & (rho >= 1)).all():
             raise InputError(where, "ratio", f"{rho.min():.6g} at its least", "at least 1 at every frequency")
@@ -734,8 +736,8 @@ def band_bound(project: Project, grid: ErrorGrid, bands: list[ErrorBand]) -> np.
     for j, band in enumerate(bands):
         dead = out[: len(band.omega), j, None, None]
         informed = (np.arange(len(band.omega)) <= _last(project, grid))[:, None, None]
-        asked = np.where(informed & (band.k * band.sd < dead), band.upper, np.maximum(dead, band.lower))
-        out[: len(band.omega), j] = asked.max(axis=(1, 2))
+        needed = np.where(informed & (band.k * band.sd < dead), band.upper, np.maximum(dead, band.lower))
+        out[: len(band.omega), j] = needed.max(axis=(1, 2))
     return out if project.n_delta == project.n_y else out.max(axis=1, keepdims=True)
 
 
@@ -782,19 +784,19 @@ class ModelError:
     bands: list[dict] = field(default_factory=list)
 
     @classmethod
-    def of(
+    def from_sums(
         cls, project: Project, grid: ErrorGrid, setting: list[Sums], judging: list[Sums], workers: Map = map
     ) -> ModelError:
         """Model error from the sums of folds of drives, at least one of which sets the bounds.
 
         ``workers`` share the folds.
         """
-        estimate = ErrorEstimate.of(_total(setting), grid)
+        estimate = ErrorEstimate.from_sums(_total(setting), grid)
         return cls(
             grid,
             estimate,
             uncertainty_bound(project, grid, estimate),
-            ErrorEstimate.of(_total(judging), grid) if judging else None,
+            ErrorEstimate.from_sums(_total(judging), grid) if judging else None,
             list(workers(partial(_left_out, project, grid), _each_and_others(setting))),
         )
 
@@ -807,12 +809,12 @@ class ModelError:
         workers: Map = map,
     ) -> ModelError:
         """With the bound of the bands of ``sums``, one a fold; ``folds``: each one's own estimate."""
-        of = partial(bands_of, domain, band_frequencies(self.grid, domain), project.seed)
-        bands = of(None, joined(sums))
+        fit_bands = partial(bands_of, domain, band_frequencies(self.grid, domain), project.seed)
+        bands = fit_bands(None, joined(sums))
         others = [joined(sums[:k] + sums[k + 1 :]) for k in range(len(sums))] if len(sums) > 1 else []
         ratios = [
             covered(band_bound(project, self.grid, left), own)
-            for left, own in zip(workers(partial(of, bands), others), folds, strict=False)
+            for left, own in zip(workers(partial(fit_bands, bands), others), folds, strict=False)
         ]
         return replace(
             self,
@@ -882,7 +884,7 @@ class ModelError:
     @classmethod
     def from_dict(cls, project: Project, estimator: Estimator, data: dict) -> ModelError:
         """Read back; the bound is computed again from the estimates, unless bands set it."""
-        grid = ErrorGrid.of(project, estimator)
+        grid = ErrorGrid.from_project(project, estimator)
         setting = ErrorEstimate.from_dict(data["setting"])
         judging = None if data["judging"] is None else ErrorEstimate.from_dict(data["judging"])
         ratios = [np.inf if r is None else r for r in data["left_out"]["ratios"]]
@@ -893,15 +895,15 @@ class ModelError:
 
 def _left_out(project: Project, grid: ErrorGrid, fold: tuple[Sums, Sums]) -> float:
     """Least ratio of the others' bound to the own |delta_c| - k se, from a ``fold``'s sums and theirs."""
-    own, others = (ErrorEstimate.of(sums, grid) for sums in fold)
+    own, others = (ErrorEstimate.from_sums(sums, grid) for sums in fold)
     return covered(uncertainty_bound(project, grid, others), own)
 
 
-def covered(asked: np.ndarray, own: ErrorEstimate) -> float:
-    """Least ratio of what is ``asked`` for (G, n_delta) to |delta_c| - k se of an estimate; inf: it asks for
-    nothing."""
+def covered(bound: np.ndarray, own: ErrorEstimate) -> float:
+    """Least ratio of a ``bound`` (G, n_delta) to |delta_c| - k se of an estimate; inf where that is nowhere
+    above 0."""
     lower = own.lower.max(axis=(2, 3))
-    return float((asked / np.maximum(lower, TINY)).min(where=lower > 0, initial=np.inf))
+    return float((bound / np.maximum(lower, TINY)).min(where=lower > 0, initial=np.inf))
 
 
 def _each_and_others(folds: list[Sums]) -> Iterator[tuple[Sums, Sums]]:

@@ -18,10 +18,10 @@ def drive_fit(reader: DriveReader, experiment: Experiment) -> Quality:
     return of_drive(reader.model, drive, yhat, [])
 
 
-def require_better_than_none(drives: DriveSet, found: list[Quality]) -> None:
+def require_better_than_none(drives: DriveSet, qualities: list[Quality]) -> None:
     """Raise InputError where the model leaves more of an output than its variance, over all drives
     together."""
-    for signal, vaf in zip(drives.reader.project.outputs, pooled_vaf(found), strict=True):
+    for signal, vaf in zip(drives.reader.project.outputs, pooled_vaf(qualities), strict=True):
         if vaf < 0:
             raise drives.error(
                 f"output {signal.name}",
@@ -32,7 +32,7 @@ def require_better_than_none(drives: DriveSet, found: list[Quality]) -> None:
 
 
 def evidence(
-    omega: np.ndarray, frames: np.ndarray, length: np.ndarray, Ts: float, found: list[Quality]
+    omega: np.ndarray, frames: np.ndarray, length: np.ndarray, Ts: float, qualities: list[Quality]
 ) -> list[str]:
     """Word the share of driving in counted frames, a line a bin above DC.
 
@@ -44,13 +44,13 @@ def evidence(
     frames : ndarray (K,) of int, counted frames at every start
     length : ndarray (K,) of int, samples of a frame
     Ts : float, s
-    found : list of Quality, of the bound-setting drives
+    qualities : list of Quality, of the bound-setting drives
 
     Returns
     -------
     list of str
     """
-    in_range_s = sum(q.judged_s for q in found)
+    in_range_s = sum(q.judged_s for q in qualities)
     return [
         f"{w:.3g} rad/s: {n * Ts:.0f} of {in_range_s:.0f} s in range count, {n / m:.0f} frames of "
         f"{m * Ts:.3g} s one after another"
@@ -59,20 +59,20 @@ def evidence(
     ]
 
 
-def sentences(project: Project, found: list[Quality]) -> list[str]:
+def sentences(project: Project, qualities: list[Quality]) -> list[str]:
     """Word the quality, a line a drive, with a warning for a poor model.
 
     Parameters
     ----------
     project : Project
-    found : list of Quality
+    qualities : list of Quality
 
     Returns
     -------
     list of str
     """
     lines = []
-    for q in found:
+    for q in qualities:
         for j, signal in enumerate(project.outputs):
             poor = "; poor: try lpvguard fit" if q.vaf[j] < POOR_VAF else ""
             lines.append(

@@ -121,7 +121,7 @@ class OverDrives:
     @property
     def resolution(self) -> Resolution:
         """Resolution and noise of the sensors in the bound-setting drives."""
-        return Resolution.of(self.reader.project, self._seen)
+        return Resolution.for_project(self.reader.project, self._seen)
 
     @property
     def spectra(self) -> Rows:
@@ -150,30 +150,32 @@ class OverDrives:
         Without a ceiling on nu its bound is the band of a further drive.
         """
         reader = self.reader
-        project, grid = reader.project, ErrorGrid.of(reader.project, reader.estimator)
+        project, grid = reader.project, ErrorGrid.from_project(reader.project, reader.estimator)
         task = partial(model_error_pass, reader, grid)
 
         def folds(chosen: list[Experiment]) -> list[Sums]:
-            found: list[Sums] = []
-            of = _folds(chosen)
-            for k, sums in zip(of.values(), self.over("model error", task, list(of)), strict=True):
-                if k == len(found):
-                    found.append(sums)
+            by_fold: list[Sums] = []
+            fold_of = _folds(chosen)
+            for k, sums in zip(fold_of.values(), self.over("model error", task, list(fold_of)), strict=True):
+                if k == len(by_fold):
+                    by_fold.append(sums)
                 else:
-                    found[k] = found[k].plus(sums)
-            return found
+                    by_fold[k] = by_fold[k].plus(sums)
+            return by_fold
 
         setting = folds(drives.setting)
-        error = ModelError.of(project, grid, setting, folds(drives.others), self.workers)
+        error = ModelError.from_sums(project, grid, setting, folds(drives.others), self.workers)
         if project.bounds.nu_ceiling is not None:
             return error
         self.progress("model error band")
-        domain = ErrorDomain.of(reader.estimator, project.frame_test.excited_std)
-        of = _folds(drives.setting)
+        domain = ErrorDomain.from_estimator(reader.estimator, project.frame_test.excited_std)
+        fold_of = _folds(drives.setting)
         parts: list[list[ErrorSums]] = [[] for _ in setting]
-        for k, sums in zip(of.values(), error_sums_of(reader, domain, list(of), self.workers), strict=True):
+        for k, sums in zip(
+            fold_of.values(), error_sums_of(reader, domain, list(fold_of), self.workers), strict=True
+        ):
             parts[k].append(sums)
-        own = [ErrorEstimate.of(s, grid) for s in setting]
+        own = [ErrorEstimate.from_sums(s, grid) for s in setting]
         return error.by_bands(project, domain, [joined(p) for p in parts], own, self.workers)
 
     def healthy(
@@ -181,10 +183,10 @@ class OverDrives:
     ) -> HealthySet:
         """The healthy set of the frame test, within the certificate's ``W_delta``; ``floor`` (K, n_y) of
         B_w."""
-        project, of = self.reader.project, _folds(setting)
+        project, fold_of = self.reader.project, _folds(setting)
         task = partial(healthy_pass, self.reader)
         needs: list[np.ndarray] = []
-        for k, own in zip(of.values(), self.over("healthy set", task, list(of)), strict=True):
+        for k, own in zip(fold_of.values(), self.over("healthy set", task, list(fold_of)), strict=True):
             if k == len(needs):
                 needs.append(own)
             else:
@@ -299,22 +301,22 @@ class OverDrives:
 
     def _pools(self, bounds: Bounds, recordings: Recordings, drives: Chosen) -> Pools:
         """Bounds of pools from all drives."""
-        sizes = PoolSizes.of(self.reader.project, self.reader.estimator)
+        sizes = PoolSizes.for_project(self.reader.project, self.reader.estimator)
         task = partial(pool_needs_pass, self.reader, sizes)
         W, silent = chosen_share(PoolNeeds.joined(self.over("pools", task, drives.setting)), bounds.B_w_floor)
         needs: dict[str, np.ndarray] = {}
-        found: list[Remainders] = []
+        remainders: list[Remainders] = []
         chosen = [*drives.setting, *drives.others]
         rest = self.over("pools", partial(pool_remainder_pass, self.reader, sizes, W), chosen)
-        for e, of in zip(chosen, rest, strict=True):
+        for e, remainder in zip(chosen, rest, strict=True):
             name = recordings.named(e.name)
-            needs[name] = np.maximum(needs.get(name, 0.0), of.largest)
-            found.append(of)
-            if len(found) == JOINED_AT_ONCE:
-                found = [Remainders.joined(found)]
+            needs[name] = np.maximum(needs.get(name, 0.0), remainder.largest)
+            remainders.append(remainder)
+            if len(remainders) == JOINED_AT_ONCE:
+                remainders = [Remainders.joined(remainders)]
         floor = np.where(silent, np.inf, bounds.B_w_floor)
         pools = Pools(sizes, W, floor, needs, calibrate({}, self.reader.project.frame_test.alpha))
-        self._pooled = Remainders.joined(found).excitation(W, pools.bound())
+        self._pooled = Remainders.joined(remainders).excitation(W, pools.bound())
         return pools
 
     def _require_scores(self, drives: Chosen, *, judged: bool) -> None:
@@ -322,11 +324,11 @@ class OverDrives:
 
     def visibility(self, weights: Weights, calibration: Calibration, pools: Pools | None) -> dict:
         """visibility.json: what the judged drives could have refuted, by bin."""
-        of, factor = self.reader.estimator, weights.inflation
-        W_delta = weights.of_frames(of.omega)[0] / factor
+        estimator, factor = self.reader.estimator, weights.inflation
+        W_delta = weights.of_frames(estimator.omega)[0] / factor
         return visibility(
-            of.omega,
-            of.speed_range,
+            estimator.omega,
+            estimator.speed_range,
             self.met,
             W_delta,
             calibration.carried,
@@ -429,7 +431,7 @@ class OverDrives:
             return None
         task = partial(diagnosis_pass, self.reader, 1 / change.unit)
         windows = list(self.over("diagnosis", task, drives.setting))
-        return DiagnosisScales.of(self.reader.project, change.unit, windows)
+        return DiagnosisScales.from_windows(self.reader.project, change.unit, windows)
 
     def _scores(
         self, weights: Weights, core: Core | None, reals: np.ndarray | None, drives: Chosen

@@ -56,7 +56,7 @@ class _Held:
     yhat: np.ndarray
     stretches: list[np.ndarray] | None = None
 
-    def found(self) -> tuple[Drive, np.ndarray, np.ndarray]:
+    def signals(self) -> tuple[Drive, np.ndarray, np.ndarray]:
         """The drive, e and yhat."""
         return self.drive, self.drive.y - self.yhat, self.yhat
 
@@ -90,7 +90,7 @@ class DriveReader:
 
     def read(self, experiment: Experiment) -> tuple[Drive, np.ndarray, np.ndarray]:
         """The drive, its nominal error e and nominal output yhat (N, n_y)."""
-        return self._held(experiment).found()
+        return self._held(experiment).signals()
 
     def frames(self, experiment: Experiment) -> Iterator[FrameSet]:
         """The counted frames of a drive, bin by bin."""
@@ -99,7 +99,7 @@ class DriveReader:
     def seen(self, experiment: Experiment) -> tuple[Drive, np.ndarray, np.ndarray, Iterator[FrameSet]]:
         """The drive, e and yhat (N, n_y) and the counted frames, from one reading."""
         held = self._held(experiment)
-        return *held.found(), self._frames(held)
+        return *held.signals(), self._frames(held)
 
     def _held(self, experiment: Experiment) -> _Held:
         if experiment in self._kept:
@@ -120,7 +120,7 @@ class DriveReader:
         if held.stretches is None and self.estimator.window == "hann":
             held.stretches = self.estimator.stretches(held.drive.v)
             self._room -= sum(runs.nbytes for runs in held.stretches)
-        return counted_frames(*held.found(), self.model, self.estimator, held.stretches)
+        return counted_frames(*held.signals(), self.model, self.estimator, held.stretches)
 
     def why_without_frames(self) -> str:
         """Reason why a drive has no counted frame."""
@@ -243,8 +243,8 @@ def _common_pass(reader: DriveReader, domain: ErrorDomain, experiment: Experimen
 def _error_pass(
     reader: DriveReader, domain: ErrorDomain, common: np.ndarray, experiment: Experiment
 ) -> ErrorSums:
-    of = domain, reader.model, reader.estimator
-    return error_sums(*of, *reader.read(experiment), experiment.group_or_recording, common)
+    signals, group = reader.read(experiment), experiment.group_or_recording
+    return error_sums(domain, reader.model, reader.estimator, *signals, group, common)
 
 
 def uncertainty_pass(
@@ -344,7 +344,7 @@ def judge(
             float(worst) if len(E) else None,
             None,
             None,
-            Excitation.of(name, speed_range, bin_of, speed, Z, W_delta, B_w, start),
+            Excitation.from_frames(name, speed_range, bin_of, speed, Z, W_delta, B_w, start),
             _covered_s(start, reader.estimator.length[bin_of], reader.project.Ts_s),
             {},
         )
@@ -358,7 +358,7 @@ def judge(
         else:
             energy_of_cuts = max(energy_of_cuts, energy_score(run) or 0.0)
     f = whole.frames
-    met = Excitation.of(
+    met = Excitation.from_frames(
         name,
         speed_range,
         f.bin[of_whole],
@@ -370,9 +370,9 @@ def judge(
     )
     Ts = reader.project.Ts_s
     judged_s = float(f.judged(len(drive.t), drive.t[0], Ts, reader.estimator.length).sum() * Ts)
-    found = peaks(whole, drive.t[0], Ts, reader.estimator.length)
+    test_peaks = peaks(whole, drive.t[0], Ts, reader.estimator.length)
     scores = score(whole), energy_score(whole), change_score(whole)
-    return Judged(worst, *scores, met, judged_s, found, energy_of_cuts)
+    return Judged(worst, *scores, met, judged_s, test_peaks, energy_of_cuts)
 
 
 def _covered_s(start: np.ndarray, length: np.ndarray, Ts: float) -> float:

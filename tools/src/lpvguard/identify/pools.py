@@ -37,7 +37,7 @@ class PoolSizes:
     frames: np.ndarray
 
     @classmethod
-    def of(cls, project: Project, estimator: Estimator) -> PoolSizes:
+    def for_project(cls, project: Project, estimator: Estimator) -> PoolSizes:
         """Pools that a fault fills within the time in which it is to be found; one frame at least."""
         length, hop = estimator.length * project.Ts_s, estimator.hop * project.Ts_s
         room = np.floor((project.evaluation.found_within_s - length) / hop + 1e-9).astype(int) + 1
@@ -91,7 +91,7 @@ class PoolNeeds:
             if total is None:
                 total = part
                 continue
-            new = {r: total.seen.get(r, False) | of for r, of in part.seen.items()}
+            new = {r: total.seen.get(r, False) | bins for r, bins in part.seen.items()}
             sample = first_of_each(stacked([total.sample, part.sample]), SAMPLED)
             total = cls(np.maximum(total.largest, part.largest), total.seen | new, sample)
         assert total is not None
@@ -304,7 +304,7 @@ def chosen_share(needs: PoolNeeds, floor: np.ndarray) -> tuple[np.ndarray, np.nd
     for k, j in np.ndindex(*floor.shape):
         size = needs.sample["size"][needs.sample["group"] == k, j]
         typical = float(np.percentile(size, TYPICAL)) if len(size) else 0.0
-        if typical > 0 and sum(of[k] for of in needs.seen.values()) > 1:
+        if typical > 0 and sum(bins[k] for bins in needs.seen.values()) > 1:
             seen = CANDIDATES + np.maximum(needs.largest[k, :, j], floor[k, j]) / typical
             W[k, j], silent[k, j] = CANDIDATES[seen.argmin()], seen.min() >= 1
     return W, silent

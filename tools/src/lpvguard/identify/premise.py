@@ -144,13 +144,13 @@ def premise(stored: StoredIdentification) -> Premise:
         W = np.zeros_like(W)
     judging = error.judging
     # An uninformative frame is no objection: it supported no claim beyond 1 + rho.
-    told = np.isfinite(judging.se) & (judging.k * judging.se < 1)
+    informative = np.isfinite(judging.se) & (judging.k * judging.se < 1)
 
     def least(against: np.ndarray) -> Least | None:
-        asked = np.where(told & (against > 0), against, 0.0)
-        if not asked.any():
+        sizes = np.where(informative & (against > 0), against, 0.0)
+        if not sizes.any():
             return None
-        ratio = W[:, :, None, None] / np.maximum(asked, 1e-300)
+        ratio = W[:, :, None, None] / np.maximum(sizes, 1e-300)
         at = np.unravel_index(np.argmin(ratio), ratio.shape)
         g, j = int(at[0]), int(at[1])
         return Least(
@@ -190,12 +190,12 @@ def require_premise(stored: StoredIdentification) -> Premise:
     InputError
         If one does, or there are no such drives.
     """
-    found = premise(stored)
-    if found.refuted and found.refuting is not None:
+    judged = premise(stored)
+    if judged.refuted and judged.refuting is not None:
         raise InputError(
             stored.folder,
             "W_delta",
-            found.refuting.sentence("-"),
+            judged.refuting.sentence("-"),
             "a W_delta that the drives outside the bound-setting split do not refute",
         )
-    return found
+    return judged

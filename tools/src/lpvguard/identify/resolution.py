@@ -84,7 +84,7 @@ class Resolution:
     noise: np.ndarray
 
     @classmethod
-    def of(cls, project: Project, seen: np.ndarray) -> Resolution:
+    def for_project(cls, project: Project, seen: np.ndarray) -> Resolution:
         """Resolution from the least (2, n_y) of `resolution_of` over bound-setting drives, or from the
         project file.
 

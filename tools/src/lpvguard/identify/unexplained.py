@@ -9,6 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -66,56 +67,65 @@ def unexplained(result: Identification) -> list[Unexplained]:
     -------
     list of Unexplained, each with its worst output
     """
-    found = []
+    drives = []
     judged = {*result.bound_drives, *result.calibration_drives}
     for sets_bounds, qualities in ((True, result.model_fit), (False, result.others_fit)):
         for q in qualities:
             one = left_unexplained(result.project, q, sets_bounds) if q.name in judged else None
             if one is not None:
-                found.append(one)
-    return found
+                drives.append(one)
+    return drives
 
 
-def left_unexplained(project: Project, found: Quality, sets_bounds: bool) -> Unexplained | None:
+def left_unexplained(project: Project, quality: Quality, sets_bounds: bool) -> Unexplained | None:
     """Judge a drive by its worst output.
 
     Parameters
     ----------
     project : Project
-    found : Quality, of the drive
+    quality : Quality, of the drive
     sets_bounds : bool, otherwise it calibrates
 
     Returns
     -------
     Unexplained, or None if the model explains the drive
     """
-    if np.isnan(found.vaf).all():
+    if np.isnan(quality.vaf).all():
         return None
-    j = int(np.nanargmin(found.vaf))
-    if found.vaf[j] >= UNEXPLAINED_VAF:
+    j = int(np.nanargmin(quality.vaf))
+    if quality.vaf[j] >= UNEXPLAINED_VAF:
         return None
     signal = project.outputs[j].name
-    return Unexplained(found.name, sets_bounds, signal, float(found.vaf[j]), float(found.gain[j]))
+    return Unexplained(quality.name, sets_bounds, signal, float(quality.vaf[j]), float(quality.gain[j]))
 
 
 @dataclass(frozen=True)
 class Cost:
-    """Alarming faults in the remaining drives, out of ``of``: ``found`` with the bounds, ``found_without``.
+    """Injected faults in the remaining drives: their ``total``, and how many alarm.
 
-    The latter are with bounds of the other drives alone.
+    ``alarmed`` alarm with the bounds of all drives, ``alarmed_without`` with those of the other drives alone.
     """
 
     names: tuple[str, ...]
-    found: int
-    found_without: int
-    of: int
+    alarmed: int
+    alarmed_without: int
+    total: int
+
+    def to_dict(self) -> dict[str, Any]:
+        """Object of the JSON of `identify`."""
+        return {
+            "names": self.names,
+            "found": self.alarmed,
+            "found_without": self.alarmed_without,
+            "of": self.total,
+        }
 
     def sentences(self) -> list[str]:
         """Cost of the drives, and the lines of experiments.csv that set them aside."""
         these = "it" if len(self.names) == 1 else "them"
         return [
-            f"with {these}, {self.found} of {self.of} faults as evaluate injects them alarm in the drives "
-            f"that calibrate; without {these}, {self.found_without}",
+            f"with {these}, {self.alarmed} of {self.total} faults as evaluate injects them alarm in the "
+            f"drives that calibrate; without {these}, {self.alarmed_without}",
             f"where the model is not meant for {these}: write no and why into the columns use and reason of "
             f"{EXPERIMENTS}, then fit and identify again",
         ]

@@ -39,7 +39,7 @@ class Excitation:
     sample: Rows
 
     @classmethod
-    def of(
+    def from_frames(
         cls,
         name: str,
         speed_range: tuple[float, float],
@@ -85,9 +85,9 @@ class Excitation:
 
     def evidence(self, bins: int) -> np.ndarray:
         """Largest evidence t*(-Z, Z) (K,) by bin, 0 without a frame; ``bins``: K."""
-        found = np.zeros(bins)
-        np.maximum.at(found, self.strongest["group"] % bins, self.strongest["dead"])
-        return found
+        largest = np.zeros(bins)
+        np.maximum.at(largest, self.strongest["group"] % bins, self.strongest["dead"])
+        return largest
 
     @staticmethod
     def _selected(strongest: Rows, sample: Rows) -> tuple[Rows, Rows]:
@@ -128,22 +128,22 @@ def visibility(
     edges = _edges(speed_range)
 
     def cells(rows: Rows, by_pools: list[tuple[Rows, float]], percentile: float) -> list[dict]:
-        found = []
+        listed = []
         for c in range(SPEED_CELLS):
-            given = len(omega), c, percentile
-            chosen = _chosen(rows, *given)
+            cell = len(omega), c, percentile
+            chosen = _chosen(rows, *cell)
             gain = _gains(rows, chosen, threshold * inflation)
             gain = [None if k in silent else g for k, g in enumerate(gain)]
             for of_pools, level in by_pools:
-                pooled = _gains(of_pools, _chosen(of_pools, *given), level)
+                pooled = _gains(of_pools, _chosen(of_pools, *cell), level)
                 gain = [
                     min((g for g in both if g is not None), default=None)
                     for both in zip(gain, pooled, strict=True)
                 ]
             size = [None if i is None else float(rows["size"][i]) for i in chosen]
             speeds = {"speed_mps": [float(edges[c]), float(edges[c + 1])]}
-            found.append(speeds | _cell(omega, met.count[c], size, gain))
-        return found
+            listed.append(speeds | _cell(omega, met.count[c], size, gain))
+        return listed
 
     return {
         "threshold": float(threshold),

@@ -271,12 +271,12 @@ def smallest_disturbance(B2: np.ndarray) -> float:
 
 
 def uncertainty_samples(
-    estimator: Estimator, nu: np.ndarray, omega: np.ndarray, asked: np.ndarray
+    estimator: Estimator, nu: np.ndarray, omega: np.ndarray, error_bound: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Samples for W_delta: frequencies (S,) [rad/s] and bound (S,), NaN at the replacement of DC.
 
-    ``asked`` (G,) at ``omega`` (G,) is the bound of the model error model (THEORY 7.6). It is log-log between
-    its frequencies. ``nu`` (K,) is the bound of the frames of step 5 at the bins. It is 0 at DC by
+    ``error_bound`` (G,) at ``omega`` (G,) is the bound of the model error model (THEORY 7.6). It is log-log
+    between its frequencies. ``nu`` (K,) is the bound of the frames of step 5 at the bins. It is 0 at DC by
     definition. Below the lowest bin any small value will do (paper, step 6).
 
     Dips that a weight of low order cannot follow are filled. The bound rises at most as omega^RISE and falls
@@ -284,7 +284,7 @@ def uncertainty_samples(
     """
     bins = fitting_grid(estimator)
     samples = np.union1d(bins, omega)
-    bound = np.exp(np.interp(np.log(samples), np.log(omega), np.log(np.maximum(asked, SMALLEST_NU))))
+    bound = np.exp(np.interp(np.log(samples), np.log(omega), np.log(np.maximum(error_bound, SMALLEST_NU))))
     at = np.searchsorted(samples, bins)
     bound[at] = np.fmax(bound[at], nu)
     apart = np.log(samples[:, None] / samples)
@@ -317,8 +317,8 @@ def fit_uncertainty(
     ----------
     Paper, step 6; THEORY 7.6.
     """
-    nu, asked, name = column
-    samples, bound = uncertainty_samples(estimator, nu, omega, asked)
+    nu, error_bound, name = column
+    samples, bound = uncertainty_samples(estimator, nu, omega, error_bound)
     return _fitted(project, samples, bound, name)
 
 
@@ -390,11 +390,13 @@ def fit_weights(
     disturbance_set = project.bounds.disturbance_set
     # A covering set is an ellipsoid: n_y outputs at their peaks together need sqrt(n_y).
     cover = np.sqrt(project.n_y) if disturbance_set == "covering" else 1.0
-    asked = [(bounds.B_w, "B_w")]
+    bounds_by_weight = [(bounds.B_w, "B_w")]
     if not np.isnan(noise).all():
-        asked += [(noise, "W_n"), (cover * error, "B_w of S0")]
-    columns = [(bound[:, j], f"{what} of {n}") for bound, what in asked for j, n in enumerate(names)]
-    commands = [(command, "W_C")] if len(asked) > 1 or project.design is not None else []
+        bounds_by_weight += [(noise, "W_n"), (cover * error, "B_w of S0")]
+    columns = [
+        (bound[:, j], f"{what} of {n}") for bound, what in bounds_by_weight for j, n in enumerate(names)
+    ]
+    commands = [(command, "W_C")] if len(bounds_by_weight) > 1 or project.design is not None else []
     fitted = list(workers(partial(_fitted_above, project, estimator, floor), columns + commands))
     W_C = fitted[len(columns) :]
     B_w, W_n, of_S0 = (fitted[: len(columns)][k * len(names) : (k + 1) * len(names)] for k in range(3))
@@ -412,9 +414,9 @@ def fit_weights(
 
 
 def _fitted_above(
-    project: Project, estimator: Estimator, floor: float, asked: tuple[np.ndarray, str]
+    project: Project, estimator: Estimator, floor: float, named_bound: tuple[np.ndarray, str]
 ) -> FittedWeight:
-    bound, name = asked
+    bound, name = named_bound
     return fit_bound(project, estimator, bound, name, floor)
 
 
@@ -451,7 +453,7 @@ def disturbance_weights(
     ----------
     Paper, step 7.
     """
-    omega, asked, floored = fitting_grid(estimator), [], []
+    omega, named_bounds, floored = fitting_grid(estimator), [], []
     for b, noise, output in zip(B_w, W_n, project.outputs, strict=True):
         left, empty = subtract_noise(
             b.magnitude(omega),
@@ -460,9 +462,9 @@ def disturbance_weights(
             floor=np.fmax(floor, LEAST_SHARE * b.magnitude(omega)),
             disturbance_set=project.bounds.disturbance_set,
         )
-        asked.append((left, f"{what} of {output.name}"))
+        named_bounds.append((left, f"{what} of {output.name}"))
         floored.append(empty)
-    return list(workers(partial(_fitted_above, project, estimator, floor), asked)), floored
+    return list(workers(partial(_fitted_above, project, estimator, floor), named_bounds)), floored
 
 
 def coefficients_of(

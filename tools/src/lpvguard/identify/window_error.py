@@ -49,8 +49,8 @@ def _at_speed(model: NominalModel, estimator: Estimator, v: float, seed: int) ->
             if estimator.window == "rectangular"
             else 0.0
         )
-        found = (z[k] * (D - ends) - D @ Ad.T) @ np.linalg.inv(Gd).T
-        out[:, k] = np.linalg.norm(found - true, axis=1) / np.linalg.norm(true, axis=1)
+        estimate = (z[k] * (D - ends) - D @ Ad.T) @ np.linalg.inv(Gd).T
+        out[:, k] = np.linalg.norm(estimate - true, axis=1) / np.linalg.norm(true, axis=1)
     return out
 
 

@@ -77,20 +77,22 @@ def messages(series: pa.Table, alarms: Iterable[Alarm | dict[str, Any]]) -> list
     list of SeriesMessage
     """
     times = np.round(numbers(series["t"]) * 1e9).astype(np.int64).tolist()
-    found: list[SeriesMessage] = []
+    series_messages: list[SeriesMessage] = []
     for t, row in zip(times, series.select(_dense(series.column_names)).to_pylist(), strict=True):
-        found.append(SeriesMessage(t, "/lpvguard/sample", {k: v for k, v in row.items() if v is not None}))
+        series_messages.append(
+            SeriesMessage(t, "/lpvguard/sample", {k: v for k, v in row.items() if v is not None})
+        )
     for name in series.column_names:
         if name.startswith(MARGIN):
             values = numbers(series[name])
             rad_s = float(name.removeprefix(MARGIN))
             for i in np.flatnonzero(np.isfinite(values)):
-                said = {"rad_s": rad_s, "margin": float(values[i])}
-                found.append(SeriesMessage(times[i], "/lpvguard/margin", said))
+                content = {"rad_s": rad_s, "margin": float(values[i])}
+                series_messages.append(SeriesMessage(times[i], "/lpvguard/margin", content))
     for alarm in alarms:
         test, t_s = (alarm.test, alarm.t_s) if isinstance(alarm, Alarm) else (alarm["test"], alarm["t_s"])
         t = round(t_s * 1e9)
         log = {"timestamp": {"sec": t // 10**9, "nsec": t % 10**9}, "level": WARNING}
         log |= {"message": alarm_sentence(alarm), "name": test, "file": "", "line": 0}
-        found.append(SeriesMessage(t, "/lpvguard/alarm", log))
-    return sorted(found, key=lambda m: m.t_ns)
+        series_messages.append(SeriesMessage(t, "/lpvguard/alarm", log))
+    return sorted(series_messages, key=lambda m: m.t_ns)

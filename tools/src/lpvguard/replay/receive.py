@@ -354,9 +354,11 @@ def _take_source(places: list[_Place]) -> str:
     """C text of lpvgb_take: value = bus value / factor, in the float arithmetic of the ECU (can/bus.py)."""
     cases = ""
     for name in dict.fromkeys(p.message.name for p in places):
-        of = [(i, p) for i, p in enumerate(places) if p.message.name == name]
-        statements = [f"values[{i}] = (double)({_sum(p)} * (float){1.0 / p.factor:.17g});" for i, p in of]
-        cases += take_case(of[0][1].message, [s for _, p in of for s in p.signals], statements)
+        numbered = [(i, p) for i, p in enumerate(places) if p.message.name == name]
+        statements = [
+            f"values[{i}] = (double)({_sum(p)} * (float){1.0 / p.factor:.17g});" for i, p in numbered
+        ]
+        cases += take_case(numbered[0][1].message, [s for _, p in numbered for s in p.signals], statements)
     return (
         '#include "lpvg_can_codec.h"\n\n'
         'extern "C" void lpvgb_take(double* values, uint8_t index, const lpvg_can_frame_t* frame)\n'

@@ -60,8 +60,8 @@ def _write_mcap(path: Path, series: pa.Table, alarms: list[dict[str, Any]]) -> N
         writer.start(library="lpvguard")
         channels = {}
         for topic, schema in schemas(series.column_names).items():
-            of = writer.register_schema(schema["title"], "jsonschema", json.dumps(schema).encode())
-            channels[topic] = writer.register_channel(topic, "json", of)
+            schema_id = writer.register_schema(schema["title"], "jsonschema", json.dumps(schema).encode())
+            channels[topic] = writer.register_channel(topic, "json", schema_id)
         for k, m in enumerate(messages(series, alarms)):
             writer.add_message(channels[m.topic], m.t_ns, json.dumps(m.content).encode(), m.t_ns, k)
         writer.finish()

@@ -267,14 +267,14 @@ class Replayer:
         self.project, self.core = project, core
         self.model = NominalModel(project)
         self.estimator = Estimator.from_project(project, self.model)
-        found = tuple(core.sizes[d] for d in ("NU", "NY", "NBINS", "NDELTA"))
-        wanted = (project.n_u, project.n_y, self.estimator.n_bins, project.n_delta)
-        if found != wanted:
+        sizes = tuple(core.sizes[d] for d in ("NU", "NY", "NBINS", "NDELTA"))
+        expected = (project.n_u, project.n_y, self.estimator.n_bins, project.n_delta)
+        if sizes != expected:
             raise InputError(
                 core.folder,
                 "sizes",
-                "{} inputs, {} outputs, {} bins, {} blocks Delta".format(*found),
-                f"those of vehicle {project.name}: {', '.join(map(str, wanted))}",
+                "{} inputs, {} outputs, {} bins, {} blocks Delta".format(*sizes),
+                f"those of vehicle {project.name}: {', '.join(map(str, expected))}",
             )
         if core.estimator_id() != self.estimator.identifier():
             raise InputError(
@@ -286,19 +286,19 @@ class Replayer:
         core.monitor()  # refuses coefficients that the core refuses, before they are read by field
         reals = core.compiled[1].copy()
         fields = core.fields(reals)
-        given = {
+        thresholds = {
             "threshold": threshold,
             "energy_threshold": energy_threshold,
             "change_threshold": change_threshold,
         }
-        for name, value in given.items():
+        for name, value in thresholds.items():
             if value is not None:
                 fields[name][0] = value
         if pool_scale is not None:
             fields["pool_scale"][:] = pool_scale
-        self._reals = None if set(given.values()) == {None} and pool_scale is None else reals
+        self._reals = None if set(thresholds.values()) == {None} and pool_scale is None else reals
         self.threshold, self.energy_threshold, self.change_threshold = (
-            float(fields[name][0]) for name in given
+            float(fields[name][0]) for name in thresholds
         )
         self.W_delta, self.B_w = fields["W_delta"], fields["B_w"]
         self.sigma, self.directions = 1.0 / fields["energy_scale"], fields["energy_direction"]
@@ -341,25 +341,25 @@ class Replayer:
 
     def diagnoses(self, run: Run, t0: float) -> Iterator[Diagnosis]:
         """Causes found in a run, one an output; ``t0`` [s] is time 0."""
-        found = run.causes
-        for i in range(len(found.cause)):
-            alarm_s = float(found.t_alarm_s[i] - t0)
+        causes = run.causes
+        for i in range(len(causes.cause)):
+            alarm_s = float(causes.t_alarm_s[i] - t0)
             yield diagnosed(
                 self.project,
-                CAUSES[found.cause[i]],
-                int(found.output[i]),
-                (float(found.value[i]), float(found.low[i]), float(found.high[i])),
-                found_s=float(found.t_found_s[i] - t0),
+                CAUSES[causes.cause[i]],
+                int(causes.output[i]),
+                (float(causes.value[i]), float(causes.low[i]), float(causes.high[i])),
+                found_s=float(causes.t_found_s[i] - t0),
                 alarm_s=alarm_s,
-                since_s=alarm_s - float(found.onset_s[i]),
-                at_least=bool(found.before[i]),
-                final=bool(found.final[i]),
+                since_s=alarm_s - float(causes.onset_s[i]),
+                at_least=bool(causes.before[i]),
+                final=bool(causes.final[i]),
             )
 
     def alarms(self, run: Run, t0: float) -> list[Alarm]:
         """Alarms of a run in the order of time; ``t0`` [s] is time 0."""
-        found = [*self._frame_alarms(run, t0), *self._energy_alarms(run, t0), *self._change_alarms(run, t0)]
-        return sorted(found, key=lambda a: a.t_s)
+        alarms = [*self._frame_alarms(run, t0), *self._energy_alarms(run, t0), *self._change_alarms(run, t0)]
+        return sorted(alarms, key=lambda a: a.t_s)
 
     def _frame_alarms(self, run: Run, t0: float) -> list[Alarm]:
         """An alarm for each falsifying frame; ``t0`` [s] is the time of the drive's first sample."""
@@ -387,42 +387,42 @@ class Replayer:
 
     def _energy_alarms(self, run: Run, t0: float) -> list[Alarm]:
         """Alarms of the energy test; ``t0`` [s] is the time of the drive's first sample."""
-        found = run.energy_alarms
-        places = zip(*divmod(found.bin, len(self.directions)), strict=True)
+        log = run.energy_alarms
+        places = zip(*divmod(log.bin, len(self.directions)), strict=True)
         return [
             Alarm(
-                float(found.t_end_s[i] - t0),
+                float(log.t_end_s[i] - t0),
                 "energy",
                 None,
-                float(found.speed[i]),
-                float(found.margin[i]),
-                float(found.evidence[i]),
-                float(found.statistic[i]),
+                float(log.speed[i]),
+                float(log.margin[i]),
+                float(log.evidence[i]),
+                float(log.statistic[i]),
                 self.energy_threshold,
                 None,
                 self.sigma[band].tolist(),
-                found.E[i].real.tolist(),
-                found.Z[i].real.tolist(),
+                log.E[i].real.tolist(),
+                log.Z[i].real.tolist(),
                 self.directions[direction].tolist(),
                 self.bands[band],
-                beyond=_beyond(float(found.evidence[i]), self.energy_threshold),
-                verdict=found.verdict[i],
+                beyond=_beyond(float(log.evidence[i]), self.energy_threshold),
+                verdict=log.verdict[i],
             )
             for i, (band, direction) in enumerate(places)
         ]
 
     def _change_alarms(self, run: Run, t0: float) -> list[Alarm]:
         """Alarms of the change test; ``t0`` [s] is the time of the drive's first sample."""
-        found = run.change_alarms
+        log = run.change_alarms
         return [
             Alarm(
-                float(found.t_end_s[i] - t0),
+                float(log.t_end_s[i] - t0),
                 "change",
                 None,
-                float(found.speed[i]),
-                float(found.margin[i]),
-                float(found.evidence[i]),
-                float(found.statistic[i]),
+                float(log.speed[i]),
+                float(log.margin[i]),
+                float(log.evidence[i]),
+                float(log.statistic[i]),
                 self.change_threshold,
                 None,
                 [],
@@ -431,10 +431,10 @@ class Replayer:
                 output=self.project.outputs[output].name,
                 part=CHANGE_PARTS[part],
                 estimate=ChangeEstimate(
-                    float(found.E[i, 0].real), float(found.E[i, 0].imag), float(found.Z[i, 0].real)
+                    float(log.E[i, 0].real), float(log.E[i, 0].imag), float(log.Z[i, 0].real)
                 ),
             )
-            for i, (output, part) in enumerate(zip(*divmod(found.bin, len(CHANGE_PARTS)), strict=True))
+            for i, (output, part) in enumerate(zip(*divmod(log.bin, len(CHANGE_PARTS)), strict=True))
         ]
 
     def excited(self, drive: Drive) -> np.ndarray:

@@ -59,11 +59,11 @@ def write_ros2(path: Path, vehicle: str, series: pa.Table, alarms: list[dict[str
     compression = optional("mcap.writer", "ros2").CompressionType.NONE
     open_writer = optional("mcap_ros2.writer", "ros2").Writer
     stamps = np.round(numbers(series["t"]) * 1e9).astype(np.int64)
-    found = [*_diagnostics(vehicle, stamps, series, alarms), *_motions(stamps, series)]
+    messages = [*_diagnostics(vehicle, stamps, series, alarms), *_motions(stamps, series)]
     with path.open("wb") as stream:
         writer = open_writer(stream, compression=compression)
         kinds = {kind: writer.register_msgdef(kind, text) for kind, text in DEFINITIONS.items()}
-        for number, (t, topic, kind, content) in enumerate(sorted(found, key=lambda m: m[0])):
+        for number, (t, topic, kind, content) in enumerate(sorted(messages, key=lambda m: m[0])):
             stamp = {"sec": t // 10**9, "nanosec": t % 10**9}
             message = {"header": {"stamp": stamp, "frame_id": "base_link"}, **content}
             writer.write_message(topic, kinds[kind], message, t, t, number)
@@ -81,12 +81,14 @@ def _diagnostics(
     verdicts = series["verdict"].to_pylist()
     ratios = {name: numbers(series[name]) for name in ("energy_ratio", "change_ratio")}
     margins = np.array([numbers(series[n]) for n in series.column_names if n.startswith(MARGIN)])
-    said: dict[int, list[str]] = {}
+    sentences: dict[int, list[str]] = {}
     for one in alarms:
-        said.setdefault(int(np.argmin(np.abs(stamps - one["t_s"] * 1e9))), []).append(alarm_sentence(one))
+        sentences.setdefault(int(np.argmin(np.abs(stamps - one["t_s"] * 1e9))), []).append(
+            alarm_sentence(one)
+        )
     before, last, begin = None, -PERIOD_NS, 0
     for k, (t, verdict) in enumerate(zip(stamps.tolist(), verdicts, strict=True)):
-        if verdict == before and t - last < PERIOD_NS and k not in said:
+        if verdict == before and t - last < PERIOD_NS and k not in sentences:
             continue
         values = {"verdict": verdict}
         judged = margins[:, begin : k + 1]
@@ -96,7 +98,7 @@ def _diagnostics(
         status = {
             "level": LEVELS.get(verdict, STALE),
             "name": "lpvguard: nominal model",
-            "message": "; ".join(said.get(k, [verdict.replace("_", " ")])),
+            "message": "; ".join(sentences.get(k, [verdict.replace("_", " ")])),
             "hardware_id": vehicle,
             "values": [{"key": key, "value": value} for key, value in values.items()],
         }
@@ -112,13 +114,13 @@ def _motions(stamps: np.ndarray, series: pa.Table) -> Iterator[Message]:
     outputs = [n for n in signals if f"yhat/{n}" in names]
     yaw = next((n for n in outputs if "yaw" in n and unit[n] == "rad/s"), None)
     angle = next((n for n in signals if n not in outputs and unit[n] == "rad"), None)
-    wanted = [
+    motions = [
         ("/vehicle/twist", yaw),
         ("/vehicle/twist_nominal", yaw and f"yhat/{yaw}"),
         ("/vehicle/drive", angle),
     ]
     v = numbers(series[speed])
-    for topic, column in wanted:
+    for topic, column in motions:
         if column is None:
             continue
         x = numbers(series[column])

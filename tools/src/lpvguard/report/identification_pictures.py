@@ -104,7 +104,7 @@ class IdentificationPictures:
         project, error = self.stored.project, self.stored.model_error
         grid, names = error.grid.omega, [s.name for s in project.outputs]
         wide = np.geomspace(grid[0], grid[-1], 400)
-        said = {b.output: b.reason for b in project.model_error.beyond}
+        reasons = {b.output: b.reason for b in project.model_error.beyond}
         return model_error(
             name,
             error,
@@ -112,7 +112,7 @@ class IdentificationPictures:
             np.broadcast_to(weight_met(self.stored, wide), (len(wide), len(names))),
             [None if k < 0 else float(grid[k]) for k in last_telling(error.setting)],
             beyond(project, error.grid),
-            [said.get(name, ASSUMED) for name in names],
+            [reasons.get(name, ASSUMED) for name in names],
             names,
         )
 

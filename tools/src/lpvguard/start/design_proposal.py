@@ -81,25 +81,25 @@ def _corner(outputs: list[np.ndarray], Ts: float) -> float:
     return 2 * np.pi * float(np.interp(COMMANDED, below, np.fft.rfftfreq(piece, Ts)))
 
 
-def design_section(found: Shown, Ts: float) -> str:
+def design_section(shown: Shown, Ts: float) -> str:
     """Section of a project file for `design`."""
-    zero = min(SPAN * found.corner, 0.5 * np.pi / Ts)
-    A_u = EFFORT_RAD_S / found.input_rate_max / EFFORT_RISE
+    zero = min(SPAN * shown.corner, 0.5 * np.pi / Ts)
+    A_u = EFFORT_RAD_S / shown.input_rate_max / EFFORT_RISE
     return f"""
 # Steering by wire: a controller of the yaw rate, certified on the set that identify finds. identify takes
 # the weights of command, noise, disturbance and uncertainty from the drives. The command is as the driven
-# yaw rate: {found.rms:.2g} rad/s rms, {COMMANDED:.0%} of its power below {found.corner:.2g} rad/s.
+# yaw rate: {shown.rms:.2g} rad/s rms, {COMMANDED:.0%} of its power below {shown.corner:.2g} rad/s.
 # Another actuator is another input: a yaw moment (torque vectoring) or a pressure difference (differential
 # braking), with its own limits below. Each input is weighted by its rate limit.
 [design]
 controlled = "yaw_rate"      # follows the command
-A_t = {1 / (ALLOWED * found.rms):.2g}      # 1 over the allowed slow error: {ALLOWED:.0%} of the rms
-W_t_poles = [{found.corner:.2g}]      # rad/s: above, the allowed error grows
+A_t = {1 / (ALLOWED * shown.rms):.2g}      # 1 over the allowed slow error: {ALLOWED:.0%} of the rms
+W_t_poles = [{shown.corner:.2g}]      # rad/s: above, the allowed error grows
 W_t_zeros = [{zero:.2g}]      # rad/s: and from here on no longer
 A_u = {A_u:.2g}      # W_u is 1 for a sine of {EFFORT_RAD_S:g} rad/s at the rate limit
-design_speed_mps = {found.speed:.2g}
+design_speed_mps = {shown.speed:.2g}
 nodes = 6
-input_max = [{found.input_max:.2g}]      # rad, what the drives reached; the actuator's, where that is less
-input_rate_max_per_s = [{found.input_rate_max:.2g}]      # rad/s, likewise
-lateral_acceleration_max_mps2 = {found.lateral_mps2:.2g}      # of a steady turn at the limit, likewise
+input_max = [{shown.input_max:.2g}]      # rad, what the drives reached; the actuator's, where that is less
+input_rate_max_per_s = [{shown.input_rate_max:.2g}]      # rad/s, likewise
+lateral_acceleration_max_mps2 = {shown.lateral_mps2:.2g}      # of a steady turn at the limit, likewise
 """

@@ -127,7 +127,7 @@ def new(
     signals = _signal_map(proposals, limits, Ts, channel, _sign_bits_of(database))
     with artefacts.new_folder(out, "new", name) as folder:
         (folder / "drives").mkdir()
-        given = Inputs(
+        inputs = Inputs(
             database,
             dbc or "lpvguard's own DBC (no --dbc given)",
             SignalMap.model_validate(tomllib.loads(signals)),
@@ -135,7 +135,7 @@ def new(
             schema,
         )
         kept_logs = [p for p in logs if stem(p) in {r.name for r in recordings}]
-        names, days = _written(kept_logs, given, folder / "drives", left_out)
+        names, days = _written(kept_logs, inputs, folder / "drives", left_out)
         if not names:
             reason = next(iter(left_out.values()))
             raise InputError("new", "LOG", f"no drive remains of the logs ({reason})", "logs of driving")
@@ -163,7 +163,7 @@ def _speeds(project: Project, folder: Path, names: Iterable[str]) -> dict[str, n
 
 
 def _written(
-    logs: list[Path], given: Inputs, folder: Path, left_out: dict[str, str]
+    logs: list[Path], inputs: Inputs, folder: Path, left_out: dict[str, str]
 ) -> tuple[dict[str, str], dict[str, str]]:
     """Write the drives of all logs; recording by drive, and day by recording, "" where nothing tells it.
 
@@ -173,7 +173,7 @@ def _written(
     days: dict[str, str] = {}
     for path in logs:
         try:
-            report = write_tables(path, given, folder)
+            report = write_tables(path, inputs, folder)
         except InputError as error:
             left_out[stem(path)] = str(error)
             continue
@@ -186,21 +186,21 @@ def recordings_of(
     logs: list[Path], dbc: Path | None, channel: str | None = None, schema: Path | None = None
 ) -> tuple[list[Recording], dict[str, str]]:
     """Read logs as recordings; also the logs that cannot be read, with the reason."""
-    found: list[Recording] = []
+    recordings: list[Recording] = []
     left_out: dict[str, str] = {}
     for path in logs:
-        if any(stem(path) == r.name for r in found):
+        if any(stem(path) == r.name for r in recordings):
             raise InputError(path, "", f"two logs would both become the drive {stem(path)}", "other names")
         try:
             log = read_log(path, schema=schema)
             if isinstance(log, Frames):
                 log = _decoded(log.of_channel(channel, path), dbc, path)
-            found.append(_recording(stem(path), log))
+            recordings.append(_recording(stem(path), log))
         except InputError as error:
             left_out[stem(path)] = str(error)
-    if not found:
+    if not recordings:
         raise InputError("new", "LOG", next(iter(left_out.values()), "no log given"), "logs that can be read")
-    return found, left_out
+    return recordings, left_out
 
 
 def _decoded(log: Frames, dbc: Path | None, path: Path) -> Table:
@@ -404,10 +404,10 @@ def _project(
     best = None
     for f_min, tolerance in GRIDS:
         text = _text(name, model, signals, Ts, (low, high), scale, (f_min, tolerance), excited)
-        found = _with_highest_frequency(text, Ts, name)
-        if found is None:
+        candidate = _with_highest_frequency(text, Ts, name)
+        if candidate is None:
             continue
-        project, text = found
+        project, text = candidate
         nominal = NominalModel(project)
         estimator = Estimator.from_project(project, nominal)
         judged = _judged_shares(estimator, drives)

@@ -79,7 +79,7 @@ def decided(
     largest = _largest(drives)
     stated = all(len(choices[role]) == 1 for role in ROLES)
     within = STATED_WITHIN if stated else KNOWN_WITHIN[known.kind]
-    found = sorted(
+    candidates = sorted(
         (
             _reading(turn, largest, dict(zip(ROLES, units, strict=True)), wheel, known, within)
             for units in product(*(choices[role] for role in ROLES))
@@ -87,7 +87,7 @@ def decided(
         ),
         key=lambda reading: reading.beyond,
     )
-    if turn.explained < LEAST_EXPLAINED and not (stated and found[0].beyond == 0.0):
+    if turn.explained < LEAST_EXPLAINED and not (stated and candidates[0].beyond == 0.0):
         raise InputError(
             "new",
             "--speed, --input, --output",
@@ -95,7 +95,7 @@ def decided(
             "their units",
             "the columns of one vehicle on one clock, or " + ", ".join(_unit_options(choices)),
         )
-    near = [reading for reading in found if reading.beyond == 0.0]
+    near = [reading for reading in candidates if reading.beyond == 0.0]
     if len(near) > 1:
         raise InputError(
             "new",
@@ -103,7 +103,7 @@ def decided(
             f"{len(near)} readings fit: " + "; or ".join(r.words() for r in near[:3]),
             " or ".join(dict.fromkeys(_settles(r, near) for r in near)),
         )
-    best = found[0]
+    best = candidates[0]
     if best.beyond > 0.0 or best.lateral_mps2 > KINDS[known.kind].lateral_mps2:
         reasons = ", ".join(best.why) or f"lateral accelerations of {best.lateral_mps2:.3g} m/s^2"
         raise InputError(
@@ -119,12 +119,12 @@ def decided(
             f"not given, and the steering is at a steering wheel: {best.words()}",
             "the wheelbase in m, or --steering-ratio",
         )
-    said = [f"{turn.explained:.0%} of the yaw rate explained, {best.words()}"]
+    evidence = [f"{turn.explained:.0%} of the yaw rate explained, {best.words()}"]
     if known.wheelbase_m is None:
-        said.append(f"no wheelbase given: compare {best.wheelbase_m:.3g} m with the vehicle's")
-    if len(found) > 1:
-        said.append(f"next best: {found[1].words()}, but {', '.join(found[1].why)}")
-    return best, said
+        evidence.append(f"no wheelbase given: compare {best.wheelbase_m:.3g} m with the vehicle's")
+    if len(candidates) > 1:
+        evidence.append(f"next best: {candidates[1].words()}, but {', '.join(candidates[1].why)}")
+    return best, evidence
 
 
 def _wheels(known: Known) -> tuple[bool, ...]:
@@ -148,12 +148,12 @@ def _differing(near: Sequence[UnitReading]) -> str:
 
 def _settles(reading: UnitReading, near: Sequence[UnitReading]) -> str:
     """The options that leave one reading of several."""
-    said = [
+    options = [
         f"--{role}-unit {reading.units[role]}" for role in ROLES if len({r.units[role] for r in near}) > 1
     ]
-    if not said or sum(r.units == reading.units for r in near) > 1:
-        said.append(f"--steering-ratio {reading.ratio:.3g}")
-    return " ".join(said)
+    if not options or sum(r.units == reading.units for r in near) > 1:
+        options.append(f"--steering-ratio {reading.ratio:.3g}")
+    return " ".join(options)
 
 
 def _largest(drives: Sequence[Driven]) -> tuple[float, float, float]:

@@ -174,8 +174,8 @@ def proposed(
         _require_sign(role, names[role], common, recordings)
     choices = {}
     for role in ROLES:
-        choices[role], told = _choices(role, names[role], recordings, (units or {}).get(role))
-        why[role] += told
+        choices[role], evidence = _choices(role, names[role], recordings, (units or {}).get(role))
+        why[role] += evidence
     drives = [d for r in recordings if len((d := _together(r, names)).t) > LEAST_SAMPLES]
     if not drives:
         raise InputError(
@@ -183,13 +183,13 @@ def proposed(
         )
     turn = steady_turn(drives)
     known = replace(known, at_steering_wheel=at_steering_wheel(names["input"]))
-    reading, said = decided(turn, drives, choices, known)
+    reading, unit_evidence = decided(turn, drives, choices, known)
     sign = -1.0 if turn is not None and turn.length[0] < 0 else 1.0
     why["input"].append(
         f"in a turn it and {names['output']} have "
         + ("opposite signs: turned round, so that both are positive" if sign < 0 else "the same sign")
     )
-    why["input"] += said
+    why["input"] += unit_evidence
     factors = {"speed": 1.0, "input": sign / reading.ratio, "output": 1.0}
     return {
         role: Proposal(role, names[role], reading.units[role], factors[role], why[role], fine[role])
@@ -206,8 +206,12 @@ def _fine_parts(name: str, common: list[str], recordings: list[Recording]) -> tu
         return max(float(np.nanmax(r.values[signal]) - np.nanmin(r.values[signal])) for r in recordings)
 
     def is_part(other: str) -> bool:
-        of, _, low = other.lower().rpartition(".")
-        same = of == message.lower() and tokens(low)[:1] == [first] and FRACTION.search(low) is not None
+        other_message, _, low = other.lower().rpartition(".")
+        same = (
+            other_message == message.lower()
+            and tokens(low)[:1] == [first]
+            and FRACTION.search(low) is not None
+        )
         units = {r.units.get(n, "") for r in recordings for n in (name, other)}
         return same and other != name and len(units) == 1 and 0 < spread(other) < PART * spread(name)
 
@@ -227,14 +231,14 @@ def _together(recording: Recording, names: Mapping[str, str]) -> Driven:
 
 
 def _choices(
-    role: str, name: str, recordings: list[Recording], given: str | None
+    role: str, name: str, recordings: list[Recording], chosen: str | None
 ) -> tuple[tuple[str, ...], list[str]]:
     """The units that are possible for a signal, and where from. InputError where two sources differ."""
-    if given is not None:
-        unit = _unit(given, role)
+    if chosen is not None:
+        unit = _unit(chosen, role)
         if unit is None:
             raise InputError(
-                "new", f"--{role}-unit", given, f"a unit such as {', '.join(GUESSED_UNITS[role])}"
+                "new", f"--{role}-unit", chosen, f"a unit such as {', '.join(GUESSED_UNITS[role])}"
             )
         return (unit,), [f"unit {unit} as you say"]
     stated = sorted({u for r in recordings if (u := r.units.get(name, "").strip())})
@@ -254,15 +258,15 @@ def _choices(
             )
         if not in_name:
             return GUESSED_UNITS[role], [f"its unit {stated[0]} is not known"]
-    told = [by_log] if by_log else in_name
-    if len({*told, *in_name}) > 1:
+    units = [by_log] if by_log else in_name
+    if len({*units, *in_name}) > 1:
         where = (
             f"the log states {by_log}, its name {' and '.join(in_name)}" if by_log else " and ".join(in_name)
         )
         raise InputError("new", name, f"two units: {where}", f"--{role}-unit")
-    if told:
+    if units:
         source = f"the log states {stated[0]}" if by_log else "by its name"
-        return (told[0],), [f"unit {told[0]}, {source}"]
+        return (units[0],), [f"unit {units[0]}, {source}"]
     if elsewhere := next((u for r in ROLES if r != role for u in units_in_name(name, r)), None):
         raise InputError(
             "new",
@@ -316,19 +320,19 @@ def _varies(value: np.ndarray) -> bool:
 
 
 def _named(
-    role: str, common: list[str], recordings: list[Recording], given: str | None
+    role: str, common: list[str], recordings: list[Recording], chosen: str | None
 ) -> tuple[str, list[str]]:
     option = f"--{role}"
-    if given is not None:
-        if given not in common:
-            raise InputError("new", option, f"no signal {given} in every log", f"one of {', '.join(common)}")
-        return given, ["chosen by you"]
+    if chosen is not None:
+        if chosen not in common:
+            raise InputError("new", option, f"no signal {chosen} in every log", f"one of {', '.join(common)}")
+        return chosen, ["chosen by you"]
     moving = [n for n in common if any(_varies(r.values[n]) for r in recordings)]
     units = {n: u for r in recordings for n, u in r.units.items()}
-    found = ranked(role, moving, units)
-    if not found:
+    candidates = ranked(role, moving, units)
+    if not candidates:
         still = ranked(role, common, units)
         what = f"{still[0]} never moves" if still else f"no name looks like the {role}"
         raise InputError("new", option, what, f"{option} NAME, one of {', '.join(moving or common)}")
-    others = f"; others: {', '.join(found[1:4])}" if found[1:] else ""
-    return found[0], [f"by its name{others}"]
+    others = f"; others: {', '.join(candidates[1:4])}" if candidates[1:] else ""
+    return candidates[0], [f"by its name{others}"]

@@ -75,8 +75,8 @@ def splits_of(
 
 def _surface(recording: str) -> str:
     """Surface that a recording's name tells; empty without one."""
-    found = SURFACE.search(recording.lower())
-    return found[1] if found else ""
+    surface = SURFACE.search(recording.lower())
+    return surface[1] if surface else ""
 
 
 def _with_each_in_both(order: list[str], setting: set[str], kinds: Mapping[str, tuple[str, str]]) -> set[str]:
@@ -93,10 +93,10 @@ def _with_each_in_both(order: list[str], setting: set[str], kinds: Mapping[str, 
         mine = [r for r in order if kinds[r] == kind]
         if len(mine) < 2 or 0 < alone(kind, True) < len(mine):
             continue
-        given = mine[len(mine) // 2]
-        half = halves[given]
+        middle = mine[len(mine) // 2]
+        half = halves[middle]
         others = [r for r in order if halves[r] != half and alone(kinds[r], not half) > 1]
         if others:
-            taken = min(others, key=lambda r: (abs(order.index(r) - order.index(given)), r))
-            halves[given], halves[taken] = not half, half
+            taken = min(others, key=lambda r: (abs(order.index(r) - order.index(middle)), r))
+            halves[middle], halves[taken] = not half, half
     return {r for r in order if halves[r]}

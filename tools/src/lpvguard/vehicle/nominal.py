@@ -109,8 +109,8 @@ def evaluate(expression: float | str, names: Mapping[str, Speed | float], where:
 
     def called(node: ast.Call, function: Callable[..., Any], fewest: int, most: int) -> Speed | float:
         if node.keywords or not fewest <= len(node.args) <= most:
-            wanted = "one value" if most == 1 else "two values or more"
-            raise InputError(where, expression, f"cannot use {ast.unparse(node)!r}", wanted)
+            expected = "one value" if most == 1 else "two values or more"
+            raise InputError(where, expression, f"cannot use {ast.unparse(node)!r}", expected)
         values = [walk(argument) for argument in node.args]
         if function is _sqrt and not isinstance(values[0], Taylor) and np.any(np.asarray(values[0]) < 0):
             raise InputError(where, expression, f"{ast.unparse(node)!r} of a negative number", "0 or more")

@@ -198,8 +198,8 @@ def line_search(curve: np.ndarray, slope: float) -> float:
     s = min(1.0, 0.9 * end)
     for _ in range(30):
         ratio = curve / (1 + s * curve)
-        wanted = s - (slope - ratio.sum()) / np.sum(ratio**2)
-        new = float(np.clip(wanted, 0.1 * s, s + 0.9 * (end - s) if np.isfinite(end) else 10 * s))
+        newton = s - (slope - ratio.sum()) / np.sum(ratio**2)
+        new = float(np.clip(newton, 0.1 * s, s + 0.9 * (end - s) if np.isfinite(end) else 10 * s))
         if abs(new - s) <= 1e-3 * s:
             break
         s = new

@@ -48,12 +48,12 @@ class GammaProblem:
             (self.control, P, "D12", "controls without direct cost"),
             (self.filter, P.dual, "D21", "measurements without noise"),
         ):
-            wanted = Q.D12.shape[1]
+            full_rank = Q.D12.shape[1]
             rank, _ = column_rank(Q.D12, direct_scale(float(np.linalg.norm(Q.A, 2)), Q.B2, Q.C1))
-            if rank < wanted:
+            if rank < full_rank:
                 self.rank_lost = True
                 self.notes.append(
-                    f"{name} has rank {rank} of {wanted} ({signal}): {n - side.A.shape[0]} states freed"
+                    f"{name} has rank {rank} of {full_rank} ({signal}): {n - side.A.shape[0]} states freed"
                 )
             if side.axis:
                 where = "P12" if name == "D12" else "P21"

@@ -195,13 +195,13 @@ def proved_lower_bound(plant: StateSpace, n_control: int, n_measurement: int, ga
     first = balancing(shifted) if plant.order else np.ones(0)
     image = to_continuous(scaled_states(shifted, first))
     second = balancing(image) if plant.order else np.ones(0)
-    given, _ = partition(scaled_states(image, second), n_control, n_measurement)
+    original, _ = partition(scaled_states(image, second), n_control, n_measurement)
     for coordinates in (schur_coordinates, modal_coordinates):
         if value >= gamma * (1 - LEVEL_RTOL) or not plant.order:
             break
         posed = _posed(plant, n_control, n_measurement, coordinates)
         problem, basis = posed.problem, posed.basis / (first * second)[:, None]
-        dual = proved_level(problem.P, problem.control, problem.filter, gamma, basis, given)
+        dual = proved_level(problem.P, problem.control, problem.filter, gamma, basis, original)
         value = max(value, min(dual, gamma) * (1 - DEDUCTED * moved))
     return LowerBound(value, moved, size)
 

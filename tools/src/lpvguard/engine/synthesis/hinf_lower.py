@@ -159,12 +159,12 @@ def _root(X: np.ndarray) -> np.ndarray:
 
 
 def proved_level(
-    P: Plant, control: Side, filter_: Side, gamma: float, basis: np.ndarray, given: Plant
+    P: Plant, control: Side, filter_: Side, gamma: float, basis: np.ndarray, original: Plant
 ) -> float:
-    """Return the largest level near ``gamma`` that a dual certificate proves for a plant as ``given``, or 0.
+    """Return the largest level near ``gamma`` that a dual certificate proves for ``original``, or 0.
 
-    ``gamma`` is the optimum that the Riccati equations of P claim. States of ``given`` are ``basis`` (n, n)
-    times those of P.
+    ``gamma`` is the optimum that the Riccati equations of P claim. The states of ``original`` are ``basis``
+    (n, n) times those of P.
     """
     best, n = 0.0, len(basis)
     for share in BELOW:
@@ -173,7 +173,7 @@ def proved_level(
             continue
         first, second = certificate.first.copy(), certificate.second.copy()
         first[:n], second[:n] = np.linalg.solve(basis.T, first[:n]), basis @ second[:n]
-        best = max(best, dual_bound(given, DualCertificate(first, second)))
+        best = max(best, dual_bound(original, DualCertificate(first, second)))
         if best >= gamma * (1 - 10 * share):
             break
     return best

@@ -52,21 +52,21 @@ def lower_bound(
     candidates = _power_iteration(scaled, structure, starts, steps)
     candidates[:0] = [_parts_of(M, structure, x, enough) for x in vectors]
     tried = (_checked(M, structure, parts) for parts in candidates + _vertices(structure, candidates[-1]))
-    found = sorted((one for one in tried if one), key=lambda one: -one[0])
+    checked = sorted((one for one in tried if one), key=lambda one: -one[0])
     if structure.complex_only:
-        for _, _, parts in found[:3]:
-            if found[0][0] >= enough:
+        for _, _, parts in checked[:3]:
+            if checked[0][0] >= enough:
                 break
-            if one := _checked(M, structure, _align(scaled, structure, parts), found[0][0]):
-                found.insert(0, one)
+            if one := _checked(M, structure, _align(scaled, structure, parts), checked[0][0]):
+                checked.insert(0, one)
     elif any(b.kind != "repeated_real" for b in structure.blocks):
-        for value, _, parts in _distinct(found)[:6]:
-            if found[0][0] >= enough:
+        for value, _, parts in _distinct(checked)[:6]:
+            if checked[0][0] >= enough:
                 break
             value, delta = _MixedAscent(M, structure, parts).run(value)
-            if value > found[0][0] and _is_singular(M, delta):
-                found.insert(0, (value, delta, parts))
-    return found[0][:2] if found else (0.0, None)
+            if value > checked[0][0] and _is_singular(M, delta):
+                checked.insert(0, (value, delta, parts))
+    return checked[0][:2] if checked else (0.0, None)
 
 
 def attained(M: np.ndarray, structure: Structure, delta: np.ndarray, moved: np.ndarray) -> float:
@@ -116,9 +116,9 @@ def _attained(M: np.ndarray, structure: Structure, start: np.ndarray) -> tuple[f
     blocks of the singular vectors u, v are then as long in u as in v, and Δ_i takes u_i to v_i. ``start``
     (Σcols, Σcols): a factor of D_left near the bound's."""
     scales = np.array([abs(start[r.start, r.start]) for r in structure.row])
-    if (found := simple_infimum(M, structure, ATTAINED_RTOL, scales)) is None:
+    if (infimum := simple_infimum(M, structure, ATTAINED_RTOL, scales)) is None:
         return None
-    upper, _, left, right, _ = found
+    upper, _, left, right, _ = infimum
     u, _, v = np.linalg.svd(left @ M @ np.linalg.inv(right))
     u, v = u[:, 0], v[0].conj()
     parts: Parts = [_rank_one(v[c], u[r]) for _, r, c in _places(structure)]
@@ -131,9 +131,9 @@ def _places(structure: Structure) -> list[tuple[Block, slice, slice]]:
     return list(zip(structure.blocks, structure.row, structure.col, strict=True))
 
 
-def _distinct(found: list[_Found]) -> list[_Found]:
-    """Of candidates sorted by value those that differ in it by more than rounding."""
-    return [one for k, one in enumerate(found) if k == 0 or one[0] < found[k - 1][0] * (1 - 1e-6)]
+def _distinct(candidates: list[_Found]) -> list[_Found]:
+    """Candidates, sorted by value, whose values differ by more than rounding."""
+    return [one for k, one in enumerate(candidates) if k == 0 or one[0] < candidates[k - 1][0] * (1 - 1e-6)]
 
 
 def _vertices(structure: Structure, parts: Parts) -> list[Parts]:
@@ -185,8 +185,8 @@ class _MixedAscent:
         self.real = [k for k, b in enumerate(blocks) if b.kind == "repeated_real"]
         rest = [k for k in range(len(blocks)) if k not in self.real]
 
-        def join(slices: list[slice], of: list[int]) -> np.ndarray:
-            return np.concatenate([np.r_[slices[k]] for k in of])
+        def join(slices: list[slice], indices: list[int]) -> np.ndarray:
+            return np.concatenate([np.r_[slices[k]] for k in indices])
 
         r_row, r_col = join(structure.row, self.real), join(structure.col, self.real)
         c_row, c_col = join(structure.row, rest), join(structure.col, rest)
@@ -223,8 +223,8 @@ class _MixedAscent:
                     if trial[k] == self.q[k]:
                         continue
                     budget -= 1
-                    found, parts = self.spectral(trial, beta, self.parts)
-                    if abs(found) > beta * (1 + 1e-9):
+                    eigenvalue, parts = self.spectral(trial, beta, self.parts)
+                    if abs(eigenvalue) > beta * (1 + 1e-9):
                         self.q, self.parts, better = trial, parts, True
                         beta, value = self.level(trial, beta, parts)
             if not better:
@@ -348,14 +348,14 @@ def _make_singular(M: np.ndarray, structure: Structure, parts: Parts) -> tuple[f
         delta = _assemble(structure, parts)
         value = _largest_eigenvalue(M @ delta)
         return (abs(value), delta / value) if value else (0.0, None)
-    best, found = 0.0, None
+    best, best_delta = 0.0, None
     for vary in _free_parameters(structure, parts):
         for start in np.linalg.eigvals(M @ vary(0.0)):
             real = _make_real(M, vary, start)
             # a Δ whose blocks all lie inside their bounds is smaller than 1/value
             if real is not None and 1 / _size(structure, real) > best:
-                best, found = 1 / _size(structure, real), real
-    return best, found
+                best, best_delta = 1 / _size(structure, real), real
+    return best, best_delta
 
 
 def _size(structure: Structure, delta: np.ndarray) -> float:

@@ -51,8 +51,8 @@ def upper_bound(
     G = np.zeros((structure.n_cols, structure.n_rows), complex)
     if size == 0:
         return 0.0, 0.0, left, right, G
-    if (found := simple_infimum(M, structure, rtol, d)) is not None:
-        return found
+    if (simple := simple_infimum(M, structure, rtol, d)) is not None:
+        return simple
     trace = np.r_[np.real(np.trace(structure.left, axis1=1, axis2=2)), np.zeros(len(structure.skew))]
     n_d = len(structure.left)
     D_left, D_right = np.eye(structure.n_rows, dtype=complex), np.eye(structure.n_cols, dtype=complex)

@@ -268,13 +268,13 @@ class Prover:
         corners = [(np.append(p.box.low, p.low), np.append(p.box.high, p.high)) for p in parts]
         return _contain(corners, np.append(-size, low), np.append(size, high))
 
-    def _reached(self, shift: Shift, asked: FrequencyCell, omega: float) -> tuple[float, float]:
-        """Frequencies of the cell about ``omega``, within those of ``asked``, that its scalings prove."""
+    def _reached(self, shift: Shift, within: FrequencyCell, omega: float) -> tuple[float, float]:
+        """Frequencies of the cell about ``omega``, within the cell ``within``, that its scalings prove."""
         if not isinstance(self.loop, StateSpace):
-            return asked.low, asked.high
+            return within.low, within.high
 
-        positive = partial(self._positive, shift, asked.point)
-        return cell(shift.system(self.loop), asked.point, 1.0, omega, asked.low, asked.high, positive)
+        positive = partial(self._positive, shift, within.point)
+        return cell(shift.system(self.loop), within.point, 1.0, omega, within.low, within.high, positive)
 
     def _positive(self, shift: Shift, point: PointBound, omega: float) -> bool:
         try:

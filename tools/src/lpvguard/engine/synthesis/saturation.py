@@ -220,10 +220,10 @@ class LimitedLoop:
         Q = _reached(A, B, C, D, slack)
         if Q is None or not _proof(A, B, C, D, Q) > 1:
             return None
-        wanted = self.system.C[sum(self.rows) - self.n_u : sum(self.rows)]
-        step = wanted.copy()
+        demand = self.system.C[sum(self.rows) - self.n_u : sum(self.rows)]
+        step = demand.copy()
         step[:, self.demand_before : self.demand_before + self.n_u] -= np.eye(self.n_u)
-        rows = np.vstack([wanted, step]) * t
+        rows = np.vstack([demand, step]) * t
         largest, moved = np.sqrt(np.einsum("ki,ij,kj->k", rows, Q, rows)).reshape(2, self.n_u)
         return float(min((self.kappa * u_max / largest).min(), (step_max / moved).min()))
 

@@ -94,14 +94,14 @@ def common_scaling(
             along = np.zeros_like(best.log_parameters)
             along[index] = step
             tried = [Scaling(best.log_parameters + along), Scaling(best.log_parameters - along)]
-            asked = list(order)
-            worst_below = partial(_worst_below, [plants[k] for k in asked], level * (1 - OPTIMUM_RTOL))
+            ordered = list(order)
+            worst_below = partial(_worst_below, [plants[k] for k in ordered], level * (1 - OPTIMUM_RTOL))
             for scaling, (value, offender) in zip(tried, workers(worst_below, tried), strict=True):
                 if value is not None:
                     best, level, improved = scaling, value, True
                     break
-                order.remove(asked[offender])
-                order.insert(0, asked[offender])
+                order.remove(ordered[offender])
+                order.insert(0, ordered[offender])
         step *= 1.0 if improved else 0.5
     return best, level
 

@@ -49,7 +49,7 @@ class Lft:
         n_y, n_w = self.e.shape[0], self.p22.shape[-1]
         if not self.blocks or n_y == 0:
             raise InputError(self.source, "blocks, e", "empty", "at least one block and one output")
-        wanted = {
+        shapes = {
             "p11": (q, p),
             "p12": (q, n_w),
             "p21": (n_y, p),
@@ -57,7 +57,7 @@ class Lft:
             "eta0": (q,),
             "e": (n_y,),
         }
-        for name, shape in wanted.items():
+        for name, shape in shapes.items():
             a = getattr(self, name)
             if a.shape != shape:
                 raise InputError(

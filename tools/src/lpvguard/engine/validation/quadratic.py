@@ -158,10 +158,10 @@ class Quadratic:
             return None
         # Each signal in its own units: xi and w may be 1e14 apart, or their weights, and one must not hide
         # in the other's rounding.
-        wanted = [
+        kernels = [
             a / (np.linalg.norm(a) or 1.0) for f in self.forms if f.param >= 0 for a in f.parts or (f.a,)
         ]
-        rows = np.vstack([np.zeros((0, self.n)), *wanted])
+        rows = np.vstack([np.zeros((0, self.n)), *kernels])
         left = rows[:, :-1]
         theta, *_ = np.linalg.lstsq(left, -rows[:, -1], rcond=RANK_TOLERANCE)
         z = np.append(theta, 1.0)
@@ -171,7 +171,7 @@ class Quadratic:
         for f in fixed:
             step, *_ = np.linalg.lstsq(f.a[:, :-1] @ null, -(f.a @ z), rcond=RANK_TOLERANCE)
             z = z + np.append(null @ step, 0.0)
-        if not all(cancels(a, z) for a in wanted):
+        if not all(cancels(a, z) for a in kernels):
             return None
         inside = all(
             np.linalg.norm(f.a @ z) ** 2 <= f.constant * f.slope * np.linalg.norm(f.b @ z) ** 2 for f in fixed

@@ -82,16 +82,16 @@ def parser(name: str, description: str | None) -> argparse.ArgumentParser:
 
 
 def numbers_of(
-    bench: str, option: str, given: str, good: Callable[[float], bool], expected: str
+    bench: str, option: str, text: str, good: Callable[[float], bool], expected: str
 ) -> list[float]:
     """Numbers of an option, comma-separated; InputError with ``expected`` unless all are ``good``."""
     try:
-        found = [float(word) for word in given.split(",")]
+        values = [float(word) for word in text.split(",")]
     except ValueError:
-        found = []
-    if not found or not all(map(good, found)):
-        raise InputError(f"bench {bench}", option, repr(given), f"{expected}, comma between")
-    return found
+        values = []
+    if not values or not all(map(good, values)):
+        raise InputError(f"bench {bench}", option, repr(text), f"{expected}, comma between")
+    return values
 
 
 def show(text: str, value: Any, json_out: tuple[str, str] | None) -> None:

@@ -50,14 +50,14 @@ def left_out(
     """Every drive beside the band of the other groups, and the band of all drives by output."""
     model = NominalModel(project)
     reader, estimator = DriveReader(project, model), Estimator.from_project(project, model)
-    domain = ErrorDomain.of(estimator, project.frame_test.excited_std)
+    domain = ErrorDomain.from_estimator(estimator, project.frame_test.excited_std)
     experiments = sorted(list_experiments(folder), key=lambda e: e.name)
     sums = error_sums_of(reader, domain, experiments, workers)
     groups = [e.group_or_recording for e in experiments]
     names = sorted(set(groups))
     if len(names) < 2:
         raise InputError(folder, "column group", f"{len(names)} group", "at least two")
-    parts = [(g, [s for of, s in zip(groups, sums, strict=True) if of != g]) for g in names]
+    parts = [(g, [s for group, s in zip(groups, sums, strict=True) if group != g]) for g in names]
     rows = []
     outputs = range(project.n_y)
     for j in outputs:

@@ -89,7 +89,7 @@ def rows(draws: int = 2000, seed: int = 0) -> list[MemoryRow]:
     return out
 
 
-def table(found: list[MemoryRow]) -> str:
+def table(rows: list[MemoryRow]) -> str:
     """The rows as a Markdown table."""
     lines = [
         "| memory / frame | median t* | 95 % | largest | above 1 | largest bound |",
@@ -100,6 +100,6 @@ def table(found: list[MemoryRow]) -> str:
         + [
             f"| {r.fraction:g} | {r.median:.2f} | {r.p95:.2f} | {r.largest:.2f} | {r.share_above_1:.1%} "
             f"| {r.bound_max:.2f} |"
-            for r in found
+            for r in rows
         ]
     )

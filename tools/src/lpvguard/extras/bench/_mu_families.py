@@ -57,13 +57,13 @@ def _least_slope(c: np.ndarray, real: np.ndarray) -> float:
     imag = np.where(c.imag == 0, np.inf, c.imag)
     breaks = np.append(-c.real / imag, 0.0)
     best = min(value(s) for s in breaks)
-    found = minimize_scalar(
+    optimum = minimize_scalar(
         lambda angle: value(np.tan(angle)),
         bounds=(-1.5707, 1.5707),
         method="bounded",
         options={"xatol": 1e-11},
     )
-    return min(best, float(found.fun))
+    return min(best, float(optimum.fun))
 
 
 def rank_one(rng: np.random.Generator) -> tuple[Problem, float]:

@@ -48,11 +48,11 @@ def ask(python: Path | str, script: str, question: dict, limit_s: float) -> dict
     """Run ``script`` by the interpreter ``python``; see :meth:`Peers.ask`."""
     environment = {k: v for k, v in os.environ.items() if k != "PYTHONPATH"}
     with tempfile.TemporaryDirectory() as folder:
-        given, answer = Path(folder) / "question.json", Path(folder) / "answer.json"
-        given.write_text(json.dumps(question))
+        question_file, answer_file = Path(folder) / "question.json", Path(folder) / "answer.json"
+        question_file.write_text(json.dumps(question))
         try:
             done = subprocess.run(
-                [python, "-c", script, given, answer],
+                [python, "-c", script, question_file, answer_file],
                 capture_output=True,
                 text=True,
                 timeout=limit_s,
@@ -61,6 +61,6 @@ def ask(python: Path | str, script: str, question: dict, limit_s: float) -> dict
             )
         except subprocess.TimeoutExpired:
             return {"note": f"no answer in {limit_s:g} s"}
-        if done.returncode or not answer.exists():
+        if done.returncode or not answer_file.exists():
             return {"note": f"failed: {(done.stderr.strip().splitlines() or ['no message'])[-1][:80]}"}
-        return json.loads(answer.read_text())
+        return json.loads(answer_file.read_text())

@@ -123,10 +123,10 @@ class Trials:
 
     def moving_performance(self) -> Trial:
         """A history at the proved rate with a drawn Delta: its gain over the proved level."""
-        said = self.stated["moving_speed"]["performance"]
-        speeds, name = self._profile(said["rate_mps2"])
+        claim = self.stated["moving_speed"]["performance"]
+        speeds, name = self._profile(claim["rate_mps2"])
         history = self.performance.history(speeds, self.drawn())
-        return Trial(history.gain(self._input(1))[0] / said["level"], False, name)
+        return Trial(history.gain(self._input(1))[0] / claim["level"], False, name)
 
     def frozen(self) -> Trial:
         """Trial at a speed with a proved mu: a Delta of gain 1/mu leaves a gain of mu."""
@@ -214,10 +214,10 @@ class Trials:
     def _constructed(self) -> list[StateSpace]:
         """Delta of size 1 that mu's lower bound constructs at some nodes."""
         speeds = self.schedule.speeds[evenly(len(self.schedule.speeds), CONSTRUCTED)]
-        found = [worst_case(self.problem.plant(v), self.schedule.at(v), self.scaling) for v in speeds]
+        worst = [worst_case(self.problem.plant(v), self.schedule.at(v), self.scaling) for v in speeds]
         return [
             StateSpace(one.delta.A, one.delta.B, one.delta.C / one.size, one.delta.D / one.size, self.Ts)
-            for one in found
+            for one in worst
         ]
 
     def _frozen(self, v: float, bound: float, size: float) -> Trial:

@@ -100,12 +100,12 @@ def table(rows: list[Row]) -> str:
 
 def main(argv: list[str]) -> None:
     """Run ``lpvguard bench bounds``."""
-    options = parser("bounds", __doc__)
-    options.add_argument(
+    arguments = parser("bounds", __doc__)
+    arguments.add_argument(
         "--count", type=int, default=2000, help="problems of each kind, evenly of its families"
     )
-    options.add_argument("--seed", type=int, default=1)
-    options.add_argument("--jobs", type=int, default=1, help="processes")
-    asked = options.parse_args(argv)
-    rows = bench_bounds(asked.count, asked.seed, asked.jobs)
-    show(table(rows), [asdict(row) for row in rows], asked.json_out)
+    arguments.add_argument("--seed", type=int, default=1)
+    arguments.add_argument("--jobs", type=int, default=1, help="processes")
+    options = arguments.parse_args(argv)
+    rows = bench_bounds(options.count, options.seed, options.jobs)
+    show(table(rows), [asdict(row) for row in rows], options.json_out)

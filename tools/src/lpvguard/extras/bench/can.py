@@ -90,21 +90,23 @@ def _peer(path: Path, database: Database) -> tuple[int, float]:
 
 def main(argv: list[str]) -> None:
     """`lpvguard bench can [LOG DBC]`. Exit 1 when a required reaction is missing or late."""
-    options = parser("can", __doc__)
-    options.add_argument("log", type=Path, nargs="?", help="candump log, also .gz; without: the fault table")
-    options.add_argument("dbc", type=Path, nargs="?")
-    options.add_argument("--frames", type=int, default=5_000_000)
-    options.add_argument(
+    arguments = parser("can", __doc__)
+    arguments.add_argument(
+        "log", type=Path, nargs="?", help="candump log, also .gz; without: the fault table"
+    )
+    arguments.add_argument("dbc", type=Path, nargs="?")
+    arguments.add_argument("--frames", type=int, default=5_000_000)
+    arguments.add_argument(
         "--coefficients", type=Path, help="generated folder for the fault table (default: the shipped truck)"
     )
-    given = options.parse_args(argv)
-    if given.log is None:
-        rows = bus_faults.table(Simulator(given.coefficients or shipped_vehicle("truck")))
-        show(bus_faults.as_text(rows), rows, given.json_out)
+    options = arguments.parse_args(argv)
+    if options.log is None:
+        rows = bus_faults.table(Simulator(options.coefficients or shipped_vehicle("truck")))
+        show(bus_faults.as_text(rows), rows, options.json_out)
         raise SystemExit(1 if any(row["missed"] for row in rows) else 0)
-    if given.dbc is None:
-        options.error("a log needs its database")
-    result = bench_decode(given.log, given.dbc, frames=given.frames)
+    if options.dbc is None:
+        arguments.error("a log needs its database")
+    result = bench_decode(options.log, options.dbc, frames=options.frames)
     show(
         "\n".join(
             [
@@ -117,5 +119,5 @@ def main(argv: list[str]) -> None:
             ]
         ),
         result,
-        given.json_out,
+        options.json_out,
     )

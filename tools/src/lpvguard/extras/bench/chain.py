@@ -45,18 +45,18 @@ class Stage:
 
 def main(argv: list[str]) -> None:
     """`lpvguard bench chain DRIVES CASE`."""
-    options = parser("chain", __doc__)
-    options.add_argument("drives", type=Path, help="folder of drives with experiments.csv")
-    options.add_argument("case", type=Path, help="the paper case, tests/data/paper_case.toml")
-    options.add_argument("--vehicle", default="truck", help="shipped vehicle, or path to a project file")
-    options.add_argument("--moving", action="store_true", help="search the proof at a moving speed too")
-    options.add_argument("--jobs", type=int, default=len(os.sched_getaffinity(0)), help="processes")
-    options.add_argument("--peers", type=Path, help="folder for the peers' environment, made when missing")
-    given = options.parse_args(argv)
-    with workers(given.jobs) as run:
-        stages, worst = chain(given.vehicle, given.drives, given.moving, run)
-    peer = synthesis_by_peer(given.case, Peers(given.peers))
-    show(table(stages, worst, peer), as_dict(stages, worst, peer), given.json_out)
+    arguments = parser("chain", __doc__)
+    arguments.add_argument("drives", type=Path, help="folder of drives with experiments.csv")
+    arguments.add_argument("case", type=Path, help="the paper case, tests/data/paper_case.toml")
+    arguments.add_argument("--vehicle", default="truck", help="shipped vehicle, or path to a project file")
+    arguments.add_argument("--moving", action="store_true", help="search the proof at a moving speed too")
+    arguments.add_argument("--jobs", type=int, default=len(os.sched_getaffinity(0)), help="processes")
+    arguments.add_argument("--peers", type=Path, help="folder for the peers' environment, made when missing")
+    options = arguments.parse_args(argv)
+    with workers(options.jobs) as run:
+        stages, worst = chain(options.vehicle, options.drives, options.moving, run)
+    peer = synthesis_by_peer(options.case, Peers(options.peers))
+    show(table(stages, worst, peer), as_dict(stages, worst, peer), options.json_out)
 
 
 def chain(vehicle: str, drives: Path, moving: bool, run: Map = map) -> tuple[list[Stage], float]:
@@ -85,8 +85,8 @@ def chain(vehicle: str, drives: Path, moving: bool, run: Map = map) -> tuple[lis
             "C, proved anew", lambda: export_chosen(stored, Path(folder) / "vehicle", designed, workers=run)
         )
         if moving:
-            found = DesignProblem.from_identification(stored), result.schedule, result.scaling
-            timed("moving speed", lambda: moving_certificates(*found, workers=run), False)
+            loop = DesignProblem.from_identification(stored), result.schedule, result.scaling
+            timed("moving speed", lambda: moving_certificates(*loop, workers=run), False)
     return stages, result.worst
 
 
@@ -96,8 +96,8 @@ def synthesis_by_peer(case_path: Path, peers: Peers) -> dict:
     case = read_case(case_path)
     plant = case_plant(case, case["objective"][0], "K_i")
     answer = peers.ask(PEER_SCRIPT, question(plant), PEER_LIMIT_S)
-    found = judged(answer, plant)
-    return found | {key: answer[key] for key in ("processor",) if key in answer}
+    verdict = judged(answer, plant)
+    return verdict | {key: answer[key] for key in ("processor",) if key in answer}
 
 
 def ratios(stages: list[Stage], peer: dict) -> tuple[float, float] | None:
@@ -120,28 +120,28 @@ def table(stages: list[Stage], worst: float, peer: dict) -> str:
     lines += [row(s.name, s.seconds, s.processor, "" if s.summed else "not in the sum") for s in stages]
     whole = sum(s.seconds for s in summed), sum(s.processor for s in summed)
     lines.append(row("chain", *whole, f"worst mu {worst:.4f}"))
-    found = ratios(stages, peer)
-    if found is None:
+    both = ratios(stages, peer)
+    if both is None:
         return "\n".join([*lines, f"dkpy, K_i of the paper's case: {peer['note']}"])
     lines.append(
         row("dkpy, K_i of the paper's case", peer["seconds"], peer["processor"], f"mu {peer['level']:.4f}")
     )
-    clock, processor = found
+    clock, processor = both
     lines.append(f"ratio of seconds {clock:.2f} (wanted {WANTED:g}), of processor seconds {processor:.2f}")
     return "\n".join(lines)
 
 
 def as_dict(stages: list[Stage], worst: float, peer: dict) -> dict:
     """The numbers for ``--json``."""
-    found = ratios(stages, peer)
+    both = ratios(stages, peer)
     return {
         "stages": [asdict(stage) for stage in stages],
         "worst_mu": worst,
         "peer": peer,
-        "ratio": None if found is None else found[0],
-        "ratio_processor": None if found is None else found[1],
+        "ratio": None if both is None else both[0],
+        "ratio_processor": None if both is None else both[1],
         "wanted": WANTED,
-        "ok": None if found is None else found[0] <= WANTED,
+        "ok": None if both is None else both[0] <= WANTED,
     }
 
 

@@ -115,22 +115,22 @@ def bench_fleet(drives: int, duration_s: float, jobs: int, memory: tuple[int, ..
 
 def main(argv: list[str]) -> None:
     """`lpvguard bench fleet`."""
-    options = parser("fleet", __doc__)
-    options.add_argument("--drives", type=int, default=200)
-    options.add_argument("--duration", type=float, default=300.0, help="seconds of each of them")
-    options.add_argument("--jobs", type=int, default=2)
-    options.add_argument(
+    arguments = parser("fleet", __doc__)
+    arguments.add_argument("--drives", type=int, default=200)
+    arguments.add_argument("--duration", type=float, default=300.0, help="seconds of each of them")
+    arguments.add_argument("--jobs", type=int, default=2)
+    arguments.add_argument(
         "--memory",
         type=int,
         nargs="*",
         default=MEMORY_DRIVES,
         help="numbers of 20 s drives to measure memory with",
     )
-    given = options.parse_args(argv)
-    r = bench_fleet(given.drives, given.duration, given.jobs, tuple(given.memory))
+    options = arguments.parse_args(argv)
+    r = bench_fleet(options.drives, options.duration, options.jobs, tuple(options.memory))
     lines = [
         f"identify, {r['drives']} drives of {r['duration_s']:g} s: 1 worker {r['seconds_1']:.1f} s, "
-        f"{r['jobs']} workers {r[f'seconds_{given.jobs}']:.1f} s, ratio {r['ratio']:.2f} "
+        f"{r['jobs']} workers {r[f'seconds_{options.jobs}']:.1f} s, ratio {r['ratio']:.2f} "
         f"({r['processors']} processors, load {r['load']:.1f}); "
         f"{'the same bytes' if r['same_bytes'] else 'DIFFERENT BYTES'}"
     ]
@@ -139,4 +139,4 @@ def main(argv: list[str]) -> None:
         f"peak memory, {count:>6} drives: {kib / 1024:7.1f} MiB  ({kib / smallest:.3f})"
         for count, kib in r["peak_memory_kib"].items()
     ]
-    show("\n".join(lines), r, given.json_out)
+    show("\n".join(lines), r, options.json_out)

@@ -60,21 +60,21 @@ def _drive_scores(replayer: Replayer, spread: float, seed: int, index: int) -> l
     columns, _ = drive_columns(random, random.uniform(*SPEEDS_MPS), DURATION_S, Ts, None)
     output, angle = columns["r"][:, None], columns["delta"][:, None]
     drive = Drive(f"pool_{index:04d}", columns["t"], columns["v"], angle, output)
-    found = []
+    scores = []
     for gain in GAINS:
         faulty = inject(drive, Fault("gain", own * gain), 0.0, Ts)
-        piece = ScoredDrive.of(replayer, faulty, round(JUDGED_S / Ts))
+        piece = ScoredDrive.from_drive(replayer, faulty, round(JUDGED_S / Ts))
         if len(piece.ratios) * Ts < JUDGED_S - Ts / 2:
             raise InputError("bench lives", drive.name, f"less than {JUDGED_S:g} s judged", "a longer drive")
-        found.append((float(piece.ratios.mean()), piece.alarmed))
-    return found
+        scores.append((float(piece.ratios.mean()), piece.alarmed))
+    return scores
 
 
 def make_pool(drives: int, spread: float, seed: int, run: Map = map) -> Pool:
     """Pool of drives whose gains have a standard deviation of ``spread``."""
     replayer = replayer_for(load_project(VEHICLE), None, VEHICLE)
-    found = list(run(partial(_drive_scores, replayer, spread, seed), range(drives)))
-    table = np.array(found, float)
+    scores = list(run(partial(_drive_scores, replayer, spread, seed), range(drives)))
+    table = np.array(scores, float)
     return Pool(table[..., 0].astype(np.float32), table[..., 1] > 0)
 
 
@@ -114,7 +114,7 @@ def healthy_lives(pool: Pool, n: int, lives: int, recordings: int, seed: int) ->
     again = np.repeat(levels[worst], AGAIN, axis=0)
     repeated = first_alarms(again, bets, lambda _: random.choice(healthy, len(again)), recordings)
     of_set = (repeated.reshape(len(worst), AGAIN) > 0).mean(axis=1)
-    table = LifeTable.of(range(n), ALPHA, ETA)  # the earliest alarm asks for no scores
+    table = LifeTable.from_scores(range(n), ALPHA, ETA)  # the earliest alarm asks for no scores
     return {
         "n": n,
         "ever": rate(int((first > 0).sum()), lives),
@@ -169,9 +169,9 @@ def bench_lives(pool: Pool, lives: int, recordings: int, seed: int) -> dict:
     }
 
 
-def _share(found: dict) -> str:
+def _share(share: dict) -> str:
     """Without an interval: lives of one set are no draws of their own."""
-    return f"{found['count']} of {found['of']}, {100 * found['count'] / found['of']:.2f} %"
+    return f"{share['count']} of {share['of']}, {100 * share['count'] / share['of']:.2f} %"
 
 
 def words(r: dict) -> str:
@@ -203,20 +203,22 @@ def words(r: dict) -> str:
 
 def main(argv: list[str]) -> None:
     """`lpvguard bench lives`."""
-    options = parser("lives", __doc__)
-    options.add_argument("--drives", type=int, default=300, help="core-run drives of the pool")
-    options.add_argument("--lives", type=int, default=10_000, help="lives, each with a fresh calibration set")
-    options.add_argument("--recordings", type=int, default=1000, help="of a healthy life")
-    options.add_argument(
+    arguments = parser("lives", __doc__)
+    arguments.add_argument("--drives", type=int, default=300, help="core-run drives of the pool")
+    arguments.add_argument(
+        "--lives", type=int, default=10_000, help="lives, each with a fresh calibration set"
+    )
+    arguments.add_argument("--recordings", type=int, default=1000, help="of a healthy life")
+    arguments.add_argument(
         "--spread", type=float, default=0.03, help="standard deviation of the drives' own gains"
     )
-    options.add_argument("--seed", type=int, default=1)
-    options.add_argument("--jobs", type=int, default=1, help="processes that share the drives of the pool")
-    given = options.parse_args(argv)
+    arguments.add_argument("--seed", type=int, default=1)
+    arguments.add_argument("--jobs", type=int, default=1, help="processes that share the drives of the pool")
+    options = arguments.parse_args(argv)
     for name in ("drives", "lives", "recordings", "jobs"):
-        if getattr(given, name) < 1:
-            raise InputError("bench lives", f"--{name}", str(getattr(given, name)), "a number from 1 on")
-    with workers(given.jobs) as run:
-        pool = make_pool(given.drives, given.spread, given.seed, run)
-    result = bench_lives(pool, given.lives, given.recordings, given.seed) | {"spread": given.spread}
-    show(words(result), result, given.json_out)
+        if getattr(options, name) < 1:
+            raise InputError("bench lives", f"--{name}", str(getattr(options, name)), "a number from 1 on")
+    with workers(options.jobs) as run:
+        pool = make_pool(options.drives, options.spread, options.seed, run)
+    result = bench_lives(pool, options.lives, options.recordings, options.seed) | {"spread": options.spread}
+    show(words(result), result, options.json_out)

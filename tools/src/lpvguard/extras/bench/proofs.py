@@ -72,26 +72,26 @@ class RateRow:
 
 def main(argv: list[str]) -> None:
     """`lpvguard bench proofs IDENTIFICATION DESIGN`."""
-    options = parser("proofs", __doc__)
-    options.add_argument("identification", type=Path, help="folder written by identify")
-    options.add_argument("design", type=Path, help="folder written by design")
-    options.add_argument("--loops", type=_count, default=LOOPS, help="of all certificates together")
-    options.add_argument("--samples", type=_count, default=SAMPLES, help="of a history")
-    options.add_argument("--seed", type=int, default=SEED)
-    options.add_argument("--no-search", action="store_true", help="leave out the search over rates")
-    given = options.parse_args(argv)
-    stored = identify.load(given.identification)
-    path = given.design / "controller.json"
+    arguments = parser("proofs", __doc__)
+    arguments.add_argument("identification", type=Path, help="folder written by identify")
+    arguments.add_argument("design", type=Path, help="folder written by design")
+    arguments.add_argument("--loops", type=_count, default=LOOPS, help="of all certificates together")
+    arguments.add_argument("--samples", type=_count, default=SAMPLES, help="of a history")
+    arguments.add_argument("--seed", type=int, default=SEED)
+    arguments.add_argument("--no-search", action="store_true", help="leave out the search over rates")
+    options = arguments.parse_args(argv)
+    stored = identify.load(options.identification)
+    path = options.design / "controller.json"
     document = controller_file.require_designed_for(stored, path)
     if not document["certificates"]["scaling_log_parameters"]:
         raise InputError(path, "structure", "a design without Delta", "K_i or K_o")
     if document["certificates"]["structure"] == "K_is":
         raise InputError(path, "structure", "K_is", "K_i or K_o: the search is over scalar Delta")
-    trials = Trials(stored, document, given.samples, given.seed)
-    claims = claim_rows(trials, given.loops)
-    rates = [] if given.no_search else rate_rows(trials)
+    trials = Trials(stored, document, options.samples, options.seed)
+    claims = claim_rows(trials, options.loops)
+    rates = [] if options.no_search else rate_rows(trials)
     frozen = frozen_mu(stored, document["certificates"])
-    show("\n".join(lines(claims, frozen, rates)), as_dict(claims, frozen, rates), given.json_out)
+    show("\n".join(lines(claims, frozen, rates)), as_dict(claims, frozen, rates), options.json_out)
 
 
 def _count(text: str) -> int:
@@ -111,9 +111,9 @@ def claim_rows(trials: Trials, loops: int) -> list[ClaimRow]:
     return rows
 
 
-def _row(name: str, rate: float | None, found: list[Trial]) -> ClaimRow:
-    worst = max(found, key=lambda one: (one.grows, one.share))
-    return ClaimRow(name, rate, len(found), worst.share, worst.where, sum(one.above for one in found))
+def _row(name: str, rate: float | None, trials: list[Trial]) -> ClaimRow:
+    worst = max(trials, key=lambda one: (one.grows, one.share))
+    return ClaimRow(name, rate, len(trials), worst.share, worst.where, sum(one.above for one in trials))
 
 
 def frozen_mu(stored: identify.StoredIdentification, certificates: dict) -> FrozenMu:
@@ -135,15 +135,15 @@ def rate_rows(trials: Trials) -> list[RateRow]:
 
     def exceeds(rate: float) -> bool:
         nonlocal last
-        found = search.at(rate, level, last)
-        last = found if found.gain > level else last
-        return found.gain > level
+        violation = search.at(rate, level, last)
+        last = violation if violation.gain > level else last
+        return violation.gain > level
 
     rows = []
     for claim, violates in (("stability", grows), ("performance", exceeds)):
-        found = least_violating(violates, LARGEST_MPS2, SMALLEST_MPS2)
+        ladder = least_violating(violates, LARGEST_MPS2, SMALLEST_MPS2)
         proved = stated[claim]["rate_mps2"]
-        rows.append(RateRow(claim, proved, found.rate, found.without, LARGEST_MPS2))
+        rows.append(RateRow(claim, proved, ladder.rate, ladder.without, LARGEST_MPS2))
     return rows
 
 

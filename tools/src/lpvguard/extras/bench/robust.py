@@ -37,27 +37,29 @@ AMPLITUDES_BAR = (0.25, 0.5, 1.0, 2.0)
 
 def main(argv: list[str]) -> None:
     """`lpvguard bench robust IDENTIFICATION DESIGN VEHICLE`."""
-    options = parser("robust", __doc__)
-    options.add_argument("identification", type=Path, help="folder written by identify")
-    options.add_argument("design", type=Path, help="folder written by design")
-    options.add_argument("vehicle", type=Path, help="folder written by export with that design's controller")
-    options.add_argument("--draws", type=int, default=DRAWS, help="of Delta and input, all speeds together")
-    options.add_argument(
+    arguments = parser("robust", __doc__)
+    arguments.add_argument("identification", type=Path, help="folder written by identify")
+    arguments.add_argument("design", type=Path, help="folder written by design")
+    arguments.add_argument(
+        "vehicle", type=Path, help="folder written by export with that design's controller"
+    )
+    arguments.add_argument("--draws", type=int, default=DRAWS, help="of Delta and input, all speeds together")
+    arguments.add_argument(
         "--amplitudes",
         help="of the demand [bar], comma between; default: design.amplitudes of the project file, else "
         + ", ".join(f"{u:g}" for u in AMPLITUDES_BAR),
     )
-    given = options.parse_args(argv)
-    stored = identify.load(given.identification)
-    document = controller_file.require_designed_for(stored, given.design / "controller.json")
-    controller_file.require_exported_with(given.design / "controller.json", given.vehicle)
+    options = arguments.parse_args(argv)
+    stored = identify.load(options.identification)
+    document = controller_file.require_designed_for(stored, options.design / "controller.json")
+    controller_file.require_exported_with(options.design / "controller.json", options.vehicle)
     schedule = Scheduled.read(document)
-    asked = amplitudes(given.amplitudes, design_settings(stored).amplitudes)
-    runs = certified_runs(stored, document, CompiledController(given.vehicle), given.draws)
-    empirical = Simulator(given.vehicle).run(load_scenario("nominal"))
+    demanded = amplitudes(options.amplitudes, design_settings(stored).amplitudes)
+    runs = certified_runs(stored, document, CompiledController(options.vehicle), options.draws)
+    empirical = Simulator(options.vehicle).run(load_scenario("nominal"))
     ratio = empirical["tracking_rms"] / empirical["command_rms"]
     with workers(PROCESSES) as run_all:
-        table = true_table(CertifiedLoop(stored, schedule), asked, run_all)
+        table = true_table(CertifiedLoop(stored, schedule), demanded, run_all)
     show(
         "\n".join([*_run_lines(runs, ratio), *true_lines(table)]),
         {
@@ -69,30 +71,32 @@ def main(argv: list[str]) -> None:
             "nonlinear_tracking_ratio": ratio,
             **table,
         },
-        given.json_out,
+        options.json_out,
     )
 
 
-def amplitudes(given: str | None, of_project: Sequence[float] | None) -> list[float]:
+def amplitudes(text: str | None, of_project: Sequence[float] | None) -> list[float]:
     """The amplitudes [bar] of ``--amplitudes``, or of the project file, or AMPLITUDES_BAR; InputError unless
     all are positive numbers."""
-    if given is None:
+    if text is None:
         return list(of_project or AMPLITUDES_BAR)
-    return numbers_of("robust", "--amplitudes", given, lambda u: 0 < u < np.inf, "positive numbers")
+    return numbers_of("robust", "--amplitudes", text, lambda u: 0 < u < np.inf, "positive numbers")
 
 
-def true_table(loop: CertifiedLoop, asked: Sequence[float], run_all: Map, tables: str = "") -> dict[str, Any]:
+def true_table(
+    loop: CertifiedLoop, demanded: Sequence[float], run_all: Map, tables: str = ""
+) -> dict[str, Any]:
     """The fields ``amplitudes``, ``promised``, ``true`` and ``beyond`` of robust.json, for SPEEDS speeds over
-    the model's range and each amplitude ``asked`` [bar].
+    the model's range and each amplitude ``demanded`` [bar].
 
     ``tables``: variation and faults of the truck, as scenario tables.
     """
     speeds = np.linspace(*loop.model.speed_range, SPEEDS).tolist()
-    plan = [(v, a, u) for v in speeds for a, u in zip(asked, loop.amplitudes(v, asked), strict=True)]
-    found = [loop.true(measured) for measured in run_all(partial(_measured, tables), plan)]
-    rows = [_row(one) for one in found]
+    plan = [(v, a, u) for v in speeds for a, u in zip(demanded, loop.amplitudes(v, demanded), strict=True)]
+    loops = [loop.true(measured) for measured in run_all(partial(_measured, tables), plan)]
+    rows = [_row(one) for one in loops]
     return {
-        "amplitudes": list(asked),
+        "amplitudes": list(demanded),
         "promised": [{"v_mps": v, "margins": _fields(loop.promised(v))} for v in speeds],
         "true": rows,
         "beyond": sum(d["ratio"] > 1 for row in rows for d in row["deviations"]),
@@ -100,15 +104,15 @@ def true_table(loop: CertifiedLoop, asked: Sequence[float], run_all: Map, tables
 
 
 def _measured(tables: str, point: tuple[float, float, float]) -> MeasuredResponse:
-    v, asked, amplitude = point
-    return MeasuredResponse(v, asked, amplitude, *frequency_response(tables, v, amplitude, OMEGA))
+    v, demanded, amplitude = point
+    return MeasuredResponse(v, demanded, amplitude, *frequency_response(tables, v, amplitude, OMEGA))
 
 
-def _fields(found: LoopMargins | None) -> dict[str, Any] | None:
+def _fields(margins: LoopMargins | None) -> dict[str, Any] | None:
     """Each margin's value and place; None where there are none to have. A value of None is unlimited."""
-    if found is None or not found.stable:
+    if margins is None or not margins.stable:
         return None
-    return {name: {"value": m.value, "omega_rad_s": m.omega} for name, m in found.by_name.items()}
+    return {name: {"value": m.value, "omega_rad_s": m.omega} for name, m in margins.by_name.items()}
 
 
 def _row(one: TrueLoop) -> dict[str, Any]:

@@ -85,10 +85,10 @@ def sums_of(project: Project, drives: list[Drive]) -> list[ErrorSums]:
     """Sums of each of the drives with the model and the bins of a project."""
     model = NominalModel(project)
     estimator = Estimator.from_project(project, model)
-    given = ErrorDomain.of(estimator, project.frame_test.excited_std), model, estimator
+    setup = ErrorDomain.from_estimator(estimator, project.frame_test.excited_std), model, estimator
     seen = [(d, *nominal_error(d, model)) for d in drives]
-    common = common_fit(sum_of([common_products(*given, *of) for of in seen]))
-    return [error_sums(*given, *of, "", common) for of in seen]
+    common = common_fit(sum_of([common_products(*setup, *signals) for signals in seen]))
+    return [error_sums(*setup, *signals, "", common) for signals in seen]
 
 
 def one_set(project: Project, deviating: bool, job: tuple[str, int]) -> SetResult:
@@ -129,7 +129,7 @@ def one_set(project: Project, deviating: bool, job: tuple[str, int]) -> SetResul
 def band_of(project: Project, sums: ErrorSums, seed: int, scales: PriorScales = USUAL) -> ErrorBand:
     """Band of the first output at the project's bins."""
     estimator = Estimator.from_project(project, NominalModel(project))
-    domain = ErrorDomain.of(estimator, project.frame_test.excited_std)
+    domain = ErrorDomain.from_estimator(estimator, project.frame_test.excited_std)
     return error_band(domain, sums, 0, domain.omega, seed, scales)
 
 
@@ -152,7 +152,7 @@ def multibody_rows(sets: int, seed: int, over: Map) -> list[SetResult]:
     project = multibody_project()
     model = NominalModel(project)
     estimator = Estimator.from_project(project, model)
-    domain = ErrorDomain.of(estimator, project.frame_test.excited_std)
+    domain = ErrorDomain.from_estimator(estimator, project.frame_test.excited_std)
     drives = multibody_drives(project, seed, over)
     sums = sums_of(project, drives)
     speed = np.linspace(*domain.speed_range, MULTIBODY_CELLS[0])
@@ -193,10 +193,10 @@ def _multibody_set(
     )
 
 
-def proportion(within: int, of: int) -> tuple[float, float]:
+def proportion(within: int, total: int) -> tuple[float, float]:
     """95 % interval of a proportion by Clopper and Pearson."""
-    low = 0.0 if within == 0 else float(beta.ppf(0.025, within, of - within + 1))
-    high = 1.0 if within == of else float(beta.ppf(0.975, within + 1, of - within))
+    low = 0.0 if within == 0 else float(beta.ppf(0.025, within, total - within + 1))
+    high = 1.0 if within == total else float(beta.ppf(0.975, within + 1, total - within))
     return low, high
 
 
@@ -227,10 +227,10 @@ def _lines(rows: list[SetResult]) -> Iterator[str]:
                 f"{max(r.loose for r in of_car):.2f}, {max(r.loose_all for r in of_car):.2f}"
             )
             if deviating:
-                within, asked = sum(r.within for r in of_car), sum(r.further for r in of_car)
-                low, high = proportion(within, asked)
+                within, further = sum(r.within for r in of_car), sum(r.further for r in of_car)
+                low, high = proportion(within, further)
                 yield (
-                    f"  further drives within: {within} of {asked}, interval {low:.3f} to {high:.3f}, "
+                    f"  further drives within: {within} of {further}, interval {low:.3f} to {high:.3f}, "
                     f"stated {1 - LEVEL:g}"
                 )
 
@@ -250,30 +250,30 @@ def _measured(vehicle: str, folder: Path, seed: int, jobs: int) -> tuple[str, di
 
 def main(argv: list[str]) -> None:
     """`lpvguard bench sharpness`."""
-    options = parser("sharpness", __doc__)
-    options.add_argument("--sets", type=int, default=20, help="random sets of drives a table and car (20)")
-    options.add_argument("--seed", type=int, default=0, help="first seed of the sets (0)")
-    options.add_argument("--jobs", type=int, default=1, help="worker processes (1)")
-    options.add_argument("--no-sensitivity", action="store_true", help="leave the prior's sensitivity out")
-    options.add_argument("--multibody", action="store_true", help="the multi-body car besides, 15 minutes")
-    options.add_argument("--drives", type=Path, help="measured drives: every group is left out once")
-    options.add_argument(
+    arguments = parser("sharpness", __doc__)
+    arguments.add_argument("--sets", type=int, default=20, help="random sets of drives a table and car (20)")
+    arguments.add_argument("--seed", type=int, default=0, help="first seed of the sets (0)")
+    arguments.add_argument("--jobs", type=int, default=1, help="worker processes (1)")
+    arguments.add_argument("--no-sensitivity", action="store_true", help="leave the prior's sensitivity out")
+    arguments.add_argument("--multibody", action="store_true", help="the multi-body car besides, 15 minutes")
+    arguments.add_argument("--drives", type=Path, help="measured drives: every group is left out once")
+    arguments.add_argument(
         "--vehicle", default="g80", help="vehicle of --drives: a name or a project file (g80)"
     )
-    given = options.parse_args(argv)
-    if given.sets < 1 or given.seed < 0:
+    options = arguments.parse_args(argv)
+    if options.sets < 1 or options.seed < 0:
         raise InputError(
-            "bench sharpness", "--sets, --seed", f"{given.sets}, {given.seed}", "from 1 and 0 on"
+            "bench sharpness", "--sets, --seed", f"{options.sets}, {options.seed}", "from 1 and 0 on"
         )
-    if given.drives is not None:
-        show(*_measured(given.vehicle, given.drives, given.seed, given.jobs), given.json_out)
+    if options.drives is not None:
+        show(*_measured(options.vehicle, options.drives, options.seed, options.jobs), options.json_out)
         return
     project = load_project("g80")
-    jobs = [(name, given.seed + k) for name in CARS for k in range(given.sets)]
-    with workers(given.jobs) as over:
+    jobs = [(name, options.seed + k) for name in CARS for k in range(options.sets)]
+    with workers(options.jobs) as over:
         rows = [r for dev in (False, True) for r in over(partial(one_set, project, dev), jobs)]
-        if given.multibody:
-            rows += multibody_rows(given.sets, given.seed, over)
-    changes = {} if given.no_sensitivity else sensitivity(project, given.seed)
+        if options.multibody:
+            rows += multibody_rows(options.sets, options.seed, over)
+    changes = {} if options.no_sensitivity else sensitivity(project, options.seed)
     result = {"sets": [asdict(r) for r in rows], "sensitivity": changes, "level": LEVEL}
-    show(table(rows, changes), result, given.json_out)
+    show(table(rows, changes), result, options.json_out)

@@ -109,23 +109,23 @@ def draw(runs: list[Soak], path: Path) -> None:
 
 def main(argv: list[str]) -> None:
     """`lpvguard bench soak`."""
-    options = parser("soak", __doc__)
-    options.add_argument("--hours", type=int, default=24)
-    options.add_argument("--seed", type=int, default=SEED)
-    options.add_argument("--targets", default="host", help=f"comma between: host, {', '.join(TARGETS)}")
-    options.add_argument("--healthy", action="store_true", help="no faults, and speeds within the range")
-    options.add_argument("--figure", type=Path, help="draw the curves there, .svg or .png")
-    given = options.parse_args(argv)
+    arguments = parser("soak", __doc__)
+    arguments.add_argument("--hours", type=int, default=24)
+    arguments.add_argument("--seed", type=int, default=SEED)
+    arguments.add_argument("--targets", default="host", help=f"comma between: host, {', '.join(TARGETS)}")
+    arguments.add_argument("--healthy", action="store_true", help="no faults, and speeds within the range")
+    arguments.add_argument("--figure", type=Path, help="draw the curves there, .svg or .png")
+    options = arguments.parse_args(argv)
     for name in ("hours", "seed"):
-        if getattr(given, name) < 1:
-            raise InputError("bench soak", f"--{name}", str(getattr(given, name)), "a number from 1 on")
-    if given.figure is not None:
-        require_replaceable_file(given.figure, "bench soak")
+        if getattr(options, name) < 1:
+            raise InputError("bench soak", f"--{name}", str(getattr(options, name)), "a number from 1 on")
+    if options.figure is not None:
+        require_replaceable_file(options.figure, "bench soak")
     vehicle = shipped_vehicle("truck")
     runs = [
-        soak(vehicle, name, given.hours, seed=given.seed, faults=not given.healthy)
-        for name in given.targets.split(",")
+        soak(vehicle, name, options.hours, seed=options.seed, faults=not options.healthy)
+        for name in options.targets.split(",")
     ]
-    if given.figure is not None:
-        draw(runs, given.figure)
-    show(table(runs), [asdict(run) for run in runs], given.json_out)
+    if options.figure is not None:
+        draw(runs, options.figure)
+    show(table(runs), [asdict(run) for run in runs], options.json_out)

@@ -43,30 +43,30 @@ PROCESSES = 2
 
 def main(argv: list[str]) -> None:
     """`lpvguard bench steer VEHICLE`."""
-    options = parser("steer", __doc__)
-    options.add_argument("vehicle", type=Path, help="folder written by export with a controller")
-    options.add_argument("--speeds", help="m/s, comma between; default: 8 to 22 in steps of 1")
-    options.add_argument("--seeds", help="of noise, road and wind, comma between; default: 1,2,3")
-    given = options.parse_args(argv)
-    speeds = _numbers("--speeds", given.speeds, SPEEDS)
-    seeds = [int(x) for x in _numbers("--seeds", given.seeds, SEEDS, whole=True)]
+    arguments = parser("steer", __doc__)
+    arguments.add_argument("vehicle", type=Path, help="folder written by export with a controller")
+    arguments.add_argument("--speeds", help="m/s, comma between; default: 8 to 22 in steps of 1")
+    arguments.add_argument("--seeds", help="of noise, road and wind, comma between; default: 1,2,3")
+    options = arguments.parse_args(argv)
+    speeds = _numbers("--speeds", options.speeds, SPEEDS)
+    seeds = [int(x) for x in _numbers("--seeds", options.seeds, SEEDS, whole=True)]
     with workers(PROCESSES) as run_all:
-        rows = list(steered(given.vehicle, TRUCKS, speeds, seeds, run_all))
-    show("\n".join(lines(rows)), {"runs": rows}, given.json_out)
+        rows = list(steered(options.vehicle, TRUCKS, speeds, seeds, run_all))
+    show("\n".join(lines(rows)), {"runs": rows}, options.json_out)
 
 
 def _numbers(
-    option: str, given: str | None, otherwise: Sequence[float], *, whole: bool = False
+    option: str, text: str | None, otherwise: Sequence[float], *, whole: bool = False
 ) -> list[float]:
     """The numbers of an ``option``; InputError unless all are finite, not negative and, where asked,
     ``whole``."""
-    if given is None:
+    if text is None:
         return list(otherwise)
     kind = "whole numbers" if whole else "numbers"
     return numbers_of(
         "steer",
         option,
-        given,
+        text,
         lambda x: 0 <= x < np.inf and (x.is_integer() or not whole),
         f"{kind} from 0 on",
     )
@@ -131,11 +131,11 @@ def lines(rows: Sequence[dict[str, Any]]) -> Iterator[str]:
     yield titles + f"{'tracking':>10}{'at limit s':>12}{'line bar':>10}  ruled out"
     trucks = dict.fromkeys((row["differs"], row["value"]) for row in rows)
     for key, value in trucks:
-        of = [row for row in rows if (row["differs"], row["value"]) == (key, value)]
-        worst = [max(row[name] for row in of) for name in ("tracking", "limited_s", "line_bar")]
+        members = [row for row in rows if (row["differs"], row["value"]) == (key, value)]
+        worst = [max(row[name] for row in members) for name in ("tracking", "limited_s", "line_bar")]
         yield (
-            f"{key:<20}{value:>7g}{len(of):>6}{worst[0]:>10.1%}{worst[1]:>12.2f}{worst[2]:>10.2f}"
-            f"  {sum(bool(row['falsified']) for row in of)}"
+            f"{key:<20}{value:>7g}{len(members):>6}{worst[0]:>10.1%}{worst[1]:>12.2f}{worst[2]:>10.2f}"
+            f"  {sum(bool(row['falsified']) for row in members)}"
         )
     bad = [row for row in rows if row["falsified"]]
     for row in bad:

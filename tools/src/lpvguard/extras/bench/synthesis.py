@@ -220,9 +220,9 @@ def as_dicts(rows: list[SynthesisRow]) -> list[dict]:
 
 def main(argv: list[str]) -> None:
     """`lpvguard bench synthesis CASE.toml`."""
-    options = parser("synthesis", __doc__)
-    options.add_argument("case", type=Path, help="the paper case, tests/data/paper_case.toml")
-    options.add_argument("--peers", type=Path, help="folder for the peers' environment, made when missing")
-    given = options.parse_args(argv)
-    rows = run(given.case, peers=given.peers)
-    show(table(rows), as_dicts(rows), given.json_out)
+    arguments = parser("synthesis", __doc__)
+    arguments.add_argument("case", type=Path, help="the paper case, tests/data/paper_case.toml")
+    arguments.add_argument("--peers", type=Path, help="folder for the peers' environment, made when missing")
+    options = arguments.parse_args(argv)
+    rows = run(options.case, peers=options.peers)
+    show(table(rows), as_dicts(rows), options.json_out)

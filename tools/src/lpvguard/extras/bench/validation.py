@@ -237,16 +237,16 @@ def as_dicts(rows: list[KernelRow]) -> list[dict]:
 
 def main(argv: list[str]) -> None:
     """`lpvguard bench validation`."""
-    options = parser("validation", __doc__)
-    options.add_argument("--experiments", type=int, default=20)
-    options.add_argument("--bins", type=int, default=1024)
-    options.add_argument("--no-peers", action="store_true", help="without the conic solver")
-    options.add_argument(
+    arguments = parser("validation", __doc__)
+    arguments.add_argument("--experiments", type=int, default=20)
+    arguments.add_argument("--bins", type=int, default=1024)
+    arguments.add_argument("--no-peers", action="store_true", help="without the conic solver")
+    arguments.add_argument(
         "--memory", action="store_true", help="instead: t* of error by Delta alone, over its memory"
     )
-    given = options.parse_args(argv)
-    if given.memory:
-        found = memory.rows()
-        return show(memory.table(found), [asdict(r) for r in found], given.json_out)
-    rows = run(given.experiments, given.bins, peers=not given.no_peers)
-    show(table(rows), as_dicts(rows), given.json_out)
+    options = arguments.parse_args(argv)
+    if options.memory:
+        memory_rows = memory.rows()
+        return show(memory.table(memory_rows), [asdict(r) for r in memory_rows], options.json_out)
+    rows = run(options.experiments, options.bins, peers=not options.no_peers)
+    show(table(rows), as_dicts(rows), options.json_out)

@@ -59,7 +59,7 @@ class Listed:
     left_out: dict[str, str]
 
     @classmethod
-    def of(cls, folder: Path, order: str | None = None, by: str | None = None) -> Listed:
+    def from_folder(cls, folder: Path, order: str | None = None, by: str | None = None) -> Listed:
         """Drives in the order of the text in column ``order`` of experiments.csv, by default in its own
         order.
 
@@ -98,7 +98,7 @@ def calibrated_state(
     manifest = artefacts.read_manifest(replayer.core.folder, "vehicle").get("identification", {})
     names = manifest.get("drives", {}).get("bounds", [])
     setting = {manifest["sha256"][n] for n in names}
-    listed = Listed.of(folder)
+    listed = Listed.from_folder(folder)
     sets = {
         e.recording
         for e in listed.experiments
@@ -107,14 +107,14 @@ def calibrated_state(
     left_out = {**listed.left_out, **dict.fromkeys(sorted(sets), "set the bounds")}
     chosen = [e for e in listed.experiments if e.recording not in sets]
     pieces = pieces_of(replayer, chosen, terms.judged_s, workers, progress)
-    found = scored(replayer, pieces, terms.judged_s)
-    left_out |= {s.name: too_short(s, terms) for s in found if s.score is None}
-    scores = {s.name: s.score for s in found if s.score is not None}
+    recordings = scored(replayer, pieces, terms.judged_s)
+    left_out |= {s.name: too_short(s, terms) for s in recordings if s.score is None}
+    scores = {s.name: s.score for s in recordings if s.score is not None}
     if not scores:
         raise InputError(
             folder, "", "no recording calibrates", f"one of {terms.judged_s:g} s of judged driving at least"
         )
-    return FleetState(terms, scores, {s.name: s.sha256 for s in found if s.score is not None}), left_out
+    return FleetState(terms, scores, {s.name: s.sha256 for s in recordings if s.score is not None}), left_out
 
 
 def too_short(recording: Scored, terms: Terms) -> str:
@@ -163,7 +163,7 @@ def begun(
 
 
 @dataclass
-class _Told:
+class _Results:
     """Results of a vehicle, recording by recording."""
 
     rows: list[dict[str, Any]]
@@ -201,7 +201,9 @@ def follow(
     InputError
         If a recording was counted with other tables or under another name, or a table calibrated.
     """
-    told = {name: _Told([], {}) for name in dict.fromkeys(listed.vehicle[e.name] for e in listed.experiments)}
+    results = {
+        name: _Results([], {}) for name in dict.fromkeys(listed.vehicle[e.name] for e in listed.experiments)
+    }
     new = []
     for e in listed.experiments:
         counted = state.members.get(listed.vehicle[e.name], Member()).counted.get(e.recording)
@@ -212,21 +214,21 @@ def follow(
                 e.path, "", f"recording {e.recording} was counted with other tables", "as it was"
             )
         else:
-            told[listed.vehicle[e.name]].already += 1
+            results[listed.vehicle[e.name]].already += 1
     pieces = pieces_of(replayer, new, state.terms.judged_s, workers, progress)
     recordings = scored(replayer, pieces, state.terms.judged_s)
     require_new(listed.folder, recordings, _seen(state))
     for recording in recordings:
         vehicle = listed.vehicle[next(iter(recording.sha256))]
         if recording.score is None:
-            told[vehicle].left_out[recording.name] = too_short(recording, state.terms)
+            results[vehicle].left_out[recording.name] = too_short(recording, state.terms)
             continue
         member = state.members.get(vehicle, Member())
         place = int(state.table.place(recording.score))
         after = member.after(recording.name, recording.sha256, place, state.table)
         state = state.with_member(vehicle, after)
-        told[vehicle].rows.append(_row(recording, place, after))
-    return state, _summary(state, listed, told, left_out)
+        results[vehicle].rows.append(_row(recording, place, after))
+    return state, _summary(state, listed, results, left_out)
 
 
 def _seen(state: FleetState) -> dict[str, str]:
@@ -265,25 +267,25 @@ def _calibration(state: FleetState, left_out: dict[str, str]) -> dict[str, Any]:
 
 
 def _summary(
-    state: FleetState, listed: Listed, told: dict[str, _Told], left_out: dict[str, str]
+    state: FleetState, listed: Listed, results: dict[str, _Results], left_out: dict[str, str]
 ) -> dict[str, Any]:
     vehicles = {}
-    for name, said in told.items():
+    for name, result in results.items():
         member = state.members.get(name, Member())
-        judged_h = sum(r["judged_s"] for r in said.rows) / 3600
-        alarmed = sum(r["alarmed"] for r in said.rows)
+        judged_h = sum(r["judged_s"] for r in result.rows) / 3600
+        alarmed = sum(r["alarmed"] for r in result.rows)
         vehicles[name] = {
             "recordings": member.life.recordings,
             "wealth": member.life.wealth,
             "changed_at": member.life.changed_at or None,
             "changed_by": member.changed_by,
             "earliest": state.table.earliest(member.life),
-            "already_counted": said.already,
-            "left_out": said.left_out,
+            "already_counted": result.already,
+            "left_out": result.left_out,
             "judged_h": judged_h,
-            "alarmed": rate(alarmed, len(said.rows)),
+            "alarmed": rate(alarmed, len(result.rows)),
             "alarmed_per_judged_h": per_hour(alarmed, judged_h),
-            "new": said.rows,
+            "new": result.rows,
         }
     return {
         "terms": asdict(state.terms),

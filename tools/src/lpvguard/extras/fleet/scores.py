@@ -50,7 +50,7 @@ class ScoredDrive:
     alarmed: bool
 
     @classmethod
-    def of(cls, replayer: Replayer, drive: Drive, most: int) -> ScoredDrive:
+    def from_drive(cls, replayer: Replayer, drive: Drive, most: int) -> ScoredDrive:
         """Contribution of a drive, with ``most`` judged samples at most; its recording and table have no
         name."""
         run = replayer.replay(drive).run
@@ -61,7 +61,7 @@ class ScoredDrive:
         n_y = e.shape[1]
         products, along = np.zeros((n_y, len(CHANGE_PARTS), len(CHANGE_PARTS))), np.zeros((n_y, 3))
         block_s = float(replayer.core.fields(replayer.core.compiled[1])["change_block_s"][0])
-        for blocks in Blocks.of(e, yhat, usable):
+        for blocks in Blocks.stretches(e, yhat, usable):
             phi = blocks.phi / np.array([1.0, block_s, 1.0])
             products += np.einsum("mji,mjk->jik", phi, phi)
             along += np.einsum("mji,mj->ji", phi, blocks.e)
@@ -101,9 +101,9 @@ def _piece(replayer: Replayer, most: int, experiment: Experiment) -> ScoredDrive
         recorded = replayer.read_file(experiment.path)
     except InputError as error:
         return error
-    found = vars(ScoredDrive.of(replayer, recorded.drive, most))
+    fields = vars(ScoredDrive.from_drive(replayer, recorded.drive, most))
     named = {"recording": experiment.recording, "sha256": artefacts.file_hash(experiment.path)}
-    return ScoredDrive(**{**found, "drive": experiment.name, **named})
+    return ScoredDrive(**{**fields, "drive": experiment.name, **named})
 
 
 def pieces_of(
@@ -115,13 +115,13 @@ def pieces_of(
 ) -> list[ScoredDrive]:
     """Pieces of every drive, in order. InputError for a drive that cannot be read."""
     most = round(judged_s / replayer.project.Ts_s)
-    found = []
+    pieces = []
     for piece in workers(partial(_piece, replayer, most), experiments):
         if isinstance(piece, InputError):
             raise piece
         progress(piece.drive)
-        found.append(piece)
-    return found
+        pieces.append(piece)
+    return pieces
 
 
 def scored(replayer: Replayer, pieces: Iterable[ScoredDrive], judged_s: float) -> list[Scored]:
@@ -130,10 +130,10 @@ def scored(replayer: Replayer, pieces: Iterable[ScoredDrive], judged_s: float) -
     The piece in which the length is reached gives its first samples to the score, and its sums in proportion.
     """
     most = round(judged_s / replayer.project.Ts_s)
-    of: dict[str, list[ScoredDrive]] = {}
+    by_recording: dict[str, list[ScoredDrive]] = {}
     for piece in pieces:
-        of.setdefault(piece.recording, []).append(piece)
-    return [_scored(replayer, name, members, most) for name, members in of.items()]
+        by_recording.setdefault(piece.recording, []).append(piece)
+    return [_scored(replayer, name, members, most) for name, members in by_recording.items()]
 
 
 def _scored(replayer: Replayer, name: str, pieces: list[ScoredDrive], most: int) -> Scored:

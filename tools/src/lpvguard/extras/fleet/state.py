@@ -60,7 +60,7 @@ class FleetState:
     @cached_property
     def table(self) -> LifeTable:
         """Levels and factors of the calibration set."""
-        return LifeTable.of(self.calibration.values(), self.terms.alpha, self.terms.eta)
+        return LifeTable.from_scores(self.calibration.values(), self.terms.alpha, self.terms.eta)
 
     def with_member(self, vehicle: str, member: Member) -> FleetState:
         """State with another state of one vehicle."""
@@ -98,21 +98,21 @@ class FleetState:
     @classmethod
     def read(cls, path: Path) -> FleetState:
         """State from a file of `write`. InputError for another file, another schema, or a changed one."""
-        found = artefacts.read_json(path)
-        if not isinstance(found, dict) or (found.get("kind"), found.get("schema")) != (KIND, SCHEMA):
+        document = artefacts.read_json(path)
+        if not isinstance(document, dict) or (document.get("kind"), document.get("schema")) != (KIND, SCHEMA):
             raise InputError(path, "kind, schema", "not those of a fleet's state", f"{KIND!r}, {SCHEMA}")
-        artefacts.require_seal(path, found, "`lpvguard fleet`")
+        artefacts.require_seal(path, document, "`lpvguard fleet`")
         members = {
             name: Member(
                 Life(m["recordings"], tuple(m["bets"]), m["changed_at"]), m["changed_by"], m["counted"]
             )
-            for name, m in found["members"].items()
+            for name, m in document["members"].items()
         }
-        return cls(Terms(**found["terms"]), found["calibration"], found["calibrated"], members)
+        return cls(Terms(**document["terms"]), document["calibration"], document["calibrated"], members)
 
-    def require(self, path: Path, asked: Mapping[str, Any]) -> None:
-        """Raise InputError unless the terms are those ``asked`` for, by name; None asks for nothing."""
-        for name, value in asked.items():
+    def require(self, path: Path, terms: Mapping[str, Any]) -> None:
+        """Raise InputError unless the state has these terms, by name; a term of None is not compared."""
+        for name, value in terms.items():
             own = getattr(self.terms, name)
             if value is not None and value != own:
                 raise InputError(path, f"terms.{name}", f"{own}", f"{value}; another state has other terms")

@@ -161,7 +161,7 @@ class LifeTable:
     factors: np.ndarray
 
     @classmethod
-    def of(cls, scores: Iterable[float], alpha: float, eta: float) -> LifeTable:
+    def from_scores(cls, scores: Iterable[float], alpha: float, eta: float) -> LifeTable:
         """Table from calibration scores in any order.
 
         Raises InputError for no score, a score that is not finite, and rates outside (0, 1).

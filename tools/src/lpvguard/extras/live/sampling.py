@@ -44,7 +44,7 @@ class Sampler:
         The values have shape (N, columns).
         """
         frames = self._of_channel(frames)
-        found = []
+        pieces = []
         while len(frames):
             t = frames.t_ns
             before = np.r_[self._newest_ns if self._newest_ns >= 0 else t[0], t[:-1]]
@@ -52,13 +52,13 @@ class Sampler:
             jumped = np.flatnonzero((step < -REORDER_S * 1e9) | (step > CLOCK_JUMP_S * 1e9))
             cut = int(jumped[0]) if len(jumped) else len(frames)
             if cut:
-                found.append(self._stretch(frames.at(slice(0, cut))))
+                pieces.append(self._stretch(frames.at(slice(0, cut))))
             if len(jumped):
                 self._next_us += round(PAUSE_S * 1e6)
                 self.jumps += 1
                 self._begin_anew()
             frames = frames.at(slice(cut, None))
-        return [piece for piece in found if piece is not None]
+        return [piece for piece in pieces if piece is not None]
 
     def _of_channel(self, frames: Frames) -> Frames:
         """Frames of one channel. InputError where several have the vehicle's messages, and none is given."""
@@ -66,8 +66,8 @@ class Sampler:
             heard = np.unique(frames.channel[self._receiver.ours(frames)])
             names = {frames.channels[k] for k in heard} | ({self._channel} if self._channel else set())
             if len(names) > 1:
-                said = f"the vehicle's messages come from {', '.join(sorted(names))}"
-                raise InputError("live", "channel", said, "--channel, to say which")
+                sources = f"the vehicle's messages come from {', '.join(sorted(names))}"
+                raise InputError("live", "channel", sources, "--channel, to say which")
             self._channel = next(iter(names), None)
         if self._channel not in frames.channels:
             return frames.at(slice(0, 0))

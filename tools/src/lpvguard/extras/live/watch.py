@@ -172,16 +172,16 @@ class Watch:
         command = values[:, -1:] if more else np.full((len(t), 1), np.nan)
         shown = np.where(present[:, None], np.hstack([clean[:, : len(self.signals)], yhat, command]), np.nan)
         energy, change = (np.where(ratio > 0, ratio, np.nan) for ratio in (run.energy, run.change))
-        said = np.column_stack([run.verdict, present, energy, run.energy_band, change])
+        verdicts = np.column_stack([run.verdict, present, energy, run.energy_band, change])
         frames = run.frames
         counted = frames.counted
         judged = np.column_stack(
             [frames.t_judged_s, frames.bin, frames.statistic, frames.margin, frames.evidence]
         )[counted]
-        found = self.replayer.alarms(run, 0.0)
-        alarms = [{"t_s": a.t_s, "says": alarm_sentence(a)} for a in found]
+        raised = self.replayer.alarms(run, 0.0)
+        alarms = [{"t_s": a.t_s, "says": alarm_sentence(a)} for a in raised]
         with self._lock:
-            self._ring.put(np.column_stack([t, shown, said]))
+            self._ring.put(np.column_stack([t, shown, verdicts]))
             self._judged.put(judged)
             self._newest[judged[:, 1].astype(int)] = judged
             self._alarms.extend(alarms)
@@ -190,7 +190,7 @@ class Watch:
                 self._reasons[REASONS[reason]] += int(n)
         if self._listener is not None and self._listener.listens():
             piece = Drive("live", t, v, u, y, missing=~present.astype(bool))
-            self._listener.hear(self.replayer.series_of(piece, yhat, run, 0.0), found)
+            self._listener.hear(self.replayer.series_of(piece, yhat, run, 0.0), raised)
 
     def silent_s(self) -> float | None:
         """Time since the newest frame [s]; None before the first."""
@@ -219,9 +219,9 @@ class Watch:
         """Output that the driver's command on the bus is for; None without a command."""
         if self._receiver.columns == len(self.signals):
             return None
-        wanted = REFERENCE.signal.removesuffix("_command")
-        found = (s.name for s in self.replayer.project.outputs if s.can and s.can.signal == wanted)
-        return next(found, None)
+        output = REFERENCE.signal.removesuffix("_command")
+        matches = (s.name for s in self.replayer.project.outputs if s.can and s.can.signal == output)
+        return next(matches, None)
 
     def view(self, span_s: float, until: float | None, most: int) -> dict[str, Any]:
         """The ``span_s`` [s] before ``until`` [s] (None: now), with at most ``most`` rows of the series."""

@@ -51,10 +51,10 @@ INSTALL = "the Debian packages liblcm-dev and liblcm-bin, or pip install './tool
 def generator() -> str:
     """Path of lcm-gen. InputError when there is none."""
     beside = Path(sys.executable).with_name("lcm-gen")
-    found = shutil.which("lcm-gen") or (str(beside) if beside.is_file() else None)
-    if found is None:
+    path = shutil.which("lcm-gen") or (str(beside) if beside.is_file() else None)
+    if path is None:
         raise InputError("lcm-gen", "", "not found", INSTALL)
-    return found
+    return path
 
 
 @cache
@@ -180,9 +180,9 @@ def watch(messages: Iterable[tuple[str, Any]]) -> Iterator[str]:
         return value != before
 
     for channel, m in messages:
-        said = []
+        lines = []
         if channel == "LPVGUARD_GUARD" and changed("guard", (m.verdict, m.supervision)):
-            said.append(
+            lines.append(
                 f"verdict {VERDICTS[m.verdict]}, supervision {SUPERVISION[m.supervision]}, "
                 f"statistic {m.statistic:.3f}"
             )
@@ -191,9 +191,9 @@ def watch(messages: Iterable[tuple[str, Any]]) -> Iterator[str]:
             and changed("trouble", (m.trouble_spn, m.trouble_fmi))
             and m.trouble_spn
         ):
-            said.append(f"trouble code SPN {m.trouble_spn} FMI {m.trouble_fmi}")
+            lines.append(f"trouble code SPN {m.trouble_spn} FMI {m.trouble_fmi}")
         elif channel == "LPVGUARD_MARGINS" and m.reason <= REASONS.index("not_excited"):
-            said.append(
+            lines.append(
                 f"bin {m.bin} at {m.frequency:.3g} rad/s: t* {m.margin:.3f}, "
                 f"statistic {m.statistic:.3f} of {m.threshold:.3f}"
                 f"{', too little excitation' if m.reason else ''}; "
@@ -202,12 +202,12 @@ def watch(messages: Iterable[tuple[str, Any]]) -> Iterator[str]:
             )
         elif channel == "LPVGUARD_CAUSES":
             named, numbers, onset_s = f"output {m.output}", (m.value, m.low, m.high), m.onset_utime * 1e-6
-            said.append(cause_sentence(named, "", CAUSES[m.cause], numbers, onset_s, m.before))
+            lines.append(cause_sentence(named, "", CAUSES[m.cause], numbers, onset_s, m.before))
         elif channel == "LPVGUARD_STATUS" and (m.id or changed("state", m.state)):
-            said.append(
+            lines.append(
                 f"refused: {m.reason}" if m.reason else f"{state_name(m)}{' ' if m.entry else ''}{m.entry}"
             )
-        yield from (f"{m.utime * 1e-6:9.2f} s  {line}" for line in said)
+        yield from (f"{m.utime * 1e-6:9.2f} s  {line}" for line in lines)
         if channel == "LPVGUARD_STATUS" and m.state == m.ENDED and not m.id:
             return
 
@@ -260,20 +260,20 @@ class Client:
         answer comes within ``timeout_s`` [s].
         """
         types = message_types()
-        asked = types.control_t()
-        asked.id, asked.action, asked.entry, asked.ticks = (
+        request = types.control_t()
+        request.id, request.action, request.entry, request.ticks = (
             1 + secrets.randbits(62),
             constants("control_t")[action],
             entry,
             ticks,
         )
-        self._lcm.publish("LPVGUARD_CONTROL", asked.encode())
+        self._lcm.publish("LPVGUARD_CONTROL", request.encode())
         ends = time.monotonic() + timeout_s
         seen = len(self._heard)
         while (left_s := ends - time.monotonic()) > 0:
             self._lcm.handle_timeout(max(1, round(left_s * 1e3)))
             for channel, message in list(self._heard)[seen:]:
-                if channel == "LPVGUARD_STATUS" and message.id == asked.id:
+                if channel == "LPVGUARD_STATUS" and message.id == request.id:
                     if not message.accepted:
                         raise InputError("simulation", action, f"refused: {message.reason}")
                     return message

@@ -385,7 +385,7 @@ class Simulator:
                 scenario, "", done.stderr.strip(), "a scenario and a bus that the simulator accepts"
             )
         facts = json.loads(done.stdout)
-        found = [
+        diagnoses = [
             asdict(
                 diagnosed(
                     self.project,
@@ -405,7 +405,7 @@ class Simulator:
             for key, names in (("verdicts", VERDICTS), ("supervision", SUPERVISION))
         }
         del facts["causes"]
-        return facts | changes | {"verdict_final": VERDICTS[facts["verdict_final"]], "diagnoses": found}
+        return facts | changes | {"verdict_final": VERDICTS[facts["verdict_final"]], "diagnoses": diagnoses}
 
     def _without_gaps(self, name: str, table: pa.Table) -> Drive:
         p = self.project
@@ -506,11 +506,11 @@ def _ports(root: Path) -> list[Path]:
 def _lcm_publisher(root: Path, flags: tuple[str, ...], includes: list[Path]) -> Path:
     """Object of the LCM publisher, with its message types. NativeError without lcm-gen."""
     # That of the library that is linked: C++ from another version's does not compile with it.
-    found = subprocess.run(
+    prefix = subprocess.run(
         ["pkg-config", "--variable=prefix", "lcm"], capture_output=True, text=True, check=False
     ).stdout.strip()
-    generator = Path(found, "bin", "lcm-gen")
-    if not found or not generator.is_file():
+    generator = Path(prefix, "bin", "lcm-gen")
+    if not prefix or not generator.is_file():
         raise native.NativeError("LCM not found; install liblcm-dev, liblcm-bin and libglib2.0-dev")
     with tempfile.TemporaryDirectory() as types:
         subprocess.run(

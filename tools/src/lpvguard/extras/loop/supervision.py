@@ -70,12 +70,12 @@ Limits = Mapping[tuple[str, str], tuple[float, float]]
 
 def limits(project: Project) -> dict[tuple[str, str], tuple[float, float]]:
     """Limits by the vehicle's signal table for the monitor's signals on the bus."""
-    found = {}
+    by_signal = {}
     for s in (project.speed, *project.outputs):
         if s.can is not None:
             ends = s.can.factor * s.min, s.can.factor * s.max
-            found[s.can.message, s.can.signal] = min(ends), max(ends)
-    return found
+            by_signal[s.can.message, s.can.signal] = min(ends), max(ends)
+    return by_signal
 
 
 def required(
@@ -261,17 +261,17 @@ class Reactions:
     away_s: float
 
     @classmethod
-    def of(cls, said: np.ndarray, must: np.ndarray, Ts: float) -> Reactions:
-        """``said``, ``must``: (N,) states at ticks ``Ts`` [s] apart."""
-        missed = said > must
-        stretches = _stretches(must < LIVE)
+    def from_states(cls, reported: np.ndarray, required: np.ndarray, Ts: float) -> Reactions:
+        """``reported``, ``required``: (N,) states at ticks ``Ts`` [s] apart."""
+        missed = reported > required
+        stretches = _stretches(required < LIVE)
         late = max((b - a for a, b in _stretches(missed)), default=0)
         return cls(
             len(stretches),
             sum(not missed[a:b].any() for a, b in stretches),
             late * Ts,
-            float((said < must).sum() * Ts),
-            float((must < LIVE).sum() * Ts),
+            float((reported < required).sum() * Ts),
+            float((required < LIVE).sum() * Ts),
         )
 
 

@@ -121,8 +121,8 @@ class _Enums:
 
     def named_by(self, field: PlacedField, text: str) -> str:
         """Enumeration of a field: its type's, or the one that its text begins with; "" for none."""
-        found = _ENUM_IN_TEXT.match(text)
-        name = field.enum or (found[0] if found else "")
+        match = _ENUM_IN_TEXT.match(text)
+        name = field.enum or (match[0] if match else "")
         return name if name in self.headers else ""
 
 
@@ -130,19 +130,19 @@ def _description(
     described: dict[str, dict[str, Described]], field: PlacedField, prefix: str, include: Path
 ) -> Described:
     struct_name = field.struct.replace(prefix, "lpvg_", 1)
-    found = described.get(struct_name, {}).get(field.name)
-    if found is None or not found.text:
+    described_field = described.get(struct_name, {}).get(field.name)
+    if described_field is None or not described_field.text:
         raise InputError(
             include,
             f"{struct_name}.{field.name}",
             "not described",
             "the headers that the image was built with",
         )
-    if field.kind == "float" and found.unit is None:
+    if field.kind == "float" and described_field.unit is None:
         raise InputError(
             include, f"{struct_name}.{field.name}", "no unit", "a unit in square brackets, or [-]"
         )
-    return found
+    return described_field
 
 
 def _measurements(

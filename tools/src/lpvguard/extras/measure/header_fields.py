@@ -35,14 +35,14 @@ def described_fields(include: Path) -> dict[str, dict[str, Described]]:
 
     A field without a comment has the text "". Raises InputError where there is no struct.
     """
-    found = {
+    by_struct = {
         struct: {name: _described(text) for name, text in _fields(body)}
         for header in sorted(include.glob("*.h"))
         for struct, body in _STRUCT.findall(header.read_text(encoding="utf-8"))
     }
-    if not found:
+    if not by_struct:
         raise InputError(include, "", "no struct in its headers", "the core's folder of headers")
-    return found
+    return by_struct
 
 
 def _fields(body: str) -> Iterator[tuple[str, str]]:

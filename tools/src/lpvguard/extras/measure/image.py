@@ -73,26 +73,26 @@ def read_instance(elf: Path, symbol: str, structs: tuple[str, ...]) -> Instance:
 
 
 def _instance(elf: Path, image: ELFFile, symbol: str, structs: tuple[str, ...]) -> Instance:
-    found: dict[int, Any] = {}
+    kinds: dict[int, Any] = {}
     others: set[str] = set()
     for address, names, die in _variables(image):
         kind = _resolved(die) if "DW_AT_type" in die.attributes else None
         if kind is not None and _name(kind) in structs:
             others |= names
             if symbol in names:
-                found[address] = kind
+                kinds[address] = kind
         elif symbol in names:
             what = "no type" if kind is None else _name(kind) or kind.tag
             raise InputError(elf, symbol, f"is {what}", f"an object of {' or '.join(structs)}")
-    if len(found) != 1:
-        what = "no such object" if not found else f"{len(found)} objects of that name"
+    if len(kinds) != 1:
+        what = "no such object" if not kinds else f"{len(kinds)} objects of that name"
         expected = (
             f"one of {', '.join(sorted(others))}"
             if others
             else f"a variable of {' or '.join(structs)}, compiled with -g"
         )
         raise InputError(elf, symbol, what, expected)
-    ((address, kind),) = found.items()
+    ((address, kind),) = kinds.items()
     fields, pointers = [], []
     for item in _walk(kind, "", 0):
         if isinstance(item, PlacedField):
@@ -128,17 +128,17 @@ def _variables(image: ELFFile) -> Iterator[tuple[int, set[str], Any]]:
             if place.value[:1] != [_OP_ADDR] or len(place.value) != 1 + width:
                 continue
             address = int.from_bytes(bytes(place.value[1:]), "little" if image.little_endian else "big")
-            told = die
-            while "DW_AT_specification" in told.attributes:
-                told = told.get_DIE_from_attribute("DW_AT_specification")
+            declaration = die
+            while "DW_AT_specification" in declaration.attributes:
+                declaration = declaration.get_DIE_from_attribute("DW_AT_specification")
             names = {
                 at.attributes[key].value.decode()
-                for at in (die, told)
+                for at in (die, declaration)
                 for key in ("DW_AT_name", "DW_AT_linkage_name")
                 if key in at.attributes
             }
             if address in kept:
-                yield address, names, told
+                yield address, names, declaration
 
 
 def _name(die: Any) -> str:

@@ -110,7 +110,7 @@ def if_data(access: XcpAccess, period_us: int, big_endian: bool, include: Path) 
 
 def _defined(header: Path, name: str, pattern: str) -> str:
     text = header.read_text(encoding="utf-8") if header.is_file() else ""
-    found = re.search(rf"^#define LPVG_XCP_{name} {pattern}", text, re.MULTILINE)
-    if not found:
+    match = re.search(rf"^#define LPVG_XCP_{name} {pattern}", text, re.MULTILINE)
+    if not match:
         raise InputError(header, f"LPVG_XCP_{name}", "not there", "the headers of a core with an XCP slave")
-    return found[1]
+    return match[1]

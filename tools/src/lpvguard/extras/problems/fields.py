@@ -84,9 +84,9 @@ class Fields:
         return a[..., 0] + 1j * a[..., 1]
 
 
-def _fits(actual: tuple[int, ...], wanted: tuple[int | None, ...]) -> bool:
-    return len(actual) == len(wanted) and all(
-        w is None or a == w for a, w in zip(actual, wanted, strict=True)
+def _fits(actual: tuple[int, ...], expected: tuple[int | None, ...]) -> bool:
+    return len(actual) == len(expected) and all(
+        w is None or a == w for a, w in zip(actual, expected, strict=True)
     )
 
 

@@ -75,10 +75,10 @@ def made(f: PublicFile, form: Form, origin: Origin) -> bytes:
     return data
 
 
-def _require(f: PublicFile, what: str, wanted: str, data: bytes, expected: str) -> None:
-    found = hashlib.sha256(data).hexdigest()
-    if found != wanted:
-        raise InputError(what, "sha256", f"{found}, not {wanted}", expected)
+def _require(f: PublicFile, what: str, sha256: str, data: bytes, expected: str) -> None:
+    digest = hashlib.sha256(data).hexdigest()
+    if digest != sha256:
+        raise InputError(what, "sha256", f"{digest}, not {sha256}", expected)
 
 
 def _formed(form: Form, parts: list[bytes]) -> bytes:

@@ -210,8 +210,8 @@ def weights_over_bounds(
     right = beside.subplots()
     points = [nu.ravel() for nu in clouds.nu]
     _cloud(right, grid, points, POINTS, r"$\nu$ of a frame")
-    asked = np.concatenate([w.bound for w in uncertainty])
-    top, last = np.nanmax(asked), max(grid[-1], *(w.omega[-1] for w in uncertainty))
+    required = np.concatenate([w.bound for w in uncertainty])
+    top, last = np.nanmax(required), max(grid[-1], *(w.omega[-1] for w in uncertainty))
     wide = np.geomspace(grid[0], last, 400)
     for d, (weight, (of_bound, of_weight)) in enumerate(zip(uncertainty, DELTA_COLOURS, strict=False)):
         name = f", {outputs[d].name.replace('_', ' ')}" if len(uncertainty) > 1 else ""
@@ -220,7 +220,7 @@ def weights_over_bounds(
         right.plot(wide, size, "-", color=of_weight, label=rf"$|W_\Delta|${name}")
         top = max(top, size.max())
     right.set_yscale("log")
-    right.set_ylim(_decent_bottom(points, asked), 2 * top)
+    right.set_ylim(_decent_bottom(points, required), 2 * top)
     right.set_ylabel(r"uncertainty size $|\delta|$, –")
     legend_above(right, 3 if len(uncertainty) == 1 else 1)
     _bins(right, grid, without)

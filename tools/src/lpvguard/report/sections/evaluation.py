@@ -162,13 +162,13 @@ def _causes(evaluation: dict) -> str:
     if causes is None:
         return ""
     table = html_table(CAUSE_HEAD, [[escape(cell) for cell in row] for row in cause_rows(causes)], "words")
-    said = ". ".join(escape(line[0].upper() + line[1:]) for line in cause_sentences(causes))
+    sentences = ". ".join(escape(line[0].upper() + line[1:]) for line in cause_sentences(causes))
     return f"""<h3>Causes named</h3>
 <p>Of every fault found with the thresholds as exported: the cause that the core names 10 s of settled,
 excited driving after the alarm. Not yet: an alarm stood already, or too little such driving followed. An
 interval should hold the fault's mean size from alarm to diagnosis. Two faults at once, a dead zone and an
 output that saturates are no single cause: "other" is right there, and so is a gain whose interval holds the
-equivalent gain. {said}.</p>{table}"""
+equivalent gain. {sentences}.</p>{table}"""
 
 
 def _detectors(detectors: dict[str, DetectorColumn], best: list[str] | None = None) -> str:

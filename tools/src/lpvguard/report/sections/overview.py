@@ -321,7 +321,7 @@ def _promise(stored: StoredIdentification, design: Path | None) -> str:
         evidence = premise(stored)
         least = evidence.refuting
         words = yes_or_no(not evidence.refuted, "Premise not refuted", "Premise refuted")
-        said = (
+        evidence_words = (
             "drives that did not set the bounds ask for nothing"
             if least is None
             else f"W<sub>Δ</sub> is {number(least.ratio)} times what drives that did not set the bounds ask "
@@ -333,7 +333,7 @@ def _promise(stored: StoredIdentification, design: Path | None) -> str:
             if evidence.doubtful
             else ""
         )
-        held = f"{words}: {said}.{doubt}"
+        held = f"{words}: {evidence_words}.{doubt}"
     except InputError as error:
         held = f'<span class="no">Premise not judged:</span> {escape(error.what)}.'
     if design is None:
@@ -345,9 +345,9 @@ def _promise(stored: StoredIdentification, design: Path | None) -> str:
     mu = worst_frozen(said_of)["mu_upper"]
     speeds = [r["v_mps"] for r in said_of["speeds"]]
     moving = ", ".join(
-        claim_words(claim, said["level"], said["rate_mps2"])
-        for claim, said in said_of["moving_speed"].items()
-        if said["rate_mps2"]
+        claim_words(claim, claim_entry["level"], claim_entry["rate_mps2"])
+        for claim, claim_entry in said_of["moving_speed"].items()
+        if claim_entry["rate_mps2"]
     )
     return f"""<div class="card" id="promise" data-mu="{mu:.6g}"><h3>Controller</h3>
 <p>{yes_or_no(mu < 1, "Robust performance proved", "Robust performance not proved")}: μ ≤ {mu:.4f} at \

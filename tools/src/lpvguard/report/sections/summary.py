@@ -62,7 +62,7 @@ def _claim(stored: StoredIdentification) -> str:
         return escape(calibration.claim())
     if calibration.alpha is None:
         return f"{calibration.claim()}; the threshold is the largest score"
-    one = "recording" if calibration.recordings.of else "drive"
+    one = "recording" if calibration.recordings.by_drive else "drive"
     return (
         f"{calibration.alpha:g}: a further {one}, exchangeable with the {calibration.units()} that "
         f"calibrate, alarms with probability at most {calibration.alpha:g} (on average over "

@@ -78,7 +78,7 @@ def campaign(
     _require_same(stored, replayer)
     if controller is not None:
         require_designed_for(stored, controller)
-    certified = trucks.CertifiedSet.of(stored)
+    certified = trucks.CertifiedSet.from_identification(stored)
     with artefacts.kept_folder(
         out,
         "campaign",
@@ -89,16 +89,21 @@ def campaign(
         duration_s=DURATION_S,
     ) as kept_in:
         tuned = _kept(kept_in, "baselines.json", lambda: _tune(stored, drives, core, workers, progress))
-        found = _kept(kept_in, "plants.json", lambda: trucks.plants(certified, seed, workers, progress))
+        plants = _kept(kept_in, "plants.json", lambda: trucks.plants(certified, seed, workers, progress))
         levels = []
         if controller is not None:
             levels = _kept(kept_in, "loops.json", lambda: trucks.loop_levels(stored, controller, progress))
-        chosen = [c for c in found["candidates"] if c["ratio"] <= 1][: trucks.PLANTS]
+        chosen = [c for c in plants["candidates"] if c["ratio"] <= 1][: trucks.PLANTS]
         within = [(c["tables"], c["least_gain"]) for c in chosen]
-        context = Context(Path(folder).absolute(), seed, Detectors.of(tuned), TrackingBound.of(stored))
+        context = Context(
+            Path(folder).absolute(),
+            seed,
+            Detectors.from_tuning(tuned),
+            TrackingBound.from_identification(stored),
+        )
         table = _run_all(kept_in, context, plan(size, within), workers, progress)
         kept_in.write("runs.parquet", _parquet(table))
-        summary = summarise(table, stored, found, levels, tuned)
+        summary = summarise(table, stored, plants, levels, tuned)
         kept_in.write("summary.json", artefacts.to_json(summary).encode())
     return summary
 

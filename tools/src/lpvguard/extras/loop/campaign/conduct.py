@@ -72,9 +72,9 @@ def steady_line(u: np.ndarray, Ts: float, commanded: float) -> Line:
     """
     length = round(WINDOW_S / Ts)
     starts = range(0, len(u) - length + 1, length // 2)
-    found = [_line(u[start : start + length], Ts, commanded + BAND_GAP_RADPS) for start in starts]
+    by_window = [_line(u[start : start + length], Ts, commanded + BAND_GAP_RADPS) for start in starts]
     best = Line(0.0, 0.0)
-    for lines in zip(found, found[1:], found[2:], strict=False):
+    for lines in zip(by_window, by_window[1:], by_window[2:], strict=False):
         steady = all(
             a.bar > 0 and b.bar >= LINE_KEPT * a.bar and abs(b.radps - a.radps) <= 0.1 * a.radps
             for a, b in pairwise(lines)

@@ -58,7 +58,7 @@ class Offline:
     largest: float
 
     @classmethod
-    def of(cls, replayer: Replayer, drive: Drive, from_s: float) -> Offline:
+    def from_drive(cls, replayer: Replayer, drive: Drive, from_s: float) -> Offline:
         """Evidence in the samples of ``drive`` of a fault from ``from_s`` on [s of the run].
 
         The frames are judged with the bounds and the threshold of ``replayer``.
@@ -127,7 +127,7 @@ class Detectors:
     baselines: tuple[tuple[Baseline, float, Numbers], ...]
 
     @classmethod
-    def of(cls, tuned: dict[str, Any]) -> Detectors:
+    def from_tuning(cls, tuned: dict[str, Any]) -> Detectors:
         """Detectors from baselines.json."""
 
         def frozen(x: Any) -> Any:
@@ -181,7 +181,7 @@ def _tools(folder: Path, detectors: Detectors) -> tuple[Simulator, Simulator, Re
 def run_planned(context: Context, planned: PlannedRun) -> dict[str, Any]:
     """One run, simulated, replayed and judged by every detector: a row of the Parquet files."""
     simulator, free_truck, replayer, bank = context.tools
-    drawn = Drawn.of(float(simulator.u_max.min()), context.seed, planned)
+    drawn = Drawn.for_run(float(simulator.u_max.min()), context.seed, planned)
     with tempfile.TemporaryDirectory() as scratch:
         path = Path(scratch) / "scenario.toml"
         telemetry = path.with_suffix(".csv")
@@ -199,8 +199,8 @@ def run_planned(context: Context, planned: PlannedRun) -> dict[str, Any]:
         reactions = supervision(simulator, facts, scenario, log, planned.fault_s)
         did = conduct(context.tracking, simulator, drawn, drive, free, left_alone, read_telemetry(telemetry))
     replay = replayer.replay(drive)
-    clock = JudgedClock.of(replay, first_sample(drive, planned.fault_s, replay.Ts), FOUND_WITHIN_S)
-    offline = Offline.of(replayer, drive, planned.fault_s)
+    clock = JudgedClock.from_replay(replay, first_sample(drive, planned.fault_s, replay.Ts), FOUND_WITHIN_S)
+    offline = Offline.from_drive(replayer, drive, planned.fault_s)
     row: dict[str, Any] = {
         "number": planned.number,
         "kind": planned.kind,
@@ -323,15 +323,15 @@ def supervision(
     ticks_us = np.arange(first, end) * round(Ts * 1e6)
     times, states = zip(*facts["supervision"], strict=True)
     newest = np.searchsorted(np.round(np.array(times) * 1e6), ticks_us, side="right") - 1
-    said = np.array([SUPERVISION.index(s) for s in states])[newest]
+    reported = np.array([SUPERVISION.index(s) for s in states])[newest]
     frames = None if log is None else read_raw_log(log)
     if frames is None:
-        return Reactions.of(said, np.full(len(ticks_us), LIVE), Ts)
+        return Reactions.from_states(reported, np.full(len(ticks_us), LIVE), Ts)
     off_us = [
         round(fault["start_s"] * 1e6) for fault in scenario.get("can_fault", ()) if fault["kind"] == "bus_off"
     ]
     must = required(frames, needed_messages(project), ticks_us, off_us, limits(project))
-    return Reactions.of(said, must, Ts)
+    return Reactions.from_states(reported, must, Ts)
 
 
 def _statistic(replayer: Replayer, replay: Replay, drive: Drive) -> np.ndarray:

@@ -152,7 +152,7 @@ class Drawn:
     seed: int
 
     @classmethod
-    def of(cls, limit_bar: float, seed: int, planned: PlannedRun) -> Drawn:
+    def for_run(cls, limit_bar: float, seed: int, planned: PlannedRun) -> Drawn:
         """Draws from the campaign's seed and the run's number.
 
         The truck's peak demand lies between LEAST_BAR (FAULT_BAR with a fault) and ROOM of the controller's
@@ -175,14 +175,14 @@ class Drawn:
         UNIT [rad/s], every ``Ts`` [s]. It is followed up to HIGHEST_COMMAND_RADPS at every speed of the run;
         above, no loop follows it.
         """
-        wanted = np.fft.rfft(unit)
-        omega = 2 * np.pi * np.arange(len(wanted)) / (len(unit) * Ts)
+        spectrum = np.fft.rfft(unit)
+        omega = 2 * np.pi * np.arange(len(spectrum)) / (len(unit) * Ts)
         followed = omega[omega <= HIGHEST_COMMAND_RADPS]
         speeds = [v for _, v in self.profile]
         needed, amplitude = 0.0, np.inf
         for v in np.linspace(min(speeds), max(speeds), 5):
             P = model.frequency_response(followed, float(v))[:, 0, 0]
-            demand = np.fft.irfft(wanted[: len(followed)] / P, len(unit))
+            demand = np.fft.irfft(spectrum[: len(followed)] / P, len(unit))
             needed = max(needed, float(np.abs(demand).max()))
             amplitude = min(amplitude, float(np.sqrt(2 * np.mean(demand**2))))
         size = max(self.demand_bar / needed, LEAST_BAR / amplitude) * UNIT

@@ -35,7 +35,7 @@ DETECTORS = (MONITOR, *BASELINE_KINDS)
 
 
 def summarise(
-    table: pa.Table, stored: StoredIdentification, found: dict, levels: list[dict], tuned: dict
+    table: pa.Table, stored: StoredIdentification, plants: dict, levels: list[dict], tuned: dict
 ) -> dict[str, Any]:
     """The campaign's tables from its rows; JSON-able.
 
@@ -52,7 +52,7 @@ def summarise(
     faulty = [r for r in of_truck if r["way"] == kinds[r["kind"]].ways[0]]
     on_bus = [r for r in rows if r["kind"] in kinds and kinds[r["kind"]].of_bus]
     matched, stated = _matched(within, faulty, stored.project.frame_test.alpha)
-    severities = _severities(faulty, matched, levels, found)
+    severities = _severities(faulty, matched, levels, plants)
     summary = {
         "detectors": {MONITOR: "lpvguard", **TITLES},
         "units": {name: k.unit for name, k in kinds.items()},
@@ -62,12 +62,12 @@ def summarise(
         "within": _within(within)
         | {
             "plants": len({r["plant"] for r in within}),
-            "candidates": len(found["candidates"]),
-            "nominal_ratio": found["nominal"]["ratio"],
-            "largest_ratio": max(c["ratio"] for c in found["candidates"] if c["ratio"] <= 1),
-            "checked": found["checked"],
+            "candidates": len(plants["candidates"]),
+            "nominal_ratio": plants["nominal"]["ratio"],
+            "largest_ratio": max(c["ratio"] for c in plants["candidates"] if c["ratio"] <= 1),
+            "checked": plants["checked"],
         },
-        "falsified": _falsified(within, [c["tables"] for c in found["candidates"] if c["ratio"] <= 1]),
+        "falsified": _falsified(within, [c["tables"] for c in plants["candidates"] if c["ratio"] <= 1]),
         "severities": severities,
         "due": _due(rows),
         "visible": _visible(faulty),
@@ -118,14 +118,14 @@ def _matched(
 
 
 def _severities(
-    faulty: list[dict], matched: dict[str, float], levels: list[dict], found: dict
+    faulty: list[dict], matched: dict[str, float], levels: list[dict], plants: dict
 ) -> list[dict[str, Any]]:
     """A row per kind and severity of a fault of the truck.
 
     It has mu of the faulted loop and the distance of its response from the nominal one, where computed.
     """
     loops = {(row["kind"], row["severity"]): row for row in levels}
-    response = {(row["kind"], row["severity"]): row["ratio"] for row in found["faulted"]}
+    response = {(row["kind"], row["severity"]): row["ratio"] for row in plants["faulted"]}
     severities = []
     for key, members in _by_severity(faulty).items():
         loop = loops.get(key, {"stable": True, "mu_upper": None})
@@ -172,11 +172,11 @@ def by_way(rows: list[dict], matched: dict[str, float]) -> dict[str, dict[str, A
     They hold the runs, and per detector the share found, averaged over kinds and severities, and the median
     time [s] over all runs. A time is judged, excited driving since the fault's start.
     """
-    found = {}
+    results = {}
     for way in dict.fromkeys(r["way"] for r in rows):
         mine = [r for r in rows if r["way"] == way]
         severities = [_severity(*key, members, matched) for key, members in _by_severity(mine).items()]
-        found[way] = {
+        results[way] = {
             "runs": len(mine),
             "average": _average(severities),
             "median_s": {
@@ -184,7 +184,7 @@ def by_way(rows: list[dict], matched: dict[str, float]) -> dict[str, dict[str, A
                 for d in DETECTORS
             },
         }
-    return found
+    return results
 
 
 def _visible(faulty: list[dict]) -> dict[str, dict[str, Any]]:
@@ -234,19 +234,19 @@ def _missed(summary: dict[str, Any]) -> Iterator[str]:
                 f"{test} test: {seen['count']} of {seen['of']} runs within the bounds alarm, "
                 f"up to {seen['interval'][1]:.2%} with 95 %, calibrated {calibrated:.2%}"
             )
-    for bus, said in ((bus, s["as_required"]) for bus, s in summary["supervision"].items()):
-        if said["count"] < said["of"]:
+    for bus, rates in ((bus, s["as_required"]) for bus, s in summary["supervision"].items()):
+        if rates["count"] < rates["of"]:
             yield (
-                f"{bus} bus: in {said['of'] - said['count']} of {said['of']} runs the supervision did not "
+                f"{bus} bus: in {rates['of'] - rates['count']} of {rates['of']} runs the supervision did not "
                 "report the required states"
             )
     due = summary["due"]
     if due["count"] < due["of"]:
         yield f"{due['of'] - due['count']} of {due['of']} alarms that were due did not come by then"
-    found = summary["visible"][MONITOR]
-    if found["of"] and found["count"] < VISIBLE_FOUND * found["of"]:
+    visible = summary["visible"][MONITOR]
+    if visible["of"] and visible["count"] < VISIBLE_FOUND * visible["of"]:
         yield (
-            f"{found['count']} of {found['of']} visible faults found within {FOUND_WITHIN_S:g} s, "
+            f"{visible['count']} of {visible['of']} visible faults found within {FOUND_WITHIN_S:g} s, "
             f"wanted {VISIBLE_FOUND:.0%}"
         )
     average = {d: a["matched"] for d, a in summary["average"].items()}
@@ -387,8 +387,8 @@ def kind_row(name: str, rows: list[dict]) -> dict[str, Any]:
     shares = {d: float(np.mean([s["found"][d] / s["runs"] for s in rows])) for d in DETECTORS}
     matched = {d: float(np.mean([s["matched"][d] / s["runs"] for s in rows])) for d in DETECTORS}
 
-    def best(found: dict[str, float]) -> list[str]:
-        return [d for d, share in found.items() if 0 < share == max(found.values())]
+    def best(by_detector: dict[str, float]) -> list[str]:
+        return [d for d, share in by_detector.items() if 0 < share == max(by_detector.values())]
 
     return {
         "kind": name,

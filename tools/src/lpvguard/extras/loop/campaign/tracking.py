@@ -30,7 +30,7 @@ class TrackingBound:
     weights: PlantWeights
 
     @classmethod
-    def of(cls, stored: StoredIdentification) -> TrackingBound:
+    def from_identification(cls, stored: StoredIdentification) -> TrackingBound:
         """Bound for designs of an identification. InputError where it cannot be designed for."""
         return cls(DesignProblem.from_identification(stored).weights)
 

@@ -71,7 +71,7 @@ class CertifiedSet:
     fitted: Weights
 
     @classmethod
-    def of(cls, stored: StoredIdentification) -> CertifiedSet:
+    def from_identification(cls, stored: StoredIdentification) -> CertifiedSet:
         """Set of an identification. InputError where the certificate is not about W_delta alone."""
         require_certified_by_W_delta(stored)
         return cls(stored.project, stored.fitted)
@@ -80,8 +80,8 @@ class CertifiedSet:
         """Distance of the truck with these scenario tables, measured until it exceeds the bounds."""
         model, outputs = NominalModel(self.project), [signal.name for signal in self.project.outputs]
         worst, least_gain = Distance(0.0, outputs[0], 0.0, 0.0, 0.0, None), np.inf
-        for v, amplitude, wanted in self._points(model):
-            omega, G = frequency_response(tables, v, amplitude, wanted)
+        for v, amplitude, omegas in self._points(model):
+            omega, G = frequency_response(tables, v, amplitude, omegas)
             ratio = G / model.frequency_response(omega, v)[..., 0]
             if amplitude == within_use(model, v, RESPONSE_BAR)[-1]:
                 gain = np.abs(ratio[omega <= HIGHEST_COMMAND_RADPS, 0])
@@ -126,15 +126,15 @@ def plants(certified: CertifiedSet, seed: int, workers: Map, progress: Progress)
                 f"{len(candidates)} trucks drawn, too few within the bounds",
                 f"{PLANTS} that are",
             )
-        for t, found in zip(tables, workers(certified.distance, tables), strict=False):
+        for t, distance in zip(tables, workers(certified.distance, tables), strict=False):
             progress(f"frequency response of truck {len(candidates)}")
-            candidates.append({"tables": t, **vars(found)})
+            candidates.append({"tables": t, **vars(distance)})
     chosen = [(kind, x) for kind in faults.KINDS if kind.response for x in kind.values]
     faulted = []
     texts = [k.text(x, "start") for k, x in chosen]
-    for (kind, x), found in zip(chosen, workers(certified.distance, texts), strict=False):
+    for (kind, x), distance in zip(chosen, workers(certified.distance, texts), strict=False):
         progress(f"frequency response, {kind.name} {x:g}")
-        faulted.append({"kind": kind.name, "severity": x, **vars(found)})
+        faulted.append({"kind": kind.name, "severity": x, **vars(distance)})
     nominal = vars(certified.distance(""))
     return {"checked": certified.checked(), "nominal": nominal, "candidates": candidates, "faulted": faulted}
 
@@ -142,13 +142,13 @@ def plants(certified: CertifiedSet, seed: int, workers: Map, progress: Progress)
 def loop_levels(stored: StoredIdentification, controller: Path, progress: Progress) -> list[dict[str, Any]]:
     """Upper bound of mu of the certified loop with each linear fault, largest over LOOP_SPEEDS; None if
     unstable."""
-    found = []
+    rows = []
     linear = [(kind, x, kind.loop) for kind in faults.KINDS if kind.loop for x in kind.values]
     for kind, x, loop in linear:
         progress(f"mu, {kind.name} {x:g}")
         applied, measured = loop(x, stored.project.Ts_s)
         levels = [faulted_performance(controller, stored, v, applied, measured) for v in LOOP_SPEEDS]
-        found.append(
+        rows.append(
             {
                 "kind": kind.name,
                 "severity": x,
@@ -156,4 +156,4 @@ def loop_levels(stored: StoredIdentification, controller: Path, progress: Progre
                 "mu_upper": max(levels) if np.isfinite(max(levels)) else None,
             }
         )
-    return found
+    return rows
