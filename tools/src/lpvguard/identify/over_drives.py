@@ -313,8 +313,11 @@ class OverDrives:
             if len(found) == JOINED_AT_ONCE:
                 found = [Remainders.joined(found)]
         floor = np.where(silent, np.inf, bounds.B_w_floor)
-        pools = Pools(sizes, W, floor, needs, calibrate({}, self.reader.project.frame_test.alpha))
-        self._pooled = Remainders.joined(found).excitation(W, pools.bound())
+        alpha = self.reader.project.frame_test.alpha
+        pools = Pools(sizes, W, floor, needs, calibrate({}, alpha))
+        remainders = Remainders.joined(found)
+        quantile = remainders.sums.quantile(alpha, len(chosen), sizes.parts * sizes.frames)
+        self._pooled = remainders.excitation(W, pools.bound(), quantile)
         return pools
 
     def _require_scores(self, drives: Chosen, *, judged: bool) -> None:
