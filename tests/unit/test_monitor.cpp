@@ -1402,7 +1402,8 @@ TEST_CASE("a pool sums the counted frames of its parts, of which the newest grow
     CHECK(beyond < frames.size());
 }
 
-TEST_CASE("a pool alarms where no frame of it does, refutes nothing, and is recorded", "[unit][monitor][REQ-MON-19][REQ-MON-20][REQ-MON-11]") {
+TEST_CASE("a pool alarms where no frame of it does, refutes nothing, and is recorded",
+          "[unit][monitor][REQ-MON-19][REQ-MON-20][REQ-MON-11]") {
     Drive drive(pooling(LPVG_NPOOL, 1U));
     drive.bin = 1U;
     drive.gain = 0.8;

@@ -137,8 +137,9 @@ def test_the_excitation_says_which_gain_error_a_pool_shows():
     v = np.full(int(starts[-1] + ESTIMATOR.length[5]), 10.0)
     e = SimpleNamespace(name="a", recording="a")
     remainders = remainders_of(e, [s], v, ESTIMATOR, SIZES, W)
-    met = Remainders.joined([remainders, remainders]).excitation(W, B)
+    met = Remainders.joined([remainders, remainders]).excitation(W, B, 1.5)
     assert np.all(met.sample["floor"] == 0.1)
+    assert np.median(met.sample["limit"]) == pytest.approx(0.045, rel=0.3)
     size = np.concatenate([size for _, size in pooled(s, ESTIMATOR, SIZES.counts(5)[:1])])
     on_grid = size[starts % ESTIMATOR.hop[5] == 0]
     assert met.strongest["dead"].max() == pytest.approx(

@@ -315,8 +315,11 @@ class OverDrives:
             if len(remainders) == JOINED_AT_ONCE:
                 remainders = [Remainders.joined(remainders)]
         floor = np.where(silent, np.inf, bounds.B_w_floor)
-        pools = Pools(sizes, W, floor, needs, calibrate({}, self.reader.project.frame_test.alpha))
-        self._pooled = Remainders.joined(remainders).excitation(W, pools.bound())
+        alpha = self.reader.project.frame_test.alpha
+        pools = Pools(sizes, W, floor, needs, calibrate({}, alpha))
+        joined = Remainders.joined(remainders)
+        quantile = joined.sums.quantile(alpha, len(chosen), sizes.parts * sizes.frames)
+        self._pooled = joined.excitation(W, pools.bound(), quantile)
         return pools
 
     def _require_scores(self, drives: Chosen, *, judged: bool) -> None:

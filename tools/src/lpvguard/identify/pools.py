@@ -23,6 +23,7 @@ from ..vehicle.project import Project
 from .bounds import FrameSet
 from .calibration import Calibration, Recordings, calibrate
 from .healthy import CANDIDATES, TYPICAL
+from .limit import LimitSums
 from .visibility import SAMPLED_FRAMES, SPEED_CELLS, Excitation, speed_cell
 
 SAMPLED = 750
@@ -123,18 +124,20 @@ class Remainders:
     """Largest remainders of drives, and samples of their pools.
 
     ``largest`` is (K, n_y) [output units]. Rows have ``group`` (speed cell * K + bin), ``hash`` and ``size``
-    (F, n_y), sqrt(P). ``strongest`` has those of the largest size in each output.
+    (F, n_y), sqrt(P). ``strongest`` has those of the largest size in each output. ``sums`` are those of the
+    limit of detection.
     """
 
     largest: np.ndarray
     strongest: Rows
     sample: Rows
+    sums: LimitSums
 
     @classmethod
-    def of_rows(cls, largest: np.ndarray, strongest: Rows, sample: Rows) -> Remainders:
+    def of_rows(cls, largest: np.ndarray, strongest: Rows, sample: Rows, sums: LimitSums) -> Remainders:
         """Thinned rows."""
         best = stacked(largest_of_each(strongest, column) for column in strongest["size"].T)
-        return cls(largest, best, first_of_each(sample, SAMPLED_FRAMES))
+        return cls(largest, best, first_of_each(sample, SAMPLED_FRAMES), sums)
 
     @classmethod
     def joined(cls, parts: Iterable[Remainders]) -> Remainders:
@@ -144,13 +147,17 @@ class Remainders:
             np.max([p.largest for p in parts], axis=0),
             stacked(p.strongest for p in parts),
             stacked(p.sample for p in parts),
+            LimitSums.joined(p.sums for p in parts),
         )
 
-    def excitation(self, W: np.ndarray, B: np.ndarray) -> Excitation:
-        """Excitation of the pools by what a vehicle without response would show beside W and B (K, n_y)."""
+    def excitation(self, W: np.ndarray, B: np.ndarray, quantile: float) -> Excitation:
+        """Excitation of the pools by what a vehicle without response would show beside W and B (K, n_y).
+
+        ``limit`` is the gain error that a test could see which knows the vehicle (T55).
+        """
 
         def shown(rows: Rows) -> Rows:
-            k = rows["group"] % len(W)
+            cell, k = np.divmod(rows["group"], len(W))
             with np.errstate(divide="ignore"):
                 seen = W[k] + B[k] / rows["size"]
             best = seen.argmin(axis=1)
@@ -160,6 +167,7 @@ class Remainders:
                 "dead": 1 / seen.min(axis=1),
                 "size": np.linalg.norm(rows["size"], axis=1),
                 "floor": W[k, best],
+                "limit": self.sums.gain_error(quantile, cell, k, rows["size"]),
             }
 
         return Excitation.of_rows(
@@ -178,6 +186,7 @@ def remainders_of(
     """Remainders of a drive beside ``W`` (K, n_y); ``v`` (N,): its speed [m/s]."""
     largest, K = np.zeros(W.shape), estimator.n_bins
     way = np.concatenate([[0.0], np.cumsum(v)])
+    met: list[tuple[np.ndarray, FrameSet]] = []
     rows = [{"group": np.zeros(0, int), "hash": np.zeros(0, np.uint64), "size": np.zeros((0, W.shape[1]))}]
     for s in frames:
         if not len(s.E):
@@ -190,8 +199,9 @@ def remainders_of(
                 cell = speed_cell(estimator.speed_range, (way[start + N] - way[start]) / N)
                 hashes = row_hash(e.name, np.full(len(start), s.bin), start)
                 rows.append({"group": cell * K + s.bin, "hash": hashes, "size": size[on_grid]})
+                met.append((cell, replace(s, E=s.E[on_grid], Z=s.Z[on_grid], starts=start)))
     every = stacked(rows)
-    return Remainders.of_rows(largest, every, every)
+    return Remainders.of_rows(largest, every, every, LimitSums.of(met, (SPEED_CELLS, *W.shape)))
 
 
 @dataclass(frozen=True)

@@ -122,8 +122,8 @@ def visibility(
     later factor on it and on B_w. ``silent`` are bins that raise no alarm, so frames show nothing there.
     ``pools`` are the excitation and the threshold of the pools.
     ``at_percentile`` and ``at_strongest`` list the cells. The lists of a cell run over the bins: ``frames``,
-    ``excitation`` |Z| [output units], ``gain_error`` [-] and ``delay_s``. The latter is None at DC and where
-    no delay is large enough.
+    ``excitation`` |Z| [output units], ``gain_error`` [-], its ``limit`` (T55) and ``delay_s``. The latter is
+    None at DC and where no delay is large enough.
     """
     edges = _edges(speed_range)
 
@@ -134,16 +134,19 @@ def visibility(
             chosen = _chosen(rows, *cell)
             gain = _gains(rows, chosen, threshold * inflation)
             gain = [None if k in silent else g for k, g in enumerate(gain)]
+            limit: list[float | None] = [None] * len(omega)
             for of_pools, level in by_pools:
-                pooled = _gains(of_pools, _chosen(of_pools, *cell), level)
+                of_cell = _chosen(of_pools, *cell)
+                pooled = _gains(of_pools, of_cell, level)
+                known = [np.nan if i is None else float(of_pools["limit"][i]) for i in of_cell]
+                limit = [None if np.isnan(x) else x for x in known]
                 gain = [
                     min((g for g in both if g is not None), default=None)
                     for both in zip(gain, pooled, strict=True)
                 ]
             size = [None if i is None else float(rows["size"][i]) for i in chosen]
             speeds = {"speed_mps": [float(edges[c]), float(edges[c + 1])]}
-            listed.append(speeds | _cell(omega, met.count[c], size, gain))
-        return listed
+            listed.append(speeds | _cell(omega, met.count[c], size, gain) | {"limit": limit})
 
     return {
         "threshold": float(threshold),

@@ -25,6 +25,7 @@ class MapCell:
     frames : int, counted frames
     gain_error : float or None, smallest one that the frame test sees, at the percentile's excitation
     strongest : float or None, the same at the strongest frame
+    limit : float or None, of a test that knows how the vehicle errs (THEORY 7.19)
     floor : float, the same at any excitation
     alarms : int, of the frame test
     """
@@ -35,6 +36,7 @@ class MapCell:
     frames: int
     gain_error: float | None
     strongest: float | None
+    limit: float | None
     floor: float
     alarms: int
 
@@ -83,6 +85,7 @@ def cells(seen: dict, alarms: Iterable[Alarm]) -> list[list[MapCell]]:
                 c["frames"][k],
                 c["gain_error"][k],
                 s["gain_error"][k],
+                c["limit"][k] if "limit" in c else None,  # an identification of before has none
                 seen["gain_error_floor"][k],
                 int(count[row, k]),
             )

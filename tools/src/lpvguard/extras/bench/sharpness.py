@@ -11,6 +11,9 @@ In the second table drives deviate by a random gain and delay. Further drives ar
 band everywhere. The interval is Clopper and Pearson's, 95 %. ``sine`` is the largest ratio to the response
 to single sines, a waveform that no drive has.
 
+With ``--identification`` the table shows the gain error that the frame test sees and the limit of detection,
+by speed cell and bin. A test that knew how the vehicle errs could see the limit (THEORY 7.19).
+
 With ``--drives`` every group of measured drives is left out once. ``largest`` is the ratio of a drive's own
 error to the band of the others. ``refuted`` is the same minus the error's own interval.
 """
@@ -32,6 +35,7 @@ from ...identify.error_band import LEVEL, WAVEFORM, ErrorBand, driven_amplitudes
 from ...identify.error_domain import ErrorDomain
 from ...identify.error_prior import USUAL, PriorScales
 from ...identify.error_sums import ErrorSums, common_fit, common_products, error_sums, joined, sum_of
+from ...identify.identification import load
 from ...vehicle.nominal import NominalModel
 from ...vehicle.project import Project, load_project
 from . import parser, show
@@ -48,6 +52,8 @@ FURTHER = 20
 """Further drives that each set is asked about."""
 MULTIBODY_CELLS = (5, 3)
 """Speeds and amplitudes at which the multi-body car's error is measured."""
+LEVEL_OF_CELLS = 0.3
+"""Gain error for which cells are counted."""
 SENSITIVITY = {"sizes": "common", "deviations": "deviation", "ignorance": "ignorance"}
 """Medians of the prior that are halved and doubled."""
 
@@ -248,6 +254,29 @@ def _measured(vehicle: str, folder: Path, seed: int, jobs: int) -> tuple[str, di
     return left_out_table(rows, bands), numbers
 
 
+def beside_the_limit(folder: Path) -> tuple[str, dict]:
+    """Table and numbers of an identification: visible gain errors over their limits."""
+    seen = load(folder).visibility
+    cells = seen["at_percentile"]
+    if "limit" not in cells[0]:
+        raise InputError(folder, "limit", "made by an earlier version", "an identification by this version")
+    ours, limit = (np.array([c[key] for c in cells], float) for key in ("gain_error", "limit"))
+    ratio, known = ours / limit, np.isfinite(limit)
+    lines = ["visible gain error / limit [%], by speed; columns: bins [rad/s]"]
+    lines.append(f"{'m/s':>12}" + "".join(f"{w:>12.3g}" for w in seen["omega_rad_s"]))
+    for cell, row in zip(cells, zip(ours, limit, strict=True), strict=True):
+        numbers = (f"{100 * a:.0f} / {100 * b:.1f}" for a, b in zip(*row, strict=True))
+        lines.append("{:>5.3g} - {:>4.3g}".format(*cell["speed_mps"]) + "".join(f"{n:>12}" for n in numbers))
+    of_level = [int((x <= LEVEL_OF_CELLS).sum()) for x in (ours, limit)]
+    middle = float(np.nanmedian(ratio)) if np.isfinite(ratio).any() else None
+    lines.append(
+        f"{of_level[0]} of {ours.size} cells see {LEVEL_OF_CELLS:.0%}, at the limit {of_level[1]} of "
+        f"{known.sum()} known; ours over the limit {'-' if middle is None else f'{middle:.2f}'} in the median"
+    )
+    found = {"gain_error": ours, "limit": limit, "median_ratio": middle, "cells": of_level}
+    return "\n".join(lines), found
+
+
 def main(argv: list[str]) -> None:
     """`lpvguard bench sharpness`."""
     arguments = parser("sharpness", __doc__)
@@ -260,11 +289,15 @@ def main(argv: list[str]) -> None:
     arguments.add_argument(
         "--vehicle", default="g80", help="vehicle of --drives: a name or a project file (g80)"
     )
+    arguments.add_argument("--identification", type=Path, help="folder of `identify`: beside the limit")
     options = arguments.parse_args(argv)
     if options.sets < 1 or options.seed < 0:
         raise InputError(
             "bench sharpness", "--sets, --seed", f"{options.sets}, {options.seed}", "from 1 and 0 on"
         )
+    if options.identification is not None:
+        show(*beside_the_limit(options.identification), options.json_out)
+        return
     if options.drives is not None:
         show(*_measured(options.vehicle, options.drives, options.seed, options.jobs), options.json_out)
         return

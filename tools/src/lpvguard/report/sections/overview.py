@@ -4,6 +4,7 @@ promises."""
 from collections.abc import Iterable
 from html import escape
 from pathlib import Path
+from statistics import median
 
 from ...base import artefacts
 from ...base.claims import claim_words, worst_frozen
@@ -156,10 +157,11 @@ def _cell_words(cell: MapCell) -> str:
     if cell.gain_error is None:
         return f"{where}: no frame counted, nothing is known"
     alarms = f"; alarms of the frame test: {cell.alarms}" if cell.alarms else ""
+    limit = "" if cell.limit is None else f"; limit {number(cell.limit)}"
     return (
         f"{where}: smallest visible gain error {number(cell.gain_error)} in one frame of ten, "
         f"{number(cell.strongest)} in the strongest of {cell.frames}, {number(cell.floor)} at any "
-        f"excitation{alarms}"
+        f"excitation{limit}{alarms}"
     )
 
 
@@ -171,6 +173,7 @@ def _map_cell(row: int, cell: MapCell) -> str:
         "omega": f"{cell.omega:.4g}",
         "gain-error": "" if cell.gain_error is None else f"{cell.gain_error:.4g}",
         "strongest": "" if cell.strongest is None else f"{cell.strongest:.4g}",
+        "limit": "" if cell.limit is None else f"{cell.limit:.4g}",
         "floor": f"{cell.floor:.4g}",
         "frames": str(cell.frames),
         "alarms": str(cell.alarms),
@@ -213,7 +216,22 @@ the frame test sees in one frame of ten (threshold {stored.visibility["threshold
 <span class="key {BLIND}">{SIGNS[BLIND]} blind</span> {level} could stay unseen;
 <span class="key {EMPTY}">{SIGNS[EMPTY]} no data</span>;
 <span class="key {VIOLATED}">{SIGNS[VIOLATED]} violated</span> alarms, how many. The error stands alone \
-here: the vehicle's ordinary error can hide or add to it.</figcaption></figure>"""
+here: the vehicle's ordinary error can hide or add to it.{_limit_words(grid)}</figcaption></figure>"""
+
+
+def _limit_words(grid: list[list[MapCell]]) -> str:
+    """Words on the limit of detection beside what the frame test sees."""
+    pairs = [(c.gain_error, c.limit) for row in grid for c in row if c.limit is not None]
+    ratios = [seen / limit for seen, limit in pairs if seen is not None]
+    if not ratios:
+        return ""
+    within = sum(limit <= LEVEL for _, limit in pairs)
+    middle = median(ratios)
+    return (
+        f' <span id="limit" data-within="{within}" data-ratio="{middle:.4g}">A test that knew how the '
+        f"vehicle errs would see {_percent(LEVEL)} in {within} cells; the numbers here are {middle:.2g} "
+        "times its limit in the median.</span>"
+    )
 
 
 # ---------------------------------------------------------------------------------------------------- alarms
