@@ -13,8 +13,6 @@
 namespace lpvguard_sim {
 namespace {
 
-using lpvguard_plant::Plant;
-
 constexpr std::int64_t tick_us = Control::tick_us;
 constexpr int telemetry_every = 10;  // ticks
 constexpr double two_pi = 6.283185307179586477;
@@ -60,9 +58,10 @@ void FrameWatcher::add(std::uint64_t value, int bytes) {
     }
 }
 
-Loop::Loop(const Scenario& scenario, const lpvguard_plant::PlantParameters& parameters, LoopBus& bus, EcuNode& ecu, const LoopEnds& ends)
+Loop::Loop(const Scenario& scenario, const lpvguard_plant::PlantParameters& parameters, LoopBus& bus, EcuNode& ecu, const LoopEnds& ends,
+           std::unique_ptr<VehicleModel> model)
     : ticks_(std::llround(scenario.duration_s * 1e6 / static_cast<double>(tick_us))),
-      plant_(lpvguard_plant::varied(parameters, scenario.plant.variation), scenario.plant.drive, scenario.seed, scenario.plant.faults),
+      model_(model != nullptr ? std::move(model) : simulated_truck(scenario, parameters)),
       vehicle_(bus.end(LoopBus::vehicle), parameters.steering_ratio, scenario.can_faults, scenario.seed),
       command_(scenario.command, scenario.seed),
       bus_(bus),
@@ -87,7 +86,7 @@ void Loop::run(double pace) {
     const std::clock_t started = std::clock();
     auto begin = Clock::now();
     const auto revise = [this](const Scenario& scenario) {
-        plant_.revise(scenario.plant.drive, scenario.plant.faults);
+        model_->revise(scenario.plant.drive, scenario.plant.faults);
         vehicle_.revise(scenario.can_faults);
     };
     for (std::int64_t k = 0; k < ticks_; ++k) {
@@ -151,20 +150,18 @@ void Loop::tick(std::int64_t k) {
     const double time_s = static_cast<double>(now_us) * 1e-6;
     const double command_radps = command_.next();
     const double wanted_radps = wanted_.step(command_radps);
-    const double yaw_rate_radps = plant_.truth().yaw_rate_radps;
+    const double yaw_rate_radps = model_->truth().yaw_rate_radps;
     error_squares_ += (wanted_radps - yaw_rate_radps) * (wanted_radps - yaw_rate_radps);
     wanted_squares_ += wanted_radps * wanted_radps;
 
-    vehicle_.send(now_us, plant_.sensors(), command_radps);
+    vehicle_.send(now_us, model_->sensors(), command_radps);
     ecu_.tick(now_us, ends_.publisher != nullptr && k % telemetry_every == 0);
     vehicle_.receive(now_us);
     if (!bus_.failure().empty()) {
         throw std::runtime_error(bus_.failure());
     }
     note(k, time_s, command_radps, wanted_radps);
-    for (int i = 0; i < Plant::steps_per_sample; ++i) {
-        plant_.step(vehicle_.demand_bar());
-    }
+    model_->advance(vehicle_.demand_bar());
 }
 
 void Loop::note(std::int64_t k, double time_s, double command_radps, double wanted_radps) {
@@ -191,7 +188,7 @@ void Loop::note(std::int64_t k, double time_s, double command_radps, double want
         }
     }
     if (ends_.publisher != nullptr) {
-        ends_.publisher->publish(now_us, plant_.truth());
+        ends_.publisher->publish(now_us, model_->truth());
         ends_.publisher->publish(now_us, GuardTelemetry{command_radps, wanted_radps, vehicle_.demand_bar(),
                                                         static_cast<double>(report.statistic), report.verdict, report.supervision});
         if (k % telemetry_every == 0) {
@@ -199,7 +196,7 @@ void Loop::note(std::int64_t k, double time_s, double command_radps, double want
         }
     }
     if (ends_.telemetry != nullptr && k % telemetry_every == 0) {
-        const lpvguard_plant::Truth& truth = plant_.truth();
+        const lpvguard_plant::Truth& truth = model_->truth();
         std::fprintf(ends_.telemetry, "%.9g,%.9g,%.9g,%.9g,%.9g,%.9g,%.9g,%.9g,%d,%d\n", time_s, truth.speed_mps, command_radps,
                      wanted_radps, truth.yaw_rate_radps, truth.road_wheel_rad, vehicle_.demand_bar(), static_cast<double>(report.statistic),
                      report.verdict, report.supervision);

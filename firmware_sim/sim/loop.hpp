@@ -3,6 +3,7 @@
 
 #include <cstdint>
 #include <cstdio>
+#include <memory>
 #include <utility>
 #include <vector>
 
@@ -12,6 +13,7 @@
 #include "loop_bus.hpp"
 #include "lpvguard_plant/plant.hpp"
 #include "publisher.hpp"
+#include "vehicle_model.hpp"
 #include "vehicle_node.hpp"
 
 namespace lpvguard_sim {
@@ -67,7 +69,9 @@ struct LoopEnds {
 
 class Loop {
 public:
-    Loop(const Scenario& scenario, const lpvguard_plant::PlantParameters& parameters, LoopBus& bus, EcuNode& ecu, const LoopEnds& ends);
+    /// Without `model` the vehicle is the simulated truck.
+    Loop(const Scenario& scenario, const lpvguard_plant::PlantParameters& parameters, LoopBus& bus, EcuNode& ecu, const LoopEnds& ends,
+         std::unique_ptr<VehicleModel> model = nullptr);
 
     /// At most `pace` times real time; 0: as fast as it goes. Throws std::runtime_error when the bus or the ECU fails.
     void run(double pace);
@@ -84,7 +88,7 @@ private:
     void note_sample(const lpvg_ecu_t& ecu, std::int64_t k, double time_s);
 
     std::int64_t ticks_;
-    lpvguard_plant::Plant plant_;
+    std::unique_ptr<VehicleModel> model_;
     VehicleNode vehicle_;
     Command command_;
     ReferenceModel wanted_;

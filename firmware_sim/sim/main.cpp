@@ -2,12 +2,13 @@
 //
 //   lpvguard_sim SCENARIO --parameters TRUCK.toml [--seed N] [--bus memory|socketcan:INTERFACE] [--engage yes|no]
 //                [--reactions release|report] [--ecu PROGRAM] [--pace X] [--log F] [--frames F] [--drive F] [--telemetry F]
-//                [--lcm URL [--start running|paused] [--applied F]]
+//                [--lcm URL [--start running|paused] [--applied F]] [--plant LINK.toml]
 //
 //   --reactions  report: what the configuration may only report (LPVG_ECU_CAUSES_OPTIONAL) does not release, so that the loop goes on
 //                behind a finding (default: release, as the firmware is configured)
 //   --ecu        the ECU's firmware is this program (lpvguard_ecu), a process of its own on the same CAN interface, in lock-step by
 //                simulated time. What it says is then read off the bus and the time line, and --drive stays empty.
+//   --plant      an FMU is the vehicle, linked by this file (vehicle_model.hpp)
 //   --pace       at most X times real time (default: as fast as it goes)
 //   --log        every frame of the bus as candump -L writes it, with simulated time
 //   --frames     every frame that the monitor judged (CSV)
@@ -59,7 +60,7 @@ int run(int argc, char** argv) {
             "usage: lpvguard_sim SCENARIO --parameters TRUCK.toml [--seed N] [--engage yes|no] [--reactions release|report] [--ecu "
             "PROGRAM] [--pace X] [--log F] "
             "[--frames F] [--drive F] [--telemetry F] [--lcm URL [--start running|paused] [--applied F]] "
-            "[--bus memory|socketcan:INTERFACE]");
+            "[--bus memory|socketcan:INTERFACE] [--plant LINK.toml]");
     }
     lpvguard_plant::Arguments arguments(argc - 2, argv + 2);
     lpvguard_sim::LiveScenario scenario(argv[1]);
@@ -90,10 +91,15 @@ int run(int argc, char** argv) {
         control = std::make_unique<lpvguard_sim::Control>(*publisher, scenario, start == "paused");
         applied = output_file(arguments.text("--applied", ""));
     }
+    const std::string plant = arguments.text("--plant", "");
     arguments.done();
+    std::unique_ptr<lpvguard_sim::VehicleModel> model;
+    if (!plant.empty()) {
+        model = lpvguard_sim::fmu_vehicle(plant, scenario.now(), scenario.text());
+    }
     const auto loop = std::make_unique<lpvguard_sim::Loop>(
         scenario.now(), parameters, *nodes.bus, *nodes.ecu,
-        lpvguard_sim::LoopEnds{log.get(), frames.get(), drive.get(), telemetry.get(), publisher.get(), control.get()});
+        lpvguard_sim::LoopEnds{log.get(), frames.get(), drive.get(), telemetry.get(), publisher.get(), control.get()}, std::move(model));
     loop->run(pace);
     loop->print(stdout, scenario.now().seed);
     if (applied.get() != nullptr) {

@@ -56,6 +56,16 @@ Members = Annotated[
         "the truck and the bus (with --design and --coefficients)."
     ),
 ]
+Plant = Annotated[
+    Path | None,
+    typer.Option(help="FMU (co-simulation, FMI 2 or 3) that is the vehicle in place of the truck."),
+]
+PlantMap = Annotated[
+    Path | None,
+    typer.Option(
+        "--map", help="TOML file that names the FMU's variables (default: the names of our truck's FMU)."
+    ),
+]
 Design = Annotated[Path | None, typer.Option(help="Folder written by design, for --members.")]
 Draws = Annotated[int, typer.Option(min=1, help="Sampled members, for --members.")]
 
@@ -83,6 +93,8 @@ def sim(
         bool, typer.Option("--paused", help="Begin when a client says resume (with --lcm).")
     ] = False,
     out: Logs = None,
+    plant: Plant = None,
+    plant_map: PlantMap = None,
     members: Members = None,
     design: Design = None,
     draws: Draws = 40,
@@ -99,19 +111,23 @@ def sim(
     if not scenarios:
         raise InputError("sim", "SCENARIOS", "missing", "one or more, or --members")
     from ..core.compiled import shipped_vehicle
+    from ..extras.loop.foreign_plant import ForeignPlant
     from ..extras.loop.sim import Simulator, load_scenario
 
     if paused and (lcm is None or lcm.startswith("file:")):
         raise InputError(
             "--paused", "", f"no client can reach --lcm {lcm}", "--lcm with a URL such as " + LCM_DEFAULT
         )
+    if plant_map is not None and plant is None:
+        raise InputError("sim", "--map", "given without its FMU", "--plant")
     loaded = [load_scenario(name) for name in scenarios]
     with progress_bar("sim") as tell:
         tell("compiling")
         folder = coefficients or shipped_vehicle(vehicle)
         simulator = Simulator(folder, controller=controller, lcm=lcm is not None)
         one = partial(simulator.run, bus=bus, ecu_process=ecu_process, target=target)
-        one = partial(one, pace=pace, lcm=lcm, paused=paused)
+        vehicle_fmu = None if plant is None else ForeignPlant(plant, plant_map)
+        one = partial(one, pace=pace, lcm=lcm, paused=paused, plant=vehicle_fmu)
         run = partial(_runs, one, loaded, seed, seeds, tell)
         runs = run(None) if out is None else _kept(out, simulator, loaded, run)
     emit(json_out, runs)

@@ -45,6 +45,7 @@ from ...drives.tables import Drive, speed_of_missing
 from ...replay.causes import diagnosed
 from ...vehicle.nominal import NominalModel
 from ...vehicle.project import Project, Signal, parse_project
+from .foreign_plant import ForeignPlant
 
 Controller = Literal["designed", "feedforward", "off"]
 RECOVERY_S = 1.0
@@ -53,9 +54,18 @@ a reserve."""
 
 REPORT_ONLY = ("--reactions", "report")
 """Findings are reported and do not release."""
+LINK = ("-ldl",)
 LCM_LINK = ("-Wl,--no-as-needed", "-llcm")
 FLAGS = ("-std=c++17", "-O2", "-ffp-contract=off", "-fno-math-errno")
-OF_NO_VEHICLE = {"command", "live_scenario", "memory_bus", "scenario", "socketcan_bus"}
+OF_NO_VEHICLE = {
+    "command",
+    "fmu_vehicle",
+    "live_scenario",
+    "memory_bus",
+    "scenario",
+    "socketcan_bus",
+    "vehicle_model",
+}
 """Sources of firmware_sim/sim without a vehicle's sizes, compiled once for all vehicles."""
 Seconds = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 
@@ -287,7 +297,7 @@ class Simulator:
         try:
             objects = loop_objects(folder, main, lcm=self._lcm)
             return native.compile_executable(
-                objects, flags=LCM_LINK if self._lcm else (), name=f"sim_{folder.name}"
+                objects, flags=(*LINK, *(LCM_LINK if self._lcm else ())), name=f"sim_{folder.name}"
             )
         except native.NativeError as error:
             raise InputError(
@@ -310,6 +320,7 @@ class Simulator:
         lcm: str | None = None,
         paused: bool = False,
         report_only: bool = False,
+        plant: ForeignPlant | None = None,
     ) -> dict[str, Any]:
         """One run: the object of `lpvguard sim --json`.
 
@@ -325,6 +336,7 @@ class Simulator:
                      NAME-SEED.applied.toml is the scenario with the clients' changes
         paused       wait until a client says resume
         report_only  findings do not release, as in ``drive``; not on an emulated processor
+        plant        an FMU is the vehicle
 
         The same scenario, seed and vehicle give the same bytes except for real_time_factor: simulated time
         over processor time, or over elapsed time with another process. Raises InputError where the simulator
@@ -341,6 +353,8 @@ class Simulator:
         if pace is not None:
             command += ["--pace", pace]
         with tempfile.TemporaryDirectory() as scratch:
+            if plant is not None:
+                command += ["--plant", plant.linked(scenario.path, Path(scratch) / "fmu")]
             stem = (out or Path(scratch)) / f"{scenario.name}-{seed}"
             frames = stem.with_name(stem.name + ".frames.csv")
             command += ["--frames", frames]
