@@ -34,7 +34,7 @@ MAIN = (
     "api",
 )
 """The main path and what it stands on."""
-SIDE = ("sources", "measure", "fmu", "arxml", "fleet", "loop", "live", "problems", "bench")
+SIDE = ("sources", "measure", "fmu", "arxml", "fleet", "refine", "loop", "live", "problems", "bench")
 """The side rooms, in the package extras."""
 EXTRAS = "extras"
 ORDER = (*MAIN, *SIDE, "schemas", "cli")

@@ -60,7 +60,7 @@ def encoded(value: Any, arrays: list[np.ndarray], *, identify: bool = False) -> 
     Parameters
     ----------
     value : Any
-    arrays : list of ndarray
+    arrays : list of ndarray, of any shape (...,)
     identify : bool, default False
         The form names the value and is not decoded: ``identity`` of an object stands for it, functions are
         allowed.
@@ -109,7 +109,7 @@ def decoded(form: Any, arrays: list[np.ndarray]) -> Any:
     Parameters
     ----------
     form : Any
-    arrays : list of ndarray
+    arrays : list of ndarray, of any shape (...,)
 
     Returns
     -------

@@ -43,8 +43,7 @@ def identify(
     with progress_bar("identify") as tell, workers(jobs, scheduler) as started, keeping(keep, started) as run:
         result, drive_set = stage.identify(project, drives, workers=run, progress=tell)
         stage.save(result, drive_set, out)
-        named = unexplained(result)
-        decided_by = [*decides_bounds(result), *decides_thresholds(result)]
+        named, decided_by = unexplained(result), [*decides_bounds(result), *decides_thresholds(result)]
         floors, warnings = unresolved(result), [*(d.text for d in decided_by if d.alone), *outlying(result)]
         price = cost(result, drives, named, workers=run, progress=tell) if named else None
     emit(

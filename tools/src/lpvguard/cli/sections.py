@@ -13,7 +13,7 @@ SECTIONS = {
     "Start": ("new", "ingest", "data"),
     "Main path": ("fit", "identify", "design", "export", "replay", "evaluate", "report"),
     "Vehicle in a loop": ("generate", "sim", "campaign", "lcm", "plant"),
-    "Fleet and live": ("fleet", "live"),
+    "Fleet and live": ("fleet", "refine", "live"),
     "Bus and ECU": ("dbc", "a2l", "fmu", "arxml"),
     "Bench and problems": ("bench", "solve"),
     "Shell": ("completion",),

@@ -196,7 +196,7 @@ def index_column(folder: Path, column: str) -> dict[str, str]:
         If a drive has none.
     """
     index = folder / EXPERIMENTS
-    texts = {row["experiment"]: row.get(column) or "" for row in _rows(index)}
+    texts = {row["experiment"]: row.get(column) or "" for row in index_rows(index)}
     lacking = next((name for name, text in texts.items() if not text), None)
     if lacking is not None:
         raise InputError(index, f"column {column}", f"{lacking} has none", "a value for every drive")
@@ -212,7 +212,7 @@ def _listed(folder: Path) -> tuple[list[Experiment], dict[str, str]]:
         raise InputError(index, "", "missing", "a CSV with the columns experiment, split (and driver)")
     experiments: list[Experiment] = []
     aside: dict[str, str] = {}
-    for line, row in enumerate(_rows(index), start=2):
+    for line, row in enumerate(index_rows(index), start=2):
         for column in ("experiment", "split"):
             if not row.get(column):
                 raise InputError(index, f"line {line}, column {column}", "missing or empty", "a value")
@@ -235,8 +235,22 @@ def _listed(folder: Path) -> tuple[list[Experiment], dict[str, str]]:
     return experiments, aside
 
 
-def _rows(index: Path) -> list[dict[str, str]]:
-    """Lines of an experiments.csv by its header; InputError where it cannot be read, or names no drives."""
+def index_rows(index: Path) -> list[dict[str, str]]:
+    """Read the lines of an experiments.csv by its header.
+
+    Parameters
+    ----------
+    index : Path
+
+    Returns
+    -------
+    list of dict, text by column
+
+    Raises
+    ------
+    InputError
+        If it cannot be read, or names no drives.
+    """
     expected = "a CSV in UTF-8 with the columns experiment and split"
     try:
         with index.open(newline="", encoding="utf-8-sig") as stream:

@@ -13,7 +13,17 @@ from ..vehicle.project import Project
 
 @contextmanager
 def scratch_core(project: Project, coefficients: Coefficients) -> Iterator[Core]:
-    """Yield the core of coefficients, compiled in a temporary folder."""
+    """Compile the core of coefficients in a temporary folder.
+
+    Parameters
+    ----------
+    project : Project
+    coefficients : Coefficients
+
+    Yields
+    ------
+    Core
+    """
     with tempfile.TemporaryDirectory() as folder:
         target = Path(folder) / project.name
         target.mkdir()

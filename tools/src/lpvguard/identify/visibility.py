@@ -147,6 +147,7 @@ def visibility(
             size = [None if i is None else float(rows["size"][i]) for i in chosen]
             speeds = {"speed_mps": [float(edges[c]), float(edges[c + 1])]}
             listed.append(speeds | _cell(omega, met.count[c], size, gain) | {"limit": limit})
+        return listed
 
     return {
         "threshold": float(threshold),

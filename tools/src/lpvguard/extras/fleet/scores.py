@@ -72,7 +72,15 @@ class ScoredDrive:
 
 @dataclass(frozen=True)
 class DriveEstimate:
-    """Least-squares estimate of an output over a recording: e = gain yhat - delay_s dyhat/dt + bias."""
+    """Least-squares estimate of an output over a recording: e = gain yhat - delay_s dyhat/dt + bias.
+
+    Attributes
+    ----------
+    output : str
+    gain : float
+    delay_s : float, s
+    bias : float, output unit
+    """
 
     output: str
     gain: float
@@ -125,9 +133,19 @@ def pieces_of(
 
 
 def scored(replayer: Replayer, pieces: Iterable[ScoredDrive], judged_s: float) -> list[Scored]:
-    """Recordings of the pieces, in the order of their first ones.
+    """Join pieces to recordings, in the order of their first ones.
 
     The piece in which the length is reached gives its first samples to the score, and its sums in proportion.
+
+    Parameters
+    ----------
+    replayer : Replayer
+    pieces : Iterable of ScoredDrive
+    judged_s : float, s, length
+
+    Returns
+    -------
+    list of Scored
     """
     most = round(judged_s / replayer.project.Ts_s)
     by_recording: dict[str, list[ScoredDrive]] = {}

@@ -50,7 +50,15 @@ class Member:
 
 @dataclass(frozen=True)
 class FleetState:
-    """State of a fleet. calibration: score by recording; calibrated: SHA-256 by recording and drive."""
+    """State of a fleet.
+
+    Attributes
+    ----------
+    terms : Terms
+    calibration : Mapping[str, float], score by recording
+    calibrated : Mapping, SHA-256 by recording and drive
+    members : Mapping[str, Member], by vehicle
+    """
 
     terms: Terms
     calibration: Mapping[str, float]

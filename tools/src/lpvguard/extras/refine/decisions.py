@@ -1,0 +1,291 @@
+"""The file of decisions: what `refine` proposes, and what a person signs.
+
+A drive is learnt only where the file says ``accept = true`` of it and names a person in ``signed_by``.
+Another action than the proposed one needs a reason in ``why``.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import tomlkit
+from tomlkit.exceptions import TOMLKitError
+
+from ...base import artefacts
+from ...base.errors import InputError
+from ...base.parallel import Map
+from ...drives.tables import TABLE_SUFFIXES, Experiment, index_column, list_experiments, table_hashes
+from ..fleet.recordings import Listed, follow
+from ..fleet.state import FleetState
+from .judgement import Judge, Judgement, known_estimates
+from .lineage import Lineage
+from .proposals import ACTIONS, CONDITION, FAULT, LearningProposal, proposals
+
+KIND, SCHEMA = "refinement decisions", 1
+NOTE = (
+    "Decisions of lpvguard refine. A drive is learnt where accept is true. Name yourself in signed_by.",
+    f"action: {', '.join(ACTIONS)}. Say why where it is not the proposal.",
+)
+GROUP_OF_KNOWN = "known"
+"""Group of calibrating drives without one, where a new condition makes groups."""
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """Further drives, in the order of their vehicles' lives.
+
+    Attributes
+    ----------
+    experiments : list[Experiment]
+    vehicle : dict[str, str], by name of drive
+    """
+
+    experiments: list[Experiment]
+    vehicle: dict[str, str]
+
+    @classmethod
+    def of(cls, lineage: Lineage, paths: Sequence[Path], by: str | None) -> Evidence:
+        """Drives of folders with experiments.csv, single tables and records.
+
+        Column ``by`` of the folders names the vehicle; by default all are one. Raises InputError for a drive
+        that is known, by its name or table.
+        """
+        stored, found = lineage.stored, list[Experiment]()
+        vehicle: dict[str, str] = {}
+        known = list_experiments(lineage.drives)
+        data = stored.project.data
+        roles = {*data.bound_split, *data.noise_split}
+        calibrating = next((e.split for e in known if e.split not in roles), "valid")
+        for path in paths:
+            if path.is_dir():
+                of = list_experiments(path)
+                names = {} if by is None else index_column(path, by)
+            elif path.suffix in TABLE_SUFFIXES and path.is_file():
+                names = {}
+                of = [Experiment(path.stem, path.absolute(), calibrating, "unknown", path.stem)]
+            else:
+                raise InputError(
+                    path, "", "is no evidence", f"a folder of drives, or one of {', '.join(TABLE_SUFFIXES)}"
+                )
+            found += of
+            vehicle |= {e.name: names.get(e.name, stored.project.name) for e in of}
+        every = [e.name for e in (*known, *found)]
+        for e in found:
+            if every.count(e.name) > 1:
+                raise InputError(e.path, "", f"a drive named {e.name} is there already", "names of their own")
+        table_hashes([*known, *found])
+        return cls(found, vehicle)
+
+    def lived(
+        self,
+        judge: Judge,
+        life: FleetState,
+        workers: Map = map,
+        progress: Callable[[str], None] = lambda _: None,
+    ) -> tuple[FleetState, dict[str, Any]]:
+        """The lifetime test after these drives, and the object of `lpvguard fleet --json`."""
+        first = self.experiments[0].path.parent
+        return follow(
+            judge.first, life, Listed(first, self.experiments, self.vehicle, {}), {}, workers, progress
+        )
+
+
+@dataclass(frozen=True)
+class DriveDecision:
+    """A drive's entry in the file.
+
+    Attributes
+    ----------
+    name, path, sha256, vehicle, split, driver, recording, group : str
+        As of the drive; ``path`` relative to the file, empty ``group``: none.
+    refutes : list of str
+    ratios : dict[str, float]
+    like, proposal, reason : str
+    action : str, of ACTIONS
+    accept : bool
+    why : str
+    """
+
+    name: str
+    path: str
+    sha256: str
+    vehicle: str
+    split: str
+    driver: str
+    recording: str
+    group: str
+    refutes: list[str]
+    ratios: dict[str, float]
+    like: str
+    proposal: str
+    reason: str
+    action: str
+    accept: bool = False
+    why: str = ""
+
+    @classmethod
+    def of(cls, judgement: Judgement, proposal: LearningProposal, folder: Path) -> DriveDecision:
+        """Entry before a person's decision; ``folder``: of the file."""
+        e = judgement.experiment
+        return cls(
+            e.name,
+            os.path.relpath(e.path, folder.resolve()),
+            artefacts.file_hash(e.path),
+            judgement.vehicle,
+            e.split,
+            e.driver,
+            e.recording,
+            e.group or "",
+            list(judgement.refutes),
+            {test: round(ratio, 6) for test, ratio in judgement.ratios.items()},
+            judgement.like,
+            proposal.action,
+            proposal.reason,
+            proposal.action,
+        )
+
+    def experiment(self, folder: Path) -> Experiment:
+        """The drive; ``folder``: of the file."""
+        path = (folder / self.path).absolute()
+        return Experiment(self.name, path, self.split, self.driver, self.recording, self.group or None)
+
+
+@dataclass(frozen=True)
+class Decisions:
+    """Content of the file: the seal of the identification that judged, the person, and the drives."""
+
+    identification: str
+    signed_by: str
+    drives: list[DriveDecision]
+
+    def text(self) -> str:
+        """The file."""
+        document = tomlkit.document()
+        for line in NOTE:
+            document.add(tomlkit.comment(line))
+        document.update({"kind": KIND, "schema": SCHEMA, "signed_by": self.signed_by})
+        document["identification"] = self.identification
+        entries = tomlkit.aot()
+        for d in self.drives:
+            entry = tomlkit.table()
+            for key, value in asdict(d).items():
+                entry[key] = tomlkit.inline_table() if isinstance(value, dict) else value
+                if isinstance(value, dict):
+                    entry[key].update(value)
+            entries.append(entry)
+        document["drive"] = entries
+        return tomlkit.dumps(document)
+
+    @classmethod
+    def read(cls, path: Path) -> Decisions:
+        """Read a file as a person left it. Raises InputError where it is none, or an entry cannot be."""
+        with artefacts.reading(path):
+            try:
+                found = tomlkit.parse(path.read_text(encoding="utf-8")).unwrap()
+            except (OSError, TOMLKitError, ValueError) as error:
+                raise InputError(
+                    path, "", f"cannot be read ({error})", "a file of `lpvguard refine`"
+                ) from None
+            if (found.get("kind"), found.get("schema")) != (KIND, SCHEMA):
+                raise InputError(path, "kind, schema", "not those of decisions", f"{KIND!r}, {SCHEMA}")
+            drives = [DriveDecision(**entry) for entry in found["drive"]]
+            decisions = cls(str(found["identification"]), str(found["signed_by"]).strip(), drives)
+        for d in drives:
+            decisions._require(path, d)
+        return decisions
+
+    def _require(self, path: Path, d: DriveDecision) -> None:
+        where = f"drive {d.name}"
+        if not isinstance(d.accept, bool):
+            raise InputError(path, f"{where}, accept", repr(d.accept), "true or false")
+        if d.action not in ACTIONS:
+            raise InputError(path, f"{where}, action", repr(d.action), " or ".join(ACTIONS))
+        if not d.accept:
+            return
+        if not self.signed_by:
+            raise InputError(path, "signed_by", "nobody signed, and drives are accepted", "a person's name")
+        if d.action == FAULT:
+            raise InputError(path, where, "a fault is accepted; a fault is not learnt", "another action")
+        if d.action != d.proposal and not d.why.strip():
+            raise InputError(path, f"{where}, why", f"empty; {d.proposal} was proposed", "a reason")
+        if d.action == CONDITION and not d.group:
+            raise InputError(path, f"{where}, group", "a new condition has none", "the condition's name")
+
+    @property
+    def accepted(self) -> list[DriveDecision]:
+        """Entries of the drives to learn."""
+        return [d for d in self.drives if d.accept]
+
+    @property
+    def entries(self) -> list[dict[str, Any]]:
+        """Entries as dicts."""
+        return [asdict(d) for d in self.drives]
+
+    @property
+    def rows(self) -> list[dict[str, str]]:
+        """The table for people."""
+        return [
+            {
+                "drive": d.name,
+                "refutes": ", ".join(d.refutes) or "nothing",
+                "largest ratio": f"{max(d.ratios.values()):.3g}",
+                "like": d.like,
+                "proposal": d.proposal,
+                "reason": d.reason,
+            }
+            for d in self.drives
+        ]
+
+    def accepting(self, person: str, *, proposed_faults: bool = False, why: str = "") -> Decisions:
+        """The file with every proposal accepted but faults; with ``proposed_faults`` these as spread."""
+        drives = [
+            replace(d, action="spread", accept=True, why=why)
+            if d.proposal == FAULT and proposed_faults
+            else replace(d, accept=d.proposal != FAULT)
+            for d in self.drives
+        ]
+        return replace(self, signed_by=person, drives=drives)
+
+
+def decide(
+    lineage: Lineage,
+    evidence: Evidence,
+    folder: Path,
+    workers: Map = map,
+    progress: Callable[[str], None] = lambda _: None,
+) -> tuple[Decisions, dict[str, Any]]:
+    """Judge drives and propose what to learn.
+
+    Parameters
+    ----------
+    lineage : Lineage
+    evidence : Evidence
+    folder : Path, of the file to come
+    workers : Map
+    progress : Callable, reports progress
+
+    Returns
+    -------
+    tuple of Decisions, and dict, the object of `lpvguard fleet --json`
+
+    Raises
+    ------
+    InputError
+        If a drive cannot be judged.
+    """
+    with Judge.of(lineage) as judge:
+        found = []
+        for e in evidence.experiments:
+            progress(f"judges {e.name}")
+            found.append(judge.of_drive(e, evidence.vehicle[e.name]))
+        progress("lifetime test")
+        life, lives = evidence.lived(judge, lineage.life_of(judge.first, workers), workers)
+        known = list_experiments(lineage.drives)
+        groups = {e.group for e in known if e.group}
+        made = proposals(judge, found, known_estimates(judge, lineage.drives), life, groups)
+    entries = [DriveDecision.of(j, p, folder) for j, p in zip(found, made, strict=True)]
+    return Decisions(lineage.stored.manifest["seal"], "", entries), lives

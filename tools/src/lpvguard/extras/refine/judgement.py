@@ -1,0 +1,152 @@
+"""What a further drive refutes, and whether it is like the drives that are known.
+
+Three statements can be refuted. A frame with a margin above 1 under the certificate's W_delta and B_w refutes
+the certificate set, if a vehicle without response would have exceeded 1, too. Otherwise the frame refutes
+the disturbance bound. An alarm of any test of the core refutes the healthy set.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from ...base.errors import InputError
+from ...core.compiled import Core
+from ...drives.tables import Drive, Experiment, list_experiments
+from ...identify.calibration import ROUNDING, Calibration, change_score, energy_score, score
+from ...identify.identification import StoredIdentification
+from ...identify.scratch import scratch_core
+from ...replay.replayer import Replayer
+from ..fleet.scores import DriveEstimate, ScoredDrive, scored
+from .lineage import Lineage, compiled
+
+CERTIFICATE, HEALTHY, DISTURBANCE = "certificate set", "healthy set", "disturbance bound"
+ALL, NEW = "all", "new"
+"""Likeness: the only group, where experiments.csv names none, and no group."""
+BROKEN = ("frozen", "sign", "noise")
+"""Causes of the diagnosis that are broken sensors."""
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """Judgement of a drive.
+
+    Attributes
+    ----------
+    experiment : Experiment
+    vehicle : str
+    refutes : tuple of str, of CERTIFICATE, HEALTHY and DISTURBANCE
+    ratios : dict[str, float], largest number of every test over its threshold, and ``certificate``: margin
+    like : str, group of known drives whose scores are as large, or NEW
+    estimates : tuple of DriveEstimate, relative to the first identification's model
+    broken : str or None, diagnosis of a broken sensor, in words
+    """
+
+    experiment: Experiment
+    vehicle: str
+    refutes: tuple[str, ...]
+    ratios: dict[str, float]
+    like: str
+    estimates: tuple[DriveEstimate, ...]
+    broken: str | None
+
+
+@dataclass(frozen=True)
+class Judge:
+    """Compiled cores that judge drives: of now, of the certificate alone, and of the first identification."""
+
+    stored: StoredIdentification
+    now: Replayer
+    certificate: Core
+    first: Replayer
+
+    @classmethod
+    @contextmanager
+    def of(cls, lineage: Lineage) -> Iterator[Judge]:
+        """Judge of a lineage."""
+        stored = lineage.stored
+        # All bins of the certificate count, also those that raise no alarm.
+        alone = replace(stored, fitted=replace(stored.fitted, healthy=None, silent=()), pools=None)
+        with ExitStack() as stack:
+            yield cls(
+                stored,
+                stack.enter_context(compiled(stored)),
+                stack.enter_context(scratch_core(stored.project, alone.coefficients)),
+                stack.enter_context(lineage.first()),
+            )
+
+    def of_drive(self, experiment: Experiment, vehicle: str) -> Judgement:
+        """Judge one drive. Raises InputError where it cannot be read, or nothing of it is judged."""
+        drive = self.now.read_file(experiment.path).drive
+        replay = self.now.replay(drive)
+        run, frames = replay.run, replay.run.frames
+        scores = {"frame": score(run), "energy": energy_score(run), "change": change_score(run)}
+        if set(scores.values()) == {None}:
+            raise InputError(
+                experiment.path, "", "no test judges it", "settled driving within the model's speeds"
+            )
+        margin, model = self._certificate(drive)
+        thresholds = self.now.threshold, self.now.energy_threshold, self.now.change_threshold
+        ratios = {t: (s or 0.0) / x for (t, s), x in zip(scores.items(), thresholds, strict=True)}
+        ratios["pool"] = float(frames.pooled[frames.counted].max(initial=0.0)) / self.now.threshold
+        refutes = []
+        if margin > 1 + ROUNDING:
+            refutes.append(CERTIFICATE if model else DISTURBANCE)
+        if max(ratios.values()) > 1:
+            refutes.append(HEALTHY)
+        broken = next((d.says for d in replay.diagnoses if d.final and d.cause in BROKEN), None)
+        return Judgement(
+            experiment,
+            vehicle,
+            tuple(refutes),
+            ratios | {"certificate": margin},
+            _like(self.stored, scores),
+            self.estimates(drive),
+            broken,
+        )
+
+    def estimates(self, drive: Drive) -> tuple[DriveEstimate, ...]:
+        """Estimates of a whole drive, relative to the first identification's model."""
+        piece = ScoredDrive.of(self.first, drive, len(drive.t))
+        return scored(self.first, [piece], drive.duration_s)[0].estimates
+
+    def _certificate(self, drive: Drive) -> tuple[float, bool]:
+        """Largest margin of the certificate, and whether a vehicle without response would exceed 1, too."""
+        frames = self.certificate.monitor().run_drive(drive).frames
+        margin = np.where(frames.counted, frames.margin, 0.0)
+        over = margin > 1 + ROUNDING
+        return float(margin.max(initial=0.0)), bool((over & (frames.evidence > 1)).any())
+
+
+def _like(stored: StoredIdentification, scores: dict[str, float | None]) -> str:
+    """First group whose largest score in every test is not exceeded."""
+    tests: dict[str, Calibration] = {
+        "frame": stored.calibration,
+        "energy": stored.energy_of_core.calibration,
+        "change": stored.change_of_core.calibration,
+    }
+    for group in sorted(stored.calibration.groups) or [ALL]:
+        largest = {
+            test: max(
+                (s for d, s in c.scores.items() if group == ALL or c.recordings.groups.get(d) == group),
+                default=0.0,
+            )
+            for test, c in tests.items()
+        }
+        if all(s is None or s <= largest[test] for test, s in scores.items()):
+            return group
+    return NEW
+
+
+def known_estimates(judge: Judge, folder: Path) -> list[tuple[DriveEstimate, ...]]:
+    """Estimates of the drives of a folder that set bounds or calibrate."""
+    known = {*judge.stored.manifest["drives"]["bounds"], *judge.stored.manifest["drives"]["calibration"]}
+    return [
+        judge.estimates(judge.first.read_file(e.path).drive)
+        for e in list_experiments(folder)
+        if e.name in known
+    ]

@@ -1,0 +1,137 @@
+"""Proposals: what each drive is learnt as, unless a person decides otherwise.
+
+The first rule that holds decides.
+
+    fault          the lifetime test says that the vehicle changed, a sensor is broken, or the gain is off by
+                   half the least gain fault that `evaluate` injects
+    confirm        the drive refutes nothing
+    new condition  its group has no known drive, and two recordings here
+    recentre       the mean error of all drives is more than half of the largest: fit again
+    spread         the bounds grow
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..fleet.scores import DriveEstimate
+from ..fleet.state import FleetState
+from .judgement import Judge, Judgement
+
+FAULT, CONFIRM, CONDITION, RECENTRE, SPREAD = "fault", "confirm", "new condition", "recentre", "spread"
+ACTIONS = (FAULT, CONFIRM, CONDITION, RECENTRE, SPREAD)
+FEWEST_TO_RECENTRE = 3
+"""Fewest drives whose mean error is worth a new nominal model."""
+FEWEST_OF_CONDITION = 2
+"""Fewest recordings of a new condition."""
+SHARE_OF_FAULT = 0.5
+"""Share of the least gain fault of the project from which a gain is taken for a fault."""
+SHARE_OF_MEAN = 0.5
+"""Share of the largest error that the mean must exceed for a new nominal model."""
+
+ERRORS = 3.0
+"""Standard errors that the mean must exceed."""
+PARTS = ("gain", "delay_s")
+TINY = 1e-9
+Part = tuple[int, str]
+"""Index of an output, and one of PARTS."""
+
+
+@dataclass(frozen=True)
+class LearningProposal:
+    """Action of ACTIONS with its reason."""
+
+    action: str
+    reason: str
+
+
+def proposals(
+    judge: Judge,
+    judgements: Sequence[Judgement],
+    known: Sequence[tuple[DriveEstimate, ...]],
+    life: FleetState,
+    known_groups: set[str],
+) -> list[LearningProposal]:
+    """Propose an action for every judged drive.
+
+    Parameters
+    ----------
+    judge : Judge
+    judgements : Sequence of Judgement
+    known : Sequence, estimates of the known drives
+    life : FleetState, after the judged drives
+    known_groups : set of str, groups of known drives
+
+    Returns
+    -------
+    list of LearningProposal, in order
+    """
+    gains = judge.stored.project.evaluation.gains
+    least = SHARE_OF_FAULT * min(abs(1 - g) for g in gains if g != 1)
+    shifted = _shifted([*known, *(j.estimates for j in judgements)])
+    groups: dict[str, set[str]] = {}
+    for j in judgements:
+        groups.setdefault(j.experiment.group or "", set()).add(j.experiment.recording)
+    new = {g for g, of in groups.items() if g and g not in known_groups and len(of) >= FEWEST_OF_CONDITION}
+    return [_proposal(j, life, least, shifted.get(_dominant(j.estimates, known)), new) for j in judgements]
+
+
+def _proposal(
+    judgement: Judgement, life: FleetState, least: float, shifted: str | None, new: set[str]
+) -> LearningProposal:
+    member = life.members.get(judgement.vehicle)
+    if member is not None and member.life.changed_at:
+        return LearningProposal(
+            FAULT,
+            f"the lifetime test says that {judgement.vehicle} changed, with {member.changed_by}: a slow "
+            f"change is no healthy drive",
+        )
+    if judgement.broken is not None:
+        return LearningProposal(FAULT, judgement.broken)
+    worst = max(judgement.estimates, key=lambda e: abs(e.gain))
+    if abs(worst.gain) >= least:
+        return LearningProposal(
+            FAULT,
+            f"{worst.output} has {1 + worst.gain:.3f} of the first model's gain; from {least:.2g} off on it "
+            "is taken for a fault",
+        )
+    if not judgement.refutes:
+        return LearningProposal(CONFIRM, "it refutes nothing")
+    if judgement.experiment.group in new:
+        return LearningProposal(CONDITION, f"no known drive has group {judgement.experiment.group}")
+    if shifted is not None:
+        return LearningProposal(RECENTRE, shifted)
+    return LearningProposal(
+        SPREAD, f"its largest ratio is {max(judgement.ratios.values()):.3g}, and no fault shows"
+    )
+
+
+def _dominant(estimates: tuple[DriveEstimate, ...], known: Sequence[tuple[DriveEstimate, ...]]) -> Part:
+    """Output and part of a drive's estimate that is the farthest from the known ones, relative to these."""
+
+    def beyond(place: Part) -> float:
+        j, part = place
+        largest = max((abs(getattr(e[j], part)) for e in known), default=0.0)
+        return abs(getattr(estimates[j], part)) / max(largest, TINY)
+
+    return max(((j, part) for j in range(len(estimates)) for part in PARTS), key=beyond)
+
+
+def _shifted(estimates: Sequence[tuple[DriveEstimate, ...]]) -> dict[Part, str]:
+    """Common errors of all drives that a new nominal model would take, in words by output and part."""
+    found: dict[Part, str] = {}
+    if len(estimates) < FEWEST_TO_RECENTRE:
+        return found
+    for j, of in enumerate(estimates[0]):
+        for part in PARTS:
+            values = np.array([getattr(e[j], part) for e in estimates])
+            mean, error = float(values.mean()), float(values.std(ddof=1) / np.sqrt(len(values)))
+            if abs(mean) > max(SHARE_OF_MEAN * np.abs(values).max(), ERRORS * error):
+                name = part.removesuffix("_s")
+                found[j, part] = (
+                    f"{name} of {of.output} is off by {mean:+.3g} in the mean of {len(values)} drives"
+                )
+    return found

@@ -1,0 +1,211 @@
+"""The new identification of signed decisions, and both identifications side by side."""
+
+from __future__ import annotations
+
+import csv
+import io
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...base import artefacts
+from ...base.errors import InputError
+from ...base.parallel import Map
+from ...drives.tables import EXPERIMENTS, TABLE_SUFFIXES, index_rows
+from ...fit import fitted_model
+from ...fit.project_file import text_of
+from ...identify import identification as stage
+from .decisions import GROUP_OF_KNOWN, Decisions, DriveDecision, Evidence
+from .judgement import Judge
+from .lineage import DRIVES, IDENTIFICATION, KIND, LIFE, ORIGIN, Lineage, put
+from .proposals import CONDITION, RECENTRE
+
+DECISIONS, FIT = "decisions.toml", "fit"
+
+
+def renew(
+    lineage: Lineage,
+    path: Path,
+    out: Path,
+    vehicle: str | None = None,
+    workers: Map = map,
+    progress: Callable[[str], None] = lambda _: None,
+) -> dict[str, Any]:
+    """Identify with the accepted drives, and write the refined folder.
+
+    Parameters
+    ----------
+    lineage : Lineage
+    path : Path, file of decisions
+    out : Path, new folder
+    vehicle : str or None, project file, which a new nominal model is written from
+    workers : Map
+    progress : Callable, reports progress
+
+    Returns
+    -------
+    dict, of `compared`
+
+    Raises
+    ------
+    InputError
+        If the decisions are of another identification, are not signed, or a drive has changed.
+    """
+    decisions, here = Decisions.read(path), path.absolute().parent
+    if decisions.identification != lineage.stored.manifest["seal"]:
+        raise InputError(
+            path, "identification", "is another one", f"that of {lineage.stored.folder}: judge again"
+        )
+    accepted = decisions.accepted
+    if not accepted:
+        raise InputError(path, "", "no drive is accepted", "accept = true in an entry at least")
+    recentred = any(d.action == RECENTRE for d in accepted)
+    if recentred and vehicle is None:
+        raise InputError("refine", "--vehicle", "not given", "the project file: a drive recentres the model")
+    for d in decisions.drives:
+        if artefacts.file_hash(d.experiment(here).path) != d.sha256:
+            raise InputError(d.experiment(here).path, "", "has changed since it was judged", "judge again")
+    evidence = Evidence(
+        [d.experiment(here) for d in decisions.drives], {d.name: d.vehicle for d in decisions.drives}
+    )
+    project = lineage.stored.project
+    with artefacts.new_folder(out, KIND, project.name) as folder:
+        _merge(lineage, accepted, here, folder / DRIVES)
+        if recentred:
+            progress("new nominal model")
+            fitted = fitted_model.fit(project, folder / DRIVES)
+            fitted_model.save(fitted, text_of(str(vehicle)), str(vehicle), folder / FIT)
+            project = fitted.project
+        result, drives = stage.identify(project, folder / DRIVES, workers=workers, progress=progress)
+        stage.save(result, drives, folder / IDENTIFICATION)
+        shutil.copytree(lineage.origin, folder / ORIGIN)
+        progress("lifetime test")
+        with Judge.of(lineage) as judge:
+            life = evidence.lived(judge, lineage.life_of(judge.first, workers), workers)[0]
+        life.write(folder / LIFE)
+        shutil.copyfile(path, folder / DECISIONS)
+        lineage_of = {"seal": lineage.stored.manifest["seal"], "signed_by": decisions.signed_by}
+        note = artefacts.manifest(
+            KIND,
+            vehicle=project.name,
+            before=lineage_of,
+            accepted={d.name: d.action for d in accepted},
+            refused=[d.name for d in decisions.drives if not d.accept],
+        )
+        artefacts.write_files(folder, {artefacts.MANIFEST: note})
+        return compared(lineage.stored, stage.load(folder / IDENTIFICATION))
+
+
+def _merge(lineage: Lineage, accepted: list[DriveDecision], here: Path, folder: Path) -> None:
+    """Write the folder of the known and the accepted drives; files are linked."""
+    folder.mkdir()
+    rows = index_rows(lineage.drives / EXPERIMENTS)
+    for row in rows:
+        for suffix in TABLE_SUFFIXES:
+            if (table := lineage.drives / f"{row['experiment']}{suffix}").is_file():
+                put(table.resolve(), folder / table.name)
+    for d in accepted:
+        table = d.experiment(here).path
+        put(table.resolve(), folder / f"{d.name}{table.suffix}")
+    roles = {*lineage.stored.project.data.bound_split, *lineage.stored.project.data.noise_split}
+    further = [
+        {"experiment": d.name, "split": d.split, "driver": d.driver}
+        | ({"recording": d.recording} if d.recording != d.name else {})
+        | ({"group": d.group} if d.group else {})
+        for d in accepted
+    ]
+    every = [*rows, *further]
+    if any(d.action == CONDITION for d in accepted) or any(row.get("group") for row in rows):
+        for row in every:
+            if row["split"] not in roles and not row.get("group"):
+                row["group"] = GROUP_OF_KNOWN
+    columns = list(dict.fromkeys(column for row in every for column in row))
+    text = io.StringIO()
+    writer = csv.DictWriter(text, columns, restval="", lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(every)
+    artefacts.write_files(folder, {EXPERIMENTS: text.getvalue()})
+
+
+def compared(before: stage.StoredIdentification, after: stage.StoredIdentification) -> dict[str, Any]:
+    """Compare two identifications of the same frames.
+
+    Parameters
+    ----------
+    before, after : StoredIdentification
+
+    Returns
+    -------
+    dict, a pair [before, after] by name; bounds by bin
+    """
+    both = before, after
+    omega = after.estimator.omega
+    tests = {
+        "frame": [s.calibration for s in both],
+        "energy": [s.energy_of_core.calibration for s in both],
+        "change": [s.change_of_core.calibration for s in both],
+    }
+    at_bins = [s.fitted.at(omega) for s in both]
+    of_frames = [s.fitted.of_frames(omega) for s in both]
+    return {
+        "drives": [len(s.manifest["sha256"]) for s in both],
+        "omega_rad_s": omega,
+        "nu": [s.bounds["nu"] for s in both],
+        "B_w": [s.bounds["B_w"] for s in both],
+        "certificate": {
+            "W_delta": [W for W, _ in at_bins],
+            "B_w": [B for _, B in at_bins],
+        },
+        "frame_test": {
+            "W_delta": [W for W, _ in of_frames],
+            "B_w": [B for _, B in of_frames],
+        },
+        "silent_bins": [list(s.fitted.silent) for s in both],
+        "thresholds": {test: [c.carried for c in of] for test, of in tests.items()},
+        "alpha": {test: [c.alpha for c in of] for test, of in tests.items()},
+        "alpha_below": {test: [c.conditional_bound for c in of] for test, of in tests.items()},
+        "smallest_gain_error": [_smallest_gain(s) for s in both],
+    }
+
+
+def _smallest_gain(stored: stage.StoredIdentification) -> float | None:
+    """Smallest gain error that typical excitation shows, of all speed cells."""
+    found = [c["smallest_gain_error"] for c in stored.visibility["at_percentile"]]
+    return min((g for g in found if g is not None), default=None)
+
+
+def rows_of(result: dict[str, Any]) -> list[dict[str, str]]:
+    """Write the table for people.
+
+    Parameters
+    ----------
+    result : dict, of `compared`
+
+    Returns
+    -------
+    list of dict, rows by column
+    """
+
+    def number(x: float | None) -> str:
+        return "–" if x is None else f"{x:.4g}"
+
+    def row(name: str, pair: list[Any]) -> dict[str, str]:
+        return {"": name, "before": number(pair[0]), "after": number(pair[1])}
+
+    sets = {"certificate": "certificate", "frame_test": "frame test"}
+    rows = [{"": "drives", "before": str(result["drives"][0]), "after": str(result["drives"][1])}]
+    for key, name in sets.items():
+        for bound in ("W_delta", "B_w"):
+            pair = result[key][bound]
+            rows.append(row(f"{name}, mean {bound}", [float(np.mean(x)) for x in pair]))
+            growth = pair[1] / np.maximum(pair[0], np.finfo(float).tiny)
+            rows.append({"": f"{name}, {bound} after / before", "before": "1",
+                         "after": f"{growth.min():.4g} to {growth.max():.4g}"})  # fmt: skip
+    for key, name in {"thresholds": "threshold", "alpha": "alpha", "alpha_below": "alpha below"}.items():
+        rows += [row(f"{test} test, {name}", pair) for test, pair in result[key].items()]
+    rows.append(row("smallest visible gain error", result["smallest_gain_error"]))
+    silent = [str(len(x)) for x in result["silent_bins"]]
+    return [*rows, {"": "silent bins", "before": silent[0], "after": silent[1]}]
