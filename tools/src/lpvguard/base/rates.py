@@ -78,6 +78,20 @@ def hourly_words(hourly: dict[str, Any]) -> str:
     return f"{hourly['rate']:.2f}, {hourly['interval'][0]:.2f} to {hourly['interval'][1]:.2f}"
 
 
+def number_words(value: float) -> str:
+    """Word a number with three digits, without an exponent from 1 on.
+
+    Parameters
+    ----------
+    value : float
+
+    Returns
+    -------
+    str
+    """
+    return f"{float(f'{value:.3g}'):.0f}" if 1000 <= value < 1e9 else f"{value:.3g}"
+
+
 def recordings_for(alpha: float) -> int:
     """Return the fewest calibrating recordings that allow a share of false alarms.
 

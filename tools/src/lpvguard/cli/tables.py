@@ -270,6 +270,12 @@ def print_tests(result: Identification) -> None:
             f"change test: threshold {change.calibration.carried:.4g} ({change.calibration.claim()}), "
             f"largest {change.sizes_text(result.project)}"
         )
+    if result.pools is not None and (c := result.pools.calibration).target is not None:
+        console.print(f"pools: threshold {c.carried:.4g} ({c.claim()})")
+        console.print(
+            f"rate: all tests together {result.project.frame_test.alarms_per_1000_h:g} alarms per 1000 h "
+            "judged, an equal share each"
+        )
     if result.diagnosis is not None:
         console.print(
             "causes: smaller changes have no name, because healthy vehicles differ as much: "

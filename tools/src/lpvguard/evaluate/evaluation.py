@@ -42,7 +42,7 @@ from .detection import (
     refutable,
 )
 from .false_alarms import alarmed_pieces, alarming, false_alarms, piece_starts
-from .judged_drives import FLOORS, JudgedDrives, calibrations_of, joint_thresholds
+from .judged_drives import FLOORS, JudgedDrives, calibrations_of, joint_thresholds, rate_of
 
 FEWEST_FOR_BASELINES = 2
 """Fewest calibration drives: a baseline has no natural threshold, so one must remain when a drive is left
@@ -367,6 +367,7 @@ def _table(
             judged.mode: {what: sorted({r["calibration"][what]["claim"] for r in rows}) for what in scored},
         },
         "stated_rates": _stated_rates(rows, baselines, scored),
+        **({} if (rate := rate_of(judged, stored)) is None else {"rate": rate}),
         "drives": rows,
         "injection": injection.to_dict(),
         "without_faults": {r["run"]: _without_faults(r, injection) for r in rows if not r["fault_starts_s"]},

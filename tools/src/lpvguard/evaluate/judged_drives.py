@@ -19,7 +19,7 @@ import numpy as np
 from ..base.errors import InputError
 from ..core.compiled import TESTS
 from ..drives.tables import Experiment, list_experiments, table_hashes
-from ..identify.calibration import ROUNDING, Calibration, Recordings, calibrate, joint_scores
+from ..identify.calibration import ROUNDING, Calibration, RateTarget, Recordings, calibrate, joint_scores
 from ..identify.change import FLOOR, calibrated_change
 from ..identify.identification import DriveSet, StoredIdentification
 from .comparison import HELD_OUT, LEFT_ONE_OUT, MONITOR, POOLS
@@ -85,6 +85,16 @@ class JudgedDrives:
         )
 
 
+def rate_of(judged: JudgedDrives, stored: StoredIdentification) -> dict | None:
+    """Target of the rate, and the least hours that a judging threshold is extrapolated from; None: none."""
+    target = stored.project.frame_test.alarms_per_1000_h
+    if target is None:
+        return None
+    tails = [of[MONITOR].extrapolation for of in judged.calibrations.values()]
+    hours = [t.hours for t in tails if t is not None]
+    return {"per_1000_h": target, "extrapolated_from_h": min(hours) if hours else None}
+
+
 def joint_thresholds(joint: float) -> list[float]:
     """Thresholds of each of TESTS under one ``joint`` threshold: none alarms below its floor."""
     return [max(joint, FLOORS[test]) for test in TESTS]
@@ -101,6 +111,11 @@ def _calibrations(stored: StoredIdentification, without: str | None) -> dict[str
     if stored.pools is not None:
         scores[POOLS] = stored.pools.scores(without)
     scores[MONITOR] = joint_scores(scores, FLOORS)
+    targets = {test: c.target for test, c in calibrations_of(stored).items() if c.target is not None}
+    if targets:
+        if stored.pools is not None and (pooled := stored.pools.target(without)) is not None:
+            targets[POOLS] = pooled
+        targets[MONITOR] = RateTarget.joint(list(targets.values()))
     rules: dict[str, Callable[..., Calibration]] = {
         MONITOR: calibrated_change,
         "frame": calibrate,
@@ -114,6 +129,7 @@ def _calibrations(stored: StoredIdentification, without: str | None) -> dict[str
             {k: scores[what][k] for k in recordings.others(scores[what], without)},
             alpha,
             recordings=recordings,
+            target=targets.get(what),
         )
         for what in scores
     }

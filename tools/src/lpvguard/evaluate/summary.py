@@ -57,6 +57,10 @@ def _alarms(evaluation: dict[str, Any]) -> str:
     promised = "nothing is promised, too few drives calibrate"
     if stated is not None and hours:
         promised = f"at most {stated * counts['recordings']['of'] / hours:.3g} an hour judged are promised"
+    if target := evaluation.get("rate"):
+        promised = f"{target['per_1000_h']:g} per 1000 h judged are promised"
+        if target["extrapolated_from_h"] is not None:
+            promised += f", extrapolated from {target['extrapolated_from_h']:.3g} hours"
     rate = counts["recordings_per_judged_h"]
     measured = "none is measured, nothing is judged"
     if hours:

@@ -7,13 +7,15 @@ core. It carries one threshold: the largest of all, with which every claim holds
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.stats import beta
 
 from ..base.errors import InputError
+from ..base.rates import number_words
+from ..base.tails import Peaks, Tail
 from ..core.compiled import Run
 from ..drives.tables import EXPERIMENTS, Experiment
 
@@ -22,6 +24,10 @@ ROUNDING = 1e-3
 (tests/golden/test_one_verdict.py)."""
 FEWEST_FOR_ALPHA = 9
 """Fewest recordings for which an alpha is stated (THEORY 7.3)."""
+RATED = ("frame", "pools", "energy", "change")
+"""Tests that share a rate of alarms equally."""
+BLOCK_S = 30.0
+"""Length [s] of the blocks of a drive whose maxima a tail is fitted to (THEORY 7.20)."""
 
 
 @dataclass(frozen=True)
@@ -96,6 +102,86 @@ NO_RECORDINGS = Recordings()
 
 
 @dataclass(frozen=True)
+class Extrapolation:
+    """Threshold of a rate that the data are too short for, from the tail of their maxima (THEORY 7.20).
+
+    Attributes
+    ----------
+    per_1000_h : float, the rate, per 1000 h judged
+    hours : float, h judged of the recordings
+    peaks : int, maxima that the tail is fitted to
+    level, scale, shape : float, of the generalised Pareto tail
+    threshold : float, before the floor of the test
+    interval : tuple of float, of 95 %, of the rate at the threshold, per 1000 h judged
+    more_h : float, further hours with which the rate needs no extrapolation
+    """
+
+    per_1000_h: float
+    hours: float
+    peaks: int
+    level: float
+    scale: float
+    shape: float
+    threshold: float
+    interval: tuple[float, float]
+    more_h: float
+
+    def words(self) -> str:
+        """The rate, what it rests on, and what would make it exact."""
+        low, high = map(number_words, self.interval)
+        return (
+            f"{self.per_1000_h:g} per 1000 h judged, extrapolated from {self.hours:.3g} hours ({self.peaks} "
+            f"peaks, shape {self.shape:.2g}; 95 % interval {low} to {high} per 1000 h); "
+            f"{number_words(self.more_h)} more hours judged make it exact"
+        )
+
+
+@dataclass(frozen=True)
+class RateTarget:
+    """Rate of alarms that a test may have, in place of alpha.
+
+    Attributes
+    ----------
+    per_1000_h : float, per 1000 h judged
+    confident : bool, the threshold is the upper end of its interval, with 95 % confidence
+    maxima : Mapping, maxima of the score in blocks of BLOCK_S, by drive
+    judged_s : Mapping, s in counted frames, by drive
+    """
+
+    per_1000_h: float
+    confident: bool
+    maxima: Mapping[str, Sequence[float]]
+    judged_s: Mapping[str, float]
+
+    @classmethod
+    def joint(cls, targets: Sequence[RateTarget]) -> RateTarget:
+        """Target of the largest score of all tests, with the sum of their rates."""
+        drives = set.intersection(*(set(t.maxima) for t in targets))
+        maxima = {d: np.max([t.maxima[d] for t in targets], axis=0).tolist() for d in sorted(drives)}
+        return replace(targets[0], per_1000_h=sum(t.per_1000_h for t in targets), maxima=maxima)
+
+    def threshold(self, scores: Mapping[str, float], floor: float, recordings: Recordings) -> GroupThreshold:
+        """Conformal threshold of the rate where recordings suffice, else that of their tail, if any."""
+        largest, rate = recordings.largest(scores), self.per_1000_h / 1000
+        of = {r: [d for d in scores if recordings.named(d) == r] for r in largest}
+        hours = {r: sum(self.judged_s[d] for d in drives) / 3600 for r, drives in of.items()}
+        whole = sum(hours.values())
+        if not whole:
+            return GroupThreshold(len(largest))
+        exact = _conformal(largest, min(0.5, rate * whole / len(hours)), floor)
+        peaks = Peaks.of({r: [self.maxima[d] for d in drives] for r, drives in of.items()}, hours)
+        if exact.alpha is not None or peaks is None:
+            return exact
+        tail = Tail.fitted(peaks)
+        threshold = tail.confident_threshold(rate) if self.confident else tail.threshold(rate)
+        low, high = tail.interval(threshold)
+        more = max(1 / rate, FEWEST_FOR_ALPHA * whole / len(hours)) - whole
+        of_tail = (len(peaks.excess), peaks.level, tail.scale, tail.shape, threshold)
+        found = Extrapolation(self.per_1000_h, whole, *of_tail, (1000 * low, 1000 * high), more)
+        return replace(exact, threshold=max(floor, threshold), extrapolation=found)
+
+
+@dataclass(frozen=True)
 class GroupThreshold:
     """Threshold of a group from its ``recordings``; None where they are too few for alpha."""
 
@@ -103,9 +189,21 @@ class GroupThreshold:
     threshold: float | None = None
     alpha: float | None = None
     conditional_bound: float | None = None
+    extrapolation: Extrapolation | None = None
+
+    def to_dict(self) -> dict:
+        """JSON-able, for `from_dict`."""
+        return _with_extrapolation({k: v for k, v in vars(self).items() if k != "extrapolation"}, self)
+
+    @classmethod
+    def from_dict(cls, data: dict) -> GroupThreshold:
+        """Read back."""
+        return cls(**(data | _extrapolation_of(data)))
 
     def words(self, group: str) -> str:
         """Claim on a further recording of the ``group``."""
+        if self.extrapolation is not None:
+            return f"group {group}: threshold {self.threshold:.4g}, {self.extrapolation.words()}"
         if self.alpha is None:
             return (
                 f"group {group}: {self.recordings} recordings are too few for its own threshold; it has "
@@ -132,6 +230,8 @@ class Calibration:
     groups : dict[str, GroupThreshold], by group of experiments.csv
     group : str or None, group of this threshold (``of_group``), None: pooled
     judged_s : dict[str, float], s in counted frames by drive; empty without a claim an hour
+    target : RateTarget or None, in place of alpha
+    extrapolation : Extrapolation or None, of the pooled threshold
     """
 
     threshold: float
@@ -142,6 +242,8 @@ class Calibration:
     groups: dict[str, GroupThreshold] = field(default_factory=dict)
     group: str | None = None
     judged_s: dict[str, float] = field(default_factory=dict)
+    target: RateTarget | None = None
+    extrapolation: Extrapolation | None = None
 
     def over(self, judged_s: Mapping[str, float]) -> Calibration:
         """The calibration with the judged time of every drive [s], for claims an hour."""
@@ -174,6 +276,7 @@ class Calibration:
             scores=self.recordings.in_group(self.scores, group),
             alpha=own.alpha,
             conditional_bound=own.conditional_bound,
+            extrapolation=own.extrapolation,
             groups={group: own},
             group=group,
         )
@@ -192,8 +295,11 @@ class Calibration:
         if self.judged_s:
             out["judged_s"] = self.judged_s
         if self.groups:
-            thresholds = {name: vars(g) for name, g in self.groups.items()}
+            thresholds = {name: g.to_dict() for name, g in self.groups.items()}
             out["groups"] = {"of": named.groups, "thresholds": thresholds, "carried": self.carried}
+        if self.target is not None:
+            out["target"] = {k: v for k, v in vars(self.target).items() if k != "judged_s"}
+        _with_extrapolation(out, self)
         return out if self.group is None else out | {"group": self.group}
 
     @classmethod
@@ -201,11 +307,13 @@ class Calibration:
         """Calibration from `to_dict`."""
         pieces = data.get("recordings", {"of": {}, "setting": ()})
         grouped = data.get("groups", {"of": {}, "thresholds": {}})
-        own = {k: v for k, v in data.items() if k not in ("recordings", "groups")}
+        own = {k: v for k, v in data.items() if k not in ("recordings", "groups")} | _extrapolation_of(data)
+        if "target" in data:
+            own["target"] = RateTarget(**data["target"], judged_s=data["judged_s"])
         return cls(
             **own,
             recordings=Recordings(pieces["of"], tuple(pieces["setting"]), grouped["of"]),
-            groups={name: GroupThreshold(**g) for name, g in grouped["thresholds"].items()},
+            groups={name: GroupThreshold.from_dict(g) for name, g in grouped["thresholds"].items()},
         )
 
     def units(self) -> str:
@@ -226,6 +334,8 @@ class Calibration:
         return f"pooled: {self._pooled_claim()}; {claims}; the core carries the largest, {self.carried:.4g}"
 
     def _pooled_claim(self) -> str:
+        if self.extrapolation is not None:
+            return self.extrapolation.words()
         if self.alpha is not None:
             return (
                 f"alpha {self.alpha:g} from {self.units()}, with 95 % confidence below "
@@ -269,6 +379,45 @@ class Peak:
     t_s: float
     place: int | None = None
     without: float | None = None
+
+
+def _with_extrapolation(out: dict, of: GroupThreshold | Calibration) -> dict:
+    """``out`` with the extrapolation, if any."""
+    if of.extrapolation is not None:
+        out["extrapolation"] = vars(of.extrapolation)
+    return out
+
+
+def _extrapolation_of(data: dict) -> dict:
+    """Field of the extrapolation in ``data``, if any."""
+    found = data.get("extrapolation")
+    if found is None:
+        return {}
+    return {"extrapolation": Extrapolation(**found | {"interval": tuple(found["interval"])})}
+
+
+def block_of(t_s: np.ndarray | float) -> np.ndarray:
+    """Block of BLOCK_S in which times [s] after a drive's first sample lie."""
+    return (np.asarray(t_s) // BLOCK_S).astype(int)
+
+
+def block_maxima(run: Run, t0: float, Ts: float) -> dict[str, list[float]]:
+    """Maxima of the frame, energy and change test's score in blocks of a drive; 0 where nothing is judged.
+
+    ``t0`` is the time of its first sample [s].
+    """
+    blocks, counted = int(block_of(len(run.energy) * Ts)) + 1, run.frames.counted
+    series = {
+        "frame": (run.frames.t_end_s[counted] - t0, run.frames.statistic[counted]),
+        "energy": (np.arange(len(run.energy)) * Ts, run.energy),
+        "change": (np.arange(len(run.change)) * Ts, run.change),
+    }
+    found = {}
+    for test, (t, x) in series.items():
+        maxima = np.zeros(blocks)
+        np.maximum.at(maxima, block_of(t), x)
+        found[test] = maxima.tolist()
+    return found
 
 
 def peaks(run: Run, t0: float, Ts: float, length: np.ndarray) -> dict[str, Peak]:
@@ -382,6 +531,7 @@ def calibrate(
     floor: float = 1.0,
     unstated_floor: float | None = None,
     recordings: Recordings = NO_RECORDINGS,
+    target: RateTarget | None = None,
 ) -> Calibration:
     """Compute the threshold from the scores of the calibration drives, and that of every group.
 
@@ -392,21 +542,36 @@ def calibrate(
     floor : float, least threshold, default 1.0: a margin of 1 falsifies nothing
     unstated_floor : float, optional, least threshold without alpha, by default ``floor``
     recordings : Recordings, default NO_RECORDINGS
+    target : RateTarget, optional, in place of alpha
 
     Returns
     -------
-    Calibration, with the largest score as threshold if drives are too few for alpha
+    Calibration, with the largest score as threshold if drives are too few
 
     References
     ----------
-    THEORY 7.3.
+    THEORY 7.3, 7.20.
     """
+
+    def threshold(of: Mapping[str, float]) -> GroupThreshold:
+        if target is not None:
+            return target.threshold(of, floor, recordings)
+        return _conformal(recordings.largest(of), alpha, floor)
+
     names = sorted({recordings.groups[d] for d in scores if d in recordings.groups})
-    groups = {g: _conformal(recordings.largest(recordings.in_group(scores, g)), alpha, floor) for g in names}
-    pooled = _conformal(recordings.largest(scores), alpha, floor)
+    groups = {g: threshold(recordings.in_group(scores, g)) for g in names}
+    pooled = threshold(scores)
     least = floor if unstated_floor is None else unstated_floor
-    threshold = max([least, *scores.values()]) if pooled.threshold is None else pooled.threshold
-    return Calibration(threshold, dict(scores), pooled.alpha, pooled.conditional_bound, recordings, groups)
+    return Calibration(
+        max([least, *scores.values()]) if pooled.threshold is None else pooled.threshold,
+        dict(scores),
+        pooled.alpha,
+        pooled.conditional_bound,
+        recordings,
+        groups,
+        target=target,
+        extrapolation=pooled.extrapolation,
+    )
 
 
 def _conformal(largest: Mapping[str, float], alpha: float, floor: float) -> GroupThreshold:

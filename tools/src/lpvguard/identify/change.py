@@ -15,7 +15,7 @@ from ..base.layout import CONSTANTS
 from ..base.runs import runs
 from ..drives.frames import Estimator
 from ..vehicle.project import Project
-from .calibration import Calibration, Recordings, calibrate
+from .calibration import Calibration, RateTarget, Recordings, calibrate
 
 BLOCK = int(CONSTANTS["NBLOCK"][0])
 FIRST_BLOCK_END = 2
@@ -177,9 +177,15 @@ class ChangeTest:
         ratio = np.divide(met.largest, rms, out=np.ones_like(rms), where=rms > 0).max()
         return replace(self, largest=met.largest, size=np.maximum(ratio * rms, SMALLEST * self.unit[:, :1]))
 
-    def calibrated(self, scores: dict[str, float], alpha: float, recordings: Recordings) -> ChangeTest:
+    def calibrated(
+        self,
+        scores: dict[str, float],
+        alpha: float,
+        recordings: Recordings,
+        target: RateTarget | None = None,
+    ) -> ChangeTest:
         """The test with the threshold from the scores of calibration drives."""
-        return replace(self, calibration=calibrated_change(scores, alpha, recordings))
+        return replace(self, calibration=calibrated_change(scores, alpha, recordings, target))
 
     def coefficients(self) -> tuple[dict[str, int], dict[str, int], dict[str, np.ndarray]]:
         """Sizes, words and numbers of coeff.h."""
@@ -230,7 +236,9 @@ class ChangeTest:
         )
 
 
-def calibrated_change(scores: Mapping[str, float], alpha: float, recordings: Recordings) -> Calibration:
+def calibrated_change(
+    scores: Mapping[str, float], alpha: float, recordings: Recordings, target: RateTarget | None = None
+) -> Calibration:
     """Calibrate the change test from the scores of calibration drives.
 
     Parameters
@@ -238,6 +246,7 @@ def calibrated_change(scores: Mapping[str, float], alpha: float, recordings: Rec
     scores : Mapping, by drive
     alpha : float, probability of an alarm on a further recording
     recordings : Recordings
+    target : RateTarget, optional, in place of alpha
 
     Returns
     -------
@@ -247,7 +256,14 @@ def calibrated_change(scores: Mapping[str, float], alpha: float, recordings: Rec
     ----------
     THEORY 7.7.
     """
-    return calibrate(scores, alpha, floor=FLOOR, unstated_floor=UNSTATED_FLOOR, recordings=recordings)
+    return calibrate(
+        scores,
+        alpha,
+        floor=FLOOR,
+        unstated_floor=UNSTATED_FLOOR,
+        recordings=recordings,
+        target=target,
+    )
 
 
 def regressor_products(e: np.ndarray, yhat: np.ndarray, v: np.ndarray, estimator: Estimator) -> np.ndarray:

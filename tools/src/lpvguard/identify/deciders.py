@@ -87,6 +87,8 @@ def _tests(result: Identification) -> dict[str, Calibration]:
 
 
 def _decides(result: Identification, test: str, c: Calibration) -> Decision:
+    if c.extrapolation is not None:
+        return Decision(f"{test} test: the tail of the scores decides the threshold {c.carried:.4g}", False)
     drive = c.decided_by
     if drive is None:
         return Decision(f"{test} test: no drive decides the threshold {c.carried:.4g}, its floor", False)
@@ -95,7 +97,9 @@ def _decides(result: Identification, test: str, c: Calibration) -> Decision:
     if peak is None or peak.without is None:  # without a core the place is unknown
         return Decision(text, False)
     alpha = result.project.frame_test.alpha
-    left = calibrate(c.scores | {drive: peak.without}, alpha, recordings=c.recordings).carried
+    left = calibrate(
+        c.scores | {drive: peak.without}, alpha, recordings=c.recordings, target=c.target
+    ).carried
     if c.carried <= ONE_FRAME * left:
         return Decision(text, False)
     return Decision(f"{text}; one frame does: without it {left:.4g}", True)

@@ -21,7 +21,7 @@ from ..engine.overbound.certificate import verify_overbound
 from ..engine.overbound.weight import Weight
 from ..engine.synthesis.statespace import prewarped
 from ..vehicle.project import Project
-from .calibration import ROUNDING, Calibration, Recordings, calibrate
+from .calibration import ROUNDING, Calibration, RateTarget, Recordings, calibrate
 from .remembered import remembered
 
 FAN_BITS = 4
@@ -405,10 +405,18 @@ class EnergyTest:
         joint = np.fmax(1.0, needs["joint"])
         return replace(self, sigma=self.sigma * joint[:, None], joint=joint)
 
-    def calibrated(self, scores: dict[str, float], alpha: float, recordings: Recordings) -> EnergyTest:
+    def calibrated(
+        self,
+        scores: dict[str, float],
+        alpha: float,
+        recordings: Recordings,
+        target: RateTarget | None = None,
+    ) -> EnergyTest:
         """The test with the threshold from the scores of calibration drives."""
+        floor = 1.0 + ROUNDING
         return replace(
-            self, calibration=calibrate(scores, alpha, floor=1.0 + ROUNDING, recordings=recordings)
+            self,
+            calibration=calibrate(scores, alpha, floor=floor, recordings=recordings, target=target),
         )
 
     def coefficients(self) -> tuple[dict[str, int], dict[str, int], dict[str, np.ndarray]]:

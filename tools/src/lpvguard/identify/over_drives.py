@@ -13,8 +13,9 @@ from ..base.progress import Progress
 from ..base.sampling import Rows, first_of_each, stacked
 from ..core.compiled import Core
 from ..drives.tables import Experiment
+from ..vehicle.project import FrameTestSettings
 from .bounds import Bounds, Deciders, Part, covering, fold, front_grid, undominated
-from .calibration import Calibration, Peak, Recordings, calibrate
+from .calibration import RATED, Calibration, Peak, RateTarget, Recordings, calibrate
 from .change import ChangeTest
 from .diagnosis import DiagnosisScales
 from .drive_set import Chosen, DriveSet, require_calibration
@@ -91,6 +92,7 @@ class OverDrives:
         self._met: list[Excitation] = []
         self._pooled: Excitation | None = None
         self._judged_s: dict[str, float] = {}
+        self._maxima: dict[str, dict[str, list[float]]] = {}
         self.origins = Origins()
 
     def over(
@@ -288,16 +290,25 @@ class OverDrives:
             scores, energy_scores, change_scores = self._scores(weights, core, reals, drives)
             speaks = bool(scores) and len(inflated.silent) < estimator.n_bins
             self._require_scores(drives, judged=speaks or bool(energy_scores or change_scores))
-            pools = self._pools(bounds, recordings, drives).calibrated(scores, alpha, recordings)
-            test = test.calibrated(energy_scores, alpha, recordings)
-            change = change.calibrated(change_scores, alpha, recordings)
+            aim = partial(self._target, project.frame_test)
+            pools = self._pools(bounds, recordings, drives)
+            pools = pools.calibrated(scores, alpha, recordings, aim("pools"))
+            test = test.calibrated(energy_scores, alpha, recordings, aim("energy"))
+            change = change.calibrated(change_scores, alpha, recordings, aim("change"))
             return (
                 inflated,
-                calibrate(scores, alpha, recordings=recordings).over(self._judged_s),
+                calibrate(scores, alpha, recordings=recordings, target=aim("frame")).over(self._judged_s),
                 replace(test, calibration=test.calibration.over(self._judged_s)),
                 replace(change, calibration=change.calibration.over(self._judged_s)),
                 replace(pools, calibration=pools.calibration.over(self._judged_s)),
             )
+
+    def _target(self, settings: FrameTestSettings, test: str) -> RateTarget | None:
+        """Rate that a test may have, an equal share of that of all; None without one."""
+        if settings.alarms_per_1000_h is None:
+            return None
+        share = settings.alarms_per_1000_h / len(RATED)
+        return RateTarget(share, settings.alarms_confident, self._maxima.get(test, {}), self._judged_s)
 
     def _pools(self, bounds: Bounds, recordings: Recordings, drives: Chosen) -> Pools:
         """Bounds of pools from all drives."""
@@ -306,17 +317,20 @@ class OverDrives:
         W, silent = chosen_share(PoolNeeds.joined(self.over("pools", task, drives.setting)), bounds.B_w_floor)
         needs: dict[str, np.ndarray] = {}
         remainders: list[Remainders] = []
+        blocks: dict[str, np.ndarray] = {}
         chosen = [*drives.setting, *drives.others]
         rest = self.over("pools", partial(pool_remainder_pass, self.reader, sizes, W), chosen)
         for e, remainder in zip(chosen, rest, strict=True):
             name = recordings.named(e.name)
             needs[name] = np.maximum(needs.get(name, 0.0), remainder.largest)
+            if e.name in self._maxima.get("frame", {}) and remainder.blocks is not None:
+                blocks[e.name] = remainder.blocks
             remainders.append(remainder)
             if len(remainders) == JOINED_AT_ONCE:
                 remainders = [Remainders.joined(remainders)]
         floor = np.where(silent, np.inf, bounds.B_w_floor)
         alpha = self.reader.project.frame_test.alpha
-        pools = Pools(sizes, W, floor, needs, calibrate({}, alpha))
+        pools = Pools(sizes, W, floor, needs, calibrate({}, alpha), blocks=blocks)
         joined = Remainders.joined(remainders)
         quantile = joined.sums.quantile(alpha, len(chosen), sizes.parts * sizes.frames)
         self._pooled = joined.excitation(W, pools.bound(), quantile)
@@ -448,6 +462,9 @@ class OverDrives:
         for e, j in zip(drives.others, judged, strict=False):
             self._judged_s[e.name] = j.judged_s
             self.origins.peaks[e.name] = j.peaks
+            if self.reader.project.frame_test.alarms_per_1000_h is not None:
+                for test, maxima in j.maxima.items():
+                    self._maxima.setdefault(test, {})[e.name] = maxima
             if j.score is None:
                 self.left_out[e.name] = self.reader.why_without_frames()
             else:

@@ -28,7 +28,7 @@ from .bounds import (
     reduce_remainder,
     reduce_uncertainty,
 )
-from .calibration import Peak, change_score, energy_score, peaks, score
+from .calibration import Peak, block_maxima, change_score, energy_score, peaks, score
 from .change import ChangeTest, Met, estimates_met, regressor_products
 from .diagnosis import Windows, windows_of
 from .energy import EnergyTest
@@ -300,7 +300,7 @@ class Judged(NamedTuple):
     [s].
 
     ``peaks``: origins of the scores by test; none without a core. ``energy_of_cuts``: largest ratio of the
-    energy test with its first samples cut; 0: not judged.
+    energy test with its first samples cut; 0: not judged. ``maxima``: of the scores in blocks, by test.
     """
 
     worst: float
@@ -311,6 +311,7 @@ class Judged(NamedTuple):
     judged_s: float
     peaks: dict[str, Peak]
     energy_of_cuts: float = 0.0
+    maxima: dict[str, list[float]] = {}  # noqa: RUF012
 
 
 def judge(
@@ -372,7 +373,8 @@ def judge(
     judged_s = float(f.judged(len(drive.t), drive.t[0], Ts, reader.estimator.length).sum() * Ts)
     test_peaks = peaks(whole, drive.t[0], Ts, reader.estimator.length)
     scores = score(whole), energy_score(whole), change_score(whole)
-    return Judged(worst, *scores, met, judged_s, test_peaks, energy_of_cuts)
+    maxima = block_maxima(whole, drive.t[0], Ts)
+    return Judged(worst, *scores, met, judged_s, test_peaks, energy_of_cuts, maxima)
 
 
 def _covered_s(start: np.ndarray, length: np.ndarray, Ts: float) -> float:

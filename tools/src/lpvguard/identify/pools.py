@@ -10,7 +10,7 @@ threshold of these scores with probability at most alpha (T52). No drive is spen
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -21,7 +21,7 @@ from ..drives.frames import Estimator
 from ..drives.tables import Experiment
 from ..vehicle.project import Project
 from .bounds import FrameSet
-from .calibration import Calibration, Recordings, calibrate
+from .calibration import Calibration, RateTarget, Recordings, block_of, calibrate
 from .healthy import CANDIDATES, TYPICAL
 from .limit import LimitSums
 from .visibility import SAMPLED_FRAMES, SPEED_CELLS, Excitation, speed_cell
@@ -123,21 +123,29 @@ def needs_of(
 class Remainders:
     """Largest remainders of drives, and samples of their pools.
 
-    ``largest`` is (K, n_y) [output units]. Rows have ``group`` (speed cell * K + bin), ``hash`` and ``size``
-    (F, n_y), sqrt(P). ``strongest`` has those of the largest size in each output. ``sums`` are those of the
-    limit of detection.
+    ``largest`` is (K, n_y) [output units], ``blocks`` (b, K, n_y) those in blocks of one drive. Rows have
+    ``group`` (speed cell * K + bin), ``hash`` and ``size`` (F, n_y), sqrt(P). ``strongest`` has those of the
+    largest size in each output. ``sums`` are those of the limit of detection.
     """
 
     largest: np.ndarray
     strongest: Rows
     sample: Rows
     sums: LimitSums
+    blocks: np.ndarray | None = None
 
     @classmethod
-    def of_rows(cls, largest: np.ndarray, strongest: Rows, sample: Rows, sums: LimitSums) -> Remainders:
+    def of_rows(
+        cls,
+        largest: np.ndarray,
+        strongest: Rows,
+        sample: Rows,
+        sums: LimitSums,
+        blocks: np.ndarray | None = None,
+    ) -> Remainders:
         """Thinned rows."""
         best = stacked(largest_of_each(strongest, column) for column in strongest["size"].T)
-        return cls(largest, best, first_of_each(sample, SAMPLED_FRAMES), sums)
+        return cls(largest, best, first_of_each(sample, SAMPLED_FRAMES), sums, blocks)
 
     @classmethod
     def joined(cls, parts: Iterable[Remainders]) -> Remainders:
@@ -184,15 +192,16 @@ def remainders_of(
     W: np.ndarray,
 ) -> Remainders:
     """Remainders of a drive beside ``W`` (K, n_y); ``v`` (N,): its speed [m/s]."""
-    largest, K = np.zeros(W.shape), estimator.n_bins
-    way = np.concatenate([[0.0], np.cumsum(v)])
+    K, Ts, way = estimator.n_bins, estimator.Ts, np.concatenate([[0.0], np.cumsum(v)])
+    blocks = np.zeros((int(block_of(len(v) * Ts)) + 1, *W.shape))
     met: list[tuple[np.ndarray, FrameSet]] = []
     rows = [{"group": np.zeros(0, int), "hash": np.zeros(0, np.uint64), "size": np.zeros((0, W.shape[1]))}]
     for s in frames:
         if not len(s.E):
             continue
         for first, (along, size) in enumerate(pooled(s, estimator, sizes.counts(s.bin))):
-            largest[s.bin] = np.maximum(largest[s.bin], (along - W[s.bin] * size).max(axis=0))
+            block = block_of((s.starts + estimator.length[s.bin]) * Ts)
+            np.maximum.at(blocks[:, s.bin], block, along - W[s.bin] * size)
             if first == 0:
                 on_grid = s.starts % estimator.hop[s.bin] == 0
                 start, N = s.starts[on_grid], estimator.length[s.bin]
@@ -201,7 +210,8 @@ def remainders_of(
                 rows.append({"group": cell * K + s.bin, "hash": hashes, "size": size[on_grid]})
                 met.append((cell, replace(s, E=s.E[on_grid], Z=s.Z[on_grid], starts=start)))
     every = stacked(rows)
-    return Remainders.of_rows(largest, every, every, LimitSums.of(met, (SPEED_CELLS, *W.shape)))
+    sums = LimitSums.of(met, (SPEED_CELLS, *W.shape))
+    return Remainders.of_rows(blocks.max(axis=0), every, every, sums, blocks)
 
 
 @dataclass(frozen=True)
@@ -216,6 +226,7 @@ class Pools:
     needs : dict, largest remainders (K, n_y) by recording [output units]
     calibration : Calibration, of the calibration drives' scores
     unit : float, ratio of a remainder that equals its bound, default 1
+    blocks : dict, largest remainders (b, K, n_y) in blocks by calibration drive; empty without a rate
     """
 
     sizes: PoolSizes
@@ -224,6 +235,7 @@ class Pools:
     needs: dict[str, np.ndarray]
     calibration: Calibration
     unit: float = 1.0
+    blocks: dict[str, np.ndarray] = field(default_factory=dict)
 
     @cached_property
     def _table(self) -> np.ndarray:
@@ -244,6 +256,11 @@ class Pools:
 
     def ratios(self, without: str | None = None) -> dict[str, float]:
         """Largest remainder of every recording but ``without`` over the bound of the others."""
+        bounds = self._bounds_of_others(without)
+        return {n: float((self.needs[n] / bound).max()) for n, bound in bounds.items()}
+
+    def _bounds_of_others(self, without: str | None) -> dict[str, np.ndarray]:
+        """Bound (K, n_y) of all others for every recording but ``without``."""
         kept = [i for i, n in enumerate(self.needs) if n != without]
         names, table = list(self.needs), self._table[kept]
         if not kept:
@@ -252,14 +269,35 @@ class Pools:
         most = np.take_along_axis(table, order[-1:], axis=0)[0]
         next_most = np.take_along_axis(table, order[-2:-1], axis=0)[0] if len(kept) > 1 else 0 * most
         others = np.where(np.arange(len(kept))[:, None, None] == order[-1], next_most, most)
-        ratio = (table / np.maximum(others, self.floor)).max(axis=(1, 2))
-        return {names[i]: float(ratio[row]) for row, i in enumerate(kept)}
+        bounds = np.maximum(others, self.floor)
+        return {names[i]: bounds[row] for row, i in enumerate(kept)}
 
-    def calibrated(self, drives: Iterable[str], alpha: float, recordings: Recordings) -> Pools:
-        """The pools with the threshold from the scores of calibration drives."""
+    def calibrated(
+        self, drives: Iterable[str], alpha: float, recordings: Recordings, target: RateTarget | None = None
+    ) -> Pools:
+        """The pools with the threshold from the scores of calibration drives; ``target`` has no maxima."""
         ratio = self.ratios()
         scores = {d: ratio[recordings.named(d)] for d in drives}
-        return replace(self, calibration=calibrate(scores, alpha, recordings=recordings))
+        if target is not None:
+            target = replace(target, maxima=self.maxima(recordings))
+        return replace(self, calibration=calibrate(scores, alpha, recordings=recordings, target=target))
+
+    def maxima(self, recordings: Recordings, without: str | None = None) -> dict[str, list[float]]:
+        """Largest ratio in each block of every drive but those of the recording ``without``."""
+        bounds = self._bounds_of_others(without)
+        named = {d: recordings.named(d) for d in self.blocks}
+        return {
+            d: (x / bounds[named[d]]).max(axis=(1, 2)).tolist()
+            for d, x in self.blocks.items()
+            if named[d] in bounds
+        }
+
+    def target(self, without: str | None = None) -> RateTarget | None:
+        """Target of the rate, if any; ``without``: a drive whose recording is left out."""
+        c = self.calibration
+        if c.target is None or without is None:
+            return c.target
+        return replace(c.target, maxima=self.maxima(c.recordings, c.recordings.named(without)))
 
     def scores(self, without: str | None = None) -> dict[str, float]:
         """Score of every calibration drive; ``without``: a drive whose recording is left out."""
@@ -281,12 +319,13 @@ class Pools:
             "W": self.W,
             "floor": np.where(np.isinf(self.floor), np.nan, self.floor),
             "needs": self.needs,
+            **({"blocks": self.blocks} if self.blocks else {}),
             "calibration": self.calibration.to_dict(),
         }
 
     def stated(self) -> dict:
         """`to_dict` with the bounds in the place of the remainders."""
-        kept = {key: value for key, value in self.to_dict().items() if key != "needs"}
+        kept = {key: value for key, value in self.to_dict().items() if key not in ("needs", "blocks")}
         bound = self.bound()
         return kept | {"B": np.where(np.isinf(bound), np.nan, bound)}
 
@@ -300,6 +339,7 @@ class Pools:
             np.where(np.isnan(floor), np.inf, floor),
             {n: np.array(x, float) for n, x in data["needs"].items()},
             Calibration.from_dict(data["calibration"]),
+            blocks={n: np.array(x, float) for n, x in data.get("blocks", {}).items()},
         )
 
 

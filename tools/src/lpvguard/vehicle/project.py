@@ -316,6 +316,10 @@ class FrameTestSettings(StrictModel):
     confirm : int, exceedances that make an alarm
     of_last : int, frames of a bin among which they are counted
     alpha : float, false-alarm rate that calibration aims at
+    alarms_per_1000_h : float or None
+        In place of alpha, the rate of all tests together per 1000 h judged (THEORY 7.20).
+    alarms_confident : bool
+        Extrapolated thresholds are the upper end of their interval, with 95 % confidence.
     excited_std : float
         The first input's least standard deviation over 10 s in an excited sample [input unit].
     """
@@ -323,6 +327,8 @@ class FrameTestSettings(StrictModel):
     confirm: Annotated[int, Field(ge=1, le=8)] = 1
     of_last: Annotated[int, Field(ge=1, le=8)] = 1
     alpha: Fraction = 0.1
+    alarms_per_1000_h: Positive | None = None
+    alarms_confident: bool = False
     excited_std: Positive
 
     @model_validator(mode="after")
@@ -330,6 +336,11 @@ class FrameTestSettings(StrictModel):
         if self.confirm > self.of_last:
             raise ValueError(f"frame_test: confirm {self.confirm} must not exceed of_last {self.of_last}")
         return self
+
+    @model_serializer(mode="wrap")
+    def _brief(self, plain: SerializerFunctionWrapHandler) -> dict[str, object]:
+        """Leave out an unstated rate, which older settings lack."""
+        return {k: v for k, v in plain(self).items() if not k.startswith("alarms_") or v}
 
 
 class EnergyTestSettings(StrictModel):
@@ -558,6 +569,8 @@ class Project(StrictModel):
         advised = {o for text in vars(self.advice).values() if isinstance(text, dict) for o in text}
         if unknown := advised - {s.name for s in self.outputs}:
             raise ValueError(f"advice: no output is named {', '.join(sorted(unknown))}")
+        if self.frames.estimator == "dft" and self.frame_test.alarms_per_1000_h is not None:
+            raise ValueError("frame_test.alarms_per_1000_h: needs frames of estimator 'hann'")
         if self.design is not None:
             self._require_designable(self.design)
         if unknown := set(self.fit.parameters or {}) - set(self.model.parameters):

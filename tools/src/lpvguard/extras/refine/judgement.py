@@ -111,7 +111,7 @@ class Judge:
 
     def estimates(self, drive: Drive) -> tuple[DriveEstimate, ...]:
         """Estimates of a whole drive, relative to the first identification's model."""
-        piece = ScoredDrive.of(self.first, drive, len(drive.t))
+        piece = ScoredDrive.from_drive(self.first, drive, len(drive.t))
         return scored(self.first, [piece], drive.duration_s)[0].estimates
 
     def _certificate(self, drive: Drive) -> tuple[float, bool]:

@@ -58,7 +58,7 @@ def _core_words(stored: StoredIdentification, replayer: Replayer | None) -> str:
 def _claim(stored: StoredIdentification) -> str:
     """Promise of the frame test's threshold."""
     calibration = stored.calibration
-    if calibration.groups:
+    if calibration.groups or calibration.extrapolation is not None:
         return escape(calibration.claim())
     if calibration.alpha is None:
         return f"{calibration.claim()}; the threshold is the largest score"

@@ -1,0 +1,120 @@
+"""Thresholds of a rate: conformal where recordings suffice, else from the tail, and said so."""
+
+import json
+from importlib import resources
+
+import numpy as np
+import pytest
+
+from lpvguard.base.errors import InputError
+from lpvguard.core.compiled import TESTS
+from lpvguard.evaluate.comparison import MONITOR
+from lpvguard.evaluate.judged_drives import JudgedDrives, calibrations_of, rate_of
+from lpvguard.evaluate.summary import summary
+from lpvguard.identify import identification as stage
+from lpvguard.identify.calibration import RATED, Calibration, RateTarget, Recordings, calibrate
+from lpvguard.identify.identification import DriveSet
+from lpvguard.vehicle.project import load_project, parse_project
+
+
+def fleet(drives: int, per_1000_h: float, confident: bool = False) -> tuple[dict[str, float], RateTarget]:
+    """Scores of drives of a quarter of an hour, each of 30 exponential blocks, and their target."""
+    blocks = np.random.default_rng(1).exponential(size=(drives, 30))
+    maxima = {f"d{i:03}": x.tolist() for i, x in enumerate(blocks)}
+    target = RateTarget(per_1000_h, confident, maxima, dict.fromkeys(maxima, 900.0))
+    return {d: max(x) for d, x in maxima.items()}, target
+
+
+def test_enough_recordings_need_no_extrapolation():
+    scores, target = fleet(100, 80.0)
+    found = calibrate(scores, 0.1, target=target)
+    assert found.alpha == pytest.approx(0.02) and found.extrapolation is None
+    assert found.threshold == sorted(scores.values())[98]  # rank 99 of 101 * 0.98
+
+
+def test_fewer_recordings_extrapolate_and_say_so():
+    scores, target = fleet(100, 1.0)
+    found = calibrate(scores, 0.1, target=target)
+    tail = found.extrapolation
+    assert found.alpha is None and tail is not None
+    assert found.threshold == tail.threshold > max(scores.values())
+    assert "1 per 1000 h judged, extrapolated from 25 hours" in found.claim()
+    assert "975 more hours judged make it exact" in found.claim()
+    assert tail.interval[0] <= 1.0 <= tail.interval[1]
+    again = Calibration.from_dict(json.loads(json.dumps(found.over(dict(target.judged_s)).to_dict())))
+    assert again == found.over(dict(target.judged_s))
+    safe = calibrate(scores, 0.1, target=fleet(100, 1.0, confident=True)[1])
+    assert safe.threshold > found.threshold and safe.extrapolation.interval[0] <= 1.0
+
+
+def test_too_few_maxima_state_no_rate():
+    scores, target = fleet(100, 1.0)
+    two = {d: scores[d] for d in list(scores)[:2]}
+    few = RateTarget(1.0, False, {d: x[:4] for d, x in target.maxima.items()}, target.judged_s)
+    found = calibrate(two, 0.1, target=few)
+    assert found.extrapolation is None and found.threshold == max(two.values())
+    assert "alpha is not stated" in found.claim()
+
+
+def test_every_group_has_a_tail_of_its_own():
+    scores, target = fleet(100, 1.0)
+    groups = {d: "wet" if i % 2 else "dry" for i, d in enumerate(scores)}
+    found = calibrate(scores, 0.1, recordings=Recordings(groups=groups), target=target)
+    assert {g.extrapolation.hours for g in found.groups.values()} == {12.5}
+    assert found.carried == max(found.threshold, *(g.threshold for g in found.groups.values()))
+    assert "group wet: threshold" in found.claim() and "extrapolated from 12.5 hours" in found.claim()
+    assert found.of_group("wet").threshold == found.groups["wet"].threshold
+
+
+def test_a_joint_target_has_the_largest_maxima_and_the_sum_of_rates():
+    a = RateTarget(0.5, False, {"d": [1.0, 4.0], "e": [1.0]}, {"d": 60.0, "e": 60.0})
+    b = RateTarget(0.5, False, {"d": [2.0, 3.0]}, {"d": 60.0})
+    joint = RateTarget.joint([a, b])
+    assert joint.per_1000_h == 1.0 and joint.maxima == {"d": [2.0, 4.0]}
+
+
+def test_a_rate_needs_hann_frames_and_is_left_out_of_settings_without_one():
+    document = load_project("g80").model_dump(by_alias=True)
+    assert not any(key.startswith("alarms_") for key in document["frame_test"])
+    document["frame_test"]["alarms_per_1000_h"] = 1.0
+    assert parse_project(document, "x").frame_test.alarms_per_1000_h == 1.0
+    document["frames"] |= {"estimator": "dft", "length_s": 40.0}
+    with pytest.raises(InputError, match="alarms_per_1000_h"):
+        parse_project(document, "x")
+
+
+@pytest.fixture(scope="module")
+def rated(g80, synthetic, made) -> stage.StoredIdentification:
+    """The synthetic drives identified with a rate."""
+    settings = g80.frame_test.model_copy(update={"alarms_per_1000_h": 1.0})
+    project = g80.model_copy(update={"frame_test": settings})
+
+    def make(folder):
+        stage.save(*stage.identify(project, synthetic), folder)
+
+    return stage.load(made.folder("g80_rated", make))
+
+
+@pytest.mark.slow("10 s: the synthetic drives identified with a rate")
+def test_every_test_has_its_share_of_the_rate_and_evaluate_says_so(rated, synthetic):
+    of = calibrations_of(rated)
+    assert set(of) == set(RATED) == {*TESTS, "pools"}
+    for test, c in of.items():
+        assert c.target.per_1000_h == 0.25 and c.extrapolation is not None and c.alpha is None, test
+        for drive, score in c.scores.items():
+            assert max(c.target.maxima[drive]) == pytest.approx(score, rel=1e-6), (test, drive)
+    judged = JudgedDrives.left_one_out(rated, DriveSet(rated.project, rated.model, synthetic))
+    name = next(iter(judged.experiments))
+    for test, c in judged.calibrations[name].items():
+        assert name not in c.scores and c.target.per_1000_h == (1.0 if test == MONITOR else 0.25)
+    found = rate_of(judged, rated)
+    assert found["per_1000_h"] == 1.0
+    assert 0 < found["extrapolated_from_h"] < of["frame"].extrapolation.hours
+    assert "blocks" in rated.pools.to_dict() and "blocks" not in rated.pools.stated()
+
+
+def test_the_first_line_of_an_evaluation_states_the_rate():
+    example = resources.files("lpvguard.schemas").joinpath("examples", "evaluate.json")
+    evaluation = json.loads(example.read_text(encoding="utf-8"))
+    evaluation["rate"] = {"per_1000_h": 1.0, "extrapolated_from_h": 0.5}
+    assert "1 per 1000 h judged are promised, extrapolated from 0.5 hours" in summary(evaluation)[0]

@@ -1,0 +1,147 @@
+"""Rates of alarms that extrapolate: promised beside counted, on fleets whose tail is known (THEORY 7.20).
+
+A fleet is recordings of 15 minutes, each 30 blocks of 30 s with a score. Its tail is fitted as `identify`
+does with ``alarms_per_1000_h``. Counted are the exceedances of the threshold on fresh hours of the same
+fleet. The scores of a family are exponential, Pareto (shape 0.25) or bounded (shape -0.25). Recordings that
+differ are exponential, each with a scale of its own, and together Pareto of shape 0.25. In clusters every
+score lasts two blocks.
+
+Covered is the share of fleets whose true rate lies within the interval of 95 %. Kept is the share whose true
+rate is at most the promised one where the threshold is the upper end (``rate_confidence``).
+"""
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from ...base.errors import InputError
+from ...base.parallel import workers
+from ...base.rates import rate as share_of
+from ...base.rates import share_words
+from ...base.tails import Peaks, Tail
+from . import numbers_of, parser, show
+
+BLOCKS_PER_H, RECORDING_H, SHAPE = 120, 0.25, 0.25
+RATES_PER_1000_H = (10.0, 1.0, 0.1)
+BLOCKS = round(BLOCKS_PER_H * RECORDING_H)
+
+
+def _exponential(random: np.random.Generator, recordings: int) -> np.ndarray:
+    return random.exponential(size=(recordings, BLOCKS))
+
+
+def _pareto(shape: float, random: np.random.Generator, recordings: int) -> np.ndarray:
+    return np.expm1(shape * random.exponential(size=(recordings, BLOCKS))) / shape
+
+
+def _differing(random: np.random.Generator, recordings: int) -> np.ndarray:
+    scale = 1 / (SHAPE * random.gamma(1 / SHAPE, size=(recordings, 1)))
+    return scale * random.exponential(size=(recordings, BLOCKS))
+
+
+def _clusters(random: np.random.Generator, recordings: int) -> np.ndarray:
+    x = random.exponential(size=(recordings, BLOCKS + 1))
+    return np.maximum(x[:, 1:], x[:, :-1])
+
+
+FAMILIES: dict[str, tuple[Callable[[np.random.Generator, int], np.ndarray], float]] = {
+    "exponential": (_exponential, 0.0),
+    "pareto": (partial(_pareto, SHAPE), SHAPE),
+    "bounded": (partial(_pareto, -SHAPE), -SHAPE),
+    "differing": (_differing, SHAPE),
+    "clusters": (_clusters, 0.0),
+}
+"""Scores of recordings (recordings, BLOCKS), and the shape of their tail, of scale 1, by family."""
+
+
+def true_rate(shape: float, threshold: float) -> float:
+    """Exceedances of a threshold an hour."""
+    if shape == 0:
+        return BLOCKS_PER_H * float(np.exp(-threshold))
+    return BLOCKS_PER_H * max(0.0, 1 + shape * threshold) ** (-1 / shape)
+
+
+def _fleet(family: str, hours: float, fresh: np.ndarray, seed: int, index: int) -> list[dict[str, float]]:
+    """Results of a fleet at every rate; ``fresh``: the family's sorted peaks on other hours."""
+    draw, shape = FAMILIES[family]
+    scores = draw(np.random.default_rng([seed, index, round(hours)]), round(hours / RECORDING_H))
+    names = [str(i) for i in range(len(scores))]
+    peaks = Peaks.of({n: [x] for n, x in zip(names, scores, strict=True)}, dict.fromkeys(names, RECORDING_H))
+    assert peaks is not None
+    tail, found = Tail.fitted(peaks), []
+    for rate in (r / 1000 for r in RATES_PER_1000_H):
+        z, safe = tail.threshold(rate), tail.confident_threshold(rate)
+        low, high = tail.interval(z)
+        true = true_rate(shape, z)
+        found.append(
+            {
+                "counted": float(len(fresh) - np.searchsorted(fresh, z, side="right")),
+                "true": true,
+                "covered": float(low <= true <= high),
+                "kept": float(true_rate(shape, safe) <= rate),
+                "interval": high / max(low, 1e-9),
+            }
+        )
+    return found
+
+
+def bench_rates(fleets: int, hours: list[float], fresh_h: float, seed: int, jobs: int) -> dict[str, Any]:
+    """All numbers of the table."""
+    rows = []
+    for number, (family, (draw, _)) in enumerate(FAMILIES.items()):
+        other = draw(np.random.default_rng([seed, 10**6 + number]), round(fresh_h / RECORDING_H))
+        if family == "clusters":
+            other = other[:, ::2]  # every score once
+        fresh = np.sort(other.ravel())[-round(fresh_h) :]
+        for h in hours:
+            with workers(jobs) as run:
+                found = list(run(partial(_fleet, family, h, fresh, seed + number), range(fleets)))
+            for i, promised in enumerate(RATES_PER_1000_H):
+                of = [f[i] for f in found]
+                counted = np.array([f["counted"] for f in of]) / fresh_h * 1000
+                rows.append(
+                    {
+                        "family": family,
+                        "hours": h,
+                        "promised_per_1000_h": promised,
+                        "counted_per_1000_h": [float(q) for q in np.quantile(counted, (0.05, 0.5, 0.95))],
+                        "true_per_1000_h": 1000 * float(np.median([f["true"] for f in of])),
+                        "covered": share_of(int(sum(f["covered"] for f in of)), fleets),
+                        "kept": share_of(int(sum(f["kept"] for f in of)), fleets),
+                    }
+                )
+    return {"fleets": fleets, "fresh_h": fresh_h, "rows": rows}
+
+
+def words(result: dict[str, Any]) -> str:
+    """The table."""
+    lines = [
+        f"{result['fleets']} fleets a row, counted on {result['fresh_h']:g} fresh hours",
+        "family       hours  promised  counted per 1000 h: 5 %, median, 95 %   covered; kept",
+    ]
+    for r in result["rows"]:
+        low, middle, high = r["counted_per_1000_h"]
+        lines.append(
+            f"{r['family']:<12} {r['hours']:>5g}  {r['promised_per_1000_h']:>8g}  {low:>10.3g} "
+            f"{middle:>10.3g} {high:>10.3g}             {share_words(r['covered'])}; {share_words(r['kept'])}"
+        )
+    return "\n".join(lines)
+
+
+def main(argv: list[str]) -> None:
+    """`lpvguard bench rates`."""
+    options = parser("rates", __doc__)
+    options.add_argument("--fleets", type=int, default=100, help="fleets of each family and size")
+    options.add_argument("--hours", default="10,100", help="hours of a fleet, comma between")
+    options.add_argument("--fresh", type=float, default=20_000.0, help="hours on which alarms are counted")
+    options.add_argument("--seed", type=int, default=1)
+    options.add_argument("--jobs", type=int, default=1, help="processes that share the fleets")
+    given = options.parse_args(argv)
+    for name in ("fleets", "fresh", "jobs"):
+        if getattr(given, name) < 1:
+            raise InputError("bench rates", f"--{name}", str(getattr(given, name)), "a number from 1 on")
+    hours = numbers_of("rates", "--hours", given.hours, lambda h: h >= 1, "hours from 1 on")
+    result = bench_rates(given.fleets, hours, given.fresh, given.seed, given.jobs)
+    show(words(result), result, given.json_out)
