@@ -191,6 +191,11 @@ SAME_WORDS = {
         "BR1_Rad_kmh",
         "Geschwindigkeit km/h",
         "WHL_SPD_FL km/h",
+        "velocidad_kmh",
+        "prędkość",
+        "INS_Vel_Hor_X",
+        "u",
+        "SOG kn",
     ),
     "input": (
         "StrgWhlAngHSC2 deg",
@@ -198,6 +203,12 @@ SAME_WORDS = {
         "STEERING_ALT.ANGLE deg",
         "angle_volant",
         "EPS_internalSAS",
+        "SW_pos_obd",
+        "SteerAng °",
+        "HWA",
+        "stuurhoek",
+        "kąt_skrętu_kierownicy",
+        "servo_angle",
     ),
     "output": (
         "IMU_YawRtVal deg/s",
@@ -205,6 +216,16 @@ SAME_WORDS = {
         "VITESSE_LACET Degré/s",
         "BR5_Giergeschw",
         "YAW.Rate",
+        "omega(rad/s)",
+        "psi_dot",
+        "dpsi_dt",
+        "gz_dps",
+        "Yaw_deg/s",
+        "ang_vel_z",
+        "IMU_gyro.z",
+        "z_rate_of_rotation",
+        "GPS_Gyro",
+        "velocidad_guiñada",
     ),
 }
 OTHER_QUANTITIES = {
@@ -222,7 +243,17 @@ OTHER_QUANTITIES = {
         "STEER_WARN",
         "StePinRelInit_An_Sns deg",
     ),
-    "output": ("ESP_yawRateQF", "TrlrYaw_W_Actl rad/s", "YAW_RATE_STAT", "yaw_acc", "HIGH_YAW_ANGLE deg"),
+    "output": (
+        "ESP_yawRateQF",
+        "TrlrYaw_W_Actl rad/s",
+        "X-axis_rate_of_rotation deg/s",
+        "gyro_y",
+        "IMU_yaw",
+        "roll_rate",
+        "YAW_RATE_STAT",
+        "yaw_acc",
+        "HIGH_YAW_ANGLE deg",
+    ),
 }
 
 
@@ -274,7 +305,7 @@ def test_a_vehicles_name_is_checked_before_anything_is_read(tmp_path):
 TIMES = {
     "a second or a thousandth": (lambda t: 50 * t, "steps of 1 are a second, or a thousandth"),
     "whole seconds": (np.floor, "time of speed: the median step is 0 s"),
-    "the last sample first": (lambda t: -t, "time of speed: the median step is -0.02 s"),
+    "the last sample first": (lambda t: -t, "column time: 100% of its steps go back"),
     "a jump of 30,000 years": (lambda t: t + 1e12 * (t > 130), "line 1504, column time: a time of 1e.12 s"),
 }
 

@@ -77,13 +77,16 @@ def candump_line(t_us: int, channel: str, identifier: int, data: bytes) -> str:
     return f"({t_us // 10**6}.{t_us % 10**6:06d}) {channel} {frame}\n"
 
 
-def read_log(path: Path, *, time_column: str | None = None, schema: Path | None = None) -> Frames | Table:
+def read_log(
+    path: Path, *, time_column: str | None = None, rate_hz: float | None = None, schema: Path | None = None
+) -> Frames | Table:
     """Read one log; its form follows from the suffix, and from the content of CSV, Parquet and MF4.
 
     Parameters
     ----------
     path : Path
-    time_column : str, optional, time [s] of a decoded table, by default the first of t, time, timestamp
+    time_column : str, optional, time of a decoded table, by default the first of t, time, timestamp
+    rate_hz : float, optional, Hz, rows a second of a decoded table, whose times are then not read
     schema : Path, optional, log.capnp of an openpilot log
 
     Returns
@@ -99,7 +102,7 @@ def read_log(path: Path, *, time_column: str | None = None, schema: Path | None 
     if reader_of(path) is not None and path.exists():
         return read_foreign(path, schema)
     if path.is_dir() and (topics := topic_files(path)):
-        tables = {p.stem: read_log(p, time_column=time_column) for p in topics}
+        tables = {p.stem: read_log(p, time_column=time_column, rate_hz=rate_hz) for p in topics}
         return joined(path, {topic: table for topic, table in tables.items() if isinstance(table, Table)})
     if not path.is_file():
         raise InputError(path, "", "no such file", "a log: candump, ASC, BLF, MF4, CSV or Parquet")
@@ -114,7 +117,7 @@ def read_log(path: Path, *, time_column: str | None = None, schema: Path | None 
     elif suffix in _MDF_SUFFIXES:
         log = read_mf4(path)
     elif suffix in {*_TEXT_SUFFIXES, *_CANDUMP_SUFFIXES, ".parquet"}:
-        log = _read_table(path, suffix, time_column)
+        log = _read_table(path, suffix, time_column, rate_hz)
     else:
         raise InputError(
             path,
@@ -440,12 +443,12 @@ def _read_python_can(path: Path) -> Frames:
 # ----------------------------------------------------------------------------------------------- CSV, Parquet
 
 
-def _read_table(path: Path, suffix: str, time_column: str | None) -> Frames | Table:
+def _read_table(path: Path, suffix: str, time_column: str | None, rate_hz: float | None) -> Frames | Table:
     import pyarrow as pa
     import pyarrow.parquet as pa_parquet
 
     from .raw_tables import is_raw, raw_frames
-    from .text_tables import read_text_table
+    from .text_tables import read_text_table, with_numbers
     from .time_columns import time_of
 
     units: dict[str, str] = {}
@@ -454,11 +457,10 @@ def _read_table(path: Path, suffix: str, time_column: str | None) -> Frames | Ta
         if suffix == ".parquet":
             table = pa_parquet.read_table(path)
         else:
-            data = _bytes(path)
-            as_text = read_text_table(data, path, text_columns=True)
-            if is_raw(as_text.table.column_names):
-                return raw_frames(as_text, path)
-            read = read_text_table(data, path)
+            read = read_text_table(_bytes(path), path)
+            if is_raw(read.table.column_names):
+                return raw_frames(read, path)
+            read = with_numbers(read, path)
             table, first_line, units = read.table, read.first_line, read.units
     except (pa.ArrowException, OSError) as error:
         raise InputError(
@@ -474,7 +476,11 @@ def _read_table(path: Path, suffix: str, time_column: str | None) -> Frames | Ta
         )
     if set(names) >= _RAW_COLUMNS:
         return _raw_table(path, table)
-    t_ns, keep, made_of = time_of(table, units, path, first_line, time_column)
+    if rate_hz is None:
+        t_ns, keep, made_of = time_of(table, units, path, first_line, time_column)
+    else:
+        t_ns = np.rint(np.arange(table.num_rows) * (1e9 / rate_hz)).astype(np.int64)
+        keep, made_of = np.ones(table.num_rows, bool), set()
     return Table(
         {
             c: Series(t_ns, _numbers(path, table, c)[keep], units.get(c, ""))

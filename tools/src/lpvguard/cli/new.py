@@ -21,6 +21,10 @@ def new(
     ] = None,
     channel: Annotated[str | None, typer.Option(help="Interface of raw logs with several.")] = None,
     schema: Annotated[Path | None, typer.Option(help="log.capnp of openpilot's logs.")] = None,
+    time: Annotated[str | None, typer.Option(help="Time column of tables.")] = None,
+    rate: Annotated[
+        float | None, typer.Option(help="Rows a second of tables without times [Hz].", min=0.1)
+    ] = None,
     kind: Annotated[
         KindName | None, typer.Option(help="Kind of vehicle (default: as the wheelbase suggests).")
     ] = None,
@@ -53,15 +57,19 @@ def new(
             kind=kind,
             schema=schema,
             channel=channel,
+            time=time,
+            rate_hz=rate,
             ratio=ratio,
             units={"speed": speed_unit, "input": input_unit, "output": output_unit},
         )
     for p in made.proposals.values():
-        console.print(f"{p.role}: {p.name} in {p.unit}, factor {p.factor:.6g}: {'; '.join(p.why)}")
+        console.print(
+            f"{p.role}: {p.name} in {p.unit}, factor {p.factor:.6g}: {'; '.join(p.why)}", markup=False
+        )
     for text in made.notes:
         console.print(text)
     for log, reason in made.left_out.items():
-        console.print(f"left out: {log}: {reason}")
+        console.print(f"left out: {log}: {reason}", markup=False)
     console.print(
         f"written to {out}; read {out}/{name}.toml, then: "
         f"lpvguard fit --vehicle {out}/{name}.toml {out}/drives -o {out}-fit"

@@ -243,7 +243,7 @@ def _sources(log: Frames | Table, path: Path, given: Inputs) -> dict[str, list[S
 
 def _ingest_one(path: Path, given: Inputs) -> tuple[list[Piece], dict]:
     """Pieces and report of one log; InputError when nothing of it remains."""
-    log = read_log(path, time_column=given.map.time, schema=given.schema)
+    log = read_log(path, time_column=given.map.time, rate_hz=given.map.rate_hz, schema=given.schema)
     t_ns = _log_time(log)
     if len(t_ns) == 0:
         raise InputError(path, "", "holds no signal", "at least one column of numbers")

@@ -18,40 +18,46 @@ from .steady_turn import Driven, steady_turn
 
 WORDS = {
     "speed": (
-        r"^(v|vx|v_x|vel|speed|v_?ego)$|(vehicle|veh|car|ego)_?(speed|spd|velocity)",
-        r"linear_vel_x|speed|spd|veloc|\bvel|geschw|vitesse|(^|_)v_signal|veh_?v_",
+        r"^(v|vx|v_x|vel|speed|v_?ego|ego_?v)$|(vehicle|veh|car|ego)_?(speed|spd|velocity)",
+        r"linear_(vel_)?x|speed|spd|veloc|(^|_)vel(_|$)|^vel|geschw|vitesse|(^|_)v_signal|veh_?v_|^(u|v_?long|sog|"
+        r"tempo|tacho)(_|$)|^h\u0131z|snelheid|hastighet|rychlost|pr[eę]dko[sś]",
     ),
     "input": (
         r"^(delta|steer|swa)$|road_?wheel|(steer|steering)_?(wheel|whl)?_?ang(le)?(_|$)",
         r"steer|(^|_)delta(_|$)|wheel_?angle|lenk|volant|braquage|(^|_)sterz|sas_angle|internal_?sas|_lrw$|"
-        r"ste(pin|whl).*_an|st(r|rg|w)?_?(wheel|whl|w)?_?angl?|whl_?ang",
+        r"ste(pin|whl).*_an|st(r|rg|w)?_?(wheel|whl|w)?_?angl?|whl_?ang|^l(r?w|ws)(_|$)|(^|_)(sw|hand_?wheel)_?(pos|ang|deg|"
+        r"rad)|^(hwa|rwa)(_|$)|(servo|t[iy]re)_?(pos|angle)|direcci[oó]n|stuur|ratt_?v|skret|kierown",
     ),
     "output": (
-        r"^(r|wz|yaw_?rate)$",
-        r"yaw_?(rate|rte?|vel|speed|spd|w_)|angular_vel_z|gyro?_?z|omega_?z|psi_?dot|gier|lacet|imbard",
+        r"^(r|w_?z|yaw_?rate)$",
+        r"yaw_?(rate|rte?|r$|vel|speed|spd|w_)|ang(ular)?_?(vel|rate|velocity|speed)_?z|gyro?(scope)?_?z|omega_?z|^omega$|"
+        r"psi_?(dot|punkt|p$)|^d_?psi(_?dt)?$|^gz(_|$)|rot(ation)?_?(rate|speed|vel)?_?z(_|$)|(^|_)rate_?(\w+_)?z(_|$)|z_?(axis_)?rate_of_rot|"
+        r"(heading|turn)_?(rate|speed)|(^|_)gyro$|gier|lacet|imbard|gui[nñ]|girasj",
     ),
 }
 """By role: what a name is for certain, and what it may hold."""
 OF_PATHS = {
     "speed": r"twist_linear_x$|linear_velocity_x$",
     "input": r"ackermann.*steering_angle$|(steer|lenk|volant)\w*_(angle|ang|winkel|pos|position|value)$",
-    "output": r"(angular|angular_velocity)_z$|angular_velocity_xyz_2_?$|gyro_rad_2_?$|yaw_(rate|value)$",
+    "output": r"(angular|angular_velocity|ang_?vel|gyro\w*|rate\w*)_z$|angular_velocity_xyz_2_?$|"
+    r"gyro_rad_2_?$|yaw_(rate|value)$",
 }
 """By role: what the last words of a topic or message with its fields may be."""
-WITH_UNIT = {"output": r"yaw|gyro?"}
+WITH_UNIT = {"output": r"yaw|gyro?|rot"}
 """By role: what a name may hold where a unit of the role is stated."""
 NEVER = {
     "speed": r"rel(ative|_|sp|v)|target|trgt|trg$|set_?(point|speed)|wunsch|ziel|soll|lead|obj|wiper|fan|"
     r"wind_|engine|idle|shaft|turbine|motor_sp|rpm|max|lim|lmt|trap|tsr|saved|condition|offset|regel|"
-    r"abbruch|zeit|gier|yaw|lacet|ang|steer|sas|rate_|hud|clu_|kombi|angez|dsply|display|navi|expected",
+    r"abbruch|zeit|gier|yaw|lacet|imbard|gui[nñ]|ang|steer|sas|rate_|hud|clu_|kombi|angez|dsply|display|navi|expected",
     "input": r"rate(?!d)|torque|tq|trq|speed|spd|vel|gesch|grd|moment|hilfe|fraction|override|volt|pressure|"
     r"hands|hold|assist|warn|config|index|menu|flex|ratio|typ|required|verbau",
-    "output": r"acc|ang(le)?(_|$)|target|desired|(^|_)ref|trailer|trlr|fehler",
+    "output": r"(^|_)[xy]_?(axis_)?(rate|rot|gyro)|(gyro\w*|rot\w*|rate)_?[xy](_|$)|roll|pitch|"
+    r"nick|wank|acc|ang(le)?(_(?!vel|rate|speed)|$)|target|desired|(^|_)ref|trailer|trlr|fehler",
 }
 """By role: other quantities that share a word with it."""
 NOT = {
     "speed": r"cmd|command|control|desired|_y$|_z$|cruise|digital|pcm|cluster|dash|ui_|adas|acc_?|gps|low|"
-    r"mod_|bump|analog|rough",
+    r"mod_|bump|analog|rough|_[yz]_",
     "input": r"req|calculated|command|cmd|control|motor|_2$|rechts|sw$|rel",
     "output": r"raw",
 }
@@ -65,6 +71,12 @@ NO_MEASUREMENT = re.compile(
 """In names of what tells of a measurement, and is none."""
 NO_SIGNALS_UNIT = ("Nm", "rpm", "RPM", "r/min", "%", "V", "A", "Amps", "minute", "ms", "s")
 """Units of other things."""
+NO_ANGLE = re.compile(
+    r"percent|pct|%|norm(?!al)|pwm|(^|_)adc|duty|ticks?(_|$)|counts?$|volt|(^|_)(us|usec|mv)$"
+)
+"""In names of a steering that is no angle yet: a share of full lock, a pulse, a voltage."""
+FULL_LOCK, HELD = (1.0, 100.0), 5
+"""A steering without a unit that stays at one of these largest values for so many samples is a share."""
 OTHERS_MESSAGE = re.compile(
     r"cmd|command|lka|lta|acc|cruise|hud|kombi|cluster|object|track|radar|cam_|das_|ipma|nav|gps|tsk|smgr|tbd"
 )
@@ -119,19 +131,20 @@ def ranked(role: str, names: Iterable[str], units: Mapping[str, str] | None = No
     scores = {}
     for name in names:
         message, _, last = name.rpartition(".")
-        low = re.sub(r"[\s-]+", "_", last.lower())
+        low = re.sub(r"[\s/-]+", "_", last.lower())
         unit = (units or {}).get(name, "")
         if NO_MEASUREMENT.search(low) or re.search(NEVER[role], low):
             continue
         sure, may = WORDS[role]
-        certain = re.search(sure, low) or re.search(sure, without_unit(last, role))
-        paths = (name.lower(), f"{message}.{without_unit(last, role)}".lower())
+        plain = without_unit(last, role)
+        certain = re.search(sure, low) or re.search(sure, plain)
+        paths = (name.lower(), f"{message}.{plain}".lower())
         of_path = (re.search(OF_PATHS[role], re.sub(r"[^a-z0-9]+", "_", path)) for path in paths)
-        likely = bool(re.search(may, low)) or any(of_path)
+        likely = bool(re.search(may, low) or re.search(may, plain)) or any(of_path)
+        stated, in_name = _unit(unit, role) is not None, bool(units_in_name(last, role))
         if role == "speed":
-            likely = likely or bool(units_in_name(last, role))
-        stated = _unit(unit, role) is not None
-        if certain or likely or (stated and re.search(WITH_UNIT.get(role, "$^"), low)):
+            likely = likely or in_name
+        if certain or likely or ((stated or in_name) and re.search(WITH_UNIT.get(role, "$^"), low)):
             less = 1.5 * bool(re.search(NOT[role], low)) + 0.5 * bool(OTHERS_MESSAGE.search(message.lower()))
             less += 0.5 * (role == "speed" and WHEEL.search(low) is not None)
             less += 2.0 * _of_another(unit, role)
@@ -238,6 +251,15 @@ def _choices(
             )
         return (unit,), [f"unit {unit} as you say"]
     stated = sorted({u for r in recordings if (u := r.units.get(name, "").strip())})
+    option = f"--{role}-unit"
+    one = f"--{role} NAME, or {option} with what 1 of it is, as {option} '0.02 {GUESSED_UNITS[role][0]}'"
+    if role == "input" and (word := NO_ANGLE.search(re.sub(r"[\s.-]+", "_", name.lower()))):
+        raise InputError(
+            "new",
+            name,
+            f"its name says {word[0].strip('_')}, and no angle",
+            f"{one}; a middle that is not 0 is the `offset` of a signal map (lpvguard ingest --signals)",
+        )
     if len(stated) > 1:
         raise InputError(
             "new", name, f"the logs state the units {' and '.join(stated)}", f"one unit, or --{role}-unit"
@@ -245,13 +267,8 @@ def _choices(
     in_name = list(dict.fromkeys(unit for text in units_in_name(name, role) if (unit := text)))
     by_log = _unit(stated[0], role) if stated else None
     if stated and by_log is None:
-        if _of_another_role(stated[0], role):
-            raise InputError(
-                "new",
-                name,
-                f"its unit is {stated[0]}, none of a {WHAT[role]}",
-                f"--{role} NAME, or --{role}-unit",
-            )
+        if _of_another_role(stated[0], role) or stated[0] in NO_SIGNALS_UNIT:
+            raise InputError("new", name, f"its unit is {stated[0]}, none of a {WHAT[role]}", one)
         if not in_name:
             return GUESSED_UNITS[role], [f"its unit {stated[0]} is not known"]
     told = [by_log] if by_log else in_name
@@ -263,13 +280,13 @@ def _choices(
     if told:
         source = f"the log states {stated[0]}" if by_log else "by its name"
         return (told[0],), [f"unit {told[0]}, {source}"]
-    if elsewhere := next((u for r in ROLES if r != role for u in units_in_name(name, r)), None):
-        raise InputError(
-            "new",
-            name,
-            f"its name states {elsewhere}, none of a {WHAT[role]}",
-            f"--{role} NAME, or --{role}-unit",
-        )
+    if elsewhere := next((u for r in reversed(ROLES) if r != role for u in units_in_name(name, r)), None):
+        raise InputError("new", name, f"its name states {elsewhere}, none of a {WHAT[role]}", one)
+    largest = max(float(np.nanmax(np.abs(r.values[name]))) for r in recordings)
+    held = max(int((np.abs(r.values[name]) == largest).sum()) for r in recordings)
+    if role == "input" and largest in FULL_LOCK and held >= HELD:
+        what = f"stays at {largest:g}, its largest value, as a share of full lock does"
+        raise InputError("new", name, what, f"--input-unit rad or deg where it is an angle, or {one}")
     return GUESSED_UNITS[role], []
 
 
@@ -312,7 +329,8 @@ def _require_sign(role: str, name: str, common: list[str], recordings: list[Reco
 
 def _varies(value: np.ndarray) -> bool:
     """Return whether a signal has more than two values; a switch has two."""
-    return bool(((value > np.nanmin(value)) & (value < np.nanmax(value))).any())
+    value = value[np.isfinite(value)]
+    return len(value) > 0 and bool(((value > value.min()) & (value < value.max())).any())
 
 
 def _named(
