@@ -178,9 +178,12 @@ def test_units_and_messages_rank_the_signals_of_a_database():
         "STEER_STATUS.STEER_STATUS": "",
         "LTA_RELATED.STEER_ANGLE": "",
         "ParkAid_Data.ExtSteeringAngleReq": "Degrees",
+        "Lane_Keep.Steer_Angle_Req": "deg",
+        "Steering_Wheel_Data.SteWhlRelCalib_An_Sns": "deg",
     }
     assert ranked("speed", units, units)[:2] == ["CAR_SPEED.CAR_SPEED", "ESP_21.ESP_v_Signal"]
     assert ranked("input", units, units)[0] == "LWI_01.LWI_Lenkradwinkel"
+    assert ranked("input", list(units)[-2:], units)[0] == "Steering_Wheel_Data.SteWhlRelCalib_An_Sns"
     assert ranked("output", units, units)[0] == "ESP_02.ESP_Gierrate"
 
 
@@ -235,6 +238,7 @@ OTHER_QUANTITIES = {
         "TSR_Speed km/h",
         "SpeedLim_Nav km/h",
         "ENGINE_SPEED",
+        "SpeedSetpt m/s",
     ),
     "input": (
         "STEER_TORQUE Nm",
@@ -242,10 +246,15 @@ OTHER_QUANTITIES = {
         "STEER_CONFIG_INDEX",
         "STEER_WARN",
         "StePinRelInit_An_Sns deg",
+        "DAS_maxAbsSteeringWheelAngle deg",
+        "WprWash_R_Sw_Posn_V2",
+        "DI_steeringAngleOffset deg",
     ),
     "output": (
         "ESP_yawRateQF",
         "TrlrYaw_W_Actl rad/s",
+        "Offset_Gierrate deg/s",
+        "CR_Mcu_MotActRotSpd_rpm rpm",
         "X-axis_rate_of_rotation deg/s",
         "gyro_y",
         "IMU_yaw",

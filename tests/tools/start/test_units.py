@@ -106,6 +106,7 @@ SPELLINGS = {
         "kn": ("GPS Speed (knots)", "sog_kts"),
         "cm/s": ("speed (cm/s)",),
         "mm/s": ("speed_mm_s",),
+        "0.9144 m/s": ("speed [yd/s]",),
         None: ("speed", "Geschwindigkeit", "v", "speed_2", "rms"),
     },
     "input": {

@@ -195,7 +195,7 @@ def _by_pint(text: str, role: str) -> str | None:
         ours = unit_factor(name, DIMENSIONS[role])
         if ours is not None and abs(factor / ours - 1) < 1e-6:
             return name
-    return None
+    return f"{factor:.9g} {DIMENSIONS[role]}"
 
 
 def units_in_name(name: str, role: str) -> list[str]:

@@ -25,7 +25,7 @@ WORDS = {
     "input": (
         r"^(delta|steer|swa)$|road_?wheel|(steer|steering)_?(wheel|whl)?_?ang(le)?(_|$)",
         r"steer|(^|_)delta(_|$)|wheel_?angle|lenk|volant|braquage|(^|_)sterz|sas_angle|internal_?sas|_lrw$|"
-        r"ste(pin|whl).*_an|st(r|rg|w)?_?(wheel|whl|w)?_?angl?|whl_?ang|^l(r?w|ws)(_|$)|(^|_)(sw|hand_?wheel)_?(pos|ang|deg|"
+        r"ste(pin|whl).*_an|st(r|rg|w)?_?(wheel|whl|w)?_?angl?|whl_?ang|^l(r?w|ws)$|(^sw|hand_?wheel)_?(pos|ang|deg|"
         r"rad)|^(hwa|rwa)(_|$)|(servo|t[iy]re)_?(pos|angle)|direcci[oó]n|stuur|ratt_?v|skret|kierown",
     ),
     "output": (
@@ -43,33 +43,50 @@ OF_PATHS = {
     r"gyro_rad_2_?$|yaw_(rate|value)$",
 }
 """By role: what the last words of a topic or message with its fields may be."""
-WITH_UNIT = {"output": r"yaw|gyro?|rot"}
+WITH_UNIT = {"output": r"yaw|gyro?|(^|_)rot(ation)?(_rate|_speed)?$"}
 """By role: what a name may hold where a unit of the role is stated."""
 NEVER = {
-    "speed": r"rel(ative|_|sp|v)|target|trgt|trg$|set_?(point|speed)|wunsch|ziel|soll|lead|obj|wiper|fan|"
+    "speed": r"rel(ative|_|sp|v)|target|trgt|trg$|set_?(p|speed)|wunsch|ziel|soll|lead|obj|wiper|fan|"
     r"wind_|engine|idle|shaft|turbine|motor_sp|rpm|max|lim|lmt|trap|tsr|saved|condition|offset|regel|"
     r"abbruch|zeit|gier|yaw|lacet|imbard|gui[nñ]|ang|steer|sas|rate_|hud|clu_|kombi|angez|dsply|display|navi|expected",
     "input": r"rate(?!d)|torque|tq|trq|speed|spd|vel|gesch|grd|moment|hilfe|fraction|override|volt|pressure|"
-    r"hands|hold|assist|warn|config|index|menu|flex|ratio|typ|required|verbau",
+    r"hands|hold|assist|warn|config|index|menu|flex|ratio|typ|required|verbau|max",
     "output": r"(^|_)[xy]_?(axis_)?(rate|rot|gyro)|(gyro\w*|rot\w*|rate)_?[xy](_|$)|roll|pitch|"
     r"nick|wank|acc|ang(le)?(_(?!vel|rate|speed)|$)|target|desired|(^|_)ref|trailer|trlr|fehler",
 }
 """By role: other quantities that share a word with it."""
 NOT = {
-    "speed": r"cmd|command|control|desired|_y$|_z$|cruise|digital|pcm|cluster|dash|ui_|adas|acc_?|gps|low|"
+    "speed": r"control|desired|_y$|_z$|cruise|digital|pcm|cluster|dash|ui_|adas|acc_?|gps|low|"
     r"mod_|bump|analog|rough|_[yz]_",
-    "input": r"req|calculated|command|cmd|control|motor|_2$|rechts|sw$|rel",
+    "input": r"calculated|control|motor|_2$|rechts|sw$|rel",
     "output": r"raw",
 }
 """By role: what lowers a name's rank. A command and a copy share its words."""
+REQUEST = re.compile(r"req|cmd|command|target|demand|unknown")
+"""In names of what is asked for, and of what nobody knows: below every measurement."""
 WHEEL = re.compile(r"wheel|whl|rad_?geschw")
 """In names of the speed of one wheel."""
 NO_MEASUREMENT = re.compile(
-    r"checksum|crc|counter|cnt|qf$|qbit|valid|status|(^|_)sta(_|$)|stat$|fault|error|button|icon|mode|units?$|sign(?!al)|lamp|force|_rq|offst|"
+    r"checksum|crc|counter|cnt|qf$|qbit|valid|status|(^|_)sta(_|$)|stat$|fault|error|button|icon|mode|units?$|sign(?!al)|lamp|force|_rq|offse?t|"
     r"direction|(^|_)vz(_|$)|limit|diag|init|group|bias|rate_?v$|speed_?v$|ack$|pressed|reboot|reduced"
 )
 """In names of what tells of a measurement, and is none."""
-NO_SIGNALS_UNIT = ("Nm", "rpm", "RPM", "r/min", "%", "V", "A", "Amps", "minute", "ms", "s")
+NO_SIGNALS_UNIT = (
+    "Nm",
+    "rpm",
+    "RPM",
+    "r/min",
+    "%",
+    "V",
+    "A",
+    "Amps",
+    "minute",
+    "ms",
+    "s",
+    "pulses",
+    "counts",
+    "ticks",
+)
 """Units of other things."""
 NO_ANGLE = re.compile(
     r"percent|pct|%|norm(?!al)|pwm|(^|_)adc|duty|ticks?(_|$)|counts?$|volt|(^|_)(us|usec|mv)$"
@@ -147,7 +164,7 @@ def ranked(role: str, names: Iterable[str], units: Mapping[str, str] | None = No
         if certain or likely or ((stated or in_name) and re.search(WITH_UNIT.get(role, "$^"), low)):
             less = 1.5 * bool(re.search(NOT[role], low)) + 0.5 * bool(OTHERS_MESSAGE.search(message.lower()))
             less += 0.5 * (role == "speed" and WHEEL.search(low) is not None)
-            less += 2.0 * _of_another(unit, role)
+            less += 3.0 * (REQUEST.search(low) is not None) + 2.0 * _of_another(unit, role)
             scores[name] = (2 if certain else 1) - less + 1.25 * stated
     return sorted(scores, key=lambda name: (-scores[name], len(name), name))
 
