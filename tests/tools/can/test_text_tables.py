@@ -4,6 +4,7 @@ import re
 
 import numpy as np
 import pytest
+from scipy.io import savemat
 
 from lpvguard.base.errors import InputError, InputWarning
 from lpvguard.can.logs import Frames, Table, read_log
@@ -117,6 +118,13 @@ def test_steps_are_no_times(tmp_path, step):
         read_log(tmp_path / "log.csv")
 
 
+def test_vectors_of_a_matlab_file_are_read_as_a_table(tmp_path):
+    t, v, d = np.array(ROWS).T
+    savemat(tmp_path / "log.mat", {"Time_ms": 1000 * t, "v": v, "d": d, "car": "mine"})
+    log = read_log(tmp_path / "log.mat")
+    assert sorted(log.series) == ["d", "v"] and log.series["v"].t_ns[1] == 20 * 10**6
+
+
 def test_other_encodings_and_suffixes_are_read(tmp_path):
     (tmp_path / "wide.txt").write_bytes(FORMS["tabs"].encode("utf-16"))
     (tmp_path / "old.tsv").write_bytes(FORMS["tabs"].replace("\td", "\tWinkel [°]").encode("cp1252"))
@@ -149,6 +157,10 @@ def test_a_stray_cell_and_a_line_cut_short_are_named(tmp_path):
 RAW = {
     "GVRET": "Time Stamp,ID,Extended,Dir,Bus,LEN,D1,D2,D3\n"
     "1000,0000027E,false,Rx,0,2,0A,FF,\n21000,18FEF100,true,Rx,0,3,01,02,03\n",
+    "GVRET, a delimiter at the end": "Time Stamp,ID,Extended,Bus,LEN,D1,D2,D3\n"
+    "1000,0000027E,false,0,2,0A,FF,\n21000,18FEF100,true,0,3,01,02,03,\n",
+    "lists of Python": ",timestamp,can_id,data_length,data\n"
+    "0,0.001,27E,2,\"['0A', 'FF']\"\n1,0.021,18FEF100,3,\"['01', '02', '03']\"\n",
     "Cabana": "time,addr,bus,data\n0.001,0x27e,0,0x0AFF\n0.021,0x18FEF100,0,0x010203\n",
     "comma": "time,addr,bus,data\n0.001,638,0,0aff\n0.021,419361024,0,010203\n",
     "CSS": "TimestampEpoch;BusChannel;ID;IDE;DLC;DataLength;Dir;EDL;BRS;ESI;RTR;DataBytes\n"

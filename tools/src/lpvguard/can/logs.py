@@ -3,8 +3,9 @@
 raw      candump (-l, -L, and the screen with -t), ASC, BLF, TRC, MF4 with bus logging, CSV and Parquet with
          the columns of python-can (timestamp, arbitration_id, extended, dlc, data);
          each also with .gz where it is text
-decoded  CSV and Parquet with one column a signal, folders with one of them a topic (topics.py), MF4 with
-         one channel a signal; rosbag, MCAP, ULog, DataFlash and openpilot's logs (foreign_logs.py)
+decoded  CSV, Parquet and MATLAB files with one column a signal, folders with one of them a topic
+         (topics.py), MF4 with one channel a signal; rosbag, MCAP, ULog, DataFlash and
+         openpilot's logs (foreign_logs.py)
 
 candump goes through a compiled parser, or through a slow one in Python when there is no compiler; the result
 is the same. Other raw forms go through python-can (which takes a bus-off report of a candump log as a frame)
@@ -30,6 +31,7 @@ from .log_types import FD_BYTES, LATEST_S, frames_of_rows, row_of
 from .log_types import Frames as Frames
 from .log_types import Series as Series
 from .log_types import Table as Table
+from .matlab import read_matlab
 from .mf4 import read_mf4
 from .topics import joined, topic_files
 from .trc import read_trc
@@ -41,6 +43,7 @@ _NAME_BYTES, _CHANNELS, _COUNTS = 16, 64, 6
 _CANDUMP_SUFFIXES = {".log", ".candump", ".txt"}
 _PYTHON_CAN_SUFFIXES = {".asc", ".blf"}
 _TRC_SUFFIX = ".trc"
+_MAT_SUFFIX = ".mat"
 _MDF_SUFFIXES = {".mf4", ".mdf", ".dat"}
 _TEXT_SUFFIXES = {".csv", ".tsv", ".txt"}
 _FOREIGN_SUFFIXES = {".bag", ".mcap", ".ulg", ".bin", ".db3", ".bz2", ".zst"}
@@ -53,7 +56,7 @@ _SUFFIXES = {
     *_MDF_SUFFIXES,
     *_FOREIGN_SUFFIXES,
     ".parquet",
-    ".mat",
+    _MAT_SUFFIX,
 }
 _RAW_COLUMNS = {"timestamp", "arbitration_id", "data"}
 
@@ -116,14 +119,14 @@ def read_log(
         log = read_trc(path, _bytes(path).decode("utf-8-sig", errors="replace"))
     elif suffix in _MDF_SUFFIXES:
         log = read_mf4(path)
-    elif suffix in {*_TEXT_SUFFIXES, *_CANDUMP_SUFFIXES, ".parquet"}:
+    elif suffix in {*_TEXT_SUFFIXES, *_CANDUMP_SUFFIXES, ".parquet", _MAT_SUFFIX}:
         log = _read_table(path, suffix, time_column, rate_hz)
     else:
         raise InputError(
             path,
             "",
             f"unknown kind of log {suffix or '(no suffix)'}",
-            ".log (candump), .asc, .blf, .trc, .mf4, .csv, .tsv, .txt or .parquet, also with .gz",
+            ".log (candump), .asc, .blf, .trc, .mf4, .csv, .tsv, .txt, .parquet or .mat, also with .gz",
         )
     if isinstance(log, Frames) and len(log) == 0:
         raise InputError(path, "", "holds no data frame" + _in_words(log.left_out), "at least one frame")
@@ -219,7 +222,7 @@ def is_raw_table(path: Path) -> bool:
 
     from .raw_tables import is_raw
 
-    if path.suffix.lower() == ".mat":
+    if path.suffix.lower() == _MAT_SUFFIX:
         return False
     try:
         if path.suffix.lower() == ".parquet":
@@ -456,6 +459,8 @@ def _read_table(path: Path, suffix: str, time_column: str | None, rate_hz: float
     try:
         if suffix == ".parquet":
             table = pa_parquet.read_table(path)
+        elif suffix == _MAT_SUFFIX:
+            table = read_matlab(path)
         else:
             read = read_text_table(_bytes(path), path)
             if is_raw(read.table.column_names):

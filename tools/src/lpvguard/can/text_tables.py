@@ -19,6 +19,8 @@ DELIMITERS = ("\t", ";", ",", "|")
 _MARK = re.compile(r"^\s*(#+|%|//|!)\s*")
 """A mark of a comment in front of a header."""
 _TIME = re.compile(r"\d{1,2}:\d{2}")
+_BYTE = re.compile(r"(d|data|b|byte)_?\d", re.IGNORECASE)
+"""The last column of a table of raw frames with a column a byte."""
 _LOOKED_AT = 60
 """Lines at the start of a file that show its form."""
 _COMMENT = re.compile(r"^\s*(#(?!\w*,)|//|%\s|!)")
@@ -144,7 +146,8 @@ def _form(lines: list[str], first: int) -> tuple[str, int] | None:
             continue
         width, count = widths.most_common(1)[0]
         agree = [k for k, cells in enumerate(looked) if len(cells) == width]
-        header = next((k for k in agree if _words(looked[k])), None)
+        short = [k for k, cells in enumerate(looked) if len(cells) == width - 1 > 1]  # a delimiter ends rows
+        header = next((k for k in (*agree, *short) if _words(looked[k])), None)
         numbers = sum(_NUMBER.fullmatch(cell) is not None for k in agree for cell in looked[k])
         if header is None:
             continue
@@ -182,8 +185,10 @@ def _parsed(body: list[str], names: list[str], delimiter: str, path: Path, rows:
         bad.append(row.number if row.number is not None else 0)
         return "skip"
 
-    if body and len(next(csv.reader([body[0]], delimiter=delimiter))) == columns + 1:
+    if body and max(len(_cells(line, delimiter)) for line in body[:_LOOKED_AT]) == columns + 1:
         names = [*names, "\0"]  # a delimiter ends each line
+    if _BYTE.fullmatch(names[columns - 1]):  # a frame with fewer bytes has fewer cells
+        body = [line + delimiter * (len(names) - 1 - line.count(delimiter)) for line in body]
     kind = pa.string()
     table = pa_csv.read_csv(
         io.BytesIO(("\n".join(body) + "\n").encode()),

@@ -117,12 +117,7 @@ def new(
     InputError
         If no signal fits a role, or no drive remains.
     """
-    if not re.fullmatch(NAME, name):
-        raise InputError("new", "NAME", repr(name), "lower case letters, digits and _, a letter first")
-    if model not in TEMPLATES:
-        raise InputError("new", "--model", model, f"one of {', '.join(TEMPLATES)}")
-    if wheelbase_m is None and model == "bicycle":
-        raise InputError("new", "--wheelbase", "not given", "the wheelbase in m, which the bicycle needs")
+    _require_sound(name, model, wheelbase_m)
     recordings, left_out = recordings_of(logs, dbc, channel, schema, time, rate_hz)
     known = Known(kind or kind_of(wheelbase_m), wheelbase_m, ratio)
     proposals = proposed(recordings, chosen or {}, known, units)
@@ -161,6 +156,15 @@ def new(
             },
         )
     return NewProject(project, proposals, splits, left_out, notes)
+
+
+def _require_sound(name: str, model: str, wheelbase_m: float | None) -> None:
+    if not re.fullmatch(NAME, name):
+        raise InputError("new", "NAME", repr(name), "lower case letters, digits and _, a letter first")
+    if model not in TEMPLATES:
+        raise InputError("new", "--model", model, f"one of {', '.join(TEMPLATES)}")
+    if wheelbase_m is None and model == "bicycle":
+        raise InputError("new", "--wheelbase", "not given", "the wheelbase in m, which the bicycle needs")
 
 
 def _speeds(project: Project, folder: Path, names: Iterable[str]) -> dict[str, np.ndarray]:
@@ -244,9 +248,11 @@ def _recording(name: str, table: Table) -> Recording:
     moving = {n: s for n, s in table.series.items() if len(s.t_ns) > 10}
     if not moving:
         raise InputError(name, "", "no signal with more than ten samples", "a log of driving")
-    fastest, longest = max(moving.items(), key=lambda item: len(item[1].t_ns))
-    step = float(np.median(np.diff(longest.t_ns))) * 1e-9
-    if not 0.0 < step <= LONGEST_STEP_S:
+    steps = {n: float(np.median(np.diff(s.t_ns))) * 1e-9 for n, s in moving.items()}
+    fastest, longest = max(
+        moving.items(), key=lambda item: (0.0 < steps[item[0]] <= LONGEST_STEP_S, len(item[1].t_ns))
+    )
+    if not 0.0 < (step := steps[fastest]) <= LONGEST_STEP_S:
         expected = f"times in s that grow by at most {LONGEST_STEP_S:g} s from sample to sample"
         raise InputError(name, f"time of {fastest}", f"the median step is {step:g} s", expected)
     back = {id(s.t_ns): np.diff(s.t_ns, prepend=s.t_ns[:1]) < -REORDER_S * 1e9 for s in moving.values()}

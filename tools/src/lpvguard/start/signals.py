@@ -5,8 +5,9 @@ is left open is decided by physics (`readings.py`), or asked.
 """
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from difflib import get_close_matches
 
 import numpy as np
 
@@ -111,6 +112,8 @@ FRACTION = re.compile(r"frac|(^|_)fine(_|$)|_hp$")
 """In names of the digits beyond a coarse signal's resolution."""
 PART = 0.2
 """Largest spread of these digits, as a share of the coarse signal's."""
+MOST_NAMES = 40
+"""So many signals a message names."""
 LEAST_SAMPLES = 20
 """A recording with fewer samples of all three signals says nothing."""
 
@@ -344,6 +347,12 @@ def _require_sign(role: str, name: str, common: list[str], recordings: list[Reco
             )
 
 
+def _some(names: Sequence[str]) -> str:
+    """The first names, and how many more there are."""
+    more = f" and {len(names) - MOST_NAMES} more" if len(names) > MOST_NAMES else ""
+    return ", ".join(names[:MOST_NAMES]) + more
+
+
 def _varies(value: np.ndarray) -> bool:
     """Return whether a signal has more than two values; a switch has two."""
     value = value[np.isfinite(value)]
@@ -356,7 +365,8 @@ def _named(
     option = f"--{role}"
     if given is not None:
         if given not in common:
-            raise InputError("new", option, f"no signal {given} in every log", f"one of {', '.join(common)}")
+            near = get_close_matches(given, common, n=3) or common
+            raise InputError("new", option, f"no signal {given} in every log", f"one of {_some(near)}")
         return given, ["chosen by you"]
     moving = [n for n in common if any(_varies(r.values[n]) for r in recordings)]
     units = {n: u for r in recordings for n, u in r.units.items()}
@@ -364,6 +374,6 @@ def _named(
     if not found:
         still = ranked(role, common, units)
         what = f"{still[0]} never moves" if still else f"no name looks like the {role}"
-        raise InputError("new", option, what, f"{option} NAME, one of {', '.join(moving or common)}")
+        raise InputError("new", option, what, f"{option} NAME, one of {_some(moving or common)}")
     others = f"; others: {', '.join(found[1:4])}" if found[1:] else ""
     return found[0], [f"by its name{others}"]
