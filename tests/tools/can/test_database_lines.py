@@ -1,5 +1,6 @@
 """A wrong line of a DBC costs itself; a type that contradicts its range is read by the range."""
 
+import canmatrix.formats
 import cantools
 import pytest
 
@@ -46,6 +47,22 @@ def test_the_range_of_a_signed_signal_is_taken_before_its_type(tmp_path):
     with pytest.warns(InputWarning, match=r"car.dbc: STEER.ANGLE: read as signed, as the range says"):
         database = load_database(tmp_path / "car.dbc")
     assert database.messages[0].signals[0].is_signed
+
+
+def test_a_form_that_cantools_does_not_read_is_read_by_canmatrix(tmp_path):
+    sound = HEAD + SPEED + YAW.replace("316495015", "254")
+    (matrix,) = canmatrix.formats.loads(sound.encode(), "dbc").values()
+    with (tmp_path / "car.dbf").open("wb") as stream:
+        canmatrix.formats.dump(matrix, stream, "dbf")
+    signals = {s.name: s for m in load_database(tmp_path / "car.dbf").messages for s in m.signals}
+    assert set(signals) == {"V", "GEAR", "RATE", "OK"}
+    assert signals["RATE"].is_signed and signals["RATE"].scale == 0.01 and signals["V"].unit == "km/h"
+
+
+def test_a_signal_of_a_thousand_bits_is_no_reason_to_refuse_a_database(tmp_path):
+    text = ' SG_ TEXT : 0|14280@1+ (1,0) [0|255] "" A\n'
+    (tmp_path / "car.dbc").write_text(HEAD + "BO_ 2566843904 LONG: 1785 A\n" + text + SPEED)
+    assert [m.name for m in load_database(tmp_path / "car.dbc").messages] == ["LONG", "SPEED"]
 
 
 @pytest.mark.parametrize(

@@ -1,11 +1,15 @@
 """Text tables as loggers write them, times in any usual form, and raw frames as tables."""
 
+import re
+
 import numpy as np
 import pytest
+from scipy.io import savemat
 
 from lpvguard.base.errors import InputError, InputWarning
 from lpvguard.can.logs import Frames, Table, read_log
 
+MILLISECONDS = lambda t: f"{1000 * t:.0f}"  # noqa: E731
 ROWS = [(0.02 * k, 10 + 0.5 * k, -1.5 + k) for k in range(40)]
 
 
@@ -51,6 +55,27 @@ FORMS = {
     "stamp of ROS": text("stamp.secs,stamp.nsecs,v,d", ",", lambda t: f"1700000000,{round(1e9 * t)}"),
     "a delimiter at the end": text("t;v;d;", ";").replace("\n", ";\n").replace(";;", ";"),
     "quoted": text('"t","v","d"', ","),
+    "quoted decimal commas": re.sub(r"[^;\n]+", r'"\g<0>"', text("t;v;d", ";", comma=True)).replace(";", ","),
+    "a header in a comment": text("# time(s),v,d", ",", before="# logger 3.1\n"),
+    "a header in a comment, blanks": text("% t v d", " "),
+    "row of units, then a blank line": text("t,v,d\ns,km/h,deg\n", ","),
+    "rows of units and of sources": text("timestamp,v,d\nunix time,km/h,deg\n,100: gps,200: obd", ","),
+    "units in the header's cells": text(
+        '"Interval"|"ms"|0|25,"v"|"km/h"|0|25,"d"|"deg"|0|25', ",", MILLISECONDS
+    ),
+    "units behind the numbers": re.sub(r"(,[\d.]+)(,[-\d.]+)\n", r"\1 km/h\2 deg\n", text("t,v,d", ",")),
+    "thousands set apart": text("Time [ms],v,d", ",", lambda t: f'"{1e6 + 1e3 * t:,.0f}"'),
+    "thousands with points": text(
+        "Zeit [ms];v;d", ";", lambda t: f"{1e6 + 1e3 * t:,.0f},0".replace(",", "#", 2), comma=True
+    ).replace("#", "."),
+    "minutes and seconds": text("time,v,d", ",", lambda t: f"03:{t:06.3f}"),
+    "a time of day with four colons": text("time,v,d", ",", lambda t: f"03:45:{t:06.3f}".replace(".", ":")),
+    "a month in letters": text("Device Time,v,d", ",", lambda t: f"22-Apr-2026 03:45:{t:06.3f}"),
+    "an American date": text("time,v,d", ",", lambda t: f"04/22/2026 03:45:{t:06.3f} PM"),
+    "a date in digits": text("time,v,d", ",", lambda t: f"20260422T0345{t:06.3f}"),
+    "date and time apart": text("Datum;Uhrzeit;v;d", ";", lambda t: f"22.04.2026;03:45:{t:06.3f}"),
+    "days of a spreadsheet": text("time,v,d", ",", lambda t: f"{45769 + t / 86400:.12f}"),
+    "days of MATLAB": text("time,v,d", ",", lambda t: f"{739000 + t / 86400:.12f}"),
 }
 
 
@@ -61,10 +86,43 @@ def test_a_text_table_is_read_in_whatever_form_it_has(tmp_path, form):
     log = read_log(tmp_path / "log.csv")
     assert isinstance(log, Table) and list(log.series) == ["v", "d"]
     v = log.series["v"]
-    np.testing.assert_allclose((v.t_ns - v.t_ns[0]) / 1e9, [t for t, _, _ in ROWS], atol=2e-7)
+    np.testing.assert_allclose(
+        (v.t_ns - v.t_ns[0]) / 1e9, [t for t, _, _ in ROWS], atol=1e-5 if "days" in form else 2e-7
+    )
     np.testing.assert_allclose(v.value, [x for _, x, _ in ROWS])
     np.testing.assert_allclose(log.series["d"].value, [x for _, _, x in ROWS])
     assert v.unit == ("km/h" if "unit" in form else "")
+
+
+def test_columns_of_one_name_are_told_apart(tmp_path):
+    (tmp_path / "log.csv").write_text(text("t,v,v", ","))
+    with pytest.warns(InputWarning, match=r"line 1: columns of the same name \(v\): .* called v #2"):
+        assert list(read_log(tmp_path / "log.csv").series) == ["v", "v #2"]
+
+
+def test_rows_without_times_need_their_rate(tmp_path):
+    log = tmp_path / "log.csv"
+    log.write_text(text("number,v,d", ",", lambda t: f"{50 * t:.0f}"))
+    with pytest.raises(InputError, match=r"no time column; .* --time NAME, or --rate HZ"):
+        read_log(log)
+    np.testing.assert_allclose(read_log(log, rate_hz=50.0).series["v"].t_ns, [1e9 * t for t, _, _ in ROWS])
+
+
+@pytest.mark.parametrize("step", ("0.02", "{:.4f}"))
+def test_steps_are_no_times(tmp_path, step):
+    random = np.random.default_rng(3)
+    (tmp_path / "log.csv").write_text(
+        text("time,v,d", ",", lambda t: step.format(0.02 + 0.001 * random.random()))
+    )
+    with pytest.raises(InputError, match=r"column time: .* --rate HZ"):
+        read_log(tmp_path / "log.csv")
+
+
+def test_vectors_of_a_matlab_file_are_read_as_a_table(tmp_path):
+    t, v, d = np.array(ROWS).T
+    savemat(tmp_path / "log.mat", {"Time_ms": 1000 * t, "v": v, "d": d, "car": "mine"})
+    log = read_log(tmp_path / "log.mat")
+    assert sorted(log.series) == ["d", "v"] and log.series["v"].t_ns[1] == 20 * 10**6
 
 
 def test_other_encodings_and_suffixes_are_read(tmp_path):
@@ -99,6 +157,10 @@ def test_a_stray_cell_and_a_line_cut_short_are_named(tmp_path):
 RAW = {
     "GVRET": "Time Stamp,ID,Extended,Dir,Bus,LEN,D1,D2,D3\n"
     "1000,0000027E,false,Rx,0,2,0A,FF,\n21000,18FEF100,true,Rx,0,3,01,02,03\n",
+    "GVRET, a delimiter at the end": "Time Stamp,ID,Extended,Bus,LEN,D1,D2,D3\n"
+    "1000,0000027E,false,0,2,0A,FF,\n21000,18FEF100,true,0,3,01,02,03,\n",
+    "lists of Python": ",timestamp,can_id,data_length,data\n"
+    "0,0.001,27E,2,\"['0A', 'FF']\"\n1,0.021,18FEF100,3,\"['01', '02', '03']\"\n",
     "Cabana": "time,addr,bus,data\n0.001,0x27e,0,0x0AFF\n0.021,0x18FEF100,0,0x010203\n",
     "comma": "time,addr,bus,data\n0.001,638,0,0aff\n0.021,419361024,0,010203\n",
     "CSS": "TimestampEpoch;BusChannel;ID;IDE;DLC;DataLength;Dir;EDL;BRS;ESI;RTR;DataBytes\n"

@@ -178,9 +178,12 @@ def test_units_and_messages_rank_the_signals_of_a_database():
         "STEER_STATUS.STEER_STATUS": "",
         "LTA_RELATED.STEER_ANGLE": "",
         "ParkAid_Data.ExtSteeringAngleReq": "Degrees",
+        "Lane_Keep.Steer_Angle_Req": "deg",
+        "Steering_Wheel_Data.SteWhlRelCalib_An_Sns": "deg",
     }
     assert ranked("speed", units, units)[:2] == ["CAR_SPEED.CAR_SPEED", "ESP_21.ESP_v_Signal"]
     assert ranked("input", units, units)[0] == "LWI_01.LWI_Lenkradwinkel"
+    assert ranked("input", list(units)[-2:], units)[0] == "Steering_Wheel_Data.SteWhlRelCalib_An_Sns"
     assert ranked("output", units, units)[0] == "ESP_02.ESP_Gierrate"
 
 
@@ -191,6 +194,11 @@ SAME_WORDS = {
         "BR1_Rad_kmh",
         "Geschwindigkeit km/h",
         "WHL_SPD_FL km/h",
+        "velocidad_kmh",
+        "prędkość",
+        "INS_Vel_Hor_X",
+        "u",
+        "SOG kn",
     ),
     "input": (
         "StrgWhlAngHSC2 deg",
@@ -198,6 +206,12 @@ SAME_WORDS = {
         "STEERING_ALT.ANGLE deg",
         "angle_volant",
         "EPS_internalSAS",
+        "SW_pos_obd",
+        "SteerAng °",
+        "HWA",
+        "stuurhoek",
+        "kąt_skrętu_kierownicy",
+        "servo_angle",
     ),
     "output": (
         "IMU_YawRtVal deg/s",
@@ -205,6 +219,16 @@ SAME_WORDS = {
         "VITESSE_LACET Degré/s",
         "BR5_Giergeschw",
         "YAW.Rate",
+        "omega(rad/s)",
+        "psi_dot",
+        "dpsi_dt",
+        "gz_dps",
+        "Yaw_deg/s",
+        "ang_vel_z",
+        "IMU_gyro.z",
+        "z_rate_of_rotation",
+        "GPS_Gyro",
+        "velocidad_guiñada",
     ),
 }
 OTHER_QUANTITIES = {
@@ -214,6 +238,7 @@ OTHER_QUANTITIES = {
         "TSR_Speed km/h",
         "SpeedLim_Nav km/h",
         "ENGINE_SPEED",
+        "SpeedSetpt m/s",
     ),
     "input": (
         "STEER_TORQUE Nm",
@@ -221,8 +246,23 @@ OTHER_QUANTITIES = {
         "STEER_CONFIG_INDEX",
         "STEER_WARN",
         "StePinRelInit_An_Sns deg",
+        "DAS_maxAbsSteeringWheelAngle deg",
+        "WprWash_R_Sw_Posn_V2",
+        "DI_steeringAngleOffset deg",
     ),
-    "output": ("ESP_yawRateQF", "TrlrYaw_W_Actl rad/s", "YAW_RATE_STAT", "yaw_acc", "HIGH_YAW_ANGLE deg"),
+    "output": (
+        "ESP_yawRateQF",
+        "TrlrYaw_W_Actl rad/s",
+        "Offset_Gierrate deg/s",
+        "CR_Mcu_MotActRotSpd_rpm rpm",
+        "X-axis_rate_of_rotation deg/s",
+        "gyro_y",
+        "IMU_yaw",
+        "roll_rate",
+        "YAW_RATE_STAT",
+        "yaw_acc",
+        "HIGH_YAW_ANGLE deg",
+    ),
 }
 
 
@@ -274,7 +314,7 @@ def test_a_vehicles_name_is_checked_before_anything_is_read(tmp_path):
 TIMES = {
     "a second or a thousandth": (lambda t: 50 * t, "steps of 1 are a second, or a thousandth"),
     "whole seconds": (np.floor, "time of speed: the median step is 0 s"),
-    "the last sample first": (lambda t: -t, "time of speed: the median step is -0.02 s"),
+    "the last sample first": (lambda t: -t, "column time: 100% of its steps go back"),
     "a jump of 30,000 years": (lambda t: t + 1e12 * (t > 130), "line 1504, column time: a time of 1e.12 s"),
 }
 

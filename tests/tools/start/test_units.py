@@ -103,7 +103,10 @@ SPELLINGS = {
             "Geschw. [Km/hr]",
         ),
         "mph": ("SpeedMPH", "speed_mph_filtered", "VehSpd_miles_per_hour", "speed (mi/h)"),
-        "kn": ("GPS Speed (knots)",),
+        "kn": ("GPS Speed (knots)", "sog_kts"),
+        "cm/s": ("speed (cm/s)",),
+        "mm/s": ("speed_mm_s",),
+        "0.9144 m/s": ("speed [yd/s]",),
         None: ("speed", "Geschwindigkeit", "v", "speed_2", "rms"),
     },
     "input": {
@@ -116,6 +119,8 @@ SPELLINGS = {
             "StrAngle °",
         ),
         "mrad": ("winkel_mrad",),
+        "gon": ("delta (gon)",),
+        "turn": ("steering_turns",),
         None: ("LenkRadWinkel", "steering_angle", "steering_grade"),
     },
     "output": {
@@ -127,7 +132,9 @@ SPELLINGS = {
             "Gierrate in Grad pro Sekunde",
             "YawRate_deg/s",
         ),
-        None: ("yaw_rate", "gyro_z", "yaw_rate (rpm)"),
+        "rpm": ("yaw_rate (rev/min)",),
+        "deg/min": ("yaw_rate [deg/min]",),
+        None: ("yaw_rate", "gyro_z", "gyro_rps"),
     },
 }
 

@@ -61,16 +61,18 @@ def load_database(path: Path) -> Database:
     from cantools.database.can import Database
 
     if not Path(path).is_file():
-        raise InputError(path, "--dbc", "no such file", "a CAN database (.dbc, .arxml, .kcd, .sym)")
+        raise InputError(
+            path, "--dbc", "no such file", "a CAN database (.dbc, .arxml, .kcd, .sym, .dbf, .xls)"
+        )
     try:
         database = cantools.database.load_file(path, strict=False, encoding=_encoding(Path(path)))
     except Exception as error:  # one exception class for each form of database
-        sound = _sound_dbc(Path(path))
+        sound = _sound_dbc(Path(path)) or _by_canmatrix(Path(path))
         if sound is not None:
             return _with_signs(sound, path)
-        raise InputError(
-            path, "", f"cannot be read ({str(error).splitlines()[0]})", "a CAN database"
-        ) from None
+        is_sheet = path.suffix.lower() in (".xls", ".xlsx")
+        expected = "a CAN database" + " (pip install 'canmatrix[xls,xlsx]' reads sheets)" * is_sheet
+        raise InputError(path, "", f"cannot be read ({str(error).splitlines()[0]})", expected) from None
     if not isinstance(database, Database):
         raise InputError(path, "--dbc", "describes diagnostics, no messages", "a CAN database")
     return _with_signs(database, path)
@@ -80,12 +82,36 @@ def _sound_dbc(path: Path) -> Database | None:
     """Readable messages of a DBC, with a warning for the others; None where none can be read."""
     if path.suffix.lower() != ".dbc":
         return None
-    database, left_out = read_sound_lines(path.read_text(_encoding(path), errors="replace"))
-    if not database.messages:
-        return None
-    for line in left_out:
+    return _sound_lines(path.read_text(_encoding(path), errors="replace"), path)
+
+
+def _sound_lines(text: str, path: Path) -> Database | None:
+    """Readable messages of a DBC's text, with a warning for the others; None where none can be read."""
+    database, left_out = read_sound_lines(text)
+    for line in left_out if database.messages else []:
         warnings.warn(f"{path}: {line}", InputWarning, stacklevel=1)
-    return database
+    return database if database.messages else None
+
+
+def _by_canmatrix(path: Path) -> Database | None:
+    """The largest matrix of a file that canmatrix reads; None where it reads none.
+
+    Its forms are further ones (DBF, XLS, XLSX), older ones (SYM 5), and ARXML that cantools refuses.
+    """
+    import io
+
+    import canmatrix.formats
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            matrices = canmatrix.formats.loadp(str(path))
+            largest = max(matrices.values(), key=lambda matrix: len(matrix.frames))
+            text = io.BytesIO()
+            canmatrix.formats.dump(largest, text, "dbc")
+    except Exception:  # canmatrix has an exception class for each form, and raises Python's own
+        return None
+    return _sound_lines(text.getvalue().decode("iso-8859-1"), path)
 
 
 def _with_signs(database: Database, path: Path) -> Database:
@@ -93,11 +119,17 @@ def _with_signs(database: Database, path: Path) -> Database:
     signed = []
     for message in database.messages:
         for signal in message.signals:
+            stated = (signal.minimum, signal.maximum)
+            if (
+                signal.is_signed
+                or signal.is_float
+                or signal.offset
+                or None in stated
+                or not 4 <= signal.length <= 64
+            ):
+                continue
             half, scale = 2 ** (signal.length - 1), float(signal.scale)
             ends = (-half * scale, (half - 1) * scale)
-            stated = (signal.minimum, signal.maximum)
-            if signal.is_signed or signal.is_float or signal.offset or None in stated or signal.length < 4:
-                continue
             if scale > 0 and all(abs(s - e) <= 1.5 * scale for s, e in zip(stated, ends, strict=True)):
                 signal.is_signed = True
                 signed.append(f"{message.name}.{signal.name}")

@@ -3,8 +3,9 @@
 raw      candump (-l, -L, and the screen with -t), ASC, BLF, TRC, MF4 with bus logging, CSV and Parquet with
          the columns of python-can (timestamp, arbitration_id, extended, dlc, data);
          each also with .gz where it is text
-decoded  CSV and Parquet with one column a signal, folders with one of them a topic (topics.py), MF4 with
-         one channel a signal; rosbag, MCAP, ULog, DataFlash and openpilot's logs (foreign_logs.py)
+decoded  CSV, Parquet and MATLAB files with one column a signal, folders with one of them a topic
+         (topics.py), MF4 with one channel a signal; rosbag, MCAP, ULog, DataFlash and
+         openpilot's logs (foreign_logs.py)
 
 candump goes through a compiled parser, or through a slow one in Python when there is no compiler; the result
 is the same. Other raw forms go through python-can (which takes a bus-off report of a candump log as a frame)
@@ -30,6 +31,7 @@ from .log_types import FD_BYTES, LATEST_S, frames_of_rows, row_of
 from .log_types import Frames as Frames
 from .log_types import Series as Series
 from .log_types import Table as Table
+from .matlab import read_matlab
 from .mf4 import read_mf4
 from .topics import joined, topic_files
 from .trc import read_trc
@@ -41,6 +43,7 @@ _NAME_BYTES, _CHANNELS, _COUNTS = 16, 64, 6
 _CANDUMP_SUFFIXES = {".log", ".candump", ".txt"}
 _PYTHON_CAN_SUFFIXES = {".asc", ".blf"}
 _TRC_SUFFIX = ".trc"
+_MAT_SUFFIX = ".mat"
 _MDF_SUFFIXES = {".mf4", ".mdf", ".dat"}
 _TEXT_SUFFIXES = {".csv", ".tsv", ".txt"}
 _FOREIGN_SUFFIXES = {".bag", ".mcap", ".ulg", ".bin", ".db3", ".bz2", ".zst"}
@@ -53,7 +56,7 @@ _SUFFIXES = {
     *_MDF_SUFFIXES,
     *_FOREIGN_SUFFIXES,
     ".parquet",
-    ".mat",
+    _MAT_SUFFIX,
 }
 _RAW_COLUMNS = {"timestamp", "arbitration_id", "data"}
 
@@ -77,13 +80,16 @@ def candump_line(t_us: int, channel: str, identifier: int, data: bytes) -> str:
     return f"({t_us // 10**6}.{t_us % 10**6:06d}) {channel} {frame}\n"
 
 
-def read_log(path: Path, *, time_column: str | None = None, schema: Path | None = None) -> Frames | Table:
+def read_log(
+    path: Path, *, time_column: str | None = None, rate_hz: float | None = None, schema: Path | None = None
+) -> Frames | Table:
     """Read one log; its form follows from the suffix, and from the content of CSV, Parquet and MF4.
 
     Parameters
     ----------
     path : Path
-    time_column : str, optional, time [s] of a decoded table, by default the first of t, time, timestamp
+    time_column : str, optional, time of a decoded table, by default the first of t, time, timestamp
+    rate_hz : float, optional, Hz, rows a second of a decoded table, whose times are then not read
     schema : Path, optional, log.capnp of an openpilot log
 
     Returns
@@ -99,7 +105,7 @@ def read_log(path: Path, *, time_column: str | None = None, schema: Path | None 
     if reader_of(path) is not None and path.exists():
         return read_foreign(path, schema)
     if path.is_dir() and (topics := topic_files(path)):
-        tables = {p.stem: read_log(p, time_column=time_column) for p in topics}
+        tables = {p.stem: read_log(p, time_column=time_column, rate_hz=rate_hz) for p in topics}
         return joined(path, {topic: table for topic, table in tables.items() if isinstance(table, Table)})
     if not path.is_file():
         raise InputError(path, "", "no such file", "a log: candump, ASC, BLF, MF4, CSV or Parquet")
@@ -113,14 +119,14 @@ def read_log(path: Path, *, time_column: str | None = None, schema: Path | None 
         log = read_trc(path, _bytes(path).decode("utf-8-sig", errors="replace"))
     elif suffix in _MDF_SUFFIXES:
         log = read_mf4(path)
-    elif suffix in {*_TEXT_SUFFIXES, *_CANDUMP_SUFFIXES, ".parquet"}:
-        log = _read_table(path, suffix, time_column)
+    elif suffix in {*_TEXT_SUFFIXES, *_CANDUMP_SUFFIXES, ".parquet", _MAT_SUFFIX}:
+        log = _read_table(path, suffix, time_column, rate_hz)
     else:
         raise InputError(
             path,
             "",
             f"unknown kind of log {suffix or '(no suffix)'}",
-            ".log (candump), .asc, .blf, .trc, .mf4, .csv, .tsv, .txt or .parquet, also with .gz",
+            ".log (candump), .asc, .blf, .trc, .mf4, .csv, .tsv, .txt, .parquet or .mat, also with .gz",
         )
     if isinstance(log, Frames) and len(log) == 0:
         raise InputError(path, "", "holds no data frame" + _in_words(log.left_out), "at least one frame")
@@ -218,7 +224,7 @@ def is_raw_table(path: Path) -> bool:
 
     from .raw_tables import is_raw
 
-    if path.suffix.lower() == ".mat":
+    if path.suffix.lower() == _MAT_SUFFIX:
         return False
     try:
         if path.suffix.lower() == ".parquet":
@@ -442,12 +448,12 @@ def _read_python_can(path: Path) -> Frames:
 # ----------------------------------------------------------------------------------------------- CSV, Parquet
 
 
-def _read_table(path: Path, suffix: str, time_column: str | None) -> Frames | Table:
+def _read_table(path: Path, suffix: str, time_column: str | None, rate_hz: float | None) -> Frames | Table:
     import pyarrow as pa
     import pyarrow.parquet as pa_parquet
 
     from .raw_tables import is_raw, raw_frames
-    from .text_tables import read_text_table
+    from .text_tables import read_text_table, with_numbers
     from .time_columns import time_of
 
     units: dict[str, str] = {}
@@ -455,12 +461,13 @@ def _read_table(path: Path, suffix: str, time_column: str | None) -> Frames | Ta
     try:
         if suffix == ".parquet":
             table = pa_parquet.read_table(path)
+        elif suffix == _MAT_SUFFIX:
+            table = read_matlab(path)
         else:
-            data = _bytes(path)
-            as_text = read_text_table(data, path, text_columns=True)
-            if is_raw(as_text.table.column_names):
-                return raw_frames(as_text, path)
-            read = read_text_table(data, path)
+            read = read_text_table(_bytes(path), path)
+            if is_raw(read.table.column_names):
+                return raw_frames(read, path)
+            read = with_numbers(read, path)
             table, first_line, units = read.table, read.first_line, read.units
     except (pa.ArrowException, OSError) as error:
         raise InputError(
@@ -476,7 +483,11 @@ def _read_table(path: Path, suffix: str, time_column: str | None) -> Frames | Ta
         )
     if set(names) >= _RAW_COLUMNS:
         return _raw_table(path, table)
-    t_ns, keep, made_of = time_of(table, units, path, first_line, time_column)
+    if rate_hz is None:
+        t_ns, keep, made_of = time_of(table, units, path, first_line, time_column)
+    else:
+        t_ns = np.rint(np.arange(table.num_rows) * (1e9 / rate_hz)).astype(np.int64)
+        keep, made_of = np.ones(table.num_rows, bool), set()
     return Table(
         {
             c: Series(t_ns, _numbers(path, table, c)[keep], units.get(c, ""))

@@ -113,8 +113,8 @@ def _base_of_ids(texts: list[str | None], name: str) -> int:
 
 
 def _squeezed(text: str | None) -> str:
-    """Text of bytes without 0x, blanks and marks between them."""
-    return re.sub(r"0x|[\s:.-]", "", (text or "").strip(), flags=re.IGNORECASE)
+    """Text of bytes without 0x, blanks, and marks around and between them."""
+    return re.sub(r"0x|[\s:.,'\"\[\]-]", "", (text or "").strip(), flags=re.IGNORECASE)
 
 
 def _is_hexadecimal(texts: list[str | None]) -> bool:

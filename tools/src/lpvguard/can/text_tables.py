@@ -5,20 +5,32 @@ import io
 import re
 import warnings
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.csv as pa_csv
 
 from ..base.errors import InputError, InputWarning
 
 DELIMITERS = ("\t", ";", ",", "|")
+_MARK = re.compile(r"^\s*(#+|%|//|!)\s*")
+"""A mark of a comment in front of a header."""
+_TIME = re.compile(r"\d{1,2}:\d{2}")
+_BYTE = re.compile(r"(d|data|b|byte)_?\d", re.IGNORECASE)
+"""The last column of a table of raw frames with a column a byte."""
 _LOOKED_AT = 60
 """Lines at the start of a file that show its form."""
 _COMMENT = re.compile(r"^\s*(#(?!\w*,)|//|%\s|!)")
 _NUMBER = re.compile(r"\s*[-+]?(\d+([.,]\d*)?|[.,]\d+)([eE][-+]?\d+)?\s*")
+_WITH_UNIT = r"^\s*(?P<number>[-+]?[\d.,]+(?:[eE][-+]?\d+)?)\s*(?P<unit>[^\s\d.,+-][^\d]*)$"
+"""A cell of a number and its unit, as 12.5 km/h."""
+_GROUPED = r"^[-+]?\d{1,3}(?:%s\d{3})+(?:%s\d*)?$"
+"""A number whose thousands are set apart, by which sign, and its decimal mark."""
+_MOST_ROWS_OF_WORDS = 4
+"""Rows below a header that may state units, sources and rates."""
 _MISSING = ("", "NA", "N/A", "NaN", "nan", "NAN", "null", "NULL", "None", "-", "--", "-nan", "#N/A", "n/a")
 STRAY = 0.02
 """At most this share of a column's cells, or of the lines, may be no number, or have other columns."""
@@ -26,38 +38,41 @@ STRAY = 0.02
 
 @dataclass(frozen=True)
 class TextTable:
-    """A table as text says it: columns, line of the first row, unit by column where a row states them."""
+    """A table as text says it: columns, line of the first row, unit by column where the table states it, and
+    whether numbers have a decimal comma."""
 
     table: pa.Table
     first_line: int
     units: dict[str, str]
+    comma: bool
 
 
-def read_text_table(data: bytes, path: Path, text_columns: bool = False) -> TextTable:
-    """Read a table of one header line, and of a row of units where there is one.
+def read_text_table(data: bytes, path: Path) -> TextTable:
+    """Read a table of one header line, and of a row of units where there is one; every cell as text.
 
-    Lines before the header and comments are skipped. ``text_columns``: leave every cell as text. InputError
-    where no header is found, or where more than STRAY of the lines do not fit it.
+    Lines before the header and comments are skipped, unless a comment is the header. InputError where no
+    header is found, or where more than STRAY of the lines do not fit it.
     """
     lines = _decoded(data, path).splitlines()
     first = next((k for k, line in enumerate(lines) if line.strip() and not _COMMENT.match(line)), None)
     if first is None:
         raise InputError(path, "", "holds no line of a table", "a header line and rows")
-    delimiter, header = _form(lines, first, path)
-    names = [name.strip() for name in _cells(lines[header], delimiter)]
-    names = [re.sub(r"^[#%]\s*", "", names[0]), *names[1:]]
+    above = next((k for k in range(first - 1, -1, -1) if lines[k].strip()), None)
+    form = _form(lines, first) or (_form(lines, above) if above is not None else None)
+    if form is None:
+        raise InputError(
+            path, f"line {first + 1}", "no header: no line of names of columns", "a header line, then rows"
+        )
+    delimiter, header = form
+    names = [name.strip() for name in _cells(_MARK.sub("", lines[header]), delimiter)]
     if names and not names[-1]:  # a delimiter ends each line
         names = names[:-1]
-    _require_header(names, path, header)
-    rows = header + 1
-    units: dict[str, str] = {}
-    if rows < len(lines) and _is_units(cells := _cells(lines[rows], delimiter), lines, rows, delimiter):
-        units = {n: c.strip().strip("[]()\"' ") for n, c in zip(names, cells, strict=False)}
-        rows += 1
+    names, units = _units_of_cells(_apart(names, path, header))
+    rows, below = _below(lines, header + 1, delimiter)
+    units |= {n: c.strip().strip("[]()\"' ") for n, c in zip(names, below, strict=False)}
     body = [line for line in lines[rows:] if line.strip() and not _COMMENT.match(line)]
-    comma = delimiter != "," and _decimal_commas(body[:_LOOKED_AT], delimiter)
-    table = _parsed(body, names, delimiter, comma, path, rows)
-    return TextTable(table if text_columns else _numeric(table, comma, path, rows), rows + 1, units)
+    comma = _decimal_commas(body[:_LOOKED_AT], delimiter)
+    return TextTable(_parsed(body, names, delimiter, path, rows), rows + 1, units, comma)
 
 
 def _decoded(data: bytes, path: Path) -> str:
@@ -78,28 +93,68 @@ def _cells(line: str, delimiter: str) -> list[str]:
     return next(csv.reader([line], delimiter=delimiter), [])
 
 
-def _form(lines: list[str], first: int, path: Path) -> tuple[str, int]:
-    """Delimiter, and the line of the header: the last line before rows of numbers that has as many cells."""
+def _apart(names: list[str], path: Path, header: int) -> list[str]:
+    """The names, with a number behind those that stand twice or more."""
+    if "" in names and len(names) > 1:
+        names = [name or f"column {k + 1}" for k, name in enumerate(names)] if names.count("") > 1 else names
+    seen: Counter[str] = Counter()
+    apart = []
+    for name in names:
+        seen[name] += 1
+        apart.append(name if seen[name] == 1 else f"{name} #{seen[name]}")
+    if twice := sorted(name for name, n in seen.items() if n > 1):
+        warnings.warn(
+            f"{path}: header, line {header + 1}: columns of the same name ({', '.join(twice)}): the further "
+            f"ones are called {', '.join(n for n in apart if n not in names)}",
+            InputWarning,
+            stacklevel=1,
+        )
+    return apart
+
+
+def _units_of_cells(names: list[str]) -> tuple[list[str], dict[str, str]]:
+    """Names and units of a header whose cells are "NAME"|"UNIT"|..., as RaceCapture writes them."""
+    parts = [[part.strip('" ') for part in name.split("|")] for name in names]
+    if any(len(part) < 3 for part in parts):
+        return names, {}
+    return [part[0] for part in parts], {part[0]: part[1] for part in parts}
+
+
+def _below(lines: list[str], row: int, delimiter: str) -> tuple[int, list[str]]:
+    """First row of numbers below a header, and the cells of the row of units, where one stands above it."""
+    units: list[str] = []
+    passed = row
+    for _ in range(_MOST_ROWS_OF_WORDS):
+        while passed < len(lines) and not lines[passed].strip():
+            passed += 1
+        cells = _cells(lines[passed], delimiter) if passed < len(lines) else []
+        if not _words(cells) or any(_TIME.search(cell) for cell in cells):
+            break
+        units, passed = units or cells, passed + 1
+    else:
+        return row, []
+    return (passed, units) if any(_NUMBER.fullmatch(cell) for cell in cells) else (row, [])
+
+
+def _form(lines: list[str], first: int) -> tuple[str, int] | None:
+    """Delimiter and line of the header, which is the first line of words with as many cells as most lines."""
     best: tuple[float, str, int] | None = None
     for delimiter in (*DELIMITERS, " "):
-        looked = [_cells(line, delimiter) for line in lines[first : first + _LOOKED_AT]]
+        looked = [_cells(_MARK.sub("", line), delimiter) for line in lines[first : first + _LOOKED_AT]]
         widths = Counter(len(cells) for cells in looked if len(cells) > 1)
         if not widths:
             continue
         width, count = widths.most_common(1)[0]
         agree = [k for k, cells in enumerate(looked) if len(cells) == width]
-        header = next((k for k in agree if _words(looked[k])), None)
+        short = [k for k, cells in enumerate(looked) if len(cells) == width - 1 > 1]  # a delimiter ends rows
+        header = next((k for k in (*agree, *short) if _words(looked[k])), None)
         numbers = sum(_NUMBER.fullmatch(cell) is not None for k in agree for cell in looked[k])
         if header is None:
             continue
         score = count + numbers / (width * max(count, 1)) - (0.5 if delimiter == " " else 0.0)
         if best is None or score > best[0]:
             best = (score, delimiter, first + header)
-    if best is None:
-        raise InputError(
-            path, f"line {first + 1}", "no header: no line of names of columns", "a header line, then rows"
-        )
-    return best[1], best[2]
+    return best and best[1:]
 
 
 def _words(cells: list[str]) -> bool:
@@ -108,31 +163,18 @@ def _words(cells: list[str]) -> bool:
     return bool(named) and not any(_NUMBER.fullmatch(cell) for cell in named)
 
 
-def _require_header(names: list[str], path: Path, header: int) -> None:
-    if twice := sorted(name for name, n in Counter(names).items() if n > 1):
-        what = f"two columns are named {twice[0]!r}" if twice[0] else "two columns have no name"
-        raise InputError(path, f"header, line {header + 1}", what, "a name of its own for each")
-
-
-def _is_units(cells: list[str], lines: list[str], row: int, delimiter: str) -> bool:
-    """Return whether a line under the header states units: no number or time of day, then numbers."""
-    if not _words(cells) or any(re.search(r"\d{2}:\d{2}", cell) for cell in cells):
-        return False
-    below = _cells(lines[row + 1], delimiter) if row + 1 < len(lines) else []
-    return any(_NUMBER.fullmatch(cell) for cell in below)
-
-
 def _decimal_commas(body: list[str], delimiter: str) -> bool:
     """Return whether numbers are written with a comma."""
+    if delimiter == "," and not any('"' in line for line in body):
+        return False
     cells = [cell.strip() for line in body for cell in _cells(line, delimiter)]
+    cells = [c for c in cells if not re.match(_GROUPED % (",", r"\."), c)] or cells
     commas = sum(re.fullmatch(r"[-+]?\d*,\d+([eE][-+]?\d+)?", cell) is not None for cell in cells)
     points = sum(re.fullmatch(r"[-+]?\d*\.\d+([eE][-+]?\d+)?", cell) is not None for cell in cells)
     return commas > points
 
 
-def _parsed(
-    body: list[str], names: list[str], delimiter: str, comma: bool, path: Path, rows: int
-) -> pa.Table:
+def _parsed(body: list[str], names: list[str], delimiter: str, path: Path, rows: int) -> pa.Table:
     """All cells as text; lines with other columns are left out, and more than STRAY of them refused."""
     columns = len(names)
     if delimiter == " ":
@@ -143,8 +185,10 @@ def _parsed(
         bad.append(row.number if row.number is not None else 0)
         return "skip"
 
-    if body and len(next(csv.reader([body[0]], delimiter=delimiter))) == columns + 1:
+    if body and max(len(_cells(line, delimiter)) for line in body[:_LOOKED_AT]) == columns + 1:
         names = [*names, "\0"]  # a delimiter ends each line
+    if _BYTE.fullmatch(names[columns - 1]):  # a frame with fewer bytes has fewer cells
+        body = [line + delimiter * (len(names) - 1 - line.count(delimiter)) for line in body]
     kind = pa.string()
     table = pa_csv.read_csv(
         io.BytesIO(("\n".join(body) + "\n").encode()),
@@ -168,33 +212,35 @@ def _parsed(
     return table
 
 
-def _numeric(table: pa.Table, comma: bool, path: Path, rows: int) -> pa.Table:
-    """The table with numbers in the columns that hold them; a stray cell that is none counts as missing."""
-    columns = {}
-    for name in table.column_names:
-        text = table.column(name).combine_chunks()
-        columns[name] = _numbers(text, comma, path, name, rows)
-    return pa.table(columns)
+def with_numbers(read: TextTable, path: Path) -> TextTable:
+    """The table with numbers in the columns that hold them; a stray cell that is none counts as missing.
+
+    A unit that stands behind every number of a column is its unit.
+    """
+    columns, units = {}, dict(read.units)
+    for name in read.table.column_names:
+        text = pc.utf8_trim_whitespace(read.table.column(name).combine_chunks())
+        if unit := _unit_of_cells(text):
+            units.setdefault(name, unit)
+        columns[name] = _numbers(text, bool(unit), read.comma, path, name)
+    return replace(read, table=pa.table(columns), units=units)
 
 
-def _numbers(text: pa.StringArray, comma: bool, path: Path, name: str, rows: int) -> pa.Array:
-    import pyarrow.compute as pc
-
-    trimmed = pc.utf8_trim_whitespace(text)
-    if comma:
-        trimmed = pc.replace_substring(trimmed, ",", ".")
+def _numbers(trimmed: pa.StringArray, has_unit: bool, comma: bool, path: Path, name: str) -> pa.Array:
+    text = trimmed
+    if has_unit:
+        trimmed = pc.replace_substring_regex(trimmed, r"\s*[^\s\d.,+-][^\d]*$", "")
+    plain = _ungrouped(trimmed, comma)
     try:
-        return pc.cast(trimmed, pa.float64())
+        return pc.cast(plain, pa.float64())
     except pa.ArrowInvalid:
         pass
-    fits = pc.fill_null(
-        pc.match_substring_regex(trimmed, r"^[-+]?(\d+(\.\d*)?|\.\d+)([eE][-+]?\d+)?$"), False
-    )
+    fits = pc.fill_null(pc.match_substring_regex(plain, r"^[-+]?(\d+(\.\d*)?|\.\d+)([eE][-+]?\d+)?$"), False)
     fits = pc.or_(
-        fits, pc.fill_null(pc.match_substring_regex(trimmed, r"(?i)^[-+]?(inf|infinity|nan)$"), False)
+        fits, pc.fill_null(pc.match_substring_regex(plain, r"(?i)^[-+]?(inf|infinity|nan)$"), False)
     )
-    stray = pc.and_(pc.invert(fits), pc.is_valid(trimmed))
-    n, held = int(pc.sum(stray).as_py() or 0), int(pc.sum(pc.is_valid(trimmed)).as_py() or 0)
+    stray = pc.and_(pc.invert(fits), pc.is_valid(plain))
+    n, held = int(pc.sum(stray).as_py() or 0), int(pc.sum(pc.is_valid(plain)).as_py() or 0)
     if n > max(1, STRAY * held):
         return text
     at = int(np.flatnonzero(stray.to_numpy(zero_copy_only=False))[0])
@@ -204,4 +250,27 @@ def _numbers(text: pa.StringArray, comma: bool, path: Path, name: str, rows: int
         InputWarning,
         stacklevel=1,
     )
-    return pc.cast(pc.if_else(fits, trimmed, None), pa.float64())
+    return pc.cast(pc.if_else(fits, plain, None), pa.float64())
+
+
+def _unit_of_cells(text: pa.StringArray) -> str:
+    """The unit that stands behind the number of every cell, as in 12.5 km/h; "" where none does."""
+    first = next((cell for cell in text[:_LOOKED_AT].to_pylist() if cell), "")
+    match = re.match(_WITH_UNIT, first)
+    if match is None or not match["unit"][0].isprintable():
+        return ""
+    held = text.drop_null()
+    alike = pc.sum(pc.match_substring_regex(held, rf"^\s*[-+]?[\d.,]+\s*{re.escape(match['unit'])}$"))
+    return match["unit"].strip() if len(held) > 1 and alike.as_py() >= (1 - STRAY) * len(held) else ""
+
+
+def _ungrouped(text: pa.StringArray, comma: bool) -> pa.StringArray:
+    """Numbers with a decimal point and without signs between their thousands."""
+    for sign in (("." if comma else ","), "'", "\u2019", " ", "\u00a0", "\u202f"):
+        if not (pc.any(pc.match_substring(text, sign)).as_py() or False):
+            continue
+        grouped = pc.match_substring_regex(text, _GROUPED % (re.escape(sign), "," if comma else r"\."))
+        marked = pc.match_substring(text, sign)
+        if pc.all(pc.or_(grouped, pc.invert(marked))).as_py():
+            text = pc.replace_substring(text, sign, "")
+    return pc.replace_substring(text, ",", ".") if comma else text

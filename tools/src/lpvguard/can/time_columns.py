@@ -3,7 +3,6 @@
 import re
 import warnings
 from collections.abc import Mapping, Sequence
-from datetime import datetime
 from pathlib import Path
 
 import numpy as np
@@ -30,8 +29,23 @@ _EPOCH_S = (9.0e8, 4.0e9)
 _STEP_S = (2e-4, 0.6)
 """Steps from sample to sample of a log of driving."""
 _LATEST_S = 9_000_000_000
-_OTHER_DATES = ("%d.%m.%Y %H:%M:%S.%f", "%d.%m.%Y %H:%M:%S", "%Y/%m/%d %H:%M:%S.%f", "%Y/%m/%d %H:%M:%S")
-_TIME_OF_DAY = re.compile(r"(\d{1,2}):(\d{2}):(\d{2})(?:[.,](\d+))?")
+_DAYS = ((3.0e4, 6.0e4, 25_569), (7.0e5, 8.0e5, 719_529))
+"""Days of the years 1982 to 2064 as spreadsheets and as MATLAB count them, and 1970 in these counts."""
+_BACK = 0.2
+"""If more of the steps from row to row go back, a column is no time."""
+_MONTHS = ("jan", "feb", "m[aä]r", "apr", "ma[iy]", "jun", "jul", "aug", "sep", "o[ck]t", "nov", "de[cz]")
+_DATE = (
+    r"(?P<y>\d{4})([-/.]?)(?P<m>\d{2})\2(?P<d>\d{2})|"
+    r"(?P<d2>\d{1,2})[-/. ](?P<m2>\d{1,2}|[^\W\d]{3,9})[-/. ](?P<y2>\d{4})"
+)
+_CLOCK = r"(?P<h>\d{1,2})(?P<by>[:-]?)(?P<min>\d{2})(?P=by)(?P<s>\d{2})(?:[.,:-](?P<rest>\d+))?"
+_DATE_ONLY = re.compile(_DATE)
+_DATE_AND_CLOCK = re.compile(
+    rf"(?:{_DATE})[T _-]+{_CLOCK}\s*(?P<half>[AP]M)?\s*(?P<zone>Z|UTC|[+-]\d{{2}}:?\d{{2}})?", re.IGNORECASE
+)
+_TIME_OF_DAY = re.compile(r"(\d{1,2}):(\d{2}):(\d{2})(?:[.,:](\d+))?")
+_ELAPSED = re.compile(r"(\d{1,3}):(\d{2})[.,](\d+)")
+"""Minutes, seconds and parts of a second."""
 
 
 def time_of(
@@ -55,24 +69,63 @@ def time_of(
             path,
             "header",
             f"no time column{f' {column}' if column else ''}",
-            "one of t, time, timestamp (or `time` in the signal map); there are " + ", ".join(names),
+            "one of t, time, timestamp, or --time NAME, or --rate HZ where rows come at one rate (`time` and "
+            "`rate_hz` in the signal map); there are " + ", ".join(names),
         )
     values = table.column(column)
     if pa.types.is_timestamp(values.type) or pa.types.is_time(values.type):
         values = values.cast(pa.string())
     if pa.types.is_string(values.type) or pa.types.is_large_string(values.type):
-        t_ns, bad = _of_text(values.to_pylist())
-        keep = _usable(bad, values.to_pylist(), path, column, first_line)
-        return t_ns[keep], keep, {column}
+        texts, clock = values.to_pylist(), None
+        if _DATE_ONLY.fullmatch(next((text.strip() for text in texts if text), "")):
+            clock = next((n for n in names if _is_text(table, n) and _is_clock(table, n)), None)
+            if clock:
+                texts = [
+                    f"{day} {time}" for day, time in zip(texts, table.column(clock).to_pylist(), strict=True)
+                ]
+        t_ns, bad = _of_text(texts)
+        keep = _usable(bad, texts, path, column, first_line)
+        return _growing(t_ns[keep], path, column), keep, {column, clock or column}
     t = _plain(table, column)
-    unit = _stated(column, units) or _by_shape(t, path, column)
+    t, unit = _since_1970(t, path, column) or (t, _stated(column, units) or _by_shape(t, path, column))
     with np.errstate(invalid="ignore"):
         bad = ~(np.abs(t) <= _LATEST_S * 1e9 / UNITS_NS[unit])
     keep = _usable(bad, t, path, column, first_line)
     kind = table.schema.field(column).type
     if pa.types.is_integer(kind):
-        return table.column(column).filter(keep).cast(pa.int64()).to_numpy() * UNITS_NS[unit], keep, {column}
-    return np.rint(t[keep] * UNITS_NS[unit]).astype(np.int64), keep, {column}
+        t_ns = table.column(column).filter(keep).cast(pa.int64()).to_numpy() * UNITS_NS[unit]
+    else:
+        t_ns = np.rint(t[keep] * UNITS_NS[unit]).astype(np.int64)
+    return _growing(t_ns, path, column), keep, {column}
+
+
+def _growing(t_ns: np.ndarray, path: Path, column: str) -> np.ndarray:
+    """The times. InputError where they do not grow from row to row, as steps and texts without seconds do."""
+    step = np.diff(t_ns)
+    if len(step) > 2 and (np.mean(step < 0) > _BACK or not (step > 0).any()):
+        what = f"{np.mean(step < 0):.0%} of its steps go back" if (step < 0).any() else "it never grows"
+        expected = "the time of each row, or --time NAME, or --rate HZ where rows come at one rate"
+        raise InputError(path, f"column {column}", what, expected)
+    return t_ns
+
+
+def _since_1970(t: np.ndarray, path: Path, column: str) -> tuple[np.ndarray, str] | None:
+    """Times [s] of days as spreadsheets and MATLAB count them; None where they are none."""
+    known = t[np.isfinite(t)]
+    size, step = (float(np.median(np.abs(x))) if len(x) else 0.0 for x in (known, np.diff(known)))
+    for least, most, epoch in _DAYS:
+        if least <= size <= most and _STEP_S[0] <= step * 86_400 <= _STEP_S[1]:
+            what = f"taken to be in days, of which 1970 begins with {epoch}: its size says so"
+            warnings.warn(f"{path}: column {column} is {what}", InputWarning, stacklevel=1)
+            return (t - epoch) * 86_400, "s"
+    return None
+
+
+def _is_clock(table: pa.Table, name: str) -> bool:
+    """Return whether a text column begins with a time of day."""
+    return (
+        _TIME_OF_DAY.fullmatch(next((t.strip() for t in table.column(name).to_pylist() if t), "")) is not None
+    )
 
 
 def _usable(
@@ -94,7 +147,8 @@ def _usable(
             path,
             where,
             what,
-            f"a time in every line, at most {_LATEST_S:g} s, 2026-04-22T03:45:00.123 or 03:45:00.123",
+            f"a time with seconds in every line, at most {_LATEST_S:g} s, as 2026-04-22T03:45:00.123 or "
+            "03:45:00.123",
         )
     warnings.warn(f"{path}: {where}: {what}; {len(at)} such row(s) left out", InputWarning, stacklevel=1)
     return ~bad
@@ -134,7 +188,7 @@ def _by_name(table: pa.Table) -> str | None:
         grows = [n for n in matches if _is_text(table, n) or _grows(_plain(table, n))]
         if matches:
             return (grows or matches)[0]
-    bare = [n for n in names if _low(n) in _UNIT_OF or _low(n) in ("gmt", "utc")]
+    bare = [n for n in names if _low(n) in (*_UNIT_OF, "interval", "gmt", "utc")]
     return next((n for n in bare if _grows(_plain(table, n))), None)
 
 
@@ -206,35 +260,40 @@ def _of_text(texts: list[str | None]) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _parsed(text: str) -> tuple[int, bool]:
-    """Time [ns] of a text, and whether it is one of day; ValueError where it is none."""
+    """Time [ns] of a text, without a zone as if in UTC, and whether it is one of day; ValueError for none."""
     text = text.strip()
     if match := _TIME_OF_DAY.fullmatch(text):
-        hours, minutes, seconds, rest = match.groups()
-        if int(hours) > 24 or int(minutes) > 59 or int(seconds) > 60:
-            raise ValueError(text)
-        whole = int(hours) * 3600 + int(minutes) * 60 + int(seconds)
-        return whole * 10**9 + int((rest or "0")[:9].ljust(9, "0")), True
-    text = text.replace(",", ".")
-    if re.match(r"\d{4}-\d{2}-\d{2}[T ]", text):
-        return _iso(text), False
-    for form in _OTHER_DATES:
-        try:
-            return _iso(datetime.strptime(text, form).isoformat()), False
-        except ValueError:
-            continue
-    raise ValueError(text)
-
-
-def _iso(text: str) -> int:
-    """Nanoseconds since 1970 of a date and time of ISO 8601; without a zone as if in UTC."""
-    match = re.fullmatch(
-        r"(\d{4}-\d{2}-\d{2})[T ](\d{2}:\d{2}(?::\d{2})?)(?:\.(\d+))?\s*(Z|UTC|[+-]\d{2}:?\d{2})?", text
-    )
+        return _clock_ns(*match.groups()), True
+    if match := _ELAPSED.fullmatch(text):
+        minutes, seconds, rest = match.groups()
+        return int(minutes) * 60 * 10**9 + _clock_ns("0", "0", seconds, rest), False
+    match = _DATE_AND_CLOCK.fullmatch(text)
     if match is None:
         raise ValueError(text)
-    date, clock, rest, zone = match.groups()
-    seconds = int(np.datetime64(f"{date}T{clock}", "s").astype(np.int64))
-    if zone and zone[0] in "+-":
+    part = match.groupdict()
+    days = np.datetime64(_iso_date(part), "D").astype(np.int64)
+    ns = int(days) * 86_400 * 10**9 + _clock_ns(part["h"], part["min"], part["s"], part["rest"])
+    if half := (part["half"] or "").upper():
+        ns += 12 * 3600 * 10**9 * ((half == "PM") - (int(part["h"]) == 12))
+    zone = part["zone"] or ""
+    if zone[:1] in ("+", "-"):
         offset = int(zone[1:3]) * 3600 + int(zone[-2:]) * 60
-        seconds -= offset if zone[0] == "+" else -offset
-    return seconds * 10**9 + int((rest or "0")[:9].ljust(9, "0"))
+        ns -= (offset if zone[0] == "+" else -offset) * 10**9
+    return ns, False
+
+
+def _iso_date(part: Mapping[str, str | None]) -> str:
+    """The date of a text in ISO 8601; of 04/22/2026 the month is the part that may be one."""
+    year, month, day = part["y"] or part["y2"], part["m"] or part["m2"] or "", part["d"] or part["d2"]
+    if not month.isdigit():
+        month = next((str(k) for k, name in enumerate(_MONTHS, 1) if re.match(name, month.lower())), "")
+    if month.isdigit() and int(month) > 12:
+        month, day = day or "", month
+    return f"{year}-{int(month):02d}-{int(day or 0):02d}"
+
+
+def _clock_ns(hours: str, minutes: str, seconds: str, rest: str | None) -> int:
+    if int(hours) > 24 or int(minutes) > 59 or int(seconds) > 60:
+        raise ValueError(f"{hours}:{minutes}:{seconds}")
+    whole = int(hours) * 3600 + int(minutes) * 60 + int(seconds)
+    return whole * 10**9 + int((rest or "0")[:9].ljust(9, "0"))

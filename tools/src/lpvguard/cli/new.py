@@ -8,6 +8,15 @@ import typer
 from ..vehicle.physics import KindName
 from .shared import Out, app, console, progress_bar
 
+Wheelbase = Annotated[
+    float | None, typer.Option(help="Wheelbase [m]; with it units are checked.", min=0.05, max=20)
+]
+Rate = Annotated[float | None, typer.Option(help="Rows a second of tables without times [Hz].", min=0.1)]
+Ratio = Annotated[
+    float | None,
+    typer.Option("--steering-ratio", help="Steering wheel over road wheel; 1: road wheel.", min=0.1, max=100),
+]
+
 
 @app.command(epilog="Example: lpvguard new mycar LOGS/*.csv --wheelbase 2.9 -o mycar")
 def new(
@@ -16,20 +25,15 @@ def new(
     out: Out,
     dbc: Annotated[Path | None, typer.Option(help="CAN database of raw logs.")] = None,
     model: Annotated[str, typer.Option(help="yaw-first-order, bicycle, table-1 or own.")] = "yaw-first-order",
-    wheelbase: Annotated[
-        float | None, typer.Option(help="Wheelbase [m]; with it units are checked.", min=0.05, max=20)
-    ] = None,
+    wheelbase: Wheelbase = None,
     channel: Annotated[str | None, typer.Option(help="Interface of raw logs with several.")] = None,
     schema: Annotated[Path | None, typer.Option(help="log.capnp of openpilot's logs.")] = None,
+    time: Annotated[str | None, typer.Option(help="Time column of tables.")] = None,
+    rate: Rate = None,
     kind: Annotated[
         KindName | None, typer.Option(help="Kind of vehicle (default: as the wheelbase suggests).")
     ] = None,
-    ratio: Annotated[
-        float | None,
-        typer.Option(
-            "--steering-ratio", help="Steering wheel over road wheel; 1: road wheel.", min=0.1, max=100
-        ),
-    ] = None,
+    ratio: Ratio = None,
     speed: Annotated[str | None, typer.Option(help="Signal that is the speed.")] = None,
     input_: Annotated[str | None, typer.Option("--input", help="Signal that is the steering.")] = None,
     output: Annotated[str | None, typer.Option(help="Signal that is the yaw rate.")] = None,
@@ -53,15 +57,19 @@ def new(
             kind=kind,
             schema=schema,
             channel=channel,
+            time=time,
+            rate_hz=rate,
             ratio=ratio,
             units={"speed": speed_unit, "input": input_unit, "output": output_unit},
         )
     for p in made.proposals.values():
-        console.print(f"{p.role}: {p.name} in {p.unit}, factor {p.factor:.6g}: {'; '.join(p.why)}")
+        console.print(
+            f"{p.role}: {p.name} in {p.unit}, factor {p.factor:.6g}: {'; '.join(p.why)}", markup=False
+        )
     for text in made.notes:
         console.print(text)
     for log, reason in made.left_out.items():
-        console.print(f"left out: {log}: {reason}")
+        console.print(f"left out: {log}: {reason}", markup=False)
     console.print(
         f"written to {out}; read {out}/{name}.toml, then: "
         f"lpvguard fit --vehicle {out}/{name}.toml {out}/drives -o {out}-fit"

@@ -243,7 +243,7 @@ def _sources(log: Frames | Table, path: Path, inputs: Inputs) -> dict[str, list[
 
 def _ingest_one(path: Path, inputs: Inputs) -> tuple[list[Piece], dict]:
     """Pieces and report of one log; InputError when nothing of it remains."""
-    log = read_log(path, time_column=inputs.map.time, schema=inputs.schema)
+    log = read_log(path, time_column=inputs.map.time, rate_hz=inputs.map.rate_hz, schema=inputs.schema)
     t_ns = _log_time(log)
     if len(t_ns) == 0:
         raise InputError(path, "", "holds no signal", "at least one column of numbers")

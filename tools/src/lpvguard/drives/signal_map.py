@@ -9,7 +9,8 @@ It is a TOML file::
     channel = "can0"            # frames of this interface only (default: all)
     j1939 = true                # 29-bit messages are J1939 groups: any priority and sender (default: as the
                                 database says)
-    time = "t"                  # time column of decoded tables, in s (default: t, time or timestamp)
+    time = "t"                  # time column of decoded tables (default: t, time or timestamp)
+    rate_hz = 50.0              # instead of a time column: rows a second of decoded tables
     format = "csv"              # or "parquet"
 
     [columns.v]                 # column = factor * (signal in `unit`) + offset
@@ -104,7 +105,8 @@ class SignalMap(StrictModel):
     max_gap_s : float, s, longest pause of a signal that is interpolated
     channel : str or None, interface whose frames are read, by default all
     j1939 : bool or None, whether 29-bit messages are J1939 groups, by default as the database says
-    time : str or None, time column of decoded tables [s], by default t, time or timestamp
+    time : str or None, time column of decoded tables, by default t, time or timestamp
+    rate_hz : float or None, Hz, rows a second of decoded tables whose times are not read
     format : str, of the tables
     """
 
@@ -115,6 +117,7 @@ class SignalMap(StrictModel):
     channel: str | None = None
     j1939: bool | None = None
     time: str | None = None
+    rate_hz: Positive | None = None
     format: Literal["csv", "parquet"] = "csv"
 
     def gap_s(self, column: str) -> float:

@@ -25,8 +25,8 @@ from ..base.errors import InputError
 from ..base.parallel import Map
 from ..can.delimited import read_csv
 from ..can.logs import INDEX
+from ..can.matlab import read_matlab
 from ..vehicle.project import Project, Signal
-from .matlab import read_matlab
 
 TABLE_SUFFIXES = (".csv", ".parquet", ".mat")
 EXPERIMENTS = INDEX

@@ -17,6 +17,8 @@ _LENGTHS = {
     "km": ("km", "kilometer", "kilometers", "kilometre", "kilometres"),
     "mi": ("mi", "mile", "miles", "meilen"),
     "ft": ("ft", "feet", "foot"),
+    "cm": ("cm",),
+    "mm": ("mm",),
 }
 _TIMES = {
     "s": ("s", "sec", "secon", "secs", "second", "seconds", "sek", "sekunde"),
@@ -39,6 +41,8 @@ _ANGLES = {
         "º",
     ),
     "mrad": ("mrad", "milliradian", "milliradians"),
+    "gon": ("gon", "gons", "gradian", "gradians"),
+    "turn": ("turn", "turns", "rev", "revs", "umdrehungen"),
 }
 _OVER = ("", "p", "per", "pro")
 _SPEED_WORDS = {
@@ -55,8 +59,15 @@ _SPEED_WORDS = {
     "knots": "kn",
     "knoten": "kn",
 }
-_RATE_WORDS = {"dps": "deg/s", "radps": "rad/s", "rps": "", "degps": "deg/s", "mdps": ""}
-_OF_SPEED = {("m", "s"): "m/s", ("km", "h"): "km/h", ("mi", "h"): "mph", ("ft", "s"): "ft/s"}
+_RATE_WORDS = {"dps": "deg/s", "radps": "rad/s", "rps": "", "degps": "deg/s", "mdps": "mdeg/s"}
+_OF_SPEED = {
+    ("m", "s"): "m/s",
+    ("km", "h"): "km/h",
+    ("mi", "h"): "mph",
+    ("ft", "s"): "ft/s",
+    ("cm", "s"): "cm/s",
+    ("mm", "s"): "mm/s",
+}
 _QUALIFIERS = frozenset(
     (
         "raw",
@@ -79,9 +90,9 @@ _TOKEN = re.compile(r"°|º|[A-Z]+(?![a-z])|[A-Z]?[a-zäöüß]+|\d+")
 DIMENSIONS = {"speed": "m/s", "input": "rad", "output": "rad/s"}
 """By role: the SI unit of its signal."""
 _NAMES = {
-    "speed": ("m/s", "km/h", "mph", "kn", "ft/s"),
-    "input": ("rad", "deg", "mrad"),
-    "output": ("rad/s", "deg/s", "mrad/s"),
+    "speed": ("m/s", "km/h", "mph", "kn", "ft/s", "cm/s", "mm/s"),
+    "input": ("rad", "deg", "mrad", "gon", "turn"),
+    "output": ("rad/s", "deg/s", "mrad/s", "mdeg/s", "deg/min", "rpm"),
 }
 """By role: the units as ``units.py`` names them."""
 
@@ -94,7 +105,7 @@ def _spellings(role: str) -> dict[str, str]:
     if role == "output":
         spellings = dict(_RATE_WORDS)
         for (unit, words), over in product(_ANGLES.items(), _OVER):
-            for word, time in product(words, _TIMES["s"]):
+            for word, time in product(words, _TIMES["s"] if f"{unit}/s" in _NAMES[role] else ()):
                 spellings.setdefault(word + over + time, f"{unit}/s")
         return spellings
     spellings = dict(_SPEED_WORDS)
@@ -184,7 +195,7 @@ def _by_pint(text: str, role: str) -> str | None:
         ours = unit_factor(name, DIMENSIONS[role])
         if ours is not None and abs(factor / ours - 1) < 1e-6:
             return name
-    return None
+    return f"{factor:.9g} {DIMENSIONS[role]}"
 
 
 def units_in_name(name: str, role: str) -> list[str]:

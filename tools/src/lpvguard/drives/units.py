@@ -1,5 +1,7 @@
 """Units of measured signals, and factors between them."""
 
+import re
+
 import numpy as np
 
 # To SI: dimension, factor.
@@ -7,14 +9,21 @@ _UNITS = {
     "rad": ("angle", 1.0),
     "deg": ("angle", np.pi / 180),
     "mrad": ("angle", 1e-3),
+    "gon": ("angle", np.pi / 200),
+    "turn": ("angle", 2 * np.pi),
     "rad/s": ("rate", 1.0),
     "deg/s": ("rate", np.pi / 180),
     "mrad/s": ("rate", 1e-3),
+    "mdeg/s": ("rate", np.pi / 180e3),
+    "deg/min": ("rate", np.pi / 180 / 60),
+    "rpm": ("rate", 2 * np.pi / 60),
     "m/s": ("speed", 1.0),
     "km/h": ("speed", 1 / 3.6),
     "mph": ("speed", 0.44704),
     "kn": ("speed", 1852 / 3600),
     "ft/s": ("speed", 0.3048),
+    "cm/s": ("speed", 0.01),
+    "mm/s": ("speed", 0.001),
     "m/s2": ("acceleration", 1.0),
     "g": ("acceleration", 9.80665),
     "Pa": ("pressure", 1.0),
@@ -43,6 +52,13 @@ _SPELLINGS = {
     "degrees/s": "deg/s",
     "deg/sec": "deg/s",
     "rad/sec": "rad/s",
+    "°/min": "deg/min",
+    "rev/min": "rpm",
+    "r/min": "rpm",
+    "1/min": "rpm",
+    "u/min": "rpm",
+    "rev": "turn",
+    "turns": "turn",
     "kph": "km/h",
     "kmh": "km/h",
     "kmph": "km/h",
@@ -54,6 +70,8 @@ _SPELLINGS = {
     "n·m": "nm",
     "n*m": "nm",
 }
+_SCALED = re.compile(r"\s*([\d.]+(?:e[-+]?\d+)?)\s+(\S.*)", re.IGNORECASE)
+"""A number and a unit, as 0.034 m/s: what a signal of 1 means."""
 _BY_LOWER_CASE = {name.lower(): name for name in _UNITS}
 
 
@@ -70,9 +88,12 @@ def unit_factor(source: str, target: str) -> float | None:
 
     Examples
     --------
-    >>> round(unit_factor("deg/s", "rad/s"), 6), unit_factor("km/h", "rad")
-    (0.017453, None)
+    >>> round(unit_factor("deg/s", "rad/s"), 6), unit_factor("km/h", "rad"), unit_factor("0.5 rad", "rad")
+    (0.017453, None, 0.5)
     """
+    if scaled := _SCALED.fullmatch(source):
+        factor = unit_factor(scaled[2], target)
+        return factor and float(scaled[1]) * factor
     if source == target:
         return 1.0
     known = []

@@ -27,6 +27,7 @@ from ..can.logs import Frames, Series, Table, read_log, stem
 from ..can.sign_bits import sign_bits
 from ..drives.frames import Estimator
 from ..drives.ingest import Inputs, write_tables
+from ..drives.resample import REORDER_S
 from ..drives.signal_map import SignalMap
 from ..drives.tables import Drive, index_text, read_drive
 from ..drives.unit_names import DIMENSIONS as SI
@@ -85,6 +86,8 @@ def new(
     units: dict[str, str | None] | None = None,
     channel: str | None = None,
     schema: Path | None = None,
+    time: str | None = None,
+    rate_hz: float | None = None,
 ) -> NewProject:
     """Make a project from logs and write its folder.
 
@@ -102,6 +105,8 @@ def new(
     units : dict, optional, unit by role, or None to find it
     channel : str, optional, of raw logs with several
     schema : Path, optional, log.capnp of openpilot's logs
+    time : str, optional, time column of tables
+    rate_hz : float, optional, Hz, rows a second of tables without times
 
     Returns
     -------
@@ -112,19 +117,15 @@ def new(
     InputError
         If no signal fits a role, or no drive remains.
     """
-    if not re.fullmatch(NAME, name):
-        raise InputError("new", "NAME", repr(name), "lower case letters, digits and _, a letter first")
-    if model not in TEMPLATES:
-        raise InputError("new", "--model", model, f"one of {', '.join(TEMPLATES)}")
-    if wheelbase_m is None and model == "bicycle":
-        raise InputError("new", "--wheelbase", "not given", "the wheelbase in m, which the bicycle needs")
-    recordings, left_out = recordings_of(logs, dbc, channel, schema)
+    _require_sound(name, model, wheelbase_m)
+    recordings, left_out = recordings_of(logs, dbc, channel, schema, time, rate_hz)
     known = Known(kind or kind_of(wheelbase_m), wheelbase_m, ratio)
     proposals = proposed(recordings, chosen or {}, known, units)
     Ts = _sample_time(recordings, [p.name for p in proposals.values()])
     limits = {role: _limits(role, p, recordings) for role, p in proposals.items()}
     database = load_database(dbc) if dbc else own_database()
-    signals = _signal_map(proposals, limits, Ts, channel, _sign_bits_of(database))
+    read_by = {"channel": channel, "time": time, "rate_hz": rate_hz}
+    signals = _signal_map(proposals, limits, Ts, read_by, _sign_bits_of(database))
     with artefacts.new_folder(out, "new", name) as folder:
         (folder / "drives").mkdir()
         inputs = Inputs(
@@ -157,6 +158,15 @@ def new(
     return NewProject(project, proposals, splits, left_out, notes)
 
 
+def _require_sound(name: str, model: str, wheelbase_m: float | None) -> None:
+    if not re.fullmatch(NAME, name):
+        raise InputError("new", "NAME", repr(name), "lower case letters, digits and _, a letter first")
+    if model not in TEMPLATES:
+        raise InputError("new", "--model", model, f"one of {', '.join(TEMPLATES)}")
+    if wheelbase_m is None and model == "bicycle":
+        raise InputError("new", "--wheelbase", "not given", "the wheelbase in m, which the bicycle needs")
+
+
 def _speeds(project: Project, folder: Path, names: Iterable[str]) -> dict[str, np.ndarray]:
     """Speed (N,) of each drive."""
     return {n: read_drive(folder / f"{n}.csv", project).v for n in names}
@@ -183,23 +193,30 @@ def _written(
 
 
 def recordings_of(
-    logs: list[Path], dbc: Path | None, channel: str | None = None, schema: Path | None = None
+    logs: list[Path],
+    dbc: Path | None,
+    channel: str | None = None,
+    schema: Path | None = None,
+    time: str | None = None,
+    rate_hz: float | None = None,
 ) -> tuple[list[Recording], dict[str, str]]:
     """Read logs as recordings; also the logs that cannot be read, with the reason."""
     recordings: list[Recording] = []
     left_out: dict[str, str] = {}
+    reasons: list[InputError] = []
     for path in logs:
         if any(stem(path) == r.name for r in recordings):
             raise InputError(path, "", f"two logs would both become the drive {stem(path)}", "other names")
         try:
-            log = read_log(path, schema=schema)
+            log = read_log(path, time_column=time, rate_hz=rate_hz, schema=schema)
             if isinstance(log, Frames):
                 log = _decoded(log.of_channel(channel, path), dbc, path)
             recordings.append(_recording(stem(path), log))
         except InputError as error:
             left_out[stem(path)] = str(error)
+            reasons.append(error)
     if not recordings:
-        raise InputError("new", "LOG", next(iter(left_out.values()), "no log given"), "logs that can be read")
+        raise reasons[0] if reasons else InputError("new", "LOG", "no log given", "logs that can be read")
     return recordings, left_out
 
 
@@ -227,18 +244,28 @@ def _decoded(log: Frames, dbc: Path | None, path: Path) -> Table:
 
 
 def _recording(name: str, table: Table) -> Recording:
-    """All signals on the time axis with the most samples."""
+    """All signals on the time axis with the most samples; a clock that jumps back goes on after its jump."""
     moving = {n: s for n, s in table.series.items() if len(s.t_ns) > 10}
     if not moving:
         raise InputError(name, "", "no signal with more than ten samples", "a log of driving")
-    fastest, longest = max(moving.items(), key=lambda item: len(item[1].t_ns))
-    step = float(np.median(np.diff(longest.t_ns))) * 1e-9
-    if not 0.0 < step <= LONGEST_STEP_S:
+    steps = {n: float(np.median(np.diff(s.t_ns))) * 1e-9 for n, s in moving.items()}
+    fastest, longest = max(
+        moving.items(), key=lambda item: (0.0 < steps[item[0]] <= LONGEST_STEP_S, len(item[1].t_ns))
+    )
+    if not 0.0 < (step := steps[fastest]) <= LONGEST_STEP_S:
         expected = f"times in s that grow by at most {LONGEST_STEP_S:g} s from sample to sample"
         raise InputError(name, f"time of {fastest}", f"the median step is {step:g} s", expected)
-    t = (longest.t_ns - longest.t_ns[0]) * 1e-9
+    back = {id(s.t_ns): np.diff(s.t_ns, prepend=s.t_ns[:1]) < -REORDER_S * 1e9 for s in moving.values()}
+    if len(back) == 1:  # one table
+        steps_ns = np.diff(longest.t_ns, prepend=longest.t_ns[:1])
+        steps_ns[back[id(longest.t_ns)]] = round(LONGEST_STEP_S * 1e9)
+        on = {id(longest.t_ns): np.cumsum(steps_ns)}
+    else:
+        on = {id(s.t_ns): s.t_ns - longest.t_ns[0] for s in moving.values()}
+    axis = on[id(longest.t_ns)]
+    t = axis * 1e-9
     values = {
-        n: np.interp(longest.t_ns, s.t_ns[ok], s.value[ok], np.nan, np.nan)
+        n: np.interp(axis, on[id(s.t_ns)][ok], s.value[ok], np.nan, np.nan)
         for n, s in moving.items()
         if (ok := _measured(s.value)).any()
     }
@@ -300,14 +327,18 @@ def _signal_map(
     proposals: dict[str, Proposal],
     limits: dict[str, tuple[float, float]],
     Ts: float,
-    channel: str | None,
+    read_by: dict[str, str | float | None],
     sign_bit: dict[str, str],
 ) -> str:
     lines = [
         "# Signal map for `lpvguard ingest`. Left turns are positive.",
         "schema = 1",
         f"Ts_s = {Ts:g}",
-        *([f"channel = {_quoted(channel)}"] if channel else []),
+        *(
+            f"{key} = {tomlkit.item(value).as_string()}"
+            for key, value in read_by.items()
+            if value is not None
+        ),
     ]
     for role in ROLES:
         p = proposals[role]

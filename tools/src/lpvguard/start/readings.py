@@ -104,12 +104,13 @@ def decided(
             " or ".join(dict.fromkeys(_settles(r, near) for r in near)),
         )
     best = candidates[0]
+    kind = "vehicle" if known.kind == "other" else known.kind
     if best.beyond > 0.0 or best.lateral_mps2 > KINDS[known.kind].lateral_mps2:
         reasons = ", ".join(best.why) or f"lateral accelerations of {best.lateral_mps2:.3g} m/s^2"
         raise InputError(
             "new",
             "--speed, --input, --output",
-            f"no units make a {known.kind} of them; the nearest: {best.words()}, but {reasons}",
+            f"no units make a {kind} of them; the nearest: {best.words()}, but {reasons}",
             "the signals of this vehicle, --kind, --wheelbase, or " + ", ".join(_unit_options(choices)),
         )
     if best.ratio != 1.0 and known.wheelbase_m is None and known.ratio is None:

@@ -5,8 +5,9 @@ is left open is decided by physics (`readings.py`), or asked.
 """
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from difflib import get_close_matches
 
 import numpy as np
 
@@ -18,53 +19,82 @@ from .steady_turn import Driven, steady_turn
 
 WORDS = {
     "speed": (
-        r"^(v|vx|v_x|vel|speed|v_?ego)$|(vehicle|veh|car|ego)_?(speed|spd|velocity)",
-        r"linear_vel_x|speed|spd|veloc|\bvel|geschw|vitesse|(^|_)v_signal|veh_?v_",
+        r"^(v|vx|v_x|vel|speed|v_?ego|ego_?v)$|(vehicle|veh|car|ego)_?(speed|spd|velocity)",
+        r"linear_(vel_)?x|speed|spd|veloc|(^|_)vel(_|$)|^vel|geschw|vitesse|(^|_)v_signal|veh_?v_|^(u|v_?long|sog|"
+        r"tempo|tacho)(_|$)|^h\u0131z|snelheid|hastighet|rychlost|pr[eę]dko[sś]",
     ),
     "input": (
         r"^(delta|steer|swa)$|road_?wheel|(steer|steering)_?(wheel|whl)?_?ang(le)?(_|$)",
         r"steer|(^|_)delta(_|$)|wheel_?angle|lenk|volant|braquage|(^|_)sterz|sas_angle|internal_?sas|_lrw$|"
-        r"ste(pin|whl).*_an|st(r|rg|w)?_?(wheel|whl|w)?_?angl?|whl_?ang",
+        r"ste(pin|whl).*_an|st(r|rg|w)?_?(wheel|whl|w)?_?angl?|whl_?ang|^l(r?w|ws)$|(^sw|hand_?wheel)_?(pos|ang|deg|"
+        r"rad)|^(hwa|rwa)(_|$)|(servo|t[iy]re)_?(pos|angle)|direcci[oó]n|stuur|ratt_?v|skret|kierown",
     ),
     "output": (
-        r"^(r|wz|yaw_?rate)$",
-        r"yaw_?(rate|rte?|vel|speed|spd|w_)|angular_vel_z|gyro?_?z|omega_?z|psi_?dot|gier|lacet|imbard",
+        r"^(r|w_?z|yaw_?rate)$",
+        r"yaw_?(rate|rte?|r$|vel|speed|spd|w_)|ang(ular)?_?(vel|rate|velocity|speed)_?z|gyro?(scope)?_?z|omega_?z|^omega$|"
+        r"psi_?(dot|punkt|p$)|^d_?psi(_?dt)?$|^gz(_|$)|rot(ation)?_?(rate|speed|vel)?_?z(_|$)|(^|_)rate_?(\w+_)?z(_|$)|z_?(axis_)?rate_of_rot|"
+        r"(heading|turn)_?(rate|speed)|(^|_)gyro$|gier|lacet|imbard|gui[nñ]|girasj",
     ),
 }
 """By role: what a name is for certain, and what it may hold."""
 OF_PATHS = {
     "speed": r"twist_linear_x$|linear_velocity_x$",
     "input": r"ackermann.*steering_angle$|(steer|lenk|volant)\w*_(angle|ang|winkel|pos|position|value)$",
-    "output": r"(angular|angular_velocity)_z$|angular_velocity_xyz_2_?$|gyro_rad_2_?$|yaw_(rate|value)$",
+    "output": r"(angular|angular_velocity|ang_?vel|gyro\w*|rate\w*)_z$|angular_velocity_xyz_2_?$|"
+    r"gyro_rad_2_?$|yaw_(rate|value)$",
 }
 """By role: what the last words of a topic or message with its fields may be."""
-WITH_UNIT = {"output": r"yaw|gyro?"}
+WITH_UNIT = {"output": r"yaw|gyro?|(^|_)rot(ation)?(_rate|_speed)?$"}
 """By role: what a name may hold where a unit of the role is stated."""
 NEVER = {
-    "speed": r"rel(ative|_|sp|v)|target|trgt|trg$|set_?(point|speed)|wunsch|ziel|soll|lead|obj|wiper|fan|"
+    "speed": r"rel(ative|_|sp|v)|target|trgt|trg$|set_?(p|speed)|wunsch|ziel|soll|lead|obj|wiper|fan|"
     r"wind_|engine|idle|shaft|turbine|motor_sp|rpm|max|lim|lmt|trap|tsr|saved|condition|offset|regel|"
-    r"abbruch|zeit|gier|yaw|lacet|ang|steer|sas|rate_|hud|clu_|kombi|angez|dsply|display|navi|expected",
+    r"abbruch|zeit|gier|yaw|lacet|imbard|gui[nñ]|ang|steer|sas|rate_|hud|clu_|kombi|angez|dsply|display|navi|expected",
     "input": r"rate(?!d)|torque|tq|trq|speed|spd|vel|gesch|grd|moment|hilfe|fraction|override|volt|pressure|"
-    r"hands|hold|assist|warn|config|index|menu|flex|ratio|typ|required|verbau",
-    "output": r"acc|ang(le)?(_|$)|target|desired|(^|_)ref|trailer|trlr|fehler",
+    r"hands|hold|assist|warn|config|index|menu|flex|ratio|typ|required|verbau|max",
+    "output": r"(^|_)[xy]_?(axis_)?(rate|rot|gyro)|(gyro\w*|rot\w*|rate)_?[xy](_|$)|roll|pitch|"
+    r"nick|wank|acc|ang(le)?(_(?!vel|rate|speed)|$)|target|desired|(^|_)ref|trailer|trlr|fehler",
 }
 """By role: other quantities that share a word with it."""
 NOT = {
-    "speed": r"cmd|command|control|desired|_y$|_z$|cruise|digital|pcm|cluster|dash|ui_|adas|acc_?|gps|low|"
-    r"mod_|bump|analog|rough",
-    "input": r"req|calculated|command|cmd|control|motor|_2$|rechts|sw$|rel",
+    "speed": r"control|desired|_y$|_z$|cruise|digital|pcm|cluster|dash|ui_|adas|acc_?|gps|low|"
+    r"mod_|bump|analog|rough|_[yz]_",
+    "input": r"calculated|control|motor|_2$|rechts|sw$|rel",
     "output": r"raw",
 }
 """By role: what lowers a name's rank. A command and a copy share its words."""
+REQUEST = re.compile(r"req|cmd|command|target|demand|unknown")
+"""In names of what is asked for, and of what nobody knows: below every measurement."""
 WHEEL = re.compile(r"wheel|whl|rad_?geschw")
 """In names of the speed of one wheel."""
 NO_MEASUREMENT = re.compile(
-    r"checksum|crc|counter|cnt|qf$|qbit|valid|status|(^|_)sta(_|$)|stat$|fault|error|button|icon|mode|units?$|sign(?!al)|lamp|force|_rq|offst|"
+    r"checksum|crc|counter|cnt|qf$|qbit|valid|status|(^|_)sta(_|$)|stat$|fault|error|button|icon|mode|units?$|sign(?!al)|lamp|force|_rq|offse?t|"
     r"direction|(^|_)vz(_|$)|limit|diag|init|group|bias|rate_?v$|speed_?v$|ack$|pressed|reboot|reduced"
 )
 """In names of what tells of a measurement, and is none."""
-NO_SIGNALS_UNIT = ("Nm", "rpm", "RPM", "r/min", "%", "V", "A", "Amps", "minute", "ms", "s")
+NO_SIGNALS_UNIT = (
+    "Nm",
+    "rpm",
+    "RPM",
+    "r/min",
+    "%",
+    "V",
+    "A",
+    "Amps",
+    "minute",
+    "ms",
+    "s",
+    "pulses",
+    "counts",
+    "ticks",
+)
 """Units of other things."""
+NO_ANGLE = re.compile(
+    r"percent|pct|%|norm(?!al)|pwm|(^|_)adc|duty|ticks?(_|$)|counts?$|volt|(^|_)(us|usec|mv)$"
+)
+"""In names of a steering that is no angle yet: a share of full lock, a pulse, a voltage."""
+FULL_LOCK, HELD = (1.0, 100.0), 5
+"""A steering without a unit that stays at one of these largest values for so many samples is a share."""
 OTHERS_MESSAGE = re.compile(
     r"cmd|command|lka|lta|acc|cruise|hud|kombi|cluster|object|track|radar|cam_|das_|ipma|nav|gps|tsk|smgr|tbd"
 )
@@ -82,6 +112,8 @@ FRACTION = re.compile(r"frac|(^|_)fine(_|$)|_hp$")
 """In names of the digits beyond a coarse signal's resolution."""
 PART = 0.2
 """Largest spread of these digits, as a share of the coarse signal's."""
+MOST_NAMES = 40
+"""So many signals a message names."""
 LEAST_SAMPLES = 20
 """A recording with fewer samples of all three signals says nothing."""
 
@@ -119,22 +151,23 @@ def ranked(role: str, names: Iterable[str], units: Mapping[str, str] | None = No
     scores = {}
     for name in names:
         message, _, last = name.rpartition(".")
-        low = re.sub(r"[\s-]+", "_", last.lower())
+        low = re.sub(r"[\s/-]+", "_", last.lower())
         unit = (units or {}).get(name, "")
         if NO_MEASUREMENT.search(low) or re.search(NEVER[role], low):
             continue
         sure, may = WORDS[role]
-        certain = re.search(sure, low) or re.search(sure, without_unit(last, role))
-        paths = (name.lower(), f"{message}.{without_unit(last, role)}".lower())
+        plain = without_unit(last, role)
+        certain = re.search(sure, low) or re.search(sure, plain)
+        paths = (name.lower(), f"{message}.{plain}".lower())
         of_path = (re.search(OF_PATHS[role], re.sub(r"[^a-z0-9]+", "_", path)) for path in paths)
-        likely = bool(re.search(may, low)) or any(of_path)
+        likely = bool(re.search(may, low) or re.search(may, plain)) or any(of_path)
+        stated, in_name = _unit(unit, role) is not None, bool(units_in_name(last, role))
         if role == "speed":
-            likely = likely or bool(units_in_name(last, role))
-        stated = _unit(unit, role) is not None
-        if certain or likely or (stated and re.search(WITH_UNIT.get(role, "$^"), low)):
+            likely = likely or in_name
+        if certain or likely or ((stated or in_name) and re.search(WITH_UNIT.get(role, "$^"), low)):
             less = 1.5 * bool(re.search(NOT[role], low)) + 0.5 * bool(OTHERS_MESSAGE.search(message.lower()))
             less += 0.5 * (role == "speed" and WHEEL.search(low) is not None)
-            less += 2.0 * _of_another(unit, role)
+            less += 3.0 * (REQUEST.search(low) is not None) + 2.0 * _of_another(unit, role)
             scores[name] = (2 if certain else 1) - less + 1.25 * stated
     return sorted(scores, key=lambda name: (-scores[name], len(name), name))
 
@@ -242,6 +275,15 @@ def _choices(
             )
         return (unit,), [f"unit {unit} as you say"]
     stated = sorted({u for r in recordings if (u := r.units.get(name, "").strip())})
+    option = f"--{role}-unit"
+    one = f"--{role} NAME, or {option} with what 1 of it is, as {option} '0.02 {GUESSED_UNITS[role][0]}'"
+    if role == "input" and (word := NO_ANGLE.search(re.sub(r"[\s.-]+", "_", name.lower()))):
+        raise InputError(
+            "new",
+            name,
+            f"its name says {word[0].strip('_')}, and no angle",
+            f"{one}; a middle that is not 0 is the `offset` of a signal map (lpvguard ingest --signals)",
+        )
     if len(stated) > 1:
         raise InputError(
             "new", name, f"the logs state the units {' and '.join(stated)}", f"one unit, or --{role}-unit"
@@ -249,13 +291,8 @@ def _choices(
     in_name = list(dict.fromkeys(unit for text in units_in_name(name, role) if (unit := text)))
     by_log = _unit(stated[0], role) if stated else None
     if stated and by_log is None:
-        if _of_another_role(stated[0], role):
-            raise InputError(
-                "new",
-                name,
-                f"its unit is {stated[0]}, none of a {WHAT[role]}",
-                f"--{role} NAME, or --{role}-unit",
-            )
+        if _of_another_role(stated[0], role) or stated[0] in NO_SIGNALS_UNIT:
+            raise InputError("new", name, f"its unit is {stated[0]}, none of a {WHAT[role]}", one)
         if not in_name:
             return GUESSED_UNITS[role], [f"its unit {stated[0]} is not known"]
     units = [by_log] if by_log else in_name
@@ -267,13 +304,13 @@ def _choices(
     if units:
         source = f"the log states {stated[0]}" if by_log else "by its name"
         return (units[0],), [f"unit {units[0]}, {source}"]
-    if elsewhere := next((u for r in ROLES if r != role for u in units_in_name(name, r)), None):
-        raise InputError(
-            "new",
-            name,
-            f"its name states {elsewhere}, none of a {WHAT[role]}",
-            f"--{role} NAME, or --{role}-unit",
-        )
+    if elsewhere := next((u for r in reversed(ROLES) if r != role for u in units_in_name(name, r)), None):
+        raise InputError("new", name, f"its name states {elsewhere}, none of a {WHAT[role]}", one)
+    largest = max(float(np.nanmax(np.abs(r.values[name]))) for r in recordings)
+    held = max(int((np.abs(r.values[name]) == largest).sum()) for r in recordings)
+    if role == "input" and largest in FULL_LOCK and held >= HELD:
+        what = f"stays at {largest:g}, its largest value, as a share of full lock does"
+        raise InputError("new", name, what, f"--input-unit rad or deg where it is an angle, or {one}")
     return GUESSED_UNITS[role], []
 
 
@@ -314,9 +351,16 @@ def _require_sign(role: str, name: str, common: list[str], recordings: list[Reco
             )
 
 
+def _some(names: Sequence[str]) -> str:
+    """The first names, and how many more there are."""
+    more = f" and {len(names) - MOST_NAMES} more" if len(names) > MOST_NAMES else ""
+    return ", ".join(names[:MOST_NAMES]) + more
+
+
 def _varies(value: np.ndarray) -> bool:
     """Return whether a signal has more than two values; a switch has two."""
-    return bool(((value > np.nanmin(value)) & (value < np.nanmax(value))).any())
+    value = value[np.isfinite(value)]
+    return len(value) > 0 and bool(((value > value.min()) & (value < value.max())).any())
 
 
 def _named(
@@ -325,7 +369,8 @@ def _named(
     option = f"--{role}"
     if chosen is not None:
         if chosen not in common:
-            raise InputError("new", option, f"no signal {chosen} in every log", f"one of {', '.join(common)}")
+            near = get_close_matches(chosen, common, n=3) or common
+            raise InputError("new", option, f"no signal {chosen} in every log", f"one of {_some(near)}")
         return chosen, ["chosen by you"]
     moving = [n for n in common if any(_varies(r.values[n]) for r in recordings)]
     units = {n: u for r in recordings for n, u in r.units.items()}
@@ -333,6 +378,6 @@ def _named(
     if not candidates:
         still = ranked(role, common, units)
         what = f"{still[0]} never moves" if still else f"no name looks like the {role}"
-        raise InputError("new", option, what, f"{option} NAME, one of {', '.join(moving or common)}")
+        raise InputError("new", option, what, f"{option} NAME, one of {_some(moving or common)}")
     others = f"; others: {', '.join(candidates[1:4])}" if candidates[1:] else ""
     return candidates[0], [f"by its name{others}"]

@@ -1,4 +1,4 @@
-"""Drives in MATLAB files: one vector of numbers a column, as `save -v7` writes it.
+"""Tables in MATLAB files: one vector of numbers a column, as `save -v7` writes it.
 
 A damaged number makes scipy read foreign memory, because it indexes its table of types. This module therefore
 checks the variables' descriptions first. scipy then reads only sound vectors of numbers.

@@ -1,4 +1,4 @@
-"""MATLAB's files as drives: what is read, and what is refused before scipy looks at it."""
+"""MATLAB's files as tables: what is read, and what is refused before scipy looks at it."""
 
 import struct
 import zlib
@@ -9,7 +9,7 @@ import pytest
 from scipy.io import savemat
 
 from lpvguard.base.errors import InputError
-from lpvguard.drives.matlab import read_matlab
+from lpvguard.can.matlab import read_matlab
 
 DOUBLES, BYTES, MATRIX, COMPRESSED = 9, 1, 14, 15
 
