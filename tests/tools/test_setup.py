@@ -1,6 +1,7 @@
 """The set-up (tools/setup.sh) with a fake interpreter, apt and dpkg: an environment and a build know their
 checkout; the closing line counts what broke off."""
 
+import json
 import os
 import re
 import shutil
@@ -390,4 +391,26 @@ def test_the_closing_line_counts_what_broke_off_and_gives_reasons(
         done.stdout.splitlines()[-1] == last
         and says in done.stdout
         and done.returncode == (" 0 failed" not in last)
+    )
+
+
+@pytest.mark.parametrize("part", ("run", "run test"))
+def test_the_image_installs_the_lists_of_the_set_up_and_no_others(checkout, part):
+    text = (ROOT / "Dockerfile").read_text()
+    words = [line.split(maxsplit=1) for line in text.splitlines() if line and not line.startswith("#")]
+    (command,) = [json.loads(rest) for word, rest in words if word == "RUN"]
+    assert command[:-1] == ["bash", "-euo", "pipefail", "-c"] and ["FROM", "debian:bookworm-slim"] in words
+    fake = command[-1].replace(
+        "; ensure_packages", f"; find_python() {{ python={checkout.parent}/python; }}; "
+        'ensure_packages() { packages_of "$@" >packages; }; ensure_packages', 1
+    )  # fmt: skip
+    done = shell(checkout, f"cd {checkout}; {fake}", PART=part)
+    listed = shell(checkout, f"packages_of {part}").stdout
+    assert done.returncode == 0 and (checkout / "packages").read_text() == listed and "g++" in listed
+    locks = re.findall(r"locks/(\w+)\.txt", (checkout.parent / "calls").read_text())
+    assert locks == (["run"] if part == "run" else ["test", "lcm"])
+    container = json.loads((ROOT / ".devcontainer" / "devcontainer.json").read_text())
+    assert (
+        container["build"]["dockerfile"] == "../Dockerfile"
+        and container["build"]["args"]["PART"] == "run test"
     )

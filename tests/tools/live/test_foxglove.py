@@ -104,7 +104,7 @@ def test_a_client_reads_what_the_recording_of_replay_says(server, replayer, faul
     said = replayer.replay_recorded(recorded)
     series = replayer.series(recorded, said)
     written = messages(series, said.to_dict()["alarms"])
-    watch, client = Watch(replayer, Given(), 3600, listener=server), Client(server.url)
+    watch, client = Watch(replayer, Given(), 3600, listeners=[server]), Client(server.url)
     pieces = cut(frames, 500)
     n = series.num_rows - 1  # the last tick waits for a frame after it
 
@@ -139,7 +139,7 @@ def test_a_client_reads_what_the_recording_of_replay_says(server, replayer, faul
 def test_a_client_that_writes_is_refused_and_one_that_stalls_or_dies_holds_up_nothing(
     server, replayer, faulty
 ):
-    watch, client = Watch(replayer, Given(), 3600, listener=server), Client(server.url)
+    watch, client = Watch(replayer, Given(), 3600, listeners=[server]), Client(server.url)
     host, port = server.url.removeprefix("ws://").split(":")
     with socket.create_connection((host, int(port))) as stalled:
         # It shakes hands by hand, subscribes and never reads; then it goes without a word.
@@ -162,7 +162,7 @@ def test_nothing_is_made_for_nobody(server, replayer, faulty, monkeypatch):
         raise AssertionError("a piece of a series was made")
 
     monkeypatch.setattr(replayer, "series_of", refused)
-    watch = Watch(replayer, Given(), 3600, listener=server)
+    watch = Watch(replayer, Given(), 3600, listeners=[server])
     for piece in cut(faulty[0], 5000):
         watch.take(piece)
     assert watch._ring.count > 1000 and not server.listens() and BACKLOG > 4096

@@ -2,10 +2,12 @@
 
 import asyncio
 from contextlib import ExitStack
+from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from ..base import artefacts
 from ..base.errors import InputError
 from .shared import Coefficients, Vehicle, app, console, replayer_of
 
@@ -19,8 +21,8 @@ def live(
     source: Annotated[
         str,
         typer.Argument(
-            help="LCM URL of a simulation, socketcan:INTERFACE with the vehicle's bus, or a candump log "
-            "that grows."
+            help="LCM URL of a simulation, socketcan:INTERFACE with the vehicle's bus, a candump log that "
+            "grows, or an MCAP file of ROS 2 with can_msgs/Frame."
         ),
     ],
     coefficients: Coefficients = None,
@@ -38,6 +40,10 @@ def live(
             "PlotJuggler.",
         ),
     ] = None,
+    ros: Annotated[
+        Path | None,
+        typer.Option("--ros", help="Also an MCAP file with ROS 2 messages, whole when the command ends."),
+    ] = None,
 ) -> None:
     """Show verdict, margins, evidence, energy bands, CAN health and alarms on a page while frames come.
 
@@ -47,21 +53,28 @@ def live(
     except ImportError as error:
         raise _not_installed(error, "live") from None
     from ..extras.live.sources import open_source
-    from ..extras.live.watch import Watch
+    from ..extras.live.watch import Listener, Watch
+    from ..replay.ros import Ros2Recorder
 
     replayer, also = replayer_of(vehicle, coefficients), ""
     with ExitStack() as ends:
         opened = open_source(source)
-        listener = None
+        listeners: list[Listener] = []
         if foxglove is not None:
             try:
                 from ..extras.live.foxglove_server import FoxgloveServer
             except ImportError as error:
                 raise _not_installed(error, "foxglove") from None
-            listener = FoxgloveServer(replayer, foxglove)
-            ends.callback(listener.stop)
-            also = f", Foxglove at {listener.url}"
-        watch = Watch(replayer, opened, window, channel, listener=listener)
+            server = FoxgloveServer(replayer, foxglove)
+            ends.callback(server.stop)
+            listeners.append(server)
+            also = f", Foxglove at {server.url}"
+        if ros is not None:
+            stream = ends.enter_context(ends.enter_context(artefacts.new_file(ros, "live")).open("wb"))
+            recorder = Ros2Recorder(stream, replayer.project.name)
+            ends.callback(recorder.close)
+            listeners.append(recorder)
+        watch = Watch(replayer, opened, window, channel, listeners=listeners)
 
         def ready(url: str) -> None:
             console.print(f"live: {source} at {url}{also} (interrupt ends it)")

@@ -9,9 +9,11 @@ A topic whose signals the vehicle does not have is left out. A yaw rate is an ou
 the word yaw; a road-wheel angle is an input in rad.
 """
 
-from collections.abc import Iterator
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import IO, TYPE_CHECKING, Any
 
 import numpy as np
 import pyarrow as pa
@@ -19,6 +21,9 @@ import pyarrow as pa
 from ..base.optional import optional
 from .alarm_text import alarm_sentence
 from .series import MARGIN, numbers
+
+if TYPE_CHECKING:
+    from .replayer import Alarm
 
 OK, WARN, ERROR, STALE = range(4)
 """Levels of diagnostic_msgs/DiagnosticStatus."""
@@ -56,54 +61,87 @@ DIAGNOSTICS, TWIST, DRIVE = DEFINITIONS
 def write_ros2(path: Path, vehicle: str, series: pa.Table, alarms: list[dict[str, Any]]) -> None:
     """Write a time series (series.py) to an MCAP file with ROS 2 messages. ``vehicle`` is the hardware_id of
     the diagnostics, ``alarms`` are those of the JSON of `replay`. InputError without mcap-ros2-support."""
-    compression = optional("mcap.writer", "ros2").CompressionType.NONE
-    open_writer = optional("mcap_ros2.writer", "ros2").Writer
-    stamps = np.round(numbers(series["t"]) * 1e9).astype(np.int64)
-    messages = [*_diagnostics(vehicle, stamps, series, alarms), *_motions(stamps, series)]
     with path.open("wb") as stream:
-        writer = open_writer(stream, compression=compression)
-        kinds = {kind: writer.register_msgdef(kind, text) for kind, text in DEFINITIONS.items()}
-        for number, (t, topic, kind, content) in enumerate(sorted(messages, key=lambda m: m[0])):
-            stamp = {"sec": t // 10**9, "nanosec": t % 10**9}
-            message = {"header": {"stamp": stamp, "frame_id": "base_link"}, **content}
-            writer.write_message(topic, kinds[kind], message, t, t, number)
-        writer.finish()
+        recorder = Ros2Recorder(stream, vehicle)
+        recorder.hear(series, alarms)
+        recorder.close()
 
 
 Message = tuple[int, str, str, dict[str, Any]]
 """Time [ns], topic, type and content below the header."""
 
 
-def _diagnostics(
-    vehicle: str, stamps: np.ndarray, series: pa.Table, alarms: list[dict[str, Any]]
-) -> Iterator[Message]:
-    """Yield the monitor's state at each change, alarm and second."""
-    verdicts = series["verdict"].to_pylist()
-    ratios = {name: numbers(series[name]) for name in ("energy_ratio", "change_ratio")}
-    margins = np.array([numbers(series[n]) for n in series.column_names if n.startswith(MARGIN)])
-    sentences: dict[int, list[str]] = {}
-    for one in alarms:
-        sentences.setdefault(int(np.argmin(np.abs(stamps - one["t_s"] * 1e9))), []).append(
-            alarm_sentence(one)
-        )
-    before, last, begin = None, -PERIOD_NS, 0
-    for k, (t, verdict) in enumerate(zip(stamps.tolist(), verdicts, strict=True)):
-        if verdict == before and t - last < PERIOD_NS and k not in sentences:
-            continue
-        values = {"verdict": verdict}
-        judged = margins[:, begin : k + 1]
-        if np.isfinite(judged).any():
-            values["largest margin"] = f"{np.nanmax(judged):.4g}"
-        values |= {name: f"{x[k]:.4g}" for name, x in ratios.items() if np.isfinite(x[k])}
-        status = {
-            "level": LEVELS.get(verdict, STALE),
-            "name": "lpvguard: nominal model",
-            "message": "; ".join(sentences.get(k, [verdict.replace("_", " ")])),
-            "hardware_id": vehicle,
-            "values": [{"key": key, "value": value} for key, value in values.items()],
-        }
-        yield t, "/diagnostics", DIAGNOSTICS, {"status": [status]}
-        before, last, begin = verdict, t, k + 1
+class Ros2Recorder:
+    """Writes a time series piece by piece as an MCAP file with ROS 2 messages.
+
+    Parameters
+    ----------
+    stream : binary file, open until ``close``
+    vehicle : str, hardware_id of the diagnostics
+
+    Raises
+    ------
+    InputError
+        Without mcap-ros2-support.
+    """
+
+    def __init__(self, stream: IO[bytes], vehicle: str):
+        compression = optional("mcap.writer", "ros2").CompressionType.NONE
+        self._writer = optional("mcap_ros2.writer", "ros2").Writer(stream, compression=compression)
+        self._kinds = {kind: self._writer.register_msgdef(kind, text) for kind, text in DEFINITIONS.items()}
+        self._vehicle, self._number = vehicle, 0
+        self._verdict: str | None = None
+        self._last, self._margin = -PERIOD_NS, np.nan
+
+    def hear(self, series: pa.Table, alarms: Iterable[Alarm | dict[str, Any]]) -> None:
+        """Write the messages of the next piece."""
+        stamps = np.round(numbers(series["t"]) * 1e9).astype(np.int64)
+        if not len(stamps):
+            return
+        messages = [*self._diagnostics(stamps, series, alarms), *_motions(stamps, series)]
+        for t, topic, kind, content in sorted(messages, key=lambda m: m[0]):
+            stamp = {"sec": t // 10**9, "nanosec": t % 10**9}
+            message = {"header": {"stamp": stamp, "frame_id": "base_link"}, **content}
+            self._writer.write_message(topic, self._kinds[kind], message, t, t, self._number)
+            self._number += 1
+
+    def listens(self) -> bool:
+        """Whether it takes pieces: always."""
+        return True
+
+    def close(self) -> None:
+        """Write the end of the file."""
+        self._writer.finish()
+
+    def _diagnostics(
+        self, stamps: np.ndarray, series: pa.Table, alarms: Iterable[Alarm | dict[str, Any]]
+    ) -> Iterator[Message]:
+        """Yield the monitor's state at each change, alarm and second."""
+        verdicts = series["verdict"].to_pylist()
+        ratios = {name: numbers(series[name]) for name in ("energy_ratio", "change_ratio")}
+        margins = np.array([numbers(series[n]) for n in series.column_names if n.startswith(MARGIN)])
+        largest = np.fmax.reduce(margins, axis=0)
+        sentences: dict[int, list[str]] = {}
+        for one in alarms:
+            t_s = one["t_s"] if isinstance(one, dict) else one.t_s
+            sentences.setdefault(int(np.argmin(np.abs(stamps - t_s * 1e9))), []).append(alarm_sentence(one))
+        for k, (t, verdict) in enumerate(zip(stamps.tolist(), verdicts, strict=True)):
+            self._margin = np.fmax(self._margin, largest[k])
+            if verdict == self._verdict and 0 <= t - self._last < PERIOD_NS and k not in sentences:
+                continue
+            values = {"verdict": verdict}
+            if np.isfinite(self._margin):
+                values["largest margin"] = f"{self._margin:.4g}"
+            values |= {name: f"{x[k]:.4g}" for name, x in ratios.items() if np.isfinite(x[k])}
+            status = {
+                "level": LEVELS.get(verdict, STALE),
+                "name": "lpvguard: nominal model",
+                "message": "; ".join(sentences.get(k, [verdict.replace("_", " ")])),
+                "hardware_id": self._vehicle,
+                "values": [{"key": key, "value": value} for key, value in values.items()],
+            }
+            yield t, "/diagnostics", DIAGNOSTICS, {"status": [status]}
+            self._verdict, self._last, self._margin = verdict, t, np.nan
 
 
 def _motions(stamps: np.ndarray, series: pa.Table) -> Iterator[Message]:

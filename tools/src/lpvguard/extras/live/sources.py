@@ -1,4 +1,5 @@
-"""Live sources of frames: a simulation's LCM channel, a CAN interface, a growing candump log.
+"""Live sources of frames: a simulation's LCM channel, a CAN interface, a growing candump log, an MCAP file of
+ROS 2.
 
 Nothing here keeps more than MOST frames or BLOCK bytes. Other frames wait in the kernel's or LCM's own queue.
 Its overflow is counted where the source reports it.
@@ -6,12 +7,14 @@ Its overflow is counted where the source reports it.
 
 import time
 from collections.abc import Iterator
+from itertools import islice
 from pathlib import Path
 from typing import Protocol
 
 import numpy as np
 
 from ...base.errors import InputError
+from ...base.optional import optional
 from ...can.logs import EXTENDED, Frames, candump_frames
 
 WAIT_S = 0.1
@@ -25,6 +28,8 @@ QUEUE = 100_000
 BLOCK = 1 << 18
 """Most bytes read of a log at once."""
 EXPECTED = "an LCM URL (udpm://...), socketcan:INTERFACE, or the path of a candump log that grows"
+ROS_FRAME = "can_msgs/msg/Frame"
+"""Type of ROS 2 for a CAN frame."""
 
 
 class FrameSource(Protocol):
@@ -63,7 +68,8 @@ def open_source(where: str) -> FrameSource:
         return CanSource(where.removeprefix("socketcan:"))
     if "://" in where:
         return LcmSource(where)
-    return LogSource(Path(where))
+    path = Path(where)
+    return Ros2Source(path) if path.suffix == ".mcap" else LogSource(path)
 
 
 class LcmSource:
@@ -177,6 +183,41 @@ class LogSource:
                     return
                 time.sleep(WAIT_S)
                 yield None
+
+
+class Ros2Source:
+    """The CAN frames of a ROS 2 recording (MCAP), then silence."""
+
+    def __init__(self, path: Path):
+        if not path.is_file():
+            raise InputError(path, "", "no such file", "an MCAP file of ROS 2")
+        self.name, self.lost, self.trouble = str(path), 0, ""
+        self._path = path
+        self._open = optional("mcap.reader", "ros2").make_reader
+        self._decoder = optional("mcap_ros2.decoder", "ros2").DecoderFactory
+
+    def pieces(self) -> Iterator[Frames | None]:
+        """Frames of the topics of can_msgs/Frame in the order of time; None for ever behind them."""
+        frames = self._frames()
+        while piece := list(islice(frames, MOST)):
+            yield _joined(piece, "ros2")
+        while True:
+            time.sleep(WAIT_S)
+            yield None
+
+    def _frames(self) -> Iterator[tuple[int, int, bytes]]:
+        """Time, identifier and data of every frame. InputError without any."""
+        known = False
+        with self._path.open("rb") as stream:
+            reader = self._open(stream, decoder_factories=[self._decoder()])
+            for schema, _, message, frame in reader.iter_decoded_messages():
+                if schema.name == ROS_FRAME:
+                    known = True
+                    if not (frame.is_rtr or frame.is_error):
+                        identifier = frame.id | (EXTENDED if frame.is_extended else 0)
+                        yield message.log_time, identifier, bytes(frame.data[: frame.dlc])
+        if not known:
+            raise InputError(self._path, "", f"no message of {ROS_FRAME}", "a recording of a CAN bus")
 
 
 def _joined(frames: list[tuple[int, int, bytes]], channel: str) -> Frames:

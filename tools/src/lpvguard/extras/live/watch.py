@@ -7,7 +7,7 @@ lock; no reader delays the source for longer than such a copy.
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
 import numpy as np
@@ -89,7 +89,7 @@ class Watch:
     window_s : float, s of answers that are kept
     channel : str, optional, interface of a log with several
     clock : Callable, s, measures the source's silence
-    listener : Listener, optional, receives the judged pieces
+    listeners : sequence of Listener, receive the judged pieces
     """
 
     def __init__(
@@ -99,10 +99,10 @@ class Watch:
         window_s: float,
         channel: str | None = None,
         clock: Callable[[], float] = time.monotonic,
-        listener: Listener | None = None,
+        listeners: Sequence[Listener] = (),
     ):
         project = replayer.project
-        self.replayer, self.source, self._clock, self._listener = replayer, source, clock, listener
+        self.replayer, self.source, self._clock, self._listeners = replayer, source, clock, listeners
         self._receiver = Receiver(project, command=project.can is None)
         self._sampler = Sampler(self._receiver, channel)
         self.signals = [s.name for s in self._receiver.signals]
@@ -188,9 +188,12 @@ class Watch:
             self._n_alarms += len(alarms)
             for reason, n in zip(*np.unique(frames.reason, return_counts=True), strict=True):
                 self._reasons[REASONS[reason]] += int(n)
-        if self._listener is not None and self._listener.listens():
+        listening = [one for one in self._listeners if one.listens()]
+        if listening:
             piece = Drive("live", t, v, u, y, missing=~present.astype(bool))
-            self._listener.hear(self.replayer.series_of(piece, yhat, run, 0.0), raised)
+            series = self.replayer.series_of(piece, yhat, run, 0.0)
+            for listener in listening:
+                listener.hear(series, raised)
 
     def silent_s(self) -> float | None:
         """Time since the newest frame [s]; None before the first."""
