@@ -7,7 +7,7 @@
 #   DIR   written by `lpvguard export`: lpvguard_vehicle.h, lpvguard_coeff.c; with a controller also lpvguard_control.c,
 #         lpvguard_bus.c and the CAN codec, and then the target has ecu.h, controller.h and can.h too; with demands on the car's own bus also
 #         lpvg_demand.c
-#   SERVICE  a source of src/services without its ending, or ALL: diagnosis, life; with a controller also authentication, j1939, uds, xcp.
+#   SERVICE  a source of src/services without its ending, or ALL: diagnosis, evidence, life; with a controller also authentication, j1939, uds, xcp.
 #            Nothing of the core calls a service.
 #
 # LPVG_DOUBLE, when set, makes lpvg_real_t double; set it before the first vehicle, for the whole image.
@@ -35,7 +35,7 @@ function(lpvguard_sources DIR OUT)
   endforeach()
   set(parts monitor/change monitor/coeff monitor/energy monitor/model monitor/monitor)
   set(own lpvguard_coeff.c)
-  set(services diagnosis life)
+  set(services diagnosis evidence life)
   if(EXISTS "${DIR}/lpvguard_control.c")
     list(APPEND parts guard/controller)
     list(APPEND own lpvguard_control.c)

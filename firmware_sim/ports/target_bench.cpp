@@ -31,6 +31,7 @@
 #include "dense_controller.hpp"
 #include "lpvg_can_codec.h"
 #include "lpvguard/authentication.h"
+#include "lpvguard/evidence.h"
 #include "lpvguard/j1939.h"
 #include "lpvguard/xcp.h"
 #endif
@@ -510,10 +511,49 @@ void run_ecu() {
 
 #endif
 
+#ifdef TARGET_EVIDENCE
+// Samples of the truck's channels with the most slots. Every 60th is an alarm, so that records freeze and take each other's place. A gap
+// comes every 70 samples.
+void run_evidence() {
+    constexpr uint32_t samples = 50U, channels = 1U + LPVG_NU + LPVG_NY;
+    static int16_t buffer[LPVG_EVIDENCE_SLOTS_MAX * samples * channels];
+    static lpvg_evidence_t evidence;
+    const lpvg_evidence_config_t config = {
+        buffer, samples, 20U, 10'000U, 0U, 0.5F, {1e-3F, 1e-3F, 1e-3F, 1e-3F}, channels, LPVG_NU, LPVG_EVIDENCE_SLOTS_MAX};
+    require(lpvg_evidence_init(&evidence, &config) == lpvg_status_ok, "no evidence ring\n");
+    Part take("evidence_take");
+    for (uint32_t k = 0; k < TARGET_INPUT_SAMPLES; ++k) {
+        const float values[channels] = {static_cast<float>(k % 30U), -1.0F, 0.5F, 0.25F};
+        const lpvg_evidence_level_t level = k % 60U == 0U ? lpvg_evidence_invalid : lpvg_evidence_none;
+        const float ratio = 1.0F + 1e-3F * static_cast<float>(k);
+        take.run([&] {
+            require(lpvg_evidence_take(&evidence, 10'000 * static_cast<int64_t>(k + 1U + k / 70U), values, level, ratio) == lpvg_status_ok,
+                    "no evidence\n");
+        });
+    }
+    require(evidence.numbered > 2U * LPVG_EVIDENCE_SLOTS_MAX, "no records\n");
+    take.write();
+    lpvg_evidence_reader_t reader{};
+    require(lpvg_evidence_open(&reader, &evidence, lpvg_evidence_number(&evidence, 0U)) == lpvg_status_ok, "no record\n");
+    uint8_t bytes[LPVG_EVIDENCE_CHUNK];
+    Part read("evidence_read");
+    for (uint32_t k = 0; k < 5U; ++k) {
+        read.run([&] { require(lpvg_evidence_read(&reader, bytes, sizeof bytes) == sizeof bytes, "no bytes\n"); });
+    }
+    read.write();
+}
+#endif
+
 }  // namespace
 
 int main() {
     port_counter_start();
+#ifdef TARGET_EVIDENCE  // an image of its own: the evidence ring is no part of the budget's ROM
+    Line().word("size").word("evidence").number(sizeof(lpvg_evidence_t)).write();
+    run_evidence();
+    port_write("end\n");
+    return 0;
+#endif
     Line().word("size").word("monitor").number(sizeof(lpvg_monitor_t)).write();
     run_init();
     run_monitor();

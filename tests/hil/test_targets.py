@@ -92,6 +92,7 @@ def test_counts_are_within_the_budget(counted):
         assert sum(counted["rom"].values()) <= bench.ROM_BYTES
         assert counted["monitor_only"]["rom"] <= bench.MONITOR_ROM_BYTES
         assert counted["monitor_only"]["ram"] <= bench.MONITOR_RAM_BYTES
+        assert 0 < counted["parts"]["evidence_take"]["worst"] <= bench.EVIDENCE
     assert step["worst"] / step["median"] <= bench.WORST_TO_MEDIAN
     assert counted["structs"]["ecu"] + counted["structs"]["diagnosis"] <= bench.RAM_BYTES
     # What stands in the period of a step: the sample is taken, and the rest is done beside it.

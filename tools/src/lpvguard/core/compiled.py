@@ -193,7 +193,7 @@ CORE_FLAGS = (
     "-fno-math-errno",
     "-fPIC",
 )
-OF_NO_VEHICLE = {"authentication", "can", "j1939", "life", "uds", "xcp"}
+OF_NO_VEHICLE = {"authentication", "can", "evidence", "j1939", "life", "uds", "xcp"}
 """Sources without a vehicle's sizes, compiled once for all vehicles."""
 
 

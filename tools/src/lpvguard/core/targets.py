@@ -77,6 +77,8 @@ def _mps2(name: str, title: str, board: str, *cpu: str) -> Target:
     )
 
 
+EVIDENCE_CALLS = 2000
+"""Samples over which the evidence ring is counted."""
 TARGETS = {
     t.name: t
     for t in (
@@ -440,6 +442,35 @@ def run_target(name: str, vehicle: Path, drive: Input, *, same_bits: bool) -> di
         "imports": imports,
         **report,
     }
+
+
+def run_evidence(name: str, vehicle: Path) -> dict[str, Any]:
+    """Count the evidence ring on a target, in an image of its own.
+
+    Parameters
+    ----------
+    name : str, the target
+    vehicle : Path, generated folder with an ECU
+
+    Returns
+    -------
+    dict, ``structs`` and ``parts`` as of `run_target`
+
+    Raises
+    ------
+    InputError
+        If tools are missing, or the program does not build or fails.
+    """
+    at_rest = Input(np.zeros(EVIDENCE_CALLS), *(np.zeros((EVIDENCE_CALLS, n)) for n in (1, 2)))
+    header = at_rest.header() + "#define TARGET_EVIDENCE\n"
+    program = Program(
+        "evidence_bench", (firmware_root() / "ports" / "target_bench.cpp",), {"target_input.h": header}
+    )
+    elf, _ = _build(_target(name), vehicle, program, LANGUAGE)
+    report = _parse(run_image(name, elf))
+    if not report["ended"]:
+        raise InputError(f"target {name}", f"run of {elf.name}", "it did not finish", "a last line `end`")
+    return report
 
 
 def run_host(vehicle: Path, drive: Input) -> dict[str, Any]:

@@ -27,8 +27,9 @@ from ..can.delimited import read_csv
 from ..can.logs import INDEX
 from ..can.matlab import read_matlab
 from ..vehicle.project import Project, Signal
+from .records import SUFFIX, record_table
 
-TABLE_SUFFIXES = (".csv", ".parquet", ".mat")
+TABLE_SUFFIXES = (".csv", ".parquet", ".mat", SUFFIX)
 EXPERIMENTS = INDEX
 MOST_MISSING = 0.1
 """Largest share of a table's samples with no value or an impossible one. A wrong unit makes more of them."""
@@ -343,7 +344,7 @@ def read_drive(path: Path, project: Project, *, any_values: bool = False) -> Dri
     InputError
         If a column is missing or no number, the grid does not fit, or more than MOST_MISSING are missing.
     """
-    table = _read_table(path)
+    table = _read_table(path, project)
     signals = project.recorded
     columns = ["t", *(s.column for s in signals)]
     if project.model_error.instrument is not None:
@@ -385,7 +386,7 @@ def read_drive(path: Path, project: Project, *, any_values: bool = False) -> Dri
     )
 
 
-def _read_table(path: Path) -> pa.Table:
+def _read_table(path: Path, project: Project) -> pa.Table:
     if not path.is_file():
         raise InputError(path, "", "no such file", "a drive table: CSV, Parquet or MATLAB")
     if path.stat().st_size == 0:
@@ -395,6 +396,8 @@ def _read_table(path: Path) -> pa.Table:
             return pa_parquet.read_table(path)
         if path.suffix == ".mat":
             return read_matlab(path)
+        if path.suffix == SUFFIX:
+            return record_table(path, project)
         table, skipped = read_csv(path.read_bytes(), ["", "NA", "null"])
         if skipped:
             raise InputError(path, "line 1", "comments before the header", "a header line first")

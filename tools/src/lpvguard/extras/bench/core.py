@@ -22,7 +22,7 @@ from ...base.errors import InputError
 from ...core.coefficients import build_coefficients, vehicle_files
 from ...core.compiled import shipped_vehicle
 from ...core.control_coefficients import ControllerCoefficients, build_controller
-from ...core.targets import TARGETS, Input, run_host, run_target, run_verdicts
+from ...core.targets import TARGETS, Input, run_evidence, run_host, run_target, run_verdicts
 from ...drives.frames import Estimator
 from ...engine.overbound.weight import Weight
 from ...identify.change import ChangeTest
@@ -40,6 +40,7 @@ ROM_BYTES = 57_344  # of all parts that this image links, the diagnosis of 9.2 k
 STACK_BYTES = 2048
 MONITOR_ROM_BYTES = 16_384  # of an image of the monitor alone, for the shipped g80
 MONITOR_RAM_BYTES = 4_096
+EVIDENCE = 300  # instructions of a sample, Cortex-M4F
 XCP_IDLE = 0.02  # of the step, where the XCP slave has nothing to do
 TRUCK_FRAMES = 4  # of its own that the truck sends in a step, at most
 DENSE_TO_CONTROLLER = 5.0
@@ -207,6 +208,9 @@ def count(target: str, folder: Path, drive: Input) -> dict[str, Any]:
     run["rom_total"] = sum(run["rom"].values())
     run["worst_to_median"] = step["worst"] / step["median"]
     run["monitor_only"] = monitor_only(target)
+    ring = run_evidence(target, folder)
+    run["parts"] |= ring["parts"]
+    run["structs"] |= ring["structs"]
     return run
 
 
@@ -292,6 +296,9 @@ GUIDE_ROWS: tuple[tuple[str, str, Callable[[dict[str, Any]], str]], ...] = (
     ("XCP idle, a step [instr]", "", _part("xcp_event")),
     ("XCP upload [instr]", "", _part("xcp_upload")),
     ("XCP list of 56 entries, a step [instr]", "", _part("xcp_list")),
+    ("evidence, a sample [instr]", f"{EVIDENCE} (Cortex-M4F)", _part("evidence_take")),
+    ("evidence, 64 bytes read [instr]", "", _part("evidence_read")),
+    ("evidence RAM, without the samples [B]", "", lambda run: str(run["structs"]["evidence"])),
     ("monitor alone, g80: ROM [B]", f"{MONITOR_ROM_BYTES}", lambda run: str(run["monitor_only"]["rom"])),
     ("monitor alone, g80: RAM [B]", f"{MONITOR_RAM_BYTES}", lambda run: str(run["monitor_only"]["ram"])),
 )

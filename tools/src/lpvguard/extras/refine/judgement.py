@@ -1,8 +1,8 @@
 """What a further drive refutes, and whether it is like the drives that are known.
 
-Three statements can be refuted. A frame with a margin above 1 under the certificate's W_delta and B_w refutes
-the certificate set, if a vehicle without response would have exceeded 1, too. Otherwise the frame refutes
-the disturbance bound. An alarm of any test of the core refutes the healthy set.
+Three statements can be refuted. A frame refutes the certificate when its margin under W_delta and B_w exceeds
+1. It refutes the certificate set if a vehicle without response would have exceeded 1, too. Otherwise it
+refutes the disturbance bound. An alarm of any test of the core refutes the healthy set.
 """
 
 from __future__ import annotations
