@@ -19,8 +19,8 @@ from .steady_turn import Driven, steady_turn
 
 WORDS = {
     "speed": (
-        r"^(v|vx|v_x|vel|speed|v_?ego|ego_?v)$|(vehicle|veh|car|ego)_?(speed|spd|velocity)",
-        r"linear_(vel_)?x|speed|spd|veloc|(^|_)vel(_|$)|^vel|geschw|vitesse|(^|_)v_signal|veh_?v_|^(u|v_?long|sog|"
+        r"^(v|vx|v_x|vel|speed|v_?ego|ego_?v)$|^(longitudinal|forward)_(speed|vel)|(vehicle|veh|car|ego)_?(speed|spd|velocity)",
+        r"linear_(vel_)?x|(^|_)v_?x(_|$)|speed|spd|veloc|(^|_)vel(_|$)|^vel|geschw|vitesse|(^|_)v_signal|veh_?v_|^(u|v_?long|sog|"
         r"tempo|tacho)(_|$)|^h\u0131z|snelheid|hastighet|rychlost|pr[eę]dko[sś]",
     ),
     "input": (
@@ -32,22 +32,22 @@ WORDS = {
     "output": (
         r"^(r|w_?z|yaw_?rate)$",
         r"yaw_?(rate|rte?|r$|vel|speed|spd|w_)|ang(ular)?_?(vel|rate|velocity|speed)_?z|gyro?(scope)?_?z|omega_?z|^omega$|"
-        r"psi_?(dot|punkt|p$)|^d_?psi(_?dt)?$|^gz(_|$)|rot(ation)?_?(rate|speed|vel)?_?z(_|$)|(^|_)rate_?(\w+_)?z(_|$)|z_?(axis_)?rate_of_rot|"
-        r"(heading|turn)_?(rate|speed)|(^|_)gyro$|gier|lacet|imbard|gui[nñ]|girasj",
+        r"psi_?(dot|punkt|p$)|^d_?psi(_?dt)?$|^gz(_|$)|^av_?z$|rot(ation)?_?(rate|speed|vel)?_?z(_|$)|(^|_)rate_?(\w+_)?z(_|$)|z_?(axis_)?rate_of_rot|"
+        r"(heading|turn)_?(rate|speed)|(^|_)gyro$|_wz(_|$)|gier|lacet|imbard|gui[nñ]|girasj",
     ),
 }
 """By role: what a name is for certain, and what it may hold."""
 OF_PATHS = {
     "speed": r"twist_linear_x$|linear_velocity_x$",
-    "input": r"ackermann.*steering_angle$|(steer|lenk|volant)\w*_(angle|ang|winkel|pos|position|value)$",
-    "output": r"(angular|angular_velocity|ang_?vel|gyro\w*|rate\w*)_z$|angular_velocity_xyz_2_?$|"
-    r"gyro_rad_2_?$|yaw_(rate|value)$",
+    "input": r"ackermann.*steering_angle$|steer\w*_(rpt|report)_output$|(steer|lenk|volant)\w*_(angle|ang|winkel|pos|position|value)$",
+    "output": r"(angular|ang(ular)?_?vel\w*|gyro\w*|rate\w*)_z$|yaw_(rate|value)$|"
+    r"(ang(ular)?_?vel\w*|gyro\w*|rotation_?rate)(_xyz|_rad|_value|_v)?_2_?$",
 }
 """By role: what the last words of a topic or message with its fields may be."""
 WITH_UNIT = {"output": r"yaw|gyro?|(^|_)rot(ation)?(_rate|_speed)?$"}
 """By role: what a name may hold where a unit of the role is stated."""
 NEVER = {
-    "speed": r"rel(ative|_|sp|v)|target|trgt|trg$|set_?(p|speed)|wunsch|ziel|soll|lead|obj|wiper|fan|"
+    "speed": r"(^|_)lat(eral)?_?(_|v|sp)|rel(ative|_|sp|v)|target|trgt|trg$|set_?(p|speed)|wunsch|ziel|soll|lead|obj|wiper|fan|"
     r"wind_|engine|idle|shaft|turbine|motor_sp|rpm|max|lim|lmt|trap|tsr|saved|condition|offset|regel|"
     r"abbruch|zeit|gier|yaw|lacet|imbard|gui[nñ]|ang|steer|sas|rate_|hud|clu_|kombi|angez|dsply|display|navi|expected",
     "input": r"rate(?!d)|torque|tq|trq|speed|spd|vel|gesch|grd|moment|hilfe|fraction|override|volt|pressure|"
@@ -63,7 +63,7 @@ NOT = {
     "output": r"raw",
 }
 """By role: what lowers a name's rank. A command and a copy share its words."""
-REQUEST = re.compile(r"req|cmd|command|target|demand|unknown")
+REQUEST = re.compile(r"req|cmd|command|target|demand|^des(?!c)|unknown")
 """In names of what is asked for, and of what nobody knows: below every measurement."""
 WHEEL = re.compile(r"wheel|whl|rad_?geschw")
 """In names of the speed of one wheel."""
@@ -96,7 +96,7 @@ NO_ANGLE = re.compile(
 FULL_LOCK, HELD = (1.0, 100.0), 5
 """A steering without a unit that stays at one of these largest values for so many samples is a share."""
 OTHERS_MESSAGE = re.compile(
-    r"cmd|command|lka|lta|acc|cruise|hud|kombi|cluster|object|track|radar|cam_|das_|ipma|nav|gps|tsk|smgr|tbd"
+    r"cmd|command|setpoint|control|(^|[_.])drive([_.]|$)|lka|lta|acc|cruise|hud|kombi|cluster|object|track|radar|cam_|das_|ipma|nav|gps|tsk|smgr|tbd"
 )
 """In names of messages that carry a signal for another purpose."""
 WHAT = {"speed": "speed", "input": "steering angle", "output": "yaw rate"}
@@ -160,7 +160,10 @@ def ranked(role: str, names: Iterable[str], units: Mapping[str, str] | None = No
         certain = re.search(sure, low) or re.search(sure, plain)
         paths = (name.lower(), f"{message}.{plain}".lower())
         of_path = (re.search(OF_PATHS[role], re.sub(r"[^a-z0-9]+", "_", path)) for path in paths)
-        likely = bool(re.search(may, low) or re.search(may, plain)) or any(of_path)
+        is_path = any(of_path)
+        of_twist = 0.25 * (is_path and role != "input" and re.search(r"[xz2]\W*$", low) is not None)
+        certain = certain or of_twist > 0
+        likely = is_path or bool(re.search(may, low) or re.search(may, plain))
         stated, in_name = _unit(unit, role) is not None, bool(units_in_name(last, role))
         if role == "speed":
             likely = likely or in_name
@@ -168,7 +171,7 @@ def ranked(role: str, names: Iterable[str], units: Mapping[str, str] | None = No
             less = 1.5 * bool(re.search(NOT[role], low)) + 0.5 * bool(OTHERS_MESSAGE.search(message.lower()))
             less += 0.5 * (role == "speed" and WHEEL.search(low) is not None)
             less += 3.0 * (REQUEST.search(low) is not None) + 2.0 * _of_another(unit, role)
-            scores[name] = (2 if certain else 1) - less + 1.25 * stated
+            scores[name] = (2 if certain else 1) - less + of_twist + 1.25 * stated
     return sorted(scores, key=lambda name: (-scores[name], len(name), name))
 
 
