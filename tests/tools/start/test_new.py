@@ -191,8 +191,8 @@ def test_units_and_messages_rank_the_signals_of_a_database():
     ("topics", "first"),
     [
         (
-            "odom.twist.twist.linear.x odom.twist.twist.angular.z drive.drive.speed drive.drive.steering_angle "
-            "core.state.speed",
+            "odom.twist.twist.linear.x odom.twist.twist.angular.z drive.drive.speed "
+            "drive.drive.steering_angle core.state.speed",
             ("odom.twist.twist.linear.x", "drive.drive.steering_angle", "odom.twist.twist.angular.z"),
         ),
         (
@@ -260,6 +260,7 @@ SAME_WORDS = {
         "IMU_gyro.z",
         "z_rate_of_rotation",
         "GPS_Gyro",
+        "Gyro_Yaw_Velocity",
         "velocidad_guiñada",
     ),
 }
