@@ -7,10 +7,20 @@ import pytest
 
 from lpvguard.base.errors import InputError, InputWarning
 from lpvguard.can.decode import load_database
+from lpvguard.can.logs import read_log
 from lpvguard.can.sign_bits import sign_bits
 from lpvguard.drives.ingest import ingest
 from lpvguard.start.new_project import new
 from steered_car import write_logs
+
+
+def test_a_column_of_a_table_gets_the_sign_of_the_column_beside_it(tmp_path):
+    rows = "".join(f"{0.02 * k:.2f},{k % 7},{k % 3 == 0:d},{k % 5}\n" for k in range(30))
+    (tmp_path / "log.csv").write_text("t,angle,angle_sign,other_sign\n" + rows)
+    with pytest.warns(InputWarning, match="column angle holds no sign and gets that of angle_sign"):
+        series = read_log(tmp_path / "log.csv").series
+    assert series["angle"].value[:4].tolist() == [0.0, 1.0, 2.0, -3.0]
+
 
 DBC = """VERSION ""
 

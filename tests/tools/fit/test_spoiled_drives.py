@@ -135,6 +135,15 @@ def test_a_column_that_begins_late_is_said_to_stand_or_to_be_late(project, drive
         require_unspoiled(project, [drives[0], replace(drives[1], y=y)])
 
 
+def test_a_speed_in_whole_kilometres_an_hour_is_not_frozen(project, drives):
+    """As an OBD logger has it, once a second and interpolated, on a motorway."""
+    d = drives[2]
+    seconds = np.arange(0.0, d.t[-1] + 1.0)
+    whole = np.rint(3.6 * np.interp(seconds, d.t, d.v)) + (seconds > 30) * np.rint(np.sin(seconds))
+    whole[10:18] = whole[10]
+    require_unspoiled(project, [replace(d, v=np.interp(d.t, seconds, whole) / 3.6)])
+
+
 def test_good_drives_pass(project, drives):
     require_unspoiled(project, drives)
     screening = screened(project, drives)

@@ -187,6 +187,38 @@ def test_units_and_messages_rank_the_signals_of_a_database():
     assert ranked("output", units, units)[0] == "ESP_02.ESP_Gierrate"
 
 
+@pytest.mark.parametrize(
+    ("topics", "first"),
+    [
+        (
+            "odom.twist.twist.linear.x odom.twist.twist.angular.z drive.drive.speed "
+            "drive.drive.steering_angle core.state.speed",
+            ("odom.twist.twist.linear.x", "drive.drive.steering_angle", "odom.twist.twist.angular.z"),
+        ),
+        (
+            "control_cmd.longitudinal.speed velocity_status.lateral_velocity control_cmd.steering_tire_angle "
+            "velocity_status.longitudinal_velocity velocity_status.heading_rate steer.steering_tire_angle",
+            (
+                "velocity_status.longitudinal_velocity",
+                "steer.steering_tire_angle",
+                "velocity_status.heading_rate",
+            ),
+        ),
+        (
+            "tx_steer_rpt.command tx_steer_rpt.output speed_rpt.vehicle_speed imu.rotation_rate.1 "
+            "imu.rotation_rate.2",
+            ("speed_rpt.vehicle_speed", "tx_steer_rpt.output", "imu.rotation_rate.2"),
+        ),
+        (
+            "THR.DesSpeed THR.Speed STER.DesTurnRate IMU.GyrX IMU.GyrZ ControlsOut_SteeringSteer",
+            ("THR.Speed", "ControlsOut_SteeringSteer", "IMU.GyrZ"),
+        ),
+    ],
+)
+def test_measurements_come_before_commands_in_the_topics_of_vehicles(topics, first):
+    assert tuple(ranked(role, topics.split())[0] for role in ROLES) == first
+
+
 SAME_WORDS = {
     "speed": (
         "VehSpdAvgHSC2 km/h",
@@ -228,6 +260,7 @@ SAME_WORDS = {
         "IMU_gyro.z",
         "z_rate_of_rotation",
         "GPS_Gyro",
+        "Gyro_Yaw_Velocity",
         "velocidad_guiñada",
     ),
 }

@@ -33,6 +33,7 @@ from .log_types import Series as Series
 from .log_types import Table as Table
 from .matlab import read_matlab
 from .mf4 import read_mf4
+from .sign_bits import sign_columns
 from .topics import joined, topic_files
 from .trc import read_trc
 
@@ -488,13 +489,17 @@ def _read_table(path: Path, suffix: str, time_column: str | None, rate_hz: float
     else:
         t_ns = np.rint(np.arange(table.num_rows) * (1e9 / rate_hz)).astype(np.int64)
         keep, made_of = np.ones(table.num_rows, bool), set()
-    return Table(
-        {
-            c: Series(t_ns, _numbers(path, table, c)[keep], units.get(c, ""))
-            for c in names
-            if c not in made_of and _numeric(table, c)
-        }
-    )
+    series = {
+        c: Series(t_ns, _numbers(path, table, c)[keep], units.get(c, ""))
+        for c in names
+        if c not in made_of and _numeric(table, c)
+    }
+    for name, bit in sign_columns(series).items():
+        what = f"column {name} holds no sign and gets that of {bit}, negative where it is 1"
+        warnings.warn(f"{path}: {what}", InputWarning, stacklevel=1)
+        signed = np.where(series[bit].value > 0, -1.0, 1.0) * series[name].value
+        series[name] = Series(t_ns, signed, series[name].unit)
+    return Table(series)
 
 
 def _numeric(table, column: str) -> bool:

@@ -5,6 +5,10 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING
 
+import numpy as np
+
+from .log_types import Series
+
 if TYPE_CHECKING:  # cantools takes long to import
     from cantools.database.can import Message, Signal
 
@@ -39,6 +43,27 @@ def sign_bits(message: Message) -> dict[str, str]:
     return signs
 
 
+def sign_columns(series: dict[str, Series]) -> dict[str, str]:
+    """Find the magnitudes among a table's columns, and the columns of 0 and 1 that tell their signs.
+
+    Parameters
+    ----------
+    series : dict[str, Series], of one time axis
+
+    Returns
+    -------
+    dict[str, str]
+        By magnitude the column of the same name with a word for sign.
+    """
+    found: dict[str, str] = {}
+    for bit, values in series.items():
+        base = [w for w in _words(bit) if not _WORDS.match(w)]
+        same = [n for n in series if n != bit and _words(n) == base]
+        if same and np.isin(np.unique(values.value[np.isfinite(values.value)]), (0.0, 1.0)).all():
+            found |= {n: bit for n in same if not (series[n].value < 0).any()}
+    return found
+
+
 def _follows(bit: Signal, magnitude: Signal) -> bool:
     """Return whether a bit comes right behind a little-endian magnitude, or behind one bit more."""
     top = magnitude.start + magnitude.length
@@ -46,5 +71,5 @@ def _follows(bit: Signal, magnitude: Signal) -> bool:
 
 
 def _words(name: str) -> list[str]:
-    parted = re.sub(r"(?<=[a-z])(?=[A-Z])|(?<=[A-Z0-9])(?=(?:Sign|Sgn|Vorzeichen)$)", "_", name)
+    parted = re.sub(r"[\s-]+|(?<=[a-z])(?=[A-Z])|(?<=[A-Z0-9])(?=(?:Sign|Sgn|Vorzeichen)$)", "_", name)
     return parted.lower().strip("_").split("_")

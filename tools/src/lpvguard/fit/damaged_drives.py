@@ -20,6 +20,8 @@ UNLIKE_NOISE = 0.05
 """Spread of a speed that is no noise, as a share of the speed."""
 STANDS_S = 5.0
 """A signal that moves elsewhere but not for so long is frozen."""
+SHORT_S, OFTEN = 0.5, 5
+"""A coarse signal stands so often for so long: a motorway's speed in whole km/h, interpolated."""
 MOVES = 0.5
 """A signal moves where more than this share of its steps is not 0."""
 HELD = 0.9
@@ -97,7 +99,10 @@ def _frozen(drive: Drive, signal: Signal, x: np.ndarray, driving: np.ndarray) ->
     """Return whether a signal that elsewhere changes at most samples stands while the vehicle drives."""
     Ts = float(drive.t[1] - drive.t[0])
     stands = np.r_[False, np.diff(x) == 0] & driving
-    long = stretches_of(stands, round(STANDS_S / Ts))
+    short = stretches_of(stands, max(2, round(SHORT_S / Ts)))
+    long = [s for s in short if s.stop - s.start >= round(STANDS_S / Ts)]
+    if len(short) - len(long) >= OFTEN:
+        return
     elsewhere = np.ones(len(x), bool)
     for s in long:
         elsewhere[s] = False

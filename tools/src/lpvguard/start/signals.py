@@ -16,100 +16,32 @@ from ..can.sign_bits import SIGN_BIT
 from ..drives.unit_names import tokens, unit_of_text, units_in_name, without_unit
 from .readings import ROLES, Known, decided
 from .steady_turn import Driven, steady_turn
+from .words import (
+    FRACTION,
+    NEVER,
+    NO_ANGLE,
+    NO_MEASUREMENT,
+    NOT,
+    OF_PATHS,
+    OTHERS_MESSAGE,
+    REQUEST,
+    ROAD_WHEEL,
+    STEERING_WHEEL,
+    WHEEL,
+    WITH_UNIT,
+    WORDS,
+)
 
-WORDS = {
-    "speed": (
-        r"^(v|vx|v_x|vel|speed|v_?ego|ego_?v)$|(vehicle|veh|car|ego)_?(speed|spd|velocity)",
-        r"linear_(vel_)?x|speed|spd|veloc|(^|_)vel(_|$)|^vel|geschw|vitesse|(^|_)v_signal|veh_?v_|^(u|v_?long|sog|"
-        r"tempo|tacho)(_|$)|^h\u0131z|snelheid|hastighet|rychlost|pr[eę]dko[sś]",
-    ),
-    "input": (
-        r"^(delta|steer|swa)$|road_?wheel|(steer|steering)_?(wheel|whl)?_?ang(le)?(_|$)",
-        r"steer|(^|_)delta(_|$)|wheel_?angle|lenk|volant|braquage|(^|_)sterz|sas_angle|internal_?sas|_lrw$|"
-        r"ste(pin|whl).*_an|st(r|rg|w)?_?(wheel|whl|w)?_?angl?|whl_?ang|^l(r?w|ws)$|(^sw|hand_?wheel)_?(pos|ang|deg|"
-        r"rad)|^(hwa|rwa)(_|$)|(servo|t[iy]re)_?(pos|angle)|direcci[oó]n|stuur|ratt_?v|skret|kierown",
-    ),
-    "output": (
-        r"^(r|w_?z|yaw_?rate)$",
-        r"yaw_?(rate|rte?|r$|vel|speed|spd|w_)|ang(ular)?_?(vel|rate|velocity|speed)_?z|gyro?(scope)?_?z|omega_?z|^omega$|"
-        r"psi_?(dot|punkt|p$)|^d_?psi(_?dt)?$|^gz(_|$)|rot(ation)?_?(rate|speed|vel)?_?z(_|$)|(^|_)rate_?(\w+_)?z(_|$)|z_?(axis_)?rate_of_rot|"
-        r"(heading|turn)_?(rate|speed)|(^|_)gyro$|gier|lacet|imbard|gui[nñ]|girasj",
-    ),
-}
-"""By role: what a name is for certain, and what it may hold."""
-OF_PATHS = {
-    "speed": r"twist_linear_x$|linear_velocity_x$",
-    "input": r"ackermann.*steering_angle$|(steer|lenk|volant)\w*_(angle|ang|winkel|pos|position|value)$",
-    "output": r"(angular|angular_velocity|ang_?vel|gyro\w*|rate\w*)_z$|angular_velocity_xyz_2_?$|"
-    r"gyro_rad_2_?$|yaw_(rate|value)$",
-}
-"""By role: what the last words of a topic or message with its fields may be."""
-WITH_UNIT = {"output": r"yaw|gyro?|(^|_)rot(ation)?(_rate|_speed)?$"}
-"""By role: what a name may hold where a unit of the role is stated."""
-NEVER = {
-    "speed": r"rel(ative|_|sp|v)|target|trgt|trg$|set_?(p|speed)|wunsch|ziel|soll|lead|obj|wiper|fan|"
-    r"wind_|engine|idle|shaft|turbine|motor_sp|rpm|max|lim|lmt|trap|tsr|saved|condition|offset|regel|"
-    r"abbruch|zeit|gier|yaw|lacet|imbard|gui[nñ]|ang|steer|sas|rate_|hud|clu_|kombi|angez|dsply|display|navi|expected",
-    "input": r"rate(?!d)|torque|tq|trq|speed|spd|vel|gesch|grd|moment|hilfe|fraction|override|volt|pressure|"
-    r"hands|hold|assist|warn|config|index|menu|flex|ratio|typ|required|verbau|max",
-    "output": r"(^|_)[xy]_?(axis_)?(rate|rot|gyro)|(gyro\w*|rot\w*|rate)_?[xy](_|$)|roll|pitch|"
-    r"nick|wank|acc|ang(le)?(_(?!vel|rate|speed)|$)|target|desired|(^|_)ref|trailer|trlr|fehler",
-}
-"""By role: other quantities that share a word with it."""
-NOT = {
-    "speed": r"control|desired|_y$|_z$|cruise|digital|pcm|cluster|dash|ui_|adas|acc_?|gps|low|"
-    r"mod_|bump|analog|rough|_[yz]_",
-    "input": r"calculated|control|motor|_2$|rechts|sw$|rel",
-    "output": r"raw",
-}
-"""By role: what lowers a name's rank. A command and a copy share its words."""
-REQUEST = re.compile(r"req|cmd|command|target|demand|unknown")
-"""In names of what is asked for, and of what nobody knows: below every measurement."""
-WHEEL = re.compile(r"wheel|whl|rad_?geschw")
-"""In names of the speed of one wheel."""
-NO_MEASUREMENT = re.compile(
-    r"checksum|crc|counter|cnt|qf$|qbit|valid|status|(^|_)sta(_|$)|stat$|fault|error|button|icon|mode|units?$|sign(?!al)|lamp|force|_rq|offse?t|"
-    r"direction|(^|_)vz(_|$)|limit|diag|init|group|bias|rate_?v$|speed_?v$|ack$|pressed|reboot|reduced"
-)
-"""In names of what tells of a measurement, and is none."""
-NO_SIGNALS_UNIT = (
-    "Nm",
-    "rpm",
-    "RPM",
-    "r/min",
-    "%",
-    "V",
-    "A",
-    "Amps",
-    "minute",
-    "ms",
-    "s",
-    "pulses",
-    "counts",
-    "ticks",
-)
+NO_SIGNALS_UNIT = re.compile(r"Nm|rpm|r/min|%|V|A|Amps|minute|ms|s|pulses|counts|ticks", re.IGNORECASE)
 """Units of other things."""
-NO_ANGLE = re.compile(
-    r"percent|pct|%|norm(?!al)|pwm|(^|_)adc|duty|ticks?(_|$)|counts?$|volt|(^|_)(us|usec|mv)$"
-)
-"""In names of a steering that is no angle yet: a share of full lock, a pulse, a voltage."""
 FULL_LOCK, HELD = (1.0, 100.0), 5
 """A steering without a unit that stays at one of these largest values for so many samples is a share."""
-OTHERS_MESSAGE = re.compile(
-    r"cmd|command|lka|lta|acc|cruise|hud|kombi|cluster|object|track|radar|cam_|das_|ipma|nav|gps|tsk|smgr|tbd"
-)
-"""In names of messages that carry a signal for another purpose."""
 WHAT = {"speed": "speed", "input": "steering angle", "output": "yaw rate"}
 """By role: what its signal measures."""
 GUESSED_UNITS = {"speed": ("m/s", "km/h", "mph"), "input": ("rad", "deg"), "output": ("rad/s", "deg/s")}
 """Units of a signal whose log and name state none."""
 RATE_OF = {"deg": "deg/s", "rad": "rad/s", "mrad": "mrad/s"}
 """A yaw rate whose unit leaves the second out."""
-STEERING_WHEEL = re.compile(r"steering_?wheel|hand_?wheel|lenkrad|^swa|_swa|(^|_)lw[iz]?(_|$)|volant")
-ROAD_WHEEL = re.compile(r"road_?wheel|front_?wheel|tyre|tire")
-"""Names of an angle at the steering wheel, and of one at the road wheels."""
-FRACTION = re.compile(r"frac|(^|_)fine(_|$)|_hp$")
-"""In names of the digits beyond a coarse signal's resolution."""
 PART = 0.2
 """Largest spread of these digits, as a share of the coarse signal's."""
 MOST_NAMES = 40
@@ -157,10 +89,13 @@ def ranked(role: str, names: Iterable[str], units: Mapping[str, str] | None = No
             continue
         sure, may = WORDS[role]
         plain = without_unit(last, role)
-        certain = re.search(sure, low) or re.search(sure, plain)
+        certain = bool(re.search(sure, low) or re.search(sure, plain))
         paths = (name.lower(), f"{message}.{plain}".lower())
         of_path = (re.search(OF_PATHS[role], re.sub(r"[^a-z0-9]+", "_", path)) for path in paths)
-        likely = bool(re.search(may, low) or re.search(may, plain)) or any(of_path)
+        is_path = any(of_path)
+        of_twist = 0.25 * (is_path and role != "input" and re.search(r"[xz2]\W*$", low) is not None)
+        certain = certain or of_twist > 0
+        likely = is_path or bool(re.search(may, low) or re.search(may, plain))
         stated, in_name = _unit(unit, role) is not None, bool(units_in_name(last, role))
         if role == "speed":
             likely = likely or in_name
@@ -168,7 +103,7 @@ def ranked(role: str, names: Iterable[str], units: Mapping[str, str] | None = No
             less = 1.5 * bool(re.search(NOT[role], low)) + 0.5 * bool(OTHERS_MESSAGE.search(message.lower()))
             less += 0.5 * (role == "speed" and WHEEL.search(low) is not None)
             less += 3.0 * (REQUEST.search(low) is not None) + 2.0 * _of_another(unit, role)
-            scores[name] = (2 if certain else 1) - less + 1.25 * stated
+            scores[name] = (2 if certain else 1) - less + of_twist + 1.25 * stated
     return sorted(scores, key=lambda name: (-scores[name], len(name), name))
 
 
@@ -176,7 +111,7 @@ def _of_another(unit: str, role: str) -> bool:
     """Return whether a stated unit says that a signal cannot have the role."""
     if not unit.strip() or _unit(unit, role):
         return False
-    return _of_another_role(unit, role) or unit.strip() in NO_SIGNALS_UNIT
+    return _of_another_role(unit, role) or NO_SIGNALS_UNIT.fullmatch(unit.strip()) is not None
 
 
 def proposed(
@@ -291,7 +226,7 @@ def _choices(
     in_name = list(dict.fromkeys(unit for text in units_in_name(name, role) if (unit := text)))
     by_log = _unit(stated[0], role) if stated else None
     if stated and by_log is None:
-        if _of_another_role(stated[0], role) or stated[0] in NO_SIGNALS_UNIT:
+        if _of_another_role(stated[0], role) or NO_SIGNALS_UNIT.fullmatch(stated[0]):
             raise InputError("new", name, f"its unit is {stated[0]}, none of a {WHAT[role]}", one)
         if not in_name:
             return GUESSED_UNITS[role], [f"its unit {stated[0]} is not known"]

@@ -1,0 +1,118 @@
+"""Words in names of signals: what a speed, a steering angle and a yaw rate are called, and what they are not.
+
+Each list holds regular expressions for a name in lower case, whose words are joined by _.
+"""
+
+import re
+
+
+def _any(expressions: str) -> str:
+    """One expression for any of several."""
+    return "|".join(expressions.split())
+
+
+WORDS = {
+    "speed": (
+        _any(
+            r"^(v|vx|v_x|vel|speed|v_?ego|ego_?v)$ ^(longitudinal|forward)_(speed|vel) "
+            r"(vehicle|veh|car|ego)_?(speed|spd|velocity)"
+        ),
+        _any(
+            r"linear_(vel_)?x (^|_)v_?x(_|$) speed spd veloc (^|_)vel(_|$) ^vel geschw vitesse "
+            r"(^|_)v_signal veh_?v_ ^(u|v_?long|sog|tempo|tacho)(_|$) ^h\u0131z snelheid hastighet "
+            r"rychlost pr[eę]dko[sś]"
+        ),
+    ),
+    "input": (
+        _any(r"^(delta|steer|swa)$ road_?wheel (steer|steering)_?(wheel|whl)?_?ang(le)?(_|$)"),
+        _any(
+            r"steer (^|_)delta(_|$) wheel_?angle lenk volant braquage (^|_)sterz sas_angle "
+            r"internal_?sas _lrw$ ste(pin|whl).*_an st(r|rg|w)?_?(wheel|whl|w)?_?angl? whl_?ang "
+            r"^l(r?w|ws)$ (^sw|hand_?wheel)_?(pos|ang|deg|rad) ^(hwa|rwa)(_|$) "
+            r"(servo|t[iy]re)_?(pos|angle) direcci[oó]n stuur ratt_?v skret kierown"
+        ),
+    ),
+    "output": (
+        _any(r"^(r|w_?z|yaw_?rate)$"),
+        _any(
+            r"yaw_?(rate|rte?|r$|vel|speed|spd|w_) ang(ular)?_?(vel|rate|velocity|speed)_?z "
+            r"gyro?(scope)?_?z omega_?z ^omega$ psi_?(dot|punkt|p$) ^d_?psi(_?dt)?$ ^gz(_|$) ^av_?z$ "
+            r"rot(ation)?_?(rate|speed|vel)?_?z(_|$) (^|_)rate_?(\w+_)?z(_|$) z_?(axis_)?rate_of_rot "
+            r"(heading|turn)_?(rate|speed) (^|_)gyro$ _wz(_|$) gier lacet imbard gui[nñ] girasj"
+        ),
+    ),
+}
+"""By role: what a name is for certain, and what it may hold."""
+OF_PATHS = {
+    "speed": _any(r"twist_linear_x$ linear_velocity_x$"),
+    "input": _any(
+        r"ackermann.*steering_angle$ steer\w*_(rpt|report)_output$ "
+        r"(steer|lenk|volant)\w*_(angle|ang|winkel|pos|position|value)$"
+    ),
+    "output": _any(
+        r"(angular|ang(ular)?_?vel\w*|gyro\w*|rate\w*)_z$ yaw_(rate|value)$ "
+        r"(ang(ular)?_?vel\w*|gyro\w*|rotation_?rate)(_xyz|_rad|_value|_v)?_2_?$"
+    ),
+}
+"""By role: what the last words of a topic or message with its fields may be."""
+WITH_UNIT = {"output": "yaw|gyro?|(^|_)rot(ation)?(_rate|_speed)?$"}
+"""By role: what a name may hold where a unit of the role is stated."""
+NEVER = {
+    "speed": _any(
+        r"(^|_)lat(eral)?_?(_|v|sp) rel(ative|_|sp|v) target trgt trg$ set_?(p|speed) wunsch "
+        r"ziel soll lead obj wiper fan wind_ engine idle shaft turbine motor_sp rpm max lim lmt "
+        r"trap tsr saved condition offset regel abbruch zeit gier yaw lacet imbard gui[nñ] ang "
+        r"steer sas rate_ hud clu_ kombi angez dsply display navi expected"
+    ),
+    "input": _any(
+        r"rate(?!d) torque tq trq speed spd vel gesch grd moment hilfe fraction override volt "
+        r"pressure hands hold assist warn config index menu flex ratio typ required verbau max"
+    ),
+    "output": _any(
+        r"(^|_)[xy]_?(axis_)?(rate|rot|gyro) (gyro?|gyroscope|rot|rotation|rate)_?[xy](_|$) roll "
+        r"pitch nick wank acc ang(le)?(_(?!vel|rate|speed)|$) target desired (^|_)ref trailer "
+        r"trlr fehler"
+    ),
+}
+"""By role: other quantities that share a word with it."""
+NOT = {
+    "speed": _any(
+        r"control desired _y$ _z$ cruise digital pcm cluster dash ui_ adas acc_? gps low mod_ "
+        r"bump analog rough _[yz]_"
+    ),
+    "input": _any(r"calculated control motor _2$ rechts sw$ rel"),
+    "output": _any(r"raw"),
+}
+"""By role: what lowers a name's rank. A command and a copy share its words."""
+REQUEST = re.compile(_any(r"req cmd command target demand ^des(?!c) unknown"))
+"""In names of what is asked for, and of what nobody knows: below every measurement."""
+WHEEL = re.compile(_any(r"wheel whl rad_?geschw"))
+"""In names of the speed of one wheel."""
+NO_MEASUREMENT = re.compile(
+    _any(
+        r"checksum crc counter cnt qf$ qbit valid status (^|_)sta(_|$) stat$ fault error button "
+        r"icon mode units?$ sign(?!al) lamp force _rq offse?t direction (^|_)vz(_|$) limit diag "
+        r"init group bias rate_?v$ speed_?v$ ack$ pressed reboot reduced"
+    )
+)
+"""In names of what tells of a measurement, and is none."""
+NO_ANGLE = re.compile(
+    _any(
+        r"percent pct % norm(?!al) pwm (^|_)adc duty ticks?(_|$) counts?$ volt "
+        r"(^|_)(us|usec|mv)$"
+    )
+)
+"""In names of a steering that is no angle yet: a share of full lock, a pulse, a voltage."""
+OTHERS_MESSAGE = re.compile(
+    _any(
+        r"cmd command setpoint control (^|[_.])drive([_.]|$) lka lta acc cruise hud kombi "
+        r"cluster object track radar cam_ das_ ipma nav gps tsk smgr tbd"
+    )
+)
+"""In names of messages that carry a signal for another purpose."""
+
+STEERING_WHEEL = re.compile(_any(r"steering_?wheel hand_?wheel lenkrad ^swa _swa (^|_)lw[iz]?(_|$) volant"))
+ROAD_WHEEL = re.compile(_any(r"road_?wheel front_?wheel tyre tire"))
+"""Names of an angle at the steering wheel, and of one at the road wheels."""
+FRACTION = re.compile(_any(r"frac (^|_)fine(_|$) _hp$"))
+"""In names of the digits beyond a coarse signal's resolution."""
