@@ -36,7 +36,7 @@ class Recordings:
 
     Attributes
     ----------
-    of : dict[str, str], recording by drive, where experiments.csv names it
+    by_drive : dict[str, str], recording by drive, where experiments.csv names it
     setting : tuple of str, recordings of calibration drives that also set the bounds
     groups : dict[str, str], group by drive, where it has one
     """
