@@ -32,8 +32,9 @@ from lpvguard.engine.synthesis.riccati import Side
 from lpvguard.engine.synthesis.statespace import StateSpace
 
 GRID, PEAKS = 100, 3
-DATA_RTOL = 1e-11
-"""Relative change of the entries, in balanced coordinates, that a certificate may need to be exact."""
+DATA_RTOL = (1e-11, 1e-12, 1e-13)
+"""Relative changes of the entries, in balanced coordinates, of which a certificate may need one to be exact:
+the first where the optimum hardly feels it. The last is far above rounding of the sums."""
 BELOW = (1e-7, 1e-6, 1e-5, 3e-5, 1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2)
 """Shares below the claimed optimum at which trajectories are looked for."""
 
@@ -52,15 +53,15 @@ class DualCertificate:
     second: np.ndarray
 
 
-def dual_bound(P: Plant, certificate: DualCertificate) -> float:
+def dual_bound(P: Plant, certificate: DualCertificate, allowance: float = DATA_RTOL[0]) -> float:
     """Return the level that no controller of ``P`` goes below, by the certificate; 0 where it proves none.
 
-    The multipliers may violate their conditions by what a relative change ``DATA_RTOL`` of the plant's
+    The multipliers may violate their conditions by what a relative change ``allowance`` of the plant's
     entries explains.
     """
     constant, traces, halves = 0.0, 0.0, []
     for Q, Z in ((P, certificate.first), (P.dual, certificate.second)):
-        half, part, trace = _one_side(Q, Z)
+        half, part, trace = _one_side(Q, Z, allowance)
         if half is None:
             return 0.0
         constant, traces = constant + part, traces + trace
@@ -71,19 +72,19 @@ def dual_bound(P: Plant, certificate: DualCertificate) -> float:
     return max(0.0, (constant + coupling) / traces)
 
 
-def _one_side(P: Plant, Z: np.ndarray) -> tuple[np.ndarray | None, float, float]:
+def _one_side(P: Plant, Z: np.ndarray, allowance: float) -> tuple[np.ndarray | None, float, float]:
     """Return a factor of Q, the constant part and the traces of one side; no factor where Q is not ≽ 0."""
     n, p1 = len(P.A), len(P.C1)
     p, z, w = Z[:n], Z[n : n + p1], Z[n + p1 :]
     outside = P.B2.T @ p + P.D12.T @ z
     size = np.abs(P.B2).T @ np.abs(p) + np.abs(P.D12).T @ np.abs(z)
-    if np.linalg.norm(outside) > DATA_RTOL * np.linalg.norm(size):
+    if np.linalg.norm(outside) > allowance * np.linalg.norm(size):
         return None, 0.0, 0.0
     flow = p @ (p.T @ P.A + z.T @ P.C1)
     Q = flow + flow.T
     terms = np.abs(p) @ (np.abs(p).T @ np.abs(P.A) + np.abs(z).T @ np.abs(P.C1))
     values, vectors = np.linalg.eigh(Q)
-    if values[0] < -DATA_RTOL * np.linalg.norm(terms):
+    if values[0] < -allowance * np.linalg.norm(terms):
         return None, 0.0, 0.0
     half = vectors * np.sqrt(np.maximum(values, 0.0))
     constant = 2 * float(np.sum(p * (P.B1 @ w))) + 2 * float(np.sum(z * (P.D11 @ w)))
@@ -159,7 +160,13 @@ def _root(X: np.ndarray) -> np.ndarray:
 
 
 def proved_level(
-    P: Plant, control: Side, filter_: Side, gamma: float, basis: np.ndarray, original: Plant
+    P: Plant,
+    control: Side,
+    filter_: Side,
+    gamma: float,
+    basis: np.ndarray,
+    original: Plant,
+    allowance: float,
 ) -> float:
     """Return the largest level near ``gamma`` that a dual certificate proves for ``original``, or 0.
 
@@ -173,7 +180,7 @@ def proved_level(
             continue
         first, second = certificate.first.copy(), certificate.second.copy()
         first[:n], second[:n] = np.linalg.solve(basis.T, first[:n]), basis @ second[:n]
-        best = max(best, dual_bound(original, DualCertificate(first, second)))
+        best = max(best, dual_bound(original, DualCertificate(first, second), allowance))
         if best >= gamma * (1 - 10 * share):
             break
     return best

@@ -7,7 +7,7 @@ value of a scaled M, and where that is simple Newton's method finds it sooner.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -196,31 +196,44 @@ def balance(M: np.ndarray, structure: Structure) -> tuple[np.ndarray, np.ndarray
 
 
 def triangular_scalings(
-    M: np.ndarray, structure: Structure, floors: Sequence[float]
-) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Yield factors of D_left (Σcols, Σcols) and D_right (Σrows, Σrows) that suit a nearly triangular M.
+    M: np.ndarray, moved: np.ndarray, structure: Structure
+) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """Yield factors of D_left (Σcols, Σcols) and D_right (Σrows, Σrows), and G, that suit a nearly
+    triangular M.
 
-    Repeated blocks are taken to their triangular (Schur) form, whose entries are balanced one by one.
-    ``floors`` are shares of ‖M‖ that smaller entries count as. There is none where M (Σcols, Σrows) has no
-    zero coupling and no block is repeated twice or more.
+    Repeated blocks are taken to their triangular (Schur) form. Each number on the diagonal gets the D and G
+    that would prove it alone at level 1. Couplings are balanced against the Φ of these. First, rounding
+    ``moved`` of the entries of M (both Σcols, Σrows) counts as a coupling, and then none does.
     """
-    finer, turns = [], []
+    finer, turns, real = [], [], []
     for block, r, c in zip(structure.blocks, structure.row, structure.col, strict=True):
         alone = block.kind == "full" or block.rows == 1
         finer += [block] if alone else [Block("full", 1, 1)] * block.rows
+        real += [block.kind == "repeated_real"] * (1 if alone else block.rows)
         turns.append(
             (np.eye(block.cols), np.eye(block.rows)) if alone else (sl.schur(M[r, c], "complex")[1],) * 2
         )
     one_by_one = Structure(tuple(finer))
-    coupled = all(M[r, c].any() for r in structure.row for c in structure.col)
-    if coupled and len(finer) == len(structure.blocks):
-        return
     left, right = (sl.block_diag(*sides) for sides in zip(*turns, strict=True))
     turned = left.conj().T @ M @ right
-    for floor in floors:
-        scales = _balance(turned, one_by_one, floor * float(np.linalg.norm(M)), 1 / floor)
+    places = list(zip(one_by_one.row, one_by_one.col, strict=True))
+    own = np.array([np.linalg.norm(turned[place]) for place in places])
+    g, phi = np.zeros(len(own)), np.ones(len(own))
+    for k in np.flatnonzero(real):
+        y = turned[places[k]].imag.item()
+        if own[k] > 0.5 and y:  # 1 - |m|^2 + 2 g y is 0.5 + |m|^2 then
+            g[k], phi[k] = (own[k] ** 2 - 0.25) / y, 0.5 + own[k] ** 2
+    rows, cols = ([getattr(b, side) for b in finer] for side in ("cols", "rows"))
+    felt = np.repeat(1 + (np.abs(g) + own) / np.sqrt(phi), rows)[:, None] / np.repeat(np.sqrt(phi), cols)
+    rounding = np.abs(left).T @ moved @ np.abs(right)
+    for couplings, floor in ((np.abs(turned) + rounding, ROUNDED), (np.abs(turned), ABSENT)):
+        size = felt * couplings
+        scales = _balance(size, one_by_one, floor * float(np.linalg.norm(size)), 1 / floor)
         a, b = _both_sides(scales, one_by_one)
-        yield left @ a, right @ b
+        G = np.zeros((len(b), len(a)), complex)
+        for k in np.flatnonzero(g):
+            G[places[k][::-1]] = g[k] * scales[k] ** 2
+        yield left @ a, right @ b, right @ G @ left.conj().T
 
 
 def _both_sides(scales: np.ndarray, structure: Structure) -> tuple[np.ndarray, np.ndarray]:

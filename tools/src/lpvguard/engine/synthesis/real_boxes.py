@@ -13,6 +13,7 @@ then contain what is asked.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -27,7 +28,7 @@ from lpvguard.engine.synthesis.frequency_cells import (
     middle,
     response_rounding,
 )
-from lpvguard.engine.synthesis.mu_upper import ABSENT, ROUNDED, balance, triangular_scalings, upper_bound
+from lpvguard.engine.synthesis.mu_upper import balance, triangular_scalings, upper_bound
 from lpvguard.engine.synthesis.real_crossings import ROUNDING
 from lpvguard.engine.synthesis.statespace import StateSpace
 from lpvguard.engine.synthesis.structure import Structure
@@ -135,10 +136,8 @@ def proved_at(
     for simple in (nearby, alone):
         if simple is not None and is_positive(M, moved, simple, 1.0):
             return simple
-    _, _, left, right, skew = upper_bound(M, structure, 0.25 * slack, 1.0)
-    scalings = [(left, right, skew)]
-    scalings += [(*sides, no_skew) for sides in triangular_scalings(M, structure, (ROUNDED, ABSENT))]
-    for left, right, skew in scalings:
+    scalings = [upper_bound(M, structure, 0.25 * slack, 1.0)[2:]]
+    for left, right, skew in itertools.chain(scalings, triangular_scalings(M, moved, structure)):
         right = right @ right.conj().T
         point = PointBound(1.0, left @ left.conj().T, np.zeros_like(right), right, skew)
         if is_positive(M, moved, point, 1.0):

@@ -10,7 +10,6 @@ from lpvguard.base.errors import InputError
 from lpvguard.engine.blocks import Block
 from lpvguard.engine.synthesis.errors import SynthesisError
 from lpvguard.engine.synthesis.hinf import hinf_synthesis, proved_lower_bound
-from lpvguard.engine.synthesis.hinf_lower import DATA_RTOL
 from lpvguard.engine.synthesis.mu import MuBounds, mu_bounds, mu_interval
 from lpvguard.engine.synthesis.statespace import StateSpace
 
@@ -56,8 +55,8 @@ def solve_hinf(problem: dict) -> dict:
         raise SynthesisError(
             name,
             "A, B, C, D",
-            f"a relative change of {DATA_RTOL:g} of the entries moves the optimum by {lower.moved:.2g} of "
-            f"itself; known is {proved:.6g} <= optimum <= {achieved:.6g}",
+            f"a relative change of {lower.allowance:g} of the entries moves the optimum by "
+            f"{lower.moved:.2g} of itself; known is {proved:.6g} <= optimum <= {achieved:.6g}",
             "data in coordinates whose digits determine it: balanced or modal states",
         )
     notes = list(result.notes)
