@@ -171,13 +171,14 @@ public:
         void_us_ = before && !engaged ? core_us_ : void_us_;
     }
 
-    // What the tests of the step said: its verdict, whether the monitor alone finds the model valid, its newest falsification, and whether
-    // the watch has evidence.
-    void hear(lpvg_verdict_t reported, bool valid, int64_t falsified_us, bool evidence) {
+    // What the tests of the step said: its verdict, whether the monitor alone finds the model valid, its newest falsification, and what the
+    // watch says.
+    void hear(lpvg_verdict_t reported, bool valid, int64_t falsified_us, bool evidence, bool violated) {
         if (state != lpvg_can_state_live || engaged || falsified_us > doubted_us_) {
             doubted_us_ = core_us_;
         }
         falsified_ = falsified_ || reported == lpvg_verdict_invalid;
+        refuted_ = refuted_ || violated;
         locked = locked || falsified_;
         if (engaged) {
             proved_us_ += on_trial_ && evidence ? elapsed_us : 0;
@@ -188,7 +189,7 @@ public:
     void ask(bool engage) { asked_ = engage; }
 
     void acknowledge() {
-        const bool refuted = falsified_ && (on_trial_ || core_us_ - doubted_us_ < LPVG_ECU_CALM_US);
+        const bool refuted = falsified_ && (refuted_ || on_trial_ || core_us_ - doubted_us_ < LPVG_ECU_CALM_US);
         if (locked && (causes & (LPVG_ECU_CAUSE_IMPLAUSIBLE | LPVG_ECU_CAUSE_ACTUATOR)) == 0U && !refuted && !often()) {
             locked = false;
             on_trial_ = on_trial_ || falsified_;
@@ -396,7 +397,7 @@ private:
     float yaw_rate_ = NAN, lateral_ = NAN, pressure_ = NAN, pedal_ = NAN, lagged_ = 0.0F, along_ = 0.0F, off_ = 0.0F, size_ = 0.0F;
     lpvg_real_t speed_ = lpvg_real_t(NAN);
     bool asked_ = true, standby_ = false, acknowledging_ = false, in_range_ = false, was_engaged_ = false, abs_ = true;
-    bool actuator_failed_ = false, implausible_ = false, falsified_ = false, on_trial_ = false;
+    bool actuator_failed_ = false, implausible_ = false, falsified_ = false, refuted_ = false, on_trial_ = false;
 };
 
 // What goes wrong, for how long. Several at once, or none for a while.
@@ -550,7 +551,7 @@ private:
         }
         const lpvg_ecu_t& ecu = bench_.ecu;
         oracle_.hear(static_cast<lpvg_verdict_t>(ecu.report.verdict), lpvg_monitor_verdict(&ecu.monitor, ecu.core_us) == lpvg_verdict_valid,
-                     ecu.monitor.has_falsified ? ecu.monitor.t_falsified_us : -1, ecu.watch.evidence);
+                     ecu.monitor.has_falsified ? ecu.monitor.t_falsified_us : -1, ecu.watch.evidence, ecu.watch.violated);
         const auto demand = static_cast<double>(ecu.control.u[0]);
         const int64_t counted_us = std::min<int64_t>(oracle_.elapsed_us, 3 * half_period_us);
         const double change = static_cast<double>(lpvg_control_coeff.reals.rate_max[0]) * 1e-6 * static_cast<double>(counted_us) * rounding;

@@ -221,6 +221,22 @@ TEST_CASE("an invalid verdict that comes back on trial is not acknowledged again
     CHECK(lpvg_ecu_acknowledge(&bench.ecu) == passed);
 }
 
+TEST_CASE("what the watch found is not acknowledged, whatever else is found later, and init ends it", "[unit][ecu][REQ-ECU-18]") {
+    const bool only_reported = GENERATE(false, true);
+    lpvg_ecu_config_t with = bench_config;
+    with.report_only = only_reported ? LPVG_ECU_CAUSE_INVALID : 0U;
+    Bench bench = engaged_bench(with);
+    bench.ecu.watch.P[0][0] = bench.ecu.watch.Q[0][0] = lpvg_real_t(1);  // the response is twice the nominal one
+    bench.run(2);
+    CHECK(bench.engaged() == only_reported);
+    CHECK(bench.ecu.kept.refuted != only_reported);
+    bench.ecu.monitor.has_falsified = true;
+    bench.ecu.monitor.t_falsified_us = bench.ecu.core_us;
+    bench.run(static_cast<int>(LPVG_ECU_CALM_US / tick_us) + 300);
+    CHECK(lpvg_ecu_acknowledge(&bench.ecu) == only_reported);
+    CHECK((Bench().run_until_engaged(), true));
+}
+
 TEST_CASE("behind a gap the watch begins its sums a second later, behind another release at once", "[unit][ecu][REQ-ECU-17]") {
     const bool gap = GENERATE(false, true);
     Bench bench = engaged_bench();

@@ -1,10 +1,13 @@
 // From cause to release: the longest time over the phases of sample period, messages and windows. The table in lib/REQUIREMENTS.md is
 // made of it: `LPVGUARD_REACTIONS=lib/REQUIREMENTS.md test_reactions` writes the table, and without that the test compares it.
+#include "../long_form.hpp"
 #include "../marked_table.hpp"
 #include "../../firmware_sim/ports/aes_cmac.hpp"
 #include "ecu_bench.hpp"
 #include "lpvguard/authentication.h"
 
+#include <cstdio>
+#include <deque>
 #include <functional>
 #include <memory>
 #include <sstream>
@@ -352,6 +355,69 @@ std::string flicker_row(const Flicker& flicker) {
     row << "| " << flicker.cause << " | " << (was.engagements > 1 ? std::to_string(was.longest_us / 1000) : "–") << " | " << was.engagements
         << " | " << was.locked_us / 1000 << " | " << again.engagements << " |\n";
     return row.str();
+}
+
+// Engagements under a cause that lasts a share of each period, until the loop locks or 72 periods or an hour have passed.
+struct Swept {
+    int engagements = 0, most_in_an_hour = 0;
+    bool locked = false, waited = true;
+};
+
+Swept swept(const Flicker& flicker, int period_steps, int on_steps) {
+    Bench bench;
+    bench.speed = 21.95F;
+    bench.run_until_engaged();
+    bench.run(30);
+    Swept was;
+    std::deque<int64_t> begins_us = {bench.now_us};
+    was.engagements = was.most_in_an_hour = 1;
+    bool before = true;
+    int64_t caused_us = bench.now_us;
+    const int steps = std::min(360'000, std::max(72 * period_steps, 6'000));
+    for (int k = 0; k < steps && !bench.ecu.kept.locked; ++k) {
+        const bool on = k % period_steps < on_steps;
+        flicker.set(bench, on);
+        bench.step();
+        caused_us = (bench.ecu.causes & ~static_cast<uint32_t>(LPVG_ECU_CAUSE_WAIT)) != 0U ? bench.now_us : caused_us;
+        if (bench.engaged() && !before) {
+            was.waited = was.waited && bench.now_us - caused_us >= int64_t{LPVG_ECU_WAIT_US};
+            ++was.engagements;
+            begins_us.push_back(bench.now_us);
+            while (bench.now_us - begins_us.front() >= 3'600'000'000) {
+                begins_us.pop_front();
+            }
+            was.most_in_an_hour = std::max(was.most_in_an_hour, static_cast<int>(begins_us.size()));
+        }
+        before = bench.engaged();
+    }
+    was.locked = bench.ecu.kept.locked;
+    return was;
+}
+
+TEST_CASE("no cause engages the loop more than 60 times an hour, however long it lasts and pauses", "[unit][reactions][REQ-ECU-18]") {
+    // A step that comes 20 ms late: a gap of the clock.
+    const Flicker clock = {"clock", [](Bench& b, bool on) { b.k += on ? 2 : 0; }};
+    std::vector<Flicker> all(std::begin(flickers), std::end(flickers));
+    all.push_back(clock);
+    std::vector<int> periods = {1, 5, 150};  // of 10 ms
+    if (long_form()) {
+        periods.insert(periods.end(), {20, 60, 500, 2'000, 6'000});
+    }
+    for (const Flicker& flicker : all) {
+        int most = 0;
+        for (const int period : periods) {
+            for (const int percent : {5, 50, 95}) {
+                const int on = std::max(1, period * percent / 100);
+                const Swept was = swept(flicker, period, on);
+                CAPTURE(flicker.cause, period, percent, was.engagements, was.most_in_an_hour);
+                CHECK(was.most_in_an_hour <= static_cast<int>(LPVG_ECU_ENGAGEMENTS_MAX));
+                CHECK(was.waited);
+                CHECK((was.locked || was.engagements < static_cast<int>(LPVG_ECU_ENGAGEMENTS_MAX)));
+                most = std::max(most, was.engagements);
+            }
+        }
+        std::printf("%s: at most %d engagements\n", flicker.cause, most);
+    }
 }
 
 TEST_CASE("every cause waits, counts and locks, and the table of them is the one of the requirements", "[unit][reactions][REQ-ECU-18]") {

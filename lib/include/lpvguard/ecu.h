@@ -39,7 +39,8 @@
 /// after LPVG_ECU_CALM_US without engagement. During that time every message must have been live, and no test may have falsified the
 /// model. This excludes faulty sensors and disturbances, but says nothing about the response. The response is judged on trial, while
 /// engaged. The trial ends well with a valid verdict, or with evidence of the watch for LPVG_ECU_CALM_US. If the verdict becomes
-/// invalid during the trial, no further acknowledgement is taken until init.
+/// invalid during the trial, no further acknowledgement is taken until init. None is taken either once the watch found the response wrong:
+/// while released nothing can speak for it.
 ///
 /// Permission. The vehicle asks for control with its request message (bus.h). A request for control counts once another request has been
 /// received since init. Nothing is engaged while another command on the actuator has a higher priority than `priority`. Nothing is
@@ -226,6 +227,7 @@ typedef struct lpvg_ecu_kept_t {
     bool corrupt;  ///< damage was found; lasts until init
     bool falsified;  ///< the verdict is invalid until an acknowledgement
     bool on_trial;  ///< an invalid verdict was acknowledged, and the response has not been confirmed since
+    bool refuted;  ///< the watch found the response wrong; lasts until init
 } lpvg_ecu_kept_t;
 
 typedef struct lpvg_ecu_t {

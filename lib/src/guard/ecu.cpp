@@ -342,12 +342,13 @@ void move_slot(lpvg_ecu_t& self) {
     }
 }
 
-// What an acknowledgement may not end: a cause that stands, or an invalid verdict that nothing speaks against.
+// What an acknowledgement may not end: a cause that stands, or an invalid verdict that nothing speaks against. What the watch found is
+// such a verdict: the response shows only while engaged.
 bool stands(const lpvg_ecu_t& self) {
     const uint32_t measured = self.causes & ~static_cast<uint32_t>(self.kept.config.report_only);
     const bool calm = self.core_us - self.doubted_us >= int64_t{LPVG_ECU_CALM_US};
     return (measured & (LPVG_ECU_CAUSES_LATCHING & ~LPVG_ECU_CAUSE_INVALID)) != 0U || engaged_often(self) ||
-           (self.kept.falsified && (self.kept.on_trial || !calm));
+           (self.kept.falsified && (self.kept.refuted || self.kept.on_trial || !calm));
 }
 
 void end_lock(lpvg_ecu_t& self) {
@@ -556,6 +557,7 @@ void judge_falsified(lpvg_ecu_t& self, lpvg_verdict_t said, bool live, uint32_t 
     }
     if (invalid_releases(self) && (said == lpvg_verdict_invalid || self.watch.violated)) {
         self.kept.falsified = true;
+        self.kept.refuted = self.kept.refuted || self.watch.violated;
         self.kept.locked = true;
         self.lock_causes = static_cast<uint16_t>(self.lock_causes | LPVG_ECU_CAUSE_INVALID);
     }
