@@ -31,12 +31,12 @@ def test_a_value_comes_back_with_its_types_and_bits():
         "texts": np.array(["ab", "c"], object),
         "peak": Peak(0.1, 3),
     }
-    found = back(value)
-    assert found["a"] == value["a"] and [type(x) for x in found["a"]] == [type(x) for x in value["a"]]
-    for a, b in zip(found[3], value[3], strict=True):
+    restored = back(value)
+    assert restored["a"] == value["a"] and [type(x) for x in restored["a"]] == [type(x) for x in value["a"]]
+    for a, b in zip(restored[3], value[3], strict=True):
         assert type(a) is type(b) and a.dtype == b.dtype and a.tobytes() == b.tobytes()
-    assert found["texts"].dtype == object and list(found["texts"]) == ["ab", "c"]
-    assert found["peak"] == value["peak"]
+    assert restored["texts"].dtype == object and list(restored["texts"]) == ["ab", "c"]
+    assert restored["peak"] == value["peak"]
     judged = Judged(1.0, None, None, None, None, 2.0, {"frame": Peak(1.0)})
     assert back(judged) == judged and type(back(judged)) is Judged
     assert vars(back(Origins())).keys() == vars(Origins()).keys()

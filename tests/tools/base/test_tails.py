@@ -11,9 +11,9 @@ BLOCKS_PER_H = 120
 def peaks_of(scores: np.ndarray) -> Peaks:
     names = [str(i) for i in range(len(scores))]
     hours = dict.fromkeys(names, scores.shape[1] / BLOCKS_PER_H)
-    found = Peaks.of({n: [x] for n, x in zip(names, scores, strict=True)}, hours)
-    assert found is not None
-    return found
+    peaks = Peaks.from_maxima({n: [x] for n, x in zip(names, scores, strict=True)}, hours)
+    assert peaks is not None
+    return peaks
 
 
 def test_neighbours_of_a_larger_maximum_are_no_peaks_of_their_own():
@@ -23,12 +23,12 @@ def test_neighbours_of_a_larger_maximum_are_no_peaks_of_their_own():
 
 def test_the_level_leaves_the_largest_maxima():
     scores = np.random.default_rng(1).exponential(size=(40, 30))
-    found = peaks_of(scores)
+    peaks = peaks_of(scores)
     every = sorted(p for x in scores for p in separate(x))
-    assert found.level == every[-len(found.excess) - 1]
-    assert sorted(found.excess + found.level) == every[-len(found.excess) :]
-    assert len(found.excess) == int(2 * len(every) ** (2 / 3))
-    assert Peaks.of({"a": [[1.0] * 30]}, {"a": 0.25}) is None
+    assert peaks.level == every[-len(peaks.excess) - 1]
+    assert sorted(peaks.excess + peaks.level) == every[-len(peaks.excess) :]
+    assert len(peaks.excess) == int(2 * len(every) ** (2 / 3))
+    assert Peaks.from_maxima({"a": [[1.0] * 30]}, {"a": 0.25}) is None
 
 
 @pytest.mark.parametrize("shape", [0.0, 0.3])

@@ -12,10 +12,10 @@ from lpvguard.extras.bench import rates, run
 def test_promised_stands_beside_counted(tmp_path, capsys):
     out = tmp_path / "rates.json"
     run("rates", ["--fleets", "4", "--hours", "10", "--fresh", "2000", "--json", str(out)])
-    text, found = capsys.readouterr().out, json.loads(out.read_text())
-    assert len(found["rows"]) == len(rates.FAMILIES) * len(rates.RATES_PER_1000_H)
-    assert all(r["covered"]["of"] == 4 for r in found["rows"])
-    assert sum(r["kept"]["count"] for r in found["rows"]) > 0.7 * 4 * len(found["rows"])
+    text, result = capsys.readouterr().out, json.loads(out.read_text())
+    assert len(result["rows"]) == len(rates.FAMILIES) * len(rates.RATES_PER_1000_H)
+    assert all(r["covered"]["of"] == 4 for r in result["rows"])
+    assert sum(r["kept"]["count"] for r in result["rows"]) > 0.7 * 4 * len(result["rows"])
     assert "exponential" in text and "clusters" in text
 
 

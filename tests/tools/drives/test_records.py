@@ -50,9 +50,9 @@ def recorded(ring, values: np.ndarray, event: int, *, samples: int, after: int) 
     assert ring.lpvg_evidence_init(state, ctypes.byref(config)) == 0
     for k, row in enumerate(values.astype(np.float32)):
         level, ratio = (3, 1.75) if k >= event else (0, 0.25)
-        given = (ctypes.c_float * len(row))(*row)
+        sample = (ctypes.c_float * len(row))(*row)
         time = ctypes.c_int64(20_000 * k)
-        assert ring.lpvg_evidence_take(state, time, given, level, ctypes.c_float(ratio)) == 0
+        assert ring.lpvg_evidence_take(state, time, sample, level, ctypes.c_float(ratio)) == 0
     reader, data = ctypes.create_string_buffer(64), ctypes.create_string_buffer(100_000)
     assert ring.lpvg_evidence_open(reader, state, ring.lpvg_evidence_number(state, 0)) == 0
     ring.lpvg_evidence_read.restype = ctypes.c_size_t
@@ -73,12 +73,17 @@ def test_a_record_has_the_samples_around_the_event(record, g80, tmp_path):
     values, data = record
     path = tmp_path / "rec.lpve"
     path.write_bytes(data)
-    found = read_record(path)
-    assert (found.number, found.coefficients, found.level, found.ratio) == (1, 0xC0FFEE, "invalid", 1.75)
-    assert (found.before, found.t_us, found.inputs) == (300, 1200 * 20_000, 1)
+    contents = read_record(path)
+    assert (contents.number, contents.coefficients, contents.level, contents.ratio) == (
+        1,
+        0xC0FFEE,
+        "invalid",
+        1.75,
+    )
+    assert (contents.before, contents.t_us, contents.inputs) == (300, 1200 * 20_000, 1)
     expected = values[901:1401]
-    assert (np.nan_to_num(abs(found.values - expected)) <= 0.51 * np.array(SCALE) + 1e-6).all()
-    assert np.array_equal(np.isnan(found.values), np.isnan(expected))
+    assert (np.nan_to_num(abs(contents.values - expected)) <= 0.51 * np.array(SCALE) + 1e-6).all()
+    assert np.array_equal(np.isnan(contents.values), np.isnan(expected))
     drive = read_drive(path, g80)
     assert (drive.name, len(drive.t), drive.missing_samples) == ("rec", 500, 2)
     np.testing.assert_allclose(np.diff(drive.t), 0.02, atol=1e-9)

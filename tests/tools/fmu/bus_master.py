@@ -18,12 +18,12 @@ def transmit(identifier: int, data: bytes) -> bytes:
 
 def operations(data: bytes) -> list[tuple[int, bytes]]:
     """Operations of a terminal's data: (code, content)."""
-    found = []
+    operations = []
     while data:
         code, length = struct.unpack_from("<II", data)
-        found.append((code, data[8:length]))
+        operations.append((code, data[8:length]))
         data = data[length:]
-    return found
+    return operations
 
 
 def frames(data: bytes) -> list[tuple[int, bytes]]:

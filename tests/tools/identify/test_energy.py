@@ -95,7 +95,7 @@ def test_the_ratio_that_refutes_is_the_largest_of_both_weights(g80):
     omega = np.geomspace(1e-4, 1e5, 200001)
     largest = (wide.magnitude(omega) / sharp.magnitude(omega)).max()
     model = NominalModel(g80)
-    estimator = Estimator.of(g80, model)
+    estimator = Estimator.from_project(g80, model)
 
     def fitted(weight):
         bound = 0.5 * weight.magnitude(estimator.omega[1:])

@@ -27,43 +27,48 @@ def fleet(drives: int, per_1000_h: float, confident: bool = False) -> tuple[dict
 
 def test_enough_recordings_need_no_extrapolation():
     scores, target = fleet(100, 80.0)
-    found = calibrate(scores, 0.1, target=target)
-    assert found.alpha == pytest.approx(0.02) and found.extrapolation is None
-    assert found.threshold == sorted(scores.values())[98]  # rank 99 of 101 * 0.98
+    calibration = calibrate(scores, 0.1, target=target)
+    assert calibration.alpha == pytest.approx(0.02) and calibration.extrapolation is None
+    assert calibration.threshold == sorted(scores.values())[98]  # rank 99 of 101 * 0.98
 
 
 def test_fewer_recordings_extrapolate_and_say_so():
     scores, target = fleet(100, 1.0)
-    found = calibrate(scores, 0.1, target=target)
-    tail = found.extrapolation
-    assert found.alpha is None and tail is not None
-    assert found.threshold == tail.threshold > max(scores.values())
-    assert "1 per 1000 h judged, extrapolated from 25 hours" in found.claim()
-    assert "975 more hours judged make it exact" in found.claim()
+    calibration = calibrate(scores, 0.1, target=target)
+    tail = calibration.extrapolation
+    assert calibration.alpha is None and tail is not None
+    assert calibration.threshold == tail.threshold > max(scores.values())
+    assert "1 per 1000 h judged, extrapolated from 25 hours" in calibration.claim()
+    assert "975 more hours judged make it exact" in calibration.claim()
     assert tail.interval[0] <= 1.0 <= tail.interval[1]
-    again = Calibration.from_dict(json.loads(json.dumps(found.over(dict(target.judged_s)).to_dict())))
-    assert again == found.over(dict(target.judged_s))
+    again = Calibration.from_dict(json.loads(json.dumps(calibration.over(dict(target.judged_s)).to_dict())))
+    assert again == calibration.over(dict(target.judged_s))
     safe = calibrate(scores, 0.1, target=fleet(100, 1.0, confident=True)[1])
-    assert safe.threshold > found.threshold and safe.extrapolation.interval[0] <= 1.0
+    assert safe.threshold > calibration.threshold and safe.extrapolation.interval[0] <= 1.0
 
 
 def test_too_few_maxima_state_no_rate():
     scores, target = fleet(100, 1.0)
     two = {d: scores[d] for d in list(scores)[:2]}
     few = RateTarget(1.0, False, {d: x[:4] for d, x in target.maxima.items()}, target.judged_s)
-    found = calibrate(two, 0.1, target=few)
-    assert found.extrapolation is None and found.threshold == max(two.values())
-    assert "alpha is not stated" in found.claim()
+    calibration = calibrate(two, 0.1, target=few)
+    assert calibration.extrapolation is None and calibration.threshold == max(two.values())
+    assert "alpha is not stated" in calibration.claim()
 
 
 def test_every_group_has_a_tail_of_its_own():
     scores, target = fleet(100, 1.0)
     groups = {d: "wet" if i % 2 else "dry" for i, d in enumerate(scores)}
-    found = calibrate(scores, 0.1, recordings=Recordings(groups=groups), target=target)
-    assert {g.extrapolation.hours for g in found.groups.values()} == {12.5}
-    assert found.carried == max(found.threshold, *(g.threshold for g in found.groups.values()))
-    assert "group wet: threshold" in found.claim() and "extrapolated from 12.5 hours" in found.claim()
-    assert found.of_group("wet").threshold == found.groups["wet"].threshold
+    calibration = calibrate(scores, 0.1, recordings=Recordings(groups=groups), target=target)
+    assert {g.extrapolation.hours for g in calibration.groups.values()} == {12.5}
+    assert calibration.carried == max(
+        calibration.threshold, *(g.threshold for g in calibration.groups.values())
+    )
+    assert (
+        "group wet: threshold" in calibration.claim()
+        and "extrapolated from 12.5 hours" in calibration.claim()
+    )
+    assert calibration.of_group("wet").threshold == calibration.groups["wet"].threshold
 
 
 def test_a_joint_target_has_the_largest_maxima_and_the_sum_of_rates():
@@ -97,9 +102,9 @@ def rated(g80, synthetic, made) -> stage.StoredIdentification:
 
 @pytest.mark.slow("10 s: the synthetic drives identified with a rate")
 def test_every_test_has_its_share_of_the_rate_and_evaluate_says_so(rated, synthetic):
-    of = calibrations_of(rated)
-    assert set(of) == set(RATED) == {*TESTS, "pools"}
-    for test, c in of.items():
+    by_test = calibrations_of(rated)
+    assert set(by_test) == set(RATED) == {*TESTS, "pools"}
+    for test, c in by_test.items():
         assert c.target.per_1000_h == 0.25 and c.extrapolation is not None and c.alpha is None, test
         for drive, score in c.scores.items():
             assert max(c.target.maxima[drive]) == pytest.approx(score, rel=1e-6), (test, drive)
@@ -107,9 +112,9 @@ def test_every_test_has_its_share_of_the_rate_and_evaluate_says_so(rated, synthe
     name = next(iter(judged.experiments))
     for test, c in judged.calibrations[name].items():
         assert name not in c.scores and c.target.per_1000_h == (1.0 if test == MONITOR else 0.25)
-    found = rate_of(judged, rated)
-    assert found["per_1000_h"] == 1.0
-    assert 0 < found["extrapolated_from_h"] < of["frame"].extrapolation.hours
+    rate = rate_of(judged, rated)
+    assert rate["per_1000_h"] == 1.0
+    assert 0 < rate["extrapolated_from_h"] < by_test["frame"].extrapolation.hours
     assert "blocks" in rated.pools.to_dict() and "blocks" not in rated.pools.stated()
 
 

@@ -31,17 +31,17 @@ HEADER = (
 
 def contents(path) -> dict[str, list]:
     """Fields below the header, by topic."""
-    found: dict[str, list] = {}
+    by_topic: dict[str, list] = {}
     for message in read_ros2_messages(str(path)):
         ros = message.ros_msg
         if message.channel.topic == "/diagnostics":
             (status,) = ros.status
             said = [(pair.key, pair.value) for pair in status.values]
-            found.setdefault("/diagnostics", []).append((status.level, status.message, said))
+            by_topic.setdefault("/diagnostics", []).append((status.level, status.message, said))
         else:
             part = ros.drive.steering_angle if hasattr(ros, "drive") else ros.twist.angular.z
-            found.setdefault(message.channel.topic, []).append(part)
-    return found
+            by_topic.setdefault(message.channel.topic, []).append(part)
+    return by_topic
 
 
 def test_a_recording_in_pieces_is_that_of_replay(replayer, faulty, tmp_path):
@@ -112,5 +112,5 @@ def test_the_command_reads_a_bag_and_writes_one(bag, g80, vehicle, tmp_path):
             assert now["trouble"] == ""
         live.send_signal(signal.SIGINT)
         assert live.wait(60) == 0
-    found = contents(tmp_path / "out.mcap")
-    assert found["/diagnostics"] and found["/vehicle/twist"]
+    by_topic = contents(tmp_path / "out.mcap")
+    assert by_topic["/diagnostics"] and by_topic["/vehicle/twist"]

@@ -55,17 +55,19 @@ def judged(identified, synthetic, new_drives, made) -> Path:
 
     def make(folder: Path) -> None:
         folder.mkdir()
-        lineage = Lineage.of(identified, synthetic)
-        found = decide(lineage, Evidence.of(lineage, [new_drives], None), new_drives.parent)[0]
-        (folder / "decisions.toml").write_text(found.text())
+        lineage = Lineage.from_folder(identified, synthetic)
+        decisions = decide(lineage, Evidence.from_paths(lineage, [new_drives], None), new_drives.parent)[0]
+        (folder / "decisions.toml").write_text(decisions.text())
 
     return made.folder("g80_decisions", make)
 
 
 def decisions_of(judged: Path, new_drives: Path) -> Decisions:
     """The decisions, with paths from another folder."""
-    found = Decisions.read(judged / "decisions.toml")
-    return replace(found, drives=[replace(d, path=str(new_drives / f"{d.name}.csv")) for d in found.drives])
+    decisions = Decisions.read(judged / "decisions.toml")
+    return replace(
+        decisions, drives=[replace(d, path=str(new_drives / f"{d.name}.csv")) for d in decisions.drives]
+    )
 
 
 @pytest.mark.unhurried
@@ -80,9 +82,9 @@ def test_each_drive_gets_what_it_refutes_and_a_proposal(judged):
 
 @pytest.mark.unhurried
 def test_the_file_is_read_back_as_it_was(judged, tmp_path):
-    found = Decisions.read(judged / "decisions.toml")
-    (tmp_path / "again.toml").write_text(found.text())
-    assert Decisions.read(tmp_path / "again.toml") == found
+    decisions = Decisions.read(judged / "decisions.toml")
+    (tmp_path / "again.toml").write_text(decisions.text())
+    assert Decisions.read(tmp_path / "again.toml") == decisions
 
 
 BROKEN = {
@@ -102,8 +104,8 @@ BROKEN = {
 @pytest.mark.unhurried
 @pytest.mark.parametrize("message", BROKEN)
 def test_what_nobody_signed_or_a_fault_is_not_learnt(judged, tmp_path, message):
-    found = BROKEN[message](Decisions.read(judged / "decisions.toml"))
-    (tmp_path / "broken.toml").write_text(found.text())
+    broken = BROKEN[message](Decisions.read(judged / "decisions.toml"))
+    (tmp_path / "broken.toml").write_text(broken.text())
     with pytest.raises(InputError, match=message):
         Decisions.read(tmp_path / "broken.toml")
 
@@ -117,19 +119,19 @@ def test_another_file_is_refused(tmp_path, text):
 
 @pytest.mark.unhurried
 def test_a_known_drive_is_no_evidence(identified, synthetic, new_drives, tmp_path):
-    lineage = Lineage.of(identified, synthetic)
+    lineage = Lineage.from_folder(identified, synthetic)
     table = list_experiments(synthetic)[0].path
     with pytest.raises(InputError, match="synthetic_00 is there already"):
-        Evidence.of(lineage, [table], None)
+        Evidence.from_paths(lineage, [table], None)
     shutil.copy(table, tmp_path / "another.csv")
     with pytest.raises(InputError, match="another is the same table as synthetic_00"):
-        Evidence.of(lineage, [tmp_path / "another.csv"], None)
+        Evidence.from_paths(lineage, [tmp_path / "another.csv"], None)
     with pytest.raises(InputError, match="is no evidence"):
-        Evidence.of(lineage, [tmp_path / "none.csv"], None)
-    found = Evidence.of(lineage, [new_drives], None)
-    assert set(found.vehicle.values()) == {"g80"} and found.experiments[0].name == "healthy"
+        Evidence.from_paths(lineage, [tmp_path / "none.csv"], None)
+    evidence = Evidence.from_paths(lineage, [new_drives], None)
+    assert set(evidence.vehicle.values()) == {"g80"} and evidence.experiments[0].name == "healthy"
     with pytest.raises(InputError, match="--drives: not given"):
-        Lineage.of(identified, None)
+        Lineage.from_folder(identified, None)
 
 
 @pytest.mark.unhurried
@@ -155,7 +157,7 @@ def test_accepted_drives_are_learnt_and_the_next_round_begins_there(
     same = filecmp.cmpfiles(tmp_path / "anew", tmp_path / "refined/identification", names, False)
     assert same == (names, [], [])
 
-    lineage = Lineage.of(tmp_path / "refined", None)
+    lineage = Lineage.from_folder(tmp_path / "refined", None)
     # The lifetime test has counted all drives that were judged, learnt or not.
     assert set(lineage.life.members["g80"].counted) == {"healthy", "worn", "off"} | (
         {"frozen"} & set(lineage.life.members["g80"].counted)
@@ -163,7 +165,7 @@ def test_accepted_drives_are_learnt_and_the_next_round_begins_there(
     with pytest.raises(InputError, match="is another one"):
         renew(lineage, tmp_path / "signed.toml", tmp_path / "again")
     with pytest.raises(InputError, match="a refined folder has them"):
-        Lineage.of(tmp_path / "refined", synthetic)
+        Lineage.from_folder(tmp_path / "refined", synthetic)
 
 
 @pytest.mark.unhurried
@@ -176,11 +178,11 @@ def test_a_drive_that_changed_since_it_was_judged_is_refused(
     with (tmp_path / "new/healthy.csv").open("a") as file:
         file.write("\n")
     with pytest.raises(InputError, match="has changed since it was judged"):
-        renew(Lineage.of(identified, synthetic), tmp_path / "signed.toml", tmp_path / "out")
+        renew(Lineage.from_folder(identified, synthetic), tmp_path / "signed.toml", tmp_path / "out")
     none = replace(signed, drives=[replace(d, accept=False) for d in signed.drives])
     (tmp_path / "none.toml").write_text(none.text())
     with pytest.raises(InputError, match="no drive is accepted"):
-        renew(Lineage.of(identified, synthetic), tmp_path / "none.toml", tmp_path / "out")
+        renew(Lineage.from_folder(identified, synthetic), tmp_path / "none.toml", tmp_path / "out")
 
 
 def test_a_common_error_of_all_drives_recentres():
@@ -205,15 +207,15 @@ def test_a_gain_that_drifts_to_0_7_is_never_learnt_as_healthy(g80, identified, s
     for turn in range(5):
         names = {f"day_{i:02d}": gains[i] for i in range(6 * turn, 6 * turn + 6)}
         new = further(g80, tmp_path / f"new_{turn}", names, seed=30 + turn)
-        lineage = Lineage.of(folder, drives)
-        found, lives = decide(lineage, Evidence.of(lineage, [new], None), tmp_path)
-        accepted = [d for d in found.drives if d.proposal != "fault"]
+        lineage = Lineage.from_folder(folder, drives)
+        decisions, lives = decide(lineage, Evidence.from_paths(lineage, [new], None), tmp_path)
+        accepted = [d for d in decisions.drives if d.proposal != "fault"]
         assert all(names[d.name] > 0.83 for d in accepted), [(d.name, d.proposal) for d in accepted]
         if turn == 4:
             assert lives["vehicles"]["g80"]["changed_at"] is not None
-            assert all("lifetime test" in d.reason for d in found.drives)
+            assert all("lifetime test" in d.reason for d in decisions.drives)
         if accepted:
-            signed = found.accepting("A trusting person")
+            signed = decisions.accepting("A trusting person")
             (tmp_path / f"{turn}.toml").write_text(signed.text())
             renew(lineage, tmp_path / f"{turn}.toml", tmp_path / f"refined_{turn}")
             folder, drives = tmp_path / f"refined_{turn}", None

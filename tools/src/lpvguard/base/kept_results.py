@@ -132,15 +132,19 @@ def decoded(form: Any, arrays: list[np.ndarray]) -> Any:
     if kind == "dict":
         return {decoded(k, arrays): decoded(v, arrays) for k, v in content}
     module, _, name = kind.partition(":")
-    found: Any = sys.modules.get(module) if module.split(".")[0] == PACKAGE else None
+    result_class: Any = sys.modules.get(module) if module.split(".")[0] == PACKAGE else None
     for part in name.split("."):
-        found = getattr(found, part, None)
+        result_class = getattr(result_class, part, None)
     values = {name: decoded(x, arrays) for name, x in content}
-    if isinstance(found, type) and issubclass(found, tuple) and hasattr(found, "_fields"):
-        return found(**values)
-    if not (isinstance(found, type) and dataclasses.is_dataclass(found)):
+    if (
+        isinstance(result_class, type)
+        and issubclass(result_class, tuple)
+        and hasattr(result_class, "_fields")
+    ):
+        return result_class(**values)
+    if not (isinstance(result_class, type) and dataclasses.is_dataclass(result_class)):
         raise ValueError(f"{kind} is no class of results")
-    result = object.__new__(found)
+    result = object.__new__(result_class)
     for name, x in values.items():
         object.__setattr__(result, name, x)
     return result
@@ -279,8 +283,8 @@ def _write(place: Path, result: Any) -> tuple[Any]:
 def _read(place: Path) -> tuple[Any] | None:
     """A kept result; None where the file is damaged."""
     try:
-        with np.load(place, allow_pickle=False) as found:
-            form, *arrays = (found[f"arr_{i}"] for i in range(len(found.files)))
+        with np.load(place, allow_pickle=False) as stored:
+            form, *arrays = (stored[f"arr_{i}"] for i in range(len(stored.files)))
             return (decoded(json.loads(str(form)), arrays),)
     except (OSError, ValueError, KeyError, IndexError, zipfile.BadZipFile):
         return None

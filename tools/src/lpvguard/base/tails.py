@@ -47,31 +47,33 @@ class Peaks:
     hours: np.ndarray
 
     @classmethod
-    def of(cls, maxima: Mapping[str, Sequence[Sequence[float]]], hours: Mapping[str, float]) -> Peaks | None:
+    def from_maxima(
+        cls, maxima: Mapping[str, Sequence[Sequence[float]]], hours: Mapping[str, float]
+    ) -> Peaks | None:
         """Peaks of recordings, each a list of drives with the maxima of their blocks.
 
         The level lies below the 2 n^(2/3) largest of n maxima that do not adjoin, or below half of them where
         these are fewer. None for fewer than FEWEST_PEAKS.
         """
-        found = [
+        peaks = [
             (peak, i) for i, drives in enumerate(maxima.values()) for x in drives for peak in separate(x)
         ]
-        found.sort(reverse=True)
-        wanted = int(min(len(found) / 2, max(20, 2 * len(found) ** (2 / 3))))
+        peaks.sort(reverse=True)
+        wanted = int(min(len(peaks) / 2, max(20, 2 * len(peaks) ** (2 / 3))))
         if wanted < FEWEST_PEAKS:
             return None
-        level = found[wanted][0]
-        excess, cluster = np.array(found[:wanted]).T
+        level = peaks[wanted][0]
+        excess, cluster = np.array(peaks[:wanted]).T
         return cls(level, excess - level, cluster.astype(int), np.array([hours[n] for n in maxima], float))
 
 
 def separate(blocks: Sequence[float]) -> list[float]:
     """Largest of the ``blocks``, then the largest of those that do not adjoin it, and so on; none of 0."""
-    left, found = np.array(blocks, float), []
+    left, maxima = np.array(blocks, float), []
     while len(left) and (k := int(left.argmax())) >= 0 and left[k] > 0:
-        found.append(float(left[k]))
+        maxima.append(float(left[k]))
         left[max(0, k - 1) : k + 2] = 0.0
-    return found
+    return maxima
 
 
 @dataclass(frozen=True)
@@ -153,9 +155,9 @@ class Tail:
         """
         p = np.array([np.log(self.frequency), np.log(self.scale), self.shape])
         per_peak = [_shifted(self._each, p, i) for i in range(3)]
-        hours, of = self.peaks.hours, self.peaks.cluster
-        scores = np.array([np.bincount(of, s, len(hours)) for s in per_peak]).T
-        scores[:, 0] = np.bincount(of, minlength=len(hours)) - self.frequency * hours
+        hours, cluster = self.peaks.hours, self.peaks.cluster
+        scores = np.array([np.bincount(cluster, s, len(hours)) for s in per_peak]).T
+        scores[:, 0] = np.bincount(cluster, minlength=len(hours)) - self.frequency * hours
         information = np.zeros((3, 3))
         information[0, 0] = len(self.peaks.excess)
         for i in (1, 2):
@@ -236,11 +238,11 @@ def _level_at(p: np.ndarray, rate: float) -> float:
     return float(np.exp(p[1])) * _stretch(float(np.exp(p[0])) / rate, p[2])
 
 
-def _shifted(of, p: np.ndarray, i: int):
-    """Central difference of ``of`` at ``p`` along its entry i."""
+def _shifted(function, p: np.ndarray, i: int):
+    """Central difference of ``function`` at ``p`` along its entry i."""
     step = np.zeros(3)
     step[i] = 1e-4
-    return (of(p + step) - of(p - step)) / 2e-4
+    return (function(p + step) - function(p - step)) / 2e-4
 
 
 def _log_likelihood(excess: np.ndarray, scale: float, shape: float) -> np.ndarray:

@@ -55,13 +55,13 @@ def sign_columns(series: dict[str, Series]) -> dict[str, str]:
     dict[str, str]
         By magnitude the column of the same name with a word for sign.
     """
-    found: dict[str, str] = {}
+    signs: dict[str, str] = {}
     for bit, values in series.items():
         base = [w for w in _words(bit) if not _WORDS.match(w)]
         same = [n for n in series if n != bit and _words(n) == base]
         if same and np.isin(np.unique(values.value[np.isfinite(values.value)]), (0.0, 1.0)).all():
-            found |= {n: bit for n in same if not (series[n].value < 0).any()}
-    return found
+            signs |= {n: bit for n in same if not (series[n].value < 0).any()}
+    return signs
 
 
 def _follows(bit: Signal, magnitude: Signal) -> bool:

@@ -54,15 +54,15 @@ def refine(
 
     if (apply is None) == (not evidence):
         raise InputError("refine", "EVIDENCE", "given with --apply, or neither", "one of them")
-    lineage = Lineage.of(identification, drives)
+    lineage = Lineage.from_folder(identification, drives)
     with progress_bar("refine") as tell, workers(jobs, scheduler) as started, keeping(keep, started) as run:
         if apply is not None:
             artefacts.require_apart([out], [identification, apply, lineage.drives])
             result = renew(lineage, apply, out, vehicle, run, tell)
         else:
-            found = Evidence.of(lineage, evidence or [], by)
+            drives_to_judge = Evidence.from_paths(lineage, evidence or [], by)
             artefacts.require_apart([out], [identification, lineage.drives, *(evidence or [])])
-            decisions, lives = decide(lineage, found, out.parent, run, tell)
+            decisions, lives = decide(lineage, drives_to_judge, out.parent, run, tell)
             artefacts.write_file(out, decisions.text(), KIND)
     if apply is not None:
         emit(json_out, result)

@@ -102,11 +102,13 @@ def record_table(path: Path, project: Project) -> pa.Table:
     """
     record = read_record(path)
     signals = [project.speed, *project.inputs, *project.outputs]
-    found = record.inputs, record.values.shape[1] - 1 - record.inputs, record.period_us
-    wanted = project.n_u, project.n_y, round(1e6 * project.Ts_s)
-    if found != wanted:
+    stated = record.inputs, record.values.shape[1] - 1 - record.inputs, record.period_us
+    expected = project.n_u, project.n_y, round(1e6 * project.Ts_s)
+    if stated != expected:
         words = "{} inputs, {} outputs, {} us a sample"
-        raise InputError(path, "header", words.format(*found), f"{words.format(*wanted)}, as {project.name}")
+        raise InputError(
+            path, "header", words.format(*stated), f"{words.format(*expected)}, as {project.name}"
+        )
     t = np.arange(len(record.values)) * project.Ts_s
     columns = dict(zip((s.column for s in signals), record.values.T, strict=True))
     return pa.table({"t": t, **{name: np.ascontiguousarray(x) for name, x in columns.items()}})

@@ -122,8 +122,8 @@ class Experiment:
     @property
     def identity(self) -> tuple[str | None, ...]:
         """What a result of this drive depends on (base/kept_results.py): its entry and its table's hash."""
-        of = self.name, self.split, self.driver, self.recording, self.group
-        return *of, artefacts.file_hash(self.path)
+        entry = self.name, self.split, self.driver, self.recording, self.group
+        return *entry, artefacts.file_hash(self.path)
 
 
 def day_of(name: str) -> str:

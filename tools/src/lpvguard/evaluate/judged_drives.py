@@ -90,7 +90,7 @@ def rate_of(judged: JudgedDrives, stored: StoredIdentification) -> dict | None:
     target = stored.project.frame_test.alarms_per_1000_h
     if target is None:
         return None
-    tails = [of[MONITOR].extrapolation for of in judged.calibrations.values()]
+    tails = [calibrations[MONITOR].extrapolation for calibrations in judged.calibrations.values()]
     hours = [t.hours for t in tails if t is not None]
     return {"per_1000_h": target, "extrapolated_from_h": min(hours) if hours else None}
 

@@ -163,13 +163,15 @@ class RateTarget:
     def threshold(self, scores: Mapping[str, float], floor: float, recordings: Recordings) -> GroupThreshold:
         """Conformal threshold of the rate where recordings suffice, else that of their tail, if any."""
         largest, rate = recordings.largest(scores), self.per_1000_h / 1000
-        of = {r: [d for d in scores if recordings.named(d) == r] for r in largest}
-        hours = {r: sum(self.judged_s[d] for d in drives) / 3600 for r, drives in of.items()}
+        drives_of = {r: [d for d in scores if recordings.named(d) == r] for r in largest}
+        hours = {r: sum(self.judged_s[d] for d in drives) / 3600 for r, drives in drives_of.items()}
         whole = sum(hours.values())
         if not whole:
             return GroupThreshold(len(largest))
         exact = _conformal(largest, min(0.5, rate * whole / len(hours)), floor)
-        peaks = Peaks.of({r: [self.maxima[d] for d in drives] for r, drives in of.items()}, hours)
+        peaks = Peaks.from_maxima(
+            {r: [self.maxima[d] for d in drives] for r, drives in drives_of.items()}, hours
+        )
         if exact.alpha is not None or peaks is None:
             return exact
         tail = Tail.fitted(peaks)
@@ -177,8 +179,8 @@ class RateTarget:
         low, high = tail.interval(threshold)
         more = max(1 / rate, FEWEST_FOR_ALPHA * whole / len(hours)) - whole
         of_tail = (len(peaks.excess), peaks.level, tail.scale, tail.shape, threshold)
-        found = Extrapolation(self.per_1000_h, whole, *of_tail, (1000 * low, 1000 * high), more)
-        return replace(exact, threshold=max(floor, threshold), extrapolation=found)
+        extrapolation = Extrapolation(self.per_1000_h, whole, *of_tail, (1000 * low, 1000 * high), more)
+        return replace(exact, threshold=max(floor, threshold), extrapolation=extrapolation)
 
 
 @dataclass(frozen=True)
@@ -381,19 +383,19 @@ class Peak:
     without: float | None = None
 
 
-def _with_extrapolation(out: dict, of: GroupThreshold | Calibration) -> dict:
+def _with_extrapolation(out: dict, threshold: GroupThreshold | Calibration) -> dict:
     """``out`` with the extrapolation, if any."""
-    if of.extrapolation is not None:
-        out["extrapolation"] = vars(of.extrapolation)
+    if threshold.extrapolation is not None:
+        out["extrapolation"] = vars(threshold.extrapolation)
     return out
 
 
 def _extrapolation_of(data: dict) -> dict:
     """Field of the extrapolation in ``data``, if any."""
-    found = data.get("extrapolation")
-    if found is None:
+    extrapolation = data.get("extrapolation")
+    if extrapolation is None:
         return {}
-    return {"extrapolation": Extrapolation(**found | {"interval": tuple(found["interval"])})}
+    return {"extrapolation": Extrapolation(**extrapolation | {"interval": tuple(extrapolation["interval"])})}
 
 
 def block_of(t_s: np.ndarray | float) -> np.ndarray:
@@ -412,12 +414,12 @@ def block_maxima(run: Run, t0: float, Ts: float) -> dict[str, list[float]]:
         "energy": (np.arange(len(run.energy)) * Ts, run.energy),
         "change": (np.arange(len(run.change)) * Ts, run.change),
     }
-    found = {}
+    by_test = {}
     for test, (t, x) in series.items():
         maxima = np.zeros(blocks)
         np.maximum.at(maxima, block_of(t), x)
-        found[test] = maxima.tolist()
-    return found
+        by_test[test] = maxima.tolist()
+    return by_test
 
 
 def peaks(run: Run, t0: float, Ts: float, length: np.ndarray) -> dict[str, Peak]:
@@ -553,10 +555,10 @@ def calibrate(
     THEORY 7.3, 7.20.
     """
 
-    def threshold(of: Mapping[str, float]) -> GroupThreshold:
+    def threshold(drive_scores: Mapping[str, float]) -> GroupThreshold:
         if target is not None:
-            return target.threshold(of, floor, recordings)
-        return _conformal(recordings.largest(of), alpha, floor)
+            return target.threshold(drive_scores, floor, recordings)
+        return _conformal(recordings.largest(drive_scores), alpha, floor)
 
     names = sorted({recordings.groups[d] for d in scores if d in recordings.groups})
     groups = {g: threshold(recordings.in_group(scores, g)) for g in names}

@@ -33,7 +33,9 @@ class LimitSums:
     along_squared: np.ndarray
 
     @classmethod
-    def of(cls, frames: Iterable[tuple[np.ndarray, FrameSet]], shape: tuple[int, int, int]) -> LimitSums:
+    def from_frames(
+        cls, frames: Iterable[tuple[np.ndarray, FrameSet]], shape: tuple[int, int, int]
+    ) -> LimitSums:
         """Sums of a drive, from the speed cell (F,) of each frame and its frames, one set a bin."""
         count = np.zeros(shape[:2])
         power, squares, along = np.zeros(shape), np.zeros(shape), np.zeros(shape, complex)

@@ -210,7 +210,7 @@ def remainders_of(
                 rows.append({"group": cell * K + s.bin, "hash": hashes, "size": size[on_grid]})
                 met.append((cell, replace(s, E=s.E[on_grid], Z=s.Z[on_grid], starts=start)))
     every = stacked(rows)
-    sums = LimitSums.of(met, (SPEED_CELLS, *W.shape))
+    sums = LimitSums.from_frames(met, (SPEED_CELLS, *W.shape))
     return Remainders.of_rows(blocks.max(axis=0), every, every, sums, blocks)
 
 

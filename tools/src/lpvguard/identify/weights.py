@@ -497,8 +497,8 @@ def energy_filters(project: Project, estimator: Estimator, weights: Weights) -> 
 
     def designed(fitted: list[FittedWeight]) -> EnergyTest:
         bound = np.column_stack([w.bound for w in fitted])
-        given = [w.fit.weight for w in fitted], fitted[0].omega, bound, weights.inflation
-        return EnergyTest.design(project, estimator, *given)
+        design = [w.fit.weight for w in fitted], fitted[0].omega, bound, weights.inflation
+        return EnergyTest.design(project, estimator, *design)
 
     test = certificate = designed(weights.W_delta)
     if weights.W_delta_healthy:

@@ -68,14 +68,16 @@ def _fleet(family: str, hours: float, fresh: np.ndarray, seed: int, index: int) 
     draw, shape = FAMILIES[family]
     scores = draw(np.random.default_rng([seed, index, round(hours)]), round(hours / RECORDING_H))
     names = [str(i) for i in range(len(scores))]
-    peaks = Peaks.of({n: [x] for n, x in zip(names, scores, strict=True)}, dict.fromkeys(names, RECORDING_H))
+    peaks = Peaks.from_maxima(
+        {n: [x] for n, x in zip(names, scores, strict=True)}, dict.fromkeys(names, RECORDING_H)
+    )
     assert peaks is not None
-    tail, found = Tail.fitted(peaks), []
+    tail, results = Tail.fitted(peaks), []
     for rate in (r / 1000 for r in RATES_PER_1000_H):
         z, safe = tail.threshold(rate), tail.confident_threshold(rate)
         low, high = tail.interval(z)
         true = true_rate(shape, z)
-        found.append(
+        results.append(
             {
                 "counted": float(len(fresh) - np.searchsorted(fresh, z, side="right")),
                 "true": true,
@@ -84,7 +86,7 @@ def _fleet(family: str, hours: float, fresh: np.ndarray, seed: int, index: int) 
                 "interval": high / max(low, 1e-9),
             }
         )
-    return found
+    return results
 
 
 def bench_rates(fleets: int, hours: list[float], fresh_h: float, seed: int, jobs: int) -> dict[str, Any]:
@@ -97,19 +99,19 @@ def bench_rates(fleets: int, hours: list[float], fresh_h: float, seed: int, jobs
         fresh = np.sort(other.ravel())[-round(fresh_h) :]
         for h in hours:
             with workers(jobs) as run:
-                found = list(run(partial(_fleet, family, h, fresh, seed + number), range(fleets)))
+                by_fleet = list(run(partial(_fleet, family, h, fresh, seed + number), range(fleets)))
             for i, promised in enumerate(RATES_PER_1000_H):
-                of = [f[i] for f in found]
-                counted = np.array([f["counted"] for f in of]) / fresh_h * 1000
+                at_rate = [f[i] for f in by_fleet]
+                counted = np.array([f["counted"] for f in at_rate]) / fresh_h * 1000
                 rows.append(
                     {
                         "family": family,
                         "hours": h,
                         "promised_per_1000_h": promised,
                         "counted_per_1000_h": [float(q) for q in np.quantile(counted, (0.05, 0.5, 0.95))],
-                        "true_per_1000_h": 1000 * float(np.median([f["true"] for f in of])),
-                        "covered": share_of(int(sum(f["covered"] for f in of)), fleets),
-                        "kept": share_of(int(sum(f["kept"] for f in of)), fleets),
+                        "true_per_1000_h": 1000 * float(np.median([f["true"] for f in at_rate])),
+                        "covered": share_of(int(sum(f["covered"] for f in at_rate)), fleets),
+                        "kept": share_of(int(sum(f["kept"] for f in at_rate)), fleets),
                     }
                 )
     return {"fleets": fleets, "fresh_h": fresh_h, "rows": rows}
@@ -132,16 +134,16 @@ def words(result: dict[str, Any]) -> str:
 
 def main(argv: list[str]) -> None:
     """`lpvguard bench rates`."""
-    options = parser("rates", __doc__)
-    options.add_argument("--fleets", type=int, default=100, help="fleets of each family and size")
-    options.add_argument("--hours", default="10,100", help="hours of a fleet, comma between")
-    options.add_argument("--fresh", type=float, default=20_000.0, help="hours on which alarms are counted")
-    options.add_argument("--seed", type=int, default=1)
-    options.add_argument("--jobs", type=int, default=1, help="processes that share the fleets")
-    given = options.parse_args(argv)
+    arguments = parser("rates", __doc__)
+    arguments.add_argument("--fleets", type=int, default=100, help="fleets of each family and size")
+    arguments.add_argument("--hours", default="10,100", help="hours of a fleet, comma between")
+    arguments.add_argument("--fresh", type=float, default=20_000.0, help="hours on which alarms are counted")
+    arguments.add_argument("--seed", type=int, default=1)
+    arguments.add_argument("--jobs", type=int, default=1, help="processes that share the fleets")
+    options = arguments.parse_args(argv)
     for name in ("fleets", "fresh", "jobs"):
-        if getattr(given, name) < 1:
-            raise InputError("bench rates", f"--{name}", str(getattr(given, name)), "a number from 1 on")
-    hours = numbers_of("rates", "--hours", given.hours, lambda h: h >= 1, "hours from 1 on")
-    result = bench_rates(given.fleets, hours, given.fresh, given.seed, given.jobs)
-    show(words(result), result, given.json_out)
+        if getattr(options, name) < 1:
+            raise InputError("bench rates", f"--{name}", str(getattr(options, name)), "a number from 1 on")
+    hours = numbers_of("rates", "--hours", options.hours, lambda h: h >= 1, "hours from 1 on")
+    result = bench_rates(options.fleets, hours, options.fresh, options.seed, options.jobs)
+    show(words(result), result, options.json_out)

@@ -273,8 +273,8 @@ def beside_the_limit(folder: Path) -> tuple[str, dict]:
         f"{of_level[0]} of {ours.size} cells see {LEVEL_OF_CELLS:.0%}, at the limit {of_level[1]} of "
         f"{known.sum()} known; ours over the limit {'-' if middle is None else f'{middle:.2f}'} in the median"
     )
-    found = {"gain_error": ours, "limit": limit, "median_ratio": middle, "cells": of_level}
-    return "\n".join(lines), found
+    result = {"gain_error": ours, "limit": limit, "median_ratio": middle, "cells": of_level}
+    return "\n".join(lines), result
 
 
 def main(argv: list[str]) -> None:

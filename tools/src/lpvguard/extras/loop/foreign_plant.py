@@ -116,7 +116,7 @@ class ForeignPlant:
 
     def _require_outputs(self) -> None:
         """InputError for a name that is not ours, and for what the loop cannot do without."""
-        chosen, given = self.map, set(self.map.outputs)
+        chosen, outputs = self.map, set(self.map.outputs)
         for table, names, known in (("inputs", chosen.inputs, INPUTS), ("outputs", chosen.outputs, OUTPUTS)):
             for name in names:
                 if name not in known:
@@ -124,13 +124,13 @@ class ForeignPlant:
         if "brake_demand" not in chosen.inputs:
             raise InputError(self._where, "inputs.brake_demand", "missing", "the FMU's input for the demand")
         for name in REQUIRED:
-            if name not in given:
+            if name not in outputs:
                 raise InputError(self._where, f"outputs.{name}", "missing", "a variable of the FMU")
-        if not given.issuperset(WHEELS) and chosen.track_m is None:
+        if not outputs.issuperset(WHEELS) and chosen.track_m is None:
             raise InputError(
                 self._where, "outputs", "without all wheel speeds", f"{', '.join(WHEELS)}, or track_m"
             )
-        if not given.issuperset(PRESSURES) and "brake_pressure_difference" not in given:
+        if not outputs.issuperset(PRESSURES) and "brake_pressure_difference" not in outputs:
             expected = f"{' and '.join(PRESSURES)}, or brake_pressure_difference"
             raise InputError(self._where, "outputs", "without brake pressure", expected)
         steps = 0.01 / chosen.step_s
@@ -215,8 +215,8 @@ class ForeignPlant:
 
 def _variables(root: ElementTree.Element, version: int) -> list[tuple[str, tuple[str, int]]]:
     """Name, type and value reference of each variable."""
-    found = []
+    variables = []
     for node in root.iterfind("ModelVariables/*"):
         kind = next(child.tag for child in node if child.tag != "Annotations") if version == 2 else node.tag
-        found.append((node.get("name", ""), (kind, int(node.get("valueReference", "0")))))
-    return found
+        variables.append((node.get("name", ""), (kind, int(node.get("valueReference", "0")))))
+    return variables

@@ -48,13 +48,13 @@ class Evidence:
     vehicle: dict[str, str]
 
     @classmethod
-    def of(cls, lineage: Lineage, paths: Sequence[Path], by: str | None) -> Evidence:
+    def from_paths(cls, lineage: Lineage, paths: Sequence[Path], by: str | None) -> Evidence:
         """Drives of folders with experiments.csv, single tables and records.
 
         Column ``by`` of the folders names the vehicle; by default all are one. Raises InputError for a drive
         that is known, by its name or table.
         """
-        stored, found = lineage.stored, list[Experiment]()
+        stored, experiments = lineage.stored, list[Experiment]()
         vehicle: dict[str, str] = {}
         known = list_experiments(lineage.drives)
         data = stored.project.data
@@ -62,23 +62,23 @@ class Evidence:
         calibrating = next((e.split for e in known if e.split not in roles), "valid")
         for path in paths:
             if path.is_dir():
-                of = list_experiments(path)
+                added = list_experiments(path)
                 names = {} if by is None else index_column(path, by)
             elif path.suffix in TABLE_SUFFIXES and path.is_file():
                 names = {}
-                of = [Experiment(path.stem, path.absolute(), calibrating, "unknown", path.stem)]
+                added = [Experiment(path.stem, path.absolute(), calibrating, "unknown", path.stem)]
             else:
                 raise InputError(
                     path, "", "is no evidence", f"a folder of drives, or one of {', '.join(TABLE_SUFFIXES)}"
                 )
-            found += of
-            vehicle |= {e.name: names.get(e.name, stored.project.name) for e in of}
-        every = [e.name for e in (*known, *found)]
-        for e in found:
+            experiments += added
+            vehicle |= {e.name: names.get(e.name, stored.project.name) for e in added}
+        every = [e.name for e in (*known, *experiments)]
+        for e in experiments:
             if every.count(e.name) > 1:
                 raise InputError(e.path, "", f"a drive named {e.name} is there already", "names of their own")
-        table_hashes([*known, *found])
-        return cls(found, vehicle)
+        table_hashes([*known, *experiments])
+        return cls(experiments, vehicle)
 
     def lived(
         self,
@@ -128,7 +128,7 @@ class DriveDecision:
     why: str = ""
 
     @classmethod
-    def of(cls, judgement: Judgement, proposal: LearningProposal, folder: Path) -> DriveDecision:
+    def from_judgement(cls, judgement: Judgement, proposal: LearningProposal, folder: Path) -> DriveDecision:
         """Entry before a person's decision; ``folder``: of the file."""
         e = judgement.experiment
         return cls(
@@ -185,15 +185,15 @@ class Decisions:
         """Read a file as a person left it. Raises InputError where it is none, or an entry cannot be."""
         with artefacts.reading(path):
             try:
-                found = tomlkit.parse(path.read_text(encoding="utf-8")).unwrap()
+                document = tomlkit.parse(path.read_text(encoding="utf-8")).unwrap()
             except (OSError, TOMLKitError, ValueError) as error:
                 raise InputError(
                     path, "", f"cannot be read ({error})", "a file of `lpvguard refine`"
                 ) from None
-            if (found.get("kind"), found.get("schema")) != (KIND, SCHEMA):
+            if (document.get("kind"), document.get("schema")) != (KIND, SCHEMA):
                 raise InputError(path, "kind, schema", "not those of decisions", f"{KIND!r}, {SCHEMA}")
-            drives = [DriveDecision(**entry) for entry in found["drive"]]
-            decisions = cls(str(found["identification"]), str(found["signed_by"]).strip(), drives)
+            drives = [DriveDecision(**entry) for entry in document["drive"]]
+            decisions = cls(str(document["identification"]), str(document["signed_by"]).strip(), drives)
         for d in drives:
             decisions._require(path, d)
         return decisions
@@ -277,15 +277,15 @@ def decide(
     InputError
         If a drive cannot be judged.
     """
-    with Judge.of(lineage) as judge:
-        found = []
+    with Judge.for_lineage(lineage) as judge:
+        judgements = []
         for e in evidence.experiments:
             progress(f"judges {e.name}")
-            found.append(judge.of_drive(e, evidence.vehicle[e.name]))
+            judgements.append(judge.of_drive(e, evidence.vehicle[e.name]))
         progress("lifetime test")
         life, lives = evidence.lived(judge, lineage.life_of(judge.first, workers), workers)
         known = list_experiments(lineage.drives)
         groups = {e.group for e in known if e.group}
-        made = proposals(judge, found, known_estimates(judge, lineage.drives), life, groups)
-    entries = [DriveDecision.of(j, p, folder) for j, p in zip(found, made, strict=True)]
+        made = proposals(judge, judgements, known_estimates(judge, lineage.drives), life, groups)
+    entries = [DriveDecision.from_judgement(j, p, folder) for j, p in zip(judgements, made, strict=True)]
     return Decisions(lineage.stored.manifest["seal"], "", entries), lives

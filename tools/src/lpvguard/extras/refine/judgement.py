@@ -66,7 +66,7 @@ class Judge:
 
     @classmethod
     @contextmanager
-    def of(cls, lineage: Lineage) -> Iterator[Judge]:
+    def for_lineage(cls, lineage: Lineage) -> Iterator[Judge]:
         """Judge of a lineage."""
         stored = lineage.stored
         # All bins of the certificate count, also those that raise no alarm.

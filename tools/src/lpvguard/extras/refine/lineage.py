@@ -47,7 +47,7 @@ class Lineage:
     life: FleetState | None
 
     @classmethod
-    def of(cls, folder: Path, drives: Path | None) -> Lineage:
+    def from_folder(cls, folder: Path, drives: Path | None) -> Lineage:
         """Lineage of a refined folder, or of an identification and its ``drives``.
 
         Raises InputError where one is missing or too much, and where a drive is not the file that was
@@ -57,7 +57,7 @@ class Lineage:
             if drives is not None:
                 raise InputError(folder, "--drives", "given, but a refined folder has them", "one of them")
             artefacts.read_manifest(folder, KIND)
-            found = cls(
+            lineage = cls(
                 stage.load(folder / IDENTIFICATION),
                 folder / DRIVES,
                 folder / ORIGIN,
@@ -66,12 +66,14 @@ class Lineage:
         elif drives is None:
             raise InputError(folder, "--drives", "not given", "the folder of drives that were identified")
         else:
-            found = cls(stage.load(folder), drives, folder, None)
-        known = found.stored.manifest["sha256"]
-        for e in stage.DriveSet(found.stored.project, found.stored.model, found.drives).experiments.values():
+            lineage = cls(stage.load(folder), drives, folder, None)
+        known = lineage.stored.manifest["sha256"]
+        for e in stage.DriveSet(
+            lineage.stored.project, lineage.stored.model, lineage.drives
+        ).experiments.values():
             if known.get(e.name) != artefacts.file_hash(e.path):
                 raise InputError(e.path, "", "is not the file that was identified", f"the drives of {folder}")
-        return found
+        return lineage
 
     @contextmanager
     def first(self) -> Iterator[Replayer]:

@@ -75,7 +75,11 @@ def proposals(
     groups: dict[str, set[str]] = {}
     for j in judgements:
         groups.setdefault(j.experiment.group or "", set()).add(j.experiment.recording)
-    new = {g for g, of in groups.items() if g and g not in known_groups and len(of) >= FEWEST_OF_CONDITION}
+    new = {
+        g
+        for g, recordings in groups.items()
+        if g and g not in known_groups and len(recordings) >= FEWEST_OF_CONDITION
+    }
     return [_proposal(j, life, least, shifted.get(_dominant(j.estimates, known)), new) for j in judgements]
 
 
@@ -122,16 +126,16 @@ def _dominant(estimates: tuple[DriveEstimate, ...], known: Sequence[tuple[DriveE
 
 def _shifted(estimates: Sequence[tuple[DriveEstimate, ...]]) -> dict[Part, str]:
     """Common errors of all drives that a new nominal model would take, in words by output and part."""
-    found: dict[Part, str] = {}
+    shifts: dict[Part, str] = {}
     if len(estimates) < FEWEST_TO_RECENTRE:
-        return found
-    for j, of in enumerate(estimates[0]):
+        return shifts
+    for j, estimate in enumerate(estimates[0]):
         for part in PARTS:
             values = np.array([getattr(e[j], part) for e in estimates])
             mean, error = float(values.mean()), float(values.std(ddof=1) / np.sqrt(len(values)))
             if abs(mean) > max(SHARE_OF_MEAN * np.abs(values).max(), ERRORS * error):
                 name = part.removesuffix("_s")
-                found[j, part] = (
-                    f"{name} of {of.output} is off by {mean:+.3g} in the mean of {len(values)} drives"
+                shifts[j, part] = (
+                    f"{name} of {estimate.output} is off by {mean:+.3g} in the mean of {len(values)} drives"
                 )
-    return found
+    return shifts

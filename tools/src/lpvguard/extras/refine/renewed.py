@@ -83,7 +83,7 @@ def renew(
         stage.save(result, drives, folder / IDENTIFICATION)
         shutil.copytree(lineage.origin, folder / ORIGIN)
         progress("lifetime test")
-        with Judge.of(lineage) as judge:
+        with Judge.for_lineage(lineage) as judge:
             life = evidence.lived(judge, lineage.life_of(judge.first, workers), workers)[0]
         life.write(folder / LIFE)
         shutil.copyfile(path, folder / DECISIONS)
@@ -164,17 +164,19 @@ def compared(before: stage.StoredIdentification, after: stage.StoredIdentificati
             "B_w": [B for _, B in of_frames],
         },
         "silent_bins": [list(s.fitted.silent) for s in both],
-        "thresholds": {test: [c.carried for c in of] for test, of in tests.items()},
-        "alpha": {test: [c.alpha for c in of] for test, of in tests.items()},
-        "alpha_below": {test: [c.conditional_bound for c in of] for test, of in tests.items()},
+        "thresholds": {test: [c.carried for c in calibrations] for test, calibrations in tests.items()},
+        "alpha": {test: [c.alpha for c in calibrations] for test, calibrations in tests.items()},
+        "alpha_below": {
+            test: [c.conditional_bound for c in calibrations] for test, calibrations in tests.items()
+        },
         "smallest_gain_error": [_smallest_gain(s) for s in both],
     }
 
 
 def _smallest_gain(stored: stage.StoredIdentification) -> float | None:
     """Smallest gain error that typical excitation shows, of all speed cells."""
-    found = [c["smallest_gain_error"] for c in stored.visibility["at_percentile"]]
-    return min((g for g in found if g is not None), default=None)
+    gains = [c["smallest_gain_error"] for c in stored.visibility["at_percentile"]]
+    return min((g for g in gains if g is not None), default=None)
 
 
 def rows_of(result: dict[str, Any]) -> list[dict[str, str]]:
