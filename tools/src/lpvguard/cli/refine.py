@@ -57,10 +57,12 @@ def refine(
     scheduler: Scheduler = None,
     keep: Keep = None,
 ) -> None:
-    """Judge further drives and propose what to learn; with --apply, learn what a person signed; with
-    --controller, certify the controller in the field.
+    """Judge further drives, and learn what a person signed.
 
-    Nothing is learnt without a signature. Exit 1 when a drive refutes anything, or a vehicle changed.
+    With EVIDENCE it proposes what to learn. With --apply it identifies with what was accepted. With
+    --controller it certifies the controller in the field.
+
+    Exit 1 when a drive refutes anything, a vehicle changed, or the controller is not proved.
     """
     from ..base.parallel import workers
     from ..extras.fleet.recordings import changed

@@ -1,8 +1,8 @@
 """`lpvguard bench refine`: rounds of refinement over a synthetic fleet, one vehicle of which wears.
 
 Each healthy vehicle has a gain of its own, as from tyres and load. In each round every vehicle gives some
-drives. A person accepts all that `refine` does not take for a fault. The table counts, with the core of each
-round, healthy drives that alarm, gain faults that do in these drives, and worn drives that were learnt.
+drives. A person accepts all that `refine` does not take for a fault. The table counts healthy drives that
+alarm and gain faults in them that do, with the core of each round. It also counts worn drives that were learnt.
 """
 
 import tempfile

@@ -156,7 +156,14 @@ class DriveDecision:
 
 @dataclass(frozen=True)
 class Decisions:
-    """Content of the file: the seal of the identification that judged, the person, and the drives."""
+    """Content of the file.
+
+    Attributes
+    ----------
+    identification : str, seal of the one that judged
+    signed_by : str, the person
+    drives : list[DriveDecision]
+    """
 
     identification: str
     signed_by: str
