@@ -2,7 +2,8 @@
 
 Each healthy vehicle has a gain of its own, as from tyres and load. In each round every vehicle gives some
 drives. A person accepts all that `refine` does not take for a fault. The table counts healthy drives that
-alarm and gain faults in them that do, with the core of each round. It also counts worn drives that were learnt.
+alarm and gain faults in them that do, with the core of each round. It also counts worn drives that were
+learnt.
 """
 
 import tempfile
