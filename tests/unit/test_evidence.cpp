@@ -186,10 +186,15 @@ TEST_CASE("the largest ratio of a drive is a near alarm, and a higher event take
     ring.take(1, lpvg_evidence_degraded, 0.7f);
     ring.take(5, lpvg_evidence_degraded, 0.85f);  // neither another edge, nor near beside an alarm
     ring.take(1, lpvg_evidence_invalid, 0.7f);
-    ring.take(after);
+    ring.take(1, lpvg_evidence_none, 0.8125f);   // a larger ratio of the drive is none
+    ring.take(1, lpvg_evidence_none, 0.875f);    // it is, and not near beside the alarm
+    ring.take(1, lpvg_evidence_invalid, 0.7f);   // the same level again
+    ring.take(1, lpvg_evidence_none, 0.0f);
+    ring.take(1, lpvg_evidence_degraded, 0.0f);  // a lower one
+    ring.take(after - 5);
     REQUIRE(ring.object.numbered == 2U);
     bytes = ring.bytes(2U);
-    CHECK((bytes[28] == 3U && word(bytes, 32) == 0x3F59999AU));  // 0.85f
+    CHECK((bytes[28] == 3U && word(bytes, 32) == 0x3F600000U));  // 0.875f
     CHECK(value(bytes, word(bytes, 24) - 1U, 0U) == 405);
     CHECK(lpvg_evidence_number(&ring.object, 0U) == 2U);
     CHECK(lpvg_evidence_number(&ring.object, 1U) == 1U);
@@ -342,6 +347,10 @@ TEST_CASE("power that fails at any instant leaves the record before or the new o
     REQUIRE(whole.stored(&found) == lpvg_status_ok);
     CHECK((found.area == 1U && found.sequence == 2U));
     CHECK(Bytes(found.record, found.record + found.size) == fresh);
+    Memory second = whole;
+    second.area[0][20] ^= 1U;
+    REQUIRE(second.stored(&found) == lpvg_status_ok);
+    CHECK(found.area == 1U);
     whole.write(ring, 1U);
     REQUIRE(whole.stored(&found) == lpvg_status_ok);
     CHECK((found.area == 0U && found.sequence == 3U));
@@ -442,6 +451,7 @@ TEST_CASE("a tester lists the records and uploads one", "[unit][REQ-EVID-4]") {
     CHECK(ask({0x35, 0, 0x44, 0, 0, 0, 9, 0, 0, 0, 0}) == Bytes{0x7F, 0x35, 0x31});
     CHECK(ask({0x35, 0, 0x44, 1, 0, 0, 7, 0, 0, 0, 0}) == Bytes{0x7F, 0x35, 0x31});
     CHECK(ask({0x35, 0, 0x44, 0, 0, 0, 7}) == Bytes{0x7F, 0x35, 0x13});
+    CHECK(ask({0x35, 0}) == Bytes{0x7F, 0x35, 0x13});
     REQUIRE(ask({0x35, 0, 0x44, 0, 0, 0, 7, 0, 0, 0, 0}) == Bytes{0x75, 0x20, 0x00, 66});
     CHECK(ask({0x36, 0x00}) == Bytes{0x7F, 0x36, 0x73});
     CHECK(ask({0x36, 0x02}) == Bytes{0x7F, 0x36, 0x73});

@@ -36,7 +36,7 @@ def further(project, folder: Path, gains: dict[str, float], *, seed: int = 21, g
         )
         fault = Fault("gain", gain) if gain else Fault("freeze")
         columns["r"] = inject(drive, fault, 0.0 if gain else 40.0, project.Ts_s).y[:, 0]
-        write_files(folder, {f"{name}.csv": fixture._csv(columns)})
+        write_files(folder, {f"{name}.csv": fixture.csv_text(columns)})
         rows.append(f"{name},valid,human,{group}")
     write_files(folder, {"experiments.csv": "\n".join(rows) + "\n"})
     return folder

@@ -6,6 +6,7 @@ from typing import Annotated
 
 import typer
 
+from .refine_tables import print_changes
 from .shared import Jobs, Out, Vehicle, app, console, progress_bar, stored_for
 
 
@@ -23,6 +24,10 @@ def export(
             help="Group of experiments.csv whose thresholds the core carries (default: the largest of all)."
         ),
     ] = None,
+    delta: Annotated[
+        Path | None,
+        typer.Option(help="Generated folder of before: prints which coefficients changed, and by how much."),
+    ] = None,
     jobs: Jobs = 1,
 ) -> None:
     """Generate the C folder of a vehicle: coefficients, controller, signal table, CAN codec, manifest."""
@@ -36,6 +41,10 @@ def export(
         console.print(f"frame test: {stored.calibration.claim()}")
         console.print(f"energy test: {stored.energy_of_core.calibration.claim()}")
         console.print(f"change test: {stored.change_of_core.calibration.claim()}")
+    if delta is not None:
+        from ..core.coefficient_changes import coefficient_changes
+
+        print_changes(coefficient_changes(delta, out))
     proved = "" if controller is None else "; the controller's certificates are proved again"
     files = sum(path.is_file() for path in out.iterdir())
     console.print(f"{stored.project.name}: {files} files written to {out}{proved}")

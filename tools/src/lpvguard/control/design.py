@@ -277,7 +277,7 @@ def _designed(
         scaling,
         _certificates(schedule, loops, scaling, proving, workers),
         controllers[0].order,
-        _off_grid(schedule, scaling, problem.plant, problem.stored.project.seed, workers),
+        worst_off_grid(schedule, scaling, problem.plant, problem.stored.project.seed, workers),
     )
 
 
@@ -370,7 +370,7 @@ def _scaled_norm(scaling: Scaling, rtol: float, loop: tuple[fig1.GeneralisedPlan
     return hinf_norm(closed_scaled(*loop, scaling), rtol).upper
 
 
-def _off_grid(
+def worst_off_grid(
     schedule: Scheduled,
     scaling: Scaling,
     plant: Callable[[float], fig1.GeneralisedPlant],

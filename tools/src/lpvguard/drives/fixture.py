@@ -121,7 +121,17 @@ def drive_columns(
     return columns, moment
 
 
-def _csv(columns: dict[str, np.ndarray]) -> str:
+def csv_text(columns: dict[str, np.ndarray]) -> str:
+    """Write a drive table.
+
+    Parameters
+    ----------
+    columns : dict of ndarray (n,), by name; the first is the time [s]
+
+    Returns
+    -------
+    str
+    """
     stream = io.StringIO()
     stream.write(",".join(columns) + "\n")
     np.savetxt(
@@ -170,6 +180,6 @@ def write_drives(project: Project, folder: Path, seed: int, tell: Callable[[str]
         columns, moment = drive_columns(random, speed, duration, project.Ts_s, own)
         if vectored is not None and moment is not None:
             columns[vectored.column] = moment
-        write_files(folder, {f"{name}.csv": _csv(columns)})
+        write_files(folder, {f"{name}.csv": csv_text(columns)})
         rows.append((name, split, driver))
     return rows

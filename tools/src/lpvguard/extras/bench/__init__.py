@@ -26,6 +26,7 @@ MAY_IMPORT = (
     "control",
     "replay",
     "fleet",
+    "refine",
     "loop",
     "problems",
 )

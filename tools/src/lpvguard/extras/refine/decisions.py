@@ -23,7 +23,7 @@ from ..fleet.recordings import Listed, follow
 from ..fleet.state import FleetState
 from .judgement import Judge, Judgement, known_estimates
 from .lineage import Lineage
-from .proposals import ACTIONS, CONDITION, FAULT, LearningProposal, proposals
+from .proposals import ACTIONS, CONDITION, FAULT, RECENTRE, SPREAD, LearningProposal, proposals
 
 KIND, SCHEMA = "refinement decisions", 1
 NOTE = (
@@ -156,7 +156,14 @@ class DriveDecision:
 
 @dataclass(frozen=True)
 class Decisions:
-    """Content of the file: the seal of the identification that judged, the person, and the drives."""
+    """Content of the file.
+
+    Attributes
+    ----------
+    identification : str, seal of the one that judged
+    signed_by : str, the person
+    drives : list[DriveDecision]
+    """
 
     identification: str
     signed_by: str
@@ -240,14 +247,17 @@ class Decisions:
             for d in self.drives
         ]
 
-    def accepting(self, person: str, *, proposed_faults: bool = False, why: str = "") -> Decisions:
-        """The file with every proposal accepted but faults; with ``proposed_faults`` these as spread."""
-        drives = [
-            replace(d, action="spread", accept=True, why=why)
-            if d.proposal == FAULT and proposed_faults
-            else replace(d, accept=d.proposal != FAULT)
-            for d in self.drives
-        ]
+    def accepting(self, person: str, *, recentre: bool = True) -> Decisions:
+        """The file as a person signs it who accepts every proposal but faults.
+
+        Without ``recentre`` a drive of that proposal is learnt as spread.
+        """
+        drives = [replace(d, accept=d.proposal != FAULT) for d in self.drives]
+        if not recentre:
+            drives = [
+                replace(d, action=SPREAD, why="the model stays") if d.action == RECENTRE else d
+                for d in drives
+            ]
         return replace(self, signed_by=person, drives=drives)
 
 

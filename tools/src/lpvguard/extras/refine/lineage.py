@@ -93,7 +93,16 @@ class Lineage:
 
 @contextmanager
 def compiled(stored: stage.StoredIdentification) -> Iterator[Replayer]:
-    """Yield the compiled core of an identification, with its diagnosis."""
+    """Compile the core of an identification, with its diagnosis, in a temporary folder.
+
+    Parameters
+    ----------
+    stored : StoredIdentification
+
+    Yields
+    ------
+    Replayer
+    """
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch) / stored.project.name
         export_vehicle(stored, folder)

@@ -1,0 +1,31 @@
+"""A designed controller against sets that grew: proved, proved at lower performance, or not."""
+
+from dataclasses import replace
+
+import pytest
+
+from lpvguard.base.artefacts import read_json
+from lpvguard.control.recertify import recertified
+
+
+def grown(stored, factor: float):
+    """The identification with bounds that are ``factor`` times as large."""
+    return replace(stored, fitted=replace(stored.fitted, inflation=factor * stored.fitted.inflation))
+
+
+@pytest.mark.slow("certificates of a truck's controller, a dozen times")
+def test_a_controller_is_judged_against_the_set_that_grew(six_node_truck, few_truck_designed):
+    _, path = few_truck_designed
+    stated = read_json(path)["certificates"]
+    same = recertified(path, six_node_truck)
+    assert same.verdict == ("proved" if stated["off_grid"]["mu_upper"] < 1 else "proved at lower performance")
+    stated_mu = [row["mu_upper"] for row in [*stated["speeds"], stated["off_grid"]]]
+    assert [row["mu_after"] for row in same.rows][: len(stated_mu)] == pytest.approx(stated_mu, rel=1e-3)
+
+    assert recertified(path, grown(six_node_truck, 1.25)).proved
+    more = recertified(path, grown(six_node_truck, 2.0))
+    assert more.verdict == "proved at lower performance" and 1 < more.level < 64
+    assert max(more.at_level) < 1 <= max(row["mu_after"] for row in more.rows)
+
+    none = recertified(path, grown(six_node_truck, 8.0))
+    assert none.verdict == "not proved" and none.level is None and max(none.at_level) >= 1

@@ -1,0 +1,133 @@
+"""A controller in the field against another identification: proved, proved at lower performance, or not.
+
+The coefficients stay as they are. Only the weights of the set are others. Where mu reaches 1, the objectives
+A_t and A_u are divided by the least common level that is proved at every speed of the certificate.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from ..base import artefacts
+from ..base.parallel import Map
+from ..base.progress import Progress, counted
+from ..core.scheduled import Scheduled
+from ..engine.synthesis.dk import Scaling
+from ..identify.identification import StoredIdentification
+from ..identify.premise import require_premise
+from .controller_file import stated_scaling
+from .design import worst_off_grid
+from .moving_speed import certified
+from .plants import DesignProblem
+
+PROVED, LOWER, NOT = "proved", "proved at lower performance", "not proved"
+HIGHEST_LEVEL, STEPS = 64.0, 8
+"""Largest level that is tried, and halvings of its logarithm."""
+
+
+@dataclass(frozen=True)
+class Recertification:
+    """Certificates at frozen speeds, before and after.
+
+    Attributes
+    ----------
+    verdict : str, PROVED, LOWER or NOT
+    level : float or None, divides A_t and A_u; None: none is proved
+    rows : list of dict, v_mps, and mu_before and mu_after, upper bounds at level 1
+    at_level : list of float, upper bounds of mu at the level, by row
+    """
+
+    verdict: str
+    level: float | None
+    rows: list[dict[str, float]]
+    at_level: list[float]
+
+    @property
+    def proved(self) -> bool:
+        """Whether mu is below 1 with the objectives as they are."""
+        return self.verdict == PROVED
+
+
+def recertified(
+    path: Path, stored: StoredIdentification, progress: Progress = lambda _: None, workers: Map = map
+) -> Recertification:
+    """Certify a controller.json for another identification of its vehicle.
+
+    Parameters
+    ----------
+    path : Path, controller.json
+    stored : StoredIdentification
+    progress : Callable, reports progress
+    workers : Map, shares the speeds
+
+    Returns
+    -------
+    Recertification
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, or drives refute the set.
+    """
+    document = artefacts.read_json(path)
+    artefacts.require_seal(path, document, "`lpvguard design`")
+    require_premise(stored)
+    schedule, stated, scaling = Scheduled.read(document), document["certificates"], stated_scaling(document)
+    problem = DesignProblem.from_identification(stored)
+    before = {row["v_mps"]: row["mu_upper"] for row in [*stated["speeds"], stated["off_grid"]]}
+    worst = worst_off_grid(schedule, scaling, problem.plant, stored.project.seed, workers)[0]
+    speeds = [*before, worst] if worst not in before else [*before]
+    mu = _upper(problem, schedule, scaling, speeds, progress, workers)
+    rows = [
+        {"v_mps": v, "mu_before": before.get(v, before[stated["off_grid"]["v_mps"]]), "mu_after": m}
+        for v, m in zip(speeds, mu, strict=True)
+    ]
+    if max(mu) < 1:
+        return Recertification(PROVED, 1.0, rows, mu)
+    top = _at_level(problem, HIGHEST_LEVEL, schedule, scaling, speeds, progress, workers)
+    if not max(top) < 1:
+        return Recertification(NOT, None, rows, top)
+    low, high, at_high = 0.0, 1.0, top
+    for _ in range(STEPS):
+        middle = 0.5 * (low + high)
+        upper = _at_level(problem, HIGHEST_LEVEL**middle, schedule, scaling, speeds, progress, workers)
+        if max(upper) < 1:
+            high, at_high = middle, upper
+        else:
+            low = middle
+    return Recertification(LOWER, HIGHEST_LEVEL**high, rows, at_high)
+
+
+def _at_level(
+    problem: DesignProblem,
+    level: float,
+    schedule: Scheduled,
+    scaling: Scaling,
+    speeds: list[float],
+    progress: Progress,
+    workers: Map,
+) -> list[float]:
+    """Upper bounds of mu with A_t and A_u over ``level``."""
+    settings = problem.settings
+    lowered = settings.model_copy(
+        update={"A_t": settings.A_t / level, "A_u": settings.A_u / level, "synthesised_for": None}
+    )
+    return _upper(problem.with_settings(lowered), schedule, scaling, speeds, progress, workers)
+
+
+def _upper(
+    problem: DesignProblem,
+    schedule: Scheduled,
+    scaling: Scaling,
+    speeds: list[float],
+    progress: Progress,
+    workers: Map,
+) -> list[float]:
+    plants = [problem.plant(v) for v in speeds]
+    asked = [
+        (plant, schedule.at(v), scaling if plant.blocks else None)
+        for v, plant in zip(speeds, plants, strict=True)
+    ]
+    texts = [f"certificate at {v:.3g} m/s" for v in speeds]
+    return [bound.upper for bound in counted(progress, texts, workers(certified, asked))]
