@@ -73,6 +73,8 @@ def print_replays(done: list[dict[str, Any]], replayer: Replayer) -> None:
             console.print(f"{r['run']}: {len(r['alarms']) - 3} more alarms (--json lists all)")
         for d in r["diagnoses"]:
             console.print(f"{r['run']}: t = {d['t_s']:.2f} s, cause: {d['says']}", markup=False)
+        for named in r.get("parts", []):
+            console.print(f"{r['run']}: t = {named['until_s']:.2f} s, part: {named['says']}", markup=False)
         if "can" in r:
             _print_reception(r["run"], r["can"])
 
@@ -275,6 +277,12 @@ def print_tests(result: Identification) -> None:
             f"rate: all tests together {result.project.frame_test.alarms_per_1000_h:g} alarms per 1000 h "
             "judged, an equal share each"
         )
+    if result.isolation is not None:
+        console.print(
+            f"parts: least sizes that {result.isolation.window_s:g} s of usual driving tell from another "
+            "part; * also by structure, – by no size"
+        )
+        print_rows(result.isolation.isolable_rows(result.project))
     if result.diagnosis is not None:
         console.print(
             "causes: smaller changes have no name, because healthy vehicles differ as much: "

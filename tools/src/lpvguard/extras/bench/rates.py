@@ -2,9 +2,9 @@
 
 A fleet is recordings of 15 minutes, each 30 blocks of 30 s with a score. Its tail is fitted as `identify`
 does with ``alarms_per_1000_h``. Counted are the exceedances of the threshold on fresh hours of the same
-fleet. The scores of a family are exponential, Pareto (shape 0.25) or bounded (shape -0.25). Recordings that differ
-are exponential, each with a scale of its own, and together Pareto of shape 0.25. In clusters every score
-lasts two blocks.
+fleet. The scores of a family are exponential, Pareto (shape 0.25) or bounded (shape -0.25). Recordings that
+differ are exponential, each with a scale of its own, and together Pareto of shape 0.25. In clusters every
+score lasts two blocks.
 
 Covered is the share of fleets whose true rate lies within the interval of 95 %. Kept is the share whose true
 rate is at most the promised one where the threshold is the upper end (``rate_confidence``).
