@@ -267,22 +267,14 @@ def print_tests(result: Identification) -> None:
         )
         console.print(f"energy test: {energy.claim_text}")
     if change is not None:
-        console.print(
-            f"change test: threshold {change.calibration.carried:.4g} ({change.calibration.claim()}), "
-            f"largest {change.sizes_text(result.project)}"
-        )
-    if result.pools is not None and (c := result.pools.calibration).target is not None:
-        console.print(f"pools: threshold {c.carried:.4g} ({c.claim()})")
-        console.print(
-            f"rate: all tests together {result.project.frame_test.alarms_per_1000_h:g} alarms per 1000 h "
-            "judged, an equal share each"
-        )
-    if result.isolation is not None:
-        console.print(
-            f"parts: least sizes that {result.isolation.window_s:g} s of usual driving tell from another "
-            "part; * also by structure, – by no size"
-        )
-        print_rows(result.isolation.isolable_rows(result.project))
+        c = change.calibration
+        sizes = change.sizes_text(result.project)
+        console.print(f"change test: threshold {c.carried:.4g} ({c.claim()}), largest {sizes}")
+    if result.pools is not None and (c := result.pools.calibration).target:
+        console.print(f"pools: threshold {c.carried:.4g} ({c.claim()}); rates are a quarter of all tests'")
+    if (i := result.isolation) is not None:
+        console.print(f"parts: least sizes told apart in {i.window_s:g} s of driving; * by structure, too")
+        print_rows(i.isolable_rows(result.project))
     if result.diagnosis is not None:
         console.print(
             "causes: smaller changes have no name, because healthy vehicles differ as much: "

@@ -19,7 +19,17 @@ NOTHING, NO_SINGLE = "none", "no single part"
 
 
 def name_after(replay: Replay, start_s: float) -> str:
-    """First part that a window named which began or went on after ``start_s`` [s]; NOTHING without one."""
+    """Name the first part that a window finds after a time.
+
+    Parameters
+    ----------
+    replay : Replay
+    start_s : float, s after the drive's first sample
+
+    Returns
+    -------
+    str, NOTHING without one
+    """
     for named in replay.parts or ():
         if named.until_s > start_s:
             return " or ".join(named.parts) or NO_SINGLE
@@ -27,7 +37,16 @@ def name_after(replay: Replay, start_s: float) -> str:
 
 
 def part_table(names: Iterable[Names]) -> list[dict]:
-    """Rows of names and their counts, by fault and way, the untouched drives first."""
+    """Count names by fault and way, the untouched drives first.
+
+    Parameters
+    ----------
+    names : Iterable of Names
+
+    Returns
+    -------
+    list of dict
+    """
     total: Names = {}
     for of in names:
         for case, said in of.items():
@@ -44,7 +63,16 @@ def part_table(names: Iterable[Names]) -> list[dict]:
 
 
 def part_lines(rows: list[dict]) -> Iterator[str]:
-    """The rows in words."""
+    """Word the rows of `part_table`.
+
+    Parameters
+    ----------
+    rows : list of dict
+
+    Yields
+    ------
+    str
+    """
     for row in rows:
         fault = "untouched drives" if row["fault"] is None else f"{WAY_WORDS[row['way']]}: {row['fault']}"
         yield f"{fault}: " + ", ".join(f"{name} {count}" for name, count in row["names"].items())

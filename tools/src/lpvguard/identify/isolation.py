@@ -1,8 +1,8 @@
 """Which part differs: redundant outputs of one nominal model (THEORY 7.20).
 
 Every part changes the errors e = y - yhat of all outputs in its own way. The columns of a part are these
-changes, simulated: gain, delay and bias of an output's sensor; gain, delay and offset of an input; a factor
-of the speed; factors of the model's parameters that tyres and load change. Healthy drives have sizes of all
+changes, simulated. A sensor of an output has gain, delay and bias, that of an input gain, delay and offset.
+The speed has a factor, and so have the model's parameters that tyres and load change. Healthy drives have sizes of all
 columns of N(mean, spread^2) and a joint vector autoregressive residue. A faulty part has sizes of a much
 larger spread. Bayes' rule with equal odds names the parts; where several remain, all of them are named.
 """
@@ -17,6 +17,7 @@ from itertools import combinations
 from operator import add
 
 import numpy as np
+from scipy.stats import t as student
 
 from ..base.runs import runs
 from ..drives.frames import Estimator
@@ -342,6 +343,9 @@ class Isolation:
         """With the sizes and limits of healthy drives, from the windows of each."""
         whole = [reduce(add, of) for of in windows if of]
         mean, spread = _healthy_sizes(whole, self.faulty)
+        # Of a further drive, as Student's t of so many drives predicts it.
+        drives = len(whole)
+        spread *= float(student.ppf(0.975, max(1, drives - 1))) / 1.96 * np.sqrt(1 + 1 / drives)
         every = [w for of in windows for w in of]
         per_s = np.mean([w.G for w in every], axis=0) / self.window_s
         return replace(self, mean=mean, spread=spread, per_s=per_s)._scaled(every)
@@ -413,7 +417,7 @@ class Isolation:
         return total
 
     def log_likelihood(self, w: Evidence, spread: np.ndarray) -> float:
-        """Log-likelihood of a window whose sizes have a ``spread`` (m,), but for a constant."""
+        """Log-likelihood of a window whose sizes have a ``spread`` (m,), up to a constant."""
         b = w.g - w.G @ self.mean
         inner = np.eye(len(b)) + (spread[:, None] * w.G) * spread
         scaled = spread * b

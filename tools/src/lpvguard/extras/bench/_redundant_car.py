@@ -1,8 +1,8 @@
 """A seeded car with four redundant measurements of its yaw rate, and single faults of its parts.
 
-The truth is a bicycle with side slip and lag-free tyres, and a disturbance by bank and wind. The outputs are
-the gyro, the difference of the rear wheels' speeds over the track, the lateral acceleration over the measured
-speed, and the course rate of a satellite receiver that lags. Loads, tyres and sensors differ a little between
+The truth is a bicycle with side slip and lag-free tyres, and a disturbance by bank and wind. Two outputs are
+the gyro and the difference of the rear wheels' speeds over the track. Two are the lateral acceleration over
+the measured speed, and the course rate of a satellite receiver that lags. Loads, tyres and sensors differ a little between
 healthy drives.
 """
 
@@ -127,13 +127,7 @@ def redundant_drives(
     """
     Ts, random = redundant_project().Ts_s, np.random.default_rng(seed)
     n = round(duration_s / Ts) + 1
-    low, high = SPEEDS_MPS
-    mean = random.uniform(low + 2.5, high - 2.5, (count, 1))
-    v = np.clip(mean * (1 + 0.25 * band_noise(random, (count, n), (0.01, 0.05), Ts)), low, high)
-    size = 0.1 / (1 + 0.02 * mean**2)
-    bands = ((0.7, (0.02, 0.12)), (0.35, (0.1, 0.6)), (0.05, (0.5, 2.0)))
-    angle = size * sum(w * band_noise(random, (count, n), band, Ts) for w, band in bands)
-    force = 250.0 * band_noise(random, (count, n), (0.05, 1.0), Ts)
+    v, angle, force = _driving(random, (count, n), Ts)
     noise = {name: s * random.standard_normal((count, n)) for name, s in NOISE.items()}
     own = {
         key: s * random.standard_normal((count, 1)) for key, s in HEALTHY.items() if key in ("load", "tyre")
@@ -179,6 +173,18 @@ def redundant_drives(
             ]
         )
     return found
+
+
+def _driving(
+    random: np.random.Generator, shape: tuple[int, int], Ts: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Speed [m/s], road-wheel angle [rad] and side force [N] of drives, each of ``shape`` (count, n)."""
+    low, high = SPEEDS_MPS
+    mean = random.uniform(low + 2.5, high - 2.5, (shape[0], 1))
+    v = np.clip(mean * (1 + 0.25 * band_noise(random, shape, (0.01, 0.05), Ts)), low, high)
+    bands = ((0.7, (0.02, 0.12)), (0.35, (0.1, 0.6)), (0.05, (0.5, 2.0)))
+    angle = sum(w * band_noise(random, shape, band, Ts) for w, band in bands)
+    return v, 0.1 / (1 + 0.02 * mean**2) * angle, 250.0 * band_noise(random, shape, (0.05, 1.0), Ts)
 
 
 def _late(x: np.ndarray, delay_s: np.ndarray, Ts: float) -> np.ndarray:

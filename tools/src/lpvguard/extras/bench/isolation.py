@@ -1,8 +1,8 @@
 """Which part a fault is named as: the confusion table of a car with four redundant outputs (THEORY 7.20).
 
-The scales come from an hour of healthy drives of the synthetic car (_redundant_car.py). Then every fault
-begins in each of ``--drives`` other drives, and the window after it is judged. "predicted" is yes where the
-table of isolability tells the part from every other one, at the fault's size in 95 % of windows.
+The scales come from an hour of healthy drives of the synthetic car (_redundant_car.py). Every fault
+begins in each of ``--drives`` other drives. The window after it is judged. The column "predicted" says yes
+where the table of isolability tells the part from every other one at the fault's size.
 """
 
 from collections import Counter
