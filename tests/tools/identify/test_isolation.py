@@ -30,7 +30,7 @@ BEGIN_S, WINDOW_S = 40.0, 60.0
 
 @pytest.fixture(scope="module")
 def isolation() -> Isolation:
-    return Isolation.of(CHANGES, redundant_drives(10, 130.0, 1)[0], WINDOW_S)
+    return Isolation.of(CHANGES, redundant_drives(20, 180.0, 1)[0], WINDOW_S)
 
 
 def test_a_column_is_what_its_part_does():

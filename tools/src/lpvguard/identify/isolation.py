@@ -2,9 +2,9 @@
 
 Every part changes the errors e = y - yhat of all outputs in its own way. The columns of a part are these
 changes, simulated. A sensor of an output has gain, delay and bias, that of an input gain, delay and offset.
-The speed has a factor, and so have the model's parameters that tyres and load change. Healthy drives have sizes of all
-columns of N(mean, spread^2) and a joint vector autoregressive residue. A faulty part has sizes of a much
-larger spread. Bayes' rule with equal odds names the parts; where several remain, all of them are named.
+The speed has a factor, and so have the model's parameters that tyres and load change. Healthy drives have
+sizes of all columns of N(mean, spread^2) and a joint vector autoregressive residue. A faulty part has sizes
+of a much larger spread. Bayes' rule with equal odds names the parts; where several remain, all are named.
 """
 
 from __future__ import annotations
@@ -218,7 +218,18 @@ def residual_structure(project: Project) -> dict[str, list[str]]:
 
 
 def told_apart(structure: dict[str, list[str]], part: str, other: str) -> bool:
-    """Whether a residual that ``other`` leaves alone is changed by ``part``."""
+    """Return whether a residual that one part leaves alone is changed by another.
+
+    Parameters
+    ----------
+    structure : dict[str, list of str], of `residual_structure`
+    part : str, changes the residual
+    other : str, leaves it alone
+
+    Returns
+    -------
+    bool
+    """
     return bool(set(structure[part]) - set(structure[other]))
 
 

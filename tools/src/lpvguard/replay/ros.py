@@ -1,6 +1,7 @@
 """Time series of a replay as ROS 2 messages in an MCAP file (rosbag2), without an installation of ROS.
 
-/diagnostics            diagnostic_msgs/DiagnosticArray: at each change of verdict, alarm and second
+/diagnostics            diagnostic_msgs/DiagnosticArray: at each change of verdict, alarm and second; a part
+                        that differs has a status of its own at the end of its window (parts.py)
 /vehicle/twist          geometry_msgs/TwistStamped: speed as linear.x, measured yaw rate as angular.z
 /vehicle/twist_nominal  the same with the nominal yaw rate
 /vehicle/drive          ackermann_msgs/AckermannDriveStamped: speed and road-wheel angle
@@ -9,7 +10,7 @@ A topic whose signals the vehicle does not have is left out. A yaw rate is an ou
 the word yaw; a road-wheel angle is an input in rad.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -53,13 +54,21 @@ DEFINITIONS = {
 DIAGNOSTICS, TWIST, DRIVE = DEFINITIONS
 
 
-def write_ros2(path: Path, vehicle: str, series: pa.Table, alarms: list[dict[str, Any]]) -> None:
+def write_ros2(
+    path: Path,
+    vehicle: str,
+    series: pa.Table,
+    alarms: list[dict[str, Any]],
+    parts: Sequence[dict[str, Any]] = (),
+) -> None:
     """Write a time series (series.py) to an MCAP file with ROS 2 messages. ``vehicle`` is the hardware_id of
-    the diagnostics, ``alarms`` are those of the JSON of `replay`. InputError without mcap-ros2-support."""
+    the diagnostics, ``alarms`` and ``parts`` are those of the JSON of `replay`. InputError without
+    mcap-ros2-support."""
     compression = optional("mcap.writer", "ros2").CompressionType.NONE
     open_writer = optional("mcap_ros2.writer", "ros2").Writer
     stamps = np.round(numbers(series["t"]) * 1e9).astype(np.int64)
     found = [*_diagnostics(vehicle, stamps, series, alarms), *_motions(stamps, series)]
+    found += [_part(vehicle, named) for named in parts]
     with path.open("wb") as stream:
         writer = open_writer(stream, compression=compression)
         kinds = {kind: writer.register_msgdef(kind, text) for kind, text in DEFINITIONS.items()}
@@ -102,6 +111,23 @@ def _diagnostics(
         }
         yield t, "/diagnostics", DIAGNOSTICS, {"status": [status]}
         before, last, begin = verdict, t, k + 1
+
+
+def _part(vehicle: str, named: dict[str, Any]) -> Message:
+    """Status of the parts that a window names (parts.py)."""
+    values = {"since s": f"{named['since_s']:.1f}", "service": named["service"] or "look for the part"}
+    if named["value"] is not None:
+        size = " to ".join(f"{named[key]:.4g}" for key in ("low", "high"))
+        values |= {named["what"]: f"{named['value']:.4g} ({size}) {named['unit']}".rstrip()}
+    values |= {f"probability of {part}": f"{named['probability'][part]:.3g}" for part in named["parts"]}
+    status = {
+        "level": ERROR if named["service"] == "now" else WARN,
+        "name": f"lpvguard: {' or '.join(named['parts']) or 'no single part'}",
+        "message": named["says"],
+        "hardware_id": vehicle,
+        "values": [{"key": key, "value": value} for key, value in values.items()],
+    }
+    return round(named["until_s"] * 1e9), "/diagnostics", DIAGNOSTICS, {"status": [status]}
 
 
 def _motions(stamps: np.ndarray, series: pa.Table) -> Iterator[Message]:

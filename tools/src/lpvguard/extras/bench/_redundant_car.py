@@ -2,8 +2,8 @@
 
 The truth is a bicycle with side slip and lag-free tyres, and a disturbance by bank and wind. Two outputs are
 the gyro and the difference of the rear wheels' speeds over the track. Two are the lateral acceleration over
-the measured speed, and the course rate of a satellite receiver that lags. Loads, tyres and sensors differ a little between
-healthy drives.
+the measured speed, and the course rate of a satellite receiver that lags. Loads, tyres and sensors differ a
+little between healthy drives.
 """
 
 from __future__ import annotations
