@@ -8,7 +8,7 @@ from mcap_ros2.reader import read_ros2_messages
 from rosbags.typesys import Stores, get_typestore
 
 from lpvguard.replay.alarm_text import alarm_sentence
-from lpvguard.replay.ros import DIAGNOSTICS, DRIVE, LEVELS, STALE, TWIST, write_ros2
+from lpvguard.replay.ros import DIAGNOSTICS, DRIVE, ERROR, LEVELS, STALE, TWIST, WARN, write_ros2
 
 
 @pytest.fixture(scope="module")
@@ -45,6 +45,32 @@ def test_the_diagnostics_say_each_verdict_and_each_alarm(recorded):
         for s, v in zip(said, verdicts, strict=True)
     )
     assert {s.hardware_id for s in said} == {"g80"}
+
+
+def test_a_part_that_differs_has_a_status_of_its_own(recorded, tmp_path):
+    named = {
+        "until_s": 42.0,
+        "since_s": 11.0,
+        "parts": ["gyro"],
+        "probability": {"gyro": 0.99, "speed": 0.01},
+        "what": "gyro gain",
+        "value": -0.1,
+        "low": -0.12,
+        "high": -0.08,
+        "unit": "",
+        "service": "now",
+        "says": "gyro: gain -0.1; check the gyro; service now",
+    }
+    out = tmp_path / "parts.mcap"
+    write_ros2(out, "g80", recorded[1], recorded[2], [named, named | {"service": None, "value": None}])
+    statuses = [(m.log_time_ns, m.ros_msg.status[0]) for m in read(out)["/diagnostics"]]
+    found = [(t, s) for t, s in statuses if s.name == "lpvguard: gyro"]
+    assert [t for t, _ in found] == [42 * 10**9] * 2
+    assert all(s.level in (x, bytes([x])) for (_, s), x in zip(found, (ERROR, WARN), strict=True))
+    assert found[0][1].message == named["says"]
+    values = {v.key: v.value for v in found[0][1].values}
+    assert values["gyro gain"] == "-0.1 (-0.12 to -0.08)" and values["service"] == "now"
+    assert values["probability of gyro"] == "0.99"
 
 
 def test_the_motions_are_the_recorded_signals(recorded):

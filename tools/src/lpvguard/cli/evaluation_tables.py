@@ -18,6 +18,7 @@ def print_evaluation(result: dict[str, Any]) -> None:
     from ..core.compiled import TESTS
     from ..evaluate.comparison import ALARM_HEAD, CALIBRATED, MONITOR, alarm_rows, columns
     from ..evaluate.false_alarms import PIECE_S
+    from ..evaluate.parts import part_lines
     from ..evaluate.summary import summary
 
     console.print(table_of(ALARM_HEAD, alarm_rows(result)))
@@ -48,6 +49,10 @@ def print_evaluation(result: dict[str, Any]) -> None:
     else:
         console.print("no baselines: too few drives calibrate them")
     _print_causes(result)
+    if "parts" in result:
+        console.print("parts named in windows after faults of all outputs or of the input:")
+        for line in part_lines(result["parts"]):
+            console.print(line, markup=False)
     console.print()
     for line in summary(result):
         console.print(line, markup=False)

@@ -143,7 +143,8 @@ def _replayed(
                 done.append(summary)
                 if folder is not None:
                     path = folder / f"{summary['run']}{SUFFIX[kind]}"
-                    write_series(path, kind, series, summary["alarms"], replayer.project.name)
+                    named = summary.get("parts", ())
+                    write_series(path, kind, series, summary["alarms"], replayer.project.name, named)
     if done and not any(r["judged_s"] for r in done):
         failed = True
         low, high = replayer.model.speed_range

@@ -74,6 +74,8 @@ def print_replays(done: list[dict[str, Any]], replayer: Replayer) -> None:
             console.print(f"{r['run']}: {len(r['alarms']) - 3} more alarms (--json lists all)")
         for d in r["diagnoses"]:
             console.print(f"{r['run']}: t = {d['t_s']:.2f} s, cause: {d['says']}", markup=False)
+        for named in r.get("parts", []):
+            console.print(f"{r['run']}: t = {named['until_s']:.2f} s, part: {named['says']}", markup=False)
         if "can" in r:
             _print_reception(r["run"], r["can"])
 
@@ -266,16 +268,14 @@ def print_tests(result: Identification) -> None:
         )
         console.print(f"energy test: {energy.claim_text}")
     if change is not None:
-        console.print(
-            f"change test: threshold {change.calibration.carried:.4g} ({change.calibration.claim()}), "
-            f"largest {change.sizes_text(result.project)}"
-        )
-    if result.pools is not None and (c := result.pools.calibration).target is not None:
-        console.print(f"pools: threshold {c.carried:.4g} ({c.claim()})")
-        console.print(
-            f"rate: all tests together {result.project.frame_test.alarms_per_1000_h:g} alarms per 1000 h "
-            "judged, an equal share each"
-        )
+        c = change.calibration
+        sizes = change.sizes_text(result.project)
+        console.print(f"change test: threshold {c.carried:.4g} ({c.claim()}), largest {sizes}")
+    if result.pools is not None and (c := result.pools.calibration).target:
+        console.print(f"pools: threshold {c.carried:.4g} ({c.claim()}); rates are a quarter of all tests'")
+    if (i := result.isolation) is not None:
+        console.print(f"parts: least sizes told apart in {i.window_s:g} s of driving; * by structure, too")
+        print_rows(i.isolable_rows(result.project))
     if result.diagnosis is not None:
         console.print(
             "causes: smaller changes have no name, because healthy vehicles differ as much: "

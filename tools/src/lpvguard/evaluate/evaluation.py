@@ -43,6 +43,7 @@ from .detection import (
 )
 from .false_alarms import alarmed_pieces, alarming, false_alarms, piece_starts
 from .judged_drives import FLOORS, JudgedDrives, calibrations_of, joint_thresholds, rate_of
+from .parts import Names, name_after, part_table
 
 FEWEST_FOR_BASELINES = 2
 """Fewest calibration drives: a baseline has no natural threshold, so one must remain when a drive is left
@@ -58,8 +59,8 @@ def _evaluate_drive(
     core: Core,
     injection: Injection,
     item: tuple[Experiment, Recordings, dict[str, Calibration], np.ndarray | None],
-) -> tuple[dict, Found, CauseOutcomes]:
-    """Row of one drive, outcomes per detector and case, and the causes that EXPORTED names.
+) -> tuple[dict, Found, CauseOutcomes, Names]:
+    """Row of one drive, outcomes per detector and case, and the causes and parts that EXPORTED names.
 
     Recordings and calibrations are the drive's own. A drive without qualified stretches has no outcomes.
     """
@@ -95,10 +96,13 @@ def _evaluate_drive(
     outcomes: Found = {name: {case: [] for case in injection.cases} for name in detectors}
     own = margins(replay, drive.t[0])
     causes: CauseOutcomes = {case: [] for case in injection.cases}
+    names: Names = {} if apart.namer is None else {None: [name_after(untouched[apart], 0.0)]}
 
     for case, clock in injected:
         faulty_drive = case.into(drive, clock, Ts, DIAGNOSED_S)
         faulty = {replayer: replayer.replay(faulty_drive) for replayer in untouched}
+        if apart.namer is not None:
+            names.setdefault(case, []).append(name_after(faulty[apart], clock.first * Ts))
         known = refutable(clock, margins(faulty[together], drive.t[0]), own)
         for name, (replayer, test) in detectors.items():
             first, without = (clock.read(alarming(r[replayer], test)) for r in (faulty, untouched))
@@ -110,7 +114,7 @@ def _evaluate_drive(
             )
     if core.diagnoses:
         causes |= _further_causes(apart, injection, drive, untouched[apart])
-    return row, outcomes, causes
+    return row, outcomes, causes, names
 
 
 def _replayers(
@@ -284,15 +288,17 @@ def evaluate(
     cases: Found = {d: {case: [] for case in injection.cases} for d in names}
     causes: CauseOutcomes = {case: [] for case in (*injection.cases, *injection.further_cases)}
     left_out: dict[str, str] = dict(stored.manifest["drives"]["left_out"]) if held_out is None else {}
-    evaluated: Iterator[tuple[dict, Found, CauseOutcomes]] = workers(
+    parts: list[Names] = []
+    evaluated: Iterator[tuple[dict, Found, CauseOutcomes, Names]] = workers(
         partial(_evaluate_drive, drives.reader, core, injection), items
     )
-    for row, outcomes, named in evaluated:
+    for row, outcomes, named, names_of_parts in evaluated:
         progress(row["run"])
         if row["scores"]["frame"] is None:
             left_out[row["run"]] = drives.reader.why_without_frames()
             continue
         rows.append(row)
+        parts.append(names_of_parts)
         for detector, by_case in outcomes.items():
             for case, members in by_case.items():
                 cases[detector][case] += members
@@ -307,7 +313,8 @@ def evaluate(
     baselines = _baselines(stored, drives, core, judged, rows, known, injection, workers, progress)
     table = _table(stored, judged, rows, cases, baselines, injection)
     of_causes = cause_table(causes, stored.project, stored.diagnosis) if core.diagnoses else None
-    return table | {"causes": of_causes, "left_out": left_out}
+    named_parts = {"parts": part_table(parts)} if any(parts) else {}
+    return table | {"causes": of_causes, **named_parts, "left_out": left_out}
 
 
 def _baselines(

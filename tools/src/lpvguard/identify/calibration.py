@@ -399,7 +399,7 @@ def _extrapolation_of(data: dict) -> dict:
 
 
 def block_of(t_s: np.ndarray | float) -> np.ndarray:
-    """Block of BLOCK_S in which times [s] after a drive's first sample lie."""
+    """Blocks (n,) of BLOCK_S in which times (n,) [s] after a drive's first sample lie."""
     return (np.asarray(t_s) // BLOCK_S).astype(int)
 
 

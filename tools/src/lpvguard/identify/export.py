@@ -5,7 +5,7 @@ from pathlib import Path
 from ..base import artefacts
 from ..core.coefficients import vehicle_files
 from ..core.control_coefficients import ControllerCoefficients
-from .identification import StoredIdentification
+from .identification import ISOLATION, StoredIdentification
 
 
 def export_vehicle(
@@ -40,4 +40,6 @@ def export_vehicle(
     table = None if stored.diagnosis is None else stored.diagnosis.table
     with artefacts.new_folder(target, "vehicle", stored.project.name) as folder:
         files = vehicle_files(stored.project, coefficients, provenance, controller, table)
+        if stored.isolation is not None:
+            files[ISOLATION] = artefacts.to_json(stored.isolation.to_dict())
         artefacts.write_files(folder, files)

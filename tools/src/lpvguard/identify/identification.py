@@ -13,6 +13,7 @@ Writes a folder with
     change.json       change test: sizes, scores, threshold (change.py); Hann frames only
     pools.json        bounds of pools of frames, and the remainders they rest on (pools.py); Hann frames only
     diagnosis.json    scales of the diagnosis of alarms (diagnosis.py); Hann frames only
+    isolation.json    scales that name a part (isolation.py); with [isolation] only
     visibility.json   smallest visible gain and delay errors, at typical and at the strongest excitation met
     spectra.npz       E, Z and mean speed of frames of the bound-setting drives, thinned, for the pictures and
                       step 8's trade-offs
@@ -52,6 +53,7 @@ from .diagnosis import DiagnosisScales
 from .drive_set import Chosen
 from .drive_set import DriveSet as DriveSet
 from .energy import EnergyTest
+from .isolation import Isolation
 from .model_error import ModelError
 from .model_fit import drive_fit, require_better_than_none
 from .over_drives import Origins, OverDrives
@@ -69,6 +71,8 @@ from .weights import (
 from .window_error import window_error
 
 Result = TypeVar("Result")
+ISOLATION = "isolation.json"
+"""File of the scales that name a part, in folders of `identify` and `export`."""
 
 
 def _quiet(_: str) -> None:
@@ -92,6 +96,7 @@ class Identification:
     change : ChangeTest or None
     pools : Pools or None
     diagnosis : DiagnosisScales or None
+    isolation : Isolation or None
     visibility : dict
     spectra : Rows
     bound_drives, calibration_drives, noise_drives : list[str]
@@ -111,6 +116,7 @@ class Identification:
     change: ChangeTest | None
     pools: Pools | None
     diagnosis: DiagnosisScales | None
+    isolation: Isolation | None
     visibility: dict
     spectra: Rows
     bound_drives: list[str]
@@ -229,6 +235,7 @@ def identify(
         change=change,
         pools=pools,
         diagnosis=run.diagnosis(change, chosen),
+        isolation=run.isolation(chosen),
         visibility=run.visibility(weights, calibration, pools),
         spectra=run.spectra,
         bound_drives=[e.name for e in chosen.setting],
@@ -307,6 +314,7 @@ def save(result: Identification, drives: DriveSet, target: Path) -> None:
                     if result.diagnosis
                     else {}
                 ),
+                **({ISOLATION: artefacts.to_json(result.isolation.to_dict())} if result.isolation else {}),
                 "visibility.json": artefacts.to_json(result.visibility),
                 "project.json": artefacts.to_json(result.project.model_dump(by_alias=True)),
                 "spectra.npz": spectra_file(result.spectra, result.bound_drives),
@@ -346,6 +354,7 @@ class StoredIdentification:
     change : ChangeTest or None
     pools : Pools or None
     diagnosis : DiagnosisScales or None
+    isolation : Isolation or None
     visibility : dict
     model_error : ModelError
     """
@@ -363,6 +372,7 @@ class StoredIdentification:
     change: ChangeTest | None
     pools: Pools | None
     diagnosis: DiagnosisScales | None
+    isolation: Isolation | None
     front: dict[str, np.ndarray]
     visibility: dict
     model_error: ModelError
@@ -451,7 +461,7 @@ def load(folder: Path) -> StoredIdentification:
             f"{estimator.identifier()}, the estimator that project.json describes",
         )
     weights, fitted = read("weights", lambda document, where: (document, Weights.from_dict(document, where)))
-    energy = change = diagnosis = pools = None
+    energy = change = diagnosis = pools = isolation = None
     if estimator.window == "hann":
         energy = read("energy", energy_filters(project, estimator, fitted).restored)
         change = read("change", ChangeTest.design(project).restored)
@@ -459,6 +469,8 @@ def load(folder: Path) -> StoredIdentification:
             pools = read("pools", lambda document, _: Pools.from_dict(document))
         if (folder / "diagnosis.json").is_file():  # an identification of before has none
             diagnosis = read("diagnosis", lambda document, _: DiagnosisScales.restored(project, document))
+    if (folder / ISOLATION).is_file():
+        isolation = read("isolation", lambda document, _: Isolation.from_dict(document))
     front = read("front", lambda document, _: {k: np.array(document[k], float) for k in ("gamma_w", "nu")})
     return StoredIdentification(
         folder,
@@ -474,6 +486,7 @@ def load(folder: Path) -> StoredIdentification:
         change,
         pools,
         diagnosis,
+        isolation,
         front,
         read("visibility", lambda document, _: dict(document)),
         read("model_error", lambda document, _: ModelError.from_dict(project, estimator, document)),

@@ -23,6 +23,7 @@ from .energy import EnergyTest
 from .error_domain import ErrorDomain
 from .error_sums import ErrorSums, joined
 from .healthy import HealthySet, healthy_set
+from .isolation import Changes, Isolation
 from .model_error import FEWEST_FRAMES, FOLDS, ErrorEstimate, ErrorGrid, ModelError, Sums, model_error_pass
 from .passes import (
     DRAWN_SPECTRA,
@@ -34,6 +35,8 @@ from .passes import (
     error_sums_of,
     first_pass,
     healthy_pass,
+    isolation_moments_pass,
+    isolation_windows_pass,
     judge,
     pool_needs_pass,
     pool_remainder_pass,
@@ -449,6 +452,18 @@ class OverDrives:
         task = partial(diagnosis_pass, self.reader, 1 / change.unit)
         windows = list(self.over("diagnosis", task, drives.setting))
         return DiagnosisScales.from_windows(self.reader.project, change.unit, windows)
+
+    def isolation(self, drives: Chosen) -> Isolation | None:
+        """Scales that name a part, from all drives with input; None without [isolation]."""
+        reader, every = self.reader, [*drives.setting, *drives.others]
+        if reader.project.isolation is None:
+            return None
+        changes = Changes(reader.project, reader.model)
+        moments = list(self.over("isolation", partial(isolation_moments_pass, reader, changes), every))
+        begun = Isolation.begun(changes, moments, reader.project.isolation.window_s)
+        return begun.finished(
+            list(self.over("isolation", partial(isolation_windows_pass, reader, changes, begun), every))
+        )
 
     def _scores(
         self, weights: Weights, core: Core | None, reals: np.ndarray | None, drives: Chosen

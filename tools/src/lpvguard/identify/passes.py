@@ -35,6 +35,7 @@ from .energy import EnergyTest
 from .error_domain import ErrorDomain
 from .error_sums import ErrorSums, common_fit, common_products, error_sums, sum_of
 from .healthy import needed
+from .isolation import Changes, Evidence, Isolation, Moments, evidence_windows, moments_of
 from .pools import PoolNeeds, PoolSizes, Remainders, needs_of, remainders_of
 from .resolution import resolution_of
 from .visibility import Excitation
@@ -428,3 +429,15 @@ def diagnosis_pass(reader: DriveReader, unit: np.ndarray, experiment: Experiment
     """Windows of a drive for the scales of the diagnosis; ``unit`` (n_y, 2): 1 / sizes."""
     drive, e, yhat = reader.read(experiment)
     return windows_of(e, yhat, drive.v, reader.estimator, unit)
+
+
+def isolation_moments_pass(reader: DriveReader, changes: Changes, experiment: Experiment) -> Moments:
+    """Moments of a drive for the scales that name a part."""
+    return moments_of(changes, reader.read(experiment)[0])
+
+
+def isolation_windows_pass(
+    reader: DriveReader, changes: Changes, begun: Isolation, experiment: Experiment
+) -> list[Evidence]:
+    """Windows of a drive for the scales that name a part."""
+    return evidence_windows(changes, begun, reader.read(experiment)[0])

@@ -4,4 +4,4 @@ In: drive tables, or raw CAN logs through the core's own receiver. Out: verdicts
 a drive.
 """
 
-MAY_IMPORT = ("base", "vehicle", "can", "drives", "core")
+MAY_IMPORT = ("base", "vehicle", "can", "drives", "core", "identify")

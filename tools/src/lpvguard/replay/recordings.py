@@ -5,6 +5,7 @@ channel with a unit for each column. A margin has its own times, those of the ju
 """
 
 import json
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Literal
@@ -26,7 +27,12 @@ _HISTORY = "<FHcomment><TX>lpvguard replay</TX><tool_id>lpvguard</tool_id></FHco
 
 
 def write_series(
-    path: Path, kind: Kind, series: pa.Table, alarms: list[dict[str, Any]], vehicle: str
+    path: Path,
+    kind: Kind,
+    series: pa.Table,
+    alarms: list[dict[str, Any]],
+    vehicle: str,
+    parts: Sequence[dict[str, Any]] = (),
 ) -> None:
     """Write a time series to a file of another tool.
 
@@ -37,6 +43,7 @@ def write_series(
     series : Table, of series.py
     alarms : list of dict, as in the JSON of `replay`
     vehicle : str
+    parts : Sequence of dict, likewise, for ROS 2
 
     Raises
     ------
@@ -48,7 +55,7 @@ def write_series(
     elif kind == "mcap":
         _write_mcap(path, series, alarms)
     elif kind == "ros2":
-        write_ros2(path, vehicle, series, alarms)
+        write_ros2(path, vehicle, series, alarms, parts)
     else:
         _write_mf4(path, series)
 

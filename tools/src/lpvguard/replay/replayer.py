@@ -20,6 +20,7 @@ from ..drives.tables import TABLE_SUFFIXES, Drive, read_drive, require_units, sp
 from ..vehicle.nominal import NominalModel
 from ..vehicle.project import Project
 from .causes import Diagnosis, diagnosed
+from .parts import NamedPart, PartNamer
 from .receive import Receiver
 from .series import table_of
 
@@ -113,6 +114,7 @@ class Replay:
     can : dict or None, outcome of a raw log's frames, and gaps (receive.py)
     start_s : float, s, the drive's own time at its first sample, which ``run`` uses
     diagnoses : tuple of Diagnosis, one an output of an alarm, in the order of time
+    parts : tuple of NamedPart, or None where nothing names parts
     """
 
     name: str
@@ -131,6 +133,7 @@ class Replay:
     can: dict[str, Any] | None = None  # of a raw log: what became of its frames, gaps (receive.py)
     start_s: float = 0.0  # the drive's own time at its first sample; ``run`` has that time
     diagnoses: tuple[Diagnosis, ...] = ()  # of alarms, an output each, in the order of time
+    parts: tuple[NamedPart, ...] | None = None
 
     @property
     def judged_intervals(self) -> list[list[float]]:
@@ -186,6 +189,7 @@ class Replay:
             "max_change_ratio": float(self.run.change.max()) if self.run.change.any() else None,
             "alarms": [asdict(a) for a in self.alarms],
             "diagnoses": [asdict(d) for d in self.diagnoses],
+            **({} if self.parts is None else {"parts": [asdict(p) for p in self.parts]}),
             "in_range_excited_s": round(float(relevant.sum() * self.Ts), 6),
             "judged_in_range_excited_s": round(float((relevant & self.judged).sum() * self.Ts), 6),
             "frames": self.left_out(),
@@ -252,6 +256,7 @@ class Replayer:
     core : Core
     threshold, energy_threshold, change_threshold : float or None, optional
     pool_scale : ndarray (K, n_y) or None, optional, in the place of that of the coefficients
+    namer : PartNamer or None, optional, names parts; by default that of the core's folder, if any
     """
 
     def __init__(
@@ -263,8 +268,10 @@ class Replayer:
         energy_threshold: float | None = None,
         change_threshold: float | None = None,
         pool_scale: np.ndarray | None = None,
+        namer: PartNamer | None = None,
     ):
         self.project, self.core = project, core
+        self.namer = PartNamer.beside(project, core.folder) if namer is None else namer
         self.model = NominalModel(project)
         self.estimator = Estimator.from_project(project, self.model)
         sizes = tuple(core.sizes[d] for d in ("NU", "NY", "NBINS", "NDELTA"))
@@ -321,6 +328,11 @@ class Replayer:
         in_range = (drive.v >= low) & (drive.v <= high)
         if drive.missing is not None:
             in_range &= ~drive.missing
+        alarms, diagnoses = self.alarms(run, t0), tuple(self.diagnoses(run, t0))
+        parts = None
+        if self.namer is not None:
+            onsets = [(d.alarm_s, d.since_s) for d in diagnoses]
+            parts = tuple(self.namer.named(drive, [a.t_s for a in alarms], onsets))
         return Replay(
             drive.name,
             drive.duration_s,
@@ -332,11 +344,12 @@ class Replayer:
             pooled,
             run.energy > self.energy_threshold,
             run.change > self.change_threshold,
-            self.alarms(run, t0),
+            alarms,
             Ts,
             drive.missing_samples,
             start_s=float(t0),
-            diagnoses=tuple(self.diagnoses(run, t0)),
+            diagnoses=diagnoses,
+            parts=parts,
         )
 
     def diagnoses(self, run: Run, t0: float) -> Iterator[Diagnosis]:

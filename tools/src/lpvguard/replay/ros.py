@@ -1,6 +1,7 @@
 """Time series of a replay as ROS 2 messages in an MCAP file (rosbag2), without an installation of ROS.
 
-/diagnostics            diagnostic_msgs/DiagnosticArray: at each change of verdict, alarm and second
+/diagnostics            diagnostic_msgs/DiagnosticArray: at each change of verdict, alarm and second; a part
+                        that differs has a status of its own at the end of its window (parts.py)
 /vehicle/twist          geometry_msgs/TwistStamped: speed as linear.x, measured yaw rate as angular.z
 /vehicle/twist_nominal  the same with the nominal yaw rate
 /vehicle/drive          ackermann_msgs/AckermannDriveStamped: speed and road-wheel angle
@@ -11,7 +12,7 @@ the word yaw; a road-wheel angle is an input in rad.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
@@ -58,12 +59,19 @@ DEFINITIONS = {
 DIAGNOSTICS, TWIST, DRIVE = DEFINITIONS
 
 
-def write_ros2(path: Path, vehicle: str, series: pa.Table, alarms: list[dict[str, Any]]) -> None:
+def write_ros2(
+    path: Path,
+    vehicle: str,
+    series: pa.Table,
+    alarms: list[dict[str, Any]],
+    parts: Sequence[dict[str, Any]] = (),
+) -> None:
     """Write a time series (series.py) to an MCAP file with ROS 2 messages. ``vehicle`` is the hardware_id of
-    the diagnostics, ``alarms`` are those of the JSON of `replay`. InputError without mcap-ros2-support."""
+    the diagnostics, ``alarms`` and ``parts`` are those of the JSON of `replay`. InputError without
+    mcap-ros2-support."""
     with path.open("wb") as stream:
         recorder = Ros2Recorder(stream, vehicle)
-        recorder.hear(series, alarms)
+        recorder.hear(series, alarms, parts)
         recorder.close()
 
 
@@ -93,12 +101,18 @@ class Ros2Recorder:
         self._verdict: str | None = None
         self._last, self._margin = -PERIOD_NS, np.nan
 
-    def hear(self, series: pa.Table, alarms: Iterable[Alarm | dict[str, Any]]) -> None:
-        """Write the messages of the next piece."""
+    def hear(
+        self,
+        series: pa.Table,
+        alarms: Iterable[Alarm | dict[str, Any]],
+        parts: Sequence[dict[str, Any]] = (),
+    ) -> None:
+        """Write the messages of the next piece; ``parts`` are those of the JSON of `replay`."""
         stamps = np.round(numbers(series["t"]) * 1e9).astype(np.int64)
         if not len(stamps):
             return
         messages = [*self._diagnostics(stamps, series, alarms), *_motions(stamps, series)]
+        messages += [_part(self._vehicle, named) for named in parts]
         for t, topic, kind, content in sorted(messages, key=lambda m: m[0]):
             stamp = {"sec": t // 10**9, "nanosec": t % 10**9}
             message = {"header": {"stamp": stamp, "frame_id": "base_link"}, **content}
@@ -142,6 +156,23 @@ class Ros2Recorder:
             }
             yield t, "/diagnostics", DIAGNOSTICS, {"status": [status]}
             self._verdict, self._last, self._margin = verdict, t, np.nan
+
+
+def _part(vehicle: str, named: dict[str, Any]) -> Message:
+    """Status of the parts that a window names (parts.py)."""
+    values = {"since s": f"{named['since_s']:.1f}", "service": named["service"] or "look for the part"}
+    if named["value"] is not None:
+        size = " to ".join(f"{named[key]:.4g}" for key in ("low", "high"))
+        values |= {named["what"]: f"{named['value']:.4g} ({size}) {named['unit']}".rstrip()}
+    values |= {f"probability of {part}": f"{named['probability'][part]:.3g}" for part in named["parts"]}
+    status = {
+        "level": ERROR if named["service"] == "now" else WARN,
+        "name": f"lpvguard: {' or '.join(named['parts']) or 'no single part'}",
+        "message": named["says"],
+        "hardware_id": vehicle,
+        "values": [{"key": key, "value": value} for key, value in values.items()],
+    }
+    return round(named["until_s"] * 1e9), "/diagnostics", DIAGNOSTICS, {"status": [status]}
 
 
 def _motions(stamps: np.ndarray, series: pa.Table) -> Iterator[Message]:

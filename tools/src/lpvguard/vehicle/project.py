@@ -492,6 +492,29 @@ class AdviceSettings(StrictModel):
         return text.get(output) if isinstance(text, dict) else text
 
 
+class IsolationSettings(StrictModel):
+    """Redundant outputs and the parts that they can tell apart (THEORY 7.21).
+
+    Attributes
+    ----------
+    vehicle : tuple of str, parameters of the model that tyres and load change
+    speed_power : dict[str, int], by output the power of the measured speed in it, as -1 of a_y / v
+    parts : dict[str, str], part that measures a signal, by default its name
+    window_s : float, s after an alarm in which the part is looked for
+    check : dict[str, str], what to check, by part
+    """
+
+    vehicle: tuple[str, ...] = ()
+    speed_power: dict[str, Annotated[int, Field(ge=-2, le=2)]] = Field(default={})
+    parts: dict[str, str] = Field(default={})
+    window_s: Annotated[float, Field(ge=10, le=600)] = 60.0
+    check: dict[str, str] = Field(default={})
+
+    def part_of(self, signal: str) -> str:
+        """Part that measures a signal."""
+        return self.parts.get(signal, signal)
+
+
 class Project(StrictModel):
     """Project file of a vehicle.
 
@@ -512,6 +535,7 @@ class Project(StrictModel):
     change_test : ChangeTestSettings
     data : DataSettings
     design : DesignSettings or None
+    isolation : IsolationSettings or None
     can : OwnBus or None
     fit : FitSettings
     evaluation : EvaluationSettings
@@ -534,10 +558,16 @@ class Project(StrictModel):
     change_test: ChangeTestSettings = ChangeTestSettings()
     data: DataSettings
     design: DesignSettings | None = None
+    isolation: IsolationSettings | None = None
     can: OwnBus | None = Field(default=None, exclude=True)
     fit: FitSettings = Field(default=FitSettings(), exclude=True)
     evaluation: EvaluationSettings = Field(default=EvaluationSettings(), exclude=True)
     advice: AdviceSettings = Field(default=AdviceSettings(), exclude=True)
+
+    @model_serializer(mode="wrap")
+    def _brief(self, plain: SerializerFunctionWrapHandler) -> dict[str, object]:
+        """Leave out an unstated isolation, which older settings lack."""
+        return {k: v for k, v in plain(self).items() if k != "isolation" or v is not None}
 
     @model_validator(mode="after")
     def _consistent(self) -> Project:
@@ -573,6 +603,8 @@ class Project(StrictModel):
             raise ValueError("frame_test.alarms_per_1000_h: needs frames of estimator 'hann'")
         if self.design is not None:
             self._require_designable(self.design)
+        if self.isolation is not None:
+            self._require_isolable(self.isolation)
         if unknown := set(self.fit.parameters or {}) - set(self.model.parameters):
             raise ValueError(f"fit.parameters: {', '.join(sorted(unknown))} not among model.parameters")
         if self.fit.trim == "drive" and self.model.input_offset is None:
@@ -597,6 +629,16 @@ class Project(StrictModel):
         used |= {place.message for place in bus.demand.values()}
         if unknown := sorted(set(bus.messages) - used):
             raise ValueError(f"can.messages: {', '.join(unknown)} named by no signal's can.message")
+
+    def _require_isolable(self, settings: IsolationSettings) -> None:
+        """Require that the isolation names parameters and signals that there are."""
+        if unknown := sorted(set(settings.vehicle) - set(self.model.parameters)):
+            raise ValueError(f"isolation.vehicle: {', '.join(unknown)} not among model.parameters")
+        if unknown := sorted(set(settings.speed_power) - {s.name for s in self.outputs}):
+            raise ValueError(f"isolation.speed_power: no output is named {', '.join(unknown)}")
+        measured = {s.name for s in (self.speed, *self.inputs, *self.outputs)}
+        if unknown := sorted(set(settings.parts) - measured):
+            raise ValueError(f"isolation.parts: no signal is named {', '.join(unknown)}")
 
     def _require_designable(self, design: DesignSettings) -> None:
         """Require what a design needs; identification and monitor take any vehicle."""

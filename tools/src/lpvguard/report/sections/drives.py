@@ -200,7 +200,11 @@ def _alarm_table(alarms: list[Alarm]) -> str:
 def _causes(replay: Replay) -> str:
     """Causes that the core found for a drive's alarms."""
     rows = [[f"{d.t_s:.2f}", f"{d.alarm_s:.2f}", escape(d.says)] for d in replay.diagnoses]
-    return html_table(["found at, s", "alarm at, s", "cause"], rows, "words") if rows else ""
+    rows += [
+        [f"{p.until_s:.2f}", "–" if p.alarm_s is None else f"{p.alarm_s:.2f}", escape(p.says)]
+        for p in replay.parts or ()
+    ]
+    return html_table(["found at, s", "alarm at, s", "cause or part"], rows, "words") if rows else ""
 
 
 def _drive_page(

@@ -1,0 +1,128 @@
+"""Parts of a car with four redundant outputs: what each changes, which is named, what no size tells."""
+
+import json
+
+import numpy as np
+import pytest
+
+from lpvguard.base.errors import InputError
+from lpvguard.extras.bench._redundant_car import (
+    DOUBLE,
+    FAULTS,
+    PartFault,
+    redundant_drives,
+    redundant_project,
+)
+from lpvguard.identify.isolation import (
+    Changes,
+    Isolation,
+    residual_structure,
+    told_apart,
+)
+from lpvguard.replay.parts import PartNamer
+from lpvguard.vehicle.nominal import NominalModel
+from lpvguard.vehicle.project import load_project, parse_project
+
+PROJECT = redundant_project()
+CHANGES = Changes(PROJECT, NominalModel(PROJECT))
+BEGIN_S, WINDOW_S = 40.0, 60.0
+
+
+@pytest.fixture(scope="module")
+def isolation() -> Isolation:
+    return Isolation.of(CHANGES, redundant_drives(20, 180.0, 1)[0], WINDOW_S)
+
+
+def test_a_column_is_what_its_part_does():
+    drive = redundant_drives(1, 60.0, 3)[0][0]
+    model = NominalModel(PROJECT)
+    yhat = model.simulate(drive.v, drive.u, drive.y[0])
+    _, change = CHANGES.along(drive)
+    assert change.shape == (len(drive.t), 4, 4 * 5 + 5 + 1 + 2)
+    assert np.array_equal(change[:, 0, 0], yhat[:, 0]) and not change[:, 1:, 0].any()
+    assert np.all(change[:, 1, 9] == 1.0) and not change[:, [0, 2, 3], 9].any()
+    # A steering angle that is measured 2 % too large: the car turns less than its nominal model.
+    small = model.simulate(drive.v, drive.u / 1.02, drive.y[0]) - yhat
+    assert change[:, :, 20] == pytest.approx(small / 0.02)
+    slow = model.simulate(drive.v / 1.02, drive.u, drive.y[0]) - yhat
+    assert change[:, :2, 25] == pytest.approx(slow[:, :2] / 0.02)
+    assert change[:, 2, 25] == pytest.approx(slow[:, 2] / 0.02 - yhat[:, 2])
+
+
+@pytest.mark.slow("10 s: twelve faults in four drives each")
+def test_the_part_of_every_single_fault_is_named(isolation):
+    drives = redundant_drives(4, 101.0, 2, [(), *((f,) for f in FAULTS)], BEGIN_S)
+    right = wrong = 0
+    for fault, of in zip((None, *FAULTS), drives, strict=True):
+        for drive in of:
+            found = isolation.name(isolation.evidence(list(CHANGES.blocks(drive, BEGIN_S, 100.0))))
+            if fault is None:
+                assert not found.differs and found.words() == "no part differs"
+                continue
+            right += found.parts == (fault.part,)
+            wrong += found.differs and bool(found.parts) and fault.part not in found.parts
+    assert right >= 0.85 * 4 * len(FAULTS) and wrong == 0
+
+
+def test_a_size_has_an_interval_and_two_faults_are_no_single_part(isolation):
+    bias = PartFault("bias", 0.02, "yaw_rate")
+    both = (bias, PartFault("offset", 0.02))
+    (one,), (two,) = redundant_drives(1, 101.0, 4, [(bias,), both], BEGIN_S)
+    found = isolation.name(isolation.evidence(list(CHANGES.blocks(one, BEGIN_S, 100.0))))
+    assert found.parts == ("yaw_rate",) and found.what == "yaw_rate bias" and found.unit == "rad/s"
+    assert found.value == pytest.approx(0.02, abs=4e-3) and "yaw_rate: yaw_rate bias +0.0" in found.words()
+    found = isolation.name(isolation.evidence(list(CHANGES.blocks(two, BEGIN_S, 100.0))))
+    assert found.differs and found.parts in ((), ("road_wheel_angle",), ("yaw_rate",))
+    assert all(len({f.part for f in pair}) == 2 for pair in DOUBLE)
+
+
+def test_structure_says_which_parts_a_residual_tells_apart():
+    structure = residual_structure(PROJECT)
+    assert structure["yaw_rate"][0] == "yaw_rate" and len(structure["yaw_rate"]) == 4
+    assert structure["vehicle"] == ["yaw_rate", "wheel_rate", "acceleration_rate", "course_rate"]
+    assert told_apart(structure, "yaw_rate", "vehicle") and told_apart(structure, "vehicle", "yaw_rate")
+    assert not told_apart(structure, "vehicle", "road_wheel_angle")
+    assert told_apart(structure, "speed", "vehicle") and not told_apart(structure, "vehicle", "speed")
+
+
+def test_one_output_tells_no_parts_apart_by_structure():
+    document = load_project("g80").model_dump(by_alias=True) | {"isolation": {"vehicle": ["K"]}}
+    structure = residual_structure(parse_project(document, "x"))
+    assert not any(told_apart(structure, a, b) for a in structure for b in structure)
+
+
+def test_isolable_sizes_fall_with_time_and_are_never_below_that_of_a_healthy_vehicle(isolation):
+    short, long = isolation.isolable(30.0), isolation.isolable(3000.0)
+    for what, row in short.items():
+        assert all(row[part] >= row[""] * (1 - 1e-9) for part in row)
+        assert all(long[what][part] <= row[part] for part in row)
+    assert short["yaw_rate bias"]["wheel_rate"] < 0.02
+    rows = list(isolation.isolable_rows(PROJECT))
+    assert rows[0]["size of"] == "yaw_rate gain" and rows[0]["yaw_rate"] == ""
+    assert rows[0]["vehicle"].endswith("*") and not rows[-1]["road_wheel_angle"].endswith("*")
+
+
+def test_scales_are_read_back_and_name_parts_in_windows_of_a_drive(isolation, tmp_path):
+    again = Isolation.from_dict(json.loads(json.dumps(isolation.to_dict(), default=lambda a: a.tolist())))
+    fault = PartFault("gain", 0.8, "wheel_rate")
+    drive = redundant_drives(1, 125.0, 5, [(fault,)], BEGIN_S)[0][0]
+    namer = PartNamer(PROJECT, again)
+    named = list(namer.named(drive, [60.0], [(60.0, 41.0)]))
+    assert [n.from_s for n in named][-1] == 60.0 and named[-1].alarm_s == 60.0 and named[-1].until_s == 120.0
+    assert named[-1].parts == ("wheel_rate",) and named[-1].service == "now"
+    assert named[-1].says.endswith(
+        "since about 41 s; check mounting, wiring and calibration of wheel_rate; service now"
+    )
+    assert list(namer.named(redundant_drives(1, 125.0, 5)[0][0], [])) == []
+    assert PartNamer.beside(PROJECT, tmp_path) is None
+
+
+@pytest.mark.parametrize(
+    "isolation",
+    [{"vehicle": ["mass"]}, {"speed_power": {"speed": 1}}, {"parts": {"nothing": "x"}}, {"window_s": 1}],
+)
+def test_settings_that_name_nothing_are_refused(isolation):
+    document = load_project("g80").model_dump(by_alias=True)
+    assert "isolation" not in document
+    with pytest.raises(InputError, match="isolation"):
+        parse_project(document | {"isolation": isolation}, "x")

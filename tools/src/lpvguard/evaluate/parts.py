@@ -1,0 +1,78 @@
+"""Parts that windows name after injected faults, and on untouched drives (THEORY 7.21).
+
+The faults of `evaluate` act on all outputs at once, or on the input. A part is no truth of theirs, so names
+are counted and not judged; ``bench isolation`` judges them. The scales come from all drives, those judged
+included.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Iterator
+
+from ..replay.replayer import Replay
+from .detection import WAY_WORDS, Case
+
+Names = dict[Case | None, list[str]]
+"""Names by case; None is the untouched drive."""
+NOTHING, NO_SINGLE = "none", "no single part"
+
+
+def name_after(replay: Replay, start_s: float) -> str:
+    """Name the first part that a window finds after a time.
+
+    Parameters
+    ----------
+    replay : Replay
+    start_s : float, s after the drive's first sample
+
+    Returns
+    -------
+    str, NOTHING without one
+    """
+    for named in replay.parts or ():
+        if named.until_s > start_s:
+            return " or ".join(named.parts) or NO_SINGLE
+    return NOTHING
+
+
+def part_table(names: Iterable[Names]) -> list[dict]:
+    """Count names by fault and way, the untouched drives first.
+
+    Parameters
+    ----------
+    names : Iterable of Names
+
+    Returns
+    -------
+    list of dict
+    """
+    total: Names = {}
+    for of in names:
+        for case, said in of.items():
+            total.setdefault(case, []).extend(said)
+    order = sorted(total, key=lambda case: case is not None)
+    return [
+        {
+            "way": None if case is None else case.way,
+            "fault": None if case is None else case.fault.label,
+            "names": dict(Counter(total[case]).most_common()),
+        }
+        for case in order
+    ]
+
+
+def part_lines(rows: list[dict]) -> Iterator[str]:
+    """Word the rows of `part_table`.
+
+    Parameters
+    ----------
+    rows : list of dict
+
+    Yields
+    ------
+    str
+    """
+    for row in rows:
+        fault = "untouched drives" if row["fault"] is None else f"{WAY_WORDS[row['way']]}: {row['fault']}"
+        yield f"{fault}: " + ", ".join(f"{name} {count}" for name, count in row["names"].items())

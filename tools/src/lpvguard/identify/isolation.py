@@ -1,0 +1,548 @@
+"""Which part differs: redundant outputs of one nominal model (THEORY 7.21).
+
+Every part changes the errors e = y - yhat of all outputs in its own way. The columns of a part are these
+changes, simulated. A sensor of an output has gain, delay and bias, that of an input gain, delay and offset.
+The speed has a factor, and so have the model's parameters that tyres and load change. Healthy drives have
+sizes of all columns of N(mean, spread^2) and a joint vector autoregressive residue. A faulty part has sizes
+of a much larger spread. Bayes' rule with equal odds names the parts; where several remain, all are named.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from dataclasses import fields as dataclass_fields
+from functools import cached_property, reduce
+from itertools import combinations
+from operator import add
+
+import numpy as np
+from scipy.stats import t as student
+
+from ..base.runs import runs
+from ..drives.frames import Estimator
+from ..drives.tables import Drive
+from ..vehicle.nominal import NominalModel
+from ..vehicle.project import Project
+
+BLOCK_S = 0.2
+"""Samples are averaged over blocks of this length [s]."""
+LAGS = 3
+"""Lags of the residue's vector autoregression."""
+DELAYS_S, FACTOR = (0.1, 0.2, 0.4), 0.02
+"""Sizes of the simulated changes: delays [s], between which a delay is interpolated, and a factor minus 1."""
+FAULT = {"gain": 0.3, "delay": 0.2, "bias": 0.5, "offset": 0.5, "factor": 0.1, "parameter": 0.4}
+"""Spread of a faulty size: of bias and offset in standard deviations of the signal, of a delay in s."""
+SURE = 0.95
+"""Probability that the named parts have together."""
+NEEDED = 19.0
+"""Likelihood ratio, twice its log, with which 95 % of windows leave one part of two: x - 2 sqrt(x) 1.64 is
+twice the log of SURE / (1 - SURE)."""
+ODDS = float(np.log(20.0))
+"""Log-odds beyond those of all healthy windows with which a window differs."""
+UNEXPLAINED = 0.05
+"""Share of the evidence that a single part may leave: large faults exceed their linear changes."""
+VEHICLE = "vehicle"
+"""Part of tyres, load and the rest of the vehicle."""
+ROUNDS = 60
+"""Rounds of expectation and maximisation."""
+
+
+@dataclass(frozen=True)
+class PartColumn:
+    """Change of the errors by one size of a part.
+
+    Attributes
+    ----------
+    part : str
+    kind : str, of FAULT
+    what : str, in words
+    unit : str, of a size
+    place : int, index of output, input or parameter; 0 for the speed
+    fault : float, spread of a faulty size [unit]
+    """
+
+    part: str
+    kind: str
+    what: str
+    unit: str
+    place: int
+    fault: float
+
+
+def columns_of(project: Project, spread_u: np.ndarray, spread_y: np.ndarray) -> list[PartColumn]:
+    """Columns of all parts; ``spread_u`` (n_u,) and ``spread_y`` (n_y,): standard deviations in drives."""
+    settings = project.isolation
+    assert settings is not None
+    found = []
+    for signals, spread, last in ((project.outputs, spread_y, "bias"), (project.inputs, spread_u, "offset")):
+        for i, s in enumerate(signals):
+            part = settings.part_of(s.name)
+            found += [
+                PartColumn(part, "gain", f"{s.name} gain", "", i, FAULT["gain"]),
+                *[PartColumn(part, "delay", f"{s.name} delay", "s", i, FAULT["delay"])] * len(DELAYS_S),
+                PartColumn(part, last, f"{s.name} {last}", s.unit, i, FAULT[last] * float(spread[i])),
+            ]
+    found.append(
+        PartColumn(settings.part_of(project.speed.name), "factor", "speed factor", "", 0, FAULT["factor"])
+    )
+    names = list(project.model.parameters)
+    for name in settings.vehicle:
+        found.append(
+            PartColumn(VEHICLE, "parameter", f"{name} factor", "", names.index(name), FAULT["parameter"])
+        )
+    return found
+
+
+class Changes:
+    """Simulates the columns of a project's parts along drives.
+
+    Parameters
+    ----------
+    project : Project
+    model : NominalModel
+    """
+
+    def __init__(self, project: Project, model: NominalModel):
+        self.project, self.model, self.estimator = project, model, Estimator.from_project(project, model)
+        settings, parameters = project.isolation, project.model.parameters
+        assert settings is not None
+        self.vehicles = {}
+        for name in settings.vehicle:
+            changed = parameters | {name: parameters[name] * (1 + FACTOR)}
+            update = {"model": project.model.model_copy(update={"parameters": changed})}
+            self.vehicles[name] = NominalModel(project.model_copy(update=update))
+        self.step = max(1, round(BLOCK_S / project.Ts_s))
+
+    def along(self, drive: Drive) -> tuple[np.ndarray, np.ndarray]:
+        """Errors (N, n_y), and their change by a unit size of every column (N, n_y, m)."""
+        project, simulate = self.project, self.model.simulate
+        v, u, first = drive.v, drive.u, drive.y[0]
+        yhat, n = simulate(v, u, first), len(v)
+        lags = {max(1, round(d / project.Ts_s)): d for d in DELAYS_S}
+        late = [(_delayed(yhat, lag) - yhat) / d for lag, d in lags.items()]
+        found = []
+        for j in range(project.n_y):
+            alone = np.zeros((2 + len(late), n, project.n_y))
+            for column, x in zip(alone, [yhat, *late, np.ones_like(yhat)], strict=True):
+                column[:, j] = x[:, j]
+            found += [*alone]
+        for i in range(project.n_u):
+            for changed, size in _input_changes(u, i, lags):
+                found.append((simulate(v, changed, first) - yhat) / size)
+        by_speed = (simulate(v / (1 + FACTOR), u, first) - yhat) / FACTOR
+        settings = project.isolation
+        assert settings is not None
+        powers = [settings.speed_power.get(s.name, 0) for s in project.outputs]
+        found.append(by_speed + yhat * powers)
+        found += [(vehicle.simulate(v, u, first) - yhat) / FACTOR for vehicle in self.vehicles.values()]
+        return drive.y - yhat, np.stack(found, axis=-1)
+
+    def blocks(self, drive: Drive, from_s: float = 0.0, to_s: float = np.inf) -> Iterator[np.ndarray]:
+        """Means (B, n_y, 1 + m) of errors and changes over blocks, stretch by stretch of settled driving.
+
+        ``from_s`` and ``to_s`` are times after the drive's first sample.
+        """
+        error, change = self.along(drive)
+        both = np.concatenate([error[..., None], change], axis=-1)
+        t = drive.t - drive.t[0]
+        good = self.estimator.settled(drive.v) & (t >= from_s) & (t < to_s)
+        if drive.missing is not None:
+            good &= ~drive.missing
+        for a, b in runs(good):
+            count = (b - a) // self.step
+            if count > LAGS:
+                stretch = both[a : a + count * self.step]
+                yield stretch.reshape(count, self.step, *both.shape[1:]).mean(axis=1)
+
+
+def _delayed(x: np.ndarray, lag: int) -> np.ndarray:
+    return np.concatenate([np.repeat(x[:1], lag, axis=0), x[:-lag]])
+
+
+def _input_changes(u: np.ndarray, i: int, lags: dict[int, float]) -> Iterator[tuple[np.ndarray, float]]:
+    """True inputs where input i is measured with another gain, delay and offset, and the sizes.
+
+    ``lags``: delays [s] by samples.
+    """
+    offset = max(1e-6, 0.1 * float(u[:, i].std()))
+    early = [(_delayed(u[::-1], lag)[::-1], d) for lag, d in lags.items()]
+    for changed, size in ((u / (1 + FACTOR), FACTOR), *early, (u - offset, offset)):
+        yield np.where(np.arange(u.shape[1]) == i, changed, u), size
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """Whitened sums over a window: G (m, m) of changes, g (m,) of changes and errors; ``count`` blocks."""
+
+    G: np.ndarray
+    g: np.ndarray
+    count: int
+
+    def __add__(self, other: Evidence) -> Evidence:
+        return Evidence(self.G + other.G, self.g + other.g, self.count + other.count)
+
+
+def residual_structure(project: Project) -> dict[str, list[str]]:
+    """Residuals that every part changes: errors of outputs, and differences of redundant outputs' errors.
+
+    Redundant are outputs with the same row of C. An output's sensor changes what holds the output. Inputs and
+    vehicle leave every difference, and the speed leaves those of outputs with equal powers of it.
+
+    Parameters
+    ----------
+    project : Project, with ``isolation``
+
+    Returns
+    -------
+    dict[str, list of str], names of residuals by part
+    """
+    settings = project.isolation
+    assert settings is not None
+    names = [s.name for s in project.outputs]
+    pairs = [(a, b) for (a, x), (b, y) in combinations(zip(names, project.model.C, strict=True), 2) if x == y]
+    differences = {f"{a} - {b}": (a, b) for a, b in pairs}
+    powers = {n: settings.speed_power.get(n, 0) for n in names}
+    found: dict[str, set[str]] = {}
+    for n in names:
+        of = {n} | {d for d, pair in differences.items() if n in pair}
+        found.setdefault(settings.part_of(n), set()).update(of)
+    for s in project.inputs:
+        found.setdefault(settings.part_of(s.name), set()).update(names)
+    uneven = {d for d, (a, b) in differences.items() if powers[a] != powers[b]}
+    found.setdefault(settings.part_of(project.speed.name), set()).update(names, uneven)
+    if settings.vehicle:
+        found.setdefault(VEHICLE, set()).update(names)
+    order = [*names, *differences]
+    return {part: [r for r in order if r in residuals] for part, residuals in found.items()}
+
+
+def told_apart(structure: dict[str, list[str]], part: str, other: str) -> bool:
+    """Return whether a residual that one part leaves alone is changed by another.
+
+    Parameters
+    ----------
+    structure : dict[str, list of str], of `residual_structure`
+    part : str, changes the residual
+    other : str, leaves it alone
+
+    Returns
+    -------
+    bool
+    """
+    return bool(set(structure[part]) - set(structure[other]))
+
+
+@dataclass(frozen=True)
+class Moments:
+    """Moments of a healthy drive: ``spread`` (n_u + n_y,) of its signals, and products of its residue.
+
+    ``products`` ((LAGS + 1) n_y + 1 squared) are those of LAGS lags, of the newest value and of 1.
+    """
+
+    spread: np.ndarray
+    products: np.ndarray
+
+
+def moments_of(changes: Changes, drive: Drive) -> Moments:
+    """Moments of a drive without what its columns explain."""
+    n_y = changes.project.n_y
+    products = np.zeros(((LAGS + 1) * n_y + 1,) * 2)
+    if stretches := list(changes.blocks(drive)):
+        both = np.concatenate(stretches)
+        m = both.shape[2] - 1
+        size = np.linalg.lstsq(both[..., 1:].reshape(-1, m), both[..., 0].ravel(), rcond=1e-8)[0]
+        for x in stretches:
+            left = x[..., 0] - x[..., 1:] @ size
+            lags = [left[LAGS - k - 1 : len(left) - k - 1] for k in range(LAGS)]
+            rows = np.hstack([*lags, left[LAGS:], np.zeros((len(left) - LAGS, 1))])
+            products += rows.T @ rows
+            products[-1, -1] += len(rows)
+    return Moments(np.r_[drive.u.std(axis=0), drive.y.std(axis=0)], products)
+
+
+def evidence_windows(changes: Changes, isolation: Isolation, drive: Drive) -> list[Evidence]:
+    """Evidence of the whole windows of a drive."""
+    length = max(LAGS + 2, round(isolation.window_s / (changes.step * changes.project.Ts_s)))
+    return [
+        isolation.evidence([x[first : first + length]])
+        for x in changes.blocks(drive)
+        for first in range(0, len(x) - length + 1, length)
+    ]
+
+
+@dataclass(frozen=True)
+class PartFinding:
+    """Parts that a window names.
+
+    Attributes
+    ----------
+    parts : tuple of str, the likeliest first; empty where nothing differs or no single part explains it
+    probability : dict[str, float], by part
+    differs : bool, the window does not agree with a healthy vehicle
+    what : str, the largest size of the likeliest part in words, "" without a part
+    value, low, high : float or None, that size and its 95 % interval
+    unit : str, of the size
+    """
+
+    parts: tuple[str, ...]
+    probability: dict[str, float]
+    differs: bool
+    what: str = ""
+    value: float | None = None
+    low: float | None = None
+    high: float | None = None
+    unit: str = ""
+
+    def words(self) -> str:
+        """The finding in one line."""
+        if not self.differs:
+            return "no part differs"
+        if not self.parts:
+            return "no single part explains it"
+        if len(self.parts) > 1:
+            return f"one of {', '.join(self.parts)}"
+        unit = f" {self.unit}" if self.unit else ""
+        return f"{self.parts[0]}: {self.what} {self.value:+.3g}{unit} ({self.low:+.3g} to {self.high:+.3g})"
+
+
+@dataclass(frozen=True)
+class Isolation:
+    """Scales of healthy drives, with which a window names parts.
+
+    Attributes
+    ----------
+    columns : list of PartColumn
+    mean, spread : ndarray (m,), of healthy sizes
+    A : ndarray (LAGS, n_y, n_y), of the residue's autoregression
+    S : ndarray (n_y, n_y), covariance of its innovation
+    scale : float, by which likelihoods are divided, so that healthy windows agree
+    least : float, evidence against a healthy vehicle that no healthy window exceeds
+    lack : float, misfit of the best part beside all parts that no healthy window exceeds
+    per_s : ndarray (m, m), sums G of a second of usual driving
+    window_s : float, length of the windows [s]
+    """
+
+    columns: list[PartColumn]
+    mean: np.ndarray
+    spread: np.ndarray
+    A: np.ndarray
+    S: np.ndarray
+    scale: float
+    least: float
+    lack: float
+    per_s: np.ndarray
+    window_s: float
+
+    @classmethod
+    def of(cls, changes: Changes, drives: Sequence[Drive], window_s: float) -> Isolation:
+        """Scales from healthy drives."""
+        begun = cls.begun(changes, [moments_of(changes, d) for d in drives], window_s)
+        return begun.finished([evidence_windows(changes, begun, d) for d in drives])
+
+    @classmethod
+    def begun(cls, changes: Changes, moments: Sequence[Moments], window_s: float) -> Isolation:
+        """Columns and residue from the moments of healthy drives; `finished` adds the rest."""
+        project = changes.project
+        spread = np.mean([x.spread for x in moments], axis=0)
+        columns = columns_of(project, spread[: project.n_u], spread[project.n_u :])
+        A, S = _residue(np.sum([x.products for x in moments], axis=0), project.n_y)
+        m = len(columns)
+        return cls(columns, np.zeros(m), np.ones(m), A, S, 1.0, 0.0, 0.0, np.zeros((m, m)), window_s)
+
+    def finished(self, windows: Sequence[Sequence[Evidence]]) -> Isolation:
+        """With the sizes and limits of healthy drives, from the windows of each."""
+        whole = [reduce(add, of) for of in windows if of]
+        mean, spread = _healthy_sizes(whole, self.faulty)
+        # Of a further drive, as Student's t of so many drives predicts it.
+        drives = len(whole)
+        spread *= float(student.ppf(0.975, max(1, drives - 1))) / 1.96 * np.sqrt(1 + 1 / drives)
+        every = [w for of in windows for w in of]
+        per_s = np.mean([w.G for w in every], axis=0) / self.window_s
+        return replace(self, mean=mean, spread=spread, per_s=per_s)._scaled(every)
+
+    def _scaled(self, windows: list[Evidence]) -> Isolation:
+        """With the scale and limits of healthy windows."""
+        freed = np.hypot(self.spread, self.faulty)
+        ratios = []
+        for w in windows:
+            b = w.g - w.G @ self.mean
+            covariance = np.diag(self.spread**2)
+            expected = w.G + w.G @ covariance @ w.G
+            ratios.append(float(b @ np.linalg.pinv(expected) @ b) / len(b))
+        scale = max(1.0, float(np.mean(ratios))) if ratios else 1.0
+        made = replace(self, scale=scale)
+        against, lacks = [0.0], [0.0]
+        for w in windows:
+            fits = made.fits(w)
+            against.append(max(fits.values()) - fits[""])
+            lacks.append(made._lack(w, freed))
+        return replace(made, least=max(against) + ODDS, lack=max(lacks))
+
+    def to_dict(self) -> dict:
+        """JSON-able, for `from_dict`, with the table of `isolable`."""
+        fields = {f.name: getattr(self, f.name) for f in dataclass_fields(self)}
+        fields["columns"] = [vars(c) for c in self.columns]
+        table = {
+            what: {k: v if np.isfinite(v) else None for k, v in row.items()}
+            for what, row in self.isolable().items()
+        }
+        return fields | {"isolable": table}
+
+    @classmethod
+    def from_dict(cls, data: dict) -> Isolation:
+        """Read back."""
+        mean, spread, A, S, per_s = (np.array(data[k], float) for k in ("mean", "spread", "A", "S", "per_s"))
+        scale, least, lack, window_s = (float(data[k]) for k in ("scale", "least", "lack", "window_s"))
+        columns = [PartColumn(**c) for c in data["columns"]]
+        return cls(columns, mean, spread, A, S, scale, least, lack, per_s, window_s)
+
+    @property
+    def faulty(self) -> np.ndarray:
+        """Spreads (m,) of faulty sizes."""
+        return np.array([c.fault for c in self.columns])
+
+    @cached_property
+    def parts(self) -> list[str]:
+        """Parts in the order of the columns."""
+        return list(dict.fromkeys(c.part for c in self.columns))
+
+    def of_part(self, part: str) -> np.ndarray:
+        """Columns (m,) of bool of a part."""
+        return np.array([c.part == part for c in self.columns])
+
+    def evidence(self, stretches: Sequence[np.ndarray]) -> Evidence:
+        """Whitened sums of stretches of blocks (B, n_y, 1 + m)."""
+        m = len(self.columns)
+        total = Evidence(np.zeros((m, m)), np.zeros(m), 0)
+        root = np.linalg.cholesky(np.linalg.inv(self.S))
+        for x in stretches:
+            if len(x) <= LAGS:
+                continue
+            white = x[LAGS:].copy()
+            for k, a in enumerate(self.A):
+                white -= np.einsum("ij,bjm->bim", a, x[LAGS - k - 1 : len(x) - k - 1])
+            white = np.einsum("ij,bjm->bim", root.T, white).reshape(-1, 1 + m)
+            G = white.T @ white
+            total += Evidence(G[1:, 1:], G[1:, 0], len(x) - LAGS)
+        return total
+
+    def log_likelihood(self, w: Evidence, spread: np.ndarray) -> float:
+        """Log-likelihood of a window whose sizes have a ``spread`` (m,), up to a constant."""
+        b = w.g - w.G @ self.mean
+        inner = np.eye(len(b)) + (spread[:, None] * w.G) * spread
+        scaled = spread * b
+        return (
+            0.5 * (float(scaled @ np.linalg.solve(inner, scaled)) - np.linalg.slogdet(inner)[1]) / self.scale
+        )
+
+    def _freed(self, part: str) -> np.ndarray:
+        return np.where(self.of_part(part), np.hypot(self.spread, self.faulty), self.spread)
+
+    def fits(self, w: Evidence) -> dict[str, float]:
+        """Log-likelihood of a window by faulty part; "" is the healthy vehicle."""
+        return {"": self.log_likelihood(w, self.spread)} | {
+            part: self.log_likelihood(w, self._freed(part)) for part in self.parts
+        }
+
+    def _lack(self, w: Evidence, freed: np.ndarray) -> float:
+        """Misfit of the best part beside that of all parts at once."""
+        best = max((part for part in self.parts), key=lambda part: self.log_likelihood(w, self._freed(part)))
+        return self._misfit(w, self._freed(best)) - self._misfit(w, freed)
+
+    def _misfit(self, w: Evidence, spread: np.ndarray) -> float:
+        b = (w.g - w.G @ self.mean) * spread
+        inner = np.eye(len(b)) + (spread[:, None] * w.G) * spread
+        return -float(b @ np.linalg.solve(inner, b)) / self.scale
+
+    def name(self, w: Evidence) -> PartFinding:
+        """Name the parts that a window differs in."""
+        fits = self.fits(w)
+        healthy = fits.pop("")
+        top = max(fits.values())
+        weights = {part: float(np.exp(x - top)) for part, x in fits.items()}
+        whole = sum(weights.values())
+        probability = {part: x / whole for part, x in weights.items()}
+        if not w.count or top - healthy <= self.least:
+            return PartFinding((), probability, False)
+        allowed = 2 * self.lack + NEEDED + 2 * UNEXPLAINED * (top - healthy)
+        if self._lack(w, np.hypot(self.spread, self.faulty)) > allowed:
+            return PartFinding((), probability, True)
+        order = sorted(probability, key=lambda part: -probability[part])
+        share = np.cumsum([probability[part] for part in order])
+        parts = tuple(order[: int(np.searchsorted(share, SURE)) + 1])
+        return PartFinding(parts, probability, True, *self._size(w, parts[0]))
+
+    def _size(self, w: Evidence, part: str) -> tuple[str, float, float, float, str]:
+        """Words, value and 95 % interval of the surest size of a part, and its unit."""
+        spread = self._freed(part)
+        V = np.linalg.inv(w.G / self.scale + np.diag(1 / spread**2))
+        sizes = self.mean + V @ (w.g - w.G @ self.mean) / self.scale - self.mean
+        found = []
+        for what in dict.fromkeys(c.what for c in self.columns if c.part == part):
+            of = np.array([c.what == what for c in self.columns], float)
+            half = 1.96 * float(np.sqrt(of @ (V + np.diag(self.spread**2)) @ of))
+            found.append((what, float(of @ sizes), half, self.columns[int(of.argmax())].unit))
+        what, value, half, unit = max(found, key=lambda f: abs(f[1]) / f[2])
+        return what, value, value - half, value + half, unit
+
+    def isolable_rows(self, project: Project) -> Iterator[dict[str, str]]:
+        """Rows of the table of isolability in words: the size, then the least one told from each part.
+
+        A star marks parts that are told apart by structure, a dash that no size tells them apart.
+        """
+        structure = residual_structure(project)
+        of = {c.what: c for c in self.columns}
+        for what, row in self.isolable().items():
+            part, unit = of[what].part, of[what].unit
+            shown = {"size of": f"{what}{f' [{unit}]' if unit else ''}"}
+            for other in ["", *self.parts]:
+                if other == part:
+                    shown[other] = ""
+                    continue
+                star = "*" if other and told_apart(structure, part, other) else ""
+                shown[other or "healthy"] = f"{row[other]:.2g}{star}" if np.isfinite(row[other]) else "–"
+            yield shown
+
+    def isolable(self, seconds: float | None = None) -> dict[str, dict[str, float]]:
+        """Least size of every column with which a window of usual driving tells its part from each other one.
+
+        Infinite where no size does. "" is the healthy vehicle.
+        """
+        G = self.per_s * (self.window_s if seconds is None else seconds) / self.scale
+        found: dict[str, dict[str, float]] = {}
+        for k, column in enumerate(self.columns):
+            row = {}
+            for other in ["", *self.parts]:
+                if other == column.part:
+                    continue
+                spread = self.spread if not other else self._freed(other)
+                inner = np.diag(1 / spread**2) + G
+                left = float(G[k, k] - G[k] @ np.linalg.solve(inner, G[:, k]))
+                row[other] = float(np.sqrt(NEEDED / left)) if left > 1e-9 * G[k, k] else float("inf")
+            found.setdefault(column.what, row)
+        return found
+
+
+def _residue(products: np.ndarray, n_y: int) -> tuple[np.ndarray, np.ndarray]:
+    """Autoregression (LAGS, n_y, n_y) and innovation covariance (n_y, n_y) from `Moments.products`."""
+    k = LAGS * n_y
+    count = max(1.0, float(products[-1, -1]))
+    past, cross, now = products[:k, :k], products[:k, k:-1], products[k:-1, k:-1]
+    A = np.linalg.lstsq(past, cross, rcond=1e-12)[0]
+    S = (now - cross.T @ A - A.T @ cross + A.T @ past @ A) / count
+    return A.T.reshape(n_y, LAGS, n_y).swapaxes(0, 1), S + 1e-9 * np.eye(n_y) * max(np.trace(S), 1e-300)
+
+
+def _healthy_sizes(whole: list[Evidence], faulty: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Mean and spread (m,) of the sizes of healthy drives, by expectation and maximisation."""
+    mean, spread = np.zeros(len(faulty)), 0.1 * faulty
+    for _ in range(ROUNDS):
+        rows = []
+        for w in whole:
+            V = np.linalg.inv(w.G + np.diag(1 / spread**2))
+            rows.append((V @ (w.g + mean / spread**2), np.diag(V)))
+        sizes, own = (np.array(x) for x in zip(*rows, strict=True))
+        mean = sizes.mean(axis=0)
+        spread = np.maximum(np.sqrt((own + (sizes - mean) ** 2).mean(axis=0)), 1e-4 * faulty)
+    return mean, spread
