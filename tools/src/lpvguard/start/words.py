@@ -60,8 +60,8 @@ WITH_UNIT = {"output": "yaw|gyro?|(^|_)rot(ation)?(_rate|_speed)?$"}
 NEVER = {
     "speed": _any(
         r"_[yz](_|$) ^v_?[yz](_|$) (^|_)lat(eral)?_?(_|v|sp) rel(ative|_|sp|v) target trgt trg$ "
-        r"set_?(p|speed) wunsch ziel soll lead obj wiper fan wind_ engine idle shaft turbine motor_sp rpm max lim lmt "
-        r"trap tsr saved condition offset regel abbruch zeit gier yaw lacet imbard gui[nñ] ang "
+        r"set_?(p|speed) wunsch ziel soll lead obj wiper fan wind_ engine idle shaft turbine motor_sp "
+        r"rpm max lim lmt trap tsr saved condition offset regel abbruch zeit gier yaw lacet imbard gui[nñ] ang "
         r"steer sas rate_ hud clu_ kombi angez dsply display navi expected"
     ),
     "input": _any(
