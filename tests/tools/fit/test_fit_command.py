@@ -107,5 +107,7 @@ def test_a_model_that_no_car_can_have_is_refused_unless_told(g80):
         ({"B": [[f"3.6*({b})" for b in row] for row in g80.model.B]}, "wheelbase of 0.7"),
     ):
         model = stated.model.model_copy(update=change)
+        strange = stated.model_copy(update={"model": model})
         with pytest.raises(InputError, match=says):
-            require_plausible(stated.model_copy(update={"model": model}))
+            require_plausible(strange, [strange])
+        require_plausible(strange, [stated])  # the drives do not exclude a car

@@ -91,6 +91,20 @@ def test_288_logs_of_known_units_are_read_right_or_asked(capsys):
     assert set(counts) == {"right", "asked"} and counts.total() == 288
 
 
+def test_going_backwards_with_a_speed_without_sign_turns_no_sign():
+    """As a sports car's log began: out of a parking space with a full turn of the wheel."""
+    (log, _) = in_units(recordings(CARS["saloon"][0], SPEEDS["country"]), ("m/s", "deg", "deg/s"), 15.8)
+    t = np.arange(750) * 0.02
+    turns = 450.0 * np.sin(0.8 * t)
+    yaw = -np.degrees(1.5 / 2.8 * np.tan(np.radians(turns / 15.8)))
+    back = {"speed": 1.5 + 0 * t, "angle_of_steering": turns, "yaw_rate": yaw}
+    values = {name: np.r_[back[name], x] for name, x in log.values.items()}
+    whole = Recording("a", np.arange(len(values["speed"])) * 0.02, values, {})
+    units = {"speed": "m/s", "input": "deg", "output": "deg/s"}
+    found = proposed([whole], {}, Known("car", 2.8), units)
+    assert 0.9 < found["input"].factor * 15.8 < 1.1
+
+
 SPELLINGS = {
     "speed": {
         "m/s": ("v_m_s", "vehicle_speed_mps", "vx_ms", "speed (m s^-1)", "Speed [meter / second]"),

@@ -38,8 +38,8 @@ STRAY = 0.02
 
 @dataclass(frozen=True)
 class TextTable:
-    """A table as text says it: columns, line of the first row, unit by column where the table states it, and
-    whether numbers have a decimal comma."""
+    """A table as text says it: columns, line of the first row, and unit by column where the table states it.
+    ``comma``: numbers have a decimal comma."""
 
     table: pa.Table
     first_line: int

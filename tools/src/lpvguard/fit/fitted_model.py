@@ -26,7 +26,7 @@ from ..vehicle.project import Project
 from .damaged_drives import require_unspoiled
 from .differences import differences, outlook
 from .estimate import Estimate, Fit
-from .plausible import require_plausible
+from .plausible import DOUBT, require_plausible
 from .project_file import values_of, with_numbers
 from .quality import POOR_VAF, Quality, by_drive, by_speed
 from .suspicions import judged_beside, screened
@@ -155,7 +155,7 @@ def fit(
     estimate = runner.estimated(screen.theta)
     fitted = estimate.unknowns.project(estimate.theta)
     if not accept_unusual:
-        require_plausible(fitted)
+        require_plausible(fitted, _doubtful(estimate))
     model = NominalModel(fitted)
     progress("judging")
     of_fitted = by_drive(model, screen.explained, estimate.whitening, estimate.trims)
@@ -174,6 +174,13 @@ def fit(
         outlook(len({e.recording for e in experiments if e.name not in setting | skipped})),
         {e.name: artefacts.file_hash(e.path) for e in experiments},
     )
+
+
+def _doubtful(estimate: Estimate) -> list[Project]:
+    """The project with one unknown each at an end of its confidence interval."""
+    of, errors = estimate.unknowns, np.diag(DOUBT * estimate.standard_error)
+    ends = np.clip(estimate.theta + np.vstack((errors, -errors)), of.low, of.high)
+    return [of.project(theta) for theta in ends]
 
 
 def _read(project: Project, experiments: list[Experiment]) -> tuple[list[Drive], list[InputError]]:

@@ -93,7 +93,7 @@ def ranked(role: str, names: Iterable[str], units: Mapping[str, str] | None = No
         paths = (name.lower(), f"{message}.{plain}".lower())
         of_path = (re.search(OF_PATHS[role], re.sub(r"[^a-z0-9]+", "_", path)) for path in paths)
         is_path = any(of_path)
-        of_twist = 0.25 * (is_path and role != "input" and re.search(r"[xz2]\W*$", low) is not None)
+        of_twist = 0.25 * (is_path and role != "input" and re.search(r"[xz]$", low) is not None)
         certain = certain or of_twist > 0
         likely = is_path or bool(re.search(may, low) or re.search(may, plain))
         stated, in_name = _unit(unit, role) is not None, bool(units_in_name(last, role))

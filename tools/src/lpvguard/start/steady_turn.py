@@ -13,6 +13,8 @@ from itertools import product
 import numpy as np
 from scipy.signal import lfilter
 
+SLOW = 0.15
+"""Below this share of the largest speed a car may go backwards, and most speeds have no sign."""
 STEP_S = 0.05
 """Samples are averaged to about this step: driving has nothing faster."""
 MOST_SAMPLES = 24_000
@@ -56,13 +58,16 @@ class SteadyTurn:
 
 def steady_turn(drives: Sequence[Driven]) -> SteadyTurn | None:
     """Fit the steady turn with a lag to recordings; None where nothing moves."""
-    pieces = [piece for d in drives if len((piece := _averaged(d)).t) > 3 * BEGINS_S / STEP_S]
-    if not pieces:
+    averaged = [piece for d in drives if len((piece := _averaged(d)).t) > 3 * BEGINS_S / STEP_S]
+    if not averaged:
         return None
-    largest = float(np.quantile(np.abs(np.concatenate([p.v for p in pieces])), 0.99))
-    moved = float(np.ptp(np.concatenate([p.delta for p in pieces])))
-    target = np.concatenate([(r := _begun(p)) - r.mean() for p in pieces])
-    if not (largest > 0 and moved > 0 and target.any()):
+    largest = float(np.quantile(np.abs(np.concatenate([p.v for p in averaged])), 0.99))
+    pieces = [(p, fast) for p in averaged if (fast := _begun(p, p.v >= SLOW * largest)).any()]
+    if not (largest > 0 and pieces):
+        return None
+    moved = float(np.ptp(np.concatenate([p.delta for p, _ in pieces])))
+    target = np.concatenate([(r := _begun(p, p.r)[fast]) - r.mean() for p, fast in pieces])
+    if not (moved > 0 and target.any()):
         return None
     coarse = SPREADS[::6] / largest**2
     tried = [
@@ -75,7 +80,7 @@ def steady_turn(drives: Sequence[Driven]) -> SteadyTurn | None:
         lag = min(FINE_LAGS_S, key=lambda lag: _fitted(pieces, q, lag, delay)[1])
         delay = min(FINE_DELAYS_S, key=lambda delay: _fitted(pieces, q, lag, delay)[1])
     lengths, left = np.array([_fitted(pieces, q, lag, delay) for q in spread]).T
-    seconds = sum(float(p.t[-1] - p.t[0]) for p in pieces)
+    seconds = sum(int(fast.sum()) * float(np.median(np.diff(p.t))) for p, fast in pieces)
     doubt = left.min() * 3.84 * MEMORY_S / seconds + LEAST_DOUBT * float(target @ target)
     order = np.argsort(left, kind="stable")
     likely = order[left[order] <= left.min() + doubt]
@@ -93,22 +98,24 @@ def _averaged(d: Driven) -> Driven:
     return Driven(*parts)
 
 
-def _begun(p: Driven) -> np.ndarray:
-    """The yaw rate of a recording once its beginning is forgotten."""
-    return p.r[round(BEGINS_S / float(np.median(np.diff(p.t)))) :]
+def _begun(p: Driven, values: np.ndarray) -> np.ndarray:
+    """A column of a recording once its beginning is forgotten."""
+    return values[round(BEGINS_S / float(np.median(np.diff(p.t)))) :]
 
 
-def _fitted(pieces: Sequence[Driven], spread: float, lag_s: float, delay_s: float) -> tuple[float, float]:
+def _fitted(
+    pieces: Sequence[tuple[Driven, np.ndarray]], spread: float, lag_s: float, delay_s: float
+) -> tuple[float, float]:
     """P and the sum of squares that is left, for one q, lag and delay; each recording has its trim and
-    level."""
+    level. Only samples with the mark of a piece count."""
     xx = xy = yy = 0.0
-    for p in pieces:
+    for p, fast in pieces:
         step = float(np.median(np.diff(p.t)))
         shift = round(delay_s / step)
         rolls = p.v / np.maximum(1 + spread * p.v**2, 0.05)
         delayed = np.r_[np.full(shift, p.delta[0]), p.delta[: len(p.delta) - shift]]
-        y = _begun(p)
-        x, z = _lagged(np.column_stack((rolls * delayed, rolls)), lag_s, step)[-len(y) :].T
+        y = _begun(p, p.r)[fast]
+        x, z = _begun(p, _lagged(np.column_stack((rolls * delayed, rolls)), lag_s, step))[fast].T
         x, z, y = x - x.mean(), z - z.mean(), y - y.mean()
         along = float(z @ z)
         if along > 1e-18 * max(float(rolls @ rolls), 1e-300):  # a trim is no level, where the speed moves

@@ -59,10 +59,10 @@ WITH_UNIT = {"output": "yaw|gyro?|(^|_)rot(ation)?(_rate|_speed)?$"}
 """By role: what a name may hold where a unit of the role is stated."""
 NEVER = {
     "speed": _any(
-        r"(^|_)lat(eral)?_?(_|v|sp) rel(ative|_|sp|v) target trgt trg$ set_?(p|speed) wunsch "
-        r"ziel soll lead obj wiper fan wind_ engine idle shaft turbine motor_sp rpm max lim lmt "
-        r"trap tsr saved condition offset regel abbruch zeit gier yaw lacet imbard gui[nñ] ang "
-        r"steer sas rate_ hud clu_ kombi angez dsply display navi expected"
+        r"_[yz](_|$) ^v_?[yz](_|$) (^|_)lat(eral)?_?(_|v|sp) rel(ative|_|sp|v) target trgt trg$ "
+        r"set_?(p|speed) wunsch ziel soll lead obj wiper fan wind_ engine idle shaft turbine motor_sp "
+        r"rpm max lim lmt trap tsr saved condition offset regel abbruch zeit gier yaw lacet imbard gui[nñ] "
+        r"ang steer sas rate_ hud clu_ kombi angez dsply display navi expected"
     ),
     "input": _any(
         r"rate(?!d) torque tq trq speed spd vel gesch grd moment hilfe fraction override volt "
@@ -77,8 +77,8 @@ NEVER = {
 """By role: other quantities that share a word with it."""
 NOT = {
     "speed": _any(
-        r"control desired _y$ _z$ cruise digital pcm cluster dash ui_ adas acc_? gps low mod_ "
-        r"bump analog rough _[yz]_"
+        r"control desired cruise digital pcm cluster dash ui_ adas acc_? gps low mod_ "
+        r"bump analog rough"
     ),
     "input": _any(r"calculated control motor _2$ rechts sw$ rel"),
     "output": _any(r"raw"),
