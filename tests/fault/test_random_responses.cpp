@@ -1,6 +1,6 @@
 // Random drives of a vehicle whose response to the demand goes wrong, or stays right. Command, speed, release, the time of the fault within
-// the release, load and noise are drawn from a seed. In the minute behind the release an acknowledgement is asked for every 3 s. What must
-// hold of every drive:
+// the release, load, noise and the healthy brakes' lag are drawn from a seed. In the minute behind the release an acknowledgement is asked
+// for every 3 s. What must hold of every drive:
 //
 //     response x -1 or 0: engaged for at most 5 s, with pauses in the command at most 8 s
 //     response x 0.3, 2 or 3: engaged for at most 20 s
@@ -108,6 +108,7 @@ struct Drawn {
         lasts = static_cast<int>(6.0 * std::pow(longest / 6.0, uniform(random, 0.0, 1.0)));
         onset = static_cast<int>(random() % static_cast<unsigned>(lasts + 1));
         before = static_cast<int>(uniform(random, 500.0, 3000.0));
+        brake_lag_s = static_cast<float>(uniform(random, 0.7, 1.3) * 0.14);
     }
 
     std::string name() const {
@@ -123,6 +124,7 @@ struct Drawn {
     double speed_mps;
     Release release;
     int lasts, onset, before;
+    float brake_lag_s;  // of a healthy truck
 };
 
 // What a drive did in the minute behind its release.
@@ -134,6 +136,7 @@ Seen drive_through(Drawn& drawn, double response, std::uint64_t seed) {
     constexpr int minute = 6'000, acknowledge_every = 300;
     ResponseDrive drive(response == 1.0 ? drawn.parameters : nominal(), drawn.speed_mps, seed);
     drive.command = drawn.command.of;
+    drive.bench.brake_lag_s = response == 1.0 ? drawn.brake_lag_s : drive.bench.brake_lag_s;
     if (drawn.release != Release::cold) {
         drive.run(drawn.before);
         REQUIRE(drive.bench.engaged());
