@@ -11,7 +11,7 @@ const lpvg_ecu_config_t firmware_config = {
     /* Track of the truck's rear axle. The limits hold bank (5 mrad), roll and 1/16 km/h wheel speeds many times over. */
     .plausibility = {.track_m = 2.07f, .speed_min_mps = 5.0f, .lateral_mps2 = 1.5f, .yaw_rps = 0.15f, .confirm = 100u},
     /* Brake lag 0.1 s and delay 0.04 s. */
-    .actuator = {.lag_s = 0.14f, .tolerance = 0.04f, .confirm = 30u, .relative = 0.25f},
+    .actuator = {.lag_s = 0.14f, .tolerance = 0.04f, .confirm = 30u, .relative = 0.32f},
 };
 
 lpvg_status_t firmware_authenticate(lpvg_can_auth_t* end, const firmware_key_t* key) {

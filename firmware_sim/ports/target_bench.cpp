@@ -486,7 +486,7 @@ void run_xcp() {
 void run_ecu() {
     // The drive is no answer to the demands of this controller: what is found of it must not end the measurement.
     const lpvg_ecu_config_t config = {true,  LPVG_ECU_CAUSES_OPTIONAL,         0U,
-                                      false, {2.07F, 5.0F, 1.5F, 0.15F, 100U}, {0.14F, 0.04F, 30U, 0.25F}};
+                                      false, {2.07F, 5.0F, 1.5F, 0.15F, 100U}, {0.14F, 0.04F, 30U, 0.32F}};
     Part init("ecu_init");
     init.run([&] {
         require(lpvg_ecu_init(&ecu, &lpvg_coeff, &lpvg_control_coeff, &config, 0) == lpvg_status_ok, "the ECU refused its set-up\n");

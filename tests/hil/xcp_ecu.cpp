@@ -31,7 +31,7 @@ void step(int64_t now_us, const lpvg_can_frame_t* in, size_t n_in) {
 }  // namespace
 
 int main() {
-    const lpvg_ecu_config_t config = {true, 0U, 0U, false, {2.07F, 5.0F, 1.5F, 0.15F, 100U}, {0.14F, 0.04F, 30U, 0.25F}};
+    const lpvg_ecu_config_t config = {true, 0U, 0U, false, {2.07F, 5.0F, 1.5F, 0.15F, 100U}, {0.14F, 0.04F, 30U, 0.32F}};
     const lpvg_xcp_range_t range = {static_cast<uint32_t>(reinterpret_cast<uintptr_t>(&ecu)), sizeof ecu, &ecu};
     const lpvg_xcp_config_t xcp = {to_slave, to_master, "truck", &range, 1U, period_us};
     if (lpvg_ecu_init(&ecu, &lpvg_coeff, &lpvg_control_coeff, &config, 0) != lpvg_status_ok ||

@@ -16,7 +16,7 @@
 
 constexpr int64_t tick_us = 10'000;
 
-const lpvg_ecu_config_t bench_config = {true, 0U, 0U, false, {2.07F, 5.0F, 1.5F, 0.15F, 100U}, {0.14F, 0.04F, 30U, 0.25F}};
+const lpvg_ecu_config_t bench_config = {true, 0U, 0U, false, {2.07F, 5.0F, 1.5F, 0.15F, 100U}, {0.14F, 0.04F, 30U, 0.32F}};
 
 struct BenchReport {
     float demand = NAN, statistic = NAN, verdict = NAN, supervision = NAN, engagement = NAN;
@@ -112,7 +112,7 @@ public:
     int64_t now_us = 0, next_frame_us = 0;  // true time of the newest step, and of the next frames
     int64_t clock_off_us = 0;  // the steps' clock less true time
     float speed = 12.0F, yaw_rate = 0.0F, lateral = 0.0F, wheel_angle = 0.0F, command = 0.05F;
-    float brake_gain = 1.0F;  // of the pressure to the demand
+    float brake_gain = 1.0F, brake_lag_s = 0.14F;  // of the pressure to the demand
     float pressure = 0.0F, pedal_percent = 0.0F;
     uint8_t early_request = LPVG_BUS_REQUEST_RELEASE, request = LPVG_BUS_REQUEST_CONTROL, other_priority = 0U, abs_active = 0U;
     bool answers = true;  // the demand moves the vehicle; what follows is added to that
@@ -153,8 +153,8 @@ private:
             in.push_back(frame);
         }
         lpvg_can_guard_in_t guard{};
-        // The brakes: what was demanded a period ago, through a lag of 0.14 s.
-        pressure += brakes_work ? (brake_gain * static_cast<float>(ecu.control.u[0]) - pressure) * 0.01F / 0.15F : 0.0F;
+        // The brakes: what was demanded a period ago, through a lag.
+        pressure += brakes_work ? (brake_gain * static_cast<float>(ecu.control.u[0]) - pressure) * 0.01F / (brake_lag_s + 0.01F) : 0.0F;
         guard.dp_measured = lpvg_can_guard_in_dp_measured_encode(pressure);
         guard.control_request = t_us < 200'000 ? early_request : request;
         guard.other_priority = other_priority;

@@ -146,7 +146,7 @@ TEST_CASE("the controller's demand keeps its limits, whatever it is given", "[un
 
 TEST_CASE("coefficients that end early are refused, and leave every object as it was", "[unit][hostile][REQ-COEF-1][REQ-COEF-5]") {
     const int erased = GENERATE(0x00, 0xFF);
-    const lpvg_ecu_config_t config = {true, LPVG_ECU_CAUSES_OPTIONAL, 0U, false, {2.0f, 5.0f, 1.5f, 0.2f, 10u}, {0.14f, 0.04f, 30u, 0.25f}};
+    const lpvg_ecu_config_t config = {true, LPVG_ECU_CAUSES_OPTIONAL, 0U, false, {2.0f, 5.0f, 1.5f, 0.2f, 10u}, {0.14f, 0.04f, 30u, 0.32f}};
     lpvg_ecu_t ecu, ecu_before;
     lpvg_monitor_t monitor, monitor_before;
     lpvg_control_t control, control_before;
@@ -172,7 +172,7 @@ TEST_CASE("coefficients that end early are refused, and leave every object as it
 }
 
 TEST_CASE("any frame at any time leaves the ECU within its limits and its report sendable", "[unit][hostile][REQ-ECU-6][REQ-CAN-8]") {
-    const lpvg_ecu_config_t config = {true, 0U, 0U, false, {2.0f, 5.0f, 1.5f, 0.2f, 10u}, {0.14f, 0.04f, 30u, 0.25f}};
+    const lpvg_ecu_config_t config = {true, 0U, 0U, false, {2.0f, 5.0f, 1.5f, 0.2f, 10u}, {0.14f, 0.04f, 30u, 0.32f}};
     const int64_t period = lpvg_coeff.words.sample_period_us;
     Blows blows;
     lpvg_ecu_t ecu;

@@ -137,7 +137,7 @@ def test_places_are_what_the_program_takes_on_the_target(name, truck, tmp_path):
         f"const Row rows[] = {{\n{rows}}}; }}\n"
         "int main() {\n"
         "    const lpvg_ecu_config_t config = {true, 0U, 0U, false, {2.07F, 5.0F, 1.5F, 0.15F, 100U}, "
-        "{0.14F, 0.04F, 30U, 0.25F}};\n"
+        "{0.14F, 0.04F, 30U, 0.32F}};\n"
         "    const auto status = lpvg_ecu_init(&ecu, &lpvg_coeff, &lpvg_control_coeff, &config, 0);\n"
         "    if (status != lpvg_status_ok) { return 1; }\n"
         "    for (const Row& row : rows) {\n        char text[200];\n        Text line(text, sizeof text);\n"
