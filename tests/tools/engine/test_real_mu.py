@@ -113,6 +113,8 @@ def test_no_answer_is_false_loose_or_refused(kind, family, monkeypatch):
         pytest.param("similar", 5309, 117, id="a nearly triangular M in mixed units"),
         pytest.param("repeated_real", 2027, 4, id="narrow cells on a wide box"),
         pytest.param("diagonal", 6161, 1071, id="vectors of length 1e-160"),
+        pytest.param("several_real", 5309, 905, id="light damping, coupled one way"),
+        pytest.param("several_real", 5309, 973, id="the same, refused once"),
         pytest.param("interval_polynomial", 2026, 17, id="rows of M that vanish at 0"),
     ],
 )

@@ -27,8 +27,9 @@ from lpvguard.engine.synthesis.frequency_cells import (
     response_rounding,
 )
 from lpvguard.engine.synthesis.mu_lower import SINGULAR_RTOL, attained, lower_bound
-from lpvguard.engine.synthesis.mu_upper import POINT_RTOL, scaled_size, upper_bound
+from lpvguard.engine.synthesis.mu_upper import POINT_RTOL, scaled_size, triangular_scalings, upper_bound
 from lpvguard.engine.synthesis.real_boxes import ParameterBox, Part, Prover
+from lpvguard.engine.synthesis.real_crossings import ROUNDING
 from lpvguard.engine.synthesis.real_mu import ZERO, real_mu
 from lpvguard.engine.synthesis.statespace import StateSpace
 from lpvguard.engine.synthesis.structure import Structure
@@ -37,7 +38,7 @@ REAL_RTOL, ONE_REAL_RTOL = 2e-3, 1e-6
 """Gap between the bounds that is aimed at with real blocks, and with one real scalar alone."""
 RESOLVED = 1e-2
 """Gap between the bounds up to which μ counts as known."""
-INFLATIONS = (0.0, 1e-14, 1e-12, 1e-10, 1e-8, 1e-6, 1e-5, 1e-4, 1e-3, 5e-3)
+INFLATIONS = (0.0, 1e-14, 1e-12, 1e-10, 1e-8, 1e-6, 1e-5, 1e-4, 1e-3, 5e-3, 0.1, 1.0, 10.0, 100.0, 1e3)
 """Shares by which the bound of one frequency is raised until its scalings prove it within rounding."""
 COMPLEX_STARTS, INTERVAL_STARTS = 40, 8
 """Starts of the search for a lower bound, of a matrix and of a loop's peak."""
@@ -121,7 +122,7 @@ def mu_bounds(M: np.ndarray, blocks: Sequence[Block], rtol: float = 1e-8) -> MuB
         lower, delta = lower_bound(M, structure, left, right, upper * (1 - 1e-9), COMPLEX_STARTS)
         proof: tuple[Part, ...] = (part,)
     else:
-        real = real_mu(M, structure, 0.0, 0.0, _aim(structure, REAL_RTOL))
+        real = real_mu(M, structure, 0.0, 0.0, _aim(structure, REAL_RTOL), known=upper)
         lower, delta, proof = real.lower, real.delta, (part,)
         if real.upper < upper:
             upper, proof = real.upper, real.proof
@@ -181,23 +182,32 @@ def _aim(structure: Structure, rtol: float) -> float:
 def _scaled_bound(prover: Prover, M: np.ndarray, rtol: float) -> tuple[float, Part, np.ndarray, np.ndarray]:
     """Return the D, G bound of M, its proof, and factors of D_left and D_right.
 
-    The bound is raised until its scalings prove it within rounding; scalings that do not are replaced by 1.
+    The bound is raised until its scalings prove it within rounding; scalings that do not are replaced by
+    those of a nearly triangular M, or by 1. These also count where they prove less.
     """
     structure = prover.structure
     value, _, left, right, skew = upper_bound(M, structure, rtol)
     n_real = sum(b.kind == "repeated_real" for b in structure.blocks)
-    one = np.eye(structure.n_rows), np.eye(structure.n_cols), np.zeros_like(skew)
-    norm = float(np.linalg.norm(M, 2))
-    for least, (a, b, G) in ((value, (left, right, skew)), (norm, one)):
+    small = M / (4 * float(np.linalg.norm(M)))  # so that no G is made
+    alone = [sides[:2] for sides in triangular_scalings(small, ROUNDING * np.abs(small), structure)]
+    alone.append((np.eye(structure.n_rows), np.eye(structure.n_cols)))
+    with np.errstate(all="ignore"):  # extreme scalings of no use
+        images = [a.conj().T @ M @ np.linalg.inv(b.conj().T) for a, b in alone]
+    tried = [(value, (left, right, skew))]
+    for sides, image in zip(alone, images, strict=True):
+        if np.isfinite(image).all():
+            tried.append((float(np.linalg.norm(image, 2)), (*sides, np.zeros_like(skew))))
+    levels = [
+        (max(n, np.finfo(float).tiny) * (1 + share), sides) for n, sides in tried for share in INFLATIONS
+    ]
+    for upper, (a, b, G) in sorted(levels, key=lambda one: one[0]):
         D_left, D_right = a @ a.conj().T, b @ b.conj().T
-        for share in INFLATIONS:
-            upper = max(least, np.finfo(float).tiny) * (1 + share)
-            edge = np.full(n_real, 1 / upper)
-            with np.errstate(over="ignore"):  # an endless G proves nothing
-                point = PointBound(1.0, D_left, np.zeros_like(D_right), D_right, G / upper)
-            part = Part(ParameterBox(-edge, edge), 0.0, 0.0, point)
-            if prover.verified([part], upper, 0.0, 0.0):
-                return float(upper), part, left, right
+        edge = np.full(n_real, 1 / upper)
+        with np.errstate(over="ignore"):  # an endless G proves nothing
+            point = PointBound(1.0, D_left, np.zeros_like(D_right), D_right, G / upper)
+        part = Part(ParameterBox(-edge, edge), 0.0, 0.0, point)
+        if prover.verified([part], upper, 0.0, 0.0):
+            return float(upper), part, left, right
     raise SynthesisError(
         "mu", "mu_upper", "no scalings prove a bound within rounding", "a matrix of like units"
     )

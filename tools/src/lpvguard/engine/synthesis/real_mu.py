@@ -63,6 +63,7 @@ def real_mu(
     high: float,
     rtol: float,
     least: float = 0.0,
+    known: float = np.inf,
 ) -> RealMu:
     """Bound μ of a loop that has real blocks.
 
@@ -76,6 +77,7 @@ def real_mu(
         Share by which the upper bound should exceed the lower at most. Where the parts that are allowed do
         not suffice it exceeds it by more.
     least : float, level from which the search begins
+    known : float, level that is proved already: the search ends there, and what it returns has no proof
     """
     prover = Prover(loop, structure, 0.4 * rtol)
     grid = _grid(loop, low, high)
@@ -87,7 +89,7 @@ def real_mu(
     edge = np.full(len(search.real), 1 / level)
     todo, proof = [Part(ParameterBox(-edge, edge), low, high)], []
     tried, resisting, share, aim, most = 0, 0, RAISE, rtol, FIRST_PARTS
-    while todo:
+    while todo and level < known:
         part = todo.pop()
         box = part.box.within(1 / level)
         if box is None:

@@ -142,6 +142,27 @@ def similar(rng: np.random.Generator) -> tuple[Problem, float]:
     return _point(block_diag(*left) @ M @ block_diag(*right), blocks, mu)
 
 
+def ring(rng: np.random.Generator) -> tuple[Problem, float]:
+    """Scalars one after the other in a ring: det(I − M Δ) = 1 − Π m_i δ_i, so μ is the geometric mean."""
+    n = int(rng.integers(2, 6))
+    gains = 10 ** rng.uniform(-4, 4, n) * rng.choice([-1, 1], n) + 0j
+    real = n < 5 and rng.random() < 0.5
+    if not real:
+        gains *= np.exp(1j * rng.uniform(0, 2 * np.pi, n))
+    kinds = ["repeated_real"] * n if real else rng.choice(["full", "repeated_complex"], n).tolist()
+    mu = float(np.exp(np.log(np.abs(gains)).mean()))
+    return _point(np.roll(np.diag(gains), 1, axis=1), [_block(kind) for kind in kinds], mu)
+
+
+def nilpotent(rng: np.random.Generator) -> tuple[Problem, float]:
+    """Signals that never come back: μ is 0, whatever the couplings are."""
+    n = int(rng.integers(2, 5))
+    M = np.triu(_complex(rng, n, n), 1) * 10 ** rng.uniform(-3, 3)
+    order = rng.permutation(n)
+    kinds = rng.choice(["repeated_real", "full", "repeated_complex"], n).tolist()
+    return _point(M[np.ix_(order, order)], [_block(kind) for kind in kinds], 0.0)
+
+
 # --- intervals ---
 
 
@@ -310,10 +331,33 @@ def complex_blocks(rng: np.random.Generator) -> tuple[Problem, float]:
     return problem, max(part[3] for part in drawn)
 
 
+def lightly_damped(rng: np.random.Generator) -> tuple[Problem, float]:
+    """A real scalar on a resonance of damping down to 1e-5: real at 0 alone. Intervals end beside it."""
+    damping, omega, k = 10 ** rng.uniform(-5, -2), 10 ** rng.uniform(-2, 3), float(rng.uniform(0.1, 3))
+    A = np.array([[0.0, omega], [-omega, -2 * damping * omega]])
+    B, C = np.array([[0.0], [k * omega]]), np.array([[1.0, 0.0]])
+    problem = _disguised(rng, A, B, C, np.zeros((1, 1)), [1])
+    problem["blocks"] = [_block("repeated_real")]
+    beside, end = omega * (1 + rng.uniform(-1e-3, 1e-3)), str(rng.choice(["low", "high", "none"]))
+    if end != "none":
+        problem[end] = beside
+    return problem, 0.0 if end == "low" else k
+
+
+def delayed(rng: np.random.Generator) -> tuple[Problem, float]:
+    """A gain behind a delay of whole samples: |G| is the gain at every frequency."""
+    n, k = int(rng.integers(1, 7)), float(rng.uniform(0.1, 3))
+    C = np.zeros((1, n))
+    C[0, -1] = k
+    problem = _disguised(rng, np.eye(n, k=-1), np.eye(n)[:, :1], C, np.zeros((1, 1)), [1])
+    kind = str(rng.choice(["repeated_real", "full"]))
+    return problem | {"dt": 10 ** rng.uniform(-3, 0), "blocks": [_block(kind)]}, k
+
+
 def discrete(rng: np.random.Generator) -> tuple[Problem, float]:
     """One of the families above by the bilinear map: frequencies move, μ does not."""
     while True:
-        family = FAMILIES["mu_interval"][int(rng.integers(len(FAMILIES["mu_interval"]) - 1))]
+        family = _CONTINUOUS[int(rng.integers(len(_CONTINUOUS)))]
         problem, mu = family(rng)
         if "low" not in problem:
             break
@@ -331,18 +375,18 @@ def discrete(rng: np.random.Generator) -> tuple[Problem, float]:
     return problem, mu
 
 
+_CONTINUOUS: list[Family] = [
+    one_real,
+    several_real,
+    repeated_real,
+    coupled_real,
+    interval_polynomial,
+    real_and_performance,
+    complex_blocks,
+]
 FAMILIES: dict[str, list[Family]] = {
-    "mu": [diagonal, rank_one, real_matrix, repeated, triangular, similar],
-    "mu_interval": [
-        one_real,
-        several_real,
-        repeated_real,
-        coupled_real,
-        interval_polynomial,
-        real_and_performance,
-        complex_blocks,
-        discrete,
-    ],
+    "mu": [diagonal, rank_one, real_matrix, repeated, triangular, similar, ring, nilpotent],
+    "mu_interval": [*_CONTINUOUS, discrete, lightly_damped, delayed],
 }
 
 
