@@ -35,6 +35,8 @@ FAULT = {"gain": 0.3, "delay": 0.2, "bias": 0.5, "offset": 0.5, "factor": 0.1, "
 """Spread of a faulty size: of bias and offset in standard deviations of the signal, of a delay in s."""
 SURE = 0.95
 """Probability that the named parts have together."""
+ALIKE = 2 * float(np.log(SURE / (1 - SURE)))
+"""Misfit beside the likeliest part below which the data alone do not exclude a part."""
 NEEDED = 19.0
 """Likelihood ratio, twice its log, with which 95 % of windows leave one part of two: x - 2 sqrt(x) 1.64 is
 twice the log of SURE / (1 - SURE)."""
@@ -474,22 +476,28 @@ class Isolation:
         inner = np.eye(len(b)) + (spread[:, None] * w.G) * spread
         return -float(b @ np.linalg.solve(inner, b)) / self.scale
 
-    def name(self, w: Evidence) -> PartFinding:
-        """Name the parts that a window differs in."""
+    def name(self, w: Evidence, alarmed: bool = False) -> PartFinding:
+        """Name the parts that a window differs in.
+
+        ``alarmed``: a test said that it differs, so that any odds against a healthy vehicle will do.
+        """
         fits = self.fits(w)
         healthy = fits.pop("")
         top = max(fits.values())
         weights = {part: float(np.exp(x - top)) for part, x in fits.items()}
         whole = sum(weights.values())
         probability = {part: x / whole for part, x in weights.items()}
-        if not w.count or top - healthy <= self.least:
+        if not w.count or top - healthy <= (0.0 if alarmed else self.least):
             return PartFinding((), probability, False)
         allowed = 2 * self.lack + NEEDED + 2 * UNEXPLAINED * (top - healthy)
         if self._lack(w, np.hypot(self.spread, self.faulty)) > allowed:
             return PartFinding((), probability, True)
         order = sorted(probability, key=lambda part: -probability[part])
         share = np.cumsum([probability[part] for part in order])
-        parts = tuple(order[: int(np.searchsorted(share, SURE)) + 1])
+        named = int(np.searchsorted(share, SURE)) + 1
+        misfit = {part: self._misfit(w, self._freed(part)) for part in order}
+        alike = [part for part in order[named:] if misfit[part] - misfit[order[0]] < ALIKE]
+        parts = (*order[:named], *alike)
         return PartFinding(parts, probability, True, *self._size(w, parts[0]))
 
     def _size(self, w: Evidence, part: str) -> tuple[str, float, float, float, str]:
