@@ -35,15 +35,19 @@ FAULT = {"gain": 0.3, "delay": 0.2, "bias": 0.5, "offset": 0.5, "factor": 0.1, "
 """Spread of a faulty size: of bias and offset in standard deviations of the signal, of a delay in s."""
 SURE = 0.95
 """Probability that the named parts have together."""
+ALIKE = 2 * float(np.log(SURE / (1 - SURE)))
+"""Misfit beside the likeliest part below which the data alone do not exclude a part."""
 NEEDED = 19.0
 """Likelihood ratio, twice its log, with which 95 % of windows leave one part of two: x - 2 sqrt(x) 1.64 is
 twice the log of SURE / (1 - SURE)."""
-ODDS = float(np.log(20.0))
+ODDS = float(np.log(1000.0))
 """Log-odds beyond those of all healthy windows with which a window differs."""
 UNEXPLAINED = 0.05
 """Share of the evidence that a single part may leave: large faults exceed their linear changes."""
 VEHICLE = "vehicle"
 """Part of tyres, load and the rest of the vehicle."""
+FOLDS = 5
+"""Folds of drives, of which each is judged by the others."""
 ROUNDS = 60
 """Rounds of expectation and maximisation."""
 
@@ -351,33 +355,50 @@ class Isolation:
         return cls(columns, np.zeros(m), np.ones(m), A, S, 1.0, 0.0, 0.0, np.zeros((m, m)), window_s)
 
     def finished(self, windows: Sequence[Sequence[Evidence]]) -> Isolation:
-        """With the sizes and limits of healthy drives, from the windows of each."""
-        whole = [reduce(add, of) for of in windows if of]
-        mean, spread = _healthy_sizes(whole, self.faulty)
-        # Of a further drive, as Student's t of so many drives predicts it.
-        drives = len(whole)
-        spread *= float(student.ppf(0.975, max(1, drives - 1))) / 1.96 * np.sqrt(1 + 1 / drives)
-        every = [w for of in windows for w in of]
-        per_s = np.mean([w.G for w in every], axis=0) / self.window_s
-        return replace(self, mean=mean, spread=spread, per_s=per_s)._scaled(every)
+        """With the sizes and limits of healthy drives, from the windows of each.
 
-    def _scaled(self, windows: list[Evidence]) -> Isolation:
-        """With the scale and limits of healthy windows."""
-        freed = np.hypot(self.spread, self.faulty)
-        ratios = []
-        for w in windows:
-            b = w.g - w.G @ self.mean
-            covariance = np.diag(self.spread**2)
-            expected = w.G + w.G @ covariance @ w.G
-            ratios.append(float(b @ np.linalg.pinv(expected) @ b) / len(b))
-        scale = max(1.0, float(np.mean(ratios))) if ratios else 1.0
-        made = replace(self, scale=scale)
+        The limits are those of windows that are judged by the sizes of other drives, of all but a fold.
+        """
+        drives = [list(of) for of in windows if of]
+        every = [w for of in drives for w in of]
+        per_s = np.mean([w.G for w in every], axis=0) / self.window_s
+        made = replace(self._with_sizes(drives), per_s=per_s)
+        folds = min(FOLDS, len(drives))
+        judged = [
+            (others, w)
+            for k, others in enumerate(self._without(drives, folds))
+            for of in drives[k::folds]
+            for w in of
+        ] or [(made, w) for w in every]
+        return made._limited(judged)
+
+    def _without(self, drives: list[list[Evidence]], folds: int) -> Iterator[Isolation]:
+        """Scales with the sizes of all drives but those of each fold; none of a single drive."""
+        for k in range(folds if folds > 1 else 0):
+            yield self._with_sizes([of for i, of in enumerate(drives) if i % folds != k])
+
+    def _with_sizes(self, drives: list[list[Evidence]]) -> Isolation:
+        """With the sizes of a further drive, as Student's t of so many drives predicts them."""
+        mean, spread = _healthy_sizes([reduce(add, of) for of in drives], self.faulty)
+        wider = float(student.ppf(0.975, max(1, len(drives) - 1))) / 1.96 * np.sqrt(1 + 1 / len(drives))
+        return replace(self, mean=mean, spread=wider * spread)
+
+    def _excess(self, w: Evidence) -> float:
+        """Square of a window's distance from a healthy vehicle over its expectation."""
+        b = w.g - w.G @ self.mean
+        expected = w.G + w.G @ np.diag(self.spread**2) @ w.G
+        return float(b @ np.linalg.pinv(expected) @ b) / len(b)
+
+    def _limited(self, judged: list[tuple[Isolation, Evidence]]) -> Isolation:
+        """With the scale and limits of healthy windows, each with the scales that judge it."""
+        scale = max(1.0, float(np.mean([of._excess(w) for of, w in judged])))
         against, lacks = [0.0], [0.0]
-        for w in windows:
-            fits = made.fits(w)
+        for of, w in judged:
+            scaled = replace(of, scale=scale)
+            fits = scaled.fits(w)
             against.append(max(fits.values()) - fits[""])
-            lacks.append(made._lack(w, freed))
-        return replace(made, least=max(against) + ODDS, lack=max(lacks))
+            lacks.append(scaled._lack(w, np.hypot(of.spread, of.faulty)))
+        return replace(self, scale=scale, least=max(against) + ODDS, lack=max(lacks))
 
     def to_dict(self) -> dict:
         """JSON-able, for `from_dict`, with the table of `isolable`."""
@@ -455,22 +476,28 @@ class Isolation:
         inner = np.eye(len(b)) + (spread[:, None] * w.G) * spread
         return -float(b @ np.linalg.solve(inner, b)) / self.scale
 
-    def name(self, w: Evidence) -> PartFinding:
-        """Name the parts that a window differs in."""
+    def name(self, w: Evidence, alarmed: bool = False) -> PartFinding:
+        """Name the parts that a window differs in.
+
+        ``alarmed``: a test said that it differs, so that any odds against a healthy vehicle will do.
+        """
         fits = self.fits(w)
         healthy = fits.pop("")
         top = max(fits.values())
         weights = {part: float(np.exp(x - top)) for part, x in fits.items()}
         whole = sum(weights.values())
         probability = {part: x / whole for part, x in weights.items()}
-        if not w.count or top - healthy <= self.least:
+        if not w.count or top - healthy <= (0.0 if alarmed else self.least):
             return PartFinding((), probability, False)
         allowed = 2 * self.lack + NEEDED + 2 * UNEXPLAINED * (top - healthy)
         if self._lack(w, np.hypot(self.spread, self.faulty)) > allowed:
             return PartFinding((), probability, True)
         order = sorted(probability, key=lambda part: -probability[part])
         share = np.cumsum([probability[part] for part in order])
-        parts = tuple(order[: int(np.searchsorted(share, SURE)) + 1])
+        named = int(np.searchsorted(share, SURE)) + 1
+        misfit = {part: self._misfit(w, self._freed(part)) for part in order}
+        alike = [part for part in order[named:] if misfit[part] - misfit[order[0]] < ALIKE]
+        parts = (*order[:named], *alike)
         return PartFinding(parts, probability, True, *self._size(w, parts[0]))
 
     def _size(self, w: Evidence, part: str) -> tuple[str, float, float, float, str]:

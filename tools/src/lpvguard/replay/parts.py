@@ -109,7 +109,8 @@ class PartNamer:
         onsets_s: Sequence[tuple[float, float]],
     ) -> Iterator[NamedPart]:
         """The part that a window names, if any."""
-        found = self.isolation.name(self.isolation.evidence(list(self.changes.blocks(drive, start, end))))
+        evidence = self.isolation.evidence(list(self.changes.blocks(drive, start, end)))
+        found = self.isolation.name(evidence, alarmed=alarm_s is not None)
         if found.differs:
             since = min((s for a, s in onsets_s if start <= a <= end), default=start)
             of = (found.parts, found.probability, found.what, found.value, found.low, found.high)
