@@ -4,7 +4,7 @@ A map of an identification is a function of its arguments and of one drive. The 
 that of this package's sources, names the file of the result. A later run reads what an earlier one kept. It
 runs the same code in the same order, so the result has the same bits as without the folder.
 
-A file holds arrays and JSON, and reading it runs nothing. A damaged file is computed anew. Results of
+A file holds its digest, arrays and JSON. Reading it runs nothing. A damaged file is computed anew. Results of
 functions that the codec does not know are not kept.
 """
 
@@ -17,7 +17,6 @@ import io
 import json
 import platform
 import sys
-import zipfile
 from collections.abc import Callable, Iterable, Iterator
 from functools import partial
 from pathlib import Path
@@ -32,7 +31,7 @@ from .errors import InputError
 from .parallel import Item, Map, Result
 
 KIND = "kept results"
-SUFFIX = ".npz"
+SUFFIX = ".kept"
 PACKAGE = "lpvguard"
 _SCALARS = (type(None), bool, int, float, str)
 
@@ -272,6 +271,7 @@ def _write(place: Path, result: Any) -> tuple[Any]:
     stream = io.BytesIO()
     np.savez(stream, np.array(json.dumps(form)), *arrays)
     data = stream.getvalue()
+    data = hashlib.sha256(data).digest() + data
     new = place.with_suffix(".new")
     new.write_bytes(data)
     new.replace(place)
@@ -281,10 +281,11 @@ def _write(place: Path, result: Any) -> tuple[Any]:
 
 
 def _read(place: Path) -> tuple[Any] | None:
-    """A kept result; None where the file is damaged."""
-    try:
-        with np.load(place, allow_pickle=False) as stored:
-            form, *arrays = (stored[f"arr_{i}"] for i in range(len(stored.files)))
-            return (decoded(json.loads(str(form)), arrays),)
-    except (OSError, ValueError, KeyError, IndexError, zipfile.BadZipFile):
+    """A kept result; None where the file is damaged: its first bytes are the SHA-256 of the others."""
+    content = place.read_bytes()
+    digest, data = content[: hashlib.sha256().digest_size], content[hashlib.sha256().digest_size :]
+    if hashlib.sha256(data).digest() != digest:
         return None
+    with np.load(io.BytesIO(data), allow_pickle=False) as found:
+        form, *arrays = (found[f"arr_{i}"] for i in range(len(found.files)))
+        return (decoded(json.loads(str(form)), arrays),)
