@@ -12,17 +12,17 @@ from lpvguard.extras.bench import isolation, run
 def test_the_confusion_table_counts_every_drive(tmp_path, capsys):
     out = tmp_path / "isolation.json"
     run("isolation", ["--drives", "1", "--json", str(out)])
-    text, found = capsys.readouterr().out, json.loads(out.read_text())
-    assert all(sum(r["outcomes"].values()) == 1 for r in found["rows"])
-    assert found["right"]["of"] == 12 and found["right"]["count"] >= 10 and found["wrong"]["count"] == 0
+    text, result = capsys.readouterr().out, json.loads(out.read_text())
+    assert all(sum(r["outcomes"].values()) == 1 for r in result["rows"])
+    assert result["right"]["of"] == 12 and result["right"]["count"] >= 10 and result["wrong"]["count"] == 0
     assert "by structure vehicle is told from yaw_rate, wheel_rate" in text
 
 
 def test_outcomes_tell_one_of_several_and_wrong_apart():
-    of = isolation.outcome
-    assert of((), False, {"a"}) == "healthy" and of((), True, {"a"}) == "no single"
-    assert of(("a",), True, {"a"}) == "right" and of(("b",), True, {"a"}) == "wrong"
-    assert of(("b", "a"), True, {"a"}) == "one of" and of(("b", "c"), True, {"a"}) == "wrong"
+    judged = isolation.outcome
+    assert judged((), False, {"a"}) == "healthy" and judged((), True, {"a"}) == "no single"
+    assert judged(("a",), True, {"a"}) == "right" and judged(("b",), True, {"a"}) == "wrong"
+    assert judged(("b", "a"), True, {"a"}) == "one of" and judged(("b", "c"), True, {"a"}) == "wrong"
 
 
 @pytest.mark.parametrize("option", ["--drives", "--window", "--jobs"])

@@ -30,7 +30,7 @@ BEGIN_S, WINDOW_S = 40.0, 60.0
 
 @pytest.fixture(scope="module")
 def isolation() -> Isolation:
-    return Isolation.of(CHANGES, redundant_drives(20, 180.0, 1)[0], WINDOW_S)
+    return Isolation.from_drives(CHANGES, redundant_drives(20, 180.0, 1)[0], WINDOW_S)
 
 
 def test_a_column_is_what_its_part_does():
@@ -53,14 +53,14 @@ def test_a_column_is_what_its_part_does():
 def test_the_part_of_every_single_fault_is_named(isolation):
     drives = redundant_drives(4, 101.0, 2, [(), *((f,) for f in FAULTS)], BEGIN_S)
     right = wrong = 0
-    for fault, of in zip((None, *FAULTS), drives, strict=True):
-        for drive in of:
-            found = isolation.name(isolation.evidence(list(CHANGES.blocks(drive, BEGIN_S, 100.0))))
+    for fault, faulty_drives in zip((None, *FAULTS), drives, strict=True):
+        for drive in faulty_drives:
+            finding = isolation.name(isolation.evidence(list(CHANGES.blocks(drive, BEGIN_S, 100.0))))
             if fault is None:
-                assert not found.differs and found.words() == "no part differs"
+                assert not finding.differs and finding.words() == "no part differs"
                 continue
-            right += found.parts == (fault.part,)
-            wrong += found.differs and bool(found.parts) and fault.part not in found.parts
+            right += finding.parts == (fault.part,)
+            wrong += finding.differs and bool(finding.parts) and fault.part not in finding.parts
     assert right >= 0.85 * 4 * len(FAULTS) and wrong == 0
 
 
@@ -68,11 +68,13 @@ def test_a_size_has_an_interval_and_two_faults_are_no_single_part(isolation):
     bias = PartFault("bias", 0.02, "yaw_rate")
     both = (bias, PartFault("offset", 0.02))
     (one,), (two,) = redundant_drives(1, 101.0, 4, [(bias,), both], BEGIN_S)
-    found = isolation.name(isolation.evidence(list(CHANGES.blocks(one, BEGIN_S, 100.0))))
-    assert found.parts == ("yaw_rate",) and found.what == "yaw_rate bias" and found.unit == "rad/s"
-    assert found.value == pytest.approx(0.02, abs=4e-3) and "yaw_rate: yaw_rate bias +0.0" in found.words()
-    found = isolation.name(isolation.evidence(list(CHANGES.blocks(two, BEGIN_S, 100.0))))
-    assert found.differs and found.parts in ((), ("road_wheel_angle",), ("yaw_rate",))
+    finding = isolation.name(isolation.evidence(list(CHANGES.blocks(one, BEGIN_S, 100.0))))
+    assert finding.parts == ("yaw_rate",) and finding.what == "yaw_rate bias" and finding.unit == "rad/s"
+    assert (
+        finding.value == pytest.approx(0.02, abs=4e-3) and "yaw_rate: yaw_rate bias +0.0" in finding.words()
+    )
+    finding = isolation.name(isolation.evidence(list(CHANGES.blocks(two, BEGIN_S, 100.0))))
+    assert finding.differs and finding.parts in ((), ("road_wheel_angle",), ("yaw_rate",))
     assert all(len({f.part for f in pair}) == 2 for pair in DOUBLE)
 
 

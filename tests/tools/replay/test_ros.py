@@ -64,11 +64,11 @@ def test_a_part_that_differs_has_a_status_of_its_own(recorded, tmp_path):
     out = tmp_path / "parts.mcap"
     write_ros2(out, "g80", recorded[1], recorded[2], [named, named | {"service": None, "value": None}])
     statuses = [(m.log_time_ns, m.ros_msg.status[0]) for m in read(out)["/diagnostics"]]
-    found = [(t, s) for t, s in statuses if s.name == "lpvguard: gyro"]
-    assert [t for t, _ in found] == [42 * 10**9] * 2
-    assert all(s.level in (x, bytes([x])) for (_, s), x in zip(found, (ERROR, WARN), strict=True))
-    assert found[0][1].message == named["says"]
-    values = {v.key: v.value for v in found[0][1].values}
+    gyro = [(t, s) for t, s in statuses if s.name == "lpvguard: gyro"]
+    assert [t for t, _ in gyro] == [42 * 10**9] * 2
+    assert all(s.level in (x, bytes([x])) for (_, s), x in zip(gyro, (ERROR, WARN), strict=True))
+    assert gyro[0][1].message == named["says"]
+    values = {v.key: v.value for v in gyro[0][1].values}
     assert values["gyro gain"] == "-0.1 (-0.12 to -0.08)" and values["service"] == "now"
     assert values["probability of gyro"] == "0.99"
 

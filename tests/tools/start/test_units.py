@@ -101,8 +101,8 @@ def test_going_backwards_with_a_speed_without_sign_turns_no_sign():
     values = {name: np.r_[back[name], x] for name, x in log.values.items()}
     whole = Recording("a", np.arange(len(values["speed"])) * 0.02, values, {})
     units = {"speed": "m/s", "input": "deg", "output": "deg/s"}
-    found = proposed([whole], {}, Known("car", 2.8), units)
-    assert 0.9 < found["input"].factor * 15.8 < 1.1
+    signals = proposed([whole], {}, Known("car", 2.8), units)
+    assert 0.9 < signals["input"].factor * 15.8 < 1.1
 
 
 SPELLINGS = {

@@ -286,6 +286,6 @@ def _read(place: Path) -> tuple[Any] | None:
     digest, data = content[: hashlib.sha256().digest_size], content[hashlib.sha256().digest_size :]
     if hashlib.sha256(data).digest() != digest:
         return None
-    with np.load(io.BytesIO(data), allow_pickle=False) as found:
-        form, *arrays = (found[f"arr_{i}"] for i in range(len(found.files)))
+    with np.load(io.BytesIO(data), allow_pickle=False) as stored_arrays:
+        form, *arrays = (stored_arrays[f"arr_{i}"] for i in range(len(stored_arrays.files)))
         return (decoded(json.loads(str(form)), arrays),)

@@ -48,8 +48,8 @@ def part_table(names: Iterable[Names]) -> list[dict]:
     list of dict
     """
     total: Names = {}
-    for of in names:
-        for case, said in of.items():
+    for by_case in names:
+        for case, said in by_case.items():
             total.setdefault(case, []).extend(said)
     order = sorted(total, key=lambda case: case is not None)
     return [

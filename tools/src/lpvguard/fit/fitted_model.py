@@ -178,9 +178,9 @@ def fit(
 
 def _doubtful(estimate: Estimate) -> list[Project]:
     """The project with one unknown each at an end of its confidence interval."""
-    of, errors = estimate.unknowns, np.diag(DOUBT * estimate.standard_error)
-    ends = np.clip(estimate.theta + np.vstack((errors, -errors)), of.low, of.high)
-    return [of.project(theta) for theta in ends]
+    unknowns, errors = estimate.unknowns, np.diag(DOUBT * estimate.standard_error)
+    ends = np.clip(estimate.theta + np.vstack((errors, -errors)), unknowns.low, unknowns.high)
+    return [unknowns.project(theta) for theta in ends]
 
 
 def _read(project: Project, experiments: list[Experiment]) -> tuple[list[Drive], list[InputError]]:

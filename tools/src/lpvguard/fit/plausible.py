@@ -28,14 +28,15 @@ def require_plausible(project: Project, doubtful: Sequence[Project] = ()) -> Non
         "understeer": (ranges.understeer_deg_g, "deg/g"),
         "delay and time constant": (ranges.lag_s, "s"),
     }
-    found, others = _values(project), [_values(other) for other in doubtful]
+    own_values, others = _values(project), [_values(other) for other in doubtful]
     for k, (what, ((least, most), unit)) in enumerate(judged.items()):
-        values = np.array([found[k], *(other[k] for other in others)])
+        values = np.array([own_values[k], *(other[k] for other in others)])
         if values.max() < least or values.min() > most:
             raise InputError(
                 f"vehicle {project.name}",
                 f"[fit] kind = {kind}",
-                f"{what} of {found[k]:.3g} {unit}: no {kind} has that, as wrong units or columns make it",
+                f"{what} of {own_values[k]:.3g} {unit}: no {kind} has that, as wrong units or columns "
+                "make it",
                 f"{least:g} to {most:g} {unit}, another kind, or --accept-unusual",
             )
 

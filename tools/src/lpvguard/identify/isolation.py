@@ -78,24 +78,24 @@ def columns_of(project: Project, spread_u: np.ndarray, spread_y: np.ndarray) -> 
     """Columns of all parts; ``spread_u`` (n_u,) and ``spread_y`` (n_y,): standard deviations in drives."""
     settings = project.isolation
     assert settings is not None
-    found = []
+    columns = []
     for signals, spread, last in ((project.outputs, spread_y, "bias"), (project.inputs, spread_u, "offset")):
         for i, s in enumerate(signals):
             part = settings.part_of(s.name)
-            found += [
+            columns += [
                 PartColumn(part, "gain", f"{s.name} gain", "", i, FAULT["gain"]),
                 *[PartColumn(part, "delay", f"{s.name} delay", "s", i, FAULT["delay"])] * len(DELAYS_S),
                 PartColumn(part, last, f"{s.name} {last}", s.unit, i, FAULT[last] * float(spread[i])),
             ]
-    found.append(
+    columns.append(
         PartColumn(settings.part_of(project.speed.name), "factor", "speed factor", "", 0, FAULT["factor"])
     )
     names = list(project.model.parameters)
     for name in settings.vehicle:
-        found.append(
+        columns.append(
             PartColumn(VEHICLE, "parameter", f"{name} factor", "", names.index(name), FAULT["parameter"])
         )
-    return found
+    return columns
 
 
 class Changes:
@@ -125,22 +125,22 @@ class Changes:
         yhat, n = simulate(v, u, first), len(v)
         lags = {max(1, round(d / project.Ts_s)): d for d in DELAYS_S}
         late = [(_delayed(yhat, lag) - yhat) / d for lag, d in lags.items()]
-        found = []
+        responses = []
         for j in range(project.n_y):
             alone = np.zeros((2 + len(late), n, project.n_y))
             for column, x in zip(alone, [yhat, *late, np.ones_like(yhat)], strict=True):
                 column[:, j] = x[:, j]
-            found += [*alone]
+            responses += [*alone]
         for i in range(project.n_u):
             for changed, size in _input_changes(u, i, lags):
-                found.append((simulate(v, changed, first) - yhat) / size)
+                responses.append((simulate(v, changed, first) - yhat) / size)
         by_speed = (simulate(v / (1 + FACTOR), u, first) - yhat) / FACTOR
         settings = project.isolation
         assert settings is not None
         powers = [settings.speed_power.get(s.name, 0) for s in project.outputs]
-        found.append(by_speed + yhat * powers)
-        found += [(vehicle.simulate(v, u, first) - yhat) / FACTOR for vehicle in self.vehicles.values()]
-        return drive.y - yhat, np.stack(found, axis=-1)
+        responses.append(by_speed + yhat * powers)
+        responses += [(vehicle.simulate(v, u, first) - yhat) / FACTOR for vehicle in self.vehicles.values()]
+        return drive.y - yhat, np.stack(responses, axis=-1)
 
     def blocks(self, drive: Drive, from_s: float = 0.0, to_s: float = np.inf) -> Iterator[np.ndarray]:
         """Means (B, n_y, 1 + m) of errors and changes over blocks, stretch by stretch of settled driving.
@@ -207,18 +207,18 @@ def residual_structure(project: Project) -> dict[str, list[str]]:
     pairs = [(a, b) for (a, x), (b, y) in combinations(zip(names, project.model.C, strict=True), 2) if x == y]
     differences = {f"{a} - {b}": (a, b) for a, b in pairs}
     powers = {n: settings.speed_power.get(n, 0) for n in names}
-    found: dict[str, set[str]] = {}
+    carried: dict[str, set[str]] = {}
     for n in names:
-        of = {n} | {d for d, pair in differences.items() if n in pair}
-        found.setdefault(settings.part_of(n), set()).update(of)
+        measured = {n} | {d for d, pair in differences.items() if n in pair}
+        carried.setdefault(settings.part_of(n), set()).update(measured)
     for s in project.inputs:
-        found.setdefault(settings.part_of(s.name), set()).update(names)
+        carried.setdefault(settings.part_of(s.name), set()).update(names)
     uneven = {d for d, (a, b) in differences.items() if powers[a] != powers[b]}
-    found.setdefault(settings.part_of(project.speed.name), set()).update(names, uneven)
+    carried.setdefault(settings.part_of(project.speed.name), set()).update(names, uneven)
     if settings.vehicle:
-        found.setdefault(VEHICLE, set()).update(names)
+        carried.setdefault(VEHICLE, set()).update(names)
     order = [*names, *differences]
-    return {part: [r for r in order if r in residuals] for part, residuals in found.items()}
+    return {part: [r for r in order if r in residuals] for part, residuals in carried.items()}
 
 
 def told_apart(structure: dict[str, list[str]], part: str, other: str) -> bool:
@@ -339,7 +339,7 @@ class Isolation:
     window_s: float
 
     @classmethod
-    def of(cls, changes: Changes, drives: Sequence[Drive], window_s: float) -> Isolation:
+    def from_drives(cls, changes: Changes, drives: Sequence[Drive], window_s: float) -> Isolation:
         """Scales from healthy drives."""
         begun = cls.begun(changes, [moments_of(changes, d) for d in drives], window_s)
         return begun.finished([evidence_windows(changes, begun, d) for d in drives])
@@ -359,27 +359,29 @@ class Isolation:
 
         The limits are those of windows that are judged by the sizes of other drives, of all but a fold.
         """
-        drives = [list(of) for of in windows if of]
-        every = [w for of in drives for w in of]
+        drives = [list(drive_windows) for drive_windows in windows if drive_windows]
+        every = [w for drive_windows in drives for w in drive_windows]
         per_s = np.mean([w.G for w in every], axis=0) / self.window_s
         made = replace(self._with_sizes(drives), per_s=per_s)
         folds = min(FOLDS, len(drives))
         judged = [
             (others, w)
             for k, others in enumerate(self._without(drives, folds))
-            for of in drives[k::folds]
-            for w in of
+            for drive_windows in drives[k::folds]
+            for w in drive_windows
         ] or [(made, w) for w in every]
         return made._limited(judged)
 
     def _without(self, drives: list[list[Evidence]], folds: int) -> Iterator[Isolation]:
         """Scales with the sizes of all drives but those of each fold; none of a single drive."""
         for k in range(folds if folds > 1 else 0):
-            yield self._with_sizes([of for i, of in enumerate(drives) if i % folds != k])
+            yield self._with_sizes(
+                [drive_windows for i, drive_windows in enumerate(drives) if i % folds != k]
+            )
 
     def _with_sizes(self, drives: list[list[Evidence]]) -> Isolation:
         """With the sizes of a further drive, as Student's t of so many drives predicts them."""
-        mean, spread = _healthy_sizes([reduce(add, of) for of in drives], self.faulty)
+        mean, spread = _healthy_sizes([reduce(add, drive_windows) for drive_windows in drives], self.faulty)
         wider = float(student.ppf(0.975, max(1, len(drives) - 1))) / 1.96 * np.sqrt(1 + 1 / len(drives))
         return replace(self, mean=mean, spread=wider * spread)
 
@@ -391,13 +393,13 @@ class Isolation:
 
     def _limited(self, judged: list[tuple[Isolation, Evidence]]) -> Isolation:
         """With the scale and limits of healthy windows, each with the scales that judge it."""
-        scale = max(1.0, float(np.mean([of._excess(w) for of, w in judged])))
+        scale = max(1.0, float(np.mean([judge._excess(w) for judge, w in judged])))
         against, lacks = [0.0], [0.0]
-        for of, w in judged:
-            scaled = replace(of, scale=scale)
+        for judge, w in judged:
+            scaled = replace(judge, scale=scale)
             fits = scaled.fits(w)
             against.append(max(fits.values()) - fits[""])
-            lacks.append(scaled._lack(w, np.hypot(of.spread, of.faulty)))
+            lacks.append(scaled._lack(w, np.hypot(judge.spread, judge.faulty)))
         return replace(self, scale=scale, least=max(against) + ODDS, lack=max(lacks))
 
     def to_dict(self) -> dict:
@@ -505,12 +507,12 @@ class Isolation:
         spread = self._freed(part)
         V = np.linalg.inv(w.G / self.scale + np.diag(1 / spread**2))
         sizes = self.mean + V @ (w.g - w.G @ self.mean) / self.scale - self.mean
-        found = []
+        sizes_of_part = []
         for what in dict.fromkeys(c.what for c in self.columns if c.part == part):
-            of = np.array([c.what == what for c in self.columns], float)
-            half = 1.96 * float(np.sqrt(of @ (V + np.diag(self.spread**2)) @ of))
-            found.append((what, float(of @ sizes), half, self.columns[int(of.argmax())].unit))
-        what, value, half, unit = max(found, key=lambda f: abs(f[1]) / f[2])
+            chosen = np.array([c.what == what for c in self.columns], float)
+            half = 1.96 * float(np.sqrt(chosen @ (V + np.diag(self.spread**2)) @ chosen))
+            sizes_of_part.append((what, float(chosen @ sizes), half, self.columns[int(chosen.argmax())].unit))
+        what, value, half, unit = max(sizes_of_part, key=lambda f: abs(f[1]) / f[2])
         return what, value, value - half, value + half, unit
 
     def isolable_rows(self, project: Project) -> Iterator[dict[str, str]]:
@@ -519,9 +521,9 @@ class Isolation:
         A star marks parts that are told apart by structure, a dash that no size tells them apart.
         """
         structure = residual_structure(project)
-        of = {c.what: c for c in self.columns}
+        column_of = {c.what: c for c in self.columns}
         for what, row in self.isolable().items():
-            part, unit = of[what].part, of[what].unit
+            part, unit = column_of[what].part, column_of[what].unit
             shown = {"size of": f"{what}{f' [{unit}]' if unit else ''}"}
             for other in ["", *self.parts]:
                 if other == part:
@@ -537,7 +539,7 @@ class Isolation:
         Infinite where no size does. "" is the healthy vehicle.
         """
         G = self.per_s * (self.window_s if seconds is None else seconds) / self.scale
-        found: dict[str, dict[str, float]] = {}
+        table: dict[str, dict[str, float]] = {}
         for k, column in enumerate(self.columns):
             row = {}
             for other in ["", *self.parts]:
@@ -547,8 +549,8 @@ class Isolation:
                 inner = np.diag(1 / spread**2) + G
                 left = float(G[k, k] - G[k] @ np.linalg.solve(inner, G[:, k]))
                 row[other] = float(np.sqrt(NEEDED / left)) if left > 1e-9 * G[k, k] else float("inf")
-            found.setdefault(column.what, row)
-        return found
+            table.setdefault(column.what, row)
+        return table
 
 
 def _residue(products: np.ndarray, n_y: int) -> tuple[np.ndarray, np.ndarray]:

@@ -110,22 +110,29 @@ class PartNamer:
     ) -> Iterator[NamedPart]:
         """The part that a window names, if any."""
         evidence = self.isolation.evidence(list(self.changes.blocks(drive, start, end)))
-        found = self.isolation.name(evidence, alarmed=alarm_s is not None)
-        if found.differs:
+        finding = self.isolation.name(evidence, alarmed=alarm_s is not None)
+        if finding.differs:
             since = min((s for a, s in onsets_s if start <= a <= end), default=start)
-            of = (found.parts, found.probability, found.what, found.value, found.low, found.high)
+            values = (
+                finding.parts,
+                finding.probability,
+                finding.what,
+                finding.value,
+                finding.low,
+                finding.high,
+            )
             yield NamedPart(
-                start, end, alarm_s, since, *of, found.unit, *self._advice(found, max(since, 0.0))
+                start, end, alarm_s, since, *values, finding.unit, *self._advice(finding, max(since, 0.0))
             )
 
-    def _advice(self, found: PartFinding, since_s: float) -> tuple[str | None, str]:
+    def _advice(self, finding: PartFinding, since_s: float) -> tuple[str | None, str]:
         """When to service, and the line of words."""
-        line = f"{found.words()}, since about {since_s:.0f} s"
-        checks = "; ".join(f"check {self._check(part)}" for part in found.parts)
-        if len(found.parts) != 1 or found.value is None:
+        line = f"{finding.words()}, since about {since_s:.0f} s"
+        checks = "; ".join(f"check {self._check(part)}" for part in finding.parts)
+        if len(finding.parts) != 1 or finding.value is None:
             return None, f"{line}; {checks}" if checks else line
-        usual = next(c.fault for c in self.isolation.columns if c.what == found.what)
-        service = "now" if abs(found.value) > NOW * usual else "later"
+        usual = next(c.fault for c in self.isolation.columns if c.what == finding.what)
+        service = "now" if abs(finding.value) > NOW * usual else "later"
         return service, f"{line}; {checks}; service {service}"
 
     def _check(self, part: str) -> str:

@@ -135,17 +135,22 @@ def redundant_drives(
     sensors = {key: HEALTHY[key] * random.standard_normal((count, len(NOISE))) for key in ("gain", "bias")}
     speed = 1 + HEALTHY["speed"] * random.standard_normal((count, 1))
     offset = HEALTHY["offset"] * random.standard_normal((count, 1))
-    t, found = Ts * np.arange(n), []
+    t, drives_by_fault = Ts * np.arange(n), []
     for together in faults:
 
-        def of(
+        def changed(
             kind: str, healthy: float, signal: str = "", together: tuple[PartFault, ...] = together
         ) -> np.ndarray:
             value = next((f.value for f in together if (f.kind, f.signal) == (kind, signal)), healthy)
             return np.where(t >= from_s, value, healthy)
 
         rate, slip_rate = _motion(
-            v, angle, force, (1 + own["load"]) * of("load", 1.0), (1 + own["tyre"]) * of("tyre", 1.0), Ts
+            v,
+            angle,
+            force,
+            (1 + own["load"]) * changed("load", 1.0),
+            (1 + own["tyre"]) * changed("tyre", 1.0),
+            Ts,
         )
         truth = {
             "yaw_rate": rate,
@@ -153,26 +158,26 @@ def redundant_drives(
             "acceleration_rate": rate + slip_rate,
             "course_rate": _late(rate + slip_rate, np.full(n, COURSE_LAG_S), Ts),
         }
-        measured_v = v * speed * of("speed", 1.0)
+        measured_v = v * speed * changed("speed", 1.0)
         y = []
         for j, (name, x) in enumerate(truth.items()):
-            late = _late(x, of("delay", 0.0, name), Ts)
-            scaled = late * (1 + sensors["gain"][:, j, None]) * of("gain", 1.0, name)
+            late = _late(x, changed("delay", 0.0, name), Ts)
+            scaled = late * (1 + sensors["gain"][:, j, None]) * changed("gain", 1.0, name)
             if name == "acceleration_rate":
                 scaled = scaled * v / measured_v
-            y.append(scaled + sensors["bias"][:, j, None] + of("bias", 0.0, name) + noise[name])
-        steering = _late(angle, of("delay", 0.0, "road_wheel_angle"), Ts) * of(
+            y.append(scaled + sensors["bias"][:, j, None] + changed("bias", 0.0, name) + noise[name])
+        steering = _late(angle, changed("delay", 0.0, "road_wheel_angle"), Ts) * changed(
             "gain", 1.0, "road_wheel_angle"
         )
-        steering = steering + offset + of("offset", 0.0)
+        steering = steering + offset + changed("offset", 0.0)
         outputs = np.stack(y, axis=-1)
-        found.append(
+        drives_by_fault.append(
             [
                 Drive(f"redundant_{k:03d}", t, measured_v[k], steering[k, :, None], outputs[k])
                 for k in range(count)
             ]
         )
-    return found
+    return drives_by_fault
 
 
 def _driving(

@@ -52,39 +52,39 @@ def predicted(isolation: Isolation, fault: PartFault) -> bool:
 def _named(changes: Changes, isolation: Isolation, drive: Drive) -> tuple[tuple[str, ...], bool]:
     """Parts that the window after FROM_S names, and whether it differs."""
     stretches = list(changes.blocks(drive, FROM_S, FROM_S + isolation.window_s))
-    found = isolation.name(isolation.evidence(stretches))
-    return found.parts, found.differs
+    finding = isolation.name(isolation.evidence(stretches))
+    return finding.parts, finding.differs
 
 
 def bench_isolation(drives: int, window_s: float, seed: int, jobs: int) -> dict[str, Any]:
     """All numbers of the table."""
     project = redundant_project()
     changes = Changes(project, NominalModel(project))
-    isolation = Isolation.of(changes, redundant_drives(HEALTHY_DRIVES, HEALTHY_S, seed)[0], window_s)
+    isolation = Isolation.from_drives(changes, redundant_drives(HEALTHY_DRIVES, HEALTHY_S, seed)[0], window_s)
     cases: list[tuple[PartFault, ...]] = [(), *((f,) for f in (*FAULTS, *FURTHER)), *DOUBLE]
     made = redundant_drives(drives, FROM_S + window_s + 1.0, seed + 1, cases, FROM_S)
     rows: list[dict[str, Any]] = []
     outcomes: list[Counter[str]] = []
     with workers(jobs) as run:
-        for faults, of in zip(cases, made, strict=True):
-            named = list(run(partial(_named, changes, isolation), of))
+        for faults, drives_with in zip(cases, made, strict=True):
+            named = list(run(partial(_named, changes, isolation), drives_with))
             true = {f.part for f in faults}
-            found = Counter(outcome(parts, differs, true) for parts, differs in named)
-            outcomes.append(found)
+            counts = Counter(outcome(parts, differs, true) for parts, differs in named)
+            outcomes.append(counts)
             rows.append(
                 {
                     "fault": " and ".join(f.label for f in faults) or "none",
                     "part": " and ".join(f.part for f in faults),
                     "predicted": predicted(isolation, faults[0]) if len(faults) == 1 else None,
-                    "outcomes": {kind: found[kind] for kind in KINDS},
+                    "outcomes": {kind: counts[kind] for kind in KINDS},
                     "names": dict(Counter(", ".join(parts) for parts, differs in named if differs)),
                 }
             )
     structure = residual_structure(project)
     twelve, doubles = outcomes[1 : 1 + len(FAULTS)], outcomes[-len(DOUBLE) :]
 
-    def share(kind: str, of: list[Counter[str]]) -> dict[str, Any]:
-        return rate(sum(found[kind] for found in of), drives * len(of))
+    def share(kind: str, rows_counted: list[Counter[str]]) -> dict[str, Any]:
+        return rate(sum(counts[kind] for counts in rows_counted), drives * len(rows_counted))
 
     return {
         "drives": drives,
@@ -123,16 +123,16 @@ def words(result: dict[str, Any]) -> str:
 
 def main(argv: list[str]) -> None:
     """`lpvguard bench isolation`."""
-    options = parser("isolation", __doc__)
-    options.add_argument("--drives", type=int, default=50, help="drives of each fault")
-    options.add_argument("--window", type=float, default=60.0, help="s of driving that a name rests on")
-    options.add_argument("--seed", type=int, default=1)
-    options.add_argument("--jobs", type=int, default=1, help="processes that share the drives")
-    given = options.parse_args(argv)
+    arguments = parser("isolation", __doc__)
+    arguments.add_argument("--drives", type=int, default=50, help="drives of each fault")
+    arguments.add_argument("--window", type=float, default=60.0, help="s of driving that a name rests on")
+    arguments.add_argument("--seed", type=int, default=1)
+    arguments.add_argument("--jobs", type=int, default=1, help="processes that share the drives")
+    options = arguments.parse_args(argv)
     for name, least in (("drives", 1), ("window", 10), ("jobs", 1)):
-        if getattr(given, name) < least:
+        if getattr(options, name) < least:
             raise InputError(
-                "bench isolation", f"--{name}", f"{getattr(given, name):g}", f"a number from {least} on"
+                "bench isolation", f"--{name}", f"{getattr(options, name):g}", f"a number from {least} on"
             )
-    result = bench_isolation(given.drives, given.window, given.seed, given.jobs)
-    show(words(result), result, given.json_out)
+    result = bench_isolation(options.drives, options.window, options.seed, options.jobs)
+    show(words(result), result, options.json_out)
