@@ -183,24 +183,25 @@ def _scaled_bound(prover: Prover, M: np.ndarray, rtol: float) -> tuple[float, Pa
     """Return the D, G bound of M, its proof, and factors of D_left and D_right.
 
     The bound is raised until its scalings prove it within rounding; scalings that do not are replaced by
-    those of a nearly triangular M, or by 1. These also count where they prove less.
+    those of a nearly triangular M, which also count where they prove less, or by 1.
     """
     structure = prover.structure
     value, _, left, right, skew = upper_bound(M, structure, rtol)
     n_real = sum(b.kind == "repeated_real" for b in structure.blocks)
     small = M / (4 * float(np.linalg.norm(M)))  # so that no G is made
     alone = [sides[:2] for sides in triangular_scalings(small, ROUNDING * np.abs(small), structure)]
-    alone.append((np.eye(structure.n_rows), np.eye(structure.n_cols)))
     with np.errstate(all="ignore"):  # extreme scalings of no use
         images = [a.conj().T @ M @ np.linalg.inv(b.conj().T) for a, b in alone]
     tried = [(value, (left, right, skew))]
     for sides, image in zip(alone, images, strict=True):
         if np.isfinite(image).all():
             tried.append((float(np.linalg.norm(image, 2)), (*sides, np.zeros_like(skew))))
-    levels = [
-        (max(n, np.finfo(float).tiny) * (1 + share), sides) for n, sides in tried for share in INFLATIONS
-    ]
-    for upper, (a, b, G) in sorted(levels, key=lambda one: one[0]):
+    one = np.eye(structure.n_rows), np.eye(structure.n_cols), np.zeros_like(skew)
+    levels, last = (
+        [(max(n, np.finfo(float).tiny) * (1 + share), sides) for n, sides in those for share in INFLATIONS]
+        for those in (tried, [(float(np.linalg.norm(M, 2)), one)])
+    )
+    for upper, (a, b, G) in sorted(levels, key=lambda level: level[0]) + last:
         D_left, D_right = a @ a.conj().T, b @ b.conj().T
         edge = np.full(n_real, 1 / upper)
         with np.errstate(over="ignore"):  # an endless G proves nothing

@@ -252,6 +252,7 @@ class _MixedAscent:
         return beta, value
 
 
+@np.errstate(over="ignore", invalid="ignore", divide="ignore")  # of extreme scalings: ``_checked`` drops it
 def _power_iteration(N: np.ndarray, structure: Structure, starts: int, steps: int) -> list[Parts]:
     """Unit-size perturbations, per block an array (full) or a number, from ``starts`` runs side by side."""
     rng = np.random.default_rng(1)
