@@ -279,8 +279,10 @@ class _Work:
         low, high = np.log(SLOWEST), np.log(FASTEST)
         spread = np.zeros(shape)
         corners = start.log_parameters[:, 1:]
-        if corners.size and np.ptp(corners) == 0:  # away from the stationary point z = p
-            spread[:, 1::2], spread[:, 2::2] = np.log(3.0), -np.log(3.0)
+        if corners.size and np.ptp(corners) == 0:  # away from the stationary points z = p and equal pairs
+            pairs = np.arange(corners.shape[1] // 2)
+            centre = (pairs - pairs.mean()) * np.log(10.0)
+            spread[:, 1::2], spread[:, 2::2] = centre + np.log(3.0), centre - np.log(3.0)
 
         def objective(x):
             scaling = Scaling(np.clip(x.reshape(shape), low, high))
