@@ -31,7 +31,18 @@ _DENSEST = 1032
 def read_matlab(path: Path) -> pa.Table:
     """Read the vectors of numbers among the variables.
 
-    Raises InputError where their lengths differ, where one is damaged, and for HDF5 files of version 7.3.
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    Table, a column a vector
+
+    Raises
+    ------
+    InputError
+        If their lengths differ, if one is damaged, and for HDF5 files of version 7.3.
     """
     try:
         content = path.read_bytes()
