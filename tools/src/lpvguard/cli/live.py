@@ -1,15 +1,21 @@
 """`lpvguard live`: a page for browsers of this machine that shows what the core says as frames come."""
 
+from __future__ import annotations
+
 import asyncio
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from ..base import artefacts
 from ..base.errors import InputError
 from .shared import Coefficients, Vehicle, app, console, replayer_of
+
+if TYPE_CHECKING:
+    from ..extras.live.foxglove_server import FoxgloveServer
+    from ..replay.replayer import Replayer
 
 
 @app.command(
@@ -61,11 +67,7 @@ def live(
         opened = open_source(source)
         listeners: list[Listener] = []
         if foxglove is not None:
-            try:
-                from ..extras.live.foxglove_server import FoxgloveServer
-            except ImportError as error:
-                raise _not_installed(error, "foxglove") from None
-            server = FoxgloveServer(replayer, foxglove)
+            server = _foxglove(replayer, foxglove)
             ends.callback(server.stop)
             listeners.append(server)
             also = f", Foxglove at {server.url}"
@@ -80,6 +82,15 @@ def live(
             console.print(f"live: {source} at {url}{also} (interrupt ends it)")
 
         asyncio.run(serve(watch, port, ready))
+
+
+def _foxglove(replayer: Replayer, port: int) -> FoxgloveServer:
+    """Foxglove's server on a port. InputError without its package."""
+    try:
+        from ..extras.live.foxglove_server import FoxgloveServer
+    except ImportError as error:
+        raise _not_installed(error, "foxglove") from None
+    return FoxgloveServer(replayer, port)
 
 
 def _not_installed(error: ImportError, extra: str) -> InputError:
