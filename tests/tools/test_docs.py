@@ -108,9 +108,10 @@ def pages_of_people() -> list[Path]:
 
 
 def test_the_reading_path_is_short():
-    """Everything but the log, the tables of tests and generated reference: at most 250 KB."""
+    """Everything but the log, the tables of tests and of rules, and generated reference: at most 250 KB."""
     left_out = {"CHANGELOG.md", "tools/DESIGN_LOG.md", "tools/FORMATS.md", "lib/COEFFICIENTS.md"}
     left_out |= {"tests/gates/MUTANTS.md", "lib/theory/10-code-and-tests.md", "lib/theory/8-1-bounds.md"}
+    left_out |= {"lib/MISRA.md", "lib/MISRA_CPP.md"}  # a row a rule of the standards
     read = [p for p in pages_of_people() if p.relative_to(ROOT).as_posix() not in left_out]
     assert len(read) > 40
     assert sum(path.stat().st_size for path in read) <= 250_000

@@ -21,9 +21,10 @@ inline bool items_in_range(const lpvg_control_words_t& f) {
 }
 
 inline bool items_in_range(const lpvg_control_reals_t& f) {
+    const auto is_positive = [](lpvg_real_t x) { return x > lpvg_real_t(0); };
     return every(f.speed_min, [&f](lpvg_real_t x) { return x > lpvg_real_t(0) && x < f.speed_max; }) &&
-           every(f.u_max, [](lpvg_real_t x) { return x > lpvg_real_t(0); }) &&
-           every(f.rate_max, [](lpvg_real_t x) { return x > lpvg_real_t(0); });
+           every(f.u_max, is_positive) &&
+           every(f.rate_max, is_positive);
 }
 #endif
 

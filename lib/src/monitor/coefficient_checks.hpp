@@ -35,27 +35,28 @@ inline bool items_in_range(const lpvg_coeff_words_t& f) {
 }
 
 inline bool items_in_range(const lpvg_coeff_reals_t& f) {
+    const auto is_positive = [](lpvg_real_t x) { return x > lpvg_real_t(0); };
     return every(f.speed_min, [&f](lpvg_real_t x) { return x > lpvg_real_t(0) && x < f.speed_max; }) &&
-           every(f.speed_tolerance, [](lpvg_real_t x) { return x > lpvg_real_t(0); }) &&
-           every(f.scale, [](lpvg_real_t x) { return x > lpvg_real_t(0); }) &&
+           every(f.speed_tolerance, is_positive) &&
+           every(f.scale, is_positive) &&
            every(f.energy_corner, [](lpvg_real_t x) { return x > lpvg_real_t(0) && x < lpvg_real_t(1); }) &&
-           every(f.energy_scale, [](lpvg_real_t x) { return x > lpvg_real_t(0); }) &&
+           every(f.energy_scale, is_positive) &&
            every(f.energy_forget, [](lpvg_real_t x) { return x > lpvg_real_t(0) && x < lpvg_real_t(1); }) &&
            every(f.energy_start, [](lpvg_real_t x) { return x >= lpvg_real_t(0); }) &&
            every(f.energy_threshold, [](lpvg_real_t x) { return x >= lpvg_real_t(1); }) &&
            every(f.energy_certificate, [](lpvg_real_t x) { return x >= lpvg_real_t(1); }) &&
-           every(f.change_block_s, [](lpvg_real_t x) { return x > lpvg_real_t(0); }) &&
-           every(f.change_unit, [](lpvg_real_t x) { return x > lpvg_real_t(0); }) &&
-           every(f.change_scale, [](lpvg_real_t x) { return x > lpvg_real_t(0); }) &&
+           every(f.change_block_s, is_positive) &&
+           every(f.change_unit, is_positive) &&
+           every(f.change_scale, is_positive) &&
            every(f.change_forget, [](lpvg_real_t x) { return x > lpvg_real_t(0) && x < lpvg_real_t(1); }) &&
-           every(f.change_threshold, [](lpvg_real_t x) { return x > lpvg_real_t(0); }) &&
-           every(f.W_delta, [](lpvg_real_t x) { return x > lpvg_real_t(0); }) &&
-           every(f.B_w, [](lpvg_real_t x) { return x > lpvg_real_t(0); }) &&
-           every(f.W_certificate, [](lpvg_real_t x) { return x > lpvg_real_t(0); }) &&
-           every(f.B_certificate, [](lpvg_real_t x) { return x > lpvg_real_t(0); }) &&
+           every(f.change_threshold, is_positive) &&
+           every(f.W_delta, is_positive) &&
+           every(f.B_w, is_positive) &&
+           every(f.W_certificate, is_positive) &&
+           every(f.B_certificate, is_positive) &&
            every(f.pool_W, [](lpvg_real_t x) { return x >= lpvg_real_t(0); }) &&
            every(f.pool_scale, [](lpvg_real_t x) { return x >= lpvg_real_t(0); }) &&
-           every(f.threshold, [](lpvg_real_t x) { return x > lpvg_real_t(0); });
+           every(f.threshold, is_positive);
 }
 
 }  // namespace lpvguard

@@ -20,16 +20,17 @@ inline bool items_in_range(const lpvg_diagnosis_words_t& f) {
 }
 
 inline bool items_in_range(const lpvg_diagnosis_reals_t& f) {
-    return every(f.block_s, [](lpvg_real_t x) { return x > lpvg_real_t(0); }) &&
-           every(f.unit, [](lpvg_real_t x) { return x > lpvg_real_t(0); }) &&
-           every(f.correlated, [](lpvg_real_t x) { return x > lpvg_real_t(0); }) &&
-           every(f.residue, [](lpvg_real_t x) { return x > lpvg_real_t(0); }) &&
-           every(f.rough, [](lpvg_real_t x) { return x > lpvg_real_t(0); }) &&
+    const auto is_positive = [](lpvg_real_t x) { return x > lpvg_real_t(0); };
+    return every(f.block_s, is_positive) &&
+           every(f.unit, is_positive) &&
+           every(f.correlated, is_positive) &&
+           every(f.residue, is_positive) &&
+           every(f.rough, is_positive) &&
            every(f.still, [](lpvg_real_t x) { return x > lpvg_real_t(0) && x < lpvg_real_t(1); }) &&
            every(f.excited, [](lpvg_real_t x) { return x > lpvg_real_t(0) && x < lpvg_real_t(1); }) &&
-           every(f.fits, [](lpvg_real_t x) { return x > lpvg_real_t(0); }) &&
+           every(f.fits, is_positive) &&
            every(f.margin, [](lpvg_real_t x) { return x >= lpvg_real_t(0); }) &&
-           every(f.interval, [](lpvg_real_t x) { return x > lpvg_real_t(0); }) &&
+           every(f.interval, is_positive) &&
            every(f.kept, [](lpvg_real_t x) { return x >= lpvg_real_t(0) && x < lpvg_real_t(1); });
 }
 

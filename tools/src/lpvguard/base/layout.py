@@ -297,6 +297,11 @@ def header_block(layout: Layout) -> str:
     return "\n".join(lines)
 
 
+POSITIVE = "is_positive"
+POSITIVE_CONDITION = "[](lpvg_real_t x) { return x > lpvg_real_t(0); }"
+"""The commonest condition, one object in C++: arrays of one type share its code."""
+
+
 def _condition(field: Field, fields: tuple[Field, ...], kind: str) -> str:
     names = {other.name for other in fields}
 
@@ -310,7 +315,7 @@ def _condition(field: Field, fields: tuple[Field, ...], kind: str) -> str:
     tests = [f"x {'>=' if low_in else '>'} {literal(low)}"] if kind == "lpvg_real_t" or low != "0" else []
     tests += [f"x {'<=' if high_in else '<'} {literal(high)}"] if high != "inf" else []
     capture = "&f" if {low, high} & names else ""
-    return f"every(f.{field.name}, [{capture}]({kind} x) {{ return {' && '.join(tests)}; }})"
+    return f"[{capture}]({kind} x) {{ return {' && '.join(tests)}; }}"
 
 
 def _checks(layout: Layout) -> list[str]:
@@ -320,10 +325,15 @@ def _checks(layout: Layout) -> list[str]:
     )
     lines = [f"inline bool sizes_match(const {stem}_words_t& f) {{", f"    return {sizes};", "}", ""]
     for part, kind, fields in (("words", "uint32_t", layout.words), ("reals", "lpvg_real_t", layout.reals)):
-        conditions = [_condition(field, fields, kind) for field in fields if field.within]
-        joined = " &&\n           ".join(conditions)
+        conditions = {f.name: _condition(f, fields, kind) for f in fields if f.within}
+        joined = " &&\n           ".join(
+            f"every(f.{name}, {POSITIVE if condition == POSITIVE_CONDITION else condition})"
+            for name, condition in conditions.items()
+        )
+        shared = f"    const auto {POSITIVE} = {POSITIVE_CONDITION};"
         lines += [
             f"inline bool items_in_range(const {stem}_{part}_t& f) {{",
+            *[shared] * (POSITIVE_CONDITION in conditions.values()),
             f"    return {joined};",
             "}",
             "",
