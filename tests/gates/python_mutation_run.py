@@ -56,7 +56,6 @@ MEASURED = {
     "engine/synthesis/constant_scalings.py": 432,
     "engine/synthesis/coordinates.py": 88,
     "engine/synthesis/direct_terms.py": 53,
-    "engine/synthesis/dk.py": 568,
     "engine/synthesis/errors.py": 0,
     "engine/synthesis/gamma_search.py": 393,
     "engine/synthesis/knot_search.py": 377,

@@ -33,7 +33,8 @@ def test_hours_of_random_faults_keep_every_rule(truck_folder):
     assert sums["faults"] > 80 * HOURS and sums["vehicle_faults"] >= HOURS
     # Something fails twice a minute: releases void the evidence, and use up the hour's engagements.
     assert sums["vehicle_faults"] <= sums["alarms"] + 2 and sums["judged"] > 0.05 * sums["ticks"]
-    assert sums["engaged"] > 0.6 * sums["ticks"] and run.hours[-1]["diagnosed"] > 0
+    # A response that the watch finds wrong locks until init.
+    assert sums["engaged"] > 0.3 * sums["ticks"] and run.hours[-1]["diagnosed"] > 0
     other = soak(truck_folder, "host", 1, seed=SEED + 1)
     check(other, 1)
     assert other.hours[0]["digest"] != run.hours[0]["digest"]

@@ -49,10 +49,10 @@ def test_alarms_without_disturbance_come_with_memory():
 
 
 @pytest.mark.slow("3 s: the bench of validation")
-def test_the_table_of_memory_stands_in_the_theory_as_the_command_prints_it(capsys):
+def test_the_table_of_memory_stands_in_the_log_as_the_command_prints_it(capsys):
     bench.main(["--memory"])
     printed = capsys.readouterr().out.strip()
-    assert printed in (ROOT / "lib" / "theory" / "7-01-frame-margin.md").read_text()
+    assert printed in (ROOT / "tools" / "DESIGN_LOG.md").read_text()
 
 
 def test_the_help_names_every_bench():

@@ -171,7 +171,7 @@ def test_alarms_that_refute_no_certificate_falsify_nothing(verdicts_of_drives, s
     [
         ([], 0, "Not falsified: no alarm on 1 drives, but every drive that was judged set the bounds"),
         ([], 1, '<span class="yes">Not falsified'),
-        ([SimpleNamespace(test="frame")], 0, '<span class="no">Falsified'),
+        ([SimpleNamespace(verdict="invalid")], 0, '<span class="no">Falsified'),
     ],
 )
 def test_the_headline_is_green_only_where_a_drive_set_nothing(alarms, independent, start):

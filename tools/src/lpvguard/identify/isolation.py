@@ -176,15 +176,15 @@ def _input_changes(u: np.ndarray, i: int, lags: dict[int, float]) -> Iterator[tu
 
 
 @dataclass(frozen=True)
-class Evidence:
+class WindowSums:
     """Whitened sums over a window: G (m, m) of changes, g (m,) of changes and errors; ``count`` blocks."""
 
     G: np.ndarray
     g: np.ndarray
     count: int
 
-    def __add__(self, other: Evidence) -> Evidence:
-        return Evidence(self.G + other.G, self.g + other.g, self.count + other.count)
+    def __add__(self, other: WindowSums) -> WindowSums:
+        return WindowSums(self.G + other.G, self.g + other.g, self.count + other.count)
 
 
 def residual_structure(project: Project) -> dict[str, list[str]]:
@@ -265,7 +265,7 @@ def moments_of(changes: Changes, drive: Drive) -> Moments:
     return Moments(np.r_[drive.u.std(axis=0), drive.y.std(axis=0)], products)
 
 
-def evidence_windows(changes: Changes, isolation: Isolation, drive: Drive) -> list[Evidence]:
+def evidence_windows(changes: Changes, isolation: Isolation, drive: Drive) -> list[WindowSums]:
     """Evidence of the whole windows of a drive."""
     length = max(LAGS + 2, round(isolation.window_s / (changes.step * changes.project.Ts_s)))
     return [
@@ -354,7 +354,7 @@ class Isolation:
         m = len(columns)
         return cls(columns, np.zeros(m), np.ones(m), A, S, 1.0, 0.0, 0.0, np.zeros((m, m)), window_s)
 
-    def finished(self, windows: Sequence[Sequence[Evidence]]) -> Isolation:
+    def finished(self, windows: Sequence[Sequence[WindowSums]]) -> Isolation:
         """With the sizes and limits of healthy drives, from the windows of each.
 
         The limits are those of windows that are judged by the sizes of other drives, of all but a fold.
@@ -372,26 +372,26 @@ class Isolation:
         ] or [(made, w) for w in every]
         return made._limited(judged)
 
-    def _without(self, drives: list[list[Evidence]], folds: int) -> Iterator[Isolation]:
+    def _without(self, drives: list[list[WindowSums]], folds: int) -> Iterator[Isolation]:
         """Scales with the sizes of all drives but those of each fold; none of a single drive."""
         for k in range(folds if folds > 1 else 0):
             yield self._with_sizes(
                 [drive_windows for i, drive_windows in enumerate(drives) if i % folds != k]
             )
 
-    def _with_sizes(self, drives: list[list[Evidence]]) -> Isolation:
+    def _with_sizes(self, drives: list[list[WindowSums]]) -> Isolation:
         """With the sizes of a further drive, as Student's t of so many drives predicts them."""
         mean, spread = _healthy_sizes([reduce(add, drive_windows) for drive_windows in drives], self.faulty)
         wider = float(student.ppf(0.975, max(1, len(drives) - 1))) / 1.96 * np.sqrt(1 + 1 / len(drives))
         return replace(self, mean=mean, spread=wider * spread)
 
-    def _excess(self, w: Evidence) -> float:
+    def _excess(self, w: WindowSums) -> float:
         """Square of a window's distance from a healthy vehicle over its expectation."""
         b = w.g - w.G @ self.mean
         expected = w.G + w.G @ np.diag(self.spread**2) @ w.G
         return float(b @ np.linalg.pinv(expected) @ b) / len(b)
 
-    def _limited(self, judged: list[tuple[Isolation, Evidence]]) -> Isolation:
+    def _limited(self, judged: list[tuple[Isolation, WindowSums]]) -> Isolation:
         """With the scale and limits of healthy windows, each with the scales that judge it."""
         scale = max(1.0, float(np.mean([judge._excess(w) for judge, w in judged])))
         against, lacks = [0.0], [0.0]
@@ -434,10 +434,10 @@ class Isolation:
         """Columns (m,) of bool of a part."""
         return np.array([c.part == part for c in self.columns])
 
-    def evidence(self, stretches: Sequence[np.ndarray]) -> Evidence:
+    def evidence(self, stretches: Sequence[np.ndarray]) -> WindowSums:
         """Whitened sums of stretches of blocks (B, n_y, 1 + m)."""
         m = len(self.columns)
-        total = Evidence(np.zeros((m, m)), np.zeros(m), 0)
+        total = WindowSums(np.zeros((m, m)), np.zeros(m), 0)
         root = np.linalg.cholesky(np.linalg.inv(self.S))
         for x in stretches:
             if len(x) <= LAGS:
@@ -447,10 +447,10 @@ class Isolation:
                 white -= np.einsum("ij,bjm->bim", a, x[LAGS - k - 1 : len(x) - k - 1])
             white = np.einsum("ij,bjm->bim", root.T, white).reshape(-1, 1 + m)
             G = white.T @ white
-            total += Evidence(G[1:, 1:], G[1:, 0], len(x) - LAGS)
+            total += WindowSums(G[1:, 1:], G[1:, 0], len(x) - LAGS)
         return total
 
-    def log_likelihood(self, w: Evidence, spread: np.ndarray) -> float:
+    def log_likelihood(self, w: WindowSums, spread: np.ndarray) -> float:
         """Log-likelihood of a window whose sizes have a ``spread`` (m,), up to a constant."""
         b = w.g - w.G @ self.mean
         inner = np.eye(len(b)) + (spread[:, None] * w.G) * spread
@@ -462,23 +462,23 @@ class Isolation:
     def _freed(self, part: str) -> np.ndarray:
         return np.where(self.of_part(part), np.hypot(self.spread, self.faulty), self.spread)
 
-    def fits(self, w: Evidence) -> dict[str, float]:
+    def fits(self, w: WindowSums) -> dict[str, float]:
         """Log-likelihood of a window by faulty part; "" is the healthy vehicle."""
         return {"": self.log_likelihood(w, self.spread)} | {
             part: self.log_likelihood(w, self._freed(part)) for part in self.parts
         }
 
-    def _lack(self, w: Evidence, freed: np.ndarray) -> float:
+    def _lack(self, w: WindowSums, freed: np.ndarray) -> float:
         """Misfit of the best part beside that of all parts at once."""
         best = max((part for part in self.parts), key=lambda part: self.log_likelihood(w, self._freed(part)))
         return self._misfit(w, self._freed(best)) - self._misfit(w, freed)
 
-    def _misfit(self, w: Evidence, spread: np.ndarray) -> float:
+    def _misfit(self, w: WindowSums, spread: np.ndarray) -> float:
         b = (w.g - w.G @ self.mean) * spread
         inner = np.eye(len(b)) + (spread[:, None] * w.G) * spread
         return -float(b @ np.linalg.solve(inner, b)) / self.scale
 
-    def name(self, w: Evidence, alarmed: bool = False) -> PartFinding:
+    def name(self, w: WindowSums, alarmed: bool = False) -> PartFinding:
         """Name the parts that a window differs in.
 
         ``alarmed``: a test said that it differs, so that any odds against a healthy vehicle will do.
@@ -502,7 +502,7 @@ class Isolation:
         parts = (*order[:named], *alike)
         return PartFinding(parts, probability, True, *self._size(w, parts[0]))
 
-    def _size(self, w: Evidence, part: str) -> tuple[str, float, float, float, str]:
+    def _size(self, w: WindowSums, part: str) -> tuple[str, float, float, float, str]:
         """Words, value and 95 % interval of the surest size of a part, and its unit."""
         spread = self._freed(part)
         V = np.linalg.inv(w.G / self.scale + np.diag(1 / spread**2))
@@ -563,7 +563,7 @@ def _residue(products: np.ndarray, n_y: int) -> tuple[np.ndarray, np.ndarray]:
     return A.T.reshape(n_y, LAGS, n_y).swapaxes(0, 1), S + 1e-9 * np.eye(n_y) * max(np.trace(S), 1e-300)
 
 
-def _healthy_sizes(whole: list[Evidence], faulty: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _healthy_sizes(whole: list[WindowSums], faulty: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Mean and spread (m,) of the sizes of healthy drives, by expectation and maximisation."""
     mean, spread = np.zeros(len(faulty)), 0.1 * faulty
     for _ in range(ROUNDS):

@@ -321,7 +321,8 @@ class OverDrives:
         needs: dict[str, np.ndarray] = {}
         remainders: list[Remainders] = []
         blocks: dict[str, np.ndarray] = {}
-        chosen = [*drives.setting, *drives.others]
+        every = [*drives.setting, *drives.others]
+        chosen = sorted(every, key=lambda e: e.name)  # sums of floats depend on the order
         rest = self.over("pools", partial(pool_remainder_pass, self.reader, sizes, W), chosen)
         for e, remainder in zip(chosen, rest, strict=True):
             name = recordings.named(e.name)
@@ -332,6 +333,7 @@ class OverDrives:
             if len(remainders) == JOINED_AT_ONCE:
                 remainders = [Remainders.joined(remainders)]
         floor = np.where(silent, np.inf, bounds.B_w_floor)
+        needs = {name: needs[name] for name in dict.fromkeys(recordings.named(e.name) for e in every)}
         alpha = self.reader.project.frame_test.alpha
         pools = Pools(sizes, W, floor, needs, calibrate({}, alpha), blocks=blocks)
         joined = Remainders.joined(remainders)

@@ -35,7 +35,7 @@ from .energy import EnergyTest
 from .error_domain import ErrorDomain
 from .error_sums import ErrorSums, common_fit, common_products, error_sums, sum_of
 from .healthy import needed
-from .isolation import Changes, Evidence, Isolation, Moments, evidence_windows, moments_of
+from .isolation import Changes, Isolation, Moments, WindowSums, evidence_windows, moments_of
 from .pools import PoolNeeds, PoolSizes, Remainders, needs_of, remainders_of
 from .resolution import resolution_of
 from .visibility import Excitation
@@ -438,6 +438,6 @@ def isolation_moments_pass(reader: DriveReader, changes: Changes, experiment: Ex
 
 def isolation_windows_pass(
     reader: DriveReader, changes: Changes, begun: Isolation, experiment: Experiment
-) -> list[Evidence]:
+) -> list[WindowSums]:
     """Windows of a drive for the scales that name a part."""
     return evidence_windows(changes, begun, reader.read(experiment)[0])

@@ -73,7 +73,7 @@ class FittedWeight:
             "weight": f.weight.to_dict(),
             "order": f.order,
             "worst_ratio_db": f.worst_ratio_db,
-            "lp_optimum_db": f.lp_optimum_db,
+            "lp_optimum_db": min(f.lp_optimum_db, f.worst_ratio_db),
             "certificate": f.certificate,
             "floored_rad_s": list(f.floored),
             "breaks_outside_rad_s": list(f.breaks_outside),

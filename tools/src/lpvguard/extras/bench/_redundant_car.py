@@ -144,14 +144,8 @@ def redundant_drives(
             value = next((f.value for f in together if (f.kind, f.signal) == (kind, signal)), healthy)
             return np.where(t >= from_s, value, healthy)
 
-        rate, slip_rate = _motion(
-            v,
-            angle,
-            force,
-            (1 + own["load"]) * changed("load", 1.0),
-            (1 + own["tyre"]) * changed("tyre", 1.0),
-            Ts,
-        )
+        load = (1 + own["load"]) * changed("load", 1.0)
+        rate, slip_rate = _motion(v, angle, force, load, (1 + own["tyre"]) * changed("tyre", 1.0), Ts)
         truth = {
             "yaw_rate": rate,
             "wheel_rate": rate,
