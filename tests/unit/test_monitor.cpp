@@ -272,6 +272,20 @@ TEST_CASE("an output by itself refutes the certificate where only its W is wider
     }
 }
 
+TEST_CASE("an output by itself refutes the certificate where only its B is wider", "[unit][monitor][REQ-MON-20]") {
+    const uint32_t bin = 1U;
+    lpvg_coeff_t coeff = only_bin(bin);
+    std::fill(std::begin(coeff.reals.B_w[bin]), std::end(coeff.reals.B_w[bin]), Real(1e-6));
+    std::fill(std::begin(coeff.reals.B_certificate[bin]), std::end(coeff.reals.B_certificate[bin]), Real(3e-6));
+    coeff.words.crc32 = lpvg_coeff_crc32(&coeff);
+    Drive drive(coeff);
+    drive.bin = bin;
+    drive.gain = 0.7;
+    drive.settle();
+    drive.run(2U * longest());
+    CHECK(drive.verdict() == lpvg_verdict_invalid);
+}
+
 TEST_CASE("invalid is held for the longest frame after the last falsifying one", "[unit][monitor][REQ-MON-5]") {
     Drive drive(only_bin(LPVG_NBINS - 1));
     drive.bin = LPVG_NBINS - 1;
