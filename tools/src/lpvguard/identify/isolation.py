@@ -399,7 +399,7 @@ class Isolation:
             scaled = replace(judge, scale=scale)
             fits = scaled.fits(w)
             against.append(max(fits.values()) - fits[""])
-            lacks.append(scaled._lack(w, np.hypot(judge.spread, judge.faulty)))
+            lacks.append(scaled._lack(w))
         return replace(self, scale=scale, least=max(against) + ODDS, lack=max(lacks))
 
     def to_dict(self) -> dict:
@@ -450,17 +450,23 @@ class Isolation:
             total += WindowSums(G[1:, 1:], G[1:, 0], len(x) - LAGS)
         return total
 
+    def _explained(self, w: WindowSums, spread: np.ndarray) -> tuple[float, np.ndarray]:
+        """Squares of a window that sizes of a ``spread`` (m,) explain, and the matrix (m, m) behind it."""
+        b = spread * (w.g - w.G @ self.mean)
+        inner = np.eye(len(b)) + (spread[:, None] * w.G) * spread
+        return float(b @ np.linalg.solve(inner, b)), inner
+
     def log_likelihood(self, w: WindowSums, spread: np.ndarray) -> float:
         """Log-likelihood of a window whose sizes have a ``spread`` (m,), up to a constant."""
-        b = w.g - w.G @ self.mean
-        inner = np.eye(len(b)) + (spread[:, None] * w.G) * spread
-        scaled = spread * b
-        return (
-            0.5 * (float(scaled @ np.linalg.solve(inner, scaled)) - np.linalg.slogdet(inner)[1]) / self.scale
-        )
+        explained, inner = self._explained(w, spread)
+        return 0.5 * (explained - np.linalg.slogdet(inner)[1]) / self.scale
+
+    @property
+    def _all_freed(self) -> np.ndarray:
+        return np.hypot(self.spread, self.faulty)
 
     def _freed(self, part: str) -> np.ndarray:
-        return np.where(self.of_part(part), np.hypot(self.spread, self.faulty), self.spread)
+        return np.where(self.of_part(part), self._all_freed, self.spread)
 
     def fits(self, w: WindowSums) -> dict[str, float]:
         """Log-likelihood of a window by faulty part; "" is the healthy vehicle."""
@@ -468,15 +474,13 @@ class Isolation:
             part: self.log_likelihood(w, self._freed(part)) for part in self.parts
         }
 
-    def _lack(self, w: WindowSums, freed: np.ndarray) -> float:
+    def _lack(self, w: WindowSums) -> float:
         """Misfit of the best part beside that of all parts at once."""
-        best = max((part for part in self.parts), key=lambda part: self.log_likelihood(w, self._freed(part)))
-        return self._misfit(w, self._freed(best)) - self._misfit(w, freed)
+        best = max(self.parts, key=lambda part: self.log_likelihood(w, self._freed(part)))
+        return self._misfit(w, self._freed(best)) - self._misfit(w, self._all_freed)
 
     def _misfit(self, w: WindowSums, spread: np.ndarray) -> float:
-        b = (w.g - w.G @ self.mean) * spread
-        inner = np.eye(len(b)) + (spread[:, None] * w.G) * spread
-        return -float(b @ np.linalg.solve(inner, b)) / self.scale
+        return -self._explained(w, spread)[0] / self.scale
 
     def name(self, w: WindowSums, alarmed: bool = False) -> PartFinding:
         """Name the parts that a window differs in.
@@ -492,7 +496,7 @@ class Isolation:
         if not w.count or top - healthy <= (0.0 if alarmed else self.least):
             return PartFinding((), probability, False)
         allowed = 2 * self.lack + NEEDED + 2 * UNEXPLAINED * (top - healthy)
-        if self._lack(w, np.hypot(self.spread, self.faulty)) > allowed:
+        if self._lack(w) > allowed:
             return PartFinding((), probability, True)
         order = sorted(probability, key=lambda part: -probability[part])
         share = np.cumsum([probability[part] for part in order])
@@ -506,7 +510,7 @@ class Isolation:
         """Words, value and 95 % interval of the surest size of a part, and its unit."""
         spread = self._freed(part)
         V = np.linalg.inv(w.G / self.scale + np.diag(1 / spread**2))
-        sizes = self.mean + V @ (w.g - w.G @ self.mean) / self.scale - self.mean
+        sizes = V @ (w.g - w.G @ self.mean) / self.scale
         sizes_of_part = []
         for what in dict.fromkeys(c.what for c in self.columns if c.part == part):
             chosen = np.array([c.what == what for c in self.columns], float)
