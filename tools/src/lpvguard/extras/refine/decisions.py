@@ -19,6 +19,7 @@ from ...base import artefacts
 from ...base.errors import InputError
 from ...base.parallel import Map
 from ...drives.tables import TABLE_SUFFIXES, Experiment, index_column, list_experiments, table_hashes
+from ...replay.replayer import Replayer
 from ..fleet.recordings import Listed, follow
 from ..fleet.state import FleetState
 from .judgement import Judge, Judgement, known_estimates
@@ -81,17 +82,14 @@ class Evidence:
         return cls(experiments, vehicle)
 
     def lived(
-        self,
-        judge: Judge,
-        life: FleetState,
-        workers: Map = map,
-        progress: Callable[[str], None] = lambda _: None,
+        self, lineage: Lineage, first: Replayer, workers: Map = map
     ) -> tuple[FleetState, dict[str, Any]]:
-        """The lifetime test after these drives, and the object of `lpvguard fleet --json`."""
-        first = self.experiments[0].path.parent
-        return follow(
-            judge.first, life, Listed(first, self.experiments, self.vehicle, {}), {}, workers, progress
-        )
+        """The lifetime test after these drives, and the object of `lpvguard fleet --json`.
+
+        ``first`` is the core of the lineage's first identification.
+        """
+        listed = Listed(self.experiments[0].path.parent, self.experiments, self.vehicle, {})
+        return follow(first, lineage.life_of(first, workers), listed, {}, workers)
 
 
 @dataclass(frozen=True)
@@ -293,7 +291,7 @@ def decide(
             progress(f"judges {e.name}")
             judgements.append(judge.of_drive(e, evidence.vehicle[e.name]))
         progress("lifetime test")
-        life, lives = evidence.lived(judge, lineage.life_of(judge.first, workers), workers)
+        life, lives = evidence.lived(lineage, judge.first, workers)
         known = list_experiments(lineage.drives)
         groups = {e.group for e in known if e.group}
         made = proposals(judge, judgements, known_estimates(judge, lineage.drives), life, groups)

@@ -1,4 +1,4 @@
-"""What a further drive refutes, and whether it is like the drives that are known.
+"""Judges further drives: the statements that each refutes, and the known drives that it is like.
 
 Three statements can be refuted. A frame refutes the certificate when its margin under W_delta and B_w exceeds
 1. It refutes the certificate set if a vehicle without response would have exceeded 1, too. Otherwise it

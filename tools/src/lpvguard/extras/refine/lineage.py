@@ -1,4 +1,4 @@
-"""Where a refinement starts: an identification, its drives, and the vehicle as it was first identified.
+"""A refinement starts from an identification, its drives, and the vehicle as it was first identified.
 
 The lifetime test and all estimates compare with the first identification of a lineage. A fault that grows
 slower than each refinement therefore grows in them.
@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import shutil
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -81,14 +81,12 @@ class Lineage:
         with compiled(stage.load(self.origin)) as replayer:
             yield replayer
 
-    def life_of(
-        self, replayer: Replayer, workers: Map = map, progress: Callable[[str], None] = lambda _: None
-    ) -> FleetState:
+    def life_of(self, first: Replayer, workers: Map = map) -> FleetState:
         """State of the lifetime test before the evidence, calibrated by the first identification's drives."""
         if self.life is not None:
             return self.life
         stated = dict.fromkeys(("judged_s", "alpha", "eta"))
-        return begun(replayer, None, self.drives, stated, workers, progress)[0]
+        return begun(first, None, self.drives, stated, workers)[0]
 
 
 @contextmanager

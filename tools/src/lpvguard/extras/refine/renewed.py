@@ -19,7 +19,6 @@ from ...fit import fitted_model
 from ...fit.project_file import text_of
 from ...identify import identification as stage
 from .decisions import GROUP_OF_KNOWN, Decisions, DriveDecision, Evidence
-from .judgement import Judge
 from .lineage import DRIVES, IDENTIFICATION, KIND, LIFE, ORIGIN, Lineage, put
 from .proposals import CONDITION, RECENTRE
 
@@ -83,8 +82,8 @@ def renew(
         stage.save(result, drives, folder / IDENTIFICATION)
         shutil.copytree(lineage.origin, folder / ORIGIN)
         progress("lifetime test")
-        with Judge.for_lineage(lineage) as judge:
-            life = evidence.lived(judge, lineage.life_of(judge.first, workers), workers)[0]
+        with lineage.first() as first:
+            life = evidence.lived(lineage, first, workers)[0]
         life.write(folder / LIFE)
         shutil.copyfile(path, folder / DECISIONS)
         lineage_of = {"seal": lineage.stored.manifest["seal"], "signed_by": decisions.signed_by}
