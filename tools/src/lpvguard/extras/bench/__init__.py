@@ -82,6 +82,14 @@ def parser(name: str, description: str | None) -> argparse.ArgumentParser:
     return made
 
 
+def require_at_least(bench: str, options: argparse.Namespace, **least: float) -> None:
+    """InputError for the first of these options that lies below its least value."""
+    for name, smallest in least.items():
+        value = getattr(options, name)
+        if value < smallest:
+            raise InputError(f"bench {bench}", f"--{name}", f"{value:g}", f"a number from {smallest:g} on")
+
+
 def numbers_of(
     bench: str, option: str, text: str, good: Callable[[float], bool], expected: str
 ) -> list[float]:

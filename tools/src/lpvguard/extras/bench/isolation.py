@@ -9,13 +9,12 @@ from collections import Counter
 from functools import partial
 from typing import Any
 
-from ...base.errors import InputError
 from ...base.parallel import workers
 from ...base.rates import rate, share_words
 from ...drives.tables import Drive
 from ...identify.isolation import Changes, Isolation, residual_structure, told_apart
 from ...vehicle.nominal import NominalModel
-from . import parser, show
+from . import parser, require_at_least, show
 from ._redundant_car import DOUBLE, FAULTS, FURTHER, PartFault, redundant_drives, redundant_project
 
 HEALTHY_DRIVES, HEALTHY_S, FROM_S = 20, 180.0, 40.0
@@ -36,7 +35,7 @@ def outcome(parts: tuple[str, ...], differs: bool, true: set[str]) -> str:
 
 
 def predicted(isolation: Isolation, fault: PartFault) -> bool:
-    """Whether the table of isolability tells the fault's part from every other one."""
+    """Return whether the table of isolability tells the fault's part from every other one."""
     what, size = {
         "gain": (f"{fault.signal} gain", abs(fault.value - 1)),
         "bias": (f"{fault.signal} bias", fault.value),
@@ -129,10 +128,6 @@ def main(argv: list[str]) -> None:
     arguments.add_argument("--seed", type=int, default=1)
     arguments.add_argument("--jobs", type=int, default=1, help="processes that share the drives")
     options = arguments.parse_args(argv)
-    for name, least in (("drives", 1), ("window", 10), ("jobs", 1)):
-        if getattr(options, name) < least:
-            raise InputError(
-                "bench isolation", f"--{name}", f"{getattr(options, name):g}", f"a number from {least} on"
-            )
+    require_at_least("isolation", options, drives=1, window=10, jobs=1)
     result = bench_isolation(options.drives, options.window, options.seed, options.jobs)
     show(words(result), result, options.json_out)

@@ -27,7 +27,7 @@ from ...vehicle.project import load_project
 from ..fleet.recordings import ALPHA, ETA, JUDGED_S
 from ..fleet.scores import ScoredDrive
 from ..fleet.wealth import POWERS, Life, LifeTable, alarm_wealth, factors, ranks, simultaneous_tails, stepped
-from . import parser, show
+from . import parser, require_at_least, show
 
 VEHICLE = "g80"
 GAINS = (1.0, 0.98, 0.96, 0.94, 0.92, 0.9)
@@ -215,9 +215,7 @@ def main(argv: list[str]) -> None:
     arguments.add_argument("--seed", type=int, default=1)
     arguments.add_argument("--jobs", type=int, default=1, help="processes that share the drives of the pool")
     options = arguments.parse_args(argv)
-    for name in ("drives", "lives", "recordings", "jobs"):
-        if getattr(options, name) < 1:
-            raise InputError("bench lives", f"--{name}", str(getattr(options, name)), "a number from 1 on")
+    require_at_least("lives", options, drives=1, lives=1, recordings=1, jobs=1)
     with workers(options.jobs) as run:
         pool = make_pool(options.drives, options.spread, options.seed, run)
     result = bench_lives(pool, options.lives, options.recordings, options.seed) | {"spread": options.spread}

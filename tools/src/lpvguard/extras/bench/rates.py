@@ -16,12 +16,11 @@ from typing import Any
 
 import numpy as np
 
-from ...base.errors import InputError
 from ...base.parallel import workers
 from ...base.rates import rate as share_of
 from ...base.rates import share_words
 from ...base.tails import Peaks, Tail
-from . import numbers_of, parser, show
+from . import numbers_of, parser, require_at_least, show
 
 BLOCKS_PER_H, RECORDING_H, SHAPE = 120, 0.25, 0.25
 RATES_PER_1000_H = (10.0, 1.0, 0.1)
@@ -141,9 +140,7 @@ def main(argv: list[str]) -> None:
     arguments.add_argument("--seed", type=int, default=1)
     arguments.add_argument("--jobs", type=int, default=1, help="processes that share the fleets")
     options = arguments.parse_args(argv)
-    for name in ("fleets", "fresh", "jobs"):
-        if getattr(options, name) < 1:
-            raise InputError("bench rates", f"--{name}", str(getattr(options, name)), "a number from 1 on")
+    require_at_least("rates", options, fleets=1, fresh=1, jobs=1)
     hours = numbers_of("rates", "--hours", options.hours, lambda h: h >= 1, "hours from 1 on")
     result = bench_rates(options.fleets, hours, options.fresh, options.seed, options.jobs)
     show(words(result), result, options.json_out)

@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 
 from ...base.artefacts import write_files
-from ...base.errors import InputError
 from ...core.compiled import ALARMING, VERDICTS
 from ...drives import fixture
 from ...drives.faults import Fault, inject
@@ -26,7 +25,7 @@ from ..loop.generate import generate
 from ..refine.decisions import Evidence, decide
 from ..refine.lineage import Lineage, compiled
 from ..refine.renewed import renew
-from . import parser, show
+from . import parser, require_at_least, show
 
 FAULT = 0.7
 """Gain of the fault, and the gain to which the worn vehicle falls."""
@@ -129,9 +128,7 @@ def main(argv: list[str]) -> None:
     arguments.add_argument("--rounds", type=int, default=4)
     arguments.add_argument("--seeds", type=int, default=1, help="fleets")
     options = arguments.parse_args(argv)
-    for name in ("vehicles", "drives", "rounds", "seeds"):
-        if getattr(options, name) < 1:
-            raise InputError("bench refine", f"--{name}", str(getattr(options, name)), "a number from 1 on")
+    require_at_least("refine", options, vehicles=1, drives=1, rounds=1, seeds=1)
     project, total = load_project("g80"), list[dict[str, Any]]()
     for seed in range(options.seeds):
         with tempfile.TemporaryDirectory() as scratch:

@@ -10,10 +10,9 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from ...base.artefacts import require_replaceable_file
-from ...base.errors import InputError
 from ...core.compiled import firmware_root, shipped_vehicle
 from ...core.targets import TARGETS, Program, run_program
-from . import parser, show
+from . import parser, require_at_least, show
 
 HOUR_MS = 3_600_000
 SEED = 20261123
@@ -116,9 +115,7 @@ def main(argv: list[str]) -> None:
     arguments.add_argument("--healthy", action="store_true", help="no faults, and speeds within the range")
     arguments.add_argument("--figure", type=Path, help="draw the curves there, .svg or .png")
     options = arguments.parse_args(argv)
-    for name in ("hours", "seed"):
-        if getattr(options, name) < 1:
-            raise InputError("bench soak", f"--{name}", str(getattr(options, name)), "a number from 1 on")
+    require_at_least("soak", options, hours=1, seed=1)
     if options.figure is not None:
         require_replaceable_file(options.figure, "bench soak")
     vehicle = shipped_vehicle("truck")
