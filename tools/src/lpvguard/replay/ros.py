@@ -120,7 +120,7 @@ class Ros2Recorder:
             self._number += 1
 
     def listens(self) -> bool:
-        """Whether it takes pieces: always."""
+        """Return True: it takes every piece."""
         return True
 
     def close(self) -> None:
@@ -147,14 +147,9 @@ class Ros2Recorder:
             if np.isfinite(self._margin):
                 values["largest margin"] = f"{self._margin:.4g}"
             values |= {name: f"{x[k]:.4g}" for name, x in ratios.items() if np.isfinite(x[k])}
-            status = {
-                "level": LEVELS.get(verdict, STALE),
-                "name": "lpvguard: nominal model",
-                "message": "; ".join(sentences.get(k, [verdict.replace("_", " ")])),
-                "hardware_id": self._vehicle,
-                "values": [{"key": key, "value": value} for key, value in values.items()],
-            }
-            yield t, "/diagnostics", DIAGNOSTICS, {"status": [status]}
+            words = "; ".join(sentences.get(k, [verdict.replace("_", " ")]))
+            level = LEVELS.get(verdict, STALE)
+            yield _status(t, level, "lpvguard: nominal model", words, self._vehicle, values)
             self._verdict, self._last, self._margin = verdict, t, np.nan
 
 
@@ -165,14 +160,21 @@ def _part(vehicle: str, named: dict[str, Any]) -> Message:
         size = " to ".join(f"{named[key]:.4g}" for key in ("low", "high"))
         values |= {named["what"]: f"{named['value']:.4g} ({size}) {named['unit']}".rstrip()}
     values |= {f"probability of {part}": f"{named['probability'][part]:.3g}" for part in named["parts"]}
+    level = ERROR if named["service"] == "now" else WARN
+    name = f"lpvguard: {' or '.join(named['parts']) or 'no single part'}"
+    return _status(round(named["until_s"] * 1e9), level, name, named["says"], vehicle, values)
+
+
+def _status(t: int, level: int, name: str, message: str, vehicle: str, values: dict[str, str]) -> Message:
+    """Diagnostics with one status, at ``t`` [ns]."""
     status = {
-        "level": ERROR if named["service"] == "now" else WARN,
-        "name": f"lpvguard: {' or '.join(named['parts']) or 'no single part'}",
-        "message": named["says"],
+        "level": level,
+        "name": name,
+        "message": message,
         "hardware_id": vehicle,
         "values": [{"key": key, "value": value} for key, value in values.items()],
     }
-    return round(named["until_s"] * 1e9), "/diagnostics", DIAGNOSTICS, {"status": [status]}
+    return t, "/diagnostics", DIAGNOSTICS, {"status": [status]}
 
 
 def _motions(stamps: np.ndarray, series: pa.Table) -> Iterator[Message]:
