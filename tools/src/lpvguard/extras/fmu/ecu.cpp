@@ -44,13 +44,7 @@ public:
 
     using Unit::get;
     using Unit::set;
-    Status set(unsigned reference, double value) override {
-        if (reference >= n_inputs) {
-            return none(reference, "input");
-        }
-        state_.input[reference] = value;
-        return ok;
-    }
+    Status set(unsigned reference, double value) override { return set_input(state_.input, reference, value); }
     Status set(unsigned reference, bool value) override {
         if (reference != vr_authentication) {
             return none(reference, "boolean parameter");
@@ -181,9 +175,6 @@ private:
 
 }  // namespace
 
-std::unique_ptr<Unit> make_unit(const Log& log) {
-    auto unit = std::make_unique<Ecu>(log);
-    return unit->start() == ok ? std::move(unit) : nullptr;
-}
+std::unique_ptr<Unit> make_unit(const Log& log) { return started<Ecu>(log); }
 
 }  // namespace lpvguard_fmu

@@ -69,13 +69,7 @@ public:
 
     using Unit::get;
     using Unit::set;
-    Status set(unsigned reference, double value) override {
-        if (reference >= n_inputs) {
-            return none(reference, "input");
-        }
-        state_.input[reference] = value;
-        return ok;
-    }
+    Status set(unsigned reference, double value) override { return set_input(state_.input, reference, value); }
     Status get(unsigned reference, double& value) const override {
         if (reference < n_inputs) {
             value = state_.input[reference];
@@ -129,9 +123,6 @@ private:
 
 }  // namespace
 
-std::unique_ptr<Unit> make_unit(const Log& log) {
-    auto unit = std::make_unique<Monitor>(log);
-    return unit->start() == ok ? std::move(unit) : nullptr;
-}
+std::unique_ptr<Unit> make_unit(const Log& log) { return started<Monitor>(log); }
 
 }  // namespace lpvguard_fmu

@@ -26,7 +26,7 @@ LINK_FLAGS = ("-static-libstdc++", "-static-libgcc", f"-Wl,--version-script={HER
 
 @dataclass(frozen=True)
 class _Unit:
-    """What one kind of FMU is made of beside the core.
+    """Parts of one kind of FMU beside the core.
 
     Attributes
     ----------

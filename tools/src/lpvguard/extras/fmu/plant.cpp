@@ -50,13 +50,7 @@ public:
 
     using Unit::get;
     using Unit::set;
-    Status set(unsigned reference, double value) override {
-        if (reference >= sizeof input_ / sizeof *input_) {
-            return none(reference, "input");
-        }
-        input_[reference] = value;
-        return ok;
-    }
+    Status set(unsigned reference, double value) override { return set_input(input_, reference, value); }
     Status set(unsigned reference, const char* text) override {
         if (reference != vr_scenario) {
             return none(reference, "text parameter");
@@ -155,9 +149,6 @@ private:
 
 }  // namespace
 
-std::unique_ptr<Unit> make_unit(const Log& log) {
-    auto unit = std::make_unique<PlantUnit>(log);
-    return unit->start() == ok ? std::move(unit) : nullptr;
-}
+std::unique_ptr<Unit> make_unit(const Log& log) { return started<PlantUnit>(log); }
 
 }  // namespace lpvguard_fmu

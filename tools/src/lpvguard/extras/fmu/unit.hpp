@@ -7,6 +7,7 @@
 #include <cstdio>
 #include <memory>
 #include <string>
+#include <utility>
 #include <vector>
 
 namespace lpvguard_fmu {
@@ -99,6 +100,15 @@ protected:
     Status none(unsigned reference, const char* what) const {
         return say(error, "value reference %u: this FMU has no such %s; see modelDescription.xml", reference, what);
     }
+    // Inputs are numbers with the references from 0.
+    template <std::size_t n>
+    Status set_input(double (&inputs)[n], unsigned reference, double value) const {
+        if (reference >= n) {
+            return none(reference, "input");
+        }
+        inputs[reference] = value;
+        return ok;
+    }
 
 private:
     Log log_;
@@ -106,5 +116,11 @@ private:
 
 // Made by the file of each unit. Null: it has said why.
 std::unique_ptr<Unit> make_unit(const Log& log);
+
+template <class Kind>
+std::unique_ptr<Unit> started(const Log& log) {
+    auto unit = std::make_unique<Kind>(log);
+    return unit->start() == ok ? std::move(unit) : nullptr;
+}
 
 }  // namespace lpvguard_fmu
