@@ -157,19 +157,6 @@ std::vector<Linked> read_linked(const toml::table& link, const std::string& key,
     return linked;
 }
 
-double at(const std::vector<lpvguard_plant::SpeedKnot>& profile, double time_s) {
-    std::size_t i = 0;
-    while (i + 1 < profile.size() && time_s >= profile[i + 1].time_s) {
-        ++i;
-    }
-    const auto& from = profile[i];
-    if (time_s <= from.time_s || i + 1 == profile.size()) {
-        return from.speed_mps;
-    }
-    const auto& to = profile[i + 1];
-    return from.speed_mps + (to.speed_mps - from.speed_mps) * (time_s - from.time_s) / (to.time_s - from.time_s);
-}
-
 class FmuVehicle final : public VehicleModel {
 public:
     FmuVehicle(const toml::table& link, const std::string& file, const Scenario& scenario, const std::string& text)
@@ -234,7 +221,7 @@ private:
 
     void give(double time_s, double demand_bar) {
         for (const Linked& input : inputs_) {
-            const double value = input.name == "speed" ? at(profile_, time_s) : demand_bar;
+            const double value = input.name == "speed" ? lpvguard_plant::speed_at(profile_, time_s, profile_segment_) : demand_bar;
             fmu_.set_number(input.reference, (value - input.offset) / input.factor);
         }
     }
@@ -277,6 +264,7 @@ private:
     double step_s_, track_m_;
     std::vector<Linked> inputs_, outputs_;
     std::int64_t ticks_ = 0;
+    std::size_t profile_segment_ = 0;
     Truth truth_{};
     Sensors sensors_{};
 };

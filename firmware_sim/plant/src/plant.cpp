@@ -125,16 +125,15 @@ Plant::Plant(const PlantParameters& parameters, const Drive& drive, std::uint64_
     sample_sensors();
 }
 
-double Plant::profile_speed(double time_s) {
-    const std::vector<SpeedKnot>& knots = drive_.speed_profile;
-    while (profile_segment_ + 1 < knots.size() && time_s >= knots[profile_segment_ + 1].time_s) {
-        ++profile_segment_;
+double speed_at(const std::vector<SpeedKnot>& profile, double time_s, std::size_t& segment) {
+    while (segment + 1 < profile.size() && time_s >= profile[segment + 1].time_s) {
+        ++segment;
     }
-    const SpeedKnot& from = knots[profile_segment_];
-    if (time_s <= from.time_s || profile_segment_ + 1 == knots.size()) {
+    const SpeedKnot& from = profile[segment];
+    if (time_s <= from.time_s || segment + 1 == profile.size()) {
         return from.speed_mps;
     }
-    const SpeedKnot& to = knots[profile_segment_ + 1];
+    const SpeedKnot& to = profile[segment + 1];
     return from.speed_mps + (to.speed_mps - from.speed_mps) * (time_s - from.time_s) / (to.time_s - from.time_s);
 }
 
@@ -143,7 +142,7 @@ double Plant::next_speed() {
     const auto& changes = drive_.speed_changes;
     const auto begun = std::find_if(changes.rbegin(), changes.rend(), [&](const SpeedChange& c) { return c.start_s <= truth_.time_s; });
     if (begun == changes.rend()) {
-        return profile_speed(truth_.time_s + step_s);
+        return speed_at(drive_.speed_profile, truth_.time_s + step_s, profile_segment_);
     }
     const double most_mps = begun->rate_mps2 * step_s;
     return x_[speed] + std::clamp(begun->speed_mps - x_[speed], -most_mps, most_mps);

@@ -56,6 +56,9 @@ struct SpeedKnot {
     double speed_mps = 0.0;
 };
 
+/// Speed of a profile, linear between its knots and constant outside. ``segment`` is that of an earlier time, from 0 on.
+double speed_at(const std::vector<SpeedKnot>& profile, double time_s, std::size_t& segment);
+
 /// From start_s on the speed goes at rate_mps2 from where it is to speed_mps and stays there.
 struct SpeedChange {
     double start_s = 0.0;
@@ -171,7 +174,6 @@ private:
     Held hold(double demand_bar, double driver_torque_nm);
     State derivative(const State& x, const Held& in, Forces& forces) const;
     void integrate(const Held& in);
-    double profile_speed(double time_s);
     double next_speed();
     void publish_truth(const Held& in);
     void sample_sensors();
