@@ -1,4 +1,4 @@
-"""What changed between two generated folders of a vehicle."""
+"""Coefficients that changed between two generated folders of a vehicle."""
 
 from dataclasses import replace
 

@@ -45,7 +45,7 @@ class Recertification:
 
     @property
     def proved(self) -> bool:
-        """Whether mu is below 1 with the objectives as they are."""
+        """True where mu is below 1 with the objectives as they are."""
         return self.verdict == PROVED
 
 

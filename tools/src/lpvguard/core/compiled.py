@@ -513,7 +513,7 @@ class Core:
 
     @property
     def identity(self) -> str:
-        """What a result of this core depends on (base/kept_results.py): the library's name has its digest."""
+        """The library's name, which has its digest: results depend on it (base/kept_results.py)."""
         return self.library.name
 
     @cached_property

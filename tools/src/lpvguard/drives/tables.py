@@ -121,7 +121,7 @@ class Experiment:
 
     @property
     def identity(self) -> tuple[str | None, ...]:
-        """What a result of this drive depends on (base/kept_results.py): its entry and its table's hash."""
+        """The drive's entry and its table's hash, on which its results depend (base/kept_results.py)."""
         entry = self.name, self.split, self.driver, self.recording, self.group
         return *entry, artefacts.file_hash(self.path)
 

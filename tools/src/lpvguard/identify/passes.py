@@ -86,7 +86,7 @@ class DriveReader:
 
     @property
     def identity(self) -> Project:
-        """What a result of this reader depends on (base/kept_results.py)."""
+        """All that a result of this reader depends on (base/kept_results.py)."""
         return self.project
 
     def read(self, experiment: Experiment) -> tuple[Drive, np.ndarray, np.ndarray]:

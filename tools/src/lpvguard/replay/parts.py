@@ -136,7 +136,7 @@ class PartNamer:
         return service, f"{line}; {checks}; service {service}"
 
     def _check(self, part: str) -> str:
-        """What to check of a part: the project file's text, or the usual one."""
+        """Words that say what to check of a part: those of the project file, or the usual ones."""
         settings, project = self.project.isolation, self.project
         assert settings is not None
         if part in settings.check:

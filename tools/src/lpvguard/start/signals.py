@@ -223,7 +223,7 @@ def _choices(
         raise InputError(
             "new", name, f"the logs state the units {' and '.join(stated)}", f"one unit, or --{role}-unit"
         )
-    in_name = list(dict.fromkeys(unit for text in units_in_name(name, role) if (unit := text)))
+    in_name = units_in_name(name, role)
     by_log = _unit(stated[0], role) if stated else None
     if stated and by_log is None:
         if _of_another_role(stated[0], role) or NO_SIGNALS_UNIT.fullmatch(stated[0]):

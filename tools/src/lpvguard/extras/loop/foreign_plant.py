@@ -21,9 +21,9 @@ PRESSURES = ("brake_pressure_left", "brake_pressure_right")
 REQUIRED = ("speed", "yaw_rate", "steering_wheel_angle", "lateral_acceleration")
 TRUTH = ("true_speed", "true_yaw_rate", "true_lateral_acceleration", "true_road_wheel_angle")
 OUTPUTS = (*REQUIRED, *WHEELS, *PRESSURES, "brake_pressure_difference", *TRUTH)
-"""What the loop reads. Units: m/s, rad/s, rad, m/s2, bar; left is positive."""
+"""Quantities that the loop reads. Units: m/s, rad/s, rad, m/s2, bar; left is positive."""
 INPUTS = ("brake_demand", "speed")
-"""What the loop gives."""
+"""Quantities that the loop gives."""
 BINARIES = {2: "binaries/linux64", 3: "binaries/x86_64-linux"}
 NUMBERS = ("Real", "Float64")
 OF_OUR_TRUCK = {"speed_profile"}
