@@ -13,7 +13,6 @@ from ..base import artefacts
 from ..base.parallel import Map
 from ..base.progress import Progress, counted
 from ..core.scheduled import Scheduled
-from ..engine.synthesis.dk import Scaling
 from ..identify.identification import StoredIdentification
 from ..identify.premise import require_premise
 from .controller_file import stated_scaling
@@ -78,56 +77,37 @@ def recertified(
     before = {row["v_mps"]: row["mu_upper"] for row in [*stated["speeds"], stated["off_grid"]]}
     worst = worst_off_grid(schedule, scaling, problem.plant, stored.project.seed, workers)[0]
     speeds = [*before, worst] if worst not in before else [*before]
-    mu = _upper(problem, schedule, scaling, speeds, progress, workers)
+
+    def upper(posed: DesignProblem) -> list[float]:
+        plants = [posed.plant(v) for v in speeds]
+        tasks = [
+            (plant, schedule.at(v), scaling if plant.blocks else None)
+            for v, plant in zip(speeds, plants, strict=True)
+        ]
+        texts = [f"certificate at {v:.3g} m/s" for v in speeds]
+        return [bound.upper for bound in counted(progress, texts, workers(certified, tasks))]
+
+    def at_level(level: float) -> list[float]:
+        settings = problem.settings
+        objectives = {"A_t": settings.A_t / level, "A_u": settings.A_u / level, "synthesised_for": None}
+        return upper(problem.with_settings(settings.model_copy(update=objectives)))
+
+    mu = upper(problem)
     rows = [
         {"v_mps": v, "mu_before": before.get(v, before[stated["off_grid"]["v_mps"]]), "mu_after": m}
         for v, m in zip(speeds, mu, strict=True)
     ]
     if max(mu) < 1:
         return Recertification(PROVED, 1.0, rows, mu)
-    top = _at_level(problem, HIGHEST_LEVEL, schedule, scaling, speeds, progress, workers)
+    top = at_level(HIGHEST_LEVEL)
     if not max(top) < 1:
         return Recertification(NOT, None, rows, top)
     low, high, at_high = 0.0, 1.0, top
     for _ in range(STEPS):
         middle = 0.5 * (low + high)
-        upper = _at_level(problem, HIGHEST_LEVEL**middle, schedule, scaling, speeds, progress, workers)
-        if max(upper) < 1:
-            high, at_high = middle, upper
+        bounds = at_level(HIGHEST_LEVEL**middle)
+        if max(bounds) < 1:
+            high, at_high = middle, bounds
         else:
             low = middle
     return Recertification(LOWER, HIGHEST_LEVEL**high, rows, at_high)
-
-
-def _at_level(
-    problem: DesignProblem,
-    level: float,
-    schedule: Scheduled,
-    scaling: Scaling,
-    speeds: list[float],
-    progress: Progress,
-    workers: Map,
-) -> list[float]:
-    """Upper bounds of mu with A_t and A_u over ``level``."""
-    settings = problem.settings
-    lowered = settings.model_copy(
-        update={"A_t": settings.A_t / level, "A_u": settings.A_u / level, "synthesised_for": None}
-    )
-    return _upper(problem.with_settings(lowered), schedule, scaling, speeds, progress, workers)
-
-
-def _upper(
-    problem: DesignProblem,
-    schedule: Scheduled,
-    scaling: Scaling,
-    speeds: list[float],
-    progress: Progress,
-    workers: Map,
-) -> list[float]:
-    plants = [problem.plant(v) for v in speeds]
-    asked = [
-        (plant, schedule.at(v), scaling if plant.blocks else None)
-        for v, plant in zip(speeds, plants, strict=True)
-    ]
-    texts = [f"certificate at {v:.3g} m/s" for v in speeds]
-    return [bound.upper for bound in counted(progress, texts, workers(certified, asked))]
