@@ -24,14 +24,19 @@ struct Crc32Table {
 };
 inline constexpr Crc32Table crc32_table;
 
+// A byte that is already in crc is taken in.
+inline uint32_t crc32_taken(uint32_t crc) {
+    crc = (crc >> 4U) ^ crc32_table.entry[crc & 0xFU];
+    return (crc >> 4U) ^ crc32_table.entry[crc & 0xFU];
+}
+
 // Least significant byte first whatever the target's byte order, which is the order in which 32 bits are taken in at once.
 template <class Word>
 uint32_t crc32_word(uint32_t crc, Word word) {
     for (std::size_t taken = 0; taken < 8U * sizeof(Word); taken += 32U) {
         crc ^= static_cast<uint32_t>(word >> taken);
         for (int byte = 0; byte < 4; ++byte) {
-            crc = (crc >> 4U) ^ crc32_table.entry[crc & 0xFU];
-            crc = (crc >> 4U) ^ crc32_table.entry[crc & 0xFU];
+            crc = crc32_taken(crc);
         }
     }
     return crc;

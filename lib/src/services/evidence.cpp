@@ -6,6 +6,7 @@
 
 #include "freeze_bytes.hpp"
 #include "monitor/crc32.hpp"
+#include "uds_bytes.hpp"
 
 namespace {
 
@@ -14,16 +15,13 @@ constexpr uint32_t longest_us = 1'000'000'000U;
 constexpr float highest = 32767.0F;
 constexpr int16_t no_number = INT16_MIN;
 constexpr uint32_t head_magic = 0x5356504CU;  // "LPVS"
-constexpr uint8_t read_data = 0x22U, request_upload = 0x35U, transfer = 0x36U, transfer_exit = 0x37U;
-constexpr uint8_t positive = 0x40U, negative = 0x7FU;
-constexpr uint8_t no_service = 0x11U, bad_length = 0x13U, bad_sequence = 0x24U, out_of_range = 0x31U, wrong_block = 0x73U;
-constexpr std::size_t refusal_bytes = 3U, upload_bytes = 11U;
+constexpr uint8_t request_upload = 0x35U, transfer = 0x36U, transfer_exit = 0x37U;
+constexpr uint8_t bad_sequence = 0x24U, wrong_block = 0x73U;
+constexpr std::size_t upload_bytes = 11U;
 
 uint32_t crc_of(uint32_t crc, const uint8_t* bytes, std::size_t n) {
     for (std::size_t i = 0U; i < n; ++i) {
-        crc ^= bytes[i];
-        crc = (crc >> 4U) ^ lpvguard::crc32_table.entry[crc & 0xFU];
-        crc = (crc >> 4U) ^ lpvguard::crc32_table.entry[crc & 0xFU];
+        crc = lpvguard::crc32_taken(crc ^ bytes[i]);
     }
     return crc;
 }
@@ -233,7 +231,7 @@ struct Answer {
 void answer_records(Answer& answer, const lpvg_evidence_t& ring, const uint8_t* request, std::size_t n) {
     const bool known = n == 3U && request[1] == (LPVG_EVIDENCE_RECORDS >> 8U) && request[2] == (LPVG_EVIDENCE_RECORDS & 0xFFU);
     if (!known) {
-        answer.refusal = n == 3U ? out_of_range : bad_length;
+        answer.refusal = n == 3U ? lpvguard::uds_out_of_range : lpvguard::uds_bad_length;
         return;
     }
     answer.data[1] = request[1];
@@ -257,9 +255,9 @@ void answer_request(Answer& answer, lpvg_evidence_upload_t& upload, const lpvg_e
         number = (number << 8U) | request[i];
     }
     if (n != upload_bytes) {
-        answer.refusal = bad_length;
+        answer.refusal = lpvguard::uds_bad_length;
     } else if (lpvg_evidence_open(&upload.reader, &ring, number) != lpvg_status_ok) {
-        answer.refusal = out_of_range;
+        answer.refusal = lpvguard::uds_out_of_range;
     } else {
         upload.open = true;
         upload.counter = 0U;
@@ -273,7 +271,7 @@ void answer_request(Answer& answer, lpvg_evidence_upload_t& upload, const lpvg_e
 
 void answer_transfer(Answer& answer, lpvg_evidence_upload_t& upload, const uint8_t* request, std::size_t n) {
     if (n != 2U) {
-        answer.refusal = bad_length;
+        answer.refusal = lpvguard::uds_bad_length;
     } else if (!upload.open) {
         answer.refusal = bad_sequence;
     } else if (request[1] == static_cast<uint8_t>(upload.counter + 1U)) {
@@ -292,7 +290,7 @@ void answer_transfer(Answer& answer, lpvg_evidence_upload_t& upload, const uint8
 
 void answer_exit(Answer& answer, lpvg_evidence_upload_t& upload, std::size_t n) {
     if (n != 1U || !upload.open) {
-        answer.refusal = n == 1U ? bad_sequence : bad_length;
+        answer.refusal = n == 1U ? bad_sequence : lpvguard::uds_bad_length;
     }
     upload.open = upload.open && n != 1U;
 }
@@ -454,8 +452,8 @@ extern "C" size_t lpvg_evidence_answer(lpvg_evidence_upload_t* upload, const lpv
         return 0U;
     }
     Answer made = {answer, 1U, 0U};
-    answer[0] = static_cast<uint8_t>(request[0] + positive);
-    if (request[0] == read_data) {
+    answer[0] = static_cast<uint8_t>(request[0] + lpvguard::uds_positive);
+    if (request[0] == lpvguard::uds_read_data) {
         answer_records(made, *ring, request, n);
     } else if (request[0] == request_upload) {
         answer_request(made, *upload, *ring, request, n);
@@ -464,13 +462,10 @@ extern "C" size_t lpvg_evidence_answer(lpvg_evidence_upload_t* upload, const lpv
     } else if (request[0] == transfer_exit) {
         answer_exit(made, *upload, n);
     } else {
-        made.refusal = no_service;
+        made.refusal = lpvguard::uds_no_service;
     }
     if (made.refusal != 0U) {
-        answer[0] = negative;
-        answer[1] = request[0];
-        answer[2] = made.refusal;
-        return refusal_bytes;
+        return lpvguard::uds_refused(answer, request[0], made.refusal);
     }
     return made.size;
 }

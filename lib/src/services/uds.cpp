@@ -4,15 +4,16 @@
 #include <cstring>
 
 #include "freeze_bytes.hpp"
+#include "uds_bytes.hpp"
 
 namespace {
 
-constexpr uint8_t read_codes = 0x19U, read_data = 0x22U, positive = 0x40U, negative = 0x7FU, suppressed = 0x80U;
+constexpr uint8_t read_codes = 0x19U, suppressed = 0x80U;
 constexpr uint8_t by_mask = 0x02U, snapshot = 0x04U, extended = 0x06U;
-constexpr uint8_t no_service = 0x11U, no_subfunction = 0x12U, bad_length = 0x13U, too_long = 0x14U, out_of_range = 0x31U;
+constexpr uint8_t no_subfunction = 0x12U, too_long = 0x14U;
 constexpr uint8_t active = 0x09U, confirmed = 0x08U, available = active | confirmed;
 constexpr uint8_t first_record = 0x01U, all_records = 0xFFU;
-constexpr std::size_t dtc_bytes = 3U, refusal_bytes = 3U;
+constexpr std::size_t dtc_bytes = 3U;
 
 uint8_t status_of(const lpvg_j1939_entry_t& entry) { return entry.active != 0U ? active : confirmed; }
 
@@ -70,7 +71,7 @@ void answer_code(Answer& answer, const lpvg_j1939_memory_t& memory, const uint8_
     const lpvg_j1939_entry_t* entry = entry_of(memory, &request[2]);
     const uint8_t record = request[2U + dtc_bytes];
     if (entry == nullptr || (record != first_record && record != all_records)) {
-        answer.refusal = out_of_range;
+        answer.refusal = lpvguard::uds_out_of_range;
         return;
     }
     add_code(answer, *entry);
@@ -90,11 +91,11 @@ void answer_codes(Answer& answer, const lpvg_j1939_memory_t& memory, const uint8
     const std::size_t want = kind == by_mask ? 3U : 3U + dtc_bytes;
     add(answer, kind, 1U);
     if (n < 2U) {
-        answer.refusal = bad_length;
+        answer.refusal = lpvguard::uds_bad_length;
     } else if (kind != by_mask && kind != snapshot && kind != extended) {
         answer.refusal = no_subfunction;
     } else if (n != want) {
-        answer.refusal = bad_length;
+        answer.refusal = lpvguard::uds_bad_length;
     } else if (kind == by_mask) {
         answer_mask(answer, memory, request[2]);
     } else {
@@ -104,7 +105,7 @@ void answer_codes(Answer& answer, const lpvg_j1939_memory_t& memory, const uint8
 
 void answer_data(Answer& answer, const lpvg_j1939_t& self, const uint8_t* request, std::size_t n) {
     if (n != 3U) {
-        answer.refusal = bad_length;
+        answer.refusal = lpvguard::uds_bad_length;
         return;
     }
     const uint32_t identifier = (static_cast<uint32_t>(request[1]) << 8U) | request[2];
@@ -127,33 +128,31 @@ void answer_data(Answer& answer, const lpvg_j1939_t& self, const uint8_t* reques
     } else if (identifier == LPVG_UDS_NAME) {
         add(answer, self.config.name, sizeof self.config.name);
     } else {
-        answer.refusal = out_of_range;
+        answer.refusal = lpvguard::uds_out_of_range;
     }
 }
 
 }  // namespace
 
 extern "C" size_t lpvg_uds_answer(const lpvg_j1939_t* self, const uint8_t* request, size_t n, uint8_t* answer, size_t max) {
-    if (self == nullptr || self->memory == nullptr || request == nullptr || n == 0U || answer == nullptr || max < refusal_bytes) {
+    if (self == nullptr || self->memory == nullptr || request == nullptr || n == 0U || answer == nullptr ||
+        max < lpvguard::uds_refusal_bytes) {
         return 0U;
     }
     Answer made = {};
-    add(made, static_cast<uint8_t>(request[0] + positive), 1U);
+    add(made, static_cast<uint8_t>(request[0] + lpvguard::uds_positive), 1U);
     if (request[0] == read_codes) {
         answer_codes(made, *self->memory, request, n);
-    } else if (request[0] == read_data) {
+    } else if (request[0] == lpvguard::uds_read_data) {
         answer_data(made, *self, request, n);
     } else {
-        made.refusal = no_service;
+        made.refusal = lpvguard::uds_no_service;
     }
     if (made.size > max) {  // what is refused is no longer than a refusal
         made.refusal = too_long;
     }
     if (made.refusal != 0U) {
-        answer[0] = negative;
-        answer[1] = request[0];
-        answer[2] = made.refusal;
-        return refusal_bytes;
+        return lpvguard::uds_refused(answer, request[0], made.refusal);
     }
     if (request[0] == read_codes && (request[1] & suppressed) != 0U) {
         return 0U;
