@@ -1,9 +1,11 @@
 """A designed controller against sets that grew: proved, proved at lower performance, or not."""
 
-from dataclasses import replace
+from dataclasses import asdict, replace
 
+import jsonschema
 import pytest
 
+from lpvguard import schemas
 from lpvguard.base.artefacts import read_json
 from lpvguard.control.recertify import recertified
 
@@ -21,6 +23,8 @@ def test_a_controller_is_judged_against_the_set_that_grew(six_node_truck, few_tr
     assert same.verdict == ("proved" if stated["off_grid"]["mu_upper"] < 1 else "proved at lower performance")
     stated_mu = [row["mu_upper"] for row in [*stated["speeds"], stated["off_grid"]]]
     assert [row["mu_after"] for row in same.rows][: len(stated_mu)] == pytest.approx(stated_mu, rel=1e-3)
+
+    jsonschema.validate(asdict(same), schemas.schema("recertification"))
 
     assert recertified(path, grown(six_node_truck, 1.25)).proved
     more = recertified(path, grown(six_node_truck, 2.0))

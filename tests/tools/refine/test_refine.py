@@ -6,10 +6,12 @@ import shutil
 from dataclasses import replace
 from pathlib import Path
 
+import jsonschema
 import numpy as np
 import pytest
 import tomlkit
 
+from lpvguard import schemas
 from lpvguard.base.artefacts import write_files
 from lpvguard.base.errors import InputError
 from lpvguard.drives import fixture
@@ -51,13 +53,15 @@ def new_drives(g80, made) -> Path:
 
 @pytest.fixture(scope="session")
 def judged(identified, synthetic, new_drives, made) -> Path:
-    """The file of decisions of these drives, in a folder."""
+    """The file of decisions of these drives, and the lifetime test's lives.json, in a folder."""
 
     def make(folder: Path) -> None:
         folder.mkdir()
         lineage = Lineage.from_folder(identified, synthetic)
-        decisions = decide(lineage, Evidence.from_paths(lineage, [new_drives], None), new_drives.parent)[0]
+        evidence = Evidence.from_paths(lineage, [new_drives], None)
+        decisions, lives = decide(lineage, evidence, new_drives.parent)
         (folder / "decisions.toml").write_text(decisions.text())
+        (folder / "lives.json").write_text(json.dumps(lives))
 
     return made.folder("g80_decisions", make)
 
@@ -72,12 +76,16 @@ def decisions_of(judged: Path, new_drives: Path) -> Decisions:
 
 @pytest.mark.unhurried
 def test_each_drive_gets_what_it_refutes_and_a_proposal(judged):
-    healthy, worn, frozen, off = Decisions.read(judged / "decisions.toml").drives
+    decisions = Decisions.read(judged / "decisions.toml")
+    healthy, worn, frozen, off = decisions.drives
     assert (healthy.refutes, healthy.proposal) == ([], "confirm") and max(healthy.ratios.values()) < 1
     assert worn.proposal == "fault" and "healthy set" in worn.refutes and worn.like == "new"
     assert "yaw_rate has 0.699" in worn.reason and "is taken for a fault" in worn.reason
     assert frozen.proposal == "fault" and "certificate set" in frozen.refutes
     assert off.proposal == "spread" and not off.accept and off.like == "new"
+    lives = json.loads((judged / "lives.json").read_text())
+    written = {"identification": decisions.identification, "drives": decisions.entries, "lives": lives}
+    jsonschema.validate(written, schemas.schema("refine"))
 
 
 @pytest.mark.unhurried
@@ -149,6 +157,7 @@ def test_accepted_drives_are_learnt_and_the_next_round_begins_there(
     table = json.loads((tmp_path / "table.json").read_text())
     assert table["drives"] == [16, 17] and "thresholds" in table
     assert "frame test, threshold" in done.stderr
+    jsonschema.validate(table, schemas.schema("refined"))
 
     index = (tmp_path / "refined/drives/experiments.csv").read_text().splitlines()
     assert index[-1] == "healthy,valid,human"
