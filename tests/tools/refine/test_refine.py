@@ -21,7 +21,7 @@ from lpvguard.extras.fleet.scores import DriveEstimate
 from lpvguard.extras.refine.decisions import Decisions, Evidence, decide
 from lpvguard.extras.refine.lineage import Lineage
 from lpvguard.extras.refine.proposals import _dominant, _shifted
-from lpvguard.extras.refine.renewed import renew
+from lpvguard.extras.refine.renewed import drawn, renew
 from lpvguard.identify import identification as stage
 
 
@@ -158,6 +158,10 @@ def test_accepted_drives_are_learnt_and_the_next_round_begins_there(
     assert table["drives"] == [16, 17] and "thresholds" in table
     assert "frame test, threshold" in done.stderr
     jsonschema.validate(table, schemas.schema("refined"))
+    kept = json.loads((tmp_path / "refined/table.json").read_text())
+    assert kept == {key: value for key, value in table.items() if key != "written_by"}
+    picture = (tmp_path / "refined/bounds.svg").read_text()
+    assert picture.count("<svg") == 1 and drawn(g80, kept) == picture
 
     index = (tmp_path / "refined/drives/experiments.csv").read_text().splitlines()
     assert index[-1] == "healthy,valid,human"

@@ -66,7 +66,7 @@ def refine(
     """
     from ..base.parallel import workers
     from ..extras.fleet.recordings import changed
-    from ..extras.refine.renewed import rows_of
+    from ..extras.refine.renewed import PICTURE, rows_of
 
     if sum((apply is not None, bool(evidence), controller is not None)) != 1:
         raise InputError("refine", "EVIDENCE, --apply, --controller", "none or several", "one of them")
@@ -85,7 +85,7 @@ def refine(
     if apply is not None:
         emit(json_out, table)
         print_rows(rows_of(table))
-        console.print(f"written to {out}")
+        console.print(f"written to {out}; bounds before and after in {out / PICTURE}")
         return
     emit(json_out, {"identification": decisions.identification, "drives": decisions.entries, "lives": lives})
     print_rows(decisions.rows)

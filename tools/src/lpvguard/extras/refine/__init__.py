@@ -4,4 +4,4 @@ In: an identification with its drives, further drives and records of the ECU's e
 decisions for a person; from the signed file a new identification with its drives, and both side by side.
 """
 
-MAY_IMPORT = ("base", "drives", "fit", "core", "identify", "replay", "fleet")
+MAY_IMPORT = ("base", "vehicle", "drives", "fit", "core", "identify", "replay", "report", "fleet")

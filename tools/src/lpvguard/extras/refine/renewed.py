@@ -18,11 +18,16 @@ from ...drives.tables import EXPERIMENTS, TABLE_SUFFIXES, index_rows
 from ...fit import fitted_model
 from ...fit.project_file import text_of
 from ...identify import identification as stage
+from ...report.pictures.drawing import standalone
+from ...report.pictures.over_bins import sets_side_by_side
+from ...vehicle.project import Project
 from .decisions import GROUP_OF_KNOWN, Decisions, DriveDecision, Evidence
 from .lineage import DRIVES, IDENTIFICATION, KIND, LIFE, ORIGIN, Lineage, put
 from .proposals import CONDITION, RECENTRE
 
-DECISIONS, FIT = "decisions.toml", "fit"
+DECISIONS, FIT, TABLE, PICTURE = "decisions.toml", "fit", "table.json", "bounds.svg"
+SETS = {"certificate": "certificate", "frame_test": "frame test"}
+"""Names for people of the two sets of `compared`."""
 
 
 def renew(
@@ -94,8 +99,10 @@ def renew(
             accepted={d.name: d.action for d in accepted},
             refused=[d.name for d in decisions.drives if not d.accept],
         )
-        artefacts.write_files(folder, {artefacts.MANIFEST: note})
-        return compared(lineage.stored, stage.load(folder / IDENTIFICATION))
+        table = compared(lineage.stored, stage.load(folder / IDENTIFICATION))
+        files = {TABLE: artefacts.to_json(table), PICTURE: drawn(project, table), artefacts.MANIFEST: note}
+        artefacts.write_files(folder, files)
+        return table
 
 
 def _merge(lineage: Lineage, accepted: list[DriveDecision], here: Path, folder: Path) -> None:
@@ -172,6 +179,12 @@ def compared(before: stage.StoredIdentification, after: stage.StoredIdentificati
     }
 
 
+def drawn(project: Project, result: dict[str, Any]) -> str:
+    """Draw the bounds of both identifications; ``result``: of `compared`. Returns an SVG."""
+    sets = {name: {b: np.array(x) for b, x in result[key].items()} for key, name in SETS.items()}
+    return standalone(sets_side_by_side("bounds", np.array(result["omega_rad_s"]), sets, project.outputs))
+
+
 def _smallest_gain(stored: stage.StoredIdentification) -> float | None:
     """Smallest gain error that typical excitation shows, of all speed cells."""
     gains = [c["smallest_gain_error"] for c in stored.visibility["at_percentile"]]
@@ -196,9 +209,8 @@ def rows_of(result: dict[str, Any]) -> list[dict[str, str]]:
     def row(name: str, pair: list[Any]) -> dict[str, str]:
         return {"": name, "before": number(pair[0]), "after": number(pair[1])}
 
-    sets = {"certificate": "certificate", "frame_test": "frame test"}
     rows = [{"": "drives", "before": str(result["drives"][0]), "after": str(result["drives"][1])}]
-    for key, name in sets.items():
+    for key, name in SETS.items():
         for bound in ("W_delta", "B_w"):
             pair = result[key][bound]
             rows.append(row(f"{name}, mean {bound}", [float(np.mean(x)) for x in pair]))

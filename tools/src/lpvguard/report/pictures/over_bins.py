@@ -234,6 +234,38 @@ def weights_over_bounds(
 
 
 @picture
+def sets_side_by_side(
+    omega: np.ndarray, sets: dict[str, dict[str, np.ndarray]], outputs: Sequence[Signal]
+) -> Figure:
+    """Bounds of two identifications: left |W_delta|, right B_w of each output.
+
+    ``omega`` (K,) [rad/s]. ``sets`` by name: W_delta (2, K, n_delta) and B_w (2, K, n_y), before and after.
+    """
+    figure = new_figure(8.2, 3.2 if len(outputs) == 1 else 2.6 * len(outputs))
+    grid = np.where(omega > 0, omega, omega[omega > 0].min() / 2)
+    names = [s.name.replace("_", " ") for s in outputs]
+    n_delta = next(iter(sets.values()))["W_delta"].shape[2]
+    labels = {
+        "W_delta": [rf"$|W_\Delta|$, {name}" for name in names] if n_delta > 1 else [r"$|W_\Delta|$"],
+        "B_w": [f"$B_w$, {name}, {s.unit}" for name, s in zip(names, outputs, strict=True)],
+    }
+    looks: dict[str, dict[str, Any]] = {"before": {"color": POINTS, "lw": 3.0}, "after": {"color": BLUE}}
+    for column, (bound, of_rows) in zip(
+        figure.subfigures(1, 2, squeeze=False).flat, labels.items(), strict=True
+    ):
+        panels = column.subplots(len(of_rows), squeeze=False)[:, 0]
+        for j, axes in enumerate(panels):
+            for (name, bounds), style in zip(sets.items(), ("-o", "--s"), strict=True):
+                for (when, look), values in zip(looks.items(), bounds[bound], strict=True):
+                    _bound(axes, grid, values[:, j], style, f"{name}, {when}", ms=3, **look)
+            axes.set_yscale("log")
+            axes.set_ylabel(of_rows[j])
+            _bins(axes, grid, np.zeros(len(grid), bool), label=axes is panels[-1])
+        legend_above(panels[0], 2)
+    return figure
+
+
+@picture
 def pareto(
     omega: np.ndarray,
     gamma_w: np.ndarray,
