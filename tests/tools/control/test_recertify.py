@@ -7,6 +7,10 @@ import pytest
 
 from lpvguard import schemas
 from lpvguard.base.artefacts import read_json
+from lpvguard.base.errors import InputError
+from lpvguard.control.controller_file import PresentController
+from lpvguard.control.design import design, verify
+from lpvguard.control.design import save as save_design
 from lpvguard.control.recertify import recertified
 
 
@@ -33,3 +37,26 @@ def test_a_controller_is_judged_against_the_set_that_grew(six_node_truck, few_tr
 
     none = recertified(path, grown(six_node_truck, 8.0))
     assert none.verdict == "not proved" and none.level is None and max(none.at_level) >= 1
+
+
+@pytest.mark.slow("certificates of a truck's controller, margins included")
+def test_a_present_controller_that_is_proved_stays(six_node_truck, few_truck_designed, tmp_path):
+    wider = grown(six_node_truck, 1.25)
+    present = PresentController.from_path(few_truck_designed[1], wider)
+    result = design(wider, moving_speed=False, present=present)
+    assert result.schedule.digest() == present.schedule.digest()
+    assert few_truck_designed[0].worst < result.worst < 1
+    save_design(result, wider, tmp_path / "kept")
+    verify(tmp_path / "kept" / "controller.json", wider)
+    other = six_node_truck.project.design.model_copy(update={"structure": "K_i"})
+    project = six_node_truck.project.model_copy(update={"design": other})
+    with pytest.raises(InputError, match="structure, Ts_s, inputs, outputs, speeds: are"):
+        PresentController.from_path(few_truck_designed[1], replace(six_node_truck, project=project))
+
+
+@pytest.mark.long("60 s: a design")
+def test_a_present_controller_that_is_not_proved_is_designed_anew(six_node_truck, few_truck_designed):
+    present = PresentController.from_path(few_truck_designed[1], six_node_truck)
+    weak = replace(present, schedule=replace(present.schedule, B=0.5 * present.schedule.B))
+    result = design(six_node_truck, moving_speed=False, present=weak)
+    assert result.schedule.digest() != weak.schedule.digest() and result.worst < 1

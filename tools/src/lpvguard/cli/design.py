@@ -32,6 +32,7 @@ SHARES, TABLE_SHARES = (10, 3, 60), (1, 9)
 """Approximate shares of the work: design, comparison of structures, largest A_t; reading, all others."""
 
 if TYPE_CHECKING:
+    from ..control.controller_file import PresentController
     from ..engine.synthesis.table import Cell
     from ..identify.identification import DriveSet, StoredIdentification
 
@@ -77,6 +78,10 @@ def design(
             help="Search for proofs while the speed moves, which takes longest. Without, none is claimed."
         ),
     ] = True,
+    present: Annotated[
+        Path | None,
+        typer.Option("--from", help="Present controller.json: kept where proved, or no better one is found."),
+    ] = None,
     json_out: JsonOut = None,
     jobs: Jobs = 1,
 ) -> None:
@@ -87,7 +92,9 @@ def design(
 
     Exit 1 when robust performance (mu below 1) is not certified: at a speed, in a row of the case's table, or
     by any trade-off."""
-    only_designed = largest_A_t or not (table and moving_speed) or jobs > 1
+    from ..control.controller_file import PresentController
+
+    only_designed = largest_A_t or not (table and moving_speed) or jobs > 1 or present is not None
     if case is not None:
         vehicles = identification is not None or vehicle is not None or drives is not None
         others = vehicles or tradeoff or only_designed
@@ -101,13 +108,14 @@ def design(
     if tradeoff:
         raise typer.Exit(_design_tradeoff(stored, drive_set, out, json_out))
     searched = {"table": table, "largest_A_t": largest_A_t, "moving_speed": moving_speed}
-    raise typer.Exit(_design_vehicle(stored, drive_set, out, json_out, jobs, **searched))
+    before = None if present is None else PresentController.from_path(present, stored)
+    raise typer.Exit(_design_vehicle(stored, drive_set, out, json_out, jobs, before, **searched))
 
 
 def _refuse(option: str, is_set: bool, expected: str, more: str = "") -> None:
     """Raise InputError if an option is set beside options that ignore it."""
     if is_set:
-        ignored = f"given with {more}--largest-A-t, --no-table, --no-moving-speed or --jobs"
+        ignored = f"given with {more}--largest-A-t, --no-table, --no-moving-speed, --from or --jobs"
         raise InputError("design", option, ignored, expected)
 
 
@@ -125,6 +133,7 @@ def _design_vehicle(
     out: Path,
     json_out: str | None,
     jobs: int,
+    present: PresentController | None,
     *,
     table: bool,
     largest_A_t: bool,
@@ -143,7 +152,7 @@ def _design_vehicle(
     with progress_bar("design") as tell, workers(jobs) as run:
         weights = (*SHARES[:1], SHARES[1] if with_table else 0, SHARES[2] if largest_A_t else 0)
         designing, comparing, searching = parts(tell, *weights)
-        result = stage.design(stored, designing, moving_speed, run)
+        result = stage.design(stored, designing, moving_speed, run, present)
         if with_table:
             cells, more = _table_and_figures(stored, drive_set, comparing)
         largest = stage.largest_A_t(stored, searching) if largest_A_t else None
@@ -163,14 +172,11 @@ def _design_vehicle(
             "Table II compares structures with one Delta for one input and two outputs: left out for this "
             "vehicle"
         )
-    print_design(result, design_settings(stored).structure)
+    print_design(result, design_settings(stored).structure, present)
     print_premise(premise(stored))
     if largest_A_t:
         print_largest_A_t(largest)
-    if moving_speed:
-        print_moving_speed(result)
-    else:
-        console.print("moving speed: not asked for, nothing is claimed")
+    print_moving_speed(result)
     print_robustness(result)
     print_slow_delta(result)
     print_limits(result)

@@ -140,5 +140,4 @@ def _recertified(folder: Path, controller: Path, tell: Progress, run: Map) -> Re
     from ..identify import identification as stage
 
     stored = stage.load(folder / IDENTIFICATION if (folder / IDENTIFICATION).is_dir() else folder)
-    path = controller / "controller.json" if controller.is_dir() else controller
-    return recertified(path, stored, tell, run)
+    return recertified(controller, stored, tell, run)

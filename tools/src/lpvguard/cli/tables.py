@@ -15,6 +15,7 @@ from ..replay.alarm_text import alarm_sentence
 from .shared import console
 
 if TYPE_CHECKING:
+    from ..control.controller_file import PresentController
     from ..control.design import Design, LargestA_t
     from ..control.robust_run import RobustRun
     from ..control.tradeoff import TradeOff
@@ -296,8 +297,9 @@ def print_certificates(rows: list[dict[str, Any]]) -> None:
     )
 
 
-def print_design(result: Design, structure: str) -> None:
-    """Order and worst mu of a designed controller, on the grid of speeds and off it."""
+def print_design(result: Design, structure: str, present: PresentController | None) -> None:
+    """Order and worst mu of a designed controller, on the grid of speeds and off it; whether it is the
+    present one."""
     from ..control.design import OFF_GRID
 
     console.print(
@@ -306,6 +308,9 @@ def print_design(result: Design, structure: str) -> None:
     )
     speed, worst = result.off_grid
     console.print(f"worst of {OFF_GRID} speeds off the grid: mu at most {worst.upper:.4f} at {speed:.4g} m/s")
+    if present is not None:
+        kept = result.schedule.digest() == present.schedule.digest()
+        console.print("the present controller stays" if kept else "the present controller is replaced")
 
 
 def print_premise(premise: Premise) -> None:
@@ -328,6 +333,8 @@ def print_largest_A_t(largest: LargestA_t | None) -> None:
 
 def print_moving_speed(result: Design) -> None:
     """Print the proofs for a controller while the speed moves."""
+    if not result.moving:
+        console.print("moving speed: not asked for, nothing is claimed")
     for claim, moving in result.moving.items():
         console.print(
             f"moving speed: no proof of robust {claim} was found, nothing is claimed"

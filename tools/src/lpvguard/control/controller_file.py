@@ -1,6 +1,7 @@
-"""Further questions about a controller.json: its identification, its scaling, and mu with a fault in the
-loop."""
+"""A controller.json read back: the present controller, its identification, its scaling, and mu with a fault
+in the loop."""
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ from ..core.scheduled import Scheduled
 from ..engine.synthesis.dk import Scaling, certify
 from ..engine.synthesis.statespace import StateSpace, series
 from ..identify.identification import StoredIdentification
-from .plants import DesignProblem
+from .plants import DesignProblem, design_settings
 
 
 def stated_scaling(document: dict) -> Scaling:
@@ -28,6 +29,55 @@ def stated_scaling(document: dict) -> Scaling:
     """
     stated = document["certificates"]
     return Scaling(np.array(stated["scaling_log_parameters"], float).reshape(-1, stated["scaling_columns"]))
+
+
+@dataclass(frozen=True)
+class PresentController:
+    """A designed controller, as it runs in the field.
+
+    Attributes
+    ----------
+    document : dict, the controller.json
+    schedule : Scheduled
+    scaling : Scaling
+    """
+
+    document: dict
+    schedule: Scheduled
+    scaling: Scaling
+
+    @classmethod
+    def from_path(cls, path: Path, stored: StoredIdentification) -> "PresentController":
+        """Read a controller.json, or that of a folder, for another identification of its vehicle.
+
+        Raises InputError if it cannot be read, was altered, or is of another vehicle or structure.
+        """
+        path = path / "controller.json" if path.is_dir() else path
+        document = artefacts.read_json(path)
+        artefacts.require_seal(path, document, "`lpvguard design`")
+        schedule, project = Scheduled.read(document), stored.project
+        is_of = (
+            document["certificates"]["structure"],
+            schedule.Ts,
+            schedule.B.shape[1],
+            schedule.B.shape[3] - 1,
+            *schedule.speeds[[0, -1]].tolist(),
+        )
+        want = (
+            design_settings(stored).structure,
+            project.Ts_s,
+            len(project.inputs),
+            len(project.outputs),
+            *stored.model.speed_range,
+        )
+        if is_of != want:
+            raise InputError(
+                path,
+                "structure, Ts_s, inputs, outputs, speeds",
+                f"are {', '.join(map(str, is_of))}",
+                f"{', '.join(map(str, want))}, those of {project.name}",
+            )
+        return cls(document, schedule, stated_scaling(document))
 
 
 def require_designed_for(stored: StoredIdentification, controller: Path) -> dict:

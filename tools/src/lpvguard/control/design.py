@@ -38,7 +38,7 @@ from ..identify.identification import StoredIdentification
 from ..identify.premise import premise, require_premise
 from ..vehicle.design_settings import DesignSettings
 from ..vehicle.nominal import NominalModel
-from .controller_file import stated_scaling
+from .controller_file import PresentController, stated_scaling
 from .further_certificates import (
     NOTHING,
     FurtherCertificates,
@@ -120,8 +120,12 @@ def design(
     progress: Progress = lambda _: None,
     moving_speed: bool = True,
     workers: Map = map,
+    present: PresentController | None = None,
 ) -> Design:
     """Synthesise a controller, schedule it over common poles and certify it.
+
+    A present controller stays where this identification certifies it, or where no better one is found. Its
+    scaling starts the search for another.
 
     Parameters
     ----------
@@ -129,6 +133,7 @@ def design(
     progress : Callable, reports progress
     moving_speed : bool, certify a moving speed too, default True
     workers : Map, shares the speeds
+    present : PresentController, optional
 
     Returns
     -------
@@ -146,7 +151,10 @@ def design(
     problem = DesignProblem.from_identification(stored)
     require_premise(stored)
     frozen, moving, margins = parts(progress, *DESIGN_SHARES)
-    result = _designed(problem, None, frozen, workers)
+    result = None if present is None else _kept(problem, present, frozen, workers)
+    if result is None or not result.worst < 1:
+        other = _designed(problem, None if present is None else present.scaling, frozen, workers)
+        result = other if result is None else min(result, other, key=lambda one: one.worst)
     _require_reach(stored, result.schedule)
     return replace(
         result,
@@ -234,6 +242,41 @@ def _require_reach(stored: StoredIdentification, schedule: Scheduled) -> None:
         )
 
 
+def _kept(
+    problem: DesignProblem, present: PresentController, progress: Progress, workers: Map
+) -> Design | None:
+    """The present controller with certificates of this problem; None where the input limits are others."""
+    schedule, order = present.schedule, present.document["certificates"]["full_order"]
+    limits = input_limit(problem.model, problem.settings, schedule.speeds, problem.weights.controlled)
+    if limits.shape != schedule.u_max.shape or not np.allclose(schedule.u_max, limits, rtol=1e-9, atol=0):
+        return None
+    result = _certified(problem, schedule, present.scaling, order, progress, workers)
+    if not result.worst < 1:
+        scaling = tuning(schedule, problem.plant, present.scaling, workers)(1.0)
+        result = _certified(problem, schedule, scaling, order, progress, workers)
+    return result
+
+
+def _certified(
+    problem: DesignProblem,
+    schedule: Scheduled,
+    scaling: Scaling,
+    full_order: int,
+    progress: Progress,
+    workers: Map,
+) -> Design:
+    """The design with its certificates at frozen speeds."""
+    check = np.linspace(schedule.speeds[0], schedule.speeds[-1], 2 * len(schedule.speeds) - 1)
+    loops = {float(v): problem.plant(v) for v in check}
+    return Design(
+        schedule,
+        scaling,
+        _certificates(schedule, loops, scaling, progress, workers),
+        full_order,
+        worst_off_grid(schedule, scaling, problem.plant, problem.stored.project.seed, workers),
+    )
+
+
 def _designed(
     problem: DesignProblem, scaling: Scaling | None, progress: Progress, workers: Map = map
 ) -> Design:
@@ -270,15 +313,8 @@ def _designed(
             "more nodes, or a lower A_t",
         )
     if synthesised.settings != settings:
-        loops = {v: problem.plant(v) for v in loops}
         scaling = tuning(schedule, problem.plant, scaling, workers)(1.0)
-    return Design(
-        schedule,
-        scaling,
-        _certificates(schedule, loops, scaling, proving, workers),
-        controllers[0].order,
-        worst_off_grid(schedule, scaling, problem.plant, problem.stored.project.seed, workers),
-    )
+    return _certified(problem, schedule, scaling, controllers[0].order, proving, workers)
 
 
 def _family(

@@ -9,13 +9,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from ..base import artefacts
 from ..base.parallel import Map
 from ..base.progress import Progress, counted
-from ..core.scheduled import Scheduled
 from ..identify.identification import StoredIdentification
 from ..identify.premise import require_premise
-from .controller_file import stated_scaling
+from .controller_file import PresentController
 from .design import worst_off_grid
 from .moving_speed import certified
 from .plants import DesignProblem
@@ -55,7 +53,7 @@ def recertified(
 
     Parameters
     ----------
-    path : Path, controller.json
+    path : Path, controller.json, or its folder
     stored : StoredIdentification
     progress : Callable, reports progress
     workers : Map, shares the speeds
@@ -67,12 +65,11 @@ def recertified(
     Raises
     ------
     InputError
-        If the file cannot be read, or drives refute the set.
+        If the file cannot be read or is of another vehicle, or drives refute the set.
     """
-    document = artefacts.read_json(path)
-    artefacts.require_seal(path, document, "`lpvguard design`")
+    present = PresentController.from_path(path, stored)
     require_premise(stored)
-    schedule, stated, scaling = Scheduled.read(document), document["certificates"], stated_scaling(document)
+    schedule, scaling, stated = present.schedule, present.scaling, present.document["certificates"]
     problem = DesignProblem.from_identification(stored)
     before = {row["v_mps"]: row["mu_upper"] for row in [*stated["speeds"], stated["off_grid"]]}
     worst = worst_off_grid(schedule, scaling, problem.plant, stored.project.seed, workers)[0]

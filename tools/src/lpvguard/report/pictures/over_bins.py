@@ -237,9 +237,17 @@ def weights_over_bounds(
 def sets_side_by_side(
     omega: np.ndarray, sets: dict[str, dict[str, np.ndarray]], outputs: Sequence[Signal]
 ) -> Figure:
-    """Bounds of two identifications: left |W_delta|, right B_w of each output.
+    """Draw the bounds of two identifications: left |W_delta|, right B_w of each output.
 
-    ``omega`` (K,) [rad/s]. ``sets`` by name: W_delta (2, K, n_delta) and B_w (2, K, n_y), before and after.
+    Parameters
+    ----------
+    omega : ndarray (K,), rad/s
+    sets : dict, W_delta (2, K, n_delta) and B_w (2, K, n_y) by name of the set, before and after
+    outputs : Sequence of Signal
+
+    Returns
+    -------
+    Figure
     """
     figure = new_figure(8.2, 3.2 if len(outputs) == 1 else 2.6 * len(outputs))
     grid = np.where(omega > 0, omega, omega[omega > 0].min() / 2)
