@@ -17,7 +17,6 @@ from .tables import (
     print_case,
     print_cells,
     print_certificates,
-    print_design,
     print_largest_A_t,
     print_limits,
     print_moving_speed,
@@ -33,6 +32,7 @@ SHARES, TABLE_SHARES = (10, 3, 60), (1, 9)
 
 if TYPE_CHECKING:
     from ..control.controller_file import PresentController
+    from ..control.design import Design
     from ..engine.synthesis.table import Cell
     from ..identify.identification import DriveSet, StoredIdentification
 
@@ -172,7 +172,7 @@ def _design_vehicle(
             "Table II compares structures with one Delta for one input and two outputs: left out for this "
             "vehicle"
         )
-    print_design(result, design_settings(stored).structure, present)
+    _print_design(result, design_settings(stored).structure, present)
     print_premise(premise(stored))
     if largest_A_t:
         print_largest_A_t(largest)
@@ -184,6 +184,22 @@ def _design_vehicle(
     if not result.worst < 1:
         console.print(f"why: {stage.limit_sentence(stored, result)}")
     return 0 if result.worst < 1 else 1
+
+
+def _print_design(result: Design, structure: str, present: PresentController | None) -> None:
+    """Order and worst mu of a designed controller, on the grid of speeds and off it; whether it is the
+    present one."""
+    from ..control.design import OFF_GRID
+
+    console.print(
+        f"{structure}: {result.schedule.order} states (of {result.full_order} per speed before), "
+        f"{len(result.schedule.speeds)} nodes; worst mu at most {result.worst:.4f}"
+    )
+    speed, worst = result.off_grid
+    console.print(f"worst of {OFF_GRID} speeds off the grid: mu at most {worst.upper:.4f} at {speed:.4g} m/s")
+    if present is not None:
+        kept = result.schedule.digest() == present.schedule.digest()
+        console.print("the present controller stays" if kept else "the present controller is replaced")
 
 
 def _table_and_figures(

@@ -15,7 +15,6 @@ from ..replay.alarm_text import alarm_sentence
 from .shared import console
 
 if TYPE_CHECKING:
-    from ..control.controller_file import PresentController
     from ..control.design import Design, LargestA_t
     from ..control.robust_run import RobustRun
     from ..control.tradeoff import TradeOff
@@ -295,22 +294,6 @@ def print_certificates(rows: list[dict[str, Any]]) -> None:
         }
         for row in rows
     )
-
-
-def print_design(result: Design, structure: str, present: PresentController | None) -> None:
-    """Order and worst mu of a designed controller, on the grid of speeds and off it; whether it is the
-    present one."""
-    from ..control.design import OFF_GRID
-
-    console.print(
-        f"{structure}: {result.schedule.order} states (of {result.full_order} per speed before), "
-        f"{len(result.schedule.speeds)} nodes; worst mu at most {result.worst:.4f}"
-    )
-    speed, worst = result.off_grid
-    console.print(f"worst of {OFF_GRID} speeds off the grid: mu at most {worst.upper:.4f} at {speed:.4g} m/s")
-    if present is not None:
-        kept = result.schedule.digest() == present.schedule.digest()
-        console.print("the present controller stays" if kept else "the present controller is replaced")
 
 
 def print_premise(premise: Premise) -> None:
