@@ -47,14 +47,14 @@ MAX_WORK = 1000
 PERTURBED, DEDUCTED = 3, 3.0
 """Changes of the data that are tried; how many times what they move is deducted from what a dual certificate
 proves."""
-DATA_RTOL = 1e-14
-"""Relative change of the data as given, some tens of units of rounding, that may move an optimum. In discrete
-time it is ``ALLOWANCE``, because the bilinear map rounds the data."""
+DATA_RTOL, MAPPED_RTOL = 1e-14, 1e-11
+"""Relative change of the data as given, some tens of units of rounding, that may move an optimum, and that in
+discrete time, where the bilinear map rounds the data."""
 NORM_RTOL, WIDEST = 1e-5, 0.1
 """To which the norm of a closed loop is known besides rounding, and what rounding may add where other
 coordinates count."""
-LEVEL_RTOL, MOVED_RTOL = 1e-4, 1e-5
-"""To which the optimum below a given level, and one of changed data, is found."""
+LEVEL_RTOL, MOVED_RTOL, CLAIM_RTOL = 1e-4, 1e-5, 1e-7
+"""To which the optimum below a given level, one of changed data, and one that caps a dual bound, is found."""
 
 Coordinates = Callable[[StateSpace], tuple[StateSpace, np.ndarray]]
 """A system in other coordinates of its state, and their basis (n, n)."""
@@ -210,7 +210,7 @@ def proved_lower_bound(plant: StateSpace, n_control: int, n_measurement: int, ga
         moved = min(moved, here)
         if here < 1 / DEDUCTED:
             problem = _posed(plant, n_control, n_measurement, coordinates).problem
-            claim = problem.optimum(MOVED_RTOL)
+            claim = problem.optimum(CLAIM_RTOL) / (1 + CLAIM_RTOL)
             dual = proved_level(problem.P, problem.control, problem.filter, claim)
             value = max(value, min(dual, claim) * (1 - DEDUCTED * here))
     return LowerBound(value, moved, size)
@@ -245,7 +245,7 @@ def moved_by_digits(plant: StateSpace, n_control: int, n_measurement: int) -> tu
 
 
 def _data_share(plant: StateSpace) -> float:
-    return ALLOWANCE if plant.dt else DATA_RTOL
+    return MAPPED_RTOL if plant.dt else DATA_RTOL
 
 
 def _moved_optimum(

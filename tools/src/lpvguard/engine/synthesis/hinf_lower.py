@@ -32,7 +32,7 @@ from lpvguard.engine.synthesis.riccati import Side
 from lpvguard.engine.synthesis.statespace import StateSpace
 
 GRID, PEAKS = 100, 3
-ALLOWANCE = 1e-11
+ALLOWANCE = 1e-12
 """Relative change of the entries, in balanced coordinates, that a certificate may need to be exact. It is far
 above rounding of the sums."""
 BELOW = (1e-7, 1e-6, 1e-5, 3e-5, 1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2)

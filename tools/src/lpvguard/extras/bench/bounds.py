@@ -11,8 +11,11 @@ from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from functools import partial
 
+import numpy as np
+
 from lpvguard.base.parallel import workers as parallel_map
-from lpvguard.extras.bench import _hinf_families, _mu_families, parser, show
+from lpvguard.engine.synthesis.errors import SynthesisError
+from lpvguard.extras.bench import _hinf_families, _mu_families, _other_families, parser, show
 from lpvguard.extras.bench._mu_families import Family, problems
 from lpvguard.extras.problems.solve import solve_problem
 from lpvguard.extras.problems.synthesis import DIGITS
@@ -20,13 +23,21 @@ from lpvguard.extras.problems.synthesis import DIGITS
 FALSE_RTOL = 1e-7
 """Rounding of the value and of the answer, relative."""
 LOOSE = 1.01
-FAMILIES: dict[str, list[Family]] = {**_mu_families.FAMILIES, "hinf": _hinf_families.PROBLEMS}
+FAMILIES: dict[str, list[Family]] = {
+    **_mu_families.FAMILIES,
+    "hinf": _hinf_families.PROBLEMS,
+    **_other_families.FAMILIES,
+}
 BOUNDS = {
     "mu": ("mu_lower", "mu_upper"),
     "mu_interval": ("mu_lower", "mu_upper"),
     "hinf": ("gamma_lower", "gamma_achieved"),
+    "multiplicative": ("nu", "nu"),
+    "margin": ("t", "t"),
+    "lft": ("J_lower", "J_upper"),
+    "lft_margin": ("t_lower", "t_upper"),
 }
-"""Fields of an answer by kind."""
+"""Fields of an answer by kind of ``solve``."""
 
 
 @dataclass(frozen=True)
@@ -57,15 +68,26 @@ COUNTS = ("false", "loose", "unresolved", "undetermined", "refused")
 def _outcome(family: Family, seed: int, index: int) -> tuple[bool, bool, bool, bool, bool, float]:
     """Return whether each of ``COUNTS`` holds of an answer, and its upper bound over the value."""
     problem, value = next(problems(family, 1, seed, index))
+    if problem["kind"] in _other_families.ENGINE:
+        try:
+            lower, upper = _other_families.ENGINE[problem["kind"]](problem)
+        except (SynthesisError, ArithmeticError, np.linalg.LinAlgError):
+            return False, False, False, False, True, 1.0
+        return *_judged(lower, upper, value, True), 1.0 if np.isinf(upper) else upper / value
     answer = solve_problem({"id": index, **problem})
     if answer["status"] != "ok":
         undetermined = DIGITS in answer["error"]
         return False, False, False, undetermined, not undetermined, 1.0
     lower, upper = (answer[field] for field in BOUNDS[problem["kind"]])
+    judged = _judged(lower, upper, value, bool(answer.get("resolved", True)))
+    return *judged, upper / value if value > 0 else 1.0
+
+
+def _judged(lower: float, upper: float, value: float, resolved: bool) -> tuple[bool, bool, bool, bool, bool]:
+    """Return ``COUNTS`` of an answer. Where one side alone is stated, that must lie near the value."""
     false = upper < value * (1 - FALSE_RTOL) or lower > value * (1 + FALSE_RTOL)
-    ratio = upper / value if value > 0 else 1.0
-    resolved = bool(answer["resolved"])
-    return false, ratio > LOOSE and resolved, not resolved, False, False, ratio
+    tight = lower * LOOSE >= value if np.isinf(upper) else upper <= LOOSE * value or value == 0
+    return false, resolved and not tight, not resolved, False, False
 
 
 def bench_bounds(count: int, seed: int, jobs: int) -> list[Row]:

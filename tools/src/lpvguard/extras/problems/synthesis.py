@@ -17,7 +17,7 @@ RESOLVED = 1.01
 """Largest ratio of the achieved to the proved level of a resolved H∞ answer."""
 ZERO = 1e-9
 """Share of the plant's gain below which an achieved level counts as zero."""
-UNDETERMINED = 1e-3
+UNDETERMINED = 5e-4
 """Relative change of the optimum by the data's last digits above which no unresolved answer is given: what is
 deducted for it leaves no bounds within 1 %."""
 DIGITS = "the last digits of the data decide on the optimum"
