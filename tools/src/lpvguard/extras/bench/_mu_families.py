@@ -10,7 +10,7 @@ from itertools import product
 from typing import Any
 
 import numpy as np
-from scipy.linalg import block_diag
+from scipy.linalg import block_diag, schur
 from scipy.optimize import minimize_scalar
 
 Problem = dict[str, Any]
@@ -385,7 +385,7 @@ def cascade(rng: np.random.Generator) -> tuple[Problem, float]:
         n = int(rng.integers(2, 4))
         loop = rng.standard_normal((n, n)) * 10 ** rng.uniform(-1, 1)
         room, r = 10 ** rng.uniform(-1, 1), 10 ** rng.uniform(-1, 1)
-        A = loop - (np.linalg.eigvals(loop).real.max() + room) * np.eye(n)
+        A = schur(loop)[0] - (np.linalg.eigvals(loop).real.max() + room) * np.eye(n)
         T = np.linalg.qr(rng.standard_normal((n, n)))[0]
         parts.append((A, -r * T.T, T))
         blocks.append(_block("repeated_real", n))

@@ -129,7 +129,7 @@ def _turned(rng: np.random.Generator, G: StateSpace) -> StateSpace:
 
 
 def _resonance(rng: np.random.Generator) -> tuple[StateSpace, float]:
-    damping, omega = 10 ** rng.uniform(-5, 0.1), 10 ** rng.uniform(-2, 2)
+    damping, omega = 10 ** rng.uniform(-3, 0.1), 10 ** rng.uniform(-1, 2)
     peak = 1 / (2 * damping * np.sqrt(1 - damping**2)) if damping < np.sqrt(0.5) else 1.0
     A = omega * np.array([[0.0, 1.0], [-1.0, -2 * damping]])
     G = StateSpace(A, np.array([[0.0], [omega]]), np.array([[1.0, 0.0]]), np.zeros((1, 1)))
@@ -137,7 +137,7 @@ def _resonance(rng: np.random.Generator) -> tuple[StateSpace, float]:
 
 
 def resonances(rng: np.random.Generator) -> tuple[Problem, float]:
-    """Resonances of damping down to 1e-5 side by side, between rotations."""
+    """Resonances of damping down to 1e-3 side by side, between rotations."""
     parts = [_resonance(rng) for _ in range(int(rng.integers(1, 4)))]
     G = _hidden(rng, _turned(rng, append(*(G for G, _ in parts))))
     return {"kind": "norm", "systems": (G,)}, max(peak for _, peak in parts)
