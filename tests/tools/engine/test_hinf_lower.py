@@ -11,7 +11,11 @@ from lpvguard.engine.synthesis.coordinates import schur_coordinates
 from lpvguard.engine.synthesis.hinf import hinf_synthesis, proved_lower_bound
 from lpvguard.engine.synthesis.hinf_lower import dual_bound, dual_certificate, frequency_level
 from lpvguard.engine.synthesis.statespace import StateSpace, append, to_discrete
+from lpvguard.extras.bench import _hinf_families
+from lpvguard.extras.bench._mu_families import problems
 from lpvguard.extras.problems.solve import solve_problem
+
+NAMES = [family.__name__ for family in _hinf_families.PROBLEMS]
 
 
 def modal(poles, residues, direct) -> StateSpace:
@@ -109,8 +113,47 @@ def test_the_reason_names_how_far_the_digits_move_the_optimum_and_what_is_known(
     monkeypatch.setattr(hinf, "_moved_optimum", lambda *_: 0.5)
     answer = solve_problem(problem(plant))
     assert answer["status"] == "error"
-    assert "a relative change of 1e-13 of the entries moves the optimum by 0.5 of itself" in answer["error"]
+    assert "the last digits of the data decide on the optimum" in answer["error"]
+    assert "a relative change of 1e-14 of the entries moves it by 0.5 of itself" in answer["error"]
     assert "known is " in answer["error"] and "<= optimum <=" in answer["error"]
+
+
+@pytest.mark.unhurried
+@pytest.mark.parametrize(
+    ("family", "seed", "index", "said"),
+    [
+        pytest.param(
+            "dense_companion_weight", 5309, 12, "", id="Riccati equations of no digit in Schur form"
+        ),
+        pytest.param("dense_companion_weight", 7741, 110, "", id="the same, 1.3e4 times the optimum"),
+        pytest.param("dense_companion_weight", 7741, 15, "", id="1e-13 of the data moves it by 0.1 %"),
+        pytest.param("dense_companion_weight", 7741, 86, "", id="rounding of the closed loop in its units"),
+        pytest.param("dense", 7741, 465, "", id="the same, an optimum of 4.6e5"),
+        pytest.param("dense_companion_weight", 7741, 787, "decide on the optimum", id="digits decide"),
+        pytest.param(
+            "discrete", 7741, 465, "not proved", id="a norm that the bilinear map's rounding lowers"
+        ),
+    ],
+)
+def test_hidden_coordinates_are_undone_to_the_last_digit(family, seed, index, said):
+    drawn, value = next(problems(_hinf_families.PROBLEMS[NAMES.index(family)], 1, seed, index))
+    answer = solve_problem({"id": index, **drawn})
+    if answer["status"] == "error":
+        assert said and said in answer["error"]
+        return
+    assert answer["gamma_lower"] <= value * (1 + 1e-7) and value * (1 - 1e-7) <= answer["gamma_achieved"]
+    assert answer["resolved"] == (not said) and said in answer["note"]
+
+
+def test_a_norm_below_what_no_controller_goes_below_is_refused(monkeypatch):
+    plant = weighted(*parts_of(1))
+    right = hinf_synthesis(plant, 1, 1)
+    monkeypatch.setattr(
+        "lpvguard.extras.problems.synthesis.hinf_synthesis",
+        lambda *_, **__: replace(right, gamma_achieved=0.9 * right.gamma),
+    )
+    answer = solve_problem(problem(plant))
+    assert answer["status"] == "error" and "which no controller goes below" in answer["error"]
 
 
 def test_an_optimum_of_zero_is_resolved():

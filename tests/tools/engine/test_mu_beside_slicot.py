@@ -1,4 +1,5 @@
-"""Bounds of μ beside those of SLICOT's AB13MD (Fan, Tits & Doyle's D, G bound), where slycot is installed."""
+"""Bounds of μ beside those of SLICOT's AB13MD (Fan, Tits & Doyle's D, G bound), where slycot is installed,
+and beside the printed bound of its example."""
 
 import numpy as np
 import pytest
@@ -6,13 +7,29 @@ import pytest
 from lpvguard.engine.blocks import Block
 from lpvguard.engine.synthesis.mu import mu_bounds
 
-slycot = pytest.importorskip("slycot", reason="slycot (SLICOT's AB13MD) is not installed")
+ROWS = (
+    [-1 + 6j, 2 - 3j, 3 + 8j, 3 + 8j, -5 - 9j, -6 + 2j],
+    [4 + 2j, -2 + 5j, -6 - 7j, -4 + 11j, 8 - 7j, 12 - 1j],
+    [5 - 4j, -4 - 8j, 1 - 3j, -6 + 14j, 2 - 5j, 4 + 16j],
+)
+
+
+def test_the_example_in_the_documentation_of_ab13md_has_the_bound_printed_there():
+    """SLICOT prints 41.74753408 for two real scalars, a full 2 x 2 and two complex scalars."""
+    blocks = [
+        Block(kind, n, n)
+        for kind, n in (("repeated_real", 1), ("repeated_real", 1), ("full", 2), ("full", 1), ("full", 1))
+    ]
+    bounds = mu_bounds(np.array(ROWS + ROWS), blocks)
+    assert bounds.lower <= 41.74753408 * (1 + 1e-8)
+    assert bounds.upper <= 41.74753408 * (1 + 1e-3)
 
 
 @pytest.mark.unhurried
 @pytest.mark.parametrize("seed", range(12))
 def test_no_bound_is_above_slicots_nor_its_bound_below_ours(seed):
     """Both hold for the same M; ours is at most 0.1 % above theirs, and no Δ of ours refutes theirs."""
+    slycot = pytest.importorskip("slycot", reason="slycot (SLICOT's AB13MD) is not installed")
     random = np.random.default_rng(seed)
     kinds = random.integers(1, 3, random.integers(1, 5))
     sizes = np.where(kinds == 1, 1, random.integers(1, 3, len(kinds)))

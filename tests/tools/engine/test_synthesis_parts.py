@@ -2,6 +2,7 @@
 hand."""
 
 from dataclasses import fields
+from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -264,6 +265,25 @@ def test_the_schur_form_is_taken_where_A_becomes_ten_times_smaller(coupling, kep
     assert (other is G) == kept
     if kept:
         np.testing.assert_array_equal(basis, np.eye(2))
+
+
+def test_entries_in_other_coordinates_are_right_to_the_last_digit():
+    """T of condition 1e8 by exact fractions; a T that has no inverse in doubles is refused."""
+    random = np.random.default_rng(6)
+    G = StateSpace(*(random.standard_normal((3, 3)) for _ in range(4)))
+    U, V = (np.linalg.qr(random.standard_normal((3, 3)))[0] for _ in range(2))
+    T = U * [1e-4, 1.0, 1e4] @ V
+    other = coordinates.transformed(G, T)
+
+    def exact(X):
+        return np.array([Fraction(float(x)) for x in X.flat]).reshape(X.shape)
+
+    for X, known in ((other.A, exact(G.A) @ exact(T)), (other.B, exact(G.B))):
+        rest = (known - exact(T) @ exact(X)).astype(float)
+        assert (np.abs(np.linalg.solve(T, rest)) <= EPS * np.abs(X)).all()
+    np.testing.assert_array_equal(other.C, (exact(G.C) @ exact(T)).astype(float))
+    with pytest.raises(np.linalg.LinAlgError):
+        coordinates.transformed(G, U * [1e-20, 1.0, 1.0] @ V)
 
 
 def test_modes_stand_apart_in_real_blocks():

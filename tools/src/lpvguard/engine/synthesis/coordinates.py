@@ -1,9 +1,16 @@
 """Coordinates of the state in which the Riccati equations lose few digits, and the least certain pole."""
 
+from dataclasses import replace
+
 import numpy as np
 import scipy.linalg as sl
 
 from lpvguard.engine.synthesis.statespace import EPS, StateSpace, balancing, scaled_states
+
+SPARE = 128
+"""Binary digits that T⁻¹ A T is given below the last one of the data."""
+REFINEMENTS = 5
+"""Of T⁻¹: each gains the digits that the condition of T leaves, about six for one of 1e10."""
 
 
 def schur_coordinates(G: StateSpace) -> tuple[StateSpace, np.ndarray]:
@@ -13,7 +20,7 @@ def schur_coordinates(G: StateSpace) -> tuple[StateSpace, np.ndarray]:
     undo a dense, badly conditioned change of coordinates: ‖A‖ then is far above its eigenvalues.
     """
     schur = sl.schur(G.A)[1]
-    other = G.transformed(schur)
+    other = transformed(G, schur)
     t = balancing(other)
     other = scaled_states(other, t)
     return (other, schur * t) if np.linalg.norm(other.A) < 0.1 * np.linalg.norm(G.A) else (G, np.eye(G.order))
@@ -28,9 +35,41 @@ def modal_coordinates(G: StateSpace) -> tuple[StateSpace, np.ndarray]:
     T = sl.cdf2rdf(values, vectors)[1] if np.iscomplexobj(values) else vectors
     if G.order < 2 or not np.linalg.cond(T) < 1e10:
         return G, np.eye(G.order)
-    other = G.transformed(T)
+    other = transformed(G, T)
     t = balancing(other)
     return scaled_states(other, t), T * t
+
+
+def transformed(G: StateSpace, T: np.ndarray) -> StateSpace:
+    """G in the coordinates x = T x̃, T (n, n), every entry to the last digit.
+
+    Data in bad coordinates have many digits that cancel here. Products are therefore exact, of whole numbers,
+    and T⁻¹ is refined by exact remainders.
+    """
+    bits = 53 - min(int(np.frexp(X[X != 0])[1].min(initial=0)) for X in (G.A, G.B, G.C, T))
+    A, B, C, left = (_whole(X, bits) for X in (G.A, G.B, G.C, T))
+    known = np.hstack([A @ left, B << bits]) << SPARE
+    found = np.zeros(known.shape, dtype=object)
+    for _ in range(REFINEMENTS):
+        rest = np.linalg.solve(T, _rounded(known - left @ found, 2 * bits + SPARE))
+        found = found + _whole(rest, bits + SPARE)
+    X, n = _rounded(found, bits + SPARE), G.order
+    if not np.linalg.norm(rest) <= EPS * np.linalg.norm(X):
+        raise np.linalg.LinAlgError("coordinates of the state that rounding decides")
+    return replace(G, A=X[:, :n], B=X[:, n:], C=_rounded(C @ left, 2 * bits))
+
+
+def _whole(X: np.ndarray, bits: int) -> np.ndarray:
+    """X 2**bits in whole numbers, what is below 1 cut off."""
+    part, exponent = np.frexp(X)
+    shift = exponent.astype(object) + (bits - 53)
+    whole = (part * 2.0**53).astype(np.int64).astype(object)
+    return (whole << np.maximum(shift, 0)) >> np.maximum(-shift, 0)
+
+
+def _rounded(whole: np.ndarray, bits: int) -> np.ndarray:
+    """Whole numbers over 2**bits, each rounded once."""
+    return np.array([x / 2**bits for x in whole.flat]).reshape(whole.shape)
 
 
 def frail_pole(plant: StateSpace) -> str:

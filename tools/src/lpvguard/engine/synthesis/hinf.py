@@ -11,16 +11,22 @@ extra cost and an extra noise ε. ε is the largest power of ten whose certified
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from lpvguard.engine.synthesis.coordinates import frail_pole, modal_coordinates, schur_coordinates
+from lpvguard.engine.synthesis.coordinates import (
+    frail_pole,
+    modal_coordinates,
+    schur_coordinates,
+    transformed,
+)
 from lpvguard.engine.synthesis.errors import SynthesisError
 from lpvguard.engine.synthesis.gamma_search import GAMMA_RTOL, GammaProblem
-from lpvguard.engine.synthesis.hinf_lower import DATA_RTOL, frequency_level, proved_level
+from lpvguard.engine.synthesis.hinf_lower import ALLOWANCE, frequency_level, proved_level
 from lpvguard.engine.synthesis.norms import NormBracket, hinf_norm
 from lpvguard.engine.synthesis.partition import (
+    Plant,
     absorb_feedthrough,
     check_existence,
     check_shape,
@@ -38,11 +44,17 @@ from lpvguard.engine.synthesis.statespace import (
 
 MAX_WORK = 1000
 """Controllers tried times states: bounds the time of a problem whose optimum is out of reach."""
-PERTURBED, DETERMINED, DEDUCTED = 3, 1e-3, 3.0
-"""Changes of the data that are tried; up to which change of the optimum the data determine it; how many
-times that change is deducted from what a dual certificate proves."""
-LEVEL_RTOL = 1e-4
-"""To which the optimum below a given level is found."""
+PERTURBED, DEDUCTED = 3, 3.0
+"""Changes of the data that are tried; how many times what they move is deducted from what a dual certificate
+proves."""
+DATA_RTOL, MAPPED_RTOL = 1e-14, 1e-11
+"""Relative change of the data as given, some tens of units of rounding, that may move an optimum, and that in
+discrete time, where the bilinear map rounds the data."""
+NORM_RTOL, WIDEST = 1e-5, 0.1
+"""To which the norm of a closed loop is known besides rounding, and what rounding may add where other
+coordinates count."""
+LEVEL_RTOL, MOVED_RTOL, CLAIM_RTOL = 1e-4, 1e-5, 1e-7
+"""To which the optimum below a given level, one of changed data, and one that caps a dual bound, is found."""
 
 Coordinates = Callable[[StateSpace], tuple[StateSpace, np.ndarray]]
 """A system in other coordinates of its state, and their basis (n, n)."""
@@ -160,14 +172,13 @@ class LowerBound:
     ----------
     value : float, a level that no controller goes below
     moved : float
-        Largest relative change of the optimum that a relative change ``allowance`` of the data made.
-    allowance : float, that of ``DATA_RTOL`` which the dual certificate may need to be exact
+        Largest relative change of the optimum by relative changes of the data of ``DATA_RTOL`` and of the
+        balanced plant of ``ALLOWANCE``, in the best coordinates; 0 where single frequencies decide.
     size : float, largest gain from w to z at zero and at the frequencies of the poles
     """
 
     value: float
     moved: float
-    allowance: float
     size: float
 
 
@@ -186,33 +197,23 @@ def proved_lower_bound(plant: StateSpace, n_control: int, n_measurement: int, ga
 
     Notes
     -----
-    Single frequencies always count. The dual certificate allows for a relative change of the data, so it
-    counts only where such a change moves the optimum by less than ``DETERMINED``. In discrete time the
-    bilinear map rounds the data, so the largest of ``DATA_RTOL`` is allowed for there.
+    Single frequencies always count. A dual certificate holds for the plant in coordinates to which it is
+    taken by exact products. What changes of the data and ``ALLOWANCE`` of those entries move the optimum is
+    deducted.
     """
     value, size = frequency_level(plant, n_control, n_measurement), _gain(plant, n_control, n_measurement)
-    for allowance in DATA_RTOL[:1] if plant.dt else DATA_RTOL:
-        moved = max(
-            _moved_optimum(plant, n_control, n_measurement, gamma, allowance, seed)
-            for seed in range(PERTURBED)
-        )
-        if moved <= DETERMINED:
-            break
-    else:
-        return LowerBound(value, moved, allowance, size)
-    _, shifted = move_pole_at_minus_one(plant, n_control, n_measurement)
-    first = balancing(shifted) if plant.order else np.ones(0)
-    image = to_continuous(scaled_states(shifted, first))
-    second = balancing(image) if plant.order else np.ones(0)
-    original, _ = partition(scaled_states(image, second), n_control, n_measurement)
+    moved = np.inf
     for coordinates in (schur_coordinates, modal_coordinates):
         if value >= gamma * (1 - LEVEL_RTOL) or not plant.order:
-            break
-        posed = _posed(plant, n_control, n_measurement, coordinates)
-        problem, basis = posed.problem, posed.basis / (first * second)[:, None]
-        dual = proved_level(problem.P, problem.control, problem.filter, gamma, basis, original, allowance)
-        value = max(value, min(dual, gamma) * (1 - DEDUCTED * moved))
-    return LowerBound(value, moved, allowance, size)
+            return LowerBound(value, 0.0 if moved == np.inf else moved, size)
+        here = _moved_optimum(plant, n_control, n_measurement, coordinates, ALLOWANCE)
+        moved = min(moved, here)
+        if here < 1 / DEDUCTED:
+            problem = _posed(plant, n_control, n_measurement, coordinates).problem
+            claim = problem.optimum(CLAIM_RTOL) / (1 + CLAIM_RTOL)
+            dual = proved_level(problem.P, problem.control, problem.filter, claim)
+            value = max(value, min(dual, claim) * (1 - DEDUCTED * here))
+    return LowerBound(value, moved, size)
 
 
 def _gain(plant: StateSpace, n_control: int, n_measurement: int) -> float:
@@ -222,21 +223,53 @@ def _gain(plant: StateSpace, n_control: int, n_measurement: int) -> float:
     return float(np.linalg.norm(M[np.isfinite(M).all((1, 2))], 2, axis=(1, 2)).max(initial=0.0))
 
 
-def _moved_optimum(
-    plant: StateSpace, n_control: int, n_measurement: int, gamma: float, share: float, seed: int
-) -> float:
-    """Return the relative change of the optimum by a change of the data by ``share``, inf where no optimum is
-    found."""
-    random = np.random.default_rng(seed)
-    A, B, C, D = (
-        part * (1 + share * random.choice([-1.0, 1.0], part.shape))
-        for part in (plant.A, plant.B, plant.C, plant.D)
+def moved_by_digits(plant: StateSpace, n_control: int, n_measurement: int) -> tuple[float, float]:
+    """Measure how far the last digits of the data move the optimum.
+
+    Parameters
+    ----------
+    plant : StateSpace
+    n_control, n_measurement : int, as in `hinf_synthesis`
+
+    Returns
+    -------
+    tuple[float, float]
+        Relative change of the data, and the largest relative change of the optimum that it made, in the
+        coordinates in which it is least.
+    """
+    moved = min(
+        _moved_optimum(plant, n_control, n_measurement, coordinates, 0.0)
+        for coordinates in (schur_coordinates, modal_coordinates)
     )
-    try:
-        other = optimal_level(StateSpace(A, B, C, D, plant.dt), n_control, n_measurement, 0.1 * LEVEL_RTOL)
-    except (SynthesisError, np.linalg.LinAlgError):
-        return np.inf
-    return abs(other / gamma - 1) if gamma > 0 else abs(other)
+    return _data_share(plant), moved
+
+
+def _data_share(plant: StateSpace) -> float:
+    return MAPPED_RTOL if plant.dt else DATA_RTOL
+
+
+def _moved_optimum(
+    plant: StateSpace, n_control: int, n_measurement: int, coordinates: Coordinates, allowance: float
+) -> float:
+    """Return the largest relative change of the optimum by changes of the data as given, and by
+    ``allowance`` of the entries in ``coordinates``; inf where no optimum is found."""
+    levels = []
+    for seed in (None, *range(PERTURBED)):
+        signs = np.random.default_rng(seed).choice
+
+        def changed(part: np.ndarray, share: float, seed=seed, signs=signs) -> np.ndarray:
+            return part if seed is None else part * (1 + share * signs([-1.0, 1.0], part.shape))
+
+        A, B, C, D = (changed(getattr(plant, name), _data_share(plant)) for name in "ABCD")
+        other = replace(plant, A=A, B=B, C=C, D=D)
+        try:
+            P = _posed(other, n_control, n_measurement, coordinates).problem.P
+            P = Plant(*(changed(getattr(P, field.name), allowance) for field in fields(P)))
+            levels.append(GammaProblem(P).optimum(MOVED_RTOL))
+        except (SynthesisError, np.linalg.LinAlgError):
+            return np.inf
+    own = levels[0]
+    return float(np.abs(np.array(levels) - own).max()) / (own if own > 0 else 1.0)
 
 
 @dataclass(frozen=True)
@@ -252,6 +285,20 @@ class _Posed:
     D22: np.ndarray
     shift: np.ndarray
     basis: np.ndarray
+
+    def norm(self, K: StateSpace) -> NormBracket:
+        """The norm of the plant as given, closed by its controller K.
+
+        Where rounding leaves it wide, the problem's state may narrow it: both must find it stable, and the
+        upper end is none below the lower end of the other.
+        """
+        norm = hinf_norm(lft(self.plant, K), rtol=NORM_RTOL)
+        wide = norm.lower * (1 + 2 * NORM_RTOL) < norm.upper <= norm.lower * (1 + WIDEST)
+        if not wide or np.count_nonzero(self.basis) <= len(self.basis):
+            return norm
+        other = hinf_norm(lft(transformed(self.plant, self.basis), K), rtol=NORM_RTOL)
+        upper = max(other.upper, norm.lower)
+        return replace(norm, upper=upper, lower=min(norm.lower, other.upper)) if upper < norm.upper else norm
 
     def restore(self, K: StateSpace) -> StateSpace:
         """The controller of the plant as given from the problem's, in the plant's time and names."""
@@ -342,7 +389,7 @@ class _Trials:
                 return
             t = balancing(central) if central.order else np.ones(0)
             K = posed.restore(scaled_states(central, t))
-            norm = hinf_norm(lft(posed.plant, K), rtol=1e-5)
+            norm = posed.norm(K)
         except (np.linalg.LinAlgError, SynthesisError):  # what cannot be realised is no controller
             return
         if self.best is None or norm.upper < self.best.gamma_achieved:

@@ -32,9 +32,9 @@ from lpvguard.engine.synthesis.riccati import Side
 from lpvguard.engine.synthesis.statespace import StateSpace
 
 GRID, PEAKS = 100, 3
-DATA_RTOL = (1e-11, 1e-12, 1e-13)
-"""Relative changes of the entries, in balanced coordinates, of which a certificate may need one to be exact:
-the first where the optimum hardly feels it. The last is far above rounding of the sums."""
+ALLOWANCE = 1e-12
+"""Relative change of the entries, in balanced coordinates, that a certificate may need to be exact. It is far
+above rounding of the sums."""
 BELOW = (1e-7, 1e-6, 1e-5, 3e-5, 1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2)
 """Shares below the claimed optimum at which trajectories are looked for."""
 
@@ -53,7 +53,7 @@ class DualCertificate:
     second: np.ndarray
 
 
-def dual_bound(P: Plant, certificate: DualCertificate, allowance: float = DATA_RTOL[0]) -> float:
+def dual_bound(P: Plant, certificate: DualCertificate, allowance: float = ALLOWANCE) -> float:
     """Return the level that no controller of ``P`` goes below, by the certificate; 0 where it proves none.
 
     The multipliers may violate their conditions by what a relative change ``allowance`` of the plant's
@@ -159,28 +159,16 @@ def _root(X: np.ndarray) -> np.ndarray:
     return vectors * np.sqrt(np.maximum(values, 0.0))
 
 
-def proved_level(
-    P: Plant,
-    control: Side,
-    filter_: Side,
-    gamma: float,
-    basis: np.ndarray,
-    original: Plant,
-    allowance: float,
-) -> float:
-    """Return the largest level near ``gamma`` that a dual certificate proves for ``original``, or 0.
+def proved_level(P: Plant, control: Side, filter_: Side, gamma: float) -> float:
+    """Return the largest level near ``gamma`` that a dual certificate proves for ``P``, or 0.
 
-    ``gamma`` is the optimum that the Riccati equations of P claim. The states of ``original`` are ``basis``
-    (n, n) times those of P.
+    ``gamma`` is the optimum that the Riccati equations of P claim.
     """
-    best, n = 0.0, len(basis)
+    best = 0.0
     for share in BELOW:
         certificate = dual_certificate(P, control, filter_, gamma * (1 - share))
-        if certificate is None:
-            continue
-        first, second = certificate.first.copy(), certificate.second.copy()
-        first[:n], second[:n] = np.linalg.solve(basis.T, first[:n]), basis @ second[:n]
-        best = max(best, dual_bound(original, DualCertificate(first, second), allowance))
+        if certificate is not None:
+            best = max(best, dual_bound(P, certificate))
         if best >= gamma * (1 - 10 * share):
             break
     return best

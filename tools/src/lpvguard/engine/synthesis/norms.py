@@ -5,6 +5,7 @@ Continuous time uses the eigenvalues of the Hamiltonian matrix (Boyd & Balakrish
 Hamiltonian's image).
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,7 +33,7 @@ class NormBracket:
 
 
 def hinf_norm(G: StateSpace, rtol: float = 1e-6) -> NormBracket:
-    """Bracket ‖G‖∞ with upper ≤ (1 + rtol) lower, plus the rounding of G at its peak.
+    """Bracket ‖G‖∞ with upper ≤ (1 + rtol) lower, plus the rounding of G at its peak and of its map.
 
     DC and infinite (or Nyquist) frequency are included. Where rounding of A may lift G above that at DC or at
     the frequency of a pole, upper is that level. The response is evaluated wherever an eigenvalue of the
@@ -69,9 +70,10 @@ def hinf_norm(G: StateSpace, rtol: float = 1e-6) -> NormBracket:
     if not (np.any(H.B) and np.any(H.C)):
         return NormBracket(lower, lower, warp(peak))
     lifted = float((values + moved)[np.isfinite(omega)].max())
+    drift = _drift(G, H, omega, warp)
 
     def rounding(omega: float) -> float:
-        return float(_sizes(H, np.array([omega]))[1][0])
+        return float(_sizes(H, np.array([omega]))[1][0]) + drift
 
     for _ in range(60):
         level = max(lower * (1 + rtol), SMALLEST)
@@ -84,6 +86,16 @@ def hinf_norm(G: StateSpace, rtol: float = 1e-6) -> NormBracket:
             return NormBracket(max(lower, value), max(level + rounding(peak), lifted), warp(peak))
         lower, peak = value, where
     raise ArithmeticError("the level test of the H-infinity norm did not settle in 60 steps")
+
+
+def _drift(G: StateSpace, H: StateSpace, omega: np.ndarray, warp: Callable[[float], float]) -> float:
+    """Largest σ̄ of what rounding of the bilinear map from a discrete G to H made at ``omega`` (k,)."""
+    if not G.dt or not G.order:
+        return 0.0
+    change = H.response(omega) - G.response([warp(w) for w in omega])
+    return float(
+        np.linalg.norm(change[np.isfinite(change).all(axis=(1, 2))], 2, axis=(1, 2)).max(initial=0.0)
+    )
 
 
 def _largest(H: StateSpace, omega) -> tuple[float, float]:

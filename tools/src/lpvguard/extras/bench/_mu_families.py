@@ -10,7 +10,7 @@ from itertools import product
 from typing import Any
 
 import numpy as np
-from scipy.linalg import block_diag
+from scipy.linalg import block_diag, schur
 from scipy.optimize import minimize_scalar
 
 Problem = dict[str, Any]
@@ -361,18 +361,69 @@ def discrete(rng: np.random.Generator) -> tuple[Problem, float]:
         problem, mu = family(rng)
         if "low" not in problem:
             break
-    dt = float(10 ** rng.uniform(-2, 0))
+    return problem | _tustin(problem, float(10 ** rng.uniform(-2, 0))), mu
+
+
+def _tustin(problem: Problem, dt: float) -> Problem:
+    """Return the fields of the bilinear image."""
     A, B, C, D = (np.array(problem[key], float) for key in "ABCD")
     inverse = np.linalg.inv(2 / dt * np.eye(len(A)) - A)
     root = 2 / np.sqrt(dt)
-    problem |= {
+    return {
         "A": (inverse @ (2 / dt * np.eye(len(A)) + A)).tolist(),
         "B": (root * inverse @ B).tolist(),
         "C": (root * C @ inverse).tolist(),
         "D": (D + C @ inverse @ B).tolist(),
         "dt": dt,
     }
-    return problem, mu
+
+
+def cascade(rng: np.random.Generator) -> tuple[Problem, float]:
+    """Stages of pole −a − r δ in loops: eigenvalues shift by r δ, so that μ is r over the least damping."""
+    parts, blocks, worst = [], [], 0.0
+    for _ in range(int(rng.integers(1, 3))):
+        n = int(rng.integers(2, 4))
+        loop = rng.standard_normal((n, n)) * 10 ** rng.uniform(-1, 1)
+        room, r = 10 ** rng.uniform(-1, 1), 10 ** rng.uniform(-1, 1)
+        A = schur(loop)[0] - (np.linalg.eigvals(loop).real.max() + room) * np.eye(n)
+        T = np.linalg.qr(rng.standard_normal((n, n)))[0]
+        parts.append((A, -r * T.T, T))
+        blocks.append(_block("repeated_real", n))
+        values = np.linalg.eigvals(A)
+        worst = max(worst, r / float(np.abs(values.real).min()))
+    system = _joined(rng, parts, False)
+    problem = _disguised(rng, *system, [b["rows"] for b in blocks])
+    return problem | {"blocks": blocks}, worst
+
+
+def beside_the_axis(rng: np.random.Generator) -> tuple[Problem, float]:
+    """k 2 ζ s/(s² + 2 ζ s + 1) with ζ down to 1e-9: real at 1 rad/s, where it is k, and nearly so nowhere."""
+    damping, omega, k = 10 ** rng.uniform(-9, -5), 10 ** rng.uniform(-1, 2), float(rng.uniform(0.1, 3))
+    A = omega * np.array([[0.0, 1.0], [-1.0, -2 * damping]])
+    B, C = np.array([[0.0], [2 * damping * omega]]), np.array([[0.0, k]])
+    problem = {key: part.tolist() for key, part in (("A", A), ("B", B), ("C", C), ("D", np.zeros((1, 1))))}
+    problem |= {"kind": "mu_interval", "blocks": [_block(str(rng.choice(["repeated_real", "full"])))]}
+    if rng.random() < 0.5:
+        problem |= {"low": 0.5 * omega, "high": 2 * omega}
+    return problem, k
+
+
+def at_the_ends(rng: np.random.Generator) -> tuple[Problem, float]:
+    """A lag, largest at the interval's beginning, or N s/(s + a), N ≻ 0, at infinity or half the rate."""
+    a, k = (float(x) for x in 10 ** rng.uniform(-1, 1, 2))
+    if rng.random() < 0.4:
+        A, B, C, D = (np.array([[x]]) for x in (-a, a, k, 0.0))
+        problem = _disguised(rng, A, B, C, D, [1])
+        low = 0.0 if rng.random() < 0.3 else float(a * 10 ** rng.uniform(-1, 1))
+        return problem | {"blocks": [_block("full")], "low": low}, k / float(np.hypot(1.0, low / a))
+    n = int(rng.integers(1, 4))
+    N = rng.standard_normal((n, n))
+    N = k * (N @ N.T + 0.1 * np.eye(n))
+    one = np.eye(n)
+    problem = _disguised(rng, -a * one, one, -a * N, N, [1] * n)
+    problem["blocks"] = [_block("repeated_real")] * n
+    problem |= _tustin(problem, float(10 ** rng.uniform(-2, 0))) if rng.random() < 0.5 else {}
+    return problem, float(np.linalg.eigvalsh(N)[-1])
 
 
 _CONTINUOUS: list[Family] = [
@@ -386,7 +437,15 @@ _CONTINUOUS: list[Family] = [
 ]
 FAMILIES: dict[str, list[Family]] = {
     "mu": [diagonal, rank_one, real_matrix, repeated, triangular, similar, ring, nilpotent],
-    "mu_interval": [*_CONTINUOUS, discrete, lightly_damped, delayed],
+    "mu_interval": [
+        *_CONTINUOUS,
+        discrete,
+        lightly_damped,
+        delayed,
+        cascade,
+        beside_the_axis,
+        at_the_ends,
+    ],
 }
 
 

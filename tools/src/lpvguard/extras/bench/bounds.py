@@ -3,28 +3,41 @@
 Each family draws its problems from a seed, and ``solve`` answers them like any problem. An answer is false
 where its upper bound lies below the value or its lower bound above it, by more than rounding. It is loose
 where its upper bound is more than 1 % above the value and it does not say so. It is unresolved where it says
-that its bounds are more than 1 % apart. A refused problem got an error. The same seed gives the same table.
+that its bounds are more than 1 % apart. It is undetermined where its error says how far the last digits of
+the data move the optimum. Any other error counts as refused. The same seed gives the same table.
 """
 
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from functools import partial
 
+import numpy as np
+
 from lpvguard.base.parallel import workers as parallel_map
-from lpvguard.extras.bench import _hinf_families, _mu_families, parser, show
+from lpvguard.engine.synthesis.errors import SynthesisError
+from lpvguard.extras.bench import _hinf_families, _mu_families, _other_families, parser, show
 from lpvguard.extras.bench._mu_families import Family, problems
 from lpvguard.extras.problems.solve import solve_problem
+from lpvguard.extras.problems.synthesis import DIGITS
 
 FALSE_RTOL = 1e-7
 """Rounding of the value and of the answer, relative."""
 LOOSE = 1.01
-FAMILIES: dict[str, list[Family]] = {**_mu_families.FAMILIES, "hinf": _hinf_families.PROBLEMS}
+FAMILIES: dict[str, list[Family]] = {
+    **_mu_families.FAMILIES,
+    "hinf": _hinf_families.PROBLEMS,
+    **_other_families.FAMILIES,
+}
 BOUNDS = {
     "mu": ("mu_lower", "mu_upper"),
     "mu_interval": ("mu_lower", "mu_upper"),
     "hinf": ("gamma_lower", "gamma_achieved"),
+    "multiplicative": ("nu", "nu"),
+    "margin": ("t", "t"),
+    "lft": ("J_lower", "J_upper"),
+    "lft_margin": ("t_lower", "t_upper"),
 }
-"""Fields of an answer by kind."""
+"""Fields of an answer by kind of ``solve``."""
 
 
 @dataclass(frozen=True)
@@ -34,7 +47,7 @@ class Row:
     Attributes
     ----------
     kind, family : str
-    count, false, loose, unresolved, refused : int
+    count, false, loose, unresolved, undetermined, refused : int
     worst : float, largest upper bound over its value
     """
 
@@ -44,21 +57,37 @@ class Row:
     false: int
     loose: int
     unresolved: int
+    undetermined: int
     refused: int
     worst: float
 
 
-def _outcome(family: Family, seed: int, index: int) -> tuple[bool, bool, bool, bool, float]:
-    """Return whether the answer is false, loose, unresolved, refused, and its upper bound over the value."""
+COUNTS = ("false", "loose", "unresolved", "undetermined", "refused")
+
+
+def _outcome(family: Family, seed: int, index: int) -> tuple[bool, bool, bool, bool, bool, float]:
+    """Return whether each of ``COUNTS`` holds of an answer, and its upper bound over the value."""
     problem, value = next(problems(family, 1, seed, index))
+    if problem["kind"] in _other_families.ENGINE:
+        try:
+            lower, upper = _other_families.ENGINE[problem["kind"]](problem)
+        except (SynthesisError, ArithmeticError, np.linalg.LinAlgError):
+            return False, False, False, False, True, 1.0
+        return *_judged(lower, upper, value, True), 1.0 if np.isinf(upper) else upper / value
     answer = solve_problem({"id": index, **problem})
     if answer["status"] != "ok":
-        return False, False, False, True, 1.0
+        undetermined = DIGITS in answer["error"]
+        return False, False, False, undetermined, not undetermined, 1.0
     lower, upper = (answer[field] for field in BOUNDS[problem["kind"]])
+    judged = _judged(lower, upper, value, bool(answer.get("resolved", True)))
+    return *judged, upper / value if value > 0 else 1.0
+
+
+def _judged(lower: float, upper: float, value: float, resolved: bool) -> tuple[bool, bool, bool, bool, bool]:
+    """Return ``COUNTS`` of an answer. Where one side alone is stated, that must lie near the value."""
     false = upper < value * (1 - FALSE_RTOL) or lower > value * (1 + FALSE_RTOL)
-    ratio = upper / value if value > 0 else 1.0
-    resolved = bool(answer["resolved"])
-    return false, ratio > LOOSE and resolved, not resolved, False, ratio
+    tight = lower * LOOSE >= value if np.isinf(upper) else upper <= LOOSE * value or value == 0
+    return false, resolved and not tight, not resolved, False, False
 
 
 def bench_bounds(count: int, seed: int, jobs: int) -> list[Row]:
@@ -69,31 +98,26 @@ def bench_bounds(count: int, seed: int, jobs: int) -> list[Row]:
             for k, family in enumerate(families):
                 share = (count + k) // len(families)
                 outcomes = list(pool(partial(_outcome, family, seed), range(share)))
-                false, loose, unresolved, refused = (sum(bool(o[k]) for o in outcomes) for k in range(4))
-                worst = max((o[4] for o in outcomes), default=1.0)
-                row = Row(kind, family.__name__, share, false, loose, unresolved, refused, worst)
-                rows.append(row)
+                counts = {name: sum(bool(o[k]) for o in outcomes) for k, name in enumerate(COUNTS)}
+                worst = max((o[-1] for o in outcomes), default=1.0)
+                rows.append(Row(kind, family.__name__, share, worst=worst, **counts))
     return rows
 
 
 def table(rows: list[Row]) -> str:
     """Return the rows as a text table, with their sums."""
 
+    columns = ("count", *COUNTS)
+
     def lines() -> Iterator[str]:
-        counts = (
-            f"{'problems':>8} {'false':>6} {'loose':>6} {'unresolved':>10} {'refused':>8} {'worst/value':>12}"
+        yield f"{'kind':12} {'family':22} {'problems':>8} " + " ".join(
+            f"{name:>12}" for name in (*COUNTS, "worst/value")
         )
-        yield f"{'kind':12} {'family':22} {counts}"
         for r in rows:
-            yield (
-                f"{r.kind:12} {r.family:22} {r.count:8} {r.false:6} {r.loose:6} {r.unresolved:10} "
-                f"{r.refused:8} {r.worst:12.6f}"
-            )
-        sums = [
-            sum(getattr(r, name) for r in rows)
-            for name in ("count", "false", "loose", "unresolved", "refused")
-        ]
-        yield f"{'all':35} {sums[0]:8} {sums[1]:6} {sums[2]:6} {sums[3]:10} {sums[4]:8}"
+            numbers = " ".join(f"{getattr(r, name):12}" for name in COUNTS)
+            yield f"{r.kind:12} {r.family:22} {r.count:8} {numbers} {r.worst:12.6f}"
+        sums = [sum(getattr(r, name) for r in rows) for name in columns]
+        yield f"{'all':35} {sums[0]:8} " + " ".join(f"{n:12}" for n in sums[1:])
 
     return "\n".join(lines())
 
