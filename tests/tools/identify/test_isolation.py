@@ -1,6 +1,7 @@
 """Parts of a car with four redundant outputs: what each changes, which is named, what no size tells."""
 
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -20,6 +21,7 @@ from lpvguard.identify.isolation import (
     told_apart,
 )
 from lpvguard.replay.parts import PartNamer
+from lpvguard.report.sections.isolation import isolation_section
 from lpvguard.vehicle.nominal import NominalModel
 from lpvguard.vehicle.project import load_project, parse_project
 
@@ -102,6 +104,21 @@ def test_isolable_sizes_fall_with_time_and_are_never_below_that_of_a_healthy_veh
     rows = list(isolation.isolable_rows(PROJECT))
     assert rows[0]["size of"] == "yaw_rate gain" and rows[0]["yaw_rate"] == ""
     assert rows[0]["vehicle"].endswith("*") and not rows[-1]["road_wheel_angle"].endswith("*")
+    page = isolation_section(SimpleNamespace(isolation=isolation, project=PROJECT))
+    assert page.count("<tr>") == 1 + len(rows) and "<td>yaw_rate bias [rad/s]</td>" in page
+    assert isolation_section(SimpleNamespace(isolation=None)) == ""
+
+
+def test_a_usual_fault_is_told_after_the_driving_with_which_it_is_isolable(isolation):
+    after = isolation.told_after()
+    for column in isolation.columns:
+        for other, seconds in after[column.what].items():
+            if np.isinf(seconds):
+                assert isolation.isolable(36_000.0)[column.what][other] > column.fault
+            elif seconds > 1.06 and (column.kind != "delay"):
+                assert isolation.isolable(seconds)[column.what][other] <= column.fault
+                assert isolation.isolable(seconds / 1.06)[column.what][other] > column.fault
+    assert after["yaw_rate gain"]["wheel_rate"] < after["K factor"]["road_wheel_angle"]
 
 
 def test_scales_are_read_back_and_name_parts_in_windows_of_a_drive(isolation, tmp_path):

@@ -9,7 +9,7 @@ of a much larger spread. Bayes' rule with equal odds names the parts; where seve
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from dataclasses import fields as dataclass_fields
 from functools import cached_property, reduce
@@ -42,6 +42,8 @@ NEEDED = 19.0
 twice the log of SURE / (1 - SURE)."""
 ODDS = float(np.log(1000.0))
 """Log-odds beyond those of all healthy windows with which a window differs."""
+LONGEST_S = 36_000.0
+"""Longest driving after which a part may be told [s]."""
 UNEXPLAINED = 0.05
 """Share of the evidence that a single part may leave: large faults exceed their linear changes."""
 VEHICLE = "vehicle"
@@ -403,14 +405,15 @@ class Isolation:
         return replace(self, scale=scale, least=max(against) + ODDS, lack=max(lacks))
 
     def to_dict(self) -> dict:
-        """JSON-able, for `from_dict`, with the table of `isolable`."""
+        """JSON-able, for `from_dict`, with the tables of `isolable` and `told_after`."""
         fields = {f.name: getattr(self, f.name) for f in dataclass_fields(self)}
         fields["columns"] = [vars(c) for c in self.columns]
-        table = {
-            what: {k: v if np.isfinite(v) else None for k, v in row.items()}
-            for what, row in self.isolable().items()
-        }
-        return fields | {"isolable": table}
+        for name, table in (("isolable", self.isolable()), ("told_after_s", self.told_after())):
+            fields[name] = {
+                what: {k: v if np.isfinite(v) else None for k, v in row.items()}
+                for what, row in table.items()
+            }
+        return fields
 
     @classmethod
     def from_dict(cls, data: dict) -> Isolation:
@@ -522,9 +525,10 @@ class Isolation:
     def isolable_rows(self, project: Project) -> Iterator[dict[str, str]]:
         """Rows of the table of isolability in words: the size, then the least one told from each part.
 
-        A star marks parts that are told apart by structure, a dash that no size tells them apart.
+        A star marks parts that are told apart by structure, a dash that no size tells them apart. The last
+        two columns are a usual fault and the driving that tells it from every other part.
         """
-        structure = residual_structure(project)
+        structure, after = residual_structure(project), self.told_after()
         column_of = {c.what: c for c in self.columns}
         for what, row in self.isolable().items():
             part, unit = column_of[what].part, column_of[what].unit
@@ -535,6 +539,9 @@ class Isolation:
                     continue
                 star = "*" if other and told_apart(structure, part, other) else ""
                 shown[other or "healthy"] = f"{row[other]:.2g}{star}" if np.isfinite(row[other]) else "–"
+            longest = max(after[what].values())
+            shown["usual fault"] = f"{column_of[what].fault:.2g}"
+            shown["told after, s"] = f"{longest:.2g}" if np.isfinite(longest) else "–"
             yield shown
 
     def isolable(self, seconds: float | None = None) -> dict[str, dict[str, float]]:
@@ -542,19 +549,42 @@ class Isolation:
 
         Infinite where no size does. "" is the healthy vehicle.
         """
-        G = self.per_s * (self.window_s if seconds is None else seconds) / self.scale
+        return self._table(
+            lambda k, other: self._least(k, other, self.window_s if seconds is None else seconds)
+        )
+
+    def told_after(self) -> dict[str, dict[str, float]]:
+        """Usual driving [s] with which a fault of the usual size is told, by column and part as `isolable`.
+
+        Infinite where more than LONGEST_S does not.
+        """
+        return self._table(self._seconds)
+
+    def _table(self, entry: Callable[[int, str], float]) -> dict[str, dict[str, float]]:
+        """Entries by column and other part; "" is the healthy vehicle."""
         table: dict[str, dict[str, float]] = {}
         for k, column in enumerate(self.columns):
-            row = {}
-            for other in ["", *self.parts]:
-                if other == column.part:
-                    continue
-                spread = self.spread if not other else self._freed(other)
-                inner = np.diag(1 / spread**2) + G
-                left = float(G[k, k] - G[k] @ np.linalg.solve(inner, G[:, k]))
-                row[other] = float(np.sqrt(NEEDED / left)) if left > 1e-9 * G[k, k] else float("inf")
-            table.setdefault(column.what, row)
+            others = ["", *(part for part in self.parts if part != column.part)]
+            if column.what not in table:
+                table[column.what] = {other: entry(k, other) for other in others}
         return table
+
+    def _least(self, k: int, other: str, seconds: float) -> float:
+        """Least size of column ``k`` that so much usual driving tells from a part."""
+        G = self.per_s * seconds / self.scale
+        spread = self.spread if not other else self._freed(other)
+        left = float(G[k, k] - G[k] @ np.linalg.solve(np.diag(1 / spread**2) + G, G[:, k]))
+        return float(np.sqrt(NEEDED / left)) if left > 1e-9 * G[k, k] else float("inf")
+
+    def _seconds(self, k: int, other: str) -> float:
+        """Usual driving [s] with which the usual fault of column ``k`` is told from a part, within 5 %."""
+        size, short, long = self.columns[k].fault, 1.0, LONGEST_S
+        if self._least(k, other, long) > size:
+            return float("inf")
+        while long > 1.05 * short:
+            middle = float(np.sqrt(short * long))
+            short, long = (short, middle) if self._least(k, other, middle) <= size else (middle, long)
+        return long
 
 
 def _residue(products: np.ndarray, n_y: int) -> tuple[np.ndarray, np.ndarray]:
