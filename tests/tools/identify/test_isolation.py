@@ -1,12 +1,14 @@
 """Parts of a car with four redundant outputs: what each changes, which is named, what no size tells."""
 
 import json
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from lpvguard.base.errors import InputError
+from lpvguard.drives.tables import Drive
 from lpvguard.extras.bench._redundant_car import (
     DOUBLE,
     FAULTS,
@@ -20,7 +22,7 @@ from lpvguard.identify.isolation import (
     residual_structure,
     told_apart,
 )
-from lpvguard.replay.parts import PartNamer
+from lpvguard.replay.parts import PartNamer, RunningParts
 from lpvguard.report.sections.isolation import isolation_section
 from lpvguard.vehicle.nominal import NominalModel
 from lpvguard.vehicle.project import load_project, parse_project
@@ -134,6 +136,27 @@ def test_scales_are_read_back_and_name_parts_in_windows_of_a_drive(isolation, tm
     )
     assert list(namer.named(redundant_drives(1, 125.0, 5)[0][0], [])) == []
     assert PartNamer.beside(PROJECT, tmp_path) is None
+
+
+def test_pieces_of_a_drive_name_the_parts_that_the_whole_drive_names(isolation):
+    namer = PartNamer(PROJECT, isolation)
+    fault = PartFault("gain", 0.8, "wheel_rate")
+    drive = redundant_drives(1, 190.0, 5, [(fault,)], BEGIN_S)[0][0]
+    late = replace(drive, t=drive.t + 500.0)
+    alarms, onsets = [60.0, 70.0], [(60.0, 41.0)]
+    whole = list(namer.named(drive, alarms, onsets))
+    running, names = RunningParts(namer), []
+    for a in range(0, len(drive.t), 70):
+        at = slice(a, a + 70)
+        piece = Drive("piece", late.t[at], drive.v[at], drive.u[at], drive.y[at])
+        inside = [500.0 + x for x in alarms if late.t[at][0] - 500 <= x < late.t[at][0] - 500 + 1.4]
+        names += running.take(piece, inside, [(500.0 + a, 500.0 + s) for a, s in onsets if inside])
+    assert [(n.from_s, n.alarm_s) for n in whole] == [(0.0, None), (60.0, 60.0), (120.0, None)]
+    assert [(n.from_s - 500, n.until_s - 500, n.alarm_s, n.parts) for n in names] == [
+        (n.from_s, n.until_s, n.alarm_s and n.alarm_s + 500, n.parts) for n in whole
+    ]
+    assert names[1].value == pytest.approx(whole[1].value, abs=1e-3)
+    assert "since about 541 s" in names[1].says
 
 
 @pytest.mark.parametrize(
