@@ -82,6 +82,17 @@ def test_a_size_has_an_interval_and_two_faults_are_no_single_part(isolation):
     assert all(len({f.part for f in pair}) == 2 for pair in DOUBLE)
 
 
+@pytest.mark.slow("5 s: two faults in twenty drives")
+def test_two_faults_at_once_are_not_named_by_a_third_part(isolation):
+    both = (PartFault("speed", 1.05), PartFault("tyre", 0.75))
+    names = []
+    for drive in redundant_drives(20, 101.0, 2, [both], BEGIN_S)[0]:
+        finding = isolation.name(isolation.evidence(list(CHANGES.blocks(drive, BEGIN_S, 100.0))))
+        names.append(finding.parts)
+    assert all({"speed", "vehicle"} & set(parts) for parts in names)
+    assert any({"speed", "vehicle", "road_wheel_angle"} <= set(parts) for parts in names)
+
+
 def test_structure_says_which_parts_a_residual_tells_apart():
     structure = residual_structure(PROJECT)
     assert structure["yaw_rate"][0] == "yaw_rate" and len(structure["yaw_rate"]) == 4

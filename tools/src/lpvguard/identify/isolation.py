@@ -468,8 +468,9 @@ class Isolation:
     def _all_freed(self) -> np.ndarray:
         return np.hypot(self.spread, self.faulty)
 
-    def _freed(self, part: str) -> np.ndarray:
-        return np.where(self.of_part(part), self._all_freed, self.spread)
+    def _freed(self, *parts: str) -> np.ndarray:
+        free = np.any([self.of_part(part) for part in parts], axis=0)
+        return np.where(free, self._all_freed, self.spread)
 
     def fits(self, w: WindowSums) -> dict[str, float]:
         """Log-likelihood of a window by faulty part; "" is the healthy vehicle."""
@@ -507,7 +508,22 @@ class Isolation:
         misfit = {part: self._misfit(w, self._freed(part)) for part in order}
         alike = [part for part in order[named:] if misfit[part] - misfit[order[0]] < ALIKE]
         parts = (*order[:named], *alike)
+        parts += tuple(part for part in self._likelier_pair(w, parts[0]) if part not in parts)
         return PartFinding(parts, probability, True, *self._size(w, parts[0]))
+
+    def _likelier_pair(self, w: WindowSums, part: str) -> tuple[str, ...]:
+        """The two other parts that a fault of ``part`` does not exclude; empty without any.
+
+        A second fault has the odds of the first, as in ODDS. Two at once are excluded where they have less
+        than 1 - SURE of the probability.
+        """
+        least = self.log_likelihood(w, self._freed(part)) + ODDS - ALIKE / 2
+        pairs = {
+            pair: self.log_likelihood(w, self._freed(*pair))
+            for pair in combinations((p for p in self.parts if p != part), 2)
+        }
+        best = max(pairs, key=lambda pair: pairs[pair], default=())
+        return best if best and pairs[best] > least else ()
 
     def _size(self, w: WindowSums, part: str) -> tuple[str, float, float, float, str]:
         """Words, value and 95 % interval of the surest size of a part, and its unit."""
