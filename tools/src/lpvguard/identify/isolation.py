@@ -77,7 +77,18 @@ class PartColumn:
 
 
 def columns_of(project: Project, spread_u: np.ndarray, spread_y: np.ndarray) -> list[PartColumn]:
-    """Columns of all parts; ``spread_u`` (n_u,) and ``spread_y`` (n_y,): standard deviations in drives."""
+    """List the columns of all parts.
+
+    Parameters
+    ----------
+    project : Project, with ``isolation``
+    spread_u : ndarray (n_u,), standard deviations of the inputs in drives
+    spread_y : ndarray (n_y,), likewise of the outputs
+
+    Returns
+    -------
+    list of PartColumn
+    """
     settings = project.isolation
     assert settings is not None
     columns = []
@@ -179,7 +190,14 @@ def _input_changes(u: np.ndarray, i: int, lags: dict[int, float]) -> Iterator[tu
 
 @dataclass(frozen=True)
 class WindowSums:
-    """Whitened sums over a window: G (m, m) of changes, g (m,) of changes and errors; ``count`` blocks."""
+    """Whitened sums over a window.
+
+    Attributes
+    ----------
+    G : ndarray (m, m), of changes
+    g : ndarray (m,), of changes and errors
+    count : int, blocks
+    """
 
     G: np.ndarray
     g: np.ndarray
@@ -251,7 +269,17 @@ class Moments:
 
 
 def moments_of(changes: Changes, drive: Drive) -> Moments:
-    """Moments of a drive without what its columns explain."""
+    """Sum the moments of a drive without what its columns explain.
+
+    Parameters
+    ----------
+    changes : Changes
+    drive : Drive
+
+    Returns
+    -------
+    Moments
+    """
     n_y = changes.project.n_y
     products = np.zeros(((LAGS + 1) * n_y + 1,) * 2)
     if stretches := list(changes.blocks(drive)):
@@ -268,7 +296,18 @@ def moments_of(changes: Changes, drive: Drive) -> Moments:
 
 
 def evidence_windows(changes: Changes, isolation: Isolation, drive: Drive) -> list[WindowSums]:
-    """Evidence of the whole windows of a drive."""
+    """Sum the evidence of each whole window of a drive.
+
+    Parameters
+    ----------
+    changes : Changes
+    isolation : Isolation
+    drive : Drive
+
+    Returns
+    -------
+    list of WindowSums
+    """
     length = max(LAGS + 2, round(isolation.window_s / (changes.step * changes.project.Ts_s)))
     return [
         isolation.evidence([x[first : first + length]])

@@ -67,7 +67,7 @@ class _Blocks:
     speed: Proposal
     yaw: Proposal
 
-    def of(self, value: np.ndarray) -> np.ndarray:
+    def averaged(self, value: np.ndarray) -> np.ndarray:
         """Rows (B, 3) of speed, yaw rate and ``value`` (N,), where all are known and the car moves."""
         r = self.recording
         v, yaw = (
@@ -95,12 +95,12 @@ def redundant(recordings: Sequence[Recording], proposals: Mapping[str, Proposal]
     used = {n for p in proposals.values() for n in (p.name, *p.plus)}
     names = [n for n in recordings[0].values if all(n in r.values for r in recordings) and n not in used]
     blocks = [_Blocks(r, proposals["speed"], proposals["output"]) for r in recordings]
-    found = []
+    outputs = []
     for search in (_second_gyro, _wheels, _acceleration, _course):
         best = max(search(names, blocks), key=lambda pair: pair[0], default=None)
         if best is not None:
-            found.append(best[1])
-    return found[:MOST]
+            outputs.append(best[1])
+    return outputs[:MOST]
 
 
 Scored = Iterator[tuple[float, Redundant]]
@@ -244,7 +244,7 @@ def _stacked(
     blocks: Sequence[_Blocks], name: str, value: Callable[[Recording, str], np.ndarray] = _measured
 ) -> np.ndarray | None:
     """Rows (B, 3) of all recordings; None where they are too few."""
-    parts = [x for b in blocks if len(x := b.of(value(b.recording, name)))]
+    parts = [x for b in blocks if len(x := b.averaged(value(b.recording, name)))]
     if sum(len(x) for x in parts) < LEAST_BLOCKS:
         return None
     return np.concatenate(parts)

@@ -55,10 +55,10 @@ def predicted(isolation: Isolation, fault: PartFault) -> bool:
         "load": ("K factor", abs(fault.value - 1)),
         "offset": ("road_wheel_angle offset", fault.value),
     }[fault.kind]
-    return _told(isolation, what, size)
+    return _is_isolable(isolation, what, size)
 
 
-def _told(isolation: Isolation, what: str, size: float) -> bool:
+def _is_isolable(isolation: Isolation, what: str, size: float) -> bool:
     """Return whether a size is at least what tells its part from every other one in a window."""
     return max(isolation.isolable()[what].values()) <= size
 
@@ -74,14 +74,14 @@ def _named(changes: Changes, isolation: Isolation, drive: Drive, from_s: float =
     return finding.parts, finding.differs
 
 
-def _row(fault: str, part: str, told: bool | None, named: Iterable[Named]) -> dict[str, Any]:
+def _row(fault: str, part: str, isolable: bool | None, named: Iterable[Named]) -> dict[str, Any]:
     """Row of the table; ``part``: parts at fault, joined by "and"."""
     named = list(named)
     counts = Counter(outcome(parts, differs, set(part.split(" and "))) for parts, differs in named)
     return {
         "fault": fault,
         "part": part,
-        "predicted": told,
+        "predicted": isolable,
         "outcomes": {kind: counts[kind] for kind in KINDS},
         "names": dict(Counter(", ".join(parts) for parts, differs in named if differs)),
     }
@@ -94,8 +94,8 @@ def _share(kind: str, rows: list[dict[str, Any]]) -> dict[str, Any]:
 
 def _structure(project: Project) -> dict[str, Any]:
     structure = residual_structure(project)
-    told = {a: [b for b in structure if a != b and told_apart(structure, a, b)] for a in structure}
-    return {"structure": structure, "told_apart": told}
+    separable = {a: [b for b in structure if a != b and told_apart(structure, a, b)] for a in structure}
+    return {"structure": structure, "told_apart": separable}
 
 
 def bench_isolation(drives: int, window_s: float, seed: int, jobs: int) -> dict[str, Any]:
@@ -136,20 +136,20 @@ def bench_measured(project: Project, drives: list[Drive], window_s: float, size:
     changes = Changes(project, NominalModel(project))
     pieces = pieces_of(changes, drives, window_s)
     if len({name for name, _ in pieces}) < 3:
-        found = f"{len(pieces)} pieces of {window_s:g} s in {len(drives)} drives"
-        raise InputError("bench isolation", "--data", found, "three drives, or three pieces of one")
+        counted = f"{len(pieces)} pieces of {window_s:g} s in {len(drives)} drives"
+        raise InputError("bench isolation", "--data", counted, "three drives, or three pieces of one")
     spread_u, spread_y = (np.concatenate([getattr(d, x) for d in drives]).std(axis=0) for x in ("u", "y"))
     folds = list(held_out(changes, pieces, window_s))
     rows = []
     for fault in (None, *planted(project, spread_u, spread_y, size)):
-        named, told = [], True
+        named, isolable = [], True
         for isolation, held in folds:
             for drive in held:
                 faulty = drive if fault is None else fault.within(changes, drive)
                 named.append(_named(changes, isolation, faulty, 0.0))
-            told &= fault is None or _told(isolation, fault.column.what, abs(fault.size))
+            isolable &= fault is None or _is_isolable(isolation, fault.column.what, abs(fault.size))
         label, part = ("none", "") if fault is None else (fault.label, fault.column.part)
-        rows.append(_row(label, part, None if fault is None else told, named))
+        rows.append(_row(label, part, None if fault is None else isolable, named))
     return {
         "drives": len(pieces),
         "window_s": window_s,

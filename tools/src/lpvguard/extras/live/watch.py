@@ -77,8 +77,10 @@ class Listener(Protocol):
         ...
 
     def hear(self, series: pa.Table, alarms: list[Alarm], parts: Sequence[dict[str, Any]] = ()) -> None:
-        """Take a piece of the time series (replay/series.py), its alarms and the parts that it names, as the
-        JSON of `replay` has them, on the clock of the page."""
+        """Take a piece of the time series (replay/series.py), its alarms and parts, on the page's clock.
+
+        ``parts`` are those of the JSON of `replay`.
+        """
         ...
 
 
