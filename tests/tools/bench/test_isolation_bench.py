@@ -2,10 +2,14 @@
 
 import json
 
+import numpy as np
 import pytest
+import tomlkit
 
 from lpvguard.base.errors import InputError
+from lpvguard.drives.tables import index_text
 from lpvguard.extras.bench import isolation, run
+from lpvguard.extras.bench._redundant_car import redundant_drives, redundant_project
 
 
 @pytest.mark.slow("6 s: 25 faults")
@@ -23,6 +27,44 @@ def test_outcomes_tell_one_of_several_and_wrong_apart():
     assert judged((), False, {"a"}) == "healthy" and judged((), True, {"a"}) == "no single"
     assert judged(("a",), True, {"a"}) == "right" and judged(("b",), True, {"a"}) == "wrong"
     assert judged(("b", "a"), True, {"a"}) == "one of" and judged(("b", "c"), True, {"a"}) == "wrong"
+
+
+def _redundant_folder(folder, count, duration_s):
+    """Project file and drives of the redundant car, as files."""
+    project = redundant_project()
+    document = project.model_dump(by_alias=True, exclude_none=True) | {"fit": {}, "evaluation": {}}
+    (folder / "car.toml").write_text(tomlkit.dumps(json.loads(json.dumps(document))))
+    (folder / "drives").mkdir()
+    columns = ["t", *(s.column for s in (project.speed, *project.inputs, *project.outputs))]
+    for d in redundant_drives(count, duration_s, 3)[0]:
+        table = np.column_stack([d.t, d.v, d.u, d.y])
+        path = folder / "drives" / f"{d.name}.csv"
+        np.savetxt(path, table, "%.9g", ",", header=",".join(columns), comments="")
+    rows = [(f"redundant_{k:03d}", "train", f"redundant_{k:03d}") for k in range(count)]
+    (folder / "drives" / "experiments.csv").write_text(index_text(rows))
+    return ["--vehicle", str(folder / "car.toml"), "--data", str(folder / "drives")]
+
+
+@pytest.mark.slow("5 s: scales of three folds")
+def test_faults_of_every_sensor_are_planted_in_drives_that_the_scales_have_not_seen(tmp_path, capsys):
+    options, out = _redundant_folder(tmp_path, 3, 100.0), tmp_path / "out.json"
+    run("isolation", [*options, "--window", "30", "--json", str(out)])
+    result = json.loads(out.read_text())
+    assert result["drives"] == 9 and "wrong_of_two" not in result
+    assert len(result["rows"]) == 1 + 4 * 3 + 3 + 1 and result["rows"][-1]["fault"] == "speed factor +0.2"
+    assert result["right"]["count"] > 0.5 * result["right"]["of"] and result["wrong"]["count"] <= 2
+    assert result["rows"][0]["outcomes"]["healthy"] >= 8
+    assert "9 drives a fault" in capsys.readouterr().out
+
+
+def test_too_few_drives_and_half_of_the_options_are_refused(tmp_path):
+    options = _redundant_folder(tmp_path, 1, 50.0)
+    with pytest.raises(InputError, match="1 pieces of 30 s in 1 drives; expected three drives"):
+        run("isolation", [*options, "--window", "30"])
+    with pytest.raises(InputError, match="one is missing"):
+        run("isolation", options[:2])
+    with pytest.raises(InputError, match="isolation: missing"):
+        run("isolation", ["--vehicle", "g80", *options[2:]])
 
 
 @pytest.mark.parametrize("option", ["--drives", "--window", "--jobs"])

@@ -153,6 +153,45 @@ def test_units_convert_only_within_one_quantity():
     assert unit_factor("raw", "rad") is None and unit_factor("deg", "deg/s") is None
 
 
+def test_a_column_over_the_speed_and_a_rate_of_a_course(tmp_path):
+    """A course of 4 deg/s clockwise that a table repeats five times, and an acceleration over the speed."""
+    t = 0.02 * np.arange(500)
+    course = (350 + 4.0 * t[np.arange(500) // 5 * 5]) % 360
+    v = np.where(t < 2, 0.5, 10.0)
+    log, path = tmp_path / "log.csv", tmp_path / "map.toml"
+    table = np.column_stack([t, v, course, 7.0 * np.ones(500)])
+    np.savetxt(log, table, "%.9g", ",", header="t,v,course,ay", comments="")
+    text = """schema = 1
+Ts_s = 0.02
+[columns.v]
+unit = "m/s"
+signal = "v"
+[columns.turning]
+unit = "rad/s"
+signal = "course"
+source_unit = "deg"
+factor = -1.0
+wrap = 360.0
+rate = true
+[columns.across]
+unit = "rad/s"
+over = "v"
+over_min = 2.0
+offset = 1.0
+terms = [{ signal = "ay", scale = 1.0 }]
+"""
+    path.write_text(text)
+    ingest([log], dbc=None, signals_map=path, out=tmp_path / "out")
+    made = np.genfromtxt(tmp_path / "out/log.csv", delimiter=",", names=True)
+    assert made["turning"] == pytest.approx(np.radians(-4.0)) and len(made) >= 489
+    assert made["across"] == pytest.approx(8.0 / np.maximum(made["v"], 2.0))
+    wrong = {"over = w is no column": ('over = "v"', 'over = "w"'), "needs a scale": (", scale = 1.0", "")}
+    for says, change in wrong.items():
+        path.write_text(text.replace(*change))
+        with pytest.raises(InputError, match=says):
+            ingest([log], dbc=None, signals_map=path, out=tmp_path / "other")
+
+
 def test_the_same_input_gives_the_same_bytes(car, tmp_path):
     log = write_log("log", other_car(2.0), tmp_path / "drive")
     contents = []

@@ -1,11 +1,14 @@
 """Parts of a car with four redundant outputs: what each changes, which is named, what no size tells."""
 
 import json
+from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from lpvguard.base.errors import InputError
+from lpvguard.drives.tables import Drive
 from lpvguard.extras.bench._redundant_car import (
     DOUBLE,
     FAULTS,
@@ -19,7 +22,8 @@ from lpvguard.identify.isolation import (
     residual_structure,
     told_apart,
 )
-from lpvguard.replay.parts import PartNamer
+from lpvguard.replay.parts import PartNamer, RunningParts
+from lpvguard.report.sections.isolation import isolation_section
 from lpvguard.vehicle.nominal import NominalModel
 from lpvguard.vehicle.project import load_project, parse_project
 
@@ -78,6 +82,17 @@ def test_a_size_has_an_interval_and_two_faults_are_no_single_part(isolation):
     assert all(len({f.part for f in pair}) == 2 for pair in DOUBLE)
 
 
+@pytest.mark.slow("5 s: two faults in twenty drives")
+def test_two_faults_at_once_are_not_named_by_a_third_part(isolation):
+    both = (PartFault("speed", 1.05), PartFault("tyre", 0.75))
+    names = []
+    for drive in redundant_drives(20, 101.0, 2, [both], BEGIN_S)[0]:
+        finding = isolation.name(isolation.evidence(list(CHANGES.blocks(drive, BEGIN_S, 100.0))))
+        names.append(finding.parts)
+    assert all({"speed", "vehicle"} & set(parts) for parts in names)
+    assert any({"speed", "vehicle", "road_wheel_angle"} <= set(parts) for parts in names)
+
+
 def test_structure_says_which_parts_a_residual_tells_apart():
     structure = residual_structure(PROJECT)
     assert structure["yaw_rate"][0] == "yaw_rate" and len(structure["yaw_rate"]) == 4
@@ -102,6 +117,21 @@ def test_isolable_sizes_fall_with_time_and_are_never_below_that_of_a_healthy_veh
     rows = list(isolation.isolable_rows(PROJECT))
     assert rows[0]["size of"] == "yaw_rate gain" and rows[0]["yaw_rate"] == ""
     assert rows[0]["vehicle"].endswith("*") and not rows[-1]["road_wheel_angle"].endswith("*")
+    page = isolation_section(SimpleNamespace(isolation=isolation, project=PROJECT))
+    assert page.count("<tr>") == 1 + len(rows) and "<td>yaw_rate bias [rad/s]</td>" in page
+    assert isolation_section(SimpleNamespace(isolation=None)) == ""
+
+
+def test_a_usual_fault_is_told_after_the_driving_with_which_it_is_isolable(isolation):
+    after = isolation.told_after()
+    for column in isolation.columns:
+        for other, seconds in after[column.what].items():
+            if np.isinf(seconds):
+                assert isolation.isolable(36_000.0)[column.what][other] > column.fault
+            elif seconds > 1.06 and (column.kind != "delay"):
+                assert isolation.isolable(seconds)[column.what][other] <= column.fault
+                assert isolation.isolable(seconds / 1.06)[column.what][other] > column.fault
+    assert after["yaw_rate gain"]["wheel_rate"] < after["K factor"]["road_wheel_angle"]
 
 
 def test_scales_are_read_back_and_name_parts_in_windows_of_a_drive(isolation, tmp_path):
@@ -117,6 +147,27 @@ def test_scales_are_read_back_and_name_parts_in_windows_of_a_drive(isolation, tm
     )
     assert list(namer.named(redundant_drives(1, 125.0, 5)[0][0], [])) == []
     assert PartNamer.beside(PROJECT, tmp_path) is None
+
+
+def test_pieces_of_a_drive_name_the_parts_that_the_whole_drive_names(isolation):
+    namer = PartNamer(PROJECT, isolation)
+    fault = PartFault("gain", 0.8, "wheel_rate")
+    drive = redundant_drives(1, 190.0, 5, [(fault,)], BEGIN_S)[0][0]
+    late = replace(drive, t=drive.t + 500.0)
+    alarms, onsets = [60.0, 70.0], [(60.0, 41.0)]
+    whole = list(namer.named(drive, alarms, onsets))
+    running, names = RunningParts(namer), []
+    for a in range(0, len(drive.t), 70):
+        at = slice(a, a + 70)
+        piece = Drive("piece", late.t[at], drive.v[at], drive.u[at], drive.y[at])
+        inside = [500.0 + x for x in alarms if late.t[at][0] - 500 <= x < late.t[at][0] - 500 + 1.4]
+        names += running.take(piece, inside, [(500.0 + a, 500.0 + s) for a, s in onsets if inside])
+    assert [(n.from_s, n.alarm_s) for n in whole] == [(0.0, None), (60.0, 60.0), (120.0, None)]
+    assert [(n.from_s - 500, n.until_s - 500, n.alarm_s, n.parts) for n in names] == [
+        (n.from_s, n.until_s, n.alarm_s and n.alarm_s + 500, n.parts) for n in whole
+    ]
+    assert names[1].value == pytest.approx(whole[1].value, abs=1e-3)
+    assert "since about 541 s" in names[1].says
 
 
 @pytest.mark.parametrize(

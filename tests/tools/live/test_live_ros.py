@@ -13,9 +13,14 @@ from live_case import Given, asked, cut
 
 from lpvguard.base.errors import InputError
 from lpvguard.can.logs import EXTENDED
+from lpvguard.drives.tables import list_experiments, read_drive
 from lpvguard.extras.live.sources import ROS_FRAME, Ros2Source, open_source
 from lpvguard.extras.live.watch import Watch
+from lpvguard.identify.isolation import Changes, Isolation
+from lpvguard.replay.parts import PartNamer
+from lpvguard.replay.replayer import Replayer
 from lpvguard.replay.ros import Ros2Recorder, write_ros2
+from lpvguard.vehicle.project import IsolationSettings
 
 pytest.importorskip("mcap_ros2", reason="the package mcap-ros2-support (lpvguard[ros2])")
 
@@ -62,6 +67,30 @@ def test_a_recording_in_pieces_is_that_of_replay(replayer, faulty, tmp_path):
         assert n >= len(whole[topic]) - 2
         same = rows[:n] == whole[topic][:n]
         assert same if topic == "/diagnostics" else rows[:n] == pytest.approx(whole[topic][:n], abs=1e-9)
+
+
+def test_the_part_is_named_on_the_page_and_in_the_recording(replayer, synthetic, faulty, tmp_path):
+    frames, path = faulty
+    project = replayer.project.model_copy(update={"isolation": IsolationSettings(vehicle=("K", "T1"))})
+    changes = Changes(project, replayer.model)
+    healthy = [read_drive(e.path, project) for e in list_experiments(synthetic)]
+    namer = PartNamer(project, Isolation.from_drives(changes, healthy, 30.0))
+    naming = Replayer(replayer.project, replayer.core, namer=namer)
+    with (tmp_path / "live.mcap").open("wb") as stream:
+        recorder = Ros2Recorder(stream, "g80")
+        watch = Watch(naming, Given(), 3600, listeners=[recorder])
+        for piece in cut(frames, 5000):
+            watch.take(piece)
+        recorder.close()
+    whole = naming.replay_frames(frames, path).parts
+    wanted = [p.says for p in whole if p.until_s < watch.view(10.0, None, 10)["now"]["t"] - 1.0]
+    says = [a["says"] for a in watch.view(3600.0, None, 10)["alarms"] if a["says"].startswith("part: ")]
+    assert len(wanted) >= 1 and len(says) == len(wanted)
+    names = [text.removeprefix("part: ").split(";")[0].split(":")[0] for text in says]
+    assert names == [text.split(";")[0].split(":")[0] for text in wanted]
+    diagnostics = contents(tmp_path / "live.mcap")["/diagnostics"]
+    in_recording = [message for _, message, values in diagnostics if values[0][0] == "since s"]
+    assert [f"part: {text}" for text in in_recording] == says
 
 
 @pytest.fixture

@@ -274,7 +274,7 @@ def print_tests(result: Identification) -> None:
     if result.pools is not None and (c := result.pools.calibration).target:
         console.print(f"pools: threshold {c.carried:.4g} ({c.claim()}); rates are a quarter of all tests'")
     if (i := result.isolation) is not None:
-        console.print(f"parts: least sizes told apart in {i.window_s:g} s of driving; * by structure, too")
+        console.print(f"parts: least sizes told apart in {i.window_s:g} s; * by structure, too")
         print_rows(i.isolable_rows(result.project))
     if result.diagnosis is not None:
         console.print(

@@ -45,6 +45,8 @@ from .units import unit_factor
 if TYPE_CHECKING:  # cantools takes long to import
     from cantools.database.can import Database, Message, Signal
 
+_REPEATED = 0.5
+"""A table repeats the values of a slower signal where a smaller share of its samples is new."""
 _WRAP_SHARE = 0.75
 """A step by more than this share of a signal's range is reported as a suspected wrap."""
 
@@ -58,7 +60,7 @@ def _scale(term: Term, column: str, unit: str, source_unit: str, where: Path) ->
     source = term.source_unit or source_unit
     if not source and not term.message:
         source = unit  # a decoded log without units is taken to be in the column's
-    conversion = unit_factor(source, unit)
+    conversion = unit_factor(f"{source}/s" if term.rate and source != unit else source, unit)
     if conversion is None:
         raise InputError(
             where,
@@ -156,7 +158,7 @@ def _from_frames(frames: Frames, inputs: Inputs, column: str, term: Term) -> Sou
             raise _unknown(inputs.database_path, f"{where} of {map_path}, sign", term.sign, "signal", signals)
         samples = signed(frames, samples, message, signals[term.sign])
     scale = _scale(term, column, inputs.map.columns[column].unit, signal.unit or "", map_path)
-    return Source(frames.t_ns[samples.frame], _unwrap(samples.value, term, report) * scale, report)
+    return _term_source(frames.t_ns[samples.frame], samples.value, scale, term, report)
 
 
 def _from_table(table: Table, log: Path, inputs: Inputs, column: str, term: Term) -> Source:
@@ -170,7 +172,20 @@ def _from_table(table: Table, log: Path, inputs: Inputs, column: str, term: Term
         "left_out": {"no value": int((~finite).sum())} if not finite.all() else {},
     }
     scale = _scale(term, column, inputs.map.columns[column].unit, series.unit, inputs.map_path)
-    return Source(series.t_ns[finite], _unwrap(series.value[finite], term, report) * scale, report)
+    return _term_source(series.t_ns[finite], series.value[finite], scale, term, report)
+
+
+def _term_source(t_ns: np.ndarray, value: np.ndarray, scale: float, term: Term, report: dict) -> Source:
+    """Samples of a term in the column's unit. A rate stands between two samples, without repeated ones."""
+    value = _unwrap(value, term, report) * scale
+    if not term.rate:
+        return Source(t_ns, value, report)
+    new = np.diff(value, prepend=np.inf) != 0
+    if new.mean() < _REPEATED:
+        t_ns, value = t_ns[new], value[new]
+    steps = np.diff(t_ns)
+    rising = steps > 0
+    return Source((t_ns[:-1] + steps // 2)[rising], np.diff(value)[rising] / steps[rising] * NS, report)
 
 
 def _unwrap(value: np.ndarray, term: Term, report: dict) -> np.ndarray:

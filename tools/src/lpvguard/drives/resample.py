@@ -138,6 +138,12 @@ class TableMaker:
             parts = [_resample(grid, s, gap_ns) for s in terms]
             values[name] = sum(p[0] for p in parts) + column.offset
             good[name] = np.logical_and.reduce([p[1] for p in parts])
+        for name, column in self.map.columns.items():
+            if column.over is not None:
+                by = values[column.over]
+                values[name] = (
+                    values[name] / np.where(by < 0, -1, 1) / np.maximum(np.abs(by), column.over_min)
+                )
         self._cut(grid, origin, values, good)
 
     def _cut(self, grid: np.ndarray, origin: float, values: dict, good: dict) -> None:

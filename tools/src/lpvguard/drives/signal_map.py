@@ -26,8 +26,11 @@ It is a TOML file::
     offset = 0.0
     terms = [{ message = "STEER", signal = "ANGLE" }, { message = "STEER", signal = "FRACTION" }]
 
-Further keys of a column: ``min``, ``max`` (in ``unit``; samples outside are left out) and ``max_gap_s``.
-Further keys of a term: ``source_unit`` (instead of the database's), ``wrap``, ``channel``, ``source_address``
+Further keys of a column: ``min``, ``max`` (in ``unit``; samples outside are left out), ``max_gap_s``, and
+``over``. ``over`` is another column of the map by which this one is divided, as a lateral acceleration by the
+speed. Its amount counts as ``over_min`` where it is smaller (default 1). The terms then need a ``scale``.
+Further keys of a term: ``rate`` (its change a second, as the yaw rate of a course; its unit is then that of
+the signal over s), ``source_unit`` (instead of the database's), ``wrap``, ``channel``, ``source_address``
 (J1939), ``sign`` and ``not_available``. ``sign`` is a signal of the same message: where it is not 0, the
 signal is negative. ``wrap`` is a period in the signal's own unit: the signal is unwrapped before
 interpolation. Without it wraps are only suspected, and counted in the report. ``not_available`` is "j1939" or
@@ -59,6 +62,7 @@ class Term(StrictModel):
     source_address: Annotated[int, Field(ge=0, le=253)] | None = None
     sign: str | None = None
     not_available: Literal["j1939", "none"] | None = None
+    rate: bool = False
 
     @property
     def name(self) -> str:
@@ -67,7 +71,7 @@ class Term(StrictModel):
 
 
 class Column(StrictModel):
-    """A column of the drive table: offset + the sum of its terms, in ``unit``."""
+    """A column of the drive table: offset + the sum of its terms, in ``unit``, over another column or not."""
 
     unit: str
     terms: Annotated[list[Term], Field(min_length=1)]
@@ -75,6 +79,8 @@ class Column(StrictModel):
     min: float | None = None
     max: float | None = None
     max_gap_s: Positive | None = None
+    over: str | None = None
+    over_min: Positive = 1.0
 
     @model_validator(mode="before")
     @classmethod
@@ -125,9 +131,16 @@ class SignalMap(StrictModel):
         return self.columns[column].max_gap_s or self.max_gap_s
 
     @model_validator(mode="after")
-    def _time_is_taken(self) -> SignalMap:
+    def _consistent(self) -> SignalMap:
         if "t" in self.columns:
             raise ValueError("columns: t is the time")
+        for name, column in self.columns.items():
+            if column.over is None:
+                continue
+            if column.over not in self.columns or self.columns[column.over].over is not None:
+                raise ValueError(f"columns.{name}: over = {column.over} is no column without `over`")
+            if any(term.scale is None for term in column.terms):
+                raise ValueError(f"columns.{name}: with `over` every term needs a scale")
         return self
 
 

@@ -9,7 +9,7 @@ of a much larger spread. Bayes' rule with equal odds names the parts; where seve
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from dataclasses import fields as dataclass_fields
 from functools import cached_property, reduce
@@ -42,6 +42,8 @@ NEEDED = 19.0
 twice the log of SURE / (1 - SURE)."""
 ODDS = float(np.log(1000.0))
 """Log-odds beyond those of all healthy windows with which a window differs."""
+LONGEST_S = 36_000.0
+"""Longest driving after which a part may be told [s]."""
 UNEXPLAINED = 0.05
 """Share of the evidence that a single part may leave: large faults exceed their linear changes."""
 VEHICLE = "vehicle"
@@ -75,7 +77,18 @@ class PartColumn:
 
 
 def columns_of(project: Project, spread_u: np.ndarray, spread_y: np.ndarray) -> list[PartColumn]:
-    """Columns of all parts; ``spread_u`` (n_u,) and ``spread_y`` (n_y,): standard deviations in drives."""
+    """List the columns of all parts.
+
+    Parameters
+    ----------
+    project : Project, with ``isolation``
+    spread_u : ndarray (n_u,), standard deviations of the inputs in drives
+    spread_y : ndarray (n_y,), likewise of the outputs
+
+    Returns
+    -------
+    list of PartColumn
+    """
     settings = project.isolation
     assert settings is not None
     columns = []
@@ -177,7 +190,14 @@ def _input_changes(u: np.ndarray, i: int, lags: dict[int, float]) -> Iterator[tu
 
 @dataclass(frozen=True)
 class WindowSums:
-    """Whitened sums over a window: G (m, m) of changes, g (m,) of changes and errors; ``count`` blocks."""
+    """Whitened sums over a window.
+
+    Attributes
+    ----------
+    G : ndarray (m, m), of changes
+    g : ndarray (m,), of changes and errors
+    count : int, blocks
+    """
 
     G: np.ndarray
     g: np.ndarray
@@ -249,7 +269,17 @@ class Moments:
 
 
 def moments_of(changes: Changes, drive: Drive) -> Moments:
-    """Moments of a drive without what its columns explain."""
+    """Sum the moments of a drive without what its columns explain.
+
+    Parameters
+    ----------
+    changes : Changes
+    drive : Drive
+
+    Returns
+    -------
+    Moments
+    """
     n_y = changes.project.n_y
     products = np.zeros(((LAGS + 1) * n_y + 1,) * 2)
     if stretches := list(changes.blocks(drive)):
@@ -266,7 +296,18 @@ def moments_of(changes: Changes, drive: Drive) -> Moments:
 
 
 def evidence_windows(changes: Changes, isolation: Isolation, drive: Drive) -> list[WindowSums]:
-    """Evidence of the whole windows of a drive."""
+    """Sum the evidence of each whole window of a drive.
+
+    Parameters
+    ----------
+    changes : Changes
+    isolation : Isolation
+    drive : Drive
+
+    Returns
+    -------
+    list of WindowSums
+    """
     length = max(LAGS + 2, round(isolation.window_s / (changes.step * changes.project.Ts_s)))
     return [
         isolation.evidence([x[first : first + length]])
@@ -403,14 +444,15 @@ class Isolation:
         return replace(self, scale=scale, least=max(against) + ODDS, lack=max(lacks))
 
     def to_dict(self) -> dict:
-        """JSON-able, for `from_dict`, with the table of `isolable`."""
+        """JSON-able, for `from_dict`, with the tables of `isolable` and `told_after`."""
         fields = {f.name: getattr(self, f.name) for f in dataclass_fields(self)}
         fields["columns"] = [vars(c) for c in self.columns]
-        table = {
-            what: {k: v if np.isfinite(v) else None for k, v in row.items()}
-            for what, row in self.isolable().items()
-        }
-        return fields | {"isolable": table}
+        for name, table in (("isolable", self.isolable()), ("told_after_s", self.told_after())):
+            fields[name] = {
+                what: {k: v if np.isfinite(v) else None for k, v in row.items()}
+                for what, row in table.items()
+            }
+        return fields
 
     @classmethod
     def from_dict(cls, data: dict) -> Isolation:
@@ -465,8 +507,9 @@ class Isolation:
     def _all_freed(self) -> np.ndarray:
         return np.hypot(self.spread, self.faulty)
 
-    def _freed(self, part: str) -> np.ndarray:
-        return np.where(self.of_part(part), self._all_freed, self.spread)
+    def _freed(self, *parts: str) -> np.ndarray:
+        free = np.any([self.of_part(part) for part in parts], axis=0)
+        return np.where(free, self._all_freed, self.spread)
 
     def fits(self, w: WindowSums) -> dict[str, float]:
         """Log-likelihood of a window by faulty part; "" is the healthy vehicle."""
@@ -504,7 +547,22 @@ class Isolation:
         misfit = {part: self._misfit(w, self._freed(part)) for part in order}
         alike = [part for part in order[named:] if misfit[part] - misfit[order[0]] < ALIKE]
         parts = (*order[:named], *alike)
+        parts += tuple(part for part in self._likelier_pair(w, parts[0]) if part not in parts)
         return PartFinding(parts, probability, True, *self._size(w, parts[0]))
+
+    def _likelier_pair(self, w: WindowSums, part: str) -> tuple[str, ...]:
+        """The two other parts that a fault of ``part`` does not exclude; empty without any.
+
+        A second fault has the odds of the first, as in ODDS. Two at once are excluded where they have less
+        than 1 - SURE of the probability.
+        """
+        least = self.log_likelihood(w, self._freed(part)) + ODDS - ALIKE / 2
+        pairs = {
+            pair: self.log_likelihood(w, self._freed(*pair))
+            for pair in combinations((p for p in self.parts if p != part), 2)
+        }
+        best = max(pairs, key=lambda pair: pairs[pair], default=())
+        return best if best and pairs[best] > least else ()
 
     def _size(self, w: WindowSums, part: str) -> tuple[str, float, float, float, str]:
         """Words, value and 95 % interval of the surest size of a part, and its unit."""
@@ -522,9 +580,10 @@ class Isolation:
     def isolable_rows(self, project: Project) -> Iterator[dict[str, str]]:
         """Rows of the table of isolability in words: the size, then the least one told from each part.
 
-        A star marks parts that are told apart by structure, a dash that no size tells them apart.
+        A star marks parts that are told apart by structure, a dash that no size tells them apart. The last
+        two columns are a usual fault and the driving that tells it from every other part.
         """
-        structure = residual_structure(project)
+        structure, after = residual_structure(project), self.told_after()
         column_of = {c.what: c for c in self.columns}
         for what, row in self.isolable().items():
             part, unit = column_of[what].part, column_of[what].unit
@@ -535,6 +594,9 @@ class Isolation:
                     continue
                 star = "*" if other and told_apart(structure, part, other) else ""
                 shown[other or "healthy"] = f"{row[other]:.2g}{star}" if np.isfinite(row[other]) else "–"
+            longest = max(after[what].values())
+            shown["usual fault"] = f"{column_of[what].fault:.2g}"
+            shown["told after, s"] = f"{longest:.2g}" if np.isfinite(longest) else "–"
             yield shown
 
     def isolable(self, seconds: float | None = None) -> dict[str, dict[str, float]]:
@@ -542,19 +604,42 @@ class Isolation:
 
         Infinite where no size does. "" is the healthy vehicle.
         """
-        G = self.per_s * (self.window_s if seconds is None else seconds) / self.scale
+        return self._table(
+            lambda k, other: self._least(k, other, self.window_s if seconds is None else seconds)
+        )
+
+    def told_after(self) -> dict[str, dict[str, float]]:
+        """Usual driving [s] with which a fault of the usual size is told, by column and part as `isolable`.
+
+        Infinite where more than LONGEST_S does not.
+        """
+        return self._table(self._seconds)
+
+    def _table(self, entry: Callable[[int, str], float]) -> dict[str, dict[str, float]]:
+        """Entries by column and other part; "" is the healthy vehicle."""
         table: dict[str, dict[str, float]] = {}
         for k, column in enumerate(self.columns):
-            row = {}
-            for other in ["", *self.parts]:
-                if other == column.part:
-                    continue
-                spread = self.spread if not other else self._freed(other)
-                inner = np.diag(1 / spread**2) + G
-                left = float(G[k, k] - G[k] @ np.linalg.solve(inner, G[:, k]))
-                row[other] = float(np.sqrt(NEEDED / left)) if left > 1e-9 * G[k, k] else float("inf")
-            table.setdefault(column.what, row)
+            others = ["", *(part for part in self.parts if part != column.part)]
+            if column.what not in table:
+                table[column.what] = {other: entry(k, other) for other in others}
         return table
+
+    def _least(self, k: int, other: str, seconds: float) -> float:
+        """Least size of column ``k`` that so much usual driving tells from a part."""
+        G = self.per_s * seconds / self.scale
+        spread = self.spread if not other else self._freed(other)
+        left = float(G[k, k] - G[k] @ np.linalg.solve(np.diag(1 / spread**2) + G, G[:, k]))
+        return float(np.sqrt(NEEDED / left)) if left > 1e-9 * G[k, k] else float("inf")
+
+    def _seconds(self, k: int, other: str) -> float:
+        """Usual driving [s] with which the usual fault of column ``k`` is told from a part, within 5 %."""
+        size, short, long = self.columns[k].fault, 1.0, LONGEST_S
+        if self._least(k, other, long) > size:
+            return float("inf")
+        while long > 1.05 * short:
+            middle = float(np.sqrt(short * long))
+            short, long = (short, middle) if self._least(k, other, middle) <= size else (middle, long)
+        return long
 
 
 def _residue(products: np.ndarray, n_y: int) -> tuple[np.ndarray, np.ndarray]:

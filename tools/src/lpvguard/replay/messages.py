@@ -64,13 +64,18 @@ def schemas(columns: Iterable[str]) -> dict[str, dict[str, Any]]:
     }
 
 
-def messages(series: pa.Table, alarms: Iterable[Alarm | dict[str, Any]]) -> list[SeriesMessage]:
-    """Convert a time series and its alarms to messages, in the order of time.
+def messages(
+    series: pa.Table,
+    alarms: Iterable[Alarm | dict[str, Any]],
+    parts: Iterable[dict[str, Any]] = (),
+) -> list[SeriesMessage]:
+    """Convert a time series, its alarms and the named parts to messages, in the order of time.
 
     Parameters
     ----------
     series : Table, of series.py
     alarms : Iterable of Alarm or dict, as in the JSON of `replay`
+    parts : Iterable of dict, likewise
 
     Returns
     -------
@@ -91,8 +96,14 @@ def messages(series: pa.Table, alarms: Iterable[Alarm | dict[str, Any]]) -> list
                 series_messages.append(SeriesMessage(times[i], "/lpvguard/margin", content))
     for alarm in alarms:
         test, t_s = (alarm.test, alarm.t_s) if isinstance(alarm, Alarm) else (alarm["test"], alarm["t_s"])
-        t = round(t_s * 1e9)
-        log = {"timestamp": {"sec": t // 10**9, "nsec": t % 10**9}, "level": WARNING}
-        log |= {"message": alarm_sentence(alarm), "name": test, "file": "", "line": 0}
-        series_messages.append(SeriesMessage(t, "/lpvguard/alarm", log))
+        series_messages.append(_log(t_s, test, alarm_sentence(alarm)))
+    series_messages += [_log(p["until_s"], "part", p["says"]) for p in parts]
     return sorted(series_messages, key=lambda m: m.t_ns)
+
+
+def _log(t_s: float, name: str, text: str) -> SeriesMessage:
+    """A line of the alarms' topic."""
+    t = round(t_s * 1e9)
+    stamp = {"sec": t // 10**9, "nsec": t % 10**9}
+    log = {"timestamp": stamp, "level": WARNING, "message": text, "name": name, "file": "", "line": 0}
+    return SeriesMessage(t, "/lpvguard/alarm", log)

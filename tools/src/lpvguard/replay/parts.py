@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
+import numpy as np
+
 from ..base import artefacts
 from ..drives.tables import Drive
 from ..identify.identification import ISOLATION
@@ -87,32 +89,46 @@ class PartNamer:
         ``alarms_s``: times of the alarms after the drive's first sample [s], rising. ``onsets_s``: times of
         alarms and of their onsets.
         """
-        alarms = iter(alarms_s)
-        start, alarm_s, following = 0.0, None, next(alarms, None)
+        start, alarm_s = 0.0, None
         while start < drive.duration_s:
-            end = min(start + self.isolation.window_s, drive.duration_s)
-            if alarm_s is None and following is not None:
-                end = min(end, following)
-            if alarm_s is not None or end - start > SHORTEST * self.isolation.window_s:
-                yield from self._window(drive, start, end, alarm_s, onsets_s)
-            while following is not None and following < end:
-                following = next(alarms, None)
-            alarm_s = following if following == end else None
-            start = end
+            end = min(self.end(start, alarm_s, alarms_s), drive.duration_s)
+            yield from self.window(drive, start, end, alarm_s, onsets_s)
+            start, alarm_s = end, end if end in alarms_s else None
 
-    def _window(
+    def end(self, start: float, alarm_s: float | None, alarms_s: Sequence[float]) -> float:
+        """End [s] of the window that begins at ``start``, with an alarm or without."""
+        end = start + self.isolation.window_s
+        return min((a for a in alarms_s if start < a < end and alarm_s is None), default=end)
+
+    def window(
         self,
         drive: Drive,
         start: float,
         end: float,
         alarm_s: float | None,
         onsets_s: Sequence[tuple[float, float]],
+        clock_s: float = 0.0,
     ) -> Iterator[NamedPart]:
-        """The part that a window names, if any."""
+        """The part that a window of a drive names, if any.
+
+        Parameters
+        ----------
+        drive : Drive
+        start, end : float, s after the drive's first sample
+        alarm_s : float or None, s, alarm that began the window
+        onsets_s : Sequence of (float, float), s, times of alarms and of their onsets
+        clock_s : float, optional, s, is added to the times of the result
+
+        Yields
+        ------
+        NamedPart
+        """
+        if alarm_s is None and end - start <= SHORTEST * self.isolation.window_s:
+            return
         evidence = self.isolation.evidence(list(self.changes.blocks(drive, start, end)))
         finding = self.isolation.name(evidence, alarmed=alarm_s is not None)
         if finding.differs:
-            since = min((s for a, s in onsets_s if start <= a <= end), default=start)
+            since = clock_s + min((s for a, s in onsets_s if start <= a <= end), default=start)
             values = (
                 finding.parts,
                 finding.probability,
@@ -121,8 +137,15 @@ class PartNamer:
                 finding.low,
                 finding.high,
             )
+            alarm = None if alarm_s is None else clock_s + alarm_s
             yield NamedPart(
-                start, end, alarm_s, since, *values, finding.unit, *self._advice(finding, max(since, 0.0))
+                clock_s + start,
+                clock_s + end,
+                alarm,
+                since,
+                *values,
+                finding.unit,
+                *self._advice(finding, max(since, 0.0)),
             )
 
     def _advice(self, finding: PartFinding, since_s: float) -> tuple[str | None, str]:
@@ -148,3 +171,49 @@ class PartNamer:
         if part in {settings.part_of(s.name) for s in project.inputs}:
             return f"zero, ratio and delay of {part}"
         return f"mounting, wiring and calibration of {part}"
+
+
+class RunningParts:
+    """Names parts in the windows of a drive that comes in pieces.
+
+    Parameters
+    ----------
+    namer : PartNamer
+    """
+
+    def __init__(self, namer: PartNamer):
+        self._namer, self._rows = namer, np.empty((0, 0))
+        self._start: float | None = None
+        self._alarm_s: float | None = None
+        self._alarms: list[float] = []
+        self._onsets: list[tuple[float, float]] = []
+
+    def take(
+        self, piece: Drive, alarms_s: Sequence[float], onsets_s: Sequence[tuple[float, float]]
+    ) -> Iterator[NamedPart]:
+        """Parts of the windows that end in a piece; all times [s] are on the piece's clock."""
+        missing = np.zeros(len(piece.t), bool) if piece.missing is None else piece.missing
+        rows = np.column_stack([piece.t, missing, piece.v, piece.u, piece.y])
+        self._rows = np.vstack([self._rows.reshape(-1, rows.shape[1]), rows])
+        self._alarms += alarms_s
+        self._onsets += onsets_s
+        if self._start is None:
+            self._start = float(piece.t[0])
+        while (end := self._namer.end(self._start, self._alarm_s, self._alarms)) <= self._rows[-1, 0]:
+            yield from self._window(self._start, end)
+            self._alarm_s = end if end in self._alarms else None
+            self._start = end
+            self._alarms = [a for a in self._alarms if a > end]
+            self._onsets = [o for o in self._onsets if o[0] >= end]
+
+    def _window(self, start: float, end: float) -> Iterator[NamedPart]:
+        """The part that a window names; the rows before its warm-up are forgotten."""
+        changes, n_u = self._namer.changes, self._namer.project.n_u
+        warm_up = start - (changes.estimator.settle + 1) * changes.project.Ts_s
+        self._rows = self._rows[self._rows[:, 0] >= warm_up]
+        t, missing, v = self._rows[:, :3].T
+        u, y = self._rows[:, 3 : 3 + n_u], self._rows[:, 3 + n_u :]
+        drive, t0 = Drive("live", t, v, u, y, missing=missing > 0), float(t[0])
+        alarm_s = None if self._alarm_s is None else self._alarm_s - t0
+        onsets = [(a - t0, s - t0) for a, s in self._onsets]
+        return self._namer.window(drive, start - t0, end - t0, alarm_s, onsets, clock_s=t0)

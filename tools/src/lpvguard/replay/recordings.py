@@ -43,7 +43,7 @@ def write_series(
     series : Table, of series.py
     alarms : list of dict, as in the JSON of `replay`
     vehicle : str
-    parts : Sequence of dict, likewise, for ROS 2
+    parts : Sequence of dict, likewise, for MCAP and ROS 2
 
     Raises
     ------
@@ -53,14 +53,16 @@ def write_series(
     if kind == "parquet":
         write_table(series, path)
     elif kind == "mcap":
-        _write_mcap(path, series, alarms)
+        _write_mcap(path, series, alarms, parts)
     elif kind == "ros2":
         write_ros2(path, vehicle, series, alarms, parts)
     else:
         _write_mf4(path, series)
 
 
-def _write_mcap(path: Path, series: pa.Table, alarms: list[dict[str, Any]]) -> None:
+def _write_mcap(
+    path: Path, series: pa.Table, alarms: list[dict[str, Any]], parts: Sequence[dict[str, Any]]
+) -> None:
     mcap = optional("mcap.writer", "mcap")
     with path.open("wb") as stream:
         writer = mcap.Writer(stream, compression=mcap.CompressionType.NONE)
@@ -69,7 +71,7 @@ def _write_mcap(path: Path, series: pa.Table, alarms: list[dict[str, Any]]) -> N
         for topic, schema in schemas(series.column_names).items():
             schema_id = writer.register_schema(schema["title"], "jsonschema", json.dumps(schema).encode())
             channels[topic] = writer.register_channel(topic, "json", schema_id)
-        for k, m in enumerate(messages(series, alarms)):
+        for k, m in enumerate(messages(series, alarms, parts)):
             writer.add_message(channels[m.topic], m.t_ns, json.dumps(m.content).encode(), m.t_ns, k)
         writer.finish()
 

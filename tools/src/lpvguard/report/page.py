@@ -25,6 +25,7 @@ from .sections.closed_loop import loop_section
 from .sections.design import design_section
 from .sections.drives import drive_section, plain_section, visit, visit_plain
 from .sections.evaluation import evaluation_section
+from .sections.isolation import isolation_section
 from .sections.model_in_time import time_section
 from .sections.overview import blind_map, overview_section
 from .sections.summary import summary_section
@@ -138,6 +139,7 @@ def _identification_sections(
     yield from bound_sections(drawn)
     yield time_section(visits, stored, drives)
     yield visibility_section(visits, drawn)
+    yield isolation_section(stored)
     yield drive_section(summaries, replayer.threshold) if replayer is not None else plain_section(rows)
 
 

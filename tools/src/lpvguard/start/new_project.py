@@ -18,13 +18,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-import tomlkit
 
 from ..base import artefacts
 from ..base.errors import InputError
 from ..can.decode import decode_all, load_database, own_database
 from ..can.logs import Frames, Series, Table, read_log, stem
-from ..can.sign_bits import sign_bits
 from ..drives.frames import Estimator
 from ..drives.ingest import Inputs, write_tables
 from ..drives.resample import REORDER_S
@@ -37,15 +35,16 @@ from ..vehicle.physics import KindName, kind_of
 from ..vehicle.project import NAME, EvaluationSettings, Project, parse_project
 from .design_proposal import design_section, shown
 from .readings import ROLES, Known
+from .redundant import Redundant, redundant
+from .signal_map_text import COLUMNS, Signals, comment, sign_bits_of, signal_map_text
 from .signals import Proposal, Recording, proposed
 from .splits import day, splits_of
 from .steady_turn import Driven, steady_turn
-from .templates import TEMPLATES, Scale
+from .templates import TEMPLATES, VEHICLE_PARAMETERS, Scale
 
 if TYPE_CHECKING:  # cantools takes long to import
-    from cantools.database.can import Database
+    pass
 
-COLUMNS = {"speed": "v", "input": "delta", "output": "r"}
 SPIKE, USUAL = 2.0, 0.999
 """A sample above SPIKE times the largest of the share USUAL of the samples is no measurement."""
 LONGEST_STEP_S = 0.5
@@ -62,11 +61,12 @@ GRIDS = tuple((f, tolerance) for f in (0.1, 0.2, 0.3, 0.5) for tolerance in (0.1
 
 @dataclass(frozen=True)
 class NewProject:
-    """Result of `new`: project, proposals, drives with their split, left-out logs with reasons, and
-    sentences."""
+    """Result of `new`: project, proposals, further outputs, drives with their split, left-out logs with
+    reasons, and sentences."""
 
     project: Project
     proposals: dict[str, Proposal]
+    further: list[Redundant]
     splits: dict[str, str]
     left_out: dict[str, str]
     notes: list[str]
@@ -88,6 +88,7 @@ def new(
     schema: Path | None = None,
     time: str | None = None,
     rate_hz: float | None = None,
+    one_output: bool = False,
 ) -> NewProject:
     """Make a project from logs and write its folder.
 
@@ -107,6 +108,7 @@ def new(
     schema : Path, optional, log.capnp of openpilot's logs
     time : str, optional, time column of tables
     rate_hz : float, optional, Hz, rows a second of tables without times
+    one_output : bool, optional, the yaw rate is the only output; by default every measurement of it is one
 
     Returns
     -------
@@ -121,11 +123,12 @@ def new(
     recordings, left_out = recordings_of(logs, dbc, channel, schema, time, rate_hz)
     known = Known(kind or kind_of(wheelbase_m), wheelbase_m, ratio)
     proposals = proposed(recordings, chosen or {}, known, units)
+    further = [] if one_output else redundant(recordings, proposals)
     Ts = _sample_time(recordings, [p.name for p in proposals.values()])
     limits = {role: _limits(role, p, recordings) for role, p in proposals.items()}
     database = load_database(dbc) if dbc else own_database()
     read_by = {"channel": channel, "time": time, "rate_hz": rate_hz}
-    signals = _signal_map(proposals, limits, Ts, read_by, _sign_bits_of(database))
+    signals = signal_map_text((proposals, limits, further), Ts, read_by, sign_bits_of(database))
     with artefacts.new_folder(out, "new", name) as folder:
         (folder / "drives").mkdir()
         inputs = Inputs(
@@ -141,7 +144,7 @@ def new(
             reason = next(iter(left_out.values()))
             raise InputError("new", "LOG", f"no drive remains of the logs ({reason})", "logs of driving")
         project, text, notes = _project(
-            name, model, (proposals, limits), folder / "drives", list(names), Ts, known
+            name, model, (proposals, limits, further), folder / "drives", list(names), Ts, known
         )
         splits = splits_of(_speeds(project, folder / "drives", names), names, days)
         artefacts.write_files(
@@ -155,7 +158,7 @@ def new(
                 ),
             },
         )
-    return NewProject(project, proposals, splits, left_out, notes)
+    return NewProject(project, proposals, further, splits, left_out, notes)
 
 
 def _require_sound(name: str, model: str, wheelbase_m: float | None) -> None:
@@ -323,67 +326,6 @@ def _limits(role: str, proposal: Proposal, recordings: list[Recording]) -> tuple
     return (-0.5 * largest if role == "speed" else -largest, largest)
 
 
-def _signal_map(
-    proposals: dict[str, Proposal],
-    limits: dict[str, tuple[float, float]],
-    Ts: float,
-    read_by: dict[str, str | float | None],
-    sign_bit: dict[str, str],
-) -> str:
-    lines = [
-        "# Signal map for `lpvguard ingest`. Left turns are positive.",
-        "schema = 1",
-        f"Ts_s = {Ts:g}",
-        *(
-            f"{key} = {tomlkit.item(value).as_string()}"
-            for key, value in read_by.items()
-            if value is not None
-        ),
-    ]
-    for role in ROLES:
-        p = proposals[role]
-        lines += ["", *(_comment(sentence) for sentence in p.why), f"[columns.{COLUMNS[role]}]"]
-        lines += [f'unit = "{SI[role]}"']
-        terms = [_term(p, name, sign_bit) for name in (p.name, *p.plus)]
-        if p.plus:  # a sum has no limits
-            lines += ["terms = [", *(f"    {{ {', '.join(term)} }}," for term in terms), "]"]
-        else:
-            lines += [*terms[0], f"min = {limits[role][0]:g}      # samples beyond are spikes, and left out"]
-            lines += [f"max = {limits[role][1]:g}"]
-    return "\n".join(lines) + "\n"
-
-
-def _term(p: Proposal, name: str, sign_bit: dict[str, str]) -> list[str]:
-    """Keys of a signal of the log in a signal map."""
-    message, _, signal = name.rpartition(".")
-    return [
-        *([f"message = {_quoted(message)}"] if message else []),
-        f"signal = {_quoted(signal)}",
-        *([f"sign = {_quoted(sign_bit[name])}"] if name in sign_bit else []),
-        f"source_unit = {_quoted(p.unit)}",
-        f"factor = {p.factor!r}",
-    ]
-
-
-def _sign_bits_of(database: Database) -> dict[str, str]:
-    """MESSAGE.SIGNAL of every magnitude -> the signal beside it that tells its sign."""
-    return {
-        f"{message.name}.{name}": bit
-        for message in database.messages
-        for name, bit in sign_bits(message).items()
-    }
-
-
-def _quoted(text: str) -> str:
-    """A signal's name as a string of a TOML file."""
-    return tomlkit.item(text).as_string()
-
-
-def _comment(text: str) -> str:
-    """A comment of a TOML file: one line without control characters."""
-    return "# " + "".join(c if c.isprintable() else " " for c in text)
-
-
 # ------------------------------------------------------------------------------------------- the project file
 
 
@@ -414,7 +356,7 @@ def _read(drives: Path, names: list[str], Ts: float) -> list[Drive]:
 def _project(
     name: str,
     model: str,
-    signals: tuple[dict[str, Proposal], dict[str, tuple[float, float]]],
+    signals: Signals,
     folder: Path,
     names: list[str],
     Ts: float,
@@ -511,7 +453,7 @@ def _with_highest_frequency(text: str, Ts: float, name: str) -> tuple[Project, s
 def _text(
     name: str,
     model: str,
-    signals: tuple[dict[str, Proposal], dict[str, tuple[float, float]]],
+    signals: Signals,
     Ts: float,
     speeds: tuple[float, float],
     scale: Scale,
@@ -533,12 +475,12 @@ def _text(
     ]
     kinds = ("scheduling", "input", "output")
     described = ("speed", "road_wheel_angle", "yaw_rate")
-    proposals, limits = signals
+    proposals, limits, further = signals
     for role, kind, signal in zip(ROLES, kinds, described, strict=True):
         p, (least, largest) = proposals[role], limits[role]
         lines += [
             "",
-            _comment(f"{p.name} in {p.unit}, factor {p.factor:.6g}: {'; '.join(p.why)}."),
+            comment(f"{p.name} in {p.unit}, factor {p.factor:.6g}: {'; '.join(p.why)}."),
             "[[signals]]",
             f'name = "{signal}"',
             f'role = "{kind}"',
@@ -548,6 +490,20 @@ def _text(
             f"min = {least:g}      # beyond it a value is impossible: twice what the logs hold",
             f"max = {largest:g}",
         ]
+    for r in further:
+        least, largest = limits["output"]
+        lines += [
+            "",
+            comment(f"The same yaw rate, measured again: {r.why}."),
+            "[[signals]]",
+            f'name = "{r.signal}"',
+            'role = "output"',
+            f'column = "{r.column}"',
+            f'unit = "{SI["output"]}"',
+            'positive = "left turn"',
+            f"min = {3 * least:g}      # three times that of the yaw rate: it is noisier",
+            f"max = {3 * largest:g}",
+        ]
     lines += [
         "",
         "[model]",
@@ -555,7 +511,8 @@ def _text(
         f"speed_min_mps = {speeds[0]:g}",
         f"speed_max_mps = {speeds[1]:g}",
         "input_offset = [0.0]      # trim of the steering; fit finds it",
-        TEMPLATES[model](scale),
+        _with_rows(TEMPLATES[model](scale), len(further)),
+        *_isolation(model, further),
         "[fit]",
         f'kind = "{scale.kind}"      # fit refuses what no {scale.kind} can do',
         "input_delay_s = [0.0, 0.5]",
@@ -603,3 +560,26 @@ found_within_s = {quarter:.3g}      # of judged, excited driving
 ramp_s = {usual.ramp_s / usual.found_within_s * quarter:.3g}      # until a growing fault is whole
 bias_of_spread = {usual.bias_of_spread:g}      # of the output's standard deviation within a drive
 """
+
+
+def _with_rows(template: str, further: int) -> str:
+    """Template of a model whose output is measured ``further`` more times: equal rows of C."""
+    return re.sub(
+        r"^C = \[(\[.*\])\]$", lambda m: f"C = [{', '.join([m[1]] * (1 + further))}]", template, flags=re.M
+    )
+
+
+def _isolation(model: str, further: list[Redundant]) -> list[str]:
+    """Table that names the part that differs, where the yaw rate is measured more than once."""
+    if not further:
+        return []
+    powers = ", ".join(f"{r.signal} = {r.speed_power}" for r in further if r.speed_power)
+    changed = ", ".join(f'"{p}"' for p in VEHICLE_PARAMETERS[model])
+    return [
+        "# Several measurements of one yaw rate tell which part differs: identify prints the least size told",
+        "# from each other part, replay names the part after an alarm. `lpvguard new --one-output`: none.",
+        "[isolation]",
+        f"vehicle = [{changed}]      # parameters that tyres and load change",
+        *([f"speed_power = {{ {powers} }}      # of the measured speed in an output"] if powers else []),
+        "",
+    ]

@@ -117,3 +117,10 @@ T = [0.01, 1.0]
 
 
 TEMPLATES = {"yaw-first-order": yaw_first_order, "bicycle": bicycle, "table-1": table_1, "own": own}
+VEHICLE_PARAMETERS = {
+    "yaw-first-order": ("K", "T1"),
+    "bicycle": ("cf", "cr"),
+    "table-1": ("p1", "p2"),
+    "own": ("k", "T"),
+}
+"""By template: the parameters that tyres and load change."""

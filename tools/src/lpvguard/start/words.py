@@ -116,3 +116,26 @@ ROAD_WHEEL = re.compile(_any(r"road_?wheel front_?wheel tyre tire"))
 """Names of an angle at the steering wheel, and of one at the road wheels."""
 FRACTION = re.compile(_any(r"frac (^|_)fine(_|$) _hp$"))
 """In names of the digits beyond a coarse signal's resolution."""
+ACCELERATION = re.compile(
+    _any(
+        r"lat(eral)?_acc acc(el(eration)?)?_lat ^(vehicle_)?a_?y(_|$) acc(el(eration)?)?_y "
+        r"linear_acc\w*_y quer_?beschl"
+    )
+)
+"""In names of a lateral acceleration."""
+COURSE = re.compile(_any(r"(^|_)(course|cog|bearing|heading|kurs|azimuth|psi|yaw)(_angle|_deg|_rad)?$"))
+"""In names of a course or a heading."""
+SIDES = {
+    "rl": "rr",
+    "lr": "rr",
+    "hl": "hr",
+    "fl": "fr",
+    "lf": "rf",
+    "vl": "vr",
+    "l": "r",
+    "lh": "rh",
+    "left": "right",
+    "links": "rechts",
+    "gauche": "droite",
+}
+"""Words of a left wheel, by language and axle, and of the right one."""

@@ -3,18 +3,28 @@
 The scales come from an hour of healthy drives of the synthetic car (_redundant_car.py). Every fault
 begins in each of ``--drives`` other drives. The window after it is judged. The column "predicted" says yes
 where the table of isolability tells the part from every other one at the fault's size.
+
+``--vehicle`` and ``--data`` judge measured drives of a project with [isolation] instead. Faults of every
+sensor are planted in pieces of drives. The scales come from the other drives, or the other pieces of one.
 """
 
 from collections import Counter
+from collections.abc import Iterable
 from functools import partial
+from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from ...base.errors import InputError
 from ...base.parallel import workers
 from ...base.rates import rate, share_words
-from ...drives.tables import Drive
+from ...drives.tables import Drive, list_experiments, read_drive
 from ...identify.isolation import Changes, Isolation, residual_structure, told_apart
 from ...vehicle.nominal import NominalModel
+from ...vehicle.project import Project, load_project
 from . import parser, require_at_least, show
+from ._planted_parts import held_out, pieces_of, planted
 from ._redundant_car import DOUBLE, FAULTS, FURTHER, PartFault, redundant_drives, redundant_project
 
 HEALTHY_DRIVES, HEALTHY_S, FROM_S = 20, 180.0, 40.0
@@ -45,14 +55,47 @@ def predicted(isolation: Isolation, fault: PartFault) -> bool:
         "load": ("K factor", abs(fault.value - 1)),
         "offset": ("road_wheel_angle offset", fault.value),
     }[fault.kind]
+    return _is_isolable(isolation, what, size)
+
+
+def _is_isolable(isolation: Isolation, what: str, size: float) -> bool:
+    """Return whether a size is at least what tells its part from every other one in a window."""
     return max(isolation.isolable()[what].values()) <= size
 
 
-def _named(changes: Changes, isolation: Isolation, drive: Drive) -> tuple[tuple[str, ...], bool]:
-    """Parts that the window after FROM_S names, and whether it differs."""
-    stretches = list(changes.blocks(drive, FROM_S, FROM_S + isolation.window_s))
+Named = tuple[tuple[str, ...], bool]
+"""Parts that a window names, and whether it differs."""
+
+
+def _named(changes: Changes, isolation: Isolation, drive: Drive, from_s: float = FROM_S) -> Named:
+    """Parts that the window after ``from_s`` names, and whether it differs."""
+    stretches = list(changes.blocks(drive, from_s, from_s + isolation.window_s))
     finding = isolation.name(isolation.evidence(stretches))
     return finding.parts, finding.differs
+
+
+def _row(fault: str, part: str, isolable: bool | None, named: Iterable[Named]) -> dict[str, Any]:
+    """Row of the table; ``part``: parts at fault, joined by "and"."""
+    named = list(named)
+    counts = Counter(outcome(parts, differs, set(part.split(" and "))) for parts, differs in named)
+    return {
+        "fault": fault,
+        "part": part,
+        "predicted": isolable,
+        "outcomes": {kind: counts[kind] for kind in KINDS},
+        "names": dict(Counter(", ".join(parts) for parts, differs in named if differs)),
+    }
+
+
+def _share(kind: str, rows: list[dict[str, Any]]) -> dict[str, Any]:
+    outcomes = [r["outcomes"] for r in rows]
+    return rate(sum(o[kind] for o in outcomes), sum(sum(o.values()) for o in outcomes))
+
+
+def _structure(project: Project) -> dict[str, Any]:
+    structure = residual_structure(project)
+    separable = {a: [b for b in structure if a != b and told_apart(structure, a, b)] for a in structure}
+    return {"structure": structure, "told_apart": separable}
 
 
 def bench_isolation(drives: int, window_s: float, seed: int, jobs: int) -> dict[str, Any]:
@@ -62,40 +105,58 @@ def bench_isolation(drives: int, window_s: float, seed: int, jobs: int) -> dict[
     isolation = Isolation.from_drives(changes, redundant_drives(HEALTHY_DRIVES, HEALTHY_S, seed)[0], window_s)
     cases: list[tuple[PartFault, ...]] = [(), *((f,) for f in (*FAULTS, *FURTHER)), *DOUBLE]
     made = redundant_drives(drives, FROM_S + window_s + 1.0, seed + 1, cases, FROM_S)
-    rows: list[dict[str, Any]] = []
-    outcomes: list[Counter[str]] = []
+    rows = []
     with workers(jobs) as run:
         for faults, drives_with in zip(cases, made, strict=True):
-            named = list(run(partial(_named, changes, isolation), drives_with))
-            true = {f.part for f in faults}
-            counts = Counter(outcome(parts, differs, true) for parts, differs in named)
-            outcomes.append(counts)
             rows.append(
-                {
-                    "fault": " and ".join(f.label for f in faults) or "none",
-                    "part": " and ".join(f.part for f in faults),
-                    "predicted": predicted(isolation, faults[0]) if len(faults) == 1 else None,
-                    "outcomes": {kind: counts[kind] for kind in KINDS},
-                    "names": dict(Counter(", ".join(parts) for parts, differs in named if differs)),
-                }
+                _row(
+                    " and ".join(f.label for f in faults) or "none",
+                    " and ".join(f.part for f in faults),
+                    predicted(isolation, faults[0]) if len(faults) == 1 else None,
+                    run(partial(_named, changes, isolation), drives_with),
+                )
             )
-    structure = residual_structure(project)
-    twelve, doubles = outcomes[1 : 1 + len(FAULTS)], outcomes[-len(DOUBLE) :]
-
-    def share(kind: str, rows_counted: list[Counter[str]]) -> dict[str, Any]:
-        return rate(sum(counts[kind] for counts in rows_counted), drives * len(rows_counted))
-
+    twelve = rows[1 : 1 + len(FAULTS)]
     return {
         "drives": drives,
         "window_s": window_s,
         "rows": rows,
-        "right": share("right", twelve),
-        "wrong": share("wrong", twelve),
-        "wrong_of_two": share("wrong", doubles),
-        "structure": structure,
-        "told_apart": {
-            a: [b for b in structure if a != b and told_apart(structure, a, b)] for a in structure
-        },
+        "right": _share("right", twelve),
+        "wrong": _share("wrong", twelve),
+        "wrong_of_two": _share("wrong", rows[-len(DOUBLE) :]),
+        **_structure(project),
+    }
+
+
+def bench_measured(project: Project, drives: list[Drive], window_s: float, size: float) -> dict[str, Any]:
+    """The numbers of planted faults in measured drives, ``size`` times the usual ones.
+
+    InputError where the drives are too few.
+    """
+    changes = Changes(project, NominalModel(project))
+    pieces = pieces_of(changes, drives, window_s)
+    if len({name for name, _ in pieces}) < 3:
+        counted = f"{len(pieces)} pieces of {window_s:g} s in {len(drives)} drives"
+        raise InputError("bench isolation", "--data", counted, "three drives, or three pieces of one")
+    spread_u, spread_y = (np.concatenate([getattr(d, x) for d in drives]).std(axis=0) for x in ("u", "y"))
+    folds = list(held_out(changes, pieces, window_s))
+    rows = []
+    for fault in (None, *planted(project, spread_u, spread_y, size)):
+        named, isolable = [], True
+        for isolation, held in folds:
+            for drive in held:
+                faulty = drive if fault is None else fault.within(changes, drive)
+                named.append(_named(changes, isolation, faulty, 0.0))
+            isolable &= fault is None or _is_isolable(isolation, fault.column.what, abs(fault.size))
+        label, part = ("none", "") if fault is None else (fault.label, fault.column.part)
+        rows.append(_row(label, part, None if fault is None else isolable, named))
+    return {
+        "drives": len(pieces),
+        "window_s": window_s,
+        "rows": rows,
+        "right": _share("right", rows[1:]),
+        "wrong": _share("wrong", rows[1:]),
+        **_structure(project),
     }
 
 
@@ -110,14 +171,29 @@ def words(result: dict[str, Any]) -> str:
         said = {None: "", True: "yes", False: "no"}[r["predicted"]]
         lines.append(f"{r['fault']:<54}{counts}  {said}".rstrip())
     lines += [
-        f"twelve single faults: right {share_words(result['right'])}; wrong {share_words(result['wrong'])}",
-        f"two faults at once, named by another part: {share_words(result['wrong_of_two'])}",
+        f"single faults: right {share_words(result['right'])}; wrong {share_words(result['wrong'])}",
+        *(
+            f"two faults at once, named by another part: {share_words(result[key])}"
+            for key in ("wrong_of_two",)
+            if key in result
+        ),
         *(
             f"by structure {part} is told from {', '.join(others) or 'no other part'}"
             for part, others in result["told_apart"].items()
         ),
     ]
     return "\n".join(lines)
+
+
+def _measured(vehicle: str | None, data: Path | None) -> tuple[Project, list[Drive]]:
+    """Project and drives of the options; InputError where one lacks, or there is no [isolation]."""
+    if vehicle is None or data is None:
+        raise InputError("bench isolation", "--vehicle and --data", "one is missing", "both or none")
+    project = load_project(vehicle)
+    if project.isolation is None:
+        raise InputError(vehicle, "isolation", "missing", "a table [isolation], as `lpvguard new` writes it")
+    drives = [read_drive(e.path, project) for e in list_experiments(data)]
+    return project, drives
 
 
 def main(argv: list[str]) -> None:
@@ -127,7 +203,13 @@ def main(argv: list[str]) -> None:
     arguments.add_argument("--window", type=float, default=60.0, help="s of driving that a name rests on")
     arguments.add_argument("--seed", type=int, default=1)
     arguments.add_argument("--jobs", type=int, default=1, help="processes that share the drives")
+    arguments.add_argument("--vehicle", help="project file with [isolation], of measured drives")
+    arguments.add_argument("--data", type=Path, help="folder of its drives")
+    arguments.add_argument("--size", type=float, default=1.0, help="factor of the planted faults' sizes")
     options = arguments.parse_args(argv)
-    require_at_least("isolation", options, drives=1, window=10, jobs=1)
-    result = bench_isolation(options.drives, options.window, options.seed, options.jobs)
+    require_at_least("isolation", options, drives=1, window=10, jobs=1, size=0.01)
+    if options.vehicle or options.data:
+        result = bench_measured(*_measured(options.vehicle, options.data), options.window, options.size)
+    else:
+        result = bench_isolation(options.drives, options.window, options.seed, options.jobs)
     show(words(result), result, options.json_out)

@@ -5,6 +5,8 @@ messages. A slower client loses the oldest of them, and nothing waits for it.
 """
 
 import json
+from collections.abc import Sequence
+from typing import Any
 
 import foxglove
 import pyarrow as pa
@@ -57,9 +59,9 @@ class FoxgloveServer:
         """Whether a client subscribes to any topic."""
         return any(channel.has_sinks() for channel in self._channels.values())
 
-    def hear(self, series: pa.Table, alarms: list[Alarm]) -> None:
+    def hear(self, series: pa.Table, alarms: list[Alarm], parts: Sequence[dict[str, Any]] = ()) -> None:
         """Queue the messages of a piece for the clients."""
-        for message in messages(series, alarms):
+        for message in messages(series, alarms, parts):
             content = json.dumps(message.content).encode()
             self._channels[message.topic].log(content, log_time=message.t_ns)
 

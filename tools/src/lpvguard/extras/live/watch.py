@@ -8,6 +8,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
+from dataclasses import asdict
 from typing import Any, Protocol
 
 import numpy as np
@@ -16,9 +17,10 @@ import pyarrow as pa
 from ...base.errors import InputError
 from ...can.bus import REFERENCE, command_authentication
 from ...can.logs import Frames
-from ...core.compiled import REASONS, VERDICTS
+from ...core.compiled import REASONS, VERDICTS, Run
 from ...drives.tables import Drive
 from ...replay.alarm_text import alarm_sentence
+from ...replay.parts import RunningParts
 from ...replay.receive import Receiver
 from ...replay.replayer import Alarm, Replayer
 from ...vehicle.nominal import RunningModel
@@ -74,8 +76,11 @@ class Listener(Protocol):
         """Return whether anybody listens now."""
         ...
 
-    def hear(self, series: pa.Table, alarms: list[Alarm]) -> None:
-        """Take a piece of the time series (replay/series.py) and its alarms, on the clock of the page."""
+    def hear(self, series: pa.Table, alarms: list[Alarm], parts: Sequence[dict[str, Any]] = ()) -> None:
+        """Take a piece of the time series (replay/series.py), its alarms and parts, on the page's clock.
+
+        ``parts`` are those of the JSON of `replay`.
+        """
         ...
 
 
@@ -129,6 +134,7 @@ class Watch:
         self._authentication: str | None = None
         self._monitor = replayer.core.monitor()
         self._model: RunningModel | None = None
+        self._parts: RunningParts | None = None
         self._restarts = 0
         self._stop = threading.Event()
         self.failed = ""
@@ -164,7 +170,7 @@ class Watch:
         v, u, y = clean[:, 0], clean[:, 1 : 1 + n_u], clean[:, 1 + n_u : 1 + n_u + n_y]
         run = self._monitor.run(t, v, u, y, present)
         if self._restarts != self._sampler.jumps:
-            self._restarts, self._model = self._sampler.jumps, None
+            self._restarts, self._model, self._parts = self._sampler.jumps, None, None
         if self._model is None and present.any():
             self._model = RunningModel(self.replayer.model, y[np.argmax(present)])
         yhat = np.full_like(y, np.nan) if self._model is None else self._model.run(v, u)
@@ -179,21 +185,32 @@ class Watch:
             [frames.t_judged_s, frames.bin, frames.statistic, frames.margin, frames.evidence]
         )[counted]
         raised = self.replayer.alarms(run, 0.0)
+        piece = Drive("live", t, v, u, y, missing=~present.astype(bool))
+        parts = self._parts_of(piece, run, raised)
         alarms = [{"t_s": a.t_s, "says": alarm_sentence(a)} for a in raised]
         with self._lock:
             self._ring.put(np.column_stack([t, shown, verdicts]))
             self._judged.put(judged)
             self._newest[judged[:, 1].astype(int)] = judged
             self._alarms.extend(alarms)
+            self._alarms.extend({"t_s": p["until_s"], "says": f"part: {p['says']}"} for p in parts)
             self._n_alarms += len(alarms)
             for reason, n in zip(*np.unique(frames.reason, return_counts=True), strict=True):
                 self._reasons[REASONS[reason]] += int(n)
         listening = [one for one in self._listeners if one.listens()]
         if listening:
-            piece = Drive("live", t, v, u, y, missing=~present.astype(bool))
             series = self.replayer.series_of(piece, yhat, run, 0.0)
             for listener in listening:
-                listener.hear(series, raised)
+                listener.hear(series, raised, parts)
+
+    def _parts_of(self, piece: Drive, run: Run, raised: list[Alarm]) -> list[dict[str, Any]]:
+        """Parts that the windows ending in a piece name, as the JSON of `replay` has them."""
+        namer = self.replayer.namer
+        if namer is None:
+            return []
+        self._parts = self._parts or RunningParts(namer)
+        onsets = [(d.alarm_s, d.since_s) for d in self.replayer.diagnoses(run, 0.0)]
+        return [asdict(p) for p in self._parts.take(piece, [a.t_s for a in raised], onsets)]
 
     def silent_s(self) -> float | None:
         """Time since the newest frame [s]; None before the first."""
