@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from lpvguard.core.compiled import Core, library_root
+from lpvguard.drives.faults import Fault, inject
 from lpvguard.drives.tables import read_drive
 
 MUTANTS = {
@@ -73,14 +74,16 @@ ENERGY_MUTANTS = {
 
 @pytest.mark.parametrize("name", ENERGY_MUTANTS)
 @pytest.mark.slow("2 s: the faulty source compiled, 8 s where it is a header")
-def test_a_planted_fault_changes_the_energy_ratio(name, drive, core, vehicle, tmp_path):
+def test_a_planted_fault_changes_the_energy_ratio(name, drive, core, g80, vehicle, tmp_path):
+    """On a drive whose yaw rate is halved from 60 s on: there every band decides for a while."""
     original, mutant = ENERGY_MUTANTS[name].split("|")
     shutil.copytree(library_root(), tmp_path / "lib")
+    halved = inject(drive, Fault("gain", 0.5), 60.0, g80.Ts_s)
     source = tmp_path / "lib" / "src" / "monitor" / "energy.cpp"
     text = source.read_text()
     assert text.count(original) == 1
     source.write_text(text.replace(original, mutant))
     sound, mutated = (
-        c.monitor().run_drive(drive).energy for c in (core, Core(vehicle, source_root=tmp_path / "lib"))
+        c.monitor().run_drive(halved).energy for c in (core, Core(vehicle, source_root=tmp_path / "lib"))
     )
     assert sound.max() > 0 and not np.allclose(sound, mutated, rtol=1e-2)

@@ -10,7 +10,7 @@
 #define LPVG_NBINS 11
 #define LPVG_NCELLS 32
 #define LPVG_NVARYING 3
-#define LPVG_NWEIGHT 3
+#define LPVG_NWEIGHT 2
 #define LPVG_NDIRECTIONS 1
 #define LPVG_NBANDS 3
 #define LPVG_NDELTA 1

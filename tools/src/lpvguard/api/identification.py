@@ -75,7 +75,10 @@ class Identified:
 
     @property
     def weights(self) -> pandas.DataFrame:
-        """Table of the monitor's W_delta and B_w with final inflation, a row a bin [rad/s]. Needs pandas."""
+        """Table of the frame test's W_delta and B_w with final inflation, a row a bin [rad/s]. Needs pandas.
+
+        They are the healthy set, or without one the certificate's.
+        """
         return self._table(dict(zip(("W_delta", "B_w"), self.fitted.of_frames(self.omega), strict=True)))
 
     @property

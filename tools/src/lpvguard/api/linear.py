@@ -59,7 +59,7 @@ def nominal(vehicle: str | Path | Project, speed_mps: float) -> control.StateSpa
 
 
 def weights(identified: Identified) -> dict[str, list[control.TransferFunction]]:
-    """Return W_delta and W_w as transfer functions of s [rad/s], with the final inflation.
+    """Return the certificate's W_delta and W_w as transfer functions of s [rad/s], with the final inflation.
 
     Parameters
     ----------

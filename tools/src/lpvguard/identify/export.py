@@ -34,7 +34,7 @@ def export_vehicle(
         **({} if stored.pools is None else {"pools": stored.pools.stated()}),
         **({} if stored.diagnosis is None else {"diagnosis_scales": stored.diagnosis.to_dict()}),
         "final_inflation": stored.weights["inflation"],
-        "weights": {k: stored.weights[k] for k in ("W_w", "W_delta")},
+        "weights": {k: v for k, v in stored.weights.items() if k in ("W_w", "W_delta", "W_delta_healthy")},
         "project": stored.project.model_dump(by_alias=True),
     }
     table = None if stored.diagnosis is None else stored.diagnosis.table
