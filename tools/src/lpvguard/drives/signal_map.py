@@ -29,10 +29,10 @@ It is a TOML file::
 Further keys of a column: ``min``, ``max`` (in ``unit``; samples outside are left out), ``max_gap_s``, and
 ``over``. ``over`` is another column of the map by which this one is divided, as a lateral acceleration by the
 speed. Its amount counts as ``over_min`` where it is smaller (default 1). The terms then need a ``scale``.
-Further keys of a term: ``rate`` (its change a second, as the yaw rate of a course; its unit is then that of
-the signal over s), ``source_unit`` (instead of the database's), ``wrap``, ``channel``, ``source_address``
-(J1939), ``sign`` and ``not_available``. ``sign`` is a signal of the same message: where it is not 0, the
-signal is negative. ``wrap`` is a period in the signal's own unit: the signal is unwrapped before
+Further keys of a term: ``rate``, ``source_unit`` (instead of the database's), ``wrap``, ``channel``,
+``source_address`` (J1939), ``sign`` and ``not_available``. ``rate`` takes the signal's change a second, as of
+a course; its unit is then the signal's over s. ``sign`` is a signal of the same message: where it is not 0,
+the signal is negative. ``wrap`` is a period in the signal's own unit: the signal is unwrapped before
 interpolation. Without it wraps are only suspected, and counted in the report. ``not_available`` is "j1939" or
 "none", by default "j1939" when the message is a J1939 group.
 """

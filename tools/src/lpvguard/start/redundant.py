@@ -1,7 +1,7 @@
 """Find further measurements of the yaw rate in a log: names propose them, a fit to the yaw rate decides.
 
-They are another gyro, the difference of two wheels' speeds over the track, the lateral acceleration over the
-speed, and the change of a satellite receiver's course. Each becomes an output of the same nominal model, and
+They are another gyro, two wheels' speeds over the track, the lateral acceleration over the speed, and the
+change of a receiver's course. Each becomes an output of the same nominal model, and
 `[isolation]` tells from them which part differs (THEORY 7.21).
 """
 

@@ -172,8 +172,8 @@ class LowerBound:
     ----------
     value : float, a level that no controller goes below
     moved : float
-        Largest relative change of the optimum by relative changes of the data of ``DATA_RTOL`` and of the
-        balanced plant of ``ALLOWANCE``, in the best coordinates; 0 where single frequencies decide.
+        Largest relative change of the optimum by changes of ``DATA_RTOL`` of the data and of ``ALLOWANCE``
+        of the balanced plant. It is 0 where single frequencies decide.
     size : float, largest gain from w to z at zero and at the frequencies of the poles
     """
 

@@ -66,8 +66,8 @@ def planted(project: Project, spread_u: np.ndarray, spread_y: np.ndarray, factor
 
 
 def pieces_of(changes: Changes, drives: Sequence[Drive], window_s: float) -> list[tuple[str, Drive]]:
-    """Pieces of drives that each hold a window, with the name of what is held out together: a drive, or the
-    piece of a single one."""
+    """Pieces of drives that each hold a window, with a name. Pieces of one name are held out together: those
+    of a drive, or each piece of a single drive."""
     Ts = changes.project.Ts_s
     length = changes.estimator.settle + round(window_s / Ts) + changes.step
     pieces = []
