@@ -2,7 +2,6 @@
 
 import json
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -117,9 +116,8 @@ def test_isolable_sizes_fall_with_time_and_are_never_below_that_of_a_healthy_veh
     rows = list(isolation.isolable_rows(PROJECT))
     assert rows[0]["size of"] == "yaw_rate gain" and rows[0]["yaw_rate"] == ""
     assert rows[0]["vehicle"].endswith("*") and not rows[-1]["road_wheel_angle"].endswith("*")
-    page = isolation_section(SimpleNamespace(isolation=isolation, project=PROJECT))
+    page = isolation_section(isolation, PROJECT)
     assert page.count("<tr>") == 1 + len(rows) and "<td>yaw_rate bias [rad/s]</td>" in page
-    assert isolation_section(SimpleNamespace(isolation=None)) == ""
 
 
 def test_a_usual_fault_is_told_after_the_driving_with_which_it_is_isolable(isolation):

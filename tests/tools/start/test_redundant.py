@@ -38,7 +38,8 @@ def write_logs(folder, names=("wheel_speed_rl", "wheel_speed_rr", "lat_accel", "
 
 @pytest.mark.parametrize("course_step", [1, 10])
 def test_redundant_outputs_are_found_with_unit_sign_and_track(tmp_path, course_step):
-    made = new("mine", write_logs(tmp_path, course_step=course_step), tmp_path / "out", wheelbase_m=LENGTH_M)
+    logs = write_logs(tmp_path, course_step=course_step)
+    made = new("mine", logs, tmp_path / "out", wheelbase_m=LENGTH_M, parts=True)
     assert [r.signal for r in made.further] == FURTHER
     assert "a track of 1.59 m" in made.further[0].why and "lat_accel in g" in made.further[1].why
     project = load_project(tmp_path / "out" / "mine.toml")
@@ -53,9 +54,10 @@ def test_redundant_outputs_are_found_with_unit_sign_and_track(tmp_path, course_s
     assert NominalModel(project).n_y == 4
 
 
-def test_an_option_leaves_one_output(tmp_path):
-    made = new("mine", write_logs(tmp_path), tmp_path / "out", wheelbase_m=LENGTH_M, one_output=True)
-    assert made.further == [] and made.project.n_y == 1 and made.project.isolation is None
+def test_without_the_option_they_are_named_and_no_outputs(tmp_path):
+    made = new("mine", write_logs(tmp_path), tmp_path / "out", wheelbase_m=LENGTH_M)
+    assert [r.signal for r in made.further] == FURTHER
+    assert made.project.n_y == 1 and made.project.isolation is None
 
 
 def test_names_alone_make_no_output(tmp_path):

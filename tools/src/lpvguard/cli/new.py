@@ -16,8 +16,8 @@ Ratio = Annotated[
     float | None,
     typer.Option("--steering-ratio", help="Steering wheel over road wheel; 1: road wheel.", min=0.1, max=100),
 ]
-OneOutput = Annotated[
-    bool, typer.Option("--one-output", help="Leave out further measurements of the yaw rate.")
+Parts = Annotated[
+    bool, typer.Option("--parts", help="All measurements of the yaw rate become outputs: names parts.")
 ]
 
 
@@ -43,7 +43,7 @@ def new(
     speed_unit: Annotated[str | None, typer.Option(help="Its unit, as km/h.")] = None,
     input_unit: Annotated[str | None, typer.Option(help="Its unit, as deg.")] = None,
     output_unit: Annotated[str | None, typer.Option(help="Its unit, as deg/s.")] = None,
-    one_output: OneOutput = False,
+    parts: Parts = False,
 ) -> None:
     """Look at logs, propose signals, units, signs, rate and frames; write a project file and its drives."""
     from ..can.logs import logs_among
@@ -64,7 +64,7 @@ def new(
             time=time,
             rate_hz=rate,
             ratio=ratio,
-            one_output=one_output,
+            parts=parts,
             units={"speed": speed_unit, "input": input_unit, "output": output_unit},
         )
     for p in made.proposals.values():
@@ -72,7 +72,8 @@ def new(
             f"{p.role}: {p.name} in {p.unit}, factor {p.factor:.6g}: {'; '.join(p.why)}", markup=False
         )
     for r in made.further:
-        console.print(f"output {r.signal}: {r.why}", markup=False)
+        role = "output" if parts else "with --parts an output"
+        console.print(f"{role}: {r.signal}: {r.why}", markup=False)
     for text in made.notes:
         console.print(text)
     for log, reason in made.left_out.items():

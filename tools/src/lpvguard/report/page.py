@@ -139,7 +139,8 @@ def _identification_sections(
     yield from bound_sections(drawn)
     yield time_section(visits, stored, drives)
     yield visibility_section(visits, drawn)
-    yield isolation_section(stored)
+    if stored.isolation is not None:
+        yield isolation_section(stored.isolation, stored.project)
     yield drive_section(summaries, replayer.threshold) if replayer is not None else plain_section(rows)
 
 

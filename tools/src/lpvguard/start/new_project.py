@@ -61,8 +61,8 @@ GRIDS = tuple((f, tolerance) for f in (0.1, 0.2, 0.3, 0.5) for tolerance in (0.1
 
 @dataclass(frozen=True)
 class NewProject:
-    """Result of `new`: project, proposals, further outputs, drives with their split, left-out logs with
-    reasons, and sentences."""
+    """Result of `new`: project, proposals, further measurements of the output, drives with their split,
+    left-out logs with reasons, and sentences."""
 
     project: Project
     proposals: dict[str, Proposal]
@@ -88,7 +88,7 @@ def new(
     schema: Path | None = None,
     time: str | None = None,
     rate_hz: float | None = None,
-    one_output: bool = False,
+    parts: bool = False,
 ) -> NewProject:
     """Make a project from logs and write its folder.
 
@@ -108,7 +108,7 @@ def new(
     schema : Path, optional, log.capnp of openpilot's logs
     time : str, optional, time column of tables
     rate_hz : float, optional, Hz, rows a second of tables without times
-    one_output : bool, optional, the yaw rate is the only output; by default every measurement of it is one
+    parts : bool, optional, every measurement of the yaw rate is an output, default False
 
     Returns
     -------
@@ -123,7 +123,8 @@ def new(
     recordings, left_out = recordings_of(logs, dbc, channel, schema, time, rate_hz)
     known = Known(kind or kind_of(wheelbase_m), wheelbase_m, ratio)
     proposals = proposed(recordings, chosen or {}, known, units)
-    further = [] if one_output else redundant(recordings, proposals)
+    redundant_outputs = redundant(recordings, proposals)
+    further = redundant_outputs if parts else []
     Ts = _sample_time(recordings, [p.name for p in proposals.values()])
     limits = {role: _limits(role, p, recordings) for role, p in proposals.items()}
     database = load_database(dbc) if dbc else own_database()
@@ -158,7 +159,7 @@ def new(
                 ),
             },
         )
-    return NewProject(project, proposals, further, splits, left_out, notes)
+    return NewProject(project, proposals, redundant_outputs, splits, left_out, notes)
 
 
 def _require_sound(name: str, model: str, wheelbase_m: float | None) -> None:
@@ -577,7 +578,7 @@ def _isolation(model: str, further: list[Redundant]) -> list[str]:
     changed = ", ".join(f'"{p}"' for p in VEHICLE_PARAMETERS[model])
     return [
         "# Several measurements of one yaw rate tell which part differs: identify prints the least size told",
-        "# from each other part, replay names the part after an alarm. `lpvguard new --one-output`: none.",
+        "# from each other part, replay names the part after an alarm.",
         "[isolation]",
         f"vehicle = [{changed}]      # parameters that tyres and load change",
         *([f"speed_power = {{ {powers} }}      # of the measured speed in an output"] if powers else []),
