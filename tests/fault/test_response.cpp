@@ -1,11 +1,12 @@
 // How long the loop acts on a vehicle whose response to the demand is wrong: from a cold start, and after each kind of release during which
-// it goes wrong. Two tables in lib/REQUIREMENTS.md are made of it: `LPVGUARD_RESPONSES=lib/REQUIREMENTS.md test_response` writes the first,
-// LPVGUARD_WEAK the second, and without that the tests compare them.
+// it goes wrong. Three tables in lib/REQUIREMENTS.md are made of it: `LPVGUARD_RESPONSES=lib/REQUIREMENTS.md test_response` writes the
+// first, LPVGUARD_WEAK the second, LPVGUARD_CONSTANT the third, and without that the tests compare them.
 #include "../long_form.hpp"
 #include "../marked_table.hpp"
 #include "response_drive.hpp"
 
 #include <cstdio>
+#include <initializer_list>
 #include <sstream>
 #include <string>
 
@@ -42,9 +43,10 @@ const lpvguard_plant::PlantParameters& truck() {
 }
 
 // Seconds engaged in the minute after the release, in which an acknowledgement is asked for every 3 s.
-double engaged_s(const Case& which, double response, double speed_mps, std::uint64_t seed, double amplitude_radps = 0.06) {
+double engaged_s(const Case& which, double response, double speed_mps, std::uint64_t seed, double amplitude_radps = 0.06,
+                 bool constant = false) {
     ResponseDrive drive(truck(), speed_mps, seed);
-    drive.command = [amplitude_radps](double t) { return ResponseDrive::sines(amplitude_radps, t); };
+    drive.command = [=](double t) { return constant ? amplitude_radps : ResponseDrive::sines(amplitude_radps, t); };
     if (which.kind != Release::cold) {
         drive.run(before_steps);
         REQUIRE(drive.bench.engaged());
@@ -91,16 +93,24 @@ std::string table() {
     return text.str();
 }
 
-// Of commands so small that nothing is promised: seconds engaged in the minute behind a cold start, the longest of the three speeds.
-std::string weak_table() {
-    std::ostringstream text;
-    text << "| amplitude [mrad/s] | × -1 | × 0 | × 0.3 |\n| --- | --- | --- | --- |\n";
-    for (const double amplitude : {0.06, 0.02, 0.01, 0.006, 0.002}) {
+// Seconds engaged in the minute behind a cold start, the longest of the three speeds: for each command the sum of sines, or, where it
+// stays, the amplitude alone, to either side.
+template <std::size_t N>
+std::string cold_table(const std::array<double, N>& responses, std::initializer_list<double> amplitudes, bool constant) {
+    std::ostringstream text, rule;
+    text << (constant ? "| command [mrad/s]" : "| amplitude [mrad/s]");
+    for (const double response : responses) {
+        text << " | × " << response;
+        rule << " | ---";
+    }
+    text << " |\n| ---" << rule.str() << " |\n";
+    for (const double amplitude : amplitudes) {
         text << "| " << std::lround(1e3 * amplitude);
-        for (const double response : {-1.0, 0.0, 0.3}) {
+        for (const double response : responses) {
             double longest = 0.0;
             for (const double speed_mps : speeds_mps) {
-                longest = std::fmax(longest, engaged_s(cases[0], response, speed_mps, 1U, amplitude));
+                longest = std::fmax(longest, engaged_s(cases[0], response, speed_mps, 1U, amplitude, constant));
+                longest = constant ? std::fmax(longest, engaged_s(cases[0], response, speed_mps, 1U, -amplitude, true)) : longest;
             }
             char number[16];
             std::snprintf(number, sizeof number, " | %.1f", longest);
@@ -114,7 +124,14 @@ std::string weak_table() {
 }  // namespace
 
 TEST_CASE("what a small command shows of the response, and the table of it is the one of the requirements", "[fault][ecu][REQ-ECU-17]") {
-    MarkedTable("weak", "test_response").require(weak_table(), "LPVGUARD_WEAK");
+    constexpr std::array<double, 3> responses_shown = {-1.0, 0.0, 0.3};
+    MarkedTable("weak", "test_response").require(cold_table(responses_shown, {0.06, 0.02, 0.01, 0.006, 0.002}, false), "LPVGUARD_WEAK");
+}
+
+TEST_CASE("what a constant command shows of the response, and the table of it is the one of the requirements", "[fault][ecu][REQ-ECU-17]") {
+    constexpr std::array<double, 5> responses_shown = {-1.0, 0.0, 0.3, 2.0, 3.0};
+    MarkedTable("constant", "test_response")
+        .require(cold_table(responses_shown, {0.08, 0.06, 0.05, 0.03, 0.02, 0.01}, true), "LPVGUARD_CONSTANT");
 }
 
 TEST_CASE("a vehicle whose response is wrong is not engaged for long, whatever came before", "[fault][ecu][REQ-ECU-17][REQ-ECU-18]") {

@@ -17,10 +17,10 @@ from lpvguard.core.compiled import eigen_include, shipped_vehicle
 from lpvguard.extras.bench import core as bench
 from parts import require
 
-# What the core's objects may take from libraries: moving memory, and integer division where the processor has
-# none.
+# What the core's objects may take from libraries: moving memory, and division of 32 bits where the processor
+# has none.
 ALLOWED_IMPORTS = re.compile(
-    r"mem(cpy|set|move|cmp)|__aeabi_(mem\w+|(u?l|u?i)div(mod)?|(u?l)mul|llsl|llsr|lasr|[ful]2(u?lz|f|[lu]?2f)|u?l2f|f2u?lz)"
+    r"mem(cpy|set|move|cmp)|__aeabi_(mem\w+|u?idiv(mod)?|(u?l)mul|llsl|llsr|lasr|[ful]2(u?lz|f|[lu]?2f)|u?l2f|f2u?lz)"
 )
 DOUBLE_HELPER = re.compile(r"__aeabi_(d\w+|\w+2d|cd\w+)|__\w+df\w*")
 

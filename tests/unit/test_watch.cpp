@@ -30,7 +30,7 @@ public:
         lpvg_real_t phi[ny];
         lpvg_model_output(&model_, &coeff_, phi);
         for (std::size_t j = 0; j < ny; ++j) {
-            y_[j] = static_cast<lpvg_real_t>(1.0 + gain) * phi[j] + offset;
+            y_[j] = static_cast<lpvg_real_t>(1.0 + gain) * phi[j] + static_cast<lpvg_real_t>(offset(j));
         }
         const lpvg_real_t u[LPVG_NU] = {static_cast<lpvg_real_t>(demand)};
         lpvg_watch_take(&watch, &limits, &coeff_, &model_, settled, measured ? y_ : nullptr, u);
@@ -44,13 +44,18 @@ public:
             slow_[j] += lag * (static_cast<double>(phi[j]) - slow_[j]);
             const double quick = static_cast<double>(phi[j]) - slow_[j];
             for (std::size_t m = 0; m < LPVG_WATCH_MEMORIES; ++m) {
+                const bool lasting = m == 2U;
+                const double response = lasting ? slow_[j] : quick, error = gain * response + (lasting ? offset(j) : 0.0);
                 const double memory_s = static_cast<double>(m == 0U ? LPVG_WATCH_SHORT_S : LPVG_WATCH_LONG_S);
-                double& q = sums_[m][j];
-                q = q * memory_s / (memory_s + period_s) + quick * quick;
-                const double limit = static_cast<double>(limits.gain[j]) * q + static_cast<double>(limits.disturbance[j]) * std::sqrt(q);
-                violated = violated || (std::fabs(gain) * q > limit && static_cast<double>(LPVG_WATCH_ERROR_MAX) * q > limit);
+                const double rho = lasting ? 1.0 - static_cast<double>(coeff_.reals.energy_forget[0]) : memory_s / (memory_s + period_s);
+                const double disturbance = static_cast<double>(lasting ? limits.slow_disturbance[j] : limits.disturbance[j]);
+                double &p = products_[m][j], &q = sums_[m][j];
+                p = settled ? p * rho + error * response : p;
+                q = settled ? q * rho + response * response : q;
+                const double limit = static_cast<double>(limits.gain[j]) * q + disturbance * std::sqrt(q);
+                violated = violated || (std::fabs(p) > limit && static_cast<double>(LPVG_WATCH_ERROR_MAX) * q > limit);
                 evidence = evidence || q > limit;
-                close = close || std::fabs(std::fabs(gain) * q - limit) <= 1e-2 * limit || std::fabs(q - limit) <= 1e-2 * limit ||
+                close = close || std::fabs(std::fabs(p) - limit) <= 1e-2 * limit || std::fabs(q - limit) <= 1e-2 * limit ||
                         std::fabs(static_cast<double>(LPVG_WATCH_ERROR_MAX) * q - limit) <= 1e-2 * limit;
             }
         }
@@ -58,18 +63,27 @@ public:
     }
 
     // The sums anew, as behind lpvg_watch_void.
-    void forget() { std::fill(&sums_[0][0], &sums_[0][0] + LPVG_WATCH_MEMORIES * ny, 0.0); }
+    void forget() {
+        std::fill(&sums_[0][0], &sums_[0][0] + LPVG_WATCH_MEMORIES * ny, 0.0);
+        std::fill(&products_[0][0], &products_[0][0] + LPVG_WATCH_MEMORIES * ny, 0.0);
+    }
+    // Largest constant offset that the third pair of sums leaves to a disturbance.
+    double largest_offset(std::size_t j) const {
+        return static_cast<double>(limits.slow_disturbance[j]) * std::sqrt(static_cast<double>(coeff_.reals.energy_forget[0]));
+    }
+    double offset(std::size_t j) const { return share * largest_offset(j); }
+
+    double share = 0.5;  // of the offset in the largest one
 
     lpvg_watch_limits_t limits{};
     lpvg_watch_t watch{};
 
 private:
-    static constexpr lpvg_real_t offset = lpvg_real_t(0.05);
     const lpvg_coeff_t& coeff_;
     lpvg_model_t model_{};
     lpvg_real_t y_[ny] = {};
     bool rests_ = true;
-    double slow_[ny] = {}, sums_[LPVG_WATCH_MEMORIES][ny] = {};
+    double slow_[ny] = {}, sums_[LPVG_WATCH_MEMORIES][ny] = {}, products_[LPVG_WATCH_MEMORIES][ny] = {};
 };
 
 }  // namespace
@@ -98,6 +112,23 @@ TEST_CASE("a constant gain error violates exactly beyond the limit", "[unit][wat
     if (demand < 0.1) {
         CHECK(evidence == 0);
     }
+}
+
+TEST_CASE("a constant demand shows a gain error beyond the limit, and a constant offset within its own is none",
+          "[unit][watch][REQ-ECU-17]") {
+    const double share = GENERATE(-0.9, 0.9);
+    const double factor = GENERATE(-3.0, -0.9, 0.9, 3.0);
+    Vehicle vehicle;
+    vehicle.share = share;
+    const double gain = factor * static_cast<double>(*std::min_element(vehicle.limits.gain, vehicle.limits.gain + ny));
+    CAPTURE(share, factor);
+    int wrong = 0, violations = 0;
+    for (int k = 0; k < 6000; ++k) {
+        wrong += vehicle.step(1.0, gain) ? 0 : 1;
+        violations += k >= 3000 && vehicle.watch.violated ? 1 : 0;
+    }
+    CHECK(wrong == 0);
+    CHECK(violations == (std::fabs(factor) > 1.0 ? 3000 : 0));
 }
 
 TEST_CASE("while the model settles nothing is summed, and the filter begins at rest behind it", "[unit][watch][REQ-ECU-17]") {
@@ -174,6 +205,7 @@ TEST_CASE("the limits are those of their formulas", "[unit][watch][REQ-ECU-17]")
     CHECK(static_cast<double>(limits.share) == Approx(0.2 / 1.2).epsilon(1e-5));
     CHECK(static_cast<double>(limits.forget[0]) == Approx(0.2 / 1.2).epsilon(1e-5));
     CHECK(static_cast<double>(limits.forget[1]) == Approx(0.2 / 5.2).epsilon(1e-5));
+    CHECK(limits.forget[2] == coeff.reals.energy_forget[0]);
     for (std::size_t j = 0; j < ny; ++j) {
         CHECK(static_cast<double>(limits.gain[j]) == Approx(0.3).epsilon(1e-5));
         double power = 0.0;
@@ -182,6 +214,8 @@ TEST_CASE("the limits are those of their formulas", "[unit][watch][REQ-ECU-17]")
             power += static_cast<double>(coeff.reals.energy_forget[b]) / (scale * scale);
         }
         CHECK(static_cast<double>(limits.disturbance[j]) == Approx(std::sqrt(power * 8.5)).epsilon(1e-4));
+        const double sigma = 1.0 / static_cast<double>(coeff.reals.energy_scale[0][j]);
+        CHECK(static_cast<double>(limits.slow_disturbance[j]) == Approx(std::sqrt(power * 8.5 + sigma * sigma)).epsilon(1e-4));
     }
     coeff.reals.change_threshold = LPVG_WATCH_GAIN_MAX;
     lpvg_watch_limits(&limits, &coeff);

@@ -8,7 +8,7 @@
 /// Cost:    receive: one pass over the rules, then over the signals of one message (at most 8), with its CRC; advance:
 ///          one pass over the rules. Constant time, no heap, no locks, no I/O, no recursion.
 ///          Instructions on a Cortex-M4F at -O2, six rules: receive 265 for a foreign frame, 584 for VDC2 (three signals),
-///          732 for a protected frame; advance 167, and one 64-bit division for each period that goes missing.
+///          732 for a protected frame; advance 167, and one division for each period that goes missing.
 /// Threads: one supervisor belongs to one thread. An interrupt may fill a queue of frames; it must not call these functions.
 /// RAM:     sizeof(lpvg_can_supervisor_t). Fields are read-only for the caller.
 /// Units:   time in microseconds of one monotonic clock, from 0 to INT64_MAX.

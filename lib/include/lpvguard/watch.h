@@ -2,7 +2,8 @@
 ///
 /// phi is the response of the nominal model to the demand. It goes on through missing measurements. e is the measured output minus phi. F
 /// is a high-pass with corner LPVG_WATCH_CORNER_RPS, at rest on the first sample of both. The sums below begin with the engagement. They
-/// forget with LPVG_WATCH_SHORT_S, for sudden faults, and with LPVG_WATCH_LONG_S, for weak ones. For both memories and each output j
+/// forget with LPVG_WATCH_SHORT_S, for sudden faults, and with LPVG_WATCH_LONG_S, for weak ones. A third pair of sums is for demands that
+/// hardly move. It takes the part that F removes and forgets as the energy test does. For all three memories and each output j
 ///
 ///     P_j = sum of F e_j F phi_j      Q_j = sum of (F phi_j)^2      |P_j| <= gain_j Q_j + disturbance_j sqrt(Q_j)            (T46)
 ///
@@ -12,7 +13,8 @@
 ///
 /// gain_j is the smallest W_certificate,j of all bins: a larger constant error lies outside the certificate set. If it is above
 /// LPVG_WATCH_GAIN_MAX, gain_j is the largest gain that the change test accepts as healthy. If that is too large as well, output j is
-/// not watched. disturbance_j comes from the energy test's sigma_j between its outer corners, over LPVG_WATCH_COHERENCE_S.
+/// not watched. disturbance_j comes from the energy test's sigma_j between its outer corners, over LPVG_WATCH_COHERENCE_S. For the third
+/// pair the whole sigma_j below the first corner is added in power: a disturbance there may follow the response for ever.
 ///
 /// The sums are *evidence* when a vehicle without response, P_j = -Q_j, would violate the limit.
 ///
@@ -30,7 +32,7 @@ LPVG_EXTERN_C_BEGIN
 #define LPVG_WATCH_SHORT_S 1.0F  ///< shorter time constant of the forgetting        [s]
 #define LPVG_WATCH_LONG_S 5.0F  ///< longer time constant of the forgetting         [s]
 #define LPVG_WATCH_COHERENCE_S 1.5F  ///< longest time for which a disturbance may follow the response [s]
-#define LPVG_WATCH_MEMORIES 2  ///< number of memories: the shorter, then the longer
+#define LPVG_WATCH_MEMORIES 3  ///< number of memories: the shorter, the longer, that of the slow parts
 #define LPVG_WATCH_GAIN_MAX 0.6F  ///< largest watched |d|: a gain of 0.3 is beyond it  [-]
 #define LPVG_WATCH_ERROR_MAX 2.5F  ///< largest |d| that is looked for: that of a reversed and of a tripled response is 2 [-]
 
@@ -45,6 +47,7 @@ LPVG_EXTERN_C_BEGIN
 typedef struct lpvg_watch_limits_t {
     lpvg_real_t gain[LPVG_NY];  ///< largest accepted constant |d_j|; 1: output j is not watched [-]
     lpvg_real_t disturbance[LPVG_NY];  ///< largest part of F w_j along F phi_j                       [output unit]
+    lpvg_real_t slow_disturbance[LPVG_NY];  ///< largest part of the rest of w_j along that of phi_j  [output unit]
     lpvg_real_t share;  ///< share of the distance to its input that the high-pass's state moves per sample [-]
     lpvg_real_t forget[LPVG_WATCH_MEMORIES];  ///< share of the sums that one sample forgets       [-]
 } lpvg_watch_limits_t;
@@ -53,8 +56,8 @@ typedef struct lpvg_watch_t {
     lpvg_real_t x[LPVG_NX];  ///< state of the model whose output is phi       [mixed]
     lpvg_real_t past[LPVG_DELAY + 1][LPVG_NU];  ///< demands minus the offset, the newest first  [input unit]
     lpvg_real_t slow[2 * LPVG_NY];  ///< slow parts of e, then phi, that F removes              [output unit]
-    lpvg_real_t P[LPVG_WATCH_MEMORIES][LPVG_NY];  ///< sums of F e_j F phi_j                                 [output unit squared]
-    lpvg_real_t Q[LPVG_WATCH_MEMORIES][LPVG_NY];  ///< sums of (F phi_j)^2                                   [output unit squared]
+    lpvg_real_t P[LPVG_WATCH_MEMORIES][LPVG_NY];  ///< sums of F e_j F phi_j, at last of their slow parts  [output unit squared]
+    lpvg_real_t Q[LPVG_WATCH_MEMORIES][LPVG_NY];  ///< sums of (F phi_j)^2, at last of the slow part     [output unit squared]
     bool violated;  ///< the newest sums of an output violate the limit
     bool evidence;  ///< the newest sums of an output are evidence
 } lpvg_watch_t;
@@ -69,8 +72,8 @@ void lpvg_watch_start(lpvg_watch_t* self, const lpvg_model_t* model);
 void lpvg_watch_void(lpvg_watch_t* self);
 
 /// Takes the measured outputs y [LPVG_NY] of a sample and the demand u [LPVG_NU] that is applied after it. `model` is the monitor's model
-/// after that sample. y is NULL where there is no measurement: then only phi goes on. While `settled` is false, F is at rest. It is false
-/// in the first sample with a measurement. NULL is not checked otherwise.
+/// after that sample. y is NULL where there is no measurement: then only phi goes on. While `settled` is false, F is at rest and nothing is
+/// summed. It is false in the first sample with a measurement. NULL is not checked otherwise.
 void lpvg_watch_take(lpvg_watch_t* self, const lpvg_watch_limits_t* limits, const lpvg_coeff_t* coeff, const lpvg_model_t* model,
                      bool settled, const lpvg_real_t* y, const lpvg_real_t* u);
 

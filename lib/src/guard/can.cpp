@@ -253,17 +253,17 @@ lpvg_can_event_t take_good(lpvg_can_watch_t& watch, int64_t t_us, const uint16_t
 
 void advance(lpvg_can_watch_t& watch, const lpvg_can_rule_t& rule, int64_t now_us) {
     const int64_t period = rule.period_us;
-    const int64_t late = now_us - watch.t_accepted_us - period / 2;
-    if (late <= (static_cast<int64_t>(watch.missed) + 1) * period) {
+    const int64_t late = now_us - watch.t_accepted_us - period / 2 - static_cast<int64_t>(watch.missed) * period;
+    if (late <= period) {
         return;  // no further period missed: the common case, without a division
     }
-    const int64_t whole = (late - 1) / period;
-    const auto missed = whole > UINT32_MAX ? UINT32_MAX : static_cast<uint32_t>(whole);
-    add(watch.count[lpvg_can_event_missed], missed - watch.missed);
-    watch.missed = missed;
-    if (missed >= LPVG_CAN_OFF_MISSED) {
+    // More than 2^32 us at once are counted in the calls that follow.
+    const uint32_t whole = (late > UINT32_MAX ? UINT32_MAX : static_cast<uint32_t>(late - 1)) / rule.period_us;
+    add(watch.count[lpvg_can_event_missed], whole);
+    add(watch.missed, whole);
+    if (watch.missed >= LPVG_CAN_OFF_MISSED) {
         switch_off(watch);
-    } else if (missed >= LPVG_CAN_HOLD_MISSED && watch.state == lpvg_can_state_live) {
+    } else if (watch.missed >= LPVG_CAN_HOLD_MISSED && watch.state == lpvg_can_state_live) {
         watch.state = lpvg_can_state_hold;
     }
 }

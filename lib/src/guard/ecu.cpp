@@ -19,6 +19,7 @@ static_assert(sizeof(lpvg_ecu_kept_t) % sizeof(uint32_t) == 0U, "inverted word b
 constexpr std::size_t n_model = lpvguard::n_items<lpvg_coeff_t>, n_all = n_model + lpvguard::n_items<lpvg_control_coeff_t>;
 constexpr int64_t dm1_period_us = 1'000'000;
 constexpr uint32_t period_longest_us = LPVG_ECU_WINDOW_US / 4U;  // two steps make a half window
+static_assert(n_all < UINT32_MAX / period_longest_us, "their product is a number of 32 bits");
 constexpr uint8_t priority_max = 3U;
 constexpr uint8_t occurrence_max = 126U;  // 127 says "unknown"
 static_assert(LPVG_J1939_CODES_MAX >= 7U + LPVG_BUS_NEEDED_MAX, "every finding and every message has a code; a verdict is one");
@@ -147,8 +148,7 @@ void restore(lpvg_ecu_t& self, bool kept) {
 
 // The next few of all coefficients; false when a round ends with another CRC than they carry.
 bool coefficients_well(lpvg_ecu_t& self) {
-    constexpr uint64_t n = n_all;
-    const auto items = static_cast<std::size_t>(n * self.kept.period_us / LPVG_ECU_ROUND_US + 1U);
+    const std::size_t items = static_cast<uint32_t>(n_all) * self.kept.period_us / LPVG_ECU_ROUND_US + 1U;
     const std::size_t first = self.next_item < n_all ? self.next_item : 0U;
     const std::size_t end = first + items < n_all ? first + items : n_all;
     bool good = true;

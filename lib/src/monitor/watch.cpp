@@ -12,7 +12,6 @@ using Real = lpvg_real_t;
 constexpr std::size_t ny = LPVG_NY;
 constexpr std::size_t group = LPVG_NY / LPVG_NDELTA;  // outputs that one Delta is common to
 using lpvguard::ConstMap;
-using Outputs = Eigen::Array<Real, LPVG_NY, 1>;
 using Signals = Eigen::Array<Real, 2 * LPVG_NY, 1>;
 
 // The largest constant error of output j's gain that is inside of the certificate set, or of the healthy set where that one is too wide.
@@ -38,6 +37,7 @@ extern "C" void lpvg_watch_limits(lpvg_watch_limits_t* limits, const lpvg_coeff_
     limits->share = turn / (Real(1) + turn);
     limits->forget[0] = period / (static_cast<Real>(LPVG_WATCH_SHORT_S) + period);
     limits->forget[1] = period / (static_cast<Real>(LPVG_WATCH_LONG_S) + period);
+    limits->forget[2] = r.energy_forget[0];
     const Real coherence = static_cast<Real>(LPVG_WATCH_COHERENCE_S) / period + Real(1);
     for (std::size_t j = 0; j < ny; ++j) {
         // Power of the disturbance a sample: of each band sigma^2 over the samples of its memory.
@@ -46,6 +46,7 @@ extern "C" void lpvg_watch_limits(lpvg_watch_limits_t* limits, const lpvg_coeff_
             power += r.energy_forget[b] / (r.energy_scale[b][j] * r.energy_scale[b][j]);
         }
         limits->disturbance[j] = std::sqrt(power * coherence);
+        limits->slow_disturbance[j] = std::sqrt(power * coherence + Real(1) / (r.energy_scale[0][j] * r.energy_scale[0][j]));
         limits->gain[j] = largest_gain(r, j);
     }
 }
@@ -72,19 +73,26 @@ extern "C" void lpvg_watch_take(lpvg_watch_t* self, const lpvg_watch_limits_t* l
     if (y == nullptr) {
         return;
     }
-    signal.head<LPVG_NY>() = Eigen::Map<const Outputs>(y) - signal.tail<LPVG_NY>();
+    signal.head<LPVG_NY>() = Eigen::Map<const Eigen::Array<Real, LPVG_NY, 1>>(y) - signal.tail<LPVG_NY>();
     Eigen::Map<Signals> slow(self->slow);
     slow += (settled ? limits->share : Real(1)) * (signal - slow);
-    const Signals quick = signal - slow;
+    if (!settled) {
+        return;
+    }
+    signal -= slow;
     bool violated = false, evidence = false;
-    const auto error = quick.head<LPVG_NY>(), response = quick.tail<LPVG_NY>();
     for (std::size_t m = 0; m < LPVG_WATCH_MEMORIES; ++m) {
-        Eigen::Map<Outputs> P(self->P[m]), Q(self->Q[m]);
-        P += error * response - limits->forget[m] * P;
-        Q += response * response - limits->forget[m] * Q;
+        const bool lasting = m + 1U == LPVG_WATCH_MEMORIES;
+        const Real* error = lasting ? self->slow : signal.data();
+        const Real* response = error + ny;
+        const Real* disturbance = lasting ? limits->slow_disturbance : limits->disturbance;
         for (std::size_t j = 0; j < ny; ++j) {
-            const Real q = self->Q[m][j], limit = limits->gain[j] * q + limits->disturbance[j] * std::sqrt(q);
-            const bool beyond = !(std::fabs(self->P[m][j]) <= limit) && !(static_cast<Real>(LPVG_WATCH_ERROR_MAX) * q <= limit);
+            Real& p = self->P[m][j];
+            Real& q = self->Q[m][j];
+            p += error[j] * response[j] - limits->forget[m] * p;
+            q += response[j] * response[j] - limits->forget[m] * q;
+            const Real limit = limits->gain[j] * q + disturbance[j] * std::sqrt(q);
+            const bool beyond = !(std::fabs(p) <= limit) && !(static_cast<Real>(LPVG_WATCH_ERROR_MAX) * q <= limit);
             violated = violated || (beyond && limits->gain[j] < Real(1));
             evidence = evidence || q > limit;  // never of an output that is not watched
         }

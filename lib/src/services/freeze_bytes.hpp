@@ -38,14 +38,21 @@ inline uint32_t scaled(float value, float per_bit) {
     return raw < 64255.0F ? static_cast<uint32_t>(raw > 0.0F ? raw + 0.5F : 0.0F) : 0xFAFFU;
 }
 
+// Up to 0xFAFFFFFF, in two steps of 32 bits: small processors divide no more at once.
+inline uint32_t milliseconds(int64_t t_us) {
+    constexpr int64_t last_us = 0xFAFFFFFFLL * 1000;
+    const auto us = static_cast<uint64_t>(t_us < last_us ? t_us : last_us);
+    const auto high = static_cast<uint32_t>(us >> 16U), low = static_cast<uint32_t>(us & 0xFFFFU);
+    return ((high / 1000U) << 16U) + (((high % 1000U) << 16U) + low) / 1000U;
+}
+
 inline uint8_t* put_held(uint8_t* at, const lpvg_j1939_entry_t& entry) {
     const lpvg_j1939_freeze_t& freeze = entry.freeze;
-    const int64_t ms = freeze.t_us / 1000;
     at = put(at, scaled(freeze.speed, 1.0F / (256.0F * 3.6F)), 2U);
     at = put(at, freeze.bin, 1U);
     at = put(at, scaled(freeze.statistic, 1.0F / 1024.0F), 2U);
     at = put(at, freeze.causes, 2U);
-    at = put(at, ms < 0xFAFFFFFFLL ? static_cast<uint32_t>(ms) : 0xFAFFFFFFU, 4U);
+    at = put(at, milliseconds(freeze.t_us), 4U);
     return put(at, entry.run, 1U);
 }
 
