@@ -493,6 +493,7 @@ lpvg_coeff_t energy_only(double weight) {
     return sealed([weight](lpvg_coeff_t& c) {
         with_constant_weight(c, weight, 1e-3);
         c.reals.energy_threshold = Real(1.001);
+        c.reals.energy_certificate = Real(1);
         c.reals.threshold = c.reals.change_threshold = Real(1e9);
         for (auto& band : c.reals.energy_start) {
             std::fill(std::begin(band), std::end(band), Real(0));

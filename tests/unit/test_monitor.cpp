@@ -1167,7 +1167,7 @@ TEST_CASE("the newest falsification counts, whichever test it is of and whenever
     const int64_t start = GENERATE(int64_t{0}, int64_t{-1000000000000});
     Drive drive(sealed([](lpvg_coeff_t& c) {
                     c.words.confirm = c.words.of_last = 1U;
-                    c.reals.threshold = c.reals.energy_threshold = Real(1);
+                    c.reals.threshold = c.reals.energy_threshold = c.reals.energy_certificate = Real(1);
                     c.reals.change_threshold = Real(1e9);
                 }),
                 start);
