@@ -49,11 +49,11 @@ def transformed(G: StateSpace, T: np.ndarray) -> StateSpace:
     bits = 53 - min(int(np.frexp(X[X != 0])[1].min(initial=0)) for X in (G.A, G.B, G.C, T))
     A, B, C, left = (_whole(X, bits) for X in (G.A, G.B, G.C, T))
     known = np.hstack([A @ left, B << bits]) << SPARE
-    found = np.zeros(known.shape, dtype=object)
+    quotient = np.zeros(known.shape, dtype=object)
     for _ in range(REFINEMENTS):
-        rest = np.linalg.solve(T, _rounded(known - left @ found, 2 * bits + SPARE))
-        found = found + _whole(rest, bits + SPARE)
-    X, n = _rounded(found, bits + SPARE), G.order
+        rest = np.linalg.solve(T, _rounded(known - left @ quotient, 2 * bits + SPARE))
+        quotient = quotient + _whole(rest, bits + SPARE)
+    X, n = _rounded(quotient, bits + SPARE), G.order
     if not np.linalg.norm(rest) <= EPS * np.linalg.norm(X):
         raise np.linalg.LinAlgError("coordinates of the state that rounding decides")
     return replace(G, A=X[:, :n], B=X[:, n:], C=_rounded(C @ left, 2 * bits))
