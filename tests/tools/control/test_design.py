@@ -251,7 +251,7 @@ def test_the_command_searches_at_a_moving_speed_unless_told_not_to(finer, asked,
 
     moving = []
 
-    def design(stored, progress, moving_speed, workers):
+    def design(stored, progress, moving_speed, workers, present):
         moving.append(moving_speed)
         raise InputError("design", "x", "stopped here", "no more")
 

@@ -109,7 +109,7 @@ def design(
         raise typer.Exit(_design_tradeoff(stored, drive_set, out, json_out))
     searched = {"table": table, "largest_A_t": largest_A_t, "moving_speed": moving_speed}
     before = None if present is None else PresentController.from_path(present, stored)
-    raise typer.Exit(_design_vehicle(stored, drive_set, out, json_out, jobs, before, **searched))
+    raise typer.Exit(_design_vehicle(stored, drive_set, out, json_out, jobs, present=before, **searched))
 
 
 def _refuse(option: str, is_set: bool, expected: str, more: str = "") -> None:
@@ -133,11 +133,11 @@ def _design_vehicle(
     out: Path,
     json_out: str | None,
     jobs: int,
-    present: PresentController | None,
     *,
     table: bool,
     largest_A_t: bool,
     moving_speed: bool,
+    present: PresentController | None = None,
 ) -> int:
     """Design and certify a vehicle's controller, with Table II and the figures where ``table``, for frozen
     speeds alone without ``moving_speed``. Returns the exit status: 1 when mu is not certified below 1."""

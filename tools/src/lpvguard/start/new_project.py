@@ -123,13 +123,13 @@ def new(
     recordings, left_out = recordings_of(logs, dbc, channel, schema, time, rate_hz)
     known = Known(kind or kind_of(wheelbase_m), wheelbase_m, ratio)
     proposals = proposed(recordings, chosen or {}, known, units)
-    redundant_outputs = redundant(recordings, proposals)
-    further = redundant_outputs if parts else []
+    measurements = redundant(recordings, proposals)
     Ts = _sample_time(recordings, [p.name for p in proposals.values()])
     limits = {role: _limits(role, p, recordings) for role, p in proposals.items()}
     database = load_database(dbc) if dbc else own_database()
     read_by = {"channel": channel, "time": time, "rate_hz": rate_hz}
-    signals = signal_map_text((proposals, limits, further), Ts, read_by, sign_bits_of(database))
+    taken = proposals, limits, measurements if parts else []
+    signals = signal_map_text(taken, Ts, read_by, sign_bits_of(database))
     with artefacts.new_folder(out, "new", name) as folder:
         (folder / "drives").mkdir()
         inputs = Inputs(
@@ -144,9 +144,7 @@ def new(
         if not names:
             reason = next(iter(left_out.values()))
             raise InputError("new", "LOG", f"no drive remains of the logs ({reason})", "logs of driving")
-        project, text, notes = _project(
-            name, model, (proposals, limits, further), folder / "drives", list(names), Ts, known
-        )
+        project, text, notes = _project(name, model, taken, folder / "drives", list(names), Ts, known)
         splits = splits_of(_speeds(project, folder / "drives", names), names, days)
         artefacts.write_files(
             folder,
@@ -159,7 +157,7 @@ def new(
                 ),
             },
         )
-    return NewProject(project, proposals, redundant_outputs, splits, left_out, notes)
+    return NewProject(project, proposals, measurements, splits, left_out, notes)
 
 
 def _require_sound(name: str, model: str, wheelbase_m: float | None) -> None:

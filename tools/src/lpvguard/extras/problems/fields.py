@@ -95,6 +95,15 @@ def _shape_text(shape: tuple[int | None, ...]) -> str:
 
 
 def pairs(a: ArrayLike) -> list:
-    """A complex array of any shape as nested lists of [re, im]."""
+    """Write a complex array as nested lists of [re, im].
+
+    Parameters
+    ----------
+    a : array_like (..., n)
+
+    Returns
+    -------
+    list
+    """
     a = np.asarray(a, dtype=complex)
     return np.stack([a.real, a.imag], axis=-1).tolist()
