@@ -49,14 +49,20 @@ def contents(path) -> dict[str, list]:
     return by_topic
 
 
-def test_a_recording_in_pieces_is_that_of_replay(replayer, faulty, tmp_path):
-    frames, path = faulty
-    with (tmp_path / "live.mcap").open("wb") as stream:
+def watched(replayer, frames, path) -> Watch:
+    """The watch after these frames in pieces, recorded as MCAP of ROS 2."""
+    with path.open("wb") as stream:
         recorder = Ros2Recorder(stream, "g80")
         watch = Watch(replayer, Given(), 3600, listeners=[recorder])
         for piece in cut(frames, 5000):
             watch.take(piece)
         recorder.close()
+    return watch
+
+
+def test_a_recording_in_pieces_is_that_of_replay(replayer, faulty, tmp_path):
+    frames, path = faulty
+    watched(replayer, frames, tmp_path / "live.mcap")
     said = replayer.replay_frames(frames, path)
     series = replayer.series(replayer.received(frames, path), said)
     write_ros2(tmp_path / "replay.mcap", "g80", series, said.to_dict()["alarms"])
@@ -76,12 +82,7 @@ def test_the_part_is_named_on_the_page_and_in_the_recording(replayer, synthetic,
     healthy = [read_drive(e.path, project) for e in list_experiments(synthetic)]
     namer = PartNamer(project, Isolation.from_drives(changes, healthy, 30.0))
     naming = Replayer(replayer.project, replayer.core, namer=namer)
-    with (tmp_path / "live.mcap").open("wb") as stream:
-        recorder = Ros2Recorder(stream, "g80")
-        watch = Watch(naming, Given(), 3600, listeners=[recorder])
-        for piece in cut(frames, 5000):
-            watch.take(piece)
-        recorder.close()
+    watch = watched(naming, frames, tmp_path / "live.mcap")
     whole = naming.replay_frames(frames, path).parts
     wanted = [p.says for p in whole if p.until_s < watch.view(10.0, None, 10)["now"]["t"] - 1.0]
     says = [a["says"] for a in watch.view(3600.0, None, 10)["alarms"] if a["says"].startswith("part: ")]

@@ -247,14 +247,23 @@ def _kept(
 ) -> Design | None:
     """The present controller with certificates of this problem; None where the input limits are others."""
     schedule, order = present.schedule, present.document["certificates"]["full_order"]
-    limits = input_limit(problem.model, problem.settings, schedule.speeds, problem.weights.controlled)
-    if limits.shape != schedule.u_max.shape or not np.allclose(schedule.u_max, limits, rtol=1e-9, atol=0):
+    if not _limited_by(schedule, _input_limits(problem, schedule)):
         return None
     result = _certified(problem, schedule, present.scaling, order, progress, workers)
     if not result.worst < 1:
         scaling = tuning(schedule, problem.plant, present.scaling, workers)(1.0)
         result = _certified(problem, schedule, scaling, order, progress, workers)
     return result
+
+
+def _input_limits(problem: DesignProblem, schedule: Scheduled) -> np.ndarray:
+    """Input limits (G, n_u) of the problem at the speeds of a schedule."""
+    return input_limit(problem.model, problem.settings, schedule.speeds, problem.weights.controlled)
+
+
+def _limited_by(schedule: Scheduled, limits: np.ndarray) -> bool:
+    """Whether a schedule has these input limits."""
+    return schedule.u_max.shape == limits.shape and np.allclose(schedule.u_max, limits, rtol=1e-9, atol=0)
 
 
 def _certified(
@@ -559,8 +568,8 @@ def _require_settings(
             raise InputError(
                 path, f"certificates.{key}", repr(stated[key]), f"{getattr(settings, key)!r}, the project's"
             )
-    limits = input_limit(problem.model, settings, schedule.speeds, problem.weights.controlled)
-    if schedule.u_max.shape != limits.shape or not np.allclose(schedule.u_max, limits, rtol=1e-9, atol=0):
+    limits = _input_limits(problem, schedule)
+    if not _limited_by(schedule, limits):
         raise InputError(
             path, "u_max", f"{schedule.u_max.tolist()}", f"{limits.tolist()}, of the project's limits"
         )

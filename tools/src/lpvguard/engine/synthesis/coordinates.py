@@ -10,7 +10,7 @@ from lpvguard.engine.synthesis.statespace import EPS, StateSpace, balancing, sca
 SPARE = 128
 """Binary digits that T⁻¹ A T is given below the last one of the data."""
 REFINEMENTS = 5
-"""Of T⁻¹: each gains the digits that the condition of T leaves, about six for one of 1e10."""
+"""Corrections of T⁻¹. Each gains the digits that the condition of T leaves, about six for one of 1e10."""
 
 
 def schur_coordinates(G: StateSpace) -> tuple[StateSpace, np.ndarray]:
