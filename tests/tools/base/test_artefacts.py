@@ -1,5 +1,6 @@
 """Files are written whole or not at all, and nothing that is not ours is replaced."""
 
+import json
 import os
 import subprocess
 import sys
@@ -40,7 +41,16 @@ def test_a_place_that_cannot_be_written_is_an_input_error(tmp_path):
 
 def test_json_is_strict_and_plain():
     text = artefacts.to_json({"a": np.array([1.0, np.nan]), "b": np.int64(3), "c": 1 + 2j})
-    assert '"a": [\n  1.0,\n  null\n ]' in text and '"b": 3' in text and "NaN" not in text
+    assert '"a": [1.0, null]' in text and '"b": 3' in text and "NaN" not in text
+
+
+def test_short_values_share_lines_of_json():
+    value = {"names": [f"drive {k:02}" for k in range(30)], "rows": [[0.1] * 20, {"x": [1, 2]}]}
+    text = artefacts.to_json(value)
+    lines = text.splitlines()
+    assert json.loads(text) == value
+    assert max(map(len, lines)) <= 100
+    assert lines[-4:-1] == ["  ],", '  {"x": [1, 2]}', " ]"]
 
 
 WINDOWS = """

@@ -35,14 +35,12 @@ MARK_KEY = "written_by"
 """Key of a JSON output, or of each member of a list, with `mark` as its value."""
 _SCRATCH, _NEW, _OLD, _LOCK = "lpvguard-scratch", "new", "old", "lpvguard-lock"
 """Names in a work folder: its marker, the new content, the replaced content, and the lock file."""
-_NUMBERS = re.compile(r"\[\n\s*-?\d[^\s,]*(,\n\s*-?\d[^\s,]*)*\n\s*\]")
-"""A list of numbers as `json` indents it; a text has no line break."""
 _held: dict[Path, Path] = {}
 """Work folders that this process holds, by target."""
 
 
 def to_json(value: Any) -> str:
-    """Return deterministic JSON text: arrays become lists, NaN becomes null. A list of numbers is one line.
+    """Return deterministic JSON text: arrays become lists, NaN becomes null, short values share a line.
 
     Parameters
     ----------
@@ -52,8 +50,26 @@ def to_json(value: Any) -> str:
     -------
     str
     """
-    text = json.dumps(_plain(value), indent=1, allow_nan=False) + "\n"
-    return _NUMBERS.sub(lambda row: " ".join(row[0].split()).replace("[ ", "[").replace(" ]", "]"), text)
+    return _laid_out(_plain(value), "") + "\n"
+
+
+def _laid_out(item: Any, indent: str, width: int = 100) -> str:
+    """JSON of an item in one line where it fits; else scalars share lines and each container has its own."""
+    text = json.dumps(item, allow_nan=False)
+    if not isinstance(item, (dict, list)) or len(indent) + len(text) <= width:
+        return text
+    inner = indent + " "
+    keys = [f"{json.dumps(key)}: " for key in item] if isinstance(item, dict) else [""] * len(item)
+    members = list(item.values()) if isinstance(item, dict) else item
+    parts = [key + _laid_out(member, inner, width) for key, member in zip(keys, members, strict=True)]
+    scalars = not any(isinstance(member, (dict, list)) for member in members)
+    lines = parts[:1]
+    for part in parts[1:]:
+        if scalars and len(inner) + len(lines[-1]) + len(part) + 3 <= width:
+            lines[-1] += f", {part}"
+        else:
+            lines.append(part)
+    return text[0] + "\n" + ",\n".join(inner + line for line in lines) + "\n" + indent + text[-1]
 
 
 def _plain(item: Any) -> Any:
@@ -62,10 +78,8 @@ def _plain(item: Any) -> Any:
         return {str(k): _plain(v) for k, v in item.items()}
     if isinstance(item, (list, tuple)):
         return [_plain(v) for v in item]
-    if isinstance(item, np.ndarray):
+    if isinstance(item, (np.ndarray, np.generic)):
         return _plain(item.tolist())
-    if isinstance(item, np.generic):
-        return _plain(item.item())
     if isinstance(item, complex):
         return [_plain(item.real), _plain(item.imag)]
     if isinstance(item, float) and not np.isfinite(item):
