@@ -9,6 +9,17 @@ from lpvguard.engine.synthesis.statespace import EPS, StateSpace, balancing, sca
 
 SPARE = 128
 """Binary digits that T⁻¹ A T is given below the last one of the data."""
+BITS = 53
+"""Binary digits of a double."""
+SMALLER, LEAST = 0.1, 0.2
+"""Share of ‖A‖ that a Schur form must come down to, and that its eigenvalues may make up: norms above
+``LEAST`` leave too little to gain for exact products."""
+CONDITION = 1e10
+"""Largest condition of eigenvectors that count as a basis."""
+TINY = 1e-300
+"""Stands for zero in a denominator."""
+UNCERTAIN = 1e-3
+"""Share of a pole's distance to the stability border that rounding may move it."""
 REFINEMENTS = 5
 """Corrections of T⁻¹. Each gains the digits that the condition of T leaves, about six for one of 1e10."""
 
@@ -16,17 +27,18 @@ REFINEMENTS = 5
 def schur_coordinates(G: StateSpace) -> tuple[StateSpace, np.ndarray]:
     """G in the coordinates of a balanced Schur form, and their basis T (n, n): x = T x̃.
 
-    G itself is returned unless these coordinates make ‖A‖ at least ten times smaller. Scaling alone cannot
+    G itself is returned unless these coordinates make ‖A‖ less than ``SMALLER`` of it. Scaling alone cannot
     undo a dense, badly conditioned change of coordinates: ‖A‖ then is far above its eigenvalues.
     """
     # No similar matrix has a smaller norm than the eigenvalues.
-    if np.linalg.norm(np.linalg.eigvals(G.A)) >= 0.2 * np.linalg.norm(G.A):
+    if np.linalg.norm(np.linalg.eigvals(G.A)) >= LEAST * np.linalg.norm(G.A):
         return G, np.eye(G.order)
     schur = sl.schur(G.A)[1]
     other = transformed(G, schur)
     t = balancing(other)
     other = scaled_states(other, t)
-    return (other, schur * t) if np.linalg.norm(other.A) < 0.1 * np.linalg.norm(G.A) else (G, np.eye(G.order))
+    smaller = np.linalg.norm(other.A) < SMALLER * np.linalg.norm(G.A)
+    return (other, schur * t) if smaller else (G, np.eye(G.order))
 
 
 def modal_coordinates(G: StateSpace) -> tuple[StateSpace, np.ndarray]:
@@ -36,7 +48,7 @@ def modal_coordinates(G: StateSpace) -> tuple[StateSpace, np.ndarray]:
     """
     values, vectors = np.linalg.eig(G.A)
     T = sl.cdf2rdf(values, vectors)[1] if np.iscomplexobj(values) else vectors
-    if G.order < 2 or not np.linalg.cond(T) < 1e10:
+    if G.order < 2 or not np.linalg.cond(T) < CONDITION:
         return G, np.eye(G.order)
     other = transformed(G, T)
     t = balancing(other)
@@ -49,7 +61,7 @@ def transformed(G: StateSpace, T: np.ndarray) -> StateSpace:
     Data in bad coordinates have many digits that cancel here. Products are therefore exact, of whole numbers,
     and T⁻¹ is refined by exact remainders.
     """
-    bits = 53 - min(int(np.frexp(X[X != 0])[1].min(initial=0)) for X in (G.A, G.B, G.C, T))
+    bits = BITS - min(int(np.frexp(X[X != 0])[1].min(initial=0)) for X in (G.A, G.B, G.C, T))
     A, B, C, left = (_whole(X, bits) for X in (G.A, G.B, G.C, T))
     known = np.hstack([A @ left, B << bits]) << SPARE
     quotient = np.zeros(known.shape, dtype=object)
@@ -65,8 +77,8 @@ def transformed(G: StateSpace, T: np.ndarray) -> StateSpace:
 def _whole(X: np.ndarray, bits: int) -> np.ndarray:
     """X 2**bits in whole numbers, what is below 1 cut off."""
     part, exponent = np.frexp(X)
-    shift = exponent.astype(object) + (bits - 53)
-    whole = (part * 2.0**53).astype(np.int64).astype(object)
+    shift = exponent.astype(object) + (bits - BITS)
+    whole = (part * 2.0**BITS).astype(np.int64).astype(object)
     return (whole << np.maximum(shift, 0)) >> np.maximum(-shift, 0)
 
 
@@ -86,11 +98,9 @@ def frail_pole(plant: StateSpace) -> str:
         return ""
     poles, left, right = sl.eig(plant.A, left=True, right=True)
     overlap = np.abs(np.sum(left.conj() * right, axis=0))
-    moved = (
-        EPS * np.sum(np.abs(left) * (np.abs(plant.A) @ np.abs(right)), axis=0) / np.maximum(overlap, 1e-300)
-    )
+    moved = EPS * np.sum(np.abs(left) * (np.abs(plant.A) @ np.abs(right)), axis=0) / np.maximum(overlap, TINY)
     room = np.abs(1 - np.abs(poles)) if plant.dt else np.abs(poles.real)
-    k = int(np.argmax(moved / np.maximum(room, 1e-300)))
-    if moved[k] <= 1e-3 * room[k]:
+    k = int(np.argmax(moved / np.maximum(room, TINY)))
+    if moved[k] <= UNCERTAIN * room[k]:
         return ""
     return f"the last digits of A move its pole at {poles[k]:.4g} by up to {moved[k]:.1g}"
