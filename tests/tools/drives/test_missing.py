@@ -87,7 +87,7 @@ def test_samples_that_stand_alone_are_left_out_and_named(tmp_path):
     t = np.arange(0.0, 60.0, 0.02)
     r = 0.2 * np.sin(0.5 * t) + 1e-3 * np.random.default_rng(4).standard_normal(len(t))
     spoiled = r.copy()
-    at = np.random.default_rng(5).permutation(np.arange(1, 1400))[:60] * 2
+    at = np.random.default_rng(5).permutation(np.arange(1, 700))[:60] * 4
     spoiled[at] = -327.68
     np.savetxt(tmp_path / "log.csv", np.c_[t, spoiled], delimiter=",", header="t,r", comments="")
     (tmp_path / "map.toml").write_text('schema = 1\nTs_s = 0.02\n[columns.r]\nunit = "rad/s"\nsignal = "r"\n')

@@ -107,7 +107,7 @@ def decided(
         raise InputError(
             "new",
             _differing(near),
-            ("one reading fits: " if len(near) == 1 else f"{len(near)} readings fit: ")
+            f"{len(near) if near[1:] else 'no other'} readings fit: "
             + "; or ".join(r.words() for r in near[:3]),
             " or ".join(dict.fromkeys(_settles(r, near) for r in near)),
         )
