@@ -247,6 +247,15 @@ RAW = {
     "0.001;0;27E;0;2;2;0;0;0;0;0;0AFF\n0.021;0;18FEF100;1;3;3;0;0;0;0;0;010203\n",
     "python-can": "timestamp,arbitration_id,extended,remote,error,dlc,data\n"
     "0.001,0x27e,0,0,0,2,Cv8=\n0.021,0x18fef100,1,0,0,3,AQID\n",
+    "Vehicle Spy": "Intrepid Control Systems\nVersion,101\n\n"
+    "Abs Time(Sec),Er,Network,Arb ID,Remote,Xtd,B1,B2,B3,B4\n"
+    "0.001,F,HS CAN,27E,F,F,0A,FF,,\n0.021,F,HS CAN,18FEF100,F,T,01,02,03,\n",
+    "Kvaser, decimal bytes": "Time,Channel,ID,Flags,DLC,Data0,Data1,Data2,Counter\n"
+    "0.001,0,638,2,2,10,255,,1\n0.021,0,419361024,4,3,1,2,3,2\n",
+    "lists of numbers": 'time,can_id,data\n0.001,638,"[10, 255]"\n0.021,419361024,"[1, 2, 3]"\n',
+    "bytes of Python": "time,id,data\n0.001,27E,b'\\n\\xff'\n0.021,18FEF100,bytearray(b'\\x01\\x02\\x03')\n",
+    "ZLG": "Index,Time Stamp,Channel,ID,Format,Len,Data\n"
+    "0,0.001,ch1,0x0000027E,Standard,2,x| 0A FF\n1,0.021,ch1,0x18FEF100,Extend,3,x| 01 02 03\n",
     "strym": "Time,Bus,MessageID,Message,MessageLength\n0.001,0,638,0aff,2\n0.021,0,419361024,010203,3\n",
 }
 

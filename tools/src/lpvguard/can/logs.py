@@ -259,12 +259,14 @@ def _read_candump(path: Path) -> Frames:
             "no frame in the file",
             "(seconds) interface identifier#data, as candump -l writes, or the screen of candump -t a",
         )
-    back = int((np.diff(frames.t_ns) < 0).sum())
-    if back > _BACKWARDS * len(frames):
+    steps = np.diff(frames.t_ns)
+    back = int((steps < 0).sum())
+    if back > _BACKWARDS * len(frames) or (len(steps) > _MANY and not steps.any()):
+        what = f"{back} of {len(frames)} go back" if back else f"all {len(frames)} are the same"
         raise InputError(
             path,
             "times",
-            f"{back} of {len(frames)} go back: each counts from the frame before, as candump -t d writes",
+            f"{what}: each counts from the frame before, as candump -t d writes",
             "absolute times, as candump -t a, -t z or -l writes",
         )
     return frames
@@ -287,12 +289,15 @@ def candump_frames(text: np.ndarray) -> Frames:
     return parse_candump(text, library) if library else parse_candump_slowly(text)
 
 
+_MANY = 20
+"""So many frames never have one time."""
 _BACKWARDS = 0.2
 """At most this share of the times of a log is before the one above."""
 _HEAD = 1 << 16
 """Number of bytes at the start of a log that show its form."""
 _SCREEN = re.compile(
-    rb"^ *(\([0-9]{1,10}\.[0-9]{1,9}\)) +(\S{1,15}) +(?:[RT]X [-B] [-E] +)?"
+    rb"^ *(\((?:[0-9]{1,10}|[0-9]{4}-[0-9]{2}-[0-9]{2} [0-9:]{8})\.[0-9]{1,9}\)) +"
+    rb"(\S{1,15}) +(?:[RT]X [-B] [-E] +)?"
     rb"([0-9A-Fa-f]{3}|[0-9A-Fa-f]{8}) +\[([0-9]{1,2})\] *"
     rb"(?:(remote request)|((?:(?:[01]{8}|[0-9A-Fa-f]{2})[ `]?)*))[^\r\n]*",
     re.MULTILINE,
@@ -306,6 +311,9 @@ def _as_logged(match: re.Match[bytes]) -> bytes:
     A line whose number of bytes contradicts its length stays unchanged and is no frame.
     """
     stamp, interface, identifier, length, remote, digits = match.groups()
+    if b"-" in stamp:  # a date, of candump -t A
+        day, _, part = stamp[1:-1].partition(b".")
+        stamp = b"(%d.%b)" % (np.datetime64(day.decode().replace(" ", "T"), "s").astype(np.int64), part)
     if remote:
         return b"%b %b %b#R%b" % (stamp, interface, identifier, length)
     data = _screen_bytes(digits, int(length))

@@ -74,9 +74,9 @@ class Known:
 def decided(
     turn: SteadyTurn | None, drives: Sequence[Driven], choices: Mapping[str, Sequence[str]], known: Known
 ) -> tuple[UnitReading, list[str]]:
-    """The one reading that fits, and its evidence in sentences.
+    """The one reading that fits, and its evidence in sentences. InputError where none fits, or more than one.
 
-    ``choices``: role -> units that are possible. InputError where none fits, or more than one.
+    ``choices``: role -> units that are possible.
     """
     if turn is None or not np.isfinite(turn.length).all():
         raise InputError(
@@ -102,13 +102,12 @@ def decided(
             "the columns of one vehicle on one clock, or " + ", ".join(_unit_options(choices)),
         )
     shares = _shares(turn, largest, drives, choices, known, within)
-    near = [reading for reading in (*candidates, *shares) if reading.beyond == 0.0]
+    near = [r for r in (*candidates, *shares) if r.beyond == 0.0]
     if len(near) > 1 or any(r.share for r in near):
         raise InputError(
             "new",
             _differing(near),
-            f"{len(near) if near[1:] else 'no other'} readings fit: "
-            + "; or ".join(r.words() for r in near[:3]),
+            f"{len(near) if near[1:] else 'no more'} readings fit: {'; or '.join(map(UnitReading.words, near[:3]))}",
             " or ".join(dict.fromkeys(_settles(r, near) for r in near)),
         )
     best = candidates[0]
