@@ -1,13 +1,17 @@
 """Text tables as loggers write them, times in any usual form, and raw frames as tables."""
 
+import bz2
+import gzip
+import lzma
 import re
+import zipfile
 
 import numpy as np
 import pytest
 from scipy.io import savemat
 
 from lpvguard.base.errors import InputError, InputWarning
-from lpvguard.can.logs import Frames, Table, read_log
+from lpvguard.can.logs import Frames, Table, logs_among, read_log, stem
 
 MILLISECONDS = lambda t: f"{1000 * t:.0f}"  # noqa: E731
 ROWS = [(0.02 * k, 10 + 0.5 * k, -1.5 + k) for k in range(40)]
@@ -74,6 +78,19 @@ FORMS = {
     "an American date": text("time,v,d", ",", lambda t: f"04/22/2026 03:45:{t:06.3f} PM"),
     "a date in digits": text("time,v,d", ",", lambda t: f"20260422T0345{t:06.3f}"),
     "date and time apart": text("Datum;Uhrzeit;v;d", ";", lambda t: f"22.04.2026;03:45:{t:06.3f}"),
+    "a clock's digits": text("UTC,v,d", ",", lambda t: f"{125859.7 + t + 40 * (t > 0.29):.3f}"),
+    "a clock's digits past midnight": text(
+        "time,v,d", ",", lambda t: f"{round(235959700 + 1000 * t) if t < 0.29 else round(1000 * t) - 300}"
+    ),
+    "French": text("Temps (s);v;d", ";", comma=True),
+    "asammdf": text("timestamps,v,d", ","),
+    "a line of words as wide as the table above": text(
+        "t,v,d",
+        ",",
+        before='"Format","MoTeC CSV File"\n"Venue",,"Track"\n"Rate","50","Hz"\n"Duration","9"\n\n',
+    ),
+    "each line in quotes": "t,v,d,note\n"
+    + "".join(f'"{line},""a""" \n'.replace(" ", "") for line in text("t,v,d", ",").splitlines()[1:]),
     "days of a spreadsheet": text("time,v,d", ",", lambda t: f"{45769 + t / 86400:.12f}"),
     "days of MATLAB": text("time,v,d", ",", lambda t: f"{739000 + t / 86400:.12f}"),
 }
@@ -127,9 +144,72 @@ def test_vectors_of_a_matlab_file_are_read_as_a_table(tmp_path):
 
 def test_other_encodings_and_suffixes_are_read(tmp_path):
     (tmp_path / "wide.txt").write_bytes(FORMS["tabs"].encode("utf-16"))
+    (tmp_path / "bare.csv").write_bytes(FORMS["semicolons and commas"].encode("utf-16-le"))
+    assert list(read_log(tmp_path / "bare.csv").series) == ["v", "d"]
     (tmp_path / "old.tsv").write_bytes(FORMS["tabs"].replace("\td", "\tWinkel [°]").encode("cp1252"))
     assert list(read_log(tmp_path / "wide.txt").series) == ["v", "d"]
     assert list(read_log(tmp_path / "old.tsv").series) == ["v", "Winkel [°]"]
+
+
+PACK = {".gz": gzip.compress, ".bz2": bz2.compress, ".xz": lzma.compress}
+
+
+@pytest.mark.parametrize("suffix", PACK)
+def test_packed_tables_are_read(tmp_path, suffix):
+    log = tmp_path / f"drive.csv{suffix}"
+    log.write_bytes(PACK[suffix](FORMS["tabs"].encode()))
+    assert logs_among([tmp_path]) == [log] and stem(log) == "drive"
+    assert list(read_log(log).series) == ["v", "d"]
+    log.write_bytes(PACK[suffix](FORMS["tabs"].encode())[:-20])
+    with pytest.raises(InputError, match="cannot be read"):
+        read_log(log)
+
+
+def test_a_log_alone_in_an_archive_is_read(tmp_path):
+    log = tmp_path / "drive.zip"
+    with zipfile.ZipFile(log, "w") as archive:
+        archive.writestr("logs/one.csv", FORMS["tabs"])
+    assert list(read_log(log).series) == ["v", "d"] and logs_among([tmp_path]) == [log]
+    with zipfile.ZipFile(log, "a") as archive:
+        archive.writestr("logs/two.csv", FORMS["tabs"])
+    with pytest.raises(InputError, match=r"holds 2 files \(logs/one.csv, logs/two.csv\); expected one log"):
+        read_log(log)
+
+
+VBO = """File created on 12/05/2024 at 12:59:30
+
+[header]
+satellites
+time
+velocity kmh
+Steer
+
+[channel units]
+deg
+
+[comments]
+Log Rate (Hz) : 50.00
+
+[column names]
+sats time velocity Steer
+
+[data]
+"""
+
+
+def test_a_vbox_file_is_read(tmp_path):
+    log = tmp_path / "drive.vbo"
+    rows = (f"012 {125859.7 + t + 40 * (t > 0.29):.2f} {v:07.3f} {d:+.6E}" for t, v, d in ROWS)
+    log.write_text(VBO + "\n".join(rows) + "\n")
+    with pytest.warns(InputWarning, match="digits of a clock, HHMMSS"):
+        read = read_log(log)
+    v = read.series["velocity"]
+    np.testing.assert_allclose((v.t_ns - v.t_ns[0]) / 1e9, [t for t, _, _ in ROWS], atol=1e-7)
+    np.testing.assert_allclose(v.value, [x for _, x, _ in ROWS])
+    assert v.unit == "kmh" and read.series["Steer"].unit == "deg"
+    log.write_text(VBO.replace("[column names]", "[names]") + "1 2 3 4\n")
+    with pytest.raises(InputError, match=r"\[column names\]: no such section"):
+        read_log(log)
 
 
 def test_times_read_by_shape_are_named_and_doubtful_ones_asked(tmp_path):
@@ -167,6 +247,15 @@ RAW = {
     "0.001;0;27E;0;2;2;0;0;0;0;0;0AFF\n0.021;0;18FEF100;1;3;3;0;0;0;0;0;010203\n",
     "python-can": "timestamp,arbitration_id,extended,remote,error,dlc,data\n"
     "0.001,0x27e,0,0,0,2,Cv8=\n0.021,0x18fef100,1,0,0,3,AQID\n",
+    "Vehicle Spy": "Intrepid Control Systems\nVersion,101\n\n"
+    "Abs Time(Sec),Er,Network,Arb ID,Remote,Xtd,B1,B2,B3,B4\n"
+    "0.001,F,HS CAN,27E,F,F,0A,FF,,\n0.021,F,HS CAN,18FEF100,F,T,01,02,03,\n",
+    "Kvaser, decimal bytes": "Time,Channel,ID,Flags,DLC,Data0,Data1,Data2,Counter\n"
+    "0.001,0,638,2,2,10,255,,1\n0.021,0,419361024,4,3,1,2,3,2\n",
+    "lists of numbers": 'time,can_id,data\n0.001,638,"[10, 255]"\n0.021,419361024,"[1, 2, 3]"\n',
+    "bytes of Python": "time,id,data\n0.001,27E,b'\\n\\xff'\n0.021,18FEF100,bytearray(b'\\x01\\x02\\x03')\n",
+    "ZLG": "Index,Time Stamp,Channel,ID,Format,Len,Data\n"
+    "0,0.001,ch1,0x0000027E,Standard,2,x| 0A FF\n1,0.021,ch1,0x18FEF100,Extend,3,x| 01 02 03\n",
     "strym": "Time,Bus,MessageID,Message,MessageLength\n0.001,0,638,0aff,2\n0.021,0,419361024,010203,3\n",
 }
 

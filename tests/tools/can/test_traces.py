@@ -140,3 +140,18 @@ def test_times_between_frames_are_named(tmp_path):
         InputError, match=r"times: 39 of 60 go back: .* as candump -t d writes; expected absolute"
     ):
         read_log(path)
+    path.write_text("".join(f" (000.010000)  can0  123   [2]  0A {k:02X}\n" for k in range(60)))
+    with pytest.raises(InputError, match="times: all 60 are the same: each counts from the frame before"):
+        read_log(path)
+
+
+def test_dates_of_candump_are_read(tmp_path):
+    """candump -t A."""
+    path = tmp_path / "drive.log"
+    path.write_text(
+        " (2024-05-01 23:59:59.500000)  can0  123   [2]  0A F1\n"
+        " (2024-05-02 00:00:00.250000)  can0  18F0093E   [1]  FF\n"
+    )
+    log = read_log(path)
+    assert isinstance(log, Frames) and log.length.tolist() == [2, 1]
+    assert log.t_ns.tolist() == [1714607999 * 10**9 + 5 * 10**8, 1714608000 * 10**9 + 25 * 10**7]

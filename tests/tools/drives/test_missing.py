@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 from drive_table import table
-from lpvguard.base.errors import InputError
+from lpvguard.base.errors import InputError, InputWarning
 from lpvguard.drives.frames import Estimator
+from lpvguard.drives.ingest import ingest
+from lpvguard.drives.resample import standing_alone
 from lpvguard.drives.tables import list_experiments, read_drive
 from lpvguard.identify.bounds import counted_frames, nominal_error
 
@@ -79,3 +81,22 @@ def test_more_than_a_tenth_of_impossible_values_is_refused_by_place(g80, drives,
     path = table(tmp_path, t=d.t, v=d.v, delta=d.u[:, 0], r=r)
     with pytest.raises(InputError, match=rf"line 1002, column r: 40.*\({len(r) // 8} such values"):
         read_drive(path, g80)
+
+
+def test_samples_that_stand_alone_are_left_out_and_named(tmp_path):
+    t = np.arange(0.0, 60.0, 0.02)
+    r = 0.2 * np.sin(0.5 * t) + 1e-3 * np.random.default_rng(4).standard_normal(len(t))
+    spoiled = r.copy()
+    at = np.random.default_rng(5).permutation(np.arange(1, 700))[:60] * 4
+    spoiled[at] = -327.68
+    np.savetxt(tmp_path / "log.csv", np.c_[t, spoiled], delimiter=",", header="t,r", comments="")
+    (tmp_path / "map.toml").write_text('schema = 1\nTs_s = 0.02\n[columns.r]\nunit = "rad/s"\nsignal = "r"\n')
+    with pytest.warns(InputWarning, match="column r: 60 of 3000 samples stand alone and are left out"):
+        report = ingest(
+            [tmp_path / "log.csv"], dbc=None, signals_map=tmp_path / "map.toml", out=tmp_path / "out"
+        )
+    (term,) = report["log"]["stretches"][0]["columns"]["r"]["terms"]
+    assert term["left_out"] == {"stand alone": 60}
+    read = np.loadtxt(tmp_path / "out" / "log.csv", delimiter=",", skiprows=1)[:, 1]
+    assert np.abs(read - r).max() < 0.02
+    assert not standing_alone(np.round(r, 2)).any() and not standing_alone(np.zeros(50)).any()

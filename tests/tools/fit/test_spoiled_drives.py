@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from known_car import KnownCar, guessed
-from lpvguard.base.errors import InputError
+from lpvguard.base.errors import InputError, InputWarning
 from lpvguard.drives.tables import Drive
 from lpvguard.fit.damaged_drives import require_unspoiled
 from lpvguard.fit.suspicions import judged_beside, screened
@@ -184,3 +184,12 @@ def test_a_drive_beside_the_models_speeds_is_said_to_be_there(project):
         rf"slow: nothing is judged: at {slow.v.min():.3g} to {slow.v.max():.3g} m/s.*expected 3.5 to 19 m/s"
     )
     assert re.search(text, str(faults["slow"])) and not certain
+
+
+def test_samples_that_stand_alone_are_named(project, drives):
+    y = drives[1].y.copy()
+    y[[700, 1400]] = 0.6
+    with pytest.warns(
+        InputWarning, match=r"column r: 2 samples stand alone, the first 0.6 rad/s at 14.000 s"
+    ):
+        require_unspoiled(project, [drives[0], replace(drives[1], y=y)])

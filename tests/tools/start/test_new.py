@@ -48,7 +48,8 @@ UNITS = {
 def test_units_and_signs_follow_from_the_wheelbase(tmp_path, name):
     scale, units, factor = UNITS[name]
     logs = write_logs(tmp_path, scale=scale)
-    made = new("mine", logs, tmp_path / "out", wheelbase_m=2.8)
+    said = {"input": "rad"} if name == "km/h" else None  # it may be a share of full lock, beside miles
+    made = new("mine", logs, tmp_path / "out", wheelbase_m=2.8, units=said)
     assert tuple(p.unit for p in made.proposals.values()) == units
     assert abs(made.proposals["input"].factor / factor - 1) < 0.25
     project = load_project(tmp_path / "out" / "mine.toml")
@@ -79,7 +80,7 @@ def test_the_unit_in_a_name_is_read_as_words(tmp_path, case):
 
 def test_miles_an_hour_without_a_word_follow_from_the_wheelbase(tmp_path):
     logs = write_logs(tmp_path, scale=(1 / 0.44704, 1.0, 1.0))
-    made = new("mine", logs, tmp_path / "out", wheelbase_m=2.8)
+    made = new("mine", logs, tmp_path / "out", wheelbase_m=2.8, units={"input": "rad"})
     assert [p.unit for p in made.proposals.values()] == ["mph", "rad", "rad/s"]
 
 
@@ -107,6 +108,17 @@ def test_where_two_readings_fit_the_option_that_settles_it_is_named(tmp_path, na
     assert abs(made.proposals["input"].factor / factor - 1) < 0.15
     with pytest.raises(InputError, match=f"--{role}-unit: furlong"):
         new("mine", logs, tmp_path / "other", wheelbase_m=2.8, units={role: "furlong"})
+
+
+def test_a_share_of_full_lock_is_taken_for_no_angle_and_miles_an_hour(tmp_path):
+    logs = write_logs(tmp_path, scale=(1.0, 1 / 0.45, 1.0))
+    with pytest.raises(InputError, match=r"2 readings fit: .* as a share of .* --input-unit '0\.4\d rad'"):
+        new("mine", logs, tmp_path / "out", wheelbase_m=2.8)
+    logs = write_logs(tmp_path, ("time", "speed_mps", "steering", "yaw_rate"), (1.0, 1 / 0.45, 1.0))
+    with pytest.raises(InputError, match="no more readings fit: .* as a share of full lock"):
+        new("mine", logs, tmp_path / "out", wheelbase_m=2.8)
+    made = new("mine", logs, tmp_path / "out", wheelbase_m=2.8, units={"input": "0.45 rad"})
+    assert [p.unit for p in made.proposals.values()] == ["m/s", "0.45 rad", "rad/s"]
 
 
 def test_units_of_log_and_name_that_differ_are_named():

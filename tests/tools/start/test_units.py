@@ -80,7 +80,7 @@ def counted(car: str, speeds: str) -> Counter[str]:
 @pytest.mark.slow("3 s: 24 logs")
 def test_logs_of_known_units_are_read_right_or_asked():
     counts = counted("saloon", "country")
-    assert set(counts) == {"right", "asked"} and counts.total() == 24 and counts["right"] >= 12, counts
+    assert set(counts) == {"right", "asked"} and counts.total() == 24 and counts["right"] >= 8, counts
 
 
 @pytest.mark.long("40 s: 288 logs")

@@ -6,7 +6,6 @@ Each message's numbers become series TOPIC.field, fields of fields and short arr
 which the log got the message; those of PX4 and ArduPilot are the vehicle's own.
 """
 
-import bz2
 from collections.abc import Callable, Iterable, Iterator
 from functools import cache
 from pathlib import Path
@@ -16,11 +15,11 @@ import numpy as np
 
 from ..base.errors import InputError
 from .log_types import Series, Table
+from .packed import unpacked
 
 OPENPILOT = ("rlog", "qlog", "rlog.bz2", "qlog.bz2", "rlog.zst", "qlog.zst")
 LONGEST_ARRAY, DEEPEST = 4, 4
 """Arrays with more entries, and fields further down, are no signals of a vehicle."""
-_ZSTANDARD = b"\x28\xb5\x2f\xfd"
 Message = tuple[str, int, Any]
 """Topic, time [ns], and fields as a dictionary, an object or a list."""
 
@@ -167,11 +166,7 @@ def _openpilot(path: Path, schema: Path | None) -> Table:
     if not schema.is_file():
         raise InputError(schema, "--schema", "no such file", "a schema of Cap'n Proto, log.capnp")
     event = _event_of(schema)
-    data = path.read_bytes()
-    if data[:3] == b"BZh":
-        data = bz2.decompress(data)
-    elif data[:4] == _ZSTANDARD:
-        data = _unpacked(data)
+    data = unpacked(path)
 
     def messages() -> Iterator[Message]:
         for one in event.read_multiple_bytes(data):
@@ -190,11 +185,3 @@ def _event_of(schema: Path) -> Any:
 
     capnp.remove_import_hook()
     return capnp.SchemaParser().load(str(schema)).Event
-
-
-def _unpacked(data: bytes) -> bytes:
-    """Bytes of a Zstandard stream, whose frames need not state their size."""
-    import pyarrow as pa
-
-    with pa.CompressedInputStream(pa.BufferReader(data), "zstd") as stream:
-        return stream.read()

@@ -2,8 +2,8 @@
 
 raw      candump (-l, -L, and the screen with -t), ASC, BLF, TRC, MF4 with bus logging, CSV and Parquet with
          the columns of python-can (timestamp, arbitration_id, extended, dlc, data);
-         each also with .gz where it is text
-decoded  CSV, Parquet and MATLAB files with one column a signal, folders with one of them a topic
+         each also packed (packed.py) where it is text
+decoded  CSV, VBOX, Parquet and MATLAB files with one column a signal, folders with one of them a topic
          (topics.py), MF4 with one channel a signal; rosbag, MCAP, ULog, DataFlash and
          openpilot's logs (foreign_logs.py)
 
@@ -13,10 +13,8 @@ and asammdf.
 """
 
 import ctypes
-import gzip
 import re
 import warnings
-import zlib
 from pathlib import Path
 
 import numpy as np
@@ -33,6 +31,7 @@ from .log_types import Series as Series
 from .log_types import Table as Table
 from .matlab import read_matlab
 from .mf4 import read_mf4
+from .packed import PACKED, suffix_inside, unpacked
 from .sign_bits import sign_columns
 from .topics import joined, topic_files
 from .trc import read_trc
@@ -46,10 +45,11 @@ _PYTHON_CAN_SUFFIXES = {".asc", ".blf"}
 _TRC_SUFFIX = ".trc"
 _MAT_SUFFIX = ".mat"
 _MDF_SUFFIXES = {".mf4", ".mdf", ".dat"}
-_TEXT_SUFFIXES = {".csv", ".tsv", ".txt"}
-_FOREIGN_SUFFIXES = {".bag", ".mcap", ".ulg", ".bin", ".db3", ".bz2", ".zst"}
+_VBO_SUFFIX = ".vbo"
+_TEXT_SUFFIXES = {".csv", ".tsv", ".txt", _VBO_SUFFIX}
+_FOREIGN_SUFFIXES = {".bag", ".mcap", ".ulg", ".bin", ".db3"}
 _SUFFIXES = {
-    ".gz",
+    *PACKED,
     *_TEXT_SUFFIXES,
     *_CANDUMP_SUFFIXES,
     *_PYTHON_CAN_SUFFIXES,
@@ -110,14 +110,13 @@ def read_log(
         return joined(path, {topic: table for topic, table in tables.items() if isinstance(table, Table)})
     if not path.is_file():
         raise InputError(path, "", "no such file", "a log: candump, ASC, BLF, MF4, CSV or Parquet")
-    suffixes = [s.lower() for s in path.suffixes]
-    suffix = suffixes[-2] if len(suffixes) > 1 and suffixes[-1] == ".gz" else suffixes[-1] if suffixes else ""
+    suffix = suffix_inside(path)
     if suffix in _CANDUMP_SUFFIXES and not _is_table(path):
         log: Frames | Table = _read_candump(path)
     elif suffix in _PYTHON_CAN_SUFFIXES:
         log = _read_python_can(path)
     elif suffix == _TRC_SUFFIX:
-        log = read_trc(path, _bytes(path).decode("utf-8-sig", errors="replace"))
+        log = read_trc(path, unpacked(path).decode("utf-8-sig", errors="replace"))
     elif suffix in _MDF_SUFFIXES:
         log = read_mf4(path)
     elif suffix in {*_TEXT_SUFFIXES, *_CANDUMP_SUFFIXES, ".parquet", _MAT_SUFFIX}:
@@ -127,7 +126,8 @@ def read_log(
             path,
             "",
             f"unknown kind of log {suffix or '(no suffix)'}",
-            ".log (candump), .asc, .blf, .trc, .mf4, .csv, .tsv, .txt, .parquet or .mat, also with .gz",
+            ".log (candump), .asc, .blf, .trc, .mf4, .csv, .tsv, .txt, .vbo, .parquet or .mat; text also "
+            "with .gz, .bz2, .xz, .zst, or alone in a .zip",
         )
     if isinstance(log, Frames) and len(log) == 0:
         raise InputError(path, "", "holds no data frame" + _in_words(log.left_out), "at least one frame")
@@ -173,8 +173,12 @@ def logs_among(paths: list[Path]) -> list[Path]:
 
 def _is_log(path: Path) -> bool:
     """Return whether something in a folder is a log, by its name."""
-    known = path.is_file() and path.suffix.lower() in _SUFFIXES - _FOREIGN_SUFFIXES
-    return known or reader_of(path) is not None
+    if reader_of(path) is not None or not path.is_file():
+        return reader_of(path) is not None
+    try:
+        return suffix_inside(path) in _SUFFIXES - _FOREIGN_SUFFIXES - PACKED
+    except InputError:  # a .zip of something else
+        return False
 
 
 def stem(path: Path) -> str:
@@ -199,7 +203,7 @@ def _is_table(path: Path) -> bool:
     """Return whether a file with a name of candump holds a table: numbers in named columns, no frame."""
     from .text_tables import read_text_table
 
-    head = _bytes(path)[:_HEAD]
+    head = unpacked(path)[:_HEAD]
     if _SCREEN.search(head) or any(_LINE.fullmatch(line) for line in head.split(b"\n")):
         return False
     try:
@@ -240,24 +244,12 @@ def _in_words(left_out: dict[str, int]) -> str:
     return " (" + ", ".join(f"{n} {kind}" for kind, n in left_out.items()) + ")" if left_out else ""
 
 
-def _bytes(path: Path) -> bytes:
-    try:
-        if path.suffix.lower() == ".gz":
-            with gzip.open(path, "rb") as stream:
-                return stream.read()
-        return path.read_bytes()
-    except (OSError, EOFError, zlib.error) as error:
-        raise InputError(
-            path, "", f"cannot be read ({error})", "a readable file, whole if it is compressed"
-        ) from None
-
-
 # ---------------------------------------------------------------------------------------------------- candump
 
 
 def _read_candump(path: Path) -> Frames:
-    compressed = path.suffix.lower() == ".gz" or path.stat().st_size == 0  # an empty file cannot be mapped
-    text = np.frombuffer(_bytes(path), np.uint8) if compressed else np.memmap(path, np.uint8, "r")
+    compressed = path.suffix.lower() in PACKED or path.stat().st_size == 0  # an empty file cannot be mapped
+    text = np.frombuffer(unpacked(path), np.uint8) if compressed else np.memmap(path, np.uint8, "r")
     frames = candump_frames(text)
     if len(frames) == 0:
         line = frames.left_out.get("first line that is no frame", 1)
@@ -267,12 +259,14 @@ def _read_candump(path: Path) -> Frames:
             "no frame in the file",
             "(seconds) interface identifier#data, as candump -l writes, or the screen of candump -t a",
         )
-    back = int((np.diff(frames.t_ns) < 0).sum())
-    if back > _BACKWARDS * len(frames):
+    steps = np.diff(frames.t_ns)
+    back = int((steps < 0).sum())
+    if back > _BACKWARDS * len(frames) or (len(steps) > _MANY and not steps.any()):
+        what = f"{back} of {len(frames)} go back" if back else f"all {len(frames)} are the same"
         raise InputError(
             path,
             "times",
-            f"{back} of {len(frames)} go back: each counts from the frame before, as candump -t d writes",
+            f"{what}: each counts from the frame before, as candump -t d writes",
             "absolute times, as candump -t a, -t z or -l writes",
         )
     return frames
@@ -295,12 +289,15 @@ def candump_frames(text: np.ndarray) -> Frames:
     return parse_candump(text, library) if library else parse_candump_slowly(text)
 
 
+_MANY = 20
+"""So many frames never have one time."""
 _BACKWARDS = 0.2
 """At most this share of the times of a log is before the one above."""
 _HEAD = 1 << 16
 """Number of bytes at the start of a log that show its form."""
 _SCREEN = re.compile(
-    rb"^ *(\([0-9]{1,10}\.[0-9]{1,9}\)) +(\S{1,15}) +(?:[RT]X [-B] [-E] +)?"
+    rb"^ *(\((?:[0-9]{1,10}|[0-9]{4}-[0-9]{2}-[0-9]{2} [0-9:]{8})\.[0-9]{1,9}\)) +"
+    rb"(\S{1,15}) +(?:[RT]X [-B] [-E] +)?"
     rb"([0-9A-Fa-f]{3}|[0-9A-Fa-f]{8}) +\[([0-9]{1,2})\] *"
     rb"(?:(remote request)|((?:(?:[01]{8}|[0-9A-Fa-f]{2})[ `]?)*))[^\r\n]*",
     re.MULTILINE,
@@ -314,6 +311,9 @@ def _as_logged(match: re.Match[bytes]) -> bytes:
     A line whose number of bytes contradicts its length stays unchanged and is no frame.
     """
     stamp, interface, identifier, length, remote, digits = match.groups()
+    if b"-" in stamp:  # a date, of candump -t A
+        day, _, part = stamp[1:-1].partition(b".")
+        stamp = b"(%d.%b)" % (np.datetime64(day.decode().replace(" ", "T"), "s").astype(np.int64), part)
     if remote:
         return b"%b %b %b#R%b" % (stamp, interface, identifier, length)
     data = _screen_bytes(digits, int(length))
@@ -456,6 +456,7 @@ def _read_table(path: Path, suffix: str, time_column: str | None, rate_hz: float
     from .raw_tables import is_raw, raw_frames
     from .text_tables import read_text_table, with_numbers
     from .time_columns import time_of
+    from .vbo import read_vbo
 
     units: dict[str, str] = {}
     first_line = 1
@@ -465,7 +466,7 @@ def _read_table(path: Path, suffix: str, time_column: str | None, rate_hz: float
         elif suffix == _MAT_SUFFIX:
             table = read_matlab(path)
         else:
-            read = read_text_table(_bytes(path), path)
+            read = (read_vbo if suffix == _VBO_SUFFIX else read_text_table)(unpacked(path), path)
             if is_raw(read.table.column_names):
                 return raw_frames(read, path)
             read = with_numbers(read, path)

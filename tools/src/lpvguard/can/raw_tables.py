@@ -3,6 +3,7 @@
 Columns are found by name. One holds all data bytes, or there is one a byte.
 """
 
+import ast
 import base64
 import binascii
 import re
@@ -14,16 +15,20 @@ from .log_types import Frames, frames_of_rows, row_of
 from .text_tables import TextTable
 
 _COLUMNS = {
-    "time": ("timestamp", "time_stamp", "time", "timestampepoch", "t"),
-    "id": ("arbitration_id", "id", "addr", "address", "can_id", "canid", "messageid", "identifier"),
+    "time": ("timestamp", "time_stamp", "time", "timestampepoch", "abs_time_sec", "t"),
+    "id": ("arbitration_id", "id", "addr", "address", "can_id", "canid", "messageid", "arb_id", "identifier"),
     "data": ("data", "databytes", "payload", "message"),
-    "bus": ("bus", "channel", "buschannel", "src", "interface"),
+    "bus": ("bus", "channel", "buschannel", "src", "network", "interface"),
     "length": ("len", "dlc", "length", "datalength", "messagelength"),
-    "extended": ("extended", "ide"),
+    "extended": ("extended", "ide", "xtd"),
     "remote": ("remote", "rtr"),
     "error": ("error",),
 }
 _BYTE = re.compile(r"(?:d|b|data_?|byte_?)(\d{1,2})")
+_NUMBERS = re.compile(r"[\[(]\s*\d{1,3}(\s*,\s*\d{1,3})*\s*[\])]")
+"""Data as a list of Python's numbers."""
+_BYTES = re.compile(r"""bytearray\((b['"].*['"])\)|(b['"].*['"])""", re.DOTALL)
+"""Data as Python prints it."""
 _HEXADECIMAL = ("id", "can_id", "canid", "identifier", "arbitration_id")
 """Names of identifiers that are hexadecimal whatever digits they have."""
 
@@ -59,7 +64,8 @@ def raw_frames(read: TextTable, path: Path) -> Frames:
         None if "data" in by_content else [table.column(n).to_pylist() for n in _bytes_of(table.column_names)]
     )
     scale = _seconds(columns["time"], by_content["time"], single is not None)
-    base = _base_of_ids(columns["id"], by_content["id"])
+    of_bytes = _base_of_bytes(single or [columns["data"]])
+    base = _base_of_ids(columns["id"], by_content["id"], of_bytes)
     hexadecimal = single is not None or _is_hexadecimal(columns["data"])
     rows, left_out = [], {"error reports": 0, "remote frames": 0}
     for k, text in enumerate(columns["id"]):
@@ -75,7 +81,7 @@ def raw_frames(read: TextTable, path: Path) -> Frames:
             data = (
                 _payload(cell["data"], hexadecimal)
                 if single is None
-                else bytes(int(c[k], 16) for c in single[: length or 0])
+                else bytes(int(c[k], of_bytes) for c in single[:length] if length is not None or c[k])
             )
             if length is not None and length != len(data):
                 raise ValueError(f"{len(data)} bytes, where its length says {length}")
@@ -93,7 +99,7 @@ def raw_frames(read: TextTable, path: Path) -> Frames:
 
 
 def _yes(text: object) -> bool:
-    return str(text).strip().lower() in ("1", "true", "yes", "x")
+    return str(text).strip().lower() in ("1", "true", "t", "yes", "x")
 
 
 def _seconds(times: list[str | None], name: str, one_a_byte: bool) -> float:
@@ -106,15 +112,33 @@ def _seconds(times: list[str | None], name: str, one_a_byte: bool) -> float:
     return 1e-6 if re.fullmatch(r"\d{16}", first) else 1e-3 if re.fullmatch(r"\d{13}", first) else 1.0
 
 
-def _base_of_ids(texts: list[str | None], name: str) -> int:
+def _base_of_bytes(columns: list[list[str | None]]) -> int:
+    """The base of bytes in a column each, or in one: hexadecimal ones have letters, or all two digits."""
+    texts = {text.strip() for column in columns for text in column if text}
+    if len(columns) == 1:
+        return 10 if all(map(_NUMBERS.fullmatch, texts)) else 16
+    if any(re.search(r"[A-Fa-fx]", text) for text in texts):
+        return 16
+    return 16 if all(len(text) == 2 for text in texts) else 10
+
+
+def _base_of_ids(texts: list[str | None], name: str, of_bytes: int) -> int:
     low = re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_")
     letters = any(re.search(r"[A-Fa-f]", t) for t in texts if t and not t.lower().startswith("0x"))
-    return 16 if low in _HEXADECIMAL or letters else 10
+    return 16 if letters or (low in _HEXADECIMAL and of_bytes == 16) else 10
 
 
 def _squeezed(text: str | None) -> str:
-    """Text of bytes without 0x, blanks, and marks around and between them."""
-    return re.sub(r"0x|[\s:.,'\"\[\]-]", "", (text or "").strip(), flags=re.IGNORECASE)
+    """Text of bytes without 0x, blanks, and marks around and between them; a list of numbers is decimal."""
+    text = (text or "").strip()
+    if _NUMBERS.fullmatch(text):
+        return "".join(f"{int(number):02x}" for number in re.findall(r"\d+", text))
+    if literal := _BYTES.fullmatch(text):
+        try:
+            return bytes(ast.literal_eval(literal[1] or literal[2])).hex()
+        except (SyntaxError, ValueError):
+            return text
+    return re.sub(r"0x|x\||[\s:.,'\"\[\]-]", "", text, flags=re.IGNORECASE)
 
 
 def _is_hexadecimal(texts: list[str | None]) -> bool:

@@ -16,6 +16,7 @@ import pyarrow.csv as pa_csv
 from ..base.errors import InputError, InputWarning
 
 DELIMITERS = ("\t", ";", ",", "|")
+_QUOTED = re.compile(r'"(?:[^"]|"")*"')
 _MARK = re.compile(r"^\s*(#+|%|//|!)\s*")
 """A mark of a comment in front of a header."""
 _TIME = re.compile(r"\d{1,2}:\d{2}")
@@ -53,7 +54,7 @@ def read_text_table(data: bytes, path: Path) -> TextTable:
     Lines before the header and comments are skipped, unless a comment is the header. InputError where no
     header is found, or where more than STRAY of the lines do not fit it.
     """
-    lines = _decoded(data, path).splitlines()
+    lines = _unquoted(decoded(data, path).splitlines())
     first = next((k for k, line in enumerate(lines) if line.strip() and not _COMMENT.match(line)), None)
     if first is None:
         raise InputError(path, "", "holds no line of a table", "a header line and rows")
@@ -75,16 +76,40 @@ def read_text_table(data: bytes, path: Path) -> TextTable:
     return TextTable(_parsed(body, names, delimiter, path, rows), rows + 1, units, comma)
 
 
-def _decoded(data: bytes, path: Path) -> str:
-    """The text of a file in UTF-8, UTF-16 with its mark, or else Windows' code page."""
+def decoded(data: bytes, path: Path) -> str:
+    """Decode the text of a file in UTF-8, UTF-16, or else Windows' code page.
+
+    Parameters
+    ----------
+    data : bytes
+    path : Path, named in errors
+
+    Returns
+    -------
+    str
+
+    Raises
+    ------
+    InputError
+        If it holds null bytes, as no text does.
+    """
     if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
         return data.decode("utf-16", errors="replace")
+    if data[1:400:2].strip(b"\0") == b"" and len(data) > 2:  # without its mark
+        return data.decode("utf-16-le", errors="replace")
     if b"\0" in data[:4096]:
         raise InputError(path, "", "is no text: it holds null bytes", "a text table")
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError:
         return data.decode("cp1252", errors="replace")
+
+
+def _unquoted(lines: list[str]) -> list[str]:
+    """The lines; those that a spreadsheet wrote as one quoted cell each without these quotes."""
+    inside = [line[1:-1].replace('""', '"') if _QUOTED.fullmatch(line) else line for line in lines]
+    quoted = sum(a is not b and "," in a for a, b in zip(inside, lines, strict=True))
+    return inside if quoted > 0.5 * len(lines) else lines
 
 
 def _cells(line: str, delimiter: str) -> list[str]:
@@ -147,7 +172,7 @@ def _form(lines: list[str], first: int) -> tuple[str, int] | None:
         width, count = widths.most_common(1)[0]
         agree = [k for k, cells in enumerate(looked) if len(cells) == width]
         short = [k for k, cells in enumerate(looked) if len(cells) == width - 1 > 1]  # a delimiter ends rows
-        header = next((k for k in (*agree, *short) if _words(looked[k])), None)
+        header = _header(looked, agree, short)
         numbers = sum(_NUMBER.fullmatch(cell) is not None for k in agree for cell in looked[k])
         if header is None:
             continue
@@ -155,6 +180,23 @@ def _form(lines: list[str], first: int) -> tuple[str, int] | None:
         if best is None or score > best[0]:
             best = (score, delimiter, first + header)
     return best and best[1:]
+
+
+def _header(looked: list[list[str]], agree: list[int], short: list[int]) -> int | None:
+    """Line of the header: the first of several lines of words, those with the most rows of numbers below."""
+    words = {k for k in (*agree, *short) if _words(looked[k]) and not any(map(_TIME.search, looked[k]))}
+    rows: dict[int, int] = {}
+    header = None
+    for k, cells in enumerate(looked):
+        if k in words:
+            header = k if header is None else header
+            rows.setdefault(header, 0)
+        elif any(cells):
+            header = None
+            if rows and k in agree:
+                rows[max(rows)] += 1
+    best = max(rows, key=lambda k: rows[k], default=None)
+    return next((k for k in rows if best is not None and looked[k] == looked[best]), None)
 
 
 def _words(cells: list[str]) -> bool:

@@ -20,8 +20,9 @@ _SPELLED = {
 }
 _UNIT_OF = {word: unit for unit, words in _SPELLED.items() for word in words.split()}
 _NAMES = (
-    r"^(t|time|timestamp|time_stamp|zeit|ts|zeitstempel)$",
-    r"(^|_)(time|timestamp|stamp|zeit|zeitstempel|epoch|datetime|date_time|datum|uhrzeit|elapsed|t)(_|$)",
+    r"^(t|times?|timestamps?|time_stamp|zeit|ts|zeitstempel|temps|tiempo|tijd|czas|tid)$",
+    r"(^|_)(times?|timestamps?|stamp|zeit|zeitstempel|epoch|datetime|date_time|datum|uhrzeit|elapsed|t|temps|"
+    r"tiempo|tijd|czas)(_|$)",
 )
 _SECONDS, _NANOSECONDS = r"(^|_)(secs?|seconds)$", r"(^|_)(nsecs?|nanosecs?|nanoseconds)$"
 _EPOCH_S = (9.0e8, 4.0e9)
@@ -31,6 +32,8 @@ _STEP_S = (2e-4, 0.6)
 _LATEST_S = 9_000_000_000
 _DAYS = ((3.0e4, 6.0e4, 25_569), (7.0e5, 8.0e5, 719_529))
 """Days of the years 1982 to 2064 as spreadsheets and as MATLAB count them, and 1970 in these counts."""
+_LEAP = 39.0
+"""Digits of a clock leap by more than this from minute to minute."""
 _BACK = 0.2
 """If more of the steps from row to row go back, a column is no time."""
 _MONTHS = ("jan", "feb", "m[aä]r", "apr", "ma[iy]", "jun", "jul", "aug", "sep", "o[ck]t", "nov", "de[cz]")
@@ -87,12 +90,13 @@ def time_of(
         keep = _usable(bad, texts, path, column, first_line)
         return _growing(t_ns[keep], path, column), keep, {column, clock or column}
     t = _plain(table, column)
-    t, unit = _since_1970(t, path, column) or (t, _stated(column, units) or _by_shape(t, path, column))
+    made = _since_1970(t, path, column) or _of_clock(t, path, column)
+    t, unit = made or (t, _stated(column, units) or _by_shape(t, path, column))
     with np.errstate(invalid="ignore"):
         bad = ~(np.abs(t) <= _LATEST_S * 1e9 / UNITS_NS[unit])
     keep = _usable(bad, t, path, column, first_line)
     kind = table.schema.field(column).type
-    if pa.types.is_integer(kind):
+    if pa.types.is_integer(kind) and made is None:
         t_ns = table.column(column).filter(keep).cast(pa.int64()).to_numpy() * UNITS_NS[unit]
     else:
         t_ns = np.rint(t[keep] * UNITS_NS[unit]).astype(np.int64)
@@ -119,6 +123,36 @@ def _since_1970(t: np.ndarray, path: Path, column: str) -> tuple[np.ndarray, str
             warnings.warn(f"{path}: column {column} is {what}", InputWarning, stacklevel=1)
             return (t - epoch) * 86_400, "s"
     return None
+
+
+def _of_clock(t: np.ndarray, path: Path, column: str) -> tuple[np.ndarray, str] | None:
+    """Times [s] of a clock's digits, as 125959.98 for 12:59:59.98; None where they are none.
+
+    Within a minute both are the same. From minute to minute the digits leap by 40 s more.
+    """
+    for scale in (1.0, 1e-3):
+        digits = t[np.isfinite(t)] * scale
+        seconds, minutes = digits % 100, digits // 100 % 100
+        leaps = np.abs(np.diff(digits)) > _LEAP
+        if not leaps.any() or digits.min() < 0 or digits.max() >= 240_000:
+            continue
+        if (seconds >= 60).any() or (minutes >= 60).any():
+            continue
+        read = np.full(len(t), np.nan)
+        read[np.isfinite(t)] = _seconds_of_day(digits)
+        steps = np.diff(read[np.isfinite(t)])
+        if np.median(steps[leaps]) <= max(1.0, 5 * float(np.median(steps))):
+            what = f"taken to be the digits of a clock, HHMMSS{'' if scale == 1.0 else 'mmm'}"
+            why = "they leap from minute to minute"
+            warnings.warn(f"{path}: column {column} is {what}: {why}", InputWarning, stacklevel=1)
+            return read, "s"
+    return None
+
+
+def _seconds_of_day(digits: np.ndarray) -> np.ndarray:
+    """Times [s] of HHMMSS; midnight begins another day."""
+    read = digits // 10_000 * 3600 + digits // 100 % 100 * 60 + digits % 100
+    return read + 86_400 * np.cumsum(np.diff(read, prepend=read[0]) < -12 * 3600)
 
 
 def _is_clock(table: pa.Table, name: str) -> bool:

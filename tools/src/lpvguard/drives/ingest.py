@@ -37,7 +37,18 @@ from ..can.decode import (
     signed,
 )
 from ..can.logs import Frames, Series, Table, read_log, stem
-from .resample import NS, LogClock, Piece, Source, TableMaker, clock_of, describe, in_order, within_limits
+from .resample import (
+    NS,
+    LogClock,
+    Piece,
+    Source,
+    TableMaker,
+    clock_of,
+    describe,
+    in_order,
+    within_limits,
+    without_lone,
+)
 from .signal_map import SignalMap, Term, load_signal_map
 from .tables import index_text
 from .units import unit_factor
@@ -253,6 +264,8 @@ def _sources(log: Frames | Table, path: Path, inputs: Inputs) -> dict[str, list[
             terms = [_from_table(log, path, inputs, name, term) for term in column.terms]
         within_limits(column, terms)
         sources[name] = [in_order(source) for source in terms]
+        for source in sources[name]:
+            without_lone(name, source)
     return sources
 
 

@@ -6,10 +6,12 @@ extrapolates. A time is left out when, for any column, the samples around it lie
 ``max_gap_s``. Times across a jump of the log's clock are left out too.
 """
 
+import warnings
 from dataclasses import dataclass
 
 import numpy as np
 
+from ..base.errors import InputWarning
 from .signal_map import Column, SignalMap
 
 REORDER_S = 0.1
@@ -19,6 +21,12 @@ MIN_ROWS = 2
 """Shorter pieces are left out: a drive table needs at least two samples."""
 _LISTED = 50
 """Most gaps listed for a signal; all are counted."""
+
+ALONE, OF_RANGE = 20.0, 0.25
+"""A sample stands alone if it is off both its neighbours by more than so many usual steps of the signal, and
+than this share of the range in which it is at four of five samples."""
+FEW_STEPS = 10
+"""So few steps say nothing of a signal's usual ones."""
 
 NS = 1_000_000_000
 """Nanoseconds in a second."""
@@ -182,6 +190,52 @@ def within_limits(column: Column, terms: list[Source]) -> None:
     if not keep.all():
         source.report["left_out"]["outside min and max of the map"] = int((~keep).sum())
         source.t_ns, source.value = source.t_ns[keep], source.value[keep]
+
+
+def standing_alone(value: np.ndarray) -> np.ndarray:
+    """Find samples that stand alone, as a lost frame's or a wrong bit's do: far off both neighbours.
+
+    Parameters
+    ----------
+    value : ndarray (N,), finite
+
+    Returns
+    -------
+    ndarray (N,) of bool
+    """
+    alone, step = np.zeros(len(value), bool), np.diff(value)
+    moved = np.abs(step[step != 0])
+    if len(moved) >= FEW_STEPS:
+        away, back = step[:-1], -step[1:]
+        least = np.minimum(np.abs(away), np.abs(back))
+        usual = OF_RANGE * float(np.subtract(*np.quantile(value, (0.9, 0.1))))
+        off = (away * back > 0) & (least > max(ALONE * float(np.median(moved)), usual))
+        alone[1:-1] = off & (np.abs(value[2:] - value[:-2]) < 0.5 * least)
+    return alone
+
+
+def without_lone(column: str, source: Source) -> None:
+    """Drop the samples that stand alone, with a warning that names the first.
+
+    Parameters
+    ----------
+    column : str, named in the warning
+    source : Source, changed
+    """
+    at = np.flatnonzero(standing_alone(source.value))
+    if len(at) == 0:
+        return
+    k = int(at[0])
+    warnings.warn(
+        f"column {column}: {len(at)} of {len(source.value)} samples stand alone and are left out, the first "
+        f"{source.value[k]:.6g} between {source.value[k - 1]:.6g} and {source.value[k + 1]:.6g} at "
+        f"{source.t_ns[k] / NS:.3f} s",
+        InputWarning,
+        stacklevel=1,
+    )
+    source.report["left_out"]["stand alone"] = len(at)
+    keep = np.delete(np.arange(len(source.value)), at)
+    source.t_ns, source.value = source.t_ns[keep], source.value[keep]
 
 
 def in_order(source: Source) -> Source:

@@ -3,11 +3,13 @@
 No model is needed to detect it. Every finding names drive, column and time.
 """
 
+import warnings
 from collections.abc import Iterator
 
 import numpy as np
 
-from ..base.errors import InputError
+from ..base.errors import InputError, InputWarning
+from ..drives.resample import standing_alone
 from ..drives.tables import Drive
 from ..vehicle.project import Project, Signal
 from .stretches import stretches_of
@@ -29,9 +31,16 @@ HELD = 0.9
 
 
 def require_unspoiled(project: Project, drives: list[Drive]) -> None:
-    """InputError for the first drive that was spoiled."""
+    """InputError for the first drive that was spoiled; a warning of samples that stand alone."""
     for error in spoiled(project, drives):
         raise error
+    for drive in drives:
+        for signal, x in _columns(project, drive):
+            at = np.flatnonzero(standing_alone(x))
+            if len(at):
+                first = f"{x[at[0]]:.6g} {signal.unit} at {drive.t[at[0]]:.3f} s"
+                what = f"{len(at)} samples stand alone, the first {first}; lpvguard ingest leaves them out"
+                warnings.warn(f"{drive.name}: column {signal.column}: {what}", InputWarning, stacklevel=1)
 
 
 def spoiled(project: Project, drives: list[Drive]) -> Iterator[InputError]:

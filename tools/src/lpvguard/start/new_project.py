@@ -25,7 +25,7 @@ from ..can.decode import decode_all, load_database, own_database
 from ..can.logs import Frames, Series, Table, read_log, stem
 from ..drives.frames import Estimator
 from ..drives.ingest import Inputs, write_tables
-from ..drives.resample import REORDER_S
+from ..drives.resample import REORDER_S, standing_alone
 from ..drives.signal_map import SignalMap
 from ..drives.tables import Drive, index_text, read_drive
 from ..drives.unit_names import DIMENSIONS as SI
@@ -255,8 +255,10 @@ def _recording(name: str, table: Table) -> Recording:
         moving.items(), key=lambda item: (0.0 < steps[item[0]] <= LONGEST_STEP_S, len(item[1].t_ns))
     )
     if not 0.0 < (step := steps[fastest]) <= LONGEST_STEP_S:
+        what = f"the median step is {step:g} s" + (": several rows have one time" if step == 0 else "")
         expected = f"times in s that grow by at most {LONGEST_STEP_S:g} s from sample to sample"
-        raise InputError(name, f"time of {fastest}", f"the median step is {step:g} s", expected)
+        expected += ", or --time NAME of a finer time, or --rate HZ where rows come at one rate"
+        raise InputError(name, f"time of {fastest}", what, expected)
     back = {id(s.t_ns): np.diff(s.t_ns, prepend=s.t_ns[:1]) < -REORDER_S * 1e9 for s in moving.values()}
     if len(back) == 1:  # one table
         steps_ns = np.diff(longest.t_ns, prepend=longest.t_ns[:1])
@@ -301,11 +303,11 @@ def _is_coarse(jumps: np.ndarray) -> bool:
 def _measured(value: np.ndarray) -> np.ndarray:
     """True (N,) where a signal has a value that is no spike."""
     finite = np.isfinite(value)
-    return (
-        finite & (np.abs(value) <= SPIKE * np.quantile(np.abs(value[finite]), USUAL))
-        if finite.any()
-        else finite
-    )
+    if not finite.any():
+        return finite
+    measured = finite.copy()
+    measured[finite] = ~standing_alone(value[finite])
+    return measured & (np.abs(value) <= SPIKE * np.quantile(np.abs(value[measured]), USUAL))
 
 
 def _sample_time(recordings: list[Recording], names: list[str]) -> float:

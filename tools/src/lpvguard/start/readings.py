@@ -4,8 +4,9 @@ Every combination of units that name and log leave open is held against the rang
 that fits is taken; where two do, the user is asked for the option that settles it.
 """
 
+import shlex
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
@@ -26,6 +27,8 @@ DOUBTFUL = 1.4
 LEAST_LATERAL_MPS2 = {"car": 0.1, "truck": 0.1, "model": 0.35, "other": 0.1}
 LEAST_ANGLE_RAD = 0.01
 """If 99 % of a log stay below both, nobody steered, or degrees would be read as radians."""
+FULL_LOCK_RAD = (0.3, 0.7)
+"""Full lock of road wheels."""
 LEAST_EXPLAINED = 0.3
 """Columns that explain less of the yaw rate say nothing of their units."""
 
@@ -43,12 +46,15 @@ class UnitReading:
     lateral_mps2: float
     beyond: float
     why: tuple[str, ...]
+    share: float | None = None
+    """Full lock [rad] of a steering without a unit, of which it is a share."""
 
     def words(self) -> str:
         """The reading in words."""
         at = "road wheels" if self.ratio == 1.0 else f"a steering wheel of {self.ratio:.3g}:1"
+        steering = f"in {self.units['input']}" if self.share is None else "as a share of full lock"
         return (
-            f"speed in {self.units['speed']}, steering in {self.units['input']} at {at}, yaw rate in "
+            f"speed in {self.units['speed']}, steering {steering} at {at}, yaw rate in "
             f"{self.units['output']} (wheelbase {self.wheelbase_m:.3g} m, understeer "
             f"{self.understeer_deg_g:.2g} deg/g)"
         )
@@ -68,9 +74,9 @@ class Known:
 def decided(
     turn: SteadyTurn | None, drives: Sequence[Driven], choices: Mapping[str, Sequence[str]], known: Known
 ) -> tuple[UnitReading, list[str]]:
-    """The one reading that fits, and its evidence in sentences.
+    """The one reading that fits, and its evidence in sentences. InputError where none fits, or more than one.
 
-    ``choices``: role -> units that are possible. InputError where none fits, or more than one.
+    ``choices``: role -> units that are possible.
     """
     if turn is None or not np.isfinite(turn.length).all():
         raise InputError(
@@ -95,12 +101,13 @@ def decided(
             "their units",
             "the columns of one vehicle on one clock, or " + ", ".join(_unit_options(choices)),
         )
-    near = [reading for reading in candidates if reading.beyond == 0.0]
-    if len(near) > 1:
+    shares = _shares(turn, largest, drives, choices, known, within)
+    near = [r for r in (*candidates, *shares) if r.beyond == 0.0]
+    if len(near) > 1 or any(r.share for r in near):
         raise InputError(
             "new",
             _differing(near),
-            f"{len(near)} readings fit: " + "; or ".join(r.words() for r in near[:3]),
+            f"{len(near) if near[1:] else 'no more'} readings fit: {'; or '.join(map(UnitReading.words, near[:3]))}",
             " or ".join(dict.fromkeys(_settles(r, near) for r in near)),
         )
     best = candidates[0]
@@ -128,6 +135,34 @@ def decided(
     return best, evidence
 
 
+def _shares(
+    turn: SteadyTurn,
+    largest: tuple[float, float, float],
+    drives: Sequence[Driven],
+    choices: Mapping[str, Sequence[str]],
+    known: Known,
+    within: float,
+) -> list[UnitReading]:
+    """Readings of a steering between -1 and 1 as a share of full lock, which follows from the wheelbase."""
+    steered = np.abs(np.concatenate([d.delta for d in drives]))
+    if (
+        len(choices["input"]) == 1
+        or known.at_steering_wheel
+        or (known.ratio or 1.0) != 1.0
+        or np.quantile(steered, 0.999) > 1.0
+    ):
+        return []
+    wheelbase = known.wheelbase_m or float(np.sqrt(np.prod(KINDS[known.kind].wheelbase_m)))
+    readings = []
+    for speed, output in product(choices["speed"], choices["output"]):
+        a, c = (unit_factor(u, DIMENSIONS[r]) or 1.0 for u, r in ((speed, "speed"), (output, "output")))
+        lock = wheelbase * c / (abs(float(turn.length[0])) * a)
+        if FULL_LOCK_RAD[0] <= lock <= FULL_LOCK_RAD[1]:
+            units = {"speed": speed, "input": f"{lock:.2g} rad", "output": output}
+            readings.append(replace(_reading(turn, largest, units, False, known, within), share=lock))
+    return readings
+
+
 def _wheels(known: Known) -> tuple[bool, ...]:
     """Return whether the steering is that of a steering wheel: what remains possible."""
     if known.ratio is not None:
@@ -150,7 +185,9 @@ def _differing(near: Sequence[UnitReading]) -> str:
 def _settles(reading: UnitReading, near: Sequence[UnitReading]) -> str:
     """The options that leave one reading of several."""
     options = [
-        f"--{role}-unit {reading.units[role]}" for role in ROLES if len({r.units[role] for r in near}) > 1
+        f"--{role}-unit {shlex.quote(reading.units[role])}"
+        for role in ROLES
+        if len({r.units[role] for r in near}) > 1
     ]
     if not options or sum(r.units == reading.units for r in near) > 1:
         options.append(f"--steering-ratio {reading.ratio:.3g}")

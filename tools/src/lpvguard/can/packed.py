@@ -1,0 +1,113 @@
+"""Logs that are packed: .gz, .bz2, .xz, .zst, or .zip with one log in it."""
+
+import bz2
+import gzip
+import io
+import lzma
+import zipfile
+import zlib
+from collections.abc import Callable
+from pathlib import Path, PurePath
+
+from ..base.errors import InputError
+
+
+def _zstandard(data: bytes) -> bytes:
+    """Bytes of a Zstandard stream, whose frames need not state their size."""
+    import pyarrow as pa
+
+    with pa.CompressedInputStream(pa.BufferReader(data), "zstd") as stream:
+        return stream.read()
+
+
+_UNPACK: dict[str, Callable[[bytes], bytes]] = {
+    ".gz": gzip.decompress,
+    ".bz2": bz2.decompress,
+    ".xz": lzma.decompress,
+    ".zst": _zstandard,
+}
+"""What unpacks a file, by its suffix."""
+PACKED = frozenset((*_UNPACK, ".zip"))
+"""Suffixes of packed files."""
+
+
+def name_inside(path: Path) -> str:
+    """Name a log's file as it is without its packing.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    str
+
+    Raises
+    ------
+    InputError
+        If a .zip cannot be read, or holds no file or several.
+    """
+    if path.suffix.lower() != ".zip":
+        return path.stem if path.suffix.lower() in _UNPACK else path.name
+    try:
+        with zipfile.ZipFile(path) as archive:
+            names = archive.namelist()
+    except (OSError, zipfile.BadZipFile) as error:
+        raise InputError(path, "", f"cannot be read ({error})", "a whole .zip") from None
+    files = [n for n in names if not n.endswith("/") and not n.startswith("__MACOSX")]
+    if len(files) != 1:
+        said = ", ".join(files[:3]) + (", ..." if len(files) > 3 else "")
+        raise InputError(path, "", f"holds {len(files)} files ({said})", "one log; unpack it into a folder")
+    return files[0]
+
+
+def unpacked(path: Path) -> bytes:
+    """Read a file, unpacked as its suffix says.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    bytes
+
+    Raises
+    ------
+    InputError
+        If it cannot be read, or its packing is damaged.
+    """
+    inside = name_inside(path)
+    try:
+        data = path.read_bytes()
+        if path.suffix.lower() == ".zip":
+            with zipfile.ZipFile(io.BytesIO(data)) as archive:
+                return archive.read(inside)
+        unpack = _UNPACK.get(path.suffix.lower())
+        return unpack(data) if unpack else data
+    except (
+        OSError,
+        EOFError,
+        RuntimeError,
+        ValueError,
+        zlib.error,
+        lzma.LZMAError,
+        zipfile.BadZipFile,
+    ) as error:
+        raise InputError(
+            path, "", f"cannot be read ({error})", "a readable file, whole if it is compressed"
+        ) from None
+
+
+def suffix_inside(path: Path) -> str:
+    """Find the suffix of a log without its packing, in lower case; "" where it has none.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    str
+    """
+    return PurePath(name_inside(path)).suffix.lower()
