@@ -54,6 +54,8 @@ class PresentController:
         """
         path = path / "controller.json" if path.is_dir() else path
         document = artefacts.read_json(path)
+        if "certificates" not in document:
+            raise InputError(path, "certificates", "missing", "a file that `lpvguard design` wrote")
         artefacts.require_seal(path, document, "`lpvguard design`")
         schedule, project = Scheduled.read(document), stored.project
         is_of = (

@@ -38,7 +38,7 @@ from ..identify.identification import StoredIdentification
 from ..identify.premise import premise, require_premise
 from ..vehicle.design_settings import DesignSettings
 from ..vehicle.nominal import NominalModel
-from .controller_file import PresentController, stated_scaling
+from .controller_file import PresentController
 from .further_certificates import (
     NOTHING,
     FurtherCertificates,
@@ -249,11 +249,18 @@ def _kept(
     schedule, order = present.schedule, present.document["certificates"]["full_order"]
     if not _limited_by(schedule, _input_limits(problem, schedule)):
         return None
-    result = _certified(problem, schedule, present.scaling, order, progress, workers)
+    loops = _checked_plants(problem, schedule.speeds)
+    result = _certified(problem, schedule, present.scaling, order, loops, progress, workers)
     if not result.worst < 1:
         scaling = tuning(schedule, problem.plant, present.scaling, workers)(1.0)
-        result = _certified(problem, schedule, scaling, order, progress, workers)
+        result = _certified(problem, schedule, scaling, order, loops, progress, workers)
     return result
+
+
+def _checked_plants(problem: DesignProblem, speeds: np.ndarray) -> dict[float, fig1.GeneralisedPlant]:
+    """Plants at the speeds and midway between them, by speed."""
+    check = np.linspace(speeds[0], speeds[-1], 2 * len(speeds) - 1)
+    return {float(v): problem.plant(v) for v in check}
 
 
 def _input_limits(problem: DesignProblem, schedule: Scheduled) -> np.ndarray:
@@ -271,12 +278,11 @@ def _certified(
     schedule: Scheduled,
     scaling: Scaling,
     full_order: int,
+    loops: dict[float, fig1.GeneralisedPlant],
     progress: Progress,
     workers: Map,
 ) -> Design:
-    """The design with its certificates at frozen speeds."""
-    check = np.linspace(schedule.speeds[0], schedule.speeds[-1], 2 * len(schedule.speeds) - 1)
-    loops = {float(v): problem.plant(v) for v in check}
+    """The design with its certificates at frozen speeds, those of ``loops`` and the worst between them."""
     return Design(
         schedule,
         scaling,
@@ -300,8 +306,7 @@ def _designed(
         start = int(np.argmin(np.abs(speeds - settings.design_speed_mps)))
         scaling = dk_synthesis(plants[start], workers=workers).performance.scaling
     scaling, controllers = _family(plants, scaling, settings.backoff, before, workers)
-    check = np.linspace(speeds[0], speeds[-1], 2 * len(speeds) - 1)
-    loops = {float(v): synthesised.plant(v) for v in check}
+    loops = _checked_plants(synthesised, speeds)
     u_max = input_limit(model, settings, speeds, controlled)
     frozen = [
         FrozenLoop(_with_delay(K), loops[float(v)], vehicle_at(model, v), controlled)
@@ -323,7 +328,8 @@ def _designed(
         )
     if synthesised.settings != settings:
         scaling = tuning(schedule, problem.plant, scaling, workers)(1.0)
-    return _certified(problem, schedule, scaling, controllers[0].order, proving, workers)
+        loops = _checked_plants(problem, speeds)
+    return _certified(problem, schedule, scaling, controllers[0].order, loops, proving, workers)
 
 
 def _family(
@@ -526,17 +532,10 @@ def verify(
     ``workers`` share the speeds. Raises InputError that names the speed of an unstable loop or a wrong
     number, or an objective or input limit that differs from the project's.
     """
-    settings = stored.project.design
-    document = artefacts.read_json(path)
-    if settings is None or "certificates" not in document:
-        raise InputError(
-            path, "certificates", "missing", "a file that `lpvguard design` wrote for this vehicle"
-        )
-    artefacts.require_seal(path, document, "`lpvguard design`")
+    present, settings = PresentController.from_path(path, stored), design_settings(stored)
+    stated, schedule, scaling = present.document["certificates"], present.schedule, present.scaling
     if (path.parent / artefacts.MANIFEST).is_file():
         artefacts.read_manifest(path.parent, "design")
-    stated = document["certificates"]
-    schedule = Scheduled.read(document)
     if stated.get("coefficients_sha256") != schedule.digest():
         raise InputError(
             path,
@@ -550,7 +549,6 @@ def verify(
     _require_floor(path, stated, dc_floor(problem.weights))
     rows = [*stated["speeds"], stated["off_grid"]]
     loops = {row["v_mps"]: problem.plant(row["v_mps"]) for row in rows}
-    scaling = stated_scaling(document)
     frozen, moving, margins = parts(progress, *VERIFY_SHARES)
     proved_rows = dict(_certificates(schedule, loops, scaling, frozen, workers))
     for row in rows:
@@ -563,7 +561,7 @@ def _require_settings(
     path: Path, stated: dict, schedule: Scheduled, settings: DesignSettings, problem: DesignProblem
 ) -> None:
     """Raise InputError unless objectives and input limits are those of the project."""
-    for key in ("structure", "A_t", "A_u"):
+    for key in ("A_t", "A_u"):
         if stated[key] != getattr(settings, key):
             raise InputError(
                 path, f"certificates.{key}", repr(stated[key]), f"{getattr(settings, key)!r}, the project's"

@@ -16,4 +16,5 @@ MAY_IMPORT = (
     "control",
     "replay",
     "evaluate",
+    "fmu",
 )

@@ -15,6 +15,7 @@ from pydantic import Field
 
 from ...base.documents import StrictModel, checked, read_toml
 from ...base.errors import InputError
+from ..fmu.package import BINARY
 
 WHEELS = tuple(f"wheel_speed_{wheel}" for wheel in ("front_left", "front_right", "rear_left", "rear_right"))
 PRESSURES = ("brake_pressure_left", "brake_pressure_right")
@@ -24,7 +25,6 @@ OUTPUTS = (*REQUIRED, *WHEELS, *PRESSURES, "brake_pressure_difference", *TRUTH)
 """Quantities that the loop reads. Units: m/s, rad/s, rad, m/s2, bar; left is positive."""
 INPUTS = ("brake_demand", "speed")
 """Quantities that the loop gives."""
-BINARIES = {2: "binaries/linux64", 3: "binaries/x86_64-linux"}
 NUMBERS = ("Real", "Float64")
 OF_OUR_TRUCK = {"speed_profile"}
 """Keys of a scenario's table ``plant`` that act on any FMU; the others need its parameter ``scenario``."""
@@ -89,11 +89,11 @@ class ForeignPlant:
             raise InputError(path, "--plant", f"cannot be read ({error})", "an FMU") from None
         self.version = int(float(root.get("fmiVersion", "0")))
         element = root.find("CoSimulation")
-        if self.version not in BINARIES or element is None:
+        if self.version not in BINARY or element is None:
             raise InputError(path, "--plant", "no co-simulation of FMI 2 or 3", "a co-simulation FMU")
         self._identifier = element.get("modelIdentifier", "")
         self._token = root.get("guid") or root.get("instantiationToken") or ""
-        self.library = f"{BINARIES[self.version]}/{self._identifier}.so"
+        self.library = f"{BINARY[self.version]}/{self._identifier}.so"
         if self.library not in self._names:
             raise InputError(path, self.library, "missing", "a binary for x86-64 Linux")
         self._variables = dict(_variables(root, self.version))
