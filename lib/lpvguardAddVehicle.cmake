@@ -7,7 +7,7 @@
 #   DIR   written by `lpvguard export`: lpvguard_vehicle.h, lpvguard_coeff.c; with a controller also lpvguard_control.c,
 #         lpvguard_bus.c and the CAN codec, and then the target has ecu.h, controller.h and can.h too; with demands on the car's own bus also
 #         lpvg_demand.c
-#   SERVICE  a source of src/services without its ending, or ALL: diagnosis, evidence, life; with a controller also authentication, j1939, uds, xcp.
+#   SERVICE  a source of src/services without its ending, or ALL: diagnosis, evidence, isolation, life; with a controller also authentication, j1939, uds, xcp.
 #            Nothing of the core calls a service.
 #
 # LPVG_DOUBLE, when set, makes lpvg_real_t double; set it before the first vehicle, for the whole image.
@@ -35,7 +35,7 @@ function(lpvguard_sources DIR OUT)
   endforeach()
   set(parts monitor/change monitor/coeff monitor/energy monitor/model monitor/monitor)
   set(own lpvguard_coeff.c)
-  set(services diagnosis evidence life)
+  set(services diagnosis evidence isolation life)
   if(EXISTS "${DIR}/lpvguard_control.c")
     list(APPEND parts guard/controller)
     list(APPEND own lpvguard_control.c)
@@ -59,9 +59,11 @@ function(lpvguard_sources DIR OUT)
     endif()
     list(APPEND parts services/${service})
   endforeach()
-  if(diagnosis IN_LIST asked AND EXISTS "${DIR}/lpvguard_diagnosis.c")
-    list(APPEND own lpvguard_diagnosis.c)
-  endif()
+  foreach(service IN ITEMS diagnosis isolation)
+    if(${service} IN_LIST asked AND EXISTS "${DIR}/lpvguard_${service}.c")
+      list(APPEND own lpvguard_${service}.c)
+    endif()
+  endforeach()
   list(TRANSFORM parts REPLACE "(.+)" "${root}/src/\\1.cpp")
   list(TRANSFORM own PREPEND "${DIR}/")
   set(${OUT} ${parts} ${own} PARENT_SCOPE)

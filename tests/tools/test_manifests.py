@@ -20,7 +20,7 @@ LIB = ROOT / "lib"
 FULL = os.environ.get("LPVGUARD_FULL") == "1"
 MONITOR = {"change", "coeff", "energy", "model", "monitor"}
 """Sources of a vehicle without controller."""
-ANY_VEHICLE = {"diagnosis", "evidence", "life"}
+ANY_VEHICLE = {"diagnosis", "evidence", "isolation", "life"}
 """Services of a vehicle without controller."""
 """Sources that a vehicle without controller needs."""
 VERSION = {"type": "string", "pattern": r"^\d+\.\d+\.\d+$"}

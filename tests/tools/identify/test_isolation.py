@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from lpvguard.base.errors import InputError
+from lpvguard.core.compiled import VERDICTS
 from lpvguard.drives.tables import Drive
 from lpvguard.extras.bench._redundant_car import (
     DOUBLE,
@@ -46,7 +47,13 @@ def test_a_column_is_what_its_part_does():
     assert np.all(change[:, 1, 9] == 1.0) and not change[:, [0, 2, 3], 9].any()
     # A steering angle that is measured 2 % too large: the car turns less than its nominal model.
     small = model.simulate(drive.v, drive.u / 1.02, drive.y[0]) - yhat
-    assert change[:, :, 20] == pytest.approx(small / 0.02)
+    settled = slice(100, -10)
+    assert change[settled, :, 20] == pytest.approx(1.02 * small[settled] / 0.02, abs=1e-6)
+    late = model.simulate(drive.v, np.vstack([drive.u[10:], np.repeat(drive.u[-1:], 10, axis=0)]), drive.y[0])
+    settled = slice(100, -10)
+    assert change[settled, :, 22] == pytest.approx((late - yhat)[settled] / 0.2, abs=0.02)
+    straight = model.simulate(drive.v, drive.u - 0.01, drive.y[0]) - yhat
+    assert change[:, :, 24] == pytest.approx(straight / 0.01)
     slow = model.simulate(drive.v / 1.02, drive.u, drive.y[0]) - yhat
     assert change[:, :2, 25] == pytest.approx(slow[:, :2] / 0.02)
     assert change[:, 2, 25] == pytest.approx(slow[:, 2] / 0.02 - yhat[:, 2])
@@ -158,8 +165,9 @@ def test_pieces_of_a_drive_name_the_parts_that_the_whole_drive_names(isolation):
     for a in range(0, len(drive.t), 70):
         at = slice(a, a + 70)
         piece = Drive("piece", late.t[at], drive.v[at], drive.u[at], drive.y[at])
-        inside = [500.0 + x for x in alarms if late.t[at][0] - 500 <= x < late.t[at][0] - 500 + 1.4]
-        names += running.take(piece, inside, [(500.0 + a, 500.0 + s) for a, s in onsets if inside])
+        inside = np.isin(np.round(piece.t - 500.0, 6), alarms)
+        verdict = np.where(inside, VERDICTS.index("invalid"), VERDICTS.index("valid"))
+        names += running.take(piece, verdict, [(500.0 + a, 500.0 + s) for a, s in onsets if inside.any()])
     assert [(n.from_s, n.alarm_s) for n in whole] == [(0.0, None), (60.0, 60.0), (120.0, None)]
     assert [(n.from_s - 500, n.until_s - 500, n.alarm_s, n.parts) for n in names] == [
         (n.from_s, n.until_s, n.alarm_s and n.alarm_s + 500, n.parts) for n in whole

@@ -5,6 +5,7 @@
 #include <new>
 
 #include "lpvguard/diagnosis.h"
+#include "lpvguard/isolation.h"
 
 namespace {
 
@@ -12,12 +13,13 @@ struct Handle {
     lpvg_coeff_t coeff;
     lpvg_monitor_t monitor;
     lpvg_diagnosis_t diagnosis;
+    lpvg_isolation_t isolation;
 };
 
 constexpr std::size_t n_words = sizeof(lpvg_coeff_words_t) / sizeof(uint32_t);
 constexpr std::size_t n_reals = sizeof(lpvg_coeff_reals_t) / sizeof(lpvg_real_t);
 constexpr std::size_t frame_columns = 12U + 4U * LPVG_NY;
-constexpr int64_t cause_columns = 10;
+constexpr int64_t cause_columns = 10, part_columns = 10;
 
 // t_us: time of the sample with which the core said so; a frame waits for its turn after its end.
 void write_frame(const lpvg_frame_t& f, int64_t t_us, double* row) {
@@ -49,6 +51,15 @@ void write_cause(const lpvg_diagnosis_t& d, std::size_t j, double* row) {
                                            static_cast<double>(f.onset_blocks),
                                            f.before ? 1.0 : 0.0,
                                            d.blocks == LPVG_DIAGNOSIS_DONE ? 1.0 : 0.0};
+    std::memcpy(row, numbers, sizeof numbers);
+}
+
+// What the newest judged window names.
+void write_parts(const lpvg_parts_t& f, double* row) {
+    const double numbers[part_columns] = {static_cast<double>(f.from_us), static_cast<double>(f.until_us), f.alarmed ? 1.0 : 0.0,
+                                          f.differs ? 1.0 : 0.0,          static_cast<double>(f.parts),    static_cast<double>(f.likeliest),
+                                          static_cast<double>(f.size),    static_cast<double>(f.value),    static_cast<double>(f.low),
+                                          static_cast<double>(f.high)};
     std::memcpy(row, numbers, sizeof numbers);
 }
 
@@ -110,6 +121,11 @@ void* lpvgb_create(const uint32_t* words, const double* reals, int seal, int* st
         *status = static_cast<int>(lpvg_diagnosis_init(&handle->diagnosis, &lpvg_diagnosis_table));
     }
 #endif
+#ifdef LPVGB_ISOLATION
+    if (*status == 0) {
+        *status = static_cast<int>(lpvg_isolation_init(&handle->isolation, &lpvg_isolation_table));
+    }
+#endif
     if (*status != 0) {
         delete handle;
         return nullptr;
@@ -122,10 +138,13 @@ void lpvgb_destroy(void* handle) { delete static_cast<Handle*>(handle); }
 // Pushes n samples (those with present[k] != 0; NULL: all); per sample a verdict, a status, the energy test's ratio (0: not judged) with
 // its strongest band, and the change test's ratio (0: none yet), per judged frame and per alarm of these tests a row of frame_columns
 // numbers. Returns the rows. Takes the monitor's records out. An output's cause, from half a record or from all, is a row in `causes`, of
-// *n_causes at most, which becomes their number.
+// *n_causes at most, which becomes their number. A judged window of the isolation is a row in `windows`, likewise.
 int64_t lpvgb_run(void* opaque, int64_t n, const int64_t* t_us, const double* v, const double* u, const double* y, const uint8_t* present,
                   double* rows, int64_t max_rows, uint8_t* verdict, uint8_t* status, double* energy, uint8_t* band, double* change,
-                  double* causes, int64_t* n_causes) {
+                  double* causes, int64_t* n_causes, double* windows, int64_t* n_windows) {
+    lpvg_isolation_t* isolation = &static_cast<Handle*>(opaque)->isolation;
+    const int64_t max_windows = *n_windows;
+    *n_windows = 0;
     lpvg_diagnosis_t* diagnosis = &static_cast<Handle*>(opaque)->diagnosis;
     const int64_t max_causes = *n_causes;
     *n_causes = 0;
@@ -164,6 +183,15 @@ int64_t lpvgb_run(void* opaque, int64_t n, const int64_t* t_us, const double* v,
                     write_cause(*diagnosis, j, causes + cause_columns * *n_causes);
                     ++*n_causes;
                 }
+            }
+        }
+        if (push && lpvg_isolation_take(isolation, monitor, &sample) == lpvg_status_ok) {
+            const uint32_t before = isolation->windows;
+            while (lpvg_isolation_work(isolation, monitor)) {
+            }
+            if (isolation->windows != before && *n_windows < max_windows) {
+                write_parts(isolation->found, windows + part_columns * *n_windows);
+                ++*n_windows;
             }
         }
         lpvg_frame_t record;

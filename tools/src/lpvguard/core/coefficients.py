@@ -3,6 +3,7 @@
     lpvguard_vehicle.h   name and sizes
     lpvguard_coeff.c     the coefficients (lib/include/lpvguard/coeff.h describes every field)
     lpvguard_diagnosis.c the table of the diagnosis (diagnosis.h), where the identification has one
+    lpvguard_isolation.c, lpvguard_parts.h   with [isolation] only: its table (isolation.h), names of the parts
     lpvguard_control.c, lpvguard_bus.c, lpvg_can_codec.h/.c   with a controller only: control_coefficients.py
     lpvguard_signals.h   the signal table: order, units, signs, ranges
     SIGNALS.md           the same for people
@@ -236,6 +237,7 @@ def vehicle_files(
     provenance: dict,
     controller: ControllerCoefficients | None = None,
     diagnosis: Sealed | None = None,
+    isolation: tuple[Sealed, str] | None = None,
 ) -> dict[str, str]:
     """Return the files of a vehicle's generated folder.
 
@@ -246,6 +248,7 @@ def vehicle_files(
     provenance : dict, goes into the manifest unchanged
     controller : ControllerCoefficients or None, optional
     diagnosis : Sealed, optional, table of diagnosis.h
+    isolation : tuple of Sealed and str, optional, table of isolation.h and text of lpvguard_parts.h
 
     Returns
     -------
@@ -269,6 +272,10 @@ def vehicle_files(
     if diagnosis is not None:
         files["lpvguard_diagnosis.c"] = coefficient_source(diagnosis)
         manifest["diagnosis"] = {"crc32": diagnosis.crc32_by_type()}
+    if isolation is not None:
+        table, files["lpvguard_parts.h"] = isolation
+        files["lpvguard_isolation.c"] = coefficient_source(table)
+        manifest["isolation"] = {"crc32": table.crc32_by_type()}
     if controller is not None:
         files |= control_files(project, controller)
         manifest["controller"] = controller.manifest()

@@ -48,6 +48,8 @@ def band_names(n: int) -> tuple[str, ...]:
 
 DIAGNOSIS_SOURCE = "lpvguard_diagnosis.c"
 """Table of the diagnosis in a generated folder, where it has one."""
+ISOLATION_SOURCE = "lpvguard_isolation.c"
+"""Table of the isolation, likewise."""
 CHANGE_PARTS = ("gain", "delay", "bias")
 """Parts of the change test's estimate, in its order (change.h)."""
 
@@ -432,6 +434,38 @@ class CauseLog:
 
 
 @dataclass(frozen=True)
+class PartLog:
+    """Windows that the core's isolation judged during a run, in the order of time; arrays over windows (W,).
+
+    Attributes
+    ----------
+    from_s, until_s : ndarray (W,), s, of the window
+    alarmed, differs : ndarray (W,) of bool, as in isolation.h
+    parts : ndarray (W,) of int, one bit for each named part
+    likeliest, size : ndarray (W,) of int, the likeliest part and which size of it
+    value, low, high : ndarray (W,), that size and its interval
+    """
+
+    from_s: np.ndarray
+    until_s: np.ndarray
+    alarmed: np.ndarray
+    differs: np.ndarray
+    parts: np.ndarray
+    likeliest: np.ndarray
+    size: np.ndarray
+    value: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+
+    @classmethod
+    def from_rows(cls, rows: np.ndarray) -> PartLog:
+        """Convert rows (W, 10) of the C wrapper."""
+        from_us, until_us, alarmed, differs, parts, likeliest, size, *value = rows.T
+        whole = (x.astype(int) for x in (parts, likeliest, size))
+        return cls(from_us * 1e-6, until_us * 1e-6, alarmed > 0, differs > 0, *whole, *value)
+
+
+@dataclass(frozen=True)
 class Run:
     """Answers of the core along a drive of N samples.
 
@@ -445,6 +479,7 @@ class Run:
     energy_alarms, change_alarms : FrameLog, alarms of these tests
     change : ndarray (N,), newest ratio of the change test, 0 before the first
     causes : CauseLog or None, causes of alarms, where the folder has a diagnosis
+    parts : PartLog, windows of the isolation, where the folder has one
     """
 
     frames: FrameLog
@@ -456,6 +491,7 @@ class Run:
     change: np.ndarray
     change_alarms: FrameLog
     causes: CauseLog
+    parts: PartLog
 
 
 class Core:
@@ -506,7 +542,10 @@ class Core:
             self.folder,
             [Path(__file__).with_name("binding.cpp")],
             "core",
-            flags=["-DLPVGB_DIAGNOSIS"] if self.diagnoses else [],
+            flags=[
+                *(["-DLPVGB_DIAGNOSIS"] if self.diagnoses else []),
+                *(["-DLPVGB_ISOLATION"] if (self.folder / ISOLATION_SOURCE).is_file() else []),
+            ],
             double=self._double,
             source_root=self._source_root,
         )
@@ -618,6 +657,7 @@ class RunningMonitor:
         verdict, status, band = (np.empty(n, np.uint8) for _ in range(3))
         energy, change = np.empty(n), np.empty(n)
         causes, n_causes = np.empty((n + self._core.n_y, 10)), ctypes.c_int64(n)
+        windows, n_windows = np.empty((n, 10)), ctypes.c_int64(n)
         pushed = None if present is None else np.ascontiguousarray(present, np.uint8)
         count = self._core._lib.lpvgb_run(
             self._handle,
@@ -633,6 +673,8 @@ class RunningMonitor:
             _pointer(change),
             _pointer(causes),
             ctypes.byref(n_causes),
+            _pointer(windows),
+            ctypes.byref(n_windows),
         )
         frames, energy_alarms, change_alarms = (
             FrameLog.from_rows(rows[:count][rows[:count, 9] == test], self._core.n_y)
@@ -640,7 +682,8 @@ class RunningMonitor:
         )
         period_s = self._core.period_s
         cause_log = CauseLog.from_rows(causes[: n_causes.value], constant("NBLOCK", {}) * period_s)
-        return Run(frames, verdict, status, energy, band, energy_alarms, change, change_alarms, cause_log)
+        parts = PartLog.from_rows(windows[: n_windows.value])
+        return Run(frames, verdict, status, energy, band, energy_alarms, change, change_alarms, cause_log, parts)
 
     def run_drive(self, drive: Drive) -> Run:
         """Run a whole drive; where its samples are missing, time passes without one."""

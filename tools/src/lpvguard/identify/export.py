@@ -6,6 +6,7 @@ from ..base import artefacts
 from ..core.coefficients import vehicle_files
 from ..core.control_coefficients import ControllerCoefficients
 from .identification import ISOLATION, StoredIdentification
+from .isolation_table import isolation_table, parts_header
 
 
 def export_vehicle(
@@ -38,8 +39,10 @@ def export_vehicle(
         "project": stored.project.model_dump(by_alias=True),
     }
     table = None if stored.diagnosis is None else stored.diagnosis.table
-    with artefacts.new_folder(target, "vehicle", stored.project.name) as folder:
-        files = vehicle_files(stored.project, coefficients, provenance, controller, table)
-        if stored.isolation is not None:
-            files[ISOLATION] = artefacts.to_json(stored.isolation.to_dict())
+    project, isolation = stored.project, stored.isolation
+    parts = isolation and (isolation_table(project, isolation), parts_header(project, isolation))
+    with artefacts.new_folder(target, "vehicle", project.name) as folder:
+        files = vehicle_files(project, coefficients, provenance, controller, table, parts)
+        if isolation is not None:
+            files[ISOLATION] = artefacts.to_json(isolation.to_dict())
         artefacts.write_files(folder, files)

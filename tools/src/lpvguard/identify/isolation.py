@@ -25,12 +25,13 @@ from ..drives.tables import Drive
 from ..vehicle.nominal import NominalModel
 from ..vehicle.project import Project
 
-BLOCK_S = 0.2
-"""Samples are averaged over blocks of this length [s]."""
+HALF_S = 0.1
+"""Samples are averaged over blocks of two halves of about this length [s]."""
 LAGS = 3
 """Lags of the residue's vector autoregression."""
-DELAYS_S, FACTOR = (0.1, 0.2, 0.4), 0.02
-"""Sizes of the simulated changes: delays [s], between which a delay is interpolated, and a factor minus 1."""
+DELAYS, FACTOR = (1, 2, 4), 0.02
+"""Sizes of the columns' changes: delays in halves of a block, between which a delay is interpolated, and a
+factor minus 1."""
 FAULT = {"gain": 0.3, "delay": 0.2, "bias": 0.5, "offset": 0.5, "factor": 0.1, "parameter": 0.4}
 """Spread of a faulty size: of bias and offset in standard deviations of the signal, of a delay in s."""
 SURE = 0.95
@@ -97,7 +98,7 @@ def columns_of(project: Project, spread_u: np.ndarray, spread_y: np.ndarray) -> 
             part = settings.part_of(s.name)
             columns += [
                 PartColumn(part, "gain", f"{s.name} gain", "", i, FAULT["gain"]),
-                *[PartColumn(part, "delay", f"{s.name} delay", "s", i, FAULT["delay"])] * len(DELAYS_S),
+                *[PartColumn(part, "delay", f"{s.name} delay", "s", i, FAULT["delay"])] * len(DELAYS),
                 PartColumn(part, last, f"{s.name} {last}", s.unit, i, FAULT[last] * float(spread[i])),
             ]
     columns.append(
@@ -129,24 +130,31 @@ class Changes:
             changed = parameters | {name: parameters[name] * (1 + FACTOR)}
             update = {"model": project.model.model_copy(update={"parameters": changed})}
             self.vehicles[name] = NominalModel(project.model_copy(update=update))
-        self.step = max(1, round(BLOCK_S / project.Ts_s))
+        self.half = max(1, round(HALF_S / project.Ts_s))
+        self.step, self.ahead = 2 * self.half, max(DELAYS) * self.half
 
     def along(self, drive: Drive) -> tuple[np.ndarray, np.ndarray]:
-        """Errors (N, n_y), and their change by a unit size of every column (N, n_y, m)."""
-        project, simulate = self.project, self.model.simulate
+        """Errors (N, n_y), and their change by a unit size of every column (N, n_y, m).
+
+        The core has the same columns: a delay of an input shifts the response to it in time.
+        """
+        project, model, simulate = self.project, self.model, self.model.simulate
         v, u, first = drive.v, drive.u, drive.y[0]
         yhat, n = simulate(v, u, first), len(v)
-        lags = {max(1, round(d / project.Ts_s)): d for d in DELAYS_S}
-        late = [(_delayed(yhat, lag) - yhat) / d for lag, d in lags.items()]
+        lags = [k * self.half for k in DELAYS]
+        late = [(_delayed(yhat, lag) - yhat) / (lag * project.Ts_s) for lag in lags]
         responses = []
         for j in range(project.n_y):
             alone = np.zeros((2 + len(late), n, project.n_y))
             for column, x in zip(alone, [yhat, *late, np.ones_like(yhat)], strict=True):
                 column[:, j] = x[:, j]
             responses += [*alone]
-        for i in range(project.n_u):
-            for changed, size in _input_changes(u, i, lags):
-                responses.append((simulate(v, changed, first) - yhat) / size)
+        unit = np.eye(project.n_u)
+        to_input = [yhat - simulate(v, np.where(one, model.input_offset, u), first) for one in unit[1:]]
+        to_input.insert(0, yhat - model.output_offset - sum(to_input))
+        for response, one in zip(to_input, unit, strict=True):
+            early = [(_delayed(response[::-1], lag)[::-1] - response) / (lag * project.Ts_s) for lag in lags]
+            responses += [-response, *early, yhat - simulate(v, u + one, first)]
         by_speed = (simulate(v / (1 + FACTOR), u, first) - yhat) / FACTOR
         settings = project.isolation
         assert settings is not None
@@ -158,34 +166,28 @@ class Changes:
     def blocks(self, drive: Drive, from_s: float = 0.0, to_s: float = np.inf) -> Iterator[np.ndarray]:
         """Means (B, n_y, 1 + m) of errors and changes over blocks, stretch by stretch of settled driving.
 
-        ``from_s`` and ``to_s`` are times after the drive's first sample.
+        Blocks follow each other from the drive's first sample, and from that after a gap, as in the core.
+        Those count that lie between ``from_s`` and ``to_s`` after the first sample, and ``ahead`` samples
+        from both ends, which their columns need.
         """
-        error, change = self.along(drive)
-        both = np.concatenate([error[..., None], change], axis=-1)
-        t = drive.t - drive.t[0]
-        good = self.estimator.settled(drive.v) & (t >= from_s) & (t < to_s)
-        if drive.missing is not None:
-            good &= ~drive.missing
-        for a, b in runs(good):
-            count = (b - a) // self.step
-            if count > LAGS:
-                stretch = both[a : a + count * self.step]
-                yield stretch.reshape(count, self.step, *both.shape[1:]).mean(axis=1)
+        t, step = drive.t - drive.t[0] + self.project.Ts_s / 2, self.step
+        present = np.ones(len(t), bool) if drive.missing is None else ~drive.missing
+        good = self.estimator.settled(np.where(present, drive.v, -np.inf)) & (t >= from_s) & (t < to_s)
+        pieces = []
+        for first, last in runs(present):
+            count = (last - first) // step
+            good[first : first + self.ahead] = good[max(first, last - self.ahead) : last] = False
+            settled = good[first : first + count * step].reshape(count, step).all(axis=1)
+            pieces += [first + step * np.array(ends) for ends in runs(settled) if ends[1] - ends[0] > LAGS]
+        if pieces:
+            error, change = self.along(drive)
+            both = np.concatenate([error[..., None], change], axis=-1)
+            for a, b in pieces:
+                yield both[a:b].reshape(-1, step, *both.shape[1:]).mean(axis=1)
 
 
 def _delayed(x: np.ndarray, lag: int) -> np.ndarray:
-    return np.concatenate([np.repeat(x[:1], lag, axis=0), x[:-lag]])
-
-
-def _input_changes(u: np.ndarray, i: int, lags: dict[int, float]) -> Iterator[tuple[np.ndarray, float]]:
-    """True inputs where input i is measured with another gain, delay and offset, and the sizes.
-
-    ``lags``: delays [s] by samples.
-    """
-    offset = max(1e-6, 0.1 * float(u[:, i].std()))
-    early = [(_delayed(u[::-1], lag)[::-1], d) for lag, d in lags.items()]
-    for changed, size in ((u / (1 + FACTOR), FACTOR), *early, (u - offset, offset)):
-        yield np.where(np.arange(u.shape[1]) == i, changed, u), size
+    return np.concatenate([np.repeat(x[:1], min(lag, len(x)), axis=0), x[:-lag]])
 
 
 @dataclass(frozen=True)

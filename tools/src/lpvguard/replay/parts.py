@@ -10,6 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from ..base import artefacts
+from ..base.runs import runs
+from ..core.compiled import ALARMING, VERDICTS
 from ..drives.tables import Drive
 from ..identify.identification import ISOLATION
 from ..identify.isolation import VEHICLE, Changes, Isolation, PartFinding
@@ -53,6 +55,26 @@ class NamedPart:
     unit: str
     service: str | None
     says: str
+
+
+def alarms_begin(verdict: np.ndarray, alarming: bool = False) -> tuple[np.ndarray, bool]:
+    """Mark the samples with which the core's verdict begins to alarm; samples without a verdict are left out.
+
+    Parameters
+    ----------
+    verdict : ndarray (N,) of int, codes of monitor.h
+    alarming : bool, optional, whether it alarmed before
+
+    Returns
+    -------
+    ndarray (N,) of bool
+    bool, whether it alarms after the last sample
+    """
+    judged = ~np.isin(verdict, [VERDICTS.index(word) for word in ("stale", "fault")])
+    alarms = np.isin(verdict[judged], [VERDICTS.index(word) for word in ALARMING])
+    state, begin = np.r_[alarming, alarms], np.zeros(len(verdict), bool)
+    begin[judged] = state[1:] & ~state[:-1]
+    return begin, bool(state[-1])
 
 
 class PartNamer:
@@ -185,21 +207,28 @@ class RunningParts:
         self._namer, self._rows = namer, np.empty((0, 0))
         self._start: float | None = None
         self._alarm_s: float | None = None
+        self._alarming = False
         self._alarms: list[float] = []
         self._onsets: list[tuple[float, float]] = []
 
     def take(
-        self, piece: Drive, alarms_s: Sequence[float], onsets_s: Sequence[tuple[float, float]]
+        self, piece: Drive, verdict: np.ndarray, onsets_s: Sequence[tuple[float, float]]
     ) -> Iterator[NamedPart]:
-        """Parts of the windows that end in a piece; all times [s] are on the piece's clock."""
+        """Parts of the windows that end in a piece.
+
+        ``verdict``: codes of the core (N,). ``onsets_s``: times on the piece's clock, as in `PartNamer.named`.
+        """
         missing = np.zeros(len(piece.t), bool) if piece.missing is None else piece.missing
         rows = np.column_stack([piece.t, missing, piece.v, piece.u, piece.y])
         self._rows = np.vstack([self._rows.reshape(-1, rows.shape[1]), rows])
-        self._alarms += alarms_s
+        begin, self._alarming = alarms_begin(verdict, self._alarming)
+        self._alarms += piece.t[begin].tolist()
         self._onsets += onsets_s
         if self._start is None:
             self._start = float(piece.t[0])
-        while (end := self._namer.end(self._start, self._alarm_s, self._alarms)) <= self._rows[-1, 0]:
+        changes = self._namer.changes
+        newest = self._rows[-1, 0] - changes.ahead * changes.project.Ts_s
+        while (end := self._namer.end(self._start, self._alarm_s, self._alarms)) <= newest:
             yield from self._window(self._start, end)
             self._alarm_s = end if end in self._alarms else None
             self._start = end
@@ -209,8 +238,11 @@ class RunningParts:
     def _window(self, start: float, end: float) -> Iterator[NamedPart]:
         """The part that a window names; the rows before its warm-up are forgotten."""
         changes, n_u = self._namer.changes, self._namer.project.n_u
-        warm_up = start - (changes.estimator.settle + 1) * changes.project.Ts_s
-        self._rows = self._rows[self._rows[:, 0] >= warm_up]
+        warm_up = start - (changes.estimator.settle + changes.ahead) * changes.project.Ts_s
+        cut = int(np.searchsorted(self._rows[:, 0], warm_up))
+        # Blocks are counted from the first sample, and from that after a gap.
+        begun = next((a for a, b in runs(self._rows[:, 1] == 0) if a <= cut < b), cut)
+        self._rows = self._rows[begun + max(0, (cut - begun) // changes.step - 1) * changes.step :]
         t, missing, v = self._rows[:, :3].T
         u, y = self._rows[:, 3 : 3 + n_u], self._rows[:, 3 + n_u :]
         drive, t0 = Drive("live", t, v, u, y, missing=missing > 0), float(t[0])

@@ -20,7 +20,7 @@ from ..drives.tables import TABLE_SUFFIXES, Drive, read_drive, require_units, sp
 from ..vehicle.nominal import NominalModel
 from ..vehicle.project import Project
 from .causes import Diagnosis, diagnosed
-from .parts import NamedPart, PartNamer
+from .parts import NamedPart, PartNamer, alarms_begin
 from .receive import Receiver
 from .series import table_of
 
@@ -332,7 +332,8 @@ class Replayer:
         parts = None
         if self.namer is not None:
             onsets = [(d.alarm_s, d.since_s) for d in diagnoses]
-            parts = tuple(self.namer.named(drive, [a.t_s for a in alarms], onsets))
+            begin = drive.t[alarms_begin(run.verdict)[0]] - t0
+            parts = tuple(self.namer.named(drive, begin.tolist(), onsets))
         return Replay(
             drive.name,
             drive.duration_s,

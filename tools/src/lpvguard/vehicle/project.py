@@ -497,14 +497,14 @@ class IsolationSettings(StrictModel):
 
     Attributes
     ----------
-    vehicle : tuple of str, parameters of the model that tyres and load change
+    vehicle : tuple of at most two str, parameters of the model that tyres and load change
     speed_power : dict[str, int], by output the power of the measured speed in it, as -1 of a_y / v
     parts : dict[str, str], part that measures a signal, by default its name
     window_s : float, s after an alarm in which the part is looked for
     check : dict[str, str], what to check, by part
     """
 
-    vehicle: tuple[str, ...] = ()
+    vehicle: Annotated[tuple[str, ...], Field(max_length=2)] = ()
     speed_power: dict[str, Annotated[int, Field(ge=-2, le=2)]] = Field(default={})
     parts: dict[str, str] = Field(default={})
     window_s: Annotated[float, Field(ge=10, le=600)] = 60.0

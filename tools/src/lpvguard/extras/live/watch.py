@@ -186,7 +186,7 @@ class Watch:
         )[counted]
         raised = self.replayer.alarms(run, 0.0)
         piece = Drive("live", t, v, u, y, missing=~present.astype(bool))
-        parts = self._parts_of(piece, run, raised)
+        parts = self._parts_of(piece, run)
         alarms = [{"t_s": a.t_s, "says": alarm_sentence(a)} for a in raised]
         with self._lock:
             self._ring.put(np.column_stack([t, shown, verdicts]))
@@ -203,14 +203,14 @@ class Watch:
             for listener in listening:
                 listener.hear(series, raised, parts)
 
-    def _parts_of(self, piece: Drive, run: Run, raised: list[Alarm]) -> list[dict[str, Any]]:
+    def _parts_of(self, piece: Drive, run: Run) -> list[dict[str, Any]]:
         """Parts that the windows ending in a piece name, as the JSON of `replay` has them."""
         namer = self.replayer.namer
         if namer is None:
             return []
         self._parts = self._parts or RunningParts(namer)
         onsets = [(d.alarm_s, d.since_s) for d in self.replayer.diagnoses(run, 0.0)]
-        return [asdict(p) for p in self._parts.take(piece, [a.t_s for a in raised], onsets)]
+        return [asdict(p) for p in self._parts.take(piece, run.verdict, onsets)]
 
     def silent_s(self) -> float | None:
         """Time since the newest frame [s]; None before the first."""

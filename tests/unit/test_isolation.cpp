@@ -1,0 +1,491 @@
+// The isolation as a black box: a vehicle whose parts are told apart by its outputs, of the sizes of whatever vehicle it is built for.
+#include "../catch.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <functional>
+#include <limits>
+#include <vector>
+
+#include "lpvguard/isolation.h"
+
+namespace {
+
+using Real = lpvg_real_t;
+constexpr std::size_t nu = LPVG_NU, ny = LPVG_NY, m = LPVG_ISOLATION_COLUMNS, signals = ny + nu;
+constexpr uint32_t half = 5U, window_s = 20U, speed_part = signals, vehicle_part = signals + 1U;
+constexpr double two_pi = 6.283185307179586, noise_share = 0.01;
+
+double period_s() { return 1e-6 * lpvg_coeff.words.sample_period_us; }
+
+const lpvg_coeff_reals_t& coeff() { return lpvg_coeff.reals; }
+
+// Half of the measured range: the size of input i.
+double size_of(std::size_t i) { return 0.25 * static_cast<double>(coeff().input_valid[i][1]); }
+
+// The parameter: entries of Ad are smaller by half of its change.
+void with_parameter(double change, Real* base, Real (*cell)[LPVG_NVARYING][4]) {
+    const auto by = [&](std::size_t entry) { return static_cast<Real>(entry < LPVG_NX * LPVG_NX ? 1.0 - 0.5 * change : 1.0); };
+    for (std::size_t i = 0; i < LPVG_NENTRIES; ++i) {
+        base[i] = coeff().base[i] * by(i);
+    }
+    for (std::size_t k = 0; k < LPVG_NCELLS; ++k) {
+        for (std::size_t i = 0; i < LPVG_NVARYING; ++i) {
+            for (std::size_t p = 0; p < 4U; ++p) {
+                cell[k][i][p] = coeff().cell[k][i][p] * by(lpvg_coeff.words.varying_entry[i]);
+            }
+        }
+    }
+}
+
+// What differs in the vehicle.
+struct Fault {
+    double gain[signals]{}, bias[signals]{};
+    uint32_t late[ny]{};  // samples
+    double speed = 0.0, parameter = 0.0;
+};
+
+class Vehicle {
+public:
+    explicit Vehicle(const std::function<void(lpvg_isolation_table_t&)>& change = [](lpvg_isolation_table_t&) {}, double threshold = 1e6) {
+        coeff_ = lpvg_coeff;
+        coeff_.reals.threshold = static_cast<Real>(threshold);
+        coeff_.reals.energy_threshold = coeff_.reals.energy_certificate = coeff_.reals.change_threshold = Real(1e6);
+        coeff_.words.crc32 = lpvg_coeff_crc32(&coeff_);
+        REQUIRE(lpvg_monitor_init(&monitor, &coeff_) == lpvg_status_ok);
+        rms_ = rms();
+        table = table_of(change);
+        REQUIRE(lpvg_isolation_init(&isolation, &table) == lpvg_status_ok);
+    }
+    Vehicle(const Vehicle&) = delete;
+    Vehicle& operator=(const Vehicle&) = delete;
+
+    Fault fault;
+    double measured_speed = 0.0;  // above 0: in the place of the true one
+    lpvg_monitor_t monitor;
+    lpvg_isolation_t isolation;
+    lpvg_isolation_table_t table;
+    int64_t t_us = 0;
+    lpvg_sample_t sample{};
+    double rms_of(std::size_t j) const { return rms_[j]; }
+
+    // A sample; the isolation takes it and works until nothing remains.
+    void step(bool works = true) {
+        next();
+        REQUIRE(lpvg_monitor_push(&monitor, &sample) == lpvg_status_ok);
+        REQUIRE(lpvg_isolation_take(&isolation, &monitor, &sample) == lpvg_status_ok);
+        while (works && lpvg_isolation_work(&isolation, &monitor)) {
+        }
+    }
+    void run(double seconds) {
+        for (auto left = static_cast<uint32_t>(std::lround(seconds / period_s())); left > 0U; --left) {
+            step();
+        }
+    }
+    // Until another window has been judged.
+    const lpvg_parts_t& judged() {
+        const uint32_t before = isolation.windows;
+        for (uint32_t k = 0; isolation.windows == before; ++k) {
+            REQUIRE(static_cast<double>(k) * period_s() < 3.0 * window_s);
+            step();
+        }
+        return isolation.found;
+    }
+    // What is measured one period on.
+    void next() {
+        const double t = period_s() * count_;
+        const double mean = 0.5 * static_cast<double>(coeff().speed_min + coeff().speed_max),
+                     span = static_cast<double>(coeff().speed_max) - mean;
+        const double v = mean + 0.7 * span * std::sin(0.9 * t);
+        Real u[nu];
+        for (std::size_t i = 0; i < nu; ++i) {
+            const double phase = static_cast<double>(i) + 1.0;
+            const double wave =
+                std::sin(two_pi * 0.31 * phase * t) + 0.7 * std::sin(two_pi * 0.83 * t + phase) + 0.4 * std::sin(two_pi * 0.11 * t * phase);
+            u[i] = static_cast<Real>(0.5 * size_of(i) * wave);
+            sample.u[i] = static_cast<Real>((1.0 + fault.gain[ny + i]) * static_cast<double>(u[i]) + fault.bias[ny + i]);
+        }
+        lpvg_coeff_t changed = coeff_;
+        with_parameter(fault.parameter, changed.reals.base, changed.reals.cell);
+        if (count_ == 0U) {
+            lpvg_model_start(&truth_, &changed, u, coeff().output_offset);
+        }
+        std::vector<Real> y(ny);
+        lpvg_model_output(&truth_, &changed, y.data());
+        past_.push_back(y);
+        truth_.speed = std::numeric_limits<Real>::lowest();  // entries anew, with the parameter of now
+        lpvg_model_advance(&truth_, &changed, static_cast<Real>(v), u);
+        for (std::size_t j = 0; j < ny; ++j) {
+            const std::size_t at = past_.size() - 1U - std::min<std::size_t>(fault.late[j], past_.size() - 1U);
+            const double noise = noise_share * (rms_.empty() ? 1.0 : rms_[j]) * std::sqrt(12.0 * 2.0 * half) * random();
+            sample.y[j] = static_cast<Real>((1.0 + fault.gain[j]) * static_cast<double>(past_[at][j]) + fault.bias[j] + noise);
+        }
+        sample.speed = static_cast<Real>(measured_speed > 0.0 ? measured_speed : v * (1.0 + fault.speed));
+        sample.t_us = t_us;
+        t_us += lpvg_coeff.words.sample_period_us;
+        ++count_;
+    }
+
+private:
+    lpvg_coeff_t coeff_;
+    lpvg_model_t truth_{};
+    std::vector<std::vector<Real>> past_;
+    std::vector<double> rms_;
+    uint32_t count_ = 0U, seed_ = 7U;
+
+    double random() {
+        seed_ = seed_ * 1664525U + 1013904223U;
+        return static_cast<double>(seed_) / 4294967296.0 - 0.5;
+    }
+    std::vector<double> rms() {
+        std::vector<double> square(ny, 0.0);
+        constexpr uint32_t n = 3000U;
+        for (uint32_t k = 0; k < n; ++k) {
+            next();
+            for (std::size_t j = 0; j < ny; ++j) {
+                const double y = static_cast<double>(past_.back()[j] - coeff().output_offset[j]);
+                square[j] += y * y / n;
+            }
+        }
+        past_.clear();
+        count_ = 0U;
+        t_us = 0;
+        for (double& x : square) {
+            x = std::sqrt(x);
+        }
+        return square;
+    }
+    // Every signal is a part, and so are the speed and the vehicle; healthy sizes are a thousandth of faulty ones.
+    lpvg_isolation_table_t table_of(const std::function<void(lpvg_isolation_table_t&)>& change) const {
+        lpvg_isolation_table_t t{};
+        lpvg_isolation_words_t& w = t.words;
+        lpvg_isolation_reals_t& r = t.reals;
+        w.magic = LPVG_ISOLATION_MAGIC;
+        w.schema = LPVG_ISOLATION_SCHEMA;
+        w.real_bytes = sizeof(Real);
+        const uint32_t sizes[6] = {LPVG_NX, LPVG_NU, LPVG_NY, LPVG_DELAY, LPVG_NCELLS, LPVG_NVARYING};
+        std::copy(sizes, sizes + 6, w.sizes);
+        w.sample_period_us = lpvg_coeff.words.sample_period_us;
+        w.window_us = 1000000U * window_s;
+        w.half = half;
+        w.parameters = 1U;
+        w.parts = signals + 2U;
+        for (uint32_t i = 0; i < signals + 3U; ++i) {
+            w.part[i] = std::min<uint32_t>(i, vehicle_part);
+        }
+        r.period_s = static_cast<Real>(period_s());
+        for (std::size_t j = 0; j < ny; ++j) {
+            r.white[j][j] = static_cast<Real>(1.0 / (noise_share * rms_[j]));
+        }
+        for (std::size_t i = 0; i < m; ++i) {
+            const std::size_t signal = i / 5U, kind = i % 5U;
+            const double unit = signal < ny ? rms_[signal] : signal < signals ? size_of(signal - ny) : 1.0;
+            const double bias = 0.5 * unit, delay = 0.2;
+            const double fault_size = signal >= signals ? 0.2 : kind == 0U ? 0.3 : kind == 4U ? bias : delay;
+            r.fault[i] = static_cast<Real>(i + 1U < m ? fault_size : 0.0);
+            r.spread[i] = r.fault[i] * Real(1e-3);
+        }
+        with_parameter(0.02, r.base[0], r.cell[0]);
+        r.scale = Real(1);
+        r.least = Real(10);
+        r.lack = Real(10);
+        change(t);
+        t.words.crc32 = lpvg_isolation_table_crc32(&t);
+        return t;
+    }
+};
+
+// The part that a window after the fault began names.
+void require_named(const Fault& fault, uint32_t part, uint32_t size, double value) {
+    Vehicle vehicle;
+    CHECK(!vehicle.judged().differs);
+    CHECK(vehicle.isolation.found.parts == 0U);
+    vehicle.fault = fault;
+    vehicle.judged();
+    const lpvg_parts_t& found = vehicle.judged();
+    CAPTURE(part, size, value, found.likeliest, found.size, found.value, found.low, found.high);
+    CHECK(found.differs);
+    CHECK(!found.alarmed);
+    CHECK(found.likeliest == part);
+    CHECK((ny > 1U ? found.parts : (found.parts & (1U << part))) == 1U << part);
+    CHECK(found.size == size);
+    CHECK(static_cast<double>(found.value) > 0.8 * value - 1e-3);
+    CHECK(static_cast<double>(found.value) < 1.2 * value + 1e-3);
+    CHECK((found.low < found.value && found.value < found.high));
+    CHECK(found.until_us - found.from_us == 1000000 * static_cast<int64_t>(window_s));
+}
+
+}  // namespace
+
+TEST_CASE("a healthy vehicle's windows follow each other and name nothing", "[REQ-ISO-1]") {
+    Vehicle vehicle;
+    for (uint32_t k = 0; k < 3U; ++k) {
+        const lpvg_parts_t& found = vehicle.judged();
+        CHECK(!found.differs);
+        CHECK(found.parts == 0U);
+        CHECK(found.from_us == 1000000 * static_cast<int64_t>(k * window_s));
+        CHECK(found.until_us == 1000000 * static_cast<int64_t>((k + 1U) * window_s));
+    }
+}
+
+TEST_CASE("an output's gain, delay and bias are named", "[REQ-ISO-1]") {
+    for (std::size_t j = 0; j < ny; ++j) {
+        const Vehicle healthy;
+        Fault gain, late, bias;
+        gain.gain[j] = 0.2;
+        require_named(gain, static_cast<uint32_t>(j), static_cast<uint32_t>(3U * j), 0.2);
+        late.late[j] = 2U * half;
+        require_named(late, static_cast<uint32_t>(j), static_cast<uint32_t>(3U * j + 1U), 2.0 * half * period_s());
+        bias.bias[j] = 0.3 * healthy.rms_of(j);
+        require_named(bias, static_cast<uint32_t>(j), static_cast<uint32_t>(3U * j + 2U), bias.bias[j]);
+    }
+}
+
+TEST_CASE("an input's gain and offset, the speed's factor and a parameter are named where the outputs tell them apart", "[REQ-ISO-1]") {
+    for (std::size_t i = 0; i < nu && ny > 1U; ++i) {
+        Fault gain, offset;
+        gain.gain[ny + i] = 0.1;
+        require_named(gain, static_cast<uint32_t>(ny + i), static_cast<uint32_t>(3U * (ny + i)), 0.1);
+        offset.bias[ny + i] = 0.2 * size_of(i);
+        require_named(offset, static_cast<uint32_t>(ny + i), static_cast<uint32_t>(3U * (ny + i) + 2U), offset.bias[ny + i]);
+    }
+    if (ny > 1U) {
+        Fault speed, parameter;
+        speed.speed = 0.04;
+        require_named(speed, speed_part, 3U * signals, 0.04);
+        parameter.parameter = 0.01;
+        require_named(parameter, vehicle_part, 3U * signals + 1U, 0.01);
+    }
+}
+
+TEST_CASE("parts that no driving tells apart are named together, two faults at once too", "[REQ-ISO-1]") {
+    // One part has two signals: its name is the same, whichever differs.
+    for (std::size_t j = 0; j < std::min<std::size_t>(ny, 2U); ++j) {
+        Vehicle vehicle([](lpvg_isolation_table_t& t) {
+            t.words.parts = signals + 2U - (ny > 1U ? 1U : 0U);
+            for (uint32_t i = 0; i < signals + 3U; ++i) {
+                t.words.part[i] = std::min(ny > 1U && i > 0U ? i - 1U : i, t.words.parts - 1U);
+            }
+        });
+        vehicle.fault.bias[j] = 0.3 * vehicle.rms_of(j);
+        vehicle.judged();
+        CHECK((vehicle.judged().parts & 1U) == 1U);
+        CHECK(vehicle.isolation.found.size == 3U * j + 2U);
+    }
+}
+
+TEST_CASE("two other parts are named beside one that explains less than both", "[REQ-ISO-1]") {
+    // Biases of two outputs as an offset of the input has them at the mean speed, and at no other.
+    Vehicle vehicle([](lpvg_isolation_table_t& t) {
+        t.reals.lack = Real(1e9);
+        t.reals.fault[5] = t.reals.fault[9] = t.reals.fault[4];
+    });
+    const Real speed = Real(0.5) * (coeff().speed_min + coeff().speed_max);
+    Real y[2][ny];
+    for (std::size_t k = 0; k < 2U; ++k) {
+        Real u[nu];
+        std::copy(coeff().input_offset, coeff().input_offset + nu, u);
+        u[nu - 1U] += static_cast<Real>(k == 0U ? 0.0 : 0.3 * size_of(nu - 1U));
+        lpvg_model_t model;
+        lpvg_model_start(&model, &lpvg_coeff, u, coeff().output_offset);
+        for (uint32_t n = 0; n < 3000U; ++n) {
+            lpvg_model_output(&model, &lpvg_coeff, y[k]);
+            lpvg_model_advance(&model, &lpvg_coeff, speed, u);
+        }
+    }
+    for (std::size_t j = 0; j < ny; ++j) {
+        vehicle.fault.bias[j] = static_cast<double>(y[0][j] - y[1][j]);
+    }
+    vehicle.judged();
+    const lpvg_parts_t& found = vehicle.judged();
+    CHECK(found.differs);
+    if (ny == 2U) {
+        CHECK(found.likeliest >= ny);
+        CHECK((found.parts & 3U) == 3U);
+    }
+}
+
+TEST_CASE("no single part explains two large faults", "[REQ-ISO-1]") {
+    Vehicle vehicle([](lpvg_isolation_table_t& t) { t.reals.lack = Real(0); });
+    vehicle.fault.bias[0] = 0.5 * vehicle.rms_of(0);
+    vehicle.fault.gain[ny - 1U] = 0.5;
+    vehicle.judged();
+    const lpvg_parts_t& found = vehicle.judged();
+    CHECK(found.differs);
+    if (ny > 1U) {
+        CHECK(found.parts == 0U);
+        CHECK(found.value == Real(0));
+    }
+}
+
+TEST_CASE("an alarm ends a window and begins another one, in which less evidence will do", "[REQ-ISO-2]") {
+    Vehicle vehicle([](lpvg_isolation_table_t& t) { t.reals.least = Real(1e30); }, 1.5);
+    vehicle.run(4.0);
+    vehicle.fault.gain[0] = 1.0;
+    for (uint32_t k = 0; !vehicle.isolation.alarming; ++k) {
+        REQUIRE(k < 20000U);
+        vehicle.step();
+    }
+    const int64_t alarm_us = vehicle.sample.t_us;
+    const uint32_t windows = vehicle.isolation.windows;
+    const bool is_long = 2 * (alarm_us - vehicle.isolation.from_us) > 1000000 * static_cast<int64_t>(window_s);
+    const lpvg_parts_t* found = &vehicle.judged();
+    if (is_long) {
+        CHECK(found->until_us == alarm_us);
+        CHECK((!found->differs && !found->alarmed));
+        found = &vehicle.judged();
+    }
+    CHECK(vehicle.isolation.windows == windows + (is_long ? 2U : 1U));
+    CHECK(found->from_us == alarm_us);
+    CHECK(found->until_us == alarm_us + 1000000 * static_cast<int64_t>(window_s));
+    CHECK((found->alarmed && found->differs));
+    CHECK(found->likeliest == 0U);
+}
+
+TEST_CASE("a window shorter than half of the usual one is not judged", "[REQ-ISO-2]") {
+    Vehicle vehicle([](lpvg_isolation_table_t& t) { t.words.window_us = 600000000U; }, 1.5);
+    vehicle.run(4.0);
+    vehicle.fault.gain[0] = 1.0;
+    for (uint32_t k = 0; !vehicle.isolation.alarming; ++k) {
+        REQUIRE(k < 20000U);
+        vehicle.step();
+    }
+    const int64_t alarm_us = vehicle.sample.t_us;
+    vehicle.run(2.0);
+    CHECK(vehicle.isolation.windows == 0U);
+    CHECK(vehicle.isolation.from_us == alarm_us);
+    CHECK(vehicle.isolation.alarmed);
+}
+
+TEST_CASE("a gap begins blocks and models anew, and the window goes on", "[REQ-ISO-3]") {
+    Vehicle vehicle;
+    vehicle.run(8.0);
+    const uint32_t count = vehicle.isolation.count;
+    vehicle.next();
+    vehicle.t_us += 1000000;
+    vehicle.run(0.2);
+    CHECK(vehicle.isolation.count == count);
+    CHECK(vehicle.isolation.halves <= 4U);
+    vehicle.fault.bias[0] = 0.3 * vehicle.rms_of(0);
+    const lpvg_parts_t& found = vehicle.judged();
+    CHECK(found.from_us == 0);
+    CHECK(found.until_us >= 1000000 * static_cast<int64_t>(window_s));
+    CHECK(found.until_us < 1000000 * static_cast<int64_t>(window_s) + lpvg_coeff.words.sample_period_us);
+    CHECK(found.likeliest == 0U);
+}
+
+TEST_CASE("a gap just after a window's end judges what the window has", "[REQ-ISO-3]") {
+    Vehicle vehicle;
+    while (!vehicle.isolation.closing) {
+        vehicle.step();
+    }
+    vehicle.next();
+    vehicle.t_us += 1000000;
+    vehicle.step();
+    CHECK(vehicle.isolation.windows == 1U);
+    CHECK(!vehicle.isolation.found.differs);
+    CHECK(vehicle.isolation.found.until_us == 1000000 * static_cast<int64_t>(window_s));
+}
+
+TEST_CASE("blocks out of the speed's range, refused samples and repeated ones do not count", "[REQ-ISO-3]") {
+    Vehicle vehicle;
+    vehicle.run(4.0);
+    const uint32_t count = vehicle.isolation.count, in_half = vehicle.isolation.in_half;
+    REQUIRE(lpvg_isolation_take(&vehicle.isolation, &vehicle.monitor, &vehicle.sample) == lpvg_status_ok);
+    CHECK(vehicle.isolation.in_half == in_half);
+    vehicle.next();
+    vehicle.sample.y[0] = std::numeric_limits<Real>::quiet_NaN();
+    CHECK(lpvg_monitor_push(&vehicle.monitor, &vehicle.sample) == lpvg_status_bad_sample);
+    REQUIRE(lpvg_isolation_take(&vehicle.isolation, &vehicle.monitor, &vehicle.sample) == lpvg_status_ok);
+    CHECK(vehicle.isolation.in_half == in_half);
+    vehicle.measured_speed = 1.05 * static_cast<double>(coeff().speed_max);
+    vehicle.run(0.5);
+    CHECK(vehicle.isolation.count <= count + 4U);
+    CHECK(!vehicle.isolation.good);
+}
+
+TEST_CASE("a block that is not worked on in time is lost, and those after it begin a stretch", "[REQ-ISO-3]") {
+    Vehicle vehicle;
+    vehicle.run(6.0);
+    const uint32_t count = vehicle.isolation.count;
+    CHECK(vehicle.isolation.stretch == 4U);
+    for (uint32_t k = 0; k < 6U * half; ++k) {
+        vehicle.step(false);
+    }
+    CHECK(vehicle.isolation.stretch == 0U);
+    vehicle.run(6.0 * half * period_s());
+    CHECK(vehicle.isolation.count <= count + 1U);
+}
+
+TEST_CASE("a flipped sum empties the window", "[REQ-ISO-4]") {
+    Vehicle vehicle;
+    vehicle.run(8.0);
+    CHECK(vehicle.isolation.count > 20U);
+    vehicle.isolation.gram[5] = Real(1e20);
+    const lpvg_parts_t& found = vehicle.judged();
+    CHECK(!found.differs);
+}
+
+TEST_CASE("sums that are not finite name nothing and end", "[REQ-ISO-4]") {
+    Vehicle vehicle([](lpvg_isolation_table_t& t) {
+        for (std::size_t j = 0; j < ny; ++j) {
+            t.reals.white[j][j] = std::numeric_limits<Real>::max();
+        }
+    });
+    CHECK(!vehicle.judged().differs);
+    CHECK(vehicle.isolation.found.parts == 0U);
+}
+
+TEST_CASE("a table that is foreign, damaged, not finite or not allowed is refused", "[REQ-ISO-4]") {
+    const Vehicle made;
+    const auto status = [&](const std::function<void(lpvg_isolation_table_t&)>& change, bool seal = true) {
+        lpvg_isolation_table_t t = made.table;
+        change(t);
+        t.words.crc32 = seal ? lpvg_isolation_table_crc32(&t) : t.words.crc32;
+        lpvg_isolation_t object{};
+        const lpvg_status_t said = lpvg_isolation_init(&object, &t);
+        CHECK((said == lpvg_status_ok) == (object.table != nullptr));
+        CHECK(said == lpvg_isolation_table_check(&t));
+        return said;
+    };
+    using Table = lpvg_isolation_table_t;
+    CHECK(status([](Table&) {}) == lpvg_status_ok);
+    CHECK(status([](Table& t) { t.words.magic = 0U; }) == lpvg_status_bad_magic);
+    CHECK(status([](Table& t) { t.words.schema = 0U; }) == lpvg_status_bad_schema);
+    CHECK(status([](Table& t) { t.words.real_bytes = 2U; }) == lpvg_status_bad_size);
+    for (std::size_t i = 0; i < 6U; ++i) {
+        CHECK(status([i](Table& t) { ++t.words.sizes[i]; }) == lpvg_status_bad_size);
+    }
+    CHECK(status([](Table& t) { t.reals.scale = Real(2); }, false) == lpvg_status_bad_crc);
+    CHECK(status([](Table& t) { t.reals.mean[0] = std::numeric_limits<Real>::infinity(); }) == lpvg_status_not_finite);
+    CHECK(status([](Table& t) { t.words.parameters = 3U; }) == lpvg_status_bad_value);
+    CHECK(status([](Table& t) { t.words.part[0] = t.words.parts; }) == lpvg_status_bad_value);
+    CHECK(status([](Table& t) { t.words.parts = signals + 3U; }) == lpvg_status_bad_value);
+    CHECK(status([](Table& t) { t.words.half = 0U; }) == lpvg_status_bad_value);
+    CHECK(status([](Table& t) { t.words.window_us = 999999U; }) == lpvg_status_bad_value);
+    CHECK(status([](Table& t) { t.reals.scale = Real(0.5); }) == lpvg_status_bad_value);
+    CHECK(status([](Table& t) { t.reals.spread[m - 1U] = Real(-1); }) == lpvg_status_bad_value);
+    CHECK(status([](Table& t) { t.reals.fault[0] = Real(-1); }) == lpvg_status_bad_value);
+}
+
+TEST_CASE("NULL and missing init have defined answers", "[REQ-ISO-4]") {
+    Vehicle vehicle;
+    lpvg_isolation_t cleared{};
+    const lpvg_monitor_t no_monitor{};
+    vehicle.next();
+    CHECK(lpvg_isolation_table_crc32(nullptr) == 0U);
+    CHECK(lpvg_isolation_table_check(nullptr) == lpvg_status_bad_argument);
+    CHECK(lpvg_isolation_init(nullptr, &vehicle.table) == lpvg_status_bad_argument);
+    CHECK(lpvg_isolation_init(&cleared, nullptr) == lpvg_status_bad_argument);
+    CHECK(lpvg_isolation_take(nullptr, &vehicle.monitor, &vehicle.sample) == lpvg_status_bad_argument);
+    CHECK(lpvg_isolation_take(&cleared, nullptr, &vehicle.sample) == lpvg_status_bad_argument);
+    CHECK(lpvg_isolation_take(&cleared, &vehicle.monitor, nullptr) == lpvg_status_bad_argument);
+    CHECK(lpvg_isolation_take(&cleared, &vehicle.monitor, &vehicle.sample) == lpvg_status_not_ready);
+    CHECK(lpvg_isolation_take(&vehicle.isolation, &no_monitor, &vehicle.sample) == lpvg_status_not_ready);
+    vehicle.isolation.pending = true;
+    CHECK(!lpvg_isolation_work(nullptr, &vehicle.monitor));
+    CHECK(!lpvg_isolation_work(&vehicle.isolation, nullptr));
+    CHECK(!lpvg_isolation_work(&cleared, &vehicle.monitor));
+    CHECK(!lpvg_isolation_work(&vehicle.isolation, &no_monitor));
+    CHECK(vehicle.isolation.pending);
+}
