@@ -5,10 +5,12 @@ import numpy as np
 import pytest
 
 from lft_problems import gauss, hermitian, row, scalars_of
-from lpvguard.base import native
 from lpvguard.engine.validation import lmi
 from lpvguard.engine.validation.quadratic import Form, Quadratic
 from lpvguard.engine.validation.relaxation import PENALTIES, Box, BranchNode, Relaxation, _HeldScalars
+
+BOTH = (lmi.ray_length, lmi._ray_length_numpy)
+"""The compiled search, and the one of larger problems."""
 
 
 def test_the_hermitian_basis_spans_the_hermitian_matrices_and_no_more():
@@ -181,7 +183,7 @@ def test_many_certificates_reach_as_each_alone():
 
 @pytest.mark.unhurried
 @pytest.mark.parametrize("seed", range(4))
-def test_a_rays_length_is_where_the_best_level_falls_to_zero(seed, monkeypatch):
+def test_a_rays_length_is_where_the_best_level_falls_to_zero(seed):
     """Two forms: at each length the best level is that of a scan, and it is zero at the end of the ray."""
     rng = np.random.default_rng(20 + seed)
     q0 = hermitian(rng, 2, 4)
@@ -199,15 +201,14 @@ def test_a_rays_length_is_where_the_best_level_falls_to_zero(seed, monkeypatch):
         middle = 0.5 * (low + high)
         low, high = (middle, high) if best(middle) > 0 else (low, middle)
     c = lmi.cone([("psd", 1), ("psd", 1)])
-    for plain in (False, True):
-        monkeypatch.setenv("LPVGUARD_NO_NATIVE", "1" if plain else "")
-        length, y, inverse = lmi.ray_length(q0, level, c)
+    for ray_length in BOTH:
+        length, y, inverse = ray_length(q0, level, c)
         assert length <= low * (1 + 1e-6) and length == pytest.approx(low, rel=2e-4)
         at = np.tensordot(y, q0 - length * level, axes=1)
         assert np.linalg.eigvalsh(at)[0] > -1e-9 and (y > 0).all() and inverse.shape == (4, 4)
-        part, _, _ = lmi.ray_length(q0, level, c, cutoff=0.3 * low)
+        part, _, _ = ray_length(q0, level, c, 0.3 * low)
         assert 0.3 * low <= part <= low * (1 + 1e-6)
-    nothing = lmi._ray_length_numpy(q0 - 40 * np.eye(4), level, c, np.inf)
+    nothing = lmi._ray_length_numpy(q0 - 40 * np.eye(4), level, c)
     assert nothing[0] == 0.0 and nothing[1] is None
 
 
@@ -234,32 +235,27 @@ def along_a_ray(groups: list[tuple[str, int]], seed: int, shift: float = 6.0):
 
 
 @pytest.mark.parametrize("name", ON_A_RAY)
-def test_both_engines_go_the_same_way_along_a_ray(name, monkeypatch):
+def test_small_and_large_problems_go_the_same_way_along_a_ray(name):
     """A cutoff of nothing ends it after one level, whose multipliers and slack show each step to it."""
-    if native.kernels("ray") is None:
-        pytest.skip("no C compiler: nothing to compare with")
     for seed in range(3):
         q0, level, c = along_a_ray(ON_A_RAY[name], seed)
         for cutoff in (0.0, 1.0, np.inf):
-            rays = []
-            for off in ("", "1"):
-                monkeypatch.setenv("LPVGUARD_NO_NATIVE", off)
-                rays.append(lmi.ray_length(q0, level, c, cutoff))
-            (length, y, inverse), (plain, plain_y, plain_inverse) = rays
+            (length, y, inverse), (plain, plain_y, plain_inverse) = (
+                ray(q0, level, c, cutoff) for ray in BOTH
+            )
             assert plain == pytest.approx(length, rel=1e-6)
             np.testing.assert_allclose(plain_y, y, atol=1e-5 * np.abs(y).max())
             np.testing.assert_allclose(plain_inverse, inverse, atol=1e-3 * np.abs(inverse).max())
 
 
-def test_a_ray_that_nothing_ends_is_endless_in_both_engines(monkeypatch):
+def test_a_ray_that_nothing_ends_is_endless():
     """Free multiples of all Hermitian matrices make up for any level; they grow until that is called endless,
     not until they overflow."""
     c = lmi.cone([("psd", 1), ("free", 2)])
     q0 = np.concatenate([np.diag([1.0, -1.0])[None], lmi.hermitian_basis(2)])
     level = np.concatenate([np.array([[[2.0, 1j], [-1j, 1.0]]]), 0 * lmi.hermitian_basis(2)])
-    for off in ("", "1"):
-        monkeypatch.setenv("LPVGUARD_NO_NATIVE", off)
-        length, y, _ = lmi.ray_length(q0, level, c)
+    for ray_length in BOTH:
+        length, y, _ = ray_length(q0, level, c)
         assert length == np.inf and np.isfinite(y).all()
 
 
@@ -361,21 +357,18 @@ def test_a_level_of_nothing_ahead_is_an_end_and_1e30_is_not_endless(monkeypatch)
         assert lmi._ray_length_numpy(0 * one, one, lmi.cone([("psd", 1)]), 1e20)[0] == length
 
 
-@pytest.mark.parametrize("off", ["", "1"])
-def test_a_ray_takes_real_and_turned_forms_and_says_where_nothing_is_proved(off, monkeypatch):
-    monkeypatch.setenv("LPVGUARD_NO_NATIVE", off)
+@pytest.mark.parametrize("ray_length", BOTH)
+def test_a_ray_takes_real_and_turned_forms_and_says_where_nothing_is_proved(ray_length):
     q0, level, c = along_a_ray(ON_A_RAY["four numbers"], 1)
-    want = lmi.ray_length(q0.real, level.real, c)[0]
-    assert lmi.ray_length(q0.real + 0j, level.real + 0j, c)[0] == pytest.approx(want, rel=1e-9) and want > 0
-    want = lmi.ray_length(q0.conj(), level.conj(), c)[0]
-    assert lmi.ray_length(q0.swapaxes(1, 2), level.swapaxes(1, 2), c)[0] == pytest.approx(want, rel=1e-9)
-    length, y, inverse = lmi.ray_length(q0 - 40 * np.eye(len(q0[0])), level, c)
+    want = ray_length(q0.real, level.real, c)[0]
+    assert ray_length(q0.real + 0j, level.real + 0j, c)[0] == pytest.approx(want, rel=1e-9) and want > 0
+    want = ray_length(q0.conj(), level.conj(), c)[0]
+    assert ray_length(q0.swapaxes(1, 2), level.swapaxes(1, 2), c)[0] == pytest.approx(want, rel=1e-9)
+    length, y, inverse = ray_length(q0 - 40 * np.eye(len(q0[0])), level, c)
     assert (length, y) == (0.0, None) and inverse.shape == q0[0].shape
 
 
 def test_the_compiled_ray_is_asked_about_no_more_than_it_holds(monkeypatch):
-    if native.kernels("ray") is None:
-        pytest.skip("no C compiler: nothing to ask")
     asked = []
     monkeypatch.setattr(
         lmi, "_ray_length_numpy", lambda *arguments: asked.append(arguments) or (1.5, None, None)

@@ -6,7 +6,7 @@
  * found up to the largest length that it proves (Dinkelbach), with bisection in between: far from the end Dinkelbach's
  * steps alone can be a hundred times too short. Groups of y: order 1, a number >= 0; order r > 1, the r^2
  * coordinates of a Hermitian positive semidefinite matrix (diagonal first, then Re and Im of the lower triangle, row by
- * row); order 0, free numbers. The numpy version is engine/validation/lmi.py.
+ * row); order 0, free numbers. engine/validation/lmi.py has the same for larger problems.
  */
 #include <float.h>
 #include <math.h>

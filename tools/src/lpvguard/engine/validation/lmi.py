@@ -238,7 +238,7 @@ def reaches(zeros: np.ndarray, slopes: np.ndarray, errors: np.ndarray) -> np.nda
 
 
 def _ray_length_numpy(
-    q0: np.ndarray, level: np.ndarray, c: Cone, cutoff: float
+    q0: np.ndarray, level: np.ndarray, c: Cone, cutoff: float = np.inf
 ) -> tuple[float, np.ndarray | None, np.ndarray | None]:
     length, beyond = 0.0, np.inf
     y: np.ndarray | None = None
@@ -282,15 +282,15 @@ def ray_length(
     at ``cutoff``.
     """
     m, n = q0.shape[:2]
-    lib = native.kernels("ray")
-    if lib is None or n > _NATIVE_N or m > _NATIVE_M or max(c.order) > _NATIVE_ORDER:
+    if n > _NATIVE_N or m > _NATIVE_M or max(c.order) > _NATIVE_ORDER:
         return _ray_length_numpy(q0, level, c, cutoff)
     q0, level = np.ascontiguousarray(q0, dtype=complex), np.ascontiguousarray(level, dtype=complex)
     y, inverse, certified = np.zeros(m), np.zeros((n, n), dtype=complex), ctypes.c_int()
     groups = [np.array(part, dtype=np.int32) for part in (c.start, c.order)]
     pointer = ctypes.c_void_p
-    lib.lpvg_ray.restype = ctypes.c_double
-    length = lib.lpvg_ray(
+    ray = native.kernels("ray").lpvg_ray
+    ray.restype = ctypes.c_double
+    length = ray(
         n,
         m,
         len(c.order),
