@@ -100,11 +100,12 @@ def drawn(seed: int, n: int, unit: float = 1.0) -> tuple[np.ndarray, np.ndarray]
     ],
 )
 def test_s2_a_point_counts_inside_the_ball_and_up_to_the_cap(q0, qw, a, b, size):
-    """Forms with these values at every point, and a cap of 10."""
+    """Forms with these values at every point, and a cap of 10. They have no dual: no size is excluded."""
     forms = np.stack([np.diag([0.0, value]) for value in (q0, qw, a, b)])
     answer = s2.solve_forms(forms[None], [[0.3j, 1.0]], 10.0)
     assert answer.upper == pytest.approx(size + q0)
     assert answer.p == pytest.approx(size if np.isfinite(size) else 0.0)
+    assert answer.lower == 0.0 and answer.duals == 240
 
 
 def test_s2_and_the_general_solver_agree():
