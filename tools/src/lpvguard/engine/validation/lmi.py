@@ -278,8 +278,8 @@ def ray_length(
 
     ``q0``, ``level`` (m, n, n): the forms are Q0 - length L, L >= 0. No point satisfies all of them at a
     smaller length. The method is Dinkelbach's iteration: each y is used up to the largest length that it
-    proves. Bisection goes in between, because far from the end a step can be a hundred times too short. Stops
-    at ``cutoff``.
+    proves. Far from the end such a step can be a hundred times too short, so steps of bisection come between.
+    The search stops at ``cutoff``.
     """
     m, n = q0.shape[:2]
     if n > _NATIVE_N or m > _NATIVE_M or max(c.order) > _NATIVE_ORDER:
