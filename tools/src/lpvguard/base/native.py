@@ -350,12 +350,13 @@ def pointer(array: np.ndarray) -> ctypes.c_void_p:
 
 
 @functools.cache
-def kernels(name: str) -> ctypes.CDLL:
+def kernels(name: str, *flags: str) -> ctypes.CDLL:
     """Load one of the package's own compiled kernels in ``_native``.
 
     Parameters
     ----------
     name : str
+    *flags : str, further ones for the compiler
 
     Returns
     -------
@@ -367,8 +368,8 @@ def kernels(name: str) -> ctypes.CDLL:
         If there is no compiler, or the cache cannot be written or loaded from.
     """
     source = Path(__file__).parent / "_native" / f"{name}.c"
-    flags = ("-std=c11", "-Wall", "-Wextra", "-march=native", *REPRODUCIBLE_FLAGS, _KERNEL_LEVEL[name])
+    kind = ("-std=c11", "-Wall", "-Wextra", "-march=native", *REPRODUCIBLE_FLAGS, _KERNEL_LEVEL[name])
     try:
-        return ctypes.CDLL(str(compile_shared([source], flags=flags, name=f"lpvguard_{name}")))
+        return ctypes.CDLL(str(compile_shared([source], flags=(*kind, *flags), name=f"lpvguard_{name}")))
     except (NativeError, OSError) as error:  # OSError: no library may be loaded from the cache's disk
         raise InputError(source.name, "compiling", str(error).strip(), "a C11 compiler and a cache") from None
