@@ -41,7 +41,6 @@ def sources_digest() -> str:
         numpy.__version__,
         scipy.__version__,
         platform.processor(),
-        os.environ.get("LPVGUARD_NO_NATIVE", ""),
     ]
     cpuinfo = Path("/proc/cpuinfo")
     words += (

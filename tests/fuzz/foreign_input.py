@@ -28,9 +28,11 @@ from scipy.io import savemat
 
 from lpvguard.base import artefacts
 from lpvguard.base.errors import InputError
+from lpvguard.can import logs
 from lpvguard.can.dbc import dbc_text
 from lpvguard.can.decode import load_database
-from lpvguard.can.logs import candump_frames, parse_candump_slowly, read_log
+from lpvguard.can.log_types import ERROR_REPORT, EXTENDED, LATEST_S, Frames, frames_of_rows
+from lpvguard.can.logs import candump_frames, read_log
 from lpvguard.drives.signal_map import load_signal_map
 from lpvguard.drives.tables import read_drive
 from lpvguard.identify import identification as stage
@@ -170,6 +172,41 @@ def good_drives(folder: Path, project: Project) -> dict[str, bytes]:
     savemat(folder / "packed.mat", columns, do_compression=True)
     names = ("drive.csv", "drive.parquet", "drive.mat", "packed.mat")
     return {name: (folder / name).read_bytes() for name in names}
+
+
+def parse_candump_slowly(text: np.ndarray) -> Frames:
+    """Frames of the candump log ``text`` (bytes,), read line by line: what the compiled parser must say."""
+    rows: list[tuple[int, int, str, bytes]] = []
+    left_out: dict[str, int] = {}
+    interfaces: set[bytes] = set()
+
+    def leave_out(kind: str) -> None:
+        left_out[kind] = left_out.get(kind, 0) + 1
+
+    for number, line in enumerate(text.tobytes().split(b"\n"), start=1):
+        if line in (b"", b"\r"):
+            continue
+        match = logs._LINE.fullmatch(line)
+        kind = "" if match is not None and int(match[1]) <= LATEST_S else "lines that are no frame"
+        if match is not None and not kind:
+            seconds, fraction, interface, identifier, remote, data = match.groups()
+            value = int(identifier, 16)
+            if len(identifier) == 8 and value & ERROR_REPORT:
+                kind = "error reports"
+            elif remote:
+                kind = "remote frames"
+            elif interface not in interfaces and len(interfaces) == logs._CHANNELS:
+                kind = "lines that are no frame"
+            else:
+                interfaces.add(interface)
+                flagged = value & 0x1FFFFFFF | EXTENDED if len(identifier) == 8 else value
+                t_ns = int(seconds) * 10**9 + int(fraction.ljust(9, b"0"))
+                rows.append((t_ns, flagged, interface.decode(errors="replace"), bytes.fromhex(data.decode())))
+        if kind:
+            leave_out(kind)
+        if kind == "lines that are no frame":
+            left_out.setdefault("first line that is no frame", number)
+    return frames_of_rows(rows, left_out)
 
 
 def read_candump_twice(path: Path) -> None:

@@ -8,9 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from foreign_input import parse_candump_slowly
 
 from lpvguard.base.errors import InputError, InputWarning
-from lpvguard.can.logs import candump_frames, parse_candump_slowly, read_log
+from lpvguard.can.logs import candump_frames, read_log
 from lpvguard.vehicle.nominal import evaluate
 
 CASES = 4000 if os.environ.get("LPVGUARD_FULL") == "1" else 60

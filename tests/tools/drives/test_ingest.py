@@ -9,7 +9,6 @@ import cantools
 import numpy as np
 import pytest
 
-from lpvguard.base import native
 from lpvguard.base.errors import InputError
 from lpvguard.can.decode import decode_all, load_database
 from lpvguard.can.logs import EXTENDED, Frames, Table, read_log
@@ -263,8 +262,6 @@ columns.lka_cmd = {{ unit = "raw", message = "STEERING_LKA", signal = "STEER_TOR
 def test_decoding_is_ten_times_the_python_loop():
     from lpvguard.extras.bench.can import bench_decode
 
-    if native.kernels("candump") is None:
-        pytest.skip("no compiler")
     result = bench_decode(
         RAV4 / "rav4_candump.log.gz", RAV4 / "toyota_rav4_excerpt.dbc", frames=1_000_000, peer_frames=66_234
     )
@@ -433,10 +430,7 @@ def test_csv_is_read_as_people_have_it(tmp_path, text):
     assert log.series["v"].t_ns.tolist() == [0, 10**8, 2 * 10**8]
 
 
-@pytest.mark.parametrize("compiled", [True, False])
-def test_candumps_screen_with_time_stamps_is_read_as_its_log(tmp_path, monkeypatch, compiled):
-    if not compiled:
-        monkeypatch.setattr(native, "kernels", lambda _: None)
+def test_candumps_screen_with_time_stamps_is_read_as_its_log(tmp_path):
     screen = (
         " (1345212884.318850)  can0  18F0093E   [8]  FF FF 00 FF 00 FF 00 12\n"
         " (1345212884.319850)  can0  123   [2]  0A 0B   '..'\r\n"

@@ -10,7 +10,6 @@ import pyarrow as pa
 import pyarrow.parquet as pa_parquet
 import pytest
 
-from lpvguard.base import native
 from lpvguard.base.errors import InputError
 from lpvguard.can.dbc import dbc_text
 from lpvguard.can.logs import read_log
@@ -21,12 +20,7 @@ from other_car import COLUMNS, MAP, OTHER_CAR, agrees, other_car, run, table, wr
 # ------------------------------------------------------------------------------------------- what logs suffer
 
 
-@pytest.mark.parametrize("way", ["compiled", "without a compiler"])
-def test_frames_of_every_kind_in_candump(way, tmp_path, monkeypatch):
-    if way == "compiled" and native.kernels("candump") is None:
-        pytest.skip("no compiler")
-    if way != "compiled":
-        monkeypatch.setenv("LPVGUARD_NO_NATIVE", "1")
+def test_frames_of_every_kind_in_candump(tmp_path):
     log = tmp_path / "kinds.log"
     log.write_text(
         "(1.000001) can0 123#0102030405060708\n"

@@ -1,15 +1,12 @@
 """The barrier method: derivatives by differences and in longer numbers, Newton's step by the definition of
 what it makes small, and its searches by hand."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 import scipy.linalg as sl
 from scipy.optimize import minimize, minimize_scalar
 
 from lft_problems import spd
-from lpvguard.base import native
 from lpvguard.engine.synthesis import barrier
 
 
@@ -47,7 +44,7 @@ def test_the_barriers_matrices_are_those_of_their_vector_and_its_gradient_that_o
         assert gradient[k] == pytest.approx(np.sum(S * change), rel=1e-10, abs=1e-10)
 
 
-def test_the_compiled_hessian_is_the_numpy_one_and_the_derivative_of_the_gradient(monkeypatch):
+def test_the_hessian_is_the_derivative_of_the_gradient():
     random = np.random.default_rng(4)
     parts = [(0.3 * random.standard_normal((4, 6)), 0.3 * random.standard_normal((2, 6))) for _ in range(3)]
     problem = barrier.Barrier(parts, random.uniform(1, 2, (3, 3)), random.uniform(1, 2, (3, 3)))
@@ -61,14 +58,11 @@ def test_the_compiled_hessian_is_the_numpy_one_and_the_derivative_of_the_gradien
 
     S = np.linalg.inv(problem.F(P) + unit)
     compiled = np.tril(problem.hessian(S))
-    monkeypatch.setattr(native, "kernels", lambda name: None)
-    np.testing.assert_allclose(compiled, np.tril(problem.hessian(S)), rtol=0, atol=1e-12)
     numeric = np.array([(slope(p + h) - slope(p - h)) / 2e-5 for h in 1e-5 * np.eye(len(p))])
     np.testing.assert_allclose(compiled, np.tril(numeric), rtol=0, atol=1e-7 * np.abs(numeric).max())
 
 
-@pytest.mark.parametrize("compiled", [True, False])
-def test_the_hessian_keeps_its_digits_where_states_hardly_move(compiled, monkeypatch):
+def test_the_hessian_keeps_its_digits_where_states_hardly_move():
     """M is within 1e-7 of the identity, and the same P holds before and after a step: products of M cancel to
     1e-14 of themselves, which doubles do not leave. The reference is in longer numbers."""
     random = np.random.default_rng(6)
@@ -76,8 +70,6 @@ def test_the_hessian_keeps_its_digits_where_states_hardly_move(compiled, monkeyp
     X = random.standard_normal((5, 5))
     S = X @ X.T + np.eye(5)
     problem = barrier.Barrier([(M, np.zeros((1, 5)))], np.ones((1, 1)), np.ones((1, 1)))
-    if not compiled:
-        monkeypatch.setattr(native, "kernels", lambda name: None)
     lower_half = np.tril(problem.hessian(S[None]))
     changes = [problem.matrices(h)[0].astype(np.longdouble) for h in np.eye(6)]
     long, wide = M.astype(np.longdouble), S.astype(np.longdouble)
@@ -94,20 +86,7 @@ def test_the_hessian_keeps_its_digits_where_states_hardly_move(compiled, monkeyp
     np.testing.assert_allclose(problem.adjoint(S[None]), gradient, rtol=1e-8)
 
 
-def test_the_compiled_hessian_is_asked_where_there_is_one(monkeypatch):
-    one, S, _ = random_problem(2)
-    asked = []
-    kernel = SimpleNamespace(
-        lpvg_lyapunov_hessian=lambda *arguments: asked.append([c.value for c in arguments[:3]])
-    )
-    monkeypatch.setattr(native, "kernels", lambda name: kernel if name == "lyapunov_barrier" else None)
-    assert not one.hessian(S).any() and asked == [[3, 2, 2]]
-
-
-@pytest.mark.parametrize("compiled", [True, False])
-def test_what_the_hessian_solves_it_gives_back(compiled, monkeypatch):
-    if not compiled:
-        monkeypatch.setattr(native, "kernels", lambda name: None)
+def test_what_the_hessian_solves_it_gives_back():
     one, S, changes = random_problem(2)
     H = np.array(
         [

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from lft_problems import gauss, hermitian, row, scalars_of
-from lpvguard.base import native
+from lpvguard.base.errors import InputError
 from lpvguard.engine.validation import lmi
 from lpvguard.engine.validation.quadratic import Form, Quadratic
 from lpvguard.engine.validation.relaxation import PENALTIES, Box, BranchNode, Relaxation, _HeldScalars
@@ -92,47 +92,6 @@ def test_the_primal_matrix_is_the_slacks_inverse():
     np.testing.assert_allclose(c.inverse @ slack, np.eye(5), atol=1e-6)
 
 
-def test_the_barriers_derivatives_are_those_of_its_differences():
-    rng = np.random.default_rng(5)
-    c = lmi.cone([("psd", 1), ("psd", 2), ("free", 1)])
-    q, eps = hermitian(rng, 6, 3), 0.37
-    forms = np.concatenate([q, -np.eye(3)[None]])
-    v = np.array([0.7, 0.6, 0.5, 0.1, -0.2, 0.3, -9.0])  # y, then x, far below every eigenvalue
-
-    def value(v: np.ndarray) -> float:
-        slack = np.tensordot(v, forms, axes=1)
-        member = np.tensordot(v[1:5], lmi.hermitian_basis(2), axes=1)
-        logs = np.linalg.slogdet(slack)[1] + np.linalg.slogdet(member)[1] + np.log(v[0])
-        return v[6] + eps * logs
-
-    def gradient(v: np.ndarray) -> np.ndarray:
-        return lmi._barrier(np.linalg.inv(np.tensordot(v, forms, axes=1)), forms, c, v[:6], eps)[0]
-
-    step = 1e-5 * np.eye(7)
-    np.testing.assert_allclose(gradient(v), [(value(v + h) - value(v - h)) / 2e-5 for h in step], rtol=1e-6)
-    hessian = lmi._barrier(np.linalg.inv(np.tensordot(v, forms, axes=1)), forms, c, v[:6], eps)[1]
-    np.testing.assert_allclose(
-        hessian, [-(gradient(v + h) - gradient(v - h)) / 2e-5 for h in step], rtol=1e-5, atol=1e-7
-    )
-
-
-def test_a_step_is_halved_until_it_stays_inside():
-    c, q = lmi.cone([("psd", 1), ("psd", 1)]), np.stack([np.diag([1.0, 2.0]), np.diag([2.0, 1.0])])
-    y, x = np.array([0.5, 0.5]), 0.0
-    # y_1 reaches 0 at 0.5 of the step, the slack's least eigenvalue at x = 1.5.
-    for step, length in (([-1.0, 1.0, 0.0], 0.25), ([0.0, 0.0, 2.0], 0.5), ([0.1, -0.1, 0.2], 1.0)):
-        new, level, slack, taken = lmi._feasible_step(q, c, y, x, np.array(step), 1.0)
-        assert taken == length and level == length * step[2]
-        np.testing.assert_allclose(new, y + length * np.array(step[:2]))
-        np.testing.assert_allclose(slack, np.tensordot(new, q, axes=1) - level * np.eye(2))
-    assert lmi._feasible_step(q, c, y, x, np.array([0.0, 0.0, 1e12]), 1.0) is None
-    matrix = lmi.cone([("psd", 2)])
-    inside = np.array([0.6, 0.4, 0.48, 0.0])  # determinant 0.24 - 0.2304
-    assert lmi._interior(matrix, inside) and not lmi._interior(matrix, inside + np.array([0, 0, 0.02, 0]))
-    assert not lmi._interior(c, np.array([0.0, 1.0])) and not lmi._interior(c, np.array([1.0, 0.0]))
-    assert lmi._interior(lmi.cone([("psd", 1), ("free", 2)]), np.array([1.0, -1, 0, 0, 5]))
-
-
 def test_the_rounding_of_a_sum_is_that_of_its_terms():
     forms = np.array([np.diag([3.0, 4.0]), 1j * np.array([[0, 2.0], [-2.0, 0]])])
     want = 4 * 2 * 2.0**-52 * (1.5 * 5 + 0.5 * np.sqrt(8))
@@ -179,9 +138,54 @@ def test_many_certificates_reach_as_each_alone():
                 )
 
 
+def test_free_forms_of_zero_change_no_level():
+    """They make Newton's equations singular: the least step leaves them alone."""
+    q = hermitian(np.random.default_rng(3), 2, 3)
+    q[0] += 4 * np.eye(3)
+    alone = lmi.maximise_level(q, lmi.cone(2 * [("psd", 1)]), relative=1e-4)
+    beside = lmi.maximise_level(
+        np.concatenate([q, np.zeros((1, 3, 3))]), lmi.cone([*2 * [("psd", 1)], ("free", 1)]), relative=1e-4
+    )
+    assert beside.x == pytest.approx(alone.x, rel=1e-6) and abs(beside.y[2]) < 1e-12
+    np.testing.assert_allclose(beside.y[:2], alone.y, rtol=1e-5)
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("copies", [[1.0, 1.0], [1.0, 1.0, 2.0], [1.0, -1.0]])
+def test_free_forms_of_one_span_are_one_form_with_multipliers_as_small(seed, copies):
+    """Their multiples may cancel; what is left must not rest on the rounding of large ones."""
+    q = hermitian(np.random.default_rng(seed), 3, 4)
+    q[0] += 5 * np.eye(4)
+    once = lmi.maximise_level(q, lmi.cone([*2 * [("psd", 1)], ("free", 1)]), relative=1e-6)
+    twice = lmi.maximise_level(
+        np.stack([q[0], q[1], *(k * q[2] for k in copies)]),
+        lmi.cone([*2 * [("psd", 1)], *len(copies) * [("free", 1)]]),
+        relative=1e-6,
+    )
+    assert twice.x == pytest.approx(once.x, rel=1e-5) and twice.x_above >= once.x * (1 - 1e-9)
+    assert np.abs(twice.y).max() < 2 * np.abs(once.y).max()
+
+
+def test_the_rounding_counts_rows_and_not_forms():
+    assert lmi.rounding(np.ones(3), np.ones((3, 2, 2))) == pytest.approx(4 * 2 * 2.0**-52 * 3 * 2, abs=0)
+
+
+def test_what_nothing_ends_is_divided_by_nothing():
+    still, rising = np.zeros((1, 2, 2)), np.stack([np.zeros((2, 2)), 4 * np.eye(2)])
+    with np.errstate(all="raise"):
+        assert lmi.reach(np.eye(2), still).tolist() == [np.inf]
+        assert lmi.reaches(np.eye(2)[None], rising, np.zeros(1)) == pytest.approx(np.array([[np.inf, 0.25]]))
+
+
+def test_a_zero_must_be_positive_by_more_than_its_error_left_once_more():
+    """1 - error has to be above error."""
+    times = lmi.reaches(np.stack([np.eye(2)] * 2), np.eye(2)[None], np.array([0.5, 0.499]))
+    assert times[0, 0] == -np.inf and times[1, 0] == pytest.approx(0.501)
+
+
 @pytest.mark.unhurried
 @pytest.mark.parametrize("seed", range(4))
-def test_a_rays_length_is_where_the_best_level_falls_to_zero(seed, monkeypatch):
+def test_a_rays_length_is_where_the_best_level_falls_to_zero(seed):
     """Two forms: at each length the best level is that of a scan, and it is zero at the end of the ray."""
     rng = np.random.default_rng(20 + seed)
     q0 = hermitian(rng, 2, 4)
@@ -199,16 +203,12 @@ def test_a_rays_length_is_where_the_best_level_falls_to_zero(seed, monkeypatch):
         middle = 0.5 * (low + high)
         low, high = (middle, high) if best(middle) > 0 else (low, middle)
     c = lmi.cone([("psd", 1), ("psd", 1)])
-    for plain in (False, True):
-        monkeypatch.setenv("LPVGUARD_NO_NATIVE", "1" if plain else "")
-        length, y, inverse = lmi.ray_length(q0, level, c)
-        assert length <= low * (1 + 1e-6) and length == pytest.approx(low, rel=2e-4)
-        at = np.tensordot(y, q0 - length * level, axes=1)
-        assert np.linalg.eigvalsh(at)[0] > -1e-9 and (y > 0).all() and inverse.shape == (4, 4)
-        part, _, _ = lmi.ray_length(q0, level, c, cutoff=0.3 * low)
-        assert 0.3 * low <= part <= low * (1 + 1e-6)
-    nothing = lmi._ray_length_numpy(q0 - 40 * np.eye(4), level, c, np.inf)
-    assert nothing[0] == 0.0 and nothing[1] is None
+    length, y, inverse = lmi.ray_length(q0, level, c)
+    assert length <= low * (1 + 1e-6) and length == pytest.approx(low, rel=2e-4)
+    at = np.tensordot(y, q0 - length * level, axes=1)
+    assert np.linalg.eigvalsh(at)[0] > -1e-9 and (y > 0).all() and inverse.shape == (4, 4)
+    part, _, _ = lmi.ray_length(q0, level, c, 0.3 * low)
+    assert 0.3 * low <= part <= low * (1 + 1e-6)
 
 
 ON_A_RAY = {
@@ -234,136 +234,34 @@ def along_a_ray(groups: list[tuple[str, int]], seed: int, shift: float = 6.0):
 
 
 @pytest.mark.parametrize("name", ON_A_RAY)
-def test_both_engines_go_the_same_way_along_a_ray(name, monkeypatch):
-    """A cutoff of nothing ends it after one level, whose multipliers and slack show each step to it."""
-    if native.kernels("ray") is None:
-        pytest.skip("no C compiler: nothing to compare with")
+def test_rows_that_are_positive_at_any_length_change_none(name):
+    """With 14 of them the kernel is the one of larger problems."""
     for seed in range(3):
         q0, level, c = along_a_ray(ON_A_RAY[name], seed)
-        for cutoff in (0.0, 1.0, np.inf):
-            rays = []
-            for off in ("", "1"):
-                monkeypatch.setenv("LPVGUARD_NO_NATIVE", off)
-                rays.append(lmi.ray_length(q0, level, c, cutoff))
-            (length, y, inverse), (plain, plain_y, plain_inverse) = rays
-            assert plain == pytest.approx(length, rel=1e-6)
-            np.testing.assert_allclose(plain_y, y, atol=1e-5 * np.abs(y).max())
-            np.testing.assert_allclose(plain_inverse, inverse, atol=1e-3 * np.abs(inverse).max())
+        n = len(q0[0])
+        wide, beside = (np.zeros((len(q0), n + 14, n + 14), complex) for _ in range(2))
+        wide[:, :n, :n], beside[:, :n, :n] = q0, level
+        wide[:, n:, n:] = 20.0 * c.normal[:, None, None] * np.eye(14)
+        length, y, _ = lmi.ray_length(q0, level, c)
+        wider, wider_y, inverse = lmi.ray_length(wide, beside, c)
+        assert wider == pytest.approx(length, rel=1e-4) and inverse.shape == wide[0].shape
+        for multipliers in (y, wider_y):
+            assert c.normal @ multipliers == pytest.approx(1.0)
+            at = np.tensordot(multipliers, q0 - (1 - 1e-6) * length * level, axes=1)
+            assert np.linalg.eigvalsh(at)[0] > 0
 
 
-def test_a_ray_that_nothing_ends_is_endless_in_both_engines(monkeypatch):
+def test_a_ray_that_nothing_ends_is_endless():
     """Free multiples of all Hermitian matrices make up for any level; they grow until that is called endless,
     not until they overflow."""
     c = lmi.cone([("psd", 1), ("free", 2)])
     q0 = np.concatenate([np.diag([1.0, -1.0])[None], lmi.hermitian_basis(2)])
     level = np.concatenate([np.array([[[2.0, 1j], [-1j, 1.0]]]), 0 * lmi.hermitian_basis(2)])
-    for off in ("", "1"):
-        monkeypatch.setenv("LPVGUARD_NO_NATIVE", off)
-        length, y, _ = lmi.ray_length(q0, level, c)
-        assert length == np.inf and np.isfinite(y).all()
+    length, y, _ = lmi.ray_length(q0, level, c)
+    assert length == np.inf and np.isfinite(y).all()
 
 
-def tried_along(monkeypatch, end: float, step: float, cutoff: float) -> tuple[list[float], float]:
-    """Lengths at which a level is asked for, and the answer, where each proof goes ``step`` further up to
-    ``end``."""
-    tried: list[float] = []
-
-    def level(q, c, *, relative, absolute):
-        assert (relative, absolute) == (0.3, 1e-8)
-        tried.append(float(-q[0, 0, 0].real))
-        return lmi.Centre(np.ones(1), 1.0 if tried[-1] <= end else -1.0, np.inf, np.full((1, 1), tried[-1]))
-
-    monkeypatch.setattr(lmi, "maximise_level", level)
-    monkeypatch.setattr(lmi, "reach", lambda *_: [min(tried[-1] + step, end)])
-    one = np.ones((1, 1, 1), complex)
-    length, y, inverse = lmi._ray_length_numpy(0 * one, one, lmi.cone([("psd", 1)]), cutoff)
-    assert y is not None and inverse is not None
-    return tried, length
-
-
-def test_a_ray_is_tried_at_its_length_and_boldly_ahead_in_turn(monkeypatch):
-    inf = np.inf
-    for end, step, cutoff, lengths in (
-        (10.0, 1.0, inf, [0, 8, 9, 80, 10]),
-        (10.0, 1.0, 1000.0, [0, 1000, 1, 2000**0.5, 2, (3 * 2000**0.5) ** 0.5, 3]),
-        (10.0, 1.0, 7.0, [0, 7]),
-        (10.0, 1.0, 0.5, [0]),
-        (10.0, 1.0, 1.0, [0]),
-        (8.0, 4.0, 33.0, [0, 33, 4, 264**0.5, 8]),
-        (8.0, 4.0, 32.0, [0, 32, 4, 20, 8]),
-        (1.0, 1e-9, 100.0, [0, 100, 1e-9, 0.1, 0.1 + 1e-9]),
-    ):
-        tried, length = tried_along(monkeypatch, end, step, cutoff)
-        assert tried[: len(lengths)] == pytest.approx(lengths, rel=1e-12), (end, step, cutoff)
-        assert length <= end
-    # A proof ahead is kept; at the proven length the end is one where nothing is gained, to a millionth.
-    assert tried_along(monkeypatch, 10.0, 1.0, inf) == ([0, 8, 9, 80, 10], 10.0)
-    assert tried_along(monkeypatch, 1 + 1e-6, 1.0, 2.0) == ([0, 2, 1], 1 + 1e-6)
-    assert tried_along(monkeypatch, 10.0, 1.0, 1.0) == ([0], 1.0)
-
-
-def test_a_ray_ends_where_its_bracket_is_a_hundred_thousandth_wide(monkeypatch):
-    """Half of what is left lies ahead each time: the last gap is that of the answer's share."""
-    tried, length = tried_along(monkeypatch, 3.0, 1e-3, 4.0)
-    ahead = tried[1::2]
-    beyond = min(at for at in ahead if at > 3.0)
-    assert beyond <= length * (1 + 1e-5) or length == 3.0
-    assert 10 < len(tried) < 80
-
-
-@pytest.mark.parametrize("beyond, ends", [(1 + 0.9e-5, True), (1.0 + 1e-5, True), (1 + 1.1e-5, False)])
-def test_a_ray_ends_at_its_own_length_alone(beyond, ends, monkeypatch):
-    """A proof there leads by 8e-6 to 1; the last try ahead failed at ``beyond``."""
-    tried, length = tried_along(monkeypatch, 1.0, 1 - 8e-6, beyond)
-    assert (tried == [0, beyond, 1 - 8e-6]) == ends and length == 1.0
-
-
-def test_a_proof_ahead_does_not_end_a_ray(monkeypatch):
-    """However near the bracket's ends are, the last try is at the proven length."""
-    for end in np.linspace(2.1, 3.9, 10):
-        tried, length = tried_along(monkeypatch, end, 1e-3, 4.0)
-        assert len(tried) % 2 == 1 and tried[-1] <= length <= end
-    # 16 fails and 12.8 proves what is within a hundred thousandth of it.
-    end = 16 * (1 - 5e-6)
-    tried, length = tried_along(monkeypatch, end, 3.2, np.inf)
-    assert tried == pytest.approx([0, 25.6, 3.2, 16, 6.4, 12.8, end]) and length == end
-
-
-def test_a_ray_without_a_proof_has_no_length_and_an_inverse_all_the_same(monkeypatch):
-    """A level of its own error is none; at its own length it ends the search."""
-    one = np.ones((1, 1, 1), complex)
-    for level in (0.0, -1.0):
-        tried: list[float] = []
-
-        def maximise(q, c, *, relative, absolute, level=level, tried=tried):
-            tried.append(float(-q[0, 0, 0].real))
-            return lmi.Centre(np.ones(1), level, np.inf, np.full((1, 1), 7.0))
-
-        monkeypatch.setattr(lmi, "maximise_level", maximise)
-        length, y, inverse = lmi._ray_length_numpy(0 * one, one, lmi.cone([("psd", 1)]), np.inf)
-        assert (length, y, inverse, tried) == (0.0, None, 7.0, [0.0])
-
-
-def test_a_level_of_nothing_ahead_is_an_end_and_1e30_is_not_endless(monkeypatch):
-    tried: list[float] = []
-
-    def maximise(q, c, *, relative, absolute):
-        tried.append(float(-q[0, 0, 0].real))
-        return lmi.Centre(np.ones(1), 1.0 if tried[-1] < 5 else 0.0, np.inf, np.eye(1))
-
-    monkeypatch.setattr(lmi, "maximise_level", maximise)
-    monkeypatch.setattr(lmi, "reach", lambda *_: [tried[-1] + 1.0])
-    one = np.ones((1, 1, 1), complex)
-    assert lmi._ray_length_numpy(0 * one, one, lmi.cone([("psd", 1)]), 6.0)[0] >= 5.0
-    assert tried[:4] == [0.0, 6.0, 1.0, 4.0]
-    for reached, length in ((1e30, 1e30), (1.1e30, np.inf)):
-        monkeypatch.setattr(lmi, "reach", lambda *_, reached=reached: [reached])
-        assert lmi._ray_length_numpy(0 * one, one, lmi.cone([("psd", 1)]), 1e20)[0] == length
-
-
-@pytest.mark.parametrize("off", ["", "1"])
-def test_a_ray_takes_real_and_turned_forms_and_says_where_nothing_is_proved(off, monkeypatch):
-    monkeypatch.setenv("LPVGUARD_NO_NATIVE", off)
+def test_a_ray_takes_real_and_turned_forms_and_says_where_nothing_is_proved():
     q0, level, c = along_a_ray(ON_A_RAY["four numbers"], 1)
     want = lmi.ray_length(q0.real, level.real, c)[0]
     assert lmi.ray_length(q0.real + 0j, level.real + 0j, c)[0] == pytest.approx(want, rel=1e-9) and want > 0
@@ -373,32 +271,28 @@ def test_a_ray_takes_real_and_turned_forms_and_says_where_nothing_is_proved(off,
     assert (length, y) == (0.0, None) and inverse.shape == q0[0].shape
 
 
-def test_the_compiled_ray_is_asked_about_no_more_than_it_holds(monkeypatch):
-    if native.kernels("ray") is None:
-        pytest.skip("no C compiler: nothing to ask")
-    asked = []
-    monkeypatch.setattr(
-        lmi, "_ray_length_numpy", lambda *arguments: asked.append(arguments) or (1.5, None, None)
-    )
+def test_a_certificate_has_at_most_64_rows_256_multipliers_and_groups_of_order_8():
     rng = np.random.default_rng(2)
-    for n, groups, plain in (
-        (16, 4 * [("psd", 4)], False),
+    for n, groups, fits in (
+        (16, 4 * [("psd", 4)], True),
         (17, [("psd", 1)], True),
         (2, [*4 * [("psd", 4)], ("psd", 1)], True),
         (2, [("psd", 5)], True),
-        (2, [("psd", 5), ("psd", 1)], True),
-        (2, [("psd", 1), ("free", 5)], False),
+        (64, [("psd", 1)], True),
+        (2, 4 * [("psd", 8)], True),
+        (65, [("psd", 1)], False),
+        (2, [*4 * [("psd", 8)], ("free", 1)], False),
+        (2, [("psd", 9)], False),
     ):
         c = lmi.cone(groups)
         q0 = hermitian(rng, len(c.normal), n)
-        asked.clear()
-        length, y, inverse = lmi.ray_length(q0 - 1e3 * np.eye(n), 0 * q0, c, 1.0)
-        assert bool(asked) == plain
-        if plain:
-            assert length == 1.5 and asked[0][3] == 1.0
+        if fits:
+            length, y, inverse = lmi.ray_length(q0 - 1e3 * np.eye(n), 0 * q0, c, 1.0)
+            assert inverse.shape == (n, n) and (y is None) == (length == 0.0)
+            assert lmi.maximise_level(q0, c).y @ c.normal == pytest.approx(1.0)
         else:
-            assert y is None or len(y) == len(q0)
-            assert inverse.shape == (n, n)
+            with pytest.raises(InputError, match="at most 64, 256 and 8"):
+                lmi.ray_length(q0, 0 * q0, c)
 
 
 # --- boxes and bounds over nodes ---

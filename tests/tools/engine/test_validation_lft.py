@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 
 from lft_problems import gauss, made_from_truth, substitute
-from lpvguard.base import native
 from lpvguard.base.errors import InputError
 from lpvguard.engine.blocks import Block
 from lpvguard.engine.validation import delta as dl
@@ -586,17 +585,3 @@ def test_delta_is_verified_before_it_is_returned():
         dl.verify(problem.blocks, problem.matrices, problem.e, s.w, 1.1 * s.xi, 2 * s.nu)
     with pytest.raises(InputError, match="input to the block"):
         dl.construct(Block("full", 1, 1), np.ones(1), np.zeros(1))
-
-
-def test_certificates_agree_between_engines(monkeypatch):
-    if native.kernels("s2") is None:
-        pytest.skip("no C compiler: nothing to compare with")
-    problem, nu, w = made_from_truth(
-        np.random.default_rng(12), 2, [("repeated_complex", 2, 2), ("full", 2, 1)], p12=True
-    )
-    compiled = lft.margin(problem, nu, np.abs(w))
-    monkeypatch.setenv("LPVGUARD_NO_NATIVE", "1")
-    plain = lft.margin(problem, nu, np.abs(w))
-    assert compiled.lower == pytest.approx(plain.lower, rel=2e-4) and compiled.upper == pytest.approx(
-        plain.upper, rel=2e-4
-    )

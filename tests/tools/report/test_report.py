@@ -126,118 +126,57 @@ def test_alarms_are_listed_with_their_evidence(case, page):
     assert "alarm at, s" in page
 
 
-@pytest.mark.long("8 s: another page")
-def test_a_campaign_is_told_with_every_severity_and_whoever_was_best(case, tmp_path):
-    detectors = {"monitor": "lpvguard", "rms": "residual RMS", "cusum": "CUSUM", "nis": "NIS"}
-
-    def severity(kind: str, x: float, detected: int, mu: float | None, stable: bool = True) -> dict:
-        shares = dict.fromkeys(detectors, detected)
-        return {
-            "kind": kind,
-            "severity": x,
-            "runs": 4,
-            "visible_runs": 1,
-            "visible_share": 0.1,
-            "found": shares,
-            "matched": shares,
-            "median_s": dict.fromkeys(detectors, 1.5),
-            "mu_upper": mu,
-            "loop_stable": stable,
-            "response_ratio": 1.25,
-        }
-
-    rows = [severity("brake gain", 0.5, 4, 2.345), severity("brake gain", 0.7, 1, None, False)]
+def campaign_of_two_severities() -> dict:
+    """The example of the format, with numbers that can be told apart."""
+    example = schemas.example("campaign")
+    detectors = example["detectors"] | {"nis": "NIS"}
     seen = {"count": 1, "of": 50, "interval": [0.0005, 0.1065]}
-    shares = dict.fromkeys(detectors, 0.5)
-    summary = {
+
+    def each(value: object) -> dict:
+        return dict.fromkeys(detectors, value)
+
+    known = example["severities"][0] | {"severity": 0.5, "runs": 4, "found": each(4), "mu_upper": 2.345}
+    unstable = known | {"severity": 0.7, "found": each(1), "mu_upper": None, "loop_stable": False}
+    calibrated = {
+        test: numbers | {"claim": f"alpha 0.05 from {drives} drives"}
+        for (test, numbers), drives in zip(example["calibrated"].items(), (25, 0, 24), strict=True)
+    }
+    calibrated["energy"] = dict.fromkeys(calibrated["energy"]) | {
+        "claim": "alpha is not stated",
+        "threshold": 1.1,
+    }
+    average = each({"calibrated": 0.5, "matched": 0.25})
+    rates = seen | {
+        "per_hour": {"rate": 0.4, "interval": [0.01, 2.23]},
+        "per_judged_hour": {"rate": 0.5, "interval": [0.0127, 2.79]},
+        "alarms": 3,
+    }
+    lost = {"kind": "GUARD_IN lost", "severity": 0.5, "runs": 4, "as_required": 3, "due": 77, "met": 76}
+    return example | {
         "detectors": detectors,
         "units": {"brake gain": "×", "GUARD_IN lost": "of the frames"},
-        "baselines": [{"label": "rms, 2 s"}],
-        "calibrated": {
-            "frame": {
-                "claim": "alpha 0.05 from 25 drives",
-                "alpha": 0.05,
-                "conditional_bound": 0.105,
-                "threshold": 1.0,
-                "per_hour": 1.0,
-            },
-            "energy": {
-                "claim": "alpha is not stated",
-                "alpha": None,
-                "conditional_bound": None,
-                "threshold": 1.1,
-                "per_hour": None,
-            },
-            "change": {
-                "claim": "alpha 0.05 from 24 drives",
-                "alpha": 0.05,
-                "conditional_bound": 0.11,
-                "threshold": 1.2,
-                "per_hour": 1.0,
-            },
-        },
+        "baselines": [example["baselines"][0] | {"label": "rms, 2 s"}],
+        "calibrated": calibrated,
         "due": seen,
-        "visible": dict.fromkeys(detectors, seen),
-        "average": (average := {d: {"calibrated": 0.5, "matched": 0.25} for d in detectors}),
-        "ways": {"ramp": {"runs": 4, "average": average, "median_s": dict.fromkeys(detectors, 2.5)}},
-        "matched_stated": dict.fromkeys(detectors, 0.05),
+        "visible": each(seen),
+        "average": average,
+        "ways": {"ramp": {"runs": 4, "average": average, "median_s": each(2.5)}},
+        "matched_stated": each(0.05),
         "matched_claim": "equal false alarms in the loop",
-        "command_authentication": "not authenticated",
-        "within": {
-            "runs": 50,
-            "hours": 2.5,
-            "judged_hours": 2.0,
-            "plants": 24,
-            "candidates": 40,
-            "nominal_ratio": 0.8,
-            "largest_ratio": 0.9,
-            "checked": {
-                "speeds_mps": [8.0, 22.0],
-                "amplitudes_bar": [[0.25, 2.06], [0.25, 2.05]],
-                "omega_rad_s": [0.02, 1.0, 60.0],
-            },
-            "alarmed": dict.fromkeys(detectors, seen),
-            "tests": {
-                t: seen
-                | {
-                    "per_hour": {"rate": 0.4, "interval": [0.01, 2.23]},
-                    "per_judged_hour": {"rate": 0.5, "interval": [0.0127, 2.79]},
-                    "alarms": 3,
-                }
-                for t in ("frame", "energy", "change")
-            },
-        },
+        "within": example["within"] | {"alarmed": each(seen), "tests": dict.fromkeys(calibrated, rates)},
         "falsified": {"rate": {"count": 0, "of": 50, "interval": [0.0, 0.0711]}, "runs": []},
         "supervision": {kind: {"as_required": seen, "due": 77, "met": 76} for kind in ("faulty", "healthy")},
-        "bus": [
-            {
-                "kind": "GUARD_IN lost",
-                "severity": 0.5,
-                "runs": 4,
-                "as_required": 3,
-                "due": 77,
-                "met": 76,
-                "late_s": 0.01,
-                "unwarranted_s": 0.0,
-                "away": 0.125,
-                "judged": 0.87,
-                "alarmed": dict.fromkeys(detectors, 1),
-                "visible_runs": 2,
-            }
-        ],
+        "bus": [example["bus"][0] | lost | {"away": 0.125}],
         "beaten": [{"kind": "brake gain", "detector": "nis", "matched": 0.5, "monitor": 0.25}],
-        "severities": rows,
-        "invisible": rows[1:],
-        "kinds": [
-            {
-                "kind": "brake gain",
-                "found": shares,
-                "matched": shares,
-                "best": ["monitor", "nis"],
-                "best_matched": ["nis"],
-            }
-        ],
+        "severities": [known, unstable],
+        "invisible": [unstable],
+        "kinds": [example["kinds"][0] | {"best": ["monitor", "nis"]}],
     }
+
+
+@pytest.mark.long("8 s: another page")
+def test_a_campaign_is_told_with_every_severity_and_whoever_was_best(case, tmp_path):
+    summary = campaign_of_two_severities()
     write_report(
         case.stored,
         case.drives,
@@ -261,21 +200,13 @@ def test_a_campaign_is_told_with_every_severity_and_whoever_was_best(case, tmp_p
     assert text.count("Detection against severity") == 2
     assert "50.0%, 25.0%, 2.50 s" in text
     assert text.count("equal false alarms in the loop") >= 4 and "counts only" not in text
+    (falsifying,) = schemas.example("campaign")["falsified"]["runs"]
     summary |= {
         "matched_stated": {**summary["matched_stated"], "nis": None},
         "matched_claim": "counts only: too few runs",
         "falsified": {
-            "rate": seen,
-            "runs": [
-                {
-                    "number": 7,
-                    "seed": 99,
-                    "plant": 3,
-                    "speed_mps": 21.4,
-                    "tables": "",
-                    "did": ["oscillates at 9.11 rad/s"],
-                }
-            ],
+            "rate": {"count": 1, "of": 50, "interval": [0.0005, 0.1065]},
+            "runs": [falsifying | {"number": 7, "seed": 99, "did": ["oscillates at 9.11 rad/s"]}],
         },
     }
     section = campaign_section(summary)
@@ -285,7 +216,7 @@ def test_a_campaign_is_told_with_every_severity_and_whoever_was_best(case, tmp_p
     assert (
         section.index("Falsified certificates: 1 of 50") < section.index("oscillates") < section.index("h of")
     ), "first in its section"
-    assert "<td>7</td><td>99</td><td>3</td><td>21.40</td><td>oscillates at 9.11 rad/s</td>" in section
+    assert "<td>7</td><td>99</td><td>0</td><td>21.40</td><td>oscillates at 9.11 rad/s</td>" in section
     assert (
         "NIS on brake gain, 50% against 25%" in text
         and "0.40, 0.01 to 2.23" in text

@@ -1,4 +1,4 @@
-"""Results of maps kept in a folder, so that a further drive costs its own work only.
+"""Results of maps, kept in a folder: one more drive then costs only its own work.
 
 A map of an identification is a function of its arguments and of one drive. The digest of all of these, with
 that of this package's sources, names the file of the result. A later run reads what an earlier one kept. It

@@ -5,7 +5,7 @@ sources, the headers beside them, the flags and the compiler's version. With ``-
 processor too. A stale or foreign library is therefore never loaded. When several processes start together,
 one compiles and the others wait.
 
-``LPVGUARD_NO_NATIVE=1`` switches every compiled kernel off; the numpy versions give the same answers.
+The package's own kernels in ``_native`` have no second implementation: without a compiler they are refused.
 """
 
 from __future__ import annotations
@@ -74,11 +74,6 @@ def _usable(folder: Path) -> Iterator[None]:
     except OSError as error:
         what = f"cannot be written ({error.strerror}), and compiled code belongs there"
         raise InputError(folder, "", what, "a folder for it in LPVGUARD_CACHE") from None
-
-
-def native_enabled() -> bool:
-    """Return whether compiled kernels are allowed (``LPVGUARD_NO_NATIVE``)."""
-    return os.environ.get("LPVGUARD_NO_NATIVE", "") in ("", "0")
 
 
 def find_compiler(*, cxx: bool) -> tuple[str, ...]:
@@ -340,16 +335,6 @@ _KERNEL_LEVEL = {
 """Optimisation per kernel: -O3 vectorises s1 (twice as fast); the others gain nothing."""
 
 
-@functools.cache
-def _load_kernel(name: str) -> ctypes.CDLL | None:
-    source = Path(__file__).parent / "_native" / f"{name}.c"
-    flags = ("-std=c11", "-Wall", "-Wextra", "-march=native", *REPRODUCIBLE_FLAGS, _KERNEL_LEVEL[name])
-    try:
-        return ctypes.CDLL(str(compile_shared([source], flags=flags, name=f"lpvguard_{name}")))
-    except (NativeError, InputError, OSError):  # OSError: no library may be loaded from the cache's disk
-        return None
-
-
 def pointer(array: np.ndarray) -> ctypes.c_void_p:
     """Return a pointer to the first number of an array.
 
@@ -364,15 +349,27 @@ def pointer(array: np.ndarray) -> ctypes.c_void_p:
     return array.ctypes.data_as(ctypes.c_void_p)
 
 
-def kernels(name: str) -> ctypes.CDLL | None:
+@functools.cache
+def kernels(name: str, *flags: str) -> ctypes.CDLL:
     """Load one of the package's own compiled kernels in ``_native``.
 
     Parameters
     ----------
     name : str
+    *flags : str, further ones for the compiler
 
     Returns
     -------
-    CDLL, or None without a compiler or cache, or when switched off; callers then use numpy
+    CDLL
+
+    Raises
+    ------
+    InputError
+        If there is no compiler, or the cache cannot be written or loaded from.
     """
-    return _load_kernel(name) if native_enabled() else None
+    source = Path(__file__).parent / "_native" / f"{name}.c"
+    kind = ("-std=c11", "-Wall", "-Wextra", "-march=native", *REPRODUCIBLE_FLAGS, _KERNEL_LEVEL[name])
+    try:
+        return ctypes.CDLL(str(compile_shared([source], flags=(*kind, *flags), name=f"lpvguard_{name}")))
+    except (NativeError, OSError) as error:  # OSError: no library may be loaded from the cache's disk
+        raise InputError(source.name, "compiling", str(error).strip(), "a C11 compiler and a cache") from None

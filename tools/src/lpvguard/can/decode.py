@@ -115,7 +115,7 @@ def _by_canmatrix(path: Path) -> Database | None:
 
 
 def _with_signs(database: Database, path: Path) -> Database:
-    """Make signals signed whose range is that of signed bits though their type is not, and name them."""
+    """Make unsigned signals signed where their stated range is that of signed bits, and warn."""
     signed = []
     for message in database.messages:
         for signal in message.signals:

@@ -55,7 +55,7 @@ def read_foreign(path: Path, schema: Path | None) -> Table:
 
 
 def _table(messages: Iterator[Message], units: dict[str, str] | None = None) -> Table:
-    """The series of all numbers of messages."""
+    """Every numeric field of the messages as a series over time."""
     times: dict[str, list[int]] = {}
     values: dict[str, list[float]] = {}
     for topic, t_ns, fields in messages:

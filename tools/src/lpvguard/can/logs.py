@@ -25,7 +25,7 @@ from .damaged import python_can_reader
 from .foreign_logs import read_foreign, reader_of
 from .log_types import ERROR_REPORT as ERROR_REPORT
 from .log_types import EXTENDED as EXTENDED
-from .log_types import FD_BYTES, LATEST_S, frames_of_rows, row_of
+from .log_types import FD_BYTES, frames_of_rows, row_of
 from .log_types import Frames as Frames
 from .log_types import Series as Series
 from .log_types import Table as Table
@@ -285,8 +285,7 @@ def candump_frames(text: np.ndarray) -> Frames:
     """
     if _SCREEN.search(text[:_HEAD].tobytes()):
         text = np.frombuffer(_SCREEN.sub(_as_logged, text.tobytes()), np.uint8)
-    library = native.kernels("candump")
-    return parse_candump(text, library) if library else parse_candump_slowly(text)
+    return _parse_candump(text)
 
 
 _MANY = 20
@@ -336,7 +335,7 @@ def _screen_bytes(digits: bytes, length: int) -> bytes | None:
     return data[::-1] if b"`" in digits else data
 
 
-def parse_candump(text: np.ndarray, library: ctypes.CDLL) -> Frames:
+def _parse_candump(text: np.ndarray) -> Frames:
     """Frames of the candump log ``text`` (bytes,) by the compiled parser (``base/_native/candump.c``)."""
     block = 1 << 20  # stays in the cache
     capacity = 1 + sum(
@@ -347,7 +346,7 @@ def parse_candump(text: np.ndarray, library: ctypes.CDLL) -> Frames:
         channel, length = np.empty(capacity, np.uint8), np.empty(capacity, np.uint8)
         data = np.empty((capacity, width), np.uint8)
         names, counts = np.zeros((_CHANNELS, _NAME_BYTES), np.uint8), np.zeros(_COUNTS, np.int64)
-        parse = library.lpvg_candump
+        parse = native.kernels("candump").lpvg_candump
         parse.restype = ctypes.c_int64
         n = parse(
             ctypes.c_void_p(text.ctypes.data),
@@ -379,41 +378,7 @@ _LINE = re.compile(
     rb" *\((\d{1,10})\.(\d{1,9})\) +([!-\xff]{1,15}) +([0-9A-Fa-f]{3}|[0-9A-Fa-f]{8})#"
     rb"(?:([Rr].*)|(?:#[0-9A-Fa-f])?((?:[0-9A-Fa-f]{2}){0,64})(?:[ _].*)?)\r?"
 )
-
-
-def parse_candump_slowly(text: np.ndarray) -> Frames:
-    """Frames of the candump log ``text`` (bytes,) without a compiler, 20 times slower."""
-    rows: list[tuple[int, int, str, bytes]] = []
-    left_out: dict[str, int] = {}
-    interfaces: set[bytes] = set()
-
-    def leave_out(kind: str) -> None:
-        left_out[kind] = left_out.get(kind, 0) + 1
-
-    for number, line in enumerate(text.tobytes().split(b"\n"), start=1):
-        if line in (b"", b"\r"):
-            continue
-        match = _LINE.fullmatch(line)
-        kind = "" if match is not None and int(match[1]) <= LATEST_S else "lines that are no frame"
-        if match is not None and not kind:
-            seconds, fraction, interface, identifier, remote, data = match.groups()
-            value = int(identifier, 16)
-            if len(identifier) == 8 and value & ERROR_REPORT:
-                kind = "error reports"
-            elif remote:
-                kind = "remote frames"
-            elif interface not in interfaces and len(interfaces) == _CHANNELS:
-                kind = "lines that are no frame"
-            else:
-                interfaces.add(interface)
-                flagged = value & 0x1FFFFFFF | EXTENDED if len(identifier) == 8 else value
-                t_ns = int(seconds) * 10**9 + int(fraction.ljust(9, b"0"))
-                rows.append((t_ns, flagged, interface.decode(errors="replace"), bytes.fromhex(data.decode())))
-        if kind:
-            leave_out(kind)
-        if kind == "lines that are no frame":
-            left_out.setdefault("first line that is no frame", number)
-    return frames_of_rows(rows, left_out)
+"""A line of candump -l."""
 
 
 # ------------------------------------------------------------------------------------------------- python-can

@@ -56,7 +56,7 @@ def time_of(
 ) -> tuple[np.ndarray, np.ndarray, set[str]]:
     """Times (K,) [ns] of a table's rows, which rows have one (N,) bool, and the columns of the time.
 
-    ``named``: the column that the user says. ``units``: unit by column, where the log states one. InputError
+    ``named``: the column that the user named. ``units``: unit by column, where the log states one. InputError
     where no column is the time, its unit cannot be told, or more than STRAY of the rows have none.
     """
     names = table.column_names

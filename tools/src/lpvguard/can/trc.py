@@ -102,7 +102,7 @@ def _pcan(line: str, columns: str, start_s: float) -> tuple[str, _Row | None]:
 
 
 def _length_of(code: int) -> int:
-    """Number of bytes of a length code of CAN FD."""
+    """Number of data bytes for a length code of CAN FD."""
     return code if code <= 8 else _FD_LENGTHS[code - 9]
 
 
@@ -120,7 +120,7 @@ def _canhacker(line: str) -> tuple[str, _Row | None]:
 
 
 def _row(time_s: float, identifier: str, channel: str, length: int, data: str) -> _Row:
-    """A row as ``row_of`` makes it. ValueError where the bytes are not as many as the length says."""
+    """The row of one frame, as ``row_of`` makes it. ValueError where length and bytes disagree."""
     payload = bytes.fromhex(data)
     if len(payload) != length:
         raise ValueError(f"{len(payload)} bytes, where its length says {length}")

@@ -94,7 +94,7 @@ def _guarded(name: str, command: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def _own_sources(command: str) -> list[Path]:
-    """Paths that are compiled or read without being named. `export` may write the shipped folders."""
+    """Paths that a command compiles or reads of itself. `export` may write the shipped folders."""
     from ..core.compiled import PACKAGE, firmware_root, library_root
 
     library = library_root()

@@ -123,7 +123,7 @@ def keeping(folder: Path | None, workers: Map) -> Iterator[Map]:
 
 
 def project_of(vehicle: str) -> Project:
-    """Project of a shipped vehicle or of a project file; InputError otherwise."""
+    """Load the project of a shipped vehicle or of a project file. InputError if there is neither."""
     from ..vehicle.project import load_project
 
     return load_project(vehicle)
@@ -159,7 +159,7 @@ def stored_for(identification: Path, vehicle: str) -> StoredIdentification:
 def stored_with_drives(
     identification: Path, folder: Path, vehicle: str | None = None
 ) -> tuple[StoredIdentification, DriveSet]:
-    """The identification and the drives that it was made from. ``vehicle`` None: of whatever vehicle.
+    """The identification and the drives that it was made from. ``vehicle`` None accepts any.
     InputError where a drive is not the file that was identified."""
     from ..identify import identification as stage
 

@@ -276,12 +276,12 @@ class Estimator:
         """Frames (S, m) of bin k of the signals x (N, m) at the start samples (S,), complex."""
         if not len(starts):
             return np.zeros((0, x.shape[1]), complex)
-        if self.window == "hann" and (lib := native.kernels("hann")):
-            return self._slid(lib, np.ascontiguousarray(x, float), k, starts)
+        if self.window == "hann":
+            return self._slid(np.ascontiguousarray(x, float), k, starts)
         kernel = self.kernel(k)[::-1, None]
         return oaconvolve(x, kernel, mode="valid", axes=0)[starts]
 
-    def _slid(self, lib: ctypes.CDLL, x: np.ndarray, k: int, starts: np.ndarray) -> np.ndarray:
+    def _slid(self, x: np.ndarray, k: int, starts: np.ndarray) -> np.ndarray:
         """Compute `transform` by sliding sums over stretches of close starts."""
         N, m = int(self.length[k]), x.shape[1]
         turn = _turns(N, int(self.cycles[k]))
@@ -291,8 +291,7 @@ class Estimator:
             first = int(near[0])
             every = np.empty((int(near[-1]) - first + 1, m), complex)
             sizes = (ctypes.c_ssize_t(size) for size in (len(every), m, N))
-            lib.lpvg_hann(
-                *sizes, native.pointer(x[first:]), native.pointer(turn), scale, native.pointer(every)
-            )
+            arrays = (native.pointer(x[first:]), native.pointer(turn), scale, native.pointer(every))
+            native.kernels("hann").lpvg_hann(*sizes, *arrays)
             spectra.append(every if len(every) == len(near) else every[near - first])
         return spectra[0] if len(spectra) == 1 else np.concatenate(spectra)

@@ -297,7 +297,7 @@ class _Along:
         return np.where(self.run > 0, np.concatenate(sizes), -np.inf)
 
     def glr(self, b: Baseline) -> np.ndarray:
-        """(3 n_y, M) root of the largest ratio over onsets, per direction; -inf if no onset is usable."""
+        """Root of the largest ratio over all onsets, (3 n_y, M) per direction; -inf where none is usable."""
         n, shortest = self._samples(b.window_s), self._samples(SHORTEST_ONSET_S)
         out = self._once(self._ratio, b.process_ratio, n)
         while n // 2 >= shortest:

@@ -57,7 +57,7 @@ class Case:
 
 @dataclass(frozen=True)
 class JudgedClock:
-    """Clock of judged, excited, in-range driving from a sample of a drive on.
+    """Clock that counts judged, excited driving in range after a sample of a drive.
 
     Attributes
     ----------

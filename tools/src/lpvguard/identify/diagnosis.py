@@ -191,18 +191,12 @@ def _spread(theta: np.ndarray, errors: np.ndarray, start: np.ndarray | None = No
 def _surplus(theta: np.ndarray, errors: np.ndarray, moments: np.ndarray) -> np.ndarray:
     """Sums (n_y, 4, 4) over windows of u u' - S^-1, for theta (n_y, 4, W), errors (4, 4, n_y, W), moments
     (n_y, 4, 4).
-
-    The numpy version agrees with the compiled one to rounding.
     """
-    if lib := native.kernels("spread"):
-        surplus = np.empty_like(moments)
-        sizes = (ctypes.c_ssize_t(size) for size in (len(moments), theta.shape[-1]))
-        arrays = (theta, errors, np.ascontiguousarray(moments), surplus)
-        lib.lpvg_spread(*sizes, *map(native.pointer, arrays))
-        return surplus
-    inverse = np.linalg.inv(np.moveaxis(errors, (0, 1), (2, 3)) + moments[:, None])
-    u = np.einsum("jwkm,jmw->jwk", inverse, theta)
-    return np.einsum("jwk,jwm->jkm", u, u) - inverse.sum(axis=1)
+    surplus = np.empty_like(moments)
+    sizes = (ctypes.c_ssize_t(size) for size in (len(moments), theta.shape[-1]))
+    arrays = (theta, errors, np.ascontiguousarray(moments), surplus)
+    native.kernels("spread").lpvg_spread(*sizes, *map(native.pointer, arrays))
+    return surplus
 
 
 @dataclass(frozen=True)

@@ -234,8 +234,6 @@ def tabulate(
 def recursion(Ad: np.ndarray, forced: np.ndarray, x_first: np.ndarray) -> np.ndarray:
     """Run x_{k+1} = Ad_k x_k + forced_k.
 
-    The compiled kernel and the numpy version give the same bits.
-
     Parameters
     ----------
     Ad : ndarray (N, n, n)
@@ -249,23 +247,9 @@ def recursion(Ad: np.ndarray, forced: np.ndarray, x_first: np.ndarray) -> np.nda
     Ad, forced, x = (np.ascontiguousarray(a, float) for a in (Ad, forced, x_first))
     samples, n = forced.shape
     states = np.empty((samples, n))
-    if lib := native.kernels("recursion"):
-        lib.lpvg_recursion(
-            ctypes.c_ssize_t(samples), ctypes.c_ssize_t(n), *map(native.pointer, (Ad, forced, x, states))
-        )
-        return states
-    for k in range(samples):
-        states[k] = x
-        x = _product(Ad[k : k + 1], x[None])[0] + forced[k]
+    sizes = map(ctypes.c_ssize_t, (samples, n))
+    native.kernels("recursion").lpvg_recursion(*sizes, *map(native.pointer, (Ad, forced, x, states)))
     return states
-
-
-def _product(M: np.ndarray, x: np.ndarray) -> np.ndarray:
-    """M x (m, n) for M (m, n, k) and x (m, k), summed from the first column on."""
-    out = M[:, :, 0] * x[:, :1]
-    for j in range(1, x.shape[1]):
-        out += M[:, :, j] * x[:, j : j + 1]
-    return out
 
 
 def entries_at(
@@ -493,25 +477,19 @@ class NominalModel:
     def states(self, v: np.ndarray, older: np.ndarray, newer: np.ndarray, first: np.ndarray) -> np.ndarray:
         """States (N + 1, n) along speeds v (N,) from ``first`` (n,), by the speed table.
 
-        The inputs are the `acting_inputs`, (N, n_u) each. The compiled kernel and the numpy version give the
-        same bits.
+        The inputs are the `acting_inputs`, (N, n_u) each.
         """
         table = self.table
-        if lib := native.kernels("recursion"):
-            states = np.empty((len(v) + 1, self.n))
-            states[0] = first
-            sizes = (len(v), self.n, self.n_u, len(table.cell), len(table.varying))
-            index = np.asarray(table.varying, np.intp)
-            reals = [np.ascontiguousarray(a, float) for a in (table.cell, table.position(v), older, newer)]
-            lib.lpvg_scheduled(
-                *map(ctypes.c_ssize_t, sizes),
-                *map(native.pointer, (index, *reals, table.base.copy(), states)),
-            )
-            return states
-        Ad, B_old, B_new = self.split(table.at(v))
-        forced = _product(B_old, older) + _product(B_new, newer)
-        x = recursion(Ad, forced, first)
-        return np.vstack([x, _product(Ad[-1:], x[-1:]) + forced[-1:]])
+        states = np.empty((len(v) + 1, self.n))
+        states[0] = first
+        sizes = (len(v), self.n, self.n_u, len(table.cell), len(table.varying))
+        index = np.asarray(table.varying, np.intp)
+        reals = [np.ascontiguousarray(a, float) for a in (table.cell, table.position(v), older, newer)]
+        native.kernels("recursion").lpvg_scheduled(
+            *map(ctypes.c_ssize_t, sizes),
+            *map(native.pointer, (index, *reals, table.base.copy(), states)),
+        )
+        return states
 
     @cached_property
     def table(self) -> SpeedTable:

@@ -1,4 +1,4 @@
-/* Hann frames of real signals at every start of a stretch, by sliding sums. drives/frames.py has the numpy version.
+/* Hann frames of real signals at every start of a stretch, by sliding sums. drives/frames.py calls it.
  *
  * A frame of N samples with c periods is, by the window's three lines l = c - 1, c, c + 1,
  *

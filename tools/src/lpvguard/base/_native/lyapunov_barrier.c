@@ -4,7 +4,7 @@
  * of e and dP of next. G_i is near E, so products of G_i would cancel to D_i^2, which rounding does not leave.
  * x = E S E', y = D S E', z = D S D', t = x + y + y' + z / 2, r = x + y / 2; yt, rt transposed; each (count, n, n). moved, next
  * (count, terms). Unknowns: the upper triangles of P_1 .. P_terms row by row; h (terms * n(n+1)/2)^2, rows and columns in that
- * order; the lower triangle of h is written. barrier.py has the numpy version.
+ * order; the lower triangle of h is written.
  */
 #include <stddef.h>
 

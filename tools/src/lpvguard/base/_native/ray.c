@@ -6,19 +6,14 @@
  * found up to the largest length that it proves (Dinkelbach), with bisection in between: far from the end Dinkelbach's
  * steps alone can be a hundred times too short. Groups of y: order 1, a number >= 0; order r > 1, the r^2
  * coordinates of a Hermitian positive semidefinite matrix (diagonal first, then Re and Im of the lower triangle, row by
- * row); order 0, free numbers. The numpy version is engine/validation/lmi.py.
+ * row); order 0, free numbers. engine/validation/lmi.py names the sizes.
  */
 #include <float.h>
 #include <math.h>
 #include <stddef.h>
 #include <string.h>
 
-enum {
-    MAX_N = 16,
-    MAX_M = 64,
-    MAX_R = 4,
-    MAX_NEWTON = 120
-};
+#define MAX_NEWTON 120
 
 typedef struct {
     double re, im;
@@ -214,8 +209,17 @@ static double rounding(const problem* p, const double* y) {
     return 4.0 * p->n * DBL_EPSILON * sum;
 }
 
-/* max x at one length. y in: the start; out: the best multipliers; inverse: (matrix - x I)^-1 there. Returns x. */
-static double maximise_level(const problem* p, double length, double relative, double absolute, double* y, matrix inverse) {
+/* The multipliers with the same share of the trace for each diagonal entry. */
+static void even(const problem* p, double* y) {
+    double degree = 0.0;
+    memset(y, 0, sizeof(double) * (size_t)p->m);
+    for (int g = 0; g < p->groups; g++) degree += p->order[g];
+    for (int g = 0; g < p->groups; g++)
+        for (int i = 0; i < p->order[g]; i++) y[p->start[g] + i] = 1.0 / degree;
+}
+
+/* max x at one length. y: the best multipliers; above: more than the optimum; inverse: (matrix - x I)^-1 at y. Returns x. */
+static double maximise_level(const problem* p, double length, double relative, double absolute, double* y, double* above, matrix inverse) {
     static const double shrink = 0.15;
     const int n = p->n, m = p->m, size = m + 2;
     static _Thread_local cpx scaled[MAX_M + 1][MAX_N][MAX_N];
@@ -225,8 +229,10 @@ static double maximise_level(const problem* p, double length, double relative, d
         degree += p->order[g];
         for (int i = 0; i < p->order[g]; i++) normal[p->start[g] + i] = 1.0;
     }
+    even(p, y);
+    *above = INFINITY;
     const double low = least_eigenvalue(p, y, length);
-    double x = low - 0.5 * fmax(1e-3, fabs(low)), eps = 0.5 * (low - x), above = INFINITY;
+    double x = low - 0.5 * fmax(1e-3, fabs(low)), eps = 0.5 * (low - x);
     matrix slack;
     combine(p, y, length, x, slack);
     if (!cholesky(n, slack)) return -INFINITY;
@@ -271,7 +277,10 @@ static double maximise_level(const problem* p, double length, double relative, d
         }
         for (int i = 0; i < size; i++)
             for (int j = 0; j < size; j++) kkt[i][j] = i <= m && j <= m ? hessian[i * (m + 1) + j] * (i == j ? 1.0 + 1e-13 : 1.0) : 0.0;
-        for (int i = 0; i < m; i++) kkt[m + 1][i] = kkt[i][m + 1] = normal[i];
+        for (int i = 0; i < m; i++) {
+            kkt[m + 1][i] = kkt[i][m + 1] = normal[i];
+            if (hessian[i * (m + 1) + i] == 0.0) kkt[i][i] = 1.0; /* a free form of zeros keeps its multiplier */
+        }
         memcpy(rhs, gradient, sizeof gradient);
         rhs[m + 1] = 0.0;
         if (!gauss(size, kkt, rhs)) break;
@@ -297,8 +306,8 @@ static double maximise_level(const problem* p, double length, double relative, d
         x += step * rhs[m];
         invert(n, slack, inverse);
         if (decrement * step < 0.5 && decrement < 1.0) {
-            above = fmin(above, x + 2.0 * eps * degree);
-            if (above < 0.0 || above - x <= fmax(absolute, relative * fabs(x))) break;
+            *above = fmin(*above, x + 2.0 * eps * degree);
+            if (*above < 0.0 || *above - x <= fmax(absolute, relative * fabs(x))) break;
             eps *= shrink;
         }
     }
@@ -329,18 +338,23 @@ static double reach(const problem* p, const double* y, double from, double error
     return lo;
 }
 
-/* Returns the certified length. y (m) out: its multipliers, valid when *found; inverse (n x n) out: the primal at the end.
- * -1 when the sizes do not fit the fixed arrays. */
+/* max x with sum_j y_j Q_j - x I >= 0. y (m) out: its multipliers; above: more than the optimum; inverse (n x n) out: of that matrix. */
+double lpvg_level(int n, int m, int groups, const int* start, const int* order, const cpx* q, double relative, double absolute, double* y,
+                  double* above, cpx* inverse) {
+    const problem p = {n, m, groups, start, order, q, q};
+    matrix inv;
+    const double x = maximise_level(&p, 0.0, relative, absolute, y, above, inv);
+    for (int i = 0; i < n; i++)
+        for (int j = 0; j < n; j++) inverse[i * n + j] = inv[i][j];
+    return x;
+}
+
+/* Returns the certified length. y (m) out: its multipliers, valid when *found; inverse (n x n) out: the primal at the end. */
 double lpvg_ray(int n, int m, int groups, const int* start, const int* order, const cpx* q0, const cpx* level, double cutoff, double* y,
                 int* found, cpx* inverse) {
     const problem p = {n, m, groups, start, order, q0, level};
     *found = 0;
-    if (n > MAX_N || m > MAX_M) return -1.0;
-    double degree = 0.0, length = 0.0, next[MAX_M];
-    for (int g = 0; g < groups; g++) {
-        degree += order[g];
-        if (order[g] > MAX_R) return -1.0;
-    }
+    double above, length = 0.0, next[MAX_M];
     matrix inv;
     double beyond = INFINITY;                           /* a length that is known, or taken, not to be provable */
     for (int round_ = 0; round_ < 80; round_++) {
@@ -349,10 +363,7 @@ double lpvg_ray(int n, int m, int groups, const int* start, const int* order, co
         double at = length;
         if (ahead && beyond < INFINITY) at = beyond > 4.0 * length ? sqrt(fmax(length, 1e-6 * beyond) * beyond) : 0.5 * (length + beyond);
         if (ahead && beyond == INFINITY) at = cutoff < INFINITY ? fmax(cutoff, length) : 8.0 * length;
-        memset(next, 0, sizeof next);
-        for (int g = 0; g < groups; g++)
-            for (int i = 0; i < order[g]; i++) next[start[g] + i] = 1.0 / degree;
-        const double x = maximise_level(&p, at, 0.3, 1e-8, next, inv), error = rounding(&p, next);
+        const double x = maximise_level(&p, at, 0.3, 1e-8, next, &above, inv), error = rounding(&p, next);
         if (ahead && !(x > error)) {
             beyond = at;
             continue;

@@ -1,8 +1,8 @@
 /* A model's recursion along a drive, x_{k+1} = A_k x_k + f_k, and that of the nominal model from its table over speed.
- * vehicle/nominal.py has the numpy versions.
+ * vehicle/nominal.py calls both.
  *
  * a (samples, n, n), f (samples, n), x0 (n,), out (samples, n): C-ordered and contiguous; out[k] is the state before step k.
- * Sums run from the first column on, the forcing last, without contraction: the same bits as the numpy version.
+ * Sums run from the first column on, the forcing last, without contraction.
  */
 #include <stddef.h>
 

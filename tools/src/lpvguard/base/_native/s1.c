@@ -1,7 +1,7 @@
 /* Class S1, E = delta Z + w with one complex scalar delta common to all outputs: closed forms, one point after another.
  *
  * Arrays are C-ordered and contiguous; complex numbers are (re, im) pairs, as numpy's complex128. No heap, no state.
- * The numpy versions are in engine/validation/s1.py; formulas and proofs are told there.
+ * Formulas and proofs: engine/validation/s1.py.
  */
 #include <math.h>
 #include <stddef.h>

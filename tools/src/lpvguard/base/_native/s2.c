@@ -9,7 +9,7 @@
  *     L(mu, p) = S_tt - S_tT S_TT^-1 S_Tt,   S = Q0 + mu_w Qw + mu_s (A - p B),   S_TT > 0
  *
  * has no gap (Beck and Eldar). For fixed mu, L(mu, .) is concave and stays valid for every smaller p, so over [a, m] the
- * bound is the smaller of a + L(mu, a) and m + L(mu, m). Branch and bound over p; the numpy version is engine/validation/s2.py.
+ * bound is the smaller of a + L(mu, a) and m + L(mu, m). Branch and bound over p.
  */
 #include <math.h>
 #include <stddef.h>

@@ -1,4 +1,4 @@
-/* A step of expectation and maximisation for the second moments of a random theta. identify/diagnosis.py has the numpy version.
+/* A step of expectation and maximisation for the second moments of a random theta. identify/diagnosis.py calls it.
  *
  * With S_w = found + errors_w and u_w = S_w^-1 theta_w of every window w the sum of u_w u_w' - S_w^-1, by the Cholesky factor of S_w.
  * Windows go through in lanes, side by side.

@@ -82,27 +82,10 @@ class Barrier:
         terms = self.next.shape[1]
         size = terms * len(self.twice)
         H = np.zeros((size, size))
-        if lib := native.kernels("lyapunov_barrier"):
-            lib.lpvg_lyapunov_hessian(
-                *(ctypes.c_ssize_t(count) for count in (self.n, len(S), terms)),
-                *map(native.pointer, (*matrices, H)),
-            )
-            return H
-        i, j = self.upper
-        weight = 0.25 * np.outer(self.twice, self.twice)
-
-        def product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-            """Products of tr(Q a R b) for symmetric Q and R."""
-            b = b.T
-            straight = a[np.ix_(i, i)] * b[np.ix_(j, j)] + a[np.ix_(j, j)] * b[np.ix_(i, i)]
-            return weight * (straight + a[np.ix_(i, j)] * b[np.ix_(j, i)] + a[np.ix_(j, i)] * b[np.ix_(i, j)])
-
-        for X, Y, Yt, Z, T, R, Rt, moved, after in zip(*matrices, strict=True):
-            crossed = np.kron(np.outer(moved, after), product(Rt, Y) + product(Yt, R))
-            H += np.kron(np.outer(moved, moved), product(X, X)) - crossed - crossed.T
-            H += np.kron(
-                np.outer(after, after), product(Y, Y) + product(Yt, Yt) + product(T, Z) + product(Z, T)
-            )
+        native.kernels("lyapunov_barrier").lpvg_lyapunov_hessian(
+            *(ctypes.c_ssize_t(count) for count in (self.n, len(S), terms)),
+            *map(native.pointer, (*matrices, H)),
+        )
         return H
 
     def _sides(self, S: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -14,14 +14,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from lpvguard.base import native
+from lpvguard.base.errors import InputError
 
-MAX_NEWTON = 120
-
-ENDLESS = 1e30
-"""A ray that is proven this far has no end: base/_native/ray.c says so too."""
-
-_NATIVE_N, _NATIVE_M, _NATIVE_ORDER = 16, 64, 4
-"""Sizes that the compiled version's fixed arrays hold (base/_native/ray.c); larger problems run in numpy."""
+SIZES = ({"N": 16, "M": 64, "R": 4}, {"N": 64, "M": 256, "R": 8})
+"""Rows, multipliers and order of a group that the arrays of base/_native/ray.c hold, compiled for either."""
 
 
 @dataclass(frozen=True)
@@ -78,11 +74,6 @@ def cone(groups: list[tuple[str, int]]) -> Cone:
     )
 
 
-def _member(c: Cone, g: int, y: np.ndarray) -> np.ndarray:
-    part = y[c.start[g] : c.start[g] + c.size[g]]
-    return np.tensordot(part, hermitian_basis(c.order[g]), axes=1)
-
-
 @dataclass(frozen=True)
 class Centre:
     """A feasible ``y`` with level ``x``.
@@ -96,13 +87,22 @@ class Centre:
     inverse: np.ndarray
 
 
-def _interior(c: Cone, y: np.ndarray) -> bool:
-    for g, r in enumerate(c.order):
-        if r == 1 and y[c.start[g]] <= 0.0:
-            return False
-        if r > 1 and np.linalg.eigvalsh(_member(c, g, y))[0] <= 0.0:
-            return False
-    return True
+def _compiled(n: int, c: Cone) -> ctypes.CDLL:
+    """The kernel of the smallest sizes that hold a problem of ``n`` rows; InputError beyond all of them."""
+    asked = {"N": n, "M": len(c.normal), "R": max(c.order)}
+    for sizes in SIZES:
+        if all(asked[key] <= sizes[key] for key in sizes):
+            return native.kernels("ray", *(f"-DMAX_{key}={size}" for key, size in sizes.items()))
+    raise InputError(
+        "certificate",
+        "size",
+        f"{n} rows, {asked['M']} multipliers, groups of order {asked['R']}",
+        "at most {N}, {M} and {R}".format(**SIZES[-1]),
+    )
+
+
+def _groups(c: Cone) -> list[np.ndarray]:
+    return [np.array(part, dtype=np.int32) for part in (c.start, c.order)]
 
 
 def maximise_level(q: np.ndarray, c: Cone, *, relative: float = 0.1, absolute: float = 1e-9) -> Centre:
@@ -112,90 +112,20 @@ def maximise_level(q: np.ndarray, c: Cone, *, relative: float = 0.1, absolute: f
     ``relative`` of its magnitude or within ``absolute``, or is proven negative.
     """
     m, n = q.shape[:2]
-    y = c.normal / c.normal.sum()
-    matrix = np.tensordot(y, q, axes=1)
-    low = np.linalg.eigvalsh(matrix)[0]
-    x = float(low - 0.5 * max(1e-3, abs(low)))
-    degree = n + sum(c.order)
-    eps = (low - x) / 2.0
-    eye = np.eye(n)
-    # The last row of ``forms`` is d(Q - x I)/dx; the KKT system keeps the normalisation.
-    forms = np.concatenate([q, -eye[None]])
-    kkt = np.zeros((m + 2, m + 2))
-    kkt[m + 1, :m] = kkt[:m, m + 1] = c.normal
-    ridge = 1.0 + 1e-13 * np.eye(m + 2)  # keeps multiples small that cancel: of free forms of one span
-    x_above = np.inf
-    inverse = np.linalg.inv(matrix - x * eye)
-    for _ in range(MAX_NEWTON):
-        gradient, hessian = _barrier(inverse, forms, c, y, eps)
-        kkt[: m + 1, : m + 1] = hessian
-        kkt *= ridge
-        try:
-            step = np.linalg.solve(kkt, np.append(gradient, 0.0))[: m + 1]
-        except np.linalg.LinAlgError:  # free forms of zero: the least step
-            step = np.linalg.lstsq(kkt, np.append(gradient, 0.0))[0][: m + 1]
-        decrement = np.sqrt(max(float(gradient @ step) / eps, 0.0))
-        if not np.isfinite(decrement):
-            break
-        length = 1.0 if decrement < 0.25 else 1.0 / (1.0 + decrement)
-        if decrement > 1.0:
-            length = min(1.0, 4.0 * length)
-        moved = _feasible_step(q, c, y, x, step, length)
-        if moved is None:
-            break
-        y, x, slack, length = moved
-        inverse = np.linalg.inv(slack)
-        inverse = 0.5 * (inverse + inverse.conj().T)
-        if decrement * length < 0.5 and decrement < 1.0:
-            x_above = min(x_above, x + 2.0 * eps * degree)
-            gap = x_above - x
-            if x_above < 0.0 or gap <= max(absolute, relative * abs(x)):
-                break
-            eps *= 0.15
-    return Centre(y, float(x), float(x_above), inverse)
-
-
-def _barrier(
-    inverse: np.ndarray, forms: np.ndarray, c: Cone, y: np.ndarray, eps: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """Gradient (m + 1,) and negative Hessian (m + 1, m + 1) in (y, x) of x + eps times the log barrier.
-
-    ``inverse``: (Q(y) - x I)^-1. ``forms`` (m + 1, n, n): derivatives of Q(y) - x I.
-    """
-    count, n = forms.shape[:2]
-    scaled = inverse @ forms
-    gradient = eps * np.einsum("jii->j", scaled).real
-    gradient[count - 1] += 1.0
-    flat = scaled.reshape(count, n * n)
-    hessian = eps * (flat @ scaled.transpose(0, 2, 1).reshape(count, n * n).T).real
-    for g, r in enumerate(c.order):
-        s = slice(c.start[g], c.start[g] + c.size[g])
-        if r == 1:
-            gradient[s] += eps / y[s]
-            hessian[s, s] += eps / y[s] ** 2
-        elif r > 1:
-            d = np.linalg.inv(_member(c, g, y)) @ hermitian_basis(r)
-            gradient[s] += eps * np.einsum("jii->j", d).real
-            hessian[s, s] += eps * np.einsum("jab,kba->jk", d, d).real
-    return gradient, hessian
-
-
-def _feasible_step(
-    q: np.ndarray, c: Cone, y: np.ndarray, x: float, step: np.ndarray, length: float
-) -> tuple[np.ndarray, float, np.ndarray, float] | None:
-    """(y, x, Q(y) - x I, length) after the longest halved step that stays feasible; None without one."""
-    m, n = q.shape[:2]
-    while length > 1e-10:
-        y_new, x_new = y + length * step[:m], float(x + length * step[m])
-        slack = np.tensordot(y_new, q, axes=1) - x_new * np.eye(n)
-        if _interior(c, y_new):
-            try:
-                np.linalg.cholesky(slack)
-                return y_new, x_new, slack, length
-            except np.linalg.LinAlgError:
-                pass
-        length *= 0.5
-    return None
+    q = np.ascontiguousarray(q, dtype=complex)
+    y, above, inverse = np.empty(m), np.empty(1), np.empty((n, n), dtype=complex)
+    search = _compiled(n, c).lpvg_level
+    search.restype = ctypes.c_double
+    x = search(
+        n,
+        m,
+        len(c.order),
+        *map(native.pointer, (*_groups(c), q)),
+        ctypes.c_double(relative),
+        ctypes.c_double(absolute),
+        *map(native.pointer, (y, above, inverse)),
+    )
+    return Centre(y, x, float(above[0]), inverse)
 
 
 def rounding(y: np.ndarray, forms: np.ndarray) -> float:
@@ -237,40 +167,6 @@ def reaches(zeros: np.ndarray, slopes: np.ndarray, errors: np.ndarray) -> np.nda
     return out
 
 
-def _ray_length_numpy(
-    q0: np.ndarray, level: np.ndarray, c: Cone, cutoff: float
-) -> tuple[float, np.ndarray | None, np.ndarray | None]:
-    length, beyond = 0.0, np.inf
-    y: np.ndarray | None = None
-    inverse: np.ndarray | None = None
-    for turn in range(80):
-        ahead = turn % 2 == 1
-        at = length
-        if ahead and np.isfinite(beyond):
-            far = beyond > 4.0 * length
-            at = np.sqrt(max(length, 1e-6 * beyond) * beyond) if far else 0.5 * (length + beyond)
-        elif ahead:
-            at = max(cutoff, length) if np.isfinite(cutoff) else 8.0 * length
-        centre = maximise_level(q0 - at * level, c, relative=0.3, absolute=1e-8)
-        error = rounding(centre.y, q0)
-        if ahead and centre.x <= error:
-            beyond = at
-            continue
-        inverse = centre.inverse
-        if centre.x <= error:
-            break
-        y = centre.y
-        zero, slopes = np.tensordot(y, q0, axes=1), np.tensordot(y, level, axes=1)[None]
-        (proved,) = reach(zero, slopes, error)
-        longer = max(at, float(proved))
-        longer = np.inf if longer > ENDLESS else longer
-        done = not ahead and (longer <= length * (1.0 + 1e-6) or beyond <= longer * (1.0 + 1e-5))
-        length = max(length, longer)
-        if done or length >= cutoff:
-            break
-    return length, y, inverse
-
-
 def ray_length(
     q0: np.ndarray, level: np.ndarray, c: Cone, cutoff: float = np.inf
 ) -> tuple[float, np.ndarray | None, np.ndarray | None]:
@@ -278,26 +174,22 @@ def ray_length(
 
     ``q0``, ``level`` (m, n, n): the forms are Q0 - length L, L >= 0. No point satisfies all of them at a
     smaller length. The method is Dinkelbach's iteration: each y is used up to the largest length that it
-    proves. Bisection goes in between, because far from the end a step can be a hundred times too short. Stops
-    at ``cutoff``.
+    proves. Far from the end such a step can be a hundred times too short, so steps of bisection come between.
+    The search stops at ``cutoff``.
     """
     m, n = q0.shape[:2]
-    lib = native.kernels("ray")
-    if lib is None or n > _NATIVE_N or m > _NATIVE_M or max(c.order) > _NATIVE_ORDER:
-        return _ray_length_numpy(q0, level, c, cutoff)
     q0, level = np.ascontiguousarray(q0, dtype=complex), np.ascontiguousarray(level, dtype=complex)
     y, inverse, certified = np.zeros(m), np.zeros((n, n), dtype=complex), ctypes.c_int()
-    groups = [np.array(part, dtype=np.int32) for part in (c.start, c.order)]
-    pointer = ctypes.c_void_p
-    lib.lpvg_ray.restype = ctypes.c_double
-    length = lib.lpvg_ray(
+    search = _compiled(n, c).lpvg_ray
+    search.restype = ctypes.c_double
+    length = search(
         n,
         m,
         len(c.order),
-        *(a.ctypes.data_as(pointer) for a in (*groups, q0, level)),
+        *map(native.pointer, (*_groups(c), q0, level)),
         ctypes.c_double(cutoff),
-        y.ctypes.data_as(pointer),
+        native.pointer(y),
         ctypes.byref(certified),
-        inverse.ctypes.data_as(pointer),
+        native.pointer(inverse),
     )
     return length, y if certified.value else None, inverse

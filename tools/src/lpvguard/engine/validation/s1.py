@@ -3,9 +3,8 @@
 E is the windowed DFT of the nominal error, Z of the nominal output. Both are ``(..., n_y)`` complex in the
 outputs' own units. Every other argument broadcasts against the leading shape. The closed forms are exact to
 rounding. The usual forms cancel for delta0 -> nu, gamma_w -> B1, gamma_w -> abs(E) and for E parallel to Z.
-Differences of nearly equal products are therefore formed in double-double arithmetic. The compiled kernels
-and the numpy versions agree to 1e-13 relative. Margins agree to 1e-11, and to 1e-6 where the outputs' Z lie
-decades apart: the meeting point of three discs is then a small difference.
+Differences of nearly equal products are therefore formed in double-double arithmetic
+(base/_native/s1.c).
 
 With delta0 = Z^H E / Z^H Z (the least-squares scalar) and, by Lagrange's identity,
 
@@ -16,17 +15,12 @@ With delta0 = Z^H E / Z^H Z (the least-squares scalar) and, by Lagrange's identi
 
 import ctypes
 from dataclasses import dataclass
-from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
 
 from lpvguard.base import native
 from lpvguard.base.errors import InputError
-
-EDGE_TOLERANCE = 2e-12
-"""gamma_w^2 may lie below B1^2 by this much, relative: a gamma_w that *is* the B1 returned here stays
-feasible."""
 
 
 @dataclass(frozen=True)
@@ -49,95 +43,6 @@ class S1Result:
     nu: np.ndarray
     delta: np.ndarray
     w: np.ndarray
-
-
-def _two_sum(a, b):
-    s = a + b
-    v = s - a
-    return s, (a - (s - v)) + (b - v)
-
-
-def _two_prod(a, b):
-    p = a * b
-    ah = 134217729.0 * a
-    ah = ah - (ah - a)
-    bh = 134217729.0 * b
-    bh = bh - (bh - b)
-    al, bl = a - ah, b - bh
-    return p, ((ah * bh - p) + ah * bl + al * bh) + al * bl
-
-
-def _dd_add(x, y):
-    s, t = _two_sum(x[0], y[0])
-    t = t + (x[1] + y[1])
-    hi = s + t
-    return hi, t - (hi - s)
-
-
-def _dd_mul(x, y):
-    p, t = _two_prod(x[0], y[0])
-    return p, t + (x[0] * y[1] + x[1] * y[0])
-
-
-def _dd_dot(pairs):
-    """Sum of products a b over ``pairs`` in double-double."""
-    total = None
-    for a, b in pairs:
-        term = _two_prod(a, b)
-        total = term if total is None else _dd_add(total, term)
-    return total
-
-
-def _dd_cross(a, b, c, d):
-    """Real and imaginary part of a b - c d, each as a double-double pair."""
-    re = _dd_dot([(a.real, b.real), (-c.real, d.real), (-a.imag, b.imag), (c.imag, d.imag)])
-    im = _dd_dot([(a.real, b.imag), (-c.real, d.imag), (a.imag, b.real), (-c.imag, d.real)])
-    return re, im
-
-
-def _exponent(values: np.ndarray) -> np.ndarray:
-    """Power of two just above the largest magnitude over the last axis; 0 where all are zero."""
-    return np.frexp(np.max(values, axis=-1))[1]
-
-
-def _s1_numpy(e: np.ndarray, z: np.ndarray, gamma: np.ndarray):
-    n = e.shape[-1]
-    bad = ~(np.isfinite(e).all(-1) & np.isfinite(z).all(-1) & np.isfinite(gamma))
-    e, z, gamma = np.where(bad[:, None], 0.0, e), np.where(bad[:, None], 0.0, z), np.where(bad, 0.0, gamma)
-    ke = _exponent(np.concatenate([abs(e.real), abs(e.imag), gamma[:, None]], axis=-1))
-    kz = _exponent(np.concatenate([abs(z.real), abs(z.imag)], axis=-1))
-    es = np.ldexp(e.real, -ke[:, None]) + 1j * np.ldexp(e.imag, -ke[:, None])
-    zs = np.ldexp(z.real, -kz[:, None]) + 1j * np.ldexp(z.imag, -kz[:, None])
-    g = np.ldexp(gamma, -ke)
-    ei, zi = [es[:, i] for i in range(n)], [zs[:, i] for i in range(n)]
-    gg = _two_prod(g, g)
-    ee = _dd_dot([(x, x) for i in range(n) for x in (ei[i].real, ei[i].imag)])
-    zz = _dd_dot([(x, x) for i in range(n) for x in (zi[i].real, zi[i].imag)])
-    ze_re = _dd_dot([pair for i in range(n) for pair in ((zi[i].real, ei[i].real), (zi[i].imag, ei[i].imag))])
-    ze_im = _dd_dot(
-        [pair for i in range(n) for pair in ((zi[i].real, ei[i].imag), (-zi[i].imag, ei[i].real))]
-    )
-    d2 = (np.zeros_like(g), np.zeros_like(g))
-    for i, j in combinations(range(n), 2):
-        for part in _dd_cross(ei[i], zi[j], ei[j], zi[i]):
-            d2 = _dd_add(d2, _dd_mul(part, part))
-    ee_g = _dd_add(ee, (-gg[0], -gg[1]))[0]
-    room_scale = _dd_mul(gg, zz)
-    room = _dd_add(room_scale, (-d2[0], -d2[1]))[0]
-    no_z = zz[0] == 0.0
-    infeasible = np.where(no_z, ee_g > EDGE_TOLERANCE * gg[0], room < -EDGE_TOLERANCE * room_scale[0])
-    with np.errstate(divide="ignore", invalid="ignore"):
-        b1 = np.where(no_z, np.sqrt(ee[0]), np.sqrt(d2[0] / zz[0]))
-        ze = ze_re[0] + 1j * ze_im[0]
-        # Within the tolerance of the edge delta is delta0; ee_g / |ze| holds what gamma_w^2 lies below B1^2.
-        nu = np.where(room > 0.0, ee_g / (abs(ze) + np.sqrt(room)), abs(ze) / zz[0])
-        nu = np.where((ee_g <= 0.0) | no_z, 0.0, nu)
-        nu = np.where(infeasible, np.inf, nu)
-        delta = np.where(~infeasible & (ze != 0.0), nu * (ze / abs(ze)), 0.0)
-    scale = ke - kz
-    delta = np.ldexp(delta.real, scale) + 1j * np.ldexp(delta.imag, scale)
-    nan = np.where(bad, np.nan, 0.0)
-    return np.ldexp(b1, ke) + nan, np.ldexp(nu, scale) + nan, delta + nan
 
 
 def _points(source: str, e, z, *extra: tuple[str, object, bool]):
@@ -196,19 +101,9 @@ def solve(e, z, gamma_w) -> S1Result:
     """
     shape, e, z, gamma = _points("S1", e, z, ("gamma_w", gamma_w, False))
     points, n = e.shape
-    lib = native.kernels("s1")
-    if lib is None:
-        b1, nu, delta = _s1_numpy(e, z, gamma)
-        w = e - delta[:, None] * z
-    else:
-        b1, nu, delta, w = (
-            np.empty(points),
-            np.empty(points),
-            np.empty(points, dtype=complex),
-            np.empty_like(e),
-        )
-        size = ctypes.c_ssize_t
-        lib.lpvg_s1(size(points), size(n), *map(native.pointer, (e, z, gamma, b1, nu, delta, w)))
+    b1, nu, delta, w = np.empty(points), np.empty(points), np.empty(points, complex), np.empty_like(e)
+    sizes = map(ctypes.c_ssize_t, (points, n))
+    native.kernels("s1").lpvg_s1(*sizes, *map(native.pointer, (e, z, gamma, b1, nu, delta, w)))
     feasible = np.isfinite(nu)
     return S1Result(
         b1.reshape(shape),
@@ -234,12 +129,6 @@ class LeastSquares(NamedTuple):
     delta: np.ndarray
 
 
-def _size(x: np.ndarray) -> np.ndarray:
-    scale = np.max(np.abs(x), axis=-1)
-    unit = np.divide(x, scale[:, None], out=np.zeros_like(x), where=scale[:, None] > 0)
-    return np.linalg.norm(unit, axis=-1) * scale
-
-
 def least(e, z) -> LeastSquares:
     """Compute |E|, |Z|, B1 and |delta0|, consistent with `solve` and `least_squares_delta`.
 
@@ -252,16 +141,8 @@ def least(e, z) -> LeastSquares:
     LeastSquares, NaN where an input is not finite
     """
     shape, e, z = _points("S1", e, z)
-    lib = native.kernels("s1")
-    if lib is None:
-        with np.errstate(invalid="ignore"):
-            size_e, size_z = map(_size, (e, z))
-            columns = [size_e, size_z, _s1_numpy(e, z, size_e)[0], np.abs(least_squares_delta(e, z))]
-        out = np.stack(columns, axis=-1)
-        out[~(np.isfinite(e) & np.isfinite(z)).all(axis=-1)] = np.nan
-    else:
-        out = np.empty((len(e), 4))
-        lib.lpvg_least(*map(ctypes.c_ssize_t, e.shape), *map(native.pointer, (e, z, out)))
+    out = np.empty((len(e), 4))
+    native.kernels("s1").lpvg_least(*map(ctypes.c_ssize_t, e.shape), *map(native.pointer, (e, z, out)))
     return LeastSquares(*np.moveaxis(out.reshape(*shape, 4), -1, 0))
 
 
@@ -362,72 +243,6 @@ def tradeoff(e, z, gamma_w, lambda_nu, lambda_w) -> TradeoffResult:
     )
 
 
-def _np_cross(a, b, c, d):
-    re, im = _dd_cross(a, b, c, d)
-    return re[0] + 1j * im[0]
-
-
-def _pair(i, j):
-    """Level at which two discs touch; a disc is (E, Z, B, |Z|), arrays over points."""
-    return np.abs(_np_cross(i[0], j[1], j[0], i[1])) / (i[2] * j[3] + j[2] * i[3])
-
-
-def _reach(i, j, k):
-    """Level at which disc k contains the one point that discs i and j share at their own level."""
-    den = i[2] * j[3] + j[2] * i[3]
-    delta = np.conj(i[1]) * i[0] * (j[2] / (i[3] * den)) + np.conj(j[1]) * j[0] * (i[2] / (j[3] * den))
-    return np.abs(k[0] - delta * k[1]) / k[2]
-
-
-def _triple(i, j, k):
-    """Smallest level at which three discs meet in one point, NaN where they never do; derivation in
-    base/_native/s1.c."""
-    rows = []
-    for o in (j, k):
-        d = _np_cross(o[0], i[1], i[0], o[1])
-        g = np.conj(o[1]) * d
-        norm = np.abs(g)
-        br, bi = o[2] * i[3], i[2] * o[3]
-        rows.append((g / norm, -0.5 * np.abs(d) ** 2 / norm, 0.5 * (br - bi) * (br + bi) / norm))
-    (a0, p0, q0), (a1, p1, q1) = rows
-    det = a0.real * a1.imag - a0.imag * a1.real
-    u0 = (p0 * a1.imag - p1 * a0.imag) + 1j * (a0.real * p1 - a1.real * p0)
-    u1 = (q0 * a1.imag - q1 * a0.imag) + 1j * (a0.real * q1 - a1.real * q0)
-    db2, uu = det**2 * i[2] ** 2, np.abs(u0) ** 2
-    pq = np.abs(u0) * np.abs(u1)
-    c = np.conj(u0) * u1
-    minus = c.real - pq  # where this cancels, db2 is at least twice the other root, or there is no level
-    plus = np.where(c.real < 0.0, c.imag**2 / (pq - c.real), c.real + pq)
-    half = db2 - 2.0 * c.real + np.sqrt(np.maximum((2.0 * minus - db2) * (2.0 * plus - db2), 0.0))
-    return np.sqrt(2.0 * uu / half)
-
-
-def _margin_numpy(e, z, w_delta, w_w):
-    n = e.shape[-1]
-    ones = np.ones(len(e), dtype=complex)
-    discs = [(0.0 * ones, ones, w_delta, ones.real)]
-    discs += [(e[:, k], z[:, k], w_w[:, k], np.abs(z[:, k])) for k in range(n)]
-    best = np.zeros(len(e))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        for i, j in combinations(range(n + 1), 2):
-            # A disc with Z = 0 is all of the plane or nothing, and its pairs have its own level.
-            best = np.fmax(best, _pair(discs[i], discs[j]))
-        for trio in combinations(range(n + 1), 3):
-            d = [discs[m] for m in trio]
-            levels = np.stack([_pair(d[0], d[1]), _pair(d[0], d[2]), _pair(d[1], d[2])])
-            worst = np.argmax(levels, axis=0)
-            order = [(0, 1, 2), (0, 2, 1), (1, 2, 0)]
-            first, second, third = (
-                tuple(np.choose(worst, [d[o[slot]][field] for o in order]) for field in range(4))
-                for slot in range(3)
-            )
-            # If the third disc holds the point of the worst pair, this is at most that pair's level.
-            joint = np.minimum(_reach(first, second, third), _triple(first, second, third))
-            best = np.fmax(best, joint)  # NaN with a Z = 0, and where the third disc never leaves the first
-    finite = np.isfinite(e).all(-1) & np.isfinite(z).all(-1) & np.isfinite(w_delta) & np.isfinite(w_w).all(-1)
-    return np.where(finite, best, np.nan)
-
-
 MAX_OUTPUTS = 64
 """Outputs the compiled margin accepts (a fixed array on its stack)."""
 
@@ -457,7 +272,7 @@ def margin(e, z, w_delta, w_w) -> np.ndarray:
     Raises
     ------
     InputError
-        If shapes do not fit, W_delta is negative, or W_w is not positive.
+        If shapes do not fit, W_delta is negative, W_w is not positive, or more than 64 outputs share a delta.
 
     References
     ----------
@@ -479,11 +294,9 @@ def margin(e, z, w_delta, w_w) -> np.ndarray:
         t = (np.abs(e) / (w_w + w_delta * np.abs(z))).max(axis=-1)
         finite = np.isfinite(e) & np.isfinite(z) & np.isfinite(w_delta) & np.isfinite(w_w)
         return np.where(finite.all(axis=-1), t, np.nan).reshape(shape)
-    points = len(e)
-    lib = native.kernels("s1")
-    if lib is None or n > MAX_OUTPUTS:
-        return _margin_numpy(e, z, w_delta, w_w).reshape(shape)
-    t = np.empty(points)
-    size = ctypes.c_ssize_t
-    lib.lpvg_margin(size(points), size(n), *map(native.pointer, (e, z, w_delta, w_w, t)))
+    if n > MAX_OUTPUTS:
+        raise InputError("margin", "E, Z", f"{n} outputs", f"at most {MAX_OUTPUTS} with a common delta")
+    t = np.empty(len(e))
+    sizes = map(ctypes.c_ssize_t, (len(e), n))
+    native.kernels("s1").lpvg_margin(*sizes, *map(native.pointer, (e, z, w_delta, w_w, t)))
     return t.reshape(shape)

@@ -7,14 +7,13 @@
 G_d = int_0^Ts e^{As} ds makes nu_s a rate (1/s), G_d = I a size per sample. At fixed nu_s this is a complex
 quadratic problem with two constraints. Its dual has no gap as long as nu_s < 1/sigma_max(H_s), H_s = (z I -
 A_d)^-1 G_d. At that cap an allowed Delta_s makes the loop singular. The optimum over nu_s is found by branch
-and bound in base/_native/s2.c, with a numpy version here. ``solve_forms`` is the kernel for any problem with
+and bound in base/_native/s2.c. ``solve_forms`` is the kernel for any problem with
 one full block and plain quadratics.
 """
 
 from __future__ import annotations
 
 import ctypes
-import heapq
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -31,8 +30,6 @@ NEAR_CAP = 1.0 - 1e-4
 
 MAX_N = 16
 """Free variables plus one that the kernel accepts."""
-
-_MAX_DUALS, _MAX_NEWTON = 240, 60
 
 
 @dataclass(frozen=True)
@@ -62,177 +59,13 @@ def solve_forms(forms: np.ndarray, z0: np.ndarray, p_max, *, gap: float = GAP) -
         raise InputError("S2", "free variables", f"{n - 1}", f"1 to {MAX_N - 1}")
     p_max = np.ascontiguousarray(np.broadcast_to(np.asarray(p_max, dtype=float), (points,)))
     out = np.empty((points, 4))
-    lib = native.kernels("s2")
-    if lib is None:
-        for k in range(points):
-            out[k], z[k] = _Point(forms[k], float(p_max[k]), gap).solve(z[k])
-    else:
-        size, pointer = ctypes.c_ssize_t, ctypes.c_void_p
-        lib.lpvg_s2(
-            size(points),
-            size(n),
-            *(a.ctypes.data_as(pointer) for a in (forms, p_max)),
-            ctypes.c_double(gap),
-            *(a.ctypes.data_as(pointer) for a in (z, out)),
-        )
+    native.kernels("s2").lpvg_s2(
+        *map(ctypes.c_ssize_t, (points, n)),
+        *map(native.pointer, (forms, p_max)),
+        ctypes.c_double(gap),
+        *map(native.pointer, (z, out)),
+    )
     return FormsResult(out[:, 0], out[:, 1], out[:, 2], z, out[:, 3].astype(int))
-
-
-def _to_zero(x: np.ndarray, step: np.ndarray) -> float:
-    """How many steps take the first of the positive ``x`` to zero; inf where none falls."""
-    falling = step < 0.0
-    return float(min(-x[falling] / step[falling], default=np.inf))
-
-
-@dataclass
-class _Dual:
-    mu: np.ndarray
-    slope: float = 0.0
-    z: np.ndarray | None = None
-
-
-@dataclass
-class _Interval:
-    lo: float
-    hi: float
-    lower: float
-    lo_slope: float
-    known: bool
-    at: _Dual
-
-
-class _Point:
-    """One point of :func:`solve_forms` in numpy: the algorithm of base/_native/s2.c, step by step."""
-
-    def __init__(self, forms: np.ndarray, p_max: float, gap: float):
-        self.q0, self.qw, self.a, self.b = forms
-        self.p_max, self.gap, self.n = p_max, gap, len(self.q0)
-        self.cost, self.p, self.z = np.inf, 0.0, None
-
-    def _factor(self, mu, p):
-        """L(mu, p) with the factor of S_TT and C^-1 S_Tt; NaN where S_TT is not positive definite."""
-        s = self.q0 + mu[0] * self.qw + mu[1] * (self.a - p * self.b)
-        d = self.n - 1
-        try:
-            c = np.linalg.cholesky(s[:d, :d])
-        except np.linalg.LinAlgError:
-            return np.nan, None, None
-        y = np.linalg.solve(c, s[:d, d])
-        return float(s[d, d].real - np.vdot(y, y).real), c, y
-
-    def _form(self, q, z):
-        return float(np.vdot(z, q @ z).real)
-
-    def _maximise_dual(
-        self, p: float, fine: float, coarse: float, beyond: float, enough: float, at: _Dual
-    ) -> bool:
-        d = self.n - 1
-        mu = at.mu
-        value, c, y = self._factor(mu, p)
-        for _ in range(60):
-            if not np.isnan(value):
-                break
-            mu[1] *= 0.25
-            value, c, y = self._factor(mu, p)
-        if np.isnan(value):
-            return False
-        pair = (self.qw, self.a - p * self.b)
-        slack = coarse / mu
-        for it in range(_MAX_NEWTON):
-            z = np.append(-np.linalg.solve(c.conj().T, y), 1.0)
-            g = np.array([self._form(q, z) for q in pair])
-            u = [np.linalg.solve(c, (q @ z)[:d]) for q in pair]
-            gap = -float(mu @ g)
-            at.z, at.slope = z, 1.0 - mu[1] * self._form(self.b, z)
-            if p + value > enough:
-                break
-            if np.all(g <= 0.0) and (gap <= fine or (gap <= coarse and p + value > beyond)):
-                break
-            if it == 0:
-                slack = np.maximum(-g, slack)
-            hessian = 2.0 * np.array([[np.vdot(v, w).real for v in u] for w in u]) + np.diag(slack / mu)
-            mean = 0.5 * float(mu @ slack)
-            step = np.linalg.solve(hessian, g)
-            move = -slack - slack / mu * step
-            reach = min(1.0, _to_zero(np.concatenate([mu, slack]), np.concatenate([step, move])))
-            left = 0.5 * float((mu + reach * step) @ (slack + reach * move))
-            eps = max(mean * max((left / mean) ** 3, 1e-3), 0.05 * fine)
-            step = np.linalg.solve(hessian, g + eps / mu)
-            move = eps / mu - slack - slack / mu * step
-            if not np.isfinite(step.sum()):
-                break
-            length = min(1.0, 0.95 * _to_zero(mu, step))
-            merit, before = value + eps * np.log(mu[0] * mu[1]), mu.copy()
-            for _ in range(40):
-                mu[:] = before + length * step
-                value, c, y = self._factor(mu, p)
-                if value + eps * np.log(mu[0] * mu[1]) >= merit - 1e-12 * abs(merit):
-                    slack = np.maximum(slack + length * move, 0.05 * slack)
-                    break
-                length *= 0.4
-            else:
-                mu[:] = before
-                break
-        return True
-
-    def _offer(self, z) -> None:
-        a, b = self._form(self.a, z), self._form(self.b, z)
-        p = 0.0 if a <= 0.0 else a / b if b > 0.0 else np.inf
-        cost = p + self._form(self.q0, z)
-        if self._form(self.qw, z) <= 0.0 and p <= self.p_max and cost < self.cost:
-            self.cost, self.p, self.z = cost, p, z.copy()
-
-    def _bound(self, v: _Interval) -> float:
-        floor = max(v.lower, v.lo)
-        if not v.known:
-            return floor
-        return max(floor, min(v.lo + self._factor(v.at.mu, v.lo)[0], v.hi + self._factor(v.at.mu, v.hi)[0]))
-
-    @staticmethod
-    def _cut(v: _Interval) -> float:
-        if v.lo <= 0.0:
-            return v.hi * (0.125 if v.at.slope > 0.0 else 0.5)
-        ratio, f0, f1 = v.hi / v.lo, v.lo_slope * v.lo, v.at.slope * v.hi
-        x = min(0.85, max(0.15, -f0 / (f1 - f0))) if f0 < 0.0 < f1 else 0.5
-        return v.lo * ratio**x if ratio > 1.5 else v.lo + x * (v.hi - v.lo)
-
-    def _evaluate(self, v: _Interval) -> None:
-        cost = min(self.cost, 1.0)  # 1: the scale of the problem, before any point is known
-        np.maximum(v.at.mu, 1e-3 * cost, out=v.at.mu)
-        enough = min(self.cost, 1e9) + (v.hi - v.lo)
-        v.known = self._maximise_dual(
-            v.hi, 0.1 * self.gap * cost, 0.02 * cost, 1.05 * self.cost, enough, v.at
-        )
-        if v.known:
-            self._offer(v.at.z)
-        v.lower = self._bound(v)
-
-    def solve(self, start: np.ndarray):
-        """((lower, upper, p, duals), z) by best-first branch and bound over p."""
-        self._offer(start)
-        first = _Interval(0.0, min(self.p_max, self.cost), 0.0, -1.0, False, _Dual(np.ones(2)))
-        self._evaluate(first)
-        duals = 1
-        heap = [(first.lower, duals, first)]
-        while heap[0][0] < self.cost * (1.0 - self.gap) and duals < _MAX_DUALS:
-            right = heapq.heappop(heap)[2]
-            left = _Interval(
-                right.lo,
-                self._cut(right),
-                right.lower,
-                right.lo_slope,
-                False,
-                _Dual(right.at.mu.copy(), right.at.slope),
-            )
-            right.lo = left.hi
-            duals += 1
-            self._evaluate(left)
-            right.lo_slope = left.at.slope if left.known else -1.0
-            right.lower = self._bound(right)
-            for serial, child in ((2 * duals, left), (2 * duals + 1, right)):
-                heapq.heappush(heap, (child.lower, serial, child))
-        lower = min(heap[0][0], self.cost)
-        return (lower, self.cost, self.p, duals), start if self.z is None else self.z
 
 
 @dataclass(frozen=True)

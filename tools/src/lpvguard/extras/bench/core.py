@@ -169,8 +169,8 @@ def drive_of(project: Project, *, seed: int = 3) -> Input:
 def bench_core(targets: tuple[str, ...] = tuple(TARGETS), *, clock_mhz: float = 168.0) -> dict[str, Any]:
     """The report: one entry a target, and whether results agree with the host's bit for bit.
 
-    ``load_percent`` is the worst whole step of a sample period at ``clock_mhz`` with one cycle an
-    instruction.
+    ``load_percent`` is the share of a sample period that the worst step takes at ``clock_mhz``, with one
+    cycle per instruction.
     """
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch) / "truck"

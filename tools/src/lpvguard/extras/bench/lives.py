@@ -102,7 +102,7 @@ def drawn_levels(pool: Pool, n: int, sets: int, random: np.random.Generator) -> 
 
 
 def healthy_lives(pool: Pool, n: int, lives: int, recordings: int, seed: int) -> dict:
-    """Shares of healthy lives that ever alarm: over fresh sets, and over the worst twentieth of them."""
+    """Shares of healthy lives that ever alarm: over fresh calibration sets, and the worst 5 % of them."""
     random = np.random.default_rng([seed, n])
     levels, tails = drawn_levels(pool, n, lives, random), simultaneous_tails(n, ETA)
     bets, healthy = factors(tails), pool.scores[:, 0]

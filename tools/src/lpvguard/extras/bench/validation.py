@@ -16,7 +16,6 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from lpvguard.base import native
 from lpvguard.engine.validation import s1, s2
 from lpvguard.extras.bench import _memory as memory
 from lpvguard.extras.bench import parser, show
@@ -40,7 +39,6 @@ class KernelRow:
     peer_us: float | None
     ratio: float | None
     worst_gap: float | None
-    compiled: bool
 
     @property
     def ok(self) -> bool:
@@ -212,7 +210,6 @@ def run(experiments: int = 20, bins: int = 1024, seed: int = 0, peers: bool = Tr
                 peer,
                 peer / us if peer else None,
                 worst.get(kernel),
-                native.kernels("s1") is not None,
             )
         )
     return rows

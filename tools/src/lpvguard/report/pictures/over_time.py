@@ -72,7 +72,7 @@ def model_in_time(stretches: list[Stretch], outputs: Sequence[Signal]) -> Figure
 
 
 def _margins(axes: Axes, counted: np.ndarray, threshold: float) -> None:
-    """Margins of the counted frames; those above four thresholds stand at the upper edge."""
+    """Draw the margins of the counted frames. Above four thresholds they stand at the upper edge."""
     t, margin = counted["t_end_s"], counted["margin"]
     top = max(1.2 * threshold, min(4.0 * threshold, 1.1 * float(margin.max(initial=0.0))))
     below, beyond = margin <= threshold, margin > top
