@@ -189,8 +189,10 @@ class OverDrives:
         W_delta: np.ndarray,
         B_w: np.ndarray | None = None,
     ) -> HealthySet:
-        """The healthy set of the frame test, within ``W_delta`` (K, n_delta) of the certificate, and within
-        its ``B_w`` (K, n_y) where that is given; ``floor`` (K, n_y) of B_w."""
+        """The healthy set of the frame test, with a ``floor`` (K, n_y) of its B_w.
+
+        It lies within ``W_delta`` (K, n_delta) of the certificate, and within its ``B_w`` (K, n_y), if given.
+        """
         project, fold_of = self.reader.project, _folds(setting)
         task = partial(healthy_pass, self.reader)
         needs: list[np.ndarray] = []
