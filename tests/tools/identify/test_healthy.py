@@ -28,7 +28,9 @@ def drive(random: np.random.Generator, gain: float, disturbance: float, frames: 
     return [FrameSet(3, gain * Z + w, Z, np.arange(frames))]
 
 
-def chosen(drives: list[list[FrameSet]], typical: float, largest: float = 2.0) -> HealthySet:
+def chosen(
+    drives: list[list[FrameSet]], typical: float, largest: float = 2.0, within: np.ndarray | None = None
+) -> HealthySet:
     """Their set, of a further drive of ``typical`` error."""
     rows = {
         "Z": np.concatenate([d[0].Z for d in drives]),
@@ -36,7 +38,7 @@ def chosen(drives: list[list[FrameSet]], typical: float, largest: float = 2.0) -
     }
     errors = np.zeros((2, K, 1))
     errors[0, 3], errors[1, 3] = typical, largest
-    return healthy_set([needed(d, ESTIMATOR, 1, "S1") for d in drives], rows, FLOOR, *errors)
+    return healthy_set([needed(d, ESTIMATOR, 1, "S1") for d in drives], rows, FLOOR, *errors, within)
 
 
 def largest_margin(healthy: HealthySet, drives: list[list[FrameSet]]) -> float:
@@ -82,6 +84,20 @@ def test_w_delta_stays_within_the_certificates():
     healthy = chosen([drive(random, gain, 0.05) for gain in (0.0, 0.6)], typical=0.5, largest=0.2)
     assert healthy.W_delta[3, 0] <= 0.2
     assert (healthy.W_delta > 0).all()
+
+
+@pytest.mark.parametrize("W", [0.1234, 0.4321])
+def test_a_certificate_that_is_given_limits_the_set(W):
+    """With its least B_w for the frames nothing but the certificate is left; with more room it is sharper."""
+    drives = [drive(np.random.default_rng(7), gain, 0.05) for gain in (0.1, 0.1, 0.4)]
+    least = max(float((np.abs(d[0].E) - W * np.abs(d[0].Z)).max()) for d in drives)
+    within = np.full((K, 1), least)
+    narrow, wide = (chosen(drives, 0.3, W, b) for b in (within, 10 * within))
+    assert narrow.W_delta[3, 0] == W and narrow.B_w[3, 0] == least
+    for healthy, B in ((narrow, least), (wide, 10 * least)):
+        assert largest_margin(healthy, drives) <= 1 + 1e-9
+        assert healthy.W_delta[3, 0] <= W and healthy.B_w[3, 0] <= B
+    assert wide.B_w[3, 0] < 5 * least
 
 
 def test_a_bin_whose_drives_differ_is_wider_than_one_whose_drives_agree():
@@ -137,3 +153,24 @@ def test_without_a_ceiling_the_band_sets_w_delta_and_the_frames_have_their_own_s
     for name in ("model_error", "weights"):
         read = json.loads((tmp_path / "found" / f"{name}.json").read_text())
         Draft202012Validator(schemas.schema(name)).validate(read)
+
+
+@pytest.mark.slow("10 s: an identification with bands of the model error")
+def test_with_a_ceiling_the_certificate_stays_and_the_frames_have_their_own_set_within(synthetic, tmp_path):
+    document = PROJECT.model_dump(by_alias=True)
+    document["bounds"]["nu_ceiling"] = {"f_hz": [0.5, 2.0], "nu": [0.1, 0.6]}
+    identification, drives = stage.identify(parse_project(document, "g80"), synthetic)
+    stage.save(identification, drives, tmp_path / "found")
+    stored = stage.load(tmp_path / "found")
+    ours, certificate = (f(ESTIMATOR.omega) for f in (stored.fitted.of_frames, stored.fitted.at))
+    assert all(
+        (a <= b * (1 + 1e-9)).all() and (a < 0.9 * b).any() for a, b in zip(ours, certificate, strict=True)
+    )
+    # What sets B_w of the certificate is the remainder beside its own W_delta alone.
+    assert stored.fitted.W_w[0].bound == pytest.approx(identification.bounds.B_w[:, 0])
+    assert not stored.fitted.W_delta_healthy and stored.energy.refuting == 1
+    speaking = [k for k in range(K) if k not in stored.fitted.silent]
+    for names, pair in ((("W_delta", "B_w"), ours), (("W_certificate", "B_certificate"), certificate)):
+        for name, expected in zip(names, pair, strict=True):
+            core = np.array(stored.coefficients.reals[name]).reshape(K, -1)
+            assert core[speaking] == pytest.approx(expected[speaking])

@@ -58,19 +58,26 @@ def needed(frames: list[FrameSet], estimator: Estimator, n_delta: int, structure
 
 
 def healthy_set(
-    needs: list[np.ndarray], spectra: Rows, floor: np.ndarray, typical: np.ndarray, largest: np.ndarray
+    needs: list[np.ndarray],
+    spectra: Rows,
+    floor: np.ndarray,
+    typical: np.ndarray,
+    largest: np.ndarray,
+    within: np.ndarray | None = None,
 ) -> HealthySet:
     """The pair of every bin and Delta that sees the smallest gain error. ``needs`` (K, P, n_y) are those of
     each drive or fold (`needed`). ``spectra`` is a sample of their frames, with columns ``group`` (bin) and Z
     (F, n_y). ``floor`` (K, n_y) is what the sensors cannot tell. ``typical`` and ``largest`` (K, n_delta) are
-    the error of a further drive at typical speed and amplitude, and W_delta of the certificate."""
+    the error of a further drive at typical speed and amplitude, and W_delta of the certificate. ``within``
+    (K, n_y) is its B_w, where that is given: the pair lies within both, and is both at worst."""
     each, (K, n_delta), n_y = np.array(needs), largest.shape, floor.shape[1]
+    within = np.full(floor.shape, np.inf) if within is None else within
     outputs = [[j] for j in range(n_y)] if n_delta > 1 else [list(range(n_y))]
     W_delta, B_w, factor = np.zeros((K, n_delta)), floor.copy(), np.ones((K, n_delta))
     for k in range(K):
         Z = np.abs(spectra["Z"][spectra["group"] == k])
         for d, indices in enumerate(outputs):
-            errors = float(typical[k, d]), float(largest[k, d])
+            errors = float(typical[k, d]), float(largest[k, d]), within[k, indices]
             W, B, factor[k, d] = _best(each[:, k][:, :, indices], Z[:, indices], floor[k, indices], *errors)
             W_delta[k, d], B_w[k, indices] = W, B
     folds = each.any(axis=(2, 3)).sum(axis=0)
@@ -78,11 +85,11 @@ def healthy_set(
     factor = np.where(folds[:, None] > 0, factor / factor[folds > 0].min(initial=np.inf), 1.0)
     columns = factor if n_delta > 1 else np.repeat(factor, n_y, axis=1)
     scaled = np.minimum(factor * W_delta, np.maximum(W_delta, largest))
-    return HealthySet(scaled, columns * B_w, factor, folds)
+    return HealthySet(scaled, np.minimum(columns * B_w, np.maximum(B_w, within)), factor, folds)
 
 
 def _best(
-    each: np.ndarray, Z: np.ndarray, floor: np.ndarray, typical: float, largest: float
+    each: np.ndarray, Z: np.ndarray, floor: np.ndarray, typical: float, largest: float, within: np.ndarray
 ) -> tuple[float, np.ndarray, float]:
     """W_delta, B_w (m,) and factor of one bin; needs of drives ``each`` (D, P, m), |Z| (F, m)."""
     needed = each[each.any(axis=(1, 2))]
@@ -90,16 +97,17 @@ def _best(
     B_of = np.maximum(most, floor)
     strongest = Z.max(axis=0, initial=0.0)
     reached = np.maximum(CANDIDATES, typical)
-    beside = np.column_stack([np.interp(reached, CANDIDATES, column) for column in B_of.T])
-    further = beside + (reached - CANDIDATES)[:, None] * strongest
+    further = _at(reached, B_of) + (reached - CANDIDATES)[:, None] * strongest
+    pairs = [(W, B) for W, B in zip(CANDIDATES, B_of, strict=True) if largest >= W and (within >= B).all()]
+    if np.isfinite(within).all():
+        pairs.append((largest, within))
     best: tuple[float, float, np.ndarray, float] | None = None
-    for p, (W, B) in enumerate(zip(CANDIDATES, B_of, strict=True)):
-        if p and largest < W:
-            break
+    for W, B in pairs or [(CANDIDATES[0], B_of[0])]:
         factor = max(1.0, _least_factor(further, B, W))
+        own = np.array([_at(W, drive) for drive in needed])
         # Without the drive that asks for the most the next one does.
-        for d in np.unique(needed[:, p].argmax(axis=0)) if len(needed) > 1 else ():
-            rest = np.maximum(np.delete(needed[:, p], d, axis=0).max(axis=0), floor)
+        for d in np.unique(own.argmax(axis=0)) if len(own) > 1 else ():
+            rest = np.maximum(np.delete(own, d, axis=0).max(axis=0), floor)
             factor = max(factor, _least_factor(needed[d], rest, W))
         g = np.max(Z / np.maximum(B, TINY), axis=1) if len(Z) else np.zeros(1)
         visible = factor * (W + 1 / max(float(np.percentile(g, TYPICAL)), TINY))
@@ -109,11 +117,15 @@ def _best(
     return best[1:]
 
 
+def _at(W: float | np.ndarray, of_candidates: np.ndarray) -> np.ndarray:
+    """Columns of ``of_candidates`` (P, m) at W: (m,), or for W (Q,) (Q, m)."""
+    return np.stack([np.interp(W, CANDIDATES, column) for column in of_candidates.T], axis=-1)
+
+
 def _least_factor(own: np.ndarray, B: np.ndarray, W: float) -> float:
     """Least s with own(s W) <= s B in every column; ``own`` (P, m) falls with W, and is convex."""
     low, high = 0.0, LARGEST_FACTOR
     for _ in range(40):
         middle = 0.5 * (low + high)
-        needed = [np.interp(middle * W, CANDIDATES, column) for column in own.T]
-        low, high = (low, middle) if np.all(np.array(needed) <= middle * B) else (middle, high)
+        low, high = (low, middle) if np.all(_at(middle * W, own) <= middle * B) else (middle, high)
     return high

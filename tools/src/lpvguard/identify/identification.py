@@ -158,15 +158,17 @@ def _weighted(
     gamma_w = fit_bound(project, estimator, first["gamma_rule"], "gamma_w", smallest_disturbance(first["B2"]))
     smooth = gamma_w.magnitude(estimator.omega)
     second, W_delta = run.uncertainty(first, smooth, error, chosen.setting)
-    bounds, healthy = run.bounds(first, smooth, second, W_delta, chosen.setting), None
-    if project.bounds.nu_ceiling is None:
-        healthy = run.healthy(error, W_delta, bounds.B_w_floor, chosen.setting)
-        # The certificate's set contains the healthy one: what refutes it leaves that.
-        bounds = replace(bounds, B_w=np.fmax(bounds.B_w, healthy.B_w))
-    inputs = project, estimator, bounds, gamma_w, W_delta, noise, first["E"], command
-    weights = fit_weights(*inputs, run.workers)
-    if healthy is not None:
-        weights = with_healthy(project, estimator, weights, healthy, run.workers)
+    bounds = run.bounds(first, smooth, second, W_delta, chosen.setting)
+    healthy = partial(run.healthy, error, bounds.B_w_floor, chosen.setting)
+    rest = gamma_w, W_delta, noise, first["E"], command, run.workers
+    if project.bounds.nu_ceiling is not None:
+        weights = fit_weights(project, estimator, bounds, *rest)
+        return bounds, replace(weights, healthy=healthy(*weights.at(estimator.omega)))
+    own = healthy(np.column_stack([w.magnitude(estimator.omega) for w in W_delta]))
+    # The certificate's set contains the healthy one: what refutes it leaves that.
+    bounds = replace(bounds, B_w=np.fmax(bounds.B_w, own.B_w))
+    weights = fit_weights(project, estimator, bounds, *rest)
+    weights = with_healthy(project, estimator, weights, own, run.workers)
     return bounds, weights
 
 

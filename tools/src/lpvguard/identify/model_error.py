@@ -769,11 +769,11 @@ class ModelError:
     ----------
     grid : ErrorGrid
     setting : ErrorEstimate, of the drives that set the bounds
-    bound : ndarray (G, n_delta), bound from ``setting``, or from ``bands``
+    bound : ndarray (G, n_delta), bound from ``setting``, or without a ceiling on nu from ``bands``
     judging : ErrorEstimate or None, of the drives that judge the bound
     left_out : list of float
         Per fold the least ratio of the others' bound to its |delta_c| - k se, inf: no demand.
-    bands : list of dict, per output the band of a further drive, where no ceiling on nu is set
+    bands : list of dict, per output the band of a further drive
     """
 
     grid: ErrorGrid
@@ -800,7 +800,7 @@ class ModelError:
             list(workers(partial(_left_out, project, grid), _each_and_others(setting))),
         )
 
-    def by_bands(
+    def with_bands(
         self,
         project: Project,
         domain: ErrorDomain,
@@ -808,18 +808,14 @@ class ModelError:
         folds: list[ErrorEstimate],
         workers: Map = map,
     ) -> ModelError:
-        """With the bound of the bands of ``sums``, one a fold; ``folds``: each one's own estimate."""
+        """With the bands of ``sums``, one a fold; ``folds``: each one's own estimate.
+
+        Where no ceiling on nu is set, they are the bound.
+        """
         fit_bands = partial(bands_of, domain, band_frequencies(self.grid, domain), project.seed)
         bands = fit_bands(None, joined(sums))
-        others = [joined(sums[:k] + sums[k + 1 :]) for k in range(len(sums))] if len(sums) > 1 else []
-        ratios = [
-            covered(band_bound(project, self.grid, left), own)
-            for left, own in zip(workers(partial(fit_bands, bands), others), folds, strict=False)
-        ]
-        return replace(
+        told = replace(
             self,
-            bound=band_bound(project, self.grid, bands),
-            left_out=ratios,
             bands=[
                 {
                     "omega_rad_s": b.omega,
@@ -835,6 +831,14 @@ class ModelError:
                 for b in bands
             ],
         )
+        if project.bounds.nu_ceiling is not None:
+            return told
+        others = [joined(sums[:k] + sums[k + 1 :]) for k in range(len(sums))] if len(sums) > 1 else []
+        ratios = [
+            covered(band_bound(project, self.grid, left), own)
+            for left, own in zip(workers(partial(fit_bands, bands), others), folds, strict=False)
+        ]
+        return replace(told, bound=band_bound(project, self.grid, bands), left_out=ratios)
 
     def at_bins(self, estimator: Estimator) -> np.ndarray:
         """(K, n_delta) the bound at the bins, 0 at DC."""

@@ -152,7 +152,7 @@ class OverDrives:
     def model_error(self, drives: Chosen) -> ModelError:
         """Model error model of the bound-setting drives, and that of the drives that judge it.
 
-        Without a ceiling on nu its bound is the band of a further drive.
+        It holds the band of a further drive, which is its bound where no ceiling on nu is set.
         """
         reader = self.reader
         project, grid = reader.project, ErrorGrid.from_project(reader.project, reader.estimator)
@@ -170,8 +170,6 @@ class OverDrives:
 
         setting = folds(drives.setting)
         error = ModelError.from_sums(project, grid, setting, folds(drives.others), self.workers)
-        if project.bounds.nu_ceiling is not None:
-            return error
         self.progress("model error band")
         domain = ErrorDomain.from_estimator(reader.estimator, project.frame_test.excited_std)
         fold_of = _folds(drives.setting)
@@ -181,13 +179,20 @@ class OverDrives:
         ):
             parts[k].append(sums)
         own = [ErrorEstimate.from_sums(s, grid) for s in setting]
-        return error.by_bands(project, domain, [joined(p) for p in parts], own, self.workers)
+        return error.with_bands(project, domain, [joined(p) for p in parts], own, self.workers)
 
     def healthy(
-        self, error: ModelError, W_delta: list[FittedWeight], floor: np.ndarray, setting: list[Experiment]
+        self,
+        error: ModelError,
+        floor: np.ndarray,
+        setting: list[Experiment],
+        W_delta: np.ndarray,
+        B_w: np.ndarray | None = None,
     ) -> HealthySet:
-        """The healthy set of the frame test, within the certificate's ``W_delta``; ``floor`` (K, n_y) of
-        B_w."""
+        """The healthy set of the frame test, with a ``floor`` (K, n_y) of its B_w.
+
+        It lies within ``W_delta`` (K, n_delta) of the certificate, and within its ``B_w`` (K, n_y), if given.
+        """
         project, fold_of = self.reader.project, _folds(setting)
         task = partial(healthy_pass, self.reader)
         needs: list[np.ndarray] = []
@@ -196,12 +201,11 @@ class OverDrives:
                 needs.append(own)
             else:
                 needs[k] = np.maximum(needs[k], own)
-        omega, typical = self.reader.estimator.omega, error.typical(self.reader.estimator)
-        largest = np.column_stack([w.magnitude(omega) for w in W_delta])
+        typical = error.typical(self.reader.estimator)
         if project.bounds.structure == "S0":
-            typical, largest = 0 * typical, 0 * largest
+            typical, W_delta = 0 * typical, 0 * W_delta
         drawn = first_of_each(self.spectra, DRAWN_SPECTRA)
-        return healthy_set(needs, drawn, floor, typical, largest)
+        return healthy_set(needs, drawn, floor, typical, W_delta, B_w)
 
     def _deciders(
         self, key: str, columns: int, setting: list[Experiment], parts: Iterable[Part]

@@ -248,8 +248,9 @@ class BoundSettings(StrictModel):
     structure : str, S0 (no Delta), S1 (one Delta for all outputs) or S1_diagonal (one an output), THEORY 4.1
     disturbance_set : str, the paper's set, or one that covers the record
     nu_ceiling : NuCeiling, optional
-        Ceiling on the uncertainty bound, as the paper sets it. By default W_delta is the band of the model
-        error (THEORY 7.15), and the frame test has a healthy set of its own (THEORY 7.16).
+        Ceiling on the uncertainty bound, as the paper sets it: what the controller can stand. By default
+        W_delta is the band of the model error (THEORY 7.15). The frame test has a healthy set within
+        (THEORY 7.16).
     """
 
     structure: Literal["S0", "S1", "S1_diagonal"] = "S1"

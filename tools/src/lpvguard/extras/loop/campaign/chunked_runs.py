@@ -136,7 +136,7 @@ def _run_all(
 
 def _require_same(stored: StoredIdentification, replayer: Replayer) -> None:
     """Raise InputError where the folder's bounds are not those of the identification."""
-    W_delta, B_w = stored.fitted.of_core(replayer.estimator.omega)
+    (W_delta, B_w), _ = stored.fitted.of_core(replayer.estimator.omega)
     pairs = (W_delta, replayer.W_delta), (B_w, replayer.B_w)
     if not all(np.allclose(mine, cores, rtol=SAME_RTOL) for mine, cores in pairs):
         raise InputError(
