@@ -103,11 +103,12 @@ def decided(
         )
     shares = _shares(turn, largest, drives, choices, known, within)
     near = [r for r in (*candidates, *shares) if r.beyond == 0.0]
+    said = "; or ".join(r.words() for r in near[:3])
     if len(near) > 1 or any(r.share for r in near):
         raise InputError(
             "new",
             _differing(near),
-            f"{len(near) if near[1:] else 'no more'} readings fit: {'; or '.join(map(UnitReading.words, near[:3]))}",
+            f"{len(near) if near[1:] else 'no more'} readings fit: {said}",
             " or ".join(dict.fromkeys(_settles(r, near) for r in near)),
         )
     best = candidates[0]
