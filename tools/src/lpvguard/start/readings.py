@@ -128,12 +128,18 @@ def decided(
             f"not given, and the steering is at a steering wheel: {best.words()}",
             "the wheelbase in m, or --steering-ratio",
         )
+    return best, _evidence(turn, candidates, known)
+
+
+def _evidence(turn: SteadyTurn, candidates: Sequence[UnitReading], known: Known) -> list[str]:
+    """Sentences for the first of the readings that remain."""
+    best = candidates[0]
     evidence = [f"{turn.explained:.0%} of the yaw rate explained, {best.words()}"]
     if known.wheelbase_m is None:
         evidence.append(f"no wheelbase given: compare {best.wheelbase_m:.3g} m with the vehicle's")
     if len(candidates) > 1:
         evidence.append(f"next best: {candidates[1].words()}, but {', '.join(candidates[1].why)}")
-    return best, evidence
+    return evidence
 
 
 def _shares(
