@@ -119,6 +119,32 @@ def test_an_mcap_file_is_read(tmp_path):
     np.testing.assert_allclose(read.series["state.gyro.2"].value, YAW, atol=1e-7)
 
 
+def mcap_of(path: Path, *channels: tuple[str, str]) -> Path:
+    """An MCAP file with the speed in channels of given topics and encodings."""
+    pytest.importorskip("mcap")
+    from mcap.writer import Writer
+
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start()
+        for topic, encoding in channels:
+            kind = "jsonschema" if encoding == "json" else encoding
+            schema = writer.register_schema("State", kind, b'{"type": "object"}')
+            channel = writer.register_channel(topic, encoding, schema)
+            for t, v in zip(T, SPEED, strict=True):
+                writer.add_message(channel, t, f'{{"car": {{"speed": {v}}}}}'.encode(), t)
+        writer.finish()
+    return path
+
+
+def test_jsons_messages_of_mcap_are_read_beside_others(tmp_path):
+    read = read_log(mcap_of(tmp_path / "drive.mcap", ("/state", "json"), ("/other", "protobuf")))
+    assert list(read.series) == ["state.car.speed"] and read.series["state.car.speed"].t_ns.tolist() == T
+    np.testing.assert_allclose(read.series["state.car.speed"].value, SPEED)
+    with pytest.raises(InputError, match="its messages are in protobuf; expected those of ROS 2, or JSON"):
+        read_log(mcap_of(tmp_path / "other.mcap", ("/other", "protobuf")))
+
+
 def test_px4s_ulog_is_read(tmp_path):
     """Written by hand after PX4's definition of the form: pyulog writes only what it has read."""
     pytest.importorskip("pyulog")
@@ -156,6 +182,47 @@ def test_ardupilots_dataflash_is_read(tmp_path):
     assert read.series["IMU.GyrZ"].t_ns.tolist() == T
     np.testing.assert_allclose(read.series["IMU.GyrZ"].value, YAW, atol=1e-7)
     assert ranked("output", read.series) == ["IMU.GyrZ"]
+
+
+def test_ardupilots_dataflash_as_text_is_read(tmp_path):
+    pytest.importorskip("pymavlink")
+    lines = [
+        "FMT, 128, 89, FMT, BBnNZ, Type,Length,Name,Format,Columns",
+        "FMT, 129, 19, IMU, Qff, TimeUS,GyrX,GyrZ",
+        *(f"IMU, {t // 1000}, 0.0, {r:.6f}" for t, r in zip(T, YAW, strict=True)),
+    ]
+    (tmp_path / "drive.log").write_text("\n".join(lines) + "\n")
+    read = read_log(tmp_path / "drive.log")
+    assert isinstance(read, Table) and read.series["IMU.GyrZ"].t_ns.tolist() == T
+    np.testing.assert_allclose(read.series["IMU.GyrZ"].value, YAW, atol=1e-6)
+
+
+def test_mavlinks_telemetry_is_read(tmp_path):
+    pytest.importorskip("pymavlink")
+    from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+    sender, data = mavlink.MAVLink(None), b""
+    for t, v, r in zip(T, SPEED, YAW, strict=True):
+        for message in (
+            mavlink.MAVLink_vfr_hud_message(0.0, v, 0, 0, 0.0, 0.0),
+            mavlink.MAVLink_attitude_message(t // 10**6, 0.0, 0.0, 0.0, 0.0, 0.0, r),
+        ):
+            data += struct.pack(">Q", t // 1000 + 10**15) + message.pack(sender)
+    (tmp_path / "drive.tlog").write_bytes(data)
+    read = read_log(tmp_path / "drive.tlog")
+    speed = read.series["VFR_HUD.groundspeed"]
+    assert np.allclose(np.diff(speed.t_ns), 2e7, atol=300)
+    np.testing.assert_allclose(speed.value, SPEED, rtol=1e-6)
+    assert [ranked(role, read.series)[0] for role in ("speed", "output")] == [
+        "VFR_HUD.groundspeed",
+        "ATTITUDE.yawspeed",
+    ]
+
+
+def test_velocities_to_the_north_are_no_speed():
+    names = ["vehicle_local_position.vx", "vehicle_odometry.velocity[0]", "sensor_gps.vel_m_s"]
+    assert ranked("speed", names) == ["sensor_gps.vel_m_s"]
+    assert ranked("input", ["vehicle_imu.delta_angle[0]", "servo.steering"]) == ["servo.steering"]
 
 
 @pytest.mark.parametrize("name", ["drive.bag", "drive.mcap", "drive.ulg", "rlog"])

@@ -2,6 +2,7 @@
 
 import bz2
 import gzip
+import json
 import lzma
 import re
 import zipfile
@@ -210,6 +211,45 @@ def test_a_vbox_file_is_read(tmp_path):
     log.write_text(VBO.replace("[column names]", "[names]") + "1 2 3 4\n")
     with pytest.raises(InputError, match=r"\[column names\]: no such section"):
         read_log(log)
+
+
+SIGNAL_A_ROW = {
+    "OBD.csv": '"SECONDS";"PID";"VALUE";"UNITS"\n'
+    + "".join(f'"{t:.3f}";"v";"{v}";"km/h"\n"{t + 0.001:.3f}";"d";"{d}";"deg"\n' for t, v, d in ROWS),
+    "telemetry.csv": "timestamp,car,telemetry_name,telemetry_value\n"
+    + "".join(f"{t:.3f},7,v,{v}\n{t + 0.001:.3f},7,d,{d}\n" for t, v, d in ROWS),
+    "openXC.json": "".join(
+        json.dumps({"name": n, "value": x, "timestamp": 1.7e9 + t}) + "\n"
+        for t, v, d in ROWS
+        for n, x in (("v", v), ("d", d), ("door", "driver"))
+    ),
+    "drive.jsonl": "".join(json.dumps({"t": t, "v": v, "in": {"x": 1}, "d": d}) + "\n" for t, v, d in ROWS),
+    "list.json": json.dumps([{"time": t, "v": v, "d": d, "ok": True} for t, v, d in ROWS]),
+}
+
+
+@pytest.mark.parametrize("name", SIGNAL_A_ROW)
+def test_tables_with_a_signal_a_row_and_json_are_read(tmp_path, name):
+    (tmp_path / name).write_text(SIGNAL_A_ROW[name])
+    log = read_log(tmp_path / name)
+    assert isinstance(log, Table) and stem(tmp_path / name) == name.split(".")[0]
+    for k, signal in enumerate(("v", "d"), start=1):
+        series = log.series[signal]
+        np.testing.assert_allclose((series.t_ns - series.t_ns[0]) / 1e9, [t for t, _, _ in ROWS], atol=2e-7)
+        np.testing.assert_allclose(series.value, [row[k] for row in ROWS])
+    assert log.series["v"].unit == ("km/h" if name == "OBD.csv" else "")
+    assert "door" not in log.series
+
+
+def test_a_text_of_no_json_and_a_folder_with_settings_are_told(tmp_path):
+    (tmp_path / "drive.jsonl").write_text('{"t": 0.0, "v": 1}\n{"t": 0.02')
+    with pytest.raises(InputError, match=r"drive.jsonl: no JSON \(.*\); expected an object a line"):
+        read_log(tmp_path / "drive.jsonl")
+    (tmp_path / "drive.jsonl").write_text("[1, 2]")
+    with pytest.raises(InputError, match="holds no object"):
+        read_log(tmp_path / "drive.jsonl")
+    (tmp_path / "settings.json").write_text("{}")
+    assert logs_among([tmp_path]) == [tmp_path / "drive.jsonl"]
 
 
 def test_times_read_by_shape_are_named_and_doubtful_ones_asked(tmp_path):

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from lpvguard.base.errors import InputError
-from lpvguard.can.logs import EXTENDED, read_log
+from lpvguard.can.logs import EXTENDED, Frames, read_log
 
 MESSAGES = [
     can.Message(1000.0, 0x123, False, data=bytes(range(8)), channel=1),

@@ -1,11 +1,13 @@
 """Logs of robots, drones and driver assistance, read by their own libraries: extra ``lpvguard[sources]``.
 
-.bag, rosbag2 folders (metadata.yaml), .mcap, .ulg (PX4), .bin (ArduPilot), rlog and qlog (openpilot)
+.bag, rosbag2 folders (metadata.yaml), .mcap (ROS 2 or JSON), .ulg (PX4), .bin and .log (ArduPilot), .tlog
+(MAVLink), rlog and qlog (openpilot)
 
 Each message's numbers become series TOPIC.field, fields of fields and short arrays too. Times are those at
 which the log got the message; those of PX4 and ArduPilot are the vehicle's own.
 """
 
+import json
 from collections.abc import Callable, Iterable, Iterator
 from functools import cache
 from pathlib import Path
@@ -28,7 +30,11 @@ def reader_of(path: Path) -> Callable[[Path, Path | None], Table] | None:
     """The reader of a log of one of these forms, None for any other; given path and schema."""
     if path.is_dir():
         return _rosbag if (path / "metadata.yaml").is_file() else None
-    by_suffix = {".bag": _rosbag, ".mcap": _mcap, ".ulg": _ulog, ".bin": _dataflash, ".db3": _rosbag}
+    by_suffix = {".bag": _rosbag, ".mcap": _mcap, ".ulg": _ulog, ".bin": _dataflash, ".tlog": _telemetry}
+    by_suffix[".db3"] = _rosbag
+    if path.suffix.lower() == ".log" and path.is_file():
+        with path.open("rb") as stream:
+            return _dataflash if stream.read(9) == b"FMT, 128," else None
     is_openpilot = any(path.name.lower().endswith(name) for name in OPENPILOT)
     return _openpilot if is_openpilot else by_suffix.get(path.suffix.lower())
 
@@ -112,9 +118,29 @@ def _mcap(path: Path, _: Path | None) -> Table:
     from mcap.reader import make_reader
     from mcap_ros2.decoder import DecoderFactory
 
+    factory = _Undecoded()
     with path.open("rb") as stream:
-        decoded = make_reader(stream, decoder_factories=[DecoderFactory()]).iter_decoded_messages()
-        return _table((_topic(channel.topic), message.log_time, ros) for _, channel, message, ros in decoded)
+        factories: list[Any] = [DecoderFactory(), factory]
+        decoded = make_reader(stream, decoder_factories=factories).iter_decoded_messages()
+        table = _table((_topic(channel.topic), message.log_time, ros) for _, channel, message, ros in decoded)
+    if not table.series and factory.encodings:
+        raise InputError(
+            path, "", f"its messages are in {', '.join(sorted(factory.encodings))}", "those of ROS 2, or JSON"
+        )
+    return table
+
+
+class _Undecoded:
+    """Decoders of MCAP's messages that are none of ROS 2: JSON, and nothing of any other."""
+
+    def __init__(self) -> None:
+        self.encodings: set[str] = set()
+
+    def decoder_for(self, message_encoding: str, _: object) -> Callable[[bytes], Any]:
+        if message_encoding == "json":
+            return json.loads
+        self.encodings.add(message_encoding)
+        return lambda _: None
 
 
 def _ulog(path: Path, _: Path | None) -> Table:
@@ -134,9 +160,9 @@ _DATAFLASH_UNITS = {"deg/s": "deg/s", "deg": "deg", "rad": "rad", "rad/s": "rad/
 
 
 def _dataflash(path: Path, _: Path | None) -> Table:
-    from pymavlink.DFReader import DFReader_binary
+    from pymavlink.DFReader import DFReader_binary, DFReader_text
 
-    log = DFReader_binary(str(path))
+    log = (DFReader_text if path.suffix.lower() == ".log" else DFReader_binary)(str(path))
     units: dict[str, str] = {}
 
     def messages() -> Iterator[Message]:
@@ -153,6 +179,21 @@ def _dataflash(path: Path, _: Path | None) -> Table:
 
     table = _table(messages())
     return Table({n: Series(s.t_ns, s.value, units.get(n, "")) for n, s in table.series.items()})
+
+
+def _telemetry(path: Path, _: Path | None) -> Table:
+    """MAVLink messages as a ground station stores them."""
+    from pymavlink import mavutil
+
+    def messages() -> Iterator[Message]:
+        log = mavutil.mavlink_connection(str(path))
+        while (message := log.recv_msg()) is not None:
+            fields = message.to_dict()
+            kind = fields.pop("mavpackettype")
+            if kind != "BAD_DATA":
+                yield kind, round(message._timestamp * 1e9), fields
+
+    return _table(messages())
 
 
 def _openpilot(path: Path, schema: Path | None) -> Table:

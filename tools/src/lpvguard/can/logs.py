@@ -3,9 +3,9 @@
 raw      candump (-l, -L, and the screen with -t), ASC, BLF, TRC, MF4 with bus logging, CSV and Parquet with
          the columns of python-can (timestamp, arbitration_id, extended, dlc, data);
          each also packed (packed.py) where it is text
-decoded  CSV, VBOX, Parquet and MATLAB files with one column a signal, folders with one of them a topic
-         (topics.py), MF4 with one channel a signal; rosbag, MCAP, ULog, DataFlash and
-         openpilot's logs (foreign_logs.py)
+decoded  CSV, VBOX, JSON, Parquet and MATLAB files with one column a signal, text also with one row a signal
+         (long_tables.py), folders with one of them a topic (topics.py), MF4 with one channel a signal;
+         rosbag, MCAP, ULog, DataFlash and openpilot's logs (foreign_logs.py)
 
 candump goes through a compiled parser, or through a slow one in Python when there is no compiler; the result
 is the same. Other raw forms go through python-can (which takes a bus-off report of a candump log as a frame)
@@ -15,6 +15,7 @@ and asammdf.
 import ctypes
 import re
 import warnings
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -46,8 +47,9 @@ _TRC_SUFFIX = ".trc"
 _MAT_SUFFIX = ".mat"
 _MDF_SUFFIXES = {".mf4", ".mdf", ".dat"}
 _VBO_SUFFIX = ".vbo"
-_TEXT_SUFFIXES = {".csv", ".tsv", ".txt", _VBO_SUFFIX}
-_FOREIGN_SUFFIXES = {".bag", ".mcap", ".ulg", ".bin", ".db3"}
+_JSON_SUFFIXES = {".json", ".jsonl", ".ndjson"}
+_TEXT_SUFFIXES = {".csv", ".tsv", ".txt", _VBO_SUFFIX, *_JSON_SUFFIXES}
+_FOREIGN_SUFFIXES = {".bag", ".mcap", ".ulg", ".bin", ".tlog", ".db3"}
 _SUFFIXES = {
     *PACKED,
     *_TEXT_SUFFIXES,
@@ -126,8 +128,8 @@ def read_log(
             path,
             "",
             f"unknown kind of log {suffix or '(no suffix)'}",
-            ".log (candump), .asc, .blf, .trc, .mf4, .csv, .tsv, .txt, .vbo, .parquet or .mat; text also "
-            "with .gz, .bz2, .xz, .zst, or alone in a .zip",
+            ".log (candump), .asc, .blf, .trc, .mf4, .csv, .tsv, .txt, .vbo, .jsonl, .parquet or .mat; text "
+            "also with .gz, .bz2, .xz, .zst, or alone in a .zip",
         )
     if isinstance(log, Frames) and len(log) == 0:
         raise InputError(path, "", "holds no data frame" + _in_words(log.left_out), "at least one frame")
@@ -176,7 +178,7 @@ def _is_log(path: Path) -> bool:
     if reader_of(path) is not None or not path.is_file():
         return reader_of(path) is not None
     try:
-        return suffix_inside(path) in _SUFFIXES - _FOREIGN_SUFFIXES - PACKED
+        return suffix_inside(path) in _SUFFIXES - _FOREIGN_SUFFIXES - PACKED - {".json"}
     except InputError:  # a .zip of something else
         return False
 
@@ -418,10 +420,7 @@ def _read_table(path: Path, suffix: str, time_column: str | None, rate_hz: float
     import pyarrow as pa
     import pyarrow.parquet as pa_parquet
 
-    from .raw_tables import is_raw, raw_frames
-    from .text_tables import read_text_table, with_numbers
-    from .time_columns import time_of
-    from .vbo import read_vbo
+    from .text_tables import with_numbers
 
     units: dict[str, str] = {}
     first_line = 1
@@ -431,9 +430,9 @@ def _read_table(path: Path, suffix: str, time_column: str | None, rate_hz: float
         elif suffix == _MAT_SUFFIX:
             table = read_matlab(path)
         else:
-            read = (read_vbo if suffix == _VBO_SUFFIX else read_text_table)(unpacked(path), path)
-            if is_raw(read.table.column_names):
-                return raw_frames(read, path)
+            read = _of_text(path, suffix, time_column, rate_hz)
+            if isinstance(read, Frames | Table):
+                return read
             read = with_numbers(read, path)
             table, first_line, units = read.table, read.first_line, read.units
     except (pa.ArrowException, OSError) as error:
@@ -450,11 +449,7 @@ def _read_table(path: Path, suffix: str, time_column: str | None, rate_hz: float
         )
     if set(names) >= _RAW_COLUMNS:
         return _raw_table(path, table)
-    if rate_hz is None:
-        t_ns, keep, made_of = time_of(table, units, path, first_line, time_column)
-    else:
-        t_ns = np.rint(np.arange(table.num_rows) * (1e9 / rate_hz)).astype(np.int64)
-        keep, made_of = np.ones(table.num_rows, bool), set()
+    t_ns, keep, made_of = _times(table, units, path, first_line, time_column, rate_hz)
     series = {
         c: Series(t_ns, _numbers(path, table, c)[keep], units.get(c, ""))
         for c in names
@@ -466,6 +461,38 @@ def _read_table(path: Path, suffix: str, time_column: str | None, rate_hz: float
         signed = np.where(series[bit].value > 0, -1.0, 1.0) * series[name].value
         series[name] = Series(t_ns, signed, series[name].unit)
     return Table(series)
+
+
+def _of_text(path: Path, suffix: str, time_column: str | None, rate_hz: float | None):
+    """A TextTable; Frames where it holds raw ones, and a Table where it has a signal a row."""
+    from .json_lines import read_json
+    from .long_tables import long_columns, series_of_rows
+    from .raw_tables import is_raw, raw_frames
+    from .text_tables import read_text_table, with_numbers
+    from .vbo import read_vbo
+
+    reader = {_VBO_SUFFIX: read_vbo, **dict.fromkeys(_JSON_SUFFIXES, read_json)}.get(suffix, read_text_table)
+    read = reader(unpacked(path), path)
+    if is_raw(read.table.column_names):
+        return raw_frames(read, path)
+    columns = long_columns(read)
+    if columns is None:
+        return read
+    others = with_numbers(replace(read, table=read.table.drop_columns([columns[1]])), path)
+    t_ns, keep, _ = _times(others.table, read.units, path, read.first_line, time_column, rate_hz)
+    return Table(series_of_rows(read, columns, t_ns, keep, path))
+
+
+def _times(
+    table, units: dict[str, str], path: Path, first_line: int, named: str | None, rate_hz: float | None
+) -> tuple[np.ndarray, np.ndarray, set[str]]:
+    """As ``time_of``; at a rate where it is given."""
+    from .time_columns import time_of
+
+    if rate_hz is None:
+        return time_of(table, units, path, first_line, named)
+    t_ns = np.rint(np.arange(table.num_rows) * (1e9 / rate_hz)).astype(np.int64)
+    return t_ns, np.ones(table.num_rows, bool), set()
 
 
 def _numeric(table, column: str) -> bool:

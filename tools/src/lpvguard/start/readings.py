@@ -103,11 +103,12 @@ def decided(
         )
     shares = _shares(turn, largest, drives, choices, known, within)
     near = [r for r in (*candidates, *shares) if r.beyond == 0.0]
+    said = "; or ".join(r.words() for r in near[:3])
     if len(near) > 1 or any(r.share for r in near):
         raise InputError(
             "new",
             _differing(near),
-            f"{len(near) if near[1:] else 'no more'} readings fit: {'; or '.join(map(UnitReading.words, near[:3]))}",
+            f"{len(near) if near[1:] else 'no more'} readings fit: {said}",
             " or ".join(dict.fromkeys(_settles(r, near) for r in near)),
         )
     best = candidates[0]
@@ -127,12 +128,18 @@ def decided(
             f"not given, and the steering is at a steering wheel: {best.words()}",
             "the wheelbase in m, or --steering-ratio",
         )
+    return best, _evidence(turn, candidates, known)
+
+
+def _evidence(turn: SteadyTurn, candidates: Sequence[UnitReading], known: Known) -> list[str]:
+    """Sentences for the first of the readings that remain."""
+    best = candidates[0]
     evidence = [f"{turn.explained:.0%} of the yaw rate explained, {best.words()}"]
     if known.wheelbase_m is None:
         evidence.append(f"no wheelbase given: compare {best.wheelbase_m:.3g} m with the vehicle's")
     if len(candidates) > 1:
         evidence.append(f"next best: {candidates[1].words()}, but {', '.join(candidates[1].why)}")
-    return best, evidence
+    return evidence
 
 
 def _shares(

@@ -19,6 +19,7 @@ from .steady_turn import Driven, steady_turn
 from .words import (
     FRACTION,
     NEVER,
+    NEVER_IN,
     NO_ANGLE,
     NO_MEASUREMENT,
     NOT,
@@ -86,6 +87,8 @@ def ranked(role: str, names: Iterable[str], units: Mapping[str, str] | None = No
         low = re.sub(r"[\s/-]+", "_", last.lower())
         unit = (units or {}).get(name, "")
         if NO_MEASUREMENT.search(low) or re.search(NEVER[role], low):
+            continue
+        if re.search(NEVER_IN[role], message.lower()):
             continue
         sure, may = WORDS[role]
         plain = without_unit(last, role)

@@ -59,7 +59,7 @@ WITH_UNIT = {"output": "yaw|gyro?|(^|_)rot(ation)?(_rate|_speed)?$"}
 """By role: what a name may hold where a unit of the role is stated."""
 NEVER = {
     "speed": _any(
-        r"_[yz](_|$) ^v_?[yz](_|$) (^|_)lat(eral)?_?(_|v|sp) rel(ative|_|sp|v) target trgt trg$ "
+        r"_[yz](_|$) ^v_?[yz](_|$) (^|_)lat(eral)?_?(_|v|sp) rel(ative|_|sp|v) target trgt trg$ air_?sp "
         r"set_?(p|speed) wunsch ziel soll lead obj wiper fan wind_ engine idle shaft turbine motor_sp "
         r"rpm max lim lmt trap tsr saved condition offset regel abbruch zeit gier yaw lacet imbard gui[nñ] "
         r"ang steer sas rate_ hud clu_ kombi angez dsply display navi expected"
@@ -75,6 +75,12 @@ NEVER = {
     ),
 }
 """By role: other quantities that share a word with it."""
+NEVER_IN = {
+    "speed": _any(r"(local|global)_position vehicle_odometry (^|_)(ned|enu)(_|$) attitude"),
+    "input": _any(r"imu gyro attitude local_position"),
+    "output": "(?!)",
+}
+"""By role: messages without it. PX4's velocities are to the north and to the east."""
 NOT = {
     "speed": _any(
         r"control desired cruise digital pcm cluster dash ui_ adas acc_? gps low mod_ "

@@ -1,0 +1,54 @@
+"""Logs of JSON: an object a line, or a list of objects. Fields of fields are called A.B."""
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+
+from ..base.errors import InputError
+from .text_tables import TextTable, decoded
+
+_DEEPEST = 4
+"""Fields further down are no signals of a vehicle."""
+
+
+def read_json(data: bytes, path: Path) -> TextTable:
+    """Read objects as rows of a table, every cell as text.
+
+    Parameters
+    ----------
+    data : bytes
+    path : Path, named in errors
+
+    Returns
+    -------
+    TextTable
+
+    Raises
+    ------
+    InputError
+        If the file holds no objects, or a line is none.
+    """
+    text = decoded(data, path).strip()
+    try:
+        whole = text.startswith("[")
+        rows = json.loads(text) if whole else [json.loads(line) for line in text.splitlines() if line.strip()]
+    except ValueError as error:
+        raise InputError(path, "", f"no JSON ({error})", "an object a line, or a list of them") from None
+    flat = [dict(_fields("", row, 0)) for row in rows if isinstance(row, dict)]
+    names = list(dict.fromkeys(name for row in flat for name in row))
+    if not names:
+        raise InputError(path, "", "holds no object with numbers", "an object a line, or a list of them")
+    table = pa.table({n: pa.array([row.get(n) for row in flat], pa.string()) for n in names})
+    return TextTable(table, 1, {}, False)
+
+
+def _fields(name: str, value: Any, depth: int) -> Iterator[tuple[str, str]]:
+    """Names and texts of an object's fields."""
+    if isinstance(value, dict) and depth < _DEEPEST:
+        for key, inside in value.items():
+            yield from _fields(f"{name}.{key}" if name else str(key), inside, depth + 1)
+    elif isinstance(value, bool | int | float | str):
+        yield name, repr(float(value)) if isinstance(value, float | bool) else str(value)
