@@ -3,7 +3,7 @@
     lpvguard_vehicle.h   name and sizes
     lpvguard_coeff.c     the coefficients (lib/include/lpvguard/coeff.h describes every field)
     lpvguard_diagnosis.c the table of the diagnosis (diagnosis.h), where the identification has one
-    lpvguard_isolation.c, lpvguard_parts.h   with [isolation] only: its table (isolation.h), names of the parts
+    lpvguard_isolation.c, lpvguard_parts.h   with [isolation] only: its table, names of the parts
     lpvguard_control.c, lpvguard_bus.c, lpvg_can_codec.h/.c   with a controller only: control_coefficients.py
     lpvguard_signals.h   the signal table: order, units, signs, ranges
     SIGNALS.md           the same for people

@@ -683,7 +683,9 @@ class RunningMonitor:
         period_s = self._core.period_s
         cause_log = CauseLog.from_rows(causes[: n_causes.value], constant("NBLOCK", {}) * period_s)
         parts = PartLog.from_rows(windows[: n_windows.value])
-        return Run(frames, verdict, status, energy, band, energy_alarms, change, change_alarms, cause_log, parts)
+        return Run(
+            frames, verdict, status, energy, band, energy_alarms, change, change_alarms, cause_log, parts
+        )
 
     def run_drive(self, drive: Drive) -> Run:
         """Run a whole drive; where its samples are missing, time passes without one."""

@@ -40,7 +40,9 @@ def export_vehicle(
     }
     table = None if stored.diagnosis is None else stored.diagnosis.table
     project, isolation = stored.project, stored.isolation
-    parts = isolation and (isolation_table(project, isolation), parts_header(project, isolation))
+    parts = None
+    if isolation is not None:
+        parts = (isolation_table(project, isolation), parts_header(project, isolation))
     with artefacts.new_folder(target, "vehicle", project.name) as folder:
         files = vehicle_files(project, coefficients, provenance, controller, table, parts)
         if isolation is not None:

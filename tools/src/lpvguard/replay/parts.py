@@ -216,7 +216,7 @@ class RunningParts:
     ) -> Iterator[NamedPart]:
         """Parts of the windows that end in a piece.
 
-        ``verdict``: codes of the core (N,). ``onsets_s``: times on the piece's clock, as in `PartNamer.named`.
+        ``verdict``: codes of the core (N,). ``onsets_s``: times on the piece's clock, as in `named`.
         """
         missing = np.zeros(len(piece.t), bool) if piece.missing is None else piece.missing
         rows = np.column_stack([piece.t, missing, piece.v, piece.u, piece.y])
