@@ -2,10 +2,10 @@
 
 E is the windowed DFT of the nominal error, Z of the nominal output. Both are ``(..., n_y)`` complex in the
 outputs' own units. Every other argument broadcasts against the leading shape. The closed forms are exact to
-rounding. The usual forms cancel for delta0 -> nu, gamma_w -> B1, gamma_w -> abs(E) and for E parallel to Z.
-Differences of nearly equal products are therefore formed in double-double arithmetic. The compiled kernels
-and the numpy versions agree to 1e-13 relative. Margins agree to 1e-11, and to 1e-6 where the outputs' Z lie
-decades apart: the meeting point of three discs is then a small difference.
+rounding. The usual formulas lose digits for delta0 -> nu, gamma_w -> B1, gamma_w -> abs(E) and for E parallel
+to Z. Differences of nearly equal products are therefore formed in double-double arithmetic. The compiled
+kernels and the numpy versions agree to 1e-13 relative. Margins agree to 1e-11. They agree to 1e-6 if the
+outputs' Z lie decades apart, because the common point of three discs is then a small difference.
 
 With delta0 = Z^H E / Z^H Z (the least-squares scalar) and, by Lagrange's identity,
 
@@ -33,7 +33,7 @@ feasible."""
 class S1Result:
     """Explanation of every point in class S1.
 
-    Everything is NaN where an input was not finite.
+    All values are NaN where an input was not finite.
 
     Attributes
     ----------
@@ -96,7 +96,7 @@ def _dd_cross(a, b, c, d):
 
 
 def _exponent(values: np.ndarray) -> np.ndarray:
-    """Power of two just above the largest magnitude over the last axis; 0 where all are zero."""
+    """Exponent of the power of two just above the largest magnitude over the last axis; 0 if all are zero."""
     return np.frexp(np.max(values, axis=-1))[1]
 
 
@@ -129,7 +129,7 @@ def _s1_numpy(e: np.ndarray, z: np.ndarray, gamma: np.ndarray):
     with np.errstate(divide="ignore", invalid="ignore"):
         b1 = np.where(no_z, np.sqrt(ee[0]), np.sqrt(d2[0] / zz[0]))
         ze = ze_re[0] + 1j * ze_im[0]
-        # Within the tolerance of the edge delta is delta0; ee_g / |ze| holds what gamma_w^2 lies below B1^2.
+        # Near the edge delta is delta0; ee_g / |ze| holds the part of gamma_w^2 below B1^2.
         nu = np.where(room > 0.0, ee_g / (abs(ze) + np.sqrt(room)), abs(ze) / zz[0])
         nu = np.where((ee_g <= 0.0) | no_z, 0.0, nu)
         nu = np.where(infeasible, np.inf, nu)
@@ -141,7 +141,7 @@ def _s1_numpy(e: np.ndarray, z: np.ndarray, gamma: np.ndarray):
 
 
 def _points(source: str, e, z, *extra: tuple[str, object, bool]):
-    """Broadcast to (points, n_y) complex and (points[, n_y]) real contiguous arrays; returns them and the
+    """Broadcast to contiguous arrays (points, n_y) complex and (points[, n_y]) real; also return the
     shape."""
     e, z = np.asarray(e, dtype=complex), np.asarray(z, dtype=complex)
     if e.ndim == 0 or z.ndim == 0 or e.shape[-1] != z.shape[-1] or e.shape[-1] == 0:
@@ -174,7 +174,7 @@ def _points(source: str, e, z, *extra: tuple[str, object, bool]):
 def solve(e, z, gamma_w) -> S1Result:
     """Find the smallest |delta| with ||E - delta Z||_2 <= gamma_w at every point.
 
-    Compiled it takes about 20 ns a point.
+    The compiled version takes about 20 ns per point.
 
     Parameters
     ----------
@@ -241,7 +241,7 @@ def _size(x: np.ndarray) -> np.ndarray:
 
 
 def least(e, z) -> LeastSquares:
-    """Compute |E|, |Z|, B1 and |delta0|, consistent with `solve` and `least_squares_delta`.
+    """Compute |E|, |Z|, B1 and |delta0| as in `solve` and `least_squares_delta`.
 
     Parameters
     ----------
@@ -286,7 +286,7 @@ def least_squares_delta(e, z) -> np.ndarray:
 
 @dataclass(frozen=True)
 class TradeoffResult:
-    """Per point: J of (8) as ``cost``, nu = |delta|, and the delta and w that attain it.
+    """Result per point: J of (8) as ``cost``, nu = |delta|, and the delta and w that attain it.
 
     Shapes as in :class:`S1Result`. ``cost`` and ``nu`` are inf where gamma_w < B1.
     """
@@ -300,8 +300,8 @@ class TradeoffResult:
 def tradeoff(e, z, gamma_w, lambda_nu, lambda_w) -> TradeoffResult:
     """Minimise (8): lambda_nu nu^2 + sum_j lambda_w,j |w_j|^2 subject to |w| <= gamma_w.
 
-    The cost is an isotropic quadratic in delta. Its minimiser is therefore the unconstrained one, projected
-    on the disc of explanations.
+    The cost is an isotropic quadratic function of delta. Its minimiser is therefore the unconstrained
+    minimiser, projected on the disc of explanations.
 
     Parameters
     ----------
@@ -348,7 +348,7 @@ def tradeoff(e, z, gamma_w, lambda_nu, lambda_w) -> TradeoffResult:
     outside = distance > radius
     pull = np.divide(radius, distance, out=np.ones(len(e)), where=outside)
     delta = np.where(outside, centre + pull * offset, target)
-    # Close to the target the centre would cancel: the way there is the smallest delta that explains what the
+    # Close to the target the centre would lose digits: the step is the smallest delta that explains what the
     # target leaves.
     near = outside & (distance < 2.0 * radius)
     rest = solve(e[near] - target[near, None] * z[near], z[near], gamma[near])
@@ -368,20 +368,19 @@ def _np_cross(a, b, c, d):
 
 
 def _pair(i, j):
-    """Level at which two discs touch; a disc is (E, Z, B, |Z|), arrays over points."""
+    """Level at which two discs touch; a disc is (E, Z, B, |Z|) with arrays over points."""
     return np.abs(_np_cross(i[0], j[1], j[0], i[1])) / (i[2] * j[3] + j[2] * i[3])
 
 
 def _reach(i, j, k):
-    """Level at which disc k contains the one point that discs i and j share at their own level."""
+    """Level at which disc k contains the single point that discs i and j share when they touch."""
     den = i[2] * j[3] + j[2] * i[3]
     delta = np.conj(i[1]) * i[0] * (j[2] / (i[3] * den)) + np.conj(j[1]) * j[0] * (i[2] / (j[3] * den))
     return np.abs(k[0] - delta * k[1]) / k[2]
 
 
 def _triple(i, j, k):
-    """Smallest level at which three discs meet in one point, NaN where they never do; derivation in
-    base/_native/s1.c."""
+    """Smallest level at which three discs meet in one point, or NaN (derivation: base/_native/s1.c)."""
     rows = []
     for o in (j, k):
         d = _np_cross(o[0], i[1], i[0], o[1])
@@ -396,7 +395,7 @@ def _triple(i, j, k):
     db2, uu = det**2 * i[2] ** 2, np.abs(u0) ** 2
     pq = np.abs(u0) * np.abs(u1)
     c = np.conj(u0) * u1
-    minus = c.real - pq  # where this cancels, db2 is at least twice the other root, or there is no level
+    minus = c.real - pq  # if this loses digits, db2 is at least twice the other root, or there is no level
     plus = np.where(c.real < 0.0, c.imag**2 / (pq - c.real), c.real + pq)
     half = db2 - 2.0 * c.real + np.sqrt(np.maximum((2.0 * minus - db2) * (2.0 * plus - db2), 0.0))
     return np.sqrt(2.0 * uu / half)
@@ -410,7 +409,7 @@ def _margin_numpy(e, z, w_delta, w_w):
     best = np.zeros(len(e))
     with np.errstate(divide="ignore", invalid="ignore"):
         for i, j in combinations(range(n + 1), 2):
-            # A disc with Z = 0 is all of the plane or nothing, and its pairs have its own level.
+            # A disc with Z = 0 is the whole plane or empty, and its pairs have the level of this disc.
             best = np.fmax(best, _pair(discs[i], discs[j]))
         for trio in combinations(range(n + 1), 3):
             d = [discs[m] for m in trio]
@@ -421,28 +420,25 @@ def _margin_numpy(e, z, w_delta, w_w):
                 tuple(np.choose(worst, [d[o[slot]][field] for o in order]) for field in range(4))
                 for slot in range(3)
             )
-            # If the third disc holds the point of the worst pair, this is at most that pair's level.
+            # If the third disc contains the point of the worst pair, this is at most the level of that pair.
             joint = np.minimum(_reach(first, second, third), _triple(first, second, third))
-            best = np.fmax(best, joint)  # NaN with a Z = 0, and where the third disc never leaves the first
+            best = np.fmax(best, joint)  # NaN for Z = 0, and if the third disc never leaves the first one
     finite = np.isfinite(e).all(-1) & np.isfinite(z).all(-1) & np.isfinite(w_delta) & np.isfinite(w_w).all(-1)
     return np.where(finite, best, np.nan)
 
 
 MAX_OUTPUTS = 64
-"""Outputs the compiled margin accepts (a fixed array on its stack)."""
+"""Largest number of outputs for the compiled margin (a fixed array on its stack)."""
 
 
 def margin(e, z, w_delta, w_w) -> np.ndarray:
-    """Compute the on-line margin: least t with |delta_j| <= t W_delta,j and |E_j - delta_j Z_j| <= t W_w,j.
+    """Compute the on-line margin: the least t with |delta_j| <= t W_delta,j, |E_j - delta_j Z_j| <= t W_w,j.
 
-    With n_delta = 1 one delta is common to all outputs: a weighted 1-centre problem of n_y + 1 discs. By
-    Helly's
-    theorem it is the worst of the problems of three discs. Each of those is a pair of discs, or the smaller
-    root of a
-    quadratic. With n_delta = n_y each output has its own delta: the largest |E_j| / (W_w,j + W_delta,j
-    |Z_j|). At
-    t > 1 no complex delta and w within the bounds explain the frame. A causal Delta with memory may
-    (tools/README.md).
+    With n_delta = 1 all outputs share one delta: this is a weighted 1-centre problem of n_y + 1 discs. By
+    Helly's theorem its solution is the worst of all problems of three discs. Each of these is a pair of
+    discs, or the smaller root of a quadratic equation. With n_delta = n_y each output has a separate delta,
+    and t is the largest |E_j| / (W_w,j + W_delta,j |Z_j|). If t > 1, no complex delta and w within the bounds
+    explain the frame. A causal Delta with memory may still explain it (tools/README.md).
 
     Parameters
     ----------

@@ -4,11 +4,11 @@
     |xi_i| <= nu_i |u|,    |xi_s| <= nu_s |x_nom + d|,    |w| <= gamma_w
     min lambda_i nu_i^2 + lambda_s nu_s^2
 
-G_d = int_0^Ts e^{As} ds makes nu_s a rate (1/s), G_d = I a size per sample. At fixed nu_s this is a complex
-quadratic problem with two constraints. Its dual has no gap as long as nu_s < 1/sigma_max(H_s), H_s = (z I -
-A_d)^-1 G_d. At that cap an allowed Delta_s makes the loop singular. The optimum over nu_s is found by branch
-and bound in base/_native/s2.c, with a numpy version here. ``solve_forms`` is the kernel for any problem with
-one full block and plain quadratics.
+With G_d = int_0^Ts e^{As} ds, nu_s is a rate (1/s); with G_d = I it is a size per sample. At fixed nu_s this
+is a complex quadratic problem with two constraints. It has no duality gap if nu_s < 1/sigma_max(H_s), H_s =
+(z I - A_d)^-1 G_d. At that cap an allowed Delta_s makes the loop singular. A branch and bound in
+base/_native/s2.c finds the optimum over nu_s; a numpy version is in this module. ``solve_forms`` is the
+kernel for any problem with one full block and plain quadratics.
 """
 
 from __future__ import annotations
@@ -24,20 +24,20 @@ from lpvguard.base import native
 from lpvguard.base.errors import InputError
 
 GAP = 1e-4
-"""Relative distance of the two sides at which the branch and bound stops."""
+"""Relative gap between the two bounds at which the branch and bound stops."""
 
 NEAR_CAP = 1.0 - 1e-4
-"""An optimum at this fraction of the well-posedness cap or above is the cap's doing, not the data's."""
+"""An optimum at or above this fraction of the well-posedness cap results from the cap, not from the data."""
 
 MAX_N = 16
-"""Free variables plus one that the kernel accepts."""
+"""Largest number of free variables plus one that the kernel accepts."""
 
 _MAX_DUALS, _MAX_NEWTON = 240, 60
 
 
 @dataclass(frozen=True)
 class FormsResult:
-    """Per point: certified ``lower``, attained ``upper``, the size ``p`` and point ``z`` (n,) that attain it.
+    """Result per point: certified ``lower``, and ``upper``, which size ``p`` and point ``z`` (n,) attain.
 
     ``duals``: dual problems used.
     """
@@ -50,7 +50,7 @@ class FormsResult:
 
 
 def solve_forms(forms: np.ndarray, z0: np.ndarray, p_max, *, gap: float = GAP) -> FormsResult:
-    """min z* Q0 z + p over z = (theta, 1), p <= p_max, s.t. z* Qw z <= 0 and z* (A - p B) z <= 0.
+    """Solve min z* Q0 z + p over z = (theta, 1), p <= p_max, s.t. z* Qw z <= 0 and z* (A - p B) z <= 0.
 
     ``forms`` (points, 4, n, n) are the Hermitian Q0, Qw, A and B. They are scaled so that the cost at the
     feasible ``z0`` (points, n) is about one. The last element of ``z0`` is 1. ``p_max`` has the shape
@@ -79,7 +79,7 @@ def solve_forms(forms: np.ndarray, z0: np.ndarray, p_max, *, gap: float = GAP) -
 
 
 def _to_zero(x: np.ndarray, step: np.ndarray) -> float:
-    """How many steps take the first of the positive ``x`` to zero; inf where none falls."""
+    """Number of steps until the first positive ``x`` reaches zero; inf if none decreases."""
     falling = step < 0.0
     return float(min(-x[falling] / step[falling], default=np.inf))
 
@@ -110,7 +110,7 @@ class _Point:
         self.cost, self.p, self.z = np.inf, 0.0, None
 
     def _factor(self, mu, p):
-        """L(mu, p) with the factor of S_TT and C^-1 S_Tt; NaN where S_TT is not positive definite."""
+        """L(mu, p) with the factor of S_TT and C^-1 S_Tt; NaN if S_TT is not positive definite."""
         s = self.q0 + mu[0] * self.qw + mu[1] * (self.a - p * self.b)
         d = self.n - 1
         try:
@@ -208,7 +208,7 @@ class _Point:
         v.lower = self._bound(v)
 
     def solve(self, start: np.ndarray):
-        """((lower, upper, p, duals), z) by best-first branch and bound over p."""
+        """Compute ((lower, upper, p, duals), z) by best-first branch and bound over p."""
         self._offer(start)
         first = _Interval(0.0, min(self.p_max, self.cost), 0.0, -1.0, False, _Dual(np.ones(2)))
         self._evaluate(first)
@@ -237,12 +237,12 @@ class _Point:
 
 @dataclass(frozen=True)
 class S2Result:
-    """Per point (K,): certified ``lower`` <= optimum <= attained ``upper``, and the attaining explanation.
+    """Result per point (K,): certified ``lower`` <= optimum <= ``upper``, which the explanation attains.
 
     ``nu_i``, ``nu_s`` (K,): the sizes. ``xi`` (K, 1 + n_x), ``w`` (K, n_y): the signals. ``duals``: dual
     problems used. Points with gamma_w < B1 have inf bounds and NaN signals. ``at_cap`` marks points whose
-    best nu_s is the well-posedness cap itself, or whose bounds did not meet near it. Their numbers do not
-    bound the vehicle: they show that the class does not fit.
+    best nu_s is the well-posedness cap, or whose bounds did not meet near the cap. Their numbers do not bound
+    the vehicle; they show that the class does not fit.
     """
 
     lower: np.ndarray
@@ -262,7 +262,7 @@ def _gram(m: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class _Data:
-    """Checked arguments of :func:`solve`, one row a point."""
+    """Checked arguments of :func:`solve`, one row per point."""
 
     e: np.ndarray
     u: np.ndarray
@@ -309,7 +309,7 @@ class _Data:
 
 @dataclass(frozen=True)
 class _Maps:
-    """Well-scaled coordinates z = (theta, 1): ``xi``, ``w`` and ``eta`` (K, ., n) map z to signals."""
+    """Maps from well-scaled coordinates z = (theta, 1) to signals: ``xi``, ``w`` and ``eta`` (K, ., n)."""
 
     xi: np.ndarray
     w: np.ndarray
@@ -317,7 +317,7 @@ class _Maps:
 
     @classmethod
     def from_data(cls, data: _Data) -> _Maps:
-        """xi = (xi_i, xi_s) is free: w = e - C d with d = h_i xi_i + h_s xi_s, and eta = x_nom + d."""
+        """Maps with free xi = (xi_i, xi_s): w = e - C d with d = h_i xi_i + h_s xi_s, and eta = x_nom + d."""
         e, points, n_x = data.e, len(data.e), data.x_nom.shape[-1]
         d = n_x + 1
         to_d = np.concatenate([data.h_i[:, :, None], data.h_s], axis=2)
@@ -346,7 +346,8 @@ def _at(maps: np.ndarray, z: np.ndarray) -> np.ndarray:
 
 
 def _problem(data: _Data, maps: _Maps, start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Forms (K, 4, n, n) of :func:`solve_forms` and the cost (K,) at ``start`` (K, n) that they are over."""
+    """Forms (K, 4, n, n) of :func:`solve_forms`, scaled by the cost (K,) at ``start`` (K, n), and this
+    cost."""
     per_i = data.lam_i / np.abs(data.u) ** 2
     q0, a, b = per_i[:, None, None] * _gram(maps.xi[:, :1]), _gram(maps.xi[:, 1:]), _gram(maps.eta)
     ball = _gram(maps.w) / data.gamma[:, None, None] ** 2
@@ -405,7 +406,7 @@ def solve(
     Raises
     ------
     InputError
-        If shapes do not fit, or a value is not finite or not positive; it names the point.
+        If shapes do not fit, or a value is not finite or not positive; the error names the point.
 
     References
     ----------
@@ -437,7 +438,7 @@ def solve(
     z[~np.isfinite(upper)] = np.nan
     xi, w, eta = _at(maps.xi, z), _at(maps.w, z), _at(maps.eta, z)
     nu_s = np.linalg.norm(xi[:, 1:], axis=1) / np.linalg.norm(eta, axis=1)
-    # A disturbance alone explains these: the optimum is zero, which a relative gap cannot reach.
+    # A disturbance alone explains these points. Their optimum is zero, which a relative gap cannot reach.
     silent = np.linalg.norm(e, axis=1) <= gamma
     for array, value in ((lower, 0.0), (upper, 0.0), (nu_s, 0.0), (xi, 0.0), (w, e[silent])):
         array[silent] = value
@@ -447,8 +448,8 @@ def solve(
 
 
 def _inside_ball(w_map: np.ndarray, gamma: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(B1, z) per point: B1 = min |w|; z the point nearest to theta = 0 on the way to it with |w| <= gamma;
-    where gamma < B1 all the way."""
+    """(B1 = min |w|, z) per point: z lies between theta = 0 and the point with |w| = B1, as near to 0 as |w|
+    <= gamma allows."""
     w_t, w_theta = w_map[:, :, -1], w_map[:, :, :-1]
     u, s, vh = np.linalg.svd(w_theta, full_matrices=False)
     keep = s > 1e-12 * s[:, :1]
@@ -457,7 +458,7 @@ def _inside_ball(w_map: np.ndarray, gamma: np.ndarray) -> tuple[np.ndarray, np.n
     b1 = np.linalg.norm(rest, axis=1)
     room = np.sqrt(np.maximum((gamma - b1) * (gamma + b1), 0.0))
     size = np.linalg.norm(along, axis=1)
-    # A hair inside, so that rounding does not put the start outside.
+    # Slightly inside, so that rounding does not put the start outside.
     fraction = np.where(size > room, 1.0 - (1.0 - 1e-9) * room / np.maximum(size, 1e-300), 0.0)
     inverse = np.divide(1.0, s, out=np.zeros_like(s), where=keep)
     theta = -_at(np.swapaxes(vh.conj(), 1, 2), inverse * along) * fraction[:, None]
